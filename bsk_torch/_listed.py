@@ -28,6 +28,7 @@ class Listed(NamedTuple):
 
 LISTED: dict[str, Listed] = {
     "NadirScan-v1": Listed(ONE, "record the ground below; keep battery, wheels and data buffer within limits"),
+    "FaultyScan-v1": Listed(ONE, "NadirScan-v1 while wheels, panel, battery and transmitter fail at random times"),
     "AEOS-v1": Listed(ONE, "choose which of the next 32 targets to image, of 100 to 9,999"),
     "AEOSPower-v1": Listed(ONE, "AEOS-v1 with a small battery and data buffer, and weak wheels"),
     "AEOSCity-v1": Listed(ONE, "AEOS-v1 with cities as targets (extra: cities)"),

@@ -2,6 +2,7 @@
 
 import importlib.util
 import math
+import re
 
 import pytest
 import torch
@@ -16,7 +17,8 @@ pytestmark = pytest.mark.compiled
 
 CONSTELLATIONS = ["AEOSConstellation-v1", "Constellation-v1", "RelayConstellation-v1"]
 INSPECTIONS = {"RSOInspection-v1": 1, "MultiInspection-v1": 3}
-IMAGING = sorted(set(PRESETS) - {"NadirScan-v1", *CONSTELLATIONS, *INSPECTIONS})
+SCANNING = ("NadirScan-v1", "FaultyScan-v1")
+IMAGING = sorted(set(PRESETS) - {*SCANNING, *CONSTELLATIONS, *INSPECTIONS})
 ACTIONS = {"AEOSPower-v1": 3 + AHEAD}
 
 
@@ -131,20 +133,22 @@ def test_density_counts_every_target_once():
             assert entry.get_obs()[row, k] == pytest.approx(float(env.scenario.priority[row][mine].sum()) / CROWD)
 
 
-WIDTHS = {"NadirScan-v1": 12, "AEOS-v1": 269, "CloudyAEOS-v1": 301, "AEOSPower-v1": 298, "Constellation-v1": 141,
-          "AEOSConstellation-v1": 269}  # fmt: skip
+WIDTHS = {"NadirScan-v1": 12, "FaultyScan-v1": 21, "AEOS-v1": 269, "CloudyAEOS-v1": 301, "AEOSPower-v1": 298,
+          "Constellation-v1": 141, "AEOSConstellation-v1": 269}  # fmt: skip
 
 
 @pytest.mark.parametrize(("name", "width"), WIDTHS.items())
 def test_docstrings_state_what_is_observed(name, width):
     """Every observed quantity is listed in the module of its preset, or in the one that it refers to."""
-    options = {} if name == "NadirScan-v1" else dict(n_targets=300)
+    options = {} if name in SCANNING else dict(n_targets=300)
+    if name == "FaultyScan-v1":
+        options |= dict(observed=True)
     if name == "Constellation-v1":
         options |= dict(n_satellites=2, n_planes=1)
     env = bsk_torch.make(name, time_limit=600.0, backend="eager", **options)
     satellite = env.satellites[0] if hasattr(env, "satellites") else env.satellite
     text = importlib.import_module(PRESETS[name].__module__).__doc__
-    text += importlib.import_module(bsk_torch.presets.aeos.__module__).__doc__ if "bsk_torch.presets.aeos`" in text else ""
+    text += "".join(importlib.import_module(module).__doc__ for module in re.findall(r":mod:`(bsk_torch\.presets\.\w+)`", text))
     assert len(satellite.observation_description) == width
     for entry in satellite.observation_description:
         observation, leaf = entry.split("[")[0].split(".")[0], entry.split("[")[0].split(".")[-1]
@@ -153,3 +157,57 @@ def test_docstrings_state_what_is_observed(name, width):
 
 def test_every_preset_is_in_the_table():
     assert all(f"``{name}``" in bsk_torch.presets.__doc__ for name in PRESETS)
+
+
+def test_faulty_scan_without_faults_is_nadir_scan():
+    """The same episodes, to rounding: wheels that may fail are computed by other operations than bsk_rl's three."""
+    faulty, plain = (
+        bsk_torch.make(name, num_envs=8, seed=3, time_limit=6000.0, dtype=torch.float64, **options)
+        for name, options in (("FaultyScan-v1", dict(kinds=())), ("NadirScan-v1", {}))
+    )
+    actions = torch.randint(4, (40, 8), generator=torch.Generator().manual_seed(0))
+    seen = []
+    for env in (faulty, plain):
+        td, rows = env.reset(), []
+        for action in actions:
+            td = env.step(td.set("action", action))["next"]
+            rows.append(td["observation"])
+            td = env.maybe_reset(td)
+        seen.append(torch.stack(rows))
+    torch.testing.assert_close(*seen, rtol=0.0, atol=1e-6)
+
+
+def test_faults_of_faulty_scan_come_as_often_as_stated():
+    env = bsk_torch.make("FaultyScan-v1", num_envs=2000, seed=5, backend="eager", chance=0.6)
+    env.reset()
+    arguments = env.simulator.state.all_arguments
+    times = torch.stack([arguments[fault.drawn("at")].expand(2000) for fault in env.simulator.state.argument("faults")], -1)
+    share = torch.isfinite(times).double().mean(0)
+    expected = torch.tensor([0.2] * 6 + [0.6] * 3, dtype=torch.float64)
+    assert (share - expected).abs().max() < 4.0 * math.sqrt(0.25 / 2000)
+    assert float(times[torch.isfinite(times)].max()) <= 3 * 5700.0
+
+
+def test_kinds_of_faulty_scan_that_do_not_occur_can_be_injected():
+    env = bsk_torch.make("FaultyScan-v1", num_envs=2, seed=5, kinds=["battery"], observed=True, time_limit=600.0)
+    td = env.reset()
+    assert env.satellite.observation_description[-2:] == ["faults.fault_severity[7]", "faults.fault_severity[8]"]
+    env.inject("panel", envs=[1])
+    td = env.step(td.set("action", torch.zeros(2, dtype=torch.int64)))["next"]
+    assert td["observation"][:, 12:18].eq(0.0).all()
+    assert td["observation"][:, 18].tolist() == [0.0, 1.0]
+    assert td["observation"][:, 20].tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (dict(kinds=["wheels"]), "kinds: 'wheels' is not a kind of fault; did you mean 'wheel'"),
+        (dict(kinds="wheel"), r"kinds='wheel' must be a list of kinds of faults, such as \['wheel'\]"),
+        (dict(chance=1.5), "chance"),
+        (dict(observed=1), "observed=1 must be True or False"),
+    ],
+)
+def test_wrong_options_of_faulty_scan_are_rejected(options, message):
+    with pytest.raises(ValueError, match=message):
+        bsk_torch.make("FaultyScan-v1", num_envs=1, backend="eager", **options)

@@ -72,6 +72,12 @@ STARTS: dict[str, list[Start]] = {
     "benchmarks/envelope.py": [
         Start("--transitions 1 --scale 0.03 --time-limit 1900 --enough 1", r"(?s)\| 0.20 to 0.30 \| .*\"smallest_margin\": \d"),
     ],
+    "benchmarks/faults.py": [
+        Start(
+            "--episodes 2 --time-limit 300",
+            r"(?s)survival.*\| cautious \| 100.0% .*return.*\| trained with all faults \| [\d.]+ ± [\d.]+ \| ",
+        ),
+    ],
     "benchmarks/inspection.py": [
         Start("--batch 2 --turns 1 --seconds 0.1 --warm-up 1 --only 1 manoeuvres", r"\| manoeuvres \| 2 \| [\d,.]+ \| - \|")
     ],

@@ -28,16 +28,16 @@ Preset = Annotated[str, typer.Argument(help="Environment; 'bsk-torch list' names
 Policy = Annotated[
     str,
     typer.Argument(
-        help="Run folder, policy file, 'pretrained', or a baseline: random, rule, greedy, nearest, hasty, farsighted, drift, "
-        "circumnavigate, survey.",
+        help="Run folder, policy file, 'pretrained', or a baseline: random, rule, cautious, greedy, nearest, hasty, farsighted, "
+        "drift, circumnavigate, survey.",
         show_default=False,
     ),
 ]
 PolicyOrPlanner = Annotated[
     str,
     typer.Argument(
-        help="Run folder, policy file, 'pretrained', a baseline (random, rule, greedy, nearest, hasty, farsighted, drift, "
-        "circumnavigate, survey), or a planner (plan:rollout, plan:beam, plan:mcts, plan:cem).",
+        help="Run folder, policy file, 'pretrained', a baseline (random, rule, cautious, greedy, nearest, hasty, farsighted, "
+        "drift, circumnavigate, survey), or a planner (plan:rollout, plan:beam, plan:mcts, plan:cem).",
         show_default=False,
     ),
 ]

@@ -4,6 +4,7 @@
 name                       module                      task
 =========================  ==========================  ==================================================================
 ``NadirScan-v1``           ``presets.nadir_scan``      record the ground below; manage battery, wheels and data buffer
+``FaultyScan-v1``          ``presets.faulty_scan``     the same while wheels, panel, battery and transmitter fail at random times
 ``AEOS-v1``                ``presets.aeos``            choose which of the next 32 targets to image
 ``AEOSCity-v1``            ``presets.aeos``            the same, with cities as targets
 ``CloudyAEOS-v1``          ``presets.aeos``            the same under clouds, observed only as a forecast
@@ -26,6 +27,7 @@ from typing import Any
 from bsk_torch.presets.aeos import aeos, aeos_city, cloudy_aeos
 from bsk_torch.presets.aeos_power import aeos_power
 from bsk_torch.presets.constellation import aeos_constellation, constellation, relay_constellation
+from bsk_torch.presets.faulty_scan import faulty_scan
 from bsk_torch.presets.inspection import multi_inspection, rso_inspection
 from bsk_torch.presets.nadir_scan import nadir_scan
 from bsk_torch.sim.arguments.values import nearest
@@ -34,6 +36,7 @@ __all__ = ["PRESETS", "make"]
 
 PRESETS: dict[str, Callable[..., Any]] = {
     "NadirScan-v1": nadir_scan,
+    "FaultyScan-v1": faulty_scan,
     "AEOS-v1": aeos,
     "AEOSPower-v1": aeos_power,
     "AEOSCity-v1": aeos_city,

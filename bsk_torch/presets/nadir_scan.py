@@ -28,7 +28,7 @@ Random at reset: orbit, attitude, initial storage, charge and wheel speeds, dist
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -72,7 +72,7 @@ class ScanningDownlinkDynModel(dyn.ContinuousImagingDynModel, dyn.GroundStationD
 class ScanningSatellite(sats.AccessSatellite):
     """The satellite of the paper."""
 
-    observation_spec = (
+    observation_spec: ClassVar[tuple[obs.Observation, ...]] = (
         obs.SatProperties(
             dict(prop="storage_level_fraction"),
             dict(prop="battery_charge_fraction"),
@@ -125,7 +125,11 @@ def nadir_scan(*, sat_args: dict[str, Any] | None = None, obs_type: type = torch
         obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations.
         **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset.
     """
-    satellite = ScanningSatellite("Scanner1", sat_args=scanning_args() | (sat_args or {}), obs_type=obs_type)
+    return scanning_environment(ScanningSatellite("Scanner1", scanning_args() | (sat_args or {}), obs_type=obs_type), options)
+
+
+def scanning_environment(satellite: ScanningSatellite, options: dict[str, Any]) -> SatelliteTasking:
+    """Return the task of the paper for a satellite; ``options`` replace those of the preset."""
     defaults: dict[str, Any] = dict(
         scenario=scene.UniformNadirScanning(value_per_second=1 / (5 * ORBIT)),
         rewarder=data.ScanningTimeReward(),

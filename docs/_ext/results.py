@@ -393,6 +393,14 @@ def difficulties(name: str, what: str) -> str:
     return f"{table(['training', *conditions], rows)}\n"
 
 
+def faults(what: str) -> str:
+    """Return survival or return (``what``) of policies by kind of fault."""
+    found, forms = load("faults")["found"], {"survival": "{survival:.1%}", "return": "{return:.3f} ±\u00a0{half:.3f}"}
+    conditions = list(next(iter(found.values())))
+    rows = [[name, *(forms[what].format_map(result[each]) for each in conditions)] for name, result in found.items()]
+    return f"{table(['policy', *conditions], rows)}\n"
+
+
 def own_environments() -> str:
     """Return what trainings without settings reach, and random and constant actions."""
     head = [
@@ -547,6 +555,7 @@ def certificate(flown: Mapping[str, Any] | None) -> str:
 
 TABLES = {
     "difficulties": difficulties,
+    "faults": faults,
     "own_environments": own_environments,
     "clouds": clouds,
     "envelope": envelope,

@@ -31,9 +31,9 @@ def test_policies_are_compared_with_the_baselines_that_fit(run, folder, tmp_path
     result = run("eval", folder, *TWO, "--out", tmp_path / "all.json", "--episodes-out", tmp_path / "all.csv")
     assert result.exit_code == 0, result.output
     kept = json.loads((tmp_path / "all.json").read_text())
-    assert list(kept) == ["trained", "random", "rule"]
+    assert list(kept) == ["trained", "random", "rule", "cautious"]
     assert all(name in result.output for name in kept)
-    assert set(kept["trained"]["gain"]) == {"random", "rule"}
+    assert set(kept["trained"]["gain"]) == {"random", "rule", "cautious"}
     assert kept["random"]["gain"] == {}
     assert kept["rule"]["survival"] == 1.0
     with (tmp_path / "all.csv").open() as file:
@@ -90,7 +90,7 @@ def test_one_seed_is_one_episode(run, tmp_path):
     ("arguments", "message"),
     [
         (("rulle",), "did you mean 'rule'?"),
-        (("greedy",), "'greedy' does not fit NadirScan-v1: Scanner1 observes no targets. Baselines that fit: random, rule"),
+        (("greedy",), "Scanner1 observes no targets. Baselines that fit: random, rule, cautious"),
         (("rule", "--seeds", "0-5"), "--seeds '0-5' must be A:B, such as 0:1000"),
         (("rule", "--seeds", "5:2"), "--seeds '5:2' names no episode"),
         (("rule", "--seeds", "-3"), "--seeds '-3' names no episode"),

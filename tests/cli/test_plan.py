@@ -16,7 +16,7 @@ def test_planners_are_compared_with_the_baselines_that_fit(run, tmp_path):
     result = run("eval", "plan:rollout", *TWO, *options, *files)
     assert result.exit_code == 0, result.output
     kept = json.loads((tmp_path / "all.json").read_text())
-    assert list(kept) == ["plan:rollout", "random", "rule"]
+    assert list(kept) == ["plan:rollout", "random", "rule", "cautious"]
     assert 0.0 < kept["plan:rollout"]["simulated_per_decision"] <= 4 * 200.0
     assert "simulated_per_decision" not in kept["rule"]
     assert "simulated s / decision" in result.output

@@ -20,7 +20,7 @@ def test_train_compares_and_draws(run, tmp_path):
     assert result.exit_code == 0, result.output
     data = {"checkpoint.pt", "config.yaml", "evaluation.json", "evaluations.csv", "log.csv", "policy.pt"}
     assert {path.name for path in tmp_path.iterdir()} == data | {"learning_curve.png", "timeline.png"}
-    assert set(json.loads((tmp_path / "evaluation.json").read_text())) == {"random", "rule", "untrained", "trained"}
+    assert set(json.loads((tmp_path / "evaluation.json").read_text())) == {"random", "rule", "cautious", "untrained", "trained"}
     again = run("eval", tmp_path, "--seeds", "0:2", *SHORT[:4])
     assert again.exit_code == 0, again.output
 

@@ -19,9 +19,13 @@ def idle(preset, make):
     return env, TensorDictModule(lambda x: torch.zeros(x.shape[0], dtype=torch.int64), ["observation"], ["action"])
 
 
+NEWER = {"FaultyScan-v1"}
+"""Presets that were added after the suite was frozen."""
+
+
 def test_every_preset_is_in_the_suite_once_with_episodes_of_its_own():
     tasks = SUITES["v1"]
-    assert sorted(task.preset for task in tasks) == sorted(PRESETS)
+    assert sorted(task.preset for task in tasks) == sorted(set(PRESETS) - NEWER)
     seeds = [seed for task in tasks for seed in task.seeds()]
     assert len(set(seeds)) == len(seeds) == EPISODES * len(tasks)
     assert all(seed in SUITE_SEEDS for seed in seeds)

@@ -29,6 +29,9 @@ SCANNING: dict[str, dict[str, Any]] = {
 }
 """For the paper's satellite: how well it does goes up and down, so the best policy is looked for often."""
 
+SCANNING_WITH_FAULTS = {network: recipe | dict(imitate="cautious", imitation=0.2) for network, recipe in SCANNING.items()}
+"""Where most random episodes end early, a rule that survives is a good start."""
+
 INSPECTION: dict[str, dict[str, Any]] = {
     "attention": dict(
         num_envs=256,
@@ -52,6 +55,7 @@ begin with."""
 
 RECIPES: dict[str, dict[str, dict[str, Any]]] = {
     "NadirScan-v1": SCANNING,
+    "FaultyScan-v1": SCANNING_WITH_FAULTS,
     "AEOS-v1": IMAGING,
     "AEOSPower-v1": IMAGING,
     "AEOSCity-v1": IMAGING,
