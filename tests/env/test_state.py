@@ -52,6 +52,7 @@ DERIVED = {
     "_argument_planes": "arguments as kernels read them",
     "_table": "fixed commands of actions",
     "_all_legal": "a constant",
+    "_norms": "norms of observed properties: seven numbers, as many as there are episodes",
     "terms": "rewards of the last step by rewarder",
 }
 """Attributes that hold tensors of the batch without being state, and why: they follow from it, or from arguments."""
