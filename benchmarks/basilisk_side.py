@@ -27,10 +27,13 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "basilisk" / "recorders"))
 
+from Basilisk.simulation import reactionWheelStateEffector
+from Basilisk.utilities import simIncludeRW
 from bsk_rl import ConstellationTasking, act, comm, data, obs, sats, scene
 from bsk_rl.sim import dyn, fsw
+from bsk_rl.utils.functional import default_args
 from bsk_rl.utils.orbital import random_orbit, random_unit_vector, relative_to_chief, walker_delta_args
-from record_basilisk import BATTERY, EPISODE, FIXED, PAPER_MODES, STORAGE, paper_observations, scanner_class
+from record_basilisk import BATTERY, EPISODE, FIXED, PAPER_MODES, STORAGE, ScannerDyn, paper_observations, scanner_class
 
 Step = tuple[float, bool]
 """Simulated seconds of a step, and whether an episode ended with it."""
@@ -50,9 +53,31 @@ DRAWN: dict[str, Any] = {
 """What bsk_rl draws at every reset as the preset does; orbit, attitude and epoch are random by default."""
 
 
-def nadir_scan() -> gym.Env:
-    """The paper's environment with random episodes."""
-    satellite = scanner_class(PAPER_MODES, paper_observations())("Scanner1", sat_args=FIXED | DRAWN)
+def with_wheels(axes: list[list[float]]) -> type[dyn.DynamicsModel]:
+    """Return the paper's dynamics model with HR16 wheels about other axes; bsk_rl has no argument for them."""
+
+    class Wheels(ScannerDyn):
+        @default_args(wheelSpeeds=lambda: np.random.uniform(-3000.0, 3000.0, len(axes)), maxWheelSpeed=np.inf, u_max=0.2)
+        def setup_reaction_wheel_dyn_effector(
+            self, wheelSpeeds: Any, maxWheelSpeed: float, u_max: float, priority: int = 997, **kwargs: Any
+        ) -> None:
+            self.maxWheelSpeed, self.rwFactory = maxWheelSpeed, simIncludeRW.rwFactory()
+            self.rwStateEffector = reactionWheelStateEffector.ReactionWheelStateEffector()
+            for axis, speed in zip(axes, wheelSpeeds, strict=True):
+                self.rwFactory.create("Honeywell_HR16", axis, maxMomentum=50.0, Omega=speed).u_max = u_max
+            self.rwFactory.addToSpacecraft(self.scObject.ModelTag, self.rwStateEffector, self.scObject)
+            self.simulator.AddModelToTask(self.task_name, self.rwStateEffector, ModelPriority=priority)
+
+    return Wheels
+
+
+def nadir_scan(axes: list[list[float]] | None = None) -> gym.Env:
+    """The paper's environment with random episodes, and with wheels about other ``axes`` than bsk_rl's three."""
+    scanner, arguments = scanner_class(PAPER_MODES, paper_observations()), FIXED | DRAWN
+    if axes is not None:
+        scanner.dyn_type = with_wheels(axes)
+        arguments = {name: value for name, value in arguments.items() if name != "wheelSpeeds"}
+    satellite = scanner("Scanner1", sat_args=arguments)
     return gym.make(
         "SatelliteTasking-v1",
         satellite=satellite,

@@ -29,8 +29,10 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 
 import bsk_torch
+from bsk_torch import rand
 from bsk_torch.presets.nadir_scan import ORBIT
 from bsk_torch.rand import Distribution, Key
+from bsk_torch.sim import dyn
 
 EPISODE = 5 * ORBIT
 """Time limit of all tasks, s."""
@@ -45,20 +47,40 @@ PATIENCE = 600.0
 
 
 class Task(NamedTuple):
-    """What is played: a preset, about how many random actions make an episode, and arguments of the preset."""
+    """What is played.
+
+    Attributes:
+        preset: The preset.
+        steps: About how many random actions make an episode.
+        options: Arguments of the preset.
+        others: Arguments of Basilisk's environment; None for the same ones.
+    """
 
     preset: str
     steps: int
     options: dict[str, Any]
+    others: dict[str, Any] | None = None
 
+
+FOUR_AXES = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [3**-0.5] * 3]
+"""Axes of four wheels: those of bsk_rl's fault example."""
+
+FOUR_WHEELS: dict[str, Any] = {
+    "wheels": [dyn.Wheel("Honeywell_HR16", axis, 50.0) for axis in FOUR_AXES],
+    "wheelSpeeds": rand.Uniform(-3000.0, 3000.0, 4),
+}
 
 TASKS = {
     "scan": Task("NadirScan-v1", 300, {}),
+    "scan-4-wheels": Task("NadirScan-v1", 300, {"sat_args": FOUR_WHEELS}, {"axes": FOUR_AXES}),
     "imaging-100": Task("AEOS-v1", 110, {"n_targets": 100}),
     "imaging-1k": Task("AEOS-v1", 110, {"n_targets": 1000}),
     "imaging-10k": Task("AEOS-v1", 360, {"n_targets": 10_000}),
 }
-"""The paper's scanning, and agile imaging; with few targets most steps are the longest, 300 s, and bring no image."""
+"""The paper's scanning, also with four wheels, and agile imaging.
+
+With few targets most steps are the longest, 300 s, and bring no image.
+"""
 
 
 # -- options and results ----------------------------------------------------------------------------------------------
@@ -321,8 +343,8 @@ def other_process(command: list[str], **environment: str) -> Iterator[Side]:
 
 def basilisk(python: str, task: str) -> AbstractContextManager[Side]:
     """Play turns of so many seconds of ``task`` in the interpreter ``python``, with bsk_rl on Basilisk."""
-    preset, _, options = TASKS[task]
-    return other_side(python, preset, options)
+    played = TASKS[task]
+    return other_side(python, played.preset, played.options if played.others is None else played.others)
 
 
 def other_side(python: str, environment: str, options: Mapping[str, Any]) -> AbstractContextManager[Side]:

@@ -4,6 +4,7 @@ Usage:
     python benchmarks/vs_basilisk.py [--basilisk PYTHON] [--only CASE ...] [--turns 5] [--seconds 10] [--out FILE.json]
 
 The cases are named by batch, those of imaging by number of targets and batch: imaging-1k-1024 has 1,000 targets. In
+4096-wheels, the scanning satellites have four wheels instead of three. In
 gymnasium-own, the two pointing errors are custom properties in torch.
 ``PYTHON`` is an interpreter with bsk and bsk_rl (see recording.py); without it, only bsk_torch is measured. The two alternate, so
 that both run on the same machine; the figure of a case is the median over turns of the ratio of rates, with the smallest and the
@@ -72,8 +73,9 @@ def collected(case: Case) -> Player:
 
 def wrapped(case: Case) -> Player:
     """Random actions, through Gymnasium's interface."""
-    preset, _, options = harness.TASKS[case.task]
-    env = gymnasium.make(f"bsk_torch/{preset}", sim_dtype=getattr(torch, case.dtype), time_limit=harness.EPISODE, **options)
+    task = harness.TASKS[case.task]
+    options = {"sim_dtype": getattr(torch, case.dtype), "time_limit": harness.EPISODE} | task.options
+    env = gymnasium.make(f"bsk_torch/{task.preset}", **options)
     return alone(env)
 
 
@@ -136,6 +138,7 @@ CASES = {
     "4096": Case(4096, "float64", directly),
     "4096-float32": Case(4096, "float32", directly),
     "4096-collector": Case(4096, "float64", collected),
+    "4096-wheels": Case(4096, "float64", directly, "scan-4-wheels"),
     "64": Case(64, "float64", directly),
     "gymnasium": Case(1, "float64", wrapped),
     "gymnasium-own": Case(1, "float64", own),

@@ -27,6 +27,7 @@ CASES = {
     "4096": "4096 satellites",
     "4096-float32": "4096 satellites, mixed precision",
     "4096-collector": "4096 satellites, TorchRL's `Collector` with a policy of 2 x 64",
+    "4096-wheels": "4096 satellites, four wheels",
     "gymnasium": "one satellite through `gymnasium.make`",
     "1": "one satellite",
     "imaging-1k-1024": "1024 satellites",
