@@ -23,13 +23,13 @@ def test_a_training_ends_with_table_folder_and_next_command(tmp_path, capsys):
     policy = train(settings(), out, episodes=4)
     shown = capsys.readouterr().out
     assert "NadirScan-v1, 4 unseen episodes" in shown
-    names = ("random", "rule", "untrained", "trained")
+    names = ("random", "rule", "cautious", "untrained", "trained")
     rows = [line.split()[0] for line in shown.splitlines() if line.split() and line.split()[0] in names]
     assert rows == list(names)
     assert shown.endswith(f"results: {out}\nnext: bsk-torch report '{out}'\n")
     kept = json.loads((out / "evaluation.json").read_text())
     assert set(kept) == set(names)
-    assert set(kept["trained"]["gain"]) == {"random", "rule", "untrained"}
+    assert set(kept["trained"]["gain"]) == {"random", "rule", "cautious", "untrained"}
     again = evaluate(policy, bsk_torch.make("NadirScan-v1", num_envs=4, **OPTIONS), seed=3 + FRESH)
     assert kept["trained"]["return"]["mean"] == pytest.approx(again.mean_return.mean)
 
@@ -55,7 +55,7 @@ def test_a_resumed_training_is_compared_without_the_untrained_policy(tmp_path, c
     train(settings(), out, episodes=0)
     resume(out, episodes=2)
     assert "untrained" not in capsys.readouterr().out
-    assert set(json.loads((out / "evaluation.json").read_text())) == {"random", "rule", "trained"}
+    assert set(json.loads((out / "evaluation.json").read_text())) == {"random", "rule", "cautious", "trained"}
 
 
 def test_an_interrupted_training_says_how_to_resume(tmp_path):

@@ -133,11 +133,12 @@ def _described(inertia: object, wheels: Sequence[Wheel]) -> Values:
     try:
         tensor = torch.as_tensor(no_gradient("propose_gains: inertia", inertia), dtype=torch.float64)
     except (TypeError, ValueError, RuntimeError):
-        tensor = torch.empty(0)
+        tensor = torch.empty(0, dtype=torch.float64)
     if tensor.shape not in ((9,), (3, 3)) or not bool(torch.isfinite(tensor).all()):
         raise ValueError(f"propose_gains: inertia={inertia!r} must be 9 numbers, or 3 x 3, kg m^2")
     numbers = {name: torch.tensor([values], dtype=torch.float64) for name, values in wheel_defaults(wheels).items()}
-    args = {**numbers, "inertia": tensor.reshape(1, 9), "checkInertia": torch.ones(1), "underactuated": torch.zeros(1)}
+    args = {**numbers, "inertia": tensor.reshape(1, 9)}
+    args |= {"checkInertia": torch.ones_like(tensor.view(-1)[:1]), "underactuated": torch.zeros_like(tensor.view(-1)[:1])}
     for name in ("u_max", "rwOmegaMax"):
         endless = (args[name] <= 0.0) | torch.isinf(args[name])
         if bool(endless.any()):
