@@ -9,12 +9,13 @@ On the command line::
     python examples/bsk_rl/fault_environment.py --num-envs 4
     python examples/bsk_rl/fault_environment.py --num-envs 4 --literal
 
-The problem of bsk_rl's page "Fault Environment Example". Comments mark lines that differ from it. Four details of the page are
+The problem of bsk_rl's page "Fault Environment Example". Comments mark lines that differ from it. Five details of the page are
 corrected, unless ``--literal`` is given:
 
 - The page connects no command to its camera, which therefore takes an image in every tick, wherever it points.
 - A torque of 1 N m disturbs its satellite, five times what a wheel can give, so that all die within minutes. Here it is 1e-4 N m.
-- The gain that slows wheels down, 0.3 N m s, makes them oscillate at their largest torque. Here it is 0.05.
+- The gain that slows wheels down, 0.3 N m s, makes them oscillate at their largest torque. Here it is 0.03.
+- The gains of steering are unstable in ticks of 0.5 s. Here they are stable.
 - Only the first three wheels are observed and can be too fast.
 """
 
@@ -165,7 +166,8 @@ SAT_ARGS: dict[str, Any] = dict(
     # bsk_rl: lambda: np.random.uniform(0.4, 1.0) * ...
     storedCharge_Init=rand.Uniform(0.4 * BATTERY, BATTERY),
     u_max=0.2,
-    K1=0.5,
+    K1=0.3,  # bsk_rl: 0.5
+    servo_P=55.0,  # bsk_rl: its default, 150
     nHat_B=[0, 0, -1],
     imageTargetMinimumElevation=math.radians(45),
     rwBasePower=20,
@@ -174,13 +176,16 @@ SAT_ARGS: dict[str, Any] = dict(
     storageInit=rand.Uniform(0.0, 1.6e8),
     # bsk_rl: lambda: np.random.uniform(-900, 900, 4)
     wheelSpeeds=rand.Uniform(-900.0, 900.0, 4),
-    nullSpaceGain=0.05,  # bsk_rl: the module rwNullSpace, with OmegaGain=0.3
+    nullSpaceGain=0.03,  # bsk_rl: the module rwNullSpace, with OmegaGain=0.3
     # bsk_rl: lambda: random_unit_vector(), which is 1 N m
     disturbance_vector=lambda: 1e-4 * rand.random_unit_vector(),
 )
 
 LITERAL: dict[str, Any] = dict(
-    nullSpaceGain=0.3, disturbance_vector=rand.random_unit_vector()
+    K1=0.5,
+    servo_P=150.0,
+    nullSpaceGain=0.3,
+    disturbance_vector=rand.random_unit_vector(),
 )
 """Numbers of the page."""
 

@@ -933,9 +933,10 @@ FOUR_AXES = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [3**-0.5] * 3]
 
 
 def fault_environment(literal: bool) -> SatelliteTasking:
-    """Four wheels, of which one fails at the start; ``literal`` as the page has it, otherwise with four corrections.
+    """Four wheels, of which one fails at the start; ``literal`` as the page has it, otherwise with five corrections.
 
-    The page connects no command to the camera, disturbs by 1 N m, slows wheels with a gain of 0.3, and reads three wheels.
+    The page connects no command to the camera, disturbs by 1 N m, slows wheels with a gain of 0.3, steers with gains that are
+    unstable in ticks of 0.5 s, and reads three wheels.
     """
 
     class FourWheels(dyn.FullFeaturedDynModel):
@@ -993,7 +994,7 @@ def fault_environment(literal: bool) -> SatelliteTasking:
                 self.rwNullSpace.rwMotorTorqueInMsg.subscribeTo(self.rwMotorTorque.rwMotorTorqueOutMsg)
                 self.rwNullSpace.rwSpeedsInMsg.subscribeTo(self.fsw.dynamics.rwStateEffector.rwSpeedOutMsg)
                 self.rwNullSpace.rwConfigInMsg.subscribeTo(self.fsw.constellation)
-                self.rwNullSpace.OmegaGain = 0.3 if literal else 0.05
+                self.rwNullSpace.OmegaGain = 0.3 if literal else 0.03
                 self._add_model_to_task(self.rwNullSpace, priority=1193)
 
     class Faulty(sats.ImagingSatellite):
@@ -1036,7 +1037,7 @@ def fault_environment(literal: bool) -> SatelliteTasking:
         batteryStorageCapacity=80.0 * 3600 * 2,
         storedCharge_Init=lambda: np.random.uniform(0.4, 1.0) * 80.0 * 3600 * 2,
         u_max=0.2,
-        K1=0.5,
+        **(dict(K1=0.5) if literal else dict(K1=0.3, servo_P=55.0)),
         nHat_B=np.array([0, 0, -1]),
         imageTargetMinimumElevation=np.radians(45),
         rwBasePower=20,
