@@ -58,6 +58,7 @@ def cubesat(h: float = 1.0, law: str = "steering") -> dict[str, Any]:
         inertia,
         wheels,
         octet(0.03, 0.1, 0.17, 0.001),
+        40.0,
         h,
         law,
         mass=12.0,
@@ -65,9 +66,6 @@ def cubesat(h: float = 1.0, law: str = "steering") -> dict[str, Any]:
         depth=0.1,
         height=0.34,
         panelArea=0.12,
-        panelEfficiency=0.28,
-        batteryStorageCapacity=40.0 * 3600.0,
-        storedCharge_Init=Uniform(0.5 * 40.0 * 3600.0, 0.9 * 40.0 * 3600.0),
         basePowerDraw=-5.0,
         rwBasePower=0.15,
         wheelSpeeds=Uniform([1500.0, -2500.0, 1500.0, -2500.0], [2500.0, -1500.0, 2500.0, -1500.0]),
@@ -89,6 +87,7 @@ def imager(h: float = 1.0, law: str = "feedback") -> dict[str, Any]:
         inertia,
         wheels,
         octet(0.1, 0.45, 0.5, "MOOG_Monarc_1"),
+        400.0,
         h,
         law,
         mass=180.0,
@@ -96,9 +95,6 @@ def imager(h: float = 1.0, law: str = "feedback") -> dict[str, Any]:
         depth=0.8,
         height=1.1,
         panelArea=0.8,
-        panelEfficiency=0.28,
-        batteryStorageCapacity=400.0 * 3600.0,
-        storedCharge_Init=Uniform(0.5 * 400.0 * 3600.0, 0.9 * 400.0 * 3600.0),
         basePowerDraw=-60.0,
         rwBasePower=2.0,
         wheelSpeeds=Uniform(-1000.0, 1000.0, 4),
@@ -119,6 +115,7 @@ def agile_imager(h: float = 1.0, law: str = "steering") -> dict[str, Any]:
         inertia,
         wheels,
         octet(0.1, 1.0, 0.9, "MOOG_Monarc_5"),
+        2000.0,
         h,
         law,
         mass=1000.0,
@@ -126,9 +123,6 @@ def agile_imager(h: float = 1.0, law: str = "steering") -> dict[str, Any]:
         depth=1.5,
         height=2.2,
         panelArea=4.0,
-        panelEfficiency=0.28,
-        batteryStorageCapacity=2000.0 * 3600.0,
-        storedCharge_Init=Uniform(0.5 * 2000.0 * 3600.0, 0.9 * 2000.0 * 3600.0),
         basePowerDraw=-300.0,
         rwBasePower=10.0,
         wheelSpeeds=Uniform(-500.0, 500.0, 4),
@@ -209,8 +203,23 @@ class BenchPanel(Distribution):
 
 
 def _spacecraft(
-    inertia: list[list[float]], wheels: list[Wheel], thrusters: list[Thruster], h: float, law: str, **further: Any
+    inertia: list[list[float]],
+    wheels: list[Wheel],
+    thrusters: list[Thruster],
+    battery: float,
+    h: float,
+    law: str,
+    **further: Any,
 ) -> dict[str, Any]:
-    """Return the arguments of a body with wheels and thrusters, with proposed gains."""
-    gains = propose_gains(inertia, wheels, h, law, thrusters=thrusters)
-    return {"inertia": inertia, "wheels": wheels, "thrusters": thrusters, **further, **gains}
+    """Return the arguments of a body with wheels, thrusters and a battery of so many Wh, with proposed gains."""
+    capacity = battery * 3600.0
+    return {
+        "inertia": inertia,
+        "wheels": wheels,
+        "thrusters": thrusters,
+        "batteryStorageCapacity": capacity,
+        "storedCharge_Init": Uniform(0.5 * capacity, 0.9 * capacity),
+        "panelEfficiency": 0.28,
+        **further,
+        **propose_gains(inertia, wheels, h, law, thrusters=thrusters),
+    }

@@ -19,6 +19,7 @@ from bsk_torch.bsk_rl.sim.simulator import Simulator
 from bsk_torch.bsk_rl.utils.functional import valid_func_name
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.access.literal_search import Window, elevation_error, near_samples, near_spans, windows_in
+from bsk_torch.sim.fsw.target import SUN_LIMITS
 
 __all__ = ["AccessSatellite", "ImagingSatellite", "SatAct", "SatObs"]
 
@@ -265,8 +266,14 @@ class ImagingSatellite(AccessSatellite):
     fsw_type: ClassVar[Any] = fsw.ImagingFSWModel
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
-        """See :class:`AccessSatellite`."""
+        """See :class:`AccessSatellite`; ValueError for limits of light, which bsk_rl's windows do not have."""
         super().__init__(*args, **kwargs)
+        for name in (arg.name for arg in SUN_LIMITS):
+            if self.sat_args_generator.get(name) is not None:
+                raise ValueError(
+                    f"sat_args[{name!r}] does not limit the windows of bsk_torch.bsk_rl, which are those of bsk_rl; "
+                    "leave it out, or use a satellite of bsk_torch.sats"
+                )
         self.target_types: str | Sequence[str] = "target"
         self.latest_target: Any = None
 

@@ -114,8 +114,8 @@ def _walked(bus: Bus, form: WalkForm, normals: Sequence[Tensor]) -> Planes:
     x = list(bus.nav_errors)
     moved = list(x)
     for to, source, on in ((0, 3, form.position), (6, 9, form.attitude)):
-        for k in range(3):
-            moved[to + k] = x[to + k] + bus.h * x[source + k] if on else x[to + k]
+        for k in range(3 if on else 0):
+            moved[to + k] = x[to + k] + bus.h * x[source + k]
     found = []
     for error, step, bound in zip(moved, _steps(bus, form, normals), bus.nav_bounds, strict=True):
         free = error + step
