@@ -19,6 +19,7 @@ from bsk_torch.astro.attitude import mrp_to_dcm
 from bsk_torch.constants import AU, SOLAR_FLUX
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
 from bsk_torch.sim.faults.declared import Fault
+from bsk_torch.vec3 import Vec3
 
 AXIS_BOUNDS = -1e9, 1e9
 """Bounds of the components of vectors of which only the direction counts."""
@@ -249,6 +250,14 @@ def _axes(listed: Sequence[Panel]) -> Tensor:
 # -- power --------------------------------------------------------------------------------------------------------------------
 
 
+def _sun_in_B(bus: Bus) -> tuple[Vec3, Tensor]:
+    """Return the direction of the Sun in B, of length one, and the square of its distance, m^2."""
+    to_sun = bus.r_SN_N - bus.r_BN_N
+    distance2 = to_sun.dot(to_sun)
+    s_hat_B = mrp_to_dcm(bus.sigma_BN) @ (to_sun / torch.sqrt(distance2)).to(bus.dtype)
+    return s_hat_B, distance2
+
+
 def collect_sunlight(bus: Bus) -> None:
     """Start the power balance, W, with the solar panel.
 
@@ -256,12 +265,9 @@ def collect_sunlight(bus: Bus) -> None:
     :mod:`bsk_torch.astro.eclipse`, the panel's normal n in B and the direction ``s^ = [BN] (r_SN - r_BN) / d`` of the Sun, both
     positions at the end of the tick.
     """
-    to_sun = bus.r_SN_N - bus.r_BN_N
-    distance2 = to_sun.dot(to_sun)
-    s_hat_B = mrp_to_dcm(bus.sigma_BN) @ (to_sun / torch.sqrt(distance2)).to(bus.dtype)
+    s_hat_B, distance2 = _sun_in_B(bus)
     cosine = torch.clamp(s_hat_B.dot(bus.panel_normal_B), min=0.0)
-    flux = (SOLAR_FLUX * AU * AU / distance2).to(bus.dtype)
-    bus.power = flux * bus.panel_gain * bus.illumination * cosine
+    bus.power = (SOLAR_FLUX * AU * AU / distance2).to(bus.dtype) * bus.panel_gain * bus.illumination * cosine
 
 
 def turned(angle: Tensor, wanted: Tensor, most: Tensor, stops: tuple[Tensor, Tensor] | None) -> Tensor:
@@ -295,9 +301,7 @@ def sunlight_on_panels(kinds: tuple[Kind, ...]) -> Callable[[Bus], None]:
 
             n = cos(theta) n_0 + sin(theta) e x n_0,    theta* = atan2(s . (e x n_0), s . n_0)
         """
-        to_sun = bus.r_SN_N - bus.r_BN_N
-        distance2 = to_sun.dot(to_sun)
-        s_hat_B = mrp_to_dcm(bus.sigma_BN) @ (to_sun / torch.sqrt(distance2)).to(bus.dtype)
+        s_hat_B, distance2 = _sun_in_B(bus)
         gains, angles, stopped = torch.zeros_like(s_hat_B.x), list[Tensor](), 0
         for kind, gain, normal in zip(kinds, bus.panel_gain, bus.panel_normals_B, strict=True):
             cosine = s_hat_B.dot(normal)
