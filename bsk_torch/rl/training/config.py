@@ -19,6 +19,7 @@ from bsk_torch.files import write_file
 from bsk_torch.presets import make
 from bsk_torch.rl.evaluation.evaluate import FRESH, SUITE_SEEDS
 from bsk_torch.rl.networks.plans import check_network
+from bsk_torch.rl.networks.precision import FLOAT32, PRECISIONS
 from bsk_torch.rl.policies.files import LOGS
 from bsk_torch.rl.training.imitation import check_teacher
 from bsk_torch.sim.arguments.values import nearest
@@ -117,6 +118,8 @@ class PPOConfig:
         epochs: Passes over a batch.
         minibatch: Decisions in a gradient step.
         gradient_norm: Gradients of the actor, and those of the critic, are scaled down to this norm.
+        precision: Type in which networks compute in gradient steps: ``"float32"``, or ``"bfloat16"`` on devices that have it.
+            Policies decide in float32.
         imitate: Rule that the policy learns to imitate first, such as ``"hasty"``; None for none.
         imitation: Part of the budget in which it does; 1 for a training without reinforcement learning and critic.
         imitation_temperature: The rule teaches probabilities proportional to exp(worth / (temperature * best)), with the largest
@@ -159,6 +162,7 @@ class PPOConfig:
     epochs: int = 8
     minibatch: int = 2048
     gradient_norm: float = 0.5
+    precision: str = FLOAT32
     imitate: str | None = None
     imitation: float = 0.25
     imitation_temperature: float = 0.0
@@ -238,6 +242,7 @@ class PPOConfig:
             "learning_rate_schedule": SCHEDULES,
             "entropy_schedule": SCHEDULES,
             "reward_time": REWARD_TIMES,
+            "precision": PRECISIONS,
             "collector": COLLECTORS,
         }
         chosen = [(name, getattr(self, name)) for name in allowed] + [("loggers", name) for name in self.loggers]

@@ -33,8 +33,8 @@ class Terms(NamedTuple):
 
 
 def log_probabilities(logits: Tensor, legal: Tensor) -> Tensor:
-    """Return the logarithms of the probabilities of actions, [..., A]; about -1e9 for those that are not ``legal``."""
-    return logits.masked_fill(~legal, ILLEGAL).log_softmax(-1)
+    """Return the logarithms of the probabilities of actions, [..., A] float32; about -1e9 for those that are not ``legal``."""
+    return logits.float().masked_fill(~legal, ILLEGAL).log_softmax(-1)
 
 
 def log_probability(table: Tensor, action: Tensor) -> Tensor:

@@ -20,6 +20,7 @@ from torchrl.modules import set_recurrent_mode
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.rl.networks.normaliser import CLOCK
 from bsk_torch.rl.networks.plans import INIT, MEMORY, NORMALISER, PLANS, Networks, Plan
+from bsk_torch.rl.networks.precision import reduced
 from bsk_torch.rl.policies.files import save_policy
 from bsk_torch.rl.training.advantages import FINAL, estimate_advantages, final, make_value_norm, standardize
 from bsk_torch.rl.training.collect import COLLECTED_CLOCK
@@ -60,6 +61,7 @@ class Learner:
     def __init__(self, config: PPOConfig, env: SatelliteTasking) -> None:
         """Build new networks for an environment; ValueError if it does not fit them."""
         self.config = config
+        self.computing = reduced(config.precision, env.device)
         self.plan = self.make_plan(env)
         self.networks: Networks = self.plan.build().to(env.device)
         self.entropy_coefficient = config.entropy
@@ -199,13 +201,14 @@ class Learner:
     def _descend(self, sample: TensorDictBase) -> Tensor:
         """Take a gradient step; return the terms of the loss, [R]."""
         counts = self.counts(sample)
-        if self.judges:
-            terms = clipped_loss(self.acting, self.critic, sample, self.config.clip, counts)
-            played = terms.objective - self.entropy_coefficient * terms.entropy
-            loss = (imitation_loss(sample, counts) if self.imitates else played) + terms.loss_critic
-        else:
-            terms = unjudged(self.acting, sample, counts)
-            loss = imitation_loss(sample, counts)
+        with self.computing:
+            if self.judges:
+                terms = clipped_loss(self.acting, self.critic, sample, self.config.clip, counts)
+                played = terms.objective - self.entropy_coefficient * terms.entropy
+                loss = (imitation_loss(sample, counts) if self.imitates else played) + terms.loss_critic
+            else:
+                terms = unjudged(self.acting, sample, counts)
+                loss = imitation_loss(sample, counts)
         self.optimiser.zero_grad()
         loss.backward()
         # clipped one by one, so that errors of values do not slow the actor
