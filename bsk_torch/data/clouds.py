@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import number
-from bsk_torch.data.images import UniqueImageReward, identity
+from bsk_torch._checks import number, switch
+from bsk_torch.data.images import UniqueImageReward, identity, spread
 
 if TYPE_CHECKING:
     from bsk_torch.sats.fleet import SatelliteFleet
@@ -22,6 +22,10 @@ class CloudFreeImageReward(UniqueImageReward):
 
     The true cover is not observable before the image. The target is hidden afterwards, whether or not the image was clear. The
     counter ``covered`` [N, S] is the number of cloudy images.
+
+    Clouds do not matter to satellites whose class sets ``sees_through_clouds``, such as radars. If there are any, cloudy images
+    of the other satellites do not count as images: they hide the target only from satellites to which clouds matter and that
+    know of them, and a radar can still earn its priority.
     """
 
     scenario: CloudyTargets
@@ -45,14 +49,37 @@ class CloudFreeImageReward(UniqueImageReward):
             raise ValueError(f"CloudFreeImageReward needs scene.CloudyTargets; the scenario is {type(scenario).__name__}")
         super().link(scenario, fleet)
         self.memory.declare("covered", 0, fleet.size, low=0)
+        self._through = torch.zeros(fleet.size, dtype=torch.bool, device=fleet.device)
+        for part, columns in zip(fleet.satellites, fleet.columns, strict=True):
+            self._through[columns] = switch(
+                f"{type(part).__name__}.sees_through_clouds", getattr(part, "sees_through_clouds", False)
+            )
+        self._mixed = bool(self._through.any())
+        if self._mixed:
+            self.memory.declare("known_clouds", 0, fleet.size, self.scenario.most_targets, dtype=torch.bool)
 
     def counts(self) -> dict[str, Tensor]:
         """See :meth:`GlobalReward.counts`."""
         return super().counts() | {"covered": self.memory["covered"]}
 
+    def selectable(self) -> Tensor:
+        """See :meth:`ImageReward.selectable`."""
+        free = super().selectable()
+        return free & (self._through.view(1, -1, 1) | ~self.memory["known_clouds"]) if self._mixed else free
+
     def value(self, target: Tensor, taken: Tensor) -> Tensor:
         """See :meth:`ImageReward.value`."""
-        reward = super().value(target, taken)
-        clouded = taken & (self.scenario.cloud_cover.gather(1, target) > self.threshold)
+        clouded = taken & (self.scenario.cloud_cover.gather(1, target) > self.threshold) & ~self._through
         self.memory["covered"] = self.memory["covered"] + clouded
+        if self._mixed:
+            known, slot = self.memory["known_clouds"], target.unsqueeze(-1)
+            self.memory["known_clouds"] = known.scatter(2, slot, known.gather(2, slot) | clouded.unsqueeze(-1))
+            return super().value(target, taken & ~clouded)
+        reward = super().value(target, taken)
         return torch.where(clouded, torch.zeros_like(reward), reward)
+
+    def share(self, links: Tensor) -> None:
+        """See :meth:`GlobalReward.share`; which targets are under clouds spreads like images."""
+        super().share(links)
+        if self._mixed and self.fleet.size > 1:
+            self.memory["known_clouds"] = spread(self.memory["known_clouds"], links)

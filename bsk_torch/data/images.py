@@ -181,19 +181,22 @@ class UniqueImageReward(ImageReward):
 
     def share(self, links: Tensor) -> None:
         """See :meth:`GlobalReward.share`; knowledge spreads along one link in a step."""
-        if self.fleet.size == 1:
-            return
-        known = self.known
-        numbers = known.view(torch.uint8)  # forty times as fast as any() and all() of masks
-        disputed = numbers.amax(1) != numbers.amin(1)
-        most = int(disputed.sum(1).max())
-        if not most:
-            return
-        # few targets are known to some satellites but not to all; the product covers only these
-        slot = torch.where(disputed, torch.cumsum(disputed, 1) - 1, most)
-        number = torch.arange(known.shape[2], device=known.device).expand_as(slot)
-        column = torch.zeros_like(number[:, : most + 1]).scatter(1, slot, number)[:, :most].unsqueeze(1)
-        column = column.expand(-1, known.shape[1], -1)
-        some = known.gather(2, column)
-        told = torch.bmm(links.mT.float(), some.float()) > 0.5
-        self.memory["known_images"] = known.scatter(2, column, some | told)
+        if self.fleet.size > 1:
+            self.memory["known_images"] = spread(self.known, links)
+
+
+def spread(known: Tensor, links: Tensor) -> Tensor:
+    """Return what satellites know, [N, S, T] bool, after it has spread along ``links`` [N, S, S] by sender and receiver."""
+    numbers = known.view(torch.uint8)  # forty times as fast as any() and all() of masks
+    disputed = numbers.amax(1) != numbers.amin(1)
+    most = int(disputed.sum(1).max())
+    if not most:
+        return known
+    # few targets are known to some satellites but not to all; the product covers only these
+    slot = torch.where(disputed, torch.cumsum(disputed, 1) - 1, most)
+    number = torch.arange(known.shape[2], device=known.device).expand_as(slot)
+    column = torch.zeros_like(number[:, : most + 1]).scatter(1, slot, number)[:, :most].unsqueeze(1)
+    column = column.expand(-1, known.shape[1], -1)
+    some = known.gather(2, column)
+    told = torch.bmm(links.mT.float(), some.float()) > 0.5
+    return known.scatter(2, column, some | told)

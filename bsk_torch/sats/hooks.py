@@ -6,7 +6,7 @@ import difflib
 
 from bsk_torch.sim.hooks import check_class
 
-SPECS = ("observation_spec", "action_spec", "dyn_type", "fsw_type", "target_types")
+SPECS = ("observation_spec", "action_spec", "dyn_type", "fsw_type", "target_types", "sees_through_clouds")
 """Values that satellite classes define."""
 
 HOOKS = ("on_bind", "note_events", "legal_actions", "action_mask", "counts", "generation")

@@ -28,12 +28,18 @@ class ImagingSatellite(AccessSatellite):
     """A satellite that images targets; an imaging task ends when the image is taken or the window closes.
 
     In an environment, it is a :class:`BoundImagingSatellite`.
+
+    Attributes:
+        target_types: Type of the opportunities that it images.
+        sees_through_clouds: Whether its images show targets under clouds, as those of a radar do; read by
+            :class:`bsk_torch.data.CloudFreeImageReward`. Subclasses set it.
     """
 
     dyn_type: ClassVar[type[DynamicsModel]] = ImagingDynModel
     fsw_type: ClassVar[type[FSWModel]] = ImagingFSWModel
     view_type: ClassVar[type[OneSatellite]] = OneImagingSatellite
     target_types: str = "target"
+    sees_through_clouds: bool = False
 
     def __init__(
         self, name: str, sat_args: Mapping[str, Any] | Callable[[], Mapping[str, Any]] | None = None, **options: Any
