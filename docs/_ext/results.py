@@ -29,6 +29,7 @@ CASES = {
     "4096-collector": "4096 satellites, TorchRL's `Collector` with a policy of 2 x 64",
     "4096-wheels": "4096 satellites, four wheels",
     "gymnasium": "one satellite through `gymnasium.make`",
+    "gymnasium-own": "the same with two custom properties",
     "1": "one satellite",
     "imaging-1k-1024": "1024 satellites",
     "imaging-1k-64": "64 satellites",

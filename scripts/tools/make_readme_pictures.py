@@ -170,7 +170,7 @@ def speed(folder: Path) -> Path:
     )
     for panel, (name, without, title) in zip(panels, tasks, strict=True):
         rows = json.loads((RESULTS / name).read_text())["rows"]
-        plain = [row for row in rows if without not in row["case"] and row["case"] != "gymnasium"]
+        plain = [row for row in rows if without not in row["case"] and not row["case"].startswith("gymnasium")]
         shown = sorted(plain, key=lambda row: row["batch"])
         draw_speeds(panel, shown, title)
     panels[0].set_ylabel("simulated seconds\nper core-second")
