@@ -43,10 +43,11 @@ class Planner(TensorDictModuleBase):
     branches of an agent, the agents before it take the actions already decided, and all others follow the base policy (Bertsekas,
     "Multiagent rollout algorithms and reinforcement learning", 2019). Rewards are summed over all satellites.
 
-    By default, copies have the draws of the true episode, including future ones: if observations are noisy or part of the state
-    is hidden, such as clouds, the planner has perfect information. In fully observed presets (most of them), this makes no
-    difference. With ``futures``, each decision is planned in several resampled futures and averaged over them: copies get
-    separate seeds, which determine the noise, and ``redraw`` draws hidden parts of the state.
+    By default, copies have the draws of the true episode, including future ones: if observations are noisy, faults are to come,
+    or part of the state is hidden, such as clouds, the planner has perfect information. In fully observed presets (most of them),
+    this makes no difference. With ``futures``, each decision is planned in several resampled futures and averaged over them:
+    copies get separate seeds, which determine the noise, faults that have not happened yet are drawn again, and ``redraw`` draws
+    hidden parts of the state. Faults that act are known to the planner, even if they are not observed.
     """
 
     name: ClassVar[str]

@@ -1,4 +1,4 @@
-"""Resampling of hidden states, and random numbers of planners; all draws are determined by keys of the episodes."""
+"""Resampling of futures and hidden states, and random numbers of planners; all draws are determined by keys of the episodes."""
 
 from __future__ import annotations
 
@@ -32,14 +32,22 @@ def present_key(env: Tasking, rows: Tensor, env_ids: Tensor, name: str) -> Key:
 
 
 def reseed_copies(env: Tasking, rows: Tensor, lots: Tensor, key: Key, redraw: Redraw | None) -> None:
-    """Set the seeds of copied episodes, the ``rows`` [n] of a model, from ``lots`` [n] in [0, 1), and redraw hidden states.
+    """Set the seeds of copied episodes, draw their faults to come again, and redraw hidden states.
 
-    ``key`` [n] contains the indices of the episodes.
+    Args:
+        env: A model.
+        rows: Its rows with the copies, [n].
+        lots: Random numbers that determine the seeds, [n] in [0, 1).
+        key: Key with the indices of the episodes, [n].
+        redraw: Redraws hidden states.
     """
     seeds = (lots * 2.0**53).long()
     env.state.seed = env.state.seed.index_copy(0, rows, seeds.to(env.device))
+    future = Key(seeds, key.env_id, key.episode)
+    for simulator in env.fleet.simulators:
+        simulator.draw_faults_again(rows, future)
     if redraw is not None:
-        redraw(env, rows, Key(seeds, key.env_id, key.episode))
+        redraw(env, rows, future)
 
 
 def redraw_clouds(env: Tasking, envs: Tensor, key: Key, candidates: int = 64) -> None:

@@ -13,6 +13,7 @@ from torch import Tensor
 from bsk_torch._checks import no_gradient
 from bsk_torch.codegen.kernel import Kernel, Samples
 from bsk_torch.constants import NANO
+from bsk_torch.rand import Key
 from bsk_torch.sim.access.lookahead import LookAhead, Manoeuvres
 from bsk_torch.sim.access.places import PlaceKinds, place_kinds
 from bsk_torch.sim.access.visibility.backend import make_visibility
@@ -23,6 +24,7 @@ from bsk_torch.sim.assembly.satellite_type import SatelliteType
 from bsk_torch.sim.draw_table import DrawTable
 from bsk_torch.sim.dyn import hub
 from bsk_torch.sim.dyn.events import notice_image
+from bsk_torch.sim.faults.coming import drawn_again
 from bsk_torch.sim.faults.component import SLOT, severities
 from bsk_torch.sim.fsw.manoeuvre import burn
 from bsk_torch.sim.fsw.models import IDLE
@@ -199,11 +201,36 @@ class Simulator:
         state, k = self.state, names.index(fault)
         acts = severities(declared, state.all_arguments, state.ticks, self.h_ns)[rows, k] > 0.0
         rows = rows[~acts]
-        state.arguments[declared[k].drawn("at")][rows] = state.sim_time[rows]
+        self._set_faults(rows, {declared[k].drawn("at"): state.sim_time[rows]})
+
+    def draw_faults_again(self, envs: Tensor, key: Key) -> None:
+        """Draw again which faults are still to come in the episodes ``envs`` [n]; see :mod:`bsk_torch.sim.faults.coming`.
+
+        Raises:
+            ValueError: For drawn values that are not allowed.
+        """
+        declared = self.state.argument("faults") or ()
+        if not declared:
+            return
+        rows = (envs.unsqueeze(-1) * self.count + torch.arange(self.count, device=self.device)).flatten()
+        values, ticks = self._arguments_of(rows), self.state.ticks[rows].cpu()
+        self._set_faults(rows, drawn_again(declared, values, ticks, self.h_ns, key, self.type.arguments.draw_some))
+
+    def _arguments_of(self, rows: Tensor) -> dict[str, Any]:
+        """Return the arguments of ``rows`` [n] by name, on the CPU."""
+        known = self.state.all_arguments.items()
+        return {name: value[rows].cpu() if isinstance(value, Tensor) else value for name, value in known}
+
+    def _set_faults(self, rows: Tensor, values: Mapping[str, Tensor]) -> None:
+        """Set arguments [n, ...] of faults of ``rows`` [n], and the parameters of the tick that follow from them."""
+        state = self.state
+        for name, value in values.items():
+            state.arguments[name][rows] = value.to(self.device)
         state.arguments.touch()
-        values = {name: value[rows].cpu() if isinstance(value, Tensor) else value for name, value in state.all_arguments.items()}
+        known = self._arguments_of(rows)
         acting = next(part for part in self.type.arguments.parts if part.slot == SLOT)
-        for name, value in acting.prepare(values).items():
+        acting.check(known)
+        for name, value in acting.prepare(known).items():
             planes = value.flatten(1).mT.expand(-1, len(rows))
             state.parameters[self.tick.own.slices[name]].index_copy_(1, rows, planes.to(self.device))
         state.touch()

@@ -1,4 +1,4 @@
-"""Futures other than the true one: what copies share with the present, and what is drawn anew."""
+"""Futures other than the true one: what copies share with the present, and what is drawn again."""
 
 import pytest
 import torch
@@ -19,9 +19,9 @@ def cloudy():
     return bsk_torch.make("CloudyAEOS-v1", num_envs=3, env_ids=[0] * 3, n_targets=400, time_limit=600.0)
 
 
-def planted(env, rows, **options):
+def planted(env, rows, base, **options):
     """Copies of episodes ``rows`` in two futures each."""
-    planner = Rollout(env, "rule" if options.pop("scan", False) else "hasty", horizon=200.0, futures=2, **options)
+    planner = Rollout(env, base, horizon=200.0, futures=2, **options)
     store = env.like(2 * len(rows))
     planner._plant(store, torch.arange(2 * len(rows)), torch.tensor(rows))
     return store
@@ -31,7 +31,7 @@ def test_futures_have_seeds_of_their_own_and_share_the_present():
     env = scanning(3)
     env.reseed([0, 1, 2])
     env.reset()
-    store = planted(env, [0, 2], scan=True)
+    store = planted(env, [0, 2], base="rule")
     seeds = store.state.seed
     assert len(set(seeds.tolist())) == 4
     assert not set(seeds.tolist()) & set(env.state.seed.tolist())
@@ -43,9 +43,9 @@ def test_futures_do_not_depend_on_other_rows_but_on_the_planner():
     env = scanning(3)
     env.reseed([0, 1, 2])
     env.reset()
-    both, one = planted(env, [0, 2], scan=True), planted(env, [2], scan=True)
+    both, one = planted(env, [0, 2], base="rule"), planted(env, [2], base="rule")
     assert both.state.seed[2:].tolist() == one.state.seed.tolist()
-    other = planted(env, [2], scan=True, seed=1)
+    other = planted(env, [2], base="rule", seed=1)
     assert not set(other.state.seed.tolist()) & set(one.state.seed.tolist())
 
 
@@ -107,6 +107,64 @@ def test_clouds_that_are_drawn_again_agree_with_their_forecast(cloudy):
     assert float(z.std()) == pytest.approx(1.0, abs=0.15)
     assert float((cover[:, inner].std(0) == 0.0).double().mean()) < 0.05  # no single cover for all futures
     assert torch.equal(store.scenario.cloud_forecast[5], forecast)
+
+
+def failing(n, seconds, **options):
+    """Copies of one episode of FaultyScan-v1 after some time."""
+    env = bsk_torch.make("FaultyScan-v1", num_envs=n, env_ids=[0] * n, seed=2, **options)
+    td, rule = env.reset(), bsk_torch.rule("cautious", env)
+    while float(env.fleet.sim_time.min()) < seconds:
+        td = env.step(rule(td))["next"]
+    return env
+
+
+def fault_arguments(env):
+    """Arguments of all faults, [N, ...], and whether those of a fault have happened, [N], by name."""
+    [simulator] = env.fleet.simulators
+    begun = {name.split(".")[0]: simulator.argument(name) <= simulator.sim_time for name in arguments_of(simulator, ".at")}
+    values = {name: simulator.argument(name) for name in arguments_of(simulator, ".")}
+    return values, {name: begun[name.split(".")[0]] for name in values}
+
+
+def arguments_of(simulator, part):
+    return [name for name in simulator.state.arguments if part in name]
+
+
+def test_faults_that_have_happened_remain_and_those_to_come_differ_between_futures():
+    env = failing(1, 8000.0)
+    store = planted(env, [0], base="cautious")
+    (true, happened), (drawn, _) = fault_arguments(env), fault_arguments(store)
+    assert any(map(bool, happened.values()))
+    assert not all(map(bool, happened.values()))
+    for name, value in drawn.items():
+        if happened[name]:
+            assert torch.equal(value, true[name].expand_as(value)), name
+        elif name.endswith(".at"):
+            assert bool((value > env.fleet.sim_time).all()), name
+    differ = {name for name, value in drawn.items() if not torch.equal(value[0], value[1])}
+    assert {"panel.at", "panel.panelEfficiency", "battery.at", "battery.batteryStorageCapacity"} <= differ
+
+
+def test_a_planner_with_futures_does_not_know_the_true_one():
+    """Two episodes with the same past, of which only one has the faults that were drawn for it, are planned in the same way."""
+    env = failing(2, 4000.0, time_limit=9000.0)
+    key = Key(torch.tensor([77]), torch.zeros(1, dtype=torch.int64), env.episode[1:])
+    env.fleet.simulators[0].draw_faults_again(torch.tensor([1]), key)
+    values, _ = fault_arguments(env)
+    assert not torch.equal(values["panel.at"][0], values["panel.at"][1])
+    store = planted(env, [0, 1], base="cautious")
+    state = store.get_state()
+    assert same(state[:2], state[2:])
+
+
+def test_without_faults_futures_change_no_decision():
+    env = scanning(3)
+    env.reseed([0, 1, 2])
+    now = env.reset()
+    options = {"horizon": 400.0, "gamma": 1.0}
+    one, several = Rollout(env, "rule", **options)(now.clone()), Rollout(env, "rule", futures=2, **options)(now.clone())
+    assert torch.equal(one["action"], several["action"])
+    assert torch.equal(2.0 * one["simulated_seconds"], several["simulated_seconds"])
 
 
 def test_only_clouds_can_be_drawn_again():

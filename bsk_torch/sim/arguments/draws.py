@@ -136,6 +136,14 @@ class TypeArguments:
         self._check(values, bool(given))
         return values
 
+    def draw_some(self, names: Sequence[str], key: Key) -> dict[str, Any]:
+        """Return only the arguments ``names`` of satellites, as :meth:`draw` returns them, unchecked."""
+        values = self.sat_args.draw_some(names, key)
+        for name, (columns, replaced) in self.randomize(key).items():
+            if name in values:
+                values[name] = self.sat_args.override(name, values[name], columns, replaced)
+        return values
+
     def _check(self, values: dict[str, Any], replaced: bool) -> None:
         """Check what values mean together; ``replaced``: whether arguments of some satellites are replaced."""
         for part in self.parts:

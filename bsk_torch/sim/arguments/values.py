@@ -302,7 +302,7 @@ class Arguments:
         answers: list[Answers] = []
         with seeded(key.named(self.title)) as rows:
             for row in rows:
-                answers.append({(self.owners[0], name): None for name in self.table if name in known})
+                answers.append({(owner, name): None for owner in self.owners for name in self.table if name in known})
                 for k in range(len(self.owners)):
                     self.ask(k, int(row.env_id), answers[-1])
         return answers
@@ -315,17 +315,23 @@ class Arguments:
         """
         known = known or {}
         answers = self._asked_alone(key, known) if answers is None else answers
-        rows = key if self.columns == (0,) else key.of_satellites(torch.tensor(self.columns))
-        return {n: known[n] if n in known else self._drawn_or_kept(arg, key, rows, answers) for n, arg in self.table.items()}
+        drawn = self._draw_named([name for name in self.table if name not in known], key, answers)
+        return {name: known[name] if name in known else drawn[name] for name in self.table}
 
     def draw_per_env(self, key: Key) -> dict[str, Any]:
         """Return the values, [n * S, ...], of the arguments that ``rand.per_env`` gives: the same in all episodes.
 
         Those that user functions give to some satellites or environments are left out.
         """
-        names = [name for name in self.table if self._is_per_env(name)]
+        return self._draw_named([name for name in self.table if self._is_per_env(name)], key, ())
+
+    def draw_some(self, names: Sequence[str], key: Key) -> dict[str, Any]:
+        """Return the values of the arguments ``names``, as :meth:`draw` returns them; of functions, only theirs are called."""
+        return self._draw_named(names, key, self._asked_alone(key, self.table.keys() - set(names)))
+
+    def _draw_named(self, names: Iterable[str], key: Key, answers: Sequence[Answers]) -> dict[str, Any]:
         rows = key if self.columns == (0,) else key.of_satellites(torch.tensor(self.columns))
-        return {name: self._drawn_or_kept(self.table[name], key, rows, ()) for name in names}
+        return {name: self._drawn_or_kept(self.table[name], key, rows, answers) for name in names}
 
     def _is_per_env(self, name: str) -> bool:
         values = [value for k in range(len(self._given)) for value in self._values_of(k, name)]
