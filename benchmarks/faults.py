@@ -1,27 +1,29 @@
-"""Do policies of FaultyScan-v1 survive faults, also those that were trained without?
+"""Does training with faults help when parts fail, also parts that never failed in training?
 
 Usage:
-    python benchmarks/faults.py [--episodes 256] [--out FILE.json]
+    python benchmarks/faults.py [--frames 400000] [--seeds 3] [--episodes 256] [--trainings NAME ...] [--out FILE.json]
 
-Rules and the policies of the package for NadirScan-v1, trained without faults, and FaultyScan-v1, trained with all, fly the same
-fresh episodes: without faults, with one kind of fault (:data:`CONDITIONS`), and those of the preset, four times as many.
+Policies of FaultyScan-v1 are trained with different kinds of faults, :data:`TRAININGS`, by the recipe of the preset, except that
+they imitate first what ``rule`` does, whose thresholds were chosen without faults. They and rules fly the same fresh episodes:
+without faults, with one kind of fault (:data:`CONDITIONS`), and those of the preset, four times as many.
 """
 
 from __future__ import annotations
 
 import argparse
+import tempfile
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import harness
-from tensordict.nn import TensorDictModuleBase
 
 import bsk_torch
-from bsk_torch import SatelliteTasking
 from bsk_torch.presets.faulty_scan import KINDS
 from bsk_torch.rl.evaluation.evaluate import evaluate
-from bsk_torch.rl.policies import pretrained
 from bsk_torch.rl.policies.shared_policy import rule
+from bsk_torch.rl.training import configure
+from bsk_torch.rl.training.trainer import Training
 
 PRESET = "FaultyScan-v1"
 
@@ -31,15 +33,29 @@ JUDGED = 3_500_003
 CONDITIONS: dict[str, tuple[str, ...]] = {"none": (), **{kind: (kind,) for kind in KINDS}, "all": KINDS}
 """Kinds of faults that occur, by condition."""
 
-POLICIES: dict[str, Callable[[SatelliteTasking], TensorDictModuleBase]] = {
-    "rule": lambda env: rule("rule", env),
-    "cautious": lambda env: rule("cautious", env),
-    "trained without faults": lambda env: pretrained("NadirScan-v1"),
-    "trained with all faults": lambda env: pretrained(PRESET),
+RULES = ("rule", "cautious")
+
+TRAININGS: dict[str, tuple[str, ...]] = {
+    "none": (),
+    "wheels": ("wheel", "friction"),
+    "all": KINDS,
 }
+"""Kinds of faults that occur in training."""
+
+Results = dict[str, dict[str, float]]
+"""Survival and return by condition."""
 
 
-def judge(make_policy: Callable[[Any], Any], options: argparse.Namespace) -> dict[str, dict[str, float]]:
+def train(name: str, seed: int, options: argparse.Namespace, folder: Path) -> tuple[Any, int]:
+    """Return a policy, and the number of decisions that it has learned from."""
+    world = dict(kinds=list(TRAININGS[name]), time_limit=options.time_limit, backend=options.backend)
+    sizes = dict(num_envs=options.num_envs, imitate="rule", evaluate_every=options.evaluate_every) | harness.budget(options)
+    training = Training(configure(PRESET, seed=seed, **sizes, options=world), folder)  # type: ignore[arg-type]
+    policy = training.run(bar=False)
+    return policy, training.progress.frames
+
+
+def judge(make_policy: Callable[[Any], Any], options: argparse.Namespace) -> Results:
     """Return survival and return by condition of what ``make_policy`` returns for an environment, with 95 % intervals."""
     found = {}
     for name, kinds in CONDITIONS.items():
@@ -57,20 +73,32 @@ def judge(make_policy: Callable[[Any], Any], options: argparse.Namespace) -> dic
     return found
 
 
-FORMS = {"survival": "{survival:.1%} ({survival_low:.1%} to {survival_high:.1%})", "return": "{return:.3f} ± {half:.3f}"}
-"""Entries of the two tables."""
+def shown(results: list[Results], condition: str, what: str) -> str:
+    """Return the entry of a table: mean, least and largest value of several trainings under a condition."""
+    return harness.of_seeds([each[condition][what] for each in results], "{:.1%}" if what == "survival" else "{:.3f}")
 
 
 def main() -> None:
-    """Compare, and print two tables."""
-    parsed = harness.parser(__doc__, episodes=256, time_limit=28_500.0)
+    """Train, compare, and print two tables."""
+    parsed = harness.parser(
+        __doc__, seconds=60.0, frames=400_000, seeds=3, episodes=256, num_envs=1024, evaluate_every=100_000, time_limit=28_500.0
+    )
+    parsed.add_argument("--trainings", nargs="+", choices=TRAININGS, default=list(TRAININGS), metavar="NAME")
     parsed.add_argument("--backend", choices=("compiled", "eager"), default="compiled")
     options, described = harness.begin(parsed)
-    found = {name: judge(policy, options) for name, policy in POLICIES.items()}
-    for what, form in FORMS.items():
-        rows = [{"name": name} | {c: form.format_map(result[c]) for c in CONDITIONS} for name, result in found.items()]
+    found = {name: [judge(lambda env, name=name: rule(name, env), options)] for name in RULES}  # type: ignore[misc]
+    frames: dict[str, list[int]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for name in options.trainings:
+            for seed in range(options.seeds):
+                policy, count = train(name, seed, options, Path(folder) / f"{name}-{seed}")
+                found.setdefault(f"trained, faults: {name}", []).append(judge(lambda env, policy=policy: policy, options))  # type: ignore[misc]
+                frames.setdefault(name, []).append(count)
+                harness.write(options, described, found=found, frames=frames)
+    for what in ("survival", "return"):
+        rows = [{"name": name} | {c: shown(results, c, what) for c in CONDITIONS} for name, results in found.items()]
         print(f"{what}\n\n{harness.table({'policy': '{name}'} | {c: f'{{{c}}}' for c in CONDITIONS}, rows)}\n")
-    harness.write(options, described, found=found)
+    harness.write(options, described, found=found, frames=frames)
 
 
 if __name__ == "__main__":

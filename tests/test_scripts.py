@@ -74,8 +74,14 @@ STARTS: dict[str, list[Start]] = {
     ],
     "benchmarks/faults.py": [
         Start(
-            "--episodes 2 --time-limit 300",
-            r"(?s)survival.*\| cautious \| 100.0% .*return.*\| trained with all faults \| [\d.]+ ± [\d.]+ \| ",
+            "--seeds 1 --episodes 2 --num-envs 2 --frames 32 --time-limit 300 --trainings all",
+            r"(?s)survival.*\| cautious \| 100.0% .*return.*\| trained, faults: all \| -?[\d.]+ \| ",
+        ),
+    ],
+    "benchmarks/faults_headroom.py": [
+        Start(
+            "--seeds 1 --episodes 2 --planned 3 --futures 1 --num-envs 2 --frames 32 --time-limit 300 --trainings recipe",
+            r"(?s)\| trained, recipe, seed 0 \| .*\| planner, past faults known \| [-\d.]+ \+- [\d.]+ \| ",
         ),
     ],
     "benchmarks/inspection.py": [
