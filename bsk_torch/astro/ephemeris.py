@@ -34,6 +34,7 @@ __all__ = [
     "coverage",
     "coverage_in_words",
     "earth_angles",
+    "earth_fixed_sun",
     "earth_orientation",
     "earth_orientation_rate",
     "parse_utc",
@@ -253,6 +254,23 @@ def earth_orientation_rate(et: Tensor) -> Tensor:
     by_spin = EARTH_ROTATION_RATE * (_about_z_derivative(spin) @ r_tilt @ r_node)
     by_tilt = -POLE_DECLINATION_RATE * (r_spin @ _about_x_derivative(tilt) @ r_node)
     return by_spin + by_tilt + POLE_RIGHT_ASCENSION_RATE * (r_spin @ r_tilt @ _about_z_derivative(node))
+
+
+def earth_fixed_sun(et: Tensor) -> Tensor:
+    """Position of the Sun in the Earth-fixed frame IAU_EARTH.
+
+    Behind the end of `coverage` the Sun stays where it is at the end, as for look-ahead.
+
+    Args:
+        et: Epochs in s past J2000, float64, any shape and device.
+
+    Returns:
+        Position in m, shape ``(*et.shape, 3)``; NaN before `coverage`.
+
+    Raises:
+        TypeError: If `et` is not float64.
+    """
+    return (earth_orientation(et) @ sun_position(et.clamp(max=coverage()[1])).unsqueeze(-1)).squeeze(-1)
 
 
 def _check_second(date: datetime, second: float, scale: str) -> None:

@@ -16,7 +16,6 @@ __all__ = [
     "elevation_clearance",
     "line_clearance",
     "max_central_angle",
-    "sine_of_elevation",
     "stretch",
 ]
 
@@ -25,16 +24,6 @@ POLAR_STRETCH = 1.0 / 0.98
 
 TINY_LENGTH = 1e-300
 """A positive number, far below the rounding error of positions, which keeps quotients finite and ranges inclusive."""
-
-
-def sine_of_elevation(r: Vec3, r_L: Vec3) -> Any:
-    """Return the sine of the elevation of a point r, m, such as the Sun, above the horizontal plane of a place r_L, m.
-
-    ``sin e = r_L . (r - r_L) / (|r_L| |r - r_L|)``, with the vertical away from the Earth's center, as Basilisk has it; positions
-    are relative to the Earth's center, in the same axes.
-    """
-    line = r - r_L
-    return r_L.dot(line) / torch.sqrt(r_L.dot(r_L) * line.dot(line))
 
 
 def elevation_clearance(r_BP_P: Vec3, r_LP_P: Vec3, sin_min_elevation: Any) -> Any:

@@ -9,6 +9,8 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import switch, text, whole
+from bsk_torch.astro.ephemeris import earth_fixed_sun
+from bsk_torch.astro.frames import sin_elevation
 from bsk_torch.obs.base import Observation, Values
 from bsk_torch.obs.entries import is_own, parse_entries, scaled
 from bsk_torch.sats.user_function import UserFunction
@@ -16,6 +18,7 @@ from bsk_torch.sim.access.relative_geometry import SATELLITE_PROPERTIES
 from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.sim.places import STATION_KIND, FixedPlaces
 from bsk_torch.sim.readout.observables import observable
+from bsk_torch.vec3 import Vec3
 
 if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite
@@ -37,6 +40,18 @@ def priority(satellite: BoundSatellite, targets: Opportunities) -> Tensor:
     """Return the current priority of each target, [N, n]."""
     place = targets.place
     return satellite.scenario.priority_of(place.view(satellite.fleet.num_envs, -1)).view(place.shape)
+
+
+def sun_elevation(satellite: BoundAccessSatellite, opportunities: Opportunities) -> Tensor:
+    """Return the elevation of the Sun over each place when its window opens, or now if it is open, [N, n] rad.
+
+    With a place at ``r_L`` and the Sun at ``r_S``, ``asin(r_L . (r_S - r_L) / (|r_L| |r_S - r_L|))``; negative at night.
+    """
+    simulator, places = satellite.simulator, satellite.access_windows.kinds[opportunities.type]
+    time = torch.maximum(opportunities.open, simulator.sim_time.unsqueeze(-1))
+    r_SP_P = earth_fixed_sun(simulator.arcs.et.unsqueeze(-1) + time)
+    r_LP_P = places.position(simulator.state.all_rows, opportunities.place, time)
+    return torch.asin(sin_elevation(Vec3.of(r_SP_P), Vec3.of(r_LP_P)))
 
 
 def _relative_geometry(part: slice | int) -> Preset:
@@ -61,6 +76,7 @@ PRESETS: dict[str, Preset] = {
     "opportunity_close": _relative("close"),
     "target_angle": _relative_geometry(3),
     "target_angle_rate": _relative_geometry(4),
+    "sun_elevation": sun_elevation,
 }
 """Properties of opportunities: the allowed values of ``prop``."""
 

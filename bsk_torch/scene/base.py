@@ -11,7 +11,7 @@ from torch import Tensor
 
 from bsk_torch._checks import no_gradient
 from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked, check_tensor, overrides
-from bsk_torch.sim.places import TARGET_KIND, TARGETS, AboveElevation, DrawnTargets, SunElevation
+from bsk_torch.sim.places import TARGET_KIND, TARGETS, DrawnTargets, SunElevation
 
 if TYPE_CHECKING:
     from bsk_torch.rand import Key
@@ -61,7 +61,7 @@ def target_places(tables: PlaceTables) -> dict[str, Places]:
     targets = DrawnTargets(
         tables,
         lambda rows: least(rows).unsqueeze(-1),
-        [AboveElevation(least), *light] if light else [],
+        light,
         advice=f"all have been imaged, or too few lie below the orbit{' in the light wanted' if light else ''}: {advice}",
     )
     return {TARGET_KIND: targets}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from datetime import datetime
+from datetime import datetime, timedelta
 from types import SimpleNamespace
 
 import pytest
@@ -12,7 +12,7 @@ import torch
 
 from bsk_torch import SatelliteTasking, act, data, obs, rand, sats, scene
 from bsk_torch.astro.ephemeris import earth_orientation, parse_utc, sun_position
-from bsk_torch.astro.sight import sine_of_elevation
+from bsk_torch.astro.frames import sin_elevation
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.component import Bus
@@ -55,7 +55,7 @@ def test_the_elevation_of_the_sun_is_that_of_the_textbook(when):
     """
     et, r_LP_P = torch.tensor(parse_utc(when), dtype=torch.float64), places(500)
     sun_P = earth_orientation(et) @ sun_position(et)
-    found = torch.asin(sine_of_elevation(Vec3.of(sun_P.expand(500, 3)), Vec3.of(r_LP_P)))
+    found = torch.asin(sin_elevation(Vec3.of(sun_P.expand(500, 3)), Vec3.of(r_LP_P)))
     x, y, z = (r_LP_P / R_EARTH).unbind(-1)
     sine, declination = textbook(datetime.fromisoformat(when), torch.asin(z), torch.atan2(y, x))
     torch.testing.assert_close(found, torch.asin(sine), rtol=0, atol=math.radians(0.1))
@@ -77,7 +77,7 @@ def test_a_target_has_access_in_the_light_of_one_tick_ago(low, high):
     part = target.fitted_target(given)
     write(bus, **part.prepare(args))
     part.update(bus)
-    sine = sine_of_elevation(Vec3.of((PN @ sun_position(et[0] + 1200.0 - h)).expand(n, 3)), Vec3.of(r_LP_P))
+    sine = sin_elevation(Vec3.of((PN @ sun_position(et[0] + 1200.0 - h)).expand(n, 3)), Vec3.of(r_LP_P))
     low, high = (math.sin(value) if value is not None else sign for value, sign in ((low, -2.0), (high, 2.0)))
     clear = ((sine - low).abs() > 1e-9) & ((sine - high).abs() > 1e-9)
     expected = (sine >= low) & (sine <= high)
@@ -109,7 +109,7 @@ def sun_sine(env: SatelliteTasking, time: torch.Tensor, place: torch.Tensor) -> 
     """Sine of the Sun's elevation at places [N, W] and times [N, W] s."""
     et = env.satellite.simulator.arcs.et.unsqueeze(-1) + time
     sun_P = (earth_orientation(et) @ sun_position(et).unsqueeze(-1)).squeeze(-1)
-    return sine_of_elevation(Vec3.of(sun_P), Vec3.of(env.scenario.r_LP_P.gather(1, place.unsqueeze(-1).expand(-1, -1, 3))))
+    return sin_elevation(Vec3.of(sun_P), Vec3.of(env.scenario.r_LP_P.gather(1, place.unsqueeze(-1).expand(-1, -1, 3))))
 
 
 def contains(windows: SimpleNamespace, time: torch.Tensor, place: torch.Tensor) -> torch.Tensor:
@@ -145,6 +145,44 @@ def test_windows_are_those_of_passes_in_the_light_wanted(low, high):
     assert min(counts) > 100
 
 
+class Observer(Imager):
+    observation_spec = (
+        obs.OpportunityProperties(
+            *(dict(prop=prop) for prop in ("sun_elevation", "opportunity_open", "r_LP_P")), n_ahead_observe=5
+        ),
+    )
+
+
+def test_the_suns_elevation_is_observed_where_and_when_windows_open():
+    """Within 0.1 degrees of the textbook: see the first test. Windows that are open are lit as they are now."""
+    when = datetime(2024, 3, 20, 15)
+    env = SatelliteTasking(
+        Observer("A", {"imageTargetMinimumElevation": math.radians(30.0)}),
+        scenario=scene.UniformTargets(400),
+        rewarder=data.NoReward(),
+        num_envs=6,
+        time_limit=6000.0,
+        world_args={"utc_init": when.isoformat()},
+        dtype=torch.float64,
+        seed=0,
+        backend="eager",
+    )
+    td = env.step(env.reset().set("action", torch.zeros(6, dtype=torch.int64)))["next"]
+    elevation, opens, x, y, z = td["observation"].view(6, 5, 5).unbind(-1)
+    assert (opens < 0.0).any()
+    assert (opens > 0.0).any()
+    sooner = env.simulator.sim_time.unsqueeze(-1) + opens.clamp(min=0.0)
+    radius = torch.stack([x, y, z], -1).norm(dim=-1)
+    latitude, longitude = torch.asin(z / radius), torch.atan2(y, x)
+    for row in range(6):
+        for k in range(5):
+            time = when + timedelta(seconds=sooner[row, k].item())
+            sine, _ = textbook(time, latitude[row, k], longitude[row, k])
+            assert elevation[row, k].item() == pytest.approx(math.asin(sine), abs=math.radians(0.1))
+    assert (elevation > 0.1).any()
+    assert (elevation < -0.1).any()
+
+
 @pytest.mark.compiled
 def test_images_are_taken_in_the_light_alone():
     env = environment("compiled", **{LOW: 0.1, HIGH: 0.6})
@@ -176,4 +214,4 @@ def test_impossible_light_is_rejected(args, message):
 def test_without_limits_targets_are_those_of_before():
     assert target.fitted_target({LOW: None, HIGH: None}) is target.IMAGE_TARGET
     kinds = environment().satellite.access_windows.kinds
-    assert kinds["target"].clearances == ()
+    assert kinds["target"].light == ()

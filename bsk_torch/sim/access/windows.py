@@ -14,6 +14,7 @@ from torch import Tensor
 
 from bsk_torch.astro.interpolate import BEFORE, COUNT
 from bsk_torch.sim.access.generation import GenerationIntervals, true_windows, windows_of_bsk_rl
+from bsk_torch.sim.access.light import in_light
 from bsk_torch.sim.access.next_windows import next_windows
 from bsk_torch.sim.access.padded import tabulate
 from bsk_torch.sim.access.passes import GroundTrack, Passes, PassSearch
@@ -265,13 +266,17 @@ class AccessWindows(StateTable):
         self.ready[rows] = end
 
     def _generate(self, kind: str, rows: Tensor, track: GroundTrack, intervals: GenerationIntervals) -> Passes:
-        """Return the windows of ``rows`` [n] over one kind of places; bsk_rl knows fixed ones alone."""
+        """Return the windows of ``rows`` [n] over one kind of places; bsk_rl knows fixed ones alone, in any light."""
         places = self.kinds[kind]
-        if places.clearances or not isinstance(places, FixedPlaces):
+        if not isinstance(places, FixedPlaces):
             return true_windows(track, find_passes(places, rows, track), intervals)
+        if places.clearances:
+            return true_windows(track, in_light(places, rows, find_passes(places, rows, track)), intervals)
         search = PassSearch(self.visibility, track, places.sites(rows))
         passes = search.passes()
-        return windows_of_bsk_rl(search, passes, intervals) if self.as_bsk_rl else true_windows(track, passes, intervals)
+        if self.as_bsk_rl and not places.light:
+            return windows_of_bsk_rl(search, passes, intervals)
+        return true_windows(track, in_light(places, rows, passes), intervals)
 
     def _store_passes(self, kind: str, rows: Tensor, found: Passes) -> None:
         close, opens, place = tabulate(found.row, found.close, len(rows), found.open, found.place)

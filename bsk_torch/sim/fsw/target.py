@@ -14,8 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from bsk_torch.astro.frames import rotate_z
-from bsk_torch.astro.sight import sine_of_elevation
+from bsk_torch.astro.frames import rotate_z, sin_elevation
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
 from bsk_torch.sim.environment.ephemeris import sun_at, turned
@@ -51,7 +50,7 @@ def aim_at_place(minimum: bool, maximum: bool) -> Callable[[Bus], None]:
             rises = (up > 0.0) & (up * up > bus.target_sin2_elevation * p.dot(p) * range2)
             sees = rises & ((range2 <= reach * reach) | (reach < 0.0))
             if minimum or maximum:
-                sun = sine_of_elevation(sun_at(bus, bus.ephemeris_tau - bus.h)[0], p)
+                sun = sin_elevation(sun_at(bus, bus.ephemeris_tau - bus.h)[0], p)
                 sees = sees & (sun >= bus.target_least_sun) if minimum else sees
                 sees = sees & (sun <= bus.target_most_sun) if maximum else sees
             return p, torch.where(sees, torch.ones_like(up), torch.zeros_like(up))

@@ -9,16 +9,19 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
 
-from bsk_torch.astro.ephemeris import coverage, earth_orientation, sun_state
+from bsk_torch.astro.ephemeris import earth_fixed_sun, earth_orientation
 from bsk_torch.sim.component import Values
 from bsk_torch.sim.draw_table import DrawTable
 from bsk_torch.sim.state import StateTable, entries
 from bsk_torch.vec3 import Vec3
+
+if TYPE_CHECKING:
+    from bsk_torch.sim.places.clearance import SunElevation
 
 STATION_KIND, TARGET_KIND = "ground_station", "target"
 """Names of the kinds that components and scenarios of the package declare."""
@@ -56,12 +59,8 @@ class PlaceTables(NamedTuple):
         return earth_orientation(self._et(rows, time))
 
     def sun(self, rows: Tensor, time: Tensor) -> Tensor:
-        """Return the Earth-fixed position of the Sun, [n, ..., 3] m, at times [n, ...] s since the reset of ``rows`` [n].
-
-        Behind the end of the ephemeris the Sun stays where it is at the end, as for look-ahead.
-        """
-        et = self._et(rows, time)
-        return (earth_orientation(et) @ sun_state(et.clamp(max=coverage()[1]))[0].unsqueeze(-1)).squeeze(-1)
+        """Return the Earth-fixed position of the Sun, [n, ..., 3] m, at times [n, ...] s since the reset of ``rows`` [n]."""
+        return earth_fixed_sun(self._et(rows, time))
 
     def _et(self, rows: Tensor, time: Tensor) -> Tensor:
         return self.arguments["utc_init"][rows].view(-1, *[1] * (time.ndim - 1)) + time
@@ -184,10 +183,15 @@ class Sites(NamedTuple):
 
 
 class FixedPlaces(Places):
-    """Places that rest on the Earth, and see satellites above a minimum elevation.
+    """Places that rest on the Earth, and see satellites above a minimum elevation, in a given light.
 
-    Their windows are found by kernels, which makes them the fastest kind; not those of places with ``clearances``.
+    Their windows are found by kernels, which makes them the fastest kind; not those of subclasses with ``clearances``.
+
+    Attributes:
+        light: Conditions on the elevation of the Sun, all of which must hold.
     """
+
+    light: Sequence[SunElevation] = ()
 
     def __init__(
         self,
@@ -196,6 +200,8 @@ class FixedPlaces(Places):
         *,
         exists: Callable[[], Tensor] | None = None,
         satellites: int = 1,
+        light: Sequence[SunElevation] = (),
+        tables: PlaceTables | None = None,
         advice: str = Places.advice,
         names: Sequence[str] = (),
     ) -> None:
@@ -207,11 +213,20 @@ class FixedPlaces(Places):
             sin_min_elevation: Sine of the minimum elevation: a number, or a function of rows [n] that returns [n or 1, P or 1].
             exists: Function that returns which places exist, [num_envs, P], 1 or 0.
             satellites: Satellites in each environment, ``tables.arguments.count``.
+            light: Conditions such as ``[SunElevation(0.1)]``.
+            tables: Tables of the simulation; needed with ``light``, which depends on the time.
             advice: See :class:`Places`.
             names: See :class:`Places`.
+
+        Raises:
+            ValueError: For ``light`` without ``tables``.
         """
-        self._table, self._limit, self._exists = r_LP_P, sin_min_elevation, exists
+        if light and tables is None:
+            raise ValueError(f"light={light!r} needs tables=, those that place_kinds(tables) was called with")
+        self._table, self._limit, self._exists, self.light = r_LP_P, sin_min_elevation, exists, tuple(light)
         self.satellites, self.advice, self.names = satellites, advice, tuple(names)
+        if tables is not None:
+            self.tables = tables
 
     @property
     def r_LP_P(self) -> Tensor:
@@ -269,7 +284,7 @@ class DrawnTargets(FixedPlaces):
         self,
         tables: PlaceTables,
         sin_min_elevation: Callable[[Tensor], Tensor],
-        clearances: Sequence[Clearance] = (),
+        light: Sequence[SunElevation] = (),
         *,
         advice: str = Places.advice,
     ) -> None:
@@ -278,12 +293,12 @@ class DrawnTargets(FixedPlaces):
         Args:
             tables: Tables of the simulation.
             sin_min_elevation: Function of rows [n] that returns the sine of the minimum elevation, [n, 1].
-            clearances: All conditions of a clear view, that elevation included, where there are others.
+            light: See :class:`FixedPlaces`.
             advice: See :class:`Places`.
         """
-        drawn = tables.drawn
-        super().__init__(lambda: drawn[TARGETS], sin_min_elevation, satellites=tables.arguments.count, advice=advice)
-        self._drawn, self.tables, self.clearances = drawn, tables, tuple(clearances)
+        drawn, count = tables.drawn, tables.arguments.count
+        super().__init__(lambda: drawn[TARGETS], sin_min_elevation, satellites=count, light=light, tables=tables, advice=advice)
+        self._drawn = drawn
 
     def _stored(self) -> tuple[Tensor, Tensor | None]:
         return self._drawn.shared(TARGETS)

@@ -9,16 +9,16 @@ import torch
 from torch import Tensor
 
 from bsk_torch.astro.eclipse import sunlight_margin
+from bsk_torch.astro.frames import sin_elevation
 from bsk_torch.astro.sight import (
     POLAR_STRETCH,
     elevation_clearance,
     line_clearance,
     max_central_angle,
-    sine_of_elevation,
     stretch,
 )
 from bsk_torch.constants import R_EARTH
-from bsk_torch.sim.places.base import Sight
+from bsk_torch.sim.places.base import PlaceTables, Sight
 from bsk_torch.vec3 import Vec3
 
 SLACK = 1e-5
@@ -29,11 +29,9 @@ Limit = float | Callable[[Tensor], Tensor]
 """A number, or a function of the rows [n] of satellites that returns one for each, [n]."""
 
 
-def limit_in(sight: Sight, limit: Limit) -> Tensor:
-    """Return a limit for the satellites of a sight, so that it broadcasts with its tensors."""
-    if not callable(limit):
-        return torch.full_like(sight.r_BP_P.x[:1], limit)
-    return limit(sight.rows).view(-1, *[1] * (sight.r_BP_P.x.ndim - 1))
+def limit_of(rows: Tensor, limit: Limit, like: Tensor) -> Tensor:
+    """Return a limit for satellites ``rows`` [n], so that it broadcasts with ``like`` [n, ...]."""
+    return limit(rows).view(-1, *[1] * (like.ndim - 1)) if callable(limit) else torch.full_like(like[:1], limit)
 
 
 @dataclass(frozen=True)
@@ -44,14 +42,14 @@ class AboveElevation:
 
     def margin(self, sight: Sight) -> Tensor:
         """See :func:`bsk_torch.astro.sight.elevation_clearance`."""
-        return elevation_clearance(sight.r_BP_P, sight.r_LP_P, limit_in(sight, self.sin_min_elevation))
+        return elevation_clearance(sight.r_BP_P, sight.r_LP_P, limit_of(sight.rows, self.sin_min_elevation, sight.r_BP_P.x))
 
     def reachable(self, sight: Sight, moved_B: Tensor, moved_L: Tensor) -> Tensor:
         """Compare the central angle with the largest one: a point at r that moves by d turns by at most asin(d / r)."""
         r_B, r_L = sight.r_BP_P.norm(), sight.r_LP_P.norm()
         turn = torch.asin((moved_B / r_B).clamp(max=1.0)) + torch.asin((moved_L / r_L).clamp(max=1.0))
         ratio = (r_L - moved_L).clamp(min=0.0) / (r_B + moved_B)
-        reach = turn + max_central_angle(ratio, limit_in(sight, self.sin_min_elevation)) + SLACK
+        reach = turn + max_central_angle(ratio, limit_of(sight.rows, self.sin_min_elevation, sight.r_BP_P.x)) + SLACK
         return sight.r_LP_P.dot(sight.r_BP_P) / (r_B * r_L) > torch.cos(reach.clamp(max=torch.pi))
 
 
@@ -120,8 +118,13 @@ class SunElevation:
     below: bool = False
 
     def margin(self, sight: Sight) -> Tensor:
-        """Return the difference of the sines; see :func:`bsk_torch.astro.sight.sine_of_elevation`."""
-        above = sine_of_elevation(Vec3.of(sight.tables.sun(sight.rows, sight.time)), sight.r_LP_P) - limit_in(sight, self.sine)
+        """Return the difference of the sines; see :func:`bsk_torch.astro.frames.sin_elevation`."""
+        return self.margin_at(sight.rows, sight.r_LP_P, sight.time, sight.tables)
+
+    def margin_at(self, rows: Tensor, r_LP_P: Vec3, time: Tensor, tables: PlaceTables) -> Tensor:
+        """Return the margin, [n, ...], at places [n, ...] m that satellites ``rows`` [n] see at times [n, ...] s."""
+        sine = sin_elevation(Vec3.of(tables.sun(rows, time)), r_LP_P)
+        above = sine - limit_of(rows, self.sine, sine)
         return -above if self.below else above
 
     def reachable(self, sight: Sight, moved_B: Tensor, moved_L: Tensor) -> Tensor:

@@ -13,6 +13,7 @@ from bsk_torch.astro.ephemeris import earth_orientation, sun_position
 from bsk_torch.astro.mean_orbit import mean_elements, mean_position
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.constants import R_EARTH
+from bsk_torch.sim.access.light import in_light
 from bsk_torch.sim.access.passes import GroundTrack, Passes, PassSearch
 from bsk_torch.sim.access.sampled_passes import find_passes
 from bsk_torch.sim.access.visibility.tensors import TensorVisibility
@@ -22,12 +23,14 @@ from bsk_torch.sim.places import (
     AboveElevation,
     Clearance,
     ClearOfEarth,
+    FixedPlaces,
     GreatCirclePlaces,
     Lit,
     OrbitingPlaces,
     Places,
     PlaceTables,
     Sites,
+    SunElevation,
     WithinRange,
 )
 from bsk_torch.sim.state import StateTable
@@ -141,6 +144,34 @@ def test_places_that_stand_still_are_seen_as_fixed_ones(world):
     assert len(found) > 20
     for pair, windows in expected.items():
         assert torch.allclose(torch.tensor(found[pair]), torch.tensor(windows), rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "light",
+    [
+        [SunElevation(0.1)],
+        [SunElevation(-0.3, below=True)],
+        [SunElevation(-0.2), SunElevation(lambda rows: 0.1 * rows, below=True)],
+    ],
+)
+def test_light_clips_passes_as_a_search_of_all_samples_does(world, light):
+    """Passes over places at rest are found first, and then clipped; over places in motion, both are sampled together."""
+    rows, limit = torch.arange(SATELLITES), 0.17
+    still = GreatCirclePlaces(world.tables, "start", "rest", [AboveElevation(limit), *light])
+    expected = listed(find_passes(still, rows, world.track))
+    start = world.tables.drawn["start"]
+    places = FixedPlaces(lambda: start, limit, light=light, tables=world.tables)
+    passes = PassSearch(TensorVisibility(), world.track, places.sites(rows)).passes()
+    found = listed(in_light(places, rows, passes))
+    assert found.keys() == expected.keys()
+    assert 5 < len(found) < len(listed(passes))
+    for pair, windows in expected.items():
+        assert torch.allclose(torch.tensor(found[pair]), torch.tensor(windows), rtol=0, atol=1e-5)
+
+
+def test_light_needs_the_tables_that_have_the_time():
+    with pytest.raises(ValueError, match=r"light=.*needs tables="):
+        FixedPlaces(torch.eye(3, dtype=torch.float64).unsqueeze(0) * R_EARTH, 0.1, light=[SunElevation(0.1)])
 
 
 def test_passes_over_ships_and_aircraft_are_those_of_dense_samples(world):
