@@ -9,6 +9,9 @@ from pathlib import Path
 
 import pytest
 import torch
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from tensordict import TensorDict
 
 from bsk_torch import ConstellationTasking, dyn, rand
 from bsk_torch.astro.attitude import mrp_to_dcm
@@ -21,7 +24,7 @@ from bsk_torch.sim.dyn.wheel_set import WheelForm, latch, wheel_effector
 from bsk_torch.sim.fsw.allocation import distribute, wheel_map
 from bsk_torch.vec3 import Mat3, Vec3
 from tests.sim.buses import N, plane, vectors, write
-from tests.sim.dyn.flights import fly
+from tests.sim.dyn.flights import SCAN, fly
 from tests.sim.dyn.test_body import random_tensors
 
 PAGE = Path(__file__).parents[3] / "docs" / "how_to" / "spacecraft.md"
@@ -30,6 +33,13 @@ PAGE = Path(__file__).parents[3] / "docs" / "how_to" / "spacecraft.md"
 TYPES = dict(dyn.WHEEL_TYPES)
 
 PYRAMID = [dyn.Wheel("Honeywell_HR16", axis, 50.0) for axis in dyn.pyramid(0.8)]
+
+
+PROPERTY = settings(max_examples=15, deadline=None, derandomize=True, database=None)
+SEEDS = st.integers(0, 2**31)
+COUNTS = st.integers(1, 8)
+AXES = st.lists(st.sampled_from([None, None, 0, 1, 2]), max_size=8).map(tuple)
+"""Axes of up to eight wheels, some of which are axes of B."""
 
 
 def planes(count: int, scale: float = 1.0) -> tuple[torch.Tensor, ...]:
@@ -54,45 +64,52 @@ def random_spacecraft(form: WheelForm, torque: float) -> tuple[Bus, torch.Tensor
     bus = write(Bus(50_000_000), sigma_BN=vectors(0.3), omega_BN_B=vectors(0.03), inertia_B=Mat3.of(random_tensors() + spin))
     write(bus, wheel_axes_B=tuple(Vec3.of(g) for g in axes.unbind(1)), wheel_inertia=inertia, Omega_WB_B=planes(count, 100.0))
     write(bus, motor_torque_B=planes(count, torque), wheel_coulomb=planes(count, 0.0), wheel_viscous=planes(count, 1e-3))
-    return write(bus, effectors=(wheel_effector(form),)), axes
+    return write(bus, effectors=(wheel_effector(form),) if count else ()), axes
 
 
 def momentum_and_energy(bus: Bus, axes: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """``H = [NB] (I w + sum J O g)``, [N, 3] N m s, and ``E = w . I w / 2 + sum (J O^2 / 2 + J O g . w)``, [N] J."""
-    J, speeds, omega = torch.stack(bus.wheel_inertia, -1), torch.stack(bus.Omega_WB_B, -1), bus.omega_BN_B.stack()
-    own = (bus.inertia_B @ bus.omega_BN_B).stack()
-    H = own + ((J * speeds)[..., None] * axes).sum(1)
-    along = (axes * omega[:, None]).sum(-1)
-    E = 0.5 * (own * omega).sum(-1) + (0.5 * J * speeds * speeds + J * speeds * along).sum(-1)
+    omega = bus.omega_BN_B.stack()
+    H = (bus.inertia_B @ bus.omega_BN_B).stack()
+    E = 0.5 * (H * omega).sum(-1)
+    for J, speed, g in zip(bus.wheel_inertia, bus.Omega_WB_B, axes.unbind(1), strict=True):
+        H = H + (J * speed)[:, None] * g
+        E = E + 0.5 * J * speed * speed + J * speed * (g * omega).sum(-1)
     return (mrp_to_dcm(bus.sigma_BN).mT @ Vec3.of(H)).stack(), E
 
 
-@pytest.mark.parametrize("axes", [(None,), (0, 1, 2), (None,) * 4, (2, None, 2, 0, None), (None,) * 8], ids=str)
 @pytest.mark.parametrize("moved", ["free", "motors", "friction"])
-def test_momentum_and_energy_of_any_wheels(axes, moved):
+@settings(PROPERTY, max_examples=6)
+@given(axes=AXES, seed=SEEDS)
+@example((None,) * 2, 0)
+@example((None,) * 6, 0)
+@example((None,) * 7, 0)
+@example((None,) * 8, 0)
+@example((2, None, 2, 0, None), 0)
+def test_momentum_and_energy_of_any_wheels_on_any_body(moved, axes, seed):
     """Momentum is kept whatever happens between hub and wheels, energy without torques; both to the error of the method.
 
-    Halving the step, at least 2^4 is won: the error of the method is the only one.
+    Halving the step, nearly 2^4 is won: the error of the method is the only one.
     """
     form = WheelForm(axes, False, False, moved == "friction", False)
     errors = []
     for halvings in (0, 1):
-        torch.manual_seed(20261)
+        torch.manual_seed(seed)
         bus, unit = random_spacecraft(form, 0.0 if moved == "free" else 0.1)
         bus.h_ns, bus.h = bus.h_ns >> halvings, bus.h / 2**halvings
         H, E = momentum_and_energy(bus, unit)
-        for _ in range(100 << halvings):
+        for _ in range(20 << halvings):
             hub.rotate(bus)
         after_H, after_E = momentum_and_energy(bus, unit)
         errors.append((((after_H - H).norm(dim=-1) / H.norm(dim=-1)).amax(), ((after_E - E).abs() / E).amax()))
     (coarse_H, coarse_E), (fine_H, fine_E) = errors
     assert coarse_H < 1e-5
-    assert fine_H < max(coarse_H / 12.0, 1e-14)
-    if moved == "free":
+    assert fine_H < max(coarse_H / 10.0, 1e-13)
+    if moved == "free" or not axes:
         assert coarse_E < 1e-5
-        assert fine_E < max(coarse_E / 12.0, 1e-14)
+        assert fine_E < max(coarse_E / 10.0, 1e-13)
     else:
-        assert coarse_E > 1e-4
+        assert coarse_E > 1e-5
 
 
 def test_accelerations_are_those_of_the_equations():
@@ -145,6 +162,25 @@ def test_limits_in_the_order_of_basilisk(command, speed, most, least, power, fas
     assert bus.motor_torque_B[0].item() == pytest.approx(expected, rel=1e-15)
 
 
+@PROPERTY
+@given(count=COUNTS, seed=SEEDS)
+def test_limits_hold_for_any_wheels(count, seed):
+    """Motors exert no more than asked, nor in the other direction, within the limits of torque and power, and brake at most."""
+    torch.manual_seed(seed)
+    bus = write(Bus(1), motor_torque_command_B=planes(count, 0.3), Omega_WB_B=planes(count, 400.0))
+    write(bus, max_motor_torque=planes(count, 0.3), min_motor_torque=tuple(x.abs() for x in planes(count, 0.02)))
+    write(bus, max_wheel_power=planes(count, 30.0), wheel_top_speed=planes(count, 600.0))
+    latch(WheelForm((None,) * count, True, True, False, False))(bus)
+    every = (bus.motor_torque_B, bus.motor_torque_command_B, bus.Omega_WB_B)
+    limits = (bus.max_motor_torque, bus.max_wheel_power, bus.wheel_top_speed)
+    for u, command, speed, most, power, fastest in zip(*every, *limits, strict=True):
+        assert (u * command >= 0.0).all()
+        assert (u.abs() <= command.abs()).all()
+        assert (u.abs() <= most)[most > 0.0].all()
+        assert ((u * speed).abs() <= power * (1.0 + 1e-15))[power > 0.0].all()
+        assert (u * speed <= 0.0)[(fastest > 0.0) & (speed.abs() >= fastest)].all()
+
+
 def one_wheel(**values: float) -> Bus:
     """A wheel with friction; all values are its own."""
     known = dict(
@@ -195,17 +231,29 @@ def test_a_slow_wheel_without_the_coefficient_has_no_stribeck_friction():
 # -- distribution -------------------------------------------------------------------------------------------------------------
 
 
-def test_torques_of_least_norm():
-    axes = torch.randn(N, 5, 3, dtype=torch.float64)
+@PROPERTY
+@given(count=COUNTS, span=st.integers(1, 3), seed=SEEDS)
+@example(2, 2, 0)
+@example(6, 3, 0)
+@example(7, 2, 0)
+def test_torques_of_least_norm(count, span, seed):
+    """They exert the torque, or its part in the line or plane of the axes; no others with that torque are smaller."""
+    torch.manual_seed(seed)
+    axes = torch.randn(N, count, span, dtype=torch.float64) @ torch.randn(N, span, 3, dtype=torch.float64)
     unit = axes / axes.norm(dim=-1, keepdim=True)
     W = wheel_map({"rwAxes_B": axes})
     bus, torque = write(Bus(1), wheel_map=tuple(Vec3.of(row) for row in W.unbind(1))), vectors()
     (commands,) = distribute(bus, torque, False)
     u = torch.stack(commands, -1)
+    vectors_, values, _ = torch.linalg.svd(unit.mT, full_matrices=False)
+    known = min(count, span)
+    within = vectors_[..., :known]
     exerted = -(u[..., None] * unit).sum(1)
-    torch.testing.assert_close(exerted, torque.stack(), rtol=0, atol=1e-12)
-    least = torch.linalg.lstsq(unit.mT, -torque.stack()[..., None], driver="gelsd").solution[..., 0]
-    torch.testing.assert_close(u, least, rtol=0, atol=1e-11)
+    condition = (values[:, :1] / values[:, known - 1 : known]) ** 2
+    wanted = (within @ (within.mT @ torque.stack()[..., None]))[..., 0]
+    assert ((exerted - wanted).abs() < 1e-13 * condition).all()
+    least = torch.linalg.lstsq(unit.mT, -torque.stack()[..., None], rcond=1e-9, driver="gelsd").solution[..., 0]
+    assert ((u - least).abs() < 1e-13 * condition * (1.0 + u.norm(dim=-1, keepdim=True))).all()
 
 
 def test_null_motion_exerts_no_torque_and_slows_wheels():
@@ -331,6 +379,7 @@ def test_wheels_that_do_not_exist_are_rejected(make, message):
         make()
 
 
+PAIR = [dyn.Wheel("Honeywell_HR16", axis, 50.0) for axis in ([1, 0, 0.2], [0, 1, 0])]
 FLAT = [dyn.Wheel("Honeywell_HR16", axis, 50.0) for axis in ([1, 0, 0], [0, 1, 0], [1, 1, 0])]
 
 
@@ -340,6 +389,7 @@ FLAT = [dyn.Wheel("Honeywell_HR16", axis, 50.0) for axis in ([1, 0, 0], [0, 1, 0
         ({"wheels": "HR16"}, "must be a list of wheels"),
         ({"wheels": []}, "has no wheels, but the flight software commands them"),
         ({"wheels": FLAT}, "span 2 of 3 dimensions"),
+        ({"wheels": PAIR}, "span 2 of 3 dimensions"),
         ({"wheels": PYRAMID, "rwAxes_B": [[1.0, 0, 0]] * 3}, "rwAxes_B needs numbers of shape [4, 3]"),
         ({"wheels": PYRAMID, "rwJs": [0.1] * 3}, "rwJs needs 4 numbers"),
         ({"wheels": PYRAMID, "rwJs": 0.0}, "rwJs=0 kg m^2 is not allowed"),
@@ -356,9 +406,33 @@ def test_impossible_wheels_are_rejected(args, message):
         fly(args, actions=())
 
 
-def test_wheels_in_a_plane_can_be_asked_for():
-    env = fly({"wheels": FLAT, "underactuated": True})
-    assert torch.isfinite(env.satellite.dynamics.wheel_speeds).all()
+BODIES = [[110.0, 4.0, -6.0, 4.0, 95.0, 3.0, -6.0, 3.0, 120.0], [80.0, 0.0, 9.0, 0.0, 100.0, -7.0, 9.0, -7.0, 90.0]]
+
+RING = [dyn.Wheel("Honeywell_HR16", [math.cos(k), math.sin(k), 0.7 * (-1.0) ** k], 50.0) for k in range(7)]
+
+
+@pytest.mark.parametrize("wheels", [PAIR, RING[:6], RING], ids=["two", "six", "seven"])
+def test_steered_satellites_keep_their_momentum(wheels):
+    """Whatever the flight software commands and the wheels can do; half the tick wins nearly the 2^4 of the method."""
+    flight = dict(wheels=wheels, inertia=rand.Choice(BODIES), disturbance_vector=[0.0] * 3, dragCoeff=0.0)
+    flight |= {"underactuated": len(wheels) < 4}
+
+    def change(sim_rate: float) -> float:
+        env = fly(flight, actions=(), sim_rate=sim_rate, max_step_duration=10.0)
+        model, args, momenta, speeds = env.satellite.dynamics, env.satellite.sat_args, [], []
+        axes, inertia = args["rwAxes_B"] / args["rwAxes_B"].norm(dim=-1, keepdim=True), args["inertia"].view(3, 3, 3)
+        for _ in range(2):
+            of_wheels = ((args["rwJs"] * model.wheel_speeds)[..., None] * axes).sum(1)
+            inner = (inertia @ model.omega_BN_B[..., None])[..., 0] + of_wheels
+            momenta.append((model.BN.mT @ inner[..., None])[..., 0])
+            speeds.append(model.wheel_speeds)
+            env.step(TensorDict({"action": torch.full(env.batch_size, SCAN)}, env.batch_size))
+        assert ((speeds[1] - speeds[0]).abs() > 0.1).all()
+        return float(((momenta[1] - momenta[0]).norm(dim=-1) / momenta[0].norm(dim=-1)).max())
+
+    coarse, fine = change(1.0), change(0.5)
+    assert coarse < 1e-5
+    assert fine < coarse / 10.0
 
 
 def test_unstable_null_motion_is_logged(caplog):
