@@ -77,9 +77,10 @@ class Arg:
     (one of ``choices``, kept as its index), ``utc``, ``orbit``, ``stations`` or ``constant`` (kept unchanged). ``shape`` is the
     shape of other values that are numbers, such as ``(4, 3)``; None in it stands for any size, such as ``(None, 3)``: the same
     for all satellites of a type, and fixed when the environment is built. Where it is ``spread``, one number stands for all of
-    the shape. ``low`` and ``high`` bound every number (inclusive). Numbers must be finite unless infinity means something, such
-    as no limit: where an argument is ``endless``, or infinite by default. ``whole`` ones have no fraction. ``missing`` stands for
-    None. A ``shared`` one is the same for all environments.
+    the shape; where it is ``diagonal``, a vector stands for the matrix with this diagonal. ``low`` and ``high`` bound every
+    number (inclusive). Numbers must be finite unless infinity means something, such as no limit: where an argument is
+    ``endless``, or infinite by default. ``whole`` ones have no fraction. ``missing`` stands for None. A ``shared`` one is the
+    same for all environments.
     """
 
     name: str
@@ -96,6 +97,7 @@ class Arg:
     whole: bool = False
     shape: tuple[int | None, ...] | None = None
     spread: bool = False
+    diagonal: bool = False
 
     def __post_init__(self) -> None:
         """Check the shape; ValueError unless it is a tuple of sizes, or if another kind is given."""

@@ -77,6 +77,8 @@ def _shaped(arg: Arg, values: Tensor, rows: int) -> Tensor:
         values = values.squeeze(-1)
     if arg.spread and values.shape == (rows,) and None not in arg.dims:
         values = values.reshape(rows, *[1] * len(arg.dims)).expand(rows, *(size or 1 for size in arg.dims))
+    if arg.diagonal and values.shape[1:] == arg.dims[:1]:
+        values = torch.diag_embed(values)
     if len(values) != rows or not has_shape(values.shape[1:], arg.dims):
         sizes = ["any" if size is None else str(size) for size in arg.dims]
         what = f"numbers of shape [{', '.join(sizes)}]" if len(sizes) > 1 or "any" in sizes else f"{(*sizes, 1)[0]} numbers"

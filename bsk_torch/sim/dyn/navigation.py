@@ -14,11 +14,12 @@ from dataclasses import replace
 from numbers import Real
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from bsk_torch.astro.attitude import mrp_add
-from bsk_torch.rand import Uniform
+from bsk_torch.rand import Distribution, Uniform, first_key
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
 from bsk_torch.sim.dyn.generators import combined_normals, combined_start, minstd_start, polar_normals
 from bsk_torch.sim.dyn.hub import given_numbers
@@ -182,13 +183,25 @@ START = Arg(
 """Six numbers, drawn for each episode, where ``RNGSeed`` is None."""
 
 
+def _matrix_form(given: Any) -> tuple[bool, bool]:
+    """Return whether ``PMatrix`` is a matrix, and whether numbers off its diagonal may act.
+
+    What functions return is not known before they are called, and anything but a vector takes a matrix.
+    """
+    P = given_numbers(given)
+    if P is not None:
+        matrix = P.ndim == 2
+        return matrix, matrix and (P.shape != (ERRORS, ERRORS) or bool((P - torch.diag(P.diagonal())).any()))
+    matrix = np.ndim(given.draw(first_key(1))) == 3 if isinstance(given, Distribution) else callable(given)
+    return matrix, matrix
+
+
 def walk_form(given: Mapping[str, Any]) -> WalkForm:
     """Return what decides the operations of a tick, from the arguments as given."""
-    P = None if may_change(given, "PMatrix") else given_numbers(given["PMatrix"])
-    matrix = P is not None and P.ndim == 2
+    matrix, full = (False, False) if may_change(given, "PMatrix") else _matrix_form(given["PMatrix"])
     return WalkForm(
         matrix=matrix,
-        full=matrix and P is not None and bool((P - torch.diag(P.diagonal())).any() if P.shape == (ERRORS, ERRORS) else True),
+        full=full,
         position=given["crossTrans"] is True,
         attitude=given["crossAtt"] is True,
         seeded=given["RNGSeed"] is not None,
@@ -223,7 +236,7 @@ def _check(form: WalkForm, args: Values) -> None:
 def navigation_errors(form: WalkForm) -> Component:
     """Return the component of errors of a form."""
     P, bounds, position, attitude, seed, bias, noise = ARGS
-    P = replace(P, shape=(ERRORS, ERRORS)) if form.matrix else P
+    P = replace(P, shape=(ERRORS, ERRORS), diagonal=True) if form.matrix else P
     bias = replace(bias, default=ZEROS) if form.biased else bias
     noise = replace(noise, default=1.0) if form.scaled else noise
     params = [Field("nav_P", ERRORS * (ERRORS if form.full else 1), many=True, exact=True)]

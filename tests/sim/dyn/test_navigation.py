@@ -138,6 +138,24 @@ def test_a_matrix_with_a_diagonal_is_its_diagonal():
     assert torch.equal(one, other)
 
 
+MIXED = (torch.diag(torch.tensor(NOISE, dtype=torch.float64)) + 1e-7 * torch.ones(ERRORS, ERRORS, dtype=torch.float64)).tolist()
+
+
+@pytest.mark.parametrize("P", [NOISE, MIXED], ids=["diagonal", "matrix"])
+@pytest.mark.parametrize("drawn", [lambda P: rand.Choice([P]), lambda P: rand.per_env([P, P]), lambda P: lambda: P])
+def test_drawn_matrices_act_as_given_ones(P, drawn):
+    given = walked(navigating({"PMatrix": P}, n=2))
+    assert torch.equal(walked(navigating({"PMatrix": drawn(P)}, n=2)), given)
+
+
+def test_every_episode_draws_its_matrix():
+    env = navigating(
+        {"PMatrix": rand.per_env([MIXED, (2.0 * torch.tensor(MIXED, dtype=torch.float64)).tolist()]), "RNGSeed": 7}, n=2
+    )
+    one, double = walked(env).unbind(1)
+    torch.testing.assert_close(double, 2.0 * one, rtol=1e-12, atol=0)
+
+
 def test_errors_do_not_depend_on_the_batch():
     many, few = (walked(navigating({"PMatrix": NOISE}, n=n)) for n in (5, 2))
     assert torch.equal(many[:, :2], few)
@@ -224,6 +242,7 @@ REJECTED = {
     "PMatrix needs 18 numbers": lambda: navigating({"PMatrix": [1.0] * 17}),
     "PMatrix needs numbers of shape [18, 18]": lambda: navigating({"PMatrix": [[1.0, 2.0], [3.0, 4.0]]}),
     "PMatrix=nan": lambda: navigating({"PMatrix": [math.nan] * 18}),
+    "PMatrix needs numbers of shape [18, 18] ": lambda: navigating({"PMatrix": lambda: [1.0] * 17}),
     "walkBounds needs 18 numbers": lambda: navigating({"walkBounds": [1.0]}),
     "RNGSeed=1.5": lambda: navigating({"RNGSeed": 1.5}),
     "RNGSeed=-1": lambda: navigating({"RNGSeed": -1}),
