@@ -1,4 +1,4 @@
-"""Where a satellite will be, as bsk_rl predicts it: positions every 30 s, splines through them, and eclipses."""
+"""Where a satellite will be, as bsk_rl predicts it: positions every 30 s or another step, splines through them, and eclipses."""
 
 from __future__ import annotations
 
@@ -11,18 +11,24 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from bsk_torch.astro.eclipse import in_umbra
 from bsk_torch.astro.ephemeris import earth_orientation
+from bsk_torch.astro.interpolate import COUNT
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.sim.access.literal_search import Interpolator
 from bsk_torch.sim.access.visibility.backend import make_visibility
-from bsk_torch.sim.access.visibility.planned import PlannedOrbits
+from bsk_torch.sim.access.visibility.planned import PlannedOrbits, position_between, take_rows
 from bsk_torch.sim.arguments.values import convert
+from bsk_torch.sim.component import Bus
+from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK
 from bsk_torch.sim.environment.world import EPHEMERIS
 from bsk_torch.sim.orbit.arcs import Arcs, segments_for
-from bsk_torch.sim.orbit.grid import PLAN_STEP
+from bsk_torch.sim.orbit.builder import ARC
+from bsk_torch.sim.orbit.grid import NODE_SPACING, PLAN_STEP
 from bsk_torch.sim.orbit.solvers import make_solver
+from bsk_torch.vec3 import Vec3
 
 logger = logging.getLogger(__name__)
 
@@ -33,6 +39,9 @@ SEARCH_STEP = 6000.0
 
 ALL_HOURS = 1 << 30
 """More hours of the predicted orbit than any episode has: all of them are kept."""
+
+BEHIND_SAMPLES = COUNT * NODE_SPACING
+"""Seconds of the orbit behind the last sample, so that what is interpolated does not depend on how far it has been solved."""
 
 NOT_FOUND = 1.0, 1.0
 """Answer of a search for eclipses that fails, s."""
@@ -73,11 +82,13 @@ class TrajectorySimulator:
     ) -> None:
         """Start at ``utc_init`` from elements or a state; nothing is computed yet.
 
+        Positions have the error of bsk_rl's integration in steps of ``dt`` if that is 30 s, and otherwise none.
+
         Raises:
-            ValueError: For an orbit that is given twice or not at all, or another ``dt`` than 30 s.
+            ValueError: For an orbit that is given twice or not at all, or a ``dt`` that is not positive and finite.
         """
-        if dt != PLAN_STEP:
-            raise ValueError(f"dt={dt} must be {PLAN_STEP}: bsk_torch predicts orbits with bsk_rl's default step only")
+        if not 0.0 < dt < math.inf:
+            raise ValueError(f"dt={dt} s must be a positive number, the time between two samples")
         self.utc_init, self.dt = utc_init, dt
         self.rN_init, self.vN_init = initial_state(rN, vN, oe, mu)
         self._backend, self._arcs, self._samples = backend, None, 1
@@ -96,8 +107,8 @@ class TrajectorySimulator:
         """The predicted orbit, hour by hour."""
         if self._arcs is None:
             self._visibility = make_visibility(self._backend, torch.device("cpu"))
-            solver = make_solver(1.0, self._backend, torch.device("cpu"))
-            self._arcs = Arcs(1, segments_for(self._samples * PLAN_STEP), solver, ALL_HOURS)
+            solver = make_solver(1.0 if self._as_planned else self.dt, self._backend, torch.device("cpu"))
+            self._arcs = Arcs(1, segments_for(self._samples * self.dt), solver, ALL_HOURS)
             et = convert(EPHEMERIS.args[0], [self.utc_init], 1).reshape(1)
             state = (torch.from_numpy(x).unsqueeze(0) for x in (self.rN_init, self.vN_init))
             self._arcs.solve(torch.zeros(1, dtype=torch.int64), et, *state)
@@ -105,26 +116,38 @@ class TrajectorySimulator:
 
     def extend_to(self, t: float) -> None:
         """Predict up to the last sample at or before ``t`` s."""
-        wanted = 1 + math.floor(t / PLAN_STEP + 1e-9)
+        wanted = 1 + math.floor(t / self.dt + 1e-9)
         if wanted <= self._samples:
             return
         self._samples = wanted
-        while self.arcs.length < (wanted - 1) * PLAN_STEP:
+        ahead = 0.0 if self._as_planned else BEHIND_SAMPLES
+        while self.arcs.length < (wanted - 1) * self.dt + ahead:
             self.arcs.grow()
         self._splines = {}
 
     @property
     def sim_time(self) -> float:
         """Time of the last sample, s."""
-        return (self._samples - 1) * PLAN_STEP
+        return (self._samples - 1) * self.dt
 
     @property
     def times(self) -> Vector:
         """Times of the samples, [n] s."""
-        return PLAN_STEP * np.arange(self._samples, dtype=np.float64)
+        return self.dt * np.arange(self._samples, dtype=np.float64)
+
+    @property
+    def _as_planned(self) -> bool:
+        """Whether samples are those of the planned arc; others are interpolated on the flown one."""
+        return self.dt == PLAN_STEP
 
     def _positions_N(self) -> Tensor:
-        return self.arcs.planned[0, : self._samples]
+        return self.arcs.planned[0, : self._samples] if self._as_planned else self._flown(0)[0].stack()
+
+    def _flown(self, first: int) -> tuple[Vec3, Bus]:
+        """Return positions, Sun and Earth at the samples from number ``first`` on, by interpolation."""
+        time = self.dt * torch.arange(first, self._samples, dtype=torch.float64)
+        every = torch.zeros(len(time), dtype=torch.int64)
+        return position_between(*(take_rows(track, every) for track in self.arcs.tracks((ARC, EPHEMERIS_TRACK))), time)
 
     @property
     def r_BN_N(self) -> Interpolator:
@@ -139,10 +162,10 @@ class TrajectorySimulator:
     def _spline(self, frame: str) -> Interpolator:
         if frame not in self._splines:
             if self._samples < 4:
-                self.extend_to(3 * PLAN_STEP)
+                self.extend_to(3 * self.dt)
             r = self._positions_N()
             if frame == "P":
-                times = torch.arange(self._samples, dtype=torch.float64) * PLAN_STEP
+                times = torch.arange(self._samples, dtype=torch.float64) * self.dt
                 r = (earth_orientation(self.arcs.et + times) @ r.unsqueeze(-1)).squeeze(-1)
             self._splines[frame] = Interpolator(self.times, r.numpy())
         return self._splines[frame]
@@ -164,15 +187,18 @@ class TrajectorySimulator:
 
     def _search(self, until: float) -> None:
         """Note the transitions between the samples after those of the last search."""
-        self.extend_to(until + PLAN_STEP)
+        self.extend_to(until + self.dt)
         missing = self._samples - len(self._dark)
-        if missing > 0:
+        if missing > 0 and not self._as_planned:
+            r_BN_N, sky = self._flown(len(self._dark))
+            self._dark += in_umbra(r_BN_N, sky.r_SN_N).tolist()
+        elif missing > 0:
             arcs, zero = self.arcs, torch.zeros(1, dtype=torch.float64)
             orbits = PlannedOrbits(Samples(arcs.planned, zero - 0.5 * PLAN_STEP), Samples(arcs.ephemeris, zero))
             start = zero + len(self._dark) * PLAN_STEP
             self._dark += self._visibility.umbra(orbits, start, missing)[0].tolist()
-        first = math.floor(self._until / PLAN_STEP + 1e-9) + 1
+        first = math.floor(self._until / self.dt + 1e-9) + 1
         for k in range(first, self._samples - 1):  # a sample's shadow is that of the position one step before
             if self._dark[k] != self._dark[k - 1]:
-                (self._starts if self._dark[k] else self._ends).append(k * PLAN_STEP)
+                (self._starts if self._dark[k] else self._ends).append(k * self.dt)
         self._until = until

@@ -161,6 +161,19 @@ def trajectory() -> dict[str, Any]:
     }
 
 
+def steps() -> list[dict[str, Any]]:
+    """Return the same orbit in other steps than 30 s."""
+    elements = orbital.random_orbit(i=45.0, a=6871.0, e=0.01, Omega=20.0, omega=30.0, f=40.0)
+    found = []
+    for dt in (7.5, 20.0, 60.0):
+        flown = orbital.TrajectorySimulator(EPOCH, oe=elements, mu=orbital.orbitalMotion.MU_EARTH * 1e9, dt=dt)
+        asked, times = [0.0, 3000.0, 6000.0], [0.0, 47.0, 1000.0, 5432.1, 11000.0]
+        eclipses = [flown.next_eclipse(t) for t in asked]
+        found.append({"dt": dt, "asked": asked, "eclipses": plain(eclipses), "sim_time": flown.sim_time, "times": times})
+        found[-1] |= {"r_BN_N": plain(flown.r_BN_N(times)), "r_BP_P": plain(flown.r_BP_P(times))}
+    return found
+
+
 DRAWS: dict[str, Callable[[], Any]] = {
     "random_unit_vector": orbital.random_unit_vector,
     "random_orbit": orbital.random_orbit,
@@ -198,6 +211,7 @@ def main() -> None:
         "worlds": {name: {"world": names, **world_args(names)} for name, names in WORLDS.items()},
         "draws": {name: drawn(draw) for name, draw in DRAWS.items()},
         "trajectory": trajectory(),
+        "trajectory_steps": steps(),
         "fibonacci": plain(orbital.fibonacci_sphere(7)),
         "point": str(point),
     }
