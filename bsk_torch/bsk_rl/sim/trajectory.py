@@ -147,7 +147,8 @@ class TrajectorySimulator:
         """Return positions, Sun and Earth at the samples from number ``first`` on, by interpolation."""
         time = self.dt * torch.arange(first, self._samples, dtype=torch.float64)
         every = torch.zeros(len(time), dtype=torch.int64)
-        return position_between(*(take_rows(track, every) for track in self.arcs.tracks((ARC, EPHEMERIS_TRACK))), time)
+        flown, sky = (take_rows(track, every) for track in self.arcs.tracks((ARC, EPHEMERIS_TRACK)))
+        return position_between(flown, sky, time)
 
     @property
     def r_BN_N(self) -> Interpolator:
