@@ -13,7 +13,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import torch
@@ -80,7 +80,8 @@ class Arg:
     the shape; where it is ``diagonal``, a vector stands for the matrix with this diagonal. ``low`` and ``high`` bound every
     number (inclusive). Numbers must be finite unless infinity means something, such as no limit: where an argument is
     ``endless``, or infinite by default. ``whole`` ones have no fraction. ``missing`` stands for None. A ``shared`` one is the
-    same for all environments.
+    same for all environments. ``flown`` are wider bounds, of numbers that Basilisk takes though they mean little; they hold with
+    ``compat="bsk_rl"`` and in :mod:`bsk_torch.bsk_rl`.
     """
 
     name: str
@@ -98,6 +99,7 @@ class Arg:
     shape: tuple[int | None, ...] | None = None
     spread: bool = False
     diagonal: bool = False
+    flown: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         """Check the shape; ValueError unless it is a tuple of sizes, or if another kind is given."""
@@ -120,6 +122,11 @@ class Arg:
     def may_be_infinite(self) -> bool:
         """Whether infinity is allowed."""
         return self.endless or (isinstance(self.default, float) and math.isinf(self.default)) or self.missing == math.inf
+
+    @property
+    def as_flown(self) -> Arg:
+        """The argument with the bounds ``flown``."""
+        return self if self.flown is None else replace(self, low=self.flown[0], high=self.flown[1])
 
     @property
     def allowed(self) -> str:

@@ -138,7 +138,66 @@ def constellation(b: Any) -> Any:
     )
 
 
-PROGRAMS = {"scanning": scanning, "imaging": imaging, "constellation": constellation}
+def extremes(b: Any) -> Any:
+    """Return agents with arguments that mean little, but that Basilisk flies; one dies at once."""
+
+    class Scanner(b.sats.AccessSatellite):
+        observation_spec = [
+            b.obs.SatProperties(
+                dict(prop="storage_level_fraction"),
+                dict(prop="battery_charge_fraction"),
+                dict(prop="wheel_speeds", norm=600.0),
+                dict(prop="omega_BN_B"),
+            )
+        ]
+        action_spec = [b.act.Scan(duration=60.0), b.act.Charge(duration=60.0), b.act.Downlink(duration=60.0), b.act.Desat(60.0)]
+        dyn_type = type("Model", (b.dyn.ContinuousImagingDynModel, b.dyn.GroundStationDynModel), {})
+        fsw_type = b.fsw.ContinuousImagingFSWModel
+
+    efficient = dict(panelEfficiency=1.5, rwElecToMechEfficiency=1.2, rwMechToElecEfficiency=1.1, dragCoeff=-1.0)
+    stations = [dict(lat=lat, long=long, elev=0.0) for lat in (-40, 0, 40) for long in range(-180, 180, 40)]
+    return b.root.ConstellationTasking(
+        satellites=[
+            Scanner("Turned", dict(disturbance_vector=[1.2, -0.4, 0.3])),
+            Scanner("Efficient", efficient | dict(storedCharge_Init=1e4, batteryStorageCapacity=1e6)),
+            Scanner("Filling", dict(transmitterBaudRate=1e5, storageInit=1e6, hs_min=-2.0)),
+            Scanner("Dead", dict(maxWheelSpeed=0.0)),
+        ],
+        scenario=b.scene.UniformNadirScanning(),
+        rewarder=b.data.ScanningTimeReward(),
+        world_args=dict(groundStationsData=stations, gsMinimumElevation=0.1),
+        time_limit=600.0,
+        failure_penalty=-1.0,
+    )
+
+
+def horizon(b: Any) -> Any:
+    """Return an imager of targets at any elevation."""
+
+    class Imager(b.sats.ImagingSatellite):
+        observation_spec = [
+            b.obs.OpportunityProperties(
+                dict(prop="opportunity_open", norm=300.0), dict(prop="opportunity_close", norm=300.0), n_ahead_observe=3
+            )
+        ]
+        action_spec = [b.act.Image(n_ahead_image=4)]
+        fsw_type = b.fsw.ImagingFSWModel
+
+    return b.root.SatelliteTasking(
+        satellite=Imager("Low", dict(imageTargetMinimumElevation=0.0, imageAttErrorRequirement=0.05, u_max=0.5)),
+        scenario=b.scene.UniformTargets(100),
+        rewarder=b.data.UniqueImageReward(),
+        time_limit=3000.0,
+    )
+
+
+PROGRAMS = {
+    "scanning": scanning,
+    "imaging": imaging,
+    "constellation": constellation,
+    "extremes": extremes,
+    "horizon": horizon,
+}
 """Programs by name."""
 
 
@@ -153,10 +212,12 @@ def plain(value: Any) -> Any:
 
 def chosen(name: str, rng: np.random.Generator) -> Any:
     """Return the next action of a program."""
-    if name == "scanning":
+    if name in ("scanning", "horizon"):
         return int(rng.integers(4))
     if name == "imaging":
         return [int(action) for action in rng.integers(6, size=2)]
+    if name == "extremes":
+        return {agent: int(rng.integers(4)) for agent in ("Turned", "Efficient", "Filling", "Dead")}
     thrust = np.array([*rng.uniform(-1.0, 1.0, 3), rng.uniform(50.0, 250.0)])
     return {"Chief": int(rng.integers(2)), "Deputy": thrust}
 

@@ -137,9 +137,9 @@ def test_without_pointing_there_is_no_target():
 @pytest.mark.parametrize(
     ("elevation", "message"),
     [
-        (45.0, r"=45 rad must lie between 0 and pi/2, both excluded; for 45 degrees write math\.radians\(45\)"),
-        (0.5 * math.pi, "=1.5708 rad must lie between 0 and pi/2, both excluded$"),
-        (0.0, "=0 rad must lie between 0 and pi/2, both excluded$"),
+        (45.0, r"=45 rad must lie in \[0, pi/2\); for 45 degrees write math\.radians\(45\)"),
+        (0.5 * math.pi, "=1.5708 rad must lie in \\[0, pi/2\\)$"),
+        (-0.1, r"=-0.1 rad must lie in \[0, pi/2\)$"),
         (-0.3, "=-0.3 rad must lie"),
     ],
 )

@@ -78,7 +78,8 @@ def elevation_error(position: Interpolator, place: Sequence[float], least: float
 def near_samples(positions: Vector, places: Vector, least: Vector) -> NDArray[np.bool_]:
     """Return which samples [n, 3] m are near each place [P, 3] m with its least elevation [P] rad, [P, n]."""
     highest = np.max(np.linalg.norm(positions, axis=-1))
-    reach = NEAR * (highest - np.linalg.norm(places, axis=-1)) / np.sin(least)
+    with np.errstate(divide="ignore"):  # above an elevation of 0 all are near
+        reach = NEAR * (highest - np.linalg.norm(places, axis=-1)) / np.sin(least)
     near = np.empty((len(places), len(positions)), dtype=bool)
     for some in range(0, len(places), 256):  # tables of a few megabytes
         part = slice(some, some + 256)

@@ -143,6 +143,7 @@ class Arguments:
         given: Mapping[str, Any] | Sequence[Mapping[str, Any]],
         title: str,
         columns: Sequence[int] = (0,),
+        as_flown: bool = False,
     ) -> None:
         """Merge the table of ``components`` with the ``given`` values.
 
@@ -151,13 +152,15 @@ class Arguments:
             given: The user's values: of all satellites of an environment, or of each of them.
             title: Name of the dictionary that the user gives, for messages.
             columns: Numbers of the satellites within an environment; draws depend on them.
+            as_flown: Whether bounds are those of what Basilisk takes; see :class:`~bsk_torch.sim.component.Arg`.
 
         Raises:
             KeyError: For an unknown name.
         """
+        self.as_flown = as_flown
         self.title, self.columns = title, tuple(columns)
         self.owners = tuple(columns) if title == "sat_args" else (title,)
-        self.table = {arg.name: arg for component in components for arg in component.args}
+        self.table = self._bounded(arg for component in components for arg in component.args)
         each = [given] if isinstance(given, Mapping) else list(given)
         merged = [self._merged(values) for values in each]
         self._given = [dict(merged[0]) for _ in columns] if isinstance(given, Mapping) else merged
@@ -171,7 +174,7 @@ class Arguments:
         A given value that is the very default of an argument that differs now, from a copy of all defaults, becomes the new one.
         """
         components = tuple(components)
-        other = {arg.name: arg for component in components for arg in component.args}
+        other = self._bounded(arg for component in components for arg in component.args)
         old = {name: arg.default for name, arg in self.table.items() if other.get(name) != arg}
         if not old and other.keys() == self.table.keys():
             return self
@@ -180,7 +183,10 @@ class Arguments:
             return {name: value for name, value in values.items() if name not in old or value is not old[name]}
 
         renewed = wanted(given) if isinstance(given, Mapping) else [wanted(values) for values in given]
-        return Arguments(components, renewed, self.title, self.columns)
+        return Arguments(components, renewed, self.title, self.columns, self.as_flown)
+
+    def _bounded(self, args: Iterable[Arg]) -> dict[str, Arg]:
+        return {arg.name: arg.as_flown if self.as_flown else arg for arg in args}
 
     def _merged(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Return the values of one satellite, with defaults for those that are not given."""

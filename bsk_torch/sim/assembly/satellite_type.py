@@ -229,13 +229,14 @@ def satellite_type(
     check_required_dyn(dyn_type, fsw_type)
     world, around = world_of(dyn_type, world_type), world_components(dyn_type, world_type)
     own = (*dyn_type.all_components(), *fsw_type.all_components())
-    arguments = Arguments(around, world_args, "world_args"), Arguments(own, sat_args, "sat_args", usage.columns)
+    lenient = options.compat == "bsk_rl"
+    arguments = Arguments(around, world_args, "world_args"), Arguments(own, sat_args, "sat_args", usage.columns, lenient)
     faults = declared_faults(arguments[1].given, arguments[1].table)
     looked = [Looked(arguments[0].given), Looked(changing(arguments[1].given, faults))]
     around, own = (fitted(some, given) for some, given in zip((around, own), looked, strict=True))
     own = with_faults(own, faults)
     arguments = arguments[0].of_components(around, world_args), arguments[1].of_components(own, sat_args)
-    own = tuple(part for part in own if not (part.mends and options.compat == "bsk_rl"))
+    own = tuple(part for part in own if not (part.mends and lenient))
     parts = dyn_type.schedule.ordered((*(dataclasses.replace(part, at_start=True) for part in around), *own))
     # a component of the user's own in the slot of another may leave the flags and resets to that one
     known = (*declared(world, dyn_type, fsw_type), *parts)
@@ -251,7 +252,7 @@ def satellite_type(
         usage.controlled,
         usage.randomize,
         frozenset(usage.drawn),
-        lenient=options.compat == "bsk_rl",
+        lenient=lenient,
     )
     trial = drawing.trial(num_envs)
     if faults:

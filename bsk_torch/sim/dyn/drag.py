@@ -114,7 +114,7 @@ GRAVITY_GRADIENT = Component(slot="gravity_gradient", after="disturbance", effec
 
 DISTURBANCE = Component(
     slot="disturbance",
-    args=(Arg("disturbance_vector", None, "N m", "constant torque in B", "vector", -1.0, 1.0, missing=0.0),),
+    args=(Arg("disturbance_vector", None, "N m", "constant torque in B", "vector", -1.0, 1.0, missing=0.0, flown=(-1e9, 1e9)),),
     params=(vec("disturbance_torque_B", "N m"),),
     prepare=lambda args: {"disturbance_torque_B": args["disturbance_vector"]},
 )

@@ -98,7 +98,7 @@ LIGHT = (
     Arg("facetSpecular", None, "-", "share of sunlight reflected as by a mirror", low=0.0, high=1.0, shape=(None,)),
 )
 
-DRAG_COEFFICIENT = Arg("dragCoeff", 2.2, "-", "drag coefficient", low=0.0, high=1e3)
+DRAG_COEFFICIENT = Arg("dragCoeff", 2.2, "-", "drag coefficient", low=0.0, high=1e3, flown=(-1e3, 1e3))
 
 ATTRIBUTES = {
     "facetAreas": "area",

@@ -136,7 +136,7 @@ NUMBERS = (
 
 AREA = Arg("panelArea", 1.0, "m^2", "area of the solar panel", low=0.0, high=1e6)
 
-EFFICIENCY = Arg("panelEfficiency", 0.2, "-", "share of sunlight turned into power", low=0.0, high=1.0)
+EFFICIENCY = Arg("panelEfficiency", 0.2, "-", "share of sunlight turned into power", low=0.0, high=1.0, flown=(-1e6, 1e6))
 
 SUN_AXIS = Arg("nHat_B", (0.0, 0.0, -1.0), "-", "panel normal in B", "vector", *AXIS_BOUNDS)
 

@@ -201,9 +201,11 @@ def transmitter(partitions: int) -> Component:
         "transmitter_time": Field("transmitter_time", 1, "s", "when the transmitter last ran", exact=True),
         "packet_partition": Field("packet_partition", 1, "-", "partition that the packet comes from", exact=True),
     }
+    rate, *others = storage.TRANSMITTER.args
     return dataclasses.replace(
         storage.TRANSMITTER,
         update=transmit,
+        args=(dataclasses.replace(rate, flown=None), *others),  # what a positive rate does to partitions is not that of Basilisk
         state=tuple(fields[name] for name in names),
         initial=lambda args: _zeros(*names),
         fit=lambda given: transmitter(len(partition_names(given))),

@@ -111,7 +111,15 @@ TRANSMITTER = Component(
     slot="transmitter",
     update=transmit,
     args=(
-        Arg("transmitterBaudRate", -8e6, "bit/s", "data rate of the downlink, negative", low=-MOST_BITS, high=0.0),
+        Arg(
+            "transmitterBaudRate",
+            -8e6,
+            "bit/s",
+            "data rate of the downlink, negative",
+            low=-MOST_BITS,
+            high=0.0,
+            flown=(-MOST_BITS, MOST_BITS),
+        ),
         Arg(
             "transmitterPacketSize", None, "bit", "packet, negative; None: one second of the instrument", low=-MOST_BITS, high=0.0
         ),

@@ -51,7 +51,14 @@ ARGS = (
     WHEELS_ARG,
     *NUMBERS,
     Arg("wheelSpeeds", Uniform(-1500.0, 1500.0, 3), "rpm", "initial wheel speeds", "vector", -1e6, 1e6),
-    Arg("maxWheelSpeed", float("inf"), "rpm", "a spacecraft with a wheel at or above this speed dies", low=1e-6),
+    Arg(
+        "maxWheelSpeed",
+        float("inf"),
+        "rpm",
+        "a spacecraft with a wheel at or above this speed dies",
+        low=1e-6,
+        flown=(-1e9, float("inf")),
+    ),
     Arg("u_max", 0.2, "N m", "largest motor torque; no limit where not positive", endless=True),
 )
 """Arguments of bsk_rl's three wheels, and those that describe others."""

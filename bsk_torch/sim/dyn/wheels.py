@@ -159,8 +159,24 @@ WHEELS = Component(
 
 POWER_ARGS = (
     power_arg("rwBasePower", 0.4, "power that each wheel always draws"),
-    Arg("rwMechToElecEfficiency", 0.0, "-", "share of braking power returned; negative: braking costs too", low=-1e6, high=1.0),
-    Arg("rwElecToMechEfficiency", 0.5, "-", "share of electrical power that accelerates a wheel", low=1e-9, high=1.0),
+    Arg(
+        "rwMechToElecEfficiency",
+        0.0,
+        "-",
+        "share of braking power returned; negative: braking costs too",
+        low=-1e6,
+        high=1.0,
+        flown=(-1e6, 1e6),
+    ),
+    Arg(
+        "rwElecToMechEfficiency",
+        0.5,
+        "-",
+        "share of electrical power that accelerates a wheel",
+        low=1e-9,
+        high=1.0,
+        flown=(1e-9, 1e6),
+    ),
 )
 
 

@@ -126,7 +126,7 @@ DUMP_RESET = {"dump_calls": 0.0, "dump_counter": 0.0, "dump_remaining": 0.0}
 
 
 DESATURATION_ARGS = (
-    Arg("hs_min", 0.0, "N m s", "momentum left in the wheels", low=0.0, high=1e6),
+    Arg("hs_min", 0.0, "N m s", "momentum left in the wheels", low=0.0, high=1e6, flown=(-1e6, 1e6)),
     Arg("maxCounterValue", 4.0, "-", "ticks between pulses", low=0.0, high=2.0**31, whole=True),
     Arg("thrMinFireTime", 0.02, "s", "shortest pulse", low=0.0, high=1e9),
     Arg("desatAttitude", "sun", "-", "attitude while desaturating", "choice", choices=("sun", "nadir", None)),

@@ -75,11 +75,11 @@ def aim_at_earth_centre(bus: Bus) -> None:
 
 def _check_elevation(args: Values) -> None:
     elevation = args["imageTargetMinimumElevation"]
-    bad = elevation[(elevation <= 0.0) | (elevation >= 0.5 * math.pi)]
+    bad = elevation[(elevation < 0.0) | (elevation >= 0.5 * math.pi)]
     if len(bad):
         value = bad[0].item()
         hint = f"; for {value:g} degrees write math.radians({value:g})" if 0.5 * math.pi < value <= 90.0 else ""
-        raise ValueError(f"imageTargetMinimumElevation={value:g} rad must lie between 0 and pi/2, both excluded{hint}")
+        raise ValueError(f"imageTargetMinimumElevation={value:g} rad must lie in [0, pi/2){hint}")
 
 
 def _first_place(args: Values) -> dict[str, Tensor]:
