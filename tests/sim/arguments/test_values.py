@@ -10,11 +10,13 @@ import torch
 from bsk_torch import rand
 from bsk_torch.astro.ephemeris import parse_utc
 from bsk_torch.astro.orbit import Elements
+from bsk_torch.presets.nadir_scan import ScanningSatellite
 from bsk_torch.rand import Key
 from bsk_torch.sim.arguments.values import Arguments, convert, merge, nearest
 from bsk_torch.sim.component import Arg
 from bsk_torch.sim.dyn.hub import HUB
 from bsk_torch.sim.dyn.panels import PANEL
+from bsk_torch.sim.dyn.partitions import transmitter
 from bsk_torch.sim.dyn.power import BATTERY
 from bsk_torch.sim.dyn.storage import TRANSMITTER
 from bsk_torch.sim.environment.world import EPHEMERIS, GROUND_STATIONS
@@ -373,3 +375,29 @@ def test_override_all_satellites():
 def test_wrong_overrides(name, given, kind, message):
     with pytest.raises(kind, match=re.escape(message)):
         THREE.override(name, None, torch.tensor([0]), torch.tensor(given, dtype=torch.float64))
+
+
+@pytest.mark.parametrize(
+    "args",
+    [
+        {"disturbance_vector": [2.0, 0.0, 0.0]},
+        {"transmitterBaudRate": 1e6},
+        {"panelEfficiency": 1.5},
+        {"rwElecToMechEfficiency": 1.5},
+        {"hs_min": -1.0},
+        {"maxWheelSpeed": 0.0},
+        {"dragCoeff": -1.0},
+    ],
+    ids=str,
+)
+def test_bounds_are_wider_where_bsk_rl_is_repeated(args):
+    (name,) = args
+    parts = (*ScanningSatellite.dyn_type.all_components(), *ScanningSatellite.fsw_type.all_components())
+    with pytest.raises(ValueError, match=rf"{name}=.* is not allowed"):
+        Arguments(parts, args, "sat_args").draw(key())
+    assert Arguments(parts, args, "sat_args", as_flown=True).draw(key())[name].tolist() == [args[name]]
+
+
+def test_the_transmitter_of_partitions_sends_only():
+    with pytest.raises(ValueError, match="transmitterBaudRate=1e"):
+        Arguments((transmitter(2),), {"transmitterBaudRate": 1e6}, "sat_args", as_flown=True).draw(key())
