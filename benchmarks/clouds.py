@@ -31,8 +31,8 @@ from bsk_torch.env import SatelliteTasking
 from bsk_torch.presets import PRESETS
 from bsk_torch.presets.aeos import CLOUDS, ORBIT, SATELLITE, AgileSatellite, agile_args, agile_environment, targets_ahead
 from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
-from bsk_torch.rl.rules.baselines import BASELINES, imaging_rule
-from bsk_torch.rl.rules.imaging import by_discounted_priority
+from bsk_torch.rl.rules.baselines import BASELINES
+from bsk_torch.rl.rules.imaging import by_discounted_priority, imaging_rule
 from bsk_torch.rl.training.config import PPOConfig
 from bsk_torch.rl.training.recipes import RECIPES
 from bsk_torch.rl.training.trainer import Training

@@ -36,6 +36,7 @@ LISTED: dict[str, Listed] = {
     "Constellation-v1": Listed(MANY, "12 imagers that communicate along lines of sight"),
     "AEOSConstellation-v1": Listed(MANY, "three imagers in one plane that share all knowledge once a minute"),
     "RelayConstellation-v1": Listed(MANY, "four low imagers, two high relays; broadcasting is an action"),
+    "HeteroCluster-v1": Listed(MANY, "two optical satellites and a radar, to which clouds and night do not matter"),
     "RSOInspection-v1": Listed(MANY, "fly around a spacecraft until its surface is inspected"),
     "MultiInspection-v1": Listed(MANY, "the same with three inspectors that must not collide"),
 }

@@ -12,10 +12,11 @@ from bsk_torch.presets import PRESETS
 from bsk_torch.presets.aeos import AHEAD, ORBIT
 from bsk_torch.presets.aeos_power import BIN, BINS, CROWD, TargetDensity
 from bsk_torch.presets.constellation import CHOICES
+from bsk_torch.presets.hetero_cluster import LIT, claimed
 
 pytestmark = pytest.mark.compiled
 
-CONSTELLATIONS = ["AEOSConstellation-v1", "Constellation-v1", "RelayConstellation-v1"]
+CONSTELLATIONS = ["AEOSConstellation-v1", "Constellation-v1", "RelayConstellation-v1", "HeteroCluster-v1"]
 INSPECTIONS = {"RSOInspection-v1": 1, "MultiInspection-v1": 3}
 SCANNING = ("NadirScan-v1", "FaultyScan-v1")
 IMAGING = sorted(set(PRESETS) - {*SCANNING, *CONSTELLATIONS, *INSPECTIONS})
@@ -49,6 +50,8 @@ def test_imaging_presets_play(name, as_set):
         ("Constellation-v1", {"n_satellites": 4, "n_planes": 2, "as_set": False}, {"agents": (4, CHOICES)}),
         ("Constellation-v1", {"n_satellites": 4, "n_planes": 2, "as_set": True}, {"agents": (4, CHOICES)}),
         ("RelayConstellation-v1", {}, {"broadcasting_imager": (4, CHOICES + 1), "relay": (2, 3)}),
+        ("HeteroCluster-v1", {"as_set": False}, {"optical_imager": (2, CHOICES + 3), "radar_imager": (1, CHOICES + 3)}),
+        ("HeteroCluster-v1", {"as_set": True}, {"optical_set_imager": (2, CHOICES + 3), "radar_set_imager": (1, CHOICES + 3)}),
     ],
 )
 def test_constellations_play(name, options, groups):
@@ -134,7 +137,7 @@ def test_density_counts_every_target_once():
 
 
 WIDTHS = {"NadirScan-v1": 12, "FaultyScan-v1": 21, "AEOS-v1": 269, "CloudyAEOS-v1": 301, "AEOSPower-v1": 298,
-          "Constellation-v1": 141, "AEOSConstellation-v1": 269}  # fmt: skip
+          "Constellation-v1": 141, "AEOSConstellation-v1": 269, "HeteroCluster-v1": 182}  # fmt: skip
 
 
 @pytest.mark.parametrize(("name", "width"), WIDTHS.items())
@@ -211,3 +214,31 @@ def test_kinds_of_faulty_scan_that_do_not_occur_can_be_injected():
 def test_wrong_options_of_faulty_scan_are_rejected(options, message):
     with pytest.raises(ValueError, match=message):
         bsk_torch.make("FaultyScan-v1", num_envs=1, backend="eager", **options)
+
+
+def test_clouds_and_night_matter_to_optical_satellites_only():
+    env = make("HeteroCluster-v1", n_targets=2000, num_envs=8, time_limit=3000.0)
+    td, (optical, radar) = env.reset(), env.satellites
+    assert [satellite.sees_through_clouds for satellite in env.satellites] == [False, True]
+    assert (optical.sat_args["imageTargetMinimumSunElevation"] == LIT).all()
+    assert radar.sat_args["imageTargetMinimumSunElevation"] is None
+    policy = bsk_torch.rule("cooperative", env)
+    paid = torch.zeros(8, dtype=torch.float64)
+    for _ in range(60):
+        td = env.step(policy(td))["next"]
+        paid += sum(td[group, "reward"].sum((1, 2)) for group in env.group_map)
+    imaged, covered = env.rewarder.imaged, env.scenario.cloud_cover > 0.7
+    assert (imaged & covered).any()
+    torch.testing.assert_close(paid, (imaged * env.scenario.priority).sum(1))
+    assert not env.rewarder.memory["covered"][:, 2].any()
+
+
+def test_claims_are_what_others_are_about_to_image():
+    env = make("HeteroCluster-v1", backend="eager")
+    env.reset()
+    optical, radar = env.satellites
+    place = radar.find_next_opportunities(CHOICES, "target").place
+    optical.task.previous_action = -2 - place[:, :2].flatten()
+    optical.task.requires_retasking = torch.tensor([False, True] * 3)
+    targets = radar.find_next_opportunities(CHOICES, "target")
+    assert torch.equal(claimed(radar, targets), (targets.place == place[:, :1]).to(targets.close.dtype))

@@ -17,7 +17,7 @@ from bsk_torch.sim.arguments.values import nearest
 Base: TypeAlias = "TensorDictModuleBase | str | Path | None"
 """A policy for all agents, its name, or its file; None for the first applicable rule of :data:`USUAL`."""
 
-USUAL = ("hasty", "rule", "survey", "drift", "random")
+USUAL = ("cooperative", "hasty", "rule", "survey", "drift", "random")
 """Rules, the best first."""
 
 

@@ -12,6 +12,7 @@ name                       module                      task
 ``AEOSConstellation-v1``   ``presets.constellation``   three imagers in one plane that share all knowledge once a minute
 ``Constellation-v1``       ``presets.constellation``   12 imagers that communicate along lines of sight
 ``RelayConstellation-v1``  ``presets.constellation``   four low imagers, two high relays; broadcasting is an action
+``HeteroCluster-v1``       ``presets.hetero_cluster``  two optical satellites and a radar, to which clouds do not matter
 ``RSOInspection-v1``       ``presets.inspection``      fly around a spacecraft until its surface is inspected
 ``MultiInspection-v1``     ``presets.inspection``      the same with three inspectors that must not collide
 =========================  ==========================  ==================================================================
@@ -28,6 +29,7 @@ from bsk_torch.presets.aeos import aeos, aeos_city, cloudy_aeos
 from bsk_torch.presets.aeos_power import aeos_power
 from bsk_torch.presets.constellation import aeos_constellation, constellation, relay_constellation
 from bsk_torch.presets.faulty_scan import faulty_scan
+from bsk_torch.presets.hetero_cluster import hetero_cluster
 from bsk_torch.presets.inspection import multi_inspection, rso_inspection
 from bsk_torch.presets.nadir_scan import nadir_scan
 from bsk_torch.sim.arguments.values import nearest
@@ -44,6 +46,7 @@ PRESETS: dict[str, Callable[..., Any]] = {
     "Constellation-v1": constellation,
     "AEOSConstellation-v1": aeos_constellation,
     "RelayConstellation-v1": relay_constellation,
+    "HeteroCluster-v1": hetero_cluster,
     "RSOInspection-v1": rso_inspection,
     "MultiInspection-v1": multi_inspection,
 }

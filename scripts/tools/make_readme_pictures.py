@@ -63,6 +63,9 @@ FILM_SEED, THUMBNAIL_SEED = 3, 59
 INSPECTIONS, INSPECTION, INSPECTION_SEED = ("RSOInspection-v1", "MultiInspection-v1"), "survey", 4
 """Presets whose thumbnail is made of paths about an RSO, and the rule and the seed of the episode that it shows."""
 
+CLUSTER, CLUSTER_RULE = "HeteroCluster-v1", "cooperative"
+"""Preset without a pretrained policy, and the rule that its thumbnail shows."""
+
 GUIDES = ("own_rewarder", "own_satellite")
 """Pages of docs/how_to whose blocks draw ``<page>.png``."""
 
@@ -71,14 +74,16 @@ INK, OURS, THEIRS = "#14171c", "#2a6ebb", "#98a2b3"
 
 def options_of(preset: str) -> dict[str, Any]:
     """Return the options of the environment that the pretrained policy was trained in, without those of its training."""
+    if preset == CLUSTER:
+        return {}
     options = read_card(pretrained_file(preset))["options"]
     return {name: value for name, value in options.items() if name != "time_limit"}
 
 
 def played(preset: str, seed: int, **options: Any) -> Iterator[Tasking]:
-    """Yield the environment of one episode at the reset and after each decision of the pretrained policy."""
+    """Yield the environment of one episode at the reset and after each decision of the policy or rule."""
     env = make(preset, num_envs=1, seed=seed, **(options_of(preset) | options))
-    policy = shared(pretrained(preset), env)
+    policy = bsk_torch.rule(CLUSTER_RULE, env) if preset == CLUSTER else shared(pretrained(preset), env)
     start = env.reset()
     yield env
     for _ in play_episodes(env, policy, start):

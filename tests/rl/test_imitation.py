@@ -230,7 +230,10 @@ def test_satellites_of_a_constellation_imitate_what_the_rule_fits(caplog):
         (dict(imitation=float("nan")), r"imitation=nan must lie in"),
         (dict(imitation_temperature=-0.1), r"imitation_temperature=-0.1 must lie in \[0, inf\)"),
         (dict(imitate="survey", imitation_temperature=0.1), r"=0.1 needs a rule .*, one of \['greedy', .*\]"),
-        (dict(imitate="nearest", imitation_temperature=0.1), r"one of \['greedy', 'hasty', 'farsighted'\]; .*imitate='nearest'"),
+        (
+            dict(imitate="nearest", imitation_temperature=0.1),
+            r"one of \['greedy', 'hasty', 'farsighted', 'cooperative'\]; .*imitate='nearest'",
+        ),
     ],
 )
 def test_settings_that_do_not_work(changes, message):

@@ -64,6 +64,14 @@ def test_pictures_have_a_row_for_every_environment_that_is_drawn():
     assert not torch.equal(single, env.render(rows=0, height=240))  # another episode
 
 
+def test_types_may_have_different_numbers_of_wheels():
+    env = bsk_torch.make("HeteroCluster-v1", num_envs=1, seed=0, n_targets=300, time_limit=300.0)
+    env.reset()
+    fastest = max(float(part.dynamics.wheel_speeds_fraction.abs().max()) for part in env.satellites)
+    assert look(env, 0).levels["wheel speeds"] == fastest
+    assert env.render(height=240).shape == (1, 240, 320, 3)
+
+
 def test_wrong_arguments_are_named():
     env = scanner()
     with pytest.raises(RuntimeError, match="reset"):

@@ -210,6 +210,7 @@ def rule(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
     ``nearest``         ``act.Image``, and targets in ``obs.OpportunityProperties``
     ``hasty``           likewise, with ``priority``, ``target_angle``, ``opportunity_open`` and ``opportunity_close``
     ``farsighted``      likewise, and ``r_LB_H``
+    ``cooperative``     the observations and actions of ``HeteroCluster-v1``
     ``drift``           the observations and actions of ``RSOInspection-v1`` and ``MultiInspection-v1``
     ``circumnavigate``  the same
     ``survey``          the same

@@ -14,7 +14,8 @@ from torch import Tensor
 
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.rl.rules.continuous import Bounds, bounds_of, spread
-from bsk_torch.rl.rules.imaging import IMAGING_RULES, imaging_rule
+from bsk_torch.rl.rules.cooperative import CooperativeRule
+from bsk_torch.rl.rules.imaging import IMAGING_RULES, ImagingRule, ranking_rule
 from bsk_torch.rl.rules.inspection import inspection_rule
 from bsk_torch.rl.rules.observation_columns import Columns
 
@@ -126,11 +127,17 @@ def scan_rule(env: SatelliteTasking, seed: int = 0, thresholds: ScanRule = ScanR
     )
 
 
+RANKINGS: dict[str, Callable[[SatelliteTasking], ImagingRule]] = {
+    **{name: partial(ImagingRule.of, worth=worth) for name, worth in IMAGING_RULES.items()},
+    "cooperative": CooperativeRule.in_cluster,
+}
+"""Rules by name that rank all actions: functions of the environment."""
+
 BASELINES: dict[str, Callable[[SatelliteTasking, int], TensorDictModuleBase]] = {
     "random": random_policy,
     "rule": scan_rule,
     "cautious": partial(scan_rule, thresholds=CAUTIOUS),
-    **{name: imaging_rule(worth) for name, worth in IMAGING_RULES.items()},
+    **{name: ranking_rule(ranking) for name, ranking in RANKINGS.items()},
     "drift": inspection_rule("drift"),
     "circumnavigate": inspection_rule("circumnavigate"),
     "survey": inspection_rule("survey"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from tensordict.nn import TensorDictModule
@@ -52,19 +53,25 @@ def by_discounted_priority(see: TargetReader, observation: Observation) -> Tenso
 
 
 def by_tour(see: TargetReader, observation: Observation) -> Tensor:
-    """Rank targets by the discounted priorities of a tour that starts with each; unreachable targets come last, nearest first.
+    """Rank targets by the discounted priorities of a tour that starts with each; see :func:`tours`."""
+    return tours(see, observation, see.read(observation, "priority"))
 
-    From a target, a tour continues with the best of the others that is reached before its window closes, :data:`TOUR` times. The
-    duration of a turn between two targets is estimated from the angle between their present directions, and the satellite is
-    assumed to reach each target when it would if it turned there first. The same target may be counted twice. With these
-    simplifications, all tours take n^2 operations.
+
+def tours(see: TargetReader, observation: Observation, priority: Tensor, slew: float = SLEW) -> Tensor:
+    """Return the values of tours that start with each target, [N, n]; unreachable targets come last, nearest first.
+
+    The value of a tour is the sum of the discounted ``priority`` [N, n] of its targets. From a target, a tour continues with the
+    best of the others that is reached before its window closes, :data:`TOUR` times. The duration of a turn between two targets is
+    estimated from the angle between their present directions, and the satellite is assumed to reach each target when it would if
+    it turned there first. The same target may be counted twice. With these simplifications, all tours take n^2 operations. A turn
+    of one radian takes ``slew`` seconds.
     """
     angle, opens, closes = (see.read(observation, name) for name in ("target_angle", "opportunity_open", "opportunity_close"))
-    priority, direction = see.read(observation, "priority"), see.read_vector(observation, "r_LB_H")
-    arrival = torch.maximum(opens, SLEW * angle.clamp(min=0.0).sqrt())
+    direction = see.read_vector(observation, "r_LB_H")
+    arrival = torch.maximum(opens, slew * angle.clamp(min=0.0).sqrt())
     x, y, z = (direction / direction.norm(dim=-1, keepdim=True).clamp(min=1e-9)).unbind(-1)
     cosine = sum(part.unsqueeze(2) * part.unsqueeze(1) for part in (x, y, z))
-    turned = arrival.unsqueeze(2) + SLEW * torch.acos(cosine.clamp(-1.0, 1.0)).sqrt()
+    turned = arrival.unsqueeze(2) + slew * torch.acos(cosine.clamp(-1.0, 1.0)).sqrt()
     following = torch.maximum(turned, opens.unsqueeze(1))
     other = (direction.unsqueeze(2) != direction.unsqueeze(1)).any(-1)  # padding of vectors repeats a target
     possible = other & see.exist(observation).unsqueeze(1) & (following <= closes.unsqueeze(1))
@@ -130,10 +137,15 @@ class ImagingRule:
 
 
 def imaging_rule(worth: Worth) -> Callable[[SatelliteTasking, int], TensorDictModule]:
-    """Return a function from environment and seed to an :class:`ImagingRule`; it raises KeyError or ValueError if unsuitable."""
+    """Return :func:`ranking_rule` of the :class:`ImagingRule` with this ``worth``."""
+    return ranking_rule(partial(ImagingRule.of, worth=worth))
+
+
+def ranking_rule(ranking: Callable[[SatelliteTasking], ImagingRule]) -> Callable[[SatelliteTasking, int], TensorDictModule]:
+    """Return a function from environment and seed to a rule; it raises KeyError or ValueError if unsuitable."""
 
     def make(env: SatelliteTasking, seed: int = 0) -> TensorDictModule:
-        rule = ImagingRule.of(env, worth)
+        rule = ranking(env)
         zero = env.observation_spec.zero()
         rule.decide(zero["observation"], zero["action_mask"])
         return TensorDictModule(rule.decide, in_keys=["observation", "action_mask"], out_keys=["action"])

@@ -124,7 +124,7 @@ class PPOConfig:
         imitation: Part of the budget in which it does; 1 for a training without reinforcement learning and critic.
         imitation_temperature: The rule teaches probabilities proportional to exp(worth / (temperature * best)), with the largest
             worth of an image in the same decision; the worth of an image is about its discounted priority. For the imaging rules
-            ``"greedy"``, ``"hasty"`` and ``"farsighted"`` only. 0: the rule teaches its actions.
+            ``"greedy"``, ``"hasty"``, ``"farsighted"`` and ``"cooperative"`` only. 0: the rule teaches its actions.
         stagger: Whether the first episodes are cut at random, so that batches mix early and late decisions from the start.
         evaluate_every: Decisions between two evaluations on unseen episodes, by which the best policy is kept; 0 for none before
             the end. None for the least of :data:`EVALUATE_EVERY` and an eighth of ``frames``, or for 0 if that would be less than

@@ -15,8 +15,7 @@ from torch import Tensor
 
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.action_forms import form
-from bsk_torch.rl.rules.baselines import BASELINES
-from bsk_torch.rl.rules.imaging import IMAGING_RULES, ImagingRule
+from bsk_torch.rl.rules.baselines import BASELINES, RANKINGS
 from bsk_torch.rl.rules.targets import Observation
 from bsk_torch.rl.training.loss import log_probabilities, log_probability
 from bsk_torch.sim.arguments.values import nearest
@@ -27,7 +26,7 @@ TEACHERS = tuple(name for name in BASELINES if name != "random")
 CHUNK = 2048
 """Situations that the rule judges at once: some compare all pairs of targets."""
 
-RANKED = tuple(name for name in IMAGING_RULES if name != "nearest")
+RANKED = tuple(name for name in RANKINGS if name != "nearest")
 """Rules to which actions have a worth, so that they can teach probabilities; to ``nearest`` they only have an order."""
 
 FAINT = 1e-60
@@ -72,7 +71,7 @@ def find_teacher(name: str, env: SatelliteTasking, temperature: float = 0.0) -> 
         raise ValueError(f"imitate={name!r} does not fit {env.satellite.name}: {reason}") from error
     if not temperature:
         return rule
-    ranking = ImagingRule.of(env, IMAGING_RULES[name])
+    ranking = RANKINGS[name](env)
 
     def probabilities(observation: Observation, action_mask: Tensor) -> Tensor:
         worths = ranking.worths(observation, action_mask).double()

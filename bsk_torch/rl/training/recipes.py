@@ -23,6 +23,13 @@ CREW_WITH_RELAYS: dict[str, dict[str, Any]] = {
 }
 """Targets are few, so that hardly any has to be left out: the rule that loses the fewest is the start, and haste pays less."""
 
+CLUSTER: dict[str, dict[str, Any]] = {
+    "attention": dict(
+        imitate="cooperative", imitation=0.3, imitation_temperature=0.1, gamma=0.999, evaluate_every=50_000, evaluate_episodes=128
+    )
+}
+"""For satellites with different instruments: which targets to leave to others is taught, when to charge pays later."""
+
 SCANNING: dict[str, dict[str, Any]] = {
     "mlp": dict(evaluate_every=250_000),
     "gru": dict(evaluate_every=250_000, rollout=32, minibatch=4096),
@@ -63,6 +70,7 @@ RECIPES: dict[str, dict[str, dict[str, Any]]] = {
     "Constellation-v1": CREW_OF_IMAGERS,
     "AEOSConstellation-v1": CREW_OF_IMAGERS,
     "RelayConstellation-v1": CREW_WITH_RELAYS,
+    "HeteroCluster-v1": CLUSTER,
     "RSOInspection-v1": INSPECTION,
     "MultiInspection-v1": CREW,
 }

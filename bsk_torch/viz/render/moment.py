@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -215,12 +216,17 @@ def none(part: SatelliteGroup) -> Tensor:
     return torch.full_like(part.simulator.ticks, NONE)
 
 
+def _largest(name: str, part: SatelliteGroup) -> Tensor:
+    """The largest magnitude of a quantity of each satellite of a type, [N]; types may have different numbers of wheels."""
+    return getattr(part.dynamics, name).abs().reshape(part.simulator.state.rows, -1).amax(1)
+
+
 def _levels(env: Tasking, row: int) -> dict[str, float]:
     levels = {}
     for name, title in QUANTITIES.items():
         there = [part for part in env.fleet.satellites if hasattr(type(part.dynamics), name)]
         if there:
-            values = of_satellites(env, row, name)
-            values = values[torch.isfinite(values)].abs()
+            values = env.fleet.each(partial(_largest, name), missing=math.nan)[row][env.present[row]]
+            values = values[torch.isfinite(values)]
             levels[title] = float(values.min() if title == LOW else values.max())
     return levels
