@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import torch
 from torch import Tensor
 
 from bsk_torch._checks import switch, whole
 from bsk_torch.act.base import Action, Decision, positive_duration
+from bsk_torch.sim.instruments import INDEX, number_of
+from bsk_torch.sim.places import instrument_kind
 
 if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite
@@ -32,42 +34,56 @@ class Image(Action):
     The action ends when the image is taken, when the target's window closes, or after ``max_duration``. Choosing the same target
     again continues the action: a target is not imaged twice in a row. Actions -1, -2, ... select targets 0, 1, ... by their index
     in the scenario; see :func:`image_target`.
+
+    A satellite with several ``instruments`` has an entry for each that it may choose. Windows are those of the instrument, the
+    choice holds from the next tick on, and an image that the last instrument has not taken yet is dropped. Negative actions
+    belong to the first of these entries.
     """
 
     satellite: BoundImagingSatellite
 
     def __init__(
-        self, n_ahead_image: int, max_duration: float | None = None, name: str = "action_image", mask_repeated: bool = False
+        self,
+        n_ahead_image: int,
+        max_duration: float | None = None,
+        name: str = "action_image",
+        mask_repeated: bool = False,
+        instrument: str | int | None = None,
     ) -> None:
         """Provide ``n_ahead_image`` actions.
 
         Args:
             n_ahead_image: Number of windows to choose from.
             max_duration: Maximum duration, s; None for no limit other than the window.
-            name: Name in ``action_description``.
+            name: Name in ``action_description``, followed by the instrument where one is given.
             mask_repeated: Whether ``action_mask`` excludes actions that repeat the last target because fewer than
                 ``n_ahead_image`` windows are known.
+            instrument: Name or number of the instrument, of a satellite with several.
 
         Raises:
             ValueError: For fewer than one target or a duration that is not positive.
         """
-        super().__init__(name)
+        super().__init__(name if instrument is None else f"{name}_{instrument}")
+        self.instrument, self._number = instrument, cast("int | None", None)
         self.n_actions, self.mask_repeated = whole("n_ahead_image", n_ahead_image, 1), switch("mask_repeated", mask_repeated)
         self.max_duration = positive_duration("max_duration", max_duration, name, float("inf"))
 
     def link_satellite(self, satellite: BoundSatellite) -> None:
-        """See :meth:`Action.link_satellite`; ValueError for a satellite that cannot image or has no targets."""
+        """See :meth:`Action.link_satellite`; ValueError for one that cannot image, has no targets, or lacks the instrument."""
         super().link_satellite(satellite)
         satellite.simulator.check_command("image")
-        kinds = getattr(satellite, "opportunity_types", ())
-        if not hasattr(satellite, "target_types") or satellite.target_types not in kinds:
+        kinds, listed = getattr(satellite, "opportunity_types", ()), satellite.simulator.type.instruments
+        wanted: Any = getattr(satellite, "target_types", None)
+        if listed or self.instrument is not None:
+            self._number = number_of(listed, self.instrument, f"act.Image {self.name!r}")
+            wanted = instrument_kind(listed[self._number])
+        if not hasattr(satellite, "target_types") or wanted not in kinds:
             raise ValueError(
                 f"{self.name!r} needs a sats.ImagingSatellite and a scenario with targets, such as scene.UniformTargets; "
                 f"{satellite.name} is a {type(satellite).__name__} with opportunities of type {list(kinds) or 'none'}"
             )
-        self.kind = satellite.target_types
-        targets = satellite.simulator.scenario_state["target_exists"].shape[1]
-        self.satellite.access_windows.expect(self.n_actions, targets)
+        self.kind: str = wanted
+        self.satellite.access_windows.expect(self.n_actions, self.n_negative_actions)
 
     @property
     def n_negative_actions(self) -> int:
@@ -98,10 +114,13 @@ class Image(Action):
         mode = torch.full_like(target, simulator.mode_names.index("image"))
         return Decision(mode, (key != previous) & ~waits, duration, key, expected)
 
-    @staticmethod
-    def keys(target: Tensor) -> Tensor:
+    def keys(self, target: Tensor) -> Tensor:
         """Return the keys of actions on targets: other actions have keys from 0 on, and -1 is :data:`NO_TARGET`."""
-        return -2 - target
+        return -2 - (self._number or 0) * self.n_negative_actions - target
+
+    def targets(self, key: Tensor) -> Tensor:
+        """Return the targets of actions with :meth:`keys`."""
+        return self.keys(key)  # it is its own inverse
 
     def _by_index(self, mask: Tensor, action: Tensor, *found: Tensor) -> tuple[Tensor, ...]:
         """Replace target and window where ``mask`` [N] holds, in which actions name a target by its index.
@@ -110,7 +129,7 @@ class Image(Action):
             ValueError: For a target without a known window.
         """
         target = torch.where(mask, -1 - action, 0)
-        window = self.satellite.window_of(target)
+        window = self.satellite.window_of(target, self.kind)
         missing = mask & torch.isinf(window[1])
         if bool(missing.any()):
             row = int(torch.nonzero(missing)[0])
@@ -121,15 +140,24 @@ class Image(Action):
         return tuple(torch.where(mask, a, b) for a, b in zip((target, *window), found, strict=True))
 
     def begin(self, mask: Tensor, decision: Decision) -> None:
-        """See :meth:`Action.begin`: set the target of the pointing guidance, and arm the event of a growing store."""
-        simulator, target = self.satellite.simulator, self.keys(decision.key)  # keys() is its own inverse
+        """See :meth:`Action.begin`: set instrument and target of the pointing guidance, and arm the event of a growing store."""
+        simulator, target = self.satellite.simulator, self.targets(decision.key)
         mask = mask & (decision.key != NO_TARGET)
+        if self._number is not None:
+            self._choose(self._number, mask)
         place = torch.where(mask, target, 0).unsqueeze(-1)
         r_LP_P = self.satellite.positions(self.kind, place).squeeze(1)
         simulator.write("r_LP_P", mask & decision.retask, r_LP_P)
         simulator.write("image_level", mask, self.satellite.dynamics.partition_levels[:, 0])
         memory = simulator.memory
         memory["latest_target"] = torch.where(mask, target, memory["latest_target"])
+
+    def _choose(self, number: int, mask: Tensor) -> None:
+        """Choose an instrument where ``mask`` [N] holds; what was commanded to another one is withdrawn."""
+        simulator, index = self.satellite.simulator, self.satellite.simulator.read(INDEX)
+        changed = mask & (index != number)
+        simulator.write("instrument_command", changed, torch.zeros_like(index))
+        simulator.write(INDEX, changed, torch.full_like(index, number))
 
     def end(self, mask: Tensor, decision: Decision, event: Tensor) -> None:
         """See :meth:`Action.end`: count windows that have closed without an image."""

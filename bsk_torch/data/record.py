@@ -14,6 +14,7 @@ from torch import Tensor
 from bsk_torch.data.pickled import Pickler, Unpickler, modules_of
 from bsk_torch.sats.one import OneSatellite, OneScenario, OneView
 from bsk_torch.sats.one_access import OneAccessSatellite
+from bsk_torch.sim.places import is_target
 
 Filter = Callable[[Mapping[str, Any]], Any]
 
@@ -62,7 +63,7 @@ class HideImaged:
 
     def __call__(self, opportunity: Mapping[str, Any]) -> bool:
         """Return whether an opportunity remains."""
-        return opportunity["type"] != "target" or opportunity["object"] not in self.store.data.imaged
+        return not is_target(opportunity["type"]) or opportunity["object"] not in self.store.data.imaged
 
 
 class StoringSatellite:
@@ -98,7 +99,7 @@ class StoringSatellite:
     def hide(self, kind: str, allowed: Tensor) -> None:
         """Set the places of a type that a filter hides to False in ``allowed`` [P]."""
         others = [keep for keep in self._filters if not isinstance(keep, HideImaged)]
-        if kind == "target":
+        if is_target(kind):
             for keep in self._filters:
                 if isinstance(keep, HideImaged):
                     for target in keep.store.data.imaged:

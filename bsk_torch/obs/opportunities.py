@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import torch
 from torch import Tensor
@@ -16,7 +16,8 @@ from bsk_torch.obs.entries import is_own, parse_entries, scaled
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.access.relative_geometry import SATELLITE_PROPERTIES
 from bsk_torch.sim.arguments.values import nearest
-from bsk_torch.sim.places import STATION_KIND, FixedPlaces
+from bsk_torch.sim.instruments import number_of
+from bsk_torch.sim.places import STATION_KIND, FixedPlaces, instrument_kind, is_target
 from bsk_torch.sim.readout.observables import observable
 from bsk_torch.vec3 import Vec3
 
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from bsk_torch.sats.bound_access import BoundAccessSatellite
     from bsk_torch.sats.opportunities import Opportunities
 
-Preset = Callable[[Any, Any], Tensor]
+Preset = Callable[..., Tensor]
 """A function of the satellite and its next opportunities that returns [N, n] or [N, n, width]."""
 
 
@@ -55,8 +56,8 @@ def sun_elevation(satellite: BoundAccessSatellite, opportunities: Opportunities)
 
 
 def _relative_geometry(part: slice | int) -> Preset:
-    def geometry(satellite: BoundAccessSatellite, opportunities: Opportunities) -> Tensor:
-        return satellite.aims(opportunities)[..., part]
+    def geometry(satellite: BoundAccessSatellite, opportunities: Opportunities, instrument: int | None = None) -> Tensor:
+        return satellite.aims(opportunities, instrument)[..., part]
 
     return geometry
 
@@ -111,6 +112,7 @@ class OpportunityProperties(Observation):
         type: str = "target",
         name: str | None = None,
         as_set: bool = False,
+        instrument: str | int | None = None,
     ) -> None:
         """Observe opportunities.
 
@@ -121,21 +123,28 @@ class OpportunityProperties(Observation):
             name: Name of the observation (default: that of the type).
             as_set: Whether to return ``rows`` [N, n, features] and ``mask`` [N, n] (1, or 0 for repetitions) instead of named
                 numbers, for permutation-invariant policies.
+            instrument: Name or number of one of several ``instruments``: opportunities are its own, and angles those of its axis
+                (default: of the instrument chosen last).
 
         Raises:
             ValueError: For unknown keys or presets, equal names, or fewer than one opportunity.
         """
-        super().__init__(text("type", type) if name is None else name)
+        kind = text("type", type)
+        known = kind if instrument is None else f"{kind}_{instrument}"
+        super().__init__(known if name is None else name)
+        if instrument is not None and not is_target(type):
+            raise ValueError(f"instrument={instrument!r} has opportunities of targets; those of type {type!r} have none")
         parsed = parse_entries(entries, {"prop", "fn", "norm", "name"}, "obs.OpportunityProperties")
         for entry in parsed:
             if "fn" in entry:
                 continue
             if entry["prop"] not in PRESETS:
                 raise ValueError(f"prop={entry['prop']!r} is not a property of opportunities; {nearest(entry['prop'], PRESETS)}")
-            if entry["prop"] in ONLY_TARGETS and type != "target":
+            if entry["prop"] in ONLY_TARGETS and not is_target(type):
                 raise ValueError(f"prop={entry['prop']!r} is a property of targets; opportunities of type {type!r} have none")
         self.n_ahead_observe = whole("n_ahead_observe", n_ahead_observe, 1)
-        self.entries, self.type, self.as_set = parsed, text("type", type), switch("as_set", as_set)
+        self.entries, self.type, self.as_set = parsed, kind, switch("as_set", as_set)
+        self.instrument, self._number = instrument, cast("int | None", None)
         self.exact = ("mask",) if as_set else ()  # not changed by obs.Noisy
         titles = (f"{entry['name']!r} of {self.name!r}" for entry in parsed)
         self._functions = [
@@ -151,7 +160,10 @@ class OpportunityProperties(Observation):
     def link_satellite(self, satellite: BoundSatellite) -> None:
         """See :meth:`Observation.link_satellite`; ValueError for a satellite without such opportunities."""
         super().link_satellite(satellite)
-        kinds = getattr(satellite, "opportunity_types", ())
+        listed, kinds = satellite.simulator.type.instruments, getattr(satellite, "opportunity_types", ())
+        if self.instrument is not None:
+            number = number_of(listed, self.instrument, f"obs.OpportunityProperties {self.name!r}")
+            self._number, self.type = number, instrument_kind(listed[number])
         if self.type not in kinds:
             raise ValueError(
                 f"type={self.type!r}: {satellite.name} has opportunities of type {list(kinds) or 'none'}; targets need a "
@@ -188,7 +200,9 @@ class OpportunityProperties(Observation):
         columns = {}
         for entry, function in zip(self.entries, self._functions, strict=True):
             if function is None:
-                column = (entry.get("fn") or PRESETS[entry["prop"]])(self.satellite, opportunities)
+                preset = entry.get("fn") or PRESETS[entry["prop"]]
+                of_instrument = () if "fn" in entry or entry["prop"] not in NEEDS or self._number is None else (self._number,)
+                column = preset(self.satellite, opportunities, *of_instrument)
             else:
                 column = self._call(entry["fn"], function, opportunities)
             columns[entry["name"]] = scaled(column, entry["norm"])

@@ -12,7 +12,7 @@ from torch import Tensor
 from bsk_torch.sats.one_access import OneAccessSatellite
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.names import nearest
-from bsk_torch.sim.places import TARGET_KIND
+from bsk_torch.sim.places import TARGET_KIND, is_target
 
 if TYPE_CHECKING:
     from bsk_torch.sats.bound_access import BoundAccessSatellite
@@ -101,8 +101,8 @@ class AccessFilter:
         return hash((self.function, self.types))
 
     def concerns(self, kind: str) -> bool:
-        """Return whether opportunities of a type are filtered."""
-        return self.types is None or kind in self.types
+        """Return whether opportunities of a type are filtered; all instruments have the same targets."""
+        return self.types is None or kind in self.types or (is_target(kind) and TARGET_KIND in self.types)
 
     def __call__(self, satellite: BoundAccessSatellite, kind: str) -> Tensor:
         """Return the places of a type that remain, [N, P] booleans."""

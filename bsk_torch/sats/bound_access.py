@@ -19,7 +19,8 @@ from bsk_torch.sim.access.relative_geometry import SATELLITE_PROPERTIES, relativ
 from bsk_torch.sim.access.window_table import Windows, candidates
 from bsk_torch.sim.access.windows import MAX_SEGMENTS, AccessWindows
 from bsk_torch.sim.arguments.values import nearest
-from bsk_torch.sim.places import TARGET_KIND
+from bsk_torch.sim.dyn.panels import unit_rows
+from bsk_torch.sim.places import TARGET_KIND, is_target
 
 
 class BoundAccessSatellite(BoundSatellite, AccessSatellite):
@@ -37,7 +38,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         self.access_filters = [given.bound(self.opportunity_types) for given in self.access_filters]
         self._cache: dict[tuple[str, int], tuple[tuple[int, int], Opportunities]] = {}
         self._lists: dict[tuple[str, bool], tuple[tuple[int, int], Windows]] = {}
-        self._aims: tuple[Opportunities, int, Tensor] | None = None
+        self._aims: tuple[Opportunities, tuple[int, int | None], Tensor] | None = None
 
     @property
     def opportunity_types(self) -> tuple[str, ...]:
@@ -155,7 +156,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
 
     def objects(self, type: str, place: Tensor) -> Any:
         """Return the objects of places [N, n]: :class:`~bsk_torch.sats.objects.TargetObjects`, else names [N, n]."""
-        return TargetObjects(self, place) if type == TARGET_KIND else place_names(self, type, place)
+        return TargetObjects(self, place) if is_target(type) else place_names(self, type, place)
 
     def _or_nothing(self, windows: Windows, found: Tensor) -> Windows:
         """Return the windows [N, n], those of place 0 that open and close now where none was ``found`` [N]."""
@@ -206,21 +207,30 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
             raise ValueError(f"type={given[0]!r} is not a type of opportunity; {nearest(given[0], self.opportunity_types)}")
         return given[0]
 
-    def aims(self, opportunities: Opportunities) -> Tensor:
+    def aims(self, opportunities: Opportunities, instrument: int | None = None) -> Tensor:
         """Return the geometry of places relative to the satellite now, [N, n, 5].
 
-        See :mod:`bsk_torch.sim.access.relative_geometry` for the five numbers and their units.
+        See :mod:`bsk_torch.sim.access.relative_geometry` for the five numbers and their units. Angles are those of the instrument
+        with a number, or of the one chosen last.
         """
-        observer = self.simulator.observer
-        if self._aims is None or self._aims[0] is not opportunities or self._aims[1] != self.simulator.state.version:
+        observer, asked = self.simulator.observer, (self.simulator.state.version, instrument)
+        if self._aims is None or self._aims[0] is not opportunities or self._aims[1] != asked:
             models, zero = (self.dynamics, self.fsw), torch.zeros_like(self.dynamics.r_BN_P)
             found = (
                 [getattr(model, name) for model in models if hasattr(model.__class__, name)] for name in SATELLITE_PROPERTIES
             )
             satellite = tuple(values[0] if values else zero for values in found)
+            if instrument is not None:
+                axis = SATELLITE_PROPERTIES.index("c_hat_P")
+                satellite = (*satellite[:axis], self._axis_P(instrument), *satellite[axis + 1 :])
             found_now = relative_geometries(satellite, opportunities.r_LP_P, observer.kernels)
-            self._aims = opportunities, self.simulator.state.version, found_now
+            self._aims = opportunities, asked, found_now
         return self._aims[2]
+
+    def _axis_P(self, instrument: int) -> Tensor:
+        """Return the axis of an instrument in the Earth-fixed frame, [N, 3], of length one."""
+        axis = self.simulator.argument(self.simulator.type.instruments[instrument].argument("inst_pHat_B"))
+        return (self.dynamics.BP.mT @ unit_rows(axis).unsqueeze(-1)).squeeze(-1)
 
     def opportunities(self, type: str | None = None, *, types: str | Collection[str] | None = None) -> Windows:
         """Return all computed windows of a type, sorted by closing time, [N, W]; missing ones close at infinity.

@@ -94,9 +94,12 @@ class BoundImagingSatellite(BoundAccessSatellite, ImagingSatellite):
         """See :meth:`Satellite.counts`."""
         return {"imaged": self.imaged, "missed": self.missed}
 
-    def window_of(self, target: Tensor) -> tuple[Tensor, Tensor]:
-        """Return opening and closing time of the next known window of a target [N], [N] s each; infinity if none is known."""
-        windows = self.upcoming_opportunities(self.target_types)
+    def window_of(self, target: Tensor, type: str | None = None) -> tuple[Tensor, Tensor]:
+        """Return opening and closing time of the next known window of a target [N], [N] s each; infinity if none is known.
+
+        Windows are those of a type of opportunities (default: ``target_types``).
+        """
+        windows = self.upcoming_opportunities(type or self.target_types)
         mine = (windows.place == target.unsqueeze(-1)) & torch.isfinite(windows.close)
         opens, closes = (torch.where(mine, time, torch.inf).amin(1) for time in (windows.open, windows.close))
         return opens, closes

@@ -12,7 +12,7 @@ from bsk_torch.sats.objects import OneTarget, names_of
 from bsk_torch.sats.one import OneSatellite, of_row
 from bsk_torch.sim.access.windows import MAX_SEGMENTS
 from bsk_torch.sim.names import nearest
-from bsk_torch.sim.places import TARGET_KIND
+from bsk_torch.sim.places import is_target
 
 Types = str | Collection[str] | None
 """Type of opportunities, several types, or None for all."""
@@ -36,7 +36,7 @@ class OneAccessSatellite(OneSatellite):
     """An access satellite of one environment, with bsk_rl's queries: opportunities are dictionaries, sorted by closing time."""
 
     def _make(self, kind: str, place: int, r_LP_P: object, **window: Window) -> OneOpportunity:
-        if kind == TARGET_KIND:
+        if is_target(kind):
             thing: Any = OneTarget(self._whole, self._env, place)
         else:
             thing = names_of(self._whole, kind)[place]
@@ -46,7 +46,7 @@ class OneAccessSatellite(OneSatellite):
 
     def _positions(self, kind: str) -> NDArray[Any]:
         """Return the Earth-fixed positions of all places of a type, [P, 3] m."""
-        if kind == TARGET_KIND:
+        if is_target(kind):
             return self._whole.scenario.r_LP_P[self._env].cpu().numpy()
         row, places = torch.tensor([self._row]), self._whole.simulator.access.kinds[kind]
         place, now = torch.arange(places.count).unsqueeze(0), self._whole.simulator.sim_time[row].unsqueeze(-1)

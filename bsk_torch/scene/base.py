@@ -11,12 +11,13 @@ from torch import Tensor
 
 from bsk_torch._checks import no_gradient
 from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked, check_tensor, overrides
-from bsk_torch.sim.places import TARGET_KIND, TARGETS, DrawnTargets, SunElevation
+from bsk_torch.sim.places import TARGET_KIND, TARGETS, AboveElevation, DrawnTargets, SunElevation, WithinRange, instrument_kind
 
 if TYPE_CHECKING:
     from bsk_torch.rand import Key
     from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.sats.satellite import Satellite
+    from bsk_torch.sim.instruments import Instrument
     from bsk_torch.sim.places import Places, PlaceTables
     from bsk_torch.sim.state import StateTable
 
@@ -46,25 +47,47 @@ def _same(one: Any, other: Any) -> bool:
     return one[2:] == other[2:] and bool((one[1] == other[1]).all())
 
 
+FARTHEST = 1e12
+"""Range, m, that stands for no limit."""
+
+
 def target_places(tables: PlaceTables) -> dict[str, Places]:
-    """Return a scenario's drawn targets as a kind of places, for satellites with a minimum elevation of targets."""
-    drawn, arguments = tables.drawn, tables.arguments
-    if TARGETS not in drawn or "imageTargetMinimumElevation" not in arguments:
+    """Return a scenario's drawn targets as kinds of places, for satellites with a minimum elevation of targets.
+
+    There is one kind for each of several instruments with its own limits, and one for all the others.
+    """
+    if TARGETS not in tables.drawn or "imageTargetMinimumElevation" not in tables.arguments:
         return {}
+    if not tables.instruments:
+        return {TARGET_KIND: _targets(tables, None)}
+    return {instrument_kind(instrument): _targets(tables, instrument) for instrument in tables.instruments}
+
+
+def _targets(tables: PlaceTables, instrument: Instrument | None) -> Places:
+    """Return a scenario's drawn targets as one of several instruments, or the single one, sees them."""
+    arguments = tables.arguments
+
+    def limit(name: str) -> str:
+        return name if instrument is None else instrument.argument(name)
 
     def sine(name: str) -> Callable[[Tensor], Tensor]:
-        return lambda rows: torch.sin(arguments[name][rows])
+        return lambda rows: torch.sin(arguments[limit(name)][rows])
+
+    def reach(rows: Tensor) -> Tensor:
+        found = arguments[limit("imageTargetMaximumRange")][rows]
+        return torch.where(found < 0.0, FARTHEST, found)
 
     least, advice = sine("imageTargetMinimumElevation"), "ask for more targets, lower imageTargetMinimumElevation"
     names = ("imageTargetMinimumSunElevation", "imageTargetMaximumSunElevation")
-    light = [SunElevation(sine(name), below=name == names[1]) for name in names if name in arguments]
-    targets = DrawnTargets(
+    light = [SunElevation(sine(name), below=name == names[1]) for name in names if limit(name) in arguments]
+    near = [WithinRange(reach)] if instrument is not None and "imageTargetMaximumRange" in instrument.own else []
+    return DrawnTargets(
         tables,
         lambda rows: least(rows).unsqueeze(-1),
         light,
+        clearances=[AboveElevation(least), *near] if near else [],
         advice=f"all have been imaged, or too few lie below the orbit{' in the light wanted' if light else ''}: {advice}",
     )
-    return {TARGET_KIND: targets}
 
 
 class Scenario:

@@ -85,10 +85,14 @@ def imager(env: dict[str, Any]) -> type[sats.ImagingSatellite]:
     ]
     last = obs.Eclipse(norm=env["eclipse_norm"]), obs.Time()
     modes = [getattr(act, name)(duration=duration) for name, duration in env["modes"]]
+    images = [
+        act.Image(n_ahead_image=env["ahead"], max_duration=env["max_duration"], instrument=instrument)
+        for instrument in env.get("instruments", (None,))
+    ]
 
     class Imager(sats.ImagingSatellite):
         observation_spec = (obs.SatProperties(*entries("satellite")), *opportunities, *last)
-        action_spec = (*modes, act.Image(n_ahead_image=env["ahead"], max_duration=env["max_duration"]))
+        action_spec = (*modes, *images)
         dyn_type = dyn.GroundStationDynModel
         fsw_type = fsw.SteeringImagerFSWModel if env["steering"] else fsw.ImagingFSWModel
 
@@ -106,7 +110,10 @@ def environment(recording: ImagingRecording, **options: Any) -> SatelliteTasking
         time_limit=limits[0] if same else rand.per_env(torch.tensor(limits, dtype=torch.float64)),
         **{name: env[name] for name in ("sim_rate", "max_step_duration") if name in env},
     )
-    satellite = imager(env)("Imager1", sat_args=arguments(recording), **env["satellite"])
+    args = arguments(recording)
+    if "instruments" in env:
+        args["instruments"] = [dyn.Instrument(name, **own) for name, own in env["instruments"].items()]
+    satellite = imager(env)("Imager1", sat_args=args, **env["satellite"])
     return SatelliteTasking(satellite, **(common_options(recording) | defaults | options))
 
 

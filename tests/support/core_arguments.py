@@ -4,6 +4,7 @@ SPACECRAFT = {
     *("compensateWheels", "integralLimit", "knownTorquePntB_B"),
     *("thrusters", "thrusterPositions_B", "thrusterDirections_B", "thrusterMaxThrust"),
     *("faults", "rwAvailable"),
+    "instruments",
     *("imageTargetMinimumSunElevation", "imageTargetMaximumSunElevation"),
     *("panels", "panelNormals_B", "panelRates", "panelAngles"),
     *("facets", "facetAreas", "facetNormals_B", "facetPositions_B"),

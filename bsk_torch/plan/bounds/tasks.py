@@ -55,6 +55,8 @@ def check_satellite(satellite: BoundSatellite, envelope: Envelope) -> None:
     """ValueError unless the ``envelope`` holds for a satellite."""
     if not isinstance(satellite, BoundImagingSatellite):
         raise ValueError(f"{satellite.name} is a {type(satellite).__name__}; the bound needs satellites that image targets")
+    if satellite.simulator.type.instruments:
+        raise ValueError(f"{satellite.name} has a list of instruments; the bound covers a single one")
     if satellite.sat_args.get("oe") is None:
         raise ValueError("the bound needs orbits given as elements, oe=...")
     mine, known = agility(satellite), envelope.arguments

@@ -22,7 +22,9 @@ Observation = Any
 
 
 def image_actions(env: SatelliteTasking) -> range:
-    """Return the indices of the actions that image the next targets; ValueError if there are none."""
+    """Return the indices of the actions that image the next targets; ValueError if there are none, or of several instruments."""
+    if len(env.satellite.simulator.type.instruments) > 1:
+        raise ValueError(f"{env.satellite.name} has several instruments, between which rules and scores of targets do not choose")
     first = 0
     for entry in env.satellite.actions.entries if form(env.satellite) is None else ():
         if isinstance(entry, Image):

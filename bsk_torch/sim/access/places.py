@@ -8,6 +8,7 @@ from bsk_torch.rand import first_key
 from bsk_torch.sim.arguments.values import Arguments
 from bsk_torch.sim.component import Component
 from bsk_torch.sim.draw_table import DrawTable
+from bsk_torch.sim.instruments import Instrument
 from bsk_torch.sim.places import FixedPlaces, Places, PlaceTables
 from bsk_torch.sim.state import StateTable
 
@@ -16,7 +17,12 @@ PlaceKinds = Callable[[PlaceTables], Mapping[str, object]]
 
 
 def place_kinds(
-    parts: Sequence[Component], world_args: Arguments, scenario: DrawTable, arguments: StateTable, declared: PlaceKinds
+    parts: Sequence[Component],
+    world_args: Arguments,
+    scenario: DrawTable,
+    arguments: StateTable,
+    declared: PlaceKinds,
+    instruments: Sequence[Instrument] = (),
 ) -> dict[str, Places]:
     """Return the places that satellites can see, by kind.
 
@@ -26,13 +32,14 @@ def place_kinds(
         scenario: Draws of the scenario, [num_envs, ...] each.
         arguments: Arguments of the satellites, [N, ...] each.
         declared: Returns the kinds of the scenario.
+        instruments: Several instruments of the satellites; none if they have a single one.
 
     Raises:
         TypeError: For something else than places.
         ValueError: For a name already in use, or places without clearances.
     """
     bringing = [part for part in parts if part.places]
-    tables = PlaceTables(scenario, arguments, world_args.draw(first_key(1)) if bringing else {})
+    tables = PlaceTables(scenario, arguments, world_args.draw(first_key(1)) if bringing else {}, instruments)
     kinds: dict[str, Places] = {}
     sources = [(f"the component {part.slot!r}", part.places) for part in bringing]
     for owner, source in [*sources, ("the scenario", declared)]:

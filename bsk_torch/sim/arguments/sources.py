@@ -77,6 +77,7 @@ OPTIONAL = {
     ),
     **dict.fromkeys(("torqueBars", "barAxes_B", "barMaxDipoles"), "dyn.TorqueBarsDynModel"),
     "barGain": "fsw.MagneticUnloadingFSWModel",
+    "instruments": "dyn.ImagingDynModel",
 }
 """Arguments of optional models, and these models."""
 

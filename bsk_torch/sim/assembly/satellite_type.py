@@ -29,6 +29,7 @@ from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.faults.component import SLOT, changing, declared_faults, planned, with_faults
 from bsk_torch.sim.fsw.models import Command, FSWModel, MagicOrbitalManeuverFSWModel
 from bsk_torch.sim.fsw.modes import Mode, mode_table
+from bsk_torch.sim.instruments import Instrument, check_faults, described_instruments, instrument_args, with_instruments
 from bsk_torch.sim.run.runners import Runners, TickLoop, make_runners
 from bsk_torch.sim.run.tick import ARC_ORBIT, Tick
 from bsk_torch.sim.schedule import Schedule
@@ -109,6 +110,7 @@ class SatelliteType:
         modes: Flight modes by name.
         commands: Commands of the flight software by name.
         has_tank: Whether the satellites can change their velocity.
+        instruments: Several instruments, of which actions choose; none if there is a single one.
         h_ns: Length of a tick, ns.
         orbit: ``"arc"``, ``"integrated"`` or ``"free"``.
         gravity_degree: Degree of the Earth's field.
@@ -129,6 +131,7 @@ class SatelliteType:
     modes: Mapping[str, Mode]
     commands: Mapping[str, Command]
     has_tank: bool
+    instruments: tuple[Instrument, ...]
     h_ns: int
     orbit: str
     gravity_degree: int
@@ -231,10 +234,13 @@ def satellite_type(
     own = (*dyn_type.all_components(), *fsw_type.all_components())
     lenient = options.compat == "bsk_rl"
     arguments = Arguments(around, world_args, "world_args"), Arguments(own, sat_args, "sat_args", usage.columns, lenient)
-    faults = declared_faults(arguments[1].given, arguments[1].table)
+    instruments = described_instruments(arguments[1].given, arguments[1].table)
+    known_args = arguments[1].table | instrument_args(instruments, arguments[1].table)
+    faults = declared_faults(arguments[1].given, known_args)
+    check_faults(instruments, faults)
     looked = [Looked(arguments[0].given), Looked(changing(arguments[1].given, faults))]
     around, own = (fitted(some, given) for some, given in zip((around, own), looked, strict=True))
-    own = with_faults(own, faults)
+    own = with_faults(with_instruments(own, instruments), faults)
     arguments = arguments[0].of_components(around, world_args), arguments[1].of_components(own, sat_args)
     own = tuple(part for part in own if not (part.mends and lenient))
     parts = dyn_type.schedule.ordered((*(dataclasses.replace(part, at_start=True) for part in around), *own))
@@ -277,6 +283,7 @@ def satellite_type(
         modes=modes,
         commands=fsw_type.all_commands(),
         has_tank=issubclass(fsw_type, MagicOrbitalManeuverFSWModel),
+        instruments=instruments,
         h_ns=h_ns,
         orbit=orbit,
         gravity_degree=dyn_type.gravity_degree,

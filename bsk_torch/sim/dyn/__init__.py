@@ -25,6 +25,7 @@ from bsk_torch.sim.dyn.relative_motion import ConjunctionDynModel, MaxRangeDynMo
 from bsk_torch.sim.dyn.thrusters import THRUSTER_TYPES, Thruster
 from bsk_torch.sim.dyn.torque_bars import TorqueBar
 from bsk_torch.sim.dyn.wheel_types import WHEEL_TYPES, Wheel, WheelType, pyramid
+from bsk_torch.sim.instruments import Instrument
 from bsk_torch.sim.readout.model import aliveness_checker
 from bsk_torch.sim.readout.observables import Now, observable, vital
 
@@ -43,6 +44,7 @@ __all__ = [
     "GravityGradientDynModel",
     "GroundStationDynModel",
     "ImagingDynModel",
+    "Instrument",
     "LOSCommDynModel",
     "MaxRangeDynModel",
     "NavigationErrorsDynModel",

@@ -30,6 +30,7 @@ from bsk_torch.sim.dyn import (
     wheels,
 )
 from bsk_torch.sim.faults.component import FAULTS, severities
+from bsk_torch.sim.instruments import INSTRUMENTS, NO_INSTRUMENTS, argument_now
 from bsk_torch.sim.readout.model import Model, Simulation
 from bsk_torch.sim.readout.observables import Now, observable, vital
 from bsk_torch.sim.schedule import SCHEDULE, Schedule
@@ -328,12 +329,13 @@ class BasicDynamicsModel(EclipseDynModel, DisturbanceTorqueDynModel, Atmospheric
 
 
 class ImagingDynModel(BasicDynamicsModel):
-    """Adds an instrument that takes each image in one tick, a partitioned data buffer, and a transmitter.
+    """Adds one or several instruments that take each image in one tick, a partitioned data buffer, and a transmitter.
 
     A step may end with the image of its task.
     """
 
     components: ClassVar[tuple[Component, ...]] = (
+        INSTRUMENTS,
         partitions.IMAGER,
         storage.INSTRUMENT_POWER,
         partitions.TRANSMITTER,
@@ -357,10 +359,15 @@ class ImagingDynModel(BasicDynamicsModel):
         """Data in every partition of the buffer, [N, P] bit."""
         return now.partitions
 
+    @observable
+    def instrument_index(now: Now) -> Tensor:
+        """Number of the instrument chosen last, [N], of several ``instruments``."""
+        return now.instrument_index
+
     @property
     def instrument_baud(self) -> Tensor:
-        """Data of one image, [N] bit; for a continuous instrument, its data rate, bit/s."""
-        return self.simulator.state.argument("instrumentBaudRate")
+        """Data of one image, [N] bit, by the instrument chosen last; for a continuous instrument, its data rate, bit/s."""
+        return argument_now(self.simulator.state, "instrumentBaudRate")
 
     @vital
     def data_storage_valid(now: Now) -> Tensor:
@@ -377,6 +384,7 @@ class ContinuousImagingDynModel(ImagingDynModel):
     """Adds an instrument that records continuously while it points down, into a data buffer without partitions."""
 
     components: ClassVar[tuple[Component, ...]] = (
+        NO_INSTRUMENTS,
         storage.INSTRUMENT,
         storage.TRANSMITTER,
         storage.STORAGE,

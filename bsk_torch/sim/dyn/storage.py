@@ -5,11 +5,14 @@ Basilisk's simpleInstrument, spaceToGroundTransmitter and simpleStorageUnit.
 
 from __future__ import annotations
 
+import functools
+
 import torch
 from torch import Tensor
 
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
 from bsk_torch.sim.dyn.power import power_arg, sink
+from bsk_torch.sim.instruments import each_value
 
 MOST_BITS = 2.0**53
 """Bound of data and of data rates, bit and bit/s: above it whole bits are not exact."""
@@ -81,7 +84,7 @@ def _packet_size(args: Values) -> dict[str, Tensor]:
     size = args["transmitterPacketSize"]
     return {
         "transmitter_baud": args["transmitterBaudRate"],
-        "packet_size": -args["instrumentBaudRate"] if size is None else size,
+        "packet_size": -functools.reduce(torch.minimum, each_value(args, "instrumentBaudRate")) if size is None else size,
     }
 
 

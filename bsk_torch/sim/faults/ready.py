@@ -11,8 +11,8 @@ NOTHING = 1e-12
 """Limit of a torque, N m, or thrust, N, that is lost: zero would mean that there is no limit."""
 
 
-def _named(title: str, part: int | None, given: dict[str, Any]) -> dict[str, Any]:
-    return {"name": title if part is None else f"{title}{part}"} | given
+def _named(title: str, part: int | str | None, given: dict[str, Any]) -> dict[str, Any]:
+    return {"name": title if part is None else f"{title}{'_' * isinstance(part, str)}{part}"} | given
 
 
 def wheel_torque(wheel: int | None = None, torque: Any = NOTHING, **given: Any) -> Fault:
@@ -69,9 +69,13 @@ def transmitter(share: Any = 0.0, **given: Any) -> Fault:
     return Fault("transmitterBaudRate", factor=share, **_named("transmitter", None, given))
 
 
-def instrument(share: Any = 0.0, **given: Any) -> Fault:
-    """Return the fault of an instrument with a share of its data rate; its power is drawn all the same."""
-    return Fault("instrumentBaudRate", factor=share, **{"only": "instrument"} | _named("instrument", None, given))
+def instrument(share: Any = 0.0, instrument: str | None = None, **given: Any) -> Fault:
+    """Return the fault of an instrument with a share of its data rate; its power is drawn all the same.
+
+    Of several ``instruments``, ``instrument`` names one that has its own ``instrumentBaudRate``.
+    """
+    name = "instrumentBaudRate" if instrument is None else f"instruments.{instrument}.instrumentBaudRate"
+    return Fault(name, factor=share, **{"only": "instrument"} | _named("instrument", instrument, given))
 
 
 def battery(share: Any, **given: Any) -> Fault:

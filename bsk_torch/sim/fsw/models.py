@@ -24,6 +24,7 @@ from bsk_torch.sim.fsw.desaturation import DUMP_RESET
 from bsk_torch.sim.fsw.guidance import SUN_RESET
 from bsk_torch.sim.fsw.instrument import IMAGE_RESET
 from bsk_torch.sim.fsw.modes import Command, Mode
+from bsk_torch.sim.instruments import axis_now
 from bsk_torch.sim.readout.model import Model
 from bsk_torch.sim.readout.observables import Now, observable, vital
 from bsk_torch.vec3 import Vec3
@@ -122,13 +123,13 @@ class ImagingFSWModel(BasicFSWModel):
 
     @observable
     def c_hat_P(now: Now) -> Vec3:
-        """Instrument axis in the Earth-fixed frame, [N, 3]."""
-        return now.PN @ (now.BN.mT @ now.args.inst_pHat_B.unit())
+        """Instrument axis in the Earth-fixed frame, [N, 3]; of several ``instruments``, that of the one chosen last."""
+        return now.PN @ (now.BN.mT @ axis_now(now))
 
     @observable
     def c_hat_H(now: Now) -> Vec3:
-        """Instrument axis in the Hill frame, [N, 3]."""
-        return now.HN @ (now.BN.mT @ now.args.inst_pHat_B.unit())
+        """Instrument axis in the Hill frame, [N, 3]; of several ``instruments``, that of the one chosen last."""
+        return now.HN @ (now.BN.mT @ axis_now(now))
 
 
 class ContinuousImagingFSWModel(ImagingFSWModel):

@@ -18,6 +18,7 @@ from bsk_torch.astro.frames import rotate_z, sin_elevation
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
 from bsk_torch.sim.environment.ephemeris import sun_at, turned
+from bsk_torch.sim.instruments import differs
 from bsk_torch.vec3 import Vec3, only
 
 QUARTER = 0.5 * math.pi
@@ -101,23 +102,30 @@ SUN_PARAMETERS = ("target_least_sun", "target_most_sun")
 
 def fitted_target(given: Mapping[str, Any]) -> Component:
     """Return the component of targets in the light that the arguments as given ask for."""
-    form = tuple(given[arg.name] is not None for arg in SUN_LIMITS)
+    form = tuple(differs(given, arg.name) for arg in SUN_LIMITS)
     return lit_target(*form) if any(form) else IMAGE_TARGET
+
+
+def _sine(args: Values, limit: Arg) -> Tensor:
+    """Return the sine of a limit of the Sun's elevation; beyond all sines for an instrument that has none."""
+    found = args[limit.name]
+    return torch.full((1,), -2.0 if limit is SUN_LIMITS[0] else 2.0, dtype=torch.float64) if found is None else found.sin()
 
 
 @functools.cache
 def lit_target(minimum: bool, maximum: bool) -> Component:
     """Return the component of targets with a minimum, a maximum, or both, of the Sun's elevation."""
     pairs = zip(SUN_PARAMETERS, SUN_LIMITS, (minimum, maximum), strict=True)
-    limits = {parameter: arg.name for parameter, arg, has in pairs if has}
+    limits = {parameter: arg for parameter, arg, has in pairs if has}
 
     def prepare(args: Values) -> dict[str, Tensor]:
-        return IMAGE_TARGET.prepare(args) | {parameter: args[name].sin() for parameter, name in limits.items()}
+        return IMAGE_TARGET.prepare(args) | {parameter: _sine(args, arg) for parameter, arg in limits.items()}
 
     def check(args: Values) -> None:
         _check_elevation(args)
-        if minimum and maximum:
-            low, high = torch.broadcast_tensors(*(args[arg.name] for arg in SUN_LIMITS))
+        given = [args[arg.name] for arg in SUN_LIMITS]
+        if all(value is not None for value in given):
+            low, high = torch.broadcast_tensors(*given)
             if bool((low >= high).any()):
                 k = int((low >= high).nonzero()[0])
                 raise ValueError(

@@ -12,6 +12,8 @@ from bsk_torch.sim.places.base import (
     PlaceTables,
     Sight,
     Sites,
+    instrument_kind,
+    is_target,
 )
 from bsk_torch.sim.places.clearance import AboveElevation, ClearOfEarth, Lit, SunElevation, WithinRange
 from bsk_torch.sim.places.moving import GreatCirclePlaces
@@ -36,4 +38,6 @@ __all__ = [
     "Sites",
     "SunElevation",
     "WithinRange",
+    "instrument_kind",
+    "is_target",
 ]

@@ -17,6 +17,7 @@ from torch import Tensor
 from bsk_torch.astro.ephemeris import earth_fixed_sun, earth_orientation
 from bsk_torch.sim.component import Values
 from bsk_torch.sim.draw_table import DrawTable
+from bsk_torch.sim.instruments import Instrument
 from bsk_torch.sim.state import StateTable, entries
 from bsk_torch.vec3 import Vec3
 
@@ -25,6 +26,17 @@ if TYPE_CHECKING:
 
 STATION_KIND, TARGET_KIND = "ground_station", "target"
 """Names of the kinds that components and scenarios of the package declare."""
+
+
+def instrument_kind(instrument: Instrument) -> str:
+    """Return the kind of places that the targets of one of several instruments are."""
+    return f"{TARGET_KIND}@{instrument.name}" if instrument.has_own_windows else TARGET_KIND
+
+
+def is_target(kind: str) -> bool:
+    """Return whether places of a kind are the targets of the scenario, for one instrument or another."""
+    return kind.partition("@")[0] == TARGET_KIND
+
 
 TARGETS = "target_r_LP_P"
 """Name under which scenarios draw the positions of targets."""
@@ -37,11 +49,13 @@ class PlaceTables(NamedTuple):
         drawn: Draws of the scenario, [num_envs, ...] each; read whenever positions are requested, since they change at resets.
         arguments: Arguments of satellites and world, [N, ...] each; likewise.
         world: Arguments of the world that are the same in all environments, such as the ground stations.
+        instruments: Several instruments of the satellites; none if they have a single one.
     """
 
     drawn: DrawTable
     arguments: StateTable
     world: Values
+    instruments: Sequence[Instrument] = ()
 
     def of_rows(self, name: str, rows: Tensor, place: Tensor) -> Tensor:
         """Return the draws ``name`` [num_envs, P, ...] for satellites ``rows`` [n] and places [n, ...]; [n, ..., ...]."""
@@ -286,6 +300,7 @@ class DrawnTargets(FixedPlaces):
         sin_min_elevation: Callable[[Tensor], Tensor],
         light: Sequence[SunElevation] = (),
         *,
+        clearances: Sequence[Clearance] = (),
         advice: str = Places.advice,
     ) -> None:
         """Describe targets.
@@ -294,11 +309,12 @@ class DrawnTargets(FixedPlaces):
             tables: Tables of the simulation.
             sin_min_elevation: Function of rows [n] that returns the sine of the minimum elevation, [n, 1].
             light: See :class:`FixedPlaces`.
+            clearances: All other conditions of a clear view, the elevation included, where there are others.
             advice: See :class:`Places`.
         """
         drawn, count = tables.drawn, tables.arguments.count
         super().__init__(lambda: drawn[TARGETS], sin_min_elevation, satellites=count, light=light, tables=tables, advice=advice)
-        self._drawn = drawn
+        self._drawn, self.clearances = drawn, tuple(clearances)
 
     def _stored(self) -> tuple[Tensor, Tensor | None]:
         return self._drawn.shared(TARGETS)

@@ -57,16 +57,19 @@ class AboveElevation:
 class WithinRange:
     """Satellite and place are no further apart than ``max_range`` m."""
 
-    max_range: float
+    max_range: Limit
 
     def margin(self, sight: Sight) -> Tensor:
         """Return ``(d_max^2 - d^2) / R^2`` at the distance d; its square is smooth where satellites pass close to each other."""
-        line = sight.r_LP_P - sight.r_BP_P
-        return (self.max_range * self.max_range - line.dot(line)) * (1.0 / (R_EARTH * R_EARTH))
+        line, most = sight.r_LP_P - sight.r_BP_P, limit_of(sight.rows, self.max_range, sight.r_BP_P.x)
+        return (most * most - line.dot(line)) * (1.0 / (R_EARTH * R_EARTH))
 
     def reachable(self, sight: Sight, moved_B: Tensor, moved_L: Tensor) -> Tensor:
         """Compare the distance with the range and the way that both can make."""
-        line, most = sight.r_LP_P - sight.r_BP_P, (self.max_range + moved_B + moved_L) * (1.0 + SLACK)
+        line, most = (
+            sight.r_LP_P - sight.r_BP_P,
+            (limit_of(sight.rows, self.max_range, sight.r_BP_P.x) + moved_B + moved_L) * (1.0 + SLACK),
+        )
         return line.dot(line) < most * most
 
 

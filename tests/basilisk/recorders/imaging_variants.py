@@ -25,6 +25,7 @@ FIXED: dict[str, Any] = {
     "u_max": 0.4,
     "maxWheelSpeed": 6000.0,
 }
+POINTING = {"inst_pHat_B": (0.0, 0.0, 1.0), "instrumentPowerDraw": -30.0}  # bsk_rl's defaults
 STEERING = {"K1": 0.5, "K3": 3.0, "omega_max": float(np.radians(5.0)), "servo_Ki": 5.0, "servo_P": 30.0}
 TARGET_PROPERTIES: tuple[tuple[str, float], ...] = (
     ("priority", 1.0),
@@ -71,6 +72,7 @@ class Variant:
         repeat: Probability of repeating the previous action.
         stored: [bit] Data in the store at reset.
         fixed: Satellite arguments on top of ``FIXED``.
+        instruments: Name of each of several instruments, between which the action chooses, and arguments in which they differ.
         satellite: Options of the satellite.
         env: Options of the environment.
     """
@@ -91,6 +93,7 @@ class Variant:
     repeat: float = 0.0
     stored: int = 0
     fixed: dict[str, Any] = field(default_factory=dict)
+    instruments: dict[str, dict[str, Any]] = field(default_factory=dict)
     satellite: dict[str, Any] = field(default_factory=dict)
     env: dict[str, Any] = field(default_factory=dict)
 
@@ -151,4 +154,20 @@ VARIANTS: dict[str, Variant] = {
     "imaging_stored": Variant(16, (9, 14), 2 * ORBIT_PERIOD / 3, stored=47_123_457, others=(0.08, 0.4, 0.04), ahead=4),
     "imaging_unlimited": Variant(17, time_limit=float("inf"), steps=30, stations=1),
     "imaging_half_second": Variant(18, (0,), ORBIT_PERIOD / 2, env={"sim_rate": 0.5}, ahead=4),
+    "imaging_instruments": Variant(
+        19,
+        time_limit=2 * ORBIT_PERIOD / 3,
+        ahead=4,
+        fixed={"transmitterPacketSize": -2e6},
+        instruments={
+            "wide": {},
+            "narrow": {
+                "inst_pHat_B": (0.6, 0.0, 0.8),
+                "imageAttErrorRequirement": 0.003,
+                "imageRateErrorRequirement": 0.004,
+                "instrumentBaudRate": 2.5e6,
+                "instrumentPowerDraw": -55.0,
+            },
+        },
+    ),
 }

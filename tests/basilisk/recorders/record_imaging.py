@@ -36,6 +36,7 @@ from imaging_variants import (
     FIXED,
     MODES,
     ORBIT_PERIOD,
+    POINTING,
     SATELLITE_PROPERTIES,
     STATION_PROPERTIES,
     STEERING,
@@ -76,6 +77,33 @@ def entries(properties: tuple[tuple[str, float], ...]) -> list[dict[str, Any]]:
     return [{"prop": name, "norm": norm} for name, norm in properties]
 
 
+class ImageWith(act.Image):
+    """Images with one of several instruments: it changes the parameters of Basilisk's modules when an action begins."""
+
+    def __init__(self, variant: Variant, instrument: str) -> None:
+        """Offer the next targets for an instrument."""
+        super().__init__(variant.ahead, variant.max_duration, f"action_image_{instrument}")
+        self.instrument, self.arguments = instrument, {**POINTING, **FIXED, **variant.fixed, **variant.instruments[instrument]}
+
+    def image(self, target: Any, prev_action_key: str | None = None) -> str:
+        """See the base class; the same target with another instrument is another action."""
+        args, sim, flight = self.arguments, self.satellite.dynamics, self.satellite.fsw
+        flight.locPoint.pHat_B = args["inst_pHat_B"]
+        flight.insControl.attErrTolerance = args["imageAttErrorRequirement"]
+        flight.insControl.rateErrTolerance = args["imageRateErrorRequirement"]
+        sim.instrument.nodeBaudRate = args["instrumentBaudRate"] / sim.dyn_rate
+        sim.instrumentPowerSink.nodePowerOut = args["instrumentPowerDraw"]
+        mine = prev_action_key is not None and prev_action_key.endswith(f"@{self.instrument}")
+        return f"{super().image(target, prev_action_key.rpartition('@')[0] if mine else None)}@{self.instrument}"
+
+
+def image_actions(variant: Variant) -> list[act.Image]:
+    """An entry for images, or one for each instrument."""
+    if not variant.instruments:
+        return [act.Image(n_ahead_image=variant.ahead, max_duration=variant.max_duration)]
+    return [ImageWith(variant, instrument) for instrument in variant.instruments]
+
+
 def imager_class(variant: Variant) -> type[sats.ImagingSatellite]:
     """A new satellite class, because bsk_rl caches what it composes on the class."""
     observations = [
@@ -90,7 +118,7 @@ def imager_class(variant: Variant) -> type[sats.ImagingSatellite]:
     modes = [getattr(act, name)(duration=duration) for name, duration in MODES]
     attributes = {
         "observation_spec": observations,
-        "action_spec": [*modes, act.Image(n_ahead_image=variant.ahead, max_duration=variant.max_duration)],
+        "action_spec": [*modes, *image_actions(variant)],
         "dyn_type": dyn.GroundStationDynModel,
         "fsw_type": fsw.SteeringImagerFSWModel if variant.steering else fsw.ImagingFSWModel,
     }
@@ -194,8 +222,9 @@ def counters(env: SatelliteTasking) -> dict[str, Any]:
 def choose(variant: Variant, opening: tuple[int, ...], rng: np.random.Generator) -> Iterator[int]:
     """Actions: the ``opening``, then random ones."""
     yield from opening
-    image = (1.0 - sum(variant.others)) / variant.ahead
-    probability, action = [*variant.others, *[image] * variant.ahead], -1
+    images = variant.ahead * max(1, len(variant.instruments))
+    image = (1.0 - sum(variant.others)) / images
+    probability, action = [*variant.others, *[image] * images], -1
     while True:
         if action < 0 or rng.random() >= variant.repeat:
             action = int(rng.choice(len(probability), p=probability))
@@ -240,6 +269,7 @@ def describe(variant: Variant) -> dict[str, str]:
     """JSON entries that make a file readable on its own."""
     names = ("targets", "ahead", "stations", "steering", "max_duration", "satellite", "seed")
     environment = {name: value for name, value in asdict(variant).items() if name in names} | variant.env
+    environment |= {"instruments": variant.instruments} if variant.instruments else {}
     properties = {"satellite": SATELLITE_PROPERTIES, "target": TARGET_PROPERTIES, "ground_station": STATION_PROPERTIES}
     described = {
         "fixed": {**FIXED, **(STEERING if variant.steering else {}), **variant.fixed},

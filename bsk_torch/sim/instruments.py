@@ -1,0 +1,282 @@
+"""Several instruments of a satellite, of which an action chooses one.
+
+Components know one instrument. Those with arguments in which instruments differ prepare their parameters for each; a component
+before all others puts those of the chosen instrument in place in every tick.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from bsk_torch._checks import no_gradient, text
+from bsk_torch.rand import as_value
+from bsk_torch.sim.component import Arg, Bus, Component, Field, Layout, Values
+from bsk_torch.sim.faults.declared import Fault
+from bsk_torch.sim.names import nearest
+from bsk_torch.vec3 import Vec3, select
+
+SLOT, INDEX = "instruments", "instrument_index"
+
+LIMITS = (
+    "imageTargetMinimumElevation",
+    "imageTargetMaximumRange",
+    "imageTargetMinimumSunElevation",
+    "imageTargetMaximumSunElevation",
+)
+"""Arguments on which the windows of targets depend."""
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """One of several instruments of a satellite: its name, and the arguments in which it differs from ``sat_args``.
+
+    Each argument may be drawn, as in ``sat_args``; None stands for the value there. Its name in ``env.satellite.sat_args``, and
+    for faults, is ``instruments.<name>.<argument>``.
+
+    Raises:
+        ValueError: For a name that is not a string.
+
+    Attributes:
+        name: Name by which actions and observations refer to it.
+        inst_pHat_B: Its axis in B, of any length.
+        imageAttErrorRequirement: Largest attitude error, MRP norm, ``tan(a / 4)`` of the angle a between axis and line of sight,
+            or of half the angle of a field of view.
+        imageRateErrorRequirement: Largest rate error, rad/s.
+        imageTargetMinimumElevation: Least elevation of the satellite above the target, rad.
+        imageTargetMaximumRange: Longest range to the target, m, also in windows; no limit where negative.
+        imageTargetMinimumSunElevation: Least elevation of the Sun at the target, rad.
+        imageTargetMaximumSunElevation: Largest elevation of the Sun at the target, rad.
+        instrumentBaudRate: Data of one image, bit.
+        instrumentPowerDraw: Power while imaging, W, negative; the other instruments are off.
+    """
+
+    name: str
+    inst_pHat_B: Any = None
+    imageAttErrorRequirement: Any = None
+    imageRateErrorRequirement: Any = None
+    imageTargetMinimumElevation: Any = None
+    imageTargetMaximumRange: Any = None
+    imageTargetMinimumSunElevation: Any = None
+    imageTargetMaximumSunElevation: Any = None
+    instrumentBaudRate: Any = None
+    instrumentPowerDraw: Any = None
+
+    def __post_init__(self) -> None:
+        """Check the name; lists become tuples, so that equal instruments are equal."""
+        title = f"Instrument({text('Instrument: name', self.name)!r})"
+        for field in dataclasses.fields(self):
+            value = as_value(no_gradient(f"{title}: {field.name}", getattr(self, field.name)))
+            object.__setattr__(self, field.name, tuple(value) if isinstance(value, list) else value)
+
+    @property
+    def own(self) -> dict[str, Any]:
+        """The arguments in which it differs, by name."""
+        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self) if field.name != "name"}
+        return {name: value for name, value in values.items() if value is not None}
+
+    def argument(self, name: str) -> str:
+        """Return the name of the argument that it has in place of ``name``."""
+        return f"{SLOT}.{self.name}.{name}" if name in self.own else name
+
+    @property
+    def has_own_windows(self) -> bool:
+        """Whether it has other windows of targets than the satellite."""
+        return any(name in self.own for name in LIMITS)
+
+
+INSTRUMENTS = Component(
+    slot=SLOT,
+    after="faults",
+    args=(Arg(SLOT, None, "-", "several instruments, a list of dyn.Instrument; None: one with inst_pHat_B", "constant"),),
+)
+"""One instrument, unless the arguments describe several: :func:`with_instruments`."""
+
+NO_INSTRUMENTS = Component(slot=SLOT, after="faults")
+"""Nothing in the slot: for models whose instrument takes no images."""
+
+
+def described_instruments(given: Mapping[str, Any], table: Mapping[str, Arg]) -> tuple[Instrument, ...]:
+    """Return the instruments that arguments as given describe; none for the single one of ``inst_pHat_B``.
+
+    Args:
+        given: Values of all arguments.
+        table: Their entries.
+
+    Raises:
+        ValueError: For entries that are not instruments, equal names, and arguments that the satellite does not have.
+    """
+    listed = given.get(SLOT)
+    if listed is None:
+        return ()
+    if not isinstance(listed, Sequence) or not listed or not all(isinstance(part, Instrument) for part in listed):
+        raise ValueError(
+            f"sat_args: instruments={listed!r} must be a list of instruments, such as [dyn.Instrument('wide'), "
+            "dyn.Instrument('narrow', instrumentBaudRate=2e6)]"
+        )
+    names = [part.name for part in listed]
+    for part in listed:
+        if names.count(part.name) > 1:
+            raise ValueError(f"sat_args: {names.count(part.name)} instruments are named {part.name!r}; give each another name")
+        for name in part.own:
+            if name not in table:
+                raise ValueError(f"instrument {part.name!r} has {name}, but the satellite does not image places on the ground")
+    return tuple(listed)
+
+
+def instrument_args(listed: Sequence[Instrument], table: Mapping[str, Arg]) -> dict[str, Arg]:
+    """Return the entries of the arguments in which instruments differ."""
+    return {
+        part.argument(name): replace(table[name], name=part.argument(name), default=value, doc=f"{part.name}: {table[name].doc}")
+        for part in listed
+        for name, value in part.own.items()
+    }
+
+
+def number_of(listed: Sequence[Instrument], instrument: str | int | None, title: str) -> int:
+    """Return the number of an instrument that a user has named, by name or number.
+
+    Raises:
+        ValueError: For an unknown one, or none if there are several; ``title`` names who asks.
+    """
+    names = [part.name for part in listed]
+    if not names:
+        raise ValueError(
+            f"{title} has instrument={instrument!r}, but the satellite has a single one; describe several in sat_args: "
+            "instruments=[dyn.Instrument(...), ...]"
+        )
+    if instrument is None:
+        if len(names) == 1:
+            return 0
+        raise ValueError(f"{title} does not say which instrument it uses; give instrument= one of {names}")
+    if isinstance(instrument, int) and not isinstance(instrument, bool) and 0 <= instrument < len(names):
+        return instrument
+    if instrument not in names:
+        raise ValueError(f"{title} has instrument={instrument!r}, which the satellite lacks; {nearest(str(instrument), names)}")
+    return names.index(instrument)
+
+
+def each_value(args: Values, name: str) -> Iterator[Any]:
+    """Yield the values of an argument of all instruments, or of the single one."""
+    return (args[name if part is None else part.argument(name)] for part in args.get(SLOT) or (None,))
+
+
+def differs(given: Mapping[str, Any], name: str) -> bool:
+    """Return whether an instrument has an argument that is not None, in arguments as given."""
+    listed = given.get(SLOT)
+    parts = listed if isinstance(listed, Sequence) else ()
+    return given[name] is not None or any(name in part.own for part in parts if isinstance(part, Instrument))
+
+
+# -- at a decision boundary ---------------------------------------------------------------------------------------------------
+
+
+def argument_now(state: Any, name: str) -> Tensor:
+    """Return an argument of the instrument chosen last, [rows, ...], or of the single one."""
+    value: Tensor = state.argument(name)
+    for k, part in enumerate(state.constants.get(SLOT) or ()):
+        if name in part.own:
+            here = state.read(INDEX) == k
+            value = torch.where(here.view(-1, *[1] * (value.ndim - 1)), state.argument(part.argument(name)), value)
+    return value
+
+
+def axis_now(now: Any) -> Vec3:
+    """Return the axis of the instrument chosen last, in B, of length one."""
+    axis: Vec3 = now.args.inst_pHat_B.unit()
+    for k, part in enumerate(now.args.instruments or () if hasattr(now, INDEX) else ()):
+        if "inst_pHat_B" in part.own:
+            axis = select(now.instrument_index == float(k), getattr(now.args, part.argument("inst_pHat_B")).unit(), axis)
+    return axis
+
+
+# -- components ---------------------------------------------------------------------------------------------------------------
+
+
+def with_instruments(parts: Iterable[Component], listed: tuple[Instrument, ...]) -> tuple[Component, ...]:
+    """Return the parts, whose structure is final, with parameters for each instrument and the component that selects them."""
+    parts = tuple(parts)
+    if not listed:
+        return parts
+    differing = {name for part in listed for name in part.own}
+    several = [part for part in parts if part.params and differing & {arg.name for arg in part.args}]
+    table = {arg.name: arg for part in parts for arg in part.args}
+    choice = Component(
+        slot=SLOT,
+        after="faults",
+        update=choose_among(len(listed), tuple(field for part in several for field in part.params)),
+        args=(*INSTRUMENTS.args, *instrument_args(listed, table).values()),
+        state=(Field(INDEX, 1, "-", "number of the instrument that the action has chosen", exact=True, limit=len(listed) - 1.0),),
+        initial=lambda args: {INDEX: torch.zeros(1, dtype=torch.float64)},
+    )
+    slots = {part.slot for part in several}
+    return tuple(choice if part.slot == SLOT else _of_each(part, listed) if part.slot in slots else part for part in parts)
+
+
+def _table_of(field: Field) -> str:
+    """Return the name of the parameters of all instruments, side by side."""
+    return f"{field.name}_of_instruments"
+
+
+@functools.cache
+def choose_among(count: int, fields: tuple[Field, ...]) -> Callable[[Bus], None]:
+    """Return the update that puts the parameters ``fields`` of one of ``count`` instruments in place."""
+
+    def choose(bus: Bus) -> None:
+        """Put the parameters of the instrument that the action has chosen in place."""
+        for field in fields:
+            planes, width = getattr(bus, _table_of(field)), field.width
+            chosen = planes[:width]
+            for k in range(1, count):
+                here = bus.instrument_index == float(k)
+                own = planes[k * width : (k + 1) * width]
+                chosen = tuple(torch.where(here, new, old) for new, old in zip(own, chosen, strict=True))
+            Layout((field,)).put(bus, chosen)
+
+    return choose
+
+
+def _of_each(part: Component, listed: tuple[Instrument, ...]) -> Component:
+    """Return a component with parameters of all instruments."""
+
+    def values(args: Values, instrument: Instrument) -> Values:
+        return {**args, **{name: args[instrument.argument(name)] for name in instrument.own}}
+
+    def prepare(args: Values) -> dict[str, Tensor]:
+        found = [part.prepare(values(args, instrument)) for instrument in listed]
+        tables = {}
+        for field in part.params:
+            columns = [own[field.name].reshape(-1, field.width) for own in found]
+            rows = max(map(len, columns))
+            tables[_table_of(field)] = torch.cat([column.expand(rows, -1) for column in columns], -1)
+        return tables
+
+    def check(args: Values) -> None:
+        for instrument in listed:
+            try:
+                part.check(values(args, instrument))
+            except ValueError as error:
+                raise ValueError(f"instrument {instrument.name!r}: {error}") from None
+
+    params = (
+        replace(f, name=_table_of(f), width=len(listed) * f.width, many=True, vectors=False, matrix=False) for f in part.params
+    )
+    return replace(part, params=tuple(params), prepare=prepare, check=check)
+
+
+def check_faults(listed: Sequence[Instrument], faults: Iterable[Fault]) -> None:
+    """Raise ValueError for faults of arguments that do not hold for some instruments."""
+    for fault in faults:
+        for name in fault.arguments:
+            apart = [part for part in listed if name in part.own and part.argument(name) not in fault.arguments]
+            if apart:
+                raise ValueError(
+                    f"fault {fault.name!r} changes {name}, but instrument {apart[0].name!r} has its own; change "
+                    f"{apart[0].argument(name)!r}, too, or instead"
+                )
