@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import no_gradient, text
-from bsk_torch.rand import as_value
+from bsk_torch.rand import Distribution, as_value
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Layout, Values
 from bsk_torch.sim.faults.declared import Fault
 from bsk_torch.sim.names import nearest
@@ -31,6 +31,9 @@ LIMITS = (
     "imageTargetMaximumSunElevation",
 )
 """Arguments on which the windows of targets depend."""
+
+Given = float | Sequence[float] | Distribution | Callable[[], object] | None
+"""A value of an argument, what it is drawn from, or None."""
 
 
 @dataclass(frozen=True)
@@ -58,15 +61,15 @@ class Instrument:
     """
 
     name: str
-    inst_pHat_B: Any = None
-    imageAttErrorRequirement: Any = None
-    imageRateErrorRequirement: Any = None
-    imageTargetMinimumElevation: Any = None
-    imageTargetMaximumRange: Any = None
-    imageTargetMinimumSunElevation: Any = None
-    imageTargetMaximumSunElevation: Any = None
-    instrumentBaudRate: Any = None
-    instrumentPowerDraw: Any = None
+    inst_pHat_B: Given = None
+    imageAttErrorRequirement: Given = None
+    imageRateErrorRequirement: Given = None
+    imageTargetMinimumElevation: Given = None
+    imageTargetMaximumRange: Given = None
+    imageTargetMinimumSunElevation: Given = None
+    imageTargetMaximumSunElevation: Given = None
+    instrumentBaudRate: Given = None
+    instrumentPowerDraw: Given = None
 
     def __post_init__(self) -> None:
         """Check the name; lists become tuples, so that equal instruments are equal."""

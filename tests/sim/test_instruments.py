@@ -18,7 +18,7 @@ from bsk_torch.rl.rules.targets import image_actions
 from bsk_torch.sim import dyn, faults, fsw
 from bsk_torch.sim.arguments.sources import hint
 
-N, TARGETS = 4, 600
+N, TARGETS = 2, 300
 PACKET = {"transmitterPacketSize": -1e6}
 WIDE, NARROW = (
     {"imageAttErrorRequirement": 0.02, "instrumentBaudRate": 3e6},
@@ -40,12 +40,12 @@ def environment(
     args: dict[str, Any] | None = None, actions: tuple[Any, ...] | None = None, observed: tuple[Any, ...] = (), **options: Any
 ) -> SatelliteTasking:
     args = {"instruments": PAIR, **PACKET} if args is None else args
-    named = [part.name for part in args.get("instruments") or ()] or [None]
-    images = tuple(act.Image(3, instrument=name) for name in named)
+    named = [part.name for part in args.get("instruments") or ()] or [None] if actions is None else []
+    images = tuple(act.Image(3, 25.0, instrument=name) for name in named)
 
     class Imager(sats.ImagingSatellite):
         observation_spec = (obs.Time(), *observed)
-        action_spec = (*images, act.Charge(duration=120.0)) if actions is None else actions
+        action_spec = (*images, act.Charge(duration=20.0)) if actions is None else actions
         dyn_type = dyn.GroundStationDynModel
         fsw_type = fsw.ImagingFSWModel
 
@@ -55,7 +55,7 @@ def environment(
             "scenario": scene.UniformTargets(TARGETS),
             "rewarder": data.UniqueImageReward(),
             "num_envs": N,
-            "time_limit": 6000.0,
+            "time_limit": 1500.0,
             "seed": 0,
             "backend": "eager",
             **options,
@@ -80,97 +80,98 @@ def assert_same(one: list[torch.Tensor], other: list[torch.Tensor], rows: slice 
 # -- each step is that of one instrument ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("backend", ["eager", pytest.param("compiled", marks=pytest.mark.compiled)])
-@pytest.mark.parametrize(
-    "one",
-    [
-        dyn.Instrument("only"),
-        dyn.Instrument("only", inst_pHat_B=[0, 0, 1], imageAttErrorRequirement=0.01, instrumentBaudRate=8e6),
-    ],
-)
-def test_one_instrument_is_that_of_bsk_rl(one, backend):
+def choose(env: SatelliteTasking, number: int) -> None:
+    env.simulator.write("instrument_index", torch.ones(N, dtype=torch.bool), torch.full((N,), float(number)))
+
+
+def test_one_instrument_is_that_of_bsk_rl():
     angle = (obs.OpportunityProperties(dict(prop="target_angle"), dict(prop="priority"), n_ahead_observe=3),)
-    flown = [
-        play(environment(args, observed=angle, backend=backend), (0, 1, 0, 3, 2))
-        for args in ({**PACKET}, {"instruments": [one], **PACKET})
-    ]
-    assert_same(*flown)
+    own = {"inst_pHat_B": [0, 0, 1], "imageAttErrorRequirement": 0.01, "instrumentBaudRate": 8e6}
+    listed = None, [dyn.Instrument("a")], [dyn.Instrument("a", **own)]
+    flown = [play(environment({**PACKET, "instruments": one}, observed=angle), (0, 3)) for one in listed]
+    assert_same(flown[0], flown[1])
+    assert_same(flown[0], flown[2])
 
 
-@pytest.mark.parametrize("backend", ["eager", pytest.param("compiled", marks=pytest.mark.compiled)])
-def test_each_step_is_that_of_a_satellite_with_the_chosen_instrument(backend):
+@pytest.mark.parametrize(
+    ("backend", "ticks", "numbers"),
+    [("eager", 12, (1, 0)), pytest.param("compiled", 150, (0, 1, 1, 0, 1, 0), marks=pytest.mark.compiled)],
+)
+def test_each_step_is_that_of_a_satellite_with_the_chosen_instrument(backend, ticks, numbers):
     both = environment(backend=backend)
     alone = [environment({**own, **PACKET}, backend=backend) for own in (WIDE, NARROW)]
     for env in (both, *alone):
         env.reset()
     everywhere, places = torch.ones(N, dtype=torch.bool), both.satellite.find_windows(1200.0)
-    simulators = [env.simulator for env in (both, *alone)]
-    layout, took = simulators[1].state.layout, 0.0
-    for step, number in enumerate((0, 1, 1, 0, 1, 0)):
+    mine, layout, before = both.simulator, alone[0].simulator.state.layout, both.simulator.read("storage")
+    for step, number in enumerate(numbers):
         target = both.scenario.r_LP_P[torch.arange(N), places.place[:, step]]
-        simulators[0].write("instrument_index", everywhere, torch.full((N,), float(number)))
-        other = simulators[1 + number]
+        choose(both, number)
+        other = alone[number].simulator
         for name in layout.fields:  # the same state
-            other.state.planes[layout.slices[name]] = simulators[0].state.planes[simulators[0].state.layout.slices[name]]
-        other.state.ticks = simulators[0].ticks.clone()
-        before = simulators[0].read("storage").sum()
-        for simulator in (simulators[0], other):
+            other.state.planes[layout.slices[name]] = mine.state.planes[mine.state.layout.slices[name]]
+        other.state.ticks = mine.ticks.clone()
+        for simulator in (mine, other):
             simulator.command(everywhere, torch.full((N,), simulator.mode_names.index("image")))
             simulator.write("r_LP_P", everywhere, target)
-            simulator.run(torch.full((N,), 150))
+            simulator.run(torch.full((N,), ticks))
         for name in layout.fields:
-            assert torch.equal(simulators[0].read(name), other.read(name)), name
-        took += float(simulators[0].read("storage").sum() - before)
-    assert took > 0.0
+            assert torch.equal(mine.read(name), other.read(name)), name
+    assert backend == "eager" or bool((mine.read("storage") > before).any())
 
 
-def test_the_chosen_instrument_points_at_the_target():
-    env = environment(observed=(_angles(None), _angles("wide")))
-    td = env.reset()
-    for action in (0, 3, 4, 1):
-        td = env.step(td.set("action", torch.full((N,), action)))["next"]
-        dynamics, r_LP_P = env.satellite.dynamics, env.simulator.read("r_LP_P")
-        line = torch.nn.functional.normalize(r_LP_P - dynamics.r_BN_P, dim=-1)
-        axis = torch.tensor([0.0, 0.0, 1.0] if action < 3 else NARROW["inst_pHat_B"], dtype=torch.float64)
-        axis = (dynamics.BP.mT @ (axis / axis.norm())).expand(N, 3)
-        torch.testing.assert_close(env.satellite.fsw.c_hat_P, axis, rtol=0, atol=1e-12)
-        took = env.requires_retasking & (env.satellite.imaged > 0)
-        limit = 4.0 * math.atan(WIDE["imageAttErrorRequirement"] if action < 3 else NARROW["imageAttErrorRequirement"])
-        angle = torch.acos((line * axis).sum(-1).clamp(-1.0, 1.0))
-        assert bool((angle[took] < limit + 0.05).all())  # a tick or two later
-        shown, wide = td["observation"][:, 1:].chunk(2, -1)  # of the same windows
-        assert torch.allclose(shown, wide, rtol=0, atol=1e-12) == (action < 3)
+def test_axes_and_angles_are_those_of_the_instrument():
+    env = environment(observed=(_angles(None), _angles("wide"), _angles("narrow")))
+    alone = environment({**NARROW, **PACKET}, observed=(_angles(None),))
+    for each in (env, alone):
+        each.reset()
+    narrow = alone.satellite.observations.entries[1].get_vector()
+    for number, axis in enumerate(([0.0, 0.0, 1.0], NARROW["inst_pHat_B"])):
+        choose(env, number)
+        dynamics, axis_B = env.satellite.dynamics, torch.tensor(axis, dtype=torch.float64)
+        axis_P = dynamics.BP.mT @ (axis_B / axis_B.norm())
+        torch.testing.assert_close(env.satellite.fsw.c_hat_P, axis_P, rtol=0, atol=1e-14)
+        torch.testing.assert_close(
+            env.satellite.fsw.c_hat_H, dynamics.HN @ dynamics.BN.mT @ axis_B / axis_B.norm(), rtol=0, atol=1e-12
+        )
+        last, wide, other = (entry.get_vector() for entry in env.satellite.observations.entries[1:])
+        assert torch.allclose(last, wide, rtol=0, atol=1e-12) == (number == 0)  # of the same windows
+        torch.testing.assert_close(other, narrow, rtol=0, atol=1e-12)
+    assert env.satellite.observation_description[-1] == "target_narrow.target_narrow_1.target_angle"
 
 
 def _angles(instrument: str | None) -> obs.OpportunityProperties:
     return obs.OpportunityProperties(dict(prop="target_angle"), n_ahead_observe=2, instrument=instrument)
 
 
-def test_observed_angles_are_those_of_a_satellite_with_the_instrument():
-    both, alone = environment(observed=(_angles("narrow"),)), environment({**NARROW, **PACKET}, observed=(_angles(None),))
-    torch.testing.assert_close(both.reset()["observation"], alone.reset()["observation"], rtol=0, atol=1e-12)
-    assert both.satellite.observation_description[1] == "target_narrow.target_narrow_0.target_angle"
-
-
-def test_power_and_data_are_those_of_the_chosen_instrument():
+@pytest.mark.parametrize("broken", [None, [faults.instrument(0.0, instrument="narrow", at=0.0)]], ids=["whole", "broken"])
+def test_power_and_data_are_those_of_the_chosen_instrument(broken):
+    """A command that is not withdrawn takes an image in every tick, of which a broken instrument has no data."""
     free = {"basePowerDraw": 0.0, "rwBasePower": 0.0, "panelArea": 1e-9, "u_max": 1e-6, "dataStorageCapacity": 1e12}
-    env = environment({"instruments": PAIR, **PACKET, **free})
+    env = environment({"instruments": PAIR, **PACKET, **free, "faults": broken})
+    env.reset()
+    simulator, everywhere = env.simulator, torch.ones(N, dtype=torch.bool)
+    simulator.run(torch.full((N,), 1))
     for number, power in ((0, -30.0), (1, -80.0)):
-        env.reset()
-        simulator, everywhere = env.simulator, torch.ones(N, dtype=torch.bool)
-        simulator.write("instrument_index", everywhere, torch.full((N,), float(number)))
+        choose(env, number)
         simulator.command(everywhere, torch.full((N,), simulator.mode_names.index("image")))
-        before = simulator.read("charge")
-        simulator.run(torch.full((N,), 10))
-        torch.testing.assert_close(simulator.read("charge") - before, torch.full((N,), 10.0 * power).double(), rtol=0, atol=0.5)
-        baud = torch.full((N,), (WIDE, NARROW)[number]["instrumentBaudRate"]).double()
-        assert torch.equal(env.satellite.dynamics.instrument_baud, baud)
+        charge = simulator.read("charge")
+        simulator.run(torch.full((N,), 3))
+        torch.testing.assert_close(simulator.read("charge") - charge, torch.full((N,), 3.0 * power).double(), rtol=0, atol=0.1)
+        simulator.command(everywhere, torch.full((N,), simulator.mode_names.index("drift")))
+        simulator.write("instrument_command", everywhere, torch.ones(N))
+        level = simulator.read("storage")
+        simulator.run(torch.full((N,), 2))
+        size = (WIDE, NARROW)[number]["instrumentBaudRate"]
+        lost = broken is not None and number == 1
+        assert (simulator.read("storage") - level).tolist() == [0.0 if lost else 2.0 * size] * N
+        assert env.satellite.dynamics.instrument_baud.tolist() == [size] * N
         assert env.satellite.dynamics.instrument_index.tolist() == [number] * N
 
 
 def test_packets_are_as_small_as_the_smallest_image():
-    env = environment({"instruments": PAIR})
-    assert env.simulator.uniform[env.simulator.tick.shared.slices["packet_size"]].item() == -1.5e6
+    simulator = environment({"instruments": PAIR}).simulator
+    assert simulator.uniform[simulator.tick.shared.slices["packet_size"]].item() == -1.5e6
 
 
 # -- actions ----------------------------------------------------------------------------------------------------------------
@@ -179,13 +180,8 @@ def test_packets_are_as_small_as_the_smallest_image():
 def test_the_same_target_with_another_instrument_is_another_task():
     env = environment({"instruments": [dyn.Instrument("a"), dyn.Instrument("b", inst_pHat_B=[1, 0, 1])], **PACKET})
     td = env.reset()
-    assert env.satellite.action_description[:4] == [
-        "action_image_a_0",
-        "action_image_a_1",
-        "action_image_a_2",
-        "action_image_b_0",
-    ]
-    a, b = (env.satellite.actions.entries[k] for k in (0, 1))
+    assert env.satellite.action_description[::3] == ["action_image_a_0", "action_image_b_0", "action_charge"]
+    a, b = env.satellite.actions.entries[:2]
     index, mask = torch.zeros(N, dtype=torch.int64), torch.ones(N, dtype=torch.bool)
     one = a.decide(index, mask, index, torch.full((N,), -1))
     again, other = a.decide(index, mask, index, one.key), b.decide(index, mask, index + 3, one.key)
@@ -194,6 +190,9 @@ def test_the_same_target_with_another_instrument_is_another_task():
     assert torch.equal(a.targets(one.key), b.targets(other.key))
     env.step(td.set("action", torch.full((N,), 3)))
     assert torch.equal(env.satellite.latest_target, b.targets(other.key))
+    saved = environment({"instruments": [dyn.Instrument("a"), dyn.Instrument("b", inst_pHat_B=[1, 0, 1])], **PACKET})
+    saved.restore(env.get_state())
+    assert saved.satellite.dynamics.instrument_index.tolist() == [1.0] * N
 
 
 def test_what_was_commanded_to_another_instrument_is_withdrawn():
@@ -208,20 +207,26 @@ def test_what_was_commanded_to_another_instrument_is_withdrawn():
 
 
 def test_images_of_one_instrument_hide_targets_from_the_others():
-    env = environment({"instruments": [dyn.Instrument("a"), dyn.Instrument("b", imageTargetMinimumElevation=0.5)], **PACKET})
-    td = env.reset()
-    for _ in range(4):
-        td = env.step(td.set("action", torch.zeros(N, dtype=torch.int64)))["next"]
-    imaged, rows = env.rewarder.imaged, torch.arange(N).unsqueeze(-1)
-    assert imaged.any()
-    for kind in ("target", "target@b"):
-        assert not imaged[rows, env.satellite.find_next_opportunities(5, kind).place].any()
+    env = environment()
+    env.reset()
+    rows = torch.arange(N).unsqueeze(-1)
+    seen = {kind: env.satellite.find_next_opportunities(2, kind).place for kind in ("target", "target@narrow")}
+    env.rewarder.memory["imaged_targets"] = env.rewarder.imaged.scatter(1, torch.cat([*seen.values()], 1), True)
+    env.simulator.memory.touch()
+    for kind, place in seen.items():
+        left = env.satellite.find_next_opportunities(2, kind).place
+        assert not env.rewarder.imaged[rows, left].any()
+        assert not (left == place).any()
+    assert [one["object"].id for one in env.satellite.one(0).find_next_opportunities(2, types="target@narrow")] == left[
+        0
+    ].tolist()
 
 
 def test_targets_by_their_index_are_imaged_by_the_first_instrument():
     env = environment()
     td = env.reset()
     target = env.satellite.find_next_opportunities(3).place[:, 2]
+    choose(env, 1)
     env.step(td.set("action", act.image_target(target)))
     assert torch.equal(env.satellite.latest_target, target)
     assert env.satellite.dynamics.instrument_index.tolist() == [0.0] * N
@@ -235,10 +240,8 @@ def test_windows_are_those_of_a_satellite_with_the_instrument():
     for env in (both, alone):
         env.reset()
     assert both.satellite.opportunity_types == ("ground_station", "target", "target@narrow")
-    for one, other in zip(
-        both.satellite.find_windows(3000.0, "target@narrow"), alone.satellite.find_windows(3000.0), strict=True
-    ):
-        assert torch.equal(one, other)
+    windows = both.satellite.find_windows(3000.0, "target@narrow"), alone.satellite.find_windows(3000.0)
+    assert all(torch.equal(one, other) for one, other in zip(*windows, strict=True))
 
 
 def test_instruments_without_limits_share_windows():
@@ -246,13 +249,12 @@ def test_instruments_without_limits_share_windows():
     assert env.satellite.opportunity_types == ("ground_station", "target")
     env = environment({"instruments": [dyn.Instrument("b", imageTargetMinimumElevation=0.9)]}, (act.Image(2),))
     assert env.satellite.opportunity_types == ("ground_station", "target@b")
-    env.reset()
 
 
 def test_windows_of_an_instrument_with_a_range_are_where_it_reaches():
     env = environment({"instruments": [dyn.Instrument("all"), NEAR], "imageTargetMinimumElevation": 0.5})
     env.reset()
-    passes, near = (env.satellite.find_windows(6000.0, kind) for kind in ("target", "target@near"))
+    passes, near = (env.satellite.find_windows(3000.0, kind) for kind in ("target", "target@near"))
     there, counts = torch.isfinite(passes.close), [0, 0]
     for share in torch.linspace(0.02, 0.98, 7).tolist():
         time = torch.where(there, passes.open + share * (passes.close - passes.open), 0.0)
@@ -263,7 +265,7 @@ def test_windows_of_an_instrument_with_a_range_are_where_it_reaches():
         inside = (same & (near.open.unsqueeze(1) <= moment) & (moment <= near.close.unsqueeze(1))).any(-1)
         assert torch.equal(inside[clear], (away < 8e5)[clear])
         counts = [counts[0] + int(inside[clear].sum()), counts[1] + int((~inside)[clear].sum())]
-    assert min(counts) > 50
+    assert min(counts) > 10
 
 
 def _distance(env: SatelliteTasking, time: torch.Tensor, place: torch.Tensor) -> torch.Tensor:
@@ -273,10 +275,10 @@ def _distance(env: SatelliteTasking, time: torch.Tensor, place: torch.Tensor) ->
 
 def test_light_limits_one_instrument():
     both = environment({"instruments": [dyn.Instrument("any"), LIT]})
-    alone = environment({"imageTargetMinimumSunElevation": 0.2}, (act.Image(3),))
+    alone = environment({"imageTargetMinimumSunElevation": 0.2})
     for env in (both, alone):
         env.reset()
-    windows = both.satellite.find_windows(2000.0, "target@lit"), alone.satellite.find_windows(2000.0)
+    windows = both.satellite.find_windows(1500.0, "target@lit"), alone.satellite.find_windows(1500.0)
     assert all(torch.equal(one, other) for one, other in zip(*windows, strict=True))
     simulator = both.simulator
     sines = simulator.uniform[simulator.tick.shared.slices["target_least_sun_of_instruments"]].flatten().tolist()
@@ -285,58 +287,31 @@ def test_light_limits_one_instrument():
 
 # -- draws, backends, batches -----------------------------------------------------------------------------------------------
 
+AXES = rand.Choice([[0.0, 1.0, 1.0], [1.0, 0.0, 2.0]])
 DRAWN = [
     dyn.Instrument("wide", imageAttErrorRequirement=rand.Uniform(0.01, 0.03)),
-    dyn.Instrument(
-        "narrow", inst_pHat_B=rand.Choice([[0.0, 1.0, 1.0], [1.0, 0.0, 2.0]]), instrumentBaudRate=rand.Uniform(1e6, 2e6)
-    ),
+    dyn.Instrument("narrow", inst_pHat_B=AXES, instrumentBaudRate=rand.Uniform(1e6, 2e6)),
 ]
 
 
 def test_drawn_instruments_do_not_depend_on_the_batch():
     args = {"instruments": DRAWN, **PACKET}
-    many, few = (play(environment(args, num_envs=n), (0, 3, 4, 1)) for n in (4, 2))
-    assert all(torch.equal(a[:2], b) for a, b in zip(many, few, strict=True))
+    many, few = (play(environment(args, num_envs=n), (3, 0)) for n in (4, N))
+    assert all(torch.equal(a[:N], b) for a, b in zip(many, few, strict=True))
     env = environment(args)
     env.reset()
     sizes = env.satellite.sat_args["instruments.narrow.instrumentBaudRate"]
     assert len({*sizes.tolist()}) == N
-    assert torch.equal(env.satellite.dynamics.instrument_baud, torch.full((N,), 8e6).double())
+    choose(env, 1)
+    assert torch.equal(env.satellite.dynamics.instrument_baud, sizes)
 
 
 @pytest.mark.compiled
 def test_compiled_and_eager_agree():
-    args = {"instruments": DRAWN, **PACKET, "faults": [faults.instrument(0.5, instrument="narrow", at=300.0)]}
-    eager, compiled = (play(environment(args, backend=backend), (0, 3, 4, 1, 3)) for backend in ("eager", "compiled"))
+    args = {"instruments": DRAWN, **PACKET, "faults": [faults.instrument(0.5, instrument="narrow", at=30.0)]}
+    eager, compiled = (play(environment(args, backend=backend), (0, 3, 4)) for backend in ("eager", "compiled"))
     for one, other in zip(eager, compiled, strict=True):
         torch.testing.assert_close(one, other, rtol=1e-9, atol=1e-9)
-
-
-def test_one_instrument_fails_alone():
-    args = {"instruments": PAIR, **PACKET}
-    whole, broken = (
-        environment(args | {"faults": listed}) for listed in (None, [faults.instrument(0.0, instrument="narrow", at=0.0)])
-    )
-    assert broken.satellite.sat_args["faults"][0].name == "instrument_narrow"
-    grown = []
-    for env in (whole, broken):
-        td, levels = env.reset(), []
-        for action in (0, 0, 0, 3, 3, 3):
-            td = env.step(td.set("action", torch.full((N,), action)))["next"]
-            levels.append(env.satellite.dynamics.storage_level.clone())
-        grown.append((levels[2], levels[5] - levels[2]))
-    assert torch.equal(grown[0][0], grown[1][0])
-    assert grown[0][1].sum() > 0.0
-    assert grown[1][1].sum() == 0.0
-
-
-def test_saved_states_keep_the_instrument():
-    env = environment()
-    td = env.reset()
-    env.step(td.set("action", torch.full((N,), 3)))
-    other = environment()
-    other.restore(env.get_state())
-    assert other.satellite.dynamics.instrument_index.tolist() == [1.0] * N
 
 
 # -- errors -----------------------------------------------------------------------------------------------------------------
@@ -386,7 +361,7 @@ def test_actions_name_an_instrument_that_exists(action, message):
 
 
 def test_instruments_by_number():
-    env = environment(actions=(act.Image(2, instrument=0), act.Image(2, instrument=1)))
+    env = environment(actions=(act.Image(2, 5.0, instrument=0), act.Image(2, 5.0, instrument=1)))
     td = env.reset()
     env.step(td.set("action", torch.full((N,), 2)))
     assert env.satellite.dynamics.instrument_index.tolist() == [1.0] * N
