@@ -66,10 +66,8 @@ class WithinRange:
 
     def reachable(self, sight: Sight, moved_B: Tensor, moved_L: Tensor) -> Tensor:
         """Compare the distance with the range and the way that both can make."""
-        line, most = (
-            sight.r_LP_P - sight.r_BP_P,
-            (limit_of(sight.rows, self.max_range, sight.r_BP_P.x) + moved_B + moved_L) * (1.0 + SLACK),
-        )
+        line, reach = sight.r_LP_P - sight.r_BP_P, limit_of(sight.rows, self.max_range, sight.r_BP_P.x)
+        most = (reach + moved_B + moved_L) * (1.0 + SLACK)
         return line.dot(line) < most * most
 
 
