@@ -157,7 +157,7 @@ def number_of(listed: Sequence[Instrument], instrument: str | int | None, title:
     if instrument is None:
         if len(names) == 1:
             return 0
-        raise ValueError(f"{title} does not say which instrument it uses; give instrument= one of {names}")
+        raise ValueError(f"{title} names no instrument; give instrument= one of {names}")
     if isinstance(instrument, int) and not isinstance(instrument, bool) and 0 <= instrument < len(names):
         return instrument
     if instrument not in names:

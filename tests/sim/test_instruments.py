@@ -352,7 +352,7 @@ def test_wrong_instruments_are_rejected(args, message):
     [
         (act.Image(3, instrument="narow"), "instrument='narow', which the satellite lacks; did you mean 'narrow'?"),
         (act.Image(3, instrument=2), "instrument=2, which the satellite lacks"),
-        (act.Image(3), "does not say which instrument it uses; give instrument= one of ['wide', 'narrow']"),
+        (act.Image(3), "names no instrument; give instrument= one of ['wide', 'narrow']"),
     ],
 )
 def test_actions_name_an_instrument_that_exists(action, message):
