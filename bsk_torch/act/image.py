@@ -107,20 +107,25 @@ class Image(Action):
         if bool(by_index.any()):
             target, opens, close = self._by_index(by_index, action, target, opens, close)
         waits = (known.found == 0) & ~by_index
-        key, time = torch.where(waits, NO_TARGET, self.keys(target)), simulator.sim_time
+        key, time = torch.where(waits, NO_TARGET, self.keys(target + self._first)), simulator.sim_time
         seconds = torch.where(waits, self.satellite.segment, close - time)
         duration = torch.clamp(seconds, max=self.max_duration)
         expected = torch.minimum(torch.clamp(opens - time, min=SLEW), duration)
         mode = torch.full_like(target, simulator.mode_names.index("image"))
         return Decision(mode, (key != previous) & ~waits, duration, key, expected)
 
-    def keys(self, target: Tensor) -> Tensor:
-        """Return the keys of actions on targets: other actions have keys from 0 on, and -1 is :data:`NO_TARGET`."""
-        return -2 - (self._number or 0) * self.n_negative_actions - target
+    @staticmethod
+    def keys(target: Tensor) -> Tensor:
+        """Return the keys of actions on targets: other actions have keys from 0 on, and -1 is :data:`NO_TARGET`.
 
-    def targets(self, key: Tensor) -> Tensor:
-        """Return the targets of actions with :meth:`keys`."""
-        return self.keys(key)  # it is its own inverse
+        With the second of several instruments, targets count on from the last one, and so on.
+        """
+        return -2 - target
+
+    @property
+    def _first(self) -> int:
+        """Number by which :meth:`keys` counts the first target with the instrument."""
+        return (self._number or 0) * self.n_negative_actions
 
     def _by_index(self, mask: Tensor, action: Tensor, *found: Tensor) -> tuple[Tensor, ...]:
         """Replace target and window where ``mask`` [N] holds, in which actions name a target by its index.
@@ -141,7 +146,7 @@ class Image(Action):
 
     def begin(self, mask: Tensor, decision: Decision) -> None:
         """See :meth:`Action.begin`: set instrument and target of the pointing guidance, and arm the event of a growing store."""
-        simulator, target = self.satellite.simulator, self.targets(decision.key)
+        simulator, target = self.satellite.simulator, self.keys(decision.key) - self._first  # keys() is its own inverse
         mask = mask & (decision.key != NO_TARGET)
         if self._number is not None:
             self._choose(self._number, mask)

@@ -187,9 +187,10 @@ def test_the_same_target_with_another_instrument_is_another_task():
     again, other = a.decide(index, mask, index, one.key), b.decide(index, mask, index + 3, one.key)
     assert not again.retask.any()
     assert other.retask.all()
-    assert torch.equal(a.targets(one.key), b.targets(other.key))
+    target = a.keys(one.key)
+    assert torch.equal(b.keys(other.key), target + TARGETS)
     env.step(td.set("action", torch.full((N,), 3)))
-    assert torch.equal(env.satellite.latest_target, b.targets(other.key))
+    assert torch.equal(env.satellite.latest_target, target)
     saved = environment({"instruments": [dyn.Instrument("a"), dyn.Instrument("b", inst_pHat_B=[1, 0, 1])], **PACKET})
     saved.restore(env.get_state())
     assert saved.satellite.dynamics.instrument_index.tolist() == [1.0] * N
