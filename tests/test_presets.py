@@ -13,6 +13,9 @@ from bsk_torch.presets.aeos import AHEAD, ORBIT
 from bsk_torch.presets.aeos_power import BIN, BINS, CROWD, TargetDensity
 from bsk_torch.presets.constellation import CHOICES
 from bsk_torch.presets.hetero_cluster import LIT, claimed
+from bsk_torch.rl.policies.shared_policy import member_views
+from bsk_torch.rl.rules.baselines import RANKINGS
+from bsk_torch.rl.rules.cooperative import RADAR, Sharing
 
 pytestmark = pytest.mark.compiled
 
@@ -233,7 +236,7 @@ def test_clouds_and_night_matter_to_optical_satellites_only():
     assert not env.rewarder.memory["covered"][:, 2].any()
 
 
-def test_claims_are_what_others_are_about_to_image():
+def test_claims_and_the_numbers_of_the_rule():
     env = make("HeteroCluster-v1", backend="eager")
     env.reset()
     optical, radar = env.satellites
@@ -242,3 +245,5 @@ def test_claims_are_what_others_are_about_to_image():
     optical.task.requires_retasking = torch.tensor([False, True] * 3)
     targets = radar.find_next_opportunities(CHOICES, "target")
     assert torch.equal(claimed(radar, targets), (targets.place == place[:, :1]).to(targets.close.dtype))
+    numbers = {group: RANKINGS["cooperative"](view).numbers for group, view in member_views(env).items()}
+    assert numbers == {"optical_imager": Sharing(), "radar_imager": RADAR}

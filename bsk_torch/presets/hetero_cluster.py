@@ -48,7 +48,8 @@ The targets are those of the next windows, in order of closing time, without tar
 for the optical ones without those that they know to be covered from an image.
 
 Actions: 0 charge, 1 downlink, 2 desaturate the wheels (60 s each), 3 to 18 image one of the next 16 targets; the last action
-continues the current task. ``action_mask`` excludes dangerous actions as in :mod:`bsk_torch.presets.aeos_power`.
+continues the current task. ``action_mask`` excludes actions as in :mod:`bsk_torch.presets.aeos_power`; batteries can
+still run empty.
 
 Reward: the priority of a target for its first useful image, shared by satellites that take it in the same step; -1 if a satellite
 dies.

@@ -253,3 +253,20 @@ def test_rules_that_do_not_fit():
     options = MAPPOConfig("RSOInspection-v1", imitate="hasty", options={"backend": "eager"}, num_envs=1, frames=8)
     with pytest.raises(ValueError, match=r"imitate='hasty' fits no satellite of RSOInspection-v1 .*; imitate=null"):
         MAPPOLearner(options, options.make_env())
+
+
+def test_both_types_of_a_cluster_learn_how_its_rule_ranks_actions():
+    cluster = {"n_targets": 200, "time_limit": 300.0, "backend": "eager", "as_set": True}
+    sizes = dict(num_envs=2, rollout=4, minibatch=8, seconds=None, frames=8, imitation=1.0)
+    config = MAPPOConfig("HeteroCluster-v1", options=cluster, imitate="cooperative", imitation_temperature=0.1, **sizes)
+    env = config.make_env()
+    learner = MAPPOLearner(config, env)
+    learner.anneal(0.0)
+    with torch.no_grad():
+        batch = env.rollout(4, shared(learner.policy, env), auto_reset=True, break_when_any_done=False)
+    before = [parameter.clone() for parameter in learner.policy.parameters()]
+    learner.learn(batch)
+    assert all(group.imitates for group in learner.groups.values())
+    changed = [not torch.equal(a, b) for a, b in zip(before, learner.policy.parameters(), strict=True)]
+    assert any(changed)
+    assert all(parameter.isfinite().all() for parameter in learner.policy.parameters())

@@ -28,7 +28,8 @@ CLUSTER: dict[str, dict[str, Any]] = {
         imitate="cooperative", imitation=0.3, imitation_temperature=0.1, gamma=0.999, evaluate_every=50_000, evaluate_episodes=128
     )
 }
-"""For satellites with different instruments: which targets to leave to others is taught, when to charge pays later."""
+"""For satellites with different instruments: which targets to leave to others is taught, when to charge pays later. The result of
+a whole training has not been measured."""
 
 SCANNING: dict[str, dict[str, Any]] = {
     "mlp": dict(evaluate_every=250_000),
