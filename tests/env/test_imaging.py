@@ -454,6 +454,17 @@ def test_sets_and_vectors_say_the_same():
     assert nested["target", "mask"].shape == (3, 32)
 
 
+@pytest.mark.parametrize("compat", [None, "bsk_rl"])
+def test_more_targets_are_seen_above_the_horizon(compat):
+    counts = []
+    for limit in (0.0, 0.3):
+        env = imager(2, sat_args=dict(imageTargetMinimumElevation=limit), backend="eager", compat=compat)
+        env.reset()
+        windows = env.satellite.find_windows(3000.0)
+        counts.append(int(torch.isfinite(windows.close).sum()))
+    assert counts[0] > counts[1] > 5
+
+
 class TestBadInput:
     def test_targets_on_a_satellite_that_sees_none(self):
         class Blind(sats.AccessSatellite):
@@ -477,7 +488,7 @@ class TestBadInput:
         with pytest.raises(ValueError, match=r"targets need a sats\.ImagingSatellite and a scenario"):
             SatelliteTasking(Blind("B"), backend="eager")
 
-    @pytest.mark.parametrize("limit", [0.0, -0.1, math.pi / 2, 58.0])
+    @pytest.mark.parametrize("limit", [-0.1, math.pi / 2, 58.0])
     def test_elevation_limits(self, limit):
         with pytest.raises(ValueError, match="imageTargetMinimumElevation"):
             imager(2, sat_args=dict(imageTargetMinimumElevation=limit), backend="eager")
