@@ -1,11 +1,12 @@
 """Does training with faults help when parts fail, also parts that never failed in training?
 
 Usage:
-    python benchmarks/faults.py [--frames 400000] [--seeds 3] [--episodes 256] [--trainings NAME ...] [--out FILE.json]
+    python benchmarks/faults.py [--frames 200000] [--seeds 3] [--episodes 128] [--trainings NAME ...] [--out FILE.json]
 
 Policies of FaultyScan-v1 are trained with different kinds of faults, :data:`TRAININGS`, by the recipe of the preset, except that
-they imitate first what ``rule`` does, whose thresholds were chosen without faults. They and rules fly the same fresh episodes:
-without faults, with one kind of fault (:data:`CONDITIONS`), and those of the preset, four times as many.
+they imitate first what ``rule`` does, whose thresholds were chosen without faults. They, rules and the package's policies for
+NadirScan-v1 and FaultyScan-v1 fly the same fresh episodes: without faults, with one kind of fault (:data:`CONDITIONS`), and
+with all, four times as many.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import harness
 import bsk_torch
 from bsk_torch.presets.faulty_scan import KINDS
 from bsk_torch.rl.evaluation.evaluate import evaluate
+from bsk_torch.rl.policies import pretrained
 from bsk_torch.rl.policies.shared_policy import rule
 from bsk_torch.rl.training import configure
 from bsk_torch.rl.training.trainer import Training
@@ -34,6 +36,9 @@ CONDITIONS: dict[str, tuple[str, ...]] = {"none": (), **{kind: (kind,) for kind 
 """Kinds of faults that occur, by condition."""
 
 RULES = ("rule", "cautious")
+
+PACKAGED = {"package, faults: none": "NadirScan-v1", "package, faults: all": PRESET}
+"""Presets of the package's policies, whose trainings were longer, by name."""
 
 TRAININGS: dict[str, tuple[str, ...]] = {
     "none": (),
@@ -81,12 +86,13 @@ def shown(results: list[Results], condition: str, what: str) -> str:
 def main() -> None:
     """Train, compare, and print two tables."""
     parsed = harness.parser(
-        __doc__, seconds=60.0, frames=400_000, seeds=3, episodes=256, num_envs=1024, evaluate_every=100_000, time_limit=28_500.0
+        __doc__, seconds=60.0, frames=200_000, seeds=3, episodes=128, num_envs=256, evaluate_every=100_000, time_limit=28_500.0
     )
     parsed.add_argument("--trainings", nargs="+", choices=TRAININGS, default=list(TRAININGS), metavar="NAME")
     parsed.add_argument("--backend", choices=("compiled", "eager"), default="compiled")
     options, described = harness.begin(parsed)
     found = {name: [judge(lambda env, name=name: rule(name, env), options)] for name in RULES}  # type: ignore[misc]
+    found |= {name: [judge(lambda env, of=of: pretrained(of), options)] for name, of in PACKAGED.items()}  # type: ignore[misc]
     frames: dict[str, list[int]] = {}
     with tempfile.TemporaryDirectory() as folder:
         for name in options.trainings:

@@ -1,13 +1,13 @@
 """How much better than rules can policies of FaultyScan-v1 be?
 
 Usage:
-    python benchmarks/faults_headroom.py [--frames 1000000] [--seeds 3] [--episodes 1024] [--planned 128] [--futures 4]
-        [--trainings NAME ...] [--out FILE.json]
+    python benchmarks/faults_headroom.py [--frames 1000000] [--seeds 3] [--episodes 1024] [--planned 128] [--futures 2]
+        [--known past all] [--out FILE.json]
 
-Rules, policies of several seeds (:data:`TRAININGS`), and planners over the rule ``cautious`` fly the same fresh episodes, of
-which planners have only the first ones. One planner knows all faults in advance, the other only those that have happened: it
-averages over ``--futures`` draws of the others; 0 leaves it out. Gains over ``cautious`` are paired by episode. ``--planned 0``
-leaves planners out, ``--seeds 0`` trainings.
+Rules, policies trained by the recipe of the preset, and planners over the rule ``cautious`` fly the same fresh episodes, of which
+planners have only the first ones. One planner knows all faults in advance, the other only those that have happened: it averages
+over ``--futures`` draws of the others. Gains over ``cautious`` are paired by episode. ``--planned 0`` leaves planners out,
+``--seeds 0`` trainings.
 """
 
 from __future__ import annotations
@@ -39,13 +39,6 @@ BEST = "cautious"
 
 RULES = (BEST, "rule")
 
-TRAININGS: dict[str, dict[str, Any]] = {
-    "recipe": {},
-    "memory": dict(network="gru"),
-    "observed": dict(options=dict(observed=True)),
-}
-"""Settings that differ from those of the published policy: none, a memory, and faults that are observed."""
-
 HORIZON = 6000.0
 """How far planners look ahead, s."""
 
@@ -59,20 +52,17 @@ COLUMNS = {
 }
 
 
-def make_env(episodes: int, options: argparse.Namespace, observed: bool = False) -> SatelliteTasking:
+def make_env(episodes: int, options: argparse.Namespace) -> SatelliteTasking:
     """Return the environment in which policies are compared; the first of many episodes are those of few."""
-    env = bsk_torch.make(PRESET, num_envs=episodes, observed=observed, time_limit=options.time_limit, backend=options.backend)
+    env = bsk_torch.make(PRESET, num_envs=episodes, time_limit=options.time_limit, backend=options.backend)
     assert isinstance(env, SatelliteTasking)
     return env
 
 
-def train(name: str, seed: int, options: argparse.Namespace, folder: Path) -> Any:
-    """Return a policy."""
-    settings = dict(TRAININGS[name])
-    world = dict(time_limit=options.time_limit, backend=options.backend) | settings.pop("options", {})
-    config = configure(
-        PRESET, seed=seed, num_envs=options.num_envs, frames=options.frames, seconds=None, options=world, **settings
-    )
+def train(seed: int, options: argparse.Namespace, folder: Path) -> Any:
+    """Return a policy trained by the recipe of the preset."""
+    world = dict(time_limit=options.time_limit, backend=options.backend)
+    config = configure(PRESET, seed=seed, num_envs=options.num_envs, frames=options.frames, seconds=None, options=world)
     return Training(config, folder).run(bar=False)
 
 
@@ -95,20 +85,22 @@ def row(name: str, found: Evaluation, best: Evaluation, cpu: float) -> dict[str,
     }
 
 
-def planners(env: SatelliteTasking, futures: int) -> dict[str, TensorDictModuleBase]:
-    """Return planners over the best rule, by what they know."""
-    found = {"planner, all faults known": Rollout(env, BEST, horizon=HORIZON, gamma=1.0, rows=2048)}
-    if futures:
-        found["planner, past faults known"] = Rollout(env, BEST, horizon=HORIZON, gamma=1.0, futures=futures, rows=2048)
-    return found
+def planners(env: SatelliteTasking, options: argparse.Namespace) -> dict[str, TensorDictModuleBase]:
+    """Return planners over the best rule, by the faults that they know."""
+    return {
+        f"planner, {which} faults known": Rollout(
+            env, BEST, horizon=HORIZON, gamma=1.0, futures=options.futures if which == "past" else None, rows=2048
+        )
+        for which in options.known
+    }
 
 
 def main() -> None:
     """Train, compare, and print a table."""
     parsed = harness.parser(
-        __doc__, frames=1_000_000, seeds=3, episodes=1024, planned=128, futures=4, num_envs=1024, time_limit=28_500.0
+        __doc__, frames=1_000_000, seeds=3, episodes=1024, planned=128, futures=2, num_envs=1024, time_limit=28_500.0
     )
-    parsed.add_argument("--trainings", nargs="*", choices=TRAININGS, default=list(TRAININGS), metavar="NAME")
+    parsed.add_argument("--known", nargs="+", choices=("past", "all"), default=["past", "all"], help="faults that planners know")
     parsed.add_argument("--backend", choices=("compiled", "eager"), default="compiled")
     options, described = harness.begin(parsed)
     rows: list[dict[str, Any]] = []
@@ -125,15 +117,12 @@ def main() -> None:
     for name in RULES:
         compare(name, rule(name, env), env)
     with tempfile.TemporaryDirectory() as folder:
-        for name in options.trainings:
-            judged = make_env(options.episodes, options, observed=name == "observed")
-            for seed in range(options.seeds):
-                policy = train(name, seed, options, Path(folder) / f"{name}-{seed}")
-                compare(f"trained, {name}, seed {seed}", policy, judged)
+        for seed in range(options.seeds):
+            compare(f"trained, seed {seed}", train(seed, options, Path(folder) / str(seed)), env)
     if options.planned:
         few = make_env(options.planned, options)
         compare(BEST, rule(BEST, few), few)
-        for name, policy in planners(few, options.futures).items():
+        for name, policy in planners(few, options).items():
             compare(name, policy, few)
     print(harness.table(COLUMNS, rows))
 

@@ -80,8 +80,8 @@ STARTS: dict[str, list[Start]] = {
     ],
     "benchmarks/faults_headroom.py": [
         Start(
-            "--seeds 1 --episodes 2 --planned 3 --futures 1 --num-envs 2 --frames 32 --time-limit 300 --trainings recipe",
-            r"(?s)\| trained, recipe, seed 0 \| .*\| planner, past faults known \| [-\d.]+ \+- [\d.]+ \| ",
+            "--seeds 1 --episodes 2 --planned 3 --futures 1 --num-envs 2 --frames 32 --time-limit 300",
+            r"(?s)\| trained, seed 0 \| .*\| planner, past faults known \| [-\d.]+ \+- [\d.]+ \| ",
         ),
     ],
     "benchmarks/inspection.py": [

@@ -20,6 +20,7 @@ SCRIPTS = {
     "inspection_rso": "inspection_rules",
     "inspection_crew": "inspection_rules",
     "clouds_moving": "clouds",
+    "faults_planners": "faults_headroom",
 }
 """Scripts by result, where the names differ."""
 
@@ -383,8 +384,8 @@ def spread(values: Sequence[float], form: str) -> str:
     return mean if len(values) == 1 else f"{mean} ({low} to {high})"
 
 
-def difficulties(name: str, what: str) -> str:
-    """Return survival or return (``what``) of trainings by condition."""
+def by_condition(name: str, what: str) -> str:
+    """Return survival or return (``what``) of rules and of trainings with several seeds, by condition."""
     found = load(name)["found"]
     form = "{:.1%}" if what == "survival" else "{:.3f}"
     conditions = list(next(iter(found.values()))[0])
@@ -392,15 +393,22 @@ def difficulties(name: str, what: str) -> str:
         [training, *(spread([result[condition][what] for result in results], form) for condition in conditions)]
         for training, results in found.items()
     ]
-    return f"{table(['training', *conditions], rows)}\n"
-
-
-def faults(what: str) -> str:
-    """Return survival or return (``what``) of policies by kind of fault."""
-    found, forms = load("faults")["found"], {"survival": "{survival:.1%}", "return": "{return:.3f} ±\u00a0{half:.3f}"}
-    conditions = list(next(iter(found.values())))
-    rows = [[name, *(forms[what].format_map(result[each]) for each in conditions)] for name, result in found.items()]
     return f"{table(['policy', *conditions], rows)}\n"
+
+
+def headroom(name: str) -> str:
+    """Return what policies and planners gain over a rule in the same episodes."""
+    rows = [
+        [
+            row["policy"],
+            whole(row["episodes"]),
+            f"{row['return']:.3f} ±\u00a0{row['half']:.3f}",
+            f"{row['gain']:+.3f} ±\u00a0{row['gain_half']:.3f}" if row["gain_half"] else "-",
+            f"{row['survival']:.1%} ({row['survival_low']:.1%} to {row['survival_high']:.1%})",
+        ]
+        for row in load(name)["rows"]
+    ]
+    return with_command(name, ["policy", "episodes", "return", "gain over cautious", "survival"], rows)
 
 
 def own_environments() -> str:
@@ -556,8 +564,8 @@ def certificate(flown: Mapping[str, Any] | None) -> str:
 
 
 TABLES = {
-    "difficulties": difficulties,
-    "faults": faults,
+    "by_condition": by_condition,
+    "headroom": headroom,
     "own_environments": own_environments,
     "clouds": clouds,
     "envelope": envelope,
