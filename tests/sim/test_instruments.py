@@ -331,7 +331,7 @@ def test_compiled_and_eager_agree():
         ),
         (
             {"instruments": [dyn.Instrument("a", imageTargetMinimumElevation=2.0)]},
-            "instrument 'a': imageTargetMinimumElevation=2 rad must lie between 0 and pi/2",
+            "instrument 'a': imageTargetMinimumElevation=2 rad must lie in [0, pi/2)",
         ),
         (
             {"instruments": PAIR, "faults": [faults.instrument(0.0)]},
