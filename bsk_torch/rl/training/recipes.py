@@ -25,11 +25,22 @@ CREW_WITH_RELAYS: dict[str, dict[str, Any]] = {
 
 CLUSTER: dict[str, dict[str, Any]] = {
     "attention": dict(
-        imitate="cooperative", imitation=0.3, imitation_temperature=0.1, gamma=0.999, evaluate_every=50_000, evaluate_episodes=128
+        num_envs=64,
+        rollout=48,
+        hidden=(32,),
+        epochs=3,
+        minibatch=512,
+        learning_rate=2e-3,
+        imitate="cooperative",
+        imitation=0.5,
+        imitation_temperature=0.1,
+        gamma=0.999,
+        evaluate_every=80_000,
+        evaluate_episodes=48,
     )
 }
-"""For satellites with different instruments: which targets to leave to others is taught, when to charge pays later. The result of
-a whole training has not been measured."""
+"""For satellites with different instruments: which targets to leave to others is taught. New episodes search for the windows of
+5,000 targets, so there are few at once."""
 
 SCANNING: dict[str, dict[str, Any]] = {
     "mlp": dict(evaluate_every=250_000),
