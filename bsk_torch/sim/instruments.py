@@ -115,6 +115,19 @@ def described_instruments(given: Mapping[str, Any], table: Mapping[str, Arg]) ->
     Raises:
         ValueError: For entries that are not instruments, equal names, and arguments that the satellite does not have.
     """
+    listed = _listed(given)
+    names = [part.name for part in listed]
+    for part in listed:
+        if names.count(part.name) > 1:
+            raise ValueError(f"sat_args: {names.count(part.name)} instruments are named {part.name!r}; give each another name")
+        for name in part.own:
+            if name not in table:
+                raise ValueError(f"instrument {part.name!r} has {name}, but the satellite does not image places on the ground")
+    return listed
+
+
+def _listed(given: Mapping[str, Any]) -> tuple[Instrument, ...]:
+    """Return the instruments in arguments, none for None; ValueError for anything but a list of instruments."""
     listed = given.get(SLOT)
     if listed is None:
         return ()
@@ -123,13 +136,6 @@ def described_instruments(given: Mapping[str, Any], table: Mapping[str, Arg]) ->
             f"sat_args: instruments={listed!r} must be a list of instruments, such as [dyn.Instrument('wide'), "
             "dyn.Instrument('narrow', instrumentBaudRate=2e6)]"
         )
-    names = [part.name for part in listed]
-    for part in listed:
-        if names.count(part.name) > 1:
-            raise ValueError(f"sat_args: {names.count(part.name)} instruments are named {part.name!r}; give each another name")
-        for name in part.own:
-            if name not in table:
-                raise ValueError(f"instrument {part.name!r} has {name}, but the satellite does not image places on the ground")
     return tuple(listed)
 
 
@@ -167,7 +173,7 @@ def number_of(listed: Sequence[Instrument], instrument: str | int | None, title:
 
 def each_value(args: Values, name: str) -> Iterator[Any]:
     """Yield the values of an argument of all instruments, or of the single one."""
-    return (args[name if part is None else part.argument(name)] for part in args.get(SLOT) or (None,))
+    return (args[name if part is None else part.argument(name)] for part in _listed(args) or (None,))
 
 
 def differs(given: Mapping[str, Any], name: str) -> bool:

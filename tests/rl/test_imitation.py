@@ -59,7 +59,7 @@ def test_the_rule_is_asked_in_each_situation(played):
     assert len(lesson.unique()) > 2
 
 
-@pytest.mark.parametrize("name", RANKED)
+@pytest.mark.parametrize("name", [name for name in RANKED if name in IMAGING_RULES])
 def test_a_temperature_turns_what_actions_are_worth_into_probabilities(played, name):
     env, batch = played
     rule = ImagingRule.of(env, IMAGING_RULES[name])
