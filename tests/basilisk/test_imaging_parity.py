@@ -40,6 +40,7 @@ def test_two_instruments():
     """Boresight, tolerances, size and power of the image are those of the instrument that each action chooses."""
     recording = load("imaging_instruments")
     check(replay(recording, environment(recording)), POSITION["arc"], IMAGING)
+    assert len(episodes("instruments")) == 2
     for e in episodes("instruments"):
         used = (e.action - len(recording.env["modes"])) // recording.env["ahead"]
         assert all((e.success & (used == k)).sum() > 3 for k in (0, 1))

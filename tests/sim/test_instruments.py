@@ -311,6 +311,7 @@ def test_drawn_instruments_do_not_depend_on_the_batch():
 def test_compiled_and_eager_agree():
     args = {"instruments": DRAWN, **PACKET, "faults": [faults.instrument(0.5, instrument="narrow", at=30.0)]}
     eager, compiled = (play(environment(args, backend=backend), (0, 3, 4)) for backend in ("eager", "compiled"))
+    assert len(eager) == 24  # rewards, observations, ticks and five fields of three steps
     for one, other in zip(eager, compiled, strict=True):
         torch.testing.assert_close(one, other, rtol=1e-9, atol=1e-9)
 

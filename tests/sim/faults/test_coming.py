@@ -122,6 +122,7 @@ def test_draws_do_not_depend_on_other_rows():
                 fault, values, env.fleet.ticks[rows], simulator.h_ns, key.take(rows.tolist()), simulator.type.arguments.draw_some
             )
         )
+    assert {"loud.at", "loud.clickSize"} <= found[1].keys()
     for name, value in found[1].items():
         assert torch.equal(value, found[0][name][few])
 
