@@ -17,11 +17,13 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import harness
 import torch
+from tensordict.nn import TensorDictModule
 from torch import Tensor
 
 import bsk_torch
@@ -32,7 +34,7 @@ from bsk_torch.presets import PRESETS
 from bsk_torch.presets.aeos import CLOUDS, ORBIT, SATELLITE, AgileSatellite, agile_args, agile_environment, targets_ahead
 from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
 from bsk_torch.rl.rules.baselines import BASELINES
-from bsk_torch.rl.rules.imaging import by_discounted_priority, imaging_rule
+from bsk_torch.rl.rules.imaging import ImagingRule, Worth, by_discounted_priority, ranking_rule
 from bsk_torch.rl.training.config import PPOConfig
 from bsk_torch.rl.training.recipes import RECIPES
 from bsk_torch.rl.training.trainer import Training
@@ -238,6 +240,11 @@ def by_first_chance(see: Any, observation: Any) -> Tensor:
     return torch.where(worth > 0.0, worth * (1.0 - see.read(observation, "belief")), worth)
 
 
+def ranked(worth: Worth, env: SatelliteTasking) -> TensorDictModule:
+    """Return the rule that images the target with the largest ``worth``."""
+    return ranking_rule(partial(ImagingRule.of, worth=worth))(env, 0)
+
+
 def train(name: str, seed: int, options: Any, folder: Path) -> tuple[Any, int]:
     """Return a policy, and the number of decisions that it has learned from."""
     recipe = RECIPES[PRESET]["attention"] | dict(num_envs=options.num_envs, evaluate_every=0) | harness.budget(options)
@@ -271,10 +278,10 @@ def study(world: str, options: Any, folder: Path) -> dict[str, list[dict[str, An
         PRESETS[f"Clouds-{world}-{view}"] = preset_of(world, view)
     widest = f"Clouds-{world}-mean and spread"
     hasty = judge(lambda env: BASELINES[RULE](env, 0), widest, options)
-    chance = judge(lambda env: imaging_rule(by_chance)(env, 0), widest, options)
+    chance = judge(lambda env: ranked(by_chance, env), widest, options)
     found = {RULE: [summary(hasty, hasty, 0)], CHANCE: [summary(chance, hasty, 0)]}
     if world == MOVING:
-        again = judge(lambda env: imaging_rule(by_first_chance)(env, 0), f"Clouds-{world}-{REPEATS}", options)
+        again = judge(lambda env: ranked(by_first_chance, env), f"Clouds-{world}-{REPEATS}", options)
         found[REPEATING] = [summary(again, hasty, 0)]
     for view in views_of(world, options.views):
         name, rows = f"Clouds-{world}-{view}", []

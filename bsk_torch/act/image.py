@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -64,7 +64,8 @@ class Image(Action):
             ValueError: For fewer than one target or a duration that is not positive.
         """
         super().__init__(name if instrument is None else f"{name}_{instrument}")
-        self.instrument, self._number = instrument, cast("int | None", None)
+        self.instrument = instrument
+        self._number: int | None = None
         self.n_actions, self.mask_repeated = whole("n_ahead_image", n_ahead_image, 1), switch("mask_repeated", mask_repeated)
         self.max_duration = positive_duration("max_duration", max_duration, name, float("inf"))
 
@@ -73,16 +74,16 @@ class Image(Action):
         super().link_satellite(satellite)
         satellite.simulator.check_command("image")
         kinds, listed = getattr(satellite, "opportunity_types", ()), satellite.simulator.type.instruments
-        wanted: Any = getattr(satellite, "target_types", None)
+        wanted: str | None = getattr(satellite, "target_types", None)
         if listed or self.instrument is not None:
             self._number = number_of(listed, self.instrument, f"act.Image {self.name!r}")
             wanted = instrument_kind(listed[self._number])
-        if not hasattr(satellite, "target_types") or wanted not in kinds:
+        if not hasattr(satellite, "target_types") or wanted is None or wanted not in kinds:
             raise ValueError(
                 f"{self.name!r} needs a sats.ImagingSatellite and a scenario with targets, such as scene.UniformTargets; "
                 f"{satellite.name} is a {type(satellite).__name__} with opportunities of type {list(kinds) or 'none'}"
             )
-        self.kind: str = wanted
+        self.kind = wanted
         self.satellite.access_windows.expect(self.n_actions, self.n_negative_actions)
 
     @property

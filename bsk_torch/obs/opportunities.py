@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -144,7 +144,8 @@ class OpportunityProperties(Observation):
                 raise ValueError(f"prop={entry['prop']!r} is a property of targets; opportunities of type {type!r} have none")
         self.n_ahead_observe = whole("n_ahead_observe", n_ahead_observe, 1)
         self.entries, self.type, self.as_set = parsed, kind, switch("as_set", as_set)
-        self.instrument, self._number = instrument, cast("int | None", None)
+        self.instrument = instrument
+        self._number: int | None = None
         self.exact = ("mask",) if as_set else ()  # not changed by obs.Noisy
         titles = (f"{entry['name']!r} of {self.name!r}" for entry in parsed)
         self._functions = [

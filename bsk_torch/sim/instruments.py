@@ -19,7 +19,7 @@ from bsk_torch._checks import no_gradient, text
 from bsk_torch.rand import Distribution, as_value
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Layout, Values
 from bsk_torch.sim.faults.declared import Fault
-from bsk_torch.sim.names import nearest
+from bsk_torch.sim.names import check_unique, nearest
 from bsk_torch.vec3 import Vec3, select
 
 SLOT, INDEX = "instruments", "instrument_index"
@@ -116,10 +116,8 @@ def described_instruments(given: Mapping[str, Any], table: Mapping[str, Arg]) ->
         ValueError: For entries that are not instruments, equal names, and arguments that the satellite does not have.
     """
     listed = _listed(given)
-    names = [part.name for part in listed]
+    check_unique([part.name for part in listed], "instruments")
     for part in listed:
-        if names.count(part.name) > 1:
-            raise ValueError(f"sat_args: {names.count(part.name)} instruments are named {part.name!r}; give each another name")
         for name in part.own:
             if name not in table:
                 raise ValueError(f"instrument {part.name!r} has {name}, but the satellite does not image places on the ground")

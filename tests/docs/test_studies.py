@@ -53,7 +53,7 @@ def test_clouds_change_every_half_hour_and_forecasts_are_about_right(clouds):
 @pytest.mark.compiled
 def test_repeated_images_pay_once_and_raise_the_belief(clouds):
     env = clouds.preset_of("moving", "repeats")(num_envs=6)
-    rule = clouds.imaging_rule(clouds.by_first_chance)(env, 0)
+    rule = clouds.ranked(clouds.by_first_chance, env)
     env.set_seed(SEED)
     start = env.reset()
     scenario: Any = env.scenario

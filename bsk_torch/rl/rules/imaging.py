@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import torch
 from tensordict.nn import TensorDictModule
@@ -134,11 +133,6 @@ class ImagingRule:
     def decide(self, observation: Observation, action_mask: Tensor) -> Tensor:
         """Return actions [N] for an observation and the legal actions [N, A]: the first of those with the largest value."""
         return self.worths(observation, action_mask).argmax(1)
-
-
-def imaging_rule(worth: Worth) -> Callable[[SatelliteTasking, int], TensorDictModule]:
-    """Return :func:`ranking_rule` of the :class:`ImagingRule` with this ``worth``."""
-    return ranking_rule(partial(ImagingRule.of, worth=worth))
 
 
 def ranking_rule(ranking: Callable[[SatelliteTasking], ImagingRule]) -> Callable[[SatelliteTasking, int], TensorDictModule]:

@@ -22,6 +22,7 @@ from bsk_torch.sim.arguments.sources import hint
 from bsk_torch.sim.arguments.values import is_fixed
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Layout, Values
 from bsk_torch.sim.faults.declared import CHANGING, NEVER, Fault, ticks_of
+from bsk_torch.sim.names import check_unique
 
 SLOT = "faults"
 
@@ -75,10 +76,8 @@ def declared_faults(given: Mapping[str, Any], table: Mapping[str, Arg]) -> tuple
         return ()
     if not isinstance(listed, Sequence) or not all(isinstance(fault, Fault) for fault in listed):
         raise ValueError(f"sat_args: faults={listed!r} must be a list of faults, such as [faults.wheel_torque(0, at=600.0)]")
-    names = [fault.name for fault in listed]
+    check_unique([fault.name for fault in listed], "faults")
     for fault in listed:
-        if names.count(fault.name) > 1:
-            raise ValueError(f"sat_args: {names.count(fault.name)} faults are named {fault.name!r}; give each another name=")
         for name in fault.arguments:
             if name not in table:
                 raise ValueError(f"fault {fault.name!r} changes the unknown argument {name!r}; {hint(name, table)}")
