@@ -238,14 +238,15 @@ class ActionBuilder:
         """Return the key of each action, [n_actions], if several entries give one command; None if keys are action numbers.
 
         An action that repeats the command of the last one continues it, regardless of their durations: as in bsk_rl, the
-        command is the key.
+        command is the key. Scans with different instruments do not continue one another.
         """
-        first: dict[str, int] = {}
+        first: dict[tuple[str, int | None], int] = {}
         keys = list(range(self.n_actions))
         for k in self._fixed:
             command = getattr(self.entries[k], "fsw_action", None)
             if command is not None and self.entries[k].n_actions == 1:
-                keys[self._starts[k]] = first.setdefault(command, self._starts[k])
+                same = command, getattr(self.entries[k], "variant", None)
+                keys[self._starts[k]] = first.setdefault(same, self._starts[k])
         shared = keys != list(range(self.n_actions))
         return torch.tensor(keys, device=self._all_legal.device) if shared else None
 

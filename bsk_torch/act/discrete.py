@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import torch
+from torch import Tensor
 
 from bsk_torch._checks import switch, text
-from bsk_torch.act.base import LONGEST, Action, ActionTable, positive_duration
+from bsk_torch.act.base import LONGEST, Action, ActionTable, Decision, positive_duration
+from bsk_torch.sim.instruments import choose, number_of
 
 if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite
@@ -18,6 +20,9 @@ class DiscreteFSWAction(Action):
 
     Repeating the action continues the mode, unless ``reset_task`` is set.
     """
+
+    variant: int | None = None
+    """Number that tells apart entries with the same command which do not continue one another."""
 
     def __init__(self, fsw_action: str, name: str | None = None, duration: float | None = None, reset_task: bool = False) -> None:
         """Command a mode of the flight software.
@@ -90,8 +95,33 @@ class Downlink(DiscreteFSWAction):
 
 
 class Scan(DiscreteFSWAction):
-    """Point the instrument at nadir and record."""
+    """Point the instrument at nadir and record.
 
-    def __init__(self, name: str = "action_nadir_scan", duration: float | None = None) -> None:
-        """See :class:`DiscreteFSWAction`."""
-        super().__init__("nadir_scan", name, duration)
+    A satellite with several ``instruments`` has an entry for each that it may choose. The choice holds from the next tick on, in
+    which the instrument chosen before no longer records.
+    """
+
+    def __init__(
+        self, name: str = "action_nadir_scan", duration: float | None = None, instrument: str | int | None = None
+    ) -> None:
+        """See :class:`DiscreteFSWAction`.
+
+        Args:
+            name: Name in ``action_description``, followed by the instrument where one is given.
+            duration: Time until the action ends, s; None for 1e9 s.
+            instrument: Name or number of the instrument, of a satellite with several.
+        """
+        super().__init__("nadir_scan", name if instrument is None else f"{name}_{instrument}", duration)
+        self.instrument = instrument
+
+    def link_satellite(self, satellite: BoundSatellite) -> None:
+        """See :meth:`Action.link_satellite`; ValueError for one that cannot scan, or lacks the instrument."""
+        super().link_satellite(satellite)
+        listed = satellite.simulator.type.instruments
+        if listed or self.instrument is not None:
+            self.variant = number_of(listed, self.instrument, f"act.Scan {self.name!r}")
+
+    def begin(self, mask: Tensor, decision: Decision) -> None:
+        """See :meth:`Action.begin`: choose the instrument."""
+        if self.variant is not None:
+            choose(self.satellite.simulator, self.variant, mask)

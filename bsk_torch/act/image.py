@@ -9,7 +9,7 @@ from torch import Tensor
 
 from bsk_torch._checks import switch, whole
 from bsk_torch.act.base import Action, Decision, positive_duration
-from bsk_torch.sim.instruments import INDEX, number_of
+from bsk_torch.sim.instruments import choose, number_of
 from bsk_torch.sim.places import instrument_kind
 
 if TYPE_CHECKING:
@@ -150,20 +150,13 @@ class Image(Action):
         simulator, target = self.satellite.simulator, self.keys(decision.key) - self._first  # keys() is its own inverse
         mask = mask & (decision.key != NO_TARGET)
         if self._number is not None:
-            self._choose(self._number, mask)
+            choose(simulator, self._number, mask)
         place = torch.where(mask, target, 0).unsqueeze(-1)
         r_LP_P = self.satellite.positions(self.kind, place).squeeze(1)
         simulator.write("r_LP_P", mask & decision.retask, r_LP_P)
         simulator.write("image_level", mask, self.satellite.dynamics.partition_levels[:, 0])
         memory = simulator.memory
         memory["latest_target"] = torch.where(mask, target, memory["latest_target"])
-
-    def _choose(self, number: int, mask: Tensor) -> None:
-        """Choose an instrument where ``mask`` [N] holds; what was commanded to another one is withdrawn."""
-        simulator, index = self.satellite.simulator, self.satellite.simulator.read(INDEX)
-        changed = mask & (index != number)
-        simulator.write("instrument_command", changed, torch.zeros_like(index))
-        simulator.write(INDEX, changed, torch.full_like(index, number))
 
     def end(self, mask: Tensor, decision: Decision, event: Tensor) -> None:
         """See :meth:`Action.end`: count windows that have closed without an image."""

@@ -38,6 +38,7 @@ from bsk_torch.astro.frames import angle_between
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.dyn import Now, observable
+from bsk_torch.sim.instruments import axis_now
 
 ORBIT = 5700.0
 """Length of an orbit for norms and time limits, s."""
@@ -60,8 +61,8 @@ class ScanningDownlinkDynModel(dyn.ContinuousImagingDynModel, dyn.GroundStationD
 
     @observable
     def instrument_pointing_error(now: Now) -> Tensor:
-        """Angle between instrument axis and nadir direction, [N] rad."""
-        return angle_between(-now.r_BN_N, now.BN.mT @ now.args.inst_pHat_B)
+        """Angle between instrument axis and nadir direction, [N] rad; of several ``instruments``, that of the one chosen last."""
+        return angle_between(-now.r_BN_N, now.BN.mT @ axis_now(now))
 
     @observable
     def solar_pointing_error(now: Now) -> Tensor:

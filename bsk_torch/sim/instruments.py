@@ -10,7 +10,7 @@ import dataclasses
 import functools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -21,6 +21,9 @@ from bsk_torch.sim.component import Arg, Bus, Component, Field, Layout, Values
 from bsk_torch.sim.faults.declared import Fault
 from bsk_torch.sim.names import check_unique, nearest
 from bsk_torch.vec3 import Vec3, select
+
+if TYPE_CHECKING:
+    from bsk_torch.sim.simulator import Simulator
 
 SLOT, INDEX = "instruments", "instrument_index"
 
@@ -53,10 +56,11 @@ class Instrument:
             or of half the angle of a field of view.
         imageRateErrorRequirement: Largest rate error, rad/s.
         imageTargetMinimumElevation: Least elevation of the satellite above the target, rad.
-        imageTargetMaximumRange: Longest range to the target, m, also in windows; no limit where negative.
+        imageTargetMaximumRange: Longest range to the target, m, also in windows; no limit where negative. The target of a scan
+            is the Earth's center.
         imageTargetMinimumSunElevation: Least elevation of the Sun at the target, rad.
         imageTargetMaximumSunElevation: Largest elevation of the Sun at the target, rad.
-        instrumentBaudRate: Data of one image, bit.
+        instrumentBaudRate: Data of one image, bit; of a scan, in each second, bit/s.
         instrumentPowerDraw: Power while imaging, W, negative; the other instruments are off.
     """
 
@@ -102,7 +106,7 @@ INSTRUMENTS = Component(
 """One instrument, unless the arguments describe several: :func:`with_instruments`."""
 
 NO_INSTRUMENTS = Component(slot=SLOT, after="faults")
-"""Nothing in the slot: for models whose instrument takes no images."""
+"""Nothing in the slot: for models whose instrument neither images places nor scans."""
 
 
 def described_instruments(given: Mapping[str, Any], table: Mapping[str, Arg]) -> tuple[Instrument, ...]:
@@ -182,6 +186,14 @@ def differs(given: Mapping[str, Any], name: str) -> bool:
 
 
 # -- at a decision boundary ---------------------------------------------------------------------------------------------------
+
+
+def choose(simulator: Simulator, number: int, mask: Tensor) -> None:
+    """Choose an instrument where ``mask`` [N] holds; what was commanded to another one is withdrawn."""
+    index = simulator.read(INDEX)
+    changed = mask & (index != number)
+    simulator.write("instrument_command", changed, torch.zeros_like(index))
+    simulator.write(INDEX, changed, torch.full_like(index, number))
 
 
 def argument_now(state: Any, name: str) -> Tensor:

@@ -384,15 +384,15 @@ def test_an_instrument_needs_a_name():
     assert dyn.Instrument("a", inst_pHat_B=[0, 0, 1]) == dyn.Instrument("a", inst_pHat_B=(0, 0, 1))
 
 
-def test_scanning_satellites_have_one_instrument():
-    class Scanner(sats.Satellite):
+def test_satellites_without_an_instrument_have_no_list():
+    class Bus(sats.Satellite):
         observation_spec = (obs.Time(),)
-        action_spec = (act.Scan(),)
-        dyn_type = dyn.ContinuousImagingDynModel
-        fsw_type = fsw.ContinuousImagingFSWModel
+        action_spec = (act.Charge(),)
+        dyn_type = dyn.BasicDynamicsModel
+        fsw_type = fsw.BasicFSWModel
 
     with pytest.raises(KeyError, match=re.escape("it belongs to dyn.ImagingDynModel")):
-        SatelliteTasking(Scanner("A", {"instruments": PAIR}))
+        SatelliteTasking(Bus("A", {"instruments": PAIR}))
     assert hint("instruments", ()).startswith("it belongs to dyn.ImagingDynModel")
 
 

@@ -266,10 +266,8 @@ class ImagingSatellite(AccessSatellite):
     fsw_type: ClassVar[Any] = fsw.ImagingFSWModel
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
-        """See :class:`AccessSatellite`; ValueError for limits of light, and several instruments, which bsk_rl does not have."""
+        """See :class:`AccessSatellite`; ValueError for limits of light, which bsk_rl does not have."""
         super().__init__(*args, **kwargs)
-        if self.sat_args_generator.get("instruments") is not None:
-            raise ValueError("sat_args['instruments']: satellites of bsk_torch.bsk_rl have one; use one of bsk_torch.sats")
         for name in (arg.name for arg in SUN_LIMITS):
             if self.sat_args_generator.get(name) is not None:
                 raise ValueError(

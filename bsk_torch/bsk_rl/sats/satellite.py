@@ -102,10 +102,15 @@ class Satellite(ABC, Resetable):
             obs_type: ``np.ndarray``, ``list`` or ``dict``.
             dtype: Type of observations.
             variable_interval: Whether the end of a task ends the step.
+
+        Raises:
+            ValueError: For several instruments, which bsk_rl does not have.
         """
         self.name = name
         self.logger = logging.getLogger(__name__).getChild(self.name)
         self.sat_args_generator = self.default_sat_args(**(sat_args or {}))
+        if self.sat_args_generator.get("instruments") is not None:
+            raise ValueError("sat_args['instruments']: satellites of bsk_torch.bsk_rl have one; use one of bsk_torch.sats")
         self.variable_interval = variable_interval
         self._timed_terminal_event_name: str | None = None
         self.observation_builder = ObservationBuilder(self, obs_type=obs_type, dtype=dtype)

@@ -66,6 +66,8 @@ def check_scanning(env: SatelliteTasking) -> None:
     for name in ("instrumentPowerDraw", "transmitterPowerDraw", "thrusterPowerDraw"):
         if bool((args[name] > 0.0).any()):
             raise ValueError(f"{name} is above 0: it gives power, which the bound does not count")
+    if simulator.type.instruments:
+        raise ValueError("the bound of scanning covers one instrument; the satellite has a list of instruments")
     if args["panelArea"].ndim > 1:
         raise ValueError("the bound of scanning covers one solar panel; the satellite has a list of panels")
     last = float(env.state.limit_ticks.max()) * simulator.h

@@ -11,6 +11,7 @@ from bsk_torch.astro.attitude import dcm_to_mrp
 from bsk_torch.astro.orbit import hill_frame, hill_rate
 from bsk_torch.sim.component import Bus, Component, Values, vec
 from bsk_torch.sim.dyn.models import ContinuousImagingDynModel, EclipseDynModel
+from bsk_torch.sim.instruments import NO_INSTRUMENTS
 from bsk_torch.vec3 import Vec3, only
 
 
@@ -75,5 +76,5 @@ class RSODynModel(EclipseDynModel):
 class RSOInspectorDynModel(ContinuousImagingDynModel):
     """A satellite that inspects an RSO: its instrument records while it points at the RSO, into the data buffer."""
 
-    components: ClassVar[tuple[Component, ...]] = (INSPECTOR,)
+    components: ClassVar[tuple[Component, ...]] = (NO_INSTRUMENTS, INSPECTOR)
     orbit: ClassVar[str] = "integrated"

@@ -30,7 +30,7 @@ from bsk_torch.sim.dyn import (
     wheels,
 )
 from bsk_torch.sim.faults.component import FAULTS, severities
-from bsk_torch.sim.instruments import INSTRUMENTS, NO_INSTRUMENTS, argument_now
+from bsk_torch.sim.instruments import INSTRUMENTS, argument_now
 from bsk_torch.sim.readout.model import Model, Simulation
 from bsk_torch.sim.readout.observables import Now, observable, vital
 from bsk_torch.sim.schedule import SCHEDULE, Schedule
@@ -381,10 +381,9 @@ class ImagingDynModel(BasicDynamicsModel):
 
 
 class ContinuousImagingDynModel(ImagingDynModel):
-    """Adds an instrument that records continuously while it points down, into a data buffer without partitions."""
+    """Adds one or several instruments that record continuously while they point down, into a data buffer without partitions."""
 
     components: ClassVar[tuple[Component, ...]] = (
-        NO_INSTRUMENTS,
         storage.INSTRUMENT,
         storage.TRANSMITTER,
         storage.STORAGE,
