@@ -9,10 +9,18 @@ from torch import Tensor
 
 from bsk_torch._checks import switch, text
 from bsk_torch.act.base import LONGEST, Action, ActionTable, Decision, positive_duration
-from bsk_torch.sim.instruments import choose, number_of
+from bsk_torch.sim.instruments import INDEX, number_of
 
 if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite
+
+
+def choose_instrument(satellite: BoundSatellite, number: int, mask: Tensor) -> None:
+    """Choose one of several instruments where ``mask`` [N] holds; what was commanded to another one is withdrawn."""
+    index = satellite.simulator.read(INDEX)
+    changed = mask & (index != number)
+    satellite.simulator.write("instrument_command", changed, torch.zeros_like(index))
+    satellite.simulator.write(INDEX, changed, torch.full_like(index, number))
 
 
 class DiscreteFSWAction(Action):
@@ -124,4 +132,4 @@ class Scan(DiscreteFSWAction):
     def begin(self, mask: Tensor, decision: Decision) -> None:
         """See :meth:`Action.begin`: choose the instrument."""
         if self.variant is not None:
-            choose(self.satellite.simulator, self.variant, mask)
+            choose_instrument(self.satellite, self.variant, mask)

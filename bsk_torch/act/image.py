@@ -9,7 +9,8 @@ from torch import Tensor
 
 from bsk_torch._checks import switch, whole
 from bsk_torch.act.base import Action, Decision, positive_duration
-from bsk_torch.sim.instruments import choose, number_of
+from bsk_torch.act.discrete import choose_instrument
+from bsk_torch.sim.instruments import number_of
 from bsk_torch.sim.places import instrument_kind
 
 if TYPE_CHECKING:
@@ -150,7 +151,7 @@ class Image(Action):
         simulator, target = self.satellite.simulator, self.keys(decision.key) - self._first  # keys() is its own inverse
         mask = mask & (decision.key != NO_TARGET)
         if self._number is not None:
-            choose(simulator, self._number, mask)
+            choose_instrument(self.satellite, self._number, mask)
         place = torch.where(mask, target, 0).unsqueeze(-1)
         r_LP_P = self.satellite.positions(self.kind, place).squeeze(1)
         simulator.write("r_LP_P", mask & decision.retask, r_LP_P)

@@ -10,7 +10,7 @@ import dataclasses
 import functools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -21,9 +21,6 @@ from bsk_torch.sim.component import Arg, Bus, Component, Field, Layout, Values
 from bsk_torch.sim.faults.declared import Fault
 from bsk_torch.sim.names import check_unique, nearest
 from bsk_torch.vec3 import Vec3, select
-
-if TYPE_CHECKING:
-    from bsk_torch.sim.simulator import Simulator
 
 SLOT, INDEX = "instruments", "instrument_index"
 
@@ -186,15 +183,6 @@ def differs(given: Mapping[str, Any], name: str) -> bool:
 
 
 # -- at a decision boundary ---------------------------------------------------------------------------------------------------
-
-
-def choose(simulator: Simulator, number: int, mask: Tensor) -> None:
-    """Choose an instrument where ``mask`` [N] holds; what was commanded to another one is withdrawn."""
-    index = simulator.read(INDEX)
-    changed = mask & (index != number)
-    simulator.write("instrument_command", changed, torch.zeros_like(index))
-    simulator.write(INDEX, changed, torch.full_like(index, number))
-
 
 def argument_now(state: Any, name: str) -> Tensor:
     """Return an argument of the instrument chosen last, [rows, ...], or of the single one."""
