@@ -184,6 +184,7 @@ def differs(given: Mapping[str, Any], name: str) -> bool:
 
 # -- at a decision boundary ---------------------------------------------------------------------------------------------------
 
+
 def argument_now(state: Any, name: str) -> Tensor:
     """Return an argument of the instrument chosen last, [rows, ...], or of the single one."""
     value: Tensor = state.argument(name)
