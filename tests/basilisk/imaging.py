@@ -60,13 +60,19 @@ def load(name: str) -> ImagingRecording:
     r_LP_P, priority = (np.stack(part) for part in zip(*tables, strict=True))
     totals = np.concatenate([r_LP_P.sum(1), priority.sum(1, keepdims=True)], 1)
     np.testing.assert_allclose(totals, file["target_sum"], rtol=1e-12, err_msg="numpy draws other targets than it used to")
-    windows = {kind: [known(file, kind, episode) for episode in range(len(initial))] for kind in KINDS}
+    windows = {kind: [known(file, kind, episode) for episode in range(len(initial))] for kind in kinds_of(env)}
     return ImagingRecording(initial, fixed, env, lengths, arrays, r_LP_P, priority, windows)
+
+
+def kinds_of(env: dict[str, Any]) -> tuple[str, ...]:
+    """Kinds of windows: those of instruments with their own limits follow targets and stations."""
+    return (*KINDS, *(kind for kind in env["properties"] if kind.startswith("target@")))
 
 
 def known(file: dict[str, np.ndarray], kind: str, episode: int) -> tuple[Windows, Windows]:
     """Windows of one kind that an episode knew at its start and at its end."""
-    mine = (file["window_station"] == KINDS.index(kind)) & (file["window_episode"] == episode)
+    number = kinds_of(json.loads(str(file["env"]))).index(kind)
+    mine = (file["window_station"] == number) & (file["window_episode"] == episode)
     rows = [mine & (file["window_time"] == when) for when in (0, 1)]
     first, last = (Windows(*(file[f"window_{name}"][row] for name in ("place", "open", "close"))) for row in rows)
     return first, last
@@ -82,6 +88,10 @@ def imager(env: dict[str, Any]) -> type[sats.ImagingSatellite]:
         obs.OpportunityProperties(*entries(kind), type=kind, n_ahead_observe=count)
         for kind, count in zip(KINDS, (env["ahead"], env["stations"]), strict=True)
         if count
+    ]
+    opportunities += [
+        obs.OpportunityProperties(*entries(kind), n_ahead_observe=env["ahead"], instrument=kind.removeprefix("target@"))
+        for kind in kinds_of(env)[len(KINDS) :]
     ]
     last = obs.Eclipse(norm=env["eclipse_norm"]), obs.Time()
     modes = [getattr(act, name)(duration=duration) for name, duration in env["modes"]]
@@ -147,7 +157,7 @@ def compare(recording: ImagingRecording, env: SatelliteTasking, k: int, runs: Se
 def compare_windows(recording: ImagingRecording, env: SatelliteTasking, i: int, when: int, difference: Difference) -> None:
     """Enter the differences of the windows that have not closed, after reset (``when`` 0) or at the end (1) of episode i."""
     now = float(env.simulator.sim_time[i])
-    for kind in KINDS:
+    for kind in recording.windows:
         opens, close, place = (table[i].numpy() for table in env.satellite.opportunities(kind))
         mine, wanted = np.isfinite(close) & (close >= now), recording.windows[kind][i][when]
         ahead = wanted.close >= now
@@ -163,11 +173,19 @@ def misses(recording: ImagingRecording, i: int) -> np.ndarray:
 
     bsk_rl counts only those that close less than 1e-5 of the present time before the tick that notices, so not its numbers.
     """
-    rows, known = {key: part[i] for key, part in recording.arrays.items()}, recording.windows["target"][i][1]
+    rows = {key: part[i] for key, part in recording.arrays.items()}
     start = rows["state"][:-1, 0]
     tasked = np.nonzero((rows["tasked"] >= 0) & rows["requires_retasking"] & (np.diff(rows["imaged"]) == 0))[0]
     longest, missed = recording.env["max_duration"] or np.inf, np.zeros(len(start), dtype=bool)
     for k in tasked:
+        known = recording.windows[kind_of_action(recording.env, rows["action"][k])][i][1]
         closes = known.close[(known.place == rows["tasked"][k]) & (known.close >= start[k])]
         missed[k] = closes.min() - start[k] < longest
     return missed
+
+
+def kind_of_action(env: dict[str, Any], action: int) -> str:
+    """Kind of the windows of an image action."""
+    kinds = [f"target@{name}" for name in env.get("instruments", ("",))]
+    kind = kinds[(action - len(env["modes"])) // env["ahead"]]
+    return kind if kind in env["properties"] else "target"

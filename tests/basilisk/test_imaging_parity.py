@@ -15,6 +15,9 @@ from tests.basilisk.test_parity import BOUNDS, POSITION, check
 
 IMAGING = {**BOUNDS, "window": 1e-3}
 STEERING = {**IMAGING, "observation": 1e-5}
+LIMITED = {**IMAGING, "observation": IMAGING["window"] / 300.0}
+"""Ends of windows are divided by 300 s. Where range limits them, its rate is low, and errors of the position count more."""
+
 DAYS = {**IMAGING, "window": 5e-2, "observation": 2e-4}
 
 FEEDBACK = (
@@ -44,6 +47,24 @@ def test_two_instruments():
     for e in episodes("instruments"):
         used = (e.action - len(recording.env["modes"])) // recording.env["ahead"]
         assert all((e.success & (used == k)).sum() > 3 for k in (0, 1))
+
+
+@pytest.mark.compiled
+def test_limits_of_instruments():
+    """Elevation, range and light at the target are limited for each instrument, in its windows and in the tick of an image."""
+    recording = load("imaging_limits")
+    check(replay(recording, environment(recording)), POSITION["arc"], LIMITED)
+    names = [*recording.env["instruments"]]
+    taken = np.zeros(len(names), dtype=int)
+    for e in episodes("limits"):
+        used = (e.action - len(recording.env["modes"])) // recording.env["ahead"]
+        taken += [(e.taken & e.tasked & (used == k)).sum() for k in range(len(names))]
+        r_BN_P = e.obs[1:, 12:15] * EARTH_RADIUS
+        away = r_BN_P - recording.r_LP_P[e.i][e.image]
+        reach = np.array([recording.env["instruments"][name].get("imageTargetMaximumRange", np.inf) for name in names])
+        images = e.taken & e.tasked
+        assert (np.linalg.norm(away, axis=1)[images] < reach[used[images]] + 8e3).all()  # as it was in the tick before
+    assert taken.min() > 3
 
 
 @pytest.mark.compiled

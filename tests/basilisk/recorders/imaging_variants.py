@@ -37,6 +37,12 @@ TARGET_PROPERTIES: tuple[tuple[str, float], ...] = (
     ("target_angle", np.pi),
     ("target_angle_rate", 0.03),
 )
+LIMITED_PROPERTIES: tuple[tuple[str, float], ...] = (
+    ("priority", 1.0),
+    ("r_LP_P", EARTH_RADIUS),
+    ("opportunity_open", 300.0),
+    ("opportunity_close", 300.0),
+)
 STATION_PROPERTIES = (("r_LP_P", EARTH_RADIUS), ("opportunity_open", ORBIT_PERIOD), ("opportunity_close", ORBIT_PERIOD))
 SATELLITE_PROPERTIES: tuple[tuple[str, float], ...] = (
     ("omega_BP_P", 0.03),
@@ -167,6 +173,25 @@ VARIANTS: dict[str, Variant] = {
                 "imageRateErrorRequirement": 0.004,
                 "instrumentBaudRate": 2.5e6,
                 "instrumentPowerDraw": -55.0,
+            },
+        },
+    ),
+    "imaging_limits": Variant(
+        20,
+        time_limit=ORBIT_PERIOD,
+        targets=2500,
+        ahead=3,
+        max_duration=120.0,
+        fixed={"transmitterPacketSize": -2e6},
+        instruments={
+            "wide": {},
+            "high": {"imageTargetMinimumElevation": float(np.radians(65.0)), "inst_pHat_B": (0.0, 0.6, 0.8)},
+            "near": {"imageTargetMinimumElevation": float(np.radians(35.0)), "imageTargetMaximumRange": 640e3},
+            "day": {"imageTargetMinimumSunElevation": float(np.radians(10.0)), "imageTargetMaximumRange": 620e3},
+            "dusk": {
+                "imageTargetMinimumElevation": float(np.radians(40.0)),
+                "imageTargetMinimumSunElevation": float(np.radians(-50.0)),
+                "imageTargetMaximumSunElevation": float(np.radians(20.0)),
             },
         },
     ),

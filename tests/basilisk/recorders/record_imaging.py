@@ -34,6 +34,7 @@ from imaging_variants import (
     BATTERY,
     EARTH_RADIUS,
     FIXED,
+    LIMITED_PROPERTIES,
     MODES,
     ORBIT_PERIOD,
     POINTING,
@@ -43,6 +44,16 @@ from imaging_variants import (
     TARGET_PROPERTIES,
     VARIANTS,
     Variant,
+)
+from limited_instruments import (
+    ELEVATION,
+    LEAST_SUN,
+    MOST_SUN,
+    REACH,
+    LimitedImager,
+    LitDynModel,
+    UniqueImages,
+    kind_of,
 )
 from numpy.typing import NDArray
 from recording import COLUMNS, Array, boundary_state, orbit_state, random_utc, record_files, sensitivity, streams, versions
@@ -83,7 +94,8 @@ class ImageWith(act.Image):
     def __init__(self, variant: Variant, instrument: str) -> None:
         """Offer the next targets for an instrument."""
         super().__init__(variant.ahead, variant.max_duration, f"action_image_{instrument}")
-        self.instrument, self.arguments = instrument, {**POINTING, **FIXED, **variant.fixed, **variant.instruments[instrument]}
+        self.instrument, self.own = instrument, variant.instruments[instrument]
+        self.arguments = {**POINTING, **FIXED, **variant.fixed, **self.own}
 
     def image(self, target: Any, prev_action_key: str | None = None) -> str:
         """See the base class; the same target with another instrument is another action."""
@@ -91,6 +103,12 @@ class ImageWith(act.Image):
         flight.locPoint.pHat_B = args["inst_pHat_B"]
         flight.insControl.attErrTolerance = args["imageAttErrorRequirement"]
         flight.insControl.rateErrTolerance = args["imageRateErrorRequirement"]
+        sim.imagingTarget.minimumElevation = args[ELEVATION]
+        sim.imagingTarget.maximumRange = args.get(REACH, -1.0)
+        if isinstance(sim, LitDynModel):
+            sim.gate.limits = args.get(LEAST_SUN, -np.pi), args.get(MOST_SUN, np.pi)
+            flight.insControl.locationAccessInMsg.subscribeTo(sim.gate.passedOutMsg)
+            self.satellite.target_types = kind_of(self.instrument, self.own)
         sim.instrument.nodeBaudRate = args["instrumentBaudRate"] / sim.dyn_rate
         sim.instrumentPowerSink.nodePowerOut = args["instrumentPowerDraw"]
         mine = prev_action_key is not None and prev_action_key.endswith(f"@{self.instrument}")
@@ -104,6 +122,12 @@ def image_actions(variant: Variant) -> list[act.Image]:
     return [ImageWith(variant, instrument) for instrument in variant.instruments]
 
 
+def limited(variant: Variant) -> dict[str, dict[str, Any]]:
+    """Arguments of the instruments that have windows of their own limits, by the type of these windows."""
+    kinds = {kind_of(name, own): own for name, own in variant.instruments.items()}
+    return {kind: own for kind, own in kinds.items() if kind != "target"}
+
+
 def imager_class(variant: Variant) -> type[sats.ImagingSatellite]:
     """A new satellite class, because bsk_rl caches what it composes on the class."""
     observations = [
@@ -115,14 +139,18 @@ def imager_class(variant: Variant) -> type[sats.ImagingSatellite]:
     if variant.stations:
         seen = obs.OpportunityProperties(*entries(STATION_PROPERTIES), type="ground_station", n_ahead_observe=variant.stations)
         observations.insert(2, seen)
+    for kind in limited(variant):
+        seen = obs.OpportunityProperties(*entries(LIMITED_PROPERTIES), type=kind, n_ahead_observe=variant.ahead, name=kind)
+        observations.insert(-2, seen)
     modes = [getattr(act, name)(duration=duration) for name, duration in MODES]
     attributes = {
         "observation_spec": observations,
         "action_spec": [*modes, *image_actions(variant)],
-        "dyn_type": dyn.GroundStationDynModel,
+        "dyn_type": LitDynModel if limited(variant) else dyn.GroundStationDynModel,
         "fsw_type": fsw.SteeringImagerFSWModel if variant.steering else fsw.ImagingFSWModel,
     }
-    return type("Imager", (sats.ImagingSatellite,), attributes)
+    bases = (LimitedImager,) if limited(variant) else (sats.ImagingSatellite,)
+    return type("Imager", bases, attributes | ({"own": limited(variant)} if limited(variant) else {}))
 
 
 def draw_initial(rng: np.random.Generator, variant: Variant, position: int) -> dict[str, Any]:
@@ -153,7 +181,7 @@ def make_env(variant: Variant, initial: dict[str, Any]) -> SatelliteTasking:
     return SatelliteTasking(
         satellite=imager_class(variant)("Imager1", sat_args=arguments, **variant.satellite),
         scenario=SeededTargets(initial["target_seed"], variant.targets),
-        rewarder=data.UniqueImageReward(),
+        rewarder=UniqueImages() if limited(variant) else data.UniqueImageReward(),
         time_limit=initial["time_limit"],
         world_args={"utc_init": initial["utc_init"]},
         log_level="ERROR",
@@ -162,13 +190,16 @@ def make_env(variant: Variant, initial: dict[str, Any]) -> SatelliteTasking:
 
 
 def windows(env: SatelliteTasking) -> Array:
-    """All windows known now, in bsk_rl's order: whether of a station, number of the place, opening and closing time [s]."""
-    satellite = env.satellite
+    """All windows known now, in bsk_rl's order: number of their type, of the place, opening and closing time [s].
+
+    Types are targets 0, stations 1, and those of instruments with their own limits from 2 on.
+    """
+    satellite, types = env.satellite, ["target", "ground_station", *getattr(env.satellite, "own", ())]
     stations = [place["object"] for place in satellite.locations_for_access_checking if place["type"] == "ground_station"]
 
     def row(opportunity: dict[str, Any]) -> tuple[float, float, float, float]:
         station, place = opportunity["type"] == "ground_station", opportunity["object"]
-        return station, stations.index(place) if station else int(place.name), *opportunity["window"]
+        return types.index(opportunity["type"]), stations.index(place) if station else int(place.name), *opportunity["window"]
 
     return np.array([row(opportunity) for opportunity in satellite.opportunities], dtype=np.float64).reshape(-1, 4)
 
@@ -271,6 +302,7 @@ def describe(variant: Variant) -> dict[str, str]:
     environment = {name: value for name, value in asdict(variant).items() if name in names} | variant.env
     environment |= {"instruments": variant.instruments} if variant.instruments else {}
     properties = {"satellite": SATELLITE_PROPERTIES, "target": TARGET_PROPERTIES, "ground_station": STATION_PROPERTIES}
+    properties |= dict.fromkeys(limited(variant), LIMITED_PROPERTIES)
     described = {
         "fixed": {**FIXED, **(STEERING if variant.steering else {}), **variant.fixed},
         "env": environment | {"modes": MODES, "properties": properties, "eclipse_norm": ORBIT_PERIOD},
@@ -288,7 +320,7 @@ def tabulate(flights: list[Flight]) -> dict[str, NDArray[Any]]:
     return {
         "window_episode": np.repeat([episode for episode, *_ in tables], lengths).astype(np.uint8),
         "window_time": np.repeat([when for _, when, _ in tables], lengths).astype(np.uint8),
-        "window_station": whole[:, 0].astype(bool),
+        "window_station": whole[:, 0].astype(np.uint8 if whole[:, 0].max() > 1 else bool),
         "window_place": whole[:, 1].astype(np.int16),
         "window_open": whole[:, 2],
         "window_close": whole[:, 3],
