@@ -9,7 +9,6 @@ SPACE_TO_SPACE = (
     "imaging other satellites is not in bsk_torch yet. Their surfaces can be inspected: scene.SphericalRSO with "
     "data.RSOInspectionReward"
 )
-MIXED = "several scenarios in one environment are not in bsk_torch yet. Satellites of several types can share one scenario"
 
 ABSENT: dict[str, str] = {
     name: advice
@@ -20,7 +19,6 @@ ABSENT: dict[str, str] = {
             "RSOTargetCatalog RSOTargetDynModel RSOTargetProperties RSOTargets SpaceToSpaceImagingDynModel "
             "SpaceToSpaceImagingFSWModel candidate_snapshot illumination_factor target_geometry target_properties",
         ),
-        (MIXED, "MixedData MixedDataStore MixedReward MixedScenario"),
     )
     for name in names.split()
 }

@@ -191,12 +191,82 @@ def horizon(b: Any) -> Any:
     )
 
 
+def mixed(b: Any) -> Any:
+    """Return an inspection and imaging side by side, in two scenarios and with two channels of rewards.
+
+    The imager Scout takes part in imaging but in no channel; the inspection ends before the episode does.
+    """
+
+    class Imager(b.sats.ImagingSatellite):
+        observation_spec = [
+            b.obs.SatProperties(dict(prop="r_BN_P", norm=7e6), dict(prop="storage_level_fraction")),
+            b.obs.OpportunityProperties(dict(prop="priority"), dict(prop="opportunity_close", norm=300.0), n_ahead_observe=3),
+        ]
+        action_spec = [b.act.Image(n_ahead_image=3, max_duration=150.0), b.act.Charge(duration=60.0)]
+        dyn_type = b.dyn.ImagingDynModel
+        fsw_type = b.fsw.ImagingFSWModel
+
+    class RSO(b.sats.Satellite):
+        observation_spec = [b.obs.SatProperties(dict(prop="sigma_BN"))]
+        action_spec = [b.act.NadirPoint(duration=1e9)]
+        dyn_type = b.dyn.RSODynModel
+        fsw_type = b.fsw.FSWModel
+
+    class Inspector(b.sats.Satellite):
+        observation_spec = [
+            b.obs.SatProperties(dict(prop="storage_level_fraction"), dict(prop="wheel_speeds_fraction")),
+            b.obs.RelativeProperties(dict(prop="r_DC_Hc", norm=100.0), dict(prop="v_DC_Hc"), chief_name="RSO"),
+            b.obs.Time(),
+        ]
+        action_spec = [
+            b.act.DiscreteFSWAction("action_inspect_rso", name="inspect", duration=50.0),
+            b.act.Charge(duration=40.0),
+        ]
+        dyn_type = b.dyn.RSOInspectorDynModel
+        fsw_type = (b.fsw.BasicFSWModel, b.fsw.RSOInspectorFSWModel)
+
+    camera = dict(imageAttErrorRequirement=0.1, imageRateErrorRequirement=0.1, u_max=0.8)
+    near = dict(imageAttErrorRequirement=1.0, imageRateErrorRequirement=None, instrumentBaudRate=1.0, dataStorageCapacity=1e6)
+    orbit = b.orbital.random_circular_orbit(i=40.0, alt=600.0, Omega=10.0, f=200.0)
+    start = {"Inspector": lambda: np.array([*np.random.uniform(-40.0, 40.0, 3), *np.random.uniform(-0.05, 0.05, 3)])}
+    return b.root.ConstellationTasking(
+        satellites=[
+            Imager("EO", dict(camera), generation_duration=300.0),
+            RSO("RSO"),
+            Imager("Scout", dict(camera), generation_duration=300.0),
+            Inspector("Inspector", near),
+        ],
+        scenario=b.scene.MixedScenario(
+            {
+                "ground": b.scene.UniformTargets((1200, 1300)),
+                "rso": b.scene.SphericalRSO(n_points=40, theta_max=1.5, theta_solar_max=2.0),
+            },
+            {"ground": ["EO", "Scout"], "rso": ["RSO", "Inspector"]},
+        ),
+        rewarder=b.data.MixedReward(
+            {
+                "images": b.data.UniqueImageReward(),
+                "points": b.data.RSOInspectionReward(
+                    completion_bonus=3.0, completion_threshold=0.4, min_illuminated_for_completion=0.3
+                ),
+            },
+            {"images": ["EO"], "points": ["Inspector"]},
+            {"images": "ground", "points": "rso"},
+        ),
+        communicator=b.comm.FreeCommunication(),
+        sat_arg_randomizer=b.orbital.relative_to_chief("RSO", orbit, start),
+        world_args=dict(utc_init="2026 OCT 01 00:00:00.000 (UTC)"),
+        time_limit=3000.0,
+    )
+
+
 PROGRAMS = {
     "scanning": scanning,
     "imaging": imaging,
     "constellation": constellation,
     "extremes": extremes,
     "horizon": horizon,
+    "mixed": mixed,
 }
 """Programs by name."""
 
@@ -218,6 +288,9 @@ def chosen(name: str, rng: np.random.Generator) -> Any:
         return [int(action) for action in rng.integers(6, size=2)]
     if name == "extremes":
         return {agent: int(rng.integers(4)) for agent in ("Turned", "Efficient", "Filling", "Dead")}
+    if name == "mixed":
+        eo, scout, charge = map(int, rng.integers(4, size=3))
+        return {"EO": eo, "RSO": 0, "Scout": scout, "Inspector": charge // 3}
     thrust = np.array([*rng.uniform(-1.0, 1.0, 3), rng.uniform(50.0, 250.0)])
     return {"Chief": int(rng.integers(2)), "Deputy": thrust}
 

@@ -227,13 +227,13 @@ def test_a_store_of_ones_own_gets_its_arguments():
     assert step(rewarder, satellites) == {"Sat0": 6.0}
 
 
-@pytest.mark.parametrize("name", ["MixedReward", "RSOImageReward", "MixedData"])
+@pytest.mark.parametrize("name", ["RSOImageReward", "RSOImageData"])
 def test_what_is_to_come_says_so(name):
     import bsk_torch.bsk_rl.data
 
     with pytest.raises(ImportError, match="not in bsk_torch yet"):
         getattr(bsk_torch.bsk_rl.data, name)
     with pytest.raises(ImportError):
-        exec("from bsk_torch.bsk_rl.scene.composition import MixedScenario", {})
+        exec("from bsk_torch.bsk_rl.scene import RSOTargets", {})
     with pytest.raises(AttributeError):
         _ = bsk_torch.bsk_rl.data.Nothing

@@ -1,6 +1,7 @@
 """Data that satellites collect, and rewards for it; counterpart of ``bsk_rl.data``."""
 
 from bsk_torch.bsk_rl.data.base import GlobalReward
+from bsk_torch.bsk_rl.data.composition import MixedReward
 from bsk_torch.bsk_rl.data.nadir_data import ScanningTimeReward
 from bsk_torch.bsk_rl.data.no_data import NoReward
 from bsk_torch.bsk_rl.data.resource_data import ResourceReward
@@ -8,6 +9,14 @@ from bsk_torch.bsk_rl.data.rso_inspection import RSOInspectionReward
 from bsk_torch.bsk_rl.data.unique_image_data import UniqueImageReward
 from bsk_torch.bsk_rl.later import not_yet
 
-__all__ = ["GlobalReward", "NoReward", "RSOInspectionReward", "ResourceReward", "ScanningTimeReward", "UniqueImageReward"]
+__all__ = [
+    "GlobalReward",
+    "MixedReward",
+    "NoReward",
+    "RSOInspectionReward",
+    "ResourceReward",
+    "ScanningTimeReward",
+    "UniqueImageReward",
+]
 
 __getattr__ = not_yet(__name__)

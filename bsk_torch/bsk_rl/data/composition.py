@@ -1,16 +1,21 @@
-"""Combinations of several rewarders; counterpart of ``bsk_rl.data.composition``. Environments combine a list or tuple."""
+"""Combinations of several rewarders; counterpart of ``bsk_rl.data.composition``.
+
+Environments combine a list or tuple to a :class:`ComposedReward`. A :class:`MixedReward` has rewarders for some satellites each.
+"""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from typing import Any
 
 from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
-from bsk_torch.bsk_rl.later import not_yet
+from bsk_torch.bsk_rl.scene.composition import MixedScenario, check_known, check_same_keys
 from bsk_torch.bsk_rl.scene.scenario import Scenario
+from bsk_torch.sim.names import nearest
 
-__all__ = ["ComposedData", "ComposedDataStore", "ComposedReward"]
+__all__ = ["ComposedData", "ComposedDataStore", "ComposedReward", "MixedData", "MixedDataStore", "MixedReward"]
 
 logger = logging.getLogger(__name__)
 
@@ -199,4 +204,248 @@ class ComposedReward(GlobalReward):
         return any(rewarder.is_terminated(satellite) for rewarder in self.rewarders)
 
 
-__getattr__ = not_yet(__name__)
+def _found_once(parts: Mapping[str, Any], name: str, kind: str) -> Any:
+    """Return an attribute that one part has; AttributeError if none or several have it."""
+    having = [key for key, part in parts.items() if hasattr(part, name)]
+    if len(having) == 1:
+        return getattr(parts[having[0]], name)
+    if having:
+        raise AttributeError(f"Ambiguous attribute {name!r}: the channels {having} of {kind} have it; choose one of them")
+    raise AttributeError(f"{kind} has no channel with attribute {name!r}")
+
+
+class MixedData(Data):
+    """Data by channel; its attributes are those that the data of one channel has.
+
+    A channel may be missing, and without channels the unit is empty.
+
+    Attributes:
+        data: Data of each channel.
+    """
+
+    def __init__(self, data: Mapping[str, Data] | None = None) -> None:
+        """Combine units of data by channel."""
+        self.data = dict(data or {})
+
+    def __add__(self, other: MixedData) -> MixedData:
+        """Return the sums by channel; TypeError for data of different types in one channel."""
+        if not isinstance(other, MixedData):
+            return NotImplemented
+        merged = {key: copy(unit) for key, unit in self.data.items()}
+        for key, unit in other.data.items():
+            if key in merged and type(self.data[key]) is not type(unit):
+                mine, theirs = type(self.data[key]).__name__, type(unit).__name__
+                raise TypeError(f"channel {key!r} has {mine}, to which {theirs} cannot be added")
+            merged[key] = self.data[key] + unit if key in merged else copy(unit)
+        return MixedData(merged)
+
+    def __getattr__(self, name: str) -> Any:
+        """Return an attribute that the data of one channel has."""
+        return _found_once(self.__dict__.get("data", {}), name, "MixedData")
+
+    def __repr__(self) -> str:
+        """Return the channels."""
+        return f"MixedData({self.data!r})"
+
+
+class MixedDataStore(DataStore):
+    """A store for each channel in which a satellite collects data; received data of other channels is kept.
+
+    Its attributes are those that one of its stores has.
+
+    Attributes:
+        data_stores: Store of each channel.
+    """
+
+    data_type = MixedData
+
+    def __init__(self, satellite: Any, data_stores: Mapping[str, DataStore], initial_data: MixedData | None = None) -> None:
+        """Combine stores.
+
+        Args:
+            satellite: The satellite.
+            data_stores: Store of each channel.
+            initial_data: Data known at the start; None for that of the stores.
+        """
+        self.data_stores = dict(data_stores)
+        known = {key: store.data for key, store in self.data_stores.items()}
+        super().__init__(satellite, MixedData(known) if initial_data is None else initial_data)
+        self.pass_data()
+
+    def __getattr__(self, name: str) -> Any:
+        """Return an attribute that one store has."""
+        return _found_once(self.__dict__.get("data_stores", {}), name, "MixedDataStore")
+
+    def pass_data(self) -> None:
+        """Pass each store the data of its channel."""
+        for key, store in self.data_stores.items():
+            store.data = self.data.data[key]
+
+    def get_log_state(self) -> dict[str, Any]:
+        """See :meth:`DataStore.get_log_state`; those of all stores."""
+        return {key: store.get_log_state() for key, store in self.data_stores.items()}
+
+    def compare_log_states(self, prev_state: dict[str, Any], new_state: dict[str, Any]) -> MixedData:
+        """See :meth:`DataStore.compare_log_states`; those of all stores."""
+        return MixedData(
+            {key: store.compare_log_states(prev_state[key], new_state[key]) for key, store in self.data_stores.items()}
+        )
+
+    def update_from_logs(self) -> Any:
+        """See :meth:`DataStore.update_from_logs`."""
+        self.pass_data()
+        new_data = super().update_from_logs()
+        self.pass_data()
+        return new_data
+
+    def update_with_communicated_data(self) -> None:
+        """See :meth:`DataStore.update_with_communicated_data`."""
+        super().update_with_communicated_data()
+        self.pass_data()
+
+
+class MixedReward(GlobalReward):
+    """Rewarders of channels, each for some satellites and one scenario; a satellite gets the sum over its channels.
+
+    Stores are those of the rewarders, with what these install, such as the filter of images that have been taken. Only the
+    channels of a satellite terminate or truncate its episode. All satellites know the data of all channels that they receive.
+
+    Attributes:
+        rewarders: Rewarder of each channel.
+        satellite_mapping: Names of the satellites that collect the data of each channel.
+        scenario_mapping: Id of the scenario of each channel; None without a ``scene.MixedScenario``.
+    """
+
+    data_store_type = MixedDataStore
+
+    def __init__(
+        self,
+        rewarders: Mapping[str, GlobalReward],
+        satellite_mapping: Mapping[str, Sequence[str]],
+        scenario_mapping: Mapping[str, str] | None = None,
+    ) -> None:
+        """Combine rewarders.
+
+        Args:
+            rewarders: Rewarder of each channel.
+            satellite_mapping: Names of the satellites that collect the data of each channel; some may collect none.
+            scenario_mapping: Id of the scenario of each channel in a ``scene.MixedScenario``; None with other scenarios.
+
+        Raises:
+            ValueError: For mappings with other channels, and for a rewarder under two channels.
+        """
+        super().__init__()
+        self.rewarders = dict(rewarders)
+        self.satellite_mapping = {key: frozenset(names) for key, names in satellite_mapping.items()}
+        self.scenario_mapping = None if scenario_mapping is None else dict(scenario_mapping)
+        check_same_keys("satellite_mapping", self.satellite_mapping, self.rewarders, "rewarders")
+        if self.scenario_mapping is not None:
+            check_same_keys("scenario_mapping", self.scenario_mapping, self.rewarders, "rewarders")
+        numbers = [id(rewarder) for rewarder in self.rewarders.values()]
+        if twice := [key for key, number in zip(self.rewarders, numbers, strict=True) if numbers.count(number) > 1]:
+            raise ValueError(f"the channels {twice} have the same rewarder; each channel needs another one")
+
+    def link_scenario(self, scenario: Any) -> None:
+        """Give each rewarder its scenario.
+
+        Raises:
+            ValueError: For an unknown scenario or satellite, satellites outside the scenario of their channel, and where
+                ``scenario_mapping`` is missing or without use.
+        """
+        super().link_scenario(scenario)
+        names = [satellite.name for satellite in scenario.satellites]
+        for key, group in self.satellite_mapping.items():
+            check_known(f"satellite_mapping[{key!r}]", group, names)
+        if not isinstance(scenario, MixedScenario):
+            if self.scenario_mapping is not None:
+                raise ValueError(f"scenario_mapping needs a scene.MixedScenario; the scenario is a {type(scenario).__name__}")
+            for rewarder in self.rewarders.values():
+                rewarder.link_scenario(scenario)
+            return
+        if self.scenario_mapping is None:
+            raise ValueError(f"scenario_mapping is missing; give each channel one of the scenarios {sorted(scenario.scenarios)}")
+        for key, rewarder in self.rewarders.items():
+            place = self.scenario_mapping[key]
+            if place not in scenario.scenarios:
+                raise ValueError(f"scenario_mapping[{key!r}] is the unknown {place!r}; {nearest(place, scenario.scenarios)}")
+            if outside := sorted(self.satellite_mapping[key] - set(scenario.satellite_mapping[place])):
+                raise ValueError(f"satellite_mapping[{key!r}] has {outside}, which do not take part in the scenario {place!r}")
+            rewarder.link_scenario(scenario.scenarios[place])
+
+    def pass_data(self) -> None:
+        """Pass each rewarder the data of its channel."""
+        for key, rewarder in self.rewarders.items():
+            rewarder.data = self.data.data.setdefault(key, rewarder.data_type())
+
+    def reset_overwrite_previous(self) -> None:
+        """See :meth:`Resetable.reset_overwrite_previous`; of all rewarders."""
+        super().reset_overwrite_previous()
+        for rewarder in self.rewarders.values():
+            rewarder.reset_overwrite_previous()
+        self.pass_data()
+
+    def reset_pre_sim_init(self) -> None:
+        """See :meth:`Resetable.reset_pre_sim_init`; of all rewarders."""
+        self.pass_data()
+        for rewarder in self.rewarders.values():
+            rewarder.reset_pre_sim_init()
+
+    def reset_during_sim_init(self) -> None:
+        """See :meth:`Resetable.reset_during_sim_init`; of all rewarders."""
+        self.pass_data()
+        for rewarder in self.rewarders.values():
+            rewarder.reset_during_sim_init()
+
+    def reset_post_sim_init(self) -> None:
+        """See :meth:`Resetable.reset_post_sim_init`; of all rewarders."""
+        self.pass_data()
+        for rewarder in self.rewarders.values():
+            rewarder.reset_post_sim_init()
+
+    def channels_of(self, satellite: Any) -> dict[str, GlobalReward]:
+        """Return the rewarders of the channels in which a satellite collects data."""
+        return {key: rewarder for key, rewarder in self.rewarders.items() if satellite.name in self.satellite_mapping[key]}
+
+    def initial_data(self, satellite: Any) -> MixedData:
+        """See :meth:`GlobalReward.initial_data`; that of the satellite's channels."""
+        return MixedData({key: rewarder.initial_data(satellite) for key, rewarder in self.channels_of(satellite).items()})
+
+    def create_data_store(self, satellite: Any) -> None:
+        """Give a satellite the stores of its channels, as their rewarders make them."""
+        stores = {}
+        for key, rewarder in self.channels_of(satellite).items():
+            rewarder.create_data_store(satellite)
+            stores[key] = satellite.data_store
+        satellite.data_store = MixedDataStore(satellite, stores)
+        self.cum_reward[satellite.name] = 0.0
+
+    def calculate_reward(self, new_data_dict: dict[str, MixedData]) -> dict[str, float]:
+        """See :meth:`GlobalReward.calculate_reward`; ValueError for a reward of a satellite outside of the channel."""
+        self.pass_data()
+        reward = dict.fromkeys(new_data_dict, 0.0)
+        for key, rewarder in self.rewarders.items():
+            mine = {
+                name: data.data[key]
+                for name, data in new_data_dict.items()
+                if name in self.satellite_mapping[key] and key in data.data
+            }
+            for name, value in rewarder.calculate_reward(mine).items() if mine else ():
+                if name not in mine:
+                    raise ValueError(f"the rewarder of channel {key!r} rewards {name!r}, which is not one of its satellites")
+                reward[name] += value
+                rewarder.cum_reward[name] += value
+        return reward
+
+    def reward(self, new_data_dict: dict[str, MixedData]) -> dict[str, float]:
+        """See :meth:`GlobalReward.reward`."""
+        reward = super().reward(new_data_dict)
+        self.pass_data()
+        return reward
+
+    def is_truncated(self, satellite: Any) -> bool:
+        """See :meth:`GlobalReward.is_truncated`; of the satellite's channels."""
+        return any(rewarder.is_truncated(satellite) for rewarder in self.channels_of(satellite).values())
+
+    def is_terminated(self, satellite: Any) -> bool:
+        """See :meth:`GlobalReward.is_terminated`; of the satellite's channels."""
+        return any(rewarder.is_terminated(satellite) for rewarder in self.channels_of(satellite).values())

@@ -152,7 +152,8 @@ class RSOInspectionReward(GlobalReward):
         """Let the stores of inspectors read the scenario."""
         super().reset_post_sim_init()
         for inspector in self.scenario.inspectors:
-            for store in getattr(inspector.data_store, "data_stores", (inspector.data_store,)):
+            parts = getattr(inspector.data_store, "data_stores", (inspector.data_store,))
+            for store in parts.values() if isinstance(parts, Mapping) else parts:
                 if isinstance(store, RSOInspectionDataStore):
                     store.scenario = self.scenario
 

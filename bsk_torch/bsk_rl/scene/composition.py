@@ -1,5 +1,98 @@
-"""Counterpart of ``bsk_rl.scene.composition``; its names are not in bsk_torch yet."""
+"""Several scenarios in one environment; counterpart of ``bsk_rl.scene.composition``."""
 
-from bsk_torch.bsk_rl.later import not_yet
+from __future__ import annotations
 
-__getattr__ = not_yet(__name__)
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+from bsk_torch.bsk_rl.scene.scenario import Scenario
+from bsk_torch.sim.names import nearest
+
+__all__ = ["MixedScenario"]
+
+
+def check_same_keys(title: str, given: Mapping[str, Any], others: Mapping[str, Any], other: str) -> None:
+    """Raise ValueError unless two dictionaries have the same keys."""
+    if given.keys() != others.keys():
+        raise ValueError(f"{title} has the keys {sorted(given)}; they must be those of {other}, {sorted(others)}")
+
+
+def check_known(title: str, names: Iterable[str], known: Sequence[str]) -> None:
+    """Raise ValueError for a name that is not among those ``known``."""
+    for name in sorted(set(names) - set(known)):
+        raise ValueError(f"{title} names the unknown satellite {name!r}; {nearest(name, known)}")
+
+
+class MixedScenario(Scenario):
+    """Several scenarios, each with its own group of satellites; see :class:`bsk_torch.bsk_rl.data.MixedReward`.
+
+    A scenario gets every call once, with the satellites of its group: targets are registered with these only. A scenario under
+    several ids has one group, with the satellites of all of them.
+
+    Attributes:
+        scenarios: Scenarios by id.
+        satellite_mapping: Names of the satellites of each.
+    """
+
+    def __init__(self, scenarios: Mapping[str, Scenario], satellite_mapping: Mapping[str, Sequence[str]]) -> None:
+        """Combine scenarios.
+
+        Args:
+            scenarios: Scenarios by id.
+            satellite_mapping: Names of the satellites that take part in each, including those that are observed. Groups may
+                overlap.
+
+        Raises:
+            ValueError: For other ids in the mapping than in the scenarios.
+        """
+        self.scenarios = dict(scenarios)
+        self.satellite_mapping = {key: tuple(names) for key, names in satellite_mapping.items()}
+        check_same_keys("satellite_mapping", self.satellite_mapping, self.scenarios, "scenarios")
+
+    def _groups(self) -> Iterator[tuple[Scenario, set[str]]]:
+        """Yield each scenario once, and the names of its satellites."""
+        for scenario in {id(scenario): scenario for scenario in self.scenarios.values()}.values():
+            mine = [key for key, other in self.scenarios.items() if other is scenario]
+            yield scenario, {name for key in mine for name in self.satellite_mapping[key]}
+
+    def validate_satellite_names(self, satellites: list[Any]) -> None:
+        """Raise ValueError for repeated names, and for names in the mapping that no satellite has."""
+        names = [satellite.name for satellite in satellites]
+        if twice := sorted({name for name in names if names.count(name) > 1}):
+            raise ValueError(f"satellites has several called {twice}; MixedScenario needs unique names")
+        for scenario, group in self._groups():
+            check_known("satellite_mapping", group, names)
+            scenario.validate_satellite_names([satellite for satellite in satellites if satellite.name in group])
+
+    def link_satellites(self, satellites: list[Any]) -> None:
+        """Give each scenario the satellites of its group."""
+        self.validate_satellite_names(satellites)
+        super().link_satellites(satellites)
+        for scenario, group in self._groups():
+            scenario.link_satellites([satellite for satellite in satellites if satellite.name in group])
+
+    def after_step(self, sim_time: float) -> None:
+        """See :meth:`Scenario.after_step`; of all scenarios."""
+        for scenario, _ in self._groups():
+            scenario.after_step(sim_time)
+
+    def reset_overwrite_previous(self) -> None:
+        """See :meth:`Resetable.reset_overwrite_previous`; of all scenarios."""
+        for scenario, _ in self._groups():
+            scenario.reset_overwrite_previous()
+
+    def reset_pre_sim_init(self) -> None:
+        """See :meth:`Resetable.reset_pre_sim_init`; of all scenarios, which get the epoch."""
+        for scenario, _ in self._groups():
+            scenario.utc_init = self.utc_init
+            scenario.reset_pre_sim_init()
+
+    def reset_during_sim_init(self) -> None:
+        """See :meth:`Resetable.reset_during_sim_init`; of all scenarios."""
+        for scenario, _ in self._groups():
+            scenario.reset_during_sim_init()
+
+    def reset_post_sim_init(self) -> None:
+        """See :meth:`Resetable.reset_post_sim_init`; of all scenarios."""
+        for scenario, _ in self._groups():
+            scenario.reset_post_sim_init()
