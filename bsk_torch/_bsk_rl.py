@@ -156,8 +156,8 @@ MODULES: dict[str, tuple[str, str]] = {
 LATER = "is not in bsk_torch yet: "
 RSO = LATER + "imaging other satellites. Their surfaces can be inspected: scene.SphericalRSO"
 MIXED = (
-    "is in bsk_torch.bsk_rl, for one episode or, with num_envs=N, for N of them side by side. In one batch, satellites of several "
-    "types share one scenario"
+    "is in bsk_torch.bsk_rl, for one episode or, with num_envs=N, for N of them side by side. In one batch, satellites of "
+    "several types share one scenario"
 )
 STORES = (
     "is not needed: rewarders keep tensors of all episodes (env.rewarder.imaged, .known, .cum_reward). Others derive from "

@@ -26,7 +26,7 @@ VERSION = "1.3.8"
 RETRIES = 5
 """Repetitions of flaky tests, as in bsk_rl."""
 
-LATER = "space-to-space imaging and mixed scenarios, which bsk_torch does not have yet"
+LATER = "space-to-space imaging, which bsk_torch does not have yet"
 RAY = "needs Ray"
 INSIDE = "builds modules of Basilisk"
 

@@ -1,7 +1,7 @@
 """Data that satellites collect, and rewards for it; counterpart of ``bsk_rl.data``."""
 
 from bsk_torch.bsk_rl.data.base import GlobalReward
-from bsk_torch.bsk_rl.data.composition import MixedReward
+from bsk_torch.bsk_rl.data.composition import MixedData, MixedDataStore, MixedReward
 from bsk_torch.bsk_rl.data.nadir_data import ScanningTimeReward
 from bsk_torch.bsk_rl.data.no_data import NoReward
 from bsk_torch.bsk_rl.data.resource_data import ResourceReward
@@ -11,6 +11,8 @@ from bsk_torch.bsk_rl.later import not_yet
 
 __all__ = [
     "GlobalReward",
+    "MixedData",
+    "MixedDataStore",
     "MixedReward",
     "NoReward",
     "RSOInspectionReward",
