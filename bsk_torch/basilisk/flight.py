@@ -122,7 +122,9 @@ class Problem:
 
 
 def problem_of(env: SatelliteTasking, preset: str) -> Problem:
-    """Return the arguments by which bsk_rl builds an environment."""
+    """Return the arguments by which bsk_rl builds an environment; ValueError for checks of failures that bsk_rl does not have."""
+    if env.options.failures != "step":
+        raise ValueError(f"failures={env.options.failures!r}: bsk_rl checks satellites at the end of steps; leave it out")
     satellite, scenario = env.satellite, env.scenario
     return Problem(
         preset=preset,

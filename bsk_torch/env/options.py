@@ -36,6 +36,11 @@ ABSENT = {
 """Options of bsk_rl's environments accepted only as None, and their replacements."""
 
 
+CONTINUOUS = "continuous"
+
+FAILURES = ("step", CONTINUOUS)
+"""When it is checked whether satellites have failed."""
+
 COMPATIBLE = (None, "bsk_rl")
 """Simulators whose errors can be reproduced."""
 
@@ -53,6 +58,9 @@ class TaskingOptions:
         sim_rate: Length of a tick, 0.001 to 60 s.
         max_step_duration: Maximum length of a step, s; positive.
         failure_penalty: Added to the reward of a step at the end of which the satellite is dead.
+        failures: ``"step"``, as in bsk_rl: satellites are checked at the end of each step only, and a battery may be empty before
+            that. ``"continuous"``: the first tick at whose end a battery is empty, or a wheel has reached its largest speed, ends
+            the step for all satellites. Other checks remain at the end of steps.
         time_limit: Seconds after which an episode is truncated, rounded up to whole ticks; a positive number, a distribution or a
             callable without arguments. If infinite, episodes are truncated at the end of the Sun's ephemeris, in 2060.
         terminate_on_time_limit: Whether the time limit also terminates: True for a task that is over at the limit, False for a
@@ -87,6 +95,7 @@ class TaskingOptions:
     sim_rate: float = 1.0
     max_step_duration: float = 1e9
     failure_penalty: float = -1.0
+    failures: str = "step"
     time_limit: TimeLimit = float("inf")
     terminate_on_time_limit: bool = False
     device: torch.device | str = "cpu"
@@ -122,6 +131,10 @@ class TaskingOptions:
             raise ValueError(f"orbit={self.orbit!r} must be one of {list(ORBITS)}, or None for the model's own")
         if self.compat not in COMPATIBLE:
             raise ValueError(f"compat={self.compat!r} must be one of {list(COMPATIBLE)}")
+        if self.failures not in FAILURES:
+            raise ValueError(
+                f"failures={self.failures!r} must be one of {list(FAILURES)}; {nearest(str(self.failures), FAILURES)}"
+            )
         if self.replan and self.compat is not None:
             raise ValueError(
                 f"replan={self.replan!r} with compat={self.compat!r}: look-ahead of bsk_rl follows no maneuver; leave one out"

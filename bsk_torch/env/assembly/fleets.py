@@ -18,7 +18,7 @@ from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.env.assembly.randomizer import Randomizer
 from bsk_torch.env.assembly.types import check_names, check_world, grouped, world_arguments, world_components
-from bsk_torch.env.options import ConstellationOptions, TaskingOptions
+from bsk_torch.env.options import CONTINUOUS, ConstellationOptions, TaskingOptions
 from bsk_torch.rand import Distribution, Key, first_key, seeded
 from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sats.satellite import Satellite
@@ -74,6 +74,8 @@ class FleetBuilder:
         self.names = check_names(satellites)
         self.satellites = [satellite.as_given() for satellite in satellites]
         self.types = grouped(self.satellites)
+        if options.failures == CONTINUOUS:
+            check_watched(self.satellites)
         models = [satellite.dyn_type for satellite in self.satellites]
         chiefs = [constant(satellite.sat_args_generator.get("chief_name")) for satellite in self.satellites]
         self.pairs = find_pairs(self.names, models, chiefs, options.compat == "bsk_rl")
@@ -187,6 +189,7 @@ class FleetBuilder:
             Usage(
                 columns=tuple(columns),
                 stops=satellite.variable_interval,
+                watches=options.failures == CONTINUOUS,
                 controlled=_may_control(satellite),
                 segment=satellite.segment,
                 randomize=self._share_of(columns),
@@ -326,6 +329,16 @@ def _may_control(satellite: Satellite) -> bool:
 def constant(value: Any) -> Any:
     """Return the value of an argument that is constant over episodes; a function may return it together with others."""
     return value.trial if isinstance(value, Member) else value
+
+
+def check_watched(satellites: Sequence[Satellite]) -> None:
+    """Raise ValueError for a satellite whose failures cannot end a step."""
+    for satellite in satellites:
+        if not satellite.variable_interval:
+            raise ValueError(
+                f"failures='continuous': {satellite.name} has variable_interval=False, so that nothing in it ends a step; leave "
+                "one of them out"
+            )
 
 
 def check_population(population: tuple[int, int], names: Sequence[str], scenario: Scenario) -> None:

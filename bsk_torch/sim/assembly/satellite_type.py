@@ -24,6 +24,7 @@ from bsk_torch.sim.arguments.draws import ArgumentChange, Looked, TrialDraw, Typ
 from bsk_torch.sim.arguments.values import Arguments, Overrides, merge
 from bsk_torch.sim.assembly.composition import check_required_dyn, provided_by, world_components, world_of
 from bsk_torch.sim.component import Component, Field, MissingMessageError, declared
+from bsk_torch.sim.dyn.events import with_failure_event
 from bsk_torch.sim.dyn.field import prepare
 from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.faults.component import SLOT, changing, declared_faults, planned, with_faults
@@ -80,6 +81,7 @@ class Usage:
     Attributes:
         columns: Numbers of the satellites among all those of an environment, of other types too.
         stops: Whether events such as an image end a run.
+        watches: Whether failures end a run, too.
         controlled: Whether actions may switch attitude control on, so that its gains matter.
         segment: Seconds by which look-ahead windows are extended.
         randomize: Draws arguments that replace those of some satellites.
@@ -90,6 +92,7 @@ class Usage:
 
     columns: tuple[int, ...] = (0,)
     stops: bool = False
+    watches: bool = False
     controlled: bool = True
     segment: float = 600.0
     randomize: Callable[[Key], Overrides] = lambda key: {}
@@ -241,6 +244,7 @@ def satellite_type(
     looked = [Looked(arguments[0].given), Looked(changing(arguments[1].given, faults))]
     around, own = (fitted(some, given) for some, given in zip((around, own), looked, strict=True))
     own = with_faults(with_instruments(own, instruments), faults)
+    own = with_failure_event(own) if usage.watches else own
     arguments = arguments[0].of_components(around, world_args), arguments[1].of_components(own, sat_args)
     own = tuple(part for part in own if not (part.mends and lenient))
     parts = dyn_type.schedule.ordered((*(dataclasses.replace(part, at_start=True) for part in around), *own))
