@@ -66,7 +66,7 @@ def notice_failure(bus: Bus) -> None:
 
 
 def _stop_once(bus: Bus, failed: Tensor) -> None:
-    """Stop where a satellite fails that has not failed before: a dead one goes on without ending steps of the others."""
+    """Stop where a satellite fails that has not failed before: a dead one continues without ending steps of the others."""
     new = failed & (bus.failed < 0.5)
     bus.failed = torch.where(new, torch.ones_like(bus.failed), bus.failed)
     bus.stop = bus.stop | new if bus.has("stop") else new
