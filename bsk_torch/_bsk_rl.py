@@ -148,13 +148,15 @@ MODULES: dict[str, tuple[str, str]] = {
         "compute_value_targets_time_discounted TimeDiscountedGAEPPOLearner TimeDiscountedGAEPPOTorchLearner "
         "TimeDiscountedGAEPPOTfLearner",
     ),
-    "utils.rso_imaging": ("", "RSOImageRecord CandidateSnapshot target_geometry candidate_snapshot illumination_factor"),
+    "utils.rso_imaging": ("data", "RSOImageRecord CandidateSnapshot target_geometry candidate_snapshot illumination_factor"),
     "utils.vizard": ("", "visualize get_color"),
 }
 """Modules of bsk_rl below its root (``sim.world`` is a module here too): where their names are here, and which ones there are."""
 
-LATER = "is not in bsk_torch yet: "
-RSO = LATER + "imaging other satellites. Their surfaces can be inspected: scene.SphericalRSO"
+RSO = (
+    "is of bsk_rl's satellites as targets; here they are orbits without satellites: scene.RSOTargets with its candidates(), "
+    "views() and candidate_ids()"
+)
 MIXED = (
     "is in bsk_torch.bsk_rl, for one episode or, with num_envs=N, for N of them side by side. In one batch, satellites of "
     "several types share one scenario"
@@ -176,11 +178,10 @@ COMPOSE = "is not needed: dyn_type, fsw_type and world_type take tuples, as dyn_
 PLAIN = "is a helper of bsk_rl's inside that has no counterpart: plain Python does the same"
 
 GROUPS: dict[str, str] = {
-    RSO: "ImageRSO RSOImageData RSOImageRecord RSOImageReward RSOImageStore RSOTargetProperties target_properties "
-    "RSOPriorityEvent RSOTarget RSOTargetCatalog RSOTargets RSOTargetDynModel SpaceToSpaceImagingDynModel "
-    "SpaceToSpaceImagingFSWModel CandidateSnapshot target_geometry candidate_snapshot illumination_factor",
+    RSO: "target_properties RSOTargetDynModel CandidateSnapshot target_geometry candidate_snapshot illumination_factor",
     MIXED: "MixedData MixedDataStore MixedReward MixedScenario",
-    STORES: "LogStateType ComposedData ComposedDataStore ResourceData ResourceDataStore RSOInspectionDataStore Data DataStore "
+    STORES: "RSOImageData RSOImageStore LogStateType ComposedData ComposedDataStore ResourceData ResourceDataStore "
+    "RSOInspectionDataStore Data DataStore "
     "NoData NoDataStore ScanningTime ScanningTimeStore UniqueImageStore",
     BUILDERS: "select_action_builder ActionBuilder ContinuousActionBuilder DiscreteActionBuilder ObservationBuilder "
     "nested_obs_to_space",

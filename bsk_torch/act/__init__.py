@@ -8,6 +8,7 @@ from bsk_torch.act.continuous import ContinuousAction, HybridAction
 from bsk_torch.act.discrete import Charge, Desat, DiscreteFSWAction, Downlink, Drift, NadirPoint, Scan
 from bsk_torch.act.image import Image, image_target
 from bsk_torch.act.masks import allow_only, forbid
+from bsk_torch.act.rso_imaging import ImageRSO
 from bsk_torch.act.setpoint import AttitudeSetpoint
 from bsk_torch.act.thrust import ImpulsiveThrust, ImpulsiveThrustHill
 from bsk_torch.act.waypoint import HillWaypoint
@@ -27,6 +28,7 @@ __all__ = [
     "HillWaypoint",
     "HybridAction",
     "Image",
+    "ImageRSO",
     "ImpulsiveThrust",
     "ImpulsiveThrustHill",
     "NadirPoint",

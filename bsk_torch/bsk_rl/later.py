@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import Any
 
 SPACE_TO_SPACE = (
-    "imaging other satellites is not in bsk_torch yet. Their surfaces can be inspected: scene.SphericalRSO with "
-    "data.RSOInspectionReward"
+    "imaging other satellites is not in bsk_torch.bsk_rl yet; bsk_torch has it for batched environments: "
+    "bsk_torch.scene.RSOTargets, act.ImageRSO, data.RSOImageReward"
 )
 
 ABSENT: dict[str, str] = {

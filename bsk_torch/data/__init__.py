@@ -7,6 +7,7 @@ from bsk_torch.data.images import ImageReward, UniqueImageReward
 from bsk_torch.data.inspection import RSOInspectionData, RSOInspectionReward
 from bsk_torch.data.mapped import PerEnvironmentReward
 from bsk_torch.data.resources import ResourceReward
+from bsk_torch.data.rso_imaging import RSOImageRecord, RSOImageReward
 from bsk_torch.data.scanning import ScanningTimeReward
 from bsk_torch.data.unique_images import UniqueImageData
 
@@ -17,6 +18,8 @@ __all__ = [
     "ImageReward",
     "NoReward",
     "PerEnvironmentReward",
+    "RSOImageRecord",
+    "RSOImageReward",
     "RSOInspectionData",
     "RSOInspectionReward",
     "ResourceReward",

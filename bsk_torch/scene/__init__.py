@@ -4,7 +4,9 @@ from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.cities import CityTargets
 from bsk_torch.scene.clouds import CloudyTargets
 from bsk_torch.scene.explicit import Targets
+from bsk_torch.scene.rso_catalog import RandomRSOCatalog, RSOPriorityEvent, RSOTarget, RSOTargetCatalog
 from bsk_torch.scene.rso_points import RSOPoint, RSOPoints, SphericalRSO
+from bsk_torch.scene.rso_targets import RSOTargets
 from bsk_torch.scene.scanning import UniformNadirScanning
 from bsk_torch.scene.target import Target
 from bsk_torch.scene.targets import ChangingTargets, TargetScenario
@@ -17,6 +19,11 @@ __all__ = [
     "CloudyTargets",
     "RSOPoint",
     "RSOPoints",
+    "RSOPriorityEvent",
+    "RSOTarget",
+    "RSOTargetCatalog",
+    "RSOTargets",
+    "RandomRSOCatalog",
     "Scenario",
     "SphericalRSO",
     "Target",

@@ -195,6 +195,10 @@ class Scenario:
         """
         return self.fleet.scenario_state[name]
 
+    def _own_arguments(self, satellite: Satellite) -> dict[str, Any]:
+        """Return the ``sat_args`` of a satellite that follow from the scenario, whatever the user has given."""
+        return {}
+
     def _bounds(self) -> dict[str, tuple[float, float]]:
         """Return the minimum and maximum of the values returned by :meth:`draw`, by name, for restored states.
 

@@ -282,6 +282,9 @@ class Component:
     names a slot: the component reads, as ``bus.<slot>[0].<field>``, what the one satellite of the episode whose model has that
     slot records, at the end of the same tick.
 
+    ``tracks`` are samples that the component reads as ``bus.<track>``; what knows them supplies them to the simulation, see
+    :class:`bsk_torch.sim.run.tracks.TrackSource`.
+
     ``flags`` are what flight modes may switch on: ``bus.<flag>`` is 1 in the modes that list it, else 0. Those of ``idle_flags``
     are 1 before the first command, too. ``resets`` lists fields of the state with the values to which every command sets them.
 
@@ -311,6 +314,7 @@ class Component:
     mends: bool = False
     records: tuple[str, ...] = ()
     follows: str | None = None
+    tracks: tuple[Track, ...] = ()
     flags: tuple[str, ...] = ()
     idle_flags: tuple[str, ...] = ()
     resets: tuple[tuple[str, float], ...] = ()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -33,6 +33,7 @@ from bsk_torch.sim.orbit.solvers import make_solver
 from bsk_torch.sim.readout.observables import Observer
 from bsk_torch.sim.run.runners import RunInputs, ticks_at_once
 from bsk_torch.sim.run.trace import Trace
+from bsk_torch.sim.run.tracks import TrackSource, no_samples
 from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.state import StateTable
 
@@ -63,6 +64,7 @@ class Simulator:
         observer: Properties of the present, computed together.
         world: Sun, Earth and stations at the current time.
         has_tank: Whether the satellites can change their velocity; see :meth:`thrust`.
+        sources: What supplies the ``tracks`` that components read, by name; none in the tick at time zero.
     """
 
     def __init__(
@@ -122,6 +124,7 @@ class Simulator:
             manoeuvres=Manoeuvres(self.has_tank and (options.replan or self.orbit == "arc"), self.has_tank and options.replan),
         )
         self.state.add("lookahead", self.lookahead)
+        self.sources: dict[str, TrackSource] = {}
         self.observer = Observer(self.state, self.lookahead.flight, options.backend)
         stations = satellite_type.arguments.world_args.given.get("groundStationsData", ())
         self.world = satellite_type.world_type(self.state, self.lookahead.flight, stations)
@@ -468,7 +471,10 @@ class Simulator:
         further = self._of_present(ticks, rows)
         if rows is not None:
             further = torch.zeros_like(state.ticks).index_copy(0, rows, further)
-        self.lookahead.reach_in_flight(state.sim_time + further.double() * state.h, state.sim_time)
+        time = state.sim_time + further.double() * state.h
+        self.lookahead.reach_in_flight(time, state.sim_time)
+        for source in self.sources.values():
+            source.reach(time)
 
     def _inputs(self, followed: Mapping[str, Samples], rows: Tensor | None) -> RunInputs:
         """Return what a run of ``rows`` [n], or all, reads apart from their fields; ``followed`` are traces of these rows."""
@@ -478,7 +484,7 @@ class Simulator:
             own, mode, ticks = own[:, rows], mode[rows], ticks[rows]
             arcs = tuple(rows_of_samples(track, rows) for track in arcs)
         return {
-            "tracks": [*arcs, *(followed[name] for name in self.tick.followed)],
+            "tracks": [*arcs, *(followed[name] for name in self.tick.followed), *self._supplied(rows)],
             "shared": self.uniform,
             "own": own,
             "mode": mode,
@@ -488,6 +494,13 @@ class Simulator:
             "lockstep": self.count,
             "present": self._present_of(rows),
         }
+
+    def _supplied(self, rows: Tensor | None) -> Iterator[Samples]:
+        """Yield the samples of the tracks that components read, of ``rows`` [n] or of all."""
+        for track in self.tick.supplied:
+            source = self.sources.get(track.name)
+            found = no_samples(track, self.state.rows, self.device) if source is None else source.samples()
+            yield found if rows is None else rows_of_samples(found, rows)
 
     def _run_in_pieces(
         self, ticks: Tensor, most: int, trace: Trace | None, followed: Mapping[str, Samples], rows: Tensor | None

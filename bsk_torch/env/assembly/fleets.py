@@ -73,6 +73,8 @@ class FleetBuilder:
         """
         self.names = check_names(satellites)
         self.satellites = [satellite.as_given() for satellite in satellites]
+        for satellite in self.satellites:
+            satellite.sat_args_generator.update(scenario._own_arguments(satellite))
         self.types = grouped(self.satellites)
         if options.failures == CONTINUOUS:
             check_watched(self.satellites)

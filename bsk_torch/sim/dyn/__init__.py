@@ -22,6 +22,7 @@ from bsk_torch.sim.dyn.models import (
 from bsk_torch.sim.dyn.navigation import navigation_numbers
 from bsk_torch.sim.dyn.panels import Panel, best_direction
 from bsk_torch.sim.dyn.relative_motion import ConjunctionDynModel, MaxRangeDynModel
+from bsk_torch.sim.dyn.rso_imaging import SpaceToSpaceImagingDynModel
 from bsk_torch.sim.dyn.thrusters import THRUSTER_TYPES, Thruster
 from bsk_torch.sim.dyn.torque_bars import TorqueBar
 from bsk_torch.sim.dyn.wheel_types import WHEEL_TYPES, Wheel, WheelType, pyramid
@@ -53,6 +54,7 @@ __all__ = [
     "RSODynModel",
     "RSOInspectorDynModel",
     "SolarPressureDynModel",
+    "SpaceToSpaceImagingDynModel",
     "Thruster",
     "TorqueBar",
     "TorqueBarsDynModel",

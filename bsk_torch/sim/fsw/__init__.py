@@ -14,6 +14,7 @@ from bsk_torch.sim.fsw.models import (
 )
 from bsk_torch.sim.fsw.modes import Command, Mode
 from bsk_torch.sim.fsw.passive import TumblingFSWModel
+from bsk_torch.sim.fsw.rso_imaging import SpaceToSpaceImagingFSWModel
 from bsk_torch.sim.fsw.setpoint import AttitudeSetpointFSWModel, InertialHoldFSWModel
 from bsk_torch.sim.fsw.tasks import Task, action
 
@@ -29,6 +30,7 @@ __all__ = [
     "MagneticUnloadingFSWModel",
     "Mode",
     "RSOInspectorFSWModel",
+    "SpaceToSpaceImagingFSWModel",
     "SteeringFSWModel",
     "SteeringImagerFSWModel",
     "Task",

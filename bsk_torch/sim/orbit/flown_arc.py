@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -79,6 +80,12 @@ def start_schedule() -> Tensor:
     return torch.tensor(rows, dtype=torch.float64)
 
 
+def visited(r0: Vec3, v0: Vec3, accelerations: list[Vec3], time: Any, weights: list[Any]) -> tuple[Vec3, Vec3]:
+    """Return position, m, and velocity, m/s, at a node of the start, ``time`` s from the epoch; see :func:`start_kernel`."""
+    count = MULTISTEP_ORDER + 1
+    return r0 + v0 * time + weighted(weights[:count], accelerations), v0 + weighted(weights[count:], accelerations)
+
+
 @cache
 def start_kernel(degree: int) -> Kernel:
     """Return the kernel that finds positions and accelerations at the first nodes, by Picard iteration; shared is the stretch.
@@ -92,8 +99,7 @@ def start_kernel(degree: int) -> Kernel:
     time, is_first, is_last, *weights = builder.planes("schedule", SCHEDULED)
     first, ends = is_first > 0.5, is_last > 0.5
     (stretch,) = builder.planes("shared", 1)
-    r = r0 + v0 * time + weighted(weights[: MULTISTEP_ORDER + 1], [a0, *last])
-    v = v0 + weighted(weights[MULTISTEP_ORDER + 1 :], [a0, *last])
+    r, v = visited(r0, v0, [a0, *last], time, weights)
     a = acceleration(builder.ephemeris(), r, stretch, degree)
     this = [*this[1:], a]
     last = [select(first, a, select(ends, new, old)) for new, old in zip(this, last, strict=True)]
@@ -125,16 +131,23 @@ def flown_kernel(degree: int) -> Kernel:
     builder = KernelBuilder()
     r, v, *accelerations = builder.vectors("state", 2 + MULTISTEP_ORDER)
     (stretch,) = builder.planes("shared", 1)
+    r, v, remembered = flown_step(r, v, accelerations, builder.ephemeris, stretch, degree)
+    return builder.kernel("flown arc", [r, v, *remembered], (EPHEMERIS_TRACK,), [r])
+
+
+def flown_step(
+    r: Vec3, v: Vec3, accelerations: list[Vec3], ephemeris: Callable[[], Bus], stretch: Any, degree: int
+) -> tuple[Vec3, Vec3, list[Vec3]]:
+    """Return position, m, velocity, m/s, and the remembered accelerations after a step; see :func:`flown_kernel`."""
     before, after = list(range(1 - MULTISTEP_ORDER, 1)), list(range(2 - MULTISTEP_ORDER, 2))
     corrector = _scaled(position_weights(after, 0, 1), MULTISTEP_STEP**2)
     straight = r + v * MULTISTEP_STEP
     predicted = straight + weighted(_scaled(position_weights(before, 0, 1), MULTISTEP_STEP**2), accelerations)
-    a, remembered = acceleration(builder.ephemeris(), predicted, stretch, degree), accelerations[1:]
+    a, remembered = acceleration(ephemeris(), predicted, stretch, degree), accelerations[1:]
     r = straight + weighted(corrector, [*remembered, a])
     change = central_gradient(predicted, r - predicted)
     r, remembered = r + change * corrector[-1], [*remembered, a + change]
-    v = v + weighted(_scaled(velocity_weights(after, 0, 1), MULTISTEP_STEP), remembered)
-    return builder.kernel("flown arc", [r, v, *remembered], (EPHEMERIS_TRACK,), [r])
+    return r, v + weighted(_scaled(velocity_weights(after, 0, 1), MULTISTEP_STEP), remembered), remembered
 
 
 NODE = Track("node", NODE_SPACING, (vec("r_BN_N", "m", exact=True),), count=1)

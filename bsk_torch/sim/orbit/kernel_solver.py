@@ -31,7 +31,6 @@ class KernelSolver:
         """Take the stretches of both arcs, and the degree of the Earth's field."""
         self.degree = degree
         self.stretches = torch.tensor([frame_stretch(step), frame_stretch(PLAN_STEP)], dtype=torch.float64)
-        self.schedule = flown_arc.start_schedule()
 
     def begin(self, et: Tensor, r: Tensor, v: Tensor, ephemeris: Tensor, nodes: int) -> Solution:
         """See :class:`bsk_torch.sim.orbit.solution.Solver`.
@@ -87,25 +86,46 @@ class KernelSolver:
 
     def _start(self, r: Tensor, v: Tensor, around: Samples, flown: Tensor) -> Tensor:
         """Fill the first positions; return the state from which the flown arc continues."""
-        n, ticks = len(r), len(self.schedule)
-        state = torch.zeros(flown_arc.START_STATE, n, dtype=torch.float64)
-        state[:3], state[3:6] = r.mT, v.mT
-        visited = torch.empty(n, ticks, 3, dtype=torch.float64)
-        counts = torch.full((n,), ticks)
-        flown_arc.start_kernel(self.degree)(
-            state, counts, [around], shared=self.stretches, schedule=self.schedule, written=visited
-        )
+        state, visited = start_flight(self.degree, self.stretches, r, v, around)
         lead, found = 2 * LEAD_NODES, visited[:, -flown_arc.MULTISTEP_ORDER :]
         flown[:, :lead], flown[:, lead] = found[:, :lead], r
         flown[:, lead + 1 : flown_arc.MULTISTEP_ORDER + 1] = found[:, lead:]
-        accelerations = state[-6 - 3 * flown_arc.MULTISTEP_ORDER : -6]
-        return torch.cat([state[-6:], accelerations[3 : 3 * lead], state[6:9], accelerations[3 * lead :]])
+        return state
 
     def _fly(self, state: Tensor, step: Tensor, around: Samples, flown: Tensor) -> None:
-        counts = torch.full_like(step, flown.shape[1])
-        kernel = flown_arc.flown_kernel(self.degree)
-        kernel(state, counts, [around], shared=self.stretches, ticks=step, nanoseconds=MINUTE_NS // 2, written=flown)
+        continue_flight(self.degree, self.stretches, state, step, torch.full_like(step, flown.shape[1]), around, flown)
 
     def _plan(self, tail: Tensor, step: Tensor, tracks: tuple[Samples, Samples], planned: Tensor) -> None:
         counts, kernel = torch.full_like(step, planned.shape[1] // SAMPLES_PER_STEP), planned_arc.planned_kernel()
         kernel(tail, counts, tracks, shared=self.stretches, ticks=step, nanoseconds=DIFFERENCE_STEP_NS, written=planned)
+
+
+def start_flight(degree: int, stretches: Tensor, r: Tensor, v: Tensor, around: Samples) -> tuple[Tensor, Tensor]:
+    """Return the state [C, n] of the flown arc's kernel at the last of the start's nodes, and the positions on the way there.
+
+    Args:
+        degree: Degree of the Earth's field.
+        stretches: Stretch of the flown arc, first.
+        r: Position in N at the epoch, [n, 3] m.
+        v: Velocity in N there, [n, 3] m/s.
+        around: Records of Sun and Earth from the epoch on.
+    """
+    schedule, lead = flown_arc.start_schedule(), 2 * LEAD_NODES
+    n, ticks = len(r), len(schedule)
+    state = torch.zeros(flown_arc.START_STATE, n, dtype=torch.float64)
+    state[:3], state[3:6] = r.mT, v.mT
+    visited, counts = torch.empty(n, ticks, 3, dtype=torch.float64), torch.full((n,), ticks)
+    flown_arc.start_kernel(degree)(state, counts, [around], shared=stretches, schedule=schedule, written=visited)
+    accelerations = state[-6 - 3 * flown_arc.MULTISTEP_ORDER : -6]
+    return torch.cat([state[-6:], accelerations[3 : 3 * lead], state[6:9], accelerations[3 * lead :]]), visited
+
+
+def continue_flight(
+    degree: int, stretches: Tensor, state: Tensor, step: Tensor, counts: Tensor, around: Samples, flown: Tensor
+) -> None:
+    """Advance states [C, n] of the flown arc's kernel, which are at ``step`` [n], by ``counts`` [n] steps.
+
+    The positions of the steps are written to ``flown`` [n, K, 3], m.
+    """
+    kernel = flown_arc.flown_kernel(degree)
+    kernel(state, counts, [around], shared=stretches, ticks=step, nanoseconds=MINUTE_NS // 2, written=flown)

@@ -81,7 +81,8 @@ class Tick:
         self.followed, self.recorded = followed, recorded(components)
         self.arc_tracks: tuple[Track, ...] = (EPHEMERIS_TRACK, ARC) if on_arc else (EPHEMERIS_TRACK,)
         traces = (trace_track(name, fields, h_ns * NANO) for name, fields in followed.items())
-        self.tracks = (*self.arc_tracks, *traces)
+        self.supplied = tuple({track.name: track for component in components for track in component.tracks}.values())
+        self.tracks = (*self.arc_tracks, *traces, *self.supplied)
 
     def with_shared(self, shared: set[str]) -> Tick:
         """Return the tick in which only the parameters ``shared`` are the same for all environments."""

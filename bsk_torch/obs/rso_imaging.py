@@ -1,0 +1,115 @@
+"""Observations of the candidates of an imager of resident space objects (RSO)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from bsk_torch._checks import number, text, whole
+from bsk_torch.obs.base import Observation, Values
+from bsk_torch.sats.bound import BoundSatellite
+from bsk_torch.scene.rso_targets import RSOTargets, check_imager
+from bsk_torch.sim.catalog.candidates import Candidates, Views
+from bsk_torch.sim.names import nearest
+
+PROPERTIES = ("valid", "priority", *Views._fields)
+"""Properties of candidates: the allowed values of ``prop``."""
+
+DEFAULT = (
+    {"prop": "priority", "norm": 2},
+    {"prop": "target_elevation_angle", "norm": 90},
+    {"prop": "rel_pos_vector_r_BR_H", "norm": 15960e3},
+    {"prop": "rel_vel_vector_v_BR_H", "norm": 16000},
+    {"prop": "angle_to_target", "norm": 90},
+    {"prop": "target_distance", "norm": 15960e3},
+    {"prop": "target_illumination_factor"},
+)
+"""Entries where none are given, those of bsk_rl."""
+
+
+class Entry(NamedTuple):
+    """A property of candidates, its name in the observation, and its divisor."""
+
+    prop: str
+    name: str
+    norm: float
+
+
+def parsed(given: Mapping[str, Any]) -> Entry:
+    """Return an entry of a user; ValueError for a wrong one."""
+    title = "obs.RSOTargetProperties"
+    if not isinstance(given, Mapping):
+        raise ValueError(f"{title} has the entry {given!r}; it must be a dictionary, such as dict(prop='priority', norm=2)")
+    for key in given:
+        if key not in ("prop", "norm", "name"):
+            raise ValueError(f"{title} has the key {key!r} in {dict(given)}; {nearest(str(key), ('prop', 'norm', 'name'))}")
+    prop = given.get("prop")
+    if prop not in PROPERTIES:
+        raise ValueError(f"{title}: prop={prop!r} is no property of candidates; {nearest(str(prop), PROPERTIES)}")
+    norm = 1.0 if given.get("norm") is None else number(f"{title}: norm of {prop!r}", given["norm"])
+    if norm == 0.0:
+        raise ValueError(f"{title}: norm of {prop!r} is 0; it must not be zero")
+    return Entry(prop, text(f"{title}: name", given.get("name", prop)), norm)
+
+
+class RSOTargetProperties(Observation):
+    """Properties of the first n candidates of an imager; action k of :class:`~bsk_torch.act.ImageRSO` images the k-th.
+
+    For the order of candidates, see :class:`~bsk_torch.scene.RSOTargets`; for properties, :data:`PROPERTIES` and
+    :class:`~bsk_torch.sim.catalog.candidates.Views`. Where there are fewer candidates, all properties are zero, ``valid`` too,
+    which is 1 for the others.
+    """
+
+    def __init__(self, *properties: dict[str, Any], n_ahead_observe: int = 10, name: str = "rso_targets") -> None:
+        """Observe candidates.
+
+        Args:
+            *properties: Dictionaries with ``prop``, and optionally ``norm`` (divisor) and ``name``; those of :data:`DEFAULT` if
+                none are given.
+            n_ahead_observe: Number of candidates n.
+            name: Name of the observation.
+
+        Raises:
+            ValueError: For unknown properties or keys, equal names, or fewer than one candidate.
+        """
+        super().__init__(name)
+        self.entries = tuple(parsed(given) for given in properties or DEFAULT)
+        names = [entry.name for entry in self.entries]
+        if len(set(names)) < len(names):
+            raise ValueError(f"obs.RSOTargetProperties has the names {names}; they must be unique")
+        self.n_ahead_observe = whole("n_ahead_observe", n_ahead_observe, 1)
+
+    def link_satellite(self, satellite: BoundSatellite) -> None:
+        """See :meth:`Observation.link_satellite`; ValueError unless it is an imager of a catalog."""
+        super().link_satellite(satellite)
+        check_imager(satellite, f"obs.RSOTargetProperties {self.name!r}")
+
+    def _columns(self) -> dict[str, Tensor]:
+        """Return the properties of the candidates by name, [N, n] or [N, n, 3]."""
+        scenario: RSOTargets = self.satellite.scenario
+        candidates = scenario.candidates(self.satellite, self.n_ahead_observe)
+        seen = scenario.views(self.satellite, candidates)
+        known = seen._asdict() | {
+            "valid": torch.ones_like(seen.target_distance),
+            "priority": self.satellite.of_env(scenario.priority).gather(1, candidates.place),
+        }
+        return {entry.name: _blank(known[entry.prop] / entry.norm, candidates) for entry in self.entries}
+
+    def get_obs(self) -> Values:
+        """See :meth:`Observation.get_obs`."""
+        columns = self._columns()
+        return {f"{self.name}_{k}": {name: column[:, k] for name, column in columns.items()} for k in range(self.n_ahead_observe)}
+
+    def get_vector(self) -> Tensor:
+        """See :meth:`Observation.get_vector`; one candidate after the other."""
+        parts = [part.unsqueeze(-1) if part.ndim == 2 else part for part in self._columns().values()]
+        return torch.cat(parts, -1).flatten(1)
+
+
+def _blank(column: Tensor, candidates: Candidates) -> Tensor:
+    """Return a column [N, n, ...] with zeros for candidates that do not exist."""
+    exists = candidates.exists.view(*candidates.exists.shape, *[1] * (column.ndim - 2))
+    return torch.where(exists, column, 0.0)

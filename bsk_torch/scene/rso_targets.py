@@ -1,0 +1,356 @@
+"""Resident space objects (RSO) of a catalog as targets of imagers."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import datetime, timedelta
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from bsk_torch._checks import switch, text
+from bsk_torch.astro.ephemeris import parse_utc
+from bsk_torch.rand import Key, PerEnv
+from bsk_torch.sats.bound import BoundSatellite
+from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sats.satellite import Satellite
+from bsk_torch.scene.base import Scenario
+from bsk_torch.scene.rso_catalog import RandomRSOCatalog, RSOTarget, RSOTargetCatalog
+from bsk_torch.sim.catalog.aim import AIM, NO_AIM, AimedNodes
+from bsk_torch.sim.catalog.candidates import Candidates, Moment, Views, in_order, views
+from bsk_torch.sim.catalog.orbits import CatalogOrbits, Epoch
+from bsk_torch.sim.dyn.rso_imaging import RSO_TRACK, SpaceToSpaceImagingDynModel
+from bsk_torch.sim.fsw.rso_imaging import SpaceToSpaceImagingFSWModel
+from bsk_torch.sim.names import nearest
+from bsk_torch.sim.orbit.flights import make_flights
+from bsk_torch.sim.state import FINITE
+
+POSITIONS, VELOCITIES, PRIORITIES = "rso_r_N", "rso_v_N", "rso_priority"
+"""Names of the drawn states of targets, m and m/s in N, and of their priorities."""
+
+PENDING, COOLDOWN = "rso_pending", "rso_cooldown"
+"""Names of what rewarders keep of targets: number of images that have not been downlinked, and until when they cool down, s."""
+
+
+MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
+
+PREFIX = "rso_"
+"""Beginning of the names of partitions."""
+
+
+def partition_name(target_id: str) -> str:
+    """Return the name of the partition of the store for images of a target, as in bsk_rl."""
+    return PREFIX + hashlib.sha256(target_id.encode()).hexdigest()[:32]
+
+
+class _Cached(NamedTuple):
+    key: tuple[int, ...]
+    value: Any
+
+
+class RSOTargets(Scenario):
+    """Targets on orbits of a catalog, which named satellites image.
+
+    Targets have neither attitude nor tick, and take no place among the satellites. They fly in the force field of satellites
+    whose orbits are solved in advance, without drag. Imagers have :class:`~bsk_torch.sim.dyn.SpaceToSpaceImagingDynModel`,
+    :class:`~bsk_torch.sim.fsw.SpaceToSpaceImagingFSWModel` and :class:`~bsk_torch.act.ImageRSO`; the store of each gets a
+    partition for every target.
+
+    A target is *eligible* unless images of it wait for their downlink (with ``block_pending_targets``), and once it has cooled
+    down; see :class:`~bsk_torch.data.RSOImageReward`. The *candidates* of an imager are the eligible targets, first those with an
+    elevation from -21 to 90 degrees above its horizontal, in ascending order, then the others by their distance.
+
+    N is the number of episodes, G that of targets.
+
+    Attributes:
+        ids: Ids of the targets.
+        imager_names: Names of the imagers.
+        block_pending_targets: See above.
+        imager_types: Indices of the types of satellites with imagers, once an environment has been built.
+        imager_columns: Indices of the imagers among the satellites of an episode, [A], likewise.
+    """
+
+    imager_types: tuple[int, ...]
+    imager_columns: list[int]
+    _link_needs_super = True
+
+    def __init__(
+        self,
+        catalog: RSOTargetCatalog | RandomRSOCatalog | PerEnv,
+        imager_names: Sequence[str],
+        *,
+        block_pending_targets: bool = True,
+    ) -> None:
+        """ValueError for a wrong argument.
+
+        Args:
+            catalog: Targets of all episodes, random ones, or ``rand.per_env`` of catalogs with equal ids and equal changes of
+                priorities, one for each environment.
+            imager_names: Names of the satellites that image.
+            block_pending_targets: Whether a target with images that have not been downlinked cannot be chosen.
+        """
+        listed: list[Any] = list(catalog.values) if isinstance(catalog, PerEnv) else [catalog]
+        kinds = (RSOTargetCatalog,) if isinstance(catalog, PerEnv) else (RSOTargetCatalog, RandomRSOCatalog)
+        if not listed or not all(isinstance(part, kinds) for part in listed):
+            raise ValueError(
+                f"catalog={catalog!r} must be a scene.RSOTargetCatalog, a scene.RandomRSOCatalog, or rand.per_env of catalogs"
+            )
+        first = listed[0]
+        for part in listed[1:]:
+            if part.ids != first.ids or part.priority_events != first.priority_events:
+                raise ValueError("rand.per_env: all catalogs must have the same ids in the same order, and equal priority_events")
+        self.given, self.ids = tuple(listed), first.ids
+        self.per_env = isinstance(catalog, PerEnv)
+        if isinstance(imager_names, str) or not isinstance(imager_names, Sequence) or not imager_names:
+            raise ValueError(f"imager_names={imager_names!r} must be a list of names of satellites")
+        self.imager_names = tuple(text("imager_names", name) for name in imager_names)
+        if len(set(self.imager_names)) < len(self.imager_names):
+            raise ValueError(f"imager_names={list(self.imager_names)} must be unique")
+        self.block_pending_targets = switch("block_pending_targets", block_pending_targets)
+        self._events = _event_table(first)
+
+    # -- draws --------------------------------------------------------------------------------------------------------
+
+    def draw(self, key: Key) -> dict[str, Tensor]:
+        """See :meth:`Scenario.draw`; states and priorities of the targets."""
+        first = self.given[0]
+        if isinstance(first, RandomRSOCatalog):
+            values: tuple[Tensor, ...] = first.draw(key)
+        else:
+            stacked = [torch.stack(part) for part in zip(*(part.tables() for part in self.given), strict=True)]
+            values = tuple(torch.as_tensor(PerEnv(part).draw(key)) if self.per_env else part for part in stacked)
+        return dict(zip((POSITIONS, VELOCITIES, PRIORITIES), values, strict=True))
+
+    def _bounds(self) -> dict[str, tuple[float, float]]:
+        """See :meth:`Scenario._bounds`."""
+        return {POSITIONS: (-1e9, 1e9), VELOCITIES: (-1e6, 1e6), PRIORITIES: (0.0, FINITE)}
+
+    @property
+    def n_targets(self) -> int:
+        """Number of targets G."""
+        return len(self.ids)
+
+    def index_of(self, target_id: str) -> int:
+        """Return the number of a target; ValueError for an unknown id, with the nearest one."""
+        if target_id not in self.ids:
+            raise ValueError(f"{target_id!r} is no target of the catalog; {nearest(str(target_id), self.ids)}")
+        return self.ids.index(target_id)
+
+    def catalog_of(self, env: int) -> RSOTargetCatalog:
+        """Return the catalog of the current episode of environment ``env``, with its epoch, to be saved."""
+        r_N, v_N, priority = (self.drawn(name)[env].tolist() for name in (POSITIONS, VELOCITIES, PRIORITIES))
+        first = self.given[int(self.fleet.env_ids[env])] if self.per_env else self.given[0]
+        utc_init = epoch_text(self._et[env].item())
+        if isinstance(first, RSOTargetCatalog):
+            return first if first.utc_init is not None else replace(first, utc_init=utc_init)
+        rows = zip(self.ids, r_N, v_N, priority, strict=True)
+        targets = tuple(RSOTarget(key, key.replace("-", "_"), r, v, weight) for key, r, v, weight in rows)
+        return RSOTargetCatalog(targets, utc_init, first.priority_events)
+
+    # -- satellites ---------------------------------------------------------------------------------------------------
+
+    def _own_arguments(self, satellite: Satellite) -> dict[str, Any]:
+        """See :meth:`Scenario._own_arguments`; the partitions of imagers."""
+        if satellite.name not in self.imager_names:
+            return {}
+        return {"bufferNames": [partition_name(key) for key in self.ids], "transmitterNumBuffers": self.n_targets}
+
+    def validate_satellite_names(self, satellites: Sequence[Satellite]) -> None:
+        """See :meth:`Scenario.validate_satellite_names`.
+
+        Raises:
+            ValueError: For an imager that is missing, is not named or lacks a model, or a satellite in the place of a target.
+        """
+        by_name = {satellite.name: satellite for satellite in satellites}
+        for name in self.imager_names:
+            if name not in by_name:
+                raise ValueError(
+                    f"imager_names has {name!r}, but no satellite of the environment is called that; {nearest(name, by_name)}"
+                )
+            kinds = by_name[name].get_dyn_type(), by_name[name].get_fsw_type()
+            if not (issubclass(kinds[0], SpaceToSpaceImagingDynModel) and issubclass(kinds[1], SpaceToSpaceImagingFSWModel)):
+                raise ValueError(
+                    f"imager {name!r} must have dyn.SpaceToSpaceImagingDynModel and fsw.SpaceToSpaceImagingFSWModel; it has "
+                    f"{kinds[0].__name__} and {kinds[1].__name__}"
+                )
+        others = [s.name for s in satellites if issubclass(s.get_dyn_type(), SpaceToSpaceImagingDynModel)]
+        if left_out := [name for name in others if name not in self.imager_names]:
+            raise ValueError(f"satellites {left_out} have dyn.SpaceToSpaceImagingDynModel, but are not among imager_names")
+        taken = {target.satellite_name for part in self.given if isinstance(part, RSOTargetCatalog) for target in part.targets}
+        if both := sorted(taken & set(by_name)):
+            raise ValueError(
+                f"satellites {both} have the names of targets of the catalog, which fly without satellites; leave them out"
+            )
+
+    def link(self, fleet: SatelliteFleet) -> None:
+        """See :meth:`Scenario.link`; ValueError if only some satellites of a type are imagers."""
+        super().link(fleet)
+        of_imagers = {fleet.place_of(name)[0] for name in self.imager_names if name in fleet.places}
+        self.imager_types = tuple(sorted(of_imagers))
+        self.imager_columns = [column for k in self.imager_types for column in fleet.columns[k].tolist()]
+        first = fleet.simulators[0]
+        solver = make_flights(first.h, first.type.options.backend, fleet.device, first.type.gravity_degree)
+        self.orbits = CatalogOrbits(fleet.num_envs, self.n_targets, solver, self._epoch)
+        fleet.memory.add("rso_orbits", self.orbits)
+        self.memory.declare(PENDING, 0, self.n_targets, low=0)
+        self.memory.declare(COOLDOWN, 0.0, self.n_targets, low=-FINITE, high=FINITE)
+        for k in self.imager_types:
+            simulator = fleet.simulators[k]
+            simulator.memory.declare(AIM, NO_AIM, low=NO_AIM, high=self.n_targets - 1)
+            simulator.sources[RSO_TRACK.name] = AimedNodes(simulator, self.orbits)
+        self._wanted = _epochs(self.given)
+        self._cache: dict[tuple[Any, ...], _Cached] = {}
+
+    @property
+    def _et(self) -> Tensor:
+        """ET at time zero, [N] s."""
+        first = self.fleet.simulators[0]
+        return self.fleet.first_of_each(first.state.arguments["utc_init"], first.count)
+
+    def _epoch(self, envs: Tensor) -> Epoch:
+        """Return the states of the targets of episodes ``envs`` [n] at time zero; ValueError if the catalog has another epoch."""
+        et = self._et[envs]
+        if self._wanted is not None:
+            index = self.fleet.env_ids[envs].to(self._wanted.device) if self.per_env else torch.zeros_like(envs)
+            wanted = self._wanted.to(et.device)[index]
+            wrong = torch.nonzero(~torch.isnan(wanted) & (wanted != et)).flatten()
+            if len(wrong):
+                env = int(envs[wrong[0]])
+                name = self.given[int(index[wrong[0]])].utc_init
+                raise ValueError(
+                    f"the catalog of environment {env} has utc_init={name!r}, but its world has another epoch; give "
+                    f"world_args={{'utc_init': {name!r}}}, or a catalog with utc_init=None"
+                )
+        return Epoch(et, self.drawn(POSITIONS)[envs], self.drawn(VELOCITIES)[envs])
+
+    # -- targets ------------------------------------------------------------------------------------------------------
+
+    def priority_at(self, time: Tensor) -> Tensor:
+        """Return the priorities of the targets, [N, G], with the changes at or before ``time`` [N] s."""
+        drawn = self.drawn(PRIORITIES)
+        if self._events is None:
+            return drawn
+        times, table = (part.to(time.device) for part in self._events)
+        changed = table[torch.searchsorted(times, time, right=True)]
+        return torch.where(torch.isnan(changed), drawn, changed)
+
+    @property
+    def priority(self) -> Tensor:
+        """Current priorities of the targets, [N, G]."""
+        return self.priority_at(self.fleet.sim_time)
+
+    @property
+    def pending(self) -> Tensor:
+        """Images of each target that wait for their downlink, [N, G]."""
+        return self.memory[PENDING]
+
+    @property
+    def cooldown_until(self) -> Tensor:
+        """Time at which each target has cooled down, [N, G] s."""
+        return self.memory[COOLDOWN]
+
+    @property
+    def eligible(self) -> Tensor:
+        """Targets that can be chosen, [N, G]."""
+        ready = self.fleet.sim_time.unsqueeze(1) >= self.cooldown_until
+        return ready & (self.pending == 0) if self.block_pending_targets else ready
+
+    @property
+    def r_TN_N(self) -> Tensor:
+        """Positions of the targets, [N, G, 3] m in N."""
+        return self._positions().movedim(0, -1)
+
+    def _positions(self) -> Tensor:
+        def found() -> Tensor:
+            self.orbits.catch_up(self.fleet.sim_time)
+            return self.orbits.positions(self.fleet.sim_time)
+
+        return self._once(("positions",), found)
+
+    def _once(self, name: tuple[Any, ...], find: Any) -> Any:
+        """Return what ``find`` returns, which is valid until the state changes."""
+        key = (*(simulator.state.version for simulator in self.fleet.simulators), self.memory.version)
+        cached = self._cache.get(name)
+        if cached is None or cached.key != key:
+            value = find()
+            cached = self._cache[name] = _Cached(key, value)
+        return cached.value
+
+    # -- candidates ---------------------------------------------------------------------------------------------------
+
+    def candidates(self, satellite: BoundSatellite, count: int) -> Candidates:
+        """Return the first ``count`` candidates of each satellite of a type, [n, count]."""
+
+        def found() -> Candidates:
+            r_TN_N = self._positions()
+            if satellite.simulator.count > 1:
+                r_TN_N = r_TN_N.repeat_interleave(satellite.simulator.count, 1)
+            return in_order(r_TN_N, satellite.dynamics.r_BN_N, satellite.of_env(self.eligible))
+
+        known = self._once(("candidates", satellite.type_index), found)
+        missing = count - self.n_targets
+        if missing <= 0:
+            return Candidates(known.place[:, :count], known.exists[:, :count])
+        return Candidates(*(torch.nn.functional.pad(part, (0, missing)) for part in known))
+
+    def views(self, satellite: BoundSatellite, candidates: Candidates) -> Views:
+        """Return what satellites of a type see of their candidates, [n, k, ...] each."""
+        simulator, fleet = satellite.simulator, self.fleet
+        envs, now = simulator.state.all_rows // simulator.count, fleet.sim_time
+        self._positions()  # which catch up
+        place = candidates.place
+        r_TN_N, v_TN_N = self.orbits.states(envs, place, now)
+        before_N, _ = self.orbits.states(envs, place, (now - fleet.h).clamp(min=0.0))
+        axis_B = satellite.sat_args["inst_pHat_B"]
+        axis_N = (satellite.dynamics.BN.mT @ (axis_B / axis_B.norm(dim=-1, keepdim=True)).unsqueeze(-1)).squeeze(-1)
+        at = Moment(satellite.dynamics.r_BN_N, satellite.dynamics.v_BN_N, axis_N, simulator.world.r_SN_N)
+        return views(r_TN_N, v_TN_N, before_N, at)
+
+    def candidate_ids(self, satellite: BoundSatellite, row: int, count: int) -> list[str | None]:
+        """Return the ids of the first ``count`` candidates of one satellite of a type; None for those that do not exist."""
+        found = self.candidates(satellite, count)
+        pairs = zip(found.place[row].tolist(), found.exists[row].tolist(), strict=True)
+        return [self.ids[place] if exists else None for place, exists in pairs]
+
+
+def _event_table(catalog: RSOTargetCatalog | RandomRSOCatalog) -> tuple[Tensor, Tensor] | None:
+    """Return times [K] s, and the changed priorities after the first k changes, [K + 1, G], NaN for unchanged ones."""
+    events = catalog.priority_events
+    if not events:
+        return None
+    rows = [torch.full((len(catalog.ids),), torch.nan, dtype=torch.float64)]
+    for event in events:
+        row = rows[-1].clone()
+        for key, value in event.priorities:
+            if key not in catalog.ids:
+                raise ValueError(f"RSOPriorityEvent at {event.time_s:g} s changes target {key!r}; {nearest(key, catalog.ids)}")
+            row[catalog.ids.index(key)] = value
+        rows.append(row)
+    return torch.tensor([event.time_s for event in events], dtype=torch.float64), torch.stack(rows)
+
+
+def _epochs(catalogs: Sequence[RSOTargetCatalog | RandomRSOCatalog]) -> Tensor | None:
+    """Return the epochs of catalogs, [E] s ET, NaN for those of none; None if none has one."""
+    given = [getattr(catalog, "utc_init", None) for catalog in catalogs]
+    if all(epoch is None for epoch in given):
+        return None
+    return torch.tensor([torch.nan if epoch is None else parse_utc(epoch) for epoch in given], dtype=torch.float64)
+
+
+def check_imager(satellite: BoundSatellite, title: str) -> None:
+    """Raise ValueError unless the satellites of a type image the targets of a catalog; ``title`` names who asks."""
+    if POSITIONS not in satellite.simulator.scenario_state:
+        raise ValueError(f"{title} needs scene.RSOTargets as the scenario of the environment")
+    names = satellite.simulator.state.constants.get("bufferNames") or [""]
+    if not names[0].startswith(PREFIX):
+        raise ValueError(f"{title} needs an imager; {satellite.name!r} is not among the imager_names of scene.RSOTargets")
+
+
+def epoch_text(et: float) -> str:
+    """Return an epoch, s past J2000 TDB, as a text that :func:`bsk_torch.astro.ephemeris.parse_utc` reads as the same number."""
+    minutes, second = divmod(et, 60.0)
+    date = datetime(2000, 1, 1, 12) + timedelta(minutes=minutes)
+    return f"{date.year} {MONTHS[date.month - 1]} {date.day:02d} {date:%H:%M}:{second:012.9f} TDB"

@@ -1,0 +1,151 @@
+"""Orbits of the objects of a catalog, carried along from decision to decision.
+
+At a decision all objects are looked at, within a run only those at which instruments point: the flights of all are kept, 42
+numbers each, and nodes are made for a few. The force model is that of satellites whose orbits are solved in advance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from bsk_torch.codegen.kernel import Samples
+from bsk_torch.sim.environment.ephemeris import RECORD_SPACING, ephemeris_records
+from bsk_torch.sim.orbit.arcs import FARTHEST, REACH_AROUND
+from bsk_torch.sim.orbit.flights import FIRST_STEP, REMEMBERED, Flights, positions, velocities
+from bsk_torch.sim.orbit.flown_arc import FLOWN_STATE, MULTISTEP_STEP
+from bsk_torch.sim.state import StateTable, outside_inference
+
+CHUNK, DEVICE_CHUNK = 4096, 1 << 20
+"""Objects advanced at once on the CPU, where they should fit into its cache, and on other devices."""
+
+PAST_NODES = REMEMBERED // 2 + 1
+"""Nodes of a track at or before the step of its flight."""
+
+NOT_STARTED = 0
+"""Step of objects that have not been looked at in the episode."""
+
+
+class Epoch(NamedTuple):
+    """Where the objects of n episodes are at time zero.
+
+    Attributes:
+        et: ET, [n] s.
+        r_N: Positions, [n, G, 3] m in N.
+        v_N: Velocities, [n, G, 3] m/s in N.
+    """
+
+    et: Tensor
+    r_N: Tensor
+    v_N: Tensor
+
+
+class CatalogOrbits(StateTable):
+    """Flights of the G objects of each episode: object g of episode e is row ``e * G + g``.
+
+    ``flights`` [C, rows] are the states of :mod:`bsk_torch.sim.orbit.flights`, and ``steps`` [rows] the steps since the epoch at
+    which they are. Both are brought up to date by :meth:`catch_up`.
+    """
+
+    flights: Tensor
+    steps: Tensor
+
+    def __init__(self, num_envs: int, count: int, solver: Flights, epoch: Callable[[Tensor], Epoch]) -> None:
+        """Make room for ``count`` objects in each of ``num_envs`` episodes; ``epoch`` gives their states at time zero."""
+        super().__init__(num_envs, count, solver.device)
+        self.solver, self.epoch = solver, epoch
+        self.declare("flights", None, FLOWN_STATE, planes=True, low=-FARTHEST, high=FARTHEST)
+        self.declare("steps", NOT_STARTED, low=NOT_STARTED, high=2**53)
+
+    def check_relations(self, path: str) -> None:
+        """See :meth:`StateTable.check_relations`: the objects of an episode are at the same step."""
+        steps = self.steps.view(self.num_envs, -1)
+        wrong = (steps != steps[:, :1]).flatten()
+        self.refuse(f"{path}steps", self.steps, wrong, "all objects of an episode must be at the same step")
+
+    # -- time ---------------------------------------------------------------------------------------------------------
+
+    @outside_inference
+    def catch_up(self, time: Tensor) -> None:
+        """Bring all objects to the first step at or after ``time`` [num_envs] s; those of an episode are at the same one."""
+        present = self.steps.view(self.num_envs, -1)[:, 0]
+        wanted = torch.ceil(time * (1.0 / MULTISTEP_STEP)).long().clamp(min=FIRST_STEP)
+        behind = torch.nonzero(present < wanted).squeeze(-1)
+        if not len(behind):
+            return
+        size = max(1, (CHUNK if self.device.type == "cpu" else DEVICE_CHUNK) // self.count)
+        for envs in behind.split(size):
+            self._advance(envs, present[envs], wanted[envs])
+        self.steps = torch.maximum(present, wanted).repeat_interleave(self.count)
+        self.touch()
+
+    def _advance(self, envs: Tensor, present: Tensor, wanted: Tensor) -> None:
+        """Bring the objects of episodes ``envs`` [n], which are at steps ``present``, to steps ``wanted``, [n] each."""
+        epoch, rows, count = self.epoch(envs), self.rows_of(envs), self.count
+        owner = torch.arange(len(envs), device=self.device).repeat_interleave(count)
+        new = present == NOT_STARTED
+        flights, first = self.flights[:, rows], torch.where(new, FIRST_STEP, present)
+        if bool(new.any()):
+            begun = new[owner]
+            start = Samples(_records(epoch.et[new], torch.zeros_like(epoch.et[new]), 0), torch.zeros_like(epoch.et[new]))
+            number = (torch.cumsum(new, 0) - 1)[owner][begun]
+            r_N, v_N = (part.reshape(-1, 3)[begun] for part in (epoch.r_N, epoch.v_N))
+            flights[:, begun] = self.solver.start(r_N, v_N, start._replace(owner=number))
+        counts = wanted - first
+        if bool((counts > 0).any()):
+            around = _around(epoch.et, first, int(counts.max()))
+            self.solver.advance(flights, first[owner], counts[owner], around._replace(owner=owner))
+        self.flights[:, rows] = flights
+
+    def _since(self, time: Tensor) -> Tensor:
+        """Return ``time`` [num_envs] s in steps since those at which the objects are, [num_envs]."""
+        return time * (1.0 / MULTISTEP_STEP) - self.steps.view(self.num_envs, -1)[:, 0].double()
+
+    # -- looking ------------------------------------------------------------------------------------------------------
+
+    def positions(self, time: Tensor) -> Tensor:
+        """Return positions of all objects, [3, num_envs, G] m in N, at ``time`` [num_envs] s, to which they have caught up."""
+        return positions(self.flights.view(FLOWN_STATE, self.num_envs, -1), self._since(time))
+
+    def states(self, envs: Tensor, place: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
+        """Return positions, m, and velocities, m/s, in N of some objects, [n, k, 3] each.
+
+        Args:
+            envs: Episodes of n satellites, [n].
+            place: Numbers of objects, [n, k].
+            time: Times, [num_envs] s, to which the objects have caught up.
+        """
+        flights, since = self.flights[:, envs.unsqueeze(-1) * self.count + place], self._since(time)[envs]
+        return positions(flights, since).movedim(0, -1), velocities(flights, since).movedim(0, -1)
+
+    def nodes(self, envs: Tensor, place: Tensor, until: Tensor) -> Samples:
+        """Return the nodes of n objects, a minute apart, from before the step at which they are to behind ``until`` [n] s.
+
+        The objects are those of numbers ``place`` [n] in the episodes ``envs`` [n].
+        """
+        rows = envs * self.count + place
+        flights, step = self.flights[:, rows], self.steps[rows]
+        odd = step % 2
+        first = step - odd - 2 * (PAST_NODES - 1)
+        back = first - step + 2 * torch.arange(PAST_NODES, device=self.device).unsqueeze(-1)
+        known = [positions(flights, since.double()).mT for since in back]
+        most = int(((until + REACH_AROUND) * (1.0 / MULTISTEP_STEP)).ceil().long().sub(step).max().clamp(min=6)) + 2
+        around = _around(self.epoch(envs).et, step, most)
+        ahead = self.solver.advance(flights, step, torch.full_like(step, most), around)
+        index = 1 - odd.unsqueeze(-1) + 2 * torch.arange(most // 2, device=self.device)
+        nodes = torch.cat([torch.stack(known, 1), ahead.gather(1, index.unsqueeze(-1).expand(-1, -1, 3))], 1)
+        return Samples(nodes.contiguous(), first.double() * MULTISTEP_STEP)
+
+
+def _around(et: Tensor, step: Tensor, count: int) -> Samples:
+    """Return the records of Sun and Earth around ``count`` steps from ``step`` [n] on, for epochs ET [n] s."""
+    start = torch.floor(step.double() * (MULTISTEP_STEP / RECORD_SPACING)) * RECORD_SPACING
+    return Samples(_records(et, start, count), start)
+
+
+def _records(et: Tensor, start: Tensor, count: int) -> Tensor:
+    hours = 3 + int(count * MULTISTEP_STEP / RECORD_SPACING)
+    return ephemeris_records(et, hours, start)

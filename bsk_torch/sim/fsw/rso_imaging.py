@@ -1,0 +1,49 @@
+"""Flight software of imagers of resident space objects (RSO): the instrument points at an object of a catalog."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import ClassVar
+
+import torch
+
+from bsk_torch.sim.component import Bus, Component
+from bsk_torch.sim.dyn.models import DynamicsModel
+from bsk_torch.sim.dyn.rso_imaging import SpaceToSpaceImagingDynModel
+from bsk_torch.sim.fsw.instrument import SCANNING_CONTROLLER
+from bsk_torch.sim.fsw.models import ImagingFSWModel
+from bsk_torch.sim.fsw.modes import Mode
+
+
+def aim_at_rso(bus: Bus) -> None:
+    """Write the position of the target in this tick, m."""
+    bus.r_LN_N = bus.r_TN_N
+
+
+def judge_pointing(bus: Bus) -> None:
+    """Write for the gate whether ``|sigma_BR| <= attitude tolerance`` and ``|omega_BR| <= rate tolerance``."""
+    error = bus.error
+    points = (error.sigma_BR.norm() <= bus.attitude_tolerance) & (error.omega_BR_B.norm() <= bus.rate_tolerance)
+    zero = torch.zeros_like(bus.rso_pointed)
+    bus.rso_pointed = torch.where(points & (bus.location_on > 0.0), torch.ones_like(zero), zero)
+
+
+RSO_AIM = Component(slot="location_target", after="navigation", update=aim_at_rso)
+
+POINTING_JUDGE = dataclasses.replace(
+    SCANNING_CONTROLLER, update=judge_pointing, state=(), initial=lambda args: {}, flags=("controller_on",)
+)
+
+
+class SpaceToSpaceImagingFSWModel(ImagingFSWModel):
+    """Points the instrument at an object of a catalog; the image is taken by the gate of the dynamics model.
+
+    The mode ``"image_rso"`` is entered by :class:`bsk_torch.act.ImageRSO`. Places on the ground are not imaged.
+    """
+
+    requires_dyn: ClassVar[tuple[type[DynamicsModel], ...]] = (SpaceToSpaceImagingDynModel,)
+    components: ClassVar[tuple[Component, ...]] = (RSO_AIM, POINTING_JUDGE)
+    modes: ClassVar[dict[str, Mode | None]] = {
+        "image": None,
+        "image_rso": Mode(("control_on", "location_on", "instrument_power"), {"rso_armed": 1.0}),
+    }

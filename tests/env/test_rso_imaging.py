@@ -1,0 +1,112 @@
+"""Environments with catalogs of resident space objects (RSO): batches, saved states, copies."""
+
+import pickle
+
+import pytest
+import torch
+
+from bsk_torch import rand, scene
+from tests.support.rso_imaging import environment
+
+pytestmark = pytest.mark.compiled
+
+DRAWN = scene.RandomRSOCatalog(6, oe=rand.random_orbit(a=7100.0, i=90.0, Omega=17.0), priority=rand.Uniform(1.0, 2.0))
+
+
+def drawn(n, **options):
+    return environment(imagers=2, catalog=DRAWN, num_envs=n, time_limit=900.0, **options)
+
+
+def actions(env, step):
+    """Actions of each environment that do not depend on the batch."""
+    choices = (torch.arange(env.num_envs).unsqueeze(1) * 7 + torch.arange(2) * 3 + step * 5) % 5
+    mask = env.satellites[0].action_mask().view(env.num_envs, 2, -1)
+    legal = mask.gather(2, choices.unsqueeze(-1)).squeeze(-1)
+    return torch.where(legal, choices, 0)
+
+
+def fly(env, steps, start=0):
+    """Rewards, observations and times of some steps."""
+    rows = []
+    for step in range(start, start + steps):
+        moves = torch.ones(env.num_envs, dtype=torch.bool)
+        outputs = env.play([actions(env, step)], moves)
+        group = next(iter(env.group_map))
+        rows.append((outputs[group]["reward"].clone(), outputs[group]["observation"].clone(), env.fleet.sim_time.clone()))
+    return rows
+
+
+def same(one, other, rows=slice(None)):
+    for a, b in zip(one, other, strict=True):
+        for x, y in zip(a, b, strict=True):
+            assert torch.equal(x, y[rows])
+
+
+def test_episodes_do_not_depend_on_the_batch():
+    few, many = drawn(2), drawn(7)
+    few.reset()
+    many.reset()
+    same(fly(few, 6), fly(many, 6), slice(2))
+
+
+def test_a_saved_state_continues_bit_for_bit():
+    env, other = drawn(3), drawn(3, seed=5)
+    env.reset()
+    other.reset()
+    fly(env, 4)
+    saved = pickle.loads(pickle.dumps(env.get_state()))
+    wanted = fly(env, 4, 4)
+    other.restore(saved)
+    same(wanted, fly(other, 4, 4))
+
+
+def test_a_wrong_saved_state_is_refused():
+    env = drawn(2)
+    env.reset()
+    saved = env.get_state()
+    saved["memory", "rso_pending"][0, 0] = -1
+    with pytest.raises(ValueError, match="rso_pending"):
+        env.restore(saved)
+    saved = env.get_state()
+    saved["memory", "rso_orbits", "steps"][0, 1] += 1
+    with pytest.raises(ValueError, match="rso_orbits"):
+        env.restore(saved)
+
+
+def test_a_reset_of_some_environments_leaves_the_others():
+    env = drawn(3)
+    env.reset()
+    fly(env, 3)
+    before = env.scenario.r_TN_N.clone()
+    td = env.reset(env_mask(env, [1]))
+    after = env.scenario.r_TN_N
+    assert torch.equal(after[[0, 2]], before[[0, 2]])
+    assert not torch.equal(after[1], before[1])
+    assert td is not None
+
+
+def env_mask(env, envs):
+    """A tensordict that asks for the reset of some environments."""
+    from tensordict import TensorDict
+
+    mask = torch.zeros(env.num_envs, 1, dtype=torch.bool)
+    mask[envs] = True
+    return TensorDict({"_reset": mask}, [env.num_envs])
+
+
+def test_rollouts_of_random_actions_run():
+    env = drawn(4)
+    td = env.rollout(12, break_when_any_done=False)
+    group = next(iter(env.group_map))
+    assert torch.isfinite(td[group, "observation"]).all()
+    assert torch.isfinite(td["next", group, "reward"]).all()
+
+
+@pytest.mark.parametrize("orbit", ["integrated"])
+def test_imagers_may_integrate_their_orbits(orbit):
+    one, other = drawn(2), drawn(2, orbit=orbit)
+    one.reset()
+    other.reset()
+    pairs = zip(fly(one, 4), fly(other, 4), strict=True)
+    differences = [max(float((a[k] - b[k]).abs().max()) for k in range(3)) for a, b in pairs]
+    assert max(differences) < 1e-6

@@ -1,0 +1,196 @@
+"""Catalogs of resident space objects (RSO), and the scenario of their imaging."""
+
+import dataclasses
+import json
+import math
+
+import pytest
+import torch
+
+from bsk_torch import rand, scene
+from bsk_torch.astro.ephemeris import parse_utc
+from bsk_torch.scene.rso_targets import epoch_text, partition_name
+from tests.support.rso_imaging import EPOCH, catalog, environment, play, state
+
+R_N, V_N = state(0.1)
+
+
+def target(**changes):
+    return scene.RSOTarget(**({"id": "a", "satellite_name": "A", "rN": R_N, "vN": V_N} | changes))
+
+
+# -- catalogs -----------------------------------------------------------------------------------------------------------------
+
+
+def test_a_catalog_is_saved_and_loaded_without_rounding(tmp_path):
+    events = (scene.RSOPriorityEvent(60.0, (("object 1", 0.5),)),)
+    wanted = catalog(utc_init=EPOCH, priority_events=events)
+    wanted.save(tmp_path / "catalog.json")
+    assert scene.RSOTargetCatalog.load(tmp_path / "catalog.json") == wanted
+    assert json.loads((tmp_path / "catalog.json").read_text())["schema_version"] == 1
+
+
+def test_old_names_of_satellites_are_read():
+    values = catalog().to_dict()
+    for saved in values["targets"]:
+        saved["spacecraft_name"] = saved.pop("satellite_name")
+    assert scene.RSOTargetCatalog.from_dict(values) == catalog()
+    values["targets"][0]["satellite_name"] = "other"
+    with pytest.raises(ValueError, match="give one"):
+        scene.RSOTargetCatalog.from_dict(values)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (dict(id=""), "id='' must be a string"),
+        (dict(satellite_name=3), "satellite_name=3 must be a string"),
+        (dict(rN=[1.0, 2.0]), r"rN=\[1.0, 2.0\] must be three finite numbers"),
+        (dict(vN=[math.nan, 0.0, 0.0]), r"vN=\[nan, 0.0, 0.0\] must be three finite numbers"),
+        (dict(rN=[6.0e6, 0.0, 0.0]), "must stay above"),
+        (dict(rN=[7000.0, 0.0, 0.0]), "rN in m"),
+        (dict(priority=-1.0), "priority=-1.0 must be a number in"),
+        (dict(priority=math.nan), "priority=nan"),
+        (dict(physical_parameters=(("masss", 1.0),)), "did you mean 'mass'"),
+        (dict(physical_parameters=(("mass", 0.0),)), "mass=0.0"),
+        (dict(physical_parameters=(("mass", 1.0), ("mass", 2.0))), "'mass'"),
+    ],
+)
+def test_wrong_targets_are_named(changes, message):
+    with pytest.raises(ValueError, match=message):
+        target(**changes)
+
+
+def test_a_target_has_the_physical_parameters_of_a_satellite():
+    assert dict(target(physical_parameters=(("mass", 12.0),)).physical_parameters)["mass"] == 12.0
+    assert dict(target().physical_parameters)["mass"] == 330.0
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: scene.RSOTargetCatalog(()), "0 entries"),
+        (lambda: scene.RSOTargetCatalog((target(), target(satellite_name="B"))), r"ids of targets must be unique; \['a'\]"),
+        (lambda: scene.RSOTargetCatalog((target(), target(id="b"))), "satellite names of targets must be unique"),
+        (lambda: scene.RSOTargetCatalog((target(),), "yesterday"), "yesterday"),
+        (lambda: scene.RSOTargetCatalog(["a"]), "must be a list of scene.RSOTarget"),
+        (lambda: scene.RSOTargetCatalog((target(),), None, (scene.RSOPriorityEvent(0.0, (("b", 1.0),)),)), "changes target 'b'"),
+        (lambda: scene.RSOPriorityEvent(-1.0, ()), "time_s=-1.0"),
+        (lambda: scene.RSOPriorityEvent(0.0, (("a", math.nan),)), "nan"),
+        (lambda: scene.RSOPriorityEvent(0.0, (("a", 1.0), ("a", 2.0))), r"\['a'\]"),
+        (lambda: scene.RSOTargetCatalog.from_dict(catalog().to_dict() | {"frame": "ECEF"}), "frame='ECEF'"),
+        (lambda: scene.RSOTargetCatalog.from_dict({k: v for k, v in catalog().to_dict().items() if k != "targets"}), "targets"),
+        (lambda: scene.RandomRSOCatalog(0), "n_targets=0"),
+        (lambda: scene.RandomRSOCatalog(3, oe=[rand.random_orbit()] * 2), "2 distributions"),
+        (lambda: scene.RandomRSOCatalog(3, oe="low"), "oe='low'"),
+        (lambda: scene.RSOTargets(catalog(), []), "imager_names"),
+        (lambda: scene.RSOTargets(catalog(), "Imager0"), "imager_names='Imager0'"),
+        (lambda: scene.RSOTargets(catalog(), ["A", "A"]), "unique"),
+        (lambda: scene.RSOTargets([catalog()], ["A"]), "must be a scene.RSOTargetCatalog"),
+        (lambda: scene.RSOTargets(rand.per_env([catalog(), catalog((0.1, 0.2))]), ["A"]), "same ids"),
+        (lambda: scene.RSOTargets(catalog(), ["A"], block_pending_targets=2), "block_pending_targets=2"),
+    ],
+)
+def test_wrong_catalogs_and_scenarios_are_named(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_events_are_in_order():
+    events = tuple(scene.RSOPriorityEvent(time, (("object 0", 1.0),)) for time in (5.0, 1.0))
+    with pytest.raises(ValueError, match="ascending"):
+        catalog(priority_events=events)
+
+
+def test_an_epoch_as_text_is_the_same_number():
+    for et in (parse_utc(EPOCH), 123456789.25, -3.5e7, 0.0):
+        assert parse_utc(epoch_text(et)) == et
+
+
+# -- in an environment --------------------------------------------------------------------------------------------------------
+
+
+def test_imagers_must_be_there_and_able():
+    with pytest.raises(ValueError, match="'Imager7', but no satellite"):
+        environment(scenario=scene.RSOTargets(catalog(), ["Imager7"]))
+    with pytest.raises(ValueError, match=r"\['Imager1'\] have dyn.SpaceToSpaceImagingDynModel, but are not among"):
+        environment(imagers=2, scenario=scene.RSOTargets(catalog(), ["Imager0"]))
+    named = scene.RSOTargetCatalog((target(satellite_name="Imager0"),))
+    with pytest.raises(ValueError, match="fly without satellites"):
+        environment(catalog=named)
+
+
+@pytest.mark.compiled
+def test_another_epoch_is_an_error():
+    with pytest.raises(ValueError, match="its world has another epoch"):
+        environment(catalog=catalog(utc_init="2021 JUN 06 09:12:05.830 (UTC)"))
+    environment(catalog=catalog(utc_init=EPOCH)).reset()
+
+
+@pytest.mark.compiled
+def test_stores_have_a_partition_for_each_target():
+    env = environment()
+    assert env.satellites[0].sat_args["bufferNames"] == [partition_name(key) for key in env.scenario.ids]
+    assert partition_name("object 0").startswith("rso_")
+    assert len(partition_name("object 0")) == 4 + 32
+
+
+@pytest.mark.compiled
+def test_targets_begin_where_the_catalog_says_and_priorities_change():
+    events = (scene.RSOPriorityEvent(0.0, (("object 0", 9.0),)), scene.RSOPriorityEvent(100.0, (("object 1", 7.0),)))
+    env = environment(catalog=catalog(priority_events=events))
+    env.reset()
+    wanted = torch.tensor([part.rN for part in catalog().targets], dtype=torch.float64)
+    assert (env.scenario.r_TN_N - wanted).abs().max() < 1e-6
+    assert env.scenario.priority[0].tolist() == [9.0, 2.0, 3.0, 4.0]
+    for _ in range(2):
+        play(env, 0)
+    assert env.scenario.priority[0].tolist() == [9.0, 7.0, 3.0, 4.0]
+
+
+@pytest.mark.compiled
+def test_random_catalogs_differ_between_episodes_but_not_with_the_batch():
+    mixture = [rand.random_orbit(a=7200.0)] * 3 + [rand.random_orbit(a=26560.0, e=0.01)] * 2
+    drawn = scene.RandomRSOCatalog(5, oe=mixture, priority=rand.Uniform(1.0, 2.0))
+
+    def begin(n, **options):
+        env = environment(catalog=drawn, num_envs=n, **options)
+        env.reset()
+        return env
+
+    few, many = begin(2), begin(5)
+    assert torch.equal(few.scenario.r_TN_N, many.scenario.r_TN_N[:2])
+    assert not torch.equal(many.scenario.r_TN_N[0], many.scenario.r_TN_N[1])
+    radius = many.scenario.r_TN_N.norm(dim=-1)
+    assert (radius[:, :3] < 7.3e6).all()
+    assert (radius[:, 3:] > 2.6e7).all()
+    assert ((many.scenario.priority >= 1.0) & (many.scenario.priority < 2.0)).all()
+
+
+@pytest.mark.compiled
+def test_the_catalog_of_an_episode_can_be_flown_again(tmp_path):
+    env = environment(catalog=scene.RandomRSOCatalog(3))
+    env.reset()
+    env.scenario.catalog_of(1).save(tmp_path / "catalog.json")
+    again = scene.RSOTargetCatalog.load(tmp_path / "catalog.json")
+    assert again.utc_init is not None
+    other = environment(catalog=again, world_args={"utc_init": again.utc_init})
+    other.reset()
+    assert torch.equal(other.scenario.r_TN_N[0], env.scenario.r_TN_N[1])
+    named = environment().scenario.given[0]
+    assert dataclasses.replace(named, utc_init=None) == named
+
+
+@pytest.mark.compiled
+def test_names_of_candidates():
+    env = environment()
+    env.reset()
+    assert env.scenario.candidate_ids(env.satellites[0], 0, 5) == ["object 1", "object 2", "object 0", "object 3", None]
+    assert env.scenario.index_of("object 2") == 2
+    with pytest.raises(ValueError, match="did you mean 'object 2'"):
+        env.scenario.index_of("objekt 2")
+
+
+def test_other_scenarios_have_no_targets_in_orbit():
+    with pytest.raises(ValueError, match=r"needs scene\.RSOTargets"):
+        environment(scenario=scene.UniformNadirScanning(), rewarder=None)
