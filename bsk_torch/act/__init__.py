@@ -6,6 +6,7 @@ from bsk_torch.act.base import Action, ActionTable, Decision
 from bsk_torch.act.broadcast import Broadcast
 from bsk_torch.act.continuous import ContinuousAction, HybridAction
 from bsk_torch.act.discrete import Charge, Desat, DiscreteFSWAction, Downlink, Drift, NadirPoint, Scan
+from bsk_torch.act.held_thrust import HeldThrust
 from bsk_torch.act.image import Image, image_target
 from bsk_torch.act.masks import allow_only, forbid
 from bsk_torch.act.rso_imaging import ImageRSO
@@ -25,6 +26,7 @@ __all__ = [
     "DiscreteFSWAction",
     "Downlink",
     "Drift",
+    "HeldThrust",
     "HillWaypoint",
     "HybridAction",
     "Image",

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-__all__ = ["Transition", "circumnavigation", "propagate", "transfer", "transition"]
+__all__ = ["Transition", "circumnavigation", "propagate", "pushed", "transfer", "transition"]
 
 
 class Transition(NamedTuple):
@@ -50,6 +50,23 @@ def propagate(rho: Tensor, velocity: Tensor, n: Tensor, time: Tensor) -> tuple[T
     step = transition(n, time)
     rho, velocity = rho.unsqueeze(-1), velocity.unsqueeze(-1)
     return (step.rr @ rho + step.rv @ velocity).squeeze(-1), (step.vr @ rho + step.vv @ velocity).squeeze(-1)
+
+
+def pushed(n: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the change of position and velocity by a constant acceleration a: ``r a`` m and ``v a`` m/s, [..., 3, 3] each.
+
+    The integrals of ``rv`` and ``vv`` of :func:`transition` over ``time`` [...] s, with mean motion ``n`` [...] rad/s.
+    """
+    n, time = torch.broadcast_tensors(n, time)
+    angle = n * time
+    s, one_c = torch.sin(angle), 2.0 * torch.sin(0.5 * angle) ** 2  # 1 - cos(angle), without cancellation
+    zero, square = torch.zeros_like(s), n * n
+    across = 2.0 * (angle - s) / square
+    r = (one_c / square, across, zero, -across, 4.0 * one_c / square - 1.5 * time**2, zero, zero, zero, one_c / square)
+    along = 2.0 * one_c / n
+    v = (s / n, along, zero, -along, 4.0 * s / n - 3.0 * time, zero, zero, zero, s / n)
+    first, second = (torch.stack(row, -1).unflatten(-1, (3, 3)) for row in (r, v))
+    return first, second
 
 
 def transfer(rho: Tensor, target: Tensor, n: Tensor, time: Tensor) -> Tensor:

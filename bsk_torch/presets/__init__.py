@@ -15,6 +15,8 @@ name                       module                      task
 ``HeteroCluster-v1``       ``presets.hetero_cluster``  two optical satellites and a radar, to which clouds do not matter
 ``RSOInspection-v1``       ``presets.inspection``      fly around a spacecraft until its surface is inspected
 ``MultiInspection-v1``     ``presets.inspection``      the same with three inspectors that must not collide
+``CWDocking-v1``           ``presets.cw_docking``      dock by thrusters, slowly enough at every distance; linear motion
+``CWInspection-v1``        ``presets.cw_inspection``   inspect lit points of a spacecraft by thrusters; linear motion
 =========================  ==========================  ==================================================================
 """
 
@@ -28,6 +30,8 @@ from typing import Any
 from bsk_torch.presets.aeos import aeos, aeos_city, cloudy_aeos
 from bsk_torch.presets.aeos_power import aeos_power
 from bsk_torch.presets.constellation import aeos_constellation, constellation, relay_constellation
+from bsk_torch.presets.cw_docking import cw_docking
+from bsk_torch.presets.cw_inspection import cw_inspection
 from bsk_torch.presets.faulty_scan import faulty_scan
 from bsk_torch.presets.hetero_cluster import hetero_cluster
 from bsk_torch.presets.inspection import multi_inspection, rso_inspection
@@ -49,6 +53,8 @@ PRESETS: dict[str, Callable[..., Any]] = {
     "HeteroCluster-v1": hetero_cluster,
     "RSOInspection-v1": rso_inspection,
     "MultiInspection-v1": multi_inspection,
+    "CWDocking-v1": cw_docking,
+    "CWInspection-v1": cw_inspection,
 }
 """Presets by name: functions of the arguments of the environment to override."""
 

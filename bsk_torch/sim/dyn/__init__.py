@@ -3,6 +3,7 @@
 from bsk_torch.sim.dyn.facets import Facet, box_facets
 from bsk_torch.sim.dyn.forces import add_force
 from bsk_torch.sim.dyn.inspection import RSODynModel, RSOInspectorDynModel
+from bsk_torch.sim.dyn.linear_motion import DockingDynModel, LinearInspectorDynModel, LinearMotionDynModel
 from bsk_torch.sim.dyn.models import (
     AtmosphericDragDynModel,
     BasicDynamicsModel,
@@ -38,6 +39,7 @@ __all__ = [
     "ConjunctionDynModel",
     "ContinuousImagingDynModel",
     "DisturbanceTorqueDynModel",
+    "DockingDynModel",
     "DynamicsModel",
     "EclipseDynModel",
     "Facet",
@@ -47,6 +49,8 @@ __all__ = [
     "ImagingDynModel",
     "Instrument",
     "LOSCommDynModel",
+    "LinearInspectorDynModel",
+    "LinearMotionDynModel",
     "MaxRangeDynModel",
     "NavigationErrorsDynModel",
     "Now",

@@ -1,0 +1,153 @@
+"""CWDocking-v1: dock with a chief by thrusters, slowly enough at every distance.
+
+The task ``docking_v0`` of AFRL's safe-autonomy-sims (``gym/docking`` of commit 6d71f7e, March 2025, after release 4.2.3; K. Dunlap, M. Mote, K. Delsing and K. L. Hobbs, "Run
+time assured reinforcement learning for safe satellite docking", Journal of Aerospace Information Systems 20(1), 2023). Numbers
+are those of its program, which differ from those of its description in places: the docking radius is 0.2 m, the normal component
+of the initial position is not negative, and directions are denser at the poles.
+
+A deputy of 12 kg starts 100 to 150 m from the chief at up to 0.8 m/s, and moves by the equations of Clohessy and Wiltshire with
+a mean motion of 0.001027 rad/s (:mod:`bsk_torch.sim.dyn.linear_motion`). A decision is a force for 1 s.
+
+Observation, 8 numbers in the chief's Hill frame (radial, along-track, normal):
+
+======================================  ==========================================================================
+``rho_H`` (3), ``rho_dot_H`` (3)        position, m, and velocity, m/s, relative to the chief
+``relative_speed``                      length of the velocity, m/s
+``speed_limit``                         safe speed, m/s: 0.2 + 2 * 0.001027 (distance - 0.5 m)
+======================================  ==========================================================================
+
+Action: force along the three axes, -1 to 1 N each.
+
+Reward: 2 (exp(-a d') - exp(-a d)) for approaching from distance d to d', with a = ln 2 / 100 m, minus 0.01 times the sum of the
+components of the change of velocity, m/s, minus the excess over the safe speed, m/s. Docking, below 0.2 m and the safe speed,
+earns 2 - t / 2000 s; a crash (below 0.2 m at the safe speed or above), a distance of more than 10 km, and the time limit cost 1.
+
+Termination: docking or a crash. Truncation: at 2001 s, beyond 10 km, and when the excesses over the safe speed sum up to more
+than 5 m/s.
+
+Random at reset: position and velocity.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from bsk_torch import act, data, obs, rand, sats
+from bsk_torch.constants import MU_EARTH
+from bsk_torch.data.base import Log
+from bsk_torch.env import SatelliteTasking
+from bsk_torch.sim import dyn, fsw
+from bsk_torch.sim.dyn.linear_motion import MEAN_MOTION
+from bsk_torch.sim.state import FINITE
+
+CHIEF_ORBIT = ((MU_EARTH / MEAN_MOTION**2) ** (1 / 3), 0.0, 0.0, 0.0, 0.0, 0.0)
+"""Elements of the chief's circular orbit, m and rad: the tasks define its mean motion only."""
+
+LIMIT = 2000.0
+"""Time after which docking is late, s."""
+
+
+class Polar(rand.Distribution):
+    """Vectors [n, 3] of uniform length, with uniform angles as in the published programs.
+
+    ``r (sin(phi) cos(theta), sin(phi) sin(theta), cos(phi))`` with phi in [-pi/2, pi/2) and theta in [0, 2 pi).
+    """
+
+    def __init__(self, low: float, high: float) -> None:
+        """Draw lengths in [``low``, ``high``)."""
+        self.low, self.high = low, high
+
+    def draw(self, key: rand.Key) -> Tensor:
+        """See :meth:`bsk_torch.rand.Distribution.draw`."""
+        r, phi, theta = key.uniform(3).unbind(-1)
+        r, phi, theta = self.low + (self.high - self.low) * r, math.pi * (phi - 0.5), 2.0 * math.pi * theta
+        across = r * torch.sin(phi)
+        return torch.stack([across * torch.cos(theta), across * torch.sin(theta), r * torch.cos(phi)], -1)
+
+
+class DockingReward(data.GlobalReward):
+    """Reward of CWDocking-v1; see the module. Satellites must have :class:`bsk_torch.sim.dyn.DockingDynModel`.
+
+    Counters: ``docked``, and ``speeding``, the decisions after which a deputy exceeds the safe speed.
+    """
+
+    approach, half_distance = 2.0, 100.0
+    price = 0.01
+    farthest = 10e3
+    most_excess = 5.0
+
+    def link(self, scenario: Any, fleet: Any) -> None:
+        """See :meth:`bsk_torch.data.GlobalReward.link`."""
+        super().link(scenario, fleet)
+        self.memory.declare("excess_speed", 0.0, fleet.size, low=0.0, high=FINITE)
+        self.memory.declare("speeding", 0, fleet.size, low=0)
+        self.memory.declare("docked", False, fleet.size)
+
+    def read_log(self) -> Log:
+        """See :meth:`bsk_torch.data.GlobalReward.read_log`."""
+        each = self.fleet.each
+        names = ("distance", "relative_speed", "speed_limit", "docked", "force_H")
+        return {name: each(lambda satellite, name=name: getattr(satellite.dynamics, name)) for name in names}
+
+    def calculate_reward(self, before: Log, after: Log) -> Tensor:
+        """See :meth:`bsk_torch.data.GlobalReward.calculate_reward`."""
+        rate = math.log(2.0) / self.half_distance
+        near, was = torch.exp(-rate * after["distance"]), torch.exp(-rate * before["distance"])
+        excess = (after["relative_speed"] - after["speed_limit"]).clamp(min=0.0)
+        mass = self.fleet.each(lambda satellite: satellite.simulator.argument("mass"))
+        memory, docked, moved = self.memory, after["docked"] > 0.0, (self.step_duration > 0.0).unsqueeze(1)
+        memory["excess_speed"] = memory["excess_speed"] + torch.where(moved, excess, 0.0)
+        memory["speeding"] = memory["speeding"] + (moved & (excess > 0.0))
+        memory["docked"] = memory["docked"] | docked
+        time = self.fleet.sim_time.unsqueeze(1)
+        late = time > LIMIT + 0.5 * self.fleet.h  # half a tick, since times are rounded
+        reward = self.approach * (near - was) - self.price * after["force_H"].abs().sum(-1) / mass - excess
+        reward = reward + torch.where(docked, 2.0 - time / LIMIT, 0.0)
+        return reward - late.double() - (after["distance"] > self.farthest).double()
+
+    def counts(self) -> dict[str, Tensor]:
+        """See :meth:`bsk_torch.data.GlobalReward.counts`."""
+        return {"docked": self.memory["docked"].long(), "speeding": self.memory["speeding"]}
+
+    def is_terminated(self) -> Tensor:
+        """See :meth:`bsk_torch.data.GlobalReward.is_terminated`: docked deputies."""
+        return self.memory["docked"]
+
+    def is_truncated(self) -> Tensor:
+        """See :meth:`bsk_torch.data.GlobalReward.is_truncated`."""
+        distance = self.fleet.each(lambda satellite: satellite.dynamics.distance)
+        return (distance > self.farthest) | (self.memory["excess_speed"] > self.most_excess)
+
+
+class DockingDeputy(sats.Satellite):
+    """The deputy of CWDocking-v1."""
+
+    observation_spec: ClassVar[tuple[obs.Observation, ...]] = (
+        obs.SatProperties(
+            dict(prop="rho_H"), dict(prop="rho_dot_H"), dict(prop="relative_speed"), dict(prop="speed_limit")
+        ),
+    )
+    action_spec: ClassVar[tuple[Any, ...]] = (act.HeldThrust(),)
+    dyn_type = dyn.DockingDynModel
+    fsw_type = fsw.FSWModel
+
+
+def deputy_args() -> dict[str, Any]:
+    """Return the arguments of the deputy that it shares with other published tasks."""
+    return dict(mass=12.0, meanMotion=MEAN_MOTION, oe=CHIEF_ORBIT, relative_velocity=Polar(0.0, 0.8))
+
+
+def cw_docking(*, sat_args: dict[str, Any] | None = None, **options: Any) -> SatelliteTasking:
+    """Return CWDocking-v1; see the module.
+
+    Args:
+        sat_args: Arguments of the deputy that replace those of the preset.
+        **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset.
+    """
+    arguments = deputy_args() | dict(relative_position=Polar(100.0, 150.0), speedLimitDistance=0.5, dockingRadius=0.2)
+    defaults: dict[str, Any] = dict(rewarder=DockingReward(), time_limit=LIMIT + 1.0, failure_penalty=-1.0)
+    return SatelliteTasking(DockingDeputy("Deputy", arguments | (sat_args or {})), **(defaults | options))
