@@ -22,7 +22,8 @@ pytestmark = pytest.mark.compiled
 CONSTELLATIONS = ["AEOSConstellation-v1", "Constellation-v1", "RelayConstellation-v1", "HeteroCluster-v1"]
 INSPECTIONS = {"RSOInspection-v1": 1, "MultiInspection-v1": 3}
 SCANNING = ("NadirScan-v1", "FaultyScan-v1")
-IMAGING = sorted(set(PRESETS) - {*SCANNING, *CONSTELLATIONS, *INSPECTIONS})
+LINEAR = ("CWDocking-v1", "CWInspection-v1")  # see tests/safe_autonomy
+IMAGING = sorted(set(PRESETS) - {*SCANNING, *CONSTELLATIONS, *INSPECTIONS, *LINEAR})
 ACTIONS = {"AEOSPower-v1": 3 + AHEAD}
 
 
@@ -140,13 +141,14 @@ def test_density_counts_every_target_once():
 
 
 WIDTHS = {"NadirScan-v1": 12, "FaultyScan-v1": 21, "AEOS-v1": 269, "CloudyAEOS-v1": 301, "AEOSPower-v1": 298,
-          "Constellation-v1": 141, "AEOSConstellation-v1": 269, "HeteroCluster-v1": 182}  # fmt: skip
+          "Constellation-v1": 141, "AEOSConstellation-v1": 269, "HeteroCluster-v1": 182,
+          "CWDocking-v1": 8, "CWInspection-v1": 11}  # fmt: skip
 
 
 @pytest.mark.parametrize(("name", "width"), WIDTHS.items())
 def test_docstrings_state_what_is_observed(name, width):
     """Every observed quantity is listed in the module of its preset, or in the one that it refers to."""
-    options = {} if name in SCANNING else dict(n_targets=300)
+    options = {} if name in (*SCANNING, *LINEAR) else dict(n_targets=300)
     if name == "FaultyScan-v1":
         options |= dict(observed=True)
     if name == "Constellation-v1":

@@ -42,9 +42,8 @@ class HeldThrust(ContinuousAction):
         """See :meth:`ContinuousAction.link_satellite`; ValueError for other dynamics."""
         super().link_satellite(satellite)
         if not isinstance(satellite.dynamics, LinearMotionDynModel):
-            raise ValueError(
-                f"HeldThrust {self.name!r} needs dyn.LinearMotionDynModel; {satellite.name} has {type(satellite.dynamics).__name__}"
-            )
+            model = type(satellite.dynamics).__name__
+            raise ValueError(f"HeldThrust {self.name!r} needs dyn.LinearMotionDynModel; {satellite.name} has {model}")
 
     def bounds(self) -> tuple[Tensor, Tensor]:
         """See :meth:`ContinuousAction.bounds`."""

@@ -1,9 +1,10 @@
 """CWDocking-v1: dock with a chief by thrusters, slowly enough at every distance.
 
-The task ``docking_v0`` of AFRL's safe-autonomy-sims (``gym/docking`` of commit 6d71f7e, March 2025, after release 4.2.3; K. Dunlap, M. Mote, K. Delsing and K. L. Hobbs, "Run
-time assured reinforcement learning for safe satellite docking", Journal of Aerospace Information Systems 20(1), 2023). Numbers
-are those of its program, which differ from those of its description in places: the docking radius is 0.2 m, the normal component
-of the initial position is not negative, and directions are denser at the poles.
+The task ``docking_v0`` of AFRL's safe-autonomy-sims (``gym/docking`` of commit 6d71f7e, March 2025, after release 4.2.3; K.
+Dunlap, M. Mote, K. Delsing and K. L. Hobbs, "Run time assured reinforcement learning for safe satellite docking", Journal of
+Aerospace Information Systems 20(1), 2023). Numbers are those of its program, which differ from those of its description in
+places: the docking radius is 0.2 m, the normal component of the initial position is not negative, and directions are denser at
+the poles.
 
 A deputy of 12 kg starts 100 to 150 m from the chief at up to 0.8 m/s, and moves by the equations of Clohessy and Wiltshire with
 a mean motion of 0.001027 rad/s (:mod:`bsk_torch.sim.dyn.linear_motion`). A decision is a force for 1 s.
@@ -31,7 +32,8 @@ Random at reset: position and velocity.
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -43,6 +45,10 @@ from bsk_torch.env import SatelliteTasking
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.dyn.linear_motion import MEAN_MOTION
 from bsk_torch.sim.state import FINITE
+
+if TYPE_CHECKING:
+    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.scene.base import Scenario
 
 CHIEF_ORBIT = ((MU_EARTH / MEAN_MOTION**2) ** (1 / 3), 0.0, 0.0, 0.0, 0.0, 0.0)
 """Elements of the chief's circular orbit, m and rad: the tasks define its mean motion only."""
@@ -80,7 +86,7 @@ class DockingReward(data.GlobalReward):
     farthest = 10e3
     most_excess = 5.0
 
-    def link(self, scenario: Any, fleet: Any) -> None:
+    def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
         """See :meth:`bsk_torch.data.GlobalReward.link`."""
         super().link(scenario, fleet)
         self.memory.declare("excess_speed", 0.0, fleet.size, low=0.0, high=FINITE)
@@ -89,9 +95,8 @@ class DockingReward(data.GlobalReward):
 
     def read_log(self) -> Log:
         """See :meth:`bsk_torch.data.GlobalReward.read_log`."""
-        each = self.fleet.each
         names = ("distance", "relative_speed", "speed_limit", "docked", "force_H")
-        return {name: each(lambda satellite, name=name: getattr(satellite.dynamics, name)) for name in names}
+        return {name: self.fleet.each(attrgetter(f"dynamics.{name}")) for name in names}
 
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
         """See :meth:`bsk_torch.data.GlobalReward.calculate_reward`."""
@@ -119,7 +124,7 @@ class DockingReward(data.GlobalReward):
 
     def is_truncated(self) -> Tensor:
         """See :meth:`bsk_torch.data.GlobalReward.is_truncated`."""
-        distance = self.fleet.each(lambda satellite: satellite.dynamics.distance)
+        distance = self.fleet.each(attrgetter("dynamics.distance"))
         return (distance > self.farthest) | (self.memory["excess_speed"] > self.most_excess)
 
 
@@ -127,9 +132,7 @@ class DockingDeputy(sats.Satellite):
     """The deputy of CWDocking-v1."""
 
     observation_spec: ClassVar[tuple[obs.Observation, ...]] = (
-        obs.SatProperties(
-            dict(prop="rho_H"), dict(prop="rho_dot_H"), dict(prop="relative_speed"), dict(prop="speed_limit")
-        ),
+        obs.SatProperties(dict(prop="rho_H"), dict(prop="rho_dot_H"), dict(prop="relative_speed"), dict(prop="speed_limit")),
     )
     action_spec: ClassVar[tuple[Any, ...]] = (act.HeldThrust(),)
     dyn_type = dyn.DockingDynModel

@@ -34,6 +34,7 @@ Random at reset: position, velocity, and the angle of the Sun.
 from __future__ import annotations
 
 import math
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
@@ -92,8 +93,7 @@ class LitPointsReward(data.GlobalReward):
     def read_log(self) -> Log:
         """See :meth:`bsk_torch.data.GlobalReward.read_log`."""
         names = ("rho_H", "sun_hat_H", "distance", "relative_speed", "speed_limit", "force_H")
-        each = self.fleet.each
-        return {name: each(lambda satellite, name=name: getattr(satellite.dynamics, name)) for name in names}
+        return {name: self.fleet.each(attrgetter(f"dynamics.{name}")) for name in names}
 
     def _begin(self, envs: Tensor) -> None:
         """Inspect the points in view at the start of the episodes ``envs`` [n]."""
@@ -110,10 +110,10 @@ class LitPointsReward(data.GlobalReward):
         left = light & ~known
         before = Clusters(memory["centers"], memory["clusters"])
         after = clustered(self.points, left, before)
-        # without points left, the clusters of before are those to go on from
+        # without points left, the clusters of before are those that the next decision starts from
         kept = where & left.any(1)
         memory["centers"] = torch.where(kept.view(-1, 1, 1), after.centers, before.centers)
-        memory["clusters"] = torch.where(kept, after.count, before.count)
+        memory["clusters"] = torch.where(kept, after.number, before.number)
         nearest = after.nearest(rho)
         memory["nearest_cluster"] = torch.where(where.view(-1, 1, 1), nearest, memory["nearest_cluster"])
 
@@ -143,7 +143,7 @@ class LitPointsReward(data.GlobalReward):
 
     def is_truncated(self) -> Tensor:
         """See :meth:`bsk_torch.data.GlobalReward.is_truncated`."""
-        return self.fleet.each(lambda satellite: satellite.dynamics.distance) > FARTHEST
+        return self.fleet.each(attrgetter("dynamics.distance")) > FARTHEST
 
 
 def points_inspected(satellite: sats.BoundSatellite) -> Tensor:

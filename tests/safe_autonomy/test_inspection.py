@@ -1,4 +1,4 @@
-"""CWInspection-v1 against recorded episodes of ``inspection_v0`` of AFRL's safe-autonomy-sims, see recorders/record_inspection.py."""
+"""CWInspection-v1 against recorded episodes of ``inspection_v0`` of safe-autonomy-sims, see recorders/record_inspection.py."""
 
 import math
 
@@ -93,11 +93,11 @@ def test_clusters_of_many_episodes():
     chosen = torch.rand(64, 99, generator=generator) < torch.linspace(0.0, 1.0, 64).unsqueeze(1)
     start = Clusters(torch.zeros(64, 10, 3, dtype=torch.float64), torch.zeros(64, dtype=torch.int64))
     found = clustered(points, chosen, start)
-    assert found.count.tolist() == [-(-int(row.sum()) // 10) for row in chosen]
+    assert found.number.tolist() == [-(-int(row.sum()) // 10) for row in chosen]
     for k in (0, 5, 40, 63):
-        alone = clustered(points, chosen[k : k + 1], Clusters(start.centers[:1], start.count[:1]))
+        alone = clustered(points, chosen[k : k + 1], Clusters(start.centers[:1], start.number[:1]))
         assert torch.equal(alone.centers[0], found.centers[k])
-        centers, mine = found.centers[k, : found.count[k]], points[chosen[k]]
+        centers, mine = found.centers[k, : found.number[k]], points[chosen[k]]
         label = torch.cdist(mine, centers).argmin(1) if len(centers) else mine
         for number, center in enumerate(centers):
             torch.testing.assert_close(mine[label == number].mean(0), center, rtol=0, atol=0.1)

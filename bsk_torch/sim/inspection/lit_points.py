@@ -60,10 +60,10 @@ def lit(points: Tensor, radius: float, sun: Tensor) -> Tensor:
 
 
 class Clusters(NamedTuple):
-    """Centers of clusters of points of N episodes, [N, K, 3] m, of which the first ``count`` [N] are used."""
+    """Centers of clusters of points of N episodes, [N, K, 3] m, of which the first ``number`` [N] are used."""
 
     centers: Tensor
-    count: Tensor
+    number: Tensor
 
     def nearest(self, rho: Tensor) -> Tensor:
         """Return the directions of the centers nearest to deputies at ``rho`` [N, S, 3] m, [N, S, 3]; zero without clusters."""
@@ -71,7 +71,7 @@ class Clusters(NamedTuple):
         center = torch.zeros_like(rho)
         for k, other in enumerate(self.centers.unsqueeze(2).unbind(1)):
             gap = squares(rho - other)
-            nearer = (gap < best) & (k < self.count).unsqueeze(1)
+            nearer = (gap < best) & (k < self.number).unsqueeze(1)
             best, center = torch.where(nearer, gap, best), torch.where(nearer.unsqueeze(-1), other, center)
         return center / squares(center).sqrt().clamp(min=1e-300).unsqueeze(-1)
 
@@ -93,7 +93,7 @@ def clustered(points: Tensor, chosen: Tensor, before: Clusters) -> Clusters:
 
 def seeded(points: Tensor, chosen: Tensor, before: Clusters, wanted: Tensor) -> Clusters:
     """Return clusters with ``wanted`` [N] centers: the first ones of those before, and chosen points far from the others."""
-    start = torch.minimum(before.count, wanted)
+    start = torch.minimum(before.number, wanted)
     rows = torch.nonzero(start < wanted).squeeze(-1)
     if not len(rows):
         return Clusters(before.centers, wanted)
@@ -117,7 +117,7 @@ def kmeans(points: Tensor, chosen: Tensor, start: Clusters) -> Clusters:
     tolerance = SETTLED * spread(points, chosen)
     for _ in range(ROUNDS):
         now = centers[rows]
-        new = nearest_center(points, now, start.count[rows]).masked_fill(~mine, -1)
+        new = nearest_center(points, now, start.number[rows]).masked_fill(~mine, -1)
         moved = means(points, new, now)
         centers = centers.index_copy(0, rows, moved)
         shift = squares(moved - now).unbind(1)
@@ -125,7 +125,7 @@ def kmeans(points: Tensor, chosen: Tensor, start: Clusters) -> Clusters:
         if not len(goes_on):
             break
         rows, label, mine = rows[goes_on], new[goes_on], mine[goes_on]
-    return Clusters(centers, start.count)
+    return Clusters(centers, start.number)
 
 
 def spread(points: Tensor, chosen: Tensor) -> Tensor:
