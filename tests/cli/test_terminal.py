@@ -151,7 +151,8 @@ def test_presets_have_a_line_each(run, columns, options):
     assert widest(result.output) <= columns
     lines = [line.split() for line in result.output.splitlines()]
     assert [line[0] for line in lines if line and line[0] in PRESETS] == list(PRESETS)
-    assert len({" ".join(line[1:]) for line in lines if line and line[0] in PRESETS}) == len(PRESETS)
+    told = [line for line in lines if line and line[0] in PRESETS and (len(line) > 2 or not options)]
+    assert len({" ".join(line[1:]) for line in told}) == len(told) > 8  # presets without a policy have nothing to tell
 
 
 def test_the_version_is_printed(run):
