@@ -193,7 +193,8 @@ class RSOTargets(Scenario):
         self.imager_columns = [column for k in self.imager_types for column in fleet.columns[k].tolist()]
         first = fleet.simulators[0]
         solver = make_flights(first.h, first.type.options.backend, fleet.device, first.type.gravity_degree)
-        self.orbits = CatalogOrbits(fleet.num_envs, self.n_targets, solver, self._epoch)
+        epoch = Epoch(lambda envs: self._et[envs], self._states)
+        self.orbits = CatalogOrbits(fleet.num_envs, self.n_targets, solver, epoch)
         fleet.memory.add("rso_orbits", self.orbits)
         self.memory.declare(PENDING, 0, self.n_targets, low=0)
         self.memory.declare(COOLDOWN, 0.0, self.n_targets, low=-FINITE, high=FINITE)
@@ -210,21 +211,19 @@ class RSOTargets(Scenario):
         first = self.fleet.simulators[0]
         return self.fleet.first_of_each(first.state.arguments["utc_init"], first.count)
 
-    def _epoch(self, envs: Tensor) -> Epoch:
+    def _states(self, envs: Tensor) -> tuple[Tensor, Tensor]:
         """Return the states of the targets of episodes ``envs`` [n] at time zero; ValueError if the catalog has another epoch."""
-        et = self._et[envs]
         if self._wanted is not None:
-            index = self.fleet.env_ids[envs].to(self._wanted.device) if self.per_env else torch.zeros_like(envs)
+            et, index = self._et[envs], self.fleet.env_ids[envs] if self.per_env else torch.zeros_like(envs)
             wanted = self._wanted.to(et.device)[index]
             wrong = torch.nonzero(~torch.isnan(wanted) & (wanted != et)).flatten()
             if len(wrong):
-                env = int(envs[wrong[0]])
-                name = self.given[int(index[wrong[0]])].utc_init
+                env, name = int(envs[wrong[0]]), self.given[int(index[wrong[0]])].utc_init
                 raise ValueError(
                     f"the catalog of environment {env} has utc_init={name!r}, but its world has another epoch; give "
                     f"world_args={{'utc_init': {name!r}}}, or a catalog with utc_init=None"
                 )
-        return Epoch(et, self.drawn(POSITIONS)[envs], self.drawn(VELOCITIES)[envs])
+        return self.drawn(POSITIONS)[envs], self.drawn(VELOCITIES)[envs]
 
     # -- targets ------------------------------------------------------------------------------------------------------
 
@@ -301,13 +300,11 @@ class RSOTargets(Scenario):
         simulator, fleet = satellite.simulator, self.fleet
         envs, now = simulator.state.all_rows // simulator.count, fleet.sim_time
         self._positions()  # which catch up
-        place = candidates.place
-        r_TN_N, v_TN_N = self.orbits.states(envs, place, now)
-        before_N, _ = self.orbits.states(envs, place, (now - fleet.h).clamp(min=0.0))
+        seen = self.orbits.states(envs, candidates.place, now, (now - fleet.h).clamp(min=0.0))
         axis_B = satellite.sat_args["inst_pHat_B"]
         axis_N = (satellite.dynamics.BN.mT @ (axis_B / axis_B.norm(dim=-1, keepdim=True)).unsqueeze(-1)).squeeze(-1)
         at = Moment(satellite.dynamics.r_BN_N, satellite.dynamics.v_BN_N, axis_N, simulator.world.r_SN_N)
-        return views(r_TN_N, v_TN_N, before_N, at)
+        return views(*seen, at)
 
     def candidate_ids(self, satellite: BoundSatellite, row: int, count: int) -> list[str | None]:
         """Return the ids of the first ``count`` candidates of one satellite of a type; None for those that do not exist."""

@@ -45,10 +45,10 @@ def in_order(r_TN_N: Tensor, r_BN_N: Tensor, eligible: Tensor) -> Candidates:
         r_BN_N: Positions of the satellites, [n, 3] m.
         eligible: Objects that can be chosen, [n, G].
     """
-    r = r_BN_N.mT.unsqueeze(-1)
-    rho = r_TN_N - r
-    distance = rho.norm(dim=0)
-    sine = (rho * r).sum(0) / (distance * r.norm(dim=0))
+    r = Vec3(*r_BN_N.mT.unsqueeze(-1))
+    rho = Vec3(*r_TN_N) - r
+    distance = rho.norm()
+    sine = rho.dot(r) / (distance * r.norm())
     elevation = torch.rad2deg(torch.asin(sine.clamp(-1.0, 1.0)))
     first = (elevation >= LOWEST) & (elevation <= HIGHEST)
     rank = torch.where(eligible, torch.where(first, elevation, BEHIND + distance), math.inf)

@@ -30,17 +30,23 @@ NOT_STARTED = 0
 
 
 class Epoch(NamedTuple):
-    """Where the objects of n episodes are at time zero.
+    """What is known at time zero, by functions of episodes [n].
 
     Attributes:
-        et: ET, [n] s.
-        r_N: Positions, [n, G, 3] m in N.
-        v_N: Velocities, [n, G, 3] m/s in N.
+        et: Returns ET, [n] s.
+        states: Returns positions, m, and velocities, m/s, of the objects in N, [n, G, 3] each.
     """
 
-    et: Tensor
+    et: Callable[[Tensor], Tensor]
+    states: Callable[[Tensor], tuple[Tensor, Tensor]]
+
+
+class ObjectStates(NamedTuple):
+    """States of k objects for each of n satellites, [n, k, 3] each: position, m, velocity, m/s, and position before, m, in N."""
+
     r_N: Tensor
     v_N: Tensor
+    before_N: Tensor
 
 
 class CatalogOrbits(StateTable):
@@ -53,7 +59,7 @@ class CatalogOrbits(StateTable):
     flights: Tensor
     steps: Tensor
 
-    def __init__(self, num_envs: int, count: int, solver: Flights, epoch: Callable[[Tensor], Epoch]) -> None:
+    def __init__(self, num_envs: int, count: int, solver: Flights, epoch: Epoch) -> None:
         """Make room for ``count`` objects in each of ``num_envs`` episodes; ``epoch`` gives their states at time zero."""
         super().__init__(num_envs, count, solver.device)
         self.solver, self.epoch = solver, epoch
@@ -73,32 +79,30 @@ class CatalogOrbits(StateTable):
         """Bring all objects to the first step at or after ``time`` [num_envs] s; those of an episode are at the same one."""
         present = self.steps.view(self.num_envs, -1)[:, 0]
         wanted = torch.ceil(time * (1.0 / MULTISTEP_STEP)).long().clamp(min=FIRST_STEP)
-        behind = torch.nonzero(present < wanted).squeeze(-1)
-        if not len(behind):
+        behind = present < wanted
+        if not bool(behind.any()):
             return
+        new = torch.nonzero(present == NOT_STARTED).squeeze(-1)
         size = max(1, (CHUNK if self.device.type == "cpu" else DEVICE_CHUNK) // self.count)
-        for envs in behind.split(size):
-            self._advance(envs, present[envs], wanted[envs])
+        for envs in new.split(size):
+            self._start(envs)
+        present = torch.where(present == NOT_STARTED, FIRST_STEP, present)
+        counts = torch.where(behind, wanted - present, 0)
+        if most := int(counts.max()):
+            every = torch.arange(self.num_envs, device=self.device)
+            owner = every.repeat_interleave(self.count)
+            around = _around(self.epoch.et(every), present, most)._replace(owner=owner)
+            self.solver.advance(self.flights, present[owner], counts[owner], around)
         self.steps = torch.maximum(present, wanted).repeat_interleave(self.count)
         self.touch()
 
-    def _advance(self, envs: Tensor, present: Tensor, wanted: Tensor) -> None:
-        """Bring the objects of episodes ``envs`` [n], which are at steps ``present``, to steps ``wanted``, [n] each."""
-        epoch, rows, count = self.epoch(envs), self.rows_of(envs), self.count
-        owner = torch.arange(len(envs), device=self.device).repeat_interleave(count)
-        new = present == NOT_STARTED
-        flights, first = self.flights[:, rows], torch.where(new, FIRST_STEP, present)
-        if bool(new.any()):
-            begun = new[owner]
-            start = Samples(_records(epoch.et[new], torch.zeros_like(epoch.et[new]), 0), torch.zeros_like(epoch.et[new]))
-            number = (torch.cumsum(new, 0) - 1)[owner][begun]
-            r_N, v_N = (part.reshape(-1, 3)[begun] for part in (epoch.r_N, epoch.v_N))
-            flights[:, begun] = self.solver.start(r_N, v_N, start._replace(owner=number))
-        counts = wanted - first
-        if bool((counts > 0).any()):
-            around = _around(epoch.et, first, int(counts.max()))
-            self.solver.advance(flights, first[owner], counts[owner], around._replace(owner=owner))
-        self.flights[:, rows] = flights
+    def _start(self, envs: Tensor) -> None:
+        """Start the flights of the objects of episodes ``envs`` [n]."""
+        none = torch.zeros(len(envs), dtype=torch.float64, device=self.device)
+        owner = torch.arange(len(envs), device=self.device).repeat_interleave(self.count)
+        around = Samples(_records(self.epoch.et(envs), none, 0), none, owner)
+        r_N, v_N = (part.flatten(0, 1) for part in self.epoch.states(envs))
+        self.flights[:, self.rows_of(envs)] = self.solver.start(r_N, v_N, around)
 
     def _since(self, time: Tensor) -> Tensor:
         """Return ``time`` [num_envs] s in steps since those at which the objects are, [num_envs]."""
@@ -110,16 +114,19 @@ class CatalogOrbits(StateTable):
         """Return positions of all objects, [3, num_envs, G] m in N, at ``time`` [num_envs] s, to which they have caught up."""
         return positions(self.flights.view(FLOWN_STATE, self.num_envs, -1), self._since(time))
 
-    def states(self, envs: Tensor, place: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
-        """Return positions, m, and velocities, m/s, in N of some objects, [n, k, 3] each.
+    def states(self, envs: Tensor, place: Tensor, time: Tensor, ago: Tensor) -> ObjectStates:
+        """Return the states of some objects.
 
         Args:
             envs: Episodes of n satellites, [n].
             place: Numbers of objects, [n, k].
             time: Times, [num_envs] s, to which the objects have caught up.
+            ago: Earlier times, [num_envs] s, by a tick.
         """
-        flights, since = self.flights[:, envs.unsqueeze(-1) * self.count + place], self._since(time)[envs]
-        return positions(flights, since).movedim(0, -1), velocities(flights, since).movedim(0, -1)
+        flights = self.flights[:, envs.unsqueeze(-1) * self.count + place]
+        now, then = (self._since(moment)[envs] for moment in (time, ago))
+        found = positions(flights, now), velocities(flights, now), positions(flights, then)
+        return ObjectStates(*(part.movedim(0, -1) for part in found))
 
     def nodes(self, envs: Tensor, place: Tensor, until: Tensor) -> Samples:
         """Return the nodes of n objects, a minute apart, from before the step at which they are to behind ``until`` [n] s.
@@ -133,8 +140,8 @@ class CatalogOrbits(StateTable):
         back = first - step + 2 * torch.arange(PAST_NODES, device=self.device).unsqueeze(-1)
         known = [positions(flights, since.double()).mT for since in back]
         most = int(((until + REACH_AROUND) * (1.0 / MULTISTEP_STEP)).ceil().long().sub(step).max().clamp(min=6)) + 2
-        around = _around(self.epoch(envs).et, step, most)
-        ahead = self.solver.advance(flights, step, torch.full_like(step, most), around)
+        around = _around(self.epoch.et(envs), step, most)
+        ahead = self.solver.fly(flights, step, most, around)
         index = 1 - odd.unsqueeze(-1) + 2 * torch.arange(most // 2, device=self.device)
         nodes = torch.cat([torch.stack(known, 1), ahead.gather(1, index.unsqueeze(-1).expand(-1, -1, 3))], 1)
         return Samples(nodes.contiguous(), first.double() * MULTISTEP_STEP)

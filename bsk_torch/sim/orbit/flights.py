@@ -53,12 +53,14 @@ class Flights(Protocol):
             ephemeris: Records of Sun and Earth from the epoch on.
         """
 
-    def advance(self, flight: Tensor, step: Tensor, counts: Tensor, ephemeris: Samples) -> Tensor:
-        """Advance flights [C, n], in place, from ``step`` [n] by ``counts`` [n] steps.
+    def advance(self, flight: Tensor, step: Tensor, counts: Tensor, ephemeris: Samples) -> None:
+        """Advance flights [C, n], in place, from ``step`` [n] by ``counts`` [n] steps."""
+
+    def fly(self, flight: Tensor, step: Tensor, count: int, ephemeris: Samples) -> Tensor:
+        """Advance flights [C, n], in place, from ``step`` [n] by ``count`` steps.
 
         Returns:
-            Their positions at the steps on the way, [n, K, 3] m, with K the largest count; those behind the end of a flight have
-            no meaning.
+            Their positions at the steps on the way, [n, count, 3] m.
         """
 
 
@@ -82,10 +84,14 @@ class KernelFlights:
         """See :meth:`Flights.start`."""
         return start_flight(self.degree, self.stretch, r, v, ephemeris)[0]
 
-    def advance(self, flight: Tensor, step: Tensor, counts: Tensor, ephemeris: Samples) -> Tensor:
+    def advance(self, flight: Tensor, step: Tensor, counts: Tensor, ephemeris: Samples) -> None:
         """See :meth:`Flights.advance`."""
-        flown = flight.new_empty(len(step), int(counts.max()), 3)
-        continue_flight(self.degree, self.stretch, flight, step, counts, ephemeris, flown)
+        continue_flight(self.degree, self.stretch, flight, step, counts, ephemeris)
+
+    def fly(self, flight: Tensor, step: Tensor, count: int, ephemeris: Samples) -> Tensor:
+        """See :meth:`Flights.fly`."""
+        flown = flight.new_empty(len(step), count, 3)
+        continue_flight(self.degree, self.stretch, flight, step, torch.full_like(step, count), ephemeris, flown)
         return flown
 
 
@@ -111,16 +117,25 @@ class TensorFlights:
         lead = 2 * LEAD_NODES
         return _packed([position, velocity, *last[1:lead], a0, *last[lead:]])
 
-    def advance(self, flight: Tensor, step: Tensor, counts: Tensor, ephemeris: Samples) -> Tensor:
+    def advance(self, flight: Tensor, step: Tensor, counts: Tensor, ephemeris: Samples) -> None:
         """See :meth:`Flights.advance`."""
-        flown = flight.new_empty(len(step), int(counts.max()), 3)
-        for k in range(flown.shape[1]):
-            r, v, *accelerations = (Vec3(*part) for part in flight.clone().split(3))
-            around = functools.partial(self._around, MULTISTEP_STEP * (step + k + 1).double(), ephemeris)
-            after = flown_step(r, v, accelerations, around, self.stretch, self.degree)
-            flight.copy_(torch.where(k < counts, _packed([after[0], after[1], *after[2]]), flight))
+        for k in range(int(counts.max())):
+            flight.copy_(torch.where(k < counts, self._after(flight, step + k + 1, ephemeris), flight))
+
+    def fly(self, flight: Tensor, step: Tensor, count: int, ephemeris: Samples) -> Tensor:
+        """See :meth:`Flights.fly`."""
+        flown = flight.new_empty(len(step), count, 3)
+        for k in range(count):
+            flight.copy_(self._after(flight, step + k + 1, ephemeris))
             flown[:, k] = flight[:3].mT
         return flown
+
+    def _after(self, flight: Tensor, step: Tensor, ephemeris: Samples) -> Tensor:
+        """Return flights [C, n] at the next step, ``step`` [n]."""
+        r, v, *accelerations = (Vec3(*part) for part in flight.split(3))
+        around = functools.partial(self._around, MULTISTEP_STEP * step.double(), ephemeris)
+        after = flown_step(r, v, accelerations, around, self.stretch, self.degree)
+        return _packed([after[0], after[1], *after[2]])
 
     def _acceleration(self, r: Vec3, time: Tensor, ephemeris: Samples) -> Vec3:
         return acceleration(self._around(time, ephemeris), r, self.stretch, self.degree)

@@ -135,6 +135,16 @@ def flown_kernel(degree: int) -> Kernel:
     return builder.kernel("flown arc", [r, v, *remembered], (EPHEMERIS_TRACK,), [r])
 
 
+@cache
+def flight_kernel(degree: int) -> Kernel:
+    """Return the kernel of :func:`flown_kernel` that writes nothing."""
+    builder = KernelBuilder()
+    r, v, *accelerations = builder.vectors("state", 2 + MULTISTEP_ORDER)
+    (stretch,) = builder.planes("shared", 1)
+    r, v, remembered = flown_step(r, v, accelerations, builder.ephemeris, stretch, degree)
+    return builder.kernel("flight", [r, v, *remembered], (EPHEMERIS_TRACK,))
+
+
 def flown_step(
     r: Vec3, v: Vec3, accelerations: list[Vec3], ephemeris: Callable[[], Bus], stretch: Any, degree: int
 ) -> tuple[Vec3, Vec3, list[Vec3]]:

@@ -121,11 +121,11 @@ def start_flight(degree: int, stretches: Tensor, r: Tensor, v: Tensor, around: S
 
 
 def continue_flight(
-    degree: int, stretches: Tensor, state: Tensor, step: Tensor, counts: Tensor, around: Samples, flown: Tensor
+    degree: int, stretches: Tensor, state: Tensor, step: Tensor, counts: Tensor, around: Samples, flown: Tensor | None = None
 ) -> None:
     """Advance states [C, n] of the flown arc's kernel, which are at ``step`` [n], by ``counts`` [n] steps.
 
-    The positions of the steps are written to ``flown`` [n, K, 3], m.
+    The positions of the steps are written to ``flown`` [n, K, 3], m, if given.
     """
-    kernel = flown_arc.flown_kernel(degree)
+    kernel = flown_arc.flight_kernel(degree) if flown is None else flown_arc.flown_kernel(degree)
     kernel(state, counts, [around], shared=stretches, ticks=step, nanoseconds=MINUTE_NS // 2, written=flown)
