@@ -20,7 +20,7 @@ from bsk_torch.astro.ephemeris import parse_utc
 from bsk_torch.astro.orbit import Elements, elements_to_rv, periapsis_radius
 from bsk_torch.constants import R_EARTH
 from bsk_torch.rand import Distribution, Key, Uniform, random_orbit
-from bsk_torch.scene.draws import draw_numbers
+from bsk_torch.scene.draws import calls_user, check_numbers, draw_numbers
 from bsk_torch.sim.dyn.models import BasicDynamicsModel
 from bsk_torch.sim.names import nearest
 from bsk_torch.vec3 import Vec3
@@ -152,6 +152,17 @@ class RSOPriorityEvent:
         object.__setattr__(self, "priorities", pairs)
 
 
+def check_events(ids: Sequence[str], events: Sequence[RSOPriorityEvent]) -> None:
+    """Raise ValueError for changes of priorities of other targets than those with the ``ids``, or that are not in order."""
+    for event in events:
+        for key, _ in event.priorities:
+            if key not in ids:
+                raise ValueError(f"RSOPriorityEvent at {event.time_s:g} s changes target {key!r}; {nearest(key, ids)}")
+    times = [event.time_s for event in events]
+    if times != sorted(times):
+        raise ValueError(f"priority_events have the times {times} s; they must be in ascending order")
+
+
 @dataclass(frozen=True)
 class RSOTargetCatalog:
     """Targets in a given order, with their epoch and coming changes of their priorities.
@@ -180,13 +191,7 @@ class RSOTargetCatalog:
         _unique([target.satellite_name for target in self.targets], "RSOTargetCatalog: satellite names of targets")
         if self.utc_init is not None:
             parse_utc(text("RSOTargetCatalog: utc_init", self.utc_init))
-        for event in self.priority_events:
-            for key, _ in event.priorities:
-                if key not in self.ids:
-                    raise ValueError(f"RSOPriorityEvent at {event.time_s:g} s changes target {key!r}; {nearest(key, self.ids)}")
-        times = [event.time_s for event in self.priority_events]
-        if times != sorted(times):
-            raise ValueError(f"RSOTargetCatalog: priority_events have the times {times} s; they must be in ascending order")
+        check_events(self.ids, self.priority_events)
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -256,7 +261,7 @@ class RandomRSOCatalog:
             n_targets: Number of targets.
             oe: Distribution of orbital elements, such as ``rand.random_orbit(alt=700)`` (the default), from which each target is
                 drawn; or a list of ``n_targets`` of them, one for each, for a mixture.
-            priority: Priority of each target: a number, ``n_targets`` numbers, or a distribution.
+            priority: Priority of each target: a number, ``n_targets`` numbers, a distribution, or a function without arguments.
             priority_events: Changes of priorities; see :class:`RSOTargetCatalog`.
         """
         self.n_targets = whole("n_targets", n_targets, 1, MOST_TARGETS)
@@ -270,6 +275,13 @@ class RandomRSOCatalog:
             raise ValueError(f"oe lists {len(listed)} distributions; it must list one for each of {n_targets} targets")
         self.oe, self.priority, self.priority_events = tuple(listed), priority, tuple(priority_events)
         self.ids = tuple(f"rso-{k}" for k in range(n_targets))
+        check_events(self.ids, self.priority_events)
+        check_numbers("priority", priority, self.n_targets, low=0.0, high=FARTHEST)
+
+    @property
+    def calls_user(self) -> bool:
+        """Whether priorities are drawn by a user function."""
+        return calls_user(self.priority)
 
     def draw(self, key: Key) -> tuple[Tensor, Tensor, Tensor]:
         """Return positions [n, G, 3] m, velocities [n, G, 3] m/s, and priorities [n or 1, G] of the episodes of a key."""

@@ -114,6 +114,11 @@ class RSOTargets(Scenario):
 
     # -- draws --------------------------------------------------------------------------------------------------------
 
+    @property
+    def calls_user(self) -> bool:
+        """See :attr:`Scenario.calls_user`."""
+        return isinstance(self.given[0], RandomRSOCatalog) and self.given[0].calls_user
+
     def draw(self, key: Key) -> dict[str, Tensor]:
         """See :meth:`Scenario.draw`; states and priorities of the targets."""
         first = self.given[0]
@@ -322,8 +327,6 @@ def _event_table(catalog: RSOTargetCatalog | RandomRSOCatalog) -> tuple[Tensor, 
     for event in events:
         row = rows[-1].clone()
         for key, value in event.priorities:
-            if key not in catalog.ids:
-                raise ValueError(f"RSOPriorityEvent at {event.time_s:g} s changes target {key!r}; {nearest(key, catalog.ids)}")
             row[catalog.ids.index(key)] = value
         rows.append(row)
     return torch.tensor([event.time_s for event in events], dtype=torch.float64), torch.stack(rows)

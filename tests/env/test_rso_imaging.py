@@ -1,12 +1,14 @@
 """Environments with catalogs of resident space objects (RSO): batches, saved states, copies."""
 
+import copy
 import pickle
 
 import pytest
 import torch
+from torchrl.envs.utils import check_env_specs
 
-from bsk_torch import rand, scene
-from tests.support.rso_imaging import environment
+from bsk_torch import SatelliteTasking, data, rand, scene
+from tests.support.rso_imaging import EPOCH, KEPT, Imager, catalog, environment, state
 
 pytestmark = pytest.mark.compiled
 
@@ -60,6 +62,40 @@ def test_a_saved_state_continues_bit_for_bit():
     same(wanted, fly(other, 4, 4))
 
 
+def test_copies_continue_bit_for_bit():
+    env = drawn(3)
+    env.reset()
+    fly(env, 3)
+    others = [copy.deepcopy(env), pickle.loads(pickle.dumps(env)), drawn(3, seed=9), env.like(3)]
+    for other in others[2:]:
+        other.restore(env, [0, 1, 2], [0, 1, 2])
+    wanted = fly(env, 3, 3)
+    assert all(torch.equal(a[1], b[1]) for other in others for a, b in zip(wanted, fly(other, 3, 3), strict=True))
+
+
+def test_what_begins_in_inference_mode_continues_outside():
+    with torch.inference_mode():
+        env = drawn(2)
+        env.reset()
+        fly(env, 2)
+    wanted = drawn(2)
+    wanted.reset()
+    fly(wanted, 2)
+    same(fly(wanted, 2, 2), fly(env, 2, 2))
+
+
+def test_one_imager_is_an_environment_of_one_agent():
+    r_N, v_N = state(0.0)
+    args = KEPT | dict(oe=None, rN=r_N.tolist(), vN=v_N.tolist())
+    scenario, rewarder = scene.RSOTargets(catalog(), ["Imager0"]), data.RSOImageReward()
+    env = SatelliteTasking(
+        Imager("Imager0", args), scenario, rewarder, world_args=dict(utc_init=EPOCH), num_envs=4, time_limit=600.0, seed=0
+    )
+    check_env_specs(env)
+    td = env.rollout(4, break_when_any_done=False)
+    assert td["next", "reward"].shape == (4, 4, 1)
+
+
 def test_a_wrong_saved_state_is_refused():
     env = drawn(2)
     env.reset()
@@ -70,6 +106,10 @@ def test_a_wrong_saved_state_is_refused():
     saved = env.get_state()
     saved["memory", "rso_orbits", "steps"][0, 1] += 1
     with pytest.raises(ValueError, match="rso_orbits"):
+        env.restore(saved)
+    saved = env.get_state()
+    saved["memory", "rso_orbits", "flights"][1, 0] = torch.nan
+    with pytest.raises(ValueError, match=r"rso_orbits\.flights"):
         env.restore(saved)
 
 

@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 
+import numpy as np
 import pytest
 import torch
 
@@ -83,6 +84,9 @@ def test_a_target_has_the_physical_parameters_of_a_satellite():
         (lambda: scene.RandomRSOCatalog(0), "n_targets=0"),
         (lambda: scene.RandomRSOCatalog(3, oe=[rand.random_orbit()] * 2), "2 distributions"),
         (lambda: scene.RandomRSOCatalog(3, oe="low"), "oe='low'"),
+        (lambda: scene.RandomRSOCatalog(3, priority=math.nan), "priority is nan"),
+        (lambda: scene.RandomRSOCatalog(3, priority=[1.0, 2.0]), "does not give one number for each of 3 targets"),
+        (lambda: scene.RandomRSOCatalog(3, priority_events=[scene.RSOPriorityEvent(0.0, [("a", 1.0)])]), "changes target 'a'"),
         (lambda: scene.RSOTargets(catalog(), []), "imager_names"),
         (lambda: scene.RSOTargets(catalog(), "Imager0"), "imager_names='Imager0'"),
         (lambda: scene.RSOTargets(catalog(), ["A", "A"]), "unique"),
@@ -165,6 +169,20 @@ def test_random_catalogs_differ_between_episodes_but_not_with_the_batch():
     assert (radius[:, :3] < 7.3e6).all()
     assert (radius[:, 3:] > 2.6e7).all()
     assert ((many.scenario.priority >= 1.0) & (many.scenario.priority < 2.0)).all()
+
+
+@pytest.mark.compiled
+def test_priorities_may_come_from_a_function():
+    env = environment(catalog=scene.RandomRSOCatalog(3, priority=lambda: float(np.random.uniform(5.0, 6.0))))
+    env.reset()
+    assert ((env.scenario.priority >= 5.0) & (env.scenario.priority < 6.0)).all()
+    assert not torch.equal(env.scenario.priority[0], env.scenario.priority[1])
+
+
+@pytest.mark.compiled
+def test_drawn_orbits_must_stay_above_the_atmosphere():
+    with pytest.raises(ValueError, match="an orbit drawn from oe: the orbit comes down to"):
+        environment(catalog=scene.RandomRSOCatalog(3, oe=rand.random_orbit(a=7000.0, e=0.2)))
 
 
 @pytest.mark.compiled
