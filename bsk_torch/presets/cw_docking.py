@@ -39,11 +39,13 @@ import torch
 from torch import Tensor
 
 from bsk_torch import act, data, obs, rand, sats
+from bsk_torch.act.assurance import DOCKING, Backup, Barriers
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.data.base import Log
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.dyn.linear_motion import MEAN_MOTION
+from bsk_torch.sim.names import nearest
 from bsk_torch.sim.state import FINITE
 
 if TYPE_CHECKING:
@@ -55,6 +57,13 @@ CHIEF_ORBIT = ((MU_EARTH / MEAN_MOTION**2) ** (1 / 3), 0.0, 0.0, 0.0, 0.0, 0.0)
 
 LIMIT = 2000.0
 """Time after which docking is late, s."""
+
+
+def interventions(fleet: SatelliteFleet) -> dict[str, Tensor]:
+    """Return the counter of interventions of run-time assurance, [N, S]; nothing without it."""
+    if not all("interventions" in satellite.simulator.memory for satellite in fleet.satellites):
+        return {}
+    return {"interventions": fleet.each(attrgetter("simulator.memory.interventions"))}
 
 
 class Polar(rand.Distribution):
@@ -78,7 +87,8 @@ class Polar(rand.Distribution):
 class DockingReward(data.GlobalReward):
     """Reward of CWDocking-v1; see the module. Satellites must have :class:`bsk_torch.sim.dyn.DockingDynModel`.
 
-    Counters: ``docked``, and ``speeding``, the decisions after which a deputy exceeds the safe speed.
+    Counters: ``docked``; ``speeding``, the decisions after which a deputy exceeds the safe speed; and with run-time assurance
+    ``interventions``.
     """
 
     approach, half_distance = 2.0, 100.0
@@ -116,7 +126,7 @@ class DockingReward(data.GlobalReward):
 
     def counts(self) -> dict[str, Tensor]:
         """See :meth:`bsk_torch.data.GlobalReward.counts`."""
-        return {"docked": self.memory["docked"].long(), "speeding": self.memory["speeding"]}
+        return {"docked": self.memory["docked"].long(), "speeding": self.memory["speeding"], **interventions(self.fleet)}
 
     def is_terminated(self) -> Tensor:
         """See :meth:`bsk_torch.data.GlobalReward.is_terminated`: docked deputies."""
@@ -139,18 +149,55 @@ class DockingDeputy(sats.Satellite):
     fsw_type = fsw.FSWModel
 
 
+class BarrierDockingDeputy(DockingDeputy):
+    """The same with an active-set invariance filter."""
+
+    action_spec = (act.HeldThrust(assurance=Barriers(DOCKING)),)
+
+
+class SimplexDockingDeputy(DockingDeputy):
+    """The same with a backup controller, for the next second."""
+
+    action_spec = (act.HeldThrust(assurance=Backup(DOCKING)),)
+
+
+class ImplicitSimplexDockingDeputy(DockingDeputy):
+    """The same with a backup controller that must stay safe for 5 s."""
+
+    action_spec = (act.HeldThrust(assurance=Backup(DOCKING, window=5.0)),)
+
+
+DEPUTIES: dict[str | None, type[sats.Satellite]] = {
+    None: DockingDeputy,
+    "asif": BarrierDockingDeputy,
+    "simplex": SimplexDockingDeputy,
+    "implicit_simplex": ImplicitSimplexDockingDeputy,
+}
+"""Deputies by the name of their run-time assurance."""
+
+
+def assured(deputies: dict[str | None, type[sats.Satellite]], assurance: str | None) -> type[sats.Satellite]:
+    """Return the deputy with a filter; ValueError for an unknown name."""
+    if assurance not in deputies:
+        names = [name for name in deputies if name is not None]
+        raise ValueError(f"assurance={assurance!r} must be one of {names}, or None; {nearest(str(assurance), names)}")
+    return deputies[assurance]
+
+
 def deputy_args() -> dict[str, Any]:
     """Return the arguments of the deputy that it shares with other published tasks."""
     return dict(mass=12.0, meanMotion=MEAN_MOTION, oe=CHIEF_ORBIT, relative_velocity=Polar(0.0, 0.8))
 
 
-def cw_docking(*, sat_args: dict[str, Any] | None = None, **options: Any) -> SatelliteTasking:
+def cw_docking(*, assurance: str | None = None, sat_args: dict[str, Any] | None = None, **options: Any) -> SatelliteTasking:
     """Return CWDocking-v1; see the module.
 
     Args:
+        assurance: Filter of forces, ``"asif"``, ``"simplex"`` or ``"implicit_simplex"`` (a window of 5 s); None for none.
         sat_args: Arguments of the deputy that replace those of the preset.
         **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset.
     """
     arguments = deputy_args() | dict(relative_position=Polar(100.0, 150.0), speedLimitDistance=0.5, dockingRadius=0.2)
     defaults: dict[str, Any] = dict(rewarder=DockingReward(), time_limit=LIMIT + 1.0, failure_penalty=-1.0)
-    return SatelliteTasking(DockingDeputy("Deputy", arguments | (sat_args or {})), **(defaults | options))
+    deputy = assured(DEPUTIES, assurance)("Deputy", arguments | (sat_args or {}))
+    return SatelliteTasking(deputy, **(defaults | options))

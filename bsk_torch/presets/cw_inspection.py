@@ -41,9 +41,10 @@ import torch
 from torch import Tensor
 
 from bsk_torch import act, data, obs, rand, sats
+from bsk_torch.act.assurance import INSPECTION, Barriers
 from bsk_torch.data.base import Log
 from bsk_torch.env import SatelliteTasking
-from bsk_torch.presets.cw_docking import Polar, deputy_args
+from bsk_torch.presets.cw_docking import Polar, assured, deputy_args, interventions
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.inspection.lit_points import PER_CLUSTER, Clusters, clustered, in_view, lit, sphere_points
 
@@ -66,7 +67,7 @@ class LitPointsReward(data.GlobalReward):
 
     Several deputies share the points, and each is rewarded for all of them. Counters of each deputy: ``inspected``, the points
     that it was the first to inspect; ``speeding`` and ``blinded``, the decisions after which it exceeds the safe speed, or has
-    the Sun within 30 degrees of its line of sight to the chief.
+    the Sun within 30 degrees of its line of sight to the chief; and with run-time assurance ``interventions``.
     """
 
     point, success, price = 0.01, 1.0, 0.01
@@ -135,7 +136,11 @@ class LitPointsReward(data.GlobalReward):
 
     def counts(self) -> dict[str, Tensor]:
         """See :meth:`bsk_torch.data.GlobalReward.counts`."""
-        return {"inspected": self.memory["found"], **{name: self.memory[name] for name in ("speeding", "blinded")}}
+        return {
+            "inspected": self.memory["found"],
+            **{name: self.memory[name] for name in ("speeding", "blinded")},
+            **interventions(self.fleet),
+        }
 
     def is_terminated(self) -> Tensor:
         """See :meth:`bsk_torch.data.GlobalReward.is_terminated`: all points are inspected."""
@@ -174,10 +179,21 @@ class InspectionDeputy(sats.Satellite):
     fsw_type = fsw.FSWModel
 
 
-def cw_inspection(*, sat_args: dict[str, Any] | None = None, **options: Any) -> SatelliteTasking:
+class BarrierInspectionDeputy(InspectionDeputy):
+    """The same with an active-set invariance filter."""
+
+    action_spec = (act.HeldThrust(assurance=Barriers(INSPECTION)),)
+
+
+DEPUTIES: dict[str | None, type[sats.Satellite]] = {None: InspectionDeputy, "asif": BarrierInspectionDeputy}
+"""Deputies by the name of their run-time assurance."""
+
+
+def cw_inspection(*, assurance: str | None = None, sat_args: dict[str, Any] | None = None, **options: Any) -> SatelliteTasking:
     """Return CWInspection-v1; see the module.
 
     Args:
+        assurance: Filter of forces, ``"asif"`` (:class:`bsk_torch.act.assurance.Barriers`), or None.
         sat_args: Arguments of the deputy that replace those of the preset.
         **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset.
     """
@@ -188,4 +204,5 @@ def cw_inspection(*, sat_args: dict[str, Any] | None = None, **options: Any) -> 
         keepOutRadius=15.0,
     )
     defaults: dict[str, Any] = dict(rewarder=LitPointsReward(), sim_rate=10.0, time_limit=12236.0, failure_penalty=-1.0)
-    return SatelliteTasking(InspectionDeputy("Deputy", arguments | (sat_args or {})), **(defaults | options))
+    deputy = assured(DEPUTIES, assurance)("Deputy", arguments | (sat_args or {}))
+    return SatelliteTasking(deputy, **(defaults | options))

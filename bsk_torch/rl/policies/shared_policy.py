@@ -214,6 +214,8 @@ def rule(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
     ``drift``           the observations and actions of ``RSOInspection-v1`` and ``MultiInspection-v1``
     ``circumnavigate``  the same
     ``survey``          the same
+    ``glide``           the observations and actions of ``CWDocking-v1``
+    ``seek``            the observations and actions of ``CWInspection-v1``
     ==================  ==================================================================================================
 
     If the rule applies to some groups of a constellation only, the others act at random.

@@ -18,6 +18,7 @@ from bsk_torch.rl.rules.cooperative import CooperativeRule
 from bsk_torch.rl.rules.imaging import IMAGING_RULES, ImagingRule, ranking_rule
 from bsk_torch.rl.rules.inspection import inspection_rule
 from bsk_torch.rl.rules.observation_columns import Columns
+from bsk_torch.rl.rules.thrusters import thruster_rule
 
 LOT = "lot"
 """Key of uniform numbers [N], written by evaluations so that random actions do not depend on the batch."""
@@ -141,5 +142,7 @@ BASELINES: dict[str, Callable[[SatelliteTasking, int], TensorDictModuleBase]] = 
     "drift": inspection_rule("drift"),
     "circumnavigate": inspection_rule("circumnavigate"),
     "survey": inspection_rule("survey"),
+    "glide": thruster_rule("glide"),
+    "seek": thruster_rule("seek"),
 }
 """Baselines by name: functions of the environment and a seed, which raise KeyError or ValueError if they do not apply."""

@@ -1,0 +1,368 @@
+"""Run-time assurance: filters between a policy and the thrusters that keep a deputy close to a chief safe.
+
+Safe are states in which every barrier h(x) of a task is at least zero; :data:`DOCKING` and :data:`INSPECTION` list those of the
+published tasks. Two kinds of filters change the force wished by a policy:
+
+- :class:`Barriers`, an active-set invariance filter: the nearest force u, within the limits of the thrusters, for which each
+  barrier decreases slowly enough, ``dh/dx (f(x) + g(x) u) >= -alpha(h)``. This is a quadratic program. It assumes that the
+  filter acts continuously, so forces that are held for a time exceed limits slightly.
+- :class:`Backup`, a simplex filter: the wished force if every barrier is at least zero after it, otherwise that of a controller
+  that stops the deputy. With a ``window``, the barriers must also stay so while this controller would act.
+
+Sources: K. Dunlap, M. Mote, K. Delsing and K. L. Hobbs, "Run time assured reinforcement learning for safe satellite docking",
+Journal of Aerospace Information Systems 20(1), 2023; K. Dunlap, D. van Wijk and K. L. Hobbs, "Run time assurance for autonomous
+spacecraft inspection", AAS/AIAA Astrodynamics Specialist Conference, 2023. Numbers are those of AFRL's run-time-assurance 1.18.6
+(``zoo/cwh/docking_3d.py`` and ``inspection_1v1.py``), which filters the force of one deputy at a time.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+
+import torch
+from torch import Tensor
+
+from bsk_torch.astro.clohessy_wiltshire import propagate, pushed
+
+if TYPE_CHECKING:
+    from bsk_torch.sats.bound import BoundSatellite
+
+__all__ = ["DOCKING", "INSPECTION", "Assurance", "Backup", "Barrier", "Barriers", "Deputies", "nearest", "stopping_gain"]
+
+Assurance: TypeAlias = "Callable[[Deputies, Tensor, float], Tensor]"
+"""A filter: function of deputies, wished forces [N, 3] N and their duration, s, that returns forces [N, 3] N."""
+
+SOFT = 1e-5
+"""Added to squared speeds and distances in the barrier of the safe speed, whose gradient is finite at rest."""
+
+REPAIR, REPAIR_BIAS = 10.0, 0.01
+"""Where a barrier is negative, alpha is multiplied by the first number and lowered by the second, so that it recovers."""
+
+FREE_FLIGHT = 100
+"""Seconds of flight without thrust that must not lead into the chief."""
+
+MOST_SPEED = 1.0
+"""Maximum of each component of the velocity in inspections, m/s."""
+
+BLIND = math.radians(30.0)
+"""Minimum angle between the line of sight to the chief and the Sun, rad."""
+
+EDGE = 800.0
+"""Maximum distance in inspections, m."""
+
+CLEAR = 1e-9
+"""Violation of a normalized inequality that counts as rounding."""
+
+
+class Deputies(NamedTuple):
+    """What barriers read of N deputies.
+
+    Attributes:
+        r: Positions relative to the chief in its Hill frame, [N, 3] m.
+        v: Velocities as seen in it, [N, 3] m/s.
+        sun: Directions of the Sun in it, [N, 3]; zero where a task has no Sun.
+        n: Mean motion of the chief, [N] rad/s.
+        mass: Masses, [N] kg.
+        limit: Safe speed: that near the chief, m/s, its slope over the mean motion, and the distance of the former, m, [N, 3].
+        keep_out: Distance at which a deputy crashes, [N] m; zero where a task has none.
+        most: Maximum of each component of the force, N.
+    """
+
+    r: Tensor
+    v: Tensor
+    sun: Tensor
+    n: Tensor
+    mass: Tensor
+    limit: Tensor
+    keep_out: Tensor
+    most: float
+
+    @classmethod
+    def of(cls, satellite: BoundSatellite, most: float) -> Deputies:
+        """Return the present state of satellites with :class:`bsk_torch.sim.dyn.LinearMotionDynModel`."""
+        dynamics, simulator = satellite.dynamics, satellite.simulator
+        r, v = dynamics.rho_H, dynamics.rho_dot_H
+        inspects = hasattr(type(dynamics), "sun_hat_H")
+
+        def argument(name: str) -> Tensor:
+            value: Tensor = simulator.argument(name)
+            return value.expand(len(r))
+
+        limit = torch.stack([argument(f"speedLimit{name}") for name in ("Near", "Slope", "Distance")], 1)
+        return cls(
+            r,
+            v,
+            dynamics.sun_hat_H if inspects else torch.zeros_like(r),
+            argument("meanMotion"),
+            argument("mass"),
+            limit,
+            argument("keepOutRadius") if inspects else torch.zeros_like(r[:, 0]),
+            most,
+        )
+
+    @property
+    def braking(self) -> Tensor:
+        """Acceleration that is available against relative motion everywhere, [N] m/s^2."""
+        near, slope, _ = self.limit.unbind(1)
+        fastest = torch.clamp(near + slope * self.n * EDGE, max=MOST_SPEED)
+        return self.most / self.mass - 3.0 * self.n**2 * EDGE - 2.0 * self.n * fastest
+
+    @property
+    def drift(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Rates of position, velocity and direction of the Sun without thrust, [N, 3] each."""
+        (x, _, z), (u, w, _) = self.r.unbind(1), self.v.unbind(1)
+        n, zero = self.n, torch.zeros_like(self.n)
+        turn = torch.stack([n * self.sun[:, 1], -n * self.sun[:, 0], zero], 1)
+        return self.v, torch.stack([3.0 * n * n * x + 2.0 * n * w, -2.0 * n * u, -n * n * z], 1), turn
+
+    def repeated(self, count: int) -> Deputies:
+        """Return the deputies ``count`` times, one copy after the other."""
+        r, v, sun, n, mass, limit, keep_out = (torch.cat([part] * count) for part in self[:-1])
+        return Deputies(r, v, sun, n, mass, limit, keep_out, self.most)
+
+    def after(self, force: Tensor, time: float) -> Deputies:
+        """Return the deputies after a constant force [N, 3] N for some seconds, with the Sun where it is."""
+        seconds = torch.full_like(self.n, time)
+        r, v = propagate(self.r, self.v, self.n, seconds)
+        by_r, by_v = pushed(self.n, seconds)
+        a = (force / self.mass.unsqueeze(1)).unsqueeze(-1)
+        return self._replace(r=r + (by_r @ a).squeeze(-1), v=v + (by_v @ a).squeeze(-1))
+
+
+def dot(a: Tensor, b: Tensor) -> Tensor:
+    """Return the products of vectors [..., 3], [...]."""
+    product = a * b
+    return product[..., 0] + product[..., 1] + product[..., 2]
+
+
+def length(vector: Tensor, soft: float = 0.0) -> Tensor:
+    """Return the lengths of vectors [..., 3], [...]."""
+    return torch.sqrt(dot(vector, vector) + soft)
+
+
+def stopping_speed(braking: Tensor, gap: Tensor) -> Tensor:
+    """Return the speed from which a deputy can stop within a gap, m/s; negative for a negative gap."""
+    return gap.sign() * torch.sqrt(2.0 * braking * gap.abs().clamp(min=1e-12))
+
+
+def safe_speed(x: Deputies) -> Tensor:
+    """Return safe minus present speed, [N] m/s."""
+    near, slope, distance = x.limit.unbind(1)
+    return near + slope * x.n * (length(x.r, SOFT) - distance) - length(x.v, SOFT)
+
+
+def apart(x: Deputies) -> Tensor:
+    """Return how much faster the deputy may approach the chief's keep-out sphere, [N] m/s."""
+    distance = length(x.r)
+    return stopping_speed(x.braking, distance - x.keep_out) + dot(x.r, x.v) / distance
+
+
+def within(x: Deputies) -> Tensor:
+    """Return how much faster the deputy may fly away, [N] m/s."""
+    distance = length(x.r)
+    return stopping_speed(x.braking, EDGE - distance) - dot(x.r, x.v) / distance
+
+
+def unblinded(x: Deputies) -> Tensor:
+    """Return how much faster the deputy may approach the cone in which it looks at the Sun behind the chief, [N] m/s."""
+    cone, sin, cos = -x.sun, math.sin(BLIND), math.cos(BLIND)
+    along = dot(x.r, cone)
+    across = x.r - along.unsqueeze(1) * cone
+    beside = length(across)
+    slant = cos * (beside - math.tan(BLIND) * along)
+    foot = x.r + (slant * sin).unsqueeze(1) * cone - (slant * cos / beside).unsqueeze(1) * across
+    turning = torch.stack([x.n * foot[:, 1], -x.n * foot[:, 0], torch.zeros_like(x.n)], 1)
+    distance = length(x.r)
+    gap = distance * torch.sin(torch.acos((along / distance).clamp(-1.0 + 1e-12, 1.0 - 1e-12)) - BLIND)
+    return stopping_speed(x.braking, gap) + dot(x.r - foot, x.v - turning) / gap
+
+
+def passive(x: Deputies) -> Tensor:
+    """Return the smallest distance from the keep-out sphere in flight without thrust, [N] m."""
+    times = torch.arange(1, FREE_FLIGHT + 1, dtype=x.r.dtype, device=x.r.device).unsqueeze(1)
+    angle = x.n * times
+    s, c = torch.sin(angle), torch.cos(angle)
+    (rx, ry, rz), (vx, vy, vz) = x.r.unbind(1), x.v.unbind(1)
+    ahead = (
+        (4.0 - 3.0 * c) * rx + (s * vx + 2.0 * (1.0 - c) * vy) / x.n,
+        6.0 * (s - angle) * rx + ry + (-2.0 * (1.0 - c) * vx + (4.0 * s - 3.0 * angle) * vy) / x.n,
+        c * rz + s / x.n * vz,
+    )
+    return torch.sqrt(ahead[0] ** 2 + ahead[1] ** 2 + ahead[2] ** 2).amin(0) - x.keep_out
+
+
+def slow_along(axis: int) -> Callable[[Deputies], Tensor]:
+    """Return a barrier: the square of the maximum velocity along an axis, minus that of the present one, (m/s)^2."""
+    return lambda x: MOST_SPEED**2 - x.v[:, axis] ** 2
+
+
+@dataclass(frozen=True)
+class Barrier:
+    """A quantity that must not be negative, and how fast it may decrease: ``alpha(h) = linear h + cubic h^3``.
+
+    Attributes:
+        value: Function from deputies to the quantity, [N].
+        linear: First coefficient, 1/s.
+        cubic: Second coefficient.
+        bias: Added to the quantity.
+    """
+
+    value: Callable[[Deputies], Tensor]
+    linear: float
+    cubic: float
+    bias: float = 0.0
+
+    def __call__(self, x: Deputies) -> Tensor:
+        """Return the quantity with its bias, [N]."""
+        return self.value(x) + self.bias
+
+    def alpha(self, h: Tensor) -> Tensor:
+        """Return the fastest decrease, [N]; negative where ``h`` [N] must recover."""
+        allowed = self.linear * h + self.cubic * h**3
+        return torch.where(h < 0.0, REPAIR * allowed - REPAIR_BIAS, allowed)
+
+
+DOCKING = (Barrier(safe_speed, 0.05, 0.005, -1e-4),)
+"""Barriers of docking."""
+
+INSPECTION = (
+    Barrier(safe_speed, 0.05, 0.005, -1e-3),
+    Barrier(unblinded, 0.001, 0.0001, -1e-3),
+    Barrier(within, 0.01, 0.001, -1e-3),
+    Barrier(passive, 0.01, 0.001),
+    *(Barrier(slow_along(axis), 0.1, 0.01, -1e-3) for axis in range(3)),
+    Barrier(apart, 0.01, 0.001),
+)
+"""Barriers of inspection."""
+
+
+def nearest(wish: Tensor, weight: Tensor, bound: Tensor) -> Tensor:
+    """Return the vectors u nearest to wishes that obey inequalities ``weight u >= bound``; the wish where none does.
+
+    The solution is the projection of the wish onto the inequalities that hold with equality, of which there are at most three:
+    among the projections onto all such sets that obey all inequalities, the nearest one.
+
+    Args:
+        wish: Wishes, [n, 3].
+        weight: Left sides of M inequalities, [n, M, 3].
+        bound: Right sides, [n, M].
+    """
+    size = length(weight).clamp(min=1e-12)
+    weight, bound = weight / size.unsqueeze(-1), bound / size
+    short = bound - dot(weight, wish.unsqueeze(1))
+    candidates = [wish.unsqueeze(1), wish.unsqueeze(1) + short.unsqueeze(-1) * weight]
+    i, j = torch.tensor(list(itertools.combinations(range(bound.shape[1]), 2)), device=wish.device).unbind(1)
+    a, b = weight[:, i], weight[:, j]
+    cosine = dot(a, b)
+    sine = 1.0 - cosine**2
+    first, second = (short[:, i] - cosine * short[:, j]) / sine, (short[:, j] - cosine * short[:, i]) / sine
+    candidates.append(wish.unsqueeze(1) + first.unsqueeze(-1) * a + second.unsqueeze(-1) * b)
+    i, j, k = torch.tensor(list(itertools.combinations(range(bound.shape[1]), 3)), device=wish.device).unbind(1)
+    a, b, c = weight[:, i], weight[:, j], weight[:, k]
+    crosses = torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)
+    corner = sum(bound[:, m].unsqueeze(-1) * cross for m, cross in zip((i, j, k), crosses, strict=True))
+    candidates.append(corner / dot(a, crosses[0]).unsqueeze(-1))
+    every = torch.cat(candidates, 1)
+    worst = torch.zeros_like(every[..., 0])
+    for row, least in zip(weight.unbind(1), bound.unbind(1), strict=True):  # all at once would need M times the memory
+        worst = torch.maximum(worst, least.unsqueeze(1) - dot(every, row.unsqueeze(1)))
+    far = dot(every - wish.unsqueeze(1), every - wish.unsqueeze(1))
+    far = torch.where(worst <= CLEAR, far, math.inf)  # NaN of parallel inequalities is not smaller
+    best = far.argmin(1)
+    found = every.gather(1, best.view(-1, 1, 1).expand(-1, 1, 3)).squeeze(1)
+    return torch.where(torch.isfinite(far.amin(1)).unsqueeze(1), found, wish)
+
+
+@dataclass(frozen=True)
+class Barriers:
+    """Changes a force as little as the barriers of a task require; see the module. Where no force obeys them, the wish stays."""
+
+    barriers: Sequence[Barrier] = DOCKING
+
+    def __call__(self, x: Deputies, wish: Tensor, time: float) -> Tensor:
+        """Return the forces [N, 3] N for wishes [N, 3] that last ``time`` seconds."""
+        weight, bound = inequalities(self.barriers, x)
+        rows = torch.nonzero((dot(weight, wish.unsqueeze(1)) < bound).any(1)).squeeze(-1)
+        if not len(rows):
+            return wish
+        one = torch.eye(3, dtype=wish.dtype, device=wish.device).expand(len(rows), 3, 3)
+        box = torch.full((len(rows), 6), -x.most, dtype=wish.dtype, device=wish.device)
+        weight, bound = torch.cat([one, -one, weight[rows]], 1), torch.cat([box, bound[rows]], 1)
+        return wish.index_copy(0, rows, nearest(wish[rows], weight, bound))
+
+
+def inequalities(barriers: Sequence[Barrier], x: Deputies) -> tuple[Tensor, Tensor]:
+    """Return ``weight`` [N, M, 3] and ``bound`` [N, M] of the forces u that keep barriers: ``weight u >= bound``."""
+    # the derivatives along the drift and along a force on each axis, side by side in one call
+    four = x.repeated(4)
+    push = torch.eye(3, dtype=x.r.dtype, device=x.r.device).unsqueeze(1) / x.mass.view(1, -1, 1)
+    drift, zero = x.drift, torch.zeros_like(x.r)
+    directions = (torch.cat([drift[0], *[zero] * 3]), torch.cat([drift[1], *push]), torch.cat([drift[2], *[zero] * 3]))
+
+    def values(r: Tensor, v: Tensor, sun: Tensor) -> Tensor:
+        now = four._replace(r=r, v=v, sun=sun)
+        return torch.stack([barrier(now) for barrier in barriers], 1)
+
+    h, slope = torch.func.jvp(values, (four.r, four.v, four.sun), directions)[:2]
+    along, *by_axis = slope.unflatten(0, (4, -1)).unbind(0)
+    alpha = torch.stack([barrier.alpha(h[: len(x.r), k]) for k, barrier in enumerate(barriers)], 1)
+    return torch.stack(by_axis, -1), -along - alpha
+
+
+@dataclass(frozen=True)
+class Backup:
+    """Replaces a force by that of a controller that stops the deputy, where a barrier would become negative.
+
+    The controller is the linear-quadratic regulator of the velocity, with weights 0.05 for states and 1000 for forces.
+
+    Attributes:
+        barriers: Barriers of the task.
+        window: Seconds for which the controller must keep the barriers, too.
+    """
+
+    barriers: Sequence[Barrier] = DOCKING
+    window: float = 0.0
+
+    def __call__(self, x: Deputies, wish: Tensor, time: float) -> Tensor:
+        """Return the forces [N, 3] N for wishes [N, 3] that last ``time`` seconds."""
+        gain = stopping_gain(x)
+
+        def stop(now: Deputies) -> Tensor:
+            return -(gain @ now.v.unsqueeze(-1)).squeeze(-1).clamp(-x.most, x.most)
+
+        ahead = x.after(wish, time)
+        safe = self._kept(ahead)
+        for _ in range(int(self.window / time)):  # one step after the other
+            ahead = ahead.after(stop(ahead), time)
+            safe = safe & self._kept(ahead)
+        return torch.where(safe.unsqueeze(1), wish, stop(x))
+
+    def _kept(self, x: Deputies) -> Tensor:
+        return torch.stack([barrier(x) >= 0.0 for barrier in self.barriers], 1).all(1)
+
+
+def stopping_gain(x: Deputies) -> Tensor:
+    """Return the gain of the velocity of the linear-quadratic regulator of a deputy, [N, 3, 3] N s/m.
+
+    The stable subspace of the Hamiltonian matrix gives the solution P of the algebraic Riccati equation, and ``B^T P / R`` the
+    gain (B. D. O. Anderson and J. B. Moore, Optimal Control, 1990).
+    """
+    states, forces = 0.05, 1000.0
+    n, count = x.n, len(x.n)
+    a = torch.zeros(count, 6, 6, dtype=x.r.dtype, device=x.r.device)
+    a[:, 0, 3] = a[:, 1, 4] = a[:, 2, 5] = 1.0
+    a[:, 3, 0], a[:, 3, 4], a[:, 4, 3], a[:, 5, 2] = 3.0 * n * n, 2.0 * n, -2.0 * n, -n * n
+    b = torch.zeros(count, 6, 3, dtype=x.r.dtype, device=x.r.device)
+    b[:, 3, 0] = b[:, 4, 1] = b[:, 5, 2] = 1.0 / x.mass
+    q = states * torch.eye(6, dtype=x.r.dtype, device=x.r.device).expand(count, 6, 6)
+    hamiltonian = torch.cat([torch.cat([a, -b @ b.mT / forces], 2), torch.cat([-q, -a.mT], 2)], 1)
+    values, vectors = torch.linalg.eig(hamiltonian)
+    stable = values.real.argsort(1)[:, :6].unsqueeze(1).expand(-1, 12, -1)
+    top, bottom = vectors.gather(2, stable).split(6, 1)
+    riccati = torch.linalg.solve(top, bottom, left=False).real
+    gain: Tensor = (b.mT @ riccati / forces)[:, :, 3:]
+    return gain
