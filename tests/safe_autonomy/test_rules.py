@@ -1,0 +1,33 @@
+"""Rules for thrusters."""
+
+import pytest
+import torch
+
+import bsk_torch
+from bsk_torch.rl.evaluation.evaluate import evaluate
+from bsk_torch.rl.policies.shared_policy import rule, shared_baselines
+
+
+@pytest.mark.compiled
+def test_glide_docks():
+    env = bsk_torch.make("CWDocking-v1", num_envs=16, env_ids=[0] * 16)
+    results = evaluate(rule("glide", env), env, seeds=range(16))
+    assert results.counts["docked"].all()
+    assert results.survived.all()
+    assert results.seconds.max() < 800.0
+    assert results.returns.min() > 2.0
+
+
+@pytest.mark.compiled
+def test_seek_inspects():
+    env = bsk_torch.make("CWInspection-v1", num_envs=8, env_ids=[0] * 8)
+    results = evaluate(rule("seek", env), env, seeds=range(8))
+    assert results.survived.all()
+    assert results.counts["inspected"].double().mean() > 90.0
+    torch.testing.assert_close(results.returns.clamp(max=0.9), torch.full((8,), 0.9, dtype=torch.float64), rtol=0, atol=0.1)
+
+
+@pytest.mark.parametrize(("preset", "name"), [("CWDocking-v1", "glide"), ("CWInspection-v1", "seek")])
+def test_rules_apply_to_their_presets(preset, name):
+    env = bsk_torch.make(preset, num_envs=1, backend="eager")
+    assert set(shared_baselines(env)) == {"random", name}
