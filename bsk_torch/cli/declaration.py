@@ -29,7 +29,7 @@ Policy = Annotated[
     str,
     typer.Argument(
         help="Run folder, policy file, 'pretrained', or a baseline: random, rule, cautious, greedy, nearest, hasty, farsighted, "
-        "cooperative, drift, circumnavigate, survey.",
+        "cooperative, drift, circumnavigate, survey, glide, seek.",
         show_default=False,
     ),
 ]
@@ -37,7 +37,7 @@ PolicyOrPlanner = Annotated[
     str,
     typer.Argument(
         help="Run folder, policy file, 'pretrained', a baseline (random, rule, cautious, greedy, nearest, hasty, farsighted, "
-        "cooperative, drift, circumnavigate, survey), or a planner (plan:rollout, plan:beam, plan:mcts, plan:cem).",
+        "cooperative, drift, circumnavigate, survey, glide, seek), or a planner (plan:rollout, plan:beam, plan:mcts, plan:cem).",
         show_default=False,
     ),
 ]
