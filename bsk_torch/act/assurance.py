@@ -83,7 +83,7 @@ class Deputies(NamedTuple):
 
     @classmethod
     def of(cls, satellite: BoundSatellite, most: float) -> Deputies:
-        """Return the present state of satellites with :class:`bsk_torch.sim.dyn.LinearMotionDynModel`."""
+        """Return the current state of satellites with :class:`bsk_torch.sim.dyn.LinearMotionDynModel`."""
         dynamics, simulator = satellite.dynamics, satellite.simulator
         r, v = dynamics.rho_H, dynamics.rho_dot_H
         inspects = hasattr(type(dynamics), "sun_hat_H")
