@@ -5,7 +5,7 @@ published tasks. Two kinds of filters change the force wished by a policy:
 
 - :class:`Barriers`, an active-set invariance filter: the nearest force u, within the limits of the thrusters, for which each
   barrier decreases slowly enough, ``dh/dx (f(x) + g(x) u) >= -alpha(h)``. This is a quadratic program. It assumes that the
-  filter acts continuously, so forces that are held for a time exceed limits slightly.
+  filter acts continuously, so forces held for a time exceed limits slightly.
 - :class:`Backup`, a simplex filter: the wished force if every barrier is at least zero after it, otherwise that of a controller
   that stops the deputy. With a ``window``, the barriers must also stay so while this controller would act.
 
