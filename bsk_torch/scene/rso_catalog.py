@@ -48,13 +48,33 @@ def _three(title: str, value: object, bound: float = math.inf) -> tuple[float, f
     no_gradient(title, value)
     try:
         array = np.asarray(value.cpu() if isinstance(value, Tensor) else value, dtype=float)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{title}={value!r} must be three numbers") from error
     if array.shape != (3,) or not np.isfinite(array).all() or np.linalg.norm(array) > bound:
         limit = "" if math.isinf(bound) else f", of a length of at most {bound:g}"
         raise ValueError(f"{title}={value!r} must be three finite numbers{limit}")
     x, y, z = array.tolist()
     return x, y, z
+
+
+def _pairs(title: str, given: object) -> tuple[tuple[Any, Any], ...]:
+    """Return pairs of a name and a number; ValueError for something else, which ``title`` names."""
+    try:
+        items = given.items() if isinstance(given, Mapping) else given
+        listed = [tuple(pair) for pair in items]  # type: ignore[attr-defined]
+    except TypeError:
+        listed = [()]
+    if isinstance(given, str | Tensor) or not all(len(pair) == 2 for pair in listed):
+        raise ValueError(f"{title}={given!r} must be a list of pairs of a name and a number")
+    return tuple((name, value) for name, value in listed)
+
+
+def _events(title: str, given: object) -> tuple[RSOPriorityEvent, ...]:
+    """Return changes of priorities as a tuple; ValueError for something else, which ``title`` names."""
+    listed = tuple(given) if isinstance(given, Iterable) and not isinstance(given, Tensor) else (None,)
+    if not all(isinstance(part, RSOPriorityEvent) for part in listed):
+        raise ValueError(f"{title}={given!r} must be a list of scene.RSOPriorityEvent")
+    return listed
 
 
 def _unique(names: Sequence[str], what: str) -> None:
@@ -104,8 +124,7 @@ class RSOTarget:
         object.__setattr__(self, "priority", number(f"{title}: priority", self.priority, 0.0))
         r_N, v_N = (torch.tensor([part], dtype=torch.float64) for part in (self.rN, self.vN))
         check_orbits(r_N, v_N, lambda _: title)
-        given = self.physical_parameters
-        pairs = tuple((str(name), value) for name, value in (given.items() if isinstance(given, Mapping) else given))
+        pairs = _pairs(f"{title}: physical_parameters", self.physical_parameters)
         _unique([name for name, _ in pairs], f"{title}: physical_parameters")
         for name, value in pairs:
             if name not in PHYSICAL:
@@ -142,11 +161,10 @@ class RSOPriorityEvent:
     def __post_init__(self) -> None:
         """Check the values; ValueError for a wrong one."""
         object.__setattr__(self, "time_s", number("RSOPriorityEvent: time_s", self.time_s, 0.0, unit="s"))
-        given = self.priorities
-        pairs = given.items() if isinstance(given, Mapping) else given
+        title = "RSOPriorityEvent: priorities"
         pairs = tuple(
-            (text("RSOPriorityEvent: id", key), number(f"RSOPriorityEvent: priority of {key!r}", value, 0.0))
-            for key, value in pairs
+            (text(f"{title}: id", key), number(f"{title}: of {key!r}", value, 0.0))
+            for key, value in _pairs(title, self.priorities)
         )
         _unique([key for key, _ in pairs], "RSOPriorityEvent: targets")
         object.__setattr__(self, "priorities", pairs)
@@ -179,18 +197,20 @@ class RSOTargetCatalog:
 
     def __post_init__(self) -> None:
         """Check the values; ValueError for a wrong one."""
-        for name, kind in (("targets", RSOTarget), ("priority_events", RSOPriorityEvent)):
-            given = getattr(self, name)
-            listed = tuple(given) if isinstance(given, Iterable) else (None,)
-            if not all(isinstance(part, kind) for part in listed):
-                raise ValueError(f"RSOTargetCatalog: {name}={given!r} must be a list of scene.{kind.__name__}")
-            object.__setattr__(self, name, listed)
+        listed = tuple(self.targets) if isinstance(self.targets, Iterable) and not isinstance(self.targets, Tensor) else (None,)
+        if not all(isinstance(part, RSOTarget) for part in listed):
+            raise ValueError(f"RSOTargetCatalog: targets={self.targets!r} must be a list of scene.RSOTarget")
+        object.__setattr__(self, "targets", listed)
+        object.__setattr__(self, "priority_events", _events("RSOTargetCatalog: priority_events", self.priority_events))
         if not 0 < len(self.targets) <= MOST_TARGETS:
             raise ValueError(f"RSOTargetCatalog: targets has {len(self.targets)} entries; it must have 1 to {MOST_TARGETS}")
         _unique([target.id for target in self.targets], "RSOTargetCatalog: ids of targets")
         _unique([target.satellite_name for target in self.targets], "RSOTargetCatalog: satellite names of targets")
         if self.utc_init is not None:
-            parse_utc(text("RSOTargetCatalog: utc_init", self.utc_init))
+            try:
+                parse_utc(text("RSOTargetCatalog: utc_init", self.utc_init))
+            except ValueError as error:
+                raise ValueError(f"RSOTargetCatalog: utc_init: {error}") from None
         check_events(self.ids, self.priority_events)
 
     @property
@@ -273,7 +293,7 @@ class RandomRSOCatalog:
             )
         if len(listed) not in (1, n_targets):
             raise ValueError(f"oe lists {len(listed)} distributions; it must list one for each of {n_targets} targets")
-        self.oe, self.priority, self.priority_events = tuple(listed), priority, tuple(priority_events)
+        self.oe, self.priority, self.priority_events = tuple(listed), priority, _events("priority_events", priority_events)
         self.ids = tuple(f"rso-{k}" for k in range(n_targets))
         check_events(self.ids, self.priority_events)
         check_numbers("priority", priority, self.n_targets, low=0.0, high=FARTHEST)
