@@ -7,8 +7,8 @@ import pytest
 import torch
 from torchrl.envs.utils import check_env_specs
 
-from bsk_torch import SatelliteTasking, data, rand, scene
-from tests.support.rso_imaging import EPOCH, KEPT, Imager, catalog, environment, state
+from bsk_torch import ConstellationTasking, SatelliteTasking, act, data, obs, rand, sats, scene
+from tests.support.rso_imaging import EPOCH, KEPT, Imager, catalog, environment, play, state
 
 pytestmark = pytest.mark.compiled
 
@@ -150,3 +150,50 @@ def test_imagers_may_integrate_their_orbits(orbit):
     pairs = zip(fly(one, 4), fly(other, 4), strict=True)
     differences = [max(float((a[k] - b[k]).abs().max()) for k in range(3)) for a, b in pairs]
     assert max(differences) < 1e-6
+
+
+class Quick(Imager):
+    action_spec = (
+        act.ImageRSO(2, 100.0, 0.0, require_illumination_during_hold=False),
+        act.Downlink(duration=60.0),
+    )
+
+
+class Other(sats.Satellite):
+    observation_spec = (obs.Time(),)
+    action_spec = (act.Charge(duration=70.0),)
+
+
+def test_imagers_of_several_types_share_a_catalog_with_other_satellites():
+    satellites = []
+    for k, (kind, name) in enumerate(((Other, "Other"), (Imager, "A"), (Quick, "B"), (Imager, "C"))):
+        r_N, v_N = state(-0.02 * k)
+        args = KEPT | dict(oe=None, rN=r_N.tolist(), vN=v_N.tolist())
+        known = kind.default_sat_args().rows
+        satellites.append(kind(name, {key: value for key, value in args.items() if key in known}))
+    env = ConstellationTasking(
+        satellites,
+        scene.RSOTargets(catalog(), ["C", "A", "B"]),
+        data.RSOImageReward(lambda record, target: target.priority, quality_threshold=0.0, multi_imager_credit="per_imager"),
+        world_args=dict(utc_init=EPOCH),
+        num_envs=2,
+        time_limit=900.0,
+        seed=0,
+    )
+    env.reset()
+    assert sorted(env.scenario.imager_columns) == [1, 2, 3]
+    moves = torch.ones(2, dtype=torch.bool)
+    env.play([torch.tensor([[0]] * 2), torch.tensor([[2, 2]] * 2), torch.tensor([[0]] * 2)], moves)
+    captured, paid = env.rewarder.counts()["captured"], env.rewarder.last_reward_components["acquisition"]
+    assert captured[:, 2].tolist() == [1, 1]  # B needs no hold
+    assert captured[:, 0].tolist() == [0, 0]
+    assert torch.equal(paid > 0.0, captured > 0)
+
+
+@pytest.mark.parametrize("options", [{"sim_rate": 0.5}, {"sim_dtype": torch.float32}])
+def test_images_are_taken_with_other_ticks_and_types(options):
+    env = environment(**options)
+    env.reset()
+    play(env, 2)
+    assert env.satellites[0].dynamics.rso_images.tolist() == [1.0, 1.0]
+    assert env.satellites[0].dynamics.rso_image_held.tolist() == [5.0, 5.0]
