@@ -177,7 +177,7 @@ def given(options: argparse.Namespace) -> dict[str, Any]:
 
 def _portable(name: str, value: Any) -> Any:
     """Return an option without the folders of this machine."""
-    if name == "basilisk" and value:
+    if name in ("basilisk", "original") and value:
         return "PYTHON"
     return Path(value).name if isinstance(value, str | Path) and Path(value).is_absolute() else value
 

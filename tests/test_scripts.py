@@ -99,6 +99,12 @@ STARTS: dict[str, list[Start]] = {
             r"(?s)\| 2 \| arc \| on \| [\d.]+ \|.*\| 2 \| integrated \| off \| [\d.]+ \|",
         ),
     ],
+    "benchmarks/safe_autonomy.py": [
+        Start(
+            "--episodes 2 --batch 2 --time-limit 40 --filters none asif --policies glide --turns 1 --steps 2 --backend eager",
+            r"(?s)\| CWDocking-v1 \| glide \| asif \| 0.0% \| - \| 0.0% \|.*\| CWDocking-v1 \| bsk_torch \| 2 \| [\d,]+ ",
+        ),
+    ],
     "benchmarks/memory.py": [Start("--batch 4 --steps 40 --warm-up 1", r"\| scan \| 40 \| [\d,.]+ \|")],
     "benchmarks/own_environments.py": [
         Start(
@@ -259,7 +265,10 @@ ELSEWHERE = {
 }
 """Scripts that other tests start, and where."""
 
-STARTED_BY_OTHERS = {"benchmarks/basilisk_side.py": "benchmarks/harness.py"}
+STARTED_BY_OTHERS = {
+    "benchmarks/basilisk_side.py": "benchmarks/harness.py",
+    "benchmarks/safe_autonomy_side.py": "benchmarks/safe_autonomy.py",
+}
 """Scripts that others start in another interpreter: their names occur there."""
 
 RUNS = [

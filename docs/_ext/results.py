@@ -21,6 +21,8 @@ SCRIPTS = {
     "inspection_crew": "inspection_rules",
     "clouds_moving": "clouds",
     "faults_planners": "faults_headroom",
+    "safe_docking": "safe_autonomy",
+    "safe_inspection": "safe_autonomy",
 }
 """Scripts by result, where the names differ."""
 
@@ -366,6 +368,42 @@ def player(row: Mapping[str, Any]) -> str:
     return f"trained ({Path(row['policy']).name}, {whole(row['frames'])} steps, {minutes} min {seconds} s)"
 
 
+def safe_autonomy(*names: str) -> str:
+    """Return the results of rules with and without run-time assurance in the presets of linear motion, and the speeds."""
+    rows, rates = [], []
+    for name in names:
+        for row in load(name)["rows"]:
+            rows.append(
+                [
+                    row["preset"],
+                    f"{row['policy']}, {'no filter' if row['filter'] == 'none' else row['filter']}",
+                    f"{100.0 * row['success']:.1f} %",
+                    f"{100.0 * row['inspected']:.2f} %" if "inspected" in row else "-",
+                    f"{100.0 * row['crashed']:.1f} %",
+                    f"{row['speeding']:.2f}",
+                    f"{row['blinded']:.1f}" if "blinded" in row else "-",
+                    f"{row['interventions']:.1f}" if "interventions" in row else "-",
+                    f"{row['value']:.3f} ±\u00a0{row['half']:.3f}",
+                ]
+            )
+        for row in load(name)["rates"]:
+            spread = " to ".join(whole(row[key]) for key in ("rate_low", "rate_high"))
+            rates.append([row["preset"], row["side"], whole(row["batch"]), f"{whole(row['rate'])} ({spread})"])
+    head = [
+        "preset",
+        "policy",
+        "success",
+        "inspected, IQM",
+        "crashed",
+        "above the safe speed",
+        "blinded",
+        "interventions",
+        "return",
+    ]
+    parts = [table(head, rows), table(["preset", "program", "episodes at once", "decisions/s"], rates)]
+    return "\n\n".join([*parts, *(made(name) for name in names)])
+
+
 def planners(name: str) -> str:
     """Return what planners gain and cost."""
     head = ["preset", "policy", "return", "gain over the rule", "decisions", "simulated s per decision", "wall s per episode"]
@@ -593,5 +631,6 @@ TABLES = {
     "pretrained_short": pretrained_short,
     "inspections": inspections,
     "planners": planners,
+    "safe_autonomy": safe_autonomy,
     "suites": suites,
 }
