@@ -157,10 +157,6 @@ RSO = (
     "is of bsk_rl's satellites as targets; here they are orbits without satellites: scene.RSOTargets with its candidates(), "
     "views() and candidate_ids()"
 )
-MIXED = (
-    "is in bsk_torch.bsk_rl, for one episode or, with num_envs=N, for N of them side by side. In one batch, satellites of "
-    "several types share one scenario"
-)
 STORES = (
     "is not needed: rewarders keep tensors of all episodes (env.rewarder.imaged, .known, .cum_reward). Others derive from "
     "data.GlobalReward and define read_log() and calculate_reward(before, after). For one episode it is in "
@@ -179,10 +175,8 @@ PLAIN = "is a helper of bsk_rl's inside that has no counterpart: plain Python do
 
 GROUPS: dict[str, str] = {
     RSO: "target_properties RSOTargetDynModel CandidateSnapshot target_geometry candidate_snapshot illumination_factor",
-    MIXED: "MixedData MixedDataStore MixedReward MixedScenario",
-    STORES: "RSOImageData RSOImageStore LogStateType ComposedData ComposedDataStore ResourceData ResourceDataStore "
-    "RSOInspectionDataStore Data DataStore "
-    "NoData NoDataStore ScanningTime ScanningTimeStore UniqueImageStore",
+    STORES: "RSOImageData RSOImageStore LogStateType ComposedData ComposedDataStore MixedData MixedDataStore ResourceData "
+    "ResourceDataStore RSOInspectionDataStore Data DataStore NoData NoDataStore ScanningTime ScanningTimeStore UniqueImageStore",
     BUILDERS: "select_action_builder ActionBuilder ContinuousActionBuilder DiscreteActionBuilder ObservationBuilder "
     "nested_obs_to_space",
     TYPES: "SatObs SatAct MultiSatObs MultiSatAct SatArgRandomizer",

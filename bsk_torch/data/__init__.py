@@ -6,6 +6,7 @@ from bsk_torch.data.composed import ComposedReward
 from bsk_torch.data.images import ImageReward, UniqueImageReward
 from bsk_torch.data.inspection import RSOInspectionData, RSOInspectionReward
 from bsk_torch.data.mapped import PerEnvironmentReward
+from bsk_torch.data.mixed import MixedReward
 from bsk_torch.data.resources import ResourceReward
 from bsk_torch.data.rso_imaging import RSOImageRecord, RSOImageReward
 from bsk_torch.data.scanning import ScanningTimeReward
@@ -16,6 +17,7 @@ __all__ = [
     "ComposedReward",
     "GlobalReward",
     "ImageReward",
+    "MixedReward",
     "NoReward",
     "PerEnvironmentReward",
     "RSOImageRecord",

@@ -4,6 +4,7 @@ from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.cities import CityTargets
 from bsk_torch.scene.clouds import CloudyTargets
 from bsk_torch.scene.explicit import Targets
+from bsk_torch.scene.mixed import MixedScenario
 from bsk_torch.scene.rso_catalog import RandomRSOCatalog, RSOPriorityEvent, RSOTarget, RSOTargetCatalog
 from bsk_torch.scene.rso_points import RSOPoint, RSOPoints, SphericalRSO
 from bsk_torch.scene.rso_targets import RSOTargets
@@ -17,6 +18,7 @@ __all__ = [
     "ChangingTargets",
     "CityTargets",
     "CloudyTargets",
+    "MixedScenario",
     "RSOPoint",
     "RSOPoints",
     "RSOPriorityEvent",

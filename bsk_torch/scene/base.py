@@ -219,6 +219,10 @@ class Scenario:
             check_linked(self, "link(fleet)", fleet)
         self.fleet = fleet
 
+    def place_kinds_of(self, names: Sequence[str], tables: PlaceTables) -> Mapping[str, Places]:
+        """Return :meth:`place_kinds` for the satellites of one type, by their names; not to be overridden."""
+        return self.place_kinds(tables)
+
     def draw_checked(self, key: Key) -> dict[str, Tensor]:
         """Call :meth:`draw`; not to be overridden.
 

@@ -11,8 +11,9 @@ from copy import copy
 from typing import Any
 
 from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
-from bsk_torch.bsk_rl.scene.composition import MixedScenario, check_known, check_same_keys
+from bsk_torch.bsk_rl.scene.composition import MixedScenario
 from bsk_torch.bsk_rl.scene.scenario import Scenario
+from bsk_torch.scene.mixed import check_known, check_same_keys
 from bsk_torch.sim.names import nearest
 
 __all__ = ["ComposedData", "ComposedDataStore", "ComposedReward", "MixedData", "MixedDataStore", "MixedReward"]

@@ -2,25 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from bsk_torch.bsk_rl.scene.scenario import Scenario
-from bsk_torch.sim.names import nearest
+from bsk_torch.scene.mixed import check_known, check_same_keys
 
 __all__ = ["MixedScenario"]
-
-
-def check_same_keys(title: str, given: Mapping[str, Any], others: Mapping[str, Any], other: str) -> None:
-    """Raise ValueError unless two dictionaries have the same keys."""
-    if given.keys() != others.keys():
-        raise ValueError(f"{title} has the keys {sorted(given)}; they must be those of {other}, {sorted(others)}")
-
-
-def check_known(title: str, names: Iterable[str], known: Sequence[str]) -> None:
-    """Raise ValueError for a name that is not among those ``known``."""
-    for name in sorted(set(names) - set(known)):
-        raise ValueError(f"{title} names the unknown satellite {name!r}; {nearest(name, known)}")
 
 
 class MixedScenario(Scenario):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -17,7 +17,7 @@ from bsk_torch.constants import NANO
 from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.env.assembly.randomizer import Randomizer
-from bsk_torch.env.assembly.types import check_names, check_world, grouped, world_arguments, world_components
+from bsk_torch.env.assembly.types import check_names, check_world, grouped, ungrouped, world_arguments, world_components
 from bsk_torch.env.options import CONTINUOUS, ConstellationOptions, TaskingOptions
 from bsk_torch.rand import Distribution, Key, first_key, seeded
 from bsk_torch.sats.fleet import SatelliteFleet
@@ -66,16 +66,18 @@ class FleetBuilder:
         randomizer: Randomizer | None,
         device: torch.device,
         made: Sequence[SatelliteType] | None = None,
+        group_of: Callable[[str], Hashable] = ungrouped,
     ) -> None:
         """Check the names of the satellites, group them by type, and check the world's arguments.
 
-        ``made`` are the types of the satellites, where another environment of the same kind has them.
+        ``made`` are the types of the satellites, where another environment of the same kind has them. Satellites for which
+        ``group_of`` differs are of different types.
         """
         self.names = check_names(satellites)
         self.satellites = [satellite.as_given() for satellite in satellites]
         for satellite in self.satellites:
             satellite.sat_args_generator.update(scenario._own_arguments(satellite))
-        self.types = grouped(self.satellites)
+        self.types = grouped(self.satellites, group_of)
         if options.failures == CONTINUOUS:
             check_watched(self.satellites)
         models = [satellite.dyn_type for satellite in self.satellites]
@@ -131,7 +133,8 @@ class FleetBuilder:
         each = []
         for made, columns in zip(types, self.types, strict=True):
             horizon = float(self.satellites[columns[0]].generation(limit).max())
-            own, kinds = made.alone if trial else made, self.scenario.place_kinds
+            own = made.alone if trial else made
+            kinds = functools.partial(self.scenario.place_kinds_of, [self.names[column] for column in columns])
             each.append(Simulator(own, n, horizon=horizon, scenario_state=scenario_state, places=kinds))
         chosen = sorted(column for simulator in each for column in simulator.columns)
         members = {c: (k, 0 if trial else i) for k, columns in enumerate(self.types) for i, c in enumerate(columns)}

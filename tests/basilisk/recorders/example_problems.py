@@ -21,7 +21,7 @@ from bsk_rl.data.unique_image_data import UniqueImageData, UniqueImageReward, Un
 from bsk_rl.sim import dyn, fsw
 from bsk_rl.sim.fsw import action
 from bsk_rl.utils.functional import default_args
-from bsk_rl.utils.orbital import random_orbit, random_unit_vector, walker_delta_args
+from bsk_rl.utils.orbital import random_orbit, random_unit_vector, relative_to_chief, walker_delta_args
 
 ORBIT = 5700.0
 EARTH = orbitalMotion.REQ_EARTH * 1e3
@@ -1055,5 +1055,67 @@ def fault_environment(literal: bool) -> SatelliteTasking:
         max_step_duration=300.0,
         time_limit=95 * 60 * 3,
         failure_penalty=0,
+        **QUIET,
+    )
+
+
+# -- Mixed environment -------------------------------------------------------------------------------------------------
+
+
+def mixed_environment() -> ConstellationTasking:
+    """An inspection and imaging side by side, each a scenario with a channel of rewards; the page images an RSO instead."""
+
+    class GroundObserver(sats.ImagingSatellite):
+        observation_spec = [
+            obs.SatProperties(dict(prop="storage_level_fraction"), dict(prop="r_BN_P", norm=7e6)),
+            obs.OpportunityProperties(dict(prop="priority"), dict(prop="opportunity_close", norm=300.0), n_ahead_observe=4),
+            obs.Time(),
+        ]
+        action_spec = [act.Image(4, max_duration=120.0), act.Charge(duration=60.0)]
+        dyn_type = dyn.GroundStationDynModel
+        fsw_type = fsw.ImagingFSWModel
+
+    class RSO(sats.Satellite):
+        observation_spec = [obs.Time()]
+        action_spec = [act.NadirPoint(duration=1e9)]
+        dyn_type = dyn.RSODynModel
+        fsw_type = fsw.FSWModel
+
+    class Inspector(sats.Satellite):
+        observation_spec = [
+            obs.SatProperties(dict(prop="wheel_speeds_fraction")),
+            obs.RelativeProperties(dict(prop="r_DC_Hc", norm=100.0), dict(prop="v_DC_Hc"), chief_name="RSO"),
+            obs.Time(),
+        ]
+        action_spec = [
+            act.DiscreteFSWAction("action_inspect_rso", name="inspect", duration=60.0),
+            act.Charge(duration=60.0),
+        ]
+        dyn_type = dyn.RSOInspectorDynModel
+        fsw_type = (fsw.BasicFSWModel, fsw.RSOInspectorFSWModel)
+
+    camera = dict(imageAttErrorRequirement=0.1, imageRateErrorRequirement=0.1, u_max=0.8)
+    near = dict(imageAttErrorRequirement=1.0, imageRateErrorRequirement=None, instrumentBaudRate=1.0, dataStorageCapacity=1e6)
+    start = {"Inspector": lambda: np.array([*np.random.uniform(-60.0, 60.0, 3), *np.random.uniform(-0.3, 0.3, 3)])}
+    return ConstellationTasking(
+        satellites=[GroundObserver("Ground", camera), RSO("RSO"), Inspector("Inspector", near)],
+        scenario=scene.MixedScenario(
+            {
+                "ground_scene": scene.UniformTargets(1000),
+                "rso_scene": scene.SphericalRSO(n_points=100, theta_max=1.4, theta_solar_max=1.5),
+            },
+            {"ground_scene": ["Ground"], "rso_scene": ["RSO", "Inspector"]},
+        ),
+        rewarder=data.MixedReward(
+            {
+                "ground_images": data.UniqueImageReward(),
+                "inspection": data.RSOInspectionReward(completion_bonus=1.0, completion_threshold=0.6),
+            },
+            {"ground_images": ["Ground"], "inspection": ["Inspector"]},
+            {"ground_images": "ground_scene", "inspection": "rso_scene"},
+        ),
+        communicator=comm.FreeCommunication(),
+        sat_arg_randomizer=relative_to_chief("RSO", lambda: random_orbit(a=7000.0), start),
+        time_limit=ORBIT,
         **QUIET,
     )

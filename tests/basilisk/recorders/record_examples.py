@@ -179,7 +179,8 @@ def record(example: Example) -> dict[str, Any]:
 
 def targets_of(env: Any) -> list[Any]:
     """Targets in their order."""
-    return list(getattr(env.unwrapped.scenario, "targets", []))
+    whole = env.unwrapped.scenario
+    return [target for part in getattr(whole, "scenarios", {"": whole}).values() for target in getattr(part, "targets", [])]
 
 
 BY_NAME = 1_000_000
@@ -215,10 +216,13 @@ def keep(env: Any, targets: list[Any]) -> NDArray[Any]:
 
 
 def stack(observations: list[list[Any]]) -> NDArray[Any]:
-    """Observations [steps + 1, satellites, width], NaN where there are none."""
+    """Observations [steps + 1, satellites, width], NaN where there are none, or a satellite has fewer."""
     width = max(len(one) for row in observations for one in row if one is not None)
-    none = np.full(width, np.nan)
-    whole = np.array([[none if one is None else np.asarray(one, dtype=np.float64) for one in row] for row in observations])
+    whole = np.full((len(observations), len(observations[0]), width), np.nan)
+    for k, row in enumerate(observations):
+        for i, one in enumerate(row):
+            if one is not None:
+                whole[k, i, : len(one)] = one
     return np.rint(whole / RESOLUTION) * RESOLUTION
 
 
@@ -384,6 +388,13 @@ EXAMPLES: dict[str, Example] = {
     **{f"curriculum_learning_{round(100 * d)}": curriculum(d) for d in (0.0, 0.5, 1.0)},
     "training_with_shield": Example(  # less charge than on the page, so that the rule acts
         lambda: problems.training_with_shield((1000, 1001), 0.24, 0.25), behind_shield(16), 16
+    ),
+    "mixed_environment": Example(
+        problems.mixed_environment,
+        lambda env, k, seen: [(3 * k) % 4 if k % 7 else 4, 0 if k == 0 else NONE, int(k % 9 == 8)],
+        60,
+        seed=9,
+        drawn=("rN", "vN"),
     ),
     "fault_environment": Example(lambda: problems.fault_environment(False), drawn(17, soon(32, 0.1, 0.1)), 24),
     "fault_environment_literal": Example(lambda: problems.fault_environment(True), drawn(18, soon(32, 0.1, 0.1)), 24),

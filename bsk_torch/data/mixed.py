@@ -1,0 +1,158 @@
+"""Rewarders of channels: each for some satellites, and one of several scenarios."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from bsk_torch.data import checked
+from bsk_torch.data.base import GlobalReward, Log
+from bsk_torch.data.composed import ComposedReward
+from bsk_torch.data.inspection import RSOInspectionReward
+from bsk_torch.scene.mixed import MixedScenario, as_dictionary, check_known, check_same_keys, names_by_key
+from bsk_torch.sim.names import nearest
+
+if TYPE_CHECKING:
+    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.scene.base import Scenario
+
+
+class MixedReward(ComposedReward):
+    """Rewarders of channels, each for some satellites and one scenario; a satellite gets the sum over its channels.
+
+    A satellite outside of a channel collects no data in it: its images do not count there, targets are not hidden from it, and
+    the channel neither pays it nor ends its episode. It passes on what it is told of the channel.
+
+    Attributes:
+        channels: Rewarder of each channel.
+        satellite_mapping: Names of the satellites of each channel.
+        scenario_mapping: Id of the scenario of each channel; None without a :class:`bsk_torch.scene.MixedScenario`.
+        terms: Reward of each channel for the last step, [N, S] each.
+    """
+
+    def __init__(
+        self,
+        rewarders: Mapping[str, GlobalReward],
+        satellite_mapping: Mapping[str, Sequence[str]],
+        scenario_mapping: Mapping[str, str] | None = None,
+    ) -> None:
+        """Combine rewarders.
+
+        Args:
+            rewarders: Rewarder of each channel.
+            satellite_mapping: Names of the satellites that collect the data of each channel; some may collect none.
+            scenario_mapping: Id of the scenario of each channel in a :class:`bsk_torch.scene.MixedScenario`; None with other
+                scenarios.
+
+        Raises:
+            ValueError: For mappings with other channels, a value that is not a rewarder, and a rewarder under two channels.
+        """
+        rewarders = as_dictionary("rewarders", rewarders)
+        super().__init__(*rewarders.values())
+        self._keys = tuple(rewarders)
+        self.satellite_mapping = names_by_key("satellite_mapping", satellite_mapping)
+        self.scenario_mapping = None if scenario_mapping is None else as_dictionary("scenario_mapping", scenario_mapping)
+        check_same_keys("satellite_mapping", self.satellite_mapping, rewarders, "rewarders")
+        if self.scenario_mapping is not None:
+            check_same_keys("scenario_mapping", self.scenario_mapping, rewarders, "rewarders")
+        numbers = [id(rewarder) for rewarder in self.rewarders]
+        if twice := [key for key, number in zip(self._keys, numbers, strict=True) if numbers.count(number) > 1]:
+            raise ValueError(f"the channels {twice} have the same rewarder; each channel needs another one")
+
+    @property
+    def channels(self) -> dict[str, GlobalReward]:
+        """Rewarder of each channel."""
+        return dict(zip(self._keys, self.rewarders, strict=True))
+
+    @property
+    def names(self) -> list[str]:
+        """Name of each term: its channel."""
+        return list(self._keys)
+
+    def group_of(self, name: str) -> Hashable:
+        """Return what differs between satellites of different channels, which are simulated as different types."""
+        return tuple(name in self.satellite_mapping[key] for key in self._keys)
+
+    def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
+        """See :meth:`GlobalReward.link`.
+
+        Raises:
+            ValueError: For an unknown scenario or satellite, satellites outside the scenario of their channel, an inspection
+                without all of its inspectors, and where ``scenario_mapping`` is missing or without use.
+        """
+        GlobalReward.link(self, scenario, fleet)
+        for key, group in self.satellite_mapping.items():
+            check_known(f"satellite_mapping[{key!r}]", group, list(fleet.places))
+        looking: list[Any] = [part for part in fleet.satellites if hasattr(part, "access_filters")]
+        for key, rewarder in self.channels.items():
+            before = [list(part.access_filters) for part in looking]
+            place = self._scenario_of(key, scenario)
+            checked.link(rewarder, place, fleet)
+            if isinstance(rewarder, RSOInspectionReward):
+                self._check_inspectors(key, place, fleet)
+            for part, filters in zip(looking, before, strict=True):
+                if self.satellite_mapping[key].isdisjoint(part.names):
+                    part.access_filters = filters
+        mine = [[name in self.satellite_mapping[key] for name in fleet.names] for key in self._keys]
+        self._mine = torch.tensor(mine, dtype=torch.bool, device=fleet.device).unsqueeze(1)
+
+    def _scenario_of(self, key: str, scenario: Scenario) -> Scenario:
+        """Return the scenario of a channel; ValueError for one that does not fit."""
+        if not isinstance(scenario, MixedScenario):
+            if self.scenario_mapping is not None:
+                raise ValueError(f"scenario_mapping needs a scene.MixedScenario; the scenario is a {type(scenario).__name__}")
+            return scenario
+        if self.scenario_mapping is None:
+            raise ValueError(f"scenario_mapping is missing; give each channel one of the scenarios {sorted(scenario.scenarios)}")
+        place = self.scenario_mapping[key]
+        if not isinstance(place, str) or place not in scenario.scenarios:
+            raise ValueError(f"scenario_mapping[{key!r}] is the unknown {place!r}; {nearest(str(place), scenario.scenarios)}")
+        if outside := sorted(self.satellite_mapping[key] - scenario.members(scenario.scenarios[place])):
+            raise ValueError(f"satellite_mapping[{key!r}] has {outside}, which do not take part in the scenario {place!r}")
+        return scenario.scenarios[place]
+
+    def _check_inspectors(self, key: str, scenario: Any, fleet: SatelliteFleet) -> None:
+        """Raise ValueError if an inspector is not in the channel of the inspection: its flights would count."""
+        inspectors = [fleet.names[column] for column in scenario.inspector_columns]
+        if outside := sorted(set(inspectors) - self.satellite_mapping[key]):
+            raise ValueError(f"satellite_mapping[{key!r}] lacks {outside}, which inspect the RSO, too; add them")
+
+    def store_of(self, part: int) -> Any:
+        """Return the knowledge of the satellites of type number ``part``, that of their only channel with any."""
+        return self._keeper(part).store_of(part)
+
+    def store_of_one(self, part: int, row: int) -> Any:
+        """Return the knowledge of the satellite in a row [N * count] of type number ``part``, likewise."""
+        return self._keeper(part).store_of_one(part, row)
+
+    def _keeper(self, part: int) -> Any:
+        """Return the rewarder that keeps the knowledge of a type of satellites; AttributeError unless one channel does."""
+        names = self.fleet.satellites[part].names
+        mine = {key: channel for key, channel in self.channels.items() if hasattr(channel, "store_of")}
+        keys = [key for key in mine if not self.satellite_mapping[key].isdisjoint(names)]
+        if len(keys) != 1:
+            raise AttributeError(
+                f"{names[0]} has data in the channels {keys}; read them from the rewarder of one, as in "
+                "env.rewarder.channels['id'].known"
+            )
+        return mine[keys[0]]
+
+    def calculate_reward(self, before: Log, after: Log) -> Tensor:
+        """See :meth:`GlobalReward.calculate_reward`; to a channel, the logs of other satellites do not change."""
+        for k, (key, rewarder) in enumerate(self.channels.items()):
+            own, mine = f"{k}.", self._mine[k]
+            old, new = ({n.removeprefix(own): v for n, v in log.items() if n.startswith(own)} for log in (before, after))
+            seen = {n: torch.where(mine.view(1, -1, *[1] * (v.ndim - 2)), v, old[n]) for n, v in new.items()}
+            self.terms[key] = torch.where(mine, checked.reward(rewarder, old, seen), 0.0)
+        return torch.stack(list(self.terms.values())).sum(0)
+
+    def is_terminated(self) -> Tensor:
+        """See :meth:`GlobalReward.is_terminated`; by the channels of each satellite."""
+        return (torch.stack([checked.terminated(part) for part in self.rewarders]) & self._mine).any(0)
+
+    def is_truncated(self) -> Tensor:
+        """See :meth:`GlobalReward.is_truncated`; by the channels of each satellite."""
+        return (torch.stack([checked.truncated(part) for part in self.rewarders]) & self._mine).any(0)

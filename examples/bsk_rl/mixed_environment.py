@@ -1,0 +1,161 @@
+"""
+Mixed environment
+=================
+
+A satellite images targets on the ground while another one inspects a spacecraft: two scenarios, each with its channel of rewards.
+
+On the command line::
+
+    python examples/bsk_rl/mixed_environment.py --num-envs 4
+
+The composition of bsk_rl's page "Mixed Ground and Space Imaging", with an inspection in place of its imaging of an RSO. Comments
+mark lines that differ from bsk_rl.
+"""
+
+# sphinx_gallery_thumbnail_path = "_static/readme/RSOInspection-v1.png"
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+
+from bsk_torch import (  # bsk_rl: from bsk_rl import ConstellationTasking, act, data, obs, sats, scene
+    ConstellationTasking,
+    act,
+    comm,
+    data,
+    formations,
+    obs,
+    rand,
+    sats,
+    scene,
+)
+from bsk_torch.sim import dyn, fsw  # bsk_rl: from bsk_rl.sim import dyn, fsw
+
+ORBIT = 5700.0
+
+
+class GroundObserver(sats.ImagingSatellite):
+    """Images one of the next four targets, or charges."""
+
+    observation_spec = [
+        obs.SatProperties(
+            dict(prop="storage_level_fraction"), dict(prop="r_BN_P", norm=7e6)
+        ),
+        obs.OpportunityProperties(
+            dict(prop="priority"),
+            dict(prop="opportunity_close", norm=300.0),
+            n_ahead_observe=4,
+        ),
+        obs.Time(),
+    ]
+    action_spec = [act.Image(4, max_duration=120.0), act.Charge(duration=60.0)]
+    dyn_type = dyn.GroundStationDynModel
+    fsw_type = fsw.ImagingFSWModel
+
+
+class RSO(sats.Satellite):
+    """Points along its Hill frame; it takes part in a scenario, but collects no data."""
+
+    observation_spec = [obs.Time()]
+    action_spec = [act.NadirPoint(duration=1e9)]
+    dyn_type = dyn.RSODynModel
+    fsw_type = fsw.FSWModel
+
+
+class Inspector(sats.Satellite):
+    """Points its instrument at the RSO, or charges."""
+
+    observation_spec = [
+        obs.SatProperties(dict(prop="wheel_speeds_fraction")),
+        obs.RelativeProperties(
+            dict(prop="r_DC_Hc", norm=100.0), dict(prop="v_DC_Hc"), chief_name="RSO"
+        ),
+        obs.Time(),
+    ]
+    action_spec = [
+        act.DiscreteFSWAction("action_inspect_rso", name="inspect", duration=60.0),
+        act.Charge(duration=60.0),
+    ]
+    dyn_type = dyn.RSOInspectorDynModel
+    fsw_type = (fsw.BasicFSWModel, fsw.RSOInspectorFSWModel)
+
+
+CAMERA = dict(imageAttErrorRequirement=0.1, imageRateErrorRequirement=0.1, u_max=0.8)
+
+NEAR = dict(
+    imageAttErrorRequirement=1.0,
+    imageRateErrorRequirement=None,
+    instrumentBaudRate=1.0,
+    dataStorageCapacity=1e6,
+)
+
+
+def make(
+    num_envs: int = 1, sat_args: Sequence[dict[str, Any]] | None = None, **options: Any
+) -> ConstellationTasking:
+    """Return ``num_envs`` episodes of the problem.
+
+    ``sat_args`` of the three satellites replace what would be drawn, ``options`` those of the problem.
+    """
+    own = [{}] * 3 if sat_args is None else sat_args
+    # bsk_rl: start is a function that draws six numbers
+    near = rand.Uniform(
+        [-60.0, -60.0, -60.0, -0.3, -0.3, -0.3], [60.0, 60.0, 60.0, 0.3, 0.3, 0.3]
+    )
+    about = formations.relative_to_chief(
+        "RSO", rand.random_orbit(a=7000.0), {"Inspector": near}
+    )
+    defaults = dict(
+        scenario=scene.MixedScenario(
+            {
+                "ground_scene": scene.UniformTargets(1000),
+                "rso_scene": scene.SphericalRSO(
+                    n_points=100, theta_max=1.4, theta_solar_max=1.5
+                ),
+            },
+            {"ground_scene": ["Ground"], "rso_scene": ["RSO", "Inspector"]},
+        ),
+        rewarder=data.MixedReward(
+            {
+                "ground_images": data.UniqueImageReward(),
+                "inspection": data.RSOInspectionReward(
+                    completion_bonus=1.0, completion_threshold=0.6
+                ),
+            },
+            {"ground_images": ["Ground"], "inspection": ["Inspector"]},
+            {"ground_images": "ground_scene", "inspection": "rso_scene"},
+        ),
+        communicator=comm.FreeCommunication(),
+        sat_arg_randomizer=about if sat_args is None else None,
+        time_limit=ORBIT,
+        num_envs=num_envs,
+    )
+    return ConstellationTasking(
+        satellites=[
+            GroundObserver("Ground", {**CAMERA, **own[0]}),
+            RSO("RSO", own[1]),
+            Inspector("Inspector", {**NEAR, **own[2]}),
+        ],
+        **(defaults | options),
+    )
+
+
+def main() -> None:
+    """Play random actions, and print what each channel pays."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
+    parser.add_argument("--num-envs", type=int, default=4)
+    parser.add_argument("--steps", type=int, default=40)
+    given = parser.parse_args()
+    env = make(given.num_envs, seed=0)
+    env.rollout(given.steps, break_when_any_done=False)
+    for channel, rewarder in env.rewarder.channels.items():
+        paid = torch.stack(list(rewarder.cum_reward.values()), 1).sum(1)
+        print(f"{channel}: {[round(value, 3) for value in paid.tolist()]}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,237 @@
+"""Several scenarios in one batch, and rewards of channels: each is what it is alone."""
+
+from __future__ import annotations
+
+import copy
+import re
+from typing import Any
+
+import pytest
+import torch
+
+from bsk_torch import ConstellationTasking, act, comm, data, obs, sats, scene
+from bsk_torch.sim import dyn, fsw
+from tests.support import inspecting as inspection
+from tests.support.inspecting import EPOCH, POINTS, RSO, TURNED, chief_args, inspector_args
+
+N, STEPS = 2, 7
+GROUPS = {"ground": ["EO", "Scout"], "rso": ["RSO", "Above"]}
+CHANNELS = {"images": ["EO"], "points": ["Above"]}
+PLACES = {"images": "ground", "points": "rso"}
+LOW = dict(oe=None, rN=[0.0, 0.0, 7e6], vN=[7546.0, 0.0, 0.0], **TURNED)
+CAMERA = dict(imageAttErrorRequirement=0.1, imageRateErrorRequirement=0.1, imageTargetMinimumElevation=0.5, u_max=0.8)
+BONUS = dict(completion_bonus=3.0, completion_threshold=0.1, min_illuminated_for_completion=0.1)
+
+
+class Imager(sats.ImagingSatellite):
+    observation_spec = (obs.Time(), obs.OpportunityProperties(dict(prop="priority"), n_ahead_observe=2))
+    action_spec = (act.Image(2), act.Charge())
+    dyn_type = dyn.ImagingDynModel
+    fsw_type = fsw.ImagingFSWModel
+
+
+class Inspector(inspection.Inspector):
+    observation_spec = (obs.RelativeProperties(dict(prop="rso_imaged_regions"), chief_name="RSO"),)
+
+
+def imager(name: str) -> sats.Satellite:
+    return Imager(name, {**LOW, **CAMERA}, variable_interval=False)
+
+
+def inspecting() -> list[sats.Satellite]:
+    above = Inspector("Above", inspector_args(100.0, 0.0, 0.0), variable_interval=False)
+    return [RSO("RSO", chief_args(), variable_interval=False), above]
+
+
+def targets() -> scene.Scenario:
+    return scene.UniformTargets(3000)
+
+
+def points() -> scene.Scenario:
+    return scene.SphericalRSO(**POINTS)
+
+
+def mixed(**given: Any) -> dict[str, Any]:
+    scenario = {"scenarios": {"ground": targets(), "rso": points()}, "satellite_mapping": GROUPS}
+    reward = {
+        "rewarders": {"images": data.UniqueImageReward(), "points": data.RSOInspectionReward(**BONUS)},
+        "satellite_mapping": CHANNELS,
+        "scenario_mapping": PLACES,
+    }
+    for name, value in given.items():
+        (scenario if name in ("scenarios", "groups") else reward)["satellite_mapping" if name == "groups" else name] = value
+    return {"scenario": scene.MixedScenario(**scenario), "rewarder": data.MixedReward(**reward)}
+
+
+def environment(satellites: list[sats.Satellite] | None = None, **options: Any) -> ConstellationTasking:
+    satellites = [imager("EO"), *inspecting(), imager("Scout")] if satellites is None else satellites
+    defaults = dict(
+        num_envs=N,
+        seed=3,
+        time_limit=3000.0,
+        max_step_duration=60.0,
+        world_args=dict(utc_init=EPOCH),
+        dtype=torch.float64,
+        orbit="integrated",
+    )
+    return ConstellationTasking(satellites, **{**defaults, **options})
+
+
+def fly(env: ConstellationTasking, steps: int = STEPS) -> dict[str, list[torch.Tensor]]:
+    """Rewards and observations of all steps by satellite: imagers image, and inspectors inspect."""
+    td, found = env.reset(), {name: [] for name in env.names}
+    for _ in range(steps):
+        for group, names in env.group_map.items():
+            mask = td[group, "action_mask"]
+            td[group, "action"] = torch.where(mask[..., 0], 0, mask.shape[-1] - 1)
+            assert td[group, "action"].shape == (N, len(names))
+        td = env.step(td)["next"]
+        for group, names in env.group_map.items():
+            for k, name in enumerate(names):
+                found[name] += [td[group, "reward"][:, k].clone(), td[group, "observation"][:, k].clone()]
+    return found
+
+
+@pytest.fixture(scope="module")
+def together():
+    env = environment(**mixed(), communicator=comm.FreeCommunication())
+    return env, fly(env)
+
+
+@pytest.mark.compiled
+def test_rewards_are_those_of_each_scenario_alone(together):
+    _, found = together
+    images = fly(environment([imager("EO")], scenario=targets(), rewarder=data.UniqueImageReward()))
+    alone = environment(inspecting(), scenario=points(), rewarder=data.RSOInspectionReward(**BONUS))
+    inspection = fly(alone, 1)
+    assert sum(float(reward.sum()) for reward in images["EO"][::2]) > 0.5
+    for one, other in zip(found["EO"], images["EO"], strict=True):
+        assert torch.equal(one, other)
+    assert torch.equal(found["Above"][0], inspection["Above"][0])
+    assert float(found["Above"][0].min()) > 3.0  # with the bonus
+
+
+@pytest.mark.compiled
+def test_only_the_channels_of_a_satellite_pay_and_end_it(together):
+    env, found = together
+    for name in ("RSO", "Scout"):
+        assert all(float(reward.abs().max()) == 0.0 for reward in found[name][::2])
+    ended = env.rewarder.is_terminated()
+    assert ended.tolist() == [[False, False, True, False]] * N
+    assert env.rewarder.terms.keys() == {"images", "points"}
+    parts = env.rewarder.channels
+    assert torch.equal(env.rewarder.cum_reward["Above"], parts["points"].cum_reward["Above"])
+    assert float(parts["images"].cum_reward["Above"].abs().max()) == 0.0
+
+
+@pytest.mark.compiled
+def test_satellites_know_the_places_of_their_scenarios_and_channels(together):
+    env, _ = together
+    kinds = {part.names[0]: getattr(part, "opportunity_types", ()) for part in env.satellites}
+    assert kinds["EO"] == kinds["Scout"] == ("target",)
+    filters = {part.names[0]: len(part.access_filters) for part in env.satellites if hasattr(part, "access_filters")}
+    assert filters == {"EO": 1, "Scout": 0}
+    known = env.rewarder.channels["images"].known  # Scout is told, and takes images that do not count
+    assert known[:, 0].any()
+    assert torch.equal(known[:, 0], known[:, 3])
+    assert torch.equal(env.rewarder.channels["images"].imaged, known[:, 0])
+    assert torch.equal(env.scenario.priority, env.scenario.scenarios["ground"].priority)
+    assert env.scenario.n_points == 40
+
+
+@pytest.mark.compiled
+def test_episodes_are_saved_and_do_not_depend_on_the_batch(together):
+    env, found = together
+    other = environment(**mixed(), num_envs=2 * N)
+    td = other.reset()
+    assert torch.equal(other.scenario.priority[:N], env.scenario.priority)
+    alike = environment(**mixed())
+    alike.restore(env.get_state())
+    assert torch.equal(alike.rewarder.channels["images"].imaged, env.rewarder.channels["images"].imaged)
+    assert torch.equal(alike.rewarder.is_terminated(), env.rewarder.is_terminated())
+    assert len(found["EO"]) == 2 * STEPS
+    assert td.batch_size[0] == 2 * N
+
+
+@pytest.mark.compiled
+def test_channels_of_one_scenario():
+    rewarder = data.MixedReward({"a": data.UniqueImageReward()}, {"a": ["Scout"]})
+    env = environment([imager("EO"), imager("Scout")], scenario=targets(), rewarder=rewarder)
+    found = fly(env)
+    assert len(env.satellites) == 2  # of one class, with different tasks
+    assert all(float(reward.abs().max()) == 0.0 for reward in found["EO"][::2])
+    assert sum(float(reward.sum()) for reward in found["Scout"][::2]) > 0.5
+
+
+def test_copies_have_scenarios_and_rewarders_of_their_own():
+    scenario = scene.MixedScenario({"a": (one := points()), "b": one, "c": targets()}, {"a": ["A"], "b": ["B"], "c": ["C"]})
+    new = copy.copy(scenario)
+    assert new.scenarios["a"] is new.scenarios["b"]
+    assert new.scenarios["a"] is not one
+    assert new.members(new.scenarios["a"]) == {"A", "B"}
+    assert len({scenario.group_of(name) for name in "ABC"}) == 2
+    reward = mixed()["rewarder"]
+    assert copy.copy(reward).channels["images"] is not reward.channels["images"]
+
+
+# -- errors -----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"satellite_mapping": {"images": []}}, "satellite_mapping has the keys ['images']; they must be those of rewarders"),
+        ({"scenario_mapping": {"images": "ground"}}, "scenario_mapping has the keys ['images']"),
+        ({"rewarders": dict.fromkeys(CHANNELS, data.NoReward())}, "the channels ['images', 'points'] have the same rewarder"),
+        ({"rewarders": {"images": 3, "points": data.NoReward()}}, "3, which is not a rewarder"),
+        (
+            {"satellite_mapping": {**CHANNELS, "images": "EO"}},
+            "satellite_mapping['images']='EO' must be a list of names of satellites",
+        ),
+        ({"scenario_mapping": "ground"}, "scenario_mapping='ground' must be a dictionary with names as keys"),
+        ({"groups": {"ground": []}}, "satellite_mapping has the keys ['ground']; they must be those of scenarios"),
+        ({"scenarios": {"ground": 3, "rso": points()}}, "scenarios['ground']=3 must be a scenario"),
+        ({"scenario_mapping": None}, "scenario_mapping is missing; give each channel one of the scenarios ['ground', 'rso']"),
+        ({"scenario_mapping": {**PLACES, "images": "grund"}}, "is the unknown 'grund'; did you mean 'ground'?"),
+        ({"satellite_mapping": {**CHANNELS, "images": ["E0"]}}, "names the unknown satellite 'E0'; did you mean 'EO'?"),
+        ({"satellite_mapping": {**CHANNELS, "images": ["Above"]}}, "['Above'], which do not take part in the scenario 'ground'"),
+        ({"satellite_mapping": {**CHANNELS, "points": ["RSO"]}}, "satellite_mapping['points'] lacks ['Above'], which inspect"),
+        (
+            {"groups": {**GROUPS, "ground": ["Eo"]}},
+            "satellite_mapping['ground'] names the unknown satellite 'Eo'; did you mean 'EO'?",
+        ),
+        ({"scenarios": {"ground": targets(), "rso": targets()}}, "several scenarios of MixedScenario draw"),
+    ],
+)
+def test_what_does_not_fit_is_rejected(given, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        environment(**mixed(**given), backend="eager")
+
+
+def test_an_imager_without_targets_is_rejected():
+    with pytest.raises(ValueError, match=re.escape("needs a sats.ImagingSatellite and a scenario with targets")):
+        environment(**mixed(groups={"ground": ["EO"], "rso": ["RSO", "Above"]}), backend="eager")
+
+
+def test_ids_of_scenarios_need_several():
+    reward = data.MixedReward({"a": data.UniqueImageReward()}, {"a": ["EO"]}, {"a": "ground"})
+    with pytest.raises(ValueError, match=re.escape("needs a scene.MixedScenario; the scenario is a UniformTargets")):
+        environment([imager("EO")], scenario=targets(), rewarder=reward, backend="eager")
+
+
+def test_a_scenario_must_not_draw_who_is_present():
+    class Few(scene.Scenario):
+        def present(self, key, names):
+            return torch.ones(len(key), len(names), dtype=torch.bool)
+
+    with pytest.raises(ValueError, match=re.escape("scenarios['few'] draws which satellites are present")):
+        scene.MixedScenario({"few": Few()}, {"few": []})
+
+
+def test_attributes_of_several_scenarios_are_ambiguous():
+    whole = scene.MixedScenario({"a": targets(), "b": points(), "c": points()}, {"a": [], "b": [], "c": []})
+    assert whole.most_targets == 3000
+    with pytest.raises(AttributeError, match="several of its scenarios have 'n_points'; read it from one of them"):
+        _ = whole.n_points
+    with pytest.raises(AttributeError, match="none of its scenarios has 'nothing'"):
+        _ = whole.nothing
