@@ -12,12 +12,16 @@ from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.data.composed import ComposedReward
 from bsk_torch.data.inspection import RSOInspectionReward
+from bsk_torch.data.rso_imaging import RSOImageReward
 from bsk_torch.scene.mixed import MixedScenario, as_dictionary, check_known, check_same_keys, names_by_key
 from bsk_torch.sim.names import nearest
 
 if TYPE_CHECKING:
     from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.scene.base import Scenario
+
+OBSERVERS = (RSOInspectionReward, "inspector_columns"), (RSOImageReward, "imager_columns")
+"""Rewarders that read the flights of all satellites of a kind, and where their scenarios hold these."""
 
 
 class MixedReward(ComposedReward):
@@ -80,8 +84,8 @@ class MixedReward(ComposedReward):
         """See :meth:`GlobalReward.link`.
 
         Raises:
-            ValueError: For an unknown scenario or satellite, satellites outside the scenario of their channel, an inspection
-                without all of its inspectors, and where ``scenario_mapping`` is missing or without use.
+            ValueError: For an unknown scenario or satellite, satellites outside the scenario of their channel, a channel without
+                all inspectors of the RSO, or imagers of a catalog, and where ``scenario_mapping`` is missing or without use.
         """
         GlobalReward.link(self, scenario, fleet)
         for key, group in self.satellite_mapping.items():
@@ -91,8 +95,7 @@ class MixedReward(ComposedReward):
             before = [list(part.access_filters) for part in looking]
             place = self._scenario_of(key, scenario)
             checked.link(rewarder, place, fleet)
-            if isinstance(rewarder, RSOInspectionReward):
-                self._check_inspectors(key, place, fleet)
+            self._check_observers(key, rewarder, fleet)
             for part, filters in zip(looking, before, strict=True):
                 if self.satellite_mapping[key].isdisjoint(part.names):
                     part.access_filters = filters
@@ -114,11 +117,13 @@ class MixedReward(ComposedReward):
             raise ValueError(f"satellite_mapping[{key!r}] has {outside}, which do not take part in the scenario {place!r}")
         return scenario.scenarios[place]
 
-    def _check_inspectors(self, key: str, scenario: Any, fleet: SatelliteFleet) -> None:
-        """Raise ValueError if an inspector is not in the channel of the inspection: its flights would count."""
-        inspectors = [fleet.names[column] for column in scenario.inspector_columns]
-        if outside := sorted(set(inspectors) - self.satellite_mapping[key]):
-            raise ValueError(f"satellite_mapping[{key!r}] lacks {outside}, which inspect the RSO, too; add them")
+    def _check_observers(self, key: str, rewarder: GlobalReward, fleet: SatelliteFleet) -> None:
+        """Raise ValueError if a satellite whose flight counts for a rewarder is not in its channel."""
+        columns = next((getattr(rewarder.scenario, name) for kind, name in OBSERVERS if isinstance(rewarder, kind)), ())
+        if outside := sorted({fleet.names[column] for column in columns} - self.satellite_mapping[key]):
+            raise ValueError(
+                f"satellite_mapping[{key!r}] lacks {outside}, whose flights count for {type(rewarder).__name__}; add them"
+            )
 
     def store_of(self, part: int) -> Any:
         """Return the knowledge of the satellites of type number ``part``, that of their only channel with any."""

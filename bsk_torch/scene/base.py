@@ -223,6 +223,10 @@ class Scenario:
         """Return :meth:`place_kinds` for the satellites of one type, by their names; not to be overridden."""
         return self.place_kinds(tables)
 
+    def seen_by(self, names: Sequence[str]) -> Scenario:
+        """Return the scenario of the satellites of one type, by their names; not to be overridden."""
+        return self
+
     def draw_checked(self, key: Key) -> dict[str, Tensor]:
         """Call :meth:`draw`; not to be overridden.
 

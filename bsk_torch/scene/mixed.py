@@ -53,7 +53,7 @@ class MixedScenario(Scenario):
     others. A scenario under several ids has one group, with the satellites of all of them. Attributes that only one scenario has
     can be read from the whole, such as ``priority``.
 
-    The scenarios must draw values of different names: there can be one with targets, and others with points, or with neither.
+    The scenarios must draw values of different names: there can be one with targets on the ground, next to others.
 
     Attributes:
         scenarios: Scenarios by id.
@@ -136,6 +136,16 @@ class MixedScenario(Scenario):
         """See :meth:`Scenario.place_kinds_of`; the places of the scenarios with these satellites."""
         mine = [part for part in self._parts() if not self.members(part).isdisjoint(names)]
         return {kind: places for part in mine for kind, places in part.place_kinds(tables).items()}
+
+    def seen_by(self, names: Sequence[str]) -> Scenario:
+        """See :meth:`Scenario.seen_by`; the only scenario of the satellites, or all."""
+        mine = [part for part in self._parts() if not self.members(part).isdisjoint(names)]
+        return mine[0] if len(mine) == 1 else self
+
+    def _own_arguments(self, satellite: Satellite) -> dict[str, Any]:
+        """See :meth:`Scenario._own_arguments`; of the scenarios in which the satellite takes part."""
+        mine = [part for part in self._parts() if satellite.name in self.members(part)]
+        return {name: value for part in mine for name, value in part._own_arguments(satellite).items()}
 
     def validate_satellite_names(self, satellites: Sequence[Satellite]) -> None:
         """See :meth:`Scenario.validate_satellite_names`; ValueError for names in the mapping that no satellite has, too."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import re
 from typing import Any
 
@@ -12,6 +13,7 @@ import torch
 from bsk_torch import ConstellationTasking, act, comm, data, obs, sats, scene
 from bsk_torch.sim import dyn, fsw
 from tests.support import inspecting as inspection
+from tests.support import rso_imaging as space
 from tests.support.inspecting import EPOCH, POINTS, RSO, TURNED, chief_args, inspector_args
 
 N, STEPS = 2, 7
@@ -153,6 +155,31 @@ def test_episodes_are_saved_and_do_not_depend_on_the_batch(together):
     assert td.batch_size[0] == 2 * N
 
 
+class SpaceImager(space.Imager):
+    action_spec = (act.ImageRSO(3, max_duration=200.0, min_pointing_hold_s=5.0, require_illumination_during_hold=False),)
+
+
+@pytest.mark.compiled
+def test_imaging_of_the_ground_and_of_objects_in_orbit():
+    r_N, v_N = space.state(0.0)
+    args = {**space.KEPT, "oe": None, "rN": r_N.tolist(), "vN": v_N.tolist()}
+
+    def fly_in_space(others: list[sats.Satellite], **task: Any) -> tuple[ConstellationTasking, dict[str, list[torch.Tensor]]]:
+        imagers = [SpaceImager("SDA", args, variable_interval=False), *others]
+        env = environment(imagers, **task, world_args=dict(utc_init=space.EPOCH, gsMinimumElevation=-0.5 * math.pi), orbit=None)
+        return env, fly(env)
+
+    catalog, paid = scene.RSOTargets(space.catalog(), ["SDA"]), data.RSOImageReward(quality_threshold=0.0)
+    _, alone = fly_in_space([], scenario=catalog, rewarder=paid)
+    scenario = scene.MixedScenario({"ground": targets(), "space": catalog}, {"ground": ["EO"], "space": ["SDA"]})
+    channels = {"images": data.UniqueImageReward(), "objects": paid}, {"images": ["EO"], "objects": ["SDA"]}
+    reward = data.MixedReward(*channels, {"images": "ground", "objects": "space"})
+    env, found = fly_in_space([imager("EO")], scenario=scenario, rewarder=reward)
+    assert all(torch.equal(one, other) for one, other in zip(found["SDA"], alone["SDA"], strict=True))
+    assert sum(float(value.sum()) for value in found["EO"][::2]) > 0.5
+    assert int(env.rewarder.channels["objects"].memory["rso_captured"].sum()) > 0
+
+
 @pytest.mark.compiled
 def test_channels_of_one_scenario():
     rewarder = data.MixedReward({"a": data.UniqueImageReward()}, {"a": ["Scout"]})
@@ -195,7 +222,10 @@ def test_copies_have_scenarios_and_rewarders_of_their_own():
         ({"scenario_mapping": {**PLACES, "images": "grund"}}, "is the unknown 'grund'; did you mean 'ground'?"),
         ({"satellite_mapping": {**CHANNELS, "images": ["E0"]}}, "names the unknown satellite 'E0'; did you mean 'EO'?"),
         ({"satellite_mapping": {**CHANNELS, "images": ["Above"]}}, "['Above'], which do not take part in the scenario 'ground'"),
-        ({"satellite_mapping": {**CHANNELS, "points": ["RSO"]}}, "satellite_mapping['points'] lacks ['Above'], which inspect"),
+        (
+            {"satellite_mapping": {**CHANNELS, "points": ["RSO"]}},
+            "satellite_mapping['points'] lacks ['Above'], whose flights count for RSOInspectionReward",
+        ),
         (
             {"groups": {**GROUPS, "ground": ["Eo"]}},
             "satellite_mapping['ground'] names the unknown satellite 'Eo'; did you mean 'EO'?",

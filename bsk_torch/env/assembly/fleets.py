@@ -381,5 +381,5 @@ def link(fleet: SatelliteFleet, scenario: Scenario, rewarder: GlobalReward) -> N
     """Link satellites, scenario and rewarder."""
     scenario.attach(fleet)
     for satellite in fleet.satellites:
-        satellite.scenario, satellite.rewarder = scenario, rewarder
+        satellite.scenario, satellite.rewarder = scenario.seen_by(satellite.names), rewarder
     checked.link(rewarder, scenario, fleet)
