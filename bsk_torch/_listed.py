@@ -28,6 +28,7 @@ class Listed(NamedTuple):
 
 LISTED: dict[str, Listed] = {
     "NadirScan-v1": Listed(ONE, "record the ground below; keep battery, wheels and data buffer within limits"),
+    "NadirScience-v1": Listed(ONE, "the same with ten observations, a large battery and a strong disturbance, of bsk_rl's suite"),
     "FaultyScan-v1": Listed(ONE, "NadirScan-v1 while wheels, panel, battery and transmitter fail at random times"),
     "AEOS-v1": Listed(ONE, "choose which of the next 32 targets to image, of 100 to 9,999"),
     "AEOSPower-v1": Listed(ONE, "AEOS-v1 with a small battery and data buffer, and weak wheels"),

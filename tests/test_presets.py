@@ -21,7 +21,7 @@ pytestmark = pytest.mark.compiled
 
 CONSTELLATIONS = ["AEOSConstellation-v1", "Constellation-v1", "RelayConstellation-v1", "HeteroCluster-v1"]
 INSPECTIONS = {"RSOInspection-v1": 1, "MultiInspection-v1": 3}
-SCANNING = ("NadirScan-v1", "FaultyScan-v1")
+SCANNING = ("NadirScan-v1", "NadirScience-v1", "FaultyScan-v1")
 LINEAR = ("CWDocking-v1", "CWInspection-v1")  # see tests/safe_autonomy
 IMAGING = sorted(set(PRESETS) - {*SCANNING, *CONSTELLATIONS, *INSPECTIONS, *LINEAR})
 ACTIONS = {"AEOSPower-v1": 3 + AHEAD}
@@ -140,8 +140,8 @@ def test_density_counts_every_target_once():
             assert entry.get_obs()[row, k] == pytest.approx(float(env.scenario.priority[row][mine].sum()) / CROWD)
 
 
-WIDTHS = {"NadirScan-v1": 12, "FaultyScan-v1": 21, "AEOS-v1": 269, "CloudyAEOS-v1": 301, "AEOSPower-v1": 298,
-          "Constellation-v1": 141, "AEOSConstellation-v1": 269, "HeteroCluster-v1": 182,
+WIDTHS = {"NadirScan-v1": 12, "NadirScience-v1": 10, "FaultyScan-v1": 21, "AEOS-v1": 269, "CloudyAEOS-v1": 301,
+          "AEOSPower-v1": 298, "Constellation-v1": 141, "AEOSConstellation-v1": 269, "HeteroCluster-v1": 182,
           "CWDocking-v1": 8, "CWInspection-v1": 11}  # fmt: skip
 
 
@@ -249,3 +249,63 @@ def test_claims_and_the_numbers_of_the_rule():
     assert torch.equal(claimed(radar, targets), (targets.place == place[:, :1]).to(targets.close.dtype))
     numbers = {group: RANKINGS["cooperative"](view).numbers for group, view in member_views(env).items()}
     assert numbers == {"optical_imager": Sharing(), "radar_imager": RADAR}
+
+
+# -- bsk_rl's benchmark suite -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["AEOS-v1", "AEOSConstellation-v1"])
+@pytest.mark.parametrize("as_set", [False, True])
+def test_the_benchmark_has_angles_of_half_a_turn_and_a_larger_buffer(name, as_set):
+    envs = [make(name, as_set=as_set, benchmark=flag, num_envs=1, dtype=torch.float64, backend="eager") for flag in (False, True)]
+    views = []
+    for env in envs:
+        td = env.reset()
+        part = env.satellites[0] if hasattr(env, "satellites") else env.satellite
+        assert float(part.sat_args["dataStorageCapacity"].max()) == (1.6e11 if env is envs[1] else 1.6e10)
+        td = td if name == "AEOS-v1" else td[next(iter(env.group_map))]
+        views.append(
+            {
+                key: value.flatten()
+                for key, value in td.items(True, True)
+                if str(key[-1] if isinstance(key, tuple) else key) in ("rows", "observation")
+            }
+        )
+    assert views[0].keys() == views[1].keys()
+    ratios = torch.cat([(one / other)[other != 0.0] for one, other in zip(views[1].values(), views[0].values(), strict=True)])
+    doubled = (ratios - 2.0).abs() < 1e-9
+    assert int(doubled.sum()) == AHEAD * (1 if name == "AEOS-v1" else 3)
+    assert bool((doubled | (ratios == 1.0)).all())
+
+
+def test_nadir_science_is_that_of_the_benchmark():
+    env = bsk_torch.make("NadirScience-v1", num_envs=2000, seed=1, backend="eager")
+    env.reset()
+    args = env.satellite.sat_args
+    assert env.satellite.action_description == ["action_nadir_scan", "action_charge", "action_downlink", "action_desat"]
+    assert float(args["batteryStorageCapacity"].max()) == 400 * 3600.0
+    charge = args["storedCharge_Init"] / (400 * 3600.0)
+    assert 0.3 <= float(charge.min()) < 0.31
+    assert 0.99 < float(charge.max()) <= 1.0
+    assert float(args["disturbance_vector"].std()) == pytest.approx(0.002, rel=0.05)
+    assert float(args["storageInit"].max()) <= 0.8 * 4e10
+    assert env.options.time_limit == 28_500.0
+    assert env.scenario.value_per_second == 1 / 28_500.0
+
+
+def test_the_rule_of_nadir_science_needs_its_observations():
+    with pytest.raises(ValueError, match="observes pointing errors, for which there is the rule 'rule'"):
+        bsk_torch.rule("science", bsk_torch.make("NadirScan-v1", num_envs=1, backend="eager"))
+    with pytest.raises(KeyError):
+        bsk_torch.rule("rule", bsk_torch.make("NadirScience-v1", num_envs=1, backend="eager"))
+    assert bsk_torch.rule("science", bsk_torch.make("NadirScience-v1", num_envs=1, backend="eager")) is not None
+
+
+def test_rules_earn_the_same_in_the_benchmark():
+    earned = []
+    for benchmark in (False, True):
+        env = make("AEOS-v1", benchmark=benchmark, time_limit=900.0, dtype=torch.float64)
+        played = env.rollout(40, bsk_torch.rule("hasty", env), break_when_any_done=False)
+        earned.append(played["next", "reward"])
+    assert float(earned[0].sum()) > 1.0
+    assert torch.equal(*earned)

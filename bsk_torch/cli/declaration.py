@@ -28,16 +28,17 @@ Preset = Annotated[str, typer.Argument(help="Environment; 'bsk-torch list' names
 Policy = Annotated[
     str,
     typer.Argument(
-        help="Run folder, policy file, 'pretrained', or a baseline: random, rule, cautious, greedy, nearest, hasty, farsighted, "
-        "cooperative, drift, circumnavigate, survey, glide, seek.",
+        help="Run folder, policy file, 'pretrained', or a baseline: random, rule, cautious, science, greedy, nearest, hasty, "
+        "farsighted, cooperative, drift, circumnavigate, survey, glide, seek.",
         show_default=False,
     ),
 ]
 PolicyOrPlanner = Annotated[
     str,
     typer.Argument(
-        help="Run folder, policy file, 'pretrained', a baseline (random, rule, cautious, greedy, nearest, hasty, farsighted, "
-        "cooperative, drift, circumnavigate, survey, glide, seek), or a planner (plan:rollout, plan:beam, plan:mcts, plan:cem).",
+        help="Run folder, policy file, 'pretrained', a baseline (random, rule, cautious, science, greedy, nearest, hasty, "
+        "farsighted, cooperative, drift, circumnavigate, survey, glide, seek), or a planner (plan:rollout, plan:beam, plan:mcts, "
+        "plan:cem).",
         show_default=False,
     ),
 ]

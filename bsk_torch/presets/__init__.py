@@ -4,6 +4,7 @@
 name                       module                      task
 =========================  ==========================  ==================================================================
 ``NadirScan-v1``           ``presets.nadir_scan``      record the ground below; manage battery, wheels and data buffer
+``NadirScience-v1``        ``presets.nadir_science``   bsk_rl's benchmark ``nadir_science``: a strong disturbance
 ``FaultyScan-v1``          ``presets.faulty_scan``     the same while wheels, panel, battery and transmitter fail at random times
 ``AEOS-v1``                ``presets.aeos``            choose which of the next 32 targets to image
 ``AEOSCity-v1``            ``presets.aeos``            the same, with cities as targets
@@ -36,12 +37,14 @@ from bsk_torch.presets.faulty_scan import faulty_scan
 from bsk_torch.presets.hetero_cluster import hetero_cluster
 from bsk_torch.presets.inspection import multi_inspection, rso_inspection
 from bsk_torch.presets.nadir_scan import nadir_scan
+from bsk_torch.presets.nadir_science import nadir_science
 from bsk_torch.sim.arguments.values import nearest
 
 __all__ = ["PRESETS", "make"]
 
 PRESETS: dict[str, Callable[..., Any]] = {
     "NadirScan-v1": nadir_scan,
+    "NadirScience-v1": nadir_science,
     "FaultyScan-v1": faulty_scan,
     "AEOS-v1": aeos,
     "AEOSPower-v1": aeos_power,

@@ -1,6 +1,7 @@
 """AEOS-v1, AEOSCity-v1 and CloudyAEOS-v1: agile Earth observation, choosing among the next 32 targets.
 
-AEOS-v1 is the task ``aeos_single`` of bsk_rl's benchmark suite: the satellite is limited by time, not by power or storage. The
+AEOS-v1 is the task ``aeos_single`` of bsk_rl's benchmark suite: the satellite is limited by time, not by power or storage. With
+``benchmark=True``, angles of targets are divided by pi / 2, and the data buffer is ten times as large, exactly as there. The
 targets of AEOSCity-v1 are cities. In CloudyAEOS-v1, clouds cover targets and are observed only as a forecast.
 
 Observation, 12 + 32 * 8 + 1 = 269 numbers (32 more in CloudyAEOS-v1):
@@ -43,6 +44,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch import act, data, obs, rand, sats, scene
+from bsk_torch._checks import switch
 from bsk_torch.constants import R_EARTH
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.sim import dyn, fsw
@@ -81,9 +83,13 @@ TARGET = (
 """Observed properties of each target."""
 
 
-def targets_ahead(*more: dict[str, Any], as_set: bool = False) -> obs.OpportunityProperties:
-    """Return the observation of the next targets: :data:`TARGET`, and ``more`` properties."""
-    return obs.OpportunityProperties(*TARGET, *more, type="target", n_ahead_observe=AHEAD, as_set=as_set)
+SUITE_TARGET = tuple(entry | dict(norm=math.pi / 2) if entry["prop"] == "target_angle" else entry for entry in TARGET)
+"""The same as in bsk_rl's benchmark suite, whose angles are divided by pi / 2."""
+
+
+def targets_ahead(*more: dict[str, Any], as_set: bool = False, properties: Sequence[Any] = TARGET) -> obs.OpportunityProperties:
+    """Return the observation of the next targets: ``properties``, and ``more`` of them."""
+    return obs.OpportunityProperties(*properties, *more, type="target", n_ahead_observe=AHEAD, as_set=as_set)
 
 
 class AgileSatellite(sats.ImagingSatellite):
@@ -101,8 +107,29 @@ class AgileSetSatellite(AgileSatellite):
     observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(as_set=True), obs.Time())
 
 
-def agile_args() -> dict[str, Any]:
-    """Return orbit, agility and instrument of bsk_rl's benchmark, with a hundred times the power and storage of its defaults."""
+class SuiteSatellite(AgileSatellite):
+    """The satellite of bsk_rl's benchmark suite."""
+
+    observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(properties=SUITE_TARGET), obs.Time())
+
+
+class SuiteSetSatellite(AgileSatellite):
+    """The same, with targets as a set."""
+
+    observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(as_set=True, properties=SUITE_TARGET), obs.Time())
+
+
+def agile_satellites(benchmark: bool) -> tuple[type[AgileSatellite], type[AgileSatellite]]:
+    """Return the satellite of the presets, or that of bsk_rl's benchmark suite, and the same with targets as a set."""
+    suite = switch("benchmark", benchmark)
+    return (SuiteSatellite, SuiteSetSatellite) if suite else (AgileSatellite, AgileSetSatellite)
+
+
+def agile_args(benchmark: bool = False) -> dict[str, Any]:
+    """Return orbit, agility and instrument of bsk_rl's benchmark, with a hundred times the power and storage of its defaults.
+
+    With ``benchmark``, the storage is that of the suite, a thousand times the default; it never fills up in either case.
+    """
     return dict(
         oe=rand.random_orbit(a=(6371e3 + ALTITUDE) / 1e3, i=45.0),
         imageTargetMinimumElevation=math.atan(ALTITUDE / 500e3),
@@ -113,7 +140,7 @@ def agile_args() -> dict[str, Any]:
         servo_P=30.0,
         batteryStorageCapacity=100 * 80.0 * 3600.0,
         storedCharge_Init=100 * 80.0 * 3600.0,
-        dataStorageCapacity=100 * 20 * 8e6,
+        dataStorageCapacity=(1000 if benchmark else 100) * 20 * 8e6,
     )
 
 
@@ -137,17 +164,21 @@ def agile_environment(
     return SatelliteTasking(satellite, **(defaults | options))
 
 
-def aeos(*, n_targets: int | tuple[int, int] = (100, 10_000), as_set: bool = False, **options: object) -> SatelliteTasking:
+def aeos(
+    *, n_targets: int | tuple[int, int] = (100, 10_000), as_set: bool = False, benchmark: bool = False, **options: object
+) -> SatelliteTasking:
     """Return AEOS-v1; see the module.
 
     Args:
         n_targets: Number of targets, or its range (the upper end excluded).
         as_set: Whether targets are observed as ``rows`` [N, 32, features] with a ``mask`` instead of in one vector.
+        benchmark: Whether angles of targets are divided by pi / 2, and the data buffer holds 1.6e11 bit instead of 1.6e10, as in
+            bsk_rl's benchmark suite.
         **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset, and ``obs_type`` and
             ``sat_args`` of the satellite.
     """
     options = {"scenario": scene.UniformTargets(n_targets)} | options
-    return agile_environment((AgileSatellite, AgileSetSatellite), agile_args(), as_set, options)
+    return agile_environment(agile_satellites(benchmark), agile_args(benchmark), as_set, options)
 
 
 def aeos_city(
