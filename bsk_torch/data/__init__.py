@@ -10,6 +10,7 @@ from bsk_torch.data.mixed import MixedReward
 from bsk_torch.data.resources import ResourceReward
 from bsk_torch.data.rso_imaging import RSOImageRecord, RSOImageReward
 from bsk_torch.data.scanning import ScanningTimeReward
+from bsk_torch.data.time_penalty import TimePenalty
 from bsk_torch.data.unique_images import UniqueImageData
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "RSOInspectionReward",
     "ResourceReward",
     "ScanningTimeReward",
+    "TimePenalty",
     "UniqueImageData",
     "UniqueImageReward",
 ]
