@@ -3,10 +3,10 @@
 Usage:
     python benchmarks/faults.py [--frames 200000] [--seeds 3] [--episodes 128] [--trainings NAME ...] [--out FILE.json]
 
-Policies of FaultyScan-v1 are trained with different kinds of faults, :data:`TRAININGS`, by the recipe of the preset, except that
-they imitate first what ``rule`` does, whose thresholds were chosen without faults. They, rules and the package's policies for
-NadirScan-v1 and FaultyScan-v1 fly the same fresh episodes: without faults, with one kind of fault (:data:`CONDITIONS`), and
-with all, four times as many.
+Policies of FaultyScan-v1 that do not observe faults are trained with different kinds of them, :data:`TRAININGS`, by the recipe of
+the preset, except that they imitate first what ``rule`` does, whose thresholds were chosen without faults. They, rules and the
+package's policy for NadirScan-v1 fly the same fresh episodes: without faults, with one kind of fault (:data:`CONDITIONS`), and
+with all, four times as many. Each kind of fault that may occur is expected once in an episode.
 """
 
 from __future__ import annotations
@@ -37,8 +37,11 @@ CONDITIONS: dict[str, tuple[str, ...]] = {"none": (), **{kind: (kind,) for kind 
 
 RULES = ("rule", "cautious")
 
-PACKAGED = {"package, faults: none": "NadirScan-v1", "package, faults: all": PRESET}
+PACKAGED = {"package, faults: none": "NadirScan-v1"}
 """Presets of the package's policies, whose trainings were longer, by name."""
+
+FAULTS: dict[str, Any] = dict(chance=1.0, observed=False)
+"""Options of the preset."""
 
 TRAININGS: dict[str, tuple[str, ...]] = {
     "none": (),
@@ -53,7 +56,7 @@ Results = dict[str, dict[str, float]]
 
 def train(name: str, seed: int, options: argparse.Namespace, folder: Path) -> tuple[Any, int]:
     """Return a policy, and the number of decisions that it has learned from."""
-    world = dict(kinds=list(TRAININGS[name]), time_limit=options.time_limit, backend=options.backend)
+    world = FAULTS | dict(kinds=list(TRAININGS[name]), time_limit=options.time_limit, backend=options.backend)
     sizes = dict(num_envs=options.num_envs, imitate="rule", evaluate_every=options.evaluate_every) | harness.budget(options)
     training = Training(configure(PRESET, seed=seed, **sizes, options=world), folder)  # type: ignore[arg-type]
     policy = training.run(bar=False)
@@ -63,9 +66,10 @@ def train(name: str, seed: int, options: argparse.Namespace, folder: Path) -> tu
 def judge(make_policy: Callable[[Any], Any], options: argparse.Namespace) -> Results:
     """Return survival and return by condition of what ``make_policy`` returns for an environment, with 95 % intervals."""
     found = {}
+    world = dict(time_limit=options.time_limit, backend=options.backend)
     for name, kinds in CONDITIONS.items():
         episodes = options.episodes * (4 if kinds == KINDS else 1)
-        env = bsk_torch.make(PRESET, num_envs=episodes, kinds=kinds, time_limit=options.time_limit, backend=options.backend)
+        env = bsk_torch.make(PRESET, num_envs=episodes, kinds=kinds, **FAULTS, **world)
         result = evaluate(make_policy(env), env, seed=JUDGED)
         low, high = result.survival_interval
         found[name] = {

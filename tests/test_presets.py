@@ -149,8 +149,6 @@ WIDTHS = {"NadirScan-v1": 12, "NadirScience-v1": 10, "FaultyScan-v1": 21, "AEOS-
 def test_docstrings_state_what_is_observed(name, width):
     """Every observed quantity is listed in the module of its preset, or in the one that it refers to."""
     options = {} if name in (*SCANNING, *LINEAR) else dict(n_targets=300)
-    if name == "FaultyScan-v1":
-        options |= dict(observed=True)
     if name == "Constellation-v1":
         options |= dict(n_satellites=2, n_planes=1)
     env = bsk_torch.make(name, time_limit=600.0, backend="eager", **options)
@@ -171,7 +169,7 @@ def test_faulty_scan_without_faults_is_nadir_scan():
     """The same episodes, to rounding: wheels that may fail are computed by other operations than bsk_rl's three."""
     faulty, plain = (
         bsk_torch.make(name, num_envs=8, seed=3, time_limit=6000.0, dtype=torch.float64, **options)
-        for name, options in (("FaultyScan-v1", dict(kinds=())), ("NadirScan-v1", {}))
+        for name, options in (("FaultyScan-v1", dict(kinds=(), observed=False)), ("NadirScan-v1", {}))
     )
     actions = torch.randint(4, (40, 8), generator=torch.Generator().manual_seed(0))
     seen = []
@@ -197,7 +195,7 @@ def test_faults_of_faulty_scan_come_as_often_as_stated():
 
 
 def test_kinds_of_faulty_scan_that_do_not_occur_can_be_injected():
-    env = bsk_torch.make("FaultyScan-v1", num_envs=2, seed=5, kinds=["battery"], observed=True, time_limit=600.0)
+    env = bsk_torch.make("FaultyScan-v1", num_envs=2, seed=5, kinds=["battery"], chance=1.0, time_limit=600.0)
     td = env.reset()
     assert env.satellite.observation_description[-2:] == ["faults.fault_severity[7]", "faults.fault_severity[8]"]
     env.inject("panel", envs=[1])

@@ -1,7 +1,6 @@
 """FaultyScan-v1: NadirScan-v1 on a satellite whose parts fail at random times.
 
-Observation, 12 numbers: those of NadirScan-v1 (:mod:`bsk_torch.presets.nadir_scan`); faults are hidden. With ``observed=True``,
-nine more:
+Observation, 21 numbers: the 12 of NadirScan-v1 (:mod:`bsk_torch.presets.nadir_scan`), and, unless ``observed=False``:
 
 ======================  ==========================================================================================
 ``fault_severity`` (9)  share of the change of each fault that acts now, from 0 to 1; not how large the change is
@@ -9,8 +8,8 @@ nine more:
 
 Actions, reward and termination: those of NadirScan-v1.
 
-Random at reset: as in NadirScan-v1, and faults of five kinds. Panel, battery and transmitter fail once in every episode, each of
-the three wheels with probability 1/3 by each of its two kinds of faults, all independently. A fault starts at a time uniform in
+Random at reset: as in NadirScan-v1, and faults of five kinds. Panel, battery and transmitter fail with probability 0.3 each, each
+of the three wheels with probability 0.1 by each of its two kinds of faults, all independently. A fault starts at a time uniform in
 the first three of five orbits, and does not end.
 
 ===============  ==========================================================  =========================
@@ -42,7 +41,7 @@ from bsk_torch.sim.faults import Fault, Sometimes
 KINDS = ("wheel", "friction", "panel", "battery", "transmitter")
 """Kinds of faults."""
 
-CHANCE = 1.0
+CHANCE = 0.3
 """Expected number of faults of a kind in an episode."""
 
 LATEST = 3 * ORBIT
@@ -92,7 +91,7 @@ def faulty_scan(
     *,
     kinds: Collection[str] = KINDS,
     chance: float = CHANCE,
-    observed: bool = False,
+    observed: bool = True,
     sat_args: dict[str, Any] | None = None,
     obs_type: type = torch.Tensor,
     **options: object,

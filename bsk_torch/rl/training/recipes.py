@@ -48,8 +48,10 @@ SCANNING: dict[str, dict[str, Any]] = {
 }
 """For the paper's satellite: how well it does goes up and down, so the best policy is looked for often."""
 
-SCANNING_WITH_FAULTS = {network: recipe | dict(imitate="cautious", imitation=0.2) for network, recipe in SCANNING.items()}
-"""Where most random episodes end early, a rule that survives is a good start."""
+SCANNING_WITH_FAULTS = {
+    network: recipe | dict(imitate="cautious", imitation=0.1, learning_rate=1e-3) for network, recipe in SCANNING.items()
+}
+"""A rule that survives most faults is a good start, which larger steps lose again."""
 
 INSPECTION: dict[str, dict[str, Any]] = {
     "attention": dict(
