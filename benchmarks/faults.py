@@ -1,7 +1,7 @@
 """Does training with faults help when parts fail, also parts that never failed in training?
 
 Usage:
-    python benchmarks/faults.py [--frames 200000] [--seeds 3] [--episodes 128] [--trainings NAME ...] [--out FILE.json]
+    python benchmarks/faults.py [--frames 600000] [--seeds 3] [--episodes 128] [--trainings NAME ...] [--out FILE.json]
 
 Policies of FaultyScan-v1 that do not observe faults are trained with different kinds of them, :data:`TRAININGS`, by the recipe of
 the preset, except that they imitate first what ``rule`` does, whose thresholds were chosen without faults. They, rules and the
@@ -90,7 +90,7 @@ def shown(results: list[Results], condition: str, what: str) -> str:
 def main() -> None:
     """Train, compare, and print two tables."""
     parsed = harness.parser(
-        __doc__, seconds=60.0, frames=200_000, seeds=3, episodes=128, num_envs=256, evaluate_every=100_000, time_limit=28_500.0
+        __doc__, seconds=60.0, frames=600_000, seeds=3, episodes=128, num_envs=256, evaluate_every=100_000, time_limit=28_500.0
     )
     parsed.add_argument("--trainings", nargs="+", choices=TRAININGS, default=list(TRAININGS), metavar="NAME")
     parsed.add_argument("--backend", choices=("compiled", "eager"), default="compiled")
