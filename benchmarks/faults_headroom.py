@@ -1,7 +1,7 @@
 """How much better than rules can policies of FaultyScan-v1 be?
 
 Usage:
-    python benchmarks/faults_headroom.py [--frames 2000000] [--seeds 3] [--episodes 1024] [--planned 128] [--futures 2]
+    python benchmarks/faults_headroom.py [--frames 3000000] [--seeds 3] [--episodes 1024] [--planned 128] [--futures 2]
         [--known past all] [--out FILE.json]
 
 Rules, policies trained by the recipe of the preset, and planners over the rule ``cautious`` fly the same fresh episodes, of which
@@ -98,7 +98,7 @@ def planners(env: SatelliteTasking, options: argparse.Namespace) -> dict[str, Te
 def main() -> None:
     """Train, compare, and print a table."""
     parsed = harness.parser(
-        __doc__, frames=2_000_000, seeds=3, episodes=1024, planned=128, futures=2, num_envs=1024, time_limit=28_500.0
+        __doc__, frames=3_000_000, seeds=3, episodes=1024, planned=128, futures=2, num_envs=1024, time_limit=28_500.0
     )
     parsed.add_argument("--known", nargs="+", choices=("past", "all"), default=["past", "all"], help="faults that planners know")
     parsed.add_argument("--backend", choices=("compiled", "eager"), default="compiled")
