@@ -236,6 +236,7 @@ RECORDED = {
     "record_inspection": "basilisk/recordings/inspection_dark",
     "record_los": "basilisk/recordings/los_two_seconds",
     "record_manoeuvres": "basilisk/recordings/manoeuvre_kick",
+    "record_rso_imaging": "basilisk/recordings/rso_imaging_per",
     "record_models": "basilisk/recordings/models_pointing",
     "record_setpoints": "basilisk/recordings/setpoint_imposed",
     "record_modules": "sim/data/controller",
@@ -244,6 +245,7 @@ RECORDED = {
 
 ELSEWHERE = {
     **{f"examples/bsk_rl/{path.name}": "tests/examples/test_bsk_rl.py" for path in (ROOT / "examples/bsk_rl").glob("*.py")},
+    "examples/bsk_rl/mixed_environment.py": "tests/examples/test_mixed_environment.py",
     "examples/mappo_benchmarl.py": "tests/test_clients.py",
     "examples/ppo_cleanrl.py": "tests/test_clients.py",
     "examples/ppo_rllib.py": "tests/test_clients.py",

@@ -8,9 +8,9 @@ Observation, 21 numbers: the 12 of NadirScan-v1 (:mod:`bsk_torch.presets.nadir_s
 
 Actions, reward and termination: those of NadirScan-v1.
 
-Random at reset: as in NadirScan-v1, and faults of five kinds. Panel, battery and transmitter fail with probability 0.3 each, each
-of the three wheels with probability 0.1 by each of its two kinds of faults, all independently. A fault starts at a time uniform in
-the first three of five orbits, and does not end.
+Random at reset: as in NadirScan-v1, and faults of five kinds. Panel, battery and transmitter fail with probability 0.3 each, and
+each of the three wheels with probability 0.1 by each of its two kinds of faults, all independently. A fault starts at a time
+uniform in the first three of five orbits, and does not end.
 
 ===============  ==========================================================  =========================
 kind             change                                                      range
