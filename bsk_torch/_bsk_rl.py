@@ -154,8 +154,8 @@ MODULES: dict[str, tuple[str, str]] = {
 """Modules of bsk_rl below its root (``sim.world`` is a module here too): where their names are here, and which ones there are."""
 
 RSO = (
-    "is of bsk_rl's satellites as targets; here they are orbits without satellites: scene.RSOTargets with its candidates(), "
-    "views() and candidate_ids()"
+    "is of bsk_rl's satellites as targets, which bsk_torch.bsk_rl has. Here targets are orbits without satellites: "
+    "scene.RSOTargets with its candidates(), views() and candidate_ids()"
 )
 STORES = (
     "is not needed: rewarders keep tensors of all episodes (env.rewarder.imaged, .known, .cum_reward). Others derive from "

@@ -54,6 +54,7 @@ DYN: dict[type, Methods] = {
         "setup_imaging_target": "imageTargetMaximumRange",
         "setup_storage_unit": "dataStorageCapacity storageUnitValidCheck storageInit",
     },
+    dyn.SpaceToSpaceImagingDynModel: {"setup_imaging_target": "imageTargetMaximumRange"},
     dyn.LOSCommDynModel: {"setup_los_comms": "losMaximumRange"},
     dyn.ConjunctionDynModel: {"setup_conjunctions": "conjunction_radius conjunction_check_rate"},
     dyn.MaxRangeDynModel: {"setup_range": "max_range_radius chief_name enforce_range_on_chief"},

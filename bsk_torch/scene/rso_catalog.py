@@ -34,6 +34,9 @@ FARTHEST, FASTEST = 1e9, 1e6
 PHYSICAL = ("mass", "width", "depth", "height", "mu", "min_orbital_radius", "dragCoeff", "panelArea", "u_max")
 """Names of physical parameters of targets."""
 
+FULL_CHARGE = 288000.0
+"""Charge and capacity of the battery of satellites in the place of targets, W s."""
+
 MOST_TARGETS = 1000
 """Largest number of targets: imagers have a partition for each."""
 
@@ -131,6 +134,14 @@ class RSOTarget:
                 raise ValueError(f"{title}: physical_parameters has {name!r}; {nearest(name, PHYSICAL)}")
             number(f"{title}: {name}", value, 0.0, above=True)
         object.__setattr__(self, "physical_parameters", tuple((_physical_defaults() | dict(pairs)).items()))
+
+    def sat_args(self) -> dict[str, Any]:
+        """Return the arguments that bsk_rl's scenario, and that of ``bsk_torch.bsk_rl``, give the satellite in its place."""
+        given = {name: list(getattr(self, name)) for name in ("rN", "vN", "sigma_init", "omega_init")}
+        still = dict.fromkeys(("basePowerDraw", "rwBasePower"), 0.0)
+        full = dict.fromkeys(("batteryStorageCapacity", "storedCharge_Init"), FULL_CHARGE)
+        turns = {"wheelSpeeds": list(self.wheel_speeds_rpm), "disturbance_vector": list(self.disturbance_torque_Nm)}
+        return {**given, "oe": None, **turns, **still, **full, **dict(self.physical_parameters)}
 
 
 def check_orbits(r_N: Tensor, v_N: Tensor, title: Any) -> None:

@@ -260,6 +260,78 @@ def mixed(b: Any) -> Any:
     )
 
 
+def spacecraft(b: Any) -> Any:
+    """Return two imagers of other satellites, with downlinks and a change of priorities.
+
+    What images are worth depends on all that is recorded of them.
+    """
+
+    class Imager(b.sats.AccessSatellite):
+        observation_spec = [
+            b.obs.SatProperties(dict(prop="storage_level_fraction"), dict(prop="wheel_speeds_fraction")),
+            b.obs.RSOTargetProperties(
+                dict(prop="valid"), dict(prop="angle_to_target", norm=90.0, name="angle"), n_ahead_observe=6, name="all"
+            ),
+            b.obs.RSOTargetProperties(n_ahead_observe=3),
+            b.obs.Eclipse(norm=5700.0),
+            b.obs.Time(),
+        ]
+        action_spec = [
+            b.act.ImageRSO(2, max_duration=120.0, min_pointing_hold_s=4.0, require_illumination_during_hold=False),
+            b.act.Downlink(duration=45.0),
+            b.act.Charge(duration=30.0),
+        ]
+        dyn_type = (b.dyn.SpaceToSpaceImagingDynModel, b.dyn.GroundStationDynModel)
+        fsw_type = b.fsw.SpaceToSpaceImagingFSWModel
+
+    class Target(b.sats.Satellite):
+        observation_spec = [b.obs.SatProperties(dict(prop="sigma_BN"), dict(prop="wheel_speeds_fraction"))]
+        action_spec = [b.act.Drift(duration=1e9)]
+        dyn_type = b.dyn.RSOTargetDynModel
+        fsw_type = b.fsw.FSWModel
+
+    def state(angle, radius=7.0e6):
+        along, up, speed = np.array([0.6, 0.0, 0.8]), np.array([0.0, 1.0, 0.0]), (3.98600436e14 / radius) ** 0.5
+        cosine, sine = np.cos(angle), np.sin(angle)
+        return tuple(radius * (cosine * along + sine * up)), tuple(speed * (cosine * up - sine * along))
+
+    def worth(record, target):
+        arrival = 0.0 if record.delivery_time is None else record.delivery_time
+        seen = record.capture_time / 1e3 + record.quality + record.hold_valid_time_s / 10.0 + record.size_bits / 1e6
+        return target.priority * (1.0 + seen + arrival / 1e3)
+
+    angles = (0.05, 0.1, -0.08, 2.5, -0.12, 0.2)
+    targets = [
+        b.scene.RSOTarget(f"object {k}", f"Target{k}", *state(angle, 7.05e6 + 1e4 * k), 1.0 + k, omega_init=(0.01, 0.0, 0.0))
+        for k, angle in enumerate(angles)
+    ]
+    events = (b.scene.RSOPriorityEvent(0.0, (("object 1", 5.0),)), b.scene.RSOPriorityEvent(150.0, (("object 2", 0.25),)))
+    camera = dict(
+        oe=None,
+        imageAttErrorRequirement=0.05,
+        instrumentBaudRate=1e6,
+        transmitterBaudRate=-3e4,
+        dataStorageCapacity=3e6,
+        batteryStorageCapacity=1e9,
+        storedCharge_Init=1e9,
+        u_max=0.8,
+    )
+    satellites = [Target(f"Target{k}") for k in range(3)]
+    for k, angle in enumerate((0.0, -0.02)):
+        r, v = state(angle)
+        satellites.append(Imager(f"Imager{k}", camera | dict(rN=list(r), vN=list(v))))
+    satellites += [Target(f"Target{k}") for k in range(3, len(targets))]
+    return b.root.ConstellationTasking(
+        satellites=satellites,
+        scenario=b.scene.RSOTargets(
+            b.scene.RSOTargetCatalog(targets, priority_events=events), ["Imager1", "Imager0"], block_pending_targets=False
+        ),
+        rewarder=b.data.RSOImageReward(worth, worth, quality_threshold=0.0, cooldown_s=200.0, multi_imager_credit="per_imager"),
+        world_args=dict(utc_init="2026 OCT 01 00:00:00.000 (UTC)", gsMinimumElevation=np.radians(-90.0)),
+        time_limit=3000.0,
+    )
+
+
 PROGRAMS = {
     "scanning": scanning,
     "imaging": imaging,
@@ -267,6 +339,7 @@ PROGRAMS = {
     "extremes": extremes,
     "horizon": horizon,
     "mixed": mixed,
+    "spacecraft": spacecraft,
 }
 """Programs by name."""
 
@@ -291,6 +364,11 @@ def chosen(name: str, rng: np.random.Generator) -> Any:
     if name == "mixed":
         eo, scout, charge = map(int, rng.integers(4, size=3))
         return {"EO": eo, "RSO": 0, "Scout": scout, "Inspector": charge // 3}
+    if name == "spacecraft":
+        turn = int(rng.integers(3))
+        slots = [int(slot) for slot in rng.integers(2, size=2)]
+        acts = [slot if (turn + k) % 3 else 2 + (turn == 2) for k, slot in enumerate(slots)]
+        return {f"Imager{k}": action for k, action in enumerate(acts)} | {f"Target{k}": 0 for k in range(6)}
     thrust = np.array([*rng.uniform(-1.0, 1.0, 3), rng.uniform(50.0, 250.0)])
     return {"Chief": int(rng.integers(2)), "Deputy": thrust}
 

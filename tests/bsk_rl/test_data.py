@@ -225,15 +225,3 @@ def test_a_store_of_ones_own_gets_its_arguments():
     rewarder = linked(Reward(), UniformNadirScanning(), satellites)
     satellites[0].levels = [2.0]
     assert step(rewarder, satellites) == {"Sat0": 6.0}
-
-
-@pytest.mark.parametrize("name", ["RSOImageReward", "RSOImageData"])
-def test_what_is_to_come_says_so(name):
-    import bsk_torch.bsk_rl.data
-
-    with pytest.raises(ImportError, match=r"not in bsk_torch\.bsk_rl yet"):
-        getattr(bsk_torch.bsk_rl.data, name)
-    with pytest.raises(ImportError):
-        exec("from bsk_torch.bsk_rl.scene import RSOTargets", {})
-    with pytest.raises(AttributeError):
-        _ = bsk_torch.bsk_rl.data.Nothing

@@ -312,14 +312,6 @@ def test_ids_of_gymnasium_are_those_of_bsk_rl():
     assert made.observation_space == gymnasium.spaces.Box(-1e16, 1e16, (4,), dtype=np.float64)
 
 
-@pytest.mark.parametrize("module", ["scene", "data", "act", "obs", "sim.dyn", "sim.fsw"])
-def test_names_that_are_to_come_say_so(module):
-    names = {"scene": "RSOTargets", "data": "RSOImageReward", "act": "ImageRSO", "obs": "RSOTargetProperties",
-             "sim.dyn": "RSOTargetDynModel", "sim.fsw": "SpaceToSpaceImagingFSWModel"}  # fmt: skip
-    with pytest.raises(ImportError, match=r"not in bsk_torch\.bsk_rl yet"):
-        exec(f"from bsk_torch.bsk_rl.{module} import {names[module]}")
-
-
 def test_films_for_vizard_raise():
     with pytest.raises(NotImplementedError, match=r"leave the argument out.*bsk-torch film"):
         SatelliteTasking(Drifter("D"), vizard_dir="/tmp/x", vizard_settings={"showLocationLabels": 0}, backend="eager")

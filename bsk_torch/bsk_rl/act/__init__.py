@@ -19,7 +19,7 @@ from bsk_torch.bsk_rl.act.discrete_actions import (
     NadirPoint,
     Scan,
 )
-from bsk_torch.bsk_rl.later import not_yet
+from bsk_torch.bsk_rl.act.rso_imaging import ImageRSO
 
 __all__ = [
     "Action",
@@ -33,10 +33,9 @@ __all__ = [
     "Downlink",
     "Drift",
     "Image",
+    "ImageRSO",
     "ImpulsiveThrust",
     "ImpulsiveThrustHill",
     "NadirPoint",
     "Scan",
 ]
-
-__getattr__ = not_yet(__name__)

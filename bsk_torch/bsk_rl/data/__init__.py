@@ -5,9 +5,10 @@ from bsk_torch.bsk_rl.data.composition import MixedData, MixedDataStore, MixedRe
 from bsk_torch.bsk_rl.data.nadir_data import ScanningTimeReward
 from bsk_torch.bsk_rl.data.no_data import NoReward
 from bsk_torch.bsk_rl.data.resource_data import ResourceReward
+from bsk_torch.bsk_rl.data.rso_imaging import RSOImageData, RSOImageReward, RSOImageStore
 from bsk_torch.bsk_rl.data.rso_inspection import RSOInspectionReward
 from bsk_torch.bsk_rl.data.unique_image_data import UniqueImageReward
-from bsk_torch.bsk_rl.later import not_yet
+from bsk_torch.bsk_rl.utils.rso_imaging import RSOImageRecord
 
 __all__ = [
     "GlobalReward",
@@ -15,10 +16,12 @@ __all__ = [
     "MixedDataStore",
     "MixedReward",
     "NoReward",
+    "RSOImageData",
+    "RSOImageRecord",
+    "RSOImageReward",
+    "RSOImageStore",
     "RSOInspectionReward",
     "ResourceReward",
     "ScanningTimeReward",
     "UniqueImageReward",
 ]
-
-__getattr__ = not_yet(__name__)

@@ -1,6 +1,5 @@
 """Observations of bsk_rl."""
 
-from bsk_torch.bsk_rl.later import not_yet
 from bsk_torch.bsk_rl.obs.observations import (
     Eclipse,
     Observation,
@@ -10,15 +9,15 @@ from bsk_torch.bsk_rl.obs.observations import (
     Time,
 )
 from bsk_torch.bsk_rl.obs.relative_observations import RelativeProperties
+from bsk_torch.bsk_rl.obs.rso_imaging import RSOTargetProperties
 
 __all__ = [
     "Eclipse",
     "Observation",
     "OpportunityProperties",
+    "RSOTargetProperties",
     "RelativeProperties",
     "ResourceRewardWeight",
     "SatProperties",
     "Time",
 ]
-
-__getattr__ = not_yet(__name__)

@@ -31,7 +31,6 @@ ABSENT = [
     "mrpSteeringControl",
     "servo",
     "sunPoint",
-    "locPoint",
     "hillPoint",
     "trackingError",
     "thrForceMapping",
@@ -256,4 +255,8 @@ class Eclipses:
         return [self._of(*satellite.core_row) for satellite in self.world.simulator.satellites]
 
     def _of(self, part: int, row: int) -> Message:
-        return Message(lambda: {"shadowFactor": float(self.world.simulator.fleet.simulators[part].read("illumination")[row])})
+        def read() -> dict[str, float]:
+            light = float(self.world.simulator.fleet.simulators[part].read("illumination")[row])
+            return {"shadowFactor": light, "illuminationFactor": light}
+
+        return Message(read)

@@ -11,6 +11,7 @@ from typing import Any
 import torch
 
 from bsk_torch.bsk_rl.sim.engine import Engine, row_mask
+from bsk_torch.bsk_rl.sim.rso_imaging import Aims
 from bsk_torch.bsk_rl.sim.views import WorldView
 from bsk_torch.comm.los import visible_pairs
 from bsk_torch.constants import NANO
@@ -58,6 +59,7 @@ class Simulator:
         world: Sun, Earth and ground stations.
         fleet: The core's simulation, with one environment.
         eventMap: Events by name.
+        aims: Satellites at which imagers point.
     """
 
     def __init__(
@@ -77,6 +79,7 @@ class Simulator:
         self._at: int | None = None
         self.engine = engine or Engine()
         self.fleet: SatelliteFleet = self.engine.begin(self.satellites, world_type, self.world_args, sim_rate, time_limit)
+        self.aims = Aims(self.fleet)
         self._every = torch.ones(1, dtype=torch.bool)
         self._h_ns = self.fleet.simulators[0].h_ns
         et = self.fleet.simulators[0].lookahead.flight.et[:1]
@@ -97,6 +100,11 @@ class Simulator:
         """Finish a reset; nothing is left to do."""
 
     # -- reading ------------------------------------------------------------------------------------------------------
+
+    @property
+    def tick_ns(self) -> int:
+        """Length of a tick, ns."""
+        return self._h_ns
 
     @property
     def sim_time_ns(self) -> int:
@@ -135,16 +143,20 @@ class Simulator:
         self.eventMap[name] = Event(self.tick_at(seconds), effect, terminal)
 
     def add_image_event(self, name: str, satellite: Any, effect: Callable[[Simulator], Any] | None, terminal: bool) -> None:
-        """Let something happen when the first partition of a satellite's store grows."""
+        """Let something happen when a satellite has taken an image: when the first partition of its store grows."""
         self.eventMap[name] = Event(None, effect, terminal, image_of=satellite)
-        part, row = satellite.core_row
-        self._arm(satellite, float(self.fleet.satellites[part].dynamics.partition_levels[row, 0]))
+        self._arm(satellite, True)
 
-    def _arm(self, satellite: Any, level: float) -> None:
+    def _arm(self, satellite: Any, armed: bool) -> None:
         part, row = satellite.core_row
         simulator = self.fleet.simulators[part]
         mask = row_mask(self.fleet, part, row)
-        simulator.write("image_level", mask, torch.full(mask.shape, level, dtype=torch.float64))
+        if "rso_ends" in simulator.tick.state.fields:
+            name, value = "rso_ends", float(armed)
+        else:
+            level = self.fleet.satellites[part].dynamics.partition_levels[row, 0] if armed else DISARMED
+            name, value = "image_level", float(level)
+        simulator.write(name, mask, torch.full(mask.shape, value, dtype=torch.float64))
 
     def createNewEvent(
         self,
@@ -182,7 +194,7 @@ class Simulator:
         """Remove an event; KeyError for an unknown one."""
         event = self.eventMap.pop(event_name)
         if event.image_of is not None and event.eventActive:
-            self._arm(event.image_of, DISARMED)
+            self._arm(event.image_of, False)
 
     # -- running ------------------------------------------------------------------------------------------------------
 

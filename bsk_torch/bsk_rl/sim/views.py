@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from copy import deepcopy
 from functools import cached_property, partial
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +17,8 @@ import torch
 
 from bsk_torch.bsk_rl.sim import messages
 from bsk_torch.bsk_rl.sim.engine import row_mask
-from bsk_torch.sim.dyn import GroundStationDynModel
+from bsk_torch.bsk_rl.sim.rso_imaging import Capture, sees
+from bsk_torch.sim.dyn import GroundStationDynModel, SpaceToSpaceImagingDynModel
 from bsk_torch.sim.environment.world import station_arrays, station_names
 from bsk_torch.sim.fsw.setpoint import ATTITUDE_MRP, HOLD_INERTIAL
 from bsk_torch.sim.names import nearest
@@ -243,6 +245,33 @@ class DynamicsView(SatelliteModelView):
         """True anomaly, rad, likewise."""
         return self._elements_at_start()["f"]
 
+    @property
+    def _bound_targets(self) -> dict[str, Any]:
+        """Targets that the imager knows, by id; AttributeError for other satellites."""
+        if not isinstance(self, SpaceToSpaceImagingDynModel):
+            raise AttributeError(self._advice("bind_rso_target"))
+        return self.__dict__.setdefault("_targets", {})
+
+    def bind_rso_target(self, target: Any) -> None:
+        """Let the imager know a target of its scenario; ValueError for one that it knows."""
+        if target.id in self._bound_targets:
+            raise ValueError(f"{self.satellite.name} knows the target {target.id!r} already")
+        self._bound_targets[target.id] = target.target_spacecraft
+        self.simulator.aims.add(target.target_spacecraft)
+
+    @property
+    def rso_partition_names(self) -> dict[str, str]:
+        """Partitions of the imager's store by the ids of targets."""
+        return {target_id: self.satellite.rso_scenario.partition_name(target_id) for target_id in self._bound_targets}
+
+    @property
+    def rso_access_messages(self) -> dict[str, messages.Message]:
+        """Messages by the ids of targets: ``hasAccess``, whether the target is in sight and within range."""
+        return {
+            target_id: messages.Message(partial(lambda target: {"hasAccess": int(sees(self, target))}, target))
+            for target_id, target in self._bound_targets.items()
+        }
+
     def is_alive(self, log_failure: bool = False) -> bool:
         """See :meth:`ModelView.is_alive`; deputies may take their chief with them."""
         part, row = self.satellite.core_row
@@ -282,6 +311,8 @@ class FlightSoftwareView(SatelliteModelView):
         core = self._core
         if command not in core.type.commands:
             core.check_command(command)
+        if "image_rso" in core.type.commands:
+            self.rso_capture.forget()
         core.command(self._rows, core.mode_index(command))
 
     def write(self, name: str, value: Any) -> None:
@@ -289,8 +320,46 @@ class FlightSoftwareView(SatelliteModelView):
         rows = self._rows
         self._core.write(name, rows, torch.as_tensor(np.atleast_1d(np.asarray(value, dtype=float))).expand(len(rows), -1))
 
+    @property
+    def rso_capture(self) -> Capture:
+        """The gate before the instrument of an imager of other satellites, and its images."""
+        if "image_rso" not in self._core.type.commands:
+            raise AttributeError(self._advice("rso_capture"))
+        return self.__dict__.setdefault("_capture", Capture(self.satellite))
+
+    @property
+    def locPoint(self) -> SimpleNamespace:
+        """Basilisk's guidance for images: ``pHat_B``, the axis of the instrument in body axes, a unit vector."""
+        args = self.satellite.sat_args
+        if "inst_pHat_B" not in args:
+            raise AttributeError(self._advice("locPoint"))
+        axis = np.array(args["inst_pHat_B"], dtype=float)
+        return SimpleNamespace(pHat_B=axis / np.linalg.norm(axis))
+
+    def action_image_rso(
+        self,
+        target: Any,
+        duration: float = 300.0,
+        hold_s: float = 10.0,
+        hold_mode: str = "cumulative",
+        require_illumination: bool = True,
+        illumination_threshold: float = 0.5,
+    ) -> None:
+        """Point at a target of the scenario and take one image of it; see :class:`bsk_torch.bsk_rl.act.ImageRSO`.
+
+        Raises:
+            ValueError: For a target that the imager does not know.
+        """
+        capture = self.rso_capture
+        if target.id not in self.dynamics.rso_partition_names:
+            raise ValueError(f"{self.satellite.name} does not know the target {target.id!r}; dynamics.bind_rso_target adds it")
+        self.enter("image_rso")
+        capture.start(target, duration, hold_s, hold_mode, require_illumination, illumination_threshold)
+
     def action_image(self, r_LP_P: Any, data_name: str = "") -> None:
         """Point the instrument at a place, m in Earth-fixed axes, and take one image of it."""
+        if "image_rso" in self._core.type.commands:
+            raise NotImplementedError(f"{type(self._whole).__name__} images satellites: use act.ImageRSO")
         self.enter("image")
         self.write("r_LP_P", r_LP_P)
 
@@ -376,8 +445,10 @@ class WorldView(ModelView):
 
     @cached_property
     def groundStations(self) -> list[Station]:
-        """The ground stations."""
+        """The ground stations; AttributeError in a world without any."""
         args = dict(self.simulator.world_args)
+        if "groundStationsData" not in args:
+            raise AttributeError(self._advice("groundStations"))
         stations = args.get("groundStationsData")
         if not stations:
             return []

@@ -1,6 +1,6 @@
 """Dynamics models of bsk_rl, which are those of the core."""
 
-from bsk_torch.bsk_rl.later import not_yet
+from bsk_torch.bsk_rl.sim.dyn.rso_imaging import RSOTargetDynModel, SpaceToSpaceImagingDynModel
 from bsk_torch.sim.dyn import (
     AtmosphericDragDynModel,
     BasicDynamicsModel,
@@ -36,6 +36,6 @@ __all__ = [
     "MaxRangeDynModel",
     "RSODynModel",
     "RSOInspectorDynModel",
+    "RSOTargetDynModel",
+    "SpaceToSpaceImagingDynModel",
 ]
-
-__getattr__ = not_yet(__name__)

@@ -1,5 +1,9 @@
-"""Dynamics models of space-to-space imaging, which bsk_torch does not have yet."""
+"""Dynamics of satellites that image others, and of their targets; counterpart of ``bsk_rl.sim.dyn.rso_imaging``."""
 
-from bsk_torch.bsk_rl.later import not_yet
+from bsk_torch.sim.dyn import BasicDynamicsModel, SpaceToSpaceImagingDynModel
 
-__getattr__ = not_yet(__name__)
+__all__ = ["RSOTargetDynModel", "SpaceToSpaceImagingDynModel"]
+
+
+class RSOTargetDynModel(BasicDynamicsModel):
+    """A satellite that others image; see :class:`bsk_torch.bsk_rl.scene.RSOTargets`. It flies with ``fsw.FSWModel``."""

@@ -1,6 +1,6 @@
 """Flight-software models of bsk_rl, which are those of the core."""
 
-from bsk_torch.bsk_rl.later import not_yet
+from bsk_torch.bsk_rl.sim.fsw.rso_imaging import SpaceToSpaceImagingFSWModel
 from bsk_torch.sim.fsw import (
     BasicFSWModel,
     ContinuousImagingFSWModel,
@@ -24,10 +24,9 @@ __all__ = [
     "ImagingFSWModel",
     "MagicOrbitalManeuverFSWModel",
     "RSOInspectorFSWModel",
+    "SpaceToSpaceImagingFSWModel",
     "SteeringFSWModel",
     "SteeringImagerFSWModel",
     "Task",
     "action",
 ]
-
-__getattr__ = not_yet(__name__)

@@ -1,5 +1,5 @@
-"""Flight software of space-to-space imaging, which bsk_torch does not have yet."""
+"""Flight software of satellites that image others; counterpart of ``bsk_rl.sim.fsw.rso_imaging``."""
 
-from bsk_torch.bsk_rl.later import not_yet
+from bsk_torch.sim.fsw import SpaceToSpaceImagingFSWModel
 
-__getattr__ = not_yet(__name__)
+__all__ = ["SpaceToSpaceImagingFSWModel"]

@@ -1,0 +1,164 @@
+"""Imagers that point at other satellites of the episode: orbits of these for the ticks, and the gate before the instrument."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from bsk_torch.astro.sight import line_clearance, stretch
+from bsk_torch.bsk_rl.sim.engine import row_mask
+from bsk_torch.bsk_rl.utils.rso_imaging import RSOImageRecord
+from bsk_torch.constants import NANO
+from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sim.assembly.satellite_type import whole_nanoseconds
+from bsk_torch.sim.catalog.aim import AIM, NO_AIM, AimedNodes
+from bsk_torch.sim.catalog.orbits import CatalogOrbits, Epoch
+from bsk_torch.sim.dyn.rso_imaging import GATE_FIELDS, RSO_TRACK
+from bsk_torch.sim.orbit.flights import make_flights
+from bsk_torch.vec3 import Vec3
+
+if TYPE_CHECKING:
+    from bsk_torch.bsk_rl.sim.views import DynamicsView
+
+LONGEST = 1e9
+"""Longest time until a deadline, s."""
+
+
+class Aims:
+    """Supplies the orbits of satellites at which others point; ticks know no states of other satellites.
+
+    The orbits are those of the initial states, without drag; see :class:`bsk_torch.sim.catalog.orbits.CatalogOrbits`.
+    """
+
+    def __init__(self, fleet: SatelliteFleet) -> None:
+        """Begin without targets in the episode of ``fleet``."""
+        self.fleet = fleet
+        self._targets: list[Any] = []
+        self._orbits: CatalogOrbits | None = None
+
+    def add(self, target: Any) -> None:
+        """Add a satellite as a target."""
+        if target not in self._targets:
+            self._targets.append(target)
+            self._orbits = None
+
+    def point(self, imager: Any, target: Any) -> None:
+        """Let the instrument of an imager point at a target whenever it images."""
+        if self._orbits is None:
+            self._orbits = self._begin()
+        self._orbits.catch_up(self.fleet.sim_time)
+        part, row = imager.core_row
+        memory = self.fleet.simulators[part].memory
+        memory[AIM] = torch.where(row_mask(self.fleet, part, row), self._targets.index(target), memory[AIM])
+
+    def _begin(self) -> CatalogOrbits:
+        """Return the orbits of the targets, from which all imagers get what their ticks read."""
+        first = self.fleet.simulators[0]
+        solver = make_flights(first.h, first.type.options.backend, self.fleet.device, first.type.gravity_degree)
+        states = (torch.tensor([[list(t.sat_args[name]) for t in self._targets]]).double() for name in ("rN", "vN"))
+        r_N, v_N = states
+        et = first.state.arguments["utc_init"][:1]
+        orbits = CatalogOrbits(1, len(self._targets), solver, Epoch(lambda envs: et[envs], lambda envs: (r_N[envs], v_N[envs])))
+        for simulator in self.fleet.simulators:
+            if "rso_armed" in simulator.tick.state.fields:
+                if AIM not in simulator.memory:
+                    simulator.memory.declare(AIM, NO_AIM, low=NO_AIM)
+                simulator.sources[RSO_TRACK.name] = AimedNodes(simulator, orbits)
+        return orbits
+
+
+class Capture:
+    """The gate before the instrument of an imager, and the images that it has taken; ``fsw.rso_capture``.
+
+    Attributes:
+        records: Images of the episode.
+        completed: Whether the image of the present task has been taken, as of the last :meth:`check_capture`.
+    """
+
+    def __init__(self, satellite: Any) -> None:
+        """Begin the episode of an imager."""
+        self.satellite = satellite
+        self.records: list[RSOImageRecord] = []
+        self.completed = False
+        self._target: Any = None
+        self._deadline = 0
+
+    def _read(self, name: str) -> float:
+        part, row = self.satellite.core_row
+        return float(self.satellite.simulator.fleet.simulators[part].read(name)[row])
+
+    @property
+    def target(self) -> Any:
+        """The target of the task; None without a task, and after its deadline has passed without an image."""
+        late = self.satellite.simulator.sim_time_ns >= self._deadline and not self.check_capture()
+        return None if late else self._target
+
+    @property
+    def held_s(self) -> float:
+        """Time for which the conditions of the image have held, s."""
+        return self._read("rso_held")
+
+    @property
+    def previous_valid(self) -> bool:
+        """Whether they held in the last tick."""
+        return self._read("rso_valid") > 0.0
+
+    def start(
+        self,
+        target: Any,
+        duration: float,
+        hold_s: float,
+        hold_mode: str,
+        require_illumination: bool,
+        illumination_threshold: float,
+    ) -> None:
+        """Begin a task, whose command has been given; see :class:`bsk_torch.bsk_rl.act.ImageRSO`."""
+        satellite, simulator = self.satellite, self.satellite.simulator
+        self._target = target
+        simulator.aims.point(satellite, target.target_spacecraft)
+        names = satellite.sat_args["bufferNames"]
+        if len(names) > 1:
+            satellite.fsw.write("data_partition", float(names.index(satellite.dynamics.rso_partition_names[target.id])))
+        self._deadline = simulator.sim_time_ns + whole_nanoseconds(min(duration, LONGEST))
+        task = {
+            "rso_deadline": float(-(-self._deadline // simulator.tick_ns)),
+            "rso_hold": float(hold_s),
+            "rso_continuous": float(hold_mode == "continuous"),
+            "rso_least_light": float(illumination_threshold) if require_illumination else -1.0,
+            "rso_ends": 0.0,
+        }
+        for name, value in task.items():
+            satellite.fsw.write(name, value)
+
+    def forget(self) -> None:
+        """Forget the task, which another command has ended or will end."""
+        self.check_capture()
+        self.completed, self._target = False, None
+
+    def cancel(self) -> None:
+        """End the task: no image is taken."""
+        self.forget()
+        for field in GATE_FIELDS:
+            self.satellite.fsw.write(field.name, 0.0)
+
+    def check_capture(self) -> bool:
+        """Add a new image to the records; return whether the image of the task has been taken."""
+        number = int(self._read("rso_images"))
+        if number > len(self.records):
+            satellite, target = self.satellite, self._target
+            time = round(self._read("rso_image_tick")) * satellite.simulator.tick_ns * NANO
+            size, quality = float(satellite.sat_args["instrumentBaudRate"]), self._read("rso_image_quality")
+            record_id, held = f"{satellite.name}:{number}", self._read("rso_image_held")
+            self.records.append(RSOImageRecord(record_id, target.id, satellite.name, time, size, quality, held))
+            self.completed = True
+        return self.completed
+
+
+def sees(dynamics: DynamicsView, target: Any) -> bool:
+    """Return whether an imager has a target in sight and within range now."""
+    pole = Vec3.of(torch.from_numpy(dynamics.world.PN[2]))
+    ends = [Vec3.of(torch.tensor(list(each.r_BN_N)).double()) for each in (dynamics, target.dynamics)]
+    line, reach = ends[1] - ends[0], float(dynamics.satellite.sat_args["imageTargetMaximumRange"])
+    clear = line_clearance(*(stretch(end, pole) for end in ends)) > 0.0
+    return bool(clear) and (reach < 0.0 or float(line.norm()) <= reach)
