@@ -73,7 +73,7 @@ class Capture:
 
     Attributes:
         records: Images of the episode.
-        completed: Whether the image of the present task has been taken, as of the last :meth:`check_capture`.
+        completed: Whether the image of the current task has been taken, as of the last :meth:`check_capture`.
     """
 
     def __init__(self, satellite: Any) -> None:
