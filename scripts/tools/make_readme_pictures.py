@@ -63,8 +63,11 @@ FILM_SEED, THUMBNAIL_SEED = 3, 59
 INSPECTIONS, INSPECTION, INSPECTION_SEED = ("RSOInspection-v1", "MultiInspection-v1"), "survey", 4
 """Presets whose thumbnail is made of paths about an RSO, and the rule and the seed of the episode that it shows."""
 
-CLUSTER, CLUSTER_RULE = "HeteroCluster-v1", "cooperative"
-"""Preset without a pretrained policy, and the rule that its thumbnail shows."""
+RULES = {"HeteroCluster-v1": "cooperative", "NadirScience-v1": "science", "CWDocking-v1": "glide", "CWInspection-v1": "seek"}
+"""Presets without a pretrained policy, and the rules that their thumbnails show."""
+
+LINEAR, DEPUTIES = ("CWDocking-v1", "CWInspection-v1"), 12
+"""Presets whose thumbnail is made of paths in the chief's orbit plane, and the number of paths."""
 
 GUIDES = ("own_rewarder", "own_satellite")
 """Pages of docs/how_to whose blocks draw ``<page>.png``."""
@@ -74,7 +77,7 @@ INK, OURS, THEIRS = "#14171c", "#2a6ebb", "#98a2b3"
 
 def options_of(preset: str) -> dict[str, Any]:
     """Return the options of the environment that the pretrained policy was trained in, without those of its training."""
-    if preset == CLUSTER:
+    if preset in RULES:
         return {}
     options = read_card(pretrained_file(preset))["options"]
     return {name: value for name, value in options.items() if name != "time_limit"}
@@ -83,7 +86,7 @@ def options_of(preset: str) -> dict[str, Any]:
 def played(preset: str, seed: int, **options: Any) -> Iterator[Tasking]:
     """Yield the environment of one episode at the reset and after each decision of the policy or rule."""
     env = make(preset, num_envs=1, seed=seed, **(options_of(preset) | options))
-    policy = bsk_torch.rule(CLUSTER_RULE, env) if preset == CLUSTER else shared(pretrained(preset), env)
+    policy = bsk_torch.rule(RULES[preset], env) if preset in RULES else shared(pretrained(preset), env)
     start = env.reset()
     yield env
     for _ in play_episodes(env, policy, start):
@@ -133,7 +136,7 @@ def frame(folder: Path) -> Path:
 
 def thumbnail(preset: str, path: Path) -> Path:
     """Write a thumbnail of a preset."""
-    if preset in INSPECTIONS:
+    if preset in INSPECTIONS or preset in LINEAR:
         return paths_thumbnail(preset, path)
     env = next(filter(is_bright, played(preset, THUMBNAIL_SEED)))
     frame = Image.fromarray(env.render(0, 4 * THUMBNAIL).numpy())
@@ -145,18 +148,38 @@ def thumbnail(preset: str, path: Path) -> Path:
 
 
 def paths_thumbnail(preset: str, path: Path) -> Path:
-    """Write a thumbnail of an inspection: the paths near the RSO."""
-    env = make(preset, num_envs=1, actions="waypoints")
-    episode = record_inspection(bsk_torch.rule(INSPECTION, env), env, seed=INSPECTION_SEED)
+    """Write a thumbnail of paths near another spacecraft."""
     figure = Figure(figsize=(2.0, 2.0), dpi=2 * THUMBNAIL, facecolor="white")
     panel = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    draw_paths(panel, episode, 1, 0, near=True)
+    (linear_paths if preset in LINEAR else inspection_paths)(preset, panel)
     panel.set_axis_off()
     with tempfile.TemporaryDirectory() as folder:
         large = Image.open(save(figure, Path(folder) / path.name)).convert("RGB")
     small = large.resize((THUMBNAIL, THUMBNAIL), Image.Resampling.LANCZOS)
     small.quantize(COLORS, dither=Image.Dither.NONE).save(path, optimize=True)
     return path
+
+
+def inspection_paths(preset: str, panel: Axes) -> None:
+    """Draw the paths of one inspection near the RSO."""
+    env = make(preset, num_envs=1, actions="waypoints")
+    episode = record_inspection(bsk_torch.rule(INSPECTION, env), env, seed=INSPECTION_SEED)
+    draw_paths(panel, episode, 1, 0, near=True)
+
+
+def linear_paths(preset: str, panel: Axes) -> None:
+    """Draw the paths of several episodes in the orbit plane of the chief, until each of them ends."""
+    env = make(preset, num_envs=DEPUTIES, seed=INSPECTION_SEED)
+    start = env.reset()
+    positions = [env.satellites[0].dynamics.rho_H]
+    for _ in play_episodes(env, bsk_torch.rule(RULES[preset], env), start):
+        positions.append(env.satellites[0].dynamics.rho_H)
+    for path in torch.stack(positions, 1):
+        panel.plot(path[:, 1], path[:, 0], color=OURS, linewidth=0.5)
+        panel.plot(path[0, 1], path[0, 0], "o", color=OURS, markersize=1.5)
+    panel.plot(0.0, 0.0, "s", color=INK, markersize=2.5)
+    panel.set_aspect("equal")
+    panel.margins(0.08)
 
 
 def is_bright(env: Tasking) -> bool:
