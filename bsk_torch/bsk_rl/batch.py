@@ -191,6 +191,8 @@ def counterpart(given: Any, table: Mapping[type, Stock], *entries: Any) -> Any:
         NotBatchedError: For an object of another class, or one with attributes that its class does not know.
     """
     title, stock = type(given).__name__, table.get(type(given))
+    if stock is None and type(given).__module__.startswith(their_act.__name__.rpartition(".")[0]):
+        raise NotBatchedError(f"{title} is for one episode at a time")
     if stock is None:
         raise NotBatchedError(f"{title} is a custom class, for one episode{ADAPTED if table in (REWARDERS, SCENARIOS) else ''}")
     known = {*stock.arguments.values(), *stock.state.split(), *LINKS.split()}

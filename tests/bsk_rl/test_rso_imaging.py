@@ -1,5 +1,6 @@
 """Satellites that image others in the drop-in; ``programs.spacecraft`` flies as bsk_rl does."""
 
+import logging
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -66,6 +67,8 @@ def make(kind=Imager, catalog=None, rewarder=None, **options):
 def act_of(action, **others):
     return {"Eye": action} | others
 
+
+IMAGER_ARGUMENTS = ("instrumentBaudRate", "imageTargetMaximumRange", "transmitterPacketSize")
 
 REST = {"A": 0, "B": 0}
 
@@ -212,6 +215,21 @@ def test_satellites_must_be_there_and_able():
         built(Target("A"), Target("Eye"), Target("B"))
     with pytest.raises(ValueError, match=r"target A needs dyn\.RSOTargetDynModel"):
         built(Blind("A"), Imager("Eye"), Target("B"))
+
+
+def test_several_episodes_are_flown_side_by_side(caplog):
+    with caplog.at_level(logging.WARNING):
+        env = make(num_envs=2)
+    assert "2 simulations side by side, which is slow: RSOImageReward is for one episode at a time" in caplog.text
+    env.reset(seed=0)
+    seen, *_ = env.step({"Eye": np.array([0, 1]), "A": np.zeros(2, int), "B": np.zeros(2, int)})
+    np.testing.assert_array_equal(seen["Eye"], [[1.0, 1.0, 0.0, 0.0, 0.0, 0.0], [1.0, 2.0, 0.0, 0.0, 0.0, 0.0]])
+
+
+def test_arguments_of_imagers_and_targets():
+    images, range_, packet = (Imager("Eye").sat_args_generator[name] for name in IMAGER_ARGUMENTS)
+    assert (images, range_, packet) == (8e6, -1, -1)
+    assert "transmitterBaudRate" not in Target("A").sat_args_generator
 
 
 # -- rewards ---------------------------------------------------------------------------------------------------------------------
