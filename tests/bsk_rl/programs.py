@@ -270,7 +270,7 @@ def spacecraft(b: Any) -> Any:
         observation_spec = [
             b.obs.SatProperties(dict(prop="storage_level_fraction"), dict(prop="wheel_speeds_fraction")),
             b.obs.RSOTargetProperties(
-                dict(prop="valid"), dict(prop="angle_to_target", norm=90.0, name="angle"), n_ahead_observe=6, name="all"
+                dict(prop="valid"), dict(prop="angle_to_target", norm=360.0, name="angle"), n_ahead_observe=6, name="all"
             ),
             b.obs.RSOTargetProperties(n_ahead_observe=3),
             b.obs.Eclipse(norm=5700.0),
@@ -291,7 +291,7 @@ def spacecraft(b: Any) -> Any:
         fsw_type = b.fsw.FSWModel
 
     def state(angle, radius=7.0e6):
-        along, up, speed = np.array([0.6, 0.0, 0.8]), np.array([0.0, 1.0, 0.0]), (3.98600436e14 / radius) ** 0.5
+        along, up, speed = np.array([-0.6, 0.0, 0.8]), np.array([0.0, 1.0, 0.0]), (3.98600436e14 / radius) ** 0.5
         cosine, sine = np.cos(angle), np.sin(angle)
         return tuple(radius * (cosine * along + sine * up)), tuple(speed * (cosine * up - sine * along))
 
