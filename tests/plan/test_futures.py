@@ -110,8 +110,8 @@ def test_clouds_that_are_drawn_again_agree_with_their_forecast(cloudy):
 
 
 def failing(n, seconds, **options):
-    """Copies of one episode of FaultyScan-v1 after some time."""
-    env = bsk_torch.make("FaultyScan-v1", num_envs=n, env_ids=[0] * n, seed=2, **options)
+    """Copies of one episode of FaultyScan-v1 with a fault of each kind, after some time."""
+    env = bsk_torch.make("FaultyScan-v1", num_envs=n, env_ids=[0] * n, seed=2, chance=1.0, **options)
     td, rule = env.reset(), bsk_torch.rule("cautious", env)
     while float(env.fleet.sim_time.min()) < seconds:
         td = env.step(rule(td))["next"]
