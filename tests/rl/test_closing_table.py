@@ -10,7 +10,9 @@ from bsk_torch.rl.evaluation import FRESH, evaluate
 from bsk_torch.rl.marl.runs import told, training_of
 from bsk_torch.rl.training import configure, resume, train
 
-OPTIONS = {"backend": "eager", "time_limit": 300.0}
+pytestmark = pytest.mark.compiled
+
+OPTIONS = {"time_limit": 300.0}
 SIZES = dict(frames=32, seconds=None, num_envs=4, rollout=4, hidden=(8,), evaluate_episodes=2, seed=3)
 
 
