@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import TYPE_CHECKING
 
 import torch
@@ -147,6 +147,10 @@ class GlobalReward:
         Args:
             links: Links by episode, sender and receiver, [N, S, S] bool.
         """
+
+    def group_of(self, name: str) -> Hashable:
+        """Return what differs between satellites that are simulated as different types; not to be overridden."""
+        return None
 
     def counts(self) -> dict[str, Tensor]:
         """Return counters of the current episodes by name, [N, S] int64 each; environments return them under ``counts``."""

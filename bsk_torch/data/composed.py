@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -66,6 +66,10 @@ class ComposedReward(GlobalReward):
     def names(self) -> list[str]:
         """Name of each term: its class, numbered if there are several."""
         return _numbered(type(rewarder).__name__ for rewarder in self.rewarders)
+
+    def group_of(self, name: str) -> Hashable:
+        """See :meth:`GlobalReward.group_of`."""
+        return tuple(rewarder.group_of(name) for rewarder in self.rewarders)
 
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
         """See :meth:`GlobalReward.link`; under ``compat="bsk_rl"``, parts limit nothing that satellites may choose."""

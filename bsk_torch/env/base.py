@@ -24,7 +24,6 @@ from bsk_torch.env.assembly.devices import existing_device
 from bsk_torch.env.assembly.fleets import FleetBuilder, link
 from bsk_torch.env.assembly.randomizer import make_randomizer
 from bsk_torch.env.assembly.trial import check_room, taken_over, try_out
-from bsk_torch.env.assembly.types import groups_by_task
 from bsk_torch.env.episodes import ENDLESS, EpisodePool
 from bsk_torch.env.guard import Origin, ResetNeededError, check_numbers
 from bsk_torch.env.log import StepLog, configure
@@ -101,8 +100,7 @@ class Tasking(Present, MadeOfArguments):
         self.communicator = copy.copy(communicator or NoCommunication())
         randomizer = make_randomizer(sat_arg_randomizer, satellites)
         made, device = taken_over(), torch.device(self.device)
-        apart = groups_by_task(self.scenario, self.rewarder)
-        self.builder = FleetBuilder(satellites, self.scenario, options, randomizer, device, made and made.types, apart)
+        self.builder = FleetBuilder(satellites, self.scenario, self.rewarder, options, randomizer, device, made and made.types)
         self.names, self.dtype = self.builder.names, common_dtype(options.dtype, self.builder.satellites)
         if made is None or made.trial is None:
             trial = try_out(self.builder, self.rewarder, self.communicator)

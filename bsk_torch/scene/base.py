@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
@@ -218,6 +218,10 @@ class Scenario:
         if self._link_needs_super:
             check_linked(self, "link(fleet)", fleet)
         self.fleet = fleet
+
+    def group_of(self, name: str) -> Hashable:
+        """Return what differs between satellites that are simulated as different types; not to be overridden."""
+        return None
 
     def place_kinds_of(self, names: Sequence[str], tables: PlaceTables) -> Mapping[str, Places]:
         """Return :meth:`place_kinds` for the satellites of one type, by their names; not to be overridden."""

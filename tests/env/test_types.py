@@ -116,12 +116,18 @@ def test_of_different_types(one, other):
     assert not same_type(other, one)
 
 
+def alone(name):
+    """The group of a satellite where all are in the same one."""
+
+
 def test_grouped():
     """In the order in which types appear; numbers within a type ascend."""
     satellites = [Basic("A"), Ground("B"), Basic("C", {"mass": 3.0}), Other("D"), Ground("E"), Basic("F", obs_type=dict)]
-    assert grouped(satellites) == [[0, 2], [1, 4], [3], [5]]
-    assert grouped(satellites[:1]) == [[0]]
-    assert grouped([Basic(f"A{k}") for k in range(5)]) == [[0, 1, 2, 3, 4]]
+    assert grouped(satellites, alone) == [[0, 2], [1, 4], [3], [5]]
+    assert grouped(satellites[:1], alone) == [[0]]
+    five = [Basic(f"A{k}") for k in range(5)]
+    assert grouped(five, alone) == [[0, 1, 2, 3, 4]]
+    assert grouped(five, lambda name: name in ("A1", "A4")) == [[0, 2, 3], [1, 4]]
 
 
 def test_satellites_with_options_of_their_own():

@@ -16,6 +16,7 @@ from bsk_torch.astro.atmosphere import top_radius
 from bsk_torch.astro.orbit import periapsis_radius
 from bsk_torch.bsk_rl.sim.trajectory import initial_state
 from bsk_torch.constants import MU_EARTH
+from bsk_torch.data.base import NoReward
 from bsk_torch.env.assembly.fleets import FleetBuilder
 from bsk_torch.env.options import TaskingOptions
 from bsk_torch.rand import first_key
@@ -143,7 +144,7 @@ class Engine:
             backend=self.backend,
             compat="bsk_rl",
         )
-        self._builder = FleetBuilder(described, CoreScenario(), options, None, torch.device("cpu"))
+        self._builder = FleetBuilder(described, CoreScenario(), NoReward(), options, None, torch.device("cpu"))
         self.fleet = fleet = self._builder.make_fleet(1)
         parts = enumerate(fleet.simulators)
         fleet.satellites = tuple(Simulated.of(self._builder.satellites[s.columns[0]], fleet, k) for k, s in parts)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -17,7 +17,7 @@ from bsk_torch.constants import NANO
 from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.env.assembly.randomizer import Randomizer
-from bsk_torch.env.assembly.types import check_names, check_world, grouped, ungrouped, world_arguments, world_components
+from bsk_torch.env.assembly.types import check_names, check_world, grouped, world_arguments, world_components
 from bsk_torch.env.options import CONTINUOUS, ConstellationOptions, TaskingOptions
 from bsk_torch.rand import Distribution, Key, first_key, seeded
 from bsk_torch.sats.fleet import SatelliteFleet
@@ -62,22 +62,22 @@ class FleetBuilder:
         self,
         satellites: Sequence[Satellite],
         scenario: Scenario,
+        rewarder: GlobalReward,
         options: TaskingOptions,
         randomizer: Randomizer | None,
         device: torch.device,
         made: Sequence[SatelliteType] | None = None,
-        group_of: Callable[[str], Hashable] = ungrouped,
     ) -> None:
         """Check the names of the satellites, group them by type, and check the world's arguments.
 
-        ``made`` are the types of the satellites, where another environment of the same kind has them. Satellites for which
-        ``group_of`` differs are of different types.
+        ``made`` are the types of the satellites, where another environment of the same kind has them. Satellites of different
+        groups of the scenario or the rewarder are of different types.
         """
         self.names = check_names(satellites)
         self.satellites = [satellite.as_given() for satellite in satellites]
         for satellite in self.satellites:
             satellite.sat_args_generator.update(scenario._own_arguments(satellite))
-        self.types = grouped(self.satellites, group_of)
+        self.types = grouped(self.satellites, lambda name: (scenario.group_of(name), rewarder.group_of(name)))
         if options.failures == CONTINUOUS:
             check_watched(self.satellites)
         models = [satellite.dyn_type for satellite in self.satellites]

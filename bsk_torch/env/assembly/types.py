@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import keyword
 from collections.abc import Callable, Hashable, Iterable, Sequence
-from typing import Any
 
 from bsk_torch.rand import MOST_SATELLITES
 from bsk_torch.sats.satellite import Satellite
@@ -58,17 +57,7 @@ def _is_built(arg: Arg) -> bool:
     return arg.missing is None and None not in arg.choices and arg.kind != "orbit"
 
 
-def ungrouped(name: str) -> None:
-    """Return None for the name of a satellite: it differs from none by its tasks."""
-
-
-def groups_by_task(*parts: object) -> Callable[[str], Hashable]:
-    """Return what tells satellites apart by name that have different tasks in the scenario and the rewarder ``parts``."""
-    having: list[Any] = [part for part in parts if hasattr(part, "group_of")]
-    return lambda name: tuple(part.group_of(name) for part in having)
-
-
-def grouped(satellites: Sequence[Satellite], group_of: Callable[[str], Hashable] = ungrouped) -> list[list[int]]:
+def grouped(satellites: Sequence[Satellite], group_of: Callable[[str], Hashable]) -> list[list[int]]:
     """Return the indices of the satellites of each type, in order of first appearance.
 
     Satellites for which ``group_of`` returns different values, by their names, are of different types.

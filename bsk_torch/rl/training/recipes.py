@@ -51,7 +51,7 @@ SCANNING: dict[str, dict[str, Any]] = {
 SCANNING_WITH_FAULTS = {
     network: recipe | dict(imitate="cautious", imitation=0.1, learning_rate=1e-3) for network, recipe in SCANNING.items()
 }
-"""A rule that survives most faults is a good start, which larger steps lose again."""
+"""A rule that survives most faults is a good start."""
 
 INSPECTION: dict[str, dict[str, Any]] = {
     "attention": dict(
