@@ -400,7 +400,7 @@ def safe_autonomy(*names: str) -> str:
         "interventions",
         "return",
     ]
-    parts = [table(head, rows), table(["preset", "program", "episodes at once", "decisions/s"], rates)]
+    parts = [table(head, rows), table(["preset", "program", "episodes at once", "decisions per core-s"], rates)]
     return "\n\n".join([*parts, *(made(name) for name in names)])
 
 
