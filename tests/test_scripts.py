@@ -201,7 +201,7 @@ STARTS: dict[str, list[Start]] = {
         ),
     ],
     "scripts/demo.sh": [Start(f"{TRAIN} --out {{tmp}}/run", "trained")],
-    "scripts/tools/make_readme_pictures.py": [Start("speed --out .", "speed.png")],
+    "scripts/tools/make_readme_pictures.py": [Start("speed CWDocking-v1 --out .", r"(?s)speed.png.*CWDocking-v1.png")],
     "scripts/tools/make_coastlines.py": [Start("{countries} --out land.geojson", "2 pieces of land", "coastlines")],
     "scripts/tools/make_tables.py": [Start("--samples --out .", "largest position error 0.49", "basilisk")],
     "scripts/tools/update_golden.py": [

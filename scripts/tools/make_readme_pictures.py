@@ -1,11 +1,11 @@
 """Make the pictures of README.md: a film of a trained policy, thumbnails of all presets, a plot of speed; and those of pages.
 
-    python scripts/tools/make_readme_pictures.py [film] [thumbnails] [frame] [speed] [guides]
+    python scripts/tools/make_readme_pictures.py [film] [thumbnails] [frame] [speed] [guides] [PRESET]
 
-They are written to docs/_static/readme, those of guides to docs/_static/how_to; all of them unless some are named. The film and
-the thumbnails show the pretrained policies; the plot shows ``benchmarks/results/vs_basilisk.json`` and
-``vs_basilisk_imaging.json``; the pictures of guides are those that the blocks of code of these pages draw. Needs the
-extras ``viz``, ``video`` and ``cities``.
+They are written to docs/_static/readme, those of guides to docs/_static/how_to: all of them, or those that are named, among them
+thumbnails of single presets. The film and the thumbnails show the pretrained policies, or a rule where there is none; the plot
+shows ``benchmarks/results/vs_basilisk.json`` and ``vs_basilisk_imaging.json``; the pictures of guides are those that the blocks
+of code of these pages draw. Needs the extras ``viz``, ``video`` and ``cities``.
 """
 
 from __future__ import annotations
@@ -262,13 +262,13 @@ PICTURES: dict[str, Callable[[Path], Any]] = {
 def main() -> None:
     """Make the pictures that the command line names."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("pictures", nargs="*", choices=[[], *PICTURES], help="which pictures; all unless some are named")
+    parser.add_argument("pictures", nargs="*", choices=[[], *PICTURES, *PRESETS], help="pictures; all unless some are named")
     parser.add_argument("--out", type=Path, default=FOLDER, help="folder of the pictures")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     arguments.out.mkdir(parents=True, exist_ok=True)
     for name in arguments.pictures or PICTURES:
-        print(PICTURES[name](arguments.out))
+        print(PICTURES[name](arguments.out) if name in PICTURES else thumbnail(name, arguments.out / f"{name}.png"))
 
 
 if __name__ == "__main__":
