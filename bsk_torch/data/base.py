@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from bsk_torch.sim.hooks import check_class
+from bsk_torch.sim.hooks import check_class, check_tensor
 
 if TYPE_CHECKING:
     from bsk_torch.sats.fleet import SatelliteFleet
@@ -99,6 +99,9 @@ class GlobalReward:
     total_name: str
     """Field of the state with :attr:`cum_reward`; see :mod:`bsk_torch.data.totals`."""
 
+    _in_channel: Tensor | None = None
+    """Satellites of the channel of a rewarder in a :class:`bsk_torch.data.MixedReward`, [S] bool; None elsewhere."""
+
     def __init_subclass__(cls, **options: object) -> None:
         """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
@@ -140,6 +143,16 @@ class GlobalReward:
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
         """Return the reward of each satellite for a step, [N, S] float64, from the logs before and after it."""
         raise NotImplementedError(f"{type(self).__name__} must implement calculate_reward(before, after)")
+
+    def of_channel(self, reward: Tensor) -> Tensor:
+        """Return a reward [N, S] with zeros for satellites outside of the rewarder's channel in a ``data.MixedReward``.
+
+        Elsewhere the reward is returned unchanged. TypeError for a wrong shape, or a dtype that is not floating-point.
+        """
+        if self._in_channel is None:
+            return reward
+        check_tensor(f"{type(self).__name__}.of_channel(reward)", reward, self.fleet.shape, torch.float64, torch.float32)
+        return torch.where(self._in_channel, reward, 0.0)
 
     def share(self, links: Tensor) -> None:
         """Share knowledge of collected data after a step.

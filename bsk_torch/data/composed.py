@@ -77,6 +77,7 @@ class ComposedReward(GlobalReward):
         looking: list[Any] = [part for part in fleet.satellites if hasattr(part, "access_filters")]
         before = [list(part.access_filters) for part in looking]
         for rewarder in self.rewarders:
+            rewarder._in_channel = self._in_channel
             checked.link(rewarder, scenario, fleet)
         if fleet.simulators[0].type.as_bsk_rl:
             for part, filters in zip(looking, before, strict=True):

@@ -65,7 +65,8 @@ class RSOInspectionReward(GlobalReward):
         inspected >= completion_threshold * lit
 
     where ``lit`` and ``inspected`` are the numbers of points lit and inspected at any time in the episode. Every satellite of the
-    environment, including the RSO, then receives ``completion_bonus``, once. At least one point must have been lit; bsk_rl also
+    environment, including the RSO, then receives ``completion_bonus``, once; in a channel of a
+    :class:`~bsk_torch.data.MixedReward`, every satellite of the channel. At least one point must have been lit; bsk_rl also
     gives the bonus for none, which ``compat="bsk_rl"`` reproduces.
 
     Points in view or lit at time zero do not count, because the RSO has no attitude before the execution of its first command. In
@@ -226,7 +227,8 @@ class RSOInspectionReward(GlobalReward):
         completed = self._completed() & found.moved & ~self.bonus_reward_yielded
         memory["inspection_bonus_time"] = torch.where(completed, fleet.sim_time, memory["inspection_bonus_time"])
         reward = new * (self.inspection_reward_scale / self._points.n_points)
-        return reward + self.completion_bonus * completed.double().unsqueeze(1)
+        bonus = self.completion_bonus * completed.double().unsqueeze(1)
+        return reward + self.of_channel(bonus.expand_as(reward))
 
     def _completed(self) -> Tensor:
         """Return the episodes in which the conditions of completion hold, [N]."""

@@ -66,6 +66,11 @@ class PerEnvironmentReward(GlobalReward):
         record.load(self.given, saved)
         return record
 
+    def _collecting(self) -> list[int]:
+        """Return the numbers of the satellites whose data count: those of the channel in a ``data.MixedReward``, else all."""
+        mine = self._in_channel
+        return list(range(self.fleet.size)) if mine is None else torch.nonzero(mine).squeeze(-1).tolist()
+
     def _all(self) -> list[Record]:
         return [self.records.of(env) for env in range(self.fleet.num_envs)]
 
@@ -86,17 +91,19 @@ class PerEnvironmentReward(GlobalReward):
         return {}
 
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        """See :meth:`GlobalReward.calculate_reward`; TypeError unless every satellite has a number."""
+        """See :meth:`GlobalReward.calculate_reward`; TypeError unless every satellite, of the channel if any, has a number."""
         reward = torch.zeros(self.fleet.num_envs, self.fleet.size, dtype=torch.float64)
+        collecting = self._collecting()
+        names = [self.fleet.names[k] for k in collecting]
         for env in torch.nonzero(self.fleet.ticks > self.fleet.since).squeeze(-1).tolist():
-            found = self.records.of(env).step()
-            for k, name in enumerate(self.fleet.names):
+            found = self.records.of(env).step(collecting)
+            for k, name in zip(collecting, names, strict=True):
                 try:
                     reward[env, k] = float(found[name])
                 except (KeyError, TypeError, ValueError) as error:
                     raise TypeError(
                         f"{type(self.given).__name__}.calculate_reward(new_data_dict) returns {found!r}; it must return a number "
-                        f"for each of {self.fleet.names}"
+                        f"for each of {names}"
                     ) from error
         return reward.to(self.fleet.device)
 

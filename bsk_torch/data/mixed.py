@@ -28,7 +28,8 @@ class MixedReward(ComposedReward):
     """Rewarders of channels, each for some satellites and one scenario; a satellite gets the sum over its channels.
 
     A satellite outside of a channel collects no data in it: its images do not count there, targets are not hidden from it, and
-    the channel neither pays it nor ends its episode. It passes on what it is told of the channel.
+    the channel neither pays it nor ends its episode. It passes on what it is told of the channel. A custom rewarder that pays
+    satellites whether or not they collect data returns ``self.of_channel(reward)``.
 
     Attributes:
         channels: Rewarder of each channel.
@@ -91,16 +92,18 @@ class MixedReward(ComposedReward):
         for key, group in self.satellite_mapping.items():
             check_known(f"satellite_mapping[{key!r}]", group, list(fleet.places))
         looking: list[Any] = [part for part in fleet.satellites if hasattr(part, "access_filters")]
+        groups = self.satellite_mapping
+        mine = {key: torch.tensor([name in groups[key] for name in fleet.names], device=fleet.device) for key in self._keys}
         for key, rewarder in self.channels.items():
             before = [list(part.access_filters) for part in looking]
             place = self._scenario_of(key, scenario)
+            rewarder._in_channel = mine[key]
             checked.link(rewarder, place, fleet)
             self._check_observers(key, rewarder, fleet)
             for part, filters in zip(looking, before, strict=True):
                 if self.satellite_mapping[key].isdisjoint(part.names):
                     part.access_filters = filters
-        mine = [[name in self.satellite_mapping[key] for name in fleet.names] for key in self._keys]
-        self._mine = torch.tensor(mine, dtype=torch.bool, device=fleet.device).unsqueeze(1)
+        self._mine = torch.stack(list(mine.values())).unsqueeze(1)
 
     def _scenario_of(self, key: str, scenario: Scenario) -> Scenario:
         """Return the scenario of a channel; ValueError for one that does not fit."""
@@ -146,13 +149,28 @@ class MixedReward(ComposedReward):
         return mine[keys[0]]
 
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        """See :meth:`GlobalReward.calculate_reward`; to a channel, the logs of other satellites do not change."""
+        """See :meth:`GlobalReward.calculate_reward`; to a channel, the logs of other satellites do not change.
+
+        Raises:
+            ValueError: For a reward of a satellite outside of the channel.
+        """
         for k, (key, rewarder) in enumerate(self.channels.items()):
             own, mine = f"{k}.", self._mine[k]
             old, new = ({n.removeprefix(own): v for n, v in log.items() if n.startswith(own)} for log in (before, after))
             seen = {n: torch.where(mine.view(1, -1, *[1] * (v.ndim - 2)), v, old[n]) for n, v in new.items()}
-            self.terms[key] = torch.where(mine, checked.reward(rewarder, old, seen), 0.0)
-        return torch.stack(list(self.terms.values())).sum(0)
+            self.terms[key] = checked.reward(rewarder, old, seen)
+        each = torch.stack(list(self.terms.values()))
+        moved = (self.fleet.ticks > self.fleet.since).unsqueeze(1)
+        outside = ~self._mine & moved & (each != 0.0)
+        if bool(outside.any()):
+            k, env, column = torch.nonzero(outside)[0].tolist()
+            key, name = self._keys[k], self.fleet.names[column]
+            raise ValueError(
+                f"the rewarder of channel {key!r}, {type(self.rewarders[k]).__name__}, pays {float(each[k, env, column]):g} to "
+                f"{name!r} in environment {env}, which is not one of its satellites; add it to satellite_mapping[{key!r}], or "
+                "return self.of_channel(reward) from calculate_reward"
+            )
+        return each.sum(0)
 
     def is_terminated(self) -> Tensor:
         """See :meth:`GlobalReward.is_terminated`; by the channels of each satellite."""

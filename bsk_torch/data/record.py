@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import io
 import pickle
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import FunctionType
 from typing import Any, Protocol
 
@@ -167,10 +167,11 @@ class Record:
         for satellite in self.satellites:
             satellite.data_store.update_from_logs()
 
-    def step(self) -> dict[str, float]:
-        """Let stores read their logs; return the reward of each satellite by name."""
+    def step(self, collecting: Sequence[int]) -> dict[str, float]:
+        """Let the stores of the satellites of some numbers read their logs; return the rewards by name."""
         self.steps += 1
-        return self.rewarder.reward({satellite.name: satellite.data_store.update_from_logs() for satellite in self.satellites})
+        some = [self.satellites[k] for k in collecting]
+        return self.rewarder.reward({satellite.name: satellite.data_store.update_from_logs() for satellite in some})
 
     def share(self, links: list[list[bool]]) -> None:
         """Spread data along ``links`` by sender and receiver; where all are linked with all, they get the sum, as in bsk_rl."""

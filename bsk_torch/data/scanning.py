@@ -63,5 +63,5 @@ class ScanningTimeReward(GlobalReward):
         rate = self.fleet.each(lambda satellite: satellite.dynamics.instrument_baud, missing=1.0)
         seconds = gained / torch.where(rate > 0.0, rate, torch.ones_like(rate))
         if self.reward_fn is not None:
-            return self.reward_fn(seconds)
+            return self.of_channel(self.reward_fn(seconds))
         return seconds * self.scenario.value_per_second

@@ -25,4 +25,4 @@ class TimePenalty(GlobalReward):
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
         """See :meth:`GlobalReward.calculate_reward`."""
         price = -self.weight * self.step_duration
-        return price.unsqueeze(1).expand(self.fleet.shape).to(torch.float64)
+        return self.of_channel(price.unsqueeze(1).expand(self.fleet.shape).to(torch.float64))

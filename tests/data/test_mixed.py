@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 import torch
 
-from bsk_torch import ConstellationTasking, act, comm, data, obs, sats, scene
+from bsk_torch import ConstellationTasking, act, comm, data, obs, per_environment, sats, scene
+from bsk_torch.bsk_rl import data as bsk_rl_data
 from bsk_torch.sim import dyn, fsw
 from tests.support import inspecting as inspection
 from tests.support import rso_imaging as space
@@ -188,6 +189,51 @@ def test_channels_of_one_scenario():
     assert len(env.satellites) == 2  # of one class, with different tasks
     assert all(float(reward.abs().max()) == 0.0 for reward in found["EO"][::2])
     assert sum(float(reward.sum()) for reward in found["Scout"][::2]) > 0.5
+
+
+class Team(data.GlobalReward):
+    """Pays all satellites, or with ``limited`` those of the channel."""
+
+    limited = False
+
+    def calculate_reward(self, before, after):
+        reward = torch.ones(self.fleet.shape, dtype=torch.float64)
+        return self.of_channel(reward) if self.limited else reward
+
+
+class LimitedTeam(Team):
+    limited = True
+
+
+def test_rewards_outside_of_a_channel_are_errors():
+    def first_step(rewarder: data.GlobalReward) -> torch.Tensor:
+        channels = {"none": data.NoReward(), "team": rewarder}
+        reward = data.MixedReward(channels, {"none": ["EO", "Scout"], "team": ["Scout"]})
+        env = environment([imager("EO"), imager("Scout")], scenario=targets(), rewarder=reward, backend="eager")
+        return torch.cat([value[0] for value in fly(env, 1).values()], 1)
+
+    message = (
+        "the rewarder of channel 'team', Team, pays 1 to 'EO' in environment 0, which is not one of its satellites; add it to "
+        "satellite_mapping['team'], or return self.of_channel(reward) from calculate_reward"
+    )
+    with pytest.raises(ValueError, match=re.escape(message)):
+        first_step(Team())
+    assert first_step(LimitedTeam()).tolist() == [[0.0, 1.0]] * N
+    assert first_step(data.ComposedReward(data.TimePenalty(), LimitedTeam())).tolist() == [[0.0, -59.0]] * N
+    scans = data.ScanningTimeReward(lambda seconds: seconds + 2.0)
+    assert first_step(scans).tolist() == [[0.0, 2.0]] * N
+
+
+@pytest.mark.compiled
+def test_channels_of_rewarders_of_one_episode():
+    found = []
+    for rewarder in (data.UniqueImageReward(), per_environment(bsk_rl_data.UniqueImageReward())):
+        reward = data.MixedReward({"a": rewarder}, {"a": ["Scout"]})
+        found.append(fly(environment([imager("EO"), imager("Scout")], scenario=targets(), rewarder=reward)))
+    assert sum(float(reward.sum()) for reward in found[0]["Scout"][::2]) > 0.5
+    for name in ("EO", "Scout"):
+        for batched, single in zip(found[0][name], found[1][name], strict=True):
+            assert torch.allclose(batched, single, rtol=0.0, atol=1e-12)
 
 
 def test_copies_have_scenarios_and_rewarders_of_their_own():
