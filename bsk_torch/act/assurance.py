@@ -172,9 +172,9 @@ def unblinded(x: Deputies) -> Tensor:
     cone, sin, cos = -x.sun, math.sin(BLIND), math.cos(BLIND)
     along = dot(x.r, cone)
     across = x.r - along.unsqueeze(1) * cone
-    beside = length(across)
-    slant = cos * (beside - math.tan(BLIND) * along)
-    foot = x.r + (slant * sin).unsqueeze(1) * cone - (slant * cos / beside).unsqueeze(1) * across
+    off_axis = length(across)
+    slant = cos * (off_axis - math.tan(BLIND) * along)
+    foot = x.r + (slant * sin).unsqueeze(1) * cone - (slant * cos / off_axis).unsqueeze(1) * across
     turning = torch.stack([x.n * foot[:, 1], -x.n * foot[:, 0], torch.zeros_like(x.n)], 1)
     distance = length(x.r)
     gap = distance * torch.sin(torch.acos((along / distance).clamp(-1.0 + 1e-12, 1.0 - 1e-12)) - BLIND)

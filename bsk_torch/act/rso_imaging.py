@@ -120,7 +120,7 @@ class ImageRSO(Action):
             )
 
     def begin(self, mask: Tensor, decision: Decision) -> None:
-        """See :meth:`Action.begin`: set the target of the pointing guidance, and what the gate asks for."""
+        """See :meth:`Action.begin`: set the target of the pointing guidance, and the requirements of the gate."""
         simulator, mask = self.satellite.simulator, mask & (decision.key != NO_TARGET)
         target, ticks = -2 - decision.key, simulator.ticks.double()
         simulator.memory[AIM] = torch.where(mask, target, simulator.memory[AIM])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -22,6 +22,50 @@ if TYPE_CHECKING:
 
 OBSERVERS = (RSOInspectionReward, "inspector_columns"), (RSOImageReward, "imager_columns")
 """Rewarders that read the flights of all satellites of a kind, and where their scenarios hold these."""
+
+
+def check_channels(
+    rewarders: Mapping[str, object],
+    satellite_mapping: Mapping[str, frozenset[str]],
+    scenario_mapping: Mapping[str, str] | None,
+) -> None:
+    """Raise ValueError for mappings with other channels than ``rewarders``, and for a rewarder under two channels."""
+    check_same_keys("satellite_mapping", satellite_mapping, rewarders, "rewarders")
+    if scenario_mapping is not None:
+        check_same_keys("scenario_mapping", scenario_mapping, rewarders, "rewarders")
+    numbers = [id(rewarder) for rewarder in rewarders.values()]
+    if twice := [key for key, number in zip(rewarders, numbers, strict=True) if numbers.count(number) > 1]:
+        raise ValueError(f"the channels {twice} have the same rewarder; each channel needs another one")
+
+
+def check_no_ids(scenario_mapping: Mapping[str, str] | None, scenario: object) -> None:
+    """Raise ValueError for ids of scenarios where there is one scenario, without an id."""
+    if scenario_mapping is not None:
+        raise ValueError(f"scenario_mapping needs a scene.MixedScenario; the scenario is a {type(scenario).__name__}")
+
+
+def scenario_id(
+    key: str, group: frozenset[str], scenario_mapping: Mapping[str, str] | None, groups: Mapping[str, Collection[str]]
+) -> str:
+    """Return the id of the scenario of a channel.
+
+    Args:
+        key: The channel.
+        group: Names of its satellites.
+        scenario_mapping: Ids of scenarios by channel, as the user gave them.
+        groups: Names of the satellites of each scenario, by id.
+
+    Raises:
+        ValueError: For a missing or unknown id, and for satellites that do not take part in the scenario.
+    """
+    if scenario_mapping is None:
+        raise ValueError(f"scenario_mapping is missing; give each channel one of the scenarios {sorted(groups)}")
+    chosen = scenario_mapping[key]
+    if not isinstance(chosen, str) or chosen not in groups:
+        raise ValueError(f"scenario_mapping[{key!r}] is the unknown {chosen!r}; {nearest(str(chosen), groups)}")
+    if outside := sorted(group - set(groups[chosen])):
+        raise ValueError(f"satellite_mapping[{key!r}] has {outside}, which do not take part in the scenario {chosen!r}")
+    return chosen
 
 
 class MixedReward(ComposedReward):
@@ -60,12 +104,7 @@ class MixedReward(ComposedReward):
         self._keys = tuple(rewarders)
         self.satellite_mapping = names_by_key("satellite_mapping", satellite_mapping)
         self.scenario_mapping = None if scenario_mapping is None else as_dictionary("scenario_mapping", scenario_mapping)
-        check_same_keys("satellite_mapping", self.satellite_mapping, rewarders, "rewarders")
-        if self.scenario_mapping is not None:
-            check_same_keys("scenario_mapping", self.scenario_mapping, rewarders, "rewarders")
-        numbers = [id(rewarder) for rewarder in self.rewarders]
-        if twice := [key for key, number in zip(self._keys, numbers, strict=True) if numbers.count(number) > 1]:
-            raise ValueError(f"the channels {twice} have the same rewarder; each channel needs another one")
+        check_channels(rewarders, self.satellite_mapping, self.scenario_mapping)
 
     @property
     def channels(self) -> dict[str, GlobalReward]:
@@ -108,17 +147,10 @@ class MixedReward(ComposedReward):
     def _scenario_of(self, key: str, scenario: Scenario) -> Scenario:
         """Return the scenario of a channel; ValueError for one that does not fit."""
         if not isinstance(scenario, MixedScenario):
-            if self.scenario_mapping is not None:
-                raise ValueError(f"scenario_mapping needs a scene.MixedScenario; the scenario is a {type(scenario).__name__}")
+            check_no_ids(self.scenario_mapping, scenario)
             return scenario
-        if self.scenario_mapping is None:
-            raise ValueError(f"scenario_mapping is missing; give each channel one of the scenarios {sorted(scenario.scenarios)}")
-        place = self.scenario_mapping[key]
-        if not isinstance(place, str) or place not in scenario.scenarios:
-            raise ValueError(f"scenario_mapping[{key!r}] is the unknown {place!r}; {nearest(str(place), scenario.scenarios)}")
-        if outside := sorted(self.satellite_mapping[key] - scenario.members(scenario.scenarios[place])):
-            raise ValueError(f"satellite_mapping[{key!r}] has {outside}, which do not take part in the scenario {place!r}")
-        return scenario.scenarios[place]
+        chosen = scenario_id(key, self.satellite_mapping[key], self.scenario_mapping, scenario.satellite_mapping)
+        return scenario.scenarios[chosen]
 
     def _check_observers(self, key: str, rewarder: GlobalReward, fleet: SatelliteFleet) -> None:
         """Raise ValueError if a satellite whose flight counts for a rewarder is not in its channel."""

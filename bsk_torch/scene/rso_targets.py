@@ -341,7 +341,7 @@ def _epochs(catalogs: Sequence[RSOTargetCatalog | RandomRSOCatalog]) -> Tensor |
 
 
 def check_imager(satellite: BoundSatellite, title: str) -> None:
-    """Raise ValueError unless the satellites of a type image the targets of a catalog; ``title`` names who asks."""
+    """Raise ValueError unless the satellites of a type image the targets of a catalog; ``title`` names the caller."""
     if POSITIONS not in satellite.simulator.scenario_state:
         raise ValueError(f"{title} needs scene.RSOTargets as the scenario of the environment")
     names = satellite.simulator.state.constants.get("bufferNames") or [""]

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from bsk_torch import ConstellationTasking, act, data, obs, rand, sats, scene
 from bsk_torch.env.no_action import NO_ACTION
+from bsk_torch.obs.rso_imaging import DEFAULT
 from bsk_torch.sim import dyn, fsw
 from tests.basilisk.replay import RECORDINGS
 
@@ -62,17 +63,7 @@ class Imager(sats.AccessSatellite):
             dict(prop="storage_level_fraction"), dict(prop="battery_charge_fraction"), dict(prop="wheel_speeds_fraction")
         ),
         obs.Eclipse(norm=5700.0),
-        obs.RSOTargetProperties(
-            dict(prop="valid"),
-            dict(prop="priority", norm=2),
-            dict(prop="target_elevation_angle", norm=90),
-            dict(prop="rel_pos_vector_r_BR_H", norm=15960e3),
-            dict(prop="rel_vel_vector_v_BR_H", norm=16000),
-            dict(prop="angle_to_target", norm=90),
-            dict(prop="target_distance", norm=15960e3),
-            dict(prop="target_illumination_factor"),
-            n_ahead_observe=3,
-        ),
+        obs.RSOTargetProperties(dict(prop="valid"), *DEFAULT, n_ahead_observe=3),  # as written out in the recorder
         obs.RSOTargetProperties(n_ahead_observe=1, name="default_row"),
         obs.Time(),
     )

@@ -75,7 +75,7 @@ def differences(env, recorded: Episodes) -> tuple[dict[str, float], list[list[li
         compare("priority", scenario.priority, recorded.padded("priority", k))
         compare("pending", scenario.pending, recorded.padded("pending", k))
         compare("cooldown", scenario.cooldown_until, recorded.padded("cooldown", k).nan_to_num(neginf=0.0))
-        if k < max(len(rows) for rows in recorded.arrays["action"]):  # at its end an episode asks nobody
+        if k < max(len(rows) for rows in recorded.arrays["action"]):  # at the end of an episode, no satellite needs a task
             wanted = recorded.padded("retask", k)
             compare("retask", env.requires_retasking.double(), torch.where(wanted < 0.0, env.requires_retasking.double(), wanted))
         if outputs is not None:

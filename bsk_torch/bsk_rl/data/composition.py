@@ -13,8 +13,8 @@ from typing import Any
 from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
 from bsk_torch.bsk_rl.scene.composition import MixedScenario
 from bsk_torch.bsk_rl.scene.scenario import Scenario
-from bsk_torch.scene.mixed import check_known, check_same_keys
-from bsk_torch.sim.names import nearest
+from bsk_torch.data.mixed import check_channels, check_no_ids, scenario_id
+from bsk_torch.scene.mixed import as_dictionary, check_known, names_by_key
 
 __all__ = ["ComposedData", "ComposedDataStore", "ComposedReward", "MixedData", "MixedDataStore", "MixedReward"]
 
@@ -55,7 +55,25 @@ class ComposedData(Data):
         return f"ComposedData({', '.join(map(repr, self.data))})"
 
 
-class ComposedDataStore(DataStore):
+class PassingStore(DataStore):
+    """A store of several, which pass their data on to it and get them back after every change."""
+
+    def pass_data(self) -> None:
+        """Pass each store its data."""
+
+    def update_from_logs(self) -> Any:
+        """See :meth:`DataStore.update_from_logs`."""
+        new_data = super().update_from_logs()
+        self.pass_data()
+        return new_data
+
+    def update_with_communicated_data(self) -> None:
+        """See :meth:`DataStore.update_with_communicated_data`."""
+        super().update_with_communicated_data()
+        self.pass_data()
+
+
+class ComposedDataStore(PassingStore):
     """One store of each kind; its attributes are those of the first that has them."""
 
     data_type = ComposedData
@@ -99,17 +117,6 @@ class ComposedDataStore(DataStore):
         """See :meth:`DataStore.compare_log_states`; those of all stores."""
         each = zip(self.data_stores, prev_state, new_state, strict=True)
         return ComposedData(*(store.compare_log_states(before, after) for store, before, after in each))
-
-    def update_from_logs(self) -> Any:
-        """See :meth:`DataStore.update_from_logs`."""
-        new_data = super().update_from_logs()
-        self.pass_data()
-        return new_data
-
-    def update_with_communicated_data(self) -> None:
-        """See :meth:`DataStore.update_with_communicated_data`."""
-        super().update_with_communicated_data()
-        self.pass_data()
 
 
 class ComposedReward(GlobalReward):
@@ -249,7 +256,7 @@ class MixedData(Data):
         return f"MixedData({self.data!r})"
 
 
-class MixedDataStore(DataStore):
+class MixedDataStore(PassingStore):
     """A store for each channel in which a satellite collects data; received data of other channels is kept.
 
     Its attributes are those that one of its stores has.
@@ -293,16 +300,9 @@ class MixedDataStore(DataStore):
         )
 
     def update_from_logs(self) -> Any:
-        """See :meth:`DataStore.update_from_logs`."""
+        """See :meth:`DataStore.update_from_logs`; stores begin with the data that the satellite has now."""
         self.pass_data()
-        new_data = super().update_from_logs()
-        self.pass_data()
-        return new_data
-
-    def update_with_communicated_data(self) -> None:
-        """See :meth:`DataStore.update_with_communicated_data`."""
-        super().update_with_communicated_data()
-        self.pass_data()
+        return super().update_from_logs()
 
 
 class MixedReward(GlobalReward):
@@ -336,15 +336,10 @@ class MixedReward(GlobalReward):
             ValueError: For mappings with other channels, and for a rewarder under two channels.
         """
         super().__init__()
-        self.rewarders = dict(rewarders)
-        self.satellite_mapping = {key: frozenset(names) for key, names in satellite_mapping.items()}
-        self.scenario_mapping = None if scenario_mapping is None else dict(scenario_mapping)
-        check_same_keys("satellite_mapping", self.satellite_mapping, self.rewarders, "rewarders")
-        if self.scenario_mapping is not None:
-            check_same_keys("scenario_mapping", self.scenario_mapping, self.rewarders, "rewarders")
-        numbers = [id(rewarder) for rewarder in self.rewarders.values()]
-        if twice := [key for key, number in zip(self.rewarders, numbers, strict=True) if numbers.count(number) > 1]:
-            raise ValueError(f"the channels {twice} have the same rewarder; each channel needs another one")
+        self.rewarders: dict[str, GlobalReward] = as_dictionary("rewarders", rewarders)
+        self.satellite_mapping = names_by_key("satellite_mapping", satellite_mapping)
+        self.scenario_mapping = None if scenario_mapping is None else as_dictionary("scenario_mapping", scenario_mapping)
+        check_channels(self.rewarders, self.satellite_mapping, self.scenario_mapping)
 
     def link_scenario(self, scenario: Any) -> None:
         """Give each rewarder its scenario.
@@ -358,20 +353,13 @@ class MixedReward(GlobalReward):
         for key, group in self.satellite_mapping.items():
             check_known(f"satellite_mapping[{key!r}]", group, names)
         if not isinstance(scenario, MixedScenario):
-            if self.scenario_mapping is not None:
-                raise ValueError(f"scenario_mapping needs a scene.MixedScenario; the scenario is a {type(scenario).__name__}")
+            check_no_ids(self.scenario_mapping, scenario)
             for rewarder in self.rewarders.values():
                 rewarder.link_scenario(scenario)
             return
-        if self.scenario_mapping is None:
-            raise ValueError(f"scenario_mapping is missing; give each channel one of the scenarios {sorted(scenario.scenarios)}")
         for key, rewarder in self.rewarders.items():
-            place = self.scenario_mapping[key]
-            if place not in scenario.scenarios:
-                raise ValueError(f"scenario_mapping[{key!r}] is the unknown {place!r}; {nearest(place, scenario.scenarios)}")
-            if outside := sorted(self.satellite_mapping[key] - set(scenario.satellite_mapping[place])):
-                raise ValueError(f"satellite_mapping[{key!r}] has {outside}, which do not take part in the scenario {place!r}")
-            rewarder.link_scenario(scenario.scenarios[place])
+            chosen = scenario_id(key, self.satellite_mapping[key], self.scenario_mapping, scenario.satellite_mapping)
+            rewarder.link_scenario(scenario.scenarios[chosen])
 
     def pass_data(self) -> None:
         """Pass each rewarder the data of its channel."""

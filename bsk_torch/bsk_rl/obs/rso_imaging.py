@@ -11,6 +11,7 @@ from bsk_torch._checks import whole
 from bsk_torch.bsk_rl.obs.observations import Observation
 from bsk_torch.bsk_rl.utils.orbital import rv2HN
 from bsk_torch.bsk_rl.utils.rso_imaging import candidate_snapshot, illumination_factor, target_geometry
+from bsk_torch.obs.rso_imaging import DEFAULT
 from bsk_torch.sim.names import nearest
 
 __all__ = ["RSOTargetProperties", "target_properties"]
@@ -26,17 +27,6 @@ NOTHING: dict[str, Any] = {
     "target_illumination_factor": 0.0,
 }
 """Properties of a candidate that does not exist."""
-
-DEFAULT = (
-    dict(prop="priority", norm=2),
-    dict(prop="target_elevation_angle", norm=90),
-    dict(prop="rel_pos_vector_r_BR_H", norm=15960e3),
-    dict(prop="rel_vel_vector_v_BR_H", norm=16000),
-    dict(prop="angle_to_target", norm=90),
-    dict(prop="target_distance", norm=15960e3),
-    dict(prop="target_illumination_factor"),
-)
-"""Properties observed by default."""
 
 
 def target_properties(imager: Any, target: Any) -> dict[str, Any]:

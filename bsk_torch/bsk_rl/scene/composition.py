@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from bsk_torch.bsk_rl.scene.scenario import Scenario
-from bsk_torch.scene.mixed import check_known, check_same_keys
+from bsk_torch.scene.mixed import as_dictionary, check_known, check_same_keys, names_by_key
 
 __all__ = ["MixedScenario"]
 
@@ -31,17 +31,17 @@ class MixedScenario(Scenario):
                 overlap.
 
         Raises:
-            ValueError: For other ids in the mapping than in the scenarios.
+            ValueError: For other ids in the mapping than in the scenarios, and values that are not lists of names.
         """
-        self.scenarios = dict(scenarios)
-        self.satellite_mapping = {key: tuple(names) for key, names in satellite_mapping.items()}
+        self.scenarios: dict[str, Scenario] = as_dictionary("scenarios", scenarios)
+        self.satellite_mapping = names_by_key("satellite_mapping", satellite_mapping)
         check_same_keys("satellite_mapping", self.satellite_mapping, self.scenarios, "scenarios")
 
     def _groups(self) -> Iterator[tuple[Scenario, set[str]]]:
         """Yield each scenario once, and the names of its satellites."""
         for scenario in {id(scenario): scenario for scenario in self.scenarios.values()}.values():
             mine = [key for key, other in self.scenarios.items() if other is scenario]
-            yield scenario, {name for key in mine for name in self.satellite_mapping[key]}
+            yield scenario, set().union(*(self.satellite_mapping[key] for key in mine))
 
     def validate_satellite_names(self, satellites: list[Any]) -> None:
         """Raise ValueError for repeated names, and for names in the mapping that no satellite has."""

@@ -49,7 +49,7 @@ TASK_FIELDS = (
     Field("rso_least_light", 1, "-", "least visible fraction of the Sun at the target; none where negative"),
     Field("rso_ends", 1, "-", "1 where the image ends the step, else 0"),
 )
-"""What the task asks for."""
+"""Requirements of the task."""
 
 IMAGE_FIELDS = (
     Field("rso_images", 1, "-", "images taken since reset", exact=True),

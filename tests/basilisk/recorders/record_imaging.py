@@ -123,7 +123,7 @@ def image_actions(variant: Variant) -> list[act.Image]:
 
 
 def limited(variant: Variant) -> dict[str, dict[str, Any]]:
-    """Arguments of the instruments that have windows of their own limits, by the type of these windows."""
+    """Arguments of the instruments whose limits give them separate windows, by the type of these windows."""
     kinds = {kind_of(name, own): own for name, own in variant.instruments.items()}
     return {kind: own for kind, own in kinds.items() if kind != "target"}
 

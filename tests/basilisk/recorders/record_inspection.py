@@ -8,7 +8,7 @@ Usage::
 
 See ``recording.py`` for what it needs. Where episodes start and what is done in them is read from the present files: ``ic``,
 ``action`` and ``rso_action``, which were drawn once (inspectors that fly to random places near the RSO, and what each file is
-for). Everything else is recorded anew. Actions are float64, so no single precision is in them.
+for). Everything else is recorded again. Actions are float64, so no single precision is in them.
 """
 
 from __future__ import annotations

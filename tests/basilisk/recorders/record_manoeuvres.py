@@ -7,7 +7,7 @@ Usage::
     python tests/basilisk/recorders/record_manoeuvres.py --list
 
 See ``recording.py`` for what it needs. Where episodes start, what targets there are and what is done are read from the present
-files: ``ic``, ``targets`` and ``action``, which were drawn once. Everything else is recorded anew.
+files: ``ic``, ``targets`` and ``action``, which were drawn once. Everything else is recorded again.
 """
 
 from __future__ import annotations

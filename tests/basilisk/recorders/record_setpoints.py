@@ -7,7 +7,7 @@ Usage::
     python tests/basilisk/recorders/record_setpoints.py --list
 
 See ``recording.py`` for what it needs. Where episodes start and what is done are read from the present files: ``ic`` and
-``action``, which were drawn once. Everything else is recorded anew.
+``action``, which were drawn once. Everything else is recorded again.
 """
 
 from __future__ import annotations
