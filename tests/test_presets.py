@@ -254,7 +254,7 @@ def test_claims_and_the_numbers_of_the_rule():
 
 @pytest.mark.parametrize("name", ["AEOS-v1", "AEOSConstellation-v1"])
 @pytest.mark.parametrize("as_set", [False, True])
-def test_the_benchmark_has_angles_of_half_a_turn_and_a_larger_buffer(name, as_set):
+def test_the_benchmark_divides_angles_by_a_quarter_turn_and_has_a_larger_buffer(name, as_set):
     envs = [make(name, as_set=as_set, benchmark=flag, num_envs=1, dtype=torch.float64, backend="eager") for flag in (False, True)]
     views = []
     for env in envs:

@@ -87,7 +87,9 @@ SUITE_TARGET = tuple(entry | dict(norm=math.pi / 2) if entry["prop"] == "target_
 """The same as in bsk_rl's benchmark suite, whose angles are divided by pi / 2."""
 
 
-def targets_ahead(*more: dict[str, Any], as_set: bool = False, properties: Sequence[Any] = TARGET) -> obs.OpportunityProperties:
+def targets_ahead(
+    *more: dict[str, Any], as_set: bool = False, properties: Sequence[dict[str, Any]] = TARGET
+) -> obs.OpportunityProperties:
     """Return the observation of the next targets: ``properties``, and ``more`` of them."""
     return obs.OpportunityProperties(*properties, *more, type="target", n_ahead_observe=AHEAD, as_set=as_set)
 

@@ -32,6 +32,7 @@ Random at reset: position and velocity.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -144,7 +145,7 @@ class DockingDeputy(sats.Satellite):
     observation_spec: ClassVar[tuple[obs.Observation, ...]] = (
         obs.SatProperties(dict(prop="rho_H"), dict(prop="rho_dot_H"), dict(prop="relative_speed"), dict(prop="speed_limit")),
     )
-    action_spec: ClassVar[tuple[Any, ...]] = (act.HeldThrust(),)
+    action_spec: ClassVar[Sequence[act.ContinuousAction]] = (act.HeldThrust(),)
     dyn_type = dyn.DockingDynModel
     fsw_type = fsw.FSWModel
 
@@ -189,7 +190,7 @@ def deputy_args() -> dict[str, Any]:
     return dict(mass=12.0, meanMotion=MEAN_MOTION, oe=CHIEF_ORBIT, relative_velocity=Polar(0.0, 0.8))
 
 
-def cw_docking(*, assurance: str | None = None, sat_args: dict[str, Any] | None = None, **options: Any) -> SatelliteTasking:
+def cw_docking(*, assurance: str | None = None, sat_args: dict[str, Any] | None = None, **options: object) -> SatelliteTasking:
     """Return CWDocking-v1; see the module.
 
     Args:

@@ -34,6 +34,7 @@ Random at reset: position, velocity, and the angle of the Sun.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -41,7 +42,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch import act, data, obs, rand, sats
-from bsk_torch.act.assurance import INSPECTION, Barriers
+from bsk_torch.act.assurance import BLIND, EDGE, INSPECTION, Barriers
 from bsk_torch.data.base import Log
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.presets.cw_docking import Polar, assured, deputy_args, interventions
@@ -55,19 +56,14 @@ if TYPE_CHECKING:
 RADIUS, POINTS = 10.0, 100
 """Radius of the chief, m, and number of points for which its grid is made, which has 99."""
 
-FARTHEST = 800.0
-"""Distance beyond which an episode is truncated, m."""
-
-BLINDING = math.cos(math.radians(30.0))
-"""Cosine of the angle between the Sun and the deputy's line of sight within which the Sun blinds its camera."""
-
 
 class LitPointsReward(data.GlobalReward):
     """Reward of CWInspection-v1; see the module. Satellites must have :class:`bsk_torch.sim.dyn.LinearInspectorDynModel`.
 
-    Several deputies share the points, and each is rewarded for all of them. Counters of each deputy: ``inspected``, the points
-    that it was the first to inspect; ``speeding`` and ``blinded``, the decisions after which it exceeds the safe speed, or has
-    the Sun within 30 degrees of its line of sight to the chief; and with run-time assurance ``interventions``.
+    Several deputies share the points, which the Sun of the first one lights, and each is rewarded for all of them. Counters of
+    each deputy: ``inspected``, the points that it was the first to inspect; ``speeding`` and ``blinded``, the decisions after
+    which it exceeds the safe speed, or has the Sun within 30 degrees of its line of sight to the chief; and with run-time
+    assurance ``interventions``.
     """
 
     point, success, price = 0.01, 1.0, 0.01
@@ -128,7 +124,7 @@ class LitPointsReward(data.GlobalReward):
         mass = self.fleet.each(lambda satellite: satellite.simulator.argument("mass"))
         x, y, z = (after["rho_H"] * after["sun_hat_H"]).unbind(-1)
         sight = -(x + y + z) / after["distance"]
-        wrong = {"speeding": after["relative_speed"] > after["speed_limit"], "blinded": sight > BLINDING}
+        wrong = {"speeding": after["relative_speed"] > after["speed_limit"], "blinded": sight > math.cos(BLIND)}
         for name, found in wrong.items():
             memory[name] = memory[name] + (found & moved.unsqueeze(1))
         shared = self.point * new + self.success * (total == len(self.points))
@@ -148,7 +144,7 @@ class LitPointsReward(data.GlobalReward):
 
     def is_truncated(self) -> Tensor:
         """See :meth:`bsk_torch.data.GlobalReward.is_truncated`."""
-        return self.fleet.each(attrgetter("dynamics.distance")) > FARTHEST
+        return self.fleet.each(attrgetter("dynamics.distance")) > EDGE
 
 
 def points_inspected(satellite: sats.BoundSatellite) -> Tensor:
@@ -174,7 +170,7 @@ class InspectionDeputy(sats.Satellite):
             dict(prop="nearest_cluster", fn=nearest_cluster),
         ),
     )
-    action_spec: ClassVar[tuple[Any, ...]] = (act.HeldThrust(),)
+    action_spec: ClassVar[Sequence[act.ContinuousAction]] = (act.HeldThrust(),)
     dyn_type = dyn.LinearInspectorDynModel
     fsw_type = fsw.FSWModel
 
@@ -189,7 +185,7 @@ DEPUTIES: dict[str | None, type[sats.Satellite]] = {None: InspectionDeputy, "asi
 """Deputies by the name of their run-time assurance."""
 
 
-def cw_inspection(*, assurance: str | None = None, sat_args: dict[str, Any] | None = None, **options: Any) -> SatelliteTasking:
+def cw_inspection(*, assurance: str | None = None, sat_args: dict[str, Any] | None = None, **options: object) -> SatelliteTasking:
     """Return CWInspection-v1; see the module.
 
     Args:

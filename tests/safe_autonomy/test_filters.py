@@ -46,14 +46,44 @@ def test_the_filter_of_inspection():
     np.testing.assert_allclose(Barriers(INSPECTION)(x, WISHES, 10.0).numpy(), recorded, rtol=0, atol=ROUNDING)
 
 
-@pytest.mark.parametrize("task", ["docking", "inspection"])
-def test_no_deputy_depends_on_the_others(task):
-    x = deputies(task, 15.0, 15.0)
-    filtering = Barriers(INSPECTION if task == "inspection" else DOCKING)
+def some(x, rows):
+    return Deputies(*(part[rows] if isinstance(part, torch.Tensor) else part for part in x))
+
+
+@pytest.mark.parametrize("name", [*FILTERS, "inspection"])
+def test_no_deputy_depends_on_the_others(name):
+    x = deputies("inspection", 15.0, 15.0) if name == "inspection" else deputies("docking")
+    filtering = FILTERS.get(name, Barriers(INSPECTION))
     together = filtering(x, WISHES, 1.0)
+    assert not torch.equal(together, WISHES)
     for rows in (slice(0, 1), slice(7, 60)):
-        alone = filtering(Deputies(*(part[rows] if isinstance(part, torch.Tensor) else part for part in x)), WISHES[rows], 1.0)
-        assert torch.equal(alone, together[rows])
+        assert torch.equal(filtering(some(x, rows), WISHES[rows], 1.0), together[rows])
+
+
+def test_deputies_on_the_axis_of_the_cone_of_blinding_are_filtered():
+    """In front of the chief and behind it, the barrier has the value of a deputy a micrometer off the axis."""
+    x = some(deputies("inspection", 15.0, 15.0), slice(0, 4))
+    sun = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64).expand(4, 3)
+    r = torch.tensor([[100.0, 0.0, 0.0], [-100.0, 0.0, 0.0]], dtype=torch.float64).repeat(2, 1)
+    r[2:, 2] = 1e-6
+    x = x._replace(r=r, v=torch.zeros_like(r), sun=sun)
+    value = INSPECTION[1](x)
+    torch.testing.assert_close(value[:2], value[2:], rtol=0, atol=1e-6)
+    force = Barriers(INSPECTION)(x._replace(v=-0.004 * r), torch.zeros_like(r), 10.0)  # 0.4 m/s, where 0.37 m/s are safe
+    assert force[0, 0] > 0.1  # brakes
+    assert force[1, 2] > 0.1  # leaves the cone along the orbit normal
+
+
+def test_what_is_not_a_number_is_not_safe():
+    x = some(deputies("inspection", 15.0, 15.0), slice(0, 3))
+    lost = x._replace(r=torch.where(torch.arange(3).unsqueeze(1) == 1, torch.nan, x.r))
+    with pytest.raises(FloatingPointError, match=r"is not finite for deputy 1 at \[nan"):
+        Barriers(INSPECTION)(lost, WISHES[:3], 10.0)
+    with pytest.raises(FloatingPointError, match=r"forces of up to 0\.001 N"):  # too weak to stop at any distance
+        Barriers(INSPECTION)(x._replace(most=0.001), WISHES[:3], 10.0)
+    weight, bound = torch.ones(2, 4, 3, dtype=torch.float64), torch.zeros(2, 4, dtype=torch.float64)
+    bound[1, 2] = torch.nan
+    assert nearest(WISHES[:2], weight, bound).isnan().any(1).tolist() == [False, True]
 
 
 def test_nearest_solves_the_program():
@@ -75,7 +105,7 @@ def test_nearest_solves_the_program():
 
 
 def test_the_backup_controller_solves_the_riccati_equation():
-    """Along the normal axis: the gain of a double integrator, but for the orbit: k^2 + 2 m n^2 ... of textbooks."""
+    """Along the normal axis, the equation has a solution in closed form: that of an oscillator of frequency n."""
     x = deputies("docking")
     gain = stopping_gain(x)[0, 2, 2]
     n, m, q, r = 0.001027, 12.0, 0.05, 1000.0
@@ -132,5 +162,10 @@ def test_unknown_filters_are_rejected(preset, known):
 
 
 def test_wrong_filters_are_rejected():
+    for kind in (Barriers, Backup):
+        with pytest.raises(ValueError, match="barriers is empty"):
+            kind([])
+    with pytest.raises(ValueError, match=r"window=-1.0 must be a number in \[0, inf\) s"):
+        Backup(DOCKING, window=-1.0)
     with pytest.raises(ValueError, match="assurance=3 must be a function of deputies, forces and seconds"):
         act.HeldThrust(assurance=3)
