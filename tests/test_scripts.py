@@ -245,7 +245,6 @@ RECORDED = {
 
 ELSEWHERE = {
     **{f"examples/bsk_rl/{path.name}": "tests/examples/test_bsk_rl.py" for path in (ROOT / "examples/bsk_rl").glob("*.py")},
-    "examples/bsk_rl/mixed_environment.py": "tests/examples/test_mixed_environment.py",
     "examples/mappo_benchmarl.py": "tests/test_clients.py",
     "examples/ppo_cleanrl.py": "tests/test_clients.py",
     "examples/ppo_rllib.py": "tests/test_clients.py",

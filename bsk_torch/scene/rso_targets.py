@@ -13,6 +13,7 @@ from torch import Tensor
 
 from bsk_torch._checks import switch, text
 from bsk_torch.astro.ephemeris import parse_utc
+from bsk_torch.astro.sight import line_clearance, stretch
 from bsk_torch.rand import Key, PerEnv
 from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.sats.fleet import SatelliteFleet
@@ -27,6 +28,7 @@ from bsk_torch.sim.fsw.rso_imaging import SpaceToSpaceImagingFSWModel
 from bsk_torch.sim.names import nearest
 from bsk_torch.sim.orbit.flights import make_flights
 from bsk_torch.sim.state import FINITE
+from bsk_torch.vec3 import Vec3
 
 POSITIONS, VELOCITIES, PRIORITIES = "rso_r_N", "rso_v_N", "rso_priority"
 """Names of the drawn states of targets, m and m/s in N, and of their priorities."""
@@ -310,6 +312,19 @@ class RSOTargets(Scenario):
         axis_N = (satellite.dynamics.BN.mT @ (axis_B / axis_B.norm(dim=-1, keepdim=True)).unsqueeze(-1)).squeeze(-1)
         at = Moment(satellite.dynamics.r_BN_N, satellite.dynamics.v_BN_N, axis_N, simulator.world.r_SN_N)
         return views(*seen, at)
+
+    def in_sight(self, satellite: BoundSatellite, candidates: Candidates) -> Tensor:
+        """Return whether satellites of a type see their candidates past the Earth and within their range, [n, k].
+
+        This is the condition of :func:`bsk_torch.sim.dyn.rso_imaging.see_rso` at a decision; light and pointing do not matter.
+        """
+        simulator, place = satellite.simulator, candidates.place.unsqueeze(-1).expand(-1, -1, 3)
+        r_TN_N = satellite.of_env(self.r_TN_N).gather(1, place)
+        r_BN_N = satellite.dynamics.r_BN_N.unsqueeze(1).expand_as(r_TN_N)
+        pole_N = Vec3.of(simulator.world.PN[:, 2].unsqueeze(1))
+        clear = line_clearance(stretch(Vec3.of(r_TN_N), pole_N), stretch(Vec3.of(r_BN_N), pole_N)) > 0.0
+        reach = satellite.sat_args["imageTargetMaximumRange"].view(-1, 1)
+        return candidates.exists & clear & ((reach < 0.0) | ((r_TN_N - r_BN_N).norm(dim=-1) <= reach))
 
     def candidate_ids(self, satellite: BoundSatellite, row: int, count: int) -> list[str | None]:
         """Return the ids of the first ``count`` candidates of one satellite of a type; None for those that do not exist."""

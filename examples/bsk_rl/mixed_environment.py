@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -147,14 +148,23 @@ def make(
 def main() -> None:
     """Play random actions, and print what each channel pays."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
-    parser.add_argument("--num-envs", type=int, default=4)
-    parser.add_argument("--steps", type=int, default=40)
+    parser.add_argument("--num-envs", type=int, default=4, help="episodes at once")
+    parser.add_argument("--steps", type=int, default=40, help="decisions")
+    parser.add_argument(
+        "--figure",
+        type=Path,
+        help="file for a figure of the first episode at the end; needs the extra viz",
+    )
     given = parser.parse_args()
     env = make(given.num_envs, seed=0)
     env.rollout(given.steps, break_when_any_done=False)
     for channel, rewarder in env.rewarder.channels.items():
         paid = torch.stack(list(rewarder.cum_reward.values()), 1).sum(1)
         print(f"{channel}: {[round(value, 3) for value in paid.tolist()]}")
+    if given.figure is not None:
+        from PIL import Image
+
+        Image.fromarray(env.render(rows=0).numpy()).save(given.figure)
 
 
 if __name__ == "__main__":

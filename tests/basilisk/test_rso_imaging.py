@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from bsk_torch import scene
+from bsk_torch.sim.catalog.candidates import Candidates
 from tests.basilisk.rso_imaging import Episodes, environment, load, replay
 from tests.support.nightly import by_night
 
@@ -22,6 +23,7 @@ BOUNDS = {
     "battery": 1e-3,
     "obs": 1e-9,
     "candidates": 0.0,
+    "access": 0.0,
     "hold": 0.0,
     "storage": 0.0,
     "priority": 0.0,
@@ -67,6 +69,9 @@ def differences(env, recorded: Episodes) -> tuple[dict[str, float], list[list[li
         candidates = scenario.candidates(satellite, 3)
         found = torch.where(candidates.exists, candidates.place, -1).view(n, imagers, 3)
         compare("candidates", found, recorded.padded("candidates", k))
+        everything = place.repeat_interleave(imagers, 0)
+        seen = scenario.in_sight(satellite, Candidates(everything, torch.ones_like(everything, dtype=torch.bool)))
+        compare("access", seen.view(n, imagers, -1), recorded.padded("access", k))
         compare("obs", satellite.observations.get_vector(torch.float64).view(n, imagers, -1), recorded.padded("obs", k))
         compare(
             "hold", torch.cat([read(name) for name in ("rso_held", "rso_valid", "rso_taken")], -1), recorded.padded("hold", k)

@@ -26,6 +26,9 @@ FOLDER = Path(__file__).parents[2] / "examples" / "bsk_rl"
 BY_NAME = 1_000_000
 """Actions from here on name targets."""
 
+BY_SATELLITE = ("sat_args", "names", "action_description", "observation_description")
+"""Entries of ``setup`` with one value for each satellite."""
+
 EXACT = 1e-9
 """Bound of rewards and durations, s: bsk_rl's clock has rounding errors of 1e-13 s."""
 
@@ -48,6 +51,14 @@ class Recorded:
     def satellites(self) -> int:
         """Number of satellites."""
         return len(self.setup["names"])
+
+    def only(self, name: str) -> Recorded:
+        """What is recorded of one satellite."""
+        k = self.setup["names"].index(name)
+        each = {key: value[k : k + 1] for key, value in self.setup.items() if key in BY_SATELLITE}
+        width = len(each["observation_description"][0])
+        arrays = {key: value if key in ("duration", "targets") else value[:, k : k + 1] for key, value in self.arrays.items()}
+        return Recorded(self.setup | each, arrays | {"obs": arrays["obs"][..., :width]})
 
     def target(self, name: str) -> Tensor:
         """An attribute of the targets that can be seen, [T]."""

@@ -181,6 +181,44 @@ def test_continuous_orbit_maneuvers():
     assert all(difference <= manoeuvres.INTEGRATED[quantity] for quantity, difference in found.items()), found
 
 
+@pytest.mark.parametrize("profile", ["compact", "amos"])
+def test_space_to_space_rso_imaging(profile):
+    """The imager; its targets, satellites in bsk_rl, do nothing. All three are imaged and delivered, and some again."""
+    recorded = load(f"space_to_space_rso_imaging_{profile}").only("imager")
+    catalog = scene.RSOTargetCatalog.from_dict(recorded.setup["catalog"])
+    options = start(recorded) | dict(time_limit=recorded.setup["time_limit"], mask_busy=False)
+    env = example("space_to_space_rso_imaging").make(profile, **(options | dict(catalog=catalog)))
+    Replay(env, recorded).run()
+    counts = {name: int(number) for name, number in env.rewarder.counts().items()}
+    assert counts == (dict(captured=6, delivered=3) if profile == "compact" else dict(captured=9, delivered=6))
+
+
+def test_rules_of_space_to_space_rso_imaging():
+    """They image only what is in sight and lit, and the rule by priority the most important."""
+    env = example("space_to_space_rso_imaging").make(num_envs=8, time_limit=3000.0, seed=0)
+    module, images = example("space_to_space_rso_imaging"), 0
+    td = env.reset()
+    for _ in range(12):
+        imager = env.satellites[0]
+        candidates = env.scenario.candidates(imager, 3)
+        seen = env.scenario.in_sight(imager, candidates)
+        seen &= env.scenario.views(imager, candidates).target_illumination_factor >= 0.5
+        for rule in ("priority", "nearest", "random"):
+            action = module.choose(env, rule)
+            slot = (action - module.IMAGE).clamp(min=0)
+            chosen = action >= module.IMAGE
+            assert bool(td["agents", "action_mask"].squeeze(1).gather(1, action).all())
+            assert not bool((chosen & ~seen.gather(1, slot)).any())
+        action = module.choose(env, "priority")
+        taken = env.scenario.priority.gather(1, candidates.place)
+        best = torch.where(seen, taken, -1.0).amax(1)
+        rows = (action >= module.IMAGE).squeeze(1)
+        assert torch.equal(taken.gather(1, (action - module.IMAGE).clamp(min=0)).squeeze(1)[rows], best[rows])
+        images += int(rows.sum())
+        td = env.step(td.set(("agents", "action"), action))["next"]
+    assert images > 20
+
+
 FAULTY = {
     "fault_environment": False,
     "fault_environment_literal": True,
@@ -214,7 +252,9 @@ STARTS = {
     "async_multiagent_training": (TRAINING, "deciding"),
     "target_location_uncertainty": (f"{SMALL} --n-targets 300", "found_again"),
     "curriculum_learning": (TRAINING, "torque"),
+    "mixed_environment": ("--num-envs 2 --steps 3", r"ground_images: \["),
     "rso_inspection": (SMALL, "of lit"),
+    "space_to_space_rso_imaging": (f"{SMALL} --policy nearest", r"captured: \["),
     "continuous_orbit_maneuvers": (SMALL, "semi-major axis"),
     "fault_environment": (f"{SMALL} --literal", "faults: tensor"),
     "training_with_shield": (f"{TRAINING} --n-targets 300 --shield replacement", "replaced actions"),

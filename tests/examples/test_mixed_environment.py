@@ -82,9 +82,3 @@ def test_observations_are_those_of_bsk_rl(flown):
                 error = np.abs(row[name]["observation"][: len(wanted)] - wanted) / np.maximum(1.0, np.abs(wanted))
                 worst = max(worst, float(error.max()))
                 assert worst < OBSERVED, (k, name, error)
-
-
-def test_the_program_runs(capsys, monkeypatch):
-    monkeypatch.setattr("sys.argv", ["mixed_environment.py", "--num-envs", "2", "--steps", "3"])
-    example("mixed_environment").main()
-    assert "ground_images: [" in capsys.readouterr().out

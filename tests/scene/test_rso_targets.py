@@ -209,6 +209,21 @@ def test_names_of_candidates():
         env.scenario.index_of("objekt 2")
 
 
+@pytest.mark.compiled
+def test_candidates_are_in_sight_unless_the_earth_or_the_range_is_in_the_way():
+    def seen(**args):
+        env = environment(imagers=2, sat_args=args)
+        env.reset()
+        scout = env.satellites[0]
+        candidates = env.scenario.candidates(scout, 5)
+        found = zip(candidates.place[0].tolist(), env.scenario.in_sight(scout, candidates)[0].tolist(), strict=True)
+        return [place for place, free in found if free]
+
+    assert seen() == [1, 2, 0]  # object 3 is on the other side of the Earth
+    assert seen(imageTargetMaximumRange=6e5) == [2, 0]
+    assert seen(imageTargetMaximumRange=1e3) == []
+
+
 def test_other_scenarios_have_no_targets_in_orbit():
     with pytest.raises(ValueError, match=r"needs scene\.RSOTargets"):
         environment(scenario=scene.UniformNadirScanning(), rewarder=None)

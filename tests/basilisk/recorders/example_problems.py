@@ -21,7 +21,7 @@ from bsk_rl.data.unique_image_data import UniqueImageData, UniqueImageReward, Un
 from bsk_rl.sim import dyn, fsw
 from bsk_rl.sim.fsw import action
 from bsk_rl.utils.functional import default_args
-from bsk_rl.utils.orbital import random_orbit, random_unit_vector, relative_to_chief, walker_delta_args
+from bsk_rl.utils.orbital import random_circular_orbit, random_orbit, random_unit_vector, relative_to_chief, walker_delta_args
 
 ORBIT = 5700.0
 EARTH = orbitalMotion.REQ_EARTH * 1e3
@@ -1117,5 +1117,103 @@ def mixed_environment() -> ConstellationTasking:
         communicator=comm.FreeCommunication(),
         sat_arg_randomizer=relative_to_chief("RSO", lambda: random_orbit(a=7000.0), start),
         time_limit=ORBIT,
+        **QUIET,
+    )
+
+
+# -- Space-to-space imaging of RSOs ------------------------------------------------------------------------------------
+
+
+def catalog(seed: int) -> scene.RSOTargetCatalog:
+    """Three targets, one above the other."""
+    rng, targets = np.random.default_rng(seed), []
+    for k in range(3):
+        elements = orbitalMotion.ClassicElements()
+        elements.a, elements.e, elements.Omega, elements.omega = 7.2e6 + k * 1e5, 0.0, 0.0, 0.0
+        elements.i, elements.f = np.radians(rng.uniform(0.0, 90.0)), rng.uniform(0.0, 0.1)
+        r_N, v_N = orbitalMotion.elem2rv(orbitalMotion.MU_EARTH * 1e9, elements)
+        targets.append(scene.RSOTarget(f"rso-{83 + 17 * k}", f"object_{k}", r_N, v_N, priority=k + 1.0))
+    return scene.RSOTargetCatalog(tuple(targets))
+
+
+def space_to_space_rso_imaging(amos: bool, seed: int = 0) -> ConstellationTasking:
+    """An imager and the catalog of a seed, with the compact profile of the page or that of its research."""
+    candidates = 10 if amos else 3
+    compact = [
+        obs.SatProperties(dict(prop="storage_level_fraction")),
+        obs.RSOTargetProperties(
+            *(dict(prop=name) for name in ("valid", "priority", "target_distance", "target_illumination_factor")),
+            n_ahead_observe=candidates,
+        ),
+    ]
+    full = [
+        obs.SatProperties(
+            dict(prop="storage_level_fraction"),
+            dict(prop="battery_charge_fraction"),
+            dict(prop="wheel_speeds_fraction"),
+            dict(prop="s_hat_H", fn=sun_H),
+        ),
+        obs.Eclipse(norm=ORBIT),
+        obs.OpportunityProperties(
+            dict(prop="opportunity_open", norm=ORBIT),
+            dict(prop="opportunity_close", norm=ORBIT),
+            type="ground_station",
+            n_ahead_observe=2,
+        ),
+        obs.RSOTargetProperties(n_ahead_observe=candidates),
+    ]
+
+    class Imager(sats.AccessSatellite):
+        observation_spec = full if amos else compact
+        action_spec = [
+            act.Charge(duration=300.0 if amos else 60.0),
+            act.Downlink(duration=300.0 if amos else 90.0),
+            act.Desat(duration=150.0 if amos else 60.0),
+            act.ImageRSO(candidates, max_duration=300.0, min_pointing_hold_s=10.0, require_illumination_during_hold=False),
+        ]
+        dyn_type = (dyn.SpaceToSpaceImagingDynModel, dyn.GroundStationDynModel)
+        fsw_type = fsw.SpaceToSpaceImagingFSWModel
+
+    class Passive(sats.Satellite):
+        observation_spec, action_spec = [obs.Time()], [act.Drift(duration=1e9)]
+        dyn_type, fsw_type = dyn.RSOTargetDynModel, fsw.FSWModel
+
+    arguments = dict(
+        oe=random_circular_orbit(i=45.0, alt=600.0, Omega=0.0, f=0.0),
+        sigma_init=[0.0, 0.0, 0.0],
+        omega_init=[0.0, 0.0, 0.0],
+        wheelSpeeds=[0.0, 0.0, 0.0],
+        maxWheelSpeed=6000.0,
+        batteryStorageCapacity=1e9,
+        storedCharge_Init=1e9,
+    )
+    if amos:
+        arguments |= dict(
+            imageAttErrorRequirement=0.0025,
+            imageRateErrorRequirement=0.01,
+            dataStorageCapacity=50 * 4e6,
+            instrumentBaudRate=4e6,
+            transmitterBaudRate=-4e6,
+            batteryStorageCapacity=500 * 3600.0,
+            storedCharge_Init=500 * 3600.0,
+            basePowerDraw=-10.0,
+            instrumentPowerDraw=-30.0,
+            transmitterPowerDraw=-25.0,
+            thrusterPowerDraw=-80.0,
+            panelArea=1.0,
+            desatAttitude="sun",
+        )
+    weights = (0.9, 0.1) if amos else (0.0, 1.0)
+    targets = catalog(seed)
+    return ConstellationTasking(
+        satellites=[*(Passive(target.satellite_name) for target in targets.targets), Imager("imager", arguments)],
+        scenario=scene.RSOTargets(targets, ["imager"]),
+        rewarder=data.RSOImageReward(
+            acquisition_reward_fn=lambda record, target: weights[0] * target.priority,
+            delivery_reward_fn=lambda record, target: weights[1] * target.priority,
+        ),
+        world_args=dict(utc_init="2026 JUN 21 00:00:00.000 (UTC)"),
+        time_limit=6000.0,  # the page's 1200 s are over before most deliveries
+        max_step_duration=300.0,
         **QUIET,
     )

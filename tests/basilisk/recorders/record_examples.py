@@ -24,6 +24,7 @@ import example_problems as problems
 import numpy as np
 from Basilisk.architecture import messaging
 from bsk_rl import ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking
+from bsk_rl.utils.rso_imaging import candidate_snapshot
 from numpy.typing import NDArray
 from recording import record_files, versions
 
@@ -153,6 +154,8 @@ def record(example: Example) -> dict[str, Any]:
         "every": example.every,
         "versions": versions(),
     }
+    if hasattr(env.unwrapped.scenario, "catalog"):
+        setup["catalog"] = env.unwrapped.scenario.catalog.to_dict()
     start = targets_of(env)
     observations, steps = [seen], []
     for k in range(example.steps):
@@ -313,6 +316,15 @@ def behind_shield(seed: int) -> Actions:
     return choose
 
 
+def image_and_downlink(env: Any, k: int, seen: Any) -> Sequence[int]:
+    """The first three candidates in turns, and downlinks where none is left; every tenth time a charge or a desaturation."""
+    *others, imager = satellites_of(env)
+    there = sum(one is not None for one in candidate_snapshot(imager, 3).targets)
+    other = 0 if k % 20 else 2
+    chosen = 1 if there == 0 else 3 + k % there
+    return [0 if k == 0 else NONE for _ in others] + [other if k % 10 == 9 else chosen]
+
+
 def configured(part: str, actions: Actions, steps: int) -> Example:
     """A part of the page about configuration."""
     return Example(lambda: problems.configuration(part), actions, steps)
@@ -396,6 +408,12 @@ EXAMPLES: dict[str, Example] = {
         seed=9,
         drawn=("rN", "vN"),
     ),
+    **{
+        f"space_to_space_rso_imaging_{name}": Example(
+            lambda amos=amos: problems.space_to_space_rso_imaging(amos), image_and_downlink, 40, drawn=("oe",)
+        )
+        for name, amos in (("compact", False), ("amos", True))
+    },
     "fault_environment": Example(lambda: problems.fault_environment(False), drawn(17, soon(32, 0.1, 0.1)), 24),
     "fault_environment_literal": Example(lambda: problems.fault_environment(True), drawn(18, soon(32, 0.1, 0.1)), 24),
     "fault_environment_literal_charge": Example(  # images of no target fill the store
