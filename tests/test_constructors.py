@@ -57,6 +57,7 @@ VALID: dict[Any, dict[str, Any]] = {
     data.UniqueImageReward: {},
     data.CloudFreeImageReward: {},
     data.RSOImageReward: {},
+    data.RSOTeamReward: {},
     data.TimePenalty: {},
     data.MixedReward: dict(rewarders={"a": data.NoReward()}, satellite_mapping={"a": ["A"]}),
     data.ResourceReward: dict(resource_fn=lambda satellite: satellite.dynamics.battery_charge),

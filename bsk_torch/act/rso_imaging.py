@@ -109,7 +109,7 @@ class ImageRSO(Action):
 
     def _check(self, rows: Tensor, target: Tensor) -> None:
         """Raise ValueError unless the targets [N] of ``rows`` [N] are eligible."""
-        eligible = self.satellite.of_env(self._scenario.eligible).gather(1, target.clamp(min=0).unsqueeze(-1)).squeeze(-1)
+        eligible = self._scenario.eligible_for(self.satellite).gather(1, target.clamp(min=0).unsqueeze(-1)).squeeze(-1)
         wrong = rows & ~eligible
         if bool(wrong.any()):
             row = int(torch.nonzero(wrong)[0])

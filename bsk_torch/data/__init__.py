@@ -9,6 +9,7 @@ from bsk_torch.data.mapped import PerEnvironmentReward
 from bsk_torch.data.mixed import MixedReward
 from bsk_torch.data.resources import ResourceReward
 from bsk_torch.data.rso_imaging import RSOImageRecord, RSOImageReward
+from bsk_torch.data.rso_team import RSOTeamReward
 from bsk_torch.data.scanning import ScanningTimeReward
 from bsk_torch.data.time_penalty import TimePenalty
 from bsk_torch.data.unique_images import UniqueImageData
@@ -25,6 +26,7 @@ __all__ = [
     "RSOImageReward",
     "RSOInspectionData",
     "RSOInspectionReward",
+    "RSOTeamReward",
     "ResourceReward",
     "ScanningTimeReward",
     "TimePenalty",

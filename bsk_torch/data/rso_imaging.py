@@ -83,7 +83,7 @@ def its_priority(record: RSOImageRecord, target: RSOImageTarget) -> Tensor:
 
 
 class _Images(NamedTuple):
-    """Images of a step or on board, [N, R] each: whether there is one, its target, imager, time, quality and hold."""
+    """Images of a step or on board, [N, R] each: whether there is one, its target, imager, time, quality, hold and record."""
 
     there: Tensor
     target: Tensor
@@ -91,6 +91,7 @@ class _Images(NamedTuple):
     time: Tensor
     quality: Tensor
     held: Tensor
+    record: Tensor
 
 
 class RSOImageReward(GlobalReward):
@@ -168,6 +169,7 @@ class RSOImageReward(GlobalReward):
         declare("rso_product_target", NONE, *room, grows=True, low=NONE, high=targets - 1)
         for name in ("time", "quality", "held", "left"):
             declare(f"rso_product_{name}", 0.0, *room, grows=True, low=0.0, high=FINITE)
+        declare("rso_product_record", NONE, *room, grows=True, low=NONE)
         for name in ("captured", "delivered"):
             declare(f"rso_{name}", 0, fleet.size, low=0)
 
@@ -198,9 +200,9 @@ class RSOImageReward(GlobalReward):
         taken = (new["rso_images"] > old["rso_images"]) & (new["target"] >= 0)
         imager = torch.arange(len(self._columns), device=taken.device).expand_as(taken)
         target = new["target"].clamp(min=0)
-        captured = _Images(
-            taken, target, imager, *(new[name] for name in ("rso_image_time", "rso_image_quality", "rso_image_held"))
-        )
+        time, quality, held = (new[name] for name in ("rso_image_time", "rso_image_quality", "rso_image_held"))
+        nothing_recorded = torch.full_like(target, NONE)
+        captured = self._recorded(_Images(taken, target, imager, time, quality, held, nothing_recorded))
         size = new["instrument_baud"]
         gone = old["partition_levels"] - new["partition_levels"]
         gone = gone.scatter_add(2, target.unsqueeze(-1), torch.where(taken, size, 0.0).unsqueeze(-1))
@@ -213,6 +215,10 @@ class RSOImageReward(GlobalReward):
         self._credit("delivery", self.delivery_reward_fn, delivered, sizes[1], arrival)
         return self.memory["rso_acquisition_reward"] + self.memory["rso_delivery_reward"]
 
+    def _recorded(self, captured: _Images) -> _Images:
+        """Return new images with the numbers of their records (default: none)."""
+        return captured
+
     def _keep(self, captured: _Images, size: Tensor) -> None:
         """Add the products of new images, behind the older ones."""
         memory = self.memory
@@ -220,12 +226,14 @@ class RSOImageReward(GlobalReward):
         if bool((there.all(1) & captured.there).any()):
             for name in PRODUCT:
                 table = memory[f"rso_product_{name}"]
-                padding = table.new_full((len(table), FIRST_PRODUCTS, *table.shape[2:]), NONE if name == "target" else 0)
+                padding = table.new_full(
+                    (len(table), FIRST_PRODUCTS, *table.shape[2:]), NONE if name in ("target", "record") else 0
+                )
                 setattr(memory, f"rso_product_{name}", torch.cat([table, padding], 1))
             memory.touch()
             there = memory["rso_product_target"] != NONE
         slot = there.sum(1, keepdim=True).clamp(max=there.shape[1] - 1)  # products are in front
-        values = captured.target, captured.time, captured.quality, captured.held, size
+        values = captured.target, captured.time, captured.quality, captured.held, size, captured.record
         for name, value in zip(PRODUCT, values, strict=True):
             table = memory[f"rso_product_{name}"]
             new = torch.where(captured.there.unsqueeze(1), value.unsqueeze(1).to(table.dtype), table.gather(1, slot))
@@ -248,7 +256,7 @@ class RSOImageReward(GlobalReward):
         left = torch.zeros_like(left).scatter(1, order, rest)
         done = there & (left <= LEAST_BITS)
         imager = torch.arange(target.shape[2], device=target.device).expand_as(target)
-        known = (memory[f"rso_product_{name}"] for name in ("time", "quality", "held"))
+        known = (memory[f"rso_product_{name}"] for name in ("time", "quality", "held", "record"))
         delivered = _Images(*(part.flatten(1) for part in (done, target.clamp(min=0), imager, *known)))
         kept = there & ~done
         forward = (~kept).byte().argsort(dim=1, stable=True)
@@ -270,9 +278,12 @@ class RSOImageReward(GlobalReward):
         until = torch.where(useful, delivered.time + self.cooldown_s, -FINITE)
         memory[COOLDOWN] = memory[COOLDOWN].scatter_reduce(1, delivered.target, until, "amax")
         for name, images in (("captured", captured), ("delivered", delivered)):
-            each = torch.zeros(len(pending), len(self._columns), dtype=torch.int64, device=pending.device)
-            each = each.scatter_add(1, images.imager, images.there.long())
-            memory[f"rso_{name}"] = memory[f"rso_{name}"].index_add(1, self._columns, each)
+            memory[f"rso_{name}"] = memory[f"rso_{name}"] + self._by_satellite(images, images.there.long())
+
+    def _by_satellite(self, images: _Images, value: Tensor) -> Tensor:
+        """Return the sums of values [N, R] of images over those of each satellite, [N, S]."""
+        each = value.new_zeros(len(value), len(self._columns)).scatter_add(1, images.imager, value)
+        return value.new_zeros(len(value), self.fleet.size).index_add(1, self._columns, each)
 
     def _credit(self, stage: str, reward_fn: RewardFunction, images: _Images, size: Tensor, arrival: Tensor) -> None:
         """Pay for images of a step at a stage; see the class."""
@@ -287,21 +298,21 @@ class RSOImageReward(GlobalReward):
         pays = (number > 0.0) & (earliest > last + SAME_TIME) & (earliest >= last + self.cooldown_s)
         earns = counts & pays.gather(1, scope)
         value = self._value(stage, reward_fn, images, size, arrival, earns) / number.gather(1, scope).clamp(min=1.0)
-        each = torch.zeros(len(value), len(self._columns), dtype=torch.float64, device=value.device)
-        each = each.scatter_add(1, images.imager, torch.where(earns, value, 0.0))
-        zero = torch.zeros(len(value), self.fleet.size, dtype=torch.float64, device=value.device)
-        memory[f"rso_{stage}_reward"] = zero.index_add(1, self._columns, each)
+        memory[f"rso_{stage}_reward"] = self._by_satellite(images, torch.where(earns, value, 0.0))
         memory[f"rso_{stage}_time"] = torch.where(pays, earliest, last)
         of_scope = memory["rso_service"] if shared else memory["rso_service"].repeat(1, len(self._columns))
         memory[f"rso_{stage}_service"] = torch.where(pays, of_scope, paid)
+
+    def _priority(self, images: _Images) -> Tensor:
+        """Return the priorities of the targets of images at the beginning of the step, [N, R]."""
+        began = (self.fleet.since * self.fleet.simulators[0].h_ns).double() * NANO
+        return look_up(self.scenario.priority_at(began), images.target)
 
     def _value(
         self, stage: str, reward_fn: RewardFunction, images: _Images, size: Tensor, arrival: Tensor, earns: Tensor
     ) -> Tensor:
         """Return the rewards of images by the user's function, [N, R]; what it gives for others does not matter."""
-        fleet = self.fleet
-        began = (fleet.since * fleet.simulators[0].h_ns).double() * NANO
-        target = RSOImageTarget(look_up(self.scenario.priority_at(began), images.target))
+        target = RSOImageTarget(self._priority(images))
         record = RSOImageRecord(
             images.time, size, images.quality, images.held, arrival, images.target, self._columns[images.imager]
         )
@@ -317,7 +328,7 @@ class RSOImageReward(GlobalReward):
         return value.double()
 
 
-PRODUCT = ("target", "time", "quality", "held", "left")
+PRODUCT = ("target", "time", "quality", "held", "left", "record")
 """What is kept of a product."""
 
 LOGGED = ("rso_images", "rso_image_time", "rso_image_quality", "rso_image_held", "instrument_baud", "partition_levels")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
@@ -20,9 +21,11 @@ from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.rso_catalog import RandomRSOCatalog, RSOTarget, RSOTargetCatalog
+from bsk_torch.scene.rso_records import RecordBook
 from bsk_torch.sim.catalog.aim import AIM, NO_AIM, AimedNodes
 from bsk_torch.sim.catalog.candidates import Candidates, Moment, Views, in_order, views
 from bsk_torch.sim.catalog.orbits import CatalogOrbits, Epoch
+from bsk_torch.sim.dyn.hub import initial_orbit
 from bsk_torch.sim.dyn.rso_imaging import RSO_TRACK, SpaceToSpaceImagingDynModel
 from bsk_torch.sim.fsw.rso_imaging import SpaceToSpaceImagingFSWModel
 from bsk_torch.sim.names import nearest
@@ -36,6 +39,12 @@ POSITIONS, VELOCITIES, PRIORITIES = "rso_r_N", "rso_v_N", "rso_priority"
 PENDING, COOLDOWN = "rso_pending", "rso_cooldown"
 """Names of what rewarders keep of targets: number of images that have not been downlinked, and until when they cool down, s."""
 
+
+OWN_PENDING = "rso_own_pending"
+"""Name of the number of images of each target that wait on board of each imager."""
+
+KNOWLEDGE = ("common", "own")
+"""What candidates follow from: all images, or those of which an imager knows."""
 
 MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
 
@@ -65,18 +74,28 @@ class RSOTargets(Scenario):
     down; see :class:`~bsk_torch.data.RSOImageReward`. The *candidates* of an imager are the eligible targets, first those with an
     elevation from -21 to 90 degrees above its horizontal, in ascending order, then the others by their distance.
 
-    N is the number of episodes, G that of targets.
+    With ``knowledge="own"``, candidates of an imager follow from what it knows. A target is eligible for it unless an image of it
+    waits on its board, or it knows of a capture of sufficient quality that is younger than the cooldown. It knows its captures,
+    and those of which others have told it; see :class:`~bsk_torch.data.RSOTeamReward`, which keeps the records. An imager that
+    learns of such a capture of the target that it is imaging requires another task.
+
+    N is the number of episodes, G that of targets, A that of imagers in the order of ``imager_columns``.
 
     Attributes:
         ids: Ids of the targets.
         imager_names: Names of the imagers.
         block_pending_targets: See above.
+        knowledge: See above.
+        records: Records of captures and who knows them, with ``knowledge="own"``, once an environment has been built.
         imager_types: Indices of the types of satellites with imagers, once an environment has been built.
         imager_columns: Indices of the imagers among the satellites of an episode, [A], likewise.
     """
 
     imager_types: tuple[int, ...]
     imager_columns: list[int]
+    records: RecordBook
+    _service: float | None = None
+    _keeps_records = False
     _link_needs_super = True
 
     def __init__(
@@ -85,6 +104,7 @@ class RSOTargets(Scenario):
         imager_names: Sequence[str],
         *,
         block_pending_targets: bool = True,
+        knowledge: str = "common",
     ) -> None:
         """ValueError for a wrong argument.
 
@@ -93,6 +113,8 @@ class RSOTargets(Scenario):
                 priorities, one for each environment.
             imager_names: Names of the satellites that image.
             block_pending_targets: Whether a target with images that have not been downlinked cannot be chosen.
+            knowledge: ``"common"`` if candidates follow from all images at once, ``"own"`` if those of each imager follow from
+                what it knows.
         """
         listed: list[Any] = list(catalog.values) if isinstance(catalog, PerEnv) else [catalog]
         kinds = (RSOTargetCatalog,) if isinstance(catalog, PerEnv) else (RSOTargetCatalog, RandomRSOCatalog)
@@ -112,6 +134,9 @@ class RSOTargets(Scenario):
         if len(set(self.imager_names)) < len(self.imager_names):
             raise ValueError(f"imager_names={list(self.imager_names)} must be unique")
         self.block_pending_targets = switch("block_pending_targets", block_pending_targets)
+        if text("knowledge", knowledge) not in KNOWLEDGE:
+            raise ValueError(f"knowledge={knowledge!r} must be one of {list(KNOWLEDGE)}; {nearest(knowledge, KNOWLEDGE)}")
+        self.knowledge = knowledge
         self._events = _event_table(first)
 
     # -- draws --------------------------------------------------------------------------------------------------------
@@ -205,6 +230,13 @@ class RSOTargets(Scenario):
         fleet.memory.add("rso_orbits", self.orbits)
         self.memory.declare(PENDING, 0, self.n_targets, low=0)
         self.memory.declare(COOLDOWN, 0.0, self.n_targets, low=-FINITE, high=FINITE)
+        self._first_imager = dict(
+            zip(self.imager_types, _starts([len(fleet.columns[k]) for k in self.imager_types]), strict=True)
+        )
+        if self.knowledge == "own":
+            self.records = RecordBook(fleet.num_envs, len(self.imager_names), self.n_targets, fleet.device)
+            fleet.memory.add("rso_records", self.records)
+            self.memory.declare(OWN_PENDING, 0, len(self.imager_names), self.n_targets, low=0)
         for k in self.imager_types:
             simulator = fleet.simulators[k]
             simulator.memory.declare(AIM, NO_AIM, low=NO_AIM, high=self.n_targets - 1)
@@ -260,9 +292,58 @@ class RSOTargets(Scenario):
 
     @property
     def eligible(self) -> Tensor:
-        """Targets that can be chosen, [N, G]."""
+        """Targets that can be chosen, [N, G]; by imager with ``knowledge="own"``, [N, A, G]."""
+        if self.knowledge == "own":
+            free = ~self.satisfied
+            return free & (self.memory[OWN_PENDING] == 0) if self.block_pending_targets else free
         ready = self.fleet.sim_time.unsqueeze(1) >= self.cooldown_until
         return ready & (self.pending == 0) if self.block_pending_targets else ready
+
+    def eligible_for(self, satellite: BoundSatellite) -> Tensor:
+        """Return the targets that each satellite of a type can choose, [n, G]."""
+        return self.of_imagers(satellite, self.eligible) if self.knowledge == "own" else satellite.of_env(self.eligible)
+
+    def of_imagers(self, satellite: BoundSatellite, table: Tensor) -> Tensor:
+        """Return the rows [n, ...] of the satellites of a type from a table by imager, [N, A, ...]."""
+        first = self._first_imager[satellite.type_index]
+        return table[:, first : first + satellite.simulator.count].flatten(0, 1)
+
+    # -- knowledge ----------------------------------------------------------------------------------------------------
+
+    def keep_records(self, cooldown_s: float | None) -> None:
+        """Tell that a rewarder adds to the records, and the cooldown of ``service_time``; ValueError for common knowledge."""
+        if self.knowledge != "own":
+            raise ValueError(f"scene.RSOTargets has knowledge={self.knowledge!r}; records of what imagers know need 'own'")
+        self._keeps_records, self._service = True, cooldown_s
+
+    @property
+    def service_time(self) -> Tensor:
+        """Time after a capture in which no other is wanted, [N] s; twice the median orbital period of imagers unless given."""
+        if self._service is not None:
+            return torch.full_like(self.fleet.sim_time, self._service)
+        return 2.0 * self._once(("period",), self._median_period)
+
+    def _median_period(self) -> Tensor:
+        periods = []
+        for k in self.imager_types:
+            simulator = self.fleet.simulators[k]
+            arguments = simulator.state.all_arguments
+            (r_N, v_N), mu = initial_orbit(arguments), arguments["mu"]
+            a = 1.0 / (2.0 / r_N.norm(dim=-1) - (v_N * v_N).sum(-1) / mu)
+            periods.append((2.0 * math.pi * torch.sqrt(a**3 / mu)).expand(simulator.state.rows).view(-1, simulator.count))
+        return torch.cat(periods, 1).quantile(0.5, dim=1)
+
+    @property
+    def satisfied(self) -> Tensor:
+        """Targets of which each imager knows a capture that is younger than ``service_time``, [N, A, G].
+
+        RuntimeError unless a rewarder keeps records.
+        """
+        if not self._keeps_records:
+            raise RuntimeError(
+                "scene.RSOTargets with knowledge='own' needs a rewarder that keeps records of images: data.RSOTeamReward"
+            )
+        return self._once(("satisfied",), lambda: self.records.satisfied(self.fleet.sim_time, self.service_time))
 
     @property
     def r_TN_N(self) -> Tensor:
@@ -279,6 +360,7 @@ class RSOTargets(Scenario):
     def _once(self, name: tuple[Any, ...], find: Any) -> Any:
         """Return what ``find`` returns, which is valid until the state changes."""
         key = (*(simulator.state.version for simulator in self.fleet.simulators), self.memory.version)
+        key += (self.records.version,) if self.knowledge == "own" else ()
         cached = self._cache.get(name)
         if cached is None or cached.key != key:
             value = find()
@@ -294,7 +376,7 @@ class RSOTargets(Scenario):
             r_TN_N = self._positions()
             if satellite.simulator.count > 1:
                 r_TN_N = r_TN_N.repeat_interleave(satellite.simulator.count, 1)
-            return in_order(r_TN_N, satellite.dynamics.r_BN_N, satellite.of_env(self.eligible))
+            return in_order(r_TN_N, satellite.dynamics.r_BN_N, self.eligible_for(satellite))
 
         known = self._once(("candidates", satellite.type_index), found)
         missing = count - self.n_targets
@@ -331,6 +413,11 @@ class RSOTargets(Scenario):
         found = self.candidates(satellite, count)
         pairs = zip(found.place[row].tolist(), found.exists[row].tolist(), strict=True)
         return [self.ids[place] if exists else None for place, exists in pairs]
+
+
+def _starts(counts: Sequence[int]) -> list[int]:
+    """Return the sums of the counts before each one."""
+    return [sum(counts[:k]) for k in range(len(counts))]
 
 
 def _event_table(catalog: RSOTargetCatalog | RandomRSOCatalog) -> tuple[Tensor, Tensor] | None:

@@ -131,7 +131,7 @@ def test_products_are_delivered_in_the_order_of_their_capture():
         size = torch.tensor([[float(numbers.randrange(1, 9)) for _ in range(2)] for _ in range(2)], dtype=torch.float64)
         time = torch.full((2, 2), float(step), dtype=torch.float64)
         imager = torch.arange(2).expand(2, 2)
-        rewarder._keep(_Images(there, target, imager, time, time, time), size)
+        rewarder._keep(_Images(there, target, imager, time, time, time, torch.full_like(target, NONE)), size)
         gone = torch.zeros(2, 2, 4, dtype=torch.float64)
         wanted = set()
         for e in range(2):
