@@ -19,6 +19,7 @@ from bsk_torch.astro.atmosphere import top_radius
 from bsk_torch.astro.ephemeris import parse_utc
 from bsk_torch.astro.orbit import Elements, elements_to_rv, periapsis_radius
 from bsk_torch.constants import R_EARTH
+from bsk_torch.files import write_file
 from bsk_torch.rand import Distribution, Key, Uniform, random_orbit
 from bsk_torch.scene.draws import calls_user, check_numbers, draw_numbers
 from bsk_torch.sim.dyn.models import BasicDynamicsModel
@@ -241,7 +242,7 @@ class RSOTargetCatalog:
 
     def save(self, path: str | Path) -> None:
         """Write the catalog to a JSON file, without rounding."""
-        Path(path).write_text(json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        write_file(path, json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n")
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> RSOTargetCatalog:

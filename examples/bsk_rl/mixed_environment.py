@@ -147,24 +147,42 @@ def make(
 
 def main() -> None:
     """Play random actions, and print what each channel pays."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
+    parser = argparse.ArgumentParser(
+        description="Image targets on the ground, and inspect a spacecraft."
+    )
     parser.add_argument("--num-envs", type=int, default=4, help="episodes at once")
-    parser.add_argument("--steps", type=int, default=40, help="decisions")
+    parser.add_argument(
+        "--time-limit", type=float, default=ORBIT, help="length of an episode, s"
+    )
+    parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
     parser.add_argument(
         "--figure",
         type=Path,
         help="file for a figure of the first episode at the end; needs the extra viz",
     )
-    given = parser.parse_args()
-    env = make(given.num_envs, seed=0)
-    env.rollout(given.steps, break_when_any_done=False)
+    options = parser.parse_args()
+    env = make(
+        options.num_envs, time_limit=options.time_limit, backend=options.backend, seed=0
+    )
+
+    def anything(td: Any) -> Any:
+        """Give each satellite that needs a task a random one of those that its mask allows."""
+        for group in env.group_map:
+            weights = td[group, "action_mask"].float()
+            # the last entry stands for no task; bsk_rl: env.action_space(..).sample()
+            weights[..., -1] *= 1e-9
+            action = torch.multinomial(weights.flatten(0, 1), 1)
+            td[group, "action"] = action.view(weights.shape[:2])
+        return td
+
+    env.rollout(1000, anything, break_when_all_done=True)
     for channel, rewarder in env.rewarder.channels.items():
         paid = torch.stack(list(rewarder.cum_reward.values()), 1).sum(1)
         print(f"{channel}: {[round(value, 3) for value in paid.tolist()]}")
-    if given.figure is not None:
+    if options.figure is not None:
         from PIL import Image
 
-        Image.fromarray(env.render(rows=0).numpy()).save(given.figure)
+        Image.fromarray(env.render(rows=0).numpy()).save(options.figure)
 
 
 if __name__ == "__main__":

@@ -252,7 +252,7 @@ STARTS = {
     "async_multiagent_training": (TRAINING, "deciding"),
     "target_location_uncertainty": (f"{SMALL} --n-targets 300", "found_again"),
     "curriculum_learning": (TRAINING, "torque"),
-    "mixed_environment": ("--num-envs 2 --steps 3", r"ground_images: \["),
+    "mixed_environment": (SMALL, r"ground_images: \["),
     "rso_inspection": (SMALL, "of lit"),
     "space_to_space_rso_imaging": (f"{SMALL} --policy nearest", r"captured: \["),
     "continuous_orbit_maneuvers": (SMALL, "semi-major axis"),

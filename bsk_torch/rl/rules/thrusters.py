@@ -63,7 +63,7 @@ def thruster_rule(name: str) -> Callable[[SatelliteTasking, int], TensorDictModu
         if not isinstance(entry, HeldThrust):
             raise ValueError(f"the rule {name!r} needs act.HeldThrust; the action is {entry!r}")
         most = entry.max_thrust
-        rule(Columns(torch.zeros(1, len(description)), description), most)
+        rule(Columns(torch.zeros(1, len(description), dtype=torch.float32), description), most)
         return TensorDictModule(
             lambda observation: rule(Columns(observation, description), most), in_keys=["observation"], out_keys=["action"]
         )

@@ -73,7 +73,7 @@ def see_rso(bus: Bus) -> tuple[Vec3, Tensor, Tensor]:
     line, reach = r_TN_N - bus.r_BN_N, bus.target_range
     clear = line_clearance(stretch(r_TN_N, bus.EN.z), stretch(bus.r_BN_N, bus.EN.z)) > 0.0
     near = (line.dot(line) <= reach * reach) | (reach < 0.0)
-    return r_TN_N, torch.where(clear & near, 1.0, 0.0), illumination(before, bus.r_SN_N)
+    return r_TN_N, (clear & near).to(bus.dtype), illumination(before, bus.r_SN_N)
 
 
 def hold(bus: Bus) -> None:
@@ -107,7 +107,7 @@ def hold(bus: Bus) -> None:
     one = torch.ones_like(held)
     quality = torch.where(held > 0.0, lit / torch.where(held > 0.0, held, one), light)
     bus.rso_held, bus.rso_lit = held, lit
-    bus.rso_valid = torch.where(armed, torch.where(valid, 1.0, 0.0), bus.rso_valid).to(bus.dtype)
+    bus.rso_valid = torch.where(armed, valid.to(bus.dtype), bus.rso_valid)
     bus.rso_light = torch.where(armed, light, bus.rso_light).to(bus.dtype)
     bus.instrument_command = torch.where(takes, one, zero)
     bus.rso_armed = torch.where(takes, torch.zeros_like(bus.rso_armed), bus.rso_armed)
