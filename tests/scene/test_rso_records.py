@@ -109,6 +109,7 @@ steps = st.lists(
         st.tuples(st.just("request"), st.integers(0, ENVS - 1), st.integers(0, TARGETS - 1)),
         st.tuples(st.just("send"), st.integers(0, ENVS - 1), st.integers(0, SENSORS**2 - 1), st.integers(1, 2**9 - 1)),
     ),
+    min_size=1,
     max_size=40,
 )
 
@@ -162,6 +163,7 @@ def test_knowledge_is_that_of_lists_of_records(sequence):
                 reference.send([(source, goal, records)], float(now))
             waiting[env] = []
         compare(book, env, reference, float(now))
+    assert (book.target != NONE).sum(1).tolist() == [reference.number for reference in references]
 
 
 def test_all_share_what_they_knew_before():
