@@ -12,6 +12,7 @@ from bsk_torch.act.masks import allow_only, forbid
 from bsk_torch.act.rso_imaging import ImageRSO
 from bsk_torch.act.setpoint import AttitudeSetpoint
 from bsk_torch.act.thrust import ImpulsiveThrust, ImpulsiveThrustHill
+from bsk_torch.act.transmit_catalog import TransmitCatalog
 from bsk_torch.act.waypoint import HillWaypoint
 
 __all__ = [
@@ -35,6 +36,7 @@ __all__ = [
     "ImpulsiveThrustHill",
     "NadirPoint",
     "Scan",
+    "TransmitCatalog",
     "allow_only",
     "forbid",
     "image_target",

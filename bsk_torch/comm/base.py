@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import number
+from bsk_torch.sim.catalog.aim import PEER
 from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked, check_tensor, overrides
 from bsk_torch.sim.state import FINITE
 
@@ -59,6 +60,8 @@ class CommunicationMethod:
 
     refines: ClassVar[bool] = False
     """Whether the class only changes the pairs of another class, which must follow it among the base classes."""
+
+    _delivers_packets: ClassVar[bool] = False
 
     fleet: SatelliteFleet
     due: Tensor
@@ -134,7 +137,13 @@ class CommunicationMethod:
 
         Raises:
             TypeError: If an override does not call ``super().link(fleet)``.
+            ValueError: If satellites send packets that this method does not deliver.
         """
+        if not self._delivers_packets and any(PEER in simulator.memory for simulator in fleet.simulators):
+            raise ValueError(
+                "act.TransmitCatalog needs communicator=comm.CatalogCommunication(), which delivers what is sent; it is "
+                f"{type(self).__name__}"
+            )
         self.link(fleet)
         check_linked(self, "link(fleet)", fleet)
 

@@ -49,7 +49,8 @@ class RSOTeamReward(RSOImageReward):
     """Reward for images of which each imager knows its own and those it has been told of; needs ``knowledge="own"``.
 
     Images of sufficient quality become records (:class:`~bsk_torch.scene.rso_records.RecordBook`). Along the links of the
-    communicator, living imagers tell each other all that they know.
+    communicator, living imagers tell each other all that they know; with :class:`~bsk_torch.comm.CatalogCommunication`, what the
+    packets hold.
 
     A ledger that no imager knows pays for services:
 
@@ -237,7 +238,7 @@ class RSOTeamReward(RSOImageReward):
     def share(self, links: Tensor) -> None:
         """See :meth:`GlobalReward.share`: living imagers tell each other of images, and may require other tasks."""
         fleet, records = self.fleet, self.scenario.records
-        if not records.sends_packets:
+        if not records.slots:  # else the communicator has delivered packets
             alive = ~fleet.each(lambda satellite: satellite.task.dead)[:, self._columns]
             between = links[:, self._columns][:, :, self._columns] & alive.unsqueeze(1) & alive.unsqueeze(2)
             records.pass_on(records.all_known(between), between, fleet.sim_time)

@@ -43,7 +43,15 @@ class RecordBook(StateTable):
         told: Version that the third index knows the fourth to have, [N, R, A, A] int8.
         exchanged: Time of the last message from the first to the second sensor, [N, A, A] s; :data:`AGO` before.
         epochs: Present epochs of the targets, [N, G].
-        sends_packets: Whether a communicator delivers packets, so that links do not stand for all that is known.
+        packet: Versions of records in the packet that each sensor is sending, or has sent last, [N, R, A] int8.
+        receiver: Sensor to which it is sent, [N, A].
+        queue: Packets on their way, [N, R, A, slots] int8, which a communicator declares; likewise the next four.
+        queue_receiver: Their receivers, [N, A, slots].
+        queue_time: Times at which they have been sent, [N, A, slots] s; ``FINITE`` for places without a packet.
+        queue_number: Number of packets that their senders had sent before, [N, A, slots].
+        sent: Number of packets that each sensor has sent, [N, A].
+        slots: Places of each sensor in the queue; 0 where no communicator delivers packets, so that links stand for all that is
+            known.
     """
 
     target: Tensor
@@ -57,12 +65,19 @@ class RecordBook(StateTable):
     told: Tensor
     exchanged: Tensor
     epochs: Tensor
-    sends_packets: bool
+    packet: Tensor
+    receiver: Tensor
+    queue: Tensor
+    queue_receiver: Tensor
+    queue_time: Tensor
+    queue_number: Tensor
+    sent: Tensor
+    slots: int
 
     def __init__(self, num_envs: int, sensors: int, targets: int, device: torch.device | str = "cpu") -> None:
         """Make a book without records for ``sensors`` A and ``targets`` G in each of ``num_envs`` episodes N."""
         super().__init__(num_envs, 1, device)
-        self.sensors, self.targets, self.sends_packets = sensors, targets, False
+        self.sensors, self.targets, self.slots = sensors, targets, 0
         record = functools.partial(self.declare, grows=True)
         version = functools.partial(record, dtype=torch.int8, low=UNKNOWN, high=DELIVERED)
         record("target", NONE, FIRST_RECORDS, low=NONE, high=targets - 1)
@@ -73,7 +88,9 @@ class RecordBook(StateTable):
         record("delivery", FINITE, FIRST_RECORDS, low=0.0, high=FINITE)
         version("known", UNKNOWN, FIRST_RECORDS, sensors)
         version("told", UNKNOWN, FIRST_RECORDS, sensors, sensors)
+        version("packet", UNKNOWN, FIRST_RECORDS, sensors)
         record("received", FINITE, FIRST_RECORDS, sensors, 2, low=0.0, high=FINITE)
+        self.declare("receiver", 0, sensors, low=0, high=sensors - 1)
         self.declare("exchanged", AGO, sensors, sensors, low=AGO, high=FINITE)
         self.declare("epochs", 0, targets, low=0)
 
@@ -148,6 +165,51 @@ class RecordBook(StateTable):
     def all_known(self, links: Tensor) -> Tensor:
         """Return messages of all that senders know, [N, R, A, A] int8, along ``links`` [N, A, A] bool."""
         return self.known.unsqueeze(-1) * links.unsqueeze(1).to(torch.int8)
+
+    # -- packets ------------------------------------------------------------------------------------------------------
+
+    def declare_queue(self, slots: int) -> None:
+        """Make room for so many packets of each sensor on their way."""
+        self.slots = slots
+        self.declare(
+            "queue", UNKNOWN, FIRST_RECORDS, self.sensors, slots, dtype=torch.int8, grows=True, low=UNKNOWN, high=DELIVERED
+        )
+        self.declare("queue_receiver", 0, self.sensors, slots, low=0, high=self.sensors - 1)
+        self.declare("queue_time", FINITE, self.sensors, slots, low=0.0, high=FINITE)
+        self.declare("queue_number", 0, self.sensors, slots, low=0)
+        self.declare("sent", 0, self.sensors, low=0)
+
+    def begin_packets(self, begins: Tensor, receiver: Tensor) -> None:
+        """Put what sensors have to tell into packets, where ``begins`` [N, A], for the ``receiver`` [N, A]."""
+        index = receiver.view(len(receiver), 1, -1, 1).expand(-1, self.target.shape[1], -1, 1)
+        content = self.news().gather(3, index).squeeze(3)
+        self.packet = torch.where(begins.unsqueeze(1), content, self.packet)
+        self.receiver = torch.where(begins, receiver, self.receiver)
+        self.touch()
+
+    def queue_packets(self, ready: Tensor, now: Tensor) -> None:
+        """Put packets that have been sent at ``now`` [N] s into the queue, where ``ready`` [N, A]."""
+        slot = torch.nn.functional.one_hot((self.queue_time >= FINITE).byte().argmax(2), self.slots).bool()  # the first one free
+        here = slot & ready.unsqueeze(2)
+        self.queue = torch.where(here.unsqueeze(1), self.packet.unsqueeze(3), self.queue)
+        self.queue_receiver = torch.where(here, self.receiver.unsqueeze(2), self.queue_receiver)
+        self.queue_time = torch.where(here, now.view(-1, 1, 1), self.queue_time)
+        self.queue_number = torch.where(here, self.sent.unsqueeze(2), self.queue_number)
+        self.sent = self.sent + ready
+        self.touch()
+
+    def deliver_packets(self, due: Tensor, arrives: Tensor, now: Tensor) -> Tensor:
+        """Take packets ``due`` [N, A, slots] from the queue, and deliver those that also ``arrive``.
+
+        Returns:
+            Which sensors have sent something to which others, [N, A, A] bool.
+        """
+        goal = torch.nn.functional.one_hot(self.queue_receiver, self.sensors).bool() & (due & arrives).unsqueeze(3)
+        messages = torch.where(goal.unsqueeze(1), self.queue.unsqueeze(4), UNKNOWN).amax(3)
+        links = goal.any(2)
+        self.queue_time = torch.where(due, FINITE, self.queue_time)
+        self.pass_on(messages, links, now)
+        return links
 
     def pass_on(self, messages: Tensor, links: Tensor, now: Tensor) -> None:
         """Deliver messages; senders learn that receivers know their content, and receivers that senders do.

@@ -89,11 +89,13 @@ class RSOTargets(Scenario):
         records: Records of captures and who knows them, with ``knowledge="own"``, once an environment has been built.
         imager_types: Indices of the types of satellites with imagers, once an environment has been built.
         imager_columns: Indices of the imagers among the satellites of an episode, [A], likewise.
+        peers: Numbers of the other imagers of each imager, sorted by their names, [1, A, A - 1], with ``knowledge="own"``.
     """
 
     imager_types: tuple[int, ...]
     imager_columns: list[int]
     records: RecordBook
+    peers: Tensor
     _service: float | None = None
     _keeps_records = False
     _link_needs_super = True
@@ -226,16 +228,19 @@ class RSOTargets(Scenario):
         first = fleet.simulators[0]
         solver = make_flights(first.h, first.type.options.backend, fleet.device, first.type.gravity_degree)
         epoch = Epoch(lambda envs: self._et[envs], self._states)
-        self.orbits = CatalogOrbits(fleet.num_envs, self.n_targets, solver, epoch)
+        followed = len(self.imager_columns) if self.knowledge == "own" else 0
+        self.orbits = CatalogOrbits(fleet.num_envs, self.n_targets + followed, solver, epoch)
         fleet.memory.add("rso_orbits", self.orbits)
         self.memory.declare(PENDING, 0, self.n_targets, low=0)
         self.memory.declare(COOLDOWN, 0.0, self.n_targets, low=-FINITE, high=FINITE)
-        self._first_imager = dict(
-            zip(self.imager_types, _starts([len(fleet.columns[k]) for k in self.imager_types]), strict=True)
-        )
+        numbers = [len(fleet.columns[k]) for k in self.imager_types]
+        missing = len(self.imager_names) - len(self.imager_columns)  # on a trial, where there is one satellite of each type
+        self._padded_columns = self.imager_columns + self.imager_columns[:1] * missing
+        self._first_imager = {k: sum(numbers[:n]) for n, k in enumerate(self.imager_types)}
         if self.knowledge == "own":
             self.records = RecordBook(fleet.num_envs, len(self.imager_names), self.n_targets, fleet.device)
             fleet.memory.add("rso_records", self.records)
+            self.peers = sorted_peers([fleet.names[column] for column in self._padded_columns]).to(fleet.device)
             self.memory.declare(OWN_PENDING, 0, len(self.imager_names), self.n_targets, low=0)
         for k in self.imager_types:
             simulator = fleet.simulators[k]
@@ -262,7 +267,20 @@ class RSOTargets(Scenario):
                     f"the catalog of environment {env} has utc_init={name!r}, but its world has another epoch; give "
                     f"world_args={{'utc_init': {name!r}}}, or a catalog with utc_init=None"
                 )
-        return self.drawn(POSITIONS)[envs], self.drawn(VELOCITIES)[envs]
+        targets = self.drawn(POSITIONS)[envs], self.drawn(VELOCITIES)[envs]
+        if self.knowledge != "own":
+            return targets
+        starts = [self._initial_orbits(k) for k in self.imager_types]
+        imagers = (torch.cat(parts, 1)[envs] for parts in zip(*starts, strict=True))
+        r_N, v_N = (torch.cat(pair, 1) for pair in zip(targets, imagers, strict=True))
+        return r_N, v_N
+
+    def _initial_orbits(self, k: int) -> tuple[Tensor, Tensor]:
+        """Return positions, m, and velocities, m/s, at time zero of the imagers of a type, [N, count, 3] each."""
+        simulator = self.fleet.simulators[k]
+        found = initial_orbit(simulator.state.all_arguments)
+        r_N, v_N = (part.expand(simulator.state.rows, 3).view(-1, simulator.count, 3) for part in found)
+        return r_N, v_N
 
     # -- targets ------------------------------------------------------------------------------------------------------
 
@@ -326,12 +344,30 @@ class RSOTargets(Scenario):
     def _median_period(self) -> Tensor:
         periods = []
         for k in self.imager_types:
-            simulator = self.fleet.simulators[k]
-            arguments = simulator.state.all_arguments
-            (r_N, v_N), mu = initial_orbit(arguments), arguments["mu"]
+            r_N, v_N = self._initial_orbits(k)
+            mu = self.fleet.simulators[k].state.argument("mu").view(r_N.shape[:2])
             a = 1.0 / (2.0 / r_N.norm(dim=-1) - (v_N * v_N).sum(-1) / mu)
-            periods.append((2.0 * math.pi * torch.sqrt(a**3 / mu)).expand(simulator.state.rows).view(-1, simulator.count))
+            periods.append(2.0 * math.pi * torch.sqrt(a**3 / mu))
         return torch.cat(periods, 1).quantile(0.5, dim=1)
+
+    @property
+    def linked(self) -> Tensor:
+        """Whether the segment between two imagers does not touch a sphere of the Earth's equatorial radius, [N, A, A]."""
+        r_N = self.fleet.each(lambda satellite: satellite.dynamics.r_BN_N)[:, self._padded_columns]
+        here, there = (Vec3(*part.movedim(-1, 0)) for part in (r_N.unsqueeze(1), r_N.unsqueeze(2)))
+        return line_clearance(here, there) > 0.0
+
+    @property
+    def imagers_alive(self) -> Tensor:
+        """Imagers that had not died when the last step ended, [N, A]."""
+        return ~self.fleet.each(lambda satellite: satellite.task.dead)[:, self._padded_columns]
+
+    def by_imager(self, satellite: BoundSatellite, rows: Tensor, missing: float | bool) -> Tensor:
+        """Return a table by imager, [N, A, ...], of rows [n, ...] of one type, with ``missing`` for all other imagers."""
+        first, count = self._first_imager[satellite.type_index], satellite.simulator.count
+        table = rows.new_full((self.fleet.num_envs, len(self.imager_names), *rows.shape[1:]), missing)
+        table[:, first : first + count] = rows.view(-1, count, *rows.shape[1:])
+        return table
 
     @property
     def satisfied(self) -> Tensor:
@@ -353,7 +389,7 @@ class RSOTargets(Scenario):
     def _positions(self) -> Tensor:
         def found() -> Tensor:
             self.orbits.catch_up(self.fleet.sim_time)
-            return self.orbits.positions(self.fleet.sim_time)
+            return self.orbits.positions(self.fleet.sim_time)[..., : self.n_targets]
 
         return self._once(("positions",), found)
 
@@ -415,9 +451,11 @@ class RSOTargets(Scenario):
         return [self.ids[place] if exists else None for place, exists in pairs]
 
 
-def _starts(counts: Sequence[int]) -> list[int]:
-    """Return the sums of the counts before each one."""
-    return [sum(counts[:k]) for k in range(len(counts))]
+def sorted_peers(names: Sequence[str]) -> Tensor:
+    """Return the numbers of the other imagers of each of A imagers, sorted by their ``names``, [1, A, A - 1]."""
+    order = sorted(range(len(names)), key=lambda k: names[k])
+    others = [[other for other in order if other != k] for k in range(len(names))]
+    return torch.tensor(others, dtype=torch.int64).view(1, len(names), -1)
 
 
 def _event_table(catalog: RSOTargetCatalog | RandomRSOCatalog) -> tuple[Tensor, Tensor] | None:

@@ -14,6 +14,9 @@ from bsk_torch.sim.simulator import Simulator
 AIM, NO_AIM = "rso_target", -1
 """Memory of satellites with the number of the object at which they point, and its value where they have pointed at none."""
 
+PEER = "rso_peer"
+"""Memory of satellites with a radio with the number of the object that is the satellite to which they transmit."""
+
 
 class AimedNodes:
     """Supplies the nodes of the objects at which the satellites of a simulation point; see ``Simulator.sources``."""
@@ -22,6 +25,8 @@ class AimedNodes:
         """Supply the satellites of a simulation with objects on ``orbits``."""
         self._simulator, self._orbits = simulator, orbits
         self._mode = simulator.mode_names.index("image_rso")
+        names = simulator.mode_names
+        self._radio = names.index("transmit_rso") if "transmit_rso" in names else None
         self._found = no_samples(RSO_TRACK, simulator.state.rows, simulator.device)
         self._known: tuple[Tensor, int, int] | None = None
         self._end = -1.0
@@ -31,8 +36,11 @@ class AimedNodes:
         simulator, orbits = self._simulator, self._orbits
         known = simulator.mode, simulator.memory.version, orbits.version
         same = self._known is not None and known[0] is self._known[0] and known[1:] == self._known[1:]
-        aim = simulator.memory[AIM]
-        points = torch.nonzero((simulator.mode == self._mode) & (aim != NO_AIM)).squeeze(-1)
+        aim, points = simulator.memory[AIM], simulator.mode == self._mode
+        if self._radio is not None and PEER in simulator.memory:
+            transmits = simulator.mode == self._radio
+            aim, points = torch.where(transmits, simulator.memory[PEER], aim), points | transmits
+        points = torch.nonzero(points & (aim != NO_AIM)).squeeze(-1)
         end = float(time[points].max()) if len(points) else 0.0
         if same and end <= self._end:
             return

@@ -1,5 +1,6 @@
 """Dynamics: the parts of a spacecraft and the models that compose them."""
 
+from bsk_torch.sim.dyn.catalog_radio import CatalogRadioDynModel
 from bsk_torch.sim.dyn.facets import Facet, box_facets
 from bsk_torch.sim.dyn.forces import add_force
 from bsk_torch.sim.dyn.inspection import RSODynModel, RSOInspectorDynModel
@@ -36,6 +37,7 @@ __all__ = [
     "WHEEL_TYPES",
     "AtmosphericDragDynModel",
     "BasicDynamicsModel",
+    "CatalogRadioDynModel",
     "ConjunctionDynModel",
     "ContinuousImagingDynModel",
     "DisturbanceTorqueDynModel",

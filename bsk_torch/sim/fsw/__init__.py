@@ -14,13 +14,14 @@ from bsk_torch.sim.fsw.models import (
 )
 from bsk_torch.sim.fsw.modes import Command, Mode
 from bsk_torch.sim.fsw.passive import TumblingFSWModel
-from bsk_torch.sim.fsw.rso_imaging import SpaceToSpaceImagingFSWModel
+from bsk_torch.sim.fsw.rso_imaging import CatalogRadioFSWModel, SpaceToSpaceImagingFSWModel
 from bsk_torch.sim.fsw.setpoint import AttitudeSetpointFSWModel, InertialHoldFSWModel
 from bsk_torch.sim.fsw.tasks import Task, action
 
 __all__ = [
     "AttitudeSetpointFSWModel",
     "BasicFSWModel",
+    "CatalogRadioFSWModel",
     "Command",
     "ContinuousImagingFSWModel",
     "FSWModel",

@@ -8,6 +8,7 @@ from typing import ClassVar
 import torch
 
 from bsk_torch.sim.component import Bus, Component
+from bsk_torch.sim.dyn.catalog_radio import CatalogRadioDynModel
 from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.dyn.rso_imaging import SpaceToSpaceImagingDynModel
 from bsk_torch.sim.fsw.instrument import SCANNING_CONTROLLER
@@ -47,3 +48,13 @@ class SpaceToSpaceImagingFSWModel(ImagingFSWModel):
         "image": None,
         "image_rso": Mode(("control_on", "location_on", "instrument_power"), {"rso_armed": 1.0}),
     }
+
+
+class CatalogRadioFSWModel(SpaceToSpaceImagingFSWModel):
+    """Points the instrument also at another imager, to which it transmits.
+
+    The mode ``"transmit_rso"`` is entered by :class:`bsk_torch.act.TransmitCatalog`.
+    """
+
+    requires_dyn: ClassVar[tuple[type[DynamicsModel], ...]] = (CatalogRadioDynModel,)
+    modes: ClassVar[dict[str, Mode | None]] = {"transmit_rso": Mode(("control_on", "location_on"), {"radio_armed": 1.0})}
