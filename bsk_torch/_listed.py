@@ -40,6 +40,7 @@ LISTED: dict[str, Listed] = {
     "HeteroCluster-v1": Listed(MANY, "two optical satellites and a radar, to which clouds and night do not matter"),
     "RSOInspection-v1": Listed(MANY, "fly around a spacecraft until its surface is inspected"),
     "MultiInspection-v1": Listed(MANY, "the same with three inspectors that must not collide"),
+    "Services-v1": Listed(ONE, "image 200 satellites and debris again and again; quality is verified on the ground"),
     "CWDocking-v1": Listed(ONE, "dock by thrusters, slowly enough at every distance; linear motion"),
     "CWInspection-v1": Listed(ONE, "inspect lit points of a spacecraft by thrusters; linear motion"),
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import torch
@@ -9,10 +10,16 @@ from torch import Tensor
 
 from bsk_torch._checks import switch, text
 from bsk_torch.act.base import LONGEST, Action, ActionTable, Decision, positive_duration
+from bsk_torch.sim.dyn.events import DOWNLINK_TICK, EMPTY_DOWNLINKS, LEFT_OVER
+from bsk_torch.sim.fsw.models import EndedDownlinkFSWModel
 from bsk_torch.sim.instruments import INDEX, number_of
 
 if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite
+
+
+LEAST_DOWNLINK = 10.0
+"""Shortest downlink, s."""
 
 
 def choose_instrument(satellite: BoundSatellite, number: int, mask: Tensor) -> None:
@@ -95,11 +102,40 @@ class Desat(DiscreteFSWAction):
 
 
 class Downlink(DiscreteFSWAction):
-    """Align the body frame with the Hill frame, and transmit while a ground station has access."""
+    """Align the body frame with the Hill frame, and transmit while a ground station has access.
 
-    def __init__(self, name: str = "action_downlink", duration: float | None = None) -> None:
-        """See :class:`DiscreteFSWAction`."""
+    With ``until_empty``, the action ends with the first tick at whose end no more than a bit is stored, but lasts 10 s at least;
+    an empty store therefore costs 10 s. The satellite counts these downlinks from an empty store in its memory, see
+    :class:`bsk_torch.data.OperationsPenalty`.
+    """
+
+    def __init__(self, name: str = "action_downlink", duration: float | None = None, until_empty: bool = False) -> None:
+        """See :class:`DiscreteFSWAction`.
+
+        Args:
+            name: Name in ``action_description``.
+            duration: Time until the action ends, s; None for 1e9 s.
+            until_empty: Whether an empty store ends the action.
+        """
         super().__init__("downlink", name, duration)
+        self.until_empty = switch("until_empty", until_empty)
+        self.fsw_type = EndedDownlinkFSWModel if self.until_empty else None
+
+    def link_satellite(self, satellite: BoundSatellite) -> None:
+        """See :meth:`Action.link_satellite`."""
+        super().link_satellite(satellite)
+        if self.until_empty and EMPTY_DOWNLINKS not in satellite.memory:
+            satellite.memory.declare(EMPTY_DOWNLINKS, 0, low=0)
+
+    def begin(self, mask: Tensor, decision: Decision) -> None:
+        """See :meth:`Action.begin`: count a downlink from an empty store, and arm the event of an empty store."""
+        if not self.until_empty:
+            return
+        simulator, memory = self.satellite.simulator, self.satellite.memory
+        empty = simulator.read("storage") <= LEFT_OVER
+        memory[EMPTY_DOWNLINKS] = memory[EMPTY_DOWNLINKS] + (mask & empty)
+        least = math.ceil(LEAST_DOWNLINK / simulator.h)
+        simulator.write(DOWNLINK_TICK, mask, simulator.ticks.double() + least)
 
 
 class Scan(DiscreteFSWAction):

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 HOLD_MODES = ("cumulative", "continuous")
 
+EXPOSURES = ("held", "first")
+
 
 class ImageRSO(Action):
     """Image the k-th candidate, for k from 0 to ``n_ahead_image`` - 1; see :class:`~bsk_torch.scene.RSOTargets` for their order.
@@ -26,6 +28,11 @@ class ImageRSO(Action):
     The satellite points at the target. The image is taken in the first tick in which pointing, line of sight and light have been
     right for ``min_pointing_hold_s`` and the store has room; see :func:`bsk_torch.sim.dyn.rso_imaging.hold`. The action ends with
     it, or after ``max_duration``. Choosing the same target again starts over.
+
+    With ``exposure="first"``, the image is taken in the tick after the first one in which pointing and line of sight are right,
+    and lost if the store is full then. The hold is checked afterward; see :func:`bsk_torch.sim.dyn.rso_imaging.check_hold`. The
+    action ends when the image is stored and the hold complete. At the deadline, an image without a complete hold remains in the
+    store, with the light of that time as its quality; if another command comes before, with the quality zero.
 
     Without as many candidates, the last actions wait for ``max_duration`` in the present mode; ``action_mask`` excludes them.
     Actions -1, -2, ... select targets 0, 1, ... of the catalog, see :func:`~bsk_torch.act.image_target`; they must be eligible.
@@ -41,6 +48,7 @@ class ImageRSO(Action):
         hold_illumination_threshold: float = 0.5,
         variable_duration_imaging: bool = True,
         name: str = "image_rso",
+        exposure: str = "held",
     ) -> None:
         """Provide ``n_ahead_image`` actions.
 
@@ -53,6 +61,8 @@ class ImageRSO(Action):
             hold_illumination_threshold: Least visible fraction of the Sun at the target.
             variable_duration_imaging: Whether the action ends with the image; else at the deadline.
             name: Name in ``action_description``.
+            exposure: ``"held"`` for an image at the end of the hold, ``"first"`` for one in the first valid tick, for which light
+                cannot be a condition.
 
         Raises:
             ValueError: For a wrong argument.
@@ -67,6 +77,14 @@ class ImageRSO(Action):
         self.require_illumination_during_hold = switch("require_illumination_during_hold", require_illumination_during_hold)
         self.hold_illumination_threshold = number("hold_illumination_threshold", hold_illumination_threshold, 0.0, 1.0)
         self.variable_duration_imaging = switch("variable_duration_imaging", variable_duration_imaging)
+        if text("exposure", exposure) not in EXPOSURES:
+            raise ValueError(f"exposure={exposure!r} must be one of {list(EXPOSURES)}")
+        self.exposure = exposure
+        if exposure == "first" and self.require_illumination_during_hold:
+            raise ValueError(
+                "exposure='first' takes images in any light; give require_illumination_during_hold=False with it, and the "
+                "rewarder a quality_threshold"
+            )
 
     def link_satellite(self, satellite: BoundSatellite) -> None:
         """See :meth:`Action.link_satellite`; ValueError unless it is an imager of a catalog."""
@@ -134,6 +152,7 @@ class ImageRSO(Action):
             "rso_continuous": float(self.hold_mode == "continuous"),
             "rso_least_light": least,
             "rso_ends": float(self.variable_duration_imaging),
+            "rso_first": float(self.exposure == "first"),
         }
         for name, value in task.items():
             simulator.write(name, mask, torch.full_like(ticks, value))

@@ -7,6 +7,7 @@ from bsk_torch.data.images import ImageReward, UniqueImageReward
 from bsk_torch.data.inspection import RSOInspectionData, RSOInspectionReward
 from bsk_torch.data.mapped import PerEnvironmentReward
 from bsk_torch.data.mixed import MixedReward
+from bsk_torch.data.operations import OperationsPenalty
 from bsk_torch.data.resources import ResourceReward
 from bsk_torch.data.rso_imaging import RSOImageRecord, RSOImageReward
 from bsk_torch.data.rso_team import RSOTeamReward
@@ -21,6 +22,7 @@ __all__ = [
     "ImageReward",
     "MixedReward",
     "NoReward",
+    "OperationsPenalty",
     "PerEnvironmentReward",
     "RSOImageRecord",
     "RSOImageReward",

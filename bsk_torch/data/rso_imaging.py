@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
 
 from bsk_torch._checks import function, number
-from bsk_torch.constants import NANO
+from bsk_torch.constants import MU_EARTH, NANO
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.scene.rso_targets import COOLDOWN, PENDING, RSOTargets
 from bsk_torch.sim.catalog.aim import AIM
@@ -82,6 +84,17 @@ def its_priority(record: RSOImageRecord, target: RSOImageTarget) -> Tensor:
     return target.priority
 
 
+@dataclass(frozen=True)
+class Share:
+    """Reward of images: a share of the priority of the target."""
+
+    share: float
+
+    def __call__(self, record: RSOImageRecord, target: RSOImageTarget) -> Tensor:
+        """Return the rewards, [N, R]."""
+        return self.share * target.priority
+
+
 class _Images(NamedTuple):
     """Images of a step or on board, [N, R] each: whether there is one, its target, imager, time, quality, hold and record."""
 
@@ -106,7 +119,10 @@ class RSOImageReward(GlobalReward):
       are taken, or delivered. With ``"per_imager"`` it does for each imager. Several such images of one step share the reward.
     - It pays only if the earliest of these images was taken at least ``cooldown_s`` after the earliest of those paid last.
     - A delivered image of sufficient quality lets its target cool down until ``cooldown_s`` after the image was taken; meanwhile
-      the target cannot be chosen.
+      the target cannot be chosen. With ``cooldown_orbits``, this is so many orbital periods of the imager, or the median of the
+      imagers' periods, at the beginning of the episode.
+
+    With ``delivery_share``, images pay the priority of the target: this share of it when delivered, and the rest when taken.
 
     N is the number of episodes, S that of satellites. The counters ``captured`` and ``delivered`` [N, S] count images.
     """
@@ -120,6 +136,8 @@ class RSOImageReward(GlobalReward):
         quality_threshold: float = 0.5,
         cooldown_s: float = 0.0,
         multi_imager_credit: str | None = None,
+        cooldown_orbits: float | None = None,
+        delivery_share: float | None = None,
     ) -> None:
         """ValueError for a wrong argument.
 
@@ -130,7 +148,14 @@ class RSOImageReward(GlobalReward):
             quality_threshold: Least quality of an image that pays.
             cooldown_s: Time after the capture of a delivered image in which its target cannot be chosen, s.
             multi_imager_credit: ``"shared"`` or ``"per_imager"``, see the class; needed with several imagers.
+            cooldown_orbits: The same time as ``cooldown_s``, in orbital periods; give one of them.
+            delivery_share: Share of the priority that images pay when delivered, from 0 to 1, in place of the functions.
         """
+        if delivery_share is not None:
+            if acquisition_reward_fn is not None or delivery_reward_fn is not None:
+                raise ValueError("delivery_share and functions of rewards exclude one another; give one of them")
+            share = number("delivery_share", delivery_share, 0.0, 1.0)
+            acquisition_reward_fn, delivery_reward_fn = Share(1.0 - share), Share(share)
         what = "record and target"
         self.acquisition_reward_fn = (
             nothing if acquisition_reward_fn is None else function("acquisition_reward_fn", acquisition_reward_fn, what)
@@ -140,6 +165,11 @@ class RSOImageReward(GlobalReward):
         )
         self.quality_threshold = number("quality_threshold", quality_threshold, 0.0, 1.0)
         self.cooldown_s = number("cooldown_s", cooldown_s, 0.0, 1e12, unit="s")
+        self.cooldown_orbits = cooldown_orbits
+        if cooldown_orbits is not None:
+            self.cooldown_orbits = number("cooldown_orbits", cooldown_orbits, 0.0, 1e9)
+            if self.cooldown_s != 0.0:
+                raise ValueError(f"cooldown_s={cooldown_s!r} and cooldown_orbits={cooldown_orbits!r}: give one of them")
         if multi_imager_credit not in (None, *CREDITS):
             raise ValueError(
                 f"multi_imager_credit={multi_imager_credit!r} must be one of {list(CREDITS)}, or None for one imager"
@@ -172,6 +202,22 @@ class RSOImageReward(GlobalReward):
         declare("rso_product_record", NONE, *room, grows=True, low=NONE)
         for name in ("captured", "delivered"):
             declare(f"rso_{name}", 0, fleet.size, low=0)
+        if self.cooldown_orbits is not None:
+            declare(PERIOD, 0.0, low=0.0, high=FINITE)
+            fleet.beginnings.append(self._note_period)
+
+    def _note_period(self, envs: Tensor) -> None:
+        """Keep the median of the imagers' orbital periods in the episodes ``envs`` [n], which have begun."""
+        axes = self.fleet.each(lambda satellite: satellite.dynamics.semi_major_axis)[:, self._columns]
+        period = (2.0 * math.pi / math.sqrt(MU_EARTH)) * axes.double() ** 1.5
+        self.memory[PERIOD] = self.memory[PERIOD].index_copy(0, envs, period.quantile(0.5, dim=1)[envs])
+
+    @property
+    def cooldown(self) -> Tensor:
+        """Time after the capture of a delivered image in which its target cannot be chosen, [N] s."""
+        if self.cooldown_orbits is not None:
+            return self.cooldown_orbits * self.memory[PERIOD]
+        return torch.full((self.fleet.num_envs,), self.cooldown_s, dtype=torch.float64, device=self.fleet.device)
 
     @property
     def last_reward_components(self) -> dict[str, Tensor]:
@@ -187,6 +233,7 @@ class RSOImageReward(GlobalReward):
     def read_log(self) -> Log:
         """See :meth:`GlobalReward.read_log`; the number of images, the last one, and the partitions of the stores."""
         log = {name: self.fleet.each(_observable(name)) for name in LOGGED}
+        log |= {name: self.fleet.each(_field(name)) for name in FIELDS}
         log["target"] = self.fleet.each(_target, missing=NONE)
         return log
 
@@ -197,23 +244,45 @@ class RSOImageReward(GlobalReward):
             ValueError: If a user function gives a reward that is not finite.
         """
         old, new = ({name: value[:, self._columns] for name, value in log.items()} for log in (before, after))
-        taken = (new["rso_images"] > old["rso_images"]) & (new["target"] >= 0)
-        imager = torch.arange(len(self._columns), device=taken.device).expand_as(taken)
-        target = new["target"].clamp(min=0)
-        time, quality, held = (new[name] for name in ("rso_image_time", "rso_image_quality", "rso_image_held"))
-        nothing_recorded = torch.full_like(target, NONE)
-        captured = self._recorded(_Images(taken, target, imager, time, quality, held, nothing_recorded))
-        size = new["instrument_baud"]
+        captured, left, size = *self._taken(old, new), new["instrument_baud"]
+        captured = self._recorded(captured)
+        stored = new["rso_stored_tick"] != old["rso_stored_tick"]
+        target = new["target"].clamp(min=0).unsqueeze(-1)
         gone = old["partition_levels"] - new["partition_levels"]
-        gone = gone.scatter_add(2, target.unsqueeze(-1), torch.where(taken, size, 0.0).unsqueeze(-1))
-        self._keep(captured, size)
+        gone = gone.scatter_add(2, target, torch.where(stored, size, 0.0).unsqueeze(-1))
+        for images in (left, captured):
+            self._keep(images, size)
         delivered = self._deliver(gone)
-        self._serve(captured, delivered)
+        self._serve(_both(captured, left), delivered)
         sizes = size, size.unsqueeze(1).expand(-1, delivered.there.shape[1] // size.shape[1], -1).flatten(1)
         self._credit("acquisition", self.acquisition_reward_fn, captured, sizes[0], torch.full_like(captured.time, torch.nan))
         arrival = self.fleet.sim_time.unsqueeze(1).expand_as(delivered.time)
         self._credit("delivery", self.delivery_reward_fn, delivered, sizes[1], arrival)
         return self.memory["rso_acquisition_reward"] + self.memory["rso_delivery_reward"]
+
+    def _taken(self, old: Log, new: Log) -> tuple[_Images, _Images]:
+        """Return the images whose attempts have ended in a step, and those that another command has left before their end.
+
+        An attempt also ends with the episode: the image then counts like one at a deadline.
+        """
+        fleet, target = self.fleet, new["target"].clamp(min=0)
+        over = (fleet.sim_time + 0.5 * fleet.h >= fleet.state.time_limit).unsqueeze(1) & (new["rso_open"] > 0.0)
+        taken = (new["rso_images"] > old["rso_images"]) & (new["target"] >= 0)
+        imager = torch.arange(len(self._columns), device=taken.device).expand_as(taken)
+        unknown = torch.full_like(target, NONE)
+        now = fleet.sim_time.unsqueeze(1).expand_as(new["rso_image_time"])
+        captured = _Images(
+            taken | over,
+            target,
+            imager,
+            torch.where(over, now, new["rso_image_time"]),
+            torch.where(over, new["rso_light"].double(), new["rso_image_quality"]),
+            torch.where(over, new["rso_held"], new["rso_image_held"]),
+            unknown,
+        )
+        began = (fleet.since * fleet.simulators[0].h_ns).double().unsqueeze(1).expand_as(now) * NANO
+        left, none = new["rso_left"] > old["rso_left"], torch.zeros_like(began)
+        return captured, _Images(left, new["rso_left_target"].long().clamp(min=0), imager, began, none, none, unknown)
 
     def _recorded(self, captured: _Images) -> _Images:
         """Return new images with the numbers of their records (default: none)."""
@@ -275,7 +344,7 @@ class RSOImageReward(GlobalReward):
         memory["rso_service"] = memory["rso_service"] + ((new > 0) & (pending == 0))
         memory[PENDING] = pending + new - gone
         useful = delivered.there & (delivered.quality >= self.quality_threshold)
-        until = torch.where(useful, delivered.time + self.cooldown_s, -FINITE)
+        until = torch.where(useful, delivered.time + self.cooldown.unsqueeze(1), -FINITE)
         memory[COOLDOWN] = memory[COOLDOWN].scatter_reduce(1, delivered.target, until, "amax")
         for name, images in (("captured", captured), ("delivered", delivered)):
             memory[f"rso_{name}"] = memory[f"rso_{name}"] + self._by_satellite(images, images.there.long())
@@ -295,7 +364,7 @@ class RSOImageReward(GlobalReward):
         counts = images.there & (images.quality >= self.quality_threshold) & (paid.gather(1, scope) != service)
         number = torch.zeros_like(last).scatter_add(1, scope, counts.double())
         earliest = torch.full_like(last, FINITE).scatter_reduce(1, scope, torch.where(counts, images.time, FINITE), "amin")
-        pays = (number > 0.0) & (earliest > last + SAME_TIME) & (earliest >= last + self.cooldown_s)
+        pays = (number > 0.0) & (earliest > last + SAME_TIME) & (earliest >= last + self.cooldown.unsqueeze(1))
         earns = counts & pays.gather(1, scope)
         value = self._value(stage, reward_fn, images, size, arrival, earns) / number.gather(1, scope).clamp(min=1.0)
         memory[f"rso_{stage}_reward"] = self._by_satellite(images, torch.where(earns, value, 0.0))
@@ -331,8 +400,22 @@ class RSOImageReward(GlobalReward):
 PRODUCT = ("target", "time", "quality", "held", "left", "record")
 """What is kept of a product."""
 
-LOGGED = ("rso_images", "rso_image_time", "rso_image_quality", "rso_image_held", "instrument_baud", "partition_levels")
+LOGGED = (
+    "rso_images",
+    "rso_left",
+    "rso_image_time",
+    "rso_image_quality",
+    "rso_image_held",
+    "instrument_baud",
+    "partition_levels",
+)
 """Properties of imagers that rewards follow from."""
+
+FIELDS = ("rso_stored_tick", "rso_open", "rso_left_target", "rso_light", "rso_held")
+"""Fields of their state, likewise."""
+
+PERIOD = "rso_period"
+"""Memory of episodes with the orbital period of imagers, s."""
 
 
 def _observable(name: str) -> Callable[[BoundSatellite], Tensor]:
@@ -345,9 +428,24 @@ def _observable(name: str) -> Callable[[BoundSatellite], Tensor]:
     return read
 
 
+def _field(name: str) -> Callable[[BoundSatellite], Tensor]:
+    """Return a function that reads a field of imagers; AttributeError for other satellites."""
+
+    def read(satellite: BoundSatellite) -> Tensor:
+        images = satellite.dynamics.rso_images
+        return satellite.simulator.read(name).to(images.dtype)
+
+    return read
+
+
 def _target(satellite: BoundSatellite) -> Tensor:
     """Return the target of imagers; AttributeError for other satellites."""
     return torch.where(satellite.dynamics.rso_images >= 0.0, satellite.memory[AIM], NONE)
+
+
+def _both(one: _Images, other: _Images) -> _Images:
+    """Return the images of both, [N, R + R']."""
+    return _Images(*(torch.cat(pair, 1) for pair in zip(one, other, strict=True)))
 
 
 def _number(images: _Images, like: Tensor) -> Tensor:

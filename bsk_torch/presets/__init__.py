@@ -16,6 +16,7 @@ name                       module                      task
 ``HeteroCluster-v1``       ``presets.hetero_cluster``  two optical satellites and a radar, to which clouds do not matter
 ``RSOInspection-v1``       ``presets.inspection``      fly around a spacecraft until its surface is inspected
 ``MultiInspection-v1``     ``presets.inspection``      the same with three inspectors that must not collide
+``Services-v1``            ``presets.services``        image satellites and debris again and again; the ground verifies the images
 ``CWDocking-v1``           ``presets.cw_docking``      dock by thrusters, slowly enough at every distance; linear motion
 ``CWInspection-v1``        ``presets.cw_inspection``   inspect lit points of a spacecraft by thrusters; linear motion
 =========================  ==========================  ==================================================================
@@ -38,6 +39,7 @@ from bsk_torch.presets.hetero_cluster import hetero_cluster
 from bsk_torch.presets.inspection import multi_inspection, rso_inspection
 from bsk_torch.presets.nadir_scan import nadir_scan
 from bsk_torch.presets.nadir_science import nadir_science
+from bsk_torch.presets.services import services
 from bsk_torch.sim.arguments.values import nearest
 
 __all__ = ["PRESETS", "make"]
@@ -56,6 +58,7 @@ PRESETS: dict[str, Callable[..., Any]] = {
     "HeteroCluster-v1": hetero_cluster,
     "RSOInspection-v1": rso_inspection,
     "MultiInspection-v1": multi_inspection,
+    "Services-v1": services,
     "CWDocking-v1": cw_docking,
     "CWInspection-v1": cw_inspection,
 }

@@ -6,6 +6,7 @@ from bsk_torch.scene.clouds import CloudyTargets
 from bsk_torch.scene.explicit import Targets
 from bsk_torch.scene.mixed import MixedScenario
 from bsk_torch.scene.rso_catalog import RandomRSOCatalog, RSOPriorityEvent, RSOTarget, RSOTargetCatalog
+from bsk_torch.scene.rso_mixture import RSOMixture
 from bsk_torch.scene.rso_points import RSOPoint, RSOPoints, SphericalRSO
 from bsk_torch.scene.rso_targets import RSOTargets
 from bsk_torch.scene.scanning import UniformNadirScanning
@@ -19,6 +20,7 @@ __all__ = [
     "CityTargets",
     "CloudyTargets",
     "MixedScenario",
+    "RSOMixture",
     "RSOPoint",
     "RSOPoints",
     "RSOPriorityEvent",

@@ -22,6 +22,7 @@ from bsk_torch.constants import R_EARTH
 from bsk_torch.files import write_file
 from bsk_torch.rand import Distribution, Key, Uniform, random_orbit
 from bsk_torch.scene.draws import calls_user, check_numbers, draw_numbers
+from bsk_torch.scene.rso_mixture import RSOMixture
 from bsk_torch.sim.dyn.models import BasicDynamicsModel
 from bsk_torch.sim.names import nearest
 from bsk_torch.vec3 import Vec3
@@ -283,25 +284,29 @@ class RandomRSOCatalog:
     def __init__(
         self,
         n_targets: int,
-        oe: Distribution | Sequence[Distribution] | None = None,
+        oe: Distribution | Sequence[Distribution] | RSOMixture | None = None,
         priority: object = Uniform(0.0, 1.0),
         priority_events: Sequence[RSOPriorityEvent] = (),
+        priority_sum: float | None = None,
     ) -> None:
         """ValueError for a wrong argument.
 
         Args:
             n_targets: Number of targets.
             oe: Distribution of orbital elements, such as ``rand.random_orbit(alt=700)`` (the default), from which each target is
-                drawn; or a list of ``n_targets`` of them, one for each, for a mixture.
+                drawn; a list of ``n_targets`` of them, one for each; or an :class:`RSOMixture`.
             priority: Priority of each target: a number, ``n_targets`` numbers, a distribution, or a function without arguments.
             priority_events: Changes of priorities; see :class:`RSOTargetCatalog`.
+            priority_sum: Sum of the priorities, to which they are scaled before changes; None for no scaling.
         """
         self.n_targets = whole("n_targets", n_targets, 1, MOST_TARGETS)
         given = random_orbit(alt=700.0) if oe is None else oe
-        listed = [given] if isinstance(given, Distribution) else given
-        if not isinstance(listed, Sequence) or not all(isinstance(part, Distribution) for part in listed):
+        listed = [given] if isinstance(given, Distribution | RSOMixture) else given
+        mixed = isinstance(given, RSOMixture)
+        if not isinstance(listed, Sequence) or not all(mixed or isinstance(part, Distribution) for part in listed):
             raise ValueError(
-                f"oe={oe!r} must be a distribution of orbital elements, such as rand.random_orbit(), or a list of them"
+                f"oe={oe!r} must be a distribution of orbital elements, such as rand.random_orbit(), a list of them, or a "
+                "scene.RSOMixture"
             )
         if len(listed) not in (1, n_targets):
             raise ValueError(f"oe lists {len(listed)} distributions; it must list one for each of {n_targets} targets")
@@ -309,6 +314,9 @@ class RandomRSOCatalog:
         self.ids = tuple(f"rso-{k}" for k in range(n_targets))
         check_events(self.ids, self.priority_events)
         check_numbers("priority", priority, self.n_targets, low=0.0, high=FARTHEST)
+        self.priority_sum = priority_sum
+        if priority_sum is not None:
+            self.priority_sum = number("priority_sum", priority_sum, 0.0, FARTHEST)
 
     @property
     def calls_user(self) -> bool:
@@ -317,16 +325,36 @@ class RandomRSOCatalog:
 
     def draw(self, key: Key) -> tuple[Tensor, Tensor, Tensor]:
         """Return positions [n, G, 3] m, velocities [n, G, 3] m/s, and priorities [n or 1, G] of the episodes of a key."""
-        oe = torch.empty(len(key), self.n_targets, 6, dtype=torch.float64)
-        for distribution in dict.fromkeys(map(id, self.oe)):
-            mine = [k for k in range(self.n_targets) if id(self.oe[k % len(self.oe)]) == distribution]
-            drawn = self.oe[mine[0] % len(self.oe)].draw(key.named("rso_oe").of_satellites(torch.tensor(mine)))
-            table = torch.as_tensor(drawn, dtype=torch.float64)
-            if table.shape != (len(key) * len(mine), 6):
-                raise ValueError(f"oe draws {list(table.shape)}; it must draw six elements for each target, [n, 6]")
-            oe[:, mine] = table.view(len(key), len(mine), 6)
+        oe = self._elements(key.named("rso_oe"))
         r_N, v_N = (part.stack() for part in elements_to_rv(Elements(*oe.unbind(-1))))
         title = "scene.RandomRSOCatalog: an orbit drawn from oe"
         check_orbits(r_N.flatten(0, 1), v_N.flatten(0, 1), lambda _: title)
         priority = draw_numbers("priority", self.priority, key.named("rso_priority"), self.n_targets, 0.0, FARTHEST)
-        return r_N, v_N, priority
+        return r_N, v_N, priority if self.priority_sum is None else scaled_to(priority, self.priority_sum)
+
+    def _elements(self, key: Key) -> Tensor:
+        """Return the orbital elements of the targets of the episodes of a key, [n, G, 6]."""
+        if isinstance(self.oe[0], RSOMixture):
+            return self.oe[0].draw(key, self.n_targets)
+        oe = torch.empty(len(key), self.n_targets, 6, dtype=torch.float64)
+        for distribution in dict.fromkeys(map(id, self.oe)):
+            mine = [k for k in range(self.n_targets) if id(self.oe[k % len(self.oe)]) == distribution]
+            drawn = self.oe[mine[0] % len(self.oe)].draw(key.of_satellites(torch.tensor(mine)))
+            table = torch.as_tensor(drawn, dtype=torch.float64)
+            if table.shape != (len(key) * len(mine), 6):
+                raise ValueError(f"oe draws {list(table.shape)}; it must draw six elements for each target, [n, 6]")
+            oe[:, mine] = table.view(len(key), len(mine), 6)
+        return oe
+
+
+def scaled_to(priority: Tensor, total: float) -> Tensor:
+    """Return priorities [n, G] times a factor with which they sum up to ``total``; what rounding leaves goes to the last.
+
+    ValueError if all priorities of an episode are zero.
+    """
+    own = priority.sum(1, keepdim=True)
+    if total > 0.0 and not bool((own > 0.0).all()):
+        raise ValueError(f"priority_sum={total:g}: all priorities of an episode are zero, which no factor scales")
+    scaled = priority * (total / own) if total > 0.0 else torch.zeros_like(priority)
+    scaled[:, -1:] = (total - scaled[:, :-1].sum(1, keepdim=True)).clamp(min=0.0)
+    return scaled

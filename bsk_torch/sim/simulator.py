@@ -23,7 +23,7 @@ from bsk_torch.sim.assembly.composition import commanded_by
 from bsk_torch.sim.assembly.satellite_type import SatelliteType
 from bsk_torch.sim.draw_table import DrawTable
 from bsk_torch.sim.dyn import hub
-from bsk_torch.sim.dyn.events import notice_image
+from bsk_torch.sim.dyn.events import ENDINGS, notice_image
 from bsk_torch.sim.faults.coming import drawn_again
 from bsk_torch.sim.faults.component import SLOT, severities
 from bsk_torch.sim.fsw.manoeuvre import burn
@@ -588,13 +588,18 @@ class Simulator:
         """Return the number of events since reset that end an action, of ``rows`` [n], or of all."""
         if not self.has_events:
             return torch.zeros_like(self.state.sim_time if rows is None else self.state.sim_time[rows])
-        images = self.state.read("images")
-        return images if rows is None else images[rows]
+        number = torch.stack([self.state.read(name) for name in self._endings]).sum(0)
+        return number if rows is None else number[rows]
 
     @property
     def has_events(self) -> bool:
         """Whether there are events that end an action."""
-        return "images" in self.tick.state.fields
+        return bool(self._endings)
+
+    @property
+    def _endings(self) -> list[str]:
+        """Fields that count events which end actions."""
+        return [name for name in ENDINGS if name in self.tick.state.fields]
 
 
 def rows_of_samples(samples: Samples, rows: Tensor) -> Samples:

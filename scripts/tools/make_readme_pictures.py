@@ -63,7 +63,13 @@ FILM_SEED, THUMBNAIL_SEED = 3, 59
 INSPECTIONS, INSPECTION, INSPECTION_SEED = ("RSOInspection-v1", "MultiInspection-v1"), "survey", 4
 """Presets whose thumbnail is made of paths about an RSO, and the rule and the seed of the episode that it shows."""
 
-RULES = {"HeteroCluster-v1": "cooperative", "NadirScience-v1": "science", "CWDocking-v1": "glide", "CWInspection-v1": "seek"}
+RULES = {
+    "HeteroCluster-v1": "cooperative",
+    "NadirScience-v1": "science",
+    "Services-v1": "angle",
+    "CWDocking-v1": "glide",
+    "CWInspection-v1": "seek",
+}
 """Presets without a pretrained policy, and the rules that their thumbnails show."""
 
 LINEAR, DEPUTIES = ("CWDocking-v1", "CWInspection-v1"), 12

@@ -40,6 +40,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "CloudyAEOS-v1": dict(n_targets=100),
     "Constellation-v1": dict(n_satellites=3, n_planes=1, phasing=0, n_targets=300),
     "AEOSConstellation-v1": dict(n_targets=300),
+    "Services-v1": dict(n_targets=12),
 }
 """What makes presets small."""
 

@@ -1,4 +1,4 @@
-"""Events that end a step from within a tick: the first image of a task, and failures."""
+"""Events that end a step from within a tick: the first image of a task, an empty store, and failures."""
 
 from __future__ import annotations
 
@@ -43,6 +43,47 @@ IMAGE_EVENT = Component(
 
 NO_IMAGE_EVENT = Component(slot="image_event")
 """Nothing in the slot: for models whose data are no images."""
+
+
+LEFT_OVER = 1.0
+"""Data up to which a store counts as empty, bit."""
+
+EMPTIED, DOWNLINK_TICK = "emptied", "downlink_tick"
+"""Fields with the number of downlinks that an empty store has ended, and with the tick from which on one may end."""
+
+EMPTY_DOWNLINKS = "empty_downlinks"
+"""Memory of satellites with the number of downlinks that began with an empty store."""
+
+ENDINGS = "images", EMPTIED
+"""Fields that count events which end actions, where a satellite has them."""
+
+
+def notice_empty_store(bus: Bus) -> None:
+    """Count a downlink and stop at the first tick from ``downlink_tick`` on in which no more than a bit is stored.
+
+    Actions arm the event. It disarms itself, and so does every command.
+    """
+    fired = (bus.ticks >= bus.downlink_tick) & (bus.storage <= LEFT_OVER)
+    bus.emptied = bus.emptied + fired.to(torch.float64)
+    bus.downlink_tick = torch.where(fired, DISARMED, bus.downlink_tick)
+    bus.stop = bus.stop | fired if bus.has("stop") else fired
+
+
+EMPTY_STORE_EVENT = Component(
+    slot="empty_store_event",
+    after="storage",
+    update=notice_empty_store,
+    stops=True,
+    state=(
+        Field(DOWNLINK_TICK, 1, "-", "tick from which on an empty store ends the downlink", exact=True, limit=DISARMED),
+        Field(EMPTIED, 1, "-", "downlinks since reset that an empty store has ended", exact=True),
+    ),
+    initial=lambda args: {
+        DOWNLINK_TICK: torch.full((1,), DISARMED, dtype=torch.float64),
+        EMPTIED: torch.zeros(1, dtype=torch.float64),
+    },
+    resets=((DOWNLINK_TICK, DISARMED),),
+)
 
 
 FAILED = "failed"

@@ -2,6 +2,10 @@
 
 A target is an object of a catalog. It has neither attitude nor tick: the component of the gate finds its position from nodes of
 its orbit, which the scenario supplies.
+
+There are two kinds of exposure. By default the gate commands the instrument at the end of the hold. With ``exposure="first"`` the
+controller of the flight software does in the first valid tick, as for places on the ground, and the hold is checked afterward,
+while the image is in the store already: see :func:`expose` and :func:`check_hold`.
 """
 
 from __future__ import annotations
@@ -39,6 +43,7 @@ GATE_FIELDS = (
     Field("rso_held", 1, "s", "time for which all conditions have held", exact=True),
     Field("rso_lit", 1, "s", "integral of the visible fraction over that time", exact=True),
     Field("rso_taken", 1, "-", "1 after the image of the task, else 0"),
+    Field("rso_fired", 1, "-", "1 where the controller has commanded an image for the next tick, else 0"),
 )
 """Fields of the gate that every command sets to zero."""
 
@@ -48,6 +53,7 @@ TASK_FIELDS = (
     Field("rso_continuous", 1, "-", "1 where a break ends a hold, 0 where it interrupts it"),
     Field("rso_least_light", 1, "-", "least visible fraction of the Sun at the target; none where negative"),
     Field("rso_ends", 1, "-", "1 where the image ends the step, else 0"),
+    Field("rso_first", 1, "-", "1 where the image is taken in the first valid tick, 0 where at the end of the hold"),
 )
 """Requirements of the task."""
 
@@ -58,8 +64,12 @@ IMAGE_FIELDS = (
         "rso_image_quality", 1, "-", "mean visible fraction of the Sun at the target over the hold of the last image", exact=True
     ),
     Field("rso_image_held", 1, "s", "hold of the last image", exact=True),
+    Field("rso_stored_tick", 1, "-", "tick in which an image was stored last", exact=True, limit=2.0**53),
+    Field("rso_open", 1, "-", "1 + target of an image that is stored, but whose hold is not complete; 0 for none", exact=True),
+    Field("rso_left", 1, "-", "images since reset whose hold another command has ended", exact=True),
+    Field("rso_left_target", 1, "-", "target of the last one of these", exact=True),
 )
-"""The last image."""
+"""The last image, and images whose hold is not complete."""
 
 
 def see_rso(bus: Bus) -> tuple[Vec3, Tensor, Tensor]:
@@ -87,17 +97,18 @@ def hold(bus: Bus) -> None:
         held = lit = 0                                   not valid now, if the hold must be continuous
         image: valid now, held >= hold, room for it      quality = lit / held, or f where held = 0
 
-    From the deadline on nothing is taken.
+    From the deadline on nothing is taken. What the controller has commanded, see :func:`check_hold`, the instrument does.
     """
     zero, on = torch.zeros_like(bus.rso_held), bus.location_on > 0.0
     none = Vec3.zeros_like(bus.r_BN_N.x)
     bus.r_TN_N, sees, light = only(on, lambda: see_rso(bus), (none, none.x, none.x))
-    late = bus.ticks >= bus.rso_deadline
+    bus.rso_sees, bus.rso_sees_light, first = sees, light, bus.rso_first > 0.0
+    late = (bus.ticks >= bus.rso_deadline) & ~first
     for field in GATE_FIELDS:
         if field.name != "rso_pointed":
             value = getattr(bus, field.name)
             setattr(bus, field.name, torch.where(late, torch.zeros_like(value), value))
-    armed = bus.rso_armed > 0.0
+    armed = (bus.rso_armed > 0.0) & ~first
     valid = armed & (bus.rso_pointed > 0.0) & (sees > 0.0) & (light >= bus.rso_least_light)
     counts, breaks = valid & (bus.rso_valid > 0.0), armed & ~valid & (bus.rso_continuous > 0.0)
     held = torch.where(counts, bus.rso_held + bus.h, torch.where(breaks, zero, bus.rso_held))
@@ -116,11 +127,71 @@ def hold(bus: Bus) -> None:
     bus.rso_image_tick = torch.where(takes, bus.ticks, bus.rso_image_tick)
     bus.rso_image_quality = torch.where(takes, quality, bus.rso_image_quality)
     bus.rso_image_held = torch.where(takes, held, bus.rso_image_held)
+    bus.rso_stored_tick = torch.where(takes, bus.ticks, bus.rso_stored_tick)
+    expose(bus)
+
+
+def expose(bus: Bus) -> None:
+    """Command the instrument where the controller did so in the last tick, and note whether the store has room for the image.
+
+    The image is *open* until its hold is complete or the deadline has come. If another command comes first, it is *left*, and its
+    data stay in the store.
+    """
+    open_ = bus.rso_open > 0.0
+    left = open_ & (bus.rso_taken <= 0.0)  # which a command has set to zero
+    bus.rso_left = torch.where(left, bus.rso_left + 1.0, bus.rso_left)
+    bus.rso_left_target = torch.where(left, bus.rso_open - 1.0, bus.rso_left_target)
+    fires = bus.rso_fired > 0.0
+    stored = fires & (bus.storage + bus.instrument_baud <= bus.storage_capacity)
+    target = bus.data_partition if bus.has("data_partition") else torch.zeros_like(bus.rso_open)
+    still = torch.where(left, torch.zeros_like(bus.rso_open), bus.rso_open)
+    bus.rso_open = torch.where(stored, target.to(still.dtype) + 1.0, still)
+    bus.rso_stored_tick = torch.where(stored, bus.ticks, bus.rso_stored_tick)
+    bus.instrument_command = torch.where(fires, torch.ones_like(bus.instrument_command), bus.instrument_command)
+    bus.rso_fired = torch.zeros_like(bus.rso_fired)
+
+
+def check_hold(bus: Bus) -> None:
+    """Command the instrument in the first valid tick of a task with ``exposure="first"``, and check the hold of its image.
+
+    A tick at t is valid where pointing, as flight software finds it at t, is within the requirements, and the target is in sight
+    and within range. The instrument takes the image at t + h. Light does not matter, but is the quality::
+
+        held += h,  lit += h f                           valid now
+        held = lit = 0                                   not valid now, if the hold must be continuous
+        success: image stored, held >= hold              time of the image: when it was stored,  quality = lit / held
+        else at the deadline, image stored               time of the image: the deadline,        quality = f
+    """
+    zero, one = torch.zeros_like(bus.rso_held), torch.ones_like(bus.rso_held)
+    armed = (bus.rso_first > 0.0) & (bus.rso_armed > 0.0) & (bus.location_on > 0.0)
+    valid = armed & (bus.rso_pointed > 0.0) & (bus.rso_sees > 0.0)
+    breaks = armed & ~valid & (bus.rso_continuous > 0.0)
+    held = torch.where(valid, bus.rso_held + bus.h, torch.where(breaks, zero, bus.rso_held))
+    lit = torch.where(valid, bus.rso_lit + bus.rso_sees_light * bus.h, torch.where(breaks, zero, bus.rso_lit))
+    late = armed & (bus.ticks >= bus.rso_deadline)
+    stored = armed & (bus.rso_open > 0.0)
+    done = stored & (held + HELD >= bus.rso_hold)
+    counts = done | (late & stored)
+    fires = valid & (bus.rso_taken <= 0.0) & ~late
+    quality = torch.where(done & (held > 0.0), lit / torch.where(held > 0.0, held, one), bus.rso_sees_light)
+    bus.rso_held, bus.rso_lit = held, lit
+    bus.rso_light = torch.where(armed, bus.rso_sees_light, bus.rso_light).to(bus.dtype)
+    bus.rso_fired = torch.where(fires, torch.ones_like(bus.rso_fired), bus.rso_fired)
+    bus.rso_taken = torch.where(fires, torch.ones_like(bus.rso_taken), bus.rso_taken)
+    bus.rso_armed = torch.where(done | late, torch.zeros_like(bus.rso_armed), bus.rso_armed)
+    bus.rso_open = torch.where(counts, torch.zeros_like(bus.rso_open), bus.rso_open)
+    bus.rso_images = torch.where(counts, bus.rso_images + 1.0, bus.rso_images)
+    bus.rso_image_tick = torch.where(counts, torch.where(done, bus.rso_stored_tick, bus.ticks), bus.rso_image_tick)
+    bus.rso_image_quality = torch.where(counts, quality, bus.rso_image_quality)
+    bus.rso_image_held = torch.where(counts, held, bus.rso_image_held)
+    ends = done & (bus.rso_ends > 0.0)
+    bus.images = bus.images + ends.to(torch.float64)
+    bus.stop = bus.stop | ends if bus.has("stop") else ends
 
 
 def end_with_image(bus: Bus) -> None:
-    """Count an image that ends the step, and stop."""
-    fired = (bus.instrument_command > 0.0) & (bus.rso_ends > 0.0)
+    """Count an image of the gate that ends the step, and stop."""
+    fired = (bus.instrument_command > 0.0) & (bus.rso_ends > 0.0) & (bus.rso_first <= 0.0)
     bus.images = bus.images + fired.to(torch.float64)
     bus.stop = bus.stop | fired if bus.has("stop") else fired
 
@@ -193,6 +264,11 @@ class SpaceToSpaceImagingDynModel(ImagingDynModel):
     def rso_images(now: Now) -> Tensor:
         """Number of images since reset, [N]."""
         return now.rso_images
+
+    @observable
+    def rso_left(now: Now) -> Tensor:
+        """Number of images since reset whose hold another command has ended, [N]; see :class:`bsk_torch.act.ImageRSO`."""
+        return now.rso_left
 
     @property
     def rso_image_time(self) -> Tensor:

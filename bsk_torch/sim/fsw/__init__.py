@@ -5,6 +5,7 @@ from bsk_torch.sim.fsw.inspection import RSOInspectorFSWModel
 from bsk_torch.sim.fsw.models import (
     BasicFSWModel,
     ContinuousImagingFSWModel,
+    EndedDownlinkFSWModel,
     FSWModel,
     ImagingFSWModel,
     MagicOrbitalManeuverFSWModel,
@@ -24,6 +25,7 @@ __all__ = [
     "CatalogRadioFSWModel",
     "Command",
     "ContinuousImagingFSWModel",
+    "EndedDownlinkFSWModel",
     "FSWModel",
     "ImagingFSWModel",
     "InertialHoldFSWModel",

@@ -7,6 +7,7 @@ from typing import ClassVar
 from torch import Tensor
 
 from bsk_torch.sim.component import Component
+from bsk_torch.sim.dyn.events import EMPTY_STORE_EVENT
 from bsk_torch.sim.dyn.models import BasicDynamicsModel, DynamicsModel, ImagingDynModel, TorqueBarsDynModel
 from bsk_torch.sim.fsw import (
     allocation,
@@ -140,6 +141,13 @@ class ContinuousImagingFSWModel(ImagingFSWModel):
         "image": None,
         "nadir_scan": Mode(("control_on", "location_on", "controller_on", "instrument_linked", "instrument_power")),
     }
+
+
+class EndedDownlinkFSWModel(FSWModel):
+    """Ends downlinks when the store is empty; :class:`bsk_torch.act.Downlink` adds it with ``until_empty``."""
+
+    components: ClassVar[tuple[Component, ...]] = (EMPTY_STORE_EVENT,)
+    requires_dyn: ClassVar[tuple[type[DynamicsModel], ...]] = (ImagingDynModel,)
 
 
 class SteeringImagerFSWModel(SteeringFSWModel, ImagingFSWModel):

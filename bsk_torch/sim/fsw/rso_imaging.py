@@ -10,7 +10,7 @@ import torch
 from bsk_torch.sim.component import Bus, Component
 from bsk_torch.sim.dyn.catalog_radio import CatalogRadioDynModel
 from bsk_torch.sim.dyn.models import DynamicsModel
-from bsk_torch.sim.dyn.rso_imaging import SpaceToSpaceImagingDynModel
+from bsk_torch.sim.dyn.rso_imaging import SpaceToSpaceImagingDynModel, check_hold
 from bsk_torch.sim.fsw.instrument import SCANNING_CONTROLLER
 from bsk_torch.sim.fsw.models import ImagingFSWModel
 from bsk_torch.sim.fsw.modes import Mode
@@ -22,22 +22,23 @@ def aim_at_rso(bus: Bus) -> None:
 
 
 def judge_pointing(bus: Bus) -> None:
-    """Write for the gate whether ``|sigma_BR| <= attitude tolerance`` and ``|omega_BR| <= rate tolerance``."""
+    """Write whether ``|sigma_BR| <= attitude tolerance`` and ``|omega_BR| <= rate tolerance``, for the gate and the hold."""
     error = bus.error
     points = (error.sigma_BR.norm() <= bus.attitude_tolerance) & (error.omega_BR_B.norm() <= bus.rate_tolerance)
     zero = torch.zeros_like(bus.rso_pointed)
     bus.rso_pointed = torch.where(points & (bus.location_on > 0.0), torch.ones_like(zero), zero)
+    check_hold(bus)
 
 
 RSO_AIM = Component(slot="location_target", after="navigation", update=aim_at_rso)
 
 POINTING_JUDGE = dataclasses.replace(
-    SCANNING_CONTROLLER, update=judge_pointing, state=(), initial=lambda args: {}, flags=("controller_on",)
+    SCANNING_CONTROLLER, update=judge_pointing, state=(), initial=lambda args: {}, flags=("controller_on",), stops=True
 )
 
 
 class SpaceToSpaceImagingFSWModel(ImagingFSWModel):
-    """Points the instrument at an object of a catalog; the image is taken by the gate of the dynamics model.
+    """Points the instrument at an object of a catalog; the gate of the dynamics model, or a controller, takes the image.
 
     The mode ``"image_rso"`` is entered by :class:`bsk_torch.act.ImageRSO`. Places on the ground are not imaged.
     """

@@ -1,0 +1,322 @@
+"""Services-v1: exposures, bookkeeping and penalties, against plain Python."""
+
+from __future__ import annotations
+
+import itertools
+import pickle
+from typing import Any
+
+import pytest
+import torch
+
+import bsk_torch
+from bsk_torch import act, data
+from bsk_torch.constants import MU_EARTH
+from bsk_torch.presets.services import EPISODE, IMAGE, ServicingImager, servicing_catalog
+from bsk_torch.rl.rules.servicing import whole_catalog
+from bsk_torch.sim.catalog.candidates import Candidates
+from tests.support.rso_imaging import Imager, environment, play
+
+pytestmark = pytest.mark.compiled
+
+TARGETS, CHARGE, DOWNLINK, FIRST = 12, 0, 1, 3
+
+
+def make(n=3, **options):
+    return bsk_torch.make("Services-v1", num_envs=n, **(dict(n_targets=TARGETS, seed=2, dtype=torch.float64) | options))
+
+
+def test_the_task_is_that_of_the_study():
+    env = bsk_torch.make("Services-v1", num_envs=64, seed=1, backend="eager")
+    td = env.reset()
+    assert td["observation"].shape == (64, 124)
+    assert env.satellite.action_description == [
+        *("action_charge", "action_downlink", "action_desat"),
+        *(f"image_rso_{k}" for k in range(10)),
+    ]
+    assert env.options.time_limit == EPISODE
+    assert not env.options.terminate_on_time_limit
+    assert env.scenario.n_targets == 200
+    priority = env.scenario.priority
+    assert (priority.sum(1) - 100.0).abs().max() < 1e-12
+    assert float(priority.max()) < 1.2
+    later = env.scenario.priority_at(torch.full((64,), EPISODE / 2, dtype=torch.float64))
+    assert later[0, :9].tolist() == [5.0] * 5 + [10.0] * 3 + [priority[0, 8].item()]
+    args = env.satellite.sat_args
+    assert torch.allclose(args["oe"][:, 0], torch.tensor(6871e3, dtype=torch.float64))
+    assert (args["imageAttErrorRequirement"] == 0.0025).all()
+    assert env.satellite.dynamics.sun_hat_H.norm(dim=1).sub(1.0).abs().max() < 1e-6
+    period = 2 * torch.pi * (env.satellite.dynamics.semi_major_axis.double() ** 3 / MU_EARTH).sqrt()
+    torch.testing.assert_close(env.rewarder.rewarders[0].cooldown, 2.0 * period)
+
+
+def played(env, steps: int, seed: int = 0) -> list[dict[str, Any]]:
+    """What happens in some random steps: boundaries with levels, images, light, priorities, and what the environment says."""
+    generator, td, rows = torch.Generator().manual_seed(seed), env.reset(), []
+    scenario, satellite = env.scenario, env.satellite
+
+    def boundary() -> dict[str, Any]:
+        every = torch.arange(TARGETS).expand(env.num_envs, -1)
+        return dict(
+            time=env.fleet.sim_time.tolist(),
+            levels=satellite.dynamics.partition_levels.tolist(),
+            images=satellite.dynamics.rso_images.tolist(),
+            image=(satellite.dynamics.rso_image_time.tolist(), satellite.dynamics.rso_image_quality.tolist()),
+            light=scenario.views(satellite, Candidates(every, every >= 0)).target_illumination_factor.tolist(),
+            priority=scenario.priority.tolist(),
+            pending=scenario.pending.tolist(),
+            cooldown=scenario.cooldown_until.tolist(),
+        )
+
+    rows.append(boundary())
+    for _ in range(steps):
+        weight = td["action_mask"].double()
+        weight[:, DOWNLINK] *= 3.0
+        weight[:, [CHARGE, CHARGE + 2]] *= 0.2
+        td = env.step(td.set("action", torch.multinomial(weight, 1, generator=generator).squeeze(1)))["next"]
+        rows.append(boundary() | dict(reward=td["reward"].flatten().tolist(), action=env.satellite.task.action.tolist()))
+    return rows
+
+
+class Ledger:
+    """The bookkeeping of bsk_rl's branch for one episode: lists of records by target."""
+
+    def __init__(self, share: float, cooldown: float) -> None:
+        self.share, self.cooldown = share, cooldown
+        self.pending: dict[int, list[tuple[float, float]]] = {}
+        self.until: dict[int, float] = {}
+
+    def step(self, old: dict[str, Any], new: dict[str, Any], k: int) -> float:
+        """Return the reward of a step; ``k`` is the episode."""
+        reward = 0.0
+        if new["action"][k] == DOWNLINK and sum(old["levels"][k]) <= 1.0:
+            reward -= 1.0
+        changes = [b - a for a, b in zip(old["levels"][k], new["levels"][k], strict=True)]
+        for target, change in enumerate(changes):
+            if change > 0.0:
+                success = new["images"][k] > old["images"][k]
+                time, quality = (new["image"][0][k], new["image"][1][k]) if success else (new["time"][k], new["light"][k][target])
+                self.pending.setdefault(target, []).append((time, quality))
+                if quality >= 0.5:
+                    reward += (1.0 - self.share) * old["priority"][k][target]
+        for target, change in enumerate(changes):
+            if change < 0.0:
+                time, quality = self.pending[target].pop(0)
+                if quality >= 0.5:
+                    self.until[target] = max(self.until.get(target, -torch.inf), time + self.cooldown)
+                    reward += self.share * old["priority"][k][target]
+                else:
+                    self.until.pop(target, None)
+        return reward
+
+
+def test_rewards_are_those_of_a_ledger_of_lists():
+    """Attempts that fail at the deadline leave images of the quality of that time, so pointing is made hard."""
+    hard = dict(imageRateErrorRequirement=0.0004)
+    env = make(4, delivery_share=0.3, sat_args=hard, time_limit=18000.0)
+    rows = played(env, 90)
+    cooldown = env.rewarder.rewarders[0].cooldown.tolist()
+    verified = failed = 0
+    for k in range(4):
+        ledger = Ledger(0.3, cooldown[k])
+        for old, new in itertools.pairwise(rows):
+            if new["time"][k] < old["time"][k]:
+                break
+            assert new["reward"][k] == pytest.approx(ledger.step(old, new, k), abs=1e-5)
+            assert new["pending"][k] == [len(ledger.pending.get(target, [])) for target in range(TARGETS)]
+            waits = [until if until > new["time"][k] else 0.0 for until in new["cooldown"][k]]
+            wanted = [ledger.until.get(target, 0.0) for target in range(TARGETS)]
+            assert waits == pytest.approx([until if until > new["time"][k] else 0.0 for until in wanted])
+        verified += len(ledger.until)
+        failed += sum(quality < 0.5 for records in ledger.pending.values() for _, quality in records)
+    assert verified > 10
+
+
+def test_an_image_is_stored_a_tick_after_the_first_valid_one_and_held_afterward():
+    env = make(6)
+    td = env.reset()
+    recording = env.record(("rso_held", "storage"))
+    td = env.step(td.set("action", torch.full((6,), FIRST)))["next"]
+    recording.stop()
+    done = 0
+    for k in range(6):
+        held, storage = (recording.of(k)[name].flatten().tolist() for name in recording.fields)
+        ticks = range(len(held))
+        first = next((t for t in ticks if held[t] > 0.0), None)
+        if first is None or env.satellite.dynamics.rso_images[k] == 0.0:
+            continue
+        done += 1
+        assert held[first] == 1.0
+        assert storage[first] == 0.0
+        assert storage[first + 1] == IMAGE
+        assert float(env.satellite.dynamics.rso_image_time[k]) == pytest.approx(first + 1)
+        assert held[-1] == 10.0
+        assert all(b - a in (0.0, 1.0) for a, b in itertools.pairwise(held))
+        assert float(td["duration"][k]) == pytest.approx(len(held) - 1)
+    assert done >= 2
+
+
+def test_downlinks_end_with_the_store_and_last_ten_seconds():
+    env = make(4, sat_args=dict(storageInit=3 * IMAGE))
+    td = env.reset()
+    td = env.step(td.set("action", torch.full((4,), DOWNLINK)))["next"]
+    assert set(td["duration"].flatten().tolist()) <= {300.0, *map(float, range(10, 300))}
+    empty = make(4)
+    td = empty.reset()
+    for _ in range(2):  # the second one continues the mode
+        td = empty.step(td.set("action", torch.full((4,), DOWNLINK)))["next"]
+        assert td["duration"].flatten().tolist() == [10.0] * 4
+        assert td["reward"].flatten().tolist() == [-1.0] * 4
+    td = empty.step(td.set("action", torch.full((4,), CHARGE)))["next"]
+    assert td["duration"].flatten().tolist() == [300.0] * 4
+    assert td["reward"].flatten().tolist() == [0.0] * 4
+
+
+def test_penalties_of_a_low_battery_and_a_full_store():
+    poor = dict(storedCharge_Init=0.05 * 1.8e6, storageInit=50 * IMAGE)
+    env = make(2, sat_args=poor, low_battery_penalty=-2.0, full_storage_penalty=-0.5)
+    td = env.reset()
+    td = env.step(td.set("action", torch.full((2,), CHARGE + 2)))["next"]
+    assert td["reward"].flatten().tolist() == [-2.5] * 2
+    assert env.rewarder.terms["OperationsPenalty"].flatten().tolist() == [-2.5] * 2
+
+
+def test_penalties_that_nobody_can_earn_are_named():
+    with pytest.raises(ValueError, match=r"empty_downlink=-1 needs a satellite with act\.Downlink\(until_empty=True\)"):
+        environment(rewarder=data.OperationsPenalty(empty_downlink=-1.0))
+    for name in ("low_battery", "full_storage", "empty_downlink"):
+        with pytest.raises(ValueError, match=f"{name}=1.0"):
+            data.OperationsPenalty(**{name: 1.0})
+    with pytest.raises(ValueError, match="battery_below=2"):
+        data.OperationsPenalty(battery_below=2.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (dict(n_targets=5), "n_targets=5: 8 objects change their priority"),
+        (dict(n_targets=0), "n_targets=0"),
+        (dict(delivery_share=1.5), "delivery_share=1.5"),
+        (dict(priority_sum=0.0), "priority_sum=0.0"),
+        (dict(mixture="MEO"), "shares='MEO'"),
+        (dict(priority_event=1.5), "priority_event=1.5"),
+        (dict(empty_downlink_penalty=1.0), "empty_downlink=1.0"),
+    ],
+)
+def test_wrong_options_are_named(options, message):
+    with pytest.raises(ValueError, match=message):
+        make(1, backend="eager", **options)
+
+
+def test_wrong_rewards_are_named():
+    with pytest.raises(ValueError, match="give one of them"):
+        data.RSOImageReward(delivery_share=0.5, delivery_reward_fn=lambda record, target: target.priority)
+    with pytest.raises(ValueError, match="give one of them"):
+        data.RSOImageReward(cooldown_s=1.0, cooldown_orbits=1.0)
+    with pytest.raises(ValueError, match="cooldown_orbits=-1"):
+        data.RSOImageReward(cooldown_orbits=-1.0)
+    with pytest.raises(ValueError, match="exposure='later' must be one of"):
+        act.ImageRSO(3, exposure="later")
+    with pytest.raises(ValueError, match="give require_illumination_during_hold=False"):
+        act.ImageRSO(3, exposure="first")
+    assert servicing_catalog(priority_event=False, n_targets=3).priority_events == ()
+
+
+# -- several imagers ----------------------------------------------------------------------------------------------------
+
+
+class Eager(Imager):
+    action_spec = (
+        act.Charge(duration=100.0),
+        act.Downlink(duration=90.0),
+        act.ImageRSO(3, 900.0, 600.0, require_illumination_during_hold=False, exposure="first"),
+    )
+
+
+def test_an_image_whose_hold_another_command_ends_stays_in_the_store_without_quality():
+    env = environment(imagers=2, kind=Eager)
+    env.reset()
+    dynamics = env.satellites[0].dynamics
+    moves = torch.ones(2, dtype=torch.bool)
+    while not bool((env.fleet.simulators[0].read("rso_open")[::2] > 0.0).any()):
+        env.play(
+            [torch.tensor([[FIRST - 1, 0]] * 2)] if env.fleet.sim_time[0] == 0.0 else [torch.tensor([[2**31 - 1, 0]] * 2)], moves
+        )
+        assert env.fleet.sim_time[0] < 900.0
+    assert env.scenario.pending.sum() == 0
+    assert dynamics.rso_images[::2].tolist() == [0.0, 0.0]
+    opened = env.fleet.simulators[0].read("rso_open")[::2].clone()
+    play(env, 0, 0)
+    assert dynamics.rso_left[::2].tolist() == [1.0, 1.0]
+    assert env.scenario.pending.argmax(1).tolist() == (opened - 1.0).tolist()
+    assert env.rewarder.memory["rso_product_quality"][:, 0, 0].tolist() == [0.0, 0.0]
+    assert env.rewarder.counts()["captured"].tolist() == [[1, 0]] * 2
+    for _ in range(3):
+        play(env, 1, 0)
+    assert env.scenario.pending.sum() == 0
+    assert env.rewarder.counts()["delivered"].tolist() == [[1, 0]] * 2
+
+
+def test_an_episode_that_ends_during_a_hold_counts_the_image():
+    env = environment(kind=Eager, time_limit=300.0, rewarder=data.RSOImageReward(quality_threshold=0.0, delivery_share=0.25))
+    env.reset()
+    out = play(env, FIRST - 1)
+    opened = env.fleet.simulators[0].read("rso_open") > 0.0
+    assert opened.all()
+    reward = out[next(iter(env.group_map))]["reward"].flatten()
+    target = env.satellites[0].memory["rso_target"]
+    assert torch.equal(reward, 0.75 * (1.0 + target.double()))
+
+
+# -- states and rules ---------------------------------------------------------------------------------------------------
+
+
+def test_a_saved_state_continues_bit_for_bit():
+    env, other = make(), make(seed=7)
+    played(env, 12)
+    saved = pickle.loads(pickle.dumps(env.get_state()))
+    other.reset()
+    other.restore(saved)
+
+    def on(env) -> list[torch.Tensor]:
+        seen = []
+        for action in (FIRST, DOWNLINK, FIRST, CHARGE):
+            chosen = torch.where(env.satellite.action_mask()[:, action], action, CHARGE)
+            outputs = env.play(chosen, torch.ones(3, dtype=torch.bool))
+            seen += [outputs["observation"].clone(), outputs["reward"].clone()]
+        return seen
+
+    assert all(torch.equal(a, b) for a, b in zip(on(env), on(other), strict=True))
+
+
+@pytest.mark.parametrize("name", ["angle", "priority_angle", "distance", "candidate_priority"])
+def test_rules_survive_and_deliver(name):
+    env = make(3, time_limit=9000.0, n_targets=40)
+    rule, td = bsk_torch.rule(name, env), env.reset()
+    while bool((env.fleet.sim_time < 8500.0).any()) and not bool(td["done"].any()):
+        td = env.step(rule(td))["next"]
+    assert not env.dead.any()
+    assert (env.counts()["captured"] > 10).all()
+    assert (env.counts()["delivered"].sum() > 0).all()
+
+
+def test_rules_over_the_whole_catalog_choose_the_smallest_angle_in_view():
+    env = make(8, n_targets=40)
+    td = env.reset()
+    rule = bsk_torch.rule("angle", env)
+    action = rule(td.clone())["action"]
+    seen = whole_catalog(env.satellite)
+    for row, chosen in enumerate((-1 - action).tolist()):
+        choices = [g for g in range(40) if bool(seen.in_view[row, g])] or list(range(40))
+        assert chosen == min(choices, key=lambda g: float(seen.angle[row, g]))
+    other = make(8, n_targets=40, seed=5)
+    with pytest.raises(ValueError, match="decides in the environment that it was made for"):
+        rule(other.reset())
+
+
+def test_rules_need_their_actions_and_observations():
+    with pytest.raises(ValueError, match="images no objects of a catalog"):
+        bsk_torch.rule("angle", bsk_torch.make("NadirScan-v1", num_envs=1, backend="eager"))
+    with pytest.raises(ValueError, match="leave out obs_type=dict"):
+        bsk_torch.rule("angle", make(1, obs_type=dict, backend="eager"))
+    assert ServicingImager.action_spec[FIRST].exposure == "first"
