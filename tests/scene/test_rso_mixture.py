@@ -51,7 +51,9 @@ def test_exact_shares_are_rounded_by_largest_remainders(count):
 def test_largest_remainders_agree_with_the_usual_procedure():
     shares = torch.rand(300, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     shares = shares / shares.sum(1, keepdim=True)
-    for row, found in zip(shares.tolist(), largest_remainders(shares, 17).tolist(), strict=True):
+    numbers = largest_remainders(shares, 17)
+    assert (numbers.sum(1) == 17).all()
+    for row, found in zip(shares.tolist(), numbers.tolist(), strict=True):
         wanted = [int(17 * share) for share in row]
         order = sorted(range(3), key=lambda k: wanted[k] - 17 * row[k])
         for k in order[: 17 - sum(wanted)]:
