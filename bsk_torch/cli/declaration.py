@@ -29,7 +29,8 @@ Policy = Annotated[
     str,
     typer.Argument(
         help="Run folder, policy file, 'pretrained', or a baseline: random, rule, cautious, science, greedy, nearest, hasty, "
-        "farsighted, cooperative, drift, circumnavigate, survey, glide, seek.",
+        "farsighted, cooperative, drift, circumnavigate, survey, glide, seek, angle, priority_angle, distance, "
+        "candidate_priority.",
         show_default=False,
     ),
 ]
@@ -37,8 +38,8 @@ PolicyOrPlanner = Annotated[
     str,
     typer.Argument(
         help="Run folder, policy file, 'pretrained', a baseline (random, rule, cautious, science, greedy, nearest, hasty, "
-        "farsighted, cooperative, drift, circumnavigate, survey, glide, seek), or a planner (plan:rollout, plan:beam, plan:mcts, "
-        "plan:cem).",
+        "farsighted, cooperative, drift, circumnavigate, survey, glide, seek, angle, priority_angle, distance, "
+        "candidate_priority), or a planner (plan:rollout, plan:beam, plan:mcts, plan:cem).",
         show_default=False,
     ),
 ]
