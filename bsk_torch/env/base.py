@@ -14,6 +14,7 @@ from torch import Tensor
 from torchrl.data import Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from bsk_torch.act.base import Decision
 from bsk_torch.comm import CommunicationMethod, NoCommunication
 from bsk_torch.data import checked, totals
 from bsk_torch.data.base import GlobalReward, NoReward
@@ -29,7 +30,7 @@ from bsk_torch.env.guard import Origin, ResetNeededError, check_numbers
 from bsk_torch.env.log import StepLog, configure
 from bsk_torch.env.options import TaskingOptions, TimeLimit
 from bsk_torch.env.present import Present
-from bsk_torch.env.satellite_group import command, decide, died, first_task_end, groups_of, settle_all, soonest
+from bsk_torch.env.satellite_group import SatelliteGroup, command, decide, died, first_task_end, groups_of, settle_all, soonest
 from bsk_torch.env.snapshots import fingerprint
 from bsk_torch.obs.base import Values
 from bsk_torch.sats.dtypes import common_dtype
@@ -212,6 +213,10 @@ class Tasking(Present, MadeOfArguments):
         before = checked.log(self.rewarder)
         commanded = list(zip(self.satellites, actions, acts, strict=True))
         decisions = [decide(satellite, action, mine) for satellite, action, mine in commanded]
+        commanded = [
+            (satellite, action, self._begins(satellite, mine, decision))
+            for (satellite, action, mine), decision in zip(commanded, decisions, strict=True)
+        ]
         self.guard.change(moves)
         for (satellite, action, mine), decision in zip(commanded, decisions, strict=True):
             command(satellite, action, mine, decision, satellite.simulator.state.of_env(moves), all_act)
@@ -238,6 +243,10 @@ class Tasking(Present, MadeOfArguments):
         if log is not None:
             log.after(known, outcome, moves)
         return outcome
+
+    def _begins(self, satellites: SatelliteGroup, acts: Tensor, decision: Decision) -> Tensor:
+        """Return which satellites of a type begin a task, [N * count], of those that execute an action (default: all of them)."""
+        return acts
 
     def _proven(self, outputs: TensorDict) -> TensorDict:
         """Return the outputs of a step; FloatingPointError for NaN or infinity in the first step of a restored state."""

@@ -12,6 +12,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Binary, Categorical, Composite, MultiCategorical, Unbounded
 
+from bsk_torch.act.base import ActionBuilder, Decision
 from bsk_torch.comm import CommunicationMethod
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.env import messages
@@ -19,7 +20,7 @@ from bsk_torch.env.action_forms import action_spec, acts, form, mask_size, mask_
 from bsk_torch.env.agents import AGENTS, Group, agents_of, make_groups
 from bsk_torch.env.base import StepResult, Tasking
 from bsk_torch.env.options import ConstellationOptions, parse, takes
-from bsk_torch.env.satellite_group import cancel
+from bsk_torch.env.satellite_group import SatelliteGroup, cancel
 from bsk_torch.formations import Formation
 from bsk_torch.obs.base import ObservationBuilder, Values
 from bsk_torch.sats.satellite import Satellite
@@ -265,6 +266,13 @@ class ConstellationTasking(Tasking):
             checked.append(satellites.actions.checked(action.flatten(0, 1), rows[-1]))
         self._warn_of_idle(rows, moves)
         return checked, rows
+
+    def _begins(self, satellites: SatelliteGroup, acts: Tensor, decision: Decision) -> Tensor:
+        """See :meth:`Tasking._begins`; without those that repeat their action, under ``continue_repeated``."""
+        if not self.options.continue_repeated or not isinstance(satellites.actions, ActionBuilder):
+            return acts
+        task = satellites.task
+        return acts & ((decision.key != task.previous_action) | task.requires_retasking)
 
     def _of_type(self, k: int, parts: Sequence[tuple[Tensor, Tensor, Tensor]]) -> tuple[Tensor, Tensor]:
         """Return the actions [N, count, ...] of a type, and which of them are new tasks, from the actions of its satellites."""

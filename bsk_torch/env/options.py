@@ -157,6 +157,8 @@ class ConstellationOptions(TaskingOptions):
         group_map: Names of the agents of each group (default: by types of satellites).
         generate_obs_retasking_only: Whether agents that do not need a task observe zeros.
         mask_busy: Whether ``action_mask`` allows busy satellites only to continue.
+        continue_repeated: Whether a busy satellite for which the action in progress is chosen again continues it, with its
+            deadline and what it has held; else the action starts over.
         population: Minimum and maximum number of present satellites in an episode. All numbers, and all choices of satellites,
             are equally likely. By default, all are present in all episodes, or the scenario draws the present ones
             (:meth:`bsk_torch.scene.Scenario.present`).
@@ -168,12 +170,14 @@ class ConstellationOptions(TaskingOptions):
     group_map: Mapping[str, Sequence[str]] | None = None
     generate_obs_retasking_only: bool = False
     mask_busy: bool = True
+    continue_repeated: bool = False
     population: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
         """Check switches, and options that exclude each other."""
         super().__post_init__()
-        for name in ("joint", "only_retask_idle_meta_agent_members", "generate_obs_retasking_only", "mask_busy"):
+        switches = ("joint", "only_retask_idle_meta_agent_members", "generate_obs_retasking_only", "mask_busy")
+        for name in (*switches, "continue_repeated"):
             object.__setattr__(self, name, switch(name, getattr(self, name)))
         if self.joint and (self.meta_agent_groupings or self.group_map):
             raise ValueError("joint=True puts all satellites under one agent; leave meta_agent_groupings and group_map out")

@@ -273,3 +273,27 @@ def test_losses_do_not_depend_on_the_batch():
     steps = min(int(few.scenario.records.sent.sum()), 1)
     assert steps == 1
     assert torch.equal(few.scenario.records.known, many.scenario.records.known[:2])
+
+
+@pytest.mark.compiled
+def test_a_repeated_choice_continues_the_task_if_asked_to():
+    """Imager 1 ends steps; imager 0 chooses its object, or its packet, again."""
+    runs = {}
+    for name, repeats, options in (
+        ("stay", False, {}),
+        ("repeat", True, dict(continue_repeated=True)),
+        ("restart", True, {}),
+    ):
+        env = team(mask_busy=False, **options)
+        env.reset()
+        seen = []
+        for k in range(4):
+            target = env.scenario.candidate_ids(env.satellites[0], 0, 1)
+            step(env, act.image_target(2) if repeats or k == 0 else STAY, CHARGE)
+            task = env.satellites[0].task
+            seen.append((target, env.fleet.sim_time[0].item(), task.ends[0].item(), bool(task.requires_retasking[0])))
+            if task.requires_retasking[0]:
+                break
+        runs[name] = seen
+    assert runs["repeat"] == runs["stay"]
+    assert runs["restart"] != runs["stay"] or len(runs["stay"]) == 1
