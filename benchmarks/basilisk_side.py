@@ -28,11 +28,12 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "basilisk" / "recorders"))
 
 from Basilisk.simulation import reactionWheelStateEffector
-from Basilisk.utilities import simIncludeRW
+from Basilisk.utilities import orbitalMotion, simIncludeRW
 from bsk_rl import ConstellationTasking, act, comm, data, obs, sats, scene
 from bsk_rl.sim import dyn, fsw
 from bsk_rl.utils.functional import default_args
 from bsk_rl.utils.orbital import random_orbit, random_unit_vector, relative_to_chief, walker_delta_args
+from bsk_rl.utils.rso_imaging import candidate_snapshot
 from record_basilisk import BATTERY, EPISODE, FIXED, PAPER_MODES, STORAGE, ScannerDyn, paper_observations, scanner_class
 
 Step = tuple[float, bool]
@@ -298,6 +299,82 @@ def inspection_episodes(env: Any) -> Iterator[Step]:
         yield seconds, True
 
 
+# -- imaging in orbit --------------------------------------------------------------------------------------------------
+
+EYE: dict[str, Any] = dict(
+    imageAttErrorRequirement=0.02,
+    instrumentBaudRate=8e6,
+    dataStorageCapacity=1.6e8,
+    batteryStorageCapacity=1e9,
+    storedCharge_Init=1e9,
+    u_max=0.4,
+)
+ORBIT = 5700.0
+"""Length of an episode of imaging in orbit, s."""
+
+
+class Eye(sats.AccessSatellite):
+    """Images one of the next ten objects, downlinks, or charges."""
+
+    observation_spec = (
+        obs.SatProperties(dict(prop="storage_level_fraction")),
+        obs.RSOTargetProperties(n_ahead_observe=10),
+        obs.Time(),
+    )
+    action_spec = (
+        act.Charge(duration=60.0),
+        act.Downlink(duration=90.0),
+        act.ImageRSO(10, max_duration=200.0, min_pointing_hold_s=5.0),
+    )
+    dyn_type = (dyn.SpaceToSpaceImagingDynModel, dyn.GroundStationDynModel)
+    fsw_type = fsw.SpaceToSpaceImagingFSWModel
+
+
+class Seen(sats.Satellite):
+    """An object."""
+
+    observation_spec, action_spec = (obs.Time(),), (act.Drift(duration=1e9),)
+    dyn_type, fsw_type = dyn.RSOTargetDynModel, fsw.FSWModel
+
+
+def state_of(elements: Any) -> tuple[Any, Any]:
+    """Position, m, and velocity, m/s."""
+    return orbitalMotion.elem2rv(orbitalMotion.MU_EARTH * 1e9, elements)
+
+
+def rso_imaging(n_imagers: int, n_targets: int) -> Any:
+    """Imagers and a catalog of objects in a plane above theirs, which stays the same for all episodes."""
+    np.random.seed(0)
+    objects = [state_of(random_orbit(a=7050.0, i=90.0, Omega=17.0)) for _ in range(n_targets)]
+    targets = [scene.RSOTarget(f"rso-{k}", f"rso_{k}", *found, priority=np.random.rand()) for k, found in enumerate(objects)]
+    names = [f"Eye{k}" for k in range(n_imagers)]
+    arguments = EYE | {"oe": lambda: random_orbit(a=7000.0, i=90.0, Omega=17.0)}
+    return ConstellationTasking(
+        satellites=[*(Eye(name, arguments) for name in names), *(Seen(target.satellite_name) for target in targets)],
+        scenario=scene.RSOTargets(scene.RSOTargetCatalog(tuple(targets)), names),
+        rewarder=data.RSOImageReward(multi_imager_credit="shared"),
+        time_limit=ORBIT,
+        log_level="ERROR",
+    )
+
+
+def rso_imaging_episodes(env: Any) -> Iterator[Step]:
+    """Play on for ever, with random candidates that exist; a turn ends with an episode."""
+    rng = np.random.default_rng(0)
+    infos, first = env.reset(seed=0)[1], True
+    while True:
+        actions = {agent: 0 for agent in env.agents if first and not agent.startswith("Eye")}
+        for eye in (satellite for satellite in env.satellites if satellite.name.startswith("Eye")):
+            if infos[eye.name]["requires_retasking"]:
+                there = sum(one is not None for one in candidate_snapshot(eye, 10).targets)
+                actions[eye.name] = int(rng.integers(2 + min(there, 10)))
+        _, _, terminated, truncated, infos = env.step(actions)
+        seconds, first = float(infos["__common__"]["d_ts"]), all(truncated.values()) or any(terminated.values())
+        if first:
+            infos = env.reset()[1]
+        yield seconds, first
+
+
 class Manoeuvring(sats.ImagingSatellite):
     """Changes its orbit in every step, and looks at the next targets."""
 
@@ -353,6 +430,7 @@ PRESETS: dict[str, Callable[..., Any]] = {
     "AEOS-v1": aeos,
     "Constellation-v1": constellation,
     "RSOInspection-v1": rso_inspection,
+    "rso_imaging": rso_imaging,
     "manoeuvres": manoeuvres,
 }
 
@@ -371,6 +449,7 @@ def episodes(env: gym.Env) -> Iterator[Step]:
 PLAYERS = {
     "Constellation-v1": constellation_episodes,
     "RSOInspection-v1": inspection_episodes,
+    "rso_imaging": rso_imaging_episodes,
     "manoeuvres": manoeuvring_episodes,
 }
 """Players of environments with several agents, or with actions of real numbers."""

@@ -99,6 +99,12 @@ STARTS: dict[str, list[Start]] = {
             r"(?s)\| 2 \| arc \| on \| [\d.]+ \|.*\| 2 \| integrated \| off \| [\d.]+ \|",
         ),
     ],
+    "benchmarks/rso_imaging.py": [
+        Start(
+            "--batches 2 --targets 3 --turns 1 --seconds 0.1 --warm-up 1 --catalogs 3 --many 2 --steps 2",
+            r"(?s)\| 2 \| 2 \| 3 \| [\d,]+ \| - \|.*\| 3 \| 2 \| [\d.]+ \| [\d.]+ \| \d+ \| \d+ \(",
+        ),
+    ],
     "benchmarks/safe_autonomy.py": [
         Start(
             "--episodes 2 --batch 2 --time-limit 40 --filters none asif --policies glide --turns 1 --steps 2 --backend eager",
