@@ -16,6 +16,7 @@ EPISODES = "bsk_torch.viz.episodes"
 FILES = {
     "ConstellationEpisode": "constellation.png",
     "InspectionEpisode": "inspection.png",
+    "RSOImagingEpisode": "rso_imaging.png",
     "ImagingEpisode": "ground_track.png",
     "TrackEpisode": "timeline.png",
 }

@@ -224,6 +224,11 @@ class RSOImageReward(GlobalReward):
         """Rewards of the last step for acquisitions and for deliveries, [N, S] each."""
         return {stage: self.memory[f"rso_{stage}_reward"] for stage in ("acquisition", "delivery")}
 
+    @property
+    def imaged(self) -> Tensor:
+        """Targets imaged in the episode, [N, G]."""
+        return self.memory["rso_service"] > 0
+
     def counts(self) -> dict[str, Tensor]:
         """See :meth:`GlobalReward.counts`."""
         return {name: self.memory[f"rso_{name}"] for name in ("captured", "delivered")}

@@ -11,14 +11,17 @@ from bsk_torch.env import ConstellationTasking, SatelliteTasking, Tasking
 from bsk_torch.viz.figures.constellation import ConstellationEpisode, constellation_figure
 from bsk_torch.viz.figures.ground_track import ground_track
 from bsk_torch.viz.figures.inspection import InspectionEpisode, inspection_figure
+from bsk_torch.viz.figures.rso_imaging import RSOImagingEpisode, services_figure
 from bsk_torch.viz.figures.timeline import timeline
 from bsk_torch.viz.recorders.constellation import record_constellation
 from bsk_torch.viz.recorders.imaging import ImagingEpisode, record_imaging_episode
 from bsk_torch.viz.recorders.inspection import inspects, record_inspection
+from bsk_torch.viz.recorders.rso_imaging import images_objects, record_rso_imaging
 from bsk_torch.viz.recorders.track import TrackEpisode, record_track
 
-Recorded = TrackEpisode | ConstellationEpisode | InspectionEpisode
-"""Recorded episode of one satellite (an :class:`ImagingEpisode` where it images targets), of a constellation, or inspectors."""
+Recorded = TrackEpisode | ConstellationEpisode | InspectionEpisode | RSOImagingEpisode
+"""Recorded episode of one satellite (an :class:`ImagingEpisode` where it images targets), of a constellation, or of imagers or
+inspectors of others."""
 
 
 def record(policy: TensorDictModuleBase, env: Tasking, *, seed: int) -> Recorded:
@@ -26,10 +29,13 @@ def record(policy: TensorDictModuleBase, env: Tasking, *, seed: int) -> Recorded
 
     The recorder is chosen by the environment: :func:`~bsk_torch.viz.recorders.constellation.record_constellation`,
     :func:`~bsk_torch.viz.recorders.inspection.record_inspection` for one with the points of an RSO,
+    :func:`~bsk_torch.viz.recorders.rso_imaging.record_rso_imaging` for one with a catalog of objects,
     :func:`~bsk_torch.viz.recorders.imaging.record_imaging_episode` for a satellite with the action
     :class:`~bsk_torch.act.Image`, or :func:`~bsk_torch.viz.recorders.track.record_track`.
     """
     if isinstance(env, ConstellationTasking):
+        if images_objects(env):
+            return record_rso_imaging(policy, env, seed=seed)
         return (record_inspection if inspects(env) else record_constellation)(policy, env, seed=seed)
     assert isinstance(env, SatelliteTasking)
     images = any(isinstance(entry, Image) for entry in env.satellite.actions.entries)
@@ -39,14 +45,17 @@ def record(policy: TensorDictModuleBase, env: Tasking, *, seed: int) -> Recorded
 def draw(episode: Recorded, path: Path | str, title: str = "") -> Path:
     """Draw a recorded episode to the file ``path``, .png or .svg, and return its path.
 
-    A constellation is drawn on a map with tasks over time, an inspection as paths around the RSO with its points, an imager on a
-    map with its targets, and any other satellite as modes and resources over time; ``title`` is the headline.
+    A constellation is drawn on a map with tasks over time, an inspection as paths around the RSO with its points, imaging in
+    orbit as images and downlinks over time, an imager on a map with its targets, and any other satellite as modes and resources
+    over time; ``title`` is the headline.
     """
     path = Path(path)
     if isinstance(episode, ConstellationEpisode):
         return constellation_figure(episode, path, title)
     if isinstance(episode, InspectionEpisode):
         return inspection_figure(episode, path, title)
+    if isinstance(episode, RSOImagingEpisode):
+        return services_figure(episode, path, title)
     if isinstance(episode, ImagingEpisode):
         return ground_track(episode, path, title)
     return timeline(episode, path, title)

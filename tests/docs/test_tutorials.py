@@ -38,6 +38,7 @@ SIZES: dict[str, dict[str, str]] = {
     "10_inspection.py": {"EPISODES": "2", "SECONDS": "1200.0", "FRAMES, NUM_ENVS": "64, 4"},
     "11_planning.py": {"EPISODES": "2", "SECONDS": "600.0", "TARGETS": "2000", "LIMIT": "1.0"},
     "12_cubesat.py": {"DAY": "3_600.0"},
+    "13_imaging_satellites.py": {"OBJECTS": "20", "SECONDS": "900.0", "EPISODES": "2"},
 }
 """Values of constants, by tutorial and by what stands left of the equals sign."""
 

@@ -16,6 +16,7 @@ from bsk_torch.viz.render.moment import DEAD, Array, Moment
 
 COLORS = {
     "image": PALETTE[0],
+    "image_rso": PALETTE[0],
     "nadir_scan": PALETTE[0],
     "charge": PALETTE[1],
     "downlink": PALETTE[2],
@@ -140,7 +141,8 @@ def _lines(pen: Pen, moment: Moment) -> None:
             pen.line(pixels[a], pixels[b], 1.0, shade(PALETTE[4], 150))
     aims_N = moment.aims_P @ moment.PN
     aims, _ = pen.eye.seen(aims_N)
-    risen = ((moment.r_N - aims_N) * aims_N).sum(-1) > 0.0  # false where there is no target
+    height = ((moment.r_N - aims_N) * aims_N).sum(-1)
+    risen = np.isfinite(height) if moment.in_orbit else height > 0.0  # false where there is no target
     for k in np.flatnonzero(there & risen).tolist():
         pen.line(pixels[k], aims[k], 2.0, shade(color_of(moment.modes[k]), 255))
 

@@ -13,6 +13,9 @@ import torch
 from torch import Tensor
 
 from bsk_torch.astro.orbit import Elements, elements_to_rv, rv_to_elements
+from bsk_torch.scene import RSOTargets
+from bsk_torch.sim.catalog.aim import AIM
+from bsk_torch.sim.catalog.candidates import Candidates
 from bsk_torch.sim.places import FixedPlaces
 from bsk_torch.vec3 import Vec3
 from bsk_torch.viz.recorders.episode import QUANTITIES
@@ -27,6 +30,9 @@ DEAD = "dead"
 
 IMAGING = "image"
 """Mode in which a satellite looks at the target that it has chosen last."""
+
+IMAGING_OBJECT = "image_rso"
+"""Mode in which a satellite looks at an object of a catalog."""
 
 CAUSES = {
     "battery_valid": "battery",
@@ -64,10 +70,11 @@ class Moment:
         sun_N: Direction to the Sun, [3].
         PN: DCM from N to P, [3, 3].
         stations_P: Ground stations, [K, 3].
-        targets_P: The targets that can be chosen now or have been imaged, [T, 3].
+        targets_P: The targets that can be chosen now or have been imaged, or the objects of a catalog, [T, 3].
         imaged: Which of them have been imaged, [T].
         worth: Priority of each over the largest, [T].
-        aims_P: Target that each satellite looks at, [S, 3]; not a number where there is none.
+        in_orbit: Whether the targets are in orbit.
+        aims_P: Target that each satellite looks at, [S, 3]; not a number where there is none, or the Earth hides an object.
         links: Who has told whom after the last step, [S, S].
         levels: Resources by name, 0 to 1; of several satellites the worst, see :data:`LOW`.
         time: Seconds since reset.
@@ -87,6 +94,7 @@ class Moment:
     targets_P: Array
     imaged: Array
     worth: Array
+    in_orbit: bool
     aims_P: Array
     links: Array
     levels: dict[str, float]
@@ -104,7 +112,9 @@ def look(env: Tasking, row: int) -> Moment:
     kind, number = fleet.place_of(fleet.names[int(shown[0])])
     modes, causes, world = _modes(env, row), _causes(env, row), fleet.simulators[kind].world
     first = row * fleet.simulators[kind].count + number
-    r_LP_P, imaged, worth, aims_P = _targets(env, row, modes)
+    in_orbit = isinstance(env.scenario, RSOTargets)
+    find = _objects if in_orbit else _targets
+    r_TP_P, imaged, worth, aims_P = find(env, row, modes)
     r_N, v_N = (of_satellites(env, row, name) for name in ("r_BN_N", "v_BN_N"))
     links = torch.zeros(fleet.size, fleet.size, dtype=torch.bool)
     if env.links is not None and bool(fleet.ticks[row]):
@@ -118,9 +128,10 @@ def look(env: Tasking, row: int) -> Moment:
         sun_N=array(world.sun_direction_N[first]),
         PN=array(world.PN[first]),
         stations_P=array(_stations(fleet.simulators)),
-        targets_P=array(r_LP_P),
+        targets_P=array(r_TP_P),
         imaged=array(imaged),
         worth=array(worth),
+        in_orbit=in_orbit,
         aims_P=array(aims_P[shown]),
         links=array(links[shown][:, shown]),
         levels=_levels(env, row),
@@ -209,6 +220,24 @@ def _targets(env: Tasking, row: int, modes: list[str]) -> tuple[Tensor, Tensor, 
     shown = available | imaged
     priority = scenario.priority[row].cpu()
     return r_LP_P[shown], imaged[shown], (priority / priority.max().clamp(min=1e-12))[shown].clamp(min=0.0), aims
+
+
+def _objects(env: Tasking, row: int, modes: list[str]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """What :func:`_targets` returns, of the objects of a catalog."""
+    scenario: Any = env.scenario
+    PN = env.fleet.simulators[0].world.PN[row * env.fleet.simulators[0].count].cpu()
+    r_TP_P, aims = scenario.r_TN_N[row].cpu() @ PN.mT, torch.full((env.fleet.size, 3), torch.nan, dtype=torch.float64)
+    for kind in scenario.imager_types:
+        satellite, count = env.fleet.satellites[kind], env.fleet.simulators[kind].count
+        target = satellite.memory[AIM].unsqueeze(1).clamp(min=0)
+        seen = scenario.in_sight(satellite, Candidates(target, satellite.memory[AIM].unsqueeze(1) >= 0))
+        for number, column in enumerate(env.fleet.columns[kind].tolist()):
+            k = row * count + number
+            if modes[column] == IMAGING_OBJECT and bool(seen[k]):
+                aims[column] = r_TP_P[int(target[k])]
+    imaged = env.rewarder.imaged[row].cpu() if hasattr(env.rewarder, "imaged") else torch.zeros(len(r_TP_P), dtype=torch.bool)
+    priority = scenario.priority[row].cpu()
+    return r_TP_P, imaged, (priority / priority.max().clamp(min=1e-12)).clamp(min=0.0), aims
 
 
 def none(part: SatelliteGroup) -> Tensor:

@@ -79,8 +79,9 @@ def write_panel(pen: Pen, moment: Moment, left: float, width: float) -> None:
         column.bar(share)
     _totals(column, moment)
     if len(moment.targets_P):
-        column.entry(DONE, "imaged target")
-        column.entry(NEW, "target, by priority" if np.ptp(moment.worth) > 0.0 else "target")
+        what = "object" if moment.in_orbit else "target"
+        column.entry(DONE, f"imaged {what}")
+        column.entry(NEW, f"{what}, by priority" if np.ptp(moment.worth) > 0.0 else what)
     if len(moment.stations_P):
         column.entry(INK, "ground station", sides=TRIANGLE)
 

@@ -17,6 +17,7 @@ from bsk_torch.files import write_file
 from bsk_torch.viz.figures.constellation import ConstellationEpisode, constellation_figure
 from bsk_torch.viz.figures.ground_track import ground_track
 from bsk_torch.viz.figures.inspection import InspectionEpisode, inspection_figure
+from bsk_torch.viz.figures.rso_imaging import RSOImagingEpisode, services_figure
 from bsk_torch.viz.figures.timeline import timeline
 from bsk_torch.viz.figures.track_map import track_map
 from bsk_torch.viz.recorders.imaging import ImagingEpisode
@@ -40,7 +41,7 @@ class Chosen(NamedTuple):
 
     why: str
     number: int
-    episode: TrackEpisode | ConstellationEpisode | InspectionEpisode
+    episode: TrackEpisode | ConstellationEpisode | InspectionEpisode | RSOImagingEpisode
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,6 +181,14 @@ def _pictures(chosen: Chosen) -> list[Shown]:
                 partial(inspection_figure, episode),
                 "Paths about the RSO with maneuvers, its points and when they were inspected, and points and fuel over time.",
                 f"Paths about an RSO and a map of its points {words}.",
+            )
+        ]
+    if isinstance(episode, RSOImagingEpisode):
+        return [
+            picture(
+                partial(services_figure, episode),
+                "Images of objects in orbit and their downlinks, eclipses of the objects, images on board and return over time.",
+                f"Images of objects in orbit over time {words}.",
             )
         ]
     if isinstance(episode, ImagingEpisode):
