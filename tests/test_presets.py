@@ -185,7 +185,7 @@ def test_faulty_scan_without_faults_is_nadir_scan():
 
 
 def test_faults_of_faulty_scan_come_as_often_as_stated():
-    env = bsk_torch.make("FaultyScan-v1", num_envs=2000, seed=5, backend="eager", chance=0.6)
+    env = bsk_torch.make("FaultyScan-v1", num_envs=2000, seed=5, chance=0.6)
     env.reset()
     arguments = env.simulator.state.all_arguments
     times = torch.stack([arguments[fault.drawn("at")].expand(2000) for fault in env.simulator.state.argument("faults")], -1)
@@ -278,7 +278,7 @@ def test_the_benchmark_divides_angles_by_a_quarter_turn_and_has_a_larger_buffer(
 
 
 def test_nadir_science_is_that_of_the_benchmark():
-    env = bsk_torch.make("NadirScience-v1", num_envs=2000, seed=1, backend="eager")
+    env = bsk_torch.make("NadirScience-v1", num_envs=2000, seed=1)
     env.reset()
     args = env.satellite.sat_args
     assert env.satellite.action_description == ["action_nadir_scan", "action_charge", "action_downlink", "action_desat"]
