@@ -117,6 +117,7 @@ MODULES: dict[str, tuple[str, str]] = {
     "sim.fsw.rso_imaging": ("sim.fsw", "SpaceToSpaceImagingFSWModel"),
     "sim.fsw.rso_inspection": ("sim.fsw", "RSOInspectorFSWModel"),
     "sim.simulator": ("", "Simulator"),
+    "sim.world": ("", "WorldModelABC WorldModel EclipseWorldModel AtmosphereWorldModel GroundStationWorldModel"),
     "utils": ("", ""),
     "utils.actuator_primitives": ("initial", "balancedHR16Triad idealMonarc1Octet"),
     "utils.attitude": ("initial", "random_tumble hill_frame_attitude"),
@@ -149,7 +150,7 @@ MODULES: dict[str, tuple[str, str]] = {
         "TimeDiscountedGAEPPOTfLearner",
     ),
     "utils.rso_imaging": ("data", "RSOImageRecord CandidateSnapshot target_geometry candidate_snapshot illumination_factor"),
-    "utils.vizard": ("", "visualize get_color"),
+    "utils.vizard": ("", "visualize get_color VIZARD_PATH"),
 }
 """Modules of bsk_rl below its root (``sim.world`` is a module here too): where their names are here, and which ones there are."""
 
@@ -183,7 +184,7 @@ GROUPS: dict[str, str] = {
     DISCOUNT: "ContinuePreviousAction ContinuePreviousActionAppended MakeAddedStepActionValid CondenseMultiStepActions "
     "compute_value_targets_time_discounted TimeDiscountedGAEPPOLearner TimeDiscountedGAEPPOTorchLearner "
     "TimeDiscountedGAEPPOTfLearner",
-    PICTURES: "visualize get_color",
+    PICTURES: "visualize get_color VIZARD_PATH",
     LOGS: "style_string SimFormatter ContextFilter",
     COMPOSE: "compose_types mock_safe_bases remove_duplicate_bases remove_inherited_bases",
     PLAIN: "valid_func_name safe_dict_merge vectorize_nested_dict is_property AbstractClassProperty RSO INSPECTOR",
@@ -192,6 +193,7 @@ GROUPS: dict[str, str] = {
 ADVICE: dict[str, str] = {name: advice for advice, names in GROUPS.items() for name in names.split()} | {
     "DiscreteAction": "is act.Action here: define decide(), which returns modes and durations of all environments",
     "DynamicsModelABC": "is dyn.DynamicsModel here",
+    "WorldModelABC": "is world.WorldModel here",
     "FSWModelABC": "is fsw.FSWModel here",
     "default_args": "declares arguments in bsk_rl; here a Component lists them, args=(Arg(name, default, unit, meaning),): see "
     "docs/how_to/own_component.md",
