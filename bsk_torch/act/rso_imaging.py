@@ -13,6 +13,7 @@ from bsk_torch.act.base import Action, Decision, positive_duration
 from bsk_torch.act.image import NO_TARGET, SLEW
 from bsk_torch.scene.rso_targets import POSITIONS, RSOTargets, check_imager
 from bsk_torch.sim.catalog.aim import AIM
+from bsk_torch.sim.names import nearest
 
 if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite
@@ -72,7 +73,7 @@ class ImageRSO(Action):
         self.max_duration = positive_duration("max_duration", max_duration, name, math.inf)
         self.min_pointing_hold_s = number("min_pointing_hold_s", min_pointing_hold_s, 0.0, unit="s")
         if text("hold_mode", hold_mode) not in HOLD_MODES:
-            raise ValueError(f"hold_mode={hold_mode!r} must be one of {list(HOLD_MODES)}")
+            raise ValueError(f"hold_mode={hold_mode!r} must be one of {list(HOLD_MODES)}; {nearest(hold_mode, HOLD_MODES)}")
         self.hold_mode = hold_mode
         self.require_illumination_during_hold = switch("require_illumination_during_hold", require_illumination_during_hold)
         self.hold_illumination_threshold = number("hold_illumination_threshold", hold_illumination_threshold, 0.0, 1.0)
@@ -80,6 +81,11 @@ class ImageRSO(Action):
         if text("exposure", exposure) not in EXPOSURES:
             raise ValueError(f"exposure={exposure!r} must be one of {list(EXPOSURES)}")
         self.exposure = exposure
+        if exposure == "held" and self.min_pointing_hold_s >= self.max_duration:
+            raise ValueError(
+                f"action {name!r}: min_pointing_hold_s={min_pointing_hold_s} s must be below max_duration={max_duration} s, or "
+                "it takes no image"
+            )
         if exposure == "first" and self.require_illumination_during_hold:
             raise ValueError(
                 "exposure='first' takes images in any light; give require_illumination_during_hold=False with it, and the "

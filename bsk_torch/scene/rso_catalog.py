@@ -5,10 +5,10 @@ from __future__ import annotations
 import functools
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import MISSING, asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -27,6 +27,8 @@ from bsk_torch.sim.dyn.models import BasicDynamicsModel
 from bsk_torch.sim.names import nearest
 from bsk_torch.vec3 import Vec3
 
+Saved = TypeVar("Saved")
+
 HEADER = {"schema_version": 1, "frame": "Earth-centered J2000", "position_unit": "m", "velocity_unit": "m/s"}
 """What every file says of itself."""
 
@@ -38,6 +40,9 @@ PHYSICAL = ("mass", "width", "depth", "height", "mu", "min_orbital_radius", "dra
 
 FULL_CHARGE = 288000.0
 """Charge and capacity of the battery of satellites in the place of targets, W s."""
+
+MOST_OF_HINT = 160
+"""Characters of a hint from which on it does not list all ids."""
 
 MOST_TARGETS = 1000
 """Largest number of targets: imagers have a partition for each."""
@@ -183,12 +188,18 @@ class RSOPriorityEvent:
         object.__setattr__(self, "priorities", pairs)
 
 
+def among(key: str, ids: Sequence[str]) -> str:
+    """Return a hint at ids close to a wrong one, or at some of many."""
+    hint = nearest(key, ids)
+    return hint if len(hint) < MOST_OF_HINT else f"the catalog has {len(ids)} targets, such as {', '.join(map(repr, ids[:3]))}"
+
+
 def check_events(ids: Sequence[str], events: Sequence[RSOPriorityEvent]) -> None:
     """Raise ValueError for changes of priorities of other targets than those with the ``ids``, or that are not in order."""
     for event in events:
         for key, _ in event.priorities:
             if key not in ids:
-                raise ValueError(f"RSOPriorityEvent at {event.time_s:g} s changes target {key!r}; {nearest(key, ids)}")
+                raise ValueError(f"RSOPriorityEvent at {event.time_s:g} s changes target {key!r}; {among(key, ids)}")
     times = [event.time_s for event in events]
     if times != sorted(times):
         raise ValueError(f"priority_events have the times {times} s; they must be in ascending order")
@@ -220,8 +231,9 @@ class RSOTargetCatalog:
         _unique([target.id for target in self.targets], "RSOTargetCatalog: ids of targets")
         _unique([target.satellite_name for target in self.targets], "RSOTargetCatalog: satellite names of targets")
         if self.utc_init is not None:
+            epoch = text("RSOTargetCatalog: utc_init", self.utc_init)
             try:
-                parse_utc(text("RSOTargetCatalog: utc_init", self.utc_init))
+                parse_utc(epoch)
             except ValueError as error:
                 raise ValueError(f"RSOTargetCatalog: utc_init: {error}") from None
         check_events(self.ids, self.priority_events)
@@ -248,20 +260,37 @@ class RSOTargetCatalog:
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> RSOTargetCatalog:
         """Return the catalog of a dictionary; ValueError for another schema, frame or units, or missing or unknown entries."""
+        if not isinstance(values, Mapping):
+            raise ValueError(f"a catalog must be a dictionary, not {type(values).__name__}")
         for name, wanted in HEADER.items():
             if values.get(name) != wanted:
                 raise ValueError(f"a catalog has {name}={values.get(name)!r}; it must be {wanted!r}")
-        try:
-            targets = tuple(RSOTarget(**_named_as_now(saved)) for saved in values["targets"])
-            events = tuple(RSOPriorityEvent(**event) for event in values["priority_events"])
-        except (KeyError, TypeError) as error:
-            raise ValueError(f"a catalog has missing or unknown entries: {error}") from error
-        return cls(targets, values.get("utc_init"), events)
+        targets = _saved(RSOTarget, values, "targets")
+        return cls(targets, values.get("utc_init"), _saved(RSOPriorityEvent, values, "priority_events"))
 
     @classmethod
     def load(cls, path: str | Path) -> RSOTargetCatalog:
-        """Return the catalog of a JSON file; see :meth:`from_dict`."""
-        return cls.from_dict(json.loads(Path(path).read_text(encoding="utf-8")))
+        """Return the catalog of a JSON file; see :meth:`from_dict`, whose errors name the file."""
+        try:
+            return cls.from_dict(json.loads(Path(path).read_text(encoding="utf-8")))
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
+
+
+def _saved(kind: Callable[..., Saved], values: Mapping[str, Any], name: str) -> tuple[Saved, ...]:
+    """Return the entries of ``values[name]`` as objects of a kind; ValueError for missing or unknown keys."""
+    listed, known = values.get(name), {part.name: part for part in fields(kind)}  # type: ignore[arg-type]
+    if not isinstance(listed, list | tuple) or not all(isinstance(saved, Mapping) for saved in listed):
+        raise ValueError(f"a catalog has {name}={listed!r}; it must be a list of dictionaries")
+    made = []
+    for k, saved in enumerate(map(_named_as_now, listed)):
+        for key in saved:
+            if key not in known:
+                raise ValueError(f"entry {k} of {name} has the key {key!r}; {nearest(str(key), known)}")
+        if missing := [key for key, part in known.items() if part.default is MISSING and key not in saved]:
+            raise ValueError(f"entry {k} of {name} lacks {missing}")
+        made.append(kind(**saved))
+    return tuple(made)
 
 
 def _named_as_now(saved: Mapping[str, Any]) -> dict[str, Any]:

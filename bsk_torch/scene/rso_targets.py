@@ -20,7 +20,7 @@ from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
-from bsk_torch.scene.rso_catalog import RandomRSOCatalog, RSOTarget, RSOTargetCatalog
+from bsk_torch.scene.rso_catalog import RandomRSOCatalog, RSOTarget, RSOTargetCatalog, among
 from bsk_torch.scene.rso_records import RecordBook
 from bsk_torch.sim.catalog.aim import AIM, NO_AIM, AimedNodes
 from bsk_torch.sim.catalog.candidates import Candidates, Moment, Views, in_order, views
@@ -170,7 +170,7 @@ class RSOTargets(Scenario):
     def index_of(self, target_id: str) -> int:
         """Return the number of a target; ValueError for an unknown id, with the nearest one."""
         if target_id not in self.ids:
-            raise ValueError(f"{target_id!r} is no target of the catalog; {nearest(str(target_id), self.ids)}")
+            raise ValueError(f"{target_id!r} is no target of the catalog; {among(str(target_id), self.ids)}")
         return self.ids.index(target_id)
 
     def catalog_of(self, env: int) -> RSOTargetCatalog:

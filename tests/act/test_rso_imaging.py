@@ -17,6 +17,7 @@ CHARGE, DOWNLINK, FIRST = 0, 1, 2
         (dict(n_ahead_image=2.5), "n_ahead_image=2.5"),
         (dict(max_duration=0.0), "max_duration"),
         (dict(min_pointing_hold_s=-1.0), "min_pointing_hold_s=-1.0"),
+        (dict(min_pointing_hold_s=60.0, max_duration=60.0), "must be below max_duration=60.0 s, or it takes no image"),
         (dict(hold_mode="cumulativ"), "hold_mode='cumulativ' must be one of"),
         (dict(hold_illumination_threshold=1.5), "hold_illumination_threshold=1.5"),
         (dict(require_illumination_during_hold=2), "require_illumination_during_hold=2"),

@@ -207,6 +207,8 @@ def test_satellites_must_be_there_and_able():
     class Blind(Target):
         dyn_type = dyn.DynamicsModel
 
+    with pytest.raises(ValueError, match=r"satellites \['Spare'\] have SpaceToSpaceImagingDynModel, but are not among"):
+        built(Target("A"), Imager("Eye"), Imager("Spare"), Target("B"))
     with pytest.raises(ValueError, match="RSOTargets needs a satellite called 'B'"):
         built(Target("A"), Imager("Eye"))
     with pytest.raises(ValueError, match="needs unique names"):

@@ -87,6 +87,10 @@ def test_a_target_has_the_physical_parameters_of_a_satellite():
         (lambda: scene.RandomRSOCatalog(3, priority=math.nan), "priority is nan"),
         (lambda: scene.RandomRSOCatalog(3, priority=[1.0, 2.0]), "does not give one number for each of 3 targets"),
         (lambda: scene.RandomRSOCatalog(3, priority_events=[scene.RSOPriorityEvent(0.0, [("a", 1.0)])]), "changes target 'a'"),
+        (
+            lambda: scene.RandomRSOCatalog(200, priority_events=[scene.RSOPriorityEvent(0.0, [("zz", 1.0)])]),
+            "'zz'; the catalog has 200 targets, such as 'rso-0', 'rso-1', 'rso-2'$",
+        ),
         (lambda: scene.RSOTargets(catalog(), []), "imager_names"),
         (lambda: scene.RSOTargets(catalog(), "Imager0"), "imager_names='Imager0'"),
         (lambda: scene.RSOTargets(catalog(), ["A", "A"]), "unique"),
@@ -98,6 +102,31 @@ def test_a_target_has_the_physical_parameters_of_a_satellite():
 def test_wrong_catalogs_and_scenarios_are_named(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda saved: [1, 2], "a catalog must be a dictionary, not list"),
+        (lambda saved: saved | {"targets": 5}, "targets=5; it must be a list of dictionaries"),
+        (lambda saved: saved | {"targets": [5]}, r"targets=\[5\]; it must be a list of dictionaries"),
+        (
+            lambda saved: saved | {"targets": [saved["targets"][0] | {"prioritee": 1.0}]},
+            "entry 0 of targets has the key 'prioritee'; did",
+        ),
+        (lambda saved: saved | {"targets": [{"id": "a"}]}, r"entry 0 of targets lacks \['satellite_name', 'rN', 'vN'\]"),
+        (lambda saved: saved | {"priority_events": [{"time_s": 1.0}]}, r"entry 0 of priority_events lacks \['priorities'\]"),
+        (lambda saved: saved | {"utc_init": 5}, "RSOTargetCatalog: utc_init=5 must be a string"),
+    ],
+)
+def test_wrong_files_are_named_with_the_entry(change, message, tmp_path):
+    path = tmp_path / "objects.json"
+    path.write_text(json.dumps(change(json.loads(json.dumps(catalog().to_dict())))))
+    with pytest.raises(ValueError, match=r"objects\.json: .*" + message):
+        scene.RSOTargetCatalog.load(path)
+    path.write_text("{bad")
+    with pytest.raises(ValueError, match=r"objects\.json: Expecting property name"):
+        scene.RSOTargetCatalog.load(path)
 
 
 def test_events_are_in_order():

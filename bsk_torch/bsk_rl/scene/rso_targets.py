@@ -38,6 +38,12 @@ class EpisodeTarget:
         return self.definition.id
 
 
+def _images(satellite: Any) -> bool:
+    """Return whether a satellite has the dynamics of an imager."""
+    models = satellite.dyn_type if isinstance(satellite.dyn_type, tuple) else (satellite.dyn_type,)
+    return any(isinstance(model, type) and issubclass(model, SpaceToSpaceImagingDynModel) for model in models)
+
+
 class RSOTargets(Scenario):
     """Satellites of the environment as targets of a catalog, which imagers image; see :class:`~bsk_torch.bsk_rl.act.ImageRSO`.
 
@@ -88,13 +94,18 @@ class RSOTargets(Scenario):
         return partition_name(target_id)
 
     def validate_satellite_names(self, satellites: list[Any]) -> None:
-        """Raise ValueError for repeated names of satellites, and for imagers and targets that no satellite is."""
+        """Raise ValueError for repeated names of satellites, imagers and targets that no satellite is, and other imagers."""
         names = [satellite.name for satellite in satellites]
         if twice := sorted({name for name in names if names.count(name) > 1}):
             raise ValueError(f"satellites has several called {twice}; RSOTargets needs unique names")
         for name in (*self.imager_names, *(target.satellite_name for target in self.catalog.targets)):
             if name not in names:
                 raise ValueError(f"RSOTargets needs a satellite called {name!r}; {nearest(name, names)}")
+        able = [satellite.name for satellite in satellites if _images(satellite)]
+        if others := [name for name in able if name not in self.imager_names]:
+            raise ValueError(
+                f"satellites {others} have SpaceToSpaceImagingDynModel, but are not among the imager_names of RSOTargets"
+            )
 
     def link_satellites(self, satellites: list[Any]) -> None:
         """See :meth:`Scenario.link_satellites`; ValueError unless imagers and targets are among them."""
