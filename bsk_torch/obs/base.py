@@ -50,6 +50,11 @@ Values = dict[str, Any]
 """Observed quantities by name: tensors [N] or [N, width], or dictionaries of them."""
 
 
+def joined(columns: dict[str, Tensor]) -> Tensor:
+    """Return columns [N, n] or [N, n, width] of n items next to each other, [N, n, features]."""
+    return torch.cat([column.unsqueeze(-1) if column.ndim == 2 else column for column in columns.values()], -1)
+
+
 class Observation:
     """One entry of an ``observation_spec``. Subclasses define :meth:`get_obs`.
 

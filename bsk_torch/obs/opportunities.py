@@ -11,7 +11,7 @@ from torch import Tensor
 from bsk_torch._checks import switch, text, whole
 from bsk_torch.astro.ephemeris import earth_fixed_sun
 from bsk_torch.astro.frames import sin_elevation
-from bsk_torch.obs.base import Observation, Values
+from bsk_torch.obs.base import Observation, Values, joined
 from bsk_torch.obs.entries import is_own, parse_entries, scaled
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.access.relative_geometry import SATELLITE_PROPERTIES
@@ -222,22 +222,17 @@ class OpportunityProperties(Observation):
         shape = tuple(opportunities.open.shape)
         return function(shape, self.simulator.device, lambda: given(self.satellite, opportunities), one)
 
-    @staticmethod
-    def _rows(columns: dict[str, Tensor]) -> Tensor:
-        """Concatenate all columns, [N, n, features]."""
-        return torch.cat([column.unsqueeze(-1) if column.ndim == 2 else column for column in columns.values()], -1)
-
     def get_obs(self) -> Values:
         """See :meth:`Observation.get_obs`."""
         columns, opportunities = self._columns()
         if self.as_set:
-            return {"rows": self._rows(columns), "mask": opportunities.mask.double()}
+            return {"rows": joined(columns), "mask": opportunities.mask.double()}
         return {f"{self.name}_{k}": {name: column[:, k] for name, column in columns.items()} for k in range(self.n_ahead_observe)}
 
     def get_vector(self) -> Tensor:
         """See :meth:`Observation.get_vector`; one opportunity after the other."""
         columns, opportunities = self._columns()
-        rows = self._rows(columns).flatten(1)
+        rows = joined(columns).flatten(1)
         return torch.cat([rows, opportunities.mask.to(rows.dtype)], -1) if self.as_set else rows
 
 

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import number, text, whole
-from bsk_torch.obs.base import Observation, Values
+from bsk_torch._checks import number, switch, text, whole
+from bsk_torch.obs.base import Observation, Values, joined
 from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.scene.rso_targets import RSOTargets, check_imager
 from bsk_torch.sim.catalog.candidates import Candidates, Views
@@ -63,7 +63,9 @@ class RSOTargetProperties(Observation):
     which is 1 for the others.
     """
 
-    def __init__(self, *properties: dict[str, Any], n_ahead_observe: int = 10, name: str = "rso_targets") -> None:
+    def __init__(
+        self, *properties: dict[str, Any], n_ahead_observe: int = 10, name: str = "rso_targets", as_set: bool = False
+    ) -> None:
         """Observe candidates.
 
         Args:
@@ -71,6 +73,8 @@ class RSOTargetProperties(Observation):
                 none are given.
             n_ahead_observe: Number of candidates n.
             name: Name of the observation.
+            as_set: Whether to return ``rows`` [N, n, features] and ``mask`` [N, n] (1, or 0 where there are fewer candidates)
+                instead of named numbers, for permutation-invariant policies.
 
         Raises:
             ValueError: For unknown properties or keys, equal names, or fewer than one candidate.
@@ -80,15 +84,16 @@ class RSOTargetProperties(Observation):
         names = [entry.name for entry in self.entries]
         if len(set(names)) < len(names):
             raise ValueError(f"obs.RSOTargetProperties has the names {names}; they must be unique")
-        self.n_ahead_observe = whole("n_ahead_observe", n_ahead_observe, 1)
+        self.n_ahead_observe, self.as_set = whole("n_ahead_observe", n_ahead_observe, 1), switch("as_set", as_set)
+        self.exact = ("mask",) if as_set else ()  # not changed by obs.Noisy
 
     def link_satellite(self, satellite: BoundSatellite) -> None:
         """See :meth:`Observation.link_satellite`; ValueError unless it is an imager of a catalog."""
         super().link_satellite(satellite)
         check_imager(satellite, f"obs.RSOTargetProperties {self.name!r}")
 
-    def _columns(self) -> dict[str, Tensor]:
-        """Return the properties of the candidates by name, [N, n] or [N, n, 3]."""
+    def _columns(self) -> tuple[dict[str, Tensor], Tensor]:
+        """Return the properties of the candidates by name, [N, n] or [N, n, 3], and which of them exist, [N, n]."""
         scenario: RSOTargets = self.satellite.scenario
         candidates = scenario.candidates(self.satellite, self.n_ahead_observe)
         seen = scenario.views(self.satellite, candidates)
@@ -96,17 +101,21 @@ class RSOTargetProperties(Observation):
             "valid": torch.ones_like(seen.target_distance),
             "priority": self.satellite.of_env(scenario.priority).gather(1, candidates.place),
         }
-        return {entry.name: _blank(known[entry.prop] / entry.norm, candidates) for entry in self.entries}
+        columns = {entry.name: _blank(known[entry.prop] / entry.norm, candidates) for entry in self.entries}
+        return columns, candidates.exists
 
     def get_obs(self) -> Values:
         """See :meth:`Observation.get_obs`."""
-        columns = self._columns()
+        columns, exists = self._columns()
+        if self.as_set:
+            return {"rows": joined(columns), "mask": exists.double()}
         return {f"{self.name}_{k}": {name: column[:, k] for name, column in columns.items()} for k in range(self.n_ahead_observe)}
 
     def get_vector(self) -> Tensor:
         """See :meth:`Observation.get_vector`; one candidate after the other."""
-        parts = [part.unsqueeze(-1) if part.ndim == 2 else part for part in self._columns().values()]
-        return torch.cat(parts, -1).flatten(1)
+        columns, exists = self._columns()
+        rows = joined(columns).flatten(1)
+        return torch.cat([rows, exists.to(rows.dtype)], -1) if self.as_set else rows
 
 
 def _blank(column: Tensor, candidates: Candidates) -> Tensor:

@@ -42,6 +42,7 @@ percent geosynchronous on average, see :class:`~bsk_torch.scene.RSOMixture`; and
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import torch
@@ -52,6 +53,7 @@ from bsk_torch.env import SatelliteTasking
 from bsk_torch.presets.nadir_scan import ORBIT
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.dyn import Now, observable
+from bsk_torch.sim.names import nearest
 from bsk_torch.vec3 import Vec3
 
 CANDIDATES = 10
@@ -102,7 +104,7 @@ class ServicingImager(sats.AccessSatellite):
 
     dyn_type = ServicingDynModel
     fsw_type = fsw.SpaceToSpaceImagingFSWModel
-    observation_spec: ClassVar[tuple[obs.Observation, ...]] = (
+    observation_spec: ClassVar[Sequence[obs.Observation]] = (
         *own_properties(),
         obs.RSOTargetProperties(n_ahead_observe=CANDIDATES),
     )
@@ -112,6 +114,16 @@ class ServicingImager(sats.AccessSatellite):
         act.Desat(duration=150.0),
         act.ImageRSO(CANDIDATES, exposure="first", require_illumination_during_hold=False),
     )
+
+
+class ServicingSetImager(ServicingImager):
+    """The same, observing its candidates as a set."""
+
+    observation_spec = (*own_properties(), obs.RSOTargetProperties(n_ahead_observe=CANDIDATES, as_set=True))
+
+
+ORDERS: dict[str, scene.Order | None] = {"elevation": None, "priority_per_second": scene.by_priority_per_second}
+"""Orders of the candidates by name; None for that of the scenario."""
 
 
 def servicing_args() -> dict[str, Any]:
@@ -171,8 +183,10 @@ def services(
     low_battery_penalty: float = 0.0,
     full_storage_penalty: float = 0.0,
     empty_downlink_penalty: float = -1.0,
+    order: str = "elevation",
+    as_set: bool = False,
     sat_args: dict[str, Any] | None = None,
-    obs_type: type = torch.Tensor,
+    obs_type: type | None = None,
     **options: object,
 ) -> SatelliteTasking:
     """Return Services-v1; see the module.
@@ -188,16 +202,21 @@ def services(
         low_battery_penalty: Reward at every step that ends with a battery below 10 percent, negative.
         full_storage_penalty: Reward at every step that ends with a store above 99.1 percent, negative.
         empty_downlink_penalty: Reward for a downlink with an empty store, negative.
+        order: Order of the candidates: ``"elevation"``, the one of the study, or ``"priority_per_second"``, in which those come
+            first that promise the most; see :func:`~bsk_torch.scene.by_priority_per_second`.
+        as_set: Whether candidates are observed as ``rows`` [N, 10, 11] with a ``mask`` instead of in one vector.
         sat_args: Arguments of the satellite that replace those of the preset.
-        obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations.
+        obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations (default: with ``as_set``).
         **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset.
 
     Raises:
         ValueError: For a wrong argument.
     """
+    if order not in ORDERS:
+        raise ValueError(f"order={order!r} must be one of {list(ORDERS)}; {nearest(str(order), ORDERS)}")
     catalog = servicing_catalog(n_targets, mixture, exact_mixture, priority_sum, priority_event)
     defaults: dict[str, Any] = dict(
-        scenario=scene.RSOTargets(catalog, ["SS1"]),
+        scenario=scene.RSOTargets(catalog, ["SS1"], order=ORDERS[order]),
         rewarder=(
             data.RSOImageReward(cooldown_orbits=2.0, delivery_share=delivery_share),
             data.OperationsPenalty(low_battery_penalty, full_storage_penalty, empty_downlink_penalty),
@@ -206,5 +225,7 @@ def services(
         failure_penalty=-1.0,
         terminate_on_time_limit=False,
     )
-    satellite = ServicingImager("SS1", servicing_args() | (sat_args or {}), obs_type=obs_type)
+    kind = ServicingSetImager if switch("as_set", as_set) else ServicingImager
+    observed_as = (dict if as_set else torch.Tensor) if obs_type is None else obs_type
+    satellite = kind("SS1", servicing_args() | (sat_args or {}), obs_type=observed_as)
     return SatelliteTasking(satellite, **(defaults | options))

@@ -7,8 +7,9 @@ from bsk_torch.scene.explicit import Targets
 from bsk_torch.scene.mixed import MixedScenario
 from bsk_torch.scene.rso_catalog import RandomRSOCatalog, RSOPriorityEvent, RSOTarget, RSOTargetCatalog
 from bsk_torch.scene.rso_mixture import RSOMixture
+from bsk_torch.scene.rso_order import by_priority_per_second
 from bsk_torch.scene.rso_points import RSOPoint, RSOPoints, SphericalRSO
-from bsk_torch.scene.rso_targets import RSOTargets
+from bsk_torch.scene.rso_targets import Order, RSOTargets
 from bsk_torch.scene.scanning import UniformNadirScanning
 from bsk_torch.scene.target import Target
 from bsk_torch.scene.targets import ChangingTargets, TargetScenario
@@ -20,6 +21,7 @@ __all__ = [
     "CityTargets",
     "CloudyTargets",
     "MixedScenario",
+    "Order",
     "RSOMixture",
     "RSOPoint",
     "RSOPoints",
@@ -36,4 +38,5 @@ __all__ = [
     "UniformNadirScanning",
     "UniformTargets",
     "Wildfires",
+    "by_priority_per_second",
 ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
 from typing import Any, NamedTuple
@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import switch, text
+from bsk_torch._checks import function, switch, text
 from bsk_torch.astro.ephemeris import parse_utc
 from bsk_torch.astro.sight import line_clearance, stretch
 from bsk_torch.rand import Key, PerEnv
@@ -23,11 +23,12 @@ from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.rso_catalog import RandomRSOCatalog, RSOTarget, RSOTargetCatalog, among
 from bsk_torch.scene.rso_records import RecordBook
 from bsk_torch.sim.catalog.aim import AIM, NO_AIM, AimedNodes
-from bsk_torch.sim.catalog.candidates import Candidates, Moment, Views, in_order, views
+from bsk_torch.sim.catalog.candidates import Candidates, Moment, Views, in_order, ranked, views
 from bsk_torch.sim.catalog.orbits import CatalogOrbits, Epoch
 from bsk_torch.sim.dyn.hub import initial_orbit
 from bsk_torch.sim.dyn.rso_imaging import RSO_TRACK, SpaceToSpaceImagingDynModel
 from bsk_torch.sim.fsw.rso_imaging import SpaceToSpaceImagingFSWModel
+from bsk_torch.sim.hooks import check_tensor
 from bsk_torch.sim.names import nearest
 from bsk_torch.sim.orbit.flights import make_flights
 from bsk_torch.sim.state import FINITE
@@ -57,6 +58,10 @@ def partition_name(target_id: str) -> str:
     return PREFIX + hashlib.sha256(target_id.encode()).hexdigest()[:32]
 
 
+Order = Callable[["RSOTargets", BoundSatellite], Tensor]
+"""Ranks all targets for each satellite of a type, [n, G]."""
+
+
 class _Cached(NamedTuple):
     key: tuple[int, ...]
     value: Any
@@ -72,7 +77,8 @@ class RSOTargets(Scenario):
 
     A target is *eligible* unless images of it wait for their downlink (with ``block_pending_targets``), and once it has cooled
     down; see :class:`~bsk_torch.data.RSOImageReward`. The *candidates* of an imager are the eligible targets, first those with an
-    elevation from -21 to 90 degrees above its horizontal, in ascending order, then the others by their distance.
+    elevation from -21 to 90 degrees above its horizontal, in ascending order, then the others by their distance; or in another
+    order that you give.
 
     With ``knowledge="own"``, candidates of an imager follow from what it knows. A target is eligible for it unless an image of it
     waits on its board, or it knows of a capture of sufficient quality that is younger than the cooldown. It knows its captures,
@@ -107,6 +113,7 @@ class RSOTargets(Scenario):
         *,
         block_pending_targets: bool = True,
         knowledge: str = "common",
+        order: Order | None = None,
     ) -> None:
         """ValueError for a wrong argument.
 
@@ -117,6 +124,9 @@ class RSOTargets(Scenario):
             block_pending_targets: Whether a target with images that have not been downlinked cannot be chosen.
             knowledge: ``"common"`` if candidates follow from all images at once, ``"own"`` if those of each imager follow from
                 what it knows.
+            order: Function of this scenario and a type of satellites that ranks all targets for each of them, [n, G]: candidates
+                are in ascending order of their ranks, such as :func:`~bsk_torch.scene.by_priority_per_second` (default: by their
+                elevation, see above). Targets of infinite rank are no candidates.
         """
         listed: list[Any] = list(catalog.values) if isinstance(catalog, PerEnv) else [catalog]
         kinds = (RSOTargetCatalog,) if isinstance(catalog, PerEnv) else (RSOTargetCatalog, RandomRSOCatalog)
@@ -139,6 +149,7 @@ class RSOTargets(Scenario):
         if text("knowledge", knowledge) not in KNOWLEDGE:
             raise ValueError(f"knowledge={knowledge!r} must be one of {list(KNOWLEDGE)}; {nearest(knowledge, KNOWLEDGE)}")
         self.knowledge = knowledge
+        self.order = None if order is None else function("order", order, "scenario and satellite")
         self._events = _event_table(first)
 
     # -- draws --------------------------------------------------------------------------------------------------------
@@ -409,10 +420,15 @@ class RSOTargets(Scenario):
         """Return the first ``count`` candidates of each satellite of a type, [n, count]."""
 
         def found() -> Candidates:
-            r_TN_N = self._positions()
-            if satellite.simulator.count > 1:
-                r_TN_N = r_TN_N.repeat_interleave(satellite.simulator.count, 1)
-            return in_order(r_TN_N, satellite.dynamics.r_BN_N, self.eligible_for(satellite))
+            eligible = self.eligible_for(satellite)
+            if self.order is None:
+                r_TN_N = self._positions().repeat_interleave(satellite.simulator.count, 1)
+                return in_order(r_TN_N, satellite.dynamics.r_BN_N, eligible)
+            rank = self.order(self, satellite)
+            check_tensor("order(scenario, satellite)", rank, eligible.shape, torch.float64)
+            if bool(rank.isnan().any()):
+                raise ValueError(f"order(scenario, satellite) is NaN for some target of {satellite.name}; ranks must be numbers")
+            return ranked(rank, eligible)
 
         known = self._once(("candidates", satellite.type_index), found)
         missing = count - self.n_targets
@@ -426,10 +442,14 @@ class RSOTargets(Scenario):
         envs, now = simulator.state.all_rows // simulator.count, fleet.sim_time
         self._positions()  # which catch up
         seen = self.orbits.states(envs, candidates.place, now, (now - fleet.h).clamp(min=0.0))
-        axis_B = satellite.sat_args["inst_pHat_B"]
-        axis_N = (satellite.dynamics.BN.mT @ (axis_B / axis_B.norm(dim=-1, keepdim=True)).unsqueeze(-1)).squeeze(-1)
-        at = Moment(satellite.dynamics.r_BN_N, satellite.dynamics.v_BN_N, axis_N, simulator.world.r_SN_N)
+        dynamics = satellite.dynamics
+        at = Moment(dynamics.r_BN_N, dynamics.v_BN_N, self.axis_N(satellite), simulator.world.r_SN_N)
         return views(*seen, at)
+
+    def axis_N(self, satellite: BoundSatellite) -> Tensor:
+        """Return the axis of the instrument of each satellite of a type, a unit vector in N, [n, 3]."""
+        axis_B = satellite.sat_args["inst_pHat_B"]
+        return (satellite.dynamics.BN.mT @ (axis_B / axis_B.norm(dim=-1, keepdim=True)).unsqueeze(-1)).squeeze(-1)
 
     def in_sight(self, satellite: BoundSatellite, candidates: Candidates) -> Tensor:
         """Return whether satellites of a type see their candidates past the Earth and within their range, [n, k].

@@ -10,10 +10,10 @@ import pytest
 import torch
 
 import bsk_torch
-from bsk_torch import act, data
+from bsk_torch import act, data, scene
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.presets.services import EPISODE, IMAGE, ServicingImager, servicing_catalog
-from bsk_torch.rl.rules.servicing import whole_catalog
+from bsk_torch.rl.rules.servicing import ORDERS, WORTHS, whole_catalog
 from bsk_torch.sim.catalog.candidates import Candidates
 from tests.support.rso_imaging import Imager, environment, play
 
@@ -289,7 +289,7 @@ def test_a_saved_state_continues_bit_for_bit():
     assert all(torch.equal(a, b) for a, b in zip(on(env), on(other), strict=True))
 
 
-@pytest.mark.parametrize("name", ["angle", "priority_angle", "distance", "candidate_priority"])
+@pytest.mark.parametrize("name", [*ORDERS, *WORTHS])
 def test_rules_survive_and_deliver(name):
     env = make(3, time_limit=9000.0, n_targets=40)
     rule, td = bsk_torch.rule(name, env), env.reset()
@@ -305,18 +305,69 @@ def test_rules_over_the_whole_catalog_choose_the_smallest_angle_in_view():
     td = env.reset()
     rule = bsk_torch.rule("angle", env)
     action = rule(td.clone())["action"]
-    seen = whole_catalog(env.satellite)
+    seen, in_view = whole_catalog(env.scenario, env.satellite)
     for row, chosen in enumerate((-1 - action).tolist()):
-        choices = [g for g in range(40) if bool(seen.in_view[row, g])] or list(range(40))
-        assert chosen == min(choices, key=lambda g: float(seen.angle[row, g]))
+        choices = [g for g in range(40) if bool(in_view[row, g])] or list(range(40))
+        assert chosen == min(choices, key=lambda g: float(seen.angle_to_target[row, g]))
     other = make(8, n_targets=40, seed=5)
     with pytest.raises(ValueError, match="decides in the environment that it was made for"):
         rule(other.reset())
 
 
 def test_rules_need_their_actions_and_observations():
-    with pytest.raises(ValueError, match="images no objects of a catalog"):
+    with pytest.raises(ValueError, match="images no targets"):
         bsk_torch.rule("angle", bsk_torch.make("NadirScan-v1", num_envs=1, backend="eager"))
-    with pytest.raises(ValueError, match="leave out obs_type=dict"):
+    with pytest.raises(ValueError, match="EO1 images no objects of a catalog; its scenario is UniformTargets"):
+        bsk_torch.rule("angle", bsk_torch.make("AEOS-v1", n_targets=100, num_envs=1, backend="eager"))
+    with pytest.raises(ValueError, match="nested observations with as_set=True"):
         bsk_torch.rule("angle", make(1, obs_type=dict, backend="eager"))
     assert ServicingImager.action_spec[FIRST].exposure == "first"
+
+
+def test_candidates_are_observed_as_a_set():
+    sets, vectors = make(as_set=True), make()
+    td, other = sets.reset(), vectors.reset()
+    assert torch.equal(td["observation", "rso_targets", "rows"].flatten(1), other["observation"][:, 14:])
+    assert torch.equal(td["observation", "rso_targets", "mask"].bool(), td["action_mask"][:, FIRST:])
+    rules = [bsk_torch.rule("candidate_rate", env) for env in (sets, vectors)]
+    assert torch.equal(rules[0](td)["action"], rules[1](other)["action"])
+
+
+def test_candidates_in_the_order_of_priority_per_second():
+    """The first one is that of the rule which looks at the whole catalog, and ranks never fall."""
+    env = make(16, n_targets=40, order="priority_per_second")
+    td = env.reset()
+    chosen = bsk_torch.rule("rate", env)(td.clone())["action"]
+    first = env.scenario.candidates(env.satellite, 40)
+    assert torch.equal(-1 - chosen, first.place[:, 0])
+    rank = scene.by_priority_per_second(env.scenario, env.satellite).gather(1, first.place)
+    assert first.exists.all()
+    assert (rank[:, 1:] >= rank[:, :-1]).all()
+    see = td["observation"][:, 14:].view(16, 10, 11)
+    lit, turn = see[..., 10] >= 0.5, 40.0 + 90.0 * see[..., 8]
+    expected = torch.where(lit & (rank[:, :10] < 0.0), -2.0 * see[..., 0] / turn, rank[:, :10])
+    torch.testing.assert_close(rank[:, :10], expected, rtol=1e-9, atol=0.0)
+    assert lit.any()
+
+
+@pytest.mark.parametrize("rank", [float("nan"), None])
+def test_wrong_ranks_raise(rank):
+    def order(scenario, satellite):
+        return rank if rank is None else torch.full_like(satellite.of_env(scenario.priority), rank)
+
+    scenario = scene.RSOTargets(servicing_catalog(TARGETS, priority_event=False), ["SS1"], order=order)
+    with pytest.raises((ValueError, TypeError), match=r"order\(scenario, satellite\)"):
+        make(scenario=scenario, backend="eager")
+
+
+def test_objects_of_infinite_rank_are_no_candidates():
+    def nothing(scenario, satellite):
+        return torch.full_like(satellite.of_env(scenario.priority), torch.inf)
+
+    scenario = scene.RSOTargets(servicing_catalog(TARGETS, priority_event=False), ["SS1"], order=nothing)
+    assert not make(scenario=scenario, backend="eager").reset()["action_mask"][:, FIRST:].any()
+
+
+def test_an_unknown_order_is_named():
+    with pytest.raises(ValueError, match="did you mean 'elevation'"):
+        make(order="elevations")

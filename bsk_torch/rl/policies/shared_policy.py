@@ -221,6 +221,8 @@ def rule(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
     ``priority_angle``      the same: the object with the smallest ratio of turn and priority
     ``distance``            the same: the nearest object
     ``candidate_priority``  the same: the observed candidate of the highest priority
+    ``rate``                the same: the lit object of the catalog that brings the most priority per second
+    ``candidate_rate``      the same among the observed candidates
     ======================  ==================================================================================================
 
     If the rule applies to some groups of a constellation only, the others act at random.

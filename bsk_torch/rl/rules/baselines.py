@@ -18,7 +18,7 @@ from bsk_torch.rl.rules.cooperative import CooperativeRule
 from bsk_torch.rl.rules.imaging import IMAGING_RULES, ImagingRule, ranking_rule
 from bsk_torch.rl.rules.inspection import inspection_rule
 from bsk_torch.rl.rules.observation_columns import Columns
-from bsk_torch.rl.rules.servicing import RANKS, servicing_rule
+from bsk_torch.rl.rules.servicing import ORDERS, WORTHS, servicing_rule
 from bsk_torch.rl.rules.thrusters import thruster_rule
 
 LOT = "lot"
@@ -174,6 +174,6 @@ BASELINES: dict[str, Callable[[SatelliteTasking, int], TensorDictModuleBase]] = 
     "survey": inspection_rule("survey"),
     "glide": thruster_rule("glide"),
     "seek": thruster_rule("seek"),
-    **{name: servicing_rule(name) for name in (*RANKS, "candidate_priority")},
+    **{name: servicing_rule(name) for name in (*ORDERS, *WORTHS)},
 }
 """Baselines by name: functions of the environment and a seed, which raise KeyError or ValueError if they do not apply."""

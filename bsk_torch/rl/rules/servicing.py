@@ -8,18 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from tensordict.nn import TensorDictModule
 from torch import Tensor
 
-from bsk_torch.act import ImageRSO
 from bsk_torch.env import SatelliteTasking
-from bsk_torch.env.action_forms import form
 from bsk_torch.rl.rules.observation_columns import Columns
-from bsk_torch.scene import RSOTargets
-from bsk_torch.sim.catalog.candidates import HIGHEST, LOWEST, Candidates
+from bsk_torch.rl.rules.targets import Observation, TargetReader, image_actions
+from bsk_torch.sats.bound import BoundSatellite
+from bsk_torch.scene import Order, RSOTargets, by_priority_per_second
+from bsk_torch.scene.rso_order import LIT, PER_DEGREE, START
+from bsk_torch.sim.catalog.candidates import HIGHEST, LOWEST, Candidates, Views
 
 LEAST_PRIORITY = 1e-6
 """Priority by which angles are divided at least."""
@@ -57,49 +57,59 @@ class Upkeep:
         }
 
 
-@dataclass(frozen=True)
-class Catalog:
-    """The G objects as N imagers see them, [N, G]: what the rules rank.
-
-    Attributes:
-        eligible: Objects that can be chosen.
-        in_view: Objects at an elevation from -21 to 90 degrees.
-        angle: Angle between instrument and object, degrees.
-        distance: Distance, m.
-        priority: Priority.
-    """
-
-    eligible: Tensor
-    in_view: Tensor
-    angle: Tensor
-    distance: Tensor
-    priority: Tensor
+def whole_catalog(scenario: RSOTargets, satellite: BoundSatellite) -> tuple[Views, Tensor]:
+    """Return how satellites see all objects of a catalog, and which are at an elevation from -21 to 90 degrees, [N, G] each."""
+    number = torch.arange(scenario.n_targets, device=scenario.fleet.device).expand(satellite.simulator.state.rows, -1)
+    seen = scenario.views(satellite, Candidates(number, torch.ones_like(number, dtype=torch.bool)))
+    return seen, (seen.target_elevation_angle >= LOWEST) & (seen.target_elevation_angle <= HIGHEST)
 
 
-def by_angle(seen: Catalog) -> Tensor:
+def by_angle(scenario: RSOTargets, satellite: BoundSatellite) -> Tensor:
     """Rank objects by their angle from the instrument, those in view first."""
-    return torch.where(seen.in_view, seen.angle, TURNED + seen.angle)
+    seen, in_view = whole_catalog(scenario, satellite)
+    return torch.where(in_view, seen.angle_to_target, TURNED + seen.angle_to_target)
 
 
-def by_angle_and_priority(seen: Catalog) -> Tensor:
+def by_angle_and_priority(scenario: RSOTargets, satellite: BoundSatellite) -> Tensor:
     """Rank objects by the ratio of angle and priority, those in view first."""
-    ratio = seen.angle / seen.priority.clamp(min=LEAST_PRIORITY)
-    return torch.where(seen.in_view, ratio, TURNED + seen.angle)
+    seen, in_view = whole_catalog(scenario, satellite)
+    ratio = seen.angle_to_target / satellite.of_env(scenario.priority).clamp(min=LEAST_PRIORITY)
+    return torch.where(in_view, ratio, TURNED + seen.angle_to_target)
 
 
-def by_distance(seen: Catalog) -> Tensor:
+def by_distance(scenario: RSOTargets, satellite: BoundSatellite) -> Tensor:
     """Rank objects by distance; of the ten nearest, those in view come first."""
-    distance = torch.where(seen.eligible, seen.distance, torch.inf)
-    order = distance.argsort(dim=1, stable=True).argsort(dim=1, stable=True)
-    return torch.where(seen.in_view & (order < NEAREST), order, order + seen.angle.shape[1]).to(seen.distance.dtype)
+    seen, in_view = whole_catalog(scenario, satellite)
+    distance = torch.where(scenario.eligible_for(satellite), seen.target_distance, torch.inf)
+    place = distance.argsort(dim=1, stable=True).argsort(dim=1, stable=True)
+    return torch.where(in_view & (place < NEAREST), place, place + scenario.n_targets).double()
 
 
-RANKS: dict[str, Callable[[Catalog], Tensor]] = {
+ORDERS: dict[str, Order] = {
     "angle": by_angle,
     "priority_angle": by_angle_and_priority,
     "distance": by_distance,
+    "rate": by_priority_per_second,
 }
-"""Rules over the whole catalog by name: functions for ranks [N, G]; the eligible object of the smallest rank is imaged."""
+"""Rules over the whole catalog by name: the first eligible object of the order is imaged."""
+
+
+def priority_of(see: TargetReader, observation: Observation) -> Tensor:
+    """Return the priorities of candidates, [..., n]."""
+    return see.read(observation, "priority")
+
+
+def rate_of(see: TargetReader, observation: Observation) -> Tensor:
+    """Return the priorities that images of candidates bring per second, [..., n]; zero for those in the dark.
+
+    As in :func:`~bsk_torch.scene.by_priority_per_second`.
+    """
+    lit = see.read(observation, "target_illumination_factor") >= LIT
+    return lit * see.read(observation, "priority") / (START + PER_DEGREE * see.read(observation, "angle_to_target"))
+
+
+WORTHS: dict[str, Callable[[TargetReader, Observation], Tensor]] = {"candidate_priority": priority_of, "candidate_rate": rate_of}
+"""Rules over the observed candidates by name: the candidate of the largest worth is imaged."""
 
 
 @dataclass(frozen=True)
@@ -108,17 +118,15 @@ class ServicingRule:
 
     Attributes:
         satellite: The imagers of an environment, which the rule commands.
-        images: Numbers of the actions that image candidates.
-        rank: One of :data:`RANKS`; None to image the candidate of the highest priority.
+        choose: Returns the action that images the best object, and whether there is one, for an observation and legal actions.
         upkeep: When the satellite does something else.
     """
 
-    satellite: Any
-    images: range
-    rank: Callable[[Catalog], Tensor] | None
+    satellite: BoundSatellite
+    choose: Callable[[Observation, Tensor], tuple[Tensor, Tensor]]
     upkeep: Upkeep = Upkeep()
 
-    def decide(self, observation: Tensor, action_mask: Tensor) -> Tensor:
+    def decide(self, observation: Observation, action_mask: Tensor) -> Tensor:
         """Return actions [...] for observations [..., F] and legal actions [..., A].
 
         Raises:
@@ -126,75 +134,74 @@ class ServicingRule:
         """
         see = Columns(observation, self.satellite.observation_description)
         names: Sequence[str] = self.satellite.action_description
-        wish, exists = self._image(see, action_mask)
+        wish, exists = self.choose(observation, action_mask)
         wish = torch.where(exists, wish, names.index("action_charge"))
         for name, wanted in self.upkeep.wishes(see).items():
             wish = torch.where(wanted, names.index(name), wish)
         return wish
 
-    def _image(self, see: Columns, action_mask: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the action that images the best object, and whether there is one, [...] each."""
-        legal = action_mask[..., self.images.start : self.images.stop]
-        if self.rank is None:
-            worth = torch.where(legal, see.all("priority"), -torch.inf)
-            return self.images.start + worth.argmax(-1), legal.any(-1)
-        charge = see["battery_charge_fraction"]
-        own = self.satellite.dynamics.battery_charge_fraction.to(charge.dtype)
+
+def first_of_catalog(satellite: BoundSatellite, order: Order) -> Callable[[Observation, Tensor], tuple[Tensor, Tensor]]:
+    """Return the choice of the first eligible object in an order of the whole catalog; see :attr:`ServicingRule.choose`.
+
+    It raises ValueError for observations of another environment.
+    """
+
+    def choose(observation: Observation, action_mask: Tensor) -> tuple[Tensor, Tensor]:
+        charge = Columns(observation, satellite.observation_description)["battery_charge_fraction"]
+        own = satellite.dynamics.battery_charge_fraction.to(charge.dtype)
         if charge.numel() != own.numel() or not torch.equal(charge.flatten(), own):
             raise ValueError(
                 f"this rule looks at the whole catalog, and so decides in the environment that it was made for, "
-                f"{self.satellite.name!r}, for its present state only"
+                f"{satellite.name!r}, for its present state only"
             )
-        seen = whole_catalog(self.satellite)
-        rank = torch.where(seen.eligible, self.rank(seen), torch.inf)
-        action = torch.where(seen.eligible.any(1), -1 - rank.argmin(1), 0)
-        return action.view(charge.shape), seen.eligible.any(1).view(charge.shape)
+        scenario: RSOTargets = satellite.scenario
+        eligible = scenario.eligible_for(satellite)
+        rank = torch.where(eligible, order(scenario, satellite), torch.inf)
+        action = torch.where(eligible.any(1), -1 - rank.argmin(1), 0)
+        return action.view(charge.shape), eligible.any(1).view(charge.shape)
+
+    return choose
 
 
-def whole_catalog(satellite: Any) -> Catalog:
-    """Return all objects as the imagers of a type see them now."""
-    scenario: RSOTargets = satellite.scenario
-    eligible = satellite.of_env(scenario.eligible)
-    place = torch.arange(scenario.n_targets, device=eligible.device).expand_as(eligible)
-    views = scenario.views(satellite, Candidates(place, torch.ones_like(eligible)))
-    elevation = views.target_elevation_angle
-    return Catalog(
-        eligible,
-        (elevation >= LOWEST) & (elevation <= HIGHEST),
-        views.angle_to_target,
-        views.target_distance,
-        satellite.of_env(scenario.priority),
-    )
+def best_candidate(
+    see: TargetReader, images: range, worth: Callable[[TargetReader, Observation], Tensor]
+) -> Callable[[Observation, Tensor], tuple[Tensor, Tensor]]:
+    """Return the choice of the legal candidate of the largest positive worth; see :attr:`ServicingRule.choose`."""
+
+    def choose(observation: Observation, action_mask: Tensor) -> tuple[Tensor, Tensor]:
+        legal = action_mask[..., images.start : images.stop]
+        best, k = torch.where(legal, worth(see, observation)[..., : len(images)], 0.0).max(-1)
+        return images.start + k, best > 0.0
+
+    return choose
 
 
 def servicing_rule(name: str) -> Callable[[SatelliteTasking, int], TensorDictModule]:
     """Return a function from environment and seed to a rule, with KeyError or ValueError if it does not apply.
 
-    The rules of :data:`RANKS` look at the whole catalog, ``candidate_priority`` at the observed candidates.
+    The rules of :data:`ORDERS` look at the whole catalog, those of :data:`WORTHS` at the observed candidates.
     """
 
     def make(env: SatelliteTasking, seed: int = 0) -> TensorDictModule:
-        satellite = env.satellite
-        rule = ServicingRule(satellite, rso_actions(satellite), RANKS.get(name))
-        if satellite.obs_type is dict:
-            raise ValueError(f"the rule {name!r} reads observations from vectors; leave out obs_type=dict")
+        satellite, images = env.satellite, imaged_candidates(env)
+        see = TargetReader.of(env)
+        choose = first_of_catalog(satellite, ORDERS[name]) if name in ORDERS else best_candidate(see, images, WORTHS[name])
+        rule = ServicingRule(satellite, choose)
         zero = env.observation_spec.zero()
-        see = Columns(zero["observation"], satellite.observation_description)
-        for action in rule.upkeep.wishes(see):
+        for action in rule.upkeep.wishes(Columns(zero["observation"], satellite.observation_description)):
             if action not in satellite.action_description:
                 raise ValueError(f"the rule {name!r} needs {action!r}; the actions are {satellite.action_description}")
-        if rule.rank is None:
+        if name in WORTHS:
             rule.decide(zero["observation"], zero["action_mask"])
         return TensorDictModule(rule.decide, in_keys=["observation", "action_mask"], out_keys=["action"])
 
     return make
 
 
-def rso_actions(satellite: Any) -> range:
+def imaged_candidates(env: SatelliteTasking) -> range:
     """Return the numbers of the actions that image candidates of a catalog; ValueError if there are none."""
-    first = 0
-    for entry in satellite.actions.entries if form(satellite) is None else ():
-        if isinstance(entry, ImageRSO):
-            return range(first, first + entry.n_actions)
-        first += entry.n_actions
-    raise ValueError(f"{satellite.name} images no objects of a catalog; its actions are {satellite.action_description}")
+    images = image_actions(env)
+    if not isinstance(env.scenario, RSOTargets):
+        raise ValueError(f"{env.satellite.name} images no objects of a catalog; its scenario is {type(env.scenario).__name__}")
+    return images

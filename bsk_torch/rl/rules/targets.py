@@ -8,13 +8,13 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
-from bsk_torch.act import Action, Image
+from bsk_torch.act import Action, Image, ImageRSO
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.action_forms import form
-from bsk_torch.obs import OpportunityProperties
+from bsk_torch.obs import OpportunityProperties, RSOTargetProperties
 from bsk_torch.sim.arguments.values import nearest
 
-WIDTHS = {"r_LP_P": 3, "r_LB_H": 3}
+WIDTHS = {"r_LP_P": 3, "r_LB_H": 3, "rel_pos_vector_r_BR_H": 3, "rel_vel_vector_v_BR_H": 3}
 """Number of columns of target properties with more than one."""
 
 Observation = Any
@@ -22,12 +22,16 @@ Observation = Any
 
 
 def image_actions(env: SatelliteTasking) -> range:
-    """Return the indices of the actions that image the next targets; ValueError if there are none, or of several instruments."""
+    """Return the indices of the actions that image the next targets, on the ground or in orbit.
+
+    Raises:
+        ValueError: If there are none, or of several instruments.
+    """
     if len(env.satellite.simulator.type.instruments) > 1:
         raise ValueError(f"{env.satellite.name} has several instruments, between which rules and scores of targets do not choose")
     first = 0
     for entry in env.satellite.actions.entries if form(env.satellite) is None else ():
-        if isinstance(entry, Image):
+        if isinstance(entry, Image | ImageRSO):
             return range(first, first + entry.n_actions)
         first += cast(Action, entry).n_actions
     raise ValueError(f"{env.satellite.name} images no targets; its actions are {env.satellite.action_description}")
@@ -48,18 +52,24 @@ def read(observation: Observation, description: Sequence[str], path: str) -> Ten
     return observation[tuple(path.split("."))]
 
 
+def _properties(entry: OpportunityProperties | RSOTargetProperties) -> list[tuple[str, float]]:
+    """Return the names and divisors of the observed properties of targets."""
+    if isinstance(entry, RSOTargetProperties):
+        return [(part.prop, part.norm) for part in entry.entries]
+    return [(str(part.get("prop") or part["fn"].__name__), float(part["norm"])) for part in entry.entries]
+
+
 class TargetReader:
     """Reads properties of the next n targets from observations."""
 
-    def __init__(self, entry: OpportunityProperties, description: Sequence[str]) -> None:
+    def __init__(self, entry: OpportunityProperties | RSOTargetProperties, description: Sequence[str]) -> None:
         """Read the columns of ``entry`` in observations whose vector has the entries ``description``."""
         self.entry, self.name, self.n = entry, entry.name, entry.n_ahead_observe
         self.column: dict[str, int] = {}
         self.norm: dict[str, float] = {}
         width = 0
-        for part in entry.entries:
-            prop = str(part.get("prop") or part["fn"].__name__)
-            self.column[prop], self.norm[prop] = width, float(part["norm"])
+        for prop, norm in _properties(entry):
+            self.column[prop], self.norm[prop] = width, norm
             width += WIDTHS.get(prop, 1)
         kind = f"{self.name}.rows[" if entry.as_set else f"{self.name}.{self.name}_"
         rows = [k for k, path in enumerate(description) if path.startswith(kind)]
@@ -73,7 +83,7 @@ class TargetReader:
         """Return the reader for an environment; ValueError if no targets are observed, or nested but not as a set."""
         satellite = env.satellite
         for entry in satellite.observations.entries:
-            if isinstance(entry, OpportunityProperties) and entry.type == "target":
+            if isinstance(entry, RSOTargetProperties) or (isinstance(entry, OpportunityProperties) and entry.type == "target"):
                 if satellite.obs_type is dict and not entry.as_set:
                     raise ValueError(f"{entry.name!r} is read from vectors, or from nested observations with as_set=True")
                 return cls(entry, satellite.observation_description)

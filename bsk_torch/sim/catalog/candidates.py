@@ -51,9 +51,13 @@ def in_order(r_TN_N: Tensor, r_BN_N: Tensor, eligible: Tensor) -> Candidates:
     sine = rho.dot(r) / (distance * r.norm())
     elevation = torch.rad2deg(torch.asin(sine.clamp(-1.0, 1.0)))
     first = (elevation >= LOWEST) & (elevation <= HIGHEST)
-    rank = torch.where(eligible, torch.where(first, elevation, BEHIND + distance), math.inf)
-    ranked, place = rank.sort(stable=True)
-    exists = torch.isfinite(ranked)
+    return ranked(torch.where(first, elevation, BEHIND + distance), eligible)
+
+
+def ranked(rank: Tensor, eligible: Tensor) -> Candidates:
+    """Return the eligible objects in ascending order of their ranks; those of infinite rank do not exist. [n, G] each."""
+    in_turn, place = torch.where(eligible, rank, math.inf).sort(stable=True)
+    exists = torch.isfinite(in_turn)
     return Candidates(torch.where(exists, place, 0), exists)
 
 

@@ -1,0 +1,42 @@
+"""Orders of candidates among resident space objects (RSO), for :class:`~bsk_torch.scene.RSOTargets`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from bsk_torch.astro.eclipse import illumination
+from bsk_torch.sim.catalog.candidates import Candidates
+from bsk_torch.vec3 import Vec3
+
+if TYPE_CHECKING:
+    from bsk_torch.sats.bound import BoundSatellite
+    from bsk_torch.scene.rso_targets import RSOTargets
+
+START = 40.0
+"""Time for an image in the direction of the instrument, s; among 20, 40 and 80 s, that with the best returns in Services-v1."""
+
+PER_DEGREE = 1.0
+"""Additional time for each degree from this direction, s."""
+
+LIT = 0.5
+"""Least visible fraction of the Sun at an object that is worth an image."""
+
+
+def by_priority_per_second(scenario: RSOTargets, satellite: BoundSatellite) -> Tensor:
+    """Rank objects by the priority that an image brings per second, the largest first, [n, G].
+
+    An image of an object at an angle from the axis of the instrument is taken to last ``START + PER_DEGREE * angle``, and to be
+    worth its priority if the object is lit now. Objects in the dark come next, those behind the Earth last, by their angles.
+    """
+    r_TN_N = satellite.of_env(scenario.r_TN_N)
+    rho = r_TN_N - satellite.dynamics.r_BN_N.unsqueeze(1)
+    cosine = (rho * scenario.axis_N(satellite).unsqueeze(1)).sum(-1) / rho.norm(dim=-1)
+    angle = torch.rad2deg(torch.acos(cosine.clamp(-1.0, 1.0)))
+    light = illumination(Vec3.of(r_TN_N), Vec3.of(satellite.simulator.world.r_SN_N.unsqueeze(1).expand_as(r_TN_N)))
+    number = torch.arange(scenario.n_targets, device=angle.device).expand(angle.shape)
+    clear = scenario.in_sight(satellite, Candidates(number, torch.ones_like(number, dtype=torch.bool)))
+    rate = satellite.of_env(scenario.priority) / (START + PER_DEGREE * angle)
+    return torch.where(clear, torch.where(light >= LIT, -rate, angle), 360.0 + angle)
