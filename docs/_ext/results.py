@@ -111,6 +111,32 @@ def vs_basilisk(name: str) -> str:
     return with_command(name, head, rows)
 
 
+def rso_imaging(name: str) -> str:
+    """Return rates of imaging in orbit, here and on Basilisk."""
+    rows = []
+    for row in load(name)["rows"]:
+        spread = " to ".join(digits(row[key]) for key in ("ratio_low", "ratio_high"))
+        counts = [whole(row["batch"]), str(row["imagers"]), str(row["targets"])]
+        rates = [whole(row[key]) for key in ("rate", "decision_rate", "basilisk_rate")]
+        rows.append([*counts, *rates, digits(row["ratio"]), spread])
+    rates = ["simulated s per core-s", "decisions per core-s", "bsk_rl on Basilisk"]
+    head = ["episodes", "imagers", "objects", *rates, "ratio", "range of the ratio"]
+    return with_command(name, head, rows)
+
+
+def rso_catalogs(name: str) -> str:
+    """Return what catalogs cost."""
+    rows = []
+    for row in load(name)["catalogs"]:
+        low, high = (whole(row[f"decision_us_{end}"]) for end in ("low", "high"))
+        memory = [f"{row[key]:.1f}" for key in ("orbits_kb", "state_kb")]
+        times = [whole(row["reset_us"]), f"{whole(row['decision_us'])} ({low} to {high})", whole(row["simulated"])]
+        rows.append([str(row["targets"]), whole(row["batch"]), *memory, *times])
+    memory = ["kB of orbits", "kB of all state"]
+    head = ["objects", "environments", *memory, "reset, us", "decision, us (quartiles)", "simulated s in a decision"]
+    return with_command(name, head, rows)
+
+
 def by_size(row: Mapping[str, Any]) -> tuple[int, str]:
     """Return the number of satellites of a case of ``vs_basilisk.py``, and its name, by which cases are sorted."""
     counts = [int(word) for word in row["case"].split("-") if word.isdigit()]
@@ -615,6 +641,8 @@ TABLES = {
     "communications": communications,
     "made": made,
     "vs_basilisk": vs_basilisk,
+    "rso_imaging": rso_imaging,
+    "rso_catalogs": rso_catalogs,
     "constellations": constellations,
     "breakdown": breakdown,
     "training_profile": training_profile,
