@@ -15,6 +15,8 @@ from bsk_torch.rl.policies.shared_policy import GroupPolicies, for_each_group, m
 from bsk_torch.rl.rules.baselines import RandomPolicy
 from bsk_torch.rl.training.collect import make_collector
 
+pytestmark = pytest.mark.compiled
+
 IMAGER, RELAY = "broadcasting_set_imager", "relay"
 
 CREW = {"n_imagers": 2, "n_relays": 1, "n_targets": 200, "time_limit": 600.0}
@@ -25,7 +27,7 @@ CONSTANT = dict(learning_rate_schedule="constant", entropy_schedule="constant")
 
 @pytest.fixture(scope="module")
 def env():
-    return bsk_torch.make("RelayConstellation-v1", num_envs=2, seed=0, backend="eager", as_set=True, **CREW)
+    return bsk_torch.make("RelayConstellation-v1", num_envs=2, seed=0, as_set=True, **CREW)
 
 
 def config(algorithm="mappo", **changes):
@@ -120,7 +122,6 @@ def trained(tmp_path_factory):
     return training, training.run(), out
 
 
-@pytest.mark.compiled
 def test_the_file_of_several_groups_holds_each_of_them(trained):
     training, policy, out = trained
     card = read_card(out)
@@ -135,7 +136,6 @@ def test_the_file_of_several_groups_holds_each_of_them(trained):
         assert torch.equal(first[group, "action"], second[group, "action"])
 
 
-@pytest.mark.compiled
 def test_policies_of_other_groups_and_sizes_name_both(trained):
     card = read_card(trained[2])
     crew = CREW | {"backend": "eager", "num_envs": 1}
@@ -161,7 +161,6 @@ def weights(group):
     return [part.detach().clone() for network in (group.acting, group.critic) for part in network.parameters()]
 
 
-@pytest.mark.compiled
 def test_all_groups_learn_and_only_central_critics_observe_the_others(collected):
     algorithm, learner, batch = collected
     before = {name: weights(group) for name, group in learner.groups.items()}
@@ -174,7 +173,6 @@ def test_all_groups_learn_and_only_central_critics_observe_the_others(collected)
         assert float(group.networks.normaliser.own.count) == float((~batch[name, "action_mask"][..., -1]).sum())
 
 
-@pytest.mark.compiled
 @pytest.mark.parametrize("decisions", [0, 1])
 def test_a_group_without_a_choice_to_compare_learns_nothing(collected, decisions):
     _, learner, batch = collected
@@ -188,7 +186,6 @@ def test_a_group_without_a_choice_to_compare_learns_nothing(collected, decisions
     assert any(not torch.equal(old, new) for old, new in zip(before[IMAGER], weights(learner.groups[IMAGER]), strict=True))
 
 
-@pytest.mark.compiled
 def test_an_interrupted_training_of_several_groups_goes_on_as_if_nothing_had_happened(trained, tmp_path):
     whole = MAPPOTraining(config(frames=32), tmp_path / "whole").run().state_dict()
     shutil.copytree(trained[2], tmp_path / "parts")

@@ -192,7 +192,7 @@ def test_only_decisions_that_count_are_learned_from():
 
 
 def test_satellites_of_a_constellation_imitate_what_the_rule_fits(caplog):
-    crew = {"n_imagers": 2, "n_relays": 1, "n_targets": 200, "time_limit": 600.0, "backend": "eager", "as_set": True}
+    crew = {"n_imagers": 2, "n_relays": 1, "n_targets": 200, "time_limit": 600.0, "as_set": True}
     sizes = dict(num_envs=2, rollout=8, minibatch=8, seconds=None, frames=16, imitation=1.0)
     options = MAPPOConfig("RelayConstellation-v1", options=crew, imitate="hasty", **sizes)
     env = options.make_env()
@@ -256,7 +256,7 @@ def test_rules_that_do_not_fit():
 
 
 def test_both_types_of_a_cluster_learn_how_its_rule_ranks_actions():
-    cluster = {"n_targets": 200, "time_limit": 300.0, "backend": "eager", "as_set": True}
+    cluster = {"n_targets": 200, "time_limit": 300.0, "as_set": True}
     sizes = dict(num_envs=2, rollout=4, minibatch=8, seconds=None, frames=8, imitation=1.0)
     config = MAPPOConfig("HeteroCluster-v1", options=cluster, imitate="cooperative", imitation_temperature=0.1, **sizes)
     env = config.make_env()

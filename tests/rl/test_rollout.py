@@ -9,11 +9,13 @@ from tensordict import TensorDict
 import bsk_torch
 from bsk_torch.env.rollout import play_episodes
 
+pytestmark = pytest.mark.compiled
+
 N = 3
 
 
 def scanning(**options):
-    return bsk_torch.make("NadirScan-v1", num_envs=N, seed=0, backend="eager", time_limit=400.0, **options)
+    return bsk_torch.make("NadirScan-v1", num_envs=N, seed=0, time_limit=400.0, **options)
 
 
 def charging(now):

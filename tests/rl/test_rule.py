@@ -8,7 +8,9 @@ import bsk_torch
 from bsk_torch.rl.marl import MAPPOConfig
 from bsk_torch.rl.training import PPOConfig
 
-FEW = dict(num_envs=2, seed=0, time_limit=300.0, backend="eager")
+pytestmark = pytest.mark.compiled
+
+FEW = dict(num_envs=2, seed=0, time_limit=300.0)
 
 
 def test_rules_act_in_both_kinds_of_environments():
