@@ -41,6 +41,8 @@ LISTED: dict[str, Listed] = {
     "RSOInspection-v1": Listed(MANY, "fly around a spacecraft until its surface is inspected"),
     "MultiInspection-v1": Listed(MANY, "the same with three inspectors that must not collide"),
     "Services-v1": Listed(ONE, "image 200 satellites and debris again and again; quality is verified on the ground"),
+    "ThreeSensors-v1": Listed(MANY, "three imagers of objects in orbit, each of which knows only its images"),
+    "Walker4-v1": Listed(MANY, "four imagers of objects in orbit that tell each other of images by radio"),
     "CWDocking-v1": Listed(ONE, "dock by thrusters, slowly enough at every distance; linear motion"),
     "CWInspection-v1": Listed(ONE, "inspect lit points of a spacecraft by thrusters; linear motion"),
 }

@@ -23,7 +23,7 @@ CONSTELLATIONS = ["AEOSConstellation-v1", "Constellation-v1", "RelayConstellatio
 INSPECTIONS = {"RSOInspection-v1": 1, "MultiInspection-v1": 3}
 SCANNING = ("NadirScan-v1", "NadirScience-v1", "FaultyScan-v1")
 LINEAR = ("CWDocking-v1", "CWInspection-v1")  # see tests/safe_autonomy
-OBJECTS = ("Services-v1",)  # see tests/env/test_services.py
+OBJECTS = ("Services-v1", "ThreeSensors-v1", "Walker4-v1")  # see tests/env/test_services.py, test_sensors.py
 IMAGING = sorted(set(PRESETS) - {*SCANNING, *CONSTELLATIONS, *INSPECTIONS, *LINEAR, *OBJECTS})
 ACTIONS = {"AEOSPower-v1": 3 + AHEAD}
 
@@ -143,7 +143,7 @@ def test_density_counts_every_target_once():
 
 WIDTHS = {"NadirScan-v1": 12, "NadirScience-v1": 10, "FaultyScan-v1": 21, "AEOS-v1": 269, "CloudyAEOS-v1": 301,
           "AEOSPower-v1": 298, "Constellation-v1": 141, "AEOSConstellation-v1": 269, "HeteroCluster-v1": 182,
-          "Services-v1": 124, "CWDocking-v1": 8, "CWInspection-v1": 11}  # fmt: skip
+          "Services-v1": 124, "ThreeSensors-v1": 196, "Walker4-v1": 232, "CWDocking-v1": 8, "CWInspection-v1": 11}  # fmt: skip
 
 
 @pytest.mark.parametrize(("name", "width"), WIDTHS.items())

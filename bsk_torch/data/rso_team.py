@@ -127,8 +127,9 @@ class RSOTeamReward(RSOImageReward):
     def wasted_time(self) -> Tensor:
         """Time of each satellite in attempts at images that could not pay, or that it gave up, [N, S] s.
 
-        An attempt cannot pay from the capture by another imager until that capture is older than the cooldown; time after the
-        imager has learned of it does not count. Of an attempt that is given up for another task, the rest counts, too.
+        An attempt cannot pay from the end of the step in which another imager has completed an image until that capture is older
+        than the cooldown; time after the imager has learned of it does not count. Of an attempt that is given up for another
+        task, the rest counts, too.
         """
         return self.memory["rso_wasted"]
 
@@ -150,7 +151,8 @@ class RSOTeamReward(RSOImageReward):
         """See :meth:`RSOImageReward._recorded`."""
         good = captured.there & (captured.quality >= self.quality_threshold)
         now = self.fleet.sim_time
-        record = self.scenario.records.enter(good, captured.imager, captured.target, captured.time, captured.time, now)
+        ended = now.unsqueeze(1).expand_as(captured.time)
+        record = self.scenario.records.enter(good, captured.imager, captured.target, captured.time, ended, now)
         return captured._replace(record=record)
 
     def _serve(self, captured: _Images, delivered: _Images) -> None:

@@ -11,11 +11,20 @@ from torch import Tensor
 from bsk_torch._checks import number, switch, text, whole
 from bsk_torch.obs.base import Observation, Values, joined
 from bsk_torch.sats.bound import BoundSatellite
-from bsk_torch.scene.rso_targets import RSOTargets, check_imager
+from bsk_torch.scene.rso_records import AGO, CAPTURED, DELIVERED
+from bsk_torch.scene.rso_targets import OWN_PENDING, RSOTargets, check_imager
+from bsk_torch.sim.catalog.aim import AIM
 from bsk_torch.sim.catalog.candidates import Candidates, Views
 from bsk_torch.sim.names import nearest
 
-PROPERTIES = ("valid", "priority", *Views._fields)
+KNOWN = ("capture_age", "capture_known", "delivery_age", "delivery_known", "on_board", "in_progress")
+"""Properties of candidates that need ``knowledge="own"`` in :class:`~bsk_torch.scene.RSOTargets`.
+
+Time since the latest capture that the imager knows, s, and since the latest one known to be delivered, each with 1 where there is
+one, else 0; 1 where an image is on board; 1 where the imager is imaging the candidate.
+"""
+
+PROPERTIES = ("valid", "priority", *Views._fields, *KNOWN)
 """Properties of candidates: the allowed values of ``prop``."""
 
 DEFAULT = (
@@ -101,8 +110,25 @@ class RSOTargetProperties(Observation):
             "valid": torch.ones_like(seen.target_distance),
             "priority": self.satellite.of_env(scenario.priority).gather(1, candidates.place),
         }
+        if any(entry.prop in KNOWN for entry in self.entries):
+            known |= self._known(candidates.place)
         columns = {entry.name: _blank(known[entry.prop] / entry.norm, candidates) for entry in self.entries}
         return columns, candidates.exists
+
+    def _known(self, place: Tensor) -> dict[str, Tensor]:
+        """Return what satellites know of targets, [N, n] each; see :data:`KNOWN`."""
+        satellite, scenario = self.satellite, self.satellite.scenario
+        records, now = scenario.known_records, satellite.simulator.sim_time.unsqueeze(1)
+        found: dict[str, Tensor] = {}
+        for name, version in (("capture", CAPTURED), ("delivery", DELIVERED)):
+            latest = scenario.of_imagers(satellite, records.latest(version)).gather(1, place)
+            there = latest > AGO
+            found |= {f"{name}_age": torch.where(there, now - latest, 0.0), f"{name}_known": there.double()}
+        pending = scenario.of_imagers(satellite, scenario.memory[OWN_PENDING]).gather(1, place)
+        images = satellite.simulator.mode == satellite.simulator.mode_names.index("image_rso")
+        busy = images & ~satellite.task.requires_retasking
+        mine = busy.unsqueeze(1) & (satellite.simulator.memory[AIM].unsqueeze(1) == place)
+        return found | {"on_board": (pending > 0).double(), "in_progress": mine.double()}
 
     def get_obs(self) -> Values:
         """See :meth:`Observation.get_obs`."""

@@ -17,6 +17,8 @@ name                       module                      task
 ``RSOInspection-v1``       ``presets.inspection``      fly around a spacecraft until its surface is inspected
 ``MultiInspection-v1``     ``presets.inspection``      the same with three inspectors that must not collide
 ``Services-v1``            ``presets.services``        image satellites and debris again and again; the ground verifies the images
+``ThreeSensors-v1``        ``presets.sensors``         three imagers of objects in orbit that know different images
+``Walker4-v1``             ``presets.sensors``         four imagers that tell each other of images by radio
 ``CWDocking-v1``           ``presets.cw_docking``      dock by thrusters, slowly enough at every distance; linear motion
 ``CWInspection-v1``        ``presets.cw_inspection``   inspect lit points of a spacecraft by thrusters; linear motion
 =========================  ==========================  ==================================================================
@@ -39,6 +41,7 @@ from bsk_torch.presets.hetero_cluster import hetero_cluster
 from bsk_torch.presets.inspection import multi_inspection, rso_inspection
 from bsk_torch.presets.nadir_scan import nadir_scan
 from bsk_torch.presets.nadir_science import nadir_science
+from bsk_torch.presets.sensors import three_sensors, walker4
 from bsk_torch.presets.services import services
 from bsk_torch.sim.arguments.values import nearest
 
@@ -59,6 +62,8 @@ PRESETS: dict[str, Callable[..., Any]] = {
     "RSOInspection-v1": rso_inspection,
     "MultiInspection-v1": multi_inspection,
     "Services-v1": services,
+    "ThreeSensors-v1": three_sensors,
+    "Walker4-v1": walker4,
     "CWDocking-v1": cw_docking,
     "CWInspection-v1": cw_inspection,
 }

@@ -36,7 +36,7 @@ class RecordBook(StateTable):
         source: Sensor that has captured it, [N, R].
         epoch: Epoch of the target at that time, [N, R].
         capture: Time of the capture, [N, R] s.
-        completion: Time at which the exposure had ended, [N, R] s.
+        completion: End of the step in which the exposure was completed, [N, R] s.
         delivery: Time of the delivery, [N, R] s; ``FINITE`` before.
         known: Version of each record that each sensor knows, [N, R, A] int8.
         received: Time at which each sensor learned of the capture and of the delivery, [N, R, A, 2] s; ``FINITE`` before.
@@ -104,7 +104,7 @@ class RecordBook(StateTable):
             source: Its sensor, [N, K].
             target: Its target, [N, K].
             capture: Time of the capture, [N, K] s.
-            completion: Time at which the exposure had ended, [N, K] s.
+            completion: End of the step in which the exposure was completed, [N, K] s.
             now: The present, [N] s.
         """
         used = (self.target != NONE).sum(1, keepdim=True)

@@ -362,9 +362,22 @@ class RSOTargets(Scenario):
         return torch.cat(periods, 1).quantile(0.5, dim=1)
 
     @property
+    def known_records(self) -> RecordBook:
+        """Records of captures; ValueError with common knowledge."""
+        if self.knowledge != "own":
+            raise ValueError("what imagers know of images needs scene.RSOTargets with knowledge='own'")
+        return self.records
+
+    def imager_states(self) -> tuple[Tensor, Tensor]:
+        """Return positions, m, and velocities, m/s, of all imagers in N, [N, A, 3] each."""
+        read = (lambda satellite: satellite.dynamics.r_BN_N), (lambda satellite: satellite.dynamics.v_BN_N)
+        r_N, v_N = (self.fleet.each(each)[:, self._padded_columns] for each in read)
+        return r_N, v_N
+
+    @property
     def linked(self) -> Tensor:
         """Whether the segment between two imagers does not touch a sphere of the Earth's equatorial radius, [N, A, A]."""
-        r_N = self.fleet.each(lambda satellite: satellite.dynamics.r_BN_N)[:, self._padded_columns]
+        r_N, _ = self.imager_states()
         here, there = (Vec3(*part.movedim(-1, 0)) for part in (r_N.unsqueeze(1), r_N.unsqueeze(2)))
         return line_clearance(here, there) > 0.0
 

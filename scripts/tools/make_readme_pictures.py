@@ -67,6 +67,8 @@ RULES = {
     "HeteroCluster-v1": "cooperative",
     "NadirScience-v1": "science",
     "Services-v1": "angle",
+    "ThreeSensors-v1": "local",
+    "Walker4-v1": "local",
     "CWDocking-v1": "glide",
     "CWInspection-v1": "seek",
 }

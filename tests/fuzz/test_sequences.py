@@ -41,6 +41,8 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "Constellation-v1": dict(n_satellites=3, n_planes=1, phasing=0, n_targets=300),
     "AEOSConstellation-v1": dict(n_targets=300),
     "Services-v1": dict(n_targets=12),
+    "ThreeSensors-v1": dict(n_targets=12),
+    "Walker4-v1": dict(n_targets=12),
 }
 """What makes presets small."""
 

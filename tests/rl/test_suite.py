@@ -19,7 +19,8 @@ def idle(preset, make):
     return env, TensorDictModule(lambda x: torch.zeros(x.shape[0], dtype=torch.int64), ["observation"], ["action"])
 
 
-NEWER = {"FaultyScan-v1", "NadirScience-v1", "HeteroCluster-v1", "Services-v1", "CWDocking-v1", "CWInspection-v1"}
+NEWER = {"FaultyScan-v1", "NadirScience-v1", "HeteroCluster-v1", "Services-v1", "ThreeSensors-v1", "Walker4-v1"}
+NEWER |= {"CWDocking-v1", "CWInspection-v1"}
 """Presets that were added after the suite was frozen."""
 
 

@@ -16,6 +16,7 @@ from bsk_torch.env import NO_ACTION, ConstellationTasking, SatelliteTasking, Tas
 from bsk_torch.env.agents import AGENTS, Group
 from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.rl.rules.baselines import BASELINES, random_policy
+from bsk_torch.rl.rules.team import TEAM_RULES, TeamRule
 from bsk_torch.sim.arguments.values import nearest
 
 TRAINED_WITH = "make it with the options that the policy was trained with, which read_card(file)['options'] lists"
@@ -223,12 +224,14 @@ def rule(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
     ``candidate_priority``  the same: the observed candidate of the highest priority
     ``rate``                the same: the lit object of the catalog that brings the most priority per second
     ``candidate_rate``      the same among the observed candidates
+    ``local``               those of ``ThreeSensors-v1`` and ``Walker4-v1``: each imager decides by what it knows
+    ``centralized``         the same: the best joint choice, which needs ``information="ideal"`` to be one of the team
     ======================  ==================================================================================================
 
     If the rule applies to some groups of a constellation only, the others act at random.
 
     Args:
-        name: One of ``bsk_torch.rl.rules.baselines.BASELINES``.
+        name: One of ``bsk_torch.rl.rules.baselines.BASELINES``, or of ``bsk_torch.rl.rules.team.TEAM_RULES``.
         env: The environment in which the policy will act.
         seed: Seed of random actions.
 
@@ -236,8 +239,10 @@ def rule(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
         KeyError: If the rule reads an observation missing in all groups; the message names it.
         ValueError: For an unknown name, or unsuitable actions.
     """
+    if name in TEAM_RULES:
+        return TeamRule(env, name).module()
     if name not in BASELINES:
-        raise ValueError(f"name={name!r} is not a rule; {nearest(name, BASELINES)}")
+        raise ValueError(f"name={name!r} is not a rule; {nearest(name, (*BASELINES, *TEAM_RULES))}")
     return shared(baseline(name, env, seed), env)
 
 

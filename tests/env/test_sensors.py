@@ -1,0 +1,251 @@
+"""ThreeSensors-v1 and Walker4-v1: what is observed, and the rules of teams, against plain Python."""
+
+from __future__ import annotations
+
+import itertools
+import random
+
+import pytest
+import torch
+
+import bsk_torch
+from bsk_torch.act import image_target
+from bsk_torch.rl.rules.team import Choices, TeamRule
+from bsk_torch.scene.rso_records import AGO, DELIVERED
+
+pytestmark = pytest.mark.compiled
+
+TARGETS = 20
+
+
+def sensors(name="Walker4-v1", **options):
+    defaults = dict(n_targets=TARGETS, num_envs=2, seed=3, dtype=torch.float64)
+    return bsk_torch.make(name, **(defaults | options))
+
+
+def columns(env, td):
+    """Observed numbers of each imager by name, [N, A]."""
+    group = next(iter(env.group_map))
+    names = env.satellites[0].observation_description
+    return dict(zip(names, td[group, "observation"].unbind(-1), strict=True))
+
+
+def fly(env, steps, rule="local"):
+    """Play a rule, and return the last tensordict."""
+    policy, td = bsk_torch.rule(rule, env), env.reset()
+    for _ in range(steps):
+        td = env.step(policy(td))["next"]
+    return td
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (dict(information="telepathy"), "information='telepathy' must be one of"),
+        (dict(retasking="never"), "retasking='never' must be one of"),
+        (dict(alpha=2.0), "alpha=2.0"),
+        (dict(mixture="MEO"), "MEO"),
+    ],
+)
+def test_wrong_arguments_are_named(options, message):
+    with pytest.raises(ValueError, match=message):
+        sensors(**options)
+
+
+@pytest.mark.parametrize(
+    ("name", "information", "retasking", "width", "actions"),
+    [
+        ("ThreeSensors-v1", "independent", "conflict", 196, 14),
+        ("ThreeSensors-v1", "radio", "conflict", 220, 16),
+        ("Walker4-v1", "radio", "conflict", 232, 17),
+        ("Walker4-v1", "ideal", "continuous", 196, 14),
+    ],
+)
+def test_teams_play(name, information, retasking, width, actions):
+    env = sensors(name, information=information, retasking=retasking, time_limit=2000.0)
+    (group,) = env.group_map
+    td = env.reset()
+    assert td[group, "observation"].shape == (2, len(env.names), width)
+    assert td[group, "action_mask"].shape[2] == actions
+    played = env.rollout(8, break_when_any_done=False)
+    assert torch.isfinite(played[group, "observation"]).all()
+    assert (played["next", "duration"] <= 300.0).all()
+    busy = ~played["next", group, "requires_retasking"].squeeze(-1)
+    may = played["next", group, "action_mask"][..., :-1].any(-1)
+    assert bool((may & busy).any()) == (retasking == "continuous")
+
+
+def test_orbits_are_those_of_the_studies():
+    env = sensors("ThreeSensors-v1")
+    env.reset()
+    elements = env.satellites[0].dynamics.elements
+    a, e, i = (part.view(2, 3)[0] for part in (elements.a, elements.e, elements.i))
+    assert a.tolist() == pytest.approx([7071e3, 7171e3, 7071e3], rel=1e-9)
+    assert e.tolist() == pytest.approx([1e-3] * 3, rel=1e-6)
+    assert torch.rad2deg(i).tolist() == pytest.approx([97.0, 70.0, 97.0])
+    walker = sensors()
+    walker.reset()
+    assert walker.scenario.service_time.tolist() == pytest.approx([11834.8358] * 2, abs=1e-4)
+
+
+def test_what_is_known_of_candidates_and_peers_is_observed():
+    """Against loops over records, at the end of some steps."""
+    env = sensors(num_envs=2, mixture="LEO")
+    td = fly(env, 60)
+    seen, scenario, records = columns(env, td), env.scenario, env.scenario.records
+    now = env.fleet.sim_time
+    r_N, v_N = scenario.imager_states()
+    ids, compared = env.satellites[0], 0
+    for e, a in itertools.product(range(2), range(4)):
+        row = e * 4 + a
+        for k, key in enumerate(scenario.candidate_ids(ids, row, 10)):
+            if key is None:
+                continue
+            target = scenario.ids.index(key)
+            for name, version in (("capture", 1), ("delivery", DELIVERED)):
+                times = [
+                    float(records.capture[e, r])
+                    for r in range(records.target.shape[1])
+                    if records.target[e, r] == target and records.known[e, r, a] >= version
+                ]
+                prefix = f"rso_targets.rso_targets_{k}.{name}"
+                assert seen[f"{prefix}_known"][e, a] == bool(times)
+                expected = (float(now[e]) - max(times)) / 12000.0 if times else 0.0
+                assert float(seen[f"{prefix}_age"][e, a]) == pytest.approx(expected)
+                compared += bool(times)
+        peers = [b for b in range(4) if b != a]
+        for k, b in enumerate(peers):
+            told = int((records.news()[e, :, a, b] > 0).sum())
+            valid = told > 0 and bool(scenario.linked[e, a, b])
+            assert float(seen[f"peers.peers_{k}.valid"][e, a]) == valid
+            assert float(seen[f"peers.peers_{k}.news"][e, a]) == pytest.approx(valid * told / TARGETS)
+            distance = float((r_N[e, b] - r_N[e, a]).norm())
+            assert float(seen[f"peers.peers_{k}.distance"][e, a]) == pytest.approx(valid * distance / 15960e3)
+            radial = float((r_N[e, b] - r_N[e, a]) @ r_N[e, a] / r_N[e, a].norm())
+            assert float(seen[f"peers.peers_{k}.r_H[0]"][e, a]) == pytest.approx(valid * radial / 15960e3)
+        untold = sum(int((records.news()[e, r, a] > 0).any()) for r in range(records.target.shape[1]))
+        assert float(seen["task_status.untold"][e, a]) == pytest.approx(untold / TARGETS)
+    assert int((records.target >= 0).sum()) > 5
+    assert v_N.shape == r_N.shape
+
+
+def test_the_task_in_progress_is_observed():
+    env = sensors("ThreeSensors-v1", information="independent")
+    (group,) = env.group_map
+    td = env.reset()
+    td[group, "action"] = torch.tensor([[0, 2, 3]] * 2)
+    td = env.step(td)["next"]  # the first task to end, at 150 s, is the second one at the latest
+    seen = columns(env, td)
+    busy = ~td[group, "requires_retasking"].squeeze(-1)
+    assert torch.equal(seen["task_status.busy"] > 0.0, busy)
+    for imager, slot in enumerate((0, 2, 4)):
+        assert torch.equal(seen[f"task_status.task[{slot}]"][:, imager] > 0.0, busy[:, imager])
+    charging = busy[:, 0]
+    elapsed = seen["task_status.elapsed"][:, 0] * 12000.0
+    assert torch.allclose(elapsed[charging], env.fleet.sim_time[charging])
+    remaining = seen["task_status.remaining"][:, 0] * 12000.0
+    assert torch.allclose((elapsed + remaining)[charging], torch.tensor(300.0, dtype=torch.float64))
+
+
+def test_radio_tells_others_and_the_team_pays_once():
+    """Imagers that transmit whenever they may take no image twice while they are told of it in time."""
+    env = sensors(time_limit=6000.0, mixture="LEO")
+    (group,) = env.group_map
+    policy, td = bsk_torch.rule("local", env), env.reset()
+    sent = 0
+    for _ in range(150):
+        td = policy(td)
+        legal = td[group, "action_mask"][..., 13:16]
+        action = torch.where(legal.any(-1), 13 + legal.byte().argmax(-1), td[group, "action"])
+        sent += int(legal.any(-1).sum())
+        td[group, "action"] = action
+        td = env.step(td)["next"]
+        if bool(td["done"].any()):
+            break
+    records = env.scenario.records
+    assert sent > 0
+    assert int(records.sent.sum()) > 0
+    foreign = torch.nn.functional.one_hot(records.source, 4) == 0
+    assert int(((records.known > 0) & foreign & (records.target >= 0).unsqueeze(-1)).sum()) > 0
+    assert env.links is not None
+
+
+def joint(choices, images, row):
+    """The best joint choice of a row, by the keys of the rule, and whether it is the only one."""
+    number = choices.may.shape[2]
+    scored = []
+    for slots in itertools.product(range(number + 1), repeat=choices.may.shape[1]):
+        chosen = [(a, k) for a, k in enumerate(slots) if k < number]
+        targets = [int(choices.target[row, a, k]) for a, k in chosen]
+        if not all(images[row, a] and choices.may[row, a, k] for a, k in chosen) or len(set(targets)) < len(targets):
+            continue
+        total = [sum(float(table[row, a, k]) for a, k in chosen) for table in (choices.new, choices.angle, choices.priority)]
+        scored.append((total[0], len(chosen), -total[1], total[2], slots))
+    best = max(score[:4] for score in scored)
+    return [score[4] for score in scored if score[:4] == best]
+
+
+def test_the_centralized_rule_takes_the_best_joint_choice():
+    """Against loops over all joint choices of three imagers with three candidates."""
+    env = sensors("ThreeSensors-v1", information="ideal")
+    env.reset()
+    rule, numbers = TeamRule(env, "centralized"), random.Random(2)
+    for _ in range(30):
+        draw = lambda make: torch.tensor([[[make() for _ in range(3)] for _ in range(3)] for _ in range(2)])
+        choices = Choices(
+            draw(lambda: numbers.randrange(5)),
+            draw(lambda: numbers.random() < 0.7),
+            draw(lambda: numbers.random() < 0.5),
+            draw(lambda: float(numbers.randrange(4))).double(),
+            draw(lambda: float(numbers.randrange(3))).double(),
+        )
+        images = torch.tensor([[numbers.random() < 0.8 for _ in range(3)] for _ in range(2)])
+        found = rule._joint(choices, images, torch.ones(2, 3, dtype=torch.bool))
+        for row in range(2):
+            assert tuple(found[row].tolist()) in joint(choices, images, row)
+
+
+def test_the_local_rule_prefers_new_targets_then_small_angles():
+    env = sensors("ThreeSensors-v1")
+    env.reset()
+    row = lambda *values: torch.tensor([[list(values)] * 3] * 2)
+    rule = TeamRule(env)
+    choices = Choices(
+        row(0, 1, 2, 3),
+        row(True, True, False, True),
+        row(False, True, True, True),
+        row(5.0, 80.0, 1.0, 90.0),
+        row(1.0, 1.0, 1.0, 9.0),
+    )
+    assert rule._local(choices).tolist() == [[1] * 3] * 2
+    assert rule._local(choices._replace(may=torch.zeros_like(choices.may))).tolist() == [[4] * 3] * 2
+
+
+def test_shared_facts_avoid_duplicates():
+    """The same rule with the records of all, and without."""
+    duplicates = {}
+    for information in ("independent", "ideal"):
+        env = sensors("ThreeSensors-v1", information=information, n_targets=40, num_envs=4)
+        fly(env, 120)
+        duplicates[information] = int(env.rewarder.counts()["duplicate_attempts"].sum())
+    assert duplicates["ideal"] < 0.2 * duplicates["independent"]
+
+
+def test_rules_of_teams_need_a_team():
+    with pytest.raises(ValueError, match="knowledge='own'"):
+        bsk_torch.rule("local", bsk_torch.make("Services-v1", n_targets=12))
+
+
+def test_a_busy_sensor_reserves_its_target():
+    env = sensors("ThreeSensors-v1", information="ideal")
+    (group,) = env.group_map
+    td = env.reset()
+    names = [env.scenario.candidate_ids(env.satellites[0], a, 1)[0] for a in range(3)]
+    target = env.scenario.ids.index(names[0])
+    td[group, "action"] = torch.tensor([[image_target(target), 2, 0]] * 2)
+    td = env.step(td)["next"]
+    rule = TeamRule(env, "centralized")
+    busy = ~td[group, "requires_retasking"].squeeze(-1)
+    reserved = rule._reserved(~busy)
+    assert reserved[:, target].tolist() == busy[:, 0].tolist()
+    assert float(env.scenario.records.latest().amax()) >= AGO
