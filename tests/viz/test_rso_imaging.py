@@ -11,7 +11,7 @@ import torch
 from matplotlib.colors import to_hex
 from tensordict.nn import TensorDictModule
 
-from bsk_torch import data
+from bsk_torch import SatelliteTasking, data, scene
 from bsk_torch.act import image_target
 from bsk_torch.viz.episodes import draw, record
 from bsk_torch.viz.figures import rso_imaging as pictures
@@ -21,7 +21,7 @@ from bsk_torch.viz.render.frames import frames
 from bsk_torch.viz.render.marks import DONE, color_of
 from bsk_torch.viz.render.moment import look
 from bsk_torch.viz.table import Tasks
-from tests.support.rso_imaging import environment, play
+from tests.support.rso_imaging import KEPT, Imager, catalog, environment, play
 
 pytestmark = pytest.mark.compiled
 
@@ -259,6 +259,19 @@ def test_what_has_no_sky_is_named():
     assert isinstance(record(in_turns(other), other, seed=1), ConstellationEpisode)
     with pytest.raises(ValueError, match="imaging in orbit needs"):
         record_rso_imaging(in_turns(other), other, seed=1)
+
+
+@pytest.mark.parametrize("kind", ["joint", "single"])
+def test_environments_without_separate_agents_are_named(kind):
+    if kind == "joint":
+        env = environment(imagers=2, joint=True)
+    else:
+        scenario = scene.RSOTargets(catalog(), ["Imager0"])
+        env = SatelliteTasking(Imager("Imager0", KEPT), scenario, data.RSOImageReward(), num_envs=1, seed=0)
+    with pytest.raises(ValueError, match="recorded agent by agent"):
+        record_rso_imaging(in_turns(env), env, seed=1)
+    env.reset()
+    assert sky_of(env).imager == "Imager0"
 
 
 # -- frames ----------------------------------------------------------------------------------------------------------------------

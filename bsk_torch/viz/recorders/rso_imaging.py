@@ -93,9 +93,13 @@ def sky_of(env: Tasking, imager: str | None = None, env_row: int = 0) -> Sky:
 class RSOImagingRecorder:
     """Records episode 0 of an environment at every decision, without changing the episode."""
 
-    def __init__(self, env: ConstellationTasking) -> None:
-        """Record ``env``, from its next reset on; ValueError for one without imaging in orbit."""
+    def __init__(self, env: Tasking) -> None:
+        """Record ``env``, from its next reset on; ValueError for one without imaging in orbit, or without separate agents."""
         self.scenario, self.rewarder = _parts(env)
+        if not isinstance(env, ConstellationTasking) or env.joint:
+            raise ValueError(
+                "imaging in orbit is recorded agent by agent; build env as a ConstellationTasking without joint=True"
+            )
         self.env, self.fleet, self.log = env, env.fleet, DecisionLog(env)
         self.columns = self.scenario.imager_columns
         self.decisions: list[float] = []
@@ -162,10 +166,10 @@ class RSOImagingRecorder:
         )
 
 
-def record_rso_imaging(policy: TensorDictModuleBase, env: ConstellationTasking, *, seed: int) -> RSOImagingEpisode:
+def record_rso_imaging(policy: TensorDictModuleBase, env: Tasking, *, seed: int) -> RSOImagingEpisode:
     """Play the first episode of ``seed`` in row 0 of ``env``, with the most probable actions.
 
-    ValueError for an environment without imaging in orbit; see :func:`images_objects`.
+    ValueError for an environment without imaging in orbit, see :func:`images_objects`, or without separate agents.
     """
     recorder = RSOImagingRecorder(env)
     recorder.play(policy, seed)
