@@ -10,7 +10,7 @@ from torch import Tensor
 
 from bsk_torch._checks import switch, text
 from bsk_torch.act.base import LONGEST, Action, ActionTable, Decision, positive_duration
-from bsk_torch.sim.dyn.events import DOWNLINK_TICK, EMPTY_DOWNLINKS, LEFT_OVER
+from bsk_torch.sim.dyn.events import DISARMED, DOWNLINK_TICK, EMPTY_DOWNLINKS, LEFT_OVER
 from bsk_torch.sim.fsw.models import EndedDownlinkFSWModel
 from bsk_torch.sim.instruments import INDEX, number_of
 
@@ -128,14 +128,17 @@ class Downlink(DiscreteFSWAction):
             satellite.memory.declare(EMPTY_DOWNLINKS, 0, low=0)
 
     def begin(self, mask: Tensor, decision: Decision) -> None:
-        """See :meth:`Action.begin`: count a downlink from an empty store, and arm the event of an empty store."""
-        if not self.until_empty:
-            return
+        """See :meth:`Action.begin`: count a downlink from an empty store, and arm the event of an empty store or disarm it."""
         simulator, memory = self.satellite.simulator, self.satellite.memory
+        if DOWNLINK_TICK not in simulator.state.layout.fields:
+            return
+        tick = simulator.ticks.double() + math.ceil(LEAST_DOWNLINK / simulator.h)
+        if not self.until_empty:
+            simulator.write(DOWNLINK_TICK, mask, torch.full_like(tick, DISARMED))
+            return
         empty = simulator.read("storage") <= LEFT_OVER
         memory[EMPTY_DOWNLINKS] = memory[EMPTY_DOWNLINKS] + (mask & empty)
-        least = math.ceil(LEAST_DOWNLINK / simulator.h)
-        simulator.write(DOWNLINK_TICK, mask, simulator.ticks.double() + least)
+        simulator.write(DOWNLINK_TICK, mask, tick)
 
 
 class Scan(DiscreteFSWAction):

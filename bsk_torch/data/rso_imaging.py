@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
@@ -11,7 +10,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import function, number
-from bsk_torch.constants import MU_EARTH, NANO
+from bsk_torch.constants import NANO
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.scene.rso_targets import COOLDOWN, PENDING, RSOTargets
 from bsk_torch.sim.catalog.aim import AIM
@@ -202,21 +201,12 @@ class RSOImageReward(GlobalReward):
         declare("rso_product_record", NONE, *room, grows=True, low=NONE)
         for name in ("captured", "delivered"):
             declare(f"rso_{name}", 0, fleet.size, low=0)
-        if self.cooldown_orbits is not None:
-            declare(PERIOD, 0.0, low=0.0, high=FINITE)
-            fleet.beginnings.append(self._note_period)
-
-    def _note_period(self, envs: Tensor) -> None:
-        """Keep the median of the imagers' orbital periods in the episodes ``envs`` [n], which have begun."""
-        axes = self.fleet.each(lambda satellite: satellite.dynamics.semi_major_axis)[:, self._columns]
-        period = (2.0 * math.pi / math.sqrt(MU_EARTH)) * axes.double() ** 1.5
-        self.memory[PERIOD] = self.memory[PERIOD].index_copy(0, envs, period.quantile(0.5, dim=1)[envs])
 
     @property
     def cooldown(self) -> Tensor:
         """Time after the capture of a delivered image in which its target cannot be chosen, [N] s."""
         if self.cooldown_orbits is not None:
-            return self.cooldown_orbits * self.memory[PERIOD]
+            return self.cooldown_orbits * self.scenario.median_period
         return torch.full((self.fleet.num_envs,), self.cooldown_s, dtype=torch.float64, device=self.fleet.device)
 
     @property
@@ -418,9 +408,6 @@ LOGGED = (
 
 FIELDS = ("rso_stored_tick", "rso_open", "rso_left_target", "rso_light", "rso_held")
 """Fields of their state, likewise."""
-
-PERIOD = "rso_period"
-"""Memory of episodes with the orbital period of imagers, s."""
 
 
 def _observable(name: str) -> Callable[[BoundSatellite], Tensor]:

@@ -15,7 +15,7 @@ from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sats.user_function import UserFunction
-from bsk_torch.sim.dyn.events import DISARMED
+from bsk_torch.sim.dyn.events import DISARMED, DOWNLINK_TICK
 from bsk_torch.sim.fleet import NEVER
 from bsk_torch.sim.hooks import check_tensor, overrides
 from bsk_torch.sim.run.coupled import RunResult
@@ -164,8 +164,9 @@ def cancel(satellites: SatelliteGroup, rows: Tensor) -> None:
     """
     task, state = satellites.task, satellites.simulator.state
     task.ends, task.expected = (torch.where(rows, NEVER, ticks) for ticks in (task.ends, task.expected))
-    if "image_level" in state.layout.fields:
-        state.write("image_level", rows, torch.full_like(state.sim_time, DISARMED))
+    for name in ("image_level", DOWNLINK_TICK):
+        if name in state.layout.fields:
+            state.write(name, rows, torch.full_like(state.sim_time, DISARMED))
 
 
 def groups_of(satellites: Sequence[Satellite], fleet: SatelliteFleet) -> tuple[SatelliteGroup, ...]:

@@ -350,7 +350,12 @@ class RSOTargets(Scenario):
         """Time after a capture in which no other is wanted, [N] s; twice the median orbital period of imagers unless given."""
         if self._service is not None:
             return torch.full_like(self.fleet.sim_time, self._service)
-        return 2.0 * self._once(("period",), self._median_period)
+        return 2.0 * self.median_period
+
+    @property
+    def median_period(self) -> Tensor:
+        """Median of the orbital periods of the imagers at the beginning of their episodes, [N] s."""
+        return self._once(("period",), self._median_period)
 
     def _median_period(self) -> Tensor:
         periods = []

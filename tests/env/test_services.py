@@ -12,6 +12,7 @@ import torch
 import bsk_torch
 from bsk_torch import act, data, scene
 from bsk_torch.constants import MU_EARTH
+from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args, scanning_environment
 from bsk_torch.presets.services import EPISODE, IMAGE, ServicingImager, servicing_catalog
 from bsk_torch.rl.rules.servicing import ORDERS, WORTHS, whole_catalog
 from bsk_torch.sim.catalog.candidates import Candidates
@@ -47,7 +48,7 @@ def test_the_task_is_that_of_the_study():
     assert (args["imageAttErrorRequirement"] == 0.0025).all()
     assert env.satellite.dynamics.sun_hat_H.norm(dim=1).sub(1.0).abs().max() < 1e-6
     period = 2 * torch.pi * (env.satellite.dynamics.semi_major_axis.double() ** 3 / MU_EARTH).sqrt()
-    torch.testing.assert_close(env.rewarder.rewarders[0].cooldown, 2.0 * period)
+    torch.testing.assert_close(env.rewarder.rewarders[0].cooldown, 2.0 * period, rtol=1e-9, atol=0.0)
 
 
 def played(env, steps: int, seed: int = 0) -> list[dict[str, Any]]:
@@ -170,6 +171,27 @@ def test_downlinks_end_with_the_store_and_last_ten_seconds():
     td = empty.step(td.set("action", torch.full((4,), CHARGE)))["next"]
     assert td["duration"].flatten().tolist() == [300.0] * 4
     assert td["reward"].flatten().tolist() == [0.0] * 4
+
+
+class Sender(ScanningSatellite):
+    action_spec = (
+        act.Scan(duration=60.0),
+        act.Downlink(duration=20.0, until_empty=True),
+        act.Downlink("always", duration=40.0),
+    )
+
+
+def test_downlinks_of_any_satellite_may_end_with_the_store():
+    args = scanning_args() | dict(storageInit=1.5e9, transmitterBaudRate=-1e8)
+    world = dict(world_args=dict(gsMinimumElevation=-0.5 * torch.pi))
+    env = scanning_environment(Sender("A", args), dict(num_envs=2, seed=0, **world))
+    td = env.reset()
+    durations = []
+    for action in (1, 2, 1, 0, 1, 2):
+        td = env.step(td.set("action", torch.full((2,), action)))["next"]
+        durations.append(td["duration"][0].item())
+    assert durations == pytest.approx([15.0, 40.0, 10.0, 60.0, 10.0, 40.0], abs=1.0)
+    assert (env.satellite.memory["empty_downlinks"] >= 1).all()
 
 
 def test_penalties_of_a_low_battery_and_a_full_store():
