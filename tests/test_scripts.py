@@ -105,6 +105,12 @@ STARTS: dict[str, list[Start]] = {
             r"(?s)\| 2 \| 2 \| 3 \| [\d,]+ \| - \|.*\| 3 \| 2 \| [\d.]+ \| [\d.]+ \| \d+ \| \d+ \(",
         ),
     ],
+    "benchmarks/services.py": [
+        Start(
+            "--episodes 2 --time-limit 300 --targets 12 --rules rate angle --backend eager",
+            r"(?s)\| rate \| [\d.]+ \+- [\d.]+ \| \+0.0 .*\| angle \| ",
+        ),
+    ],
     "benchmarks/safe_autonomy.py": [
         Start(
             "--episodes 2 --batch 2 --time-limit 40 --filters none asif --policies glide --turns 1 --steps 2 --backend eager",

@@ -614,6 +614,25 @@ def with_half(value: float | None, half: float) -> str:
     return f"{value:.{count}f} ±\u00a0{half:.{count}f}"
 
 
+def services(name: str) -> str:
+    """Return what rules and policies return in the episodes of Services-v1."""
+    rows = [
+        [
+            row["policy"] if row["policy"].startswith("trained") else f"`{row['policy']}`",
+            f"{row['return']:.1f} ±\u00a0{row['half']:.1f}",
+            f"{row['gain']:+.1f} ±\u00a0{row['gain_half']:.1f}" if row["gain_half"] else "-",
+            whole(row["captured"]),
+            whole(row["delivered"]),
+            whole(row["decisions"]),
+            f"{row['survival']:.0%}",
+            f"{row['cpu']:.2f}",
+        ]
+        for row in load(name)["rows"]
+    ]
+    titles = ["policy", "return", "gain over rate", "images", "downlinked", "decisions", "survival", "core-s per episode"]
+    return with_command(name, titles, rows)
+
+
 def digits_of(value: float) -> str:
     """Return milliseconds in three digits."""
     return f"{value:.3f}" if value < 1.0 else f"{value:.1f}" if value < 100.0 else whole(value)
@@ -660,5 +679,6 @@ TABLES = {
     "inspections": inspections,
     "planners": planners,
     "safe_autonomy": safe_autonomy,
+    "services": services,
     "suites": suites,
 }

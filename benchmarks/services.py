@@ -1,0 +1,106 @@
+"""What do rules and policies return in Services-v1, next to the study that the preset is from?
+
+Usage:
+    python benchmarks/services.py [--rules rate angle ...] [--policies FILE ...] [--episodes 100] [--batch 100]
+        [--out FILE.json]
+
+All play the same episodes, those of the seeds 0, 1, ..., by the study's protocol: 200 objects, half of the orbits low, 30 percent
+medium and 20 percent geosynchronous on average, priorities of sum 100, eight of which rise in the middle of the episode, and
+rewards for verified images. Policies are files that ``bsk-torch train`` has written; the candidates that promise the most come
+first, as in training. Gains over the rule ``rate`` are paired by episode.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from typing import Any
+
+import harness
+from tensordict.nn import TensorDictModuleBase
+
+import bsk_torch
+from bsk_torch import SatelliteTasking
+from bsk_torch.rl.evaluation import Evaluation, evaluate
+from bsk_torch.rl.policies.files import load_policy
+from bsk_torch.rl.policies.shared_policy import rule
+from bsk_torch.rl.rules.servicing import ORDERS, WORTHS
+
+PRESET = "Services-v1"
+
+BEST = "rate"
+"""The rule over which gains are."""
+
+BY_PROMISE = {"order": "priority_per_second"}
+"""Options of the environment in which the candidates that promise the most come first."""
+
+COLUMNS = {
+    "policy": "{policy}",
+    "return": "{return:.1f} +- {half:.1f}",
+    "gain": "{gain:+.1f} +- {gain_half:.1f}",
+    "captured": "{captured:.0f}",
+    "delivered": "{delivered:.0f}",
+    "decisions": "{decisions:.0f}",
+    "survival": "{survival:.0%}",
+    "episodes": "{episodes}",
+    "core-seconds per episode": "{cpu:.2f}",
+}
+
+
+def make_env(options: argparse.Namespace, **preset: Any) -> SatelliteTasking:
+    """Return the environment of the study."""
+    batch = min(options.batch, options.episodes)
+    world = dict(n_targets=options.targets, time_limit=options.time_limit, backend=options.backend)
+    env = bsk_torch.make(PRESET, num_envs=batch, env_ids=[0] * batch, **world, **preset)
+    assert isinstance(env, SatelliteTasking)
+    return env
+
+
+def row(name: str, found: Evaluation, best: Evaluation, cpu: float) -> dict[str, Any]:
+    """Figures of a policy; ``best`` is the rule in the same episodes."""
+    gain = found.gain_over(best)
+    return {
+        "policy": name,
+        "episodes": len(found.returns),
+        "return": found.mean_return.mean,
+        "half": found.mean_return.half_width,
+        "gain": gain.mean,
+        "gain_half": gain.half_width,
+        "captured": float(found.counts["captured"].double().mean()),
+        "delivered": float(found.counts["delivered"].double().mean()),
+        "decisions": float(found.decisions.double().mean()),
+        "survival": found.survival,
+        "cpu": cpu / len(found.returns),
+    }
+
+
+def main() -> None:
+    """Play the episodes, and print a table."""
+    names = ["random", *ORDERS, *WORTHS]
+    parsed = harness.parser(__doc__, rules=names, episodes=100, batch=100, targets=200, time_limit=45_000.0)
+    parsed.add_argument("--policies", nargs="*", default=[], metavar="FILE", help="policies of bsk-torch train")
+    parsed.add_argument("--backend", choices=("compiled", "eager"), default="compiled")
+    options, described = harness.begin(parsed)
+    rows: list[dict[str, Any]] = []
+    best: Evaluation | None = None
+
+    def compare(name: str, policy: TensorDictModuleBase, env: SatelliteTasking) -> None:
+        nonlocal best
+        clock = time.process_time()
+        found = evaluate(policy, env, seeds=range(options.episodes))
+        best = found if best is None else best
+        rows.append(row(name, found, best, time.process_time() - clock))
+        print(harness.cell("{policy}: {return:.1f}, gain {gain:+.1f} +- {gain_half:.1f}", rows[-1]), flush=True)
+        harness.write(options, described, rows=rows)
+
+    env = make_env(options)
+    for name in [BEST, *(name for name in options.rules if name != BEST)]:
+        compare(name, rule(name, env), env)
+    sets = make_env(options, as_set=True, **BY_PROMISE)
+    for k, file in enumerate(options.policies):
+        compare(f"trained, seed {k}", load_policy(file), sets)
+    print(harness.table(COLUMNS, rows))
+
+
+if __name__ == "__main__":
+    main()
