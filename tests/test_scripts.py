@@ -111,6 +111,12 @@ STARTS: dict[str, list[Start]] = {
             r"(?s)\| rate \| [\d.]+ \+- [\d.]+ \| \+0.0 .*\| angle \| ",
         ),
     ],
+    "benchmarks/teams.py": [
+        Start(
+            "--episodes 2 --time-limit 300 --targets 12 --only three-local walker-centralized --backend eager",
+            r"(?s)\| three-local \| [\d.]+ \+- [\d.]+ \| .*\| walker-centralized \| ",
+        ),
+    ],
     "benchmarks/safe_autonomy.py": [
         Start(
             "--episodes 2 --batch 2 --time-limit 40 --filters none asif --policies glide --turns 1 --steps 2 --backend eager",

@@ -54,9 +54,9 @@ class RSOTeamReward(RSOImageReward):
 
     A ledger that no imager knows pays for services:
 
-    - An image pays ``(1 - alpha)`` times the priority when it is taken, and ``alpha`` times when it has been delivered. It must
-      have sufficient quality, and must have been taken at least ``cooldown_s`` after the image of the target paid last at that
-      stage.
+    - An image pays ``(1 - delivery_share)`` times the priority when it is taken, and ``delivery_share`` times when it has been
+      delivered. It must have sufficient quality, and must have been taken at least ``cooldown_s`` after the image of the target
+      paid last at that stage.
     - Images of a target that are taken within ``same_time_s``, and become known to the ledger at the end of the same step, share
       the reward equally.
 
@@ -72,7 +72,7 @@ class RSOTeamReward(RSOImageReward):
 
     def __init__(
         self,
-        alpha: float = 0.1,
+        delivery_share: float = 0.1,
         quality_threshold: float = 0.5,
         cooldown_s: float | None = None,
         same_time_s: float = SAME_TIME,
@@ -80,13 +80,13 @@ class RSOTeamReward(RSOImageReward):
         """ValueError for a wrong argument.
 
         Args:
-            alpha: Share of the priority that is paid at the delivery.
+            delivery_share: Share of the priority that is paid at the delivery.
             quality_threshold: Least quality of an image that pays and that imagers tell each other of.
             cooldown_s: Time after a capture in which no other is wanted, s; None for twice the median period of the imagers'
                 orbits at the beginning of the episode.
             same_time_s: Difference of the capture times of images that share a reward, s.
         """
-        self.alpha = number("alpha", alpha, 0.0, 1.0)
+        self.delivery_share = number("delivery_share", delivery_share, 0.0, 1.0)
         super().__init__(quality_threshold=quality_threshold, multi_imager_credit="shared")
         self.service_s = None if cooldown_s is None else number("cooldown_s", cooldown_s, 0.0, 1e12, unit="s")
         self.same_time_s = number("same_time_s", same_time_s, 0.0, 1e12, unit="s")
@@ -180,7 +180,7 @@ class RSOTeamReward(RSOImageReward):
         """
         memory, cooldown, target = self.memory, self.scenario.service_time.unsqueeze(1), images.target
         good = images.there & (images.quality >= self.quality_threshold)
-        value = self._priority(images) * (self.alpha if stage == "delivery" else 1.0 - self.alpha)
+        value = self._priority(images) * (self.delivery_share if stage == "delivery" else 1.0 - self.delivery_share)
         paid, left = torch.zeros_like(images.time), images.there
         late = torch.zeros_like(left)
         last = memory[f"rso_{stage}_time"]

@@ -167,7 +167,7 @@ def team(
     information: str,
     retasking: str,
     n_targets: int,
-    alpha: float,
+    delivery_share: float,
     sat_args: dict[str, Any] | None,
     obs_type: type,
     options: dict[str, Any],
@@ -185,7 +185,7 @@ def team(
     catalog = servicing_catalog(n_targets, mixture, exact_mixture=True, priority_event=False)
     defaults: dict[str, Any] = dict(
         scenario=scene.RSOTargets(catalog, names, knowledge="own"),
-        rewarder=(data.RSOTeamReward(alpha=alpha), data.OperationsPenalty(empty_downlink=-1.0)),
+        rewarder=(data.RSOTeamReward(delivery_share=delivery_share), data.OperationsPenalty(empty_downlink=-1.0)),
         communicator=told[information](),
         time_limit=EPISODE,
         max_step_duration=300.0,
@@ -202,7 +202,7 @@ def three_sensors(
     mixture: tuple[float, float, float] | str = "LEO",
     information: str = "independent",
     retasking: str = "conflict",
-    alpha: float = 0.1,
+    delivery_share: float = 0.1,
     sat_args: dict[str, Any] | None = None,
     obs_type: type = torch.Tensor,
     **options: Any,
@@ -215,7 +215,7 @@ def three_sensors(
         information: What imagers are told: nothing (``"independent"``), the records of all at the end of each step (``"ideal"``),
             or what they send each other (``"radio"``).
         retasking: ``"conflict"`` or ``"continuous"``; see the module.
-        alpha: Share of the priority that is paid when an image has been downlinked.
+        delivery_share: Share of the priority that is paid when an image has been downlinked.
         sat_args: Arguments of the satellites that replace those of the preset.
         obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations.
         **options: Arguments of :class:`~bsk_torch.ConstellationTasking` that replace those of the preset.
@@ -227,7 +227,7 @@ def three_sensors(
         dict(oe=elements(EARTH + altitude, 0.001, inclination, 30.0 * k, 15.0 * k))
         for k, (altitude, inclination) in enumerate(ORBITS)
     ]
-    return team(orbits, mixture, information, retasking, n_targets, alpha, sat_args, obs_type, options)
+    return team(orbits, mixture, information, retasking, n_targets, delivery_share, sat_args, obs_type, options)
 
 
 def elements(a: float, e: float, i: float, Omega: float, f: float) -> ClassicElements:
@@ -242,7 +242,7 @@ def walker4(
     mixture: tuple[float, float, float] | str = MIXTURE,
     information: str = "radio",
     retasking: str = "conflict",
-    alpha: float = 0.1,
+    delivery_share: float = 0.1,
     sat_args: dict[str, Any] | None = None,
     obs_type: type = torch.Tensor,
     **options: Any,
@@ -256,7 +256,7 @@ def walker4(
         information,
         retasking,
         n_targets,
-        alpha,
+        delivery_share,
         sat_args,
         obs_type,
         dict(sat_arg_randomizer=pattern) | options,

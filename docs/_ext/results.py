@@ -633,6 +633,20 @@ def services(name: str) -> str:
     return with_command(name, titles, rows)
 
 
+def teams(name: str) -> str:
+    """Return what rules of teams reach, with the published means below."""
+    counted = ("acquisitions", "services", "reward", "captured_share", "delivered_share", "duplicate_attempts", "wasted_share")
+    rows: list[list[str]] = []
+    for row in load(name)["rows"]:
+        mixture = "low orbits" if row["mixture"] == "LEO" else "mixed orbits"
+        title = f"`{row['preset']}`, {mixture}, `{row['rule']}`, `{row['information']}`"
+        rows.append([title, *(f"{row[count][0]:.1f} ±\u00a0{row[count][1]:.1f}" for count in counted)])
+        if row["published"] is not None:
+            rows.append(["published", *(f"{value:.1f}" for value in row["published"])])
+    titles = ["task, rule, information", "captures paid", "deliveries paid", "reward", "captured, %", "delivered, %"]
+    return with_command(name, [*titles, "duplicate attempts", "wasted, %"], rows)
+
+
 def digits_of(value: float) -> str:
     """Return milliseconds in three digits."""
     return f"{value:.3f}" if value < 1.0 else f"{value:.1f}" if value < 100.0 else whole(value)
@@ -680,5 +694,6 @@ TABLES = {
     "planners": planners,
     "safe_autonomy": safe_autonomy,
     "services": services,
+    "teams": teams,
     "suites": suites,
 }

@@ -34,7 +34,7 @@ def ids(env, imager, count=4):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (dict(alpha=1.5), "alpha=1.5"),
+        (dict(delivery_share=1.5), "delivery_share=1.5"),
         (dict(quality_threshold=-1.0), "quality_threshold=-1.0"),
         (dict(cooldown_s=-1.0), "cooldown_s=-1.0"),
         (dict(same_time_s=-1.0), "same_time_s=-1.0"),
@@ -73,8 +73,8 @@ def test_candidates_follow_from_what_an_imager_knows(told):
 
 
 @pytest.mark.compiled
-def test_alpha_splits_the_priority_between_capture_and_delivery():
-    env = team(data.RSOTeamReward(alpha=0.25, quality_threshold=0.0, cooldown_s=400.0))
+def test_delivery_share_splits_the_priority_between_capture_and_delivery():
+    env = team(data.RSOTeamReward(delivery_share=0.25, quality_threshold=0.0, cooldown_s=400.0))
     env.reset()
     total = 0.0
     while env.rewarder.counts()["captured"][0, 0] == 0:
@@ -162,7 +162,7 @@ def ledger(images, last, cooldown, tolerance, share, priority):
 @pytest.mark.parametrize("stage", ["acquisition", "delivery"])
 def test_the_ledger_is_that_of_lists(stage):
     """With random images of a step, also several groups of a target in one step."""
-    env = team(data.RSOTeamReward(alpha=0.3, cooldown_s=10.0, same_time_s=1.0))
+    env = team(data.RSOTeamReward(delivery_share=0.3, cooldown_s=10.0, same_time_s=1.0))
     env.reset()
     rewarder, numbers = env.rewarder, random.Random(5)
     last = [[-1e30] * 4 for _ in range(2)]

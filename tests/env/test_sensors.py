@@ -43,7 +43,7 @@ def fly(env, steps, rule="local"):
     [
         (dict(information="telepathy"), "information='telepathy' must be one of"),
         (dict(retasking="never"), "retasking='never' must be one of"),
-        (dict(alpha=2.0), "alpha=2.0"),
+        (dict(delivery_share=2.0), "delivery_share=2.0"),
         (dict(mixture="MEO"), "MEO"),
     ],
 )

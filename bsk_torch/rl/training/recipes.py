@@ -74,6 +74,26 @@ CREW: dict[str, dict[str, Any]] = {
 """For several inspectors, each step of whom takes longer: smaller batches, so that there are as many updates, and a rule to
 begin with."""
 
+SERVICES: dict[str, dict[str, Any]] = {
+    "attention": dict(
+        num_envs=128,
+        rollout=32,
+        hidden=(64,),
+        learning_rate=5e-4,
+        epochs=3,
+        minibatch=1024,
+        gamma=0.9995,
+        entropy=0.003,
+        imitate="candidate_rate",
+        imitation=0.15,
+        evaluate_every=75_000,
+        evaluate_episodes=48,
+        options=dict(order="priority_per_second", as_set=True, delivery_share=0.1),
+    )
+}
+"""For images that count when they have been verified on the ground: most of the reward is paid at the capture in training, and
+candidates that promise the most come first."""
+
 RECIPES: dict[str, dict[str, dict[str, Any]]] = {
     "NadirScan-v1": SCANNING,
     "FaultyScan-v1": SCANNING_WITH_FAULTS,
@@ -85,6 +105,7 @@ RECIPES: dict[str, dict[str, dict[str, Any]]] = {
     "AEOSConstellation-v1": CREW_OF_IMAGERS,
     "RelayConstellation-v1": CREW_WITH_RELAYS,
     "HeteroCluster-v1": CLUSTER,
+    "Services-v1": SERVICES,
     "RSOInspection-v1": INSPECTION,
     "MultiInspection-v1": CREW,
 }
