@@ -256,6 +256,7 @@ RECORDED = {
     "record_manoeuvres": "basilisk/recordings/manoeuvre_kick",
     "record_rso_imaging": "basilisk/recordings/rso_imaging_per",
     "record_models": "basilisk/recordings/models_pointing",
+    "record_services": "basilisk/recordings/services",
     "record_setpoints": "basilisk/recordings/setpoint_imposed",
     "record_modules": "sim/data/controller",
 }

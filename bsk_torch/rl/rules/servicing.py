@@ -202,6 +202,7 @@ def servicing_rule(name: str) -> Callable[[SatelliteTasking, int], TensorDictMod
 def imaged_candidates(env: SatelliteTasking) -> range:
     """Return the numbers of the actions that image candidates of a catalog; ValueError if there are none."""
     images = image_actions(env)
-    if not isinstance(env.scenario, RSOTargets):
-        raise ValueError(f"{env.satellite.name} images no objects of a catalog; its scenario is {type(env.scenario).__name__}")
+    scenario = env.satellite.scenario
+    if not isinstance(scenario, RSOTargets):
+        raise ValueError(f"{env.satellite.name} images no objects of a catalog; its scenario is {type(scenario).__name__}")
     return images
