@@ -15,7 +15,7 @@ import importlib, os, sys
 import omegaconf, torchrl.envs, torchrl.objectives, torchrl.collectors, yaml  # once for all
 
 def import_below(package):
-    # Python imports the packages that contain a module before it, so that each module goes on from its package
+    # Python imports the packages that contain a module before it, so the process of a module is a copy of its package's
     for module in sys.argv[1:]:
         if module.rpartition(".")[0] != package:
             continue

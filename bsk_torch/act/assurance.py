@@ -327,6 +327,7 @@ class Barriers:
         return wish.index_copy(0, rows, nearest(wish[rows], weight, bound))
 
     def _not_finite(self, x: Deputies, row: int) -> str:
+        """Return what to say of a deputy with a barrier that is not finite."""
         values = {k: float(barrier(x)[row]) for k, barrier in enumerate(self.barriers)}
         return (
             f"a barrier of run-time assurance, or its derivative, is not finite for deputy {row} at {x.r[row].tolist()} m with "

@@ -28,8 +28,7 @@ from bsk_torch.files import write_file
 from bsk_torch.rl.evaluation.statistics import Estimate
 from bsk_torch.rl.evaluation.suite import EPISODES, VIEWS, Entrant, Score, Task, normalised, play, ranking, references, tasks_of
 from bsk_torch.rl.policies.pretrained import makings
-from bsk_torch.rl.policies.shared_policy import baseline, shared
-from bsk_torch.rl.rules.baselines import BASELINES
+from bsk_torch.rl.policies.shared_policy import RULES, baseline, shared
 from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.tables import print_table
 
@@ -111,7 +110,7 @@ def entrant_of(name: str) -> Entrant:
     if plain.startswith(PREFIX):
         named_planner(plain, None, views)  # unknown names and options end the program before anything runs
         return lambda preset, make: planned(plain, views, preset, make)
-    if plain in BASELINES:
+    if plain in RULES:
         chosen = dict(view_of(view) for view in views)
         return lambda preset, make: rule(plain, chosen, make)
     module, colon, function = plain.partition(":")

@@ -14,8 +14,7 @@ from bsk_torch.env import Tasking
 from bsk_torch.presets import PRESETS
 from bsk_torch.rl.policies.files import build_policy, check_fits, read_card
 from bsk_torch.rl.policies.pretrained import pretrained_file
-from bsk_torch.rl.policies.shared_policy import baseline, shared_baselines
-from bsk_torch.rl.rules.baselines import BASELINES
+from bsk_torch.rl.policies.shared_policy import RULES, baseline, shared_baselines
 from bsk_torch.sim.arguments.values import nearest
 
 TRAINED, PRETRAINED = "trained", "pretrained"
@@ -42,7 +41,7 @@ class NamedPolicy:
     @property
     def label(self) -> str:
         """Name in results."""
-        return self.name if self.name in (*BASELINES, PRETRAINED) else TRAINED
+        return self.name if self.name in (*RULES, PRETRAINED) else TRAINED
 
     def options(self, given: Mapping[str, object]) -> dict[str, object]:
         """Return the arguments of the environment: those with which the policy was trained, and those that are ``given``."""
@@ -60,7 +59,7 @@ class NamedPolicy:
 
     def build(self, env: Tasking, device: str = "cpu") -> TensorDictModuleBase:
         """Return the policy for one satellite of ``env``, or of each group; ends the program if it does not fit."""
-        if self.name in BASELINES:
+        if self.name in RULES:
             try:
                 return baseline(self.name, env)
             except (KeyError, ValueError) as error:
@@ -75,12 +74,12 @@ class NamedPolicy:
 
 def named_policy(name: str, preset: str | None) -> NamedPolicy:
     """Return the policy of that name, for ``preset`` if that is given; ends the program if there is none."""
-    if name in BASELINES:
+    if name in RULES:
         return NamedPolicy(name, preset or FIRST)
     try:
         card = read_card(pretrained_file(preset or FIRST) if name == PRETRAINED else name)
     except FileNotFoundError:
-        hint = nearest(name, (*BASELINES, PRETRAINED))
+        hint = nearest(name, (*RULES, PRETRAINED))
         fail(f"{name!r} is not a run folder, policy file or baseline; {hint}")
     except ValueError as error:
         fail(str(error))

@@ -13,7 +13,7 @@ The problem of bsk_rl's page "Space-to-Space RSO Imaging", with both of its prof
 mark lines that differ from it. Objects are not satellites of the environment, so they have no actions.
 """
 
-# sphinx_gallery_thumbnail_path = "_static/readme/Constellation-v1.png"
+# sphinx_gallery_thumbnail_path = "_static/readme/Services-v1.png"
 
 from __future__ import annotations
 

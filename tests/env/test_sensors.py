@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import itertools
 import random
+import re
 
 import pytest
 import torch
 
 import bsk_torch
 from bsk_torch.act import image_target
+from bsk_torch.cli.main import app
+from bsk_torch.rl.policies.shared_policy import baseline, for_each_group, shared_baselines
+from bsk_torch.rl.rules.servicing import ORDERS, WORTHS
 from bsk_torch.rl.rules.team import Choices, TeamRule
 from bsk_torch.scene.rso_records import AGO, DELIVERED
 
@@ -234,6 +238,20 @@ def test_shared_facts_avoid_duplicates():
 def test_rules_of_teams_need_a_team():
     with pytest.raises(ValueError, match="knowledge='own'"):
         bsk_torch.rule("local", bsk_torch.make("Services-v1", n_targets=12))
+
+
+def test_rules_of_teams_are_compared_with_and_stand_behind_no_shield():
+    env = sensors("ThreeSensors-v1", backend="eager")
+    assert set(shared_baselines(env)) == {"random", "local", "centralized", *WORTHS}
+    with pytest.raises(ValueError, match="decides for all satellites at once"):
+        for_each_group(lambda policy, view: policy, baseline("local", env), env)
+    alone = shared_baselines(bsk_torch.make("Services-v1", n_targets=12, backend="eager"))
+    assert set(alone) == {"random", *ORDERS, *WORTHS}
+
+
+def test_rules_of_teams_are_flown_from_the_command_line(capsys):
+    app(["eval", "local", "--preset", "ThreeSensors-v1", "--seeds", "0:2", "--time-limit", "600"], standalone_mode=False)
+    assert re.search(r"local +[\d.]+ ± ", capsys.readouterr().out)
 
 
 def test_a_busy_sensor_reserves_its_target():

@@ -16,11 +16,15 @@ from bsk_torch.env import NO_ACTION, ConstellationTasking, SatelliteTasking, Tas
 from bsk_torch.env.agents import AGENTS, Group
 from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.rl.rules.baselines import BASELINES, random_policy
-from bsk_torch.rl.rules.team import TEAM_RULES, TeamRule
+from bsk_torch.rl.rules.team import TEAM_RULES, TeamPolicy, TeamRule
 from bsk_torch.sim.arguments.values import nearest
 
 TRAINED_WITH = "make it with the options that the policy was trained with, which read_card(file)['options'] lists"
 """Advice for a policy that reads observations missing in the environment."""
+
+
+RULES = (*BASELINES, *TEAM_RULES)
+"""Names of all rules, for single satellites and for teams."""
 
 
 @dataclass(frozen=True)
@@ -151,10 +155,13 @@ def of_groups(policies: Mapping[str, TensorDictModuleBase]) -> TensorDictModuleB
 def shared(policy: TensorDictModuleBase, env: Tasking) -> TensorDictModuleBase:
     """Return a policy for all satellites of ``env``.
 
-    The result is the policy itself for one satellite or for a :class:`GroupPolicies`, and a :class:`SharedPolicy` in a
+    The result is the policy itself for one satellite, for a :class:`GroupPolicies` or a
+    :class:`~bsk_torch.rl.rules.team.TeamPolicy`, and a :class:`SharedPolicy` in a
     constellation with one group. ValueError for policies of other groups, a single-satellite policy in a constellation of several
     groups, or a policy that reads observations missing in the environment.
     """
+    if isinstance(policy, TeamPolicy):
+        return policy
     views = member_views(env)
     if isinstance(policy, GroupPolicies):
         if policy.policies.keys() != views.keys():
@@ -169,7 +176,12 @@ def shared(policy: TensorDictModuleBase, env: Tasking) -> TensorDictModuleBase:
 def for_each_group(
     change: Callable[[TensorDictModuleBase, SatelliteTasking], TensorDictModuleBase], policy: TensorDictModuleBase, env: Tasking
 ) -> TensorDictModuleBase:
-    """Return ``change(policy, view)`` for the view of ``env``, or for each policy of :class:`GroupPolicies`."""
+    """Return ``change(policy, view)`` for the view of ``env``, or for each policy of :class:`GroupPolicies`.
+
+    ValueError for a policy that decides for all satellites at once.
+    """
+    if isinstance(policy, TeamPolicy):
+        raise ValueError("the rule decides for all satellites at once; choose a policy of one satellite")
     if not isinstance(policy, GroupPolicies):
         return change(policy, member_view(env))
     views = member_views(env)
@@ -177,13 +189,15 @@ def for_each_group(
 
 
 def baseline(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
-    """Return one of the ``BASELINES`` for one satellite of ``env``, or for one of each group.
+    """Return one of the ``BASELINES`` for one satellite of ``env``, or for one of each group, or one of ``TEAM_RULES`` for all.
 
     If the rule applies to some groups only, the others act at random, such as relays with a rule for imaging.
 
     Raises:
         KeyError, ValueError: If the rule applies to no group, or for an unknown name.
     """
+    if name in TEAM_RULES:
+        return TeamRule(env, name).module()
     rule, views = BASELINES[name], member_views(env)
     found: dict[str, TensorDictModuleBase] = {}
     errors: list[Exception] = []
@@ -231,7 +245,7 @@ def rule(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
     If the rule applies to some groups of a constellation only, the others act at random.
 
     Args:
-        name: One of ``bsk_torch.rl.rules.baselines.BASELINES``, or of ``bsk_torch.rl.rules.team.TEAM_RULES``.
+        name: One of :data:`RULES`.
         env: The environment in which the policy will act.
         seed: Seed of random actions.
 
@@ -239,17 +253,15 @@ def rule(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
         KeyError: If the rule reads an observation missing in all groups; the message names it.
         ValueError: For an unknown name, or unsuitable actions.
     """
-    if name in TEAM_RULES:
-        return TeamRule(env, name).module()
-    if name not in BASELINES:
-        raise ValueError(f"name={name!r} is not a rule; {nearest(name, (*BASELINES, *TEAM_RULES))}")
+    if name not in RULES:
+        raise ValueError(f"name={name!r} is not a rule; {nearest(name, RULES)}")
     return shared(baseline(name, env, seed), env)
 
 
 def shared_baselines(env: Tasking, seed: int = 0) -> dict[str, TensorDictModuleBase]:
-    """Return the applicable ``BASELINES`` for all satellites of an environment, by name; see :func:`baseline`."""
+    """Return the applicable :data:`RULES` for all satellites of an environment, by name; see :func:`baseline`."""
     fitting = {}
-    for name in BASELINES:
+    for name in RULES:
         with suppress(KeyError, ValueError):  # a rule for other observations or actions
             fitting[name] = rule(name, env, seed)
     return fitting

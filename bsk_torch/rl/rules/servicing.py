@@ -39,7 +39,7 @@ class Upkeep:
         low: Battery charge below which the satellite charges.
         fast: Wheel speed above which the wheels are desaturated.
         worth: Data in the store from which on a pass is used for a downlink.
-        full: Data above which the satellite waits for one.
+        full: Data from which on the satellite waits for one.
     """
 
     low: float = 0.2
@@ -48,10 +48,10 @@ class Upkeep:
     full: float = 0.99
 
     def wishes(self, see: Columns) -> dict[str, Tensor]:
-        """Return masks [N] of needed actions, in ascending order of urgency."""
+        """Return masks [...] of needed actions, in ascending order of urgency."""
         level = see["storage_level_fraction"]
         return {
-            "action_downlink": ((see["opportunity_open_normd"] <= 0.0) & (level >= self.worth)) | (level > self.full),
+            "action_downlink": ((see["opportunity_open_normd"] <= 0.0) & (level >= self.worth)) | (level >= self.full),
             "action_desat": see.all("wheel_speeds_fraction").abs().amax(-1) > self.fast,
             "action_charge": see["battery_charge_fraction"] < self.low,
         }
@@ -185,6 +185,10 @@ def servicing_rule(name: str) -> Callable[[SatelliteTasking, int], TensorDictMod
 
     def make(env: SatelliteTasking, seed: int = 0) -> TensorDictModule:
         satellite, images = env.satellite, imaged_candidates(env)
+        if name in ORDERS and not isinstance(env, SatelliteTasking):
+            raise ValueError(
+                f"the rule {name!r} looks at the whole catalog, for one satellite; for teams, there is the rule 'local'"
+            )
         see = TargetReader.of(env)
         choose = first_of_catalog(satellite, ORDERS[name]) if name in ORDERS else best_candidate(see, images, WORTHS[name])
         rule = ServicingRule(satellite, choose)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import torch
@@ -20,7 +19,9 @@ from bsk_torch.astro.sight import line_clearance
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.env.base import Tasking
 from bsk_torch.rl.rules.observation_columns import Columns
+from bsk_torch.rl.rules.servicing import Upkeep
 from bsk_torch.scene import RSOTargets
+from bsk_torch.scene.rso_order import LIT
 from bsk_torch.scene.rso_records import AGO
 from bsk_torch.sim.catalog.aim import AIM
 from bsk_torch.vec3 import Vec3
@@ -34,21 +35,12 @@ KNOWN_RANK = 1e3
 """Rank of candidates that have been imaged, above all angles in degrees."""
 
 
-@dataclass(frozen=True)
-class Needs:
-    """When imagers do something else than take images. Thresholds are fractions of the capacity or the maximum speed.
+UPKEEP = Upkeep(low=0.3, worth=1e-9, full=0.8)
+"""When imagers of the studies do something else than take images; every bit is worth a downlink during a pass."""
 
-    Args:
-        low: Battery charge below which the satellite charges.
-        fast: Wheel speed above which the wheels are desaturated.
-        full: Data in the store from which on the satellite starts a downlink without contact.
-        lit: Visible fraction of the Sun at an object from which on it is imaged.
-    """
 
-    low: float = 0.3
-    fast: float = 0.7
-    full: float = 0.8
-    lit: float = 0.5
+class TeamPolicy(TensorDictModule):
+    """A policy that decides for all satellites of an environment, by looking at all of them."""
 
 
 class Choices(NamedTuple):
@@ -78,7 +70,7 @@ class TeamRule:
     then the most images, the smallest sum of angles, and the highest priorities.
     """
 
-    def __init__(self, env: Tasking, name: str = "local", needs: Needs | None = None) -> None:
+    def __init__(self, env: Tasking, name: str = "local", upkeep: Upkeep = UPKEEP) -> None:
         """Make a rule for ``env``.
 
         Raises:
@@ -92,7 +84,7 @@ class TeamRule:
             raise ValueError(
                 "rules of teams need scene.RSOTargets with knowledge='own', satellites of one type, and an agent for each"
             )
-        self.env, self.name, self.needs = env, name, needs or Needs()
+        self.env, self.name, self.upkeep = env, name, upkeep
         self.satellite: Any = env.satellites[0]
         self.scenario: RSOTargets = env.scenario
         self.images = self.satellite.action_description.index(f"{self._entry.name}_0")
@@ -112,10 +104,10 @@ class TeamRule:
             f"rules of teams need act.ImageRSO with several candidates; actions are {self.satellite.action_description}"
         )
 
-    def module(self) -> TensorDictModule:
+    def module(self) -> TeamPolicy:
         """Return the rule as a policy of the environment."""
         group = next(iter(self.env.group_map))
-        return TensorDictModule(self, [(group, "observation"), (group, "action_mask")], [(group, "action")])
+        return TeamPolicy(self, [(group, "observation"), (group, "action_mask")], [(group, "action")])
 
     def __call__(self, observation: Tensor, action_mask: Tensor) -> Tensor:
         """Return actions [N, A] for observations [N, A, F] and legal actions [N, A, n + 1]."""
@@ -123,7 +115,7 @@ class TeamRule:
         names = self.satellite.action_description
         stay = action_mask.shape[-1] - 1
         decides = action_mask[..., :stay].any(-1)
-        wish = {name: wanted & decides for name, wanted in self._wishes(see).items()}
+        wish = {name: wanted & decides for name, wanted in self.upkeep.wishes(see).items()}
         busy = torch.stack(list(wish.values())).any(0)
         choices = self._choices(action_mask)
         images = decides & ~busy
@@ -132,16 +124,6 @@ class TeamRule:
         for name, wanted in wish.items():
             action = torch.where(wanted, names.index(name), action)
         return torch.where(decides, action, stay)
-
-    def _wishes(self, see: Columns) -> dict[str, Tensor]:
-        """Return needed actions, in ascending order of urgency, [N, A] each."""
-        level, needs = see["storage_level_fraction"], self.needs
-        contact = see["opportunity_open_normd"] <= 0.0
-        return {
-            "action_downlink": (level > 0.0) & (contact | (level >= needs.full)),
-            "action_desat": see.all("wheel_speeds_fraction").abs().amax(-1) > needs.fast,
-            "action_charge": see["battery_charge_fraction"] < needs.low,
-        }
 
     def _choices(self, action_mask: Tensor) -> Choices:
         satellite, scenario = self.satellite, self.scenario
@@ -152,7 +134,7 @@ class TeamRule:
         r_BN_N = satellite.dynamics.r_BN_N.unsqueeze(1).expand_as(r_TN_N)
         sees = line_clearance(Vec3.of(r_BN_N), Vec3.of(r_TN_N)) > 0.0
         latest = scenario.of_imagers(satellite, scenario.known_records.latest()).gather(1, found.place)
-        lit = views.target_illumination_factor >= self.needs.lit
+        lit = views.target_illumination_factor >= LIT
         priority = satellite.of_env(scenario.priority).gather(1, found.place)
         columns = found.place, found.exists & sees & lit, latest == AGO, views.angle_to_target, priority
         return Choices(*(column.view(*action_mask.shape[:2], -1) for column in columns))

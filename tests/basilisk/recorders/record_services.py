@@ -5,7 +5,7 @@ Usage::
     python tests/basilisk/recorders/record_services.py            # into tests/basilisk/recordings
 
 See ``recording.py`` for what it needs. Where episodes start and what is done in them is read from the present file: ``ic`` and
-``action``, which were drawn once. Everything else is recorded anew.
+``action``, which were drawn once. Everything else is recorded again.
 
 A research branch of bsk_rl's authors has such imagers. Classes derived from those of bsk_rl 1.3.8 do here what it does: flight
 software whose controller commands the instrument, actions that check the hold after the exposure and that end a downlink with the
