@@ -79,7 +79,7 @@ class ImageRSO(Action):
         self.hold_illumination_threshold = number("hold_illumination_threshold", hold_illumination_threshold, 0.0, 1.0)
         self.variable_duration_imaging = switch("variable_duration_imaging", variable_duration_imaging)
         if text("exposure", exposure) not in EXPOSURES:
-            raise ValueError(f"exposure={exposure!r} must be one of {list(EXPOSURES)}")
+            raise ValueError(f"exposure={exposure!r} must be one of {list(EXPOSURES)}; {nearest(exposure, EXPOSURES)}")
         self.exposure = exposure
         if exposure == "held" and self.min_pointing_hold_s >= self.max_duration:
             raise ValueError(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import number, whole
+from bsk_torch._checks import number, text, whole
 from bsk_torch.act.base import LONGEST, Action, Decision, positive_duration
 from bsk_torch.act.image import NO_TARGET, SLEW
 from bsk_torch.scene.rso_records import RecordBook
@@ -15,6 +15,7 @@ from bsk_torch.scene.rso_targets import RSOTargets, check_imager
 from bsk_torch.sim.catalog.aim import NO_AIM, PEER
 from bsk_torch.sim.dyn.catalog_radio import CatalogRadioDynModel
 from bsk_torch.sim.fsw.rso_imaging import CatalogRadioFSWModel
+from bsk_torch.sim.names import nearest
 
 if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite
@@ -67,8 +68,8 @@ class TransmitCatalog(Action):
         self.max_duration = positive_duration("max_duration", max_duration, name, LONGEST)
         self.min_hold_s = number("min_hold_s", min_hold_s, 0.0, 1e9, unit="s")
         self.bits_per_second = number("bits_per_second", bits_per_second, 0.0, unit="bit/s", above=True)
-        if link_mode not in LINK_MODES:
-            raise ValueError(f"link_mode={link_mode!r} must be one of {list(LINK_MODES)}")
+        if text("link_mode", link_mode) not in LINK_MODES:
+            raise ValueError(f"link_mode={link_mode!r} must be one of {list(LINK_MODES)}; {nearest(link_mode, LINK_MODES)}")
         self.link_mode = link_mode
 
     def link_satellite(self, satellite: BoundSatellite) -> None:

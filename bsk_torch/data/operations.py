@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import torch
@@ -61,7 +62,7 @@ class OperationsPenalty(GlobalReward):
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
         """See :meth:`GlobalReward.link`; ValueError if no satellite can earn a penalty that has been given."""
         super().link(scenario, fleet)
-        needs = {
+        needs: dict[str, tuple[str, Callable[[BoundSatellite], Tensor]]] = {
             "low_battery": ("a battery", _charge),
             "full_storage": ("a data store", _level),
             "empty_downlink": ("act.Downlink(until_empty=True)", _empty_downlinks),
@@ -102,9 +103,10 @@ def _empty_downlinks(satellite: BoundSatellite) -> Tensor:
     return satellite.memory[EMPTY_DOWNLINKS].double()
 
 
-def _has(satellite: BoundSatellite, read: object) -> bool:
+def _has(satellite: BoundSatellite, read: Callable[[BoundSatellite], Tensor]) -> bool:
+    """Return whether a satellite has what a function reads."""
     try:
-        read(satellite)  # type: ignore[operator]
+        read(satellite)
     except AttributeError:
         return False
     return True

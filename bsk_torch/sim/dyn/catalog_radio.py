@@ -23,7 +23,7 @@ TASK_FIELDS = (
     Field("radio_hold", 1, "s", "time for which the link must be valid", exact=True),
     Field("radio_sees_all", 1, "-", "1 where the Earth does not block links"),
 )
-"""What the task asks for."""
+"""Requirements of the task."""
 
 
 def transmit_packet(bus: Bus) -> None:
