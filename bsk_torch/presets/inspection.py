@@ -32,6 +32,10 @@ Hill frame (radial, along-track, normal) and the time to drift, 10 to 11,400 s. 
 transfers: to the directions of the 32 regions, 60 m from the RSO, in 600, 1,200 or 2,000 s (:class:`bsk_torch.act.HillWaypoint`).
 The RSO is an agent with one action, 0: point along the Hill frame; its observation is 1.
 
+With ``tumble=0.01``, the RSO turns freely, as a box of 1.0 x 0.6 x 2.2 m with 120 kg, from a random attitude and rates of up to
+0.01 rad/s about each axis; its points turn with it, and its action 0 is to drift. Inspectors observe 6 more numbers, its attitude
+``rso_sigma_BH`` (3) and its rate ``rso_omega_BH`` (3, divided by 0.01 rad/s) relative to its Hill frame.
+
 Reward of an inspector: the number of newly inspected points divided by 100, minus 0.1 for each m/s. When 90 % of the lit points
 have been inspected, all satellites including the RSO receive 1; this requires that 40 points have been lit or that an orbit of
 5,700 s has passed. The reward of a death is -1.
@@ -59,7 +63,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch import act, data, formations, obs, rand, sats, scene
-from bsk_torch._checks import whole
+from bsk_torch._checks import number, whole
 from bsk_torch.astro.orbit import hill_frame, hill_rate
 from bsk_torch.astro.relative import fibonacci_sphere
 from bsk_torch.env import ConstellationTasking
@@ -122,6 +126,13 @@ class RelativeState(rand.Distribution):
         return torch.cat(parts, 1)
 
 
+TUMBLING_BODY = dict(mass=120.0, width=1.0, depth=0.6, height=2.2)
+"""Mass, kg, and edges, m, of a tumbling RSO: moments of inertia of 13.6, 52 and 58.4 kg m^2."""
+
+RATE = 0.01
+"""Norm of the rates of a tumbling RSO, rad/s."""
+
+
 class OtherInspectors(obs.Observation):
     """Positions, velocities and aliveness of the other inspectors, in cyclic order after each one, [N, (I - 1) * 7].
 
@@ -163,6 +174,13 @@ class Chief(sats.Satellite):
     action_spec: ClassVar[Sequence[act.Action]] = (act.NadirPoint(duration=1e9),)
     dyn_type = (dyn.ConjunctionDynModel, dyn.RSODynModel)
     fsw_type = fsw.FSWModel
+
+
+class TumblingChief(Chief):
+    """The RSO that turns freely."""
+
+    action_spec: ClassVar[Sequence[act.Action]] = (act.Drift(duration=1e9),)
+    fsw_type = fsw.TumblingFSWModel
 
 
 class Inspector(sats.Satellite):
@@ -212,26 +230,43 @@ ACTIONS: dict[str, type[Inspector]] = {"thrust": Inspector, "waypoints": Waypoin
 """Inspectors by kind of action."""
 
 
+def rotation() -> obs.RelativeProperties:
+    """Return the observation of the RSO's attitude and rate relative to its Hill frame."""
+    return obs.RelativeProperties(dict(prop="rso_sigma_BH"), dict(prop="rso_omega_BH", norm=RATE), chief_name=CHIEF)
+
+
+TUMBLING = "OfTumbling"
+"""Ending of the names of inspectors that observe the rotation of the RSO."""
+
+
 @cache
-def crew_member(n_inspectors: int, actions: str) -> type[Inspector]:
-    """Return the class of an inspector that observes the others of ``n_inspectors``; ValueError for unknown ``actions``."""
+def crew_member(n_inspectors: int, actions: str, tumbling: bool = False) -> type[Inspector]:
+    """Return the class of an inspector that observes the others of ``n_inspectors``, and the rotation of a ``tumbling`` RSO.
+
+    Raises:
+        ValueError: For unknown ``actions``.
+    """
     if actions not in ACTIONS:
         raise ValueError(f"actions={actions!r} must be one of {list(ACTIONS)}")
     kind = ACTIONS[actions]
-    if n_inspectors == 1:
+    others = (OtherInspectors(n_inspectors),) if n_inspectors > 1 else ()
+    more = (*others, *((rotation(),) if tumbling else ()))
+    if not more:
         return kind
-    spec = (*kind.observation_spec, OtherInspectors(n_inspectors))
-    members = {"observation_spec": spec, "__doc__": kind.__doc__, "__module__": __name__}
+    members = {"observation_spec": (*kind.observation_spec, *more), "__doc__": kind.__doc__, "__module__": __name__}
     # the group of agents is named after the class; pickles find it by its qualified name, in __getattr__
-    return type(kind.__name__, (kind,), members | {"__qualname__": f"{kind.__name__}Of{n_inspectors}"})
+    name = f"{kind.__name__}Of{n_inspectors}{TUMBLING if tumbling else ''}"
+    return type(kind.__name__, (kind,), members | {"__qualname__": name})
 
 
 def __getattr__(name: str) -> type[Inspector]:
     """Return a class of :func:`crew_member` by its name, as saved environments refer to it."""
+    start = name.removesuffix(TUMBLING)
+    tumbling = start != name
     for actions, kind in ACTIONS.items():
-        number = name.removeprefix(f"{kind.__name__}Of")
-        if number != name and number.isdecimal() and int(number) > 1:
-            return crew_member(int(number), actions)
+        count = start.removeprefix(f"{kind.__name__}Of")
+        if count != start and count.isdecimal() and int(count) > (0 if tumbling else 1):
+            return crew_member(int(count), actions, tumbling)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
@@ -268,6 +303,7 @@ def rso_inspection(
     n_inspectors: int = 1,
     actions: str = "thrust",
     fuel_price: Any = 0.1,
+    tumble: float = 0.0,
     sat_args: dict[str, Any] | None = None,
     **options: Any,
 ) -> ConstellationTasking:
@@ -278,13 +314,19 @@ def rso_inspection(
         actions: ``"thrust"`` or ``"waypoints"``.
         fuel_price: Price of 1 m/s, which is observed: a number, a distribution to draw from in each episode, such as
             ``rand.Uniform(0.0, 0.5)``, or a function.
+        tumble: Largest rate of the RSO about each axis, rad/s, up to 0.05; 0: it points along its Hill frame.
         sat_args: Arguments of the inspectors that replace those of the preset.
         **options: Arguments of :class:`~bsk_torch.ConstellationTasking` that replace those of the preset.
     """
     names = names_of(whole("n_inspectors", n_inspectors, 1))
-    kind = crew_member(n_inspectors, actions)
+    tumble = number("tumble", tumble, 0.0, 0.05, unit="rad/s")
+    kind = crew_member(n_inspectors, actions, tumble > 0.0)
+    chief = Chief(CHIEF, sat_args=dict(conjunction_radius=2.0))
+    if tumble > 0.0:
+        turning = dict(conjunction_radius=2.0, omega_init=rand.Uniform(-tumble, tumble, 3), **TUMBLING_BODY)
+        chief = TumblingChief(CHIEF, sat_args=turning)
     satellites = [
-        Chief(CHIEF, sat_args=dict(conjunction_radius=2.0)),
+        chief,
         *(kind(name, sat_args=inspector_args() | (sat_args or {})) for name in names),
     ]
     defaults: dict[str, Any] = dict(

@@ -58,6 +58,11 @@ class RSO(sats.Satellite):
     fsw_type = fsw.FSWModel
 
 
+class TumblingRSO(RSO):
+    action_spec = (act.Drift(duration=1e9),)
+    fsw_type = fsw.TumblingFSWModel
+
+
 class Inspector(sats.Satellite):
     observation_spec = (
         obs.ResourceRewardWeight(),
@@ -103,7 +108,8 @@ def environment(recorded: Episodes, **options: Any) -> ConstellationTasking:
     """An environment whose episodes start where the recorded ones did."""
     first = recorded.initial[0]
     kind = SteeringInspector if "servo_P" in first["sats"][1] else Inspector
-    kinds = [RSO, *[kind] * (len(first["sats"]) - 1)]
+    chief = TumblingRSO if any(first["sats"][0]["omega_init"]) else RSO
+    kinds = [chief, *[kind] * (len(first["sats"]) - 1)]
     names = ["RSO", *(f"Inspector{k}" for k in range(1, len(kinds)))]
     defaults = dict(
         scenario=scene.SphericalRSO(**first["scenario"]),

@@ -24,7 +24,7 @@ POINTING = {"fine": 8e-11, "steer": 2e-10}
 """Bounds of the inspectors' attitudes with ticks of a second; with 5 s, the gains make attitudes chaotic."""
 
 
-CASES = ["fine", "steer", "one", "fuel", "complete", "dark", "range", "collision", "three", "collide3"]
+CASES = ["fine", "tumble", "steer", "one", "fuel", "complete", "dark", "range", "collision", "three", "collide3"]
 
 
 class Worst(NamedTuple):

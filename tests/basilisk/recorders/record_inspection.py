@@ -30,7 +30,7 @@ from recording import Array, record_files
 
 RECORDINGS = Path(__file__).parents[1] / "recordings"
 
-CASES = ("one", "three", "fine", "steer", "collision", "range", "fuel", "complete", "dark", "collide3")
+CASES = ("one", "three", "fine", "steer", "collision", "range", "fuel", "complete", "dark", "collide3", "tumble")
 
 TICKS = "fine"
 """The case of which every tick is recorded, too."""
@@ -99,6 +99,24 @@ class RSO(sats.Satellite):
     fsw_type = fsw.FSWModel
 
 
+class FreeFSWModel(fsw.FSWModel):
+    """Leaves the spacecraft to its torques: bsk_rl's model imposes an attitude on it."""
+
+    class MRPControlTask(fsw.FSWModel.MRPControlTask):
+        """The task without its link to the spacecraft."""
+
+        def setup_automatic_pointing(self) -> None:
+            """Link nothing."""
+
+
+class TumblingRSO(RSO):
+    """The same, turning freely from its initial rate."""
+
+    _dyn_type = _fsw_type = None
+    action_spec = [act.Drift(duration=1e9)]
+    fsw_type = FreeFSWModel
+
+
 def fuel_of(satellite: Any) -> float:
     """Fuel of a satellite, m/s; 0 without a tank."""
     return satellite.fsw.dv_available if isinstance(satellite.fsw, fsw.MagicOrbitalManeuverFSWModel) else 0.0
@@ -106,7 +124,8 @@ def fuel_of(satellite: Any) -> float:
 
 def make_env(ic: dict[str, Any]) -> ConstellationTasking:
     """The environment of an episode, with every initial condition pinned."""
-    satellites = [RSO("RSO", sat_args={**ic["sats"][0], "oe": None})]
+    chief = TumblingRSO if any(ic["sats"][0]["omega_init"]) else RSO
+    satellites = [chief("RSO", sat_args={**ic["sats"][0], "oe": None})]
     for k, given in enumerate(ic["sats"][1:], 1):
         kind = SteeringInspector if "servo_P" in given else Inspector
         satellites.append(kind(f"Inspector{k}", sat_args={**given, "oe": None}))
