@@ -3,6 +3,7 @@
 from bsk_torch.data.base import GlobalReward, NoReward
 from bsk_torch.data.clouds import CloudFreeImageReward
 from bsk_torch.data.composed import ComposedReward
+from bsk_torch.data.footprint import FootprintImageReward
 from bsk_torch.data.images import ImageReward, UniqueImageReward
 from bsk_torch.data.inspection import RSOInspectionData, RSOInspectionReward
 from bsk_torch.data.mapped import PerEnvironmentReward
@@ -18,6 +19,7 @@ from bsk_torch.data.unique_images import UniqueImageData
 __all__ = [
     "CloudFreeImageReward",
     "ComposedReward",
+    "FootprintImageReward",
     "GlobalReward",
     "ImageReward",
     "MixedReward",

@@ -13,6 +13,7 @@ from bsk_torch.scene.rso_targets import Order, RSOTargets
 from bsk_torch.scene.scanning import UniformNadirScanning
 from bsk_torch.scene.target import Target
 from bsk_torch.scene.targets import ChangingTargets, TargetScenario
+from bsk_torch.scene.uncertain import UncertainTargets
 from bsk_torch.scene.uniform import UniformTargets
 from bsk_torch.scene.wildfires import Wildfires
 
@@ -35,6 +36,7 @@ __all__ = [
     "Target",
     "TargetScenario",
     "Targets",
+    "UncertainTargets",
     "UniformNadirScanning",
     "UniformTargets",
     "Wildfires",

@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
-
 from torch import Tensor
 
 from bsk_torch._checks import number
 from bsk_torch.rand import Key, Uniform
 from bsk_torch.scene.draws import Numbers, calls_user, check_numbers, draw_numbers
+from bsk_torch.scene.overlaid import OverlaidTargets
 from bsk_torch.scene.targets import TargetScenario
 from bsk_torch.sim.state import FINITE
 
-if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
-    from bsk_torch.sim.places import Places, PlaceTables
 
-
-class CloudyTargets(TargetScenario):
+class CloudyTargets(OverlaidTargets):
     """Targets of another scenario, each with a hidden true cloud cover and a forecast of it.
 
     The outcome of an image is not random: the rewarder compares the true cover with a threshold. The defaults are those of
@@ -44,9 +37,7 @@ class CloudyTargets(TargetScenario):
             forecast_sigma: Standard deviation of the forecast.
             largest_forecast: Targets with a higher forecast cannot be selected; None for no limit.
         """
-        if not isinstance(targets, TargetScenario):
-            raise ValueError(f"targets={targets!r} must be a scenario of point targets, such as scene.UniformTargets(300)")
-        self.targets, self.most_targets = targets, targets.most_targets
+        super().__init__(targets)
         check_numbers("cover", cover, self.most_targets)
         check_numbers("forecast_sigma", forecast_sigma, self.most_targets, low=0.0)
         if largest_forecast is not None and not 0.0 <= number("largest_forecast", largest_forecast) <= 1.0:
@@ -56,29 +47,7 @@ class CloudyTargets(TargetScenario):
     @property
     def calls_user(self) -> bool:
         """See :attr:`Scenario.calls_user`."""
-        return self.targets.calls_user or calls_user(self.cover, self.forecast_sigma)
-
-    @property
-    def varies_population(self) -> bool:
-        """See :attr:`Scenario.varies_population`."""
-        return self.targets.varies_population
-
-    def present(self, key: Key, names: Sequence[str]) -> Tensor:
-        """See :meth:`Scenario.present`."""
-        return self.targets.present(key, names)
-
-    @property
-    def target_names(self) -> list[str]:
-        """See :attr:`TargetScenario.target_names`."""
-        return self.targets.target_names
-
-    def names(self, row: int) -> list[str]:
-        """See :meth:`TargetScenario.names`."""
-        return self.targets.names(row)
-
-    def place_kinds(self, tables: PlaceTables) -> Mapping[str, Places]:
-        """See :meth:`Scenario.place_kinds`; the places of the other scenario."""
-        return self.targets.place_kinds(tables)
+        return super().calls_user or calls_user(self.cover, self.forecast_sigma)
 
     def draw(self, key: Key) -> dict[str, Tensor]:
         """See :class:`TargetScenario`; adds ``cloud_cover``, ``cloud_forecast`` and ``cloud_forecast_sigma``, [n, T]."""
@@ -87,21 +56,13 @@ class CloudyTargets(TargetScenario):
         sigma = draw_numbers("forecast_sigma", self.forecast_sigma, key.named("cloud_forecast_sigma"), t, low=0.0)
         forecast = (cover + sigma * key.named("cloud_forecast").normal(t)).clamp(0.0, 1.0)
         clouds = {"cloud_cover": cover, "cloud_forecast": forecast, "cloud_forecast_sigma": sigma}
-        return self.targets.draw(key) | clouds
+        return super().draw(key) | clouds
 
     def _bounds(self) -> dict[str, tuple[float, float]]:
         """See :meth:`Scenario._bounds`."""
         share = (0.0, 1.0)
         clouds = {"cloud_cover": share, "cloud_forecast": share, "cloud_forecast_sigma": (0.0, FINITE)}
-        return self.targets._bounds() | clouds
-
-    # -- in an environment --------------------------------------------------------------------------------------------
-
-    def link(self, fleet: SatelliteFleet) -> None:
-        """See :meth:`TargetScenario.link`."""
-        self.targets = copy.copy(self.targets)  # environments that share this scenario each link their own
-        self.targets.link(fleet)
-        super().link(fleet)
+        return super()._bounds() | clouds
 
     @property
     def cloud_cover(self) -> Tensor:
@@ -119,14 +80,9 @@ class CloudyTargets(TargetScenario):
         return self.drawn("cloud_forecast_sigma")
 
     @property
-    def priority(self) -> Tensor:
-        """See :attr:`TargetScenario.priority`."""
-        return self.targets.priority
-
-    @property
     def available(self) -> Tensor:
         """See :attr:`TargetScenario.available`."""
-        targets = self.targets.available
+        targets = super().available
         if self.largest_forecast is None:
             return targets
         if self._available is None or self._under is not targets:
@@ -134,28 +90,3 @@ class CloudyTargets(TargetScenario):
         return self._available
 
     _under: Tensor | None = None
-
-    def reset(self, rows: Tensor) -> None:
-        """See :meth:`Scenario.reset`."""
-        super().reset(rows)
-        self.targets.reset(rows)
-
-    def after_step(self, sim_time: Tensor) -> None:
-        """See :meth:`Scenario.after_step`."""
-        super().after_step(sim_time)
-        self.targets.after_step(sim_time)
-
-    def _forget_draws(self) -> None:
-        """See :meth:`Scenario._forget_draws`."""
-        super()._forget_draws()
-        self.targets._forget_draws()
-
-    def _forget_time(self) -> None:
-        """See :meth:`Scenario._forget_time`."""
-        super()._forget_time()
-        self.targets._forget_time()
-
-    def _keep_time(self) -> None:
-        """See :meth:`Scenario._keep_time`."""
-        super()._keep_time()
-        self.targets._keep_time()

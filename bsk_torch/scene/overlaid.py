@@ -1,0 +1,104 @@
+"""Targets of another scenario with more drawn values, such as clouds or errors of their places."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from torch import Tensor
+
+from bsk_torch.rand import Key
+from bsk_torch.scene.targets import TargetScenario
+
+if TYPE_CHECKING:
+    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sim.places import Places, PlaceTables
+
+
+class OverlaidTargets(TargetScenario):
+    """Base class of scenarios that add values to the targets of another one; subclasses extend ``draw`` and ``_bounds``."""
+
+    def __init__(self, targets: TargetScenario) -> None:
+        """Take positions and priorities from ``targets``; ValueError for another scenario."""
+        if not isinstance(targets, TargetScenario):
+            raise ValueError(f"targets={targets!r} must be a scenario of point targets, such as scene.UniformTargets(300)")
+        self.targets, self.most_targets = targets, targets.most_targets
+
+    @property
+    def calls_user(self) -> bool:
+        """See :attr:`Scenario.calls_user`."""
+        return self.targets.calls_user
+
+    @property
+    def varies_population(self) -> bool:
+        """See :attr:`Scenario.varies_population`."""
+        return self.targets.varies_population
+
+    def present(self, key: Key, names: Sequence[str]) -> Tensor:
+        """See :meth:`Scenario.present`."""
+        return self.targets.present(key, names)
+
+    @property
+    def target_names(self) -> list[str]:
+        """See :attr:`TargetScenario.target_names`."""
+        return self.targets.target_names
+
+    def names(self, row: int) -> list[str]:
+        """See :meth:`TargetScenario.names`."""
+        return self.targets.names(row)
+
+    def place_kinds(self, tables: PlaceTables) -> Mapping[str, Places]:
+        """See :meth:`Scenario.place_kinds`; the places of the other scenario."""
+        return self.targets.place_kinds(tables)
+
+    def draw(self, key: Key) -> dict[str, Tensor]:
+        """See :class:`TargetScenario`; the values of the other scenario."""
+        return self.targets.draw(key)
+
+    def _bounds(self) -> dict[str, tuple[float, float]]:
+        """See :meth:`Scenario._bounds`."""
+        return self.targets._bounds()
+
+    # -- in an environment --------------------------------------------------------------------------------------------
+
+    def link(self, fleet: SatelliteFleet) -> None:
+        """See :meth:`TargetScenario.link`."""
+        self.targets = copy.copy(self.targets)  # environments that share this scenario each link their own
+        self.targets.link(fleet)
+        super().link(fleet)
+
+    @property
+    def priority(self) -> Tensor:
+        """See :attr:`TargetScenario.priority`."""
+        return self.targets.priority
+
+    @property
+    def available(self) -> Tensor:
+        """See :attr:`TargetScenario.available`."""
+        return self.targets.available
+
+    def reset(self, rows: Tensor) -> None:
+        """See :meth:`Scenario.reset`."""
+        super().reset(rows)
+        self.targets.reset(rows)
+
+    def after_step(self, sim_time: Tensor) -> None:
+        """See :meth:`Scenario.after_step`."""
+        super().after_step(sim_time)
+        self.targets.after_step(sim_time)
+
+    def _forget_draws(self) -> None:
+        """See :meth:`Scenario._forget_draws`."""
+        super()._forget_draws()
+        self.targets._forget_draws()
+
+    def _forget_time(self) -> None:
+        """See :meth:`Scenario._forget_time`."""
+        super()._forget_time()
+        self.targets._forget_time()
+
+    def _keep_time(self) -> None:
+        """See :meth:`Scenario._keep_time`."""
+        super()._keep_time()
+        self.targets._keep_time()
