@@ -15,6 +15,7 @@ from bsk_torch.scene.rso_records import AGO, CAPTURED, DELIVERED
 from bsk_torch.scene.rso_targets import OWN_PENDING, RSOTargets, check_imager
 from bsk_torch.sim.catalog.aim import AIM
 from bsk_torch.sim.catalog.candidates import Candidates, Views
+from bsk_torch.sim.catalog.outlook import Outlook, expected_rate
 from bsk_torch.sim.names import nearest
 
 KNOWN = ("capture_age", "capture_known", "delivery_age", "delivery_known", "on_board", "in_progress")
@@ -24,7 +25,10 @@ Time since the latest capture that the imager knows, s, and since the latest one
 one, else 0; 1 where an image is on board; 1 where the imager is imaging the candidate.
 """
 
-PROPERTIES = ("valid", "priority", *Views._fields, *KNOWN)
+EXPECTED_RATE = "expected_priority_per_second"
+"""Property of candidates: priority to expect of an image per second of its duration; 0 if dark or hidden at its end."""
+
+PROPERTIES = ("valid", "priority", *Views._fields, *Outlook._fields, EXPECTED_RATE, *KNOWN)
 """Properties of candidates: the allowed values of ``prop``."""
 
 DEFAULT = (
@@ -67,8 +71,9 @@ def parsed(given: Mapping[str, Any]) -> Entry:
 class RSOTargetProperties(Observation):
     """Properties of the first n candidates of an imager; action k of :class:`~bsk_torch.act.ImageRSO` images the k-th.
 
-    For the order of candidates, see :class:`~bsk_torch.scene.RSOTargets`; for properties, :data:`PROPERTIES` and
-    :class:`~bsk_torch.sim.catalog.candidates.Views`. Where there are fewer candidates, all properties are zero, ``valid`` too,
+    For the order of candidates, see :class:`~bsk_torch.scene.RSOTargets`; for properties, :data:`PROPERTIES`,
+    :class:`~bsk_torch.sim.catalog.candidates.Views`, and :class:`~bsk_torch.sim.catalog.outlook.Outlook` for those at the end of
+    an image, from which :data:`EXPECTED_RATE` follows. Where there are fewer candidates, all properties are zero, ``valid`` too,
     which is 1 for the others.
     """
 
@@ -110,6 +115,9 @@ class RSOTargetProperties(Observation):
             "valid": torch.ones_like(seen.target_distance),
             "priority": self.satellite.of_env(scenario.priority).gather(1, candidates.place),
         }
+        if any(entry.prop in (*Outlook._fields, EXPECTED_RATE) for entry in self.entries):
+            outlook = scenario.outlook(self.satellite, candidates)
+            known |= outlook._asdict() | {EXPECTED_RATE: expected_rate(known["priority"], outlook)}
         if any(entry.prop in KNOWN for entry in self.entries):
             known |= self._known(candidates.place)
         columns = {entry.name: _blank(known[entry.prop] / entry.norm, candidates) for entry in self.entries}

@@ -50,11 +50,21 @@ import torch
 from bsk_torch import act, data, obs, rand, sats, scene
 from bsk_torch._checks import number, switch, whole
 from bsk_torch.env import SatelliteTasking
+from bsk_torch.obs.rso_imaging import DEFAULT, EXPECTED_RATE
 from bsk_torch.presets.nadir_scan import ORBIT
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.dyn import Now, observable
 from bsk_torch.sim.names import nearest
 from bsk_torch.vec3 import Vec3
+
+OUTLOOK = (
+    {"prop": "expected_duration", "norm": 100},
+    {"prop": "expected_elevation_angle", "norm": 90},
+    {"prop": "expected_illumination_factor"},
+    {"prop": "expected_in_sight"},
+    {"prop": EXPECTED_RATE, "norm": 0.02},
+)
+"""What is observed of candidates in addition with ``outlook``."""
 
 CANDIDATES = 10
 """Number of candidates."""
@@ -122,7 +132,35 @@ class ServicingSetImager(ServicingImager):
     observation_spec = (*own_properties(), obs.RSOTargetProperties(n_ahead_observe=CANDIDATES, as_set=True))
 
 
-ORDERS: dict[str, scene.Order | None] = {"elevation": None, "priority_per_second": scene.by_priority_per_second}
+class ServicingOutlookImager(ServicingImager):
+    """The same as the first, observing the time, and what can be expected of images."""
+
+    observation_spec = (*own_properties(), obs.Time(), obs.RSOTargetProperties(*DEFAULT, *OUTLOOK, n_ahead_observe=CANDIDATES))
+
+
+class ServicingOutlookSetImager(ServicingImager):
+    """The same as the third, observing its candidates as a set."""
+
+    observation_spec = (
+        *own_properties(),
+        obs.Time(),
+        obs.RSOTargetProperties(*DEFAULT, *OUTLOOK, n_ahead_observe=CANDIDATES, as_set=True),
+    )
+
+
+KINDS: dict[tuple[bool, bool], type[ServicingImager]] = {
+    (False, False): ServicingImager,
+    (True, False): ServicingSetImager,
+    (False, True): ServicingOutlookImager,
+    (True, True): ServicingOutlookSetImager,
+}
+"""Imagers by ``as_set`` and ``outlook``."""
+
+ORDERS: dict[str, scene.Order | None] = {
+    "elevation": None,
+    "priority_per_second": scene.by_priority_per_second,
+    "priority_per_second_ahead": scene.by_priority_per_second_ahead,
+}
 """Orders of the candidates by name; None for that of the scenario."""
 
 
@@ -185,6 +223,7 @@ def services(
     empty_downlink_penalty: float = -1.0,
     order: str = "elevation",
     as_set: bool = False,
+    outlook: bool = False,
     sat_args: dict[str, Any] | None = None,
     obs_type: type | None = None,
     **options: object,
@@ -203,8 +242,11 @@ def services(
         full_storage_penalty: Reward at every step that ends with a store above 99.1 percent, negative.
         empty_downlink_penalty: Reward for a downlink with an empty store, negative.
         order: Order of the candidates: ``"elevation"``, the one of the study, or ``"priority_per_second"``, in which those come
-            first that promise the most; see :func:`~bsk_torch.scene.by_priority_per_second`.
+            first that promise the most now, see :func:`~bsk_torch.scene.by_priority_per_second`, or
+            ``"priority_per_second_ahead"``, for the end of the image, see :func:`~bsk_torch.scene.by_priority_per_second_ahead`.
         as_set: Whether candidates are observed as ``rows`` [N, 10, 11] with a ``mask`` instead of in one vector.
+        outlook: Whether to observe the elapsed fraction of the episode as well, and five more properties of each candidate:
+            those of :class:`~bsk_torch.sim.catalog.outlook.Outlook`, and the priority per second that they promise.
         sat_args: Arguments of the satellite that replace those of the preset.
         obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations (default: with ``as_set``).
         **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset.
@@ -225,7 +267,7 @@ def services(
         failure_penalty=-1.0,
         terminate_on_time_limit=False,
     )
-    kind = ServicingSetImager if switch("as_set", as_set) else ServicingImager
+    kind = KINDS[switch("as_set", as_set), switch("outlook", outlook)]
     observed_as = (dict if as_set else torch.Tensor) if obs_type is None else obs_type
     satellite = kind("SS1", servicing_args() | (sat_args or {}), obs_type=observed_as)
     return SatelliteTasking(satellite, **(defaults | options))

@@ -7,7 +7,7 @@ from bsk_torch.scene.explicit import Targets
 from bsk_torch.scene.mixed import MixedScenario
 from bsk_torch.scene.rso_catalog import RandomRSOCatalog, RSOPriorityEvent, RSOTarget, RSOTargetCatalog
 from bsk_torch.scene.rso_mixture import RSOMixture
-from bsk_torch.scene.rso_order import by_priority_per_second
+from bsk_torch.scene.rso_order import by_priority_per_second, by_priority_per_second_ahead
 from bsk_torch.scene.rso_points import RSOPoint, RSOPoints, SphericalRSO
 from bsk_torch.scene.rso_targets import Order, RSOTargets
 from bsk_torch.scene.scanning import UniformNadirScanning
@@ -41,4 +41,5 @@ __all__ = [
     "UniformTargets",
     "Wildfires",
     "by_priority_per_second",
+    "by_priority_per_second_ahead",
 ]

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from bsk_torch.astro.eclipse import illumination
 from bsk_torch.sim.catalog.candidates import Candidates
+from bsk_torch.sim.catalog.outlook import LIT, expected_rate
 from bsk_torch.vec3 import Vec3
 
 if TYPE_CHECKING:
@@ -20,9 +21,6 @@ START = 40.0
 
 PER_DEGREE = 1.0
 """Additional time for each degree from this direction, s."""
-
-LIT = 0.5
-"""Least visible fraction of the Sun at an object that is worth an image."""
 
 
 def by_priority_per_second(scenario: RSOTargets, satellite: BoundSatellite) -> Tensor:
@@ -40,3 +38,17 @@ def by_priority_per_second(scenario: RSOTargets, satellite: BoundSatellite) -> T
     clear = scenario.in_sight(satellite, Candidates(number, torch.ones_like(number, dtype=torch.bool)))
     rate = satellite.of_env(scenario.priority) / (START + PER_DEGREE * angle)
     return torch.where(clear, torch.where(light >= LIT, -rate, angle), 360.0 + angle)
+
+
+def by_priority_per_second_ahead(scenario: RSOTargets, satellite: BoundSatellite) -> Tensor:
+    """Rank objects by the priority per second that can be expected of an image, the largest first, [n, G].
+
+    Duration, light and sight are those expected for the end of the image; see
+    :class:`~bsk_torch.sim.catalog.outlook.Outlook`. Objects that will be in the dark come next, those that will be behind the
+    Earth last, by their durations.
+    """
+    number = torch.arange(scenario.n_targets, device=scenario.fleet.device).expand(satellite.simulator.state.rows, -1)
+    outlook = scenario.outlook(satellite, Candidates(number, torch.ones_like(number, dtype=torch.bool)))
+    rate, seconds = expected_rate(satellite.of_env(scenario.priority), outlook), outlook.expected_duration
+    last = torch.where(outlook.expected_in_sight > 0.0, seconds, 360.0 + seconds)
+    return torch.where(rate > 0.0, -rate, last)

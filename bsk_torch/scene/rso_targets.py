@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import function, switch, text
+from bsk_torch.astro.eclipse import illumination
 from bsk_torch.astro.ephemeris import parse_utc
 from bsk_torch.astro.sight import line_clearance, stretch
 from bsk_torch.rand import Key, PerEnv
@@ -24,7 +25,8 @@ from bsk_torch.scene.rso_catalog import RandomRSOCatalog, RSOTarget, RSOTargetCa
 from bsk_torch.scene.rso_records import RecordBook
 from bsk_torch.sim.catalog.aim import AIM, NO_AIM, AimedNodes
 from bsk_torch.sim.catalog.candidates import Candidates, Moment, Views, in_order, ranked, views
-from bsk_torch.sim.catalog.orbits import CatalogOrbits, Epoch
+from bsk_torch.sim.catalog.orbits import CatalogOrbits, Epoch, ObjectStates
+from bsk_torch.sim.catalog.outlook import Outlook, elevation, image_end
 from bsk_torch.sim.dyn.hub import initial_orbit
 from bsk_torch.sim.dyn.rso_imaging import RSO_TRACK, SpaceToSpaceImagingDynModel
 from bsk_torch.sim.fsw.rso_imaging import SpaceToSpaceImagingFSWModel
@@ -456,13 +458,28 @@ class RSOTargets(Scenario):
 
     def views(self, satellite: BoundSatellite, candidates: Candidates) -> Views:
         """Return what satellites of a type see of their candidates, [n, k, ...] each."""
-        simulator, fleet = satellite.simulator, self.fleet
-        envs, now = simulator.state.all_rows // simulator.count, fleet.sim_time
+        return views(*self._states_of(satellite, candidates), self._moment(satellite))
+
+    def outlook(self, satellite: BoundSatellite, candidates: Candidates) -> Outlook:
+        """Return what satellites of a type can expect of images of their candidates that they begin now, [n, k] each."""
+        seen = self._states_of(satellite, candidates)
+        at = self._moment(satellite)
+        end = image_end(seen.r_N, seen.v_N, at)
+        light = illumination(Vec3.of(end.r_TN_N), Vec3.of(at.r_SN_N.unsqueeze(1).expand_as(end.r_TN_N)))
+        clear = candidates.exists & self._clear(satellite, end.r_TN_N, end.r_BN_N)
+        return Outlook(end.duration, elevation(end.r_TN_N, end.r_BN_N), light, clear.double())
+
+    def _states_of(self, satellite: BoundSatellite, candidates: Candidates) -> ObjectStates:
+        """Return the states of the candidates of each satellite of a type, now and one tick ago."""
+        simulator, now = satellite.simulator, self.fleet.sim_time
         self._positions()  # which catch up
-        seen = self.orbits.states(envs, candidates.place, now, (now - fleet.h).clamp(min=0.0))
+        envs = simulator.state.all_rows // simulator.count
+        return self.orbits.states(envs, candidates.place, now, (now - self.fleet.h).clamp(min=0.0))
+
+    def _moment(self, satellite: BoundSatellite) -> Moment:
+        """Return the satellites of a type at this decision."""
         dynamics = satellite.dynamics
-        at = Moment(dynamics.r_BN_N, dynamics.v_BN_N, self.axis_N(satellite), simulator.world.r_SN_N)
-        return views(*seen, at)
+        return Moment(dynamics.r_BN_N, dynamics.v_BN_N, self.axis_N(satellite), satellite.simulator.world.r_SN_N)
 
     def axis_N(self, satellite: BoundSatellite) -> Tensor:
         """Return the axis of the instrument of each satellite of a type, a unit vector in N, [n, 3]."""
@@ -474,13 +491,17 @@ class RSOTargets(Scenario):
 
         This is the condition of :func:`bsk_torch.sim.dyn.rso_imaging.see_rso` at a decision; light and pointing do not matter.
         """
-        simulator, place = satellite.simulator, candidates.place.unsqueeze(-1).expand(-1, -1, 3)
+        place = candidates.place.unsqueeze(-1).expand(-1, -1, 3)
         r_TN_N = satellite.of_env(self.r_TN_N).gather(1, place)
-        r_BN_N = satellite.dynamics.r_BN_N.unsqueeze(1).expand_as(r_TN_N)
-        pole_N = Vec3.of(simulator.world.PN[:, 2].unsqueeze(1))
+        return candidates.exists & self._clear(satellite, r_TN_N, satellite.dynamics.r_BN_N.unsqueeze(1).expand_as(r_TN_N))
+
+    @staticmethod
+    def _clear(satellite: BoundSatellite, r_TN_N: Tensor, r_BN_N: Tensor) -> Tensor:
+        """Return whether objects are in sight of satellites of a type, and in range, at positions [n, k, 3] m; [n, k]."""
+        pole_N = Vec3.of(satellite.simulator.world.PN[:, 2].unsqueeze(1))
         clear = line_clearance(stretch(Vec3.of(r_TN_N), pole_N), stretch(Vec3.of(r_BN_N), pole_N)) > 0.0
         reach = satellite.sat_args["imageTargetMaximumRange"].view(-1, 1)
-        return candidates.exists & clear & ((reach < 0.0) | ((r_TN_N - r_BN_N).norm(dim=-1) <= reach))
+        return clear & ((reach < 0.0) | ((r_TN_N - r_BN_N).norm(dim=-1) <= reach))
 
     def candidate_ids(self, satellite: BoundSatellite, row: int, count: int) -> list[str | None]:
         """Return the ids of the first ``count`` candidates of one satellite of a type; None for those that do not exist."""

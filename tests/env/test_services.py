@@ -16,6 +16,7 @@ from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args, scann
 from bsk_torch.presets.services import EPISODE, IMAGE, ServicingImager, servicing_catalog
 from bsk_torch.rl.rules.servicing import ORDERS, WORTHS, whole_catalog
 from bsk_torch.sim.catalog.candidates import Candidates
+from bsk_torch.sim.catalog.outlook import coast
 from tests.support.rso_imaging import Imager, environment, play
 
 pytestmark = pytest.mark.compiled
@@ -25,6 +26,12 @@ TARGETS, CHARGE, DOWNLINK, FIRST = 12, 0, 1, 3
 
 def make(n=3, **options):
     return bsk_torch.make("Services-v1", num_envs=n, **(dict(n_targets=TARGETS, seed=2, dtype=torch.float64) | options))
+
+
+def everything(env) -> Candidates:
+    """All objects of the catalog."""
+    number = torch.arange(env.scenario.n_targets).expand(env.num_envs, -1)
+    return Candidates(number, torch.ones_like(number, dtype=torch.bool))
 
 
 def test_the_task_is_that_of_the_study():
@@ -313,7 +320,7 @@ def test_a_saved_state_continues_bit_for_bit():
 
 @pytest.mark.parametrize("name", [*ORDERS, *WORTHS])
 def test_rules_survive_and_deliver(name):
-    env = make(3, time_limit=9000.0, n_targets=40)
+    env = make(3, time_limit=9000.0, n_targets=40, outlook=name == "candidate_rate_ahead")
     rule, td = bsk_torch.rule(name, env), env.reset()
     while bool((env.fleet.sim_time < 8500.0).any()) and not bool(td["done"].any()):
         td = env.step(rule(td))["next"]
@@ -370,6 +377,61 @@ def test_candidates_in_the_order_of_priority_per_second():
     expected = torch.where(lit & (rank[:, :10] < 0.0), -2.0 * see[..., 0] / turn, rank[:, :10])
     torch.testing.assert_close(rank[:, :10], expected, rtol=1e-9, atol=0.0)
     assert lit.any()
+
+
+def test_the_outlook_is_what_is_flown():
+    """Objects and satellites are where they were expected after the 150 s of a desaturation, without perturbations."""
+    env = make(16, n_targets=40)
+    td = env.reset()
+    at, (r_N, v_N, _) = env.scenario._moment(env.satellite), env.scenario._states_of(env.satellite, everything(env))
+    seconds = torch.full_like(r_N[..., 0], 150.0)
+    expected = coast(r_N, v_N, seconds), coast(at.r_BN_N, at.v_BN_N, seconds[:, 0])
+    td = env.step(td.set("action", torch.full((16,), 2)))["next"]
+    assert (td["duration"] == 150.0).all()
+    assert (env.satellite.dynamics.r_BN_N - expected[1]).norm(dim=-1).max() < 250.0  # the flattening of the Earth
+    assert (env.scenario.r_TN_N - expected[0]).norm(dim=-1).max() < 800.0  # that, and eccentricities up to 0.1
+
+
+def test_images_end_when_and_where_they_are_expected_to():
+    env = make(16, n_targets=60, outlook=True, order="priority_per_second_ahead")
+    td, policy, rows = env.reset(), bsk_torch.rule("rate_ahead", env), []
+    for _ in range(12):
+        td = policy(td)
+        images = td["action"] < 0
+        index = Candidates((-1 - td["action"]).clamp(min=0).unsqueeze(1), images.unsqueeze(1))
+        outlook = env.scenario.outlook(env.satellite, index)
+        td = env.step(td)["next"]
+        seen = env.scenario.views(env.satellite, index)
+        done = images & (td["duration"].squeeze(1) < 299.0)
+        pairs = (td["duration"].squeeze(1), outlook.expected_duration[:, 0], seen.target_elevation_angle[:, 0])
+        rows.append(torch.stack([*pairs, outlook.expected_elevation_angle[:, 0], outlook.expected_in_sight[:, 0]])[:, done])
+    flown, expected, end, expected_end, clear = torch.cat(rows, 1)
+    assert len(flown) > 100
+    assert flown.mean() == pytest.approx(expected.mean(), rel=0.08)
+    assert torch.corrcoef(torch.stack([flown, expected]))[0, 1] > 0.8
+    assert (end - expected_end).abs().quantile(0.9) < 3.0  # degrees; the orbit turns the satellite by 0.06 degrees in a second
+    assert (clear == 1.0).double().mean() > 0.9
+
+
+def test_the_outlook_is_observed_and_ranks_candidates():
+    """The rule that looks at the whole catalog chooses the first candidate, and that for candidates the same."""
+    sets, vectors = (make(16, outlook=True, as_set=as_set, order="priority_per_second_ahead") for as_set in (True, False))
+    td, other = sets.reset(), vectors.reset()
+    assert other["observation"].shape == (16, 14 + 1 + 160)
+    assert torch.equal(td["observation", "rso_targets", "rows"].flatten(1), other["observation"][:, 15:])
+    chosen = [bsk_torch.rule("candidate_rate_ahead", env)(seen.clone())["action"] for env, seen in ((sets, td), (vectors, other))]
+    assert torch.equal(*chosen)
+    place = sets.scenario.candidates(sets.satellite, 10).place
+    first = -1 - bsk_torch.rule("rate_ahead", sets)(td.clone())["action"]
+    assert torch.equal(first, place[:, 0])
+    images = chosen[0] >= FIRST
+    assert images.any()
+    assert torch.equal(place.gather(1, (chosen[0] - FIRST).clamp(min=0).unsqueeze(1)).squeeze(1)[images], first[images])
+    every = sets.scenario.outlook(sets.satellite, everything(sets))
+    rank = scene.by_priority_per_second_ahead(sets.scenario, sets.satellite)
+    good = (every.expected_in_sight > 0.0) & (every.expected_illumination_factor >= 0.5)
+    assert torch.equal(good, rank < 0.0)
+    torch.testing.assert_close(-rank[good], (sets.scenario.priority / every.expected_duration)[good], rtol=1e-12, atol=0.0)
 
 
 @pytest.mark.parametrize("rank", [float("nan"), None])

@@ -215,32 +215,34 @@ def baseline(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
 def rule(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
     """Return a rule or the random policy for all satellites of ``env``, a single one or a constellation.
 
-    ======================  ==================================================================================================
-    name                    requirements
-    ======================  ==================================================================================================
-    ``random``              legal actions with equal probability; real numbers need finite bounds
-    ``rule``                the observations and actions of ``NadirScan-v1``
-    ``cautious``            the same
-    ``science``             the observations and actions of ``NadirScience-v1``
-    ``greedy``              ``act.Image``, and ``priority`` of the targets in ``obs.OpportunityProperties``
-    ``nearest``             ``act.Image``, and targets in ``obs.OpportunityProperties``
-    ``hasty``               likewise, with ``priority``, ``target_angle``, ``opportunity_open`` and ``opportunity_close``
-    ``farsighted``          likewise, and ``r_LB_H``
-    ``cooperative``         the observations and actions of ``HeteroCluster-v1``
-    ``drift``               the observations and actions of ``RSOInspection-v1`` and ``MultiInspection-v1``
-    ``circumnavigate``      the same
-    ``survey``              the same
-    ``glide``               the observations and actions of ``CWDocking-v1``
-    ``seek``                the observations and actions of ``CWInspection-v1``
-    ``angle``               those of ``Services-v1``: image the object of the catalog that needs the smallest turn
-    ``priority_angle``      the same: the object with the smallest ratio of turn and priority
-    ``distance``            the same: the nearest object
-    ``candidate_priority``  the same: the observed candidate of the highest priority
-    ``rate``                the same: the lit object of the catalog that brings the most priority per second
-    ``candidate_rate``      the same among the observed candidates
-    ``local``               those of ``ThreeSensors-v1`` and ``Walker4-v1``: each imager decides by what it knows
-    ``centralized``         the same: the best joint choice, which needs ``information="ideal"`` to be one of the team
-    ======================  ==================================================================================================
+    ========================  ==================================================================================================
+    name                      requirements
+    ========================  ==================================================================================================
+    ``random``                legal actions with equal probability; real numbers need finite bounds
+    ``rule``                  the observations and actions of ``NadirScan-v1``
+    ``cautious``              the same
+    ``science``               the observations and actions of ``NadirScience-v1``
+    ``greedy``                ``act.Image``, and ``priority`` of the targets in ``obs.OpportunityProperties``
+    ``nearest``               ``act.Image``, and targets in ``obs.OpportunityProperties``
+    ``hasty``                 likewise, with ``priority``, ``target_angle``, ``opportunity_open`` and ``opportunity_close``
+    ``farsighted``            likewise, and ``r_LB_H``
+    ``cooperative``           the observations and actions of ``HeteroCluster-v1``
+    ``drift``                 the observations and actions of ``RSOInspection-v1`` and ``MultiInspection-v1``
+    ``circumnavigate``        the same
+    ``survey``                the same
+    ``glide``                 the observations and actions of ``CWDocking-v1``
+    ``seek``                  the observations and actions of ``CWInspection-v1``
+    ``angle``                 those of ``Services-v1``: image the object of the catalog that needs the smallest turn
+    ``priority_angle``        the same: the object with the smallest ratio of turn and priority
+    ``distance``              the same: the nearest object
+    ``candidate_priority``    the same: the observed candidate of the highest priority
+    ``rate``                  the same: the lit object of the catalog that brings the most priority per second
+    ``candidate_rate``        the same among the observed candidates
+    ``rate_ahead``            like ``rate``, with the duration, light and sight expected for the end of the image
+    ``candidate_rate_ahead``  likewise among the observed candidates, with ``outlook=True`` of ``Services-v1``
+    ``local``                 those of ``ThreeSensors-v1`` and ``Walker4-v1``: each imager decides by what it knows
+    ``centralized``           the same: the best joint choice, which needs ``information="ideal"`` to be one of the team
+    ========================  ==================================================================================================
 
     If the rule applies to some groups of a constellation only, the others act at random.
 

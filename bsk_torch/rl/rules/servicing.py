@@ -14,12 +14,14 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor
 
 from bsk_torch.env import SatelliteTasking
+from bsk_torch.obs.rso_imaging import EXPECTED_RATE
 from bsk_torch.rl.rules.observation_columns import Columns
 from bsk_torch.rl.rules.targets import Observation, TargetReader, image_actions
 from bsk_torch.sats.bound import BoundSatellite
-from bsk_torch.scene import Order, RSOTargets, by_priority_per_second
-from bsk_torch.scene.rso_order import LIT, PER_DEGREE, START
+from bsk_torch.scene import Order, RSOTargets, by_priority_per_second, by_priority_per_second_ahead
+from bsk_torch.scene.rso_order import PER_DEGREE, START
 from bsk_torch.sim.catalog.candidates import HIGHEST, LOWEST, Candidates, Views
+from bsk_torch.sim.catalog.outlook import LIT
 
 LEAST_PRIORITY = 1e-6
 """Priority by which angles are divided at least."""
@@ -90,6 +92,7 @@ ORDERS: dict[str, Order] = {
     "priority_angle": by_angle_and_priority,
     "distance": by_distance,
     "rate": by_priority_per_second,
+    "rate_ahead": by_priority_per_second_ahead,
 }
 """Rules over the whole catalog by name: the first eligible object of the order is imaged."""
 
@@ -108,7 +111,19 @@ def rate_of(see: TargetReader, observation: Observation) -> Tensor:
     return lit * see.read(observation, "priority") / (START + PER_DEGREE * see.read(observation, "angle_to_target"))
 
 
-WORTHS: dict[str, Callable[[TargetReader, Observation], Tensor]] = {"candidate_priority": priority_of, "candidate_rate": rate_of}
+def expected_rate_of(see: TargetReader, observation: Observation) -> Tensor:
+    """Return the priorities per second that can be expected of images, [..., n]; zero for those in the dark or out of sight.
+
+    As in :func:`~bsk_torch.scene.by_priority_per_second_ahead`.
+    """
+    return see.read(observation, EXPECTED_RATE)
+
+
+WORTHS: dict[str, Callable[[TargetReader, Observation], Tensor]] = {
+    "candidate_priority": priority_of,
+    "candidate_rate": rate_of,
+    "candidate_rate_ahead": expected_rate_of,
+}
 """Rules over the observed candidates by name: the candidate of the largest worth is imaged."""
 
 

@@ -21,9 +21,9 @@ from bsk_torch.env.base import Tasking
 from bsk_torch.rl.rules.observation_columns import Columns
 from bsk_torch.rl.rules.servicing import Upkeep
 from bsk_torch.scene import RSOTargets
-from bsk_torch.scene.rso_order import LIT
 from bsk_torch.scene.rso_records import AGO
 from bsk_torch.sim.catalog.aim import AIM
+from bsk_torch.sim.catalog.outlook import LIT
 from bsk_torch.vec3 import Vec3
 
 TEAM_RULES = ("local", "centralized")
