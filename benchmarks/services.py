@@ -6,8 +6,8 @@ Usage:
 
 All play the same episodes, those of the seeds 0, 1, ..., by the study's protocol: 200 objects, half of the orbits low, 30 percent
 medium and 20 percent geosynchronous on average, priorities of sum 100, eight of which rise in the middle of the episode, and
-rewards for verified images. Policies are files that ``bsk-torch train`` has written; the candidates that promise the most come
-first, as in training. Gains over the rule ``rate`` are paired by episode.
+rewards for verified images. Policies are files that ``bsk-torch train`` has written, and observe what they did in training. Gains
+over the rule ``rate`` are paired by episode.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tensordict.nn import TensorDictModuleBase
 import bsk_torch
 from bsk_torch import SatelliteTasking
 from bsk_torch.rl.evaluation import Evaluation, evaluate
-from bsk_torch.rl.policies.files import load_policy
+from bsk_torch.rl.policies.files import load_policy, read_card
 from bsk_torch.rl.policies.shared_policy import rule
 from bsk_torch.rl.rules.servicing import ORDERS, WORTHS
 
@@ -31,8 +31,11 @@ PRESET = "Services-v1"
 BEST = "rate"
 """The rule over which gains are."""
 
-BY_PROMISE = {"order": "priority_per_second"}
-"""Options of the environment in which the candidates that promise the most come first."""
+OF_TRAINING = ("order", "as_set", "outlook")
+"""Options that change what policies observe, which are those of their training."""
+
+NEEDS_OUTLOOK = ("candidate_rate_ahead",)
+"""Rules that read what is expected of images."""
 
 COLUMNS = {
     "policy": "{policy}",
@@ -93,12 +96,14 @@ def main() -> None:
         print(harness.cell("{policy}: {return:.1f}, gain {gain:+.1f} +- {gain_half:.1f}", rows[-1]), flush=True)
         harness.write(options, described, rows=rows)
 
-    env = make_env(options)
+    envs = {outlook: make_env(options, outlook=outlook) for outlook in (False, True)}
     for name in [BEST, *(name for name in options.rules if name != BEST)]:
+        env = envs[name in NEEDS_OUTLOOK]
         compare(name, rule(name, env), env)
-    sets = make_env(options, as_set=True, **BY_PROMISE)
     for k, file in enumerate(options.policies):
-        compare(f"trained, seed {k}", load_policy(file), sets)
+        given = read_card(file)["options"]
+        seen = {key: given[key] for key in OF_TRAINING if key in given}
+        compare(f"trained, seed {k}", load_policy(file), make_env(options, **seen))
     print(harness.table(COLUMNS, rows))
 
 
