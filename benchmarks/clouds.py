@@ -9,7 +9,7 @@ by what they see of them, see :data:`VIEWS`, all trained with the preset's recip
 flies beside each: ``hasty``, which sees no clouds, and the same with the chance of a clear image as a part of targets' worth.
 
 Where clouds move, images may be repeated, see :class:`BeliefReward`. Policies with the view ``repeats`` observe the belief that a
-target has been seen without clouds; nobody is told what an image shows.
+target has been seen without clouds; no satellite is told what an image shows.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ orbits in every tick, as Basilisk does. In ``manoeuvres`` a satellite changes it
 and observes the next four of 1,000 targets and the next eclipse: those of the orbit that it flies (``replan=True``), where bsk_rl
 goes on looking along the first one. ``manoeuvres-as-bsk_rl`` does as bsk_rl.
 
-Seconds are those of episodes, whatever the number of satellites. Both sides draw every episode anew. Turns are those of
+Seconds are those of episodes, whatever the number of satellites. Both sides draw new episodes each time. Turns are those of
 vs_basilisk.py.
 """
 

@@ -7,7 +7,7 @@ Usage:
     python benchmarks/suite.py scan.json aeos.json planned.json [--out FILE.json] [--references FILE.json]
 
 The references are made once for a suite, from all of its episodes: 0 is what random actions return, 1 the best mean of all
-policies in the files. They belong to the suite as its episodes do, and are not made anew for better policies: presets that have
+policies in the files. They belong to the suite as its episodes do, and are not made again for better policies: presets that have
 references keep them. Policies that played fewer episodes, such as planners, are compared in these. Rows of presets that no file
 has stay in FILE.json.
 """

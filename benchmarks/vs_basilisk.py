@@ -9,7 +9,7 @@ gymnasium-own, the two pointing errors are custom properties in torch.
 ``PYTHON`` is an interpreter with bsk and bsk_rl (see recording.py); without it, only bsk_torch is measured. The two alternate, so
 that both run on the same machine; the figure of a case is the median over turns of the ratio of rates, with the smallest and the
 largest. Rates are simulated seconds per second of CPU time of the whole process: Basilisk runs in a thread of its own. Both play
-random actions, draw every episode anew, and include resets with the search for access windows; a turn continues where the
+random actions, draw every episode again, and include resets with the search for access windows; a turn continues where the
 previous one stopped. It goes on after its seconds until whole episodes have ended, in batches of bsk_torch as many as there are
 environments, or a multiple. Batches start staggered and warm up for the length of an episode (see harness.py); Basilisk plays one
 episode at a time.

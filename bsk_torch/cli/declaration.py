@@ -71,7 +71,7 @@ Plan = Annotated[
     list[str] | None,
     typer.Option(metavar="NAME=VALUE", help="Option of a planner, such as base=hasty, horizon=240 or budget=64; repeatable."),
 ]
-Shield = Annotated[str | None, typer.Option(metavar="NAME", help="'safe', or package.module:function.")]
+Shield = Annotated[str | None, typer.Option(metavar="NAME", help="'safe', 'imager', or package.module:function.")]
 TimeLimit = Annotated[float | None, typer.Option(metavar="S", help="Length of an episode in seconds; default: the preset's.")]
 Threads = Annotated[int, typer.Option(metavar="N", min=1, help="Threads of torch.", rich_help_panel=MACHINE)]
 Backend = Annotated[

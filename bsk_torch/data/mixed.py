@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -17,8 +17,28 @@ from bsk_torch.scene.mixed import MixedScenario, as_dictionary, check_known, che
 from bsk_torch.sim.names import nearest
 
 if TYPE_CHECKING:
+    from bsk_torch.sats.access_filter import AccessFilter
     from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.scene.base import Scenario
+
+
+class Looking(Protocol):
+    """Satellites of one type that choose among places, as user classes do, too."""
+
+    names: tuple[str, ...]
+    access_filters: list[AccessFilter]
+
+
+@runtime_checkable
+class Keeper(Protocol):
+    """A rewarder that keeps what satellites know."""
+
+    def store_of(self, part: int) -> object:
+        """Return the knowledge of the satellites of a type."""
+
+    def store_of_one(self, part: int, row: int) -> object:
+        """Return the knowledge of one satellite."""
+
 
 OBSERVERS = (RSOInspectionReward, "inspector_columns"), (RSOImageReward, "imager_columns")
 """Rewarders that read the flights of all satellites of a kind, and where their scenarios hold these."""
@@ -130,7 +150,7 @@ class MixedReward(ComposedReward):
         GlobalReward.link(self, scenario, fleet)
         for key, group in self.satellite_mapping.items():
             check_known(f"satellite_mapping[{key!r}]", group, list(fleet.places))
-        looking: list[Any] = [part for part in fleet.satellites if hasattr(part, "access_filters")]
+        looking: list[Looking] = [part for part in fleet.satellites if hasattr(part, "access_filters")]
         groups = self.satellite_mapping
         mine = {key: torch.tensor([name in groups[key] for name in fleet.names], device=fleet.device) for key in self._keys}
         for key, rewarder in self.channels.items():
@@ -160,18 +180,18 @@ class MixedReward(ComposedReward):
                 f"satellite_mapping[{key!r}] lacks {outside}, whose flights count for {type(rewarder).__name__}; add them"
             )
 
-    def store_of(self, part: int) -> Any:
+    def store_of(self, part: int) -> object:
         """Return the knowledge of the satellites of type number ``part``, that of their only channel with any."""
         return self._keeper(part).store_of(part)
 
-    def store_of_one(self, part: int, row: int) -> Any:
+    def store_of_one(self, part: int, row: int) -> object:
         """Return the knowledge of the satellite in a row [N * count] of type number ``part``, likewise."""
         return self._keeper(part).store_of_one(part, row)
 
-    def _keeper(self, part: int) -> Any:
+    def _keeper(self, part: int) -> Keeper:
         """Return the rewarder that keeps the knowledge of a type of satellites; AttributeError unless one channel does."""
         names = self.fleet.satellites[part].names
-        mine = {key: channel for key, channel in self.channels.items() if hasattr(channel, "store_of")}
+        mine = {key: channel for key, channel in self.channels.items() if isinstance(channel, Keeper)}
         keys = [key for key in mine if not self.satellite_mapping[key].isdisjoint(names)]
         if len(keys) != 1:
             raise AttributeError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from torch import Tensor
 
@@ -18,14 +18,17 @@ if TYPE_CHECKING:
     from bsk_torch.sats.satellite import Satellite
 
 
-def as_dictionary(title: str, given: Any) -> dict[str, Any]:
+T = TypeVar("T")
+
+
+def as_dictionary(title: str, given: Mapping[str, T]) -> dict[str, T]:
     """Return a dictionary with names as keys; ValueError for anything else."""
     if not isinstance(given, Mapping) or not all(isinstance(key, str) for key in given):
         raise ValueError(f"{title}={given!r} must be a dictionary with names as keys")
     return dict(given)
 
 
-def names_by_key(title: str, given: Any) -> dict[str, frozenset[str]]:
+def names_by_key(title: str, given: Mapping[str, Collection[str]]) -> dict[str, frozenset[str]]:
     """Return lists of names as sets, by key; ValueError for anything else."""
     found = as_dictionary(title, given)
     for key, names in found.items():
@@ -34,7 +37,7 @@ def names_by_key(title: str, given: Any) -> dict[str, frozenset[str]]:
     return {key: frozenset(names) for key, names in found.items()}
 
 
-def check_same_keys(title: str, given: Mapping[str, Any], others: Mapping[str, Any], other: str) -> None:
+def check_same_keys(title: str, given: Mapping[str, object], others: Mapping[str, object], other: str) -> None:
     """Raise ValueError unless two dictionaries have the same keys."""
     if given.keys() != others.keys():
         raise ValueError(f"{title} has the keys {sorted(given)}; they must be those of {other}, {sorted(others)}")

@@ -241,7 +241,7 @@ class TestShield:
 
 
 def test_transfers_are_found_once_for_a_decision(monkeypatch):
-    """And anew after every change of the state."""
+    """And again after every change of the state."""
     env, entry, td = make(HillWaypoint("C", SIX, [600.0], keep_apart=20.0), ("D1", "D2"))
     calls, legal = [], HillWaypoint.legal
     monkeypatch.setattr(HillWaypoint, "legal", lambda entry, ahead, rows: calls.append(rows) or legal(entry, ahead, rows))
@@ -254,9 +254,9 @@ def test_transfers_are_found_once_for_a_decision(monkeypatch):
     assert calls[3].tolist() == [0]
     env.reset(TensorDict({"_reset": torch.tensor([[False], [True], [False], [False]])}, [4]))
     assert calls[4].tolist() == [2, 3]
-    anew = entry.mask()
+    again = entry.mask()
     entry._options = None
-    assert torch.equal(anew, entry.mask())
+    assert torch.equal(again, entry.mask())
 
 
 def test_results_do_not_depend_on_other_episodes():

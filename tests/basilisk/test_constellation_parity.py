@@ -158,7 +158,7 @@ def test_free_communication_waits():
     assert (np.diff(e.time[1:][e.evaluated]) >= 300.0).all()
     assert (e.links[e.evaluated].sum((1, 2)) == 6).all()
     assert (e.duration[:-1] <= 71.0).all()
-    assert (e.duration == 71.0).any()  # nobody's task was over
+    assert (e.duration == 71.0).any()  # no task was over
     assert e.limit == 1500.5
     assert e.time[-1] == 1501.0
     assert (e.idle & ~e.tasked).sum() > 5
@@ -216,7 +216,7 @@ def test_satellites_die_one_by_one():
             assert not e.tasked[dies:, k].any()
         dead = ~e.alive[:-1]
         assert (dead & e.taken).any()  # the last command goes on
-    assert any((~e.alive[:-1] & (e.paid > 0.0)).any() for e in (first, second))  # such an image counts, but is paid to nobody
+    assert any((~e.alive[:-1] & (e.paid > 0.0)).any() for e in (first, second))  # such an image counts, but pays no satellite
     assert first.truncated[-1, 0]
     assert first.terminated[-1, 0]
     assert second.time[-1] < second.limit

@@ -33,7 +33,7 @@ SANITIZE = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-o
 
 
 def play(preset: str, backend: str) -> list[TensorDictBase]:
-    """Return what a few steps of a preset show; in the middle, two episodes begin anew and two stand still."""
+    """Return what a few steps of a preset show; in the middle, two episodes begin again and two stand still."""
     options: dict[str, Any] = dict(num_envs=ENVS, seed=3, dtype=torch.float64, backend=backend, time_limit=3000.0)
     env = bsk_torch.make(preset, **options)
     td, seen = env.reset(), []

@@ -170,7 +170,7 @@ def test_only_those_with_a_message_send():
 
 
 def test_messages_wait_until_it_is_time():
-    """Only the second episode may talk; nobody hears it there, and the message is gone all the same."""
+    """Only the second episode may talk; no other hears it there, and the message is gone all the same."""
     method = linked(GivenBroadcast(min_period=60.0), 3)
     method.pairs, memory = torch.ones(3, 3, 3, dtype=torch.bool), method.fleet.simulators[0].memory
     method.pairs[1] = False

@@ -95,7 +95,7 @@ def test_wrong_results_of_communicate(result, message):
 
 
 def test_tensors_of_its_own():
-    """Contacts that are counted in an attribute would not start anew with an episode; in memory they do."""
+    """Contacts that are counted in an attribute would not start again with an episode; in memory they do."""
 
     class Counting(comm.FreeCommunication):
         def communication_pairs(self):

@@ -136,7 +136,7 @@ def test_a_parameter_that_was_one_constant_gets_a_tick_in_which_it_differs_once(
 
 
 def test_episodes_in_flight_keep_their_parameters():
-    """The tick is built anew between two steps: nothing changes until the next reset."""
+    """The tick is built again between two steps: nothing changes until the next reset."""
     still, env = (SatelliteTasking(satellite=Brief("EO1", {}), num_envs=2, **OPTIONS) for _ in range(2))
     action = torch.zeros(2, dtype=torch.int64)
     for other in (still, env):

@@ -185,7 +185,7 @@ def test_a_check_rate_delays_the_end_to_the_next_look(collided, rate, every):
 
 @pytest.mark.parametrize("exact", [False, True])
 def test_a_fast_passage_is_seen_between_ticks_only_where_that_is_asked_for(exact):
-    """An equatorial and a polar orbit cross at 10.7 km/s after four and a half ticks; nobody is there at a tick."""
+    """An equatorial and a polar orbit cross at 10.7 km/s after four and a half ticks; neither is there at a tick."""
     back = -22.5 * (MU_EARTH / 7e6**3) ** 0.5
     args = {name: dict(oe=[7e6, 0.0, i, 0.0, 0.0, back]) for name, i in (("A", 0.0), ("B", torch.pi / 2))}
     satellites = [Chief("A", args["A"]), Chief("B", args["B"] | dict(conjunction_exact=exact))]
@@ -208,7 +208,7 @@ def test_the_time_limit_is_looked_at_first(collided):
 
 
 def test_other_types_and_tasks_end_with_the_step():
-    """A wheeled satellite, which watches nobody, is simulated to the tick of the collision."""
+    """A wheeled satellite, which watches no other, is simulated to the tick of the collision."""
 
     class Wheeled(Careful):
         action_spec = (act.NadirPoint(duration=60.0),)

@@ -173,7 +173,7 @@ class Sequence(RuleBasedStateMachine):
         self.td = self.whole.reset(self.td.set("_reset", rows.unsqueeze(-1)))
         if bool(rows[PART].any()):
             self.other = self.part.reset(self.other.set("_reset", rows[PART].unsqueeze(-1)))
-        # TorchRL leaves rewards of the last step where all rows begin anew, and zeros where some do
+        # TorchRL leaves rewards of the last step where all rows begin again, and zeros where some do
         self.td, self.other = (
             td.exclude(*(key for key in td.keys(True, True) if "reward" in key)) for td in (self.td, self.other)
         )

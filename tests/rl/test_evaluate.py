@@ -30,7 +30,7 @@ def always(action):
 
 
 def evaluation(returns, **parts):
-    """Results of as many episodes as there are ``returns``; nobody dies unless ``parts`` say so."""
+    """Results of as many episodes as there are ``returns``; none dies unless ``parts`` say so."""
     one = torch.ones(len(returns), dtype=torch.float64)
     return Evaluation(**(dict(returns=returns, collected=returns, survived=one, decisions=one, seconds=one, deaths={}) | parts))
 

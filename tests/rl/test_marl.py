@@ -71,7 +71,7 @@ def test_one_policy_for_unlike_satellites_is_refused():
 def test_rules_earn_the_same_in_a_constellation_of_one_as_alone(name):
     orbit = bsk_torch.rand.random_orbit(a=7171.0, i=45.0)
     world = {"num_envs": 4, "seed": 0, "n_targets": 2000, "time_limit": 1500.0, "as_set": True, "sat_args": {"oe": orbit}}
-    world["max_step_duration"] = 1500.0  # after shorter steps only the satellite alone would choose anew
+    world["max_step_duration"] = 1500.0  # after shorter steps only the satellite alone would choose again
     alone = bsk_torch.make("AEOS-v1", **world)
     crew = bsk_torch.make("AEOSConstellation-v1", n_satellites=1, sat_arg_randomizer=None, **world)
     expected = evaluate(BASELINES[name](alone, 0), alone, seed=3)

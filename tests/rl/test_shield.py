@@ -10,7 +10,7 @@ from bsk_torch.act import allow_only, forbid
 from bsk_torch.presets.aeos_power import FAST, RESERVE
 from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.rules.baselines import Columns, random_policy
-from bsk_torch.rl.rules.shield import RULES, SafeRule, find_rule, shield, shielded
+from bsk_torch.rl.rules.shield import RULES, ImagerRule, SafeRule, find_rule, shield, shielded
 
 ACTIONS = ["action_nadir_scan", "action_charge", "action_downlink", "action_desat"]
 
@@ -57,6 +57,22 @@ def test_safe_rule_leaves_what_is_urgent(charge, wheel, allowed):
     seen = {"battery_charge_fraction": charge, "wheel_speeds_fraction[0]": 0.0, "wheel_speeds_fraction[1]": wheel}
     mask = SafeRule()(Columns(torch.tensor([list(seen.values())]), list(seen)), ACTIONS)
     assert names(mask[0]) == allowed
+
+
+@pytest.mark.parametrize(
+    ("level", "charge", "allowed"),
+    [(0.5, 0.5, ACTIONS), (0.995, 0.1, ["action_downlink"]), (0.99, 0.19, ["action_charge"]), (0.99, 0.2, ACTIONS)],
+)
+def test_imager_rule_leaves_what_is_urgent(level, charge, allowed):
+    seen = {"storage_level_fraction": level, "battery_charge_fraction": charge}
+    mask = ImagerRule()(Columns(torch.tensor([list(seen.values())], dtype=torch.float64), list(seen)), ACTIONS)
+    assert names(mask[0]) == allowed
+
+
+def test_imager_rule_fits_the_observations_of_services():
+    env = bsk_torch.make("Services-v1", num_envs=2, backend="eager")
+    td = shield(RULES["imager"], env)(env.reset())
+    assert td["action_mask"].all()
 
 
 @pytest.mark.compiled

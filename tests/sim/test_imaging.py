@@ -76,7 +76,7 @@ def test_basilisks_image_controller_tick_by_tick():
         commands.append(int(command))
     assert commands == CONTROLLER["command"].tolist()
     repeated = np.diff(CONTROLLER["command"]) == 0
-    assert (repeated & (CONTROLLER["command"][1:] == 1)).any()  # a command that nobody took back
+    assert (repeated & (CONTROLLER["command"][1:] == 1)).any()  # a command that was not taken back
     assert sum(commands) >= 20
 
 
@@ -278,7 +278,7 @@ def test_kernels_and_loops_agree():
 
 
 def test_a_command_left_over_records_in_every_tick(backend):
-    """Whoever is tasked anew in the very tick in which the image was ordered; a new image task ends it."""
+    """Satellites that are tasked again in the very tick in which the image was ordered; a new image task ends it."""
     simulator, rows = imager(backend), torch.arange(len(MODES)) == 0
     simulator.tick.state.view(simulator.state.planes, "image_level")[:] = math.inf
     one = torch.ones(len(MODES), dtype=torch.int64)

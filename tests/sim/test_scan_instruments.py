@@ -17,6 +17,7 @@ from bsk_torch.bsk_rl.sim import fsw as literal_fsw
 from bsk_torch.plan.bounds.scanning import check_scanning
 from bsk_torch.presets.nadir_scan import ScanningSatellite
 from bsk_torch.sim import dyn, faults, fsw
+from tests.sim.instrument_steps import assert_steps_are_equal, choose
 
 N = 2
 STILL = {"sigma_init": [0.1, -0.2, 0.3], "omega_init": [0.0, 0.0, 0.0]}
@@ -58,10 +59,6 @@ def environment(args: dict[str, Any] | None = None, actions: tuple[Any, ...] | N
     )
 
 
-def choose(env: SatelliteTasking, number: int) -> None:
-    env.simulator.write("instrument_index", torch.ones(N, dtype=torch.bool), torch.full((N,), float(number)))
-
-
 def step(env: SatelliteTasking, td: Any, action: int) -> Any:
     return env.step(td.set("action", torch.full((N,), action)))["next"]
 
@@ -75,20 +72,12 @@ def test_each_step_is_that_of_a_satellite_with_the_chosen_instrument(backend, ti
     alone = [environment(own, backend=backend) for own in (SWATH, RADAR)]
     for env in (both, *alone):
         env.reset()
-    everywhere, mine = torch.ones(N, dtype=torch.bool), both.simulator
-    layout, before = alone[0].simulator.state.layout, mine.read("storage")
-    for number in numbers:
-        choose(both, number)
-        other = alone[number].simulator
-        for name in layout.fields:  # the same state
-            other.state.planes[layout.slices[name]] = mine.state.planes[mine.state.layout.slices[name]]
-        other.state.ticks = mine.ticks.clone()
-        for simulator in (mine, other):
-            simulator.command(everywhere, torch.full((N,), simulator.mode_names.index("nadir_scan")))
-            simulator.run(torch.full((N,), ticks))
-        for name in layout.fields:
-            assert torch.equal(mine.read(name), other.read(name)), name
-    assert backend == "eager" or bool((mine.read("storage") > before).all())
+
+    def scan(simulator, step):
+        simulator.command(torch.ones(N, dtype=torch.bool), torch.full((N,), simulator.mode_names.index("nadir_scan")))
+
+    grew = assert_steps_are_equal(both, alone, numbers, ticks, scan)
+    assert backend == "eager" or all(grew)
 
 
 @pytest.mark.compiled

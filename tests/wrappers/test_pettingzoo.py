@@ -169,7 +169,7 @@ def test_the_dead_say_goodbye():
     assert observations["S1"].any()
     assert env.agents == ["S0", "S2"]
     assert infos["S1"]["requires_retasking"]  # its task has ended by then, as in bsk_rl
-    results = env.step({"S0": 0, "S2": 0, "S1": 0})  # which nobody hears
+    results = env.step({"S0": 0, "S2": 0, "S1": 0})  # which no other hears
     assert all(list(result) == ["S0", "S2"] for result in results)
     assert same(env.state()[5:10], np.zeros(5))
 

@@ -47,7 +47,29 @@ class SafeRule:
         return allow_only(actions, "action_charge", where=low) & allow_only(actions, "action_desat", where=fast)
 
 
-RULES: dict[str, Rule] = {"safe": SafeRule()}
+@dataclass(frozen=True)
+class ImagerRule:
+    """Allows only a downlink with a full store, only charging with little charge, and otherwise all actions.
+
+    For imagers that observe ``storage_level_fraction`` and ``battery_charge_fraction``, such as those of Services-v1. The
+    defaults are those of the study from which that preset is taken.
+
+    Args:
+        full: Data in the store, as a fraction of the capacity, above which only a downlink is allowed.
+        low: Battery charge, as a fraction of the capacity, below which only charging is allowed.
+    """
+
+    full: float = 0.99
+    low: float = 0.2
+
+    def __call__(self, see: Columns, actions: Sequence[str]) -> Tensor:
+        """See :data:`Rule`."""
+        full = see["storage_level_fraction"] > self.full
+        low = ~full & (see["battery_charge_fraction"] < self.low)
+        return allow_only(actions, "action_downlink", where=full) & allow_only(actions, "action_charge", where=low)
+
+
+RULES: dict[str, Rule] = {"safe": SafeRule(), "imager": ImagerRule()}
 """Rules by name."""
 
 

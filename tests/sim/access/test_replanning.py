@@ -18,7 +18,7 @@ AHEAD = 6500.0
 CLOSE = 0.06
 """Largest error of a crossing, s: look-ahead is metres away from the orbit that is flown, and samples are a second apart.
 
-Measured 0.011 for the satellite that manoeuvres, whose look-ahead begins anew, and 0.027 for the one that does not."""
+Measured 0.011 for the satellite that manoeuvres, whose look-ahead begins again, and 0.027 for the one that does not."""
 
 PLAN = (
     (0.0, (0.0, 0.0, 0.0)),

@@ -293,7 +293,7 @@ def test_windows_cut_at_the_same_time_come_in_the_order_of_their_places(fly):
 
 
 def test_windows_do_not_depend_on_how_far_the_arcs_reach(fly, recording):
-    """Bit for bit, as of a row that starts anew beside others whose arcs have grown."""
+    """Bit for bit, as of a row that starts again next to others whose arcs have grown."""
     initials, time = recording("windows")["ic"], torch.zeros(5, dtype=torch.float64)
     short, long = (look_ahead(table(fly(initials, spans), 600.0), time, 6) for spans in (3, 12))
     assert short[0].numel() > 0

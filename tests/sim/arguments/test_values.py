@@ -269,7 +269,7 @@ def test_equal_constants_are_kept_once(one, other):
 
 
 def test_equal_distributions_draw_as_one():
-    """Built anew for every satellite, or not: the draws are the same."""
+    """Built for every satellite, or once: the draws are the same."""
     apart = several(*({"K": rand.Uniform(1.0, 2.0)} for _ in range(3)))
     assert torch.equal(apart["K"], several(*[{"K": rand.Uniform(1.0, 2.0)}] * 3)["K"])
 
