@@ -258,6 +258,7 @@ RECORDED = {
     "record_models": "basilisk/recordings/models_pointing",
     "record_services": "basilisk/recordings/services",
     "record_setpoints": "basilisk/recordings/setpoint_imposed",
+    "record_strips": "basilisk/recordings/strips",
     "record_modules": "sim/data/controller",
 }
 """A short recording of each recorder."""

@@ -8,6 +8,7 @@ from bsk_torch.act.continuous import ContinuousAction, HybridAction
 from bsk_torch.act.discrete import Charge, Desat, DiscreteFSWAction, Downlink, Drift, NadirPoint, Scan
 from bsk_torch.act.held_thrust import HeldThrust
 from bsk_torch.act.image import Image, image_target
+from bsk_torch.act.image_strip import HybridImageStrip, ImageStrip
 from bsk_torch.act.masks import allow_only, forbid
 from bsk_torch.act.rso_imaging import ImageRSO
 from bsk_torch.act.setpoint import AttitudeSetpoint
@@ -30,8 +31,10 @@ __all__ = [
     "HeldThrust",
     "HillWaypoint",
     "HybridAction",
+    "HybridImageStrip",
     "Image",
     "ImageRSO",
+    "ImageStrip",
     "ImpulsiveThrust",
     "ImpulsiveThrustHill",
     "NadirPoint",

@@ -42,6 +42,7 @@ class Image(Action):
     """
 
     satellite: BoundImagingSatellite
+    flight_mode = "image"
 
     def __init__(
         self,
@@ -73,7 +74,7 @@ class Image(Action):
     def link_satellite(self, satellite: BoundSatellite) -> None:
         """See :meth:`Action.link_satellite`; ValueError for one that cannot image, has no targets, or lacks the instrument."""
         super().link_satellite(satellite)
-        satellite.simulator.check_command("image")
+        satellite.simulator.check_command(self.flight_mode)
         kinds, listed = getattr(satellite, "opportunity_types", ()), satellite.simulator.type.instruments
         wanted: str | None = getattr(satellite, "target_types", None)
         if listed or self.instrument is not None:
@@ -113,7 +114,7 @@ class Image(Action):
         seconds = torch.where(waits, self.satellite.segment, close - time)
         duration = torch.clamp(seconds, max=self.max_duration)
         expected = torch.minimum(torch.clamp(opens - time, min=SLEW), duration)
-        mode = torch.full_like(target, simulator.mode_names.index("image"))
+        mode = torch.full_like(target, simulator.mode_names.index(self.flight_mode))
         return Decision(mode, (key != previous) & ~waits, duration, key, expected)
 
     @staticmethod

@@ -13,6 +13,7 @@ from bsk_torch.data.resources import ResourceReward
 from bsk_torch.data.rso_imaging import RSOImageRecord, RSOImageReward
 from bsk_torch.data.rso_team import RSOTeamReward
 from bsk_torch.data.scanning import ScanningTimeReward
+from bsk_torch.data.strips import StripImageReward
 from bsk_torch.data.time_penalty import TimePenalty
 from bsk_torch.data.unique_images import UniqueImageData
 
@@ -33,6 +34,7 @@ __all__ = [
     "RSOTeamReward",
     "ResourceReward",
     "ScanningTimeReward",
+    "StripImageReward",
     "TimePenalty",
     "UniqueImageData",
     "UniqueImageReward",

@@ -11,6 +11,7 @@ from bsk_torch.scene.rso_order import by_priority_per_second, by_priority_per_se
 from bsk_torch.scene.rso_points import RSOPoint, RSOPoints, SphericalRSO
 from bsk_torch.scene.rso_targets import Order, RSOTargets
 from bsk_torch.scene.scanning import UniformNadirScanning
+from bsk_torch.scene.strips import StripTargets
 from bsk_torch.scene.target import Target
 from bsk_torch.scene.targets import ChangingTargets, TargetScenario
 from bsk_torch.scene.uncertain import UncertainTargets
@@ -33,6 +34,7 @@ __all__ = [
     "RandomRSOCatalog",
     "Scenario",
     "SphericalRSO",
+    "StripTargets",
     "Target",
     "TargetScenario",
     "Targets",

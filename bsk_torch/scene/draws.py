@@ -191,3 +191,13 @@ def on_sphere(u: Tensor, west: Any = -math.pi, width: Any = 2.0 * math.pi, span:
     longitude = west + width * u[..., 1]
     rho = torch.sqrt((1.0 - z) * (1.0 + z))
     return torch.stack([rho * torch.cos(longitude), rho * torch.sin(longitude), z], -1)
+
+
+def horizontal(r: Tensor) -> tuple[Tensor, Tensor]:
+    """Return two unit vectors [..., 3] perpendicular to places ``r`` [..., 3] and to each other."""
+    up = r / r.norm(dim=-1, keepdim=True)
+    # the axis farthest from the place, so that the cross product is well defined
+    axis = torch.nn.functional.one_hot(up.abs().argmin(-1), 3).to(r)
+    one = torch.linalg.cross(axis, up)
+    one = one / one.norm(dim=-1, keepdim=True)
+    return one, torch.linalg.cross(up, one)

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.rand import Key
-from bsk_torch.scene.draws import Numbers, calls_user, check_numbers, draw_numbers
+from bsk_torch.scene.draws import Numbers, calls_user, check_numbers, draw_numbers, horizontal
 from bsk_torch.scene.overlaid import OverlaidTargets
 from bsk_torch.scene.targets import TargetScenario
 from bsk_torch.sim.orbit.arcs import FARTHEST
@@ -64,12 +64,7 @@ class UncertainTargets(OverlaidTargets):
 
 def displaced(r: Tensor, error: Tensor) -> Tensor:
     """Return places ``r`` [..., 3] m, moved by ``error`` [..., 2] m along great circles in two perpendicular directions."""
-    radius = r.norm(dim=-1, keepdim=True)
-    up = r / radius
-    # the axis farthest from the place, so that the cross product is well defined
-    axis = torch.nn.functional.one_hot(up.abs().argmin(-1), 3).to(r)
-    one = torch.linalg.cross(axis, up)
-    one = one / one.norm(dim=-1, keepdim=True)
-    along = error[..., :1] * one + error[..., 1:] * torch.linalg.cross(up, one)
-    angle = error.norm(dim=-1, keepdim=True) / radius
+    one, other = horizontal(r)
+    along = error[..., :1] * one + error[..., 1:] * other
+    angle = error.norm(dim=-1, keepdim=True) / r.norm(dim=-1, keepdim=True)
     return r * angle.cos() + along * torch.sinc(angle / torch.pi)

@@ -19,6 +19,7 @@ from bsk_torch.sim.dyn.models import (
     LOSCommDynModel,
     NavigationErrorsDynModel,
     SolarPressureDynModel,
+    StripImagingDynModel,
     TorqueBarsDynModel,
 )
 from bsk_torch.sim.dyn.navigation import navigation_numbers
@@ -61,6 +62,7 @@ __all__ = [
     "RSOInspectorDynModel",
     "SolarPressureDynModel",
     "SpaceToSpaceImagingDynModel",
+    "StripImagingDynModel",
     "Thruster",
     "TorqueBar",
     "TorqueBarsDynModel",

@@ -396,6 +396,15 @@ class ContinuousImagingDynModel(ImagingDynModel):
         return (now.storage,)
 
 
+class StripImagingDynModel(ImagingDynModel):
+    """Adds an instrument that records continuously, at a data rate ``instrumentBaudRate``, into a partitioned data buffer.
+
+    For strips, see :class:`bsk_torch.sim.fsw.StripImagingFSWModel`. No step ends with an image.
+    """
+
+    components: ClassVar[tuple[Component, ...]] = (storage.INSTRUMENT, events.NO_IMAGE_EVENT)
+
+
 class GroundStationDynModel(ImagingDynModel):
     """Adds ground stations, which the transmitter needs to send data."""
 

@@ -17,6 +17,7 @@ from bsk_torch.sim.fsw.modes import Command, Mode
 from bsk_torch.sim.fsw.passive import TumblingFSWModel
 from bsk_torch.sim.fsw.rso_imaging import CatalogRadioFSWModel, SpaceToSpaceImagingFSWModel
 from bsk_torch.sim.fsw.setpoint import AttitudeSetpointFSWModel, InertialHoldFSWModel
+from bsk_torch.sim.fsw.strip import StripImagingFSWModel
 from bsk_torch.sim.fsw.tasks import Task, action
 
 __all__ = [
@@ -36,6 +37,7 @@ __all__ = [
     "SpaceToSpaceImagingFSWModel",
     "SteeringFSWModel",
     "SteeringImagerFSWModel",
+    "StripImagingFSWModel",
     "Task",
     "TumblingFSWModel",
     "action",

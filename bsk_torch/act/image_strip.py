@@ -1,0 +1,139 @@
+"""Actions that record strips on the ground."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from bsk_torch._checks import number
+from bsk_torch.act.base import Decision
+from bsk_torch.act.continuous import HybridAction
+from bsk_torch.act.image import NO_TARGET, Image
+from bsk_torch.sats.bound import BoundSatellite
+from bsk_torch.scene.strips import StripTargets
+from bsk_torch.sim.fsw.strip import STRIP_MODE
+
+
+class ImageStrip(Image):
+    """Record the strip of the k-th next access window, for k from 0 to ``n_ahead_image`` - 1.
+
+    The instrument follows a place that moves along the strip and its extension before the start, and records from the start on.
+    The action ends at the end of the strip. It starts so that the middle of the strip is passed in the middle of the window, but
+    not before ``pre_imaging_time`` has passed, in which the satellite turns. Choosing a strip again starts it from the beginning.
+
+    For :class:`bsk_torch.scene.StripTargets` and :class:`bsk_torch.sim.fsw.StripImagingFSWModel`.
+    """
+
+    flight_mode = STRIP_MODE
+
+    def __init__(
+        self,
+        n_ahead_image: int,
+        pre_imaging_time: float = 60.0,
+        name: str = "action_image_strip",
+        mask_repeated: bool = False,
+    ) -> None:
+        """Provide ``n_ahead_image`` actions.
+
+        Args:
+            n_ahead_image: Number of windows to choose from.
+            pre_imaging_time: Time before a strip is recorded at the earliest, s.
+            name: Name in ``action_description``.
+            mask_repeated: See :class:`Image`.
+
+        Raises:
+            ValueError: For fewer than one target or a negative time.
+        """
+        super().__init__(n_ahead_image, None, name, mask_repeated)
+        self.pre_imaging_time = number("pre_imaging_time", pre_imaging_time, 0.0, 1e5, unit="s")
+
+    def link_satellite(self, satellite: BoundSatellite) -> None:
+        """See :meth:`Image.link_satellite`; ValueError for targets other than strips."""
+        super().link_satellite(satellite)
+        if "strip_length" not in satellite.simulator.scenario_state:
+            raise ValueError(f"{self.name!r} needs strips, such as scenario=scene.StripTargets(scene.UniformTargets(300))")
+
+    def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
+        """See :meth:`Image.decide`."""
+        now = self.satellite.simulator.sim_time
+        chosen = super().decide(index, mask, action, previous)
+        waits = chosen.key == NO_TARGET
+        target = torch.where(waits, 0, self.keys(chosen.key))  # keys() is its own inverse
+        seconds = self._look_up("strip_seconds", target)
+        opens, closes = self.satellite.window_of(target, self.kind)
+        best = torch.where(torch.isfinite(closes), 0.5 * (opens + closes - seconds), now)
+        before = torch.maximum(best - now, torch.full_like(now, self.pre_imaging_time))
+        duration = torch.where(waits, chosen.duration, before + seconds)
+        return chosen._replace(retask=~waits, duration=duration, expected=duration, command=before)
+
+    def begin(self, mask: Tensor, decision: Decision) -> None:
+        """See :meth:`Image.begin`: set the strip, and the place before its start from which the instrument follows it."""
+        simulator, mask = self.satellite.simulator, mask & (decision.key != NO_TARGET)
+        target = torch.where(mask, self.keys(decision.key), 0)
+        middle, along, length = (self._look_up(name, target) for name in ("r_LP_P", "strip_along", "strip_length"))
+        radius = middle.norm(dim=-1)
+        half, rate = 0.5 * length / radius, self._scenario.acquisition_speed / radius
+        before = torch.zeros_like(half) if decision.command is None else decision.command
+        strip = {"middle": middle, "along": along, "half": half, "rate": rate, "angle": -half - rate * before}
+        for name, value in strip.items():
+            simulator.write(f"strip_{name}", mask, value)
+        memory = simulator.memory
+        memory["latest_target"] = torch.where(mask, target, memory["latest_target"])
+
+    def end(self, mask: Tensor, decision: Decision, event: Tensor) -> None:
+        """See :meth:`Image.end`; the rewarder finds out whether the strip was recorded."""
+
+    @property
+    def _scenario(self) -> StripTargets:
+        return self.satellite.scenario
+
+    def _look_up(self, name: str, target: Tensor) -> Tensor:
+        """Return values of the scenario for each satellite's target [N], [N, ...]."""
+        return self.satellite.simulator.look_up(getattr(self._scenario, name), target.unsqueeze(1)).squeeze(1)
+
+
+class HybridImageStrip(HybridAction):
+    """Record one of the next strips after a chosen time, as in a branch of bsk_rl.
+
+    The choice is a strip as in :class:`ImageStrip`. The number ``x`` in [0, 1] sets the time before the strip is recorded to
+    ``x`` times ``max_duration``, whatever the window is.
+    """
+
+    def __init__(self, n_ahead_image: int, max_duration: float = 300.0, name: str = "action_image_strip") -> None:
+        """Provide ``n_ahead_image`` choices; ValueError for fewer than one, or a ``max_duration``, s, that is not positive."""
+        super().__init__(name)
+        self.max_duration = number("max_duration", max_duration, 0.0, 1e5, unit="s", above=True)
+        self.strips = ImageStrip(n_ahead_image, name=name)
+
+    def link_satellite(self, satellite: BoundSatellite) -> None:
+        """See :meth:`ImageStrip.link_satellite`."""
+        super().link_satellite(satellite)
+        self.strips.link_satellite(satellite)
+
+    def bounds(self) -> tuple[Sequence[float], Sequence[float]]:
+        """See :meth:`ContinuousAction.bounds`."""
+        return [0.0], [1.0]
+
+    def names(self) -> list[str]:
+        """See :meth:`ContinuousAction.names`."""
+        return ["pre_imaging_time"]
+
+    def choices(self) -> list[str]:
+        """See :meth:`HybridAction.choices`."""
+        return self.strips.names()
+
+    def decide(self, action: Tensor, mask: Tensor) -> Decision:
+        """See :meth:`ContinuousAction.decide`."""
+        choice = action[:, 1].long()
+        chosen = self.strips.decide(choice, mask, choice, torch.full_like(choice, NO_TARGET))
+        waits = chosen.key == NO_TARGET
+        seconds = self.strips._look_up("strip_seconds", torch.where(waits, 0, self.strips.keys(chosen.key)))
+        before = action[:, 0].clamp(0.0, 1.0) * self.max_duration
+        duration = torch.where(waits, chosen.duration, before + seconds)
+        return chosen._replace(duration=duration, expected=duration, command=before)
+
+    def begin(self, mask: Tensor, decision: Decision) -> None:
+        """See :meth:`ImageStrip.begin`."""
+        self.strips.begin(mask, decision)
