@@ -32,7 +32,6 @@ def test_a_pretrained_policy_has_its_score(preset):
 
 WITHOUT = {
     "HeteroCluster-v1",
-    "NadirScience-v1",
     "Services-v1",
     "ThreeSensors-v1",
     "Walker4-v1",

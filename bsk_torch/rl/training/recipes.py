@@ -48,6 +48,9 @@ SCANNING: dict[str, dict[str, Any]] = {
 }
 """For the paper's satellite: how well it does goes up and down, so the best policy is looked for often."""
 
+SCIENCE: dict[str, dict[str, Any]] = {"mlp": SCANNING["mlp"] | dict(imitate="science", imitation=0.1)}
+"""For fast-saturating wheels: a rule that always survives is a good start, next to which rewards teach to record more."""
+
 SCANNING_WITH_FAULTS = {
     network: recipe | dict(imitate="cautious", imitation=0.1, learning_rate=1e-3) for network, recipe in SCANNING.items()
 }
@@ -96,6 +99,7 @@ candidates that promise the most come first."""
 
 RECIPES: dict[str, dict[str, dict[str, Any]]] = {
     "NadirScan-v1": SCANNING,
+    "NadirScience-v1": SCIENCE,
     "FaultyScan-v1": SCANNING_WITH_FAULTS,
     "AEOS-v1": IMAGING,
     "AEOSPower-v1": IMAGING,
