@@ -12,7 +12,8 @@ published tasks. Two kinds of filters change the force wished by a policy:
 Sources: K. Dunlap, M. Mote, K. Delsing and K. L. Hobbs, "Run time assured reinforcement learning for safe satellite docking",
 Journal of Aerospace Information Systems 20(1), 2023; K. Dunlap, D. van Wijk and K. L. Hobbs, "Run time assurance for autonomous
 spacecraft inspection", AAS/AIAA Astrodynamics Specialist Conference, 2023. Numbers are those of AFRL's run-time-assurance 1.18.6
-(``zoo/cwh/docking_3d.py`` and ``inspection_1v1.py``), which filters the force of one deputy at a time.
+(``zoo/cwh/docking_3d.py``, ``inspection_1v1.py`` and ``inspection_3d.py``), which filters the force of one deputy at a time. With
+several deputies (:func:`crew_inspection`), each is filtered as if the others would not thrust.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import torch
@@ -28,12 +30,24 @@ from torch import Tensor
 
 from bsk_torch._checks import number
 from bsk_torch.astro.clohessy_wiltshire import propagate, pushed
-from bsk_torch.sim.dyn.linear_motion import LinearInspectorDynModel
+from bsk_torch.sim.dyn.linear_motion import LinearInspectorDynModel, LinearMotionDynModel
 
 if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite
 
-__all__ = ["DOCKING", "INSPECTION", "Assurance", "Backup", "Barrier", "Barriers", "Deputies", "nearest", "stopping_gain"]
+__all__ = [
+    "DOCKING",
+    "INSPECTION",
+    "Assurance",
+    "Backup",
+    "Barrier",
+    "Barriers",
+    "Deputies",
+    "crew_barriers",
+    "crew_inspection",
+    "nearest",
+    "stopping_gain",
+]
 
 Assurance: TypeAlias = "Callable[[Deputies, Tensor, float], Tensor]"
 """A filter: function of deputies, wished forces [N, 3] N and their duration, s, that returns forces [N, 3] N."""
@@ -63,6 +77,10 @@ CLEAR = 1e-9
 """Violation of an inequality with a ``weight`` of length 1 that counts as rounding, N."""
 
 
+NO_OTHERS = torch.zeros(1, 0, 3, dtype=torch.float64, device="cpu")
+"""Positions or velocities of no other deputies."""
+
+
 class Deputies(NamedTuple):
     """What barriers read of N deputies.
 
@@ -75,6 +93,8 @@ class Deputies(NamedTuple):
         limit: Safe speed: that near the chief, m/s, its slope over the mean motion, and the distance of the former, m, [N, 3].
         keep_out: Distance at which a deputy crashes, [N] m; zero where a task has none.
         most: Maximum of each component of the force, N.
+        others_r: Positions of the K other deputies of the episode, in the order of the environment, [N, K, 3] m.
+        others_v: Their velocities, [N, K, 3] m/s.
     """
 
     r: Tensor
@@ -85,6 +105,8 @@ class Deputies(NamedTuple):
     limit: Tensor
     keep_out: Tensor
     most: float
+    others_r: Tensor = NO_OTHERS
+    others_v: Tensor = NO_OTHERS
 
     @classmethod
     def of(cls, satellite: BoundSatellite, most: float) -> Deputies:
@@ -107,6 +129,7 @@ class Deputies(NamedTuple):
             limit,
             argument("keepOutRadius") if inspects else torch.zeros_like(r[:, 0]),
             most,
+            *others(satellite),
         )
 
     @property
@@ -119,15 +142,15 @@ class Deputies(NamedTuple):
     @property
     def drift(self) -> tuple[Tensor, Tensor, Tensor]:
         """Rates of position, velocity and direction of the Sun without thrust, [N, 3] each."""
-        (x, _, z), (u, w, _) = self.r.unbind(1), self.v.unbind(1)
         n, zero = self.n, torch.zeros_like(self.n)
         turn = torch.stack([n * self.sun[:, 1], -n * self.sun[:, 0], zero], 1)
-        return self.v, torch.stack([3.0 * n * n * x + 2.0 * n * w, -2.0 * n * u, -n * n * z], 1), turn
+        return self.v, drifting(n, self.r, self.v), turn
 
     def repeated(self, count: int) -> Deputies:
         """Return the deputies ``count`` times, one copy after the other."""
-        r, v, sun, n, mass, limit, keep_out = (torch.cat([part] * count) for part in self[:-1])
-        return Deputies(r, v, sun, n, mass, limit, keep_out, self.most)
+        r, v, sun, n, mass, limit, keep_out = (torch.cat([part] * count) for part in self[:7])
+        others_r, others_v = (torch.cat([part] * count) for part in self[8:])
+        return Deputies(r, v, sun, n, mass, limit, keep_out, self.most, others_r, others_v)
 
     def after(self, force: Tensor, time: float) -> Deputies:
         """Return the deputies after a constant force [N, 3] N for some seconds, with the Sun where it is."""
@@ -135,7 +158,35 @@ class Deputies(NamedTuple):
         r, v = propagate(self.r, self.v, self.n, seconds)
         by_r, by_v = pushed(self.n, seconds)
         a = (force / self.mass.unsqueeze(1)).unsqueeze(-1)
-        return self._replace(r=r + (by_r @ a).squeeze(-1), v=v + (by_v @ a).squeeze(-1))
+        shape = self.others_r.shape
+        each = (part.repeat_interleave(shape[1]) for part in (self.n, seconds))
+        others_r, others_v = propagate(self.others_r.flatten(0, 1), self.others_v.flatten(0, 1), *each)
+        return self._replace(
+            r=r + (by_r @ a).squeeze(-1),
+            v=v + (by_v @ a).squeeze(-1),
+            others_r=others_r.view(shape),
+            others_v=others_v.view(shape),
+        )
+
+
+def others(satellite: BoundSatellite) -> tuple[Tensor, Tensor]:
+    """Return positions, m, and velocities, m/s, of the K other deputies of each satellite, [N, K, 3]."""
+    fleet = satellite.fleet
+    parts = [k for k, other in enumerate(fleet.satellites) if isinstance(other.dynamics, LinearMotionDynModel)]
+    deputies = torch.cat([fleet.columns[k] for k in parts]).sort().values
+    own = fleet.columns[satellite.type_index].unsqueeze(1)
+    column = deputies.expand(len(own), -1)[deputies != own].view(len(own), -1)
+
+    def read(name: str) -> Tensor:
+        return fleet.each(attrgetter(f"dynamics.{name}"))[:, column].flatten(0, 1)
+
+    return read("rho_H"), read("rho_dot_H")
+
+
+def drifting(n: Tensor, r: Tensor, v: Tensor) -> Tensor:
+    """Return the accelerations of deputies at ``r`` m with ``v`` m/s [..., 3] without thrust, [..., 3] m/s^2; ``n`` in rad/s."""
+    (x, _, z), (u, w, _) = r.unbind(-1), v.unbind(-1)
+    return torch.stack([3.0 * n * n * x + 2.0 * n * w, -2.0 * n * u, -n * n * z], -1)
 
 
 def dot(a: Tensor, b: Tensor) -> Tensor:
@@ -207,6 +258,43 @@ def slow_along(axis: int) -> Callable[[Deputies], Tensor]:
     return lambda x: MOST_SPEED**2 - x.v[:, axis] ** 2
 
 
+def of_pair(x: Deputies, other: int) -> Deputies:
+    """Return deputies with position and velocity relative to one of the others; ValueError without it."""
+    if other >= x.others_r.shape[1]:
+        raise ValueError(f"a barrier needs the other deputy {other}, counted from 0; there are {x.others_r.shape[1]} others")
+    return x._replace(r=x.r - x.others_r[:, other], v=x.v - x.others_v[:, other])
+
+
+def apart_from(other: int) -> Callable[[Deputies], Tensor]:
+    """Return a barrier: how much faster a deputy may approach another one, if both brake, [N] m/s."""
+
+    def value(x: Deputies) -> Tensor:
+        pair = of_pair(x, other)
+        distance = length(pair.r)
+        return stopping_speed(2.0 * x.braking, distance - x.keep_out) + dot(pair.r, pair.v) / distance
+
+    return value
+
+
+def unblinded_by(other: int) -> Callable[[Deputies], Tensor]:
+    """Return a barrier: how much faster two deputies may approach the line to the Sun through one of them, [N] m/s.
+
+    It keeps whichever looks toward the Sun from being blinded when it looks at the other one.
+    """
+
+    def value(x: Deputies) -> Tensor:
+        pair = of_pair(x, other)
+        sign = torch.where(dot(pair.r, x.sun) > 0.0, -1.0, 1.0).to(x.r.dtype).unsqueeze(1)
+        return unblinded(pair._replace(r=sign * pair.r, v=sign * pair.v))
+
+    return value
+
+
+def passive_to(other: int) -> Callable[[Deputies], Tensor]:
+    """Return a barrier: the smallest distance beyond the keep-out distance if neither deputy thrusts, [N] m."""
+    return lambda x: passive(of_pair(x, other))
+
+
 @dataclass(frozen=True)
 class Barrier:
     """A quantity that must not be negative, and how fast it may decrease: ``alpha(h) = linear h + cubic h^3``.
@@ -245,6 +333,20 @@ INSPECTION = (
     Barrier(apart, 0.01, 0.001),
 )
 """Barriers of inspection."""
+
+
+def crew_inspection(count: int) -> tuple[Barrier, ...]:
+    """Return the barriers of each of ``count`` deputies that inspect together: their own, and three for each other deputy."""
+    own = (Barrier(safe_speed, 0.0, 0.1, -2e-3), INSPECTION[1], Barrier(within, 0.01, 0.001), *INSPECTION[3:])
+    pairs = (
+        (
+            Barrier(apart_from(k), 0.01, 0.001),
+            Barrier(unblinded_by(k), 0.0, 0.1, -1e-3),
+            Barrier(passive_to(k), 0.01, 0.001),
+        )
+        for k in range(count - 1)
+    )
+    return (*own, *itertools.chain(*pairs))
 
 
 def nearest(wish: Tensor, weight: Tensor, bound: Tensor) -> Tensor:
@@ -343,20 +445,33 @@ def check_barriers(barriers: Sequence[Barrier]) -> None:
 
 def inequalities(barriers: Sequence[Barrier], x: Deputies) -> tuple[Tensor, Tensor]:
     """Return ``weight`` [N, M, 3] and ``bound`` [N, M] of the forces u that keep barriers: ``weight u >= bound``."""
+    x = x._replace(others_r=x.others_r.expand(len(x.r), -1, -1), others_v=x.others_v.expand(len(x.r), -1, -1))  # of NO_OTHERS
     # the derivatives along the drift and along a force on each axis, side by side in one call
     four = x.repeated(4)
     push = torch.eye(3, dtype=x.r.dtype, device=x.r.device).unsqueeze(1) / x.mass.view(1, -1, 1)
     drift, zero = x.drift, torch.zeros_like(x.r)
-    directions = (torch.cat([drift[0], *[zero] * 3]), torch.cat([drift[1], *push]), torch.cat([drift[2], *[zero] * 3]))
+    still = [torch.zeros_like(x.others_r)] * 3  # the others drift
+    directions = (
+        torch.cat([drift[0], *[zero] * 3]),
+        torch.cat([drift[1], *push]),
+        torch.cat([drift[2], *[zero] * 3]),
+        torch.cat([x.others_v, *still]),
+        torch.cat([drifting(x.n.unsqueeze(1), x.others_r, x.others_v), *still]),
+    )
 
-    def values(r: Tensor, v: Tensor, sun: Tensor) -> Tensor:
-        now = four._replace(r=r, v=v, sun=sun)
+    def values(r: Tensor, v: Tensor, sun: Tensor, others_r: Tensor, others_v: Tensor) -> Tensor:
+        now = four._replace(r=r, v=v, sun=sun, others_r=others_r, others_v=others_v)
         return torch.stack([barrier(now) for barrier in barriers], 1)
 
-    h, slope = torch.func.jvp(values, (four.r, four.v, four.sun), directions)[:2]
+    h, slope = torch.func.jvp(values, (four.r, four.v, four.sun, four.others_r, four.others_v), directions)[:2]
     along, *by_axis = slope.unflatten(0, (4, -1)).unbind(0)
     alpha = torch.stack([barrier.alpha(h[: len(x.r), k]) for k, barrier in enumerate(barriers)], 1)
     return torch.stack(by_axis, -1), -along - alpha
+
+
+def crew_barriers(x: Deputies, wish: Tensor, time: float) -> Tensor:
+    """Return the forces [N, 3] N of :class:`Barriers` with :func:`crew_inspection` for all deputies of an episode."""
+    return Barriers(crew_inspection(1 + x.others_r.shape[1]))(x, wish, time)
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,11 @@ Termination: docking or a crash. Truncation: at 2001 s, beyond 10 km, and when t
 than 5 m/s.
 
 Random at reset: position and velocity.
+
+Several deputies (``deputies=2`` or more) are agents of the task ``multidocking_v0`` of the same program (``pettingzoo/docking``):
+they observe what one deputy does, and each earns its own reward. Differences: exceeding the safe speed costs 0.01 plus 0.01
+times the excess, of which 5 end an episode; the time limit is 2000 s; deputies collide below 0.5 m, at the end of a decision,
+which costs nothing; and the episode ends for all as soon as it does for one, so that the first to dock ends it.
 """
 
 from __future__ import annotations
@@ -40,10 +45,11 @@ import torch
 from torch import Tensor
 
 from bsk_torch import act, data, obs, rand, sats
+from bsk_torch._checks import whole
 from bsk_torch.act.assurance import DOCKING, Backup, Barriers
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.data.base import Log
-from bsk_torch.env import SatelliteTasking
+from bsk_torch.env import ConstellationTasking, SatelliteTasking
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.dyn.linear_motion import MEAN_MOTION
 from bsk_torch.sim.names import nearest
@@ -65,6 +71,14 @@ def interventions(fleet: SatelliteFleet) -> dict[str, Tensor]:
     if not all("interventions" in satellite.simulator.memory for satellite in fleet.satellites):
         return {}
     return {"interventions": fleet.each(attrgetter("simulator.memory.interventions"))}
+
+
+def collided(rho: Tensor, least: float) -> Tensor:
+    """Return which deputies at ``rho`` [N, S, 3] m are closer than ``least`` to another one, [N, S] bool."""
+    gap = rho.unsqueeze(2) - rho.unsqueeze(1)
+    x, y, z = gap.unbind(-1)
+    oneself = torch.eye(rho.shape[1], dtype=torch.bool, device=rho.device)
+    return ((x * x + y * y + z * z < least**2) & ~oneself).any(-1)
 
 
 class Polar(rand.Distribution):
@@ -93,7 +107,8 @@ class DockingReward(data.GlobalReward):
     """
 
     approach, half_distance = 2.0, 100.0
-    price = 0.01
+    price, speeding_price, speeding_fee = 0.01, 1.0, 0.0
+    grace = 0.5
     farthest = 10e3
     most_excess = 5.0
 
@@ -114,14 +129,15 @@ class DockingReward(data.GlobalReward):
         rate = math.log(2.0) / self.half_distance
         near, was = torch.exp(-rate * after["distance"]), torch.exp(-rate * before["distance"])
         excess = (after["relative_speed"] - after["speed_limit"]).clamp(min=0.0)
+        fine = self.speeding_price * excess + self.speeding_fee * (excess > 0.0)
         mass = self.fleet.each(lambda satellite: satellite.simulator.argument("mass"))
         memory, docked, moved = self.memory, after["docked"] > 0.0, (self.step_duration > 0.0).unsqueeze(1)
-        memory["excess_speed"] = memory["excess_speed"] + torch.where(moved, excess, 0.0)
+        memory["excess_speed"] = memory["excess_speed"] + torch.where(moved, fine, 0.0)
         memory["speeding"] = memory["speeding"] + (moved & (excess > 0.0))
         memory["docked"] = memory["docked"] | docked
         time = self.fleet.sim_time.unsqueeze(1)
-        late = time > LIMIT + 0.5 * self.fleet.h  # half a tick, since times are rounded
-        reward = self.approach * (near - was) - self.price * after["force_H"].abs().sum(-1) / mass - excess
+        late = time > LIMIT + self.grace * self.fleet.h  # half a tick, since times are rounded
+        reward = self.approach * (near - was) - self.price * after["force_H"].abs().sum(-1) / mass - fine
         reward = reward + torch.where(docked, 2.0 - time / LIMIT, 0.0)
         return reward - late.double() - (after["distance"] > self.farthest).double()
 
@@ -137,6 +153,35 @@ class DockingReward(data.GlobalReward):
         """See :meth:`bsk_torch.data.GlobalReward.is_truncated`."""
         distance = self.fleet.each(attrgetter("dynamics.distance"))
         return (distance > self.farthest) | (self.memory["excess_speed"] > self.most_excess)
+
+
+class CrewDockingReward(DockingReward):
+    """Reward of CWDocking-v1 with several deputies; see the module. There is a further counter ``collided``."""
+
+    speeding_price, speeding_fee = 0.01, 0.01
+    grace = -0.5
+    least = 0.5
+
+    def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
+        """See :meth:`bsk_torch.data.GlobalReward.link`."""
+        super().link(scenario, fleet)
+        self.memory.declare("collided", False, fleet.size)
+
+    def calculate_reward(self, before: Log, after: Log) -> Tensor:
+        """See :meth:`bsk_torch.data.GlobalReward.calculate_reward`."""
+        met = collided(self.fleet.each(attrgetter("dynamics.rho_H")), self.least)
+        self.memory["collided"] = self.memory["collided"] | (met & (self.step_duration > 0.0).unsqueeze(1))
+        return super().calculate_reward(before, after)
+
+    def counts(self) -> dict[str, Tensor]:
+        """See :meth:`bsk_torch.data.GlobalReward.counts`."""
+        return super().counts() | {"collided": self.memory["collided"].long()}
+
+    def is_terminated(self) -> Tensor:
+        """See :meth:`bsk_torch.data.GlobalReward.is_terminated`: all, if one has docked, crashed or collided."""
+        crashed = ~self.fleet.each(lambda satellite: satellite.dynamics.contact_valid())
+        over = self.memory["docked"] | self.memory["collided"] | crashed
+        return over.any(1, keepdim=True).expand_as(over)
 
 
 class DockingDeputy(sats.Satellite):
@@ -190,15 +235,29 @@ def deputy_args() -> dict[str, Any]:
     return dict(mass=12.0, meanMotion=MEAN_MOTION, oe=CHIEF_ORBIT, relative_velocity=Polar(0.0, 0.8))
 
 
-def cw_docking(*, assurance: str | None = None, sat_args: dict[str, Any] | None = None, **options: object) -> SatelliteTasking:
+def names_of(deputies: int) -> list[str]:
+    """Return the names of deputies."""
+    return [f"Deputy{k}" for k in range(1, deputies + 1)]
+
+
+def cw_docking(
+    *, deputies: int = 1, assurance: str | None = None, sat_args: dict[str, Any] | None = None, **options: object
+) -> SatelliteTasking | ConstellationTasking:
     """Return CWDocking-v1; see the module.
 
     Args:
+        deputies: Number of deputies; with two or more, each is an agent of a :class:`~bsk_torch.ConstellationTasking`.
         assurance: Filter of forces, ``"asif"``, ``"simplex"`` or ``"implicit_simplex"`` (a window of 5 s); None for none.
         sat_args: Arguments of the deputy that replace those of the preset.
-        **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset.
+        **options: Arguments of the environment that replace those of the preset.
+
+    Raises:
+        ValueError: For another assurance, or a number of deputies that is not positive.
     """
     arguments = deputy_args() | dict(relative_position=Polar(100.0, 150.0), speedLimitDistance=0.5, dockingRadius=0.2)
-    defaults: dict[str, Any] = dict(rewarder=DockingReward(), time_limit=LIMIT + 1.0, failure_penalty=-1.0)
-    deputy = assured(DEPUTIES, assurance)("Deputy", arguments | (sat_args or {}))
-    return SatelliteTasking(deputy, **(defaults | options))
+    deputy, arguments = assured(DEPUTIES, assurance), arguments | (sat_args or {})
+    if whole("deputies", deputies, 1) == 1:
+        alone: dict[str, Any] = dict(rewarder=DockingReward(), time_limit=LIMIT + 1.0, failure_penalty=-1.0)
+        return SatelliteTasking(deputy("Deputy", arguments), **(alone | options))
+    crew: dict[str, Any] = dict(rewarder=CrewDockingReward(), time_limit=LIMIT, failure_penalty=-1.0)
+    return ConstellationTasking([deputy(name, arguments) for name in names_of(deputies)], **(crew | options))

@@ -29,6 +29,13 @@ Reward: 0.01 for each newly inspected point, minus 0.01 times the sum of the com
 Termination: a crash, or all points inspected. Truncation: at 12,240 s (two orbits), and beyond 800 m.
 
 Random at reset: position, velocity, and the angle of the Sun.
+
+Several deputies (``deputies=2`` or more) are agents of the task ``multi_inspection_v0`` of the same program
+(``pettingzoo/inspection``), which inspect the same points: each earns the reward of all new points, and pays for its own force.
+Differences: ``points_inspected`` counts those that the deputy was the first to inspect, of several at once the earlier one of the
+list; initial speeds are below 1.6 mm/s; deputies collide below 10 m, at the end of a decision, which costs nothing; and the
+episode ends for all as soon as it does for one. The number of points and the time limit are those of one deputy, since the 100
+points of the program cannot be reached.
 """
 
 from __future__ import annotations
@@ -41,17 +48,22 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import torch
 from torch import Tensor
 
-from bsk_torch import act, data, obs, rand, sats
-from bsk_torch.act.assurance import BLIND, EDGE, INSPECTION, Barriers
+from bsk_torch import act, data, formations, obs, rand, sats
+from bsk_torch._checks import whole
+from bsk_torch.act.assurance import BLIND, EDGE, INSPECTION, Barriers, crew_barriers
 from bsk_torch.data.base import Log
-from bsk_torch.env import SatelliteTasking
-from bsk_torch.presets.cw_docking import Polar, assured, deputy_args, interventions
+from bsk_torch.env import ConstellationTasking, SatelliteTasking
+from bsk_torch.presets.cw_docking import Polar, assured, collided, deputy_args, interventions, names_of
 from bsk_torch.sim import dyn, fsw
+from bsk_torch.sim.dyn.linear_motion import MEAN_MOTION
 from bsk_torch.sim.inspection.lit_points import PER_CLUSTER, Clusters, clustered, in_view, lit, sphere_points
 
 if TYPE_CHECKING:
     from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.scene.base import Scenario
+
+FASTEST = 0.8 * 2.0 * MEAN_MOTION
+"""Bound of the initial speed of several deputies, m/s."""
 
 RADIUS, POINTS = 10.0, 100
 """Radius of the chief, m, and number of points for which its grid is made, which has 99."""
@@ -147,6 +159,51 @@ class LitPointsReward(data.GlobalReward):
         return self.fleet.each(attrgetter("dynamics.distance")) > EDGE
 
 
+class CrewLitPointsReward(LitPointsReward):
+    """Reward of CWInspection-v1 with several deputies; see the module. There is a further counter ``collided``."""
+
+    least = 10.0
+
+    def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
+        """See :meth:`bsk_torch.data.GlobalReward.link`."""
+        super().link(scenario, fleet)
+        self.memory.declare("collided", False, fleet.size)
+
+    def calculate_reward(self, before: Log, after: Log) -> Tensor:
+        """See :meth:`bsk_torch.data.GlobalReward.calculate_reward`."""
+        met = collided(after["rho_H"], self.least)
+        self.memory["collided"] = self.memory["collided"] | (met & (self.step_duration > 0.0).unsqueeze(1))
+        return super().calculate_reward(before, after)
+
+    def counts(self) -> dict[str, Tensor]:
+        """See :meth:`bsk_torch.data.GlobalReward.counts`."""
+        return super().counts() | {"collided": self.memory["collided"].long()}
+
+    def is_terminated(self) -> Tensor:
+        """See :meth:`bsk_torch.data.GlobalReward.is_terminated`: all, if all points are inspected, or one crashed or collided."""
+        over = self.memory["collided"] | ~self.fleet.each(lambda satellite: satellite.dynamics.distance_valid())
+        return super().is_terminated() | over.any(1, keepdim=True)
+
+
+class SharedSun(formations.Formation):
+    """Gives the angle of the Sun to all deputies of an episode."""
+
+    def __init__(self, angle: float | rand.Distribution) -> None:
+        """Draw, or use, ``angle``, rad."""
+        self.angle = angle if isinstance(angle, rand.Distribution) else rand.Uniform(angle, angle)
+
+    def draw(self, key: rand.Key, names: Sequence[str]) -> formations.Settings:
+        """See :meth:`bsk_torch.formations.Formation.draw`."""
+        drawn = torch.as_tensor(self.angle.draw(key.named("sunAngle")), dtype=torch.float64)
+        return {"sunAngle": (range(len(names)), drawn.unsqueeze(1).expand(-1, len(names)))}
+
+
+def points_found(satellite: sats.BoundSatellite) -> Tensor:
+    """Return the number of points that the deputy was the first to inspect, [N]."""
+    columns = satellite.fleet.columns[satellite.type_index]
+    return satellite.fleet.memory["found"][:, columns].flatten().double()
+
+
 def points_inspected(satellite: sats.BoundSatellite) -> Tensor:
     """Return the number of inspected points, [N]."""
     return satellite.simulator.of_env(satellite.fleet.memory["inspected"].sum(1).double())
@@ -181,17 +238,47 @@ class BarrierInspectionDeputy(InspectionDeputy):
     action_spec = (act.HeldThrust(assurance=Barriers(INSPECTION)),)
 
 
+class CrewInspectionDeputy(InspectionDeputy):
+    """A deputy of several."""
+
+    observation_spec = (
+        obs.SatProperties(
+            dict(prop="rho_H"),
+            dict(prop="rho_dot_H"),
+            dict(prop="sun_angle"),
+            dict(prop="points_inspected", fn=points_found),
+            dict(prop="nearest_cluster", fn=nearest_cluster),
+        ),
+    )
+
+
+class BarrierCrewInspectionDeputy(CrewInspectionDeputy):
+    """The same with an active-set invariance filter that also keeps deputies apart."""
+
+    action_spec = (act.HeldThrust(assurance=crew_barriers),)
+
+
+CREW: dict[str | None, type[sats.Satellite]] = {None: CrewInspectionDeputy, "asif": BarrierCrewInspectionDeputy}
+"""Deputies of several by the name of their run-time assurance."""
+
 DEPUTIES: dict[str | None, type[sats.Satellite]] = {None: InspectionDeputy, "asif": BarrierInspectionDeputy}
 """Deputies by the name of their run-time assurance."""
 
 
-def cw_inspection(*, assurance: str | None = None, sat_args: dict[str, Any] | None = None, **options: object) -> SatelliteTasking:
+def cw_inspection(
+    *, deputies: int = 1, assurance: str | None = None, sat_args: dict[str, Any] | None = None, **options: object
+) -> SatelliteTasking | ConstellationTasking:
     """Return CWInspection-v1; see the module.
 
     Args:
-        assurance: Filter of forces, ``"asif"`` (:class:`bsk_torch.act.assurance.Barriers`), or None.
+        deputies: Number of deputies; with two or more, each is an agent of a :class:`~bsk_torch.ConstellationTasking`.
+        assurance: Filter of forces, ``"asif"`` (:class:`bsk_torch.act.assurance.Barriers`), or None. That of several deputies
+            also keeps them apart (:func:`bsk_torch.act.assurance.crew_inspection`).
         sat_args: Arguments of the deputy that replace those of the preset.
-        **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset.
+        **options: Arguments of the environment that replace those of the preset.
+
+    Raises:
+        ValueError: For another assurance, or a number of deputies that is not positive.
     """
     arguments = deputy_args() | dict(
         relative_position=Polar(50.0, 100.0),
@@ -199,6 +286,11 @@ def cw_inspection(*, assurance: str | None = None, sat_args: dict[str, Any] | No
         speedLimitDistance=15.0,
         keepOutRadius=15.0,
     )
-    defaults: dict[str, Any] = dict(rewarder=LitPointsReward(), sim_rate=10.0, time_limit=12236.0, failure_penalty=-1.0)
-    deputy = assured(DEPUTIES, assurance)("Deputy", arguments | (sat_args or {}))
-    return SatelliteTasking(deputy, **(defaults | options))
+    common: dict[str, Any] = dict(sim_rate=10.0, time_limit=12236.0, failure_penalty=-1.0)
+    if whole("deputies", deputies, 1) == 1:
+        deputy = assured(DEPUTIES, assurance)("Deputy", arguments | (sat_args or {}))
+        return SatelliteTasking(deputy, **(common | dict(rewarder=LitPointsReward()) | options))
+    arguments = arguments | dict(relative_velocity=Polar(0.0, FASTEST)) | (sat_args or {})
+    crew = common | dict(rewarder=CrewLitPointsReward(), sat_arg_randomizer=SharedSun(arguments.pop("sunAngle")))
+    kind = assured(CREW, assurance)
+    return ConstellationTasking([kind(name, arguments) for name in names_of(deputies)], **(crew | options))
