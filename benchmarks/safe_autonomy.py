@@ -5,9 +5,10 @@ Usage:
         [--filters none asif simplex implicit_simplex] [--policies random glide rush]
         [--original PYTHON] [--turns 5] [--steps 100] [--out FILE.json]
 
-All policies play the same episodes. ``rush`` docks at one and a half times the safe speed. ``--original`` names an interpreter
-with AFRL's safe-autonomy-sims, whose environment steps in turns with ours, both on one thread and with random actions scaled
-down so that episodes last. Rates count processor time, not that of other jobs.
+All policies play the same episodes. A policy is a rule, ``rush``, or the folder of a run of ``bsk-torch train``. ``rush`` docks
+at one and a half times the safe speed. ``--original`` names an interpreter with AFRL's safe-autonomy-sims, whose environment
+steps in turns with ours, both on one thread and with random actions scaled down so that episodes last. Rates count processor
+time, not that of other jobs.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ import bsk_torch
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
 from bsk_torch.rl.evaluation.statistics import confidence
+from bsk_torch.rl.policies.files import load_policy
 from bsk_torch.rl.rules.observation_columns import Columns
 from bsk_torch.rl.rules.thrusters import glide
 
@@ -74,7 +76,10 @@ def play(policy: str, name: str, options: argparse.Namespace) -> Evaluation:
     limit = {} if options.time_limit is None else {"time_limit": options.time_limit}
     world = dict(num_envs=size, env_ids=[0] * size, assurance=assurance, backend=options.backend)
     env = bsk_torch.make(options.preset, **world, **limit)
-    actor = rush(env) if policy == "rush" else bsk_torch.rule(policy, env)
+    if Path(policy).is_dir():
+        actor: TensorDictModuleBase = load_policy(policy)
+    else:
+        actor = rush(env) if policy == "rush" else bsk_torch.rule(policy, env)
     return evaluate(actor, env, seeds=range(options.seed, options.seed + options.episodes))
 
 
