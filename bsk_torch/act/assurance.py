@@ -284,7 +284,7 @@ def unblinded_by(other: int) -> Callable[[Deputies], Tensor]:
 
     def value(x: Deputies) -> Tensor:
         pair = of_pair(x, other)
-        sign = torch.where(dot(pair.r, x.sun) > 0.0, -1.0, 1.0).to(x.r.dtype).unsqueeze(1)
+        sign = (1.0 - 2.0 * (dot(pair.r, x.sun) > 0.0).to(x.r.dtype)).unsqueeze(1)
         return unblinded(pair._replace(r=sign * pair.r, v=sign * pair.v))
 
     return value

@@ -101,6 +101,7 @@ def inspected():
 @pytest.mark.parametrize("task", ["docked", "inspected"])
 def test_recorded_episodes_of_two_deputies(task, request):
     recorded, group, (states, seen, flown) = request.getfixturevalue(task)
+    assert len(recorded) == len(DOCKING if task == "docked" else INSPECTION)
     for k, (name, case) in enumerate(recorded.items()):
         count, rows = len(case["actions"]), case["rows"]
         difference = np.abs(states[k, rows] - case["states"])
