@@ -29,6 +29,7 @@ import bsk_torch
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
 from bsk_torch.rl.evaluation.statistics import confidence
+from bsk_torch.rl.marl.runs import read_config
 from bsk_torch.rl.policies.files import load_policy
 from bsk_torch.rl.rules.observation_columns import Columns
 from bsk_torch.rl.rules.thrusters import glide
@@ -81,6 +82,11 @@ def play(policy: str, name: str, options: argparse.Namespace) -> Evaluation:
     else:
         actor = rush(env) if policy == "rush" else bsk_torch.rule(policy, env)
     return evaluate(actor, env, seeds=range(options.seed, options.seed + options.episodes))
+
+
+def called(policy: str) -> str:
+    """Return how tables call a policy."""
+    return f"trained, seed {read_config(Path(policy)).seed}" if Path(policy).is_dir() else policy
 
 
 def summary(result: Evaluation) -> dict[str, Any]:
@@ -154,7 +160,7 @@ def main() -> None:
     rows = []
     for policy in options.policies:
         for name in options.filters:
-            row = {"preset": options.preset, "policy": policy, "filter": name} | summary(play(policy, name, options))
+            row = {"preset": options.preset, "policy": called(policy), "filter": name} | summary(play(policy, name, options))
             rows.append(row)
             print(harness.table(COLUMNS, [row]), flush=True)
     rates = speed(options) if options.turns else []

@@ -23,6 +23,8 @@ SCRIPTS = {
     "faults_planners": "faults_headroom",
     "safe_docking": "safe_autonomy",
     "safe_inspection": "safe_autonomy",
+    "safe_docking_trained": "safe_autonomy",
+    "safe_inspection_trained": "safe_autonomy",
 }
 """Scripts by result, where the names differ."""
 
@@ -426,7 +428,9 @@ def safe_autonomy(*names: str) -> str:
         "interventions",
         "return",
     ]
-    parts = [table(head, rows), table(["preset", "program", "episodes at once", "decisions per core-s"], rates)]
+    parts = [table(head, rows)]
+    if rates:
+        parts.append(table(["preset", "program", "episodes at once", "decisions per core-s"], rates))
     return "\n\n".join([*parts, *(made(name) for name in names)])
 
 

@@ -97,6 +97,18 @@ SERVICES: dict[str, dict[str, Any]] = {
 """For images that count when they have been verified on the ground: most of the reward is paid at the capture in training, and
 candidates that promise the most come first."""
 
+CW_DOCKING: dict[str, dict[str, Any]] = {
+    "mlp": dict(
+        num_envs=256, rollout=64, learning_rate=1e-3, gamma=0.998, lmbda=0.97, entropy=0.0, epochs=4, evaluate_every=500_000
+    )
+}
+"""For docking by thrusters, with a decision in each second: rewards for approaching come within minutes."""
+
+CW_INSPECTION: dict[str, dict[str, Any]] = {
+    "mlp": dict(num_envs=256, rollout=64, learning_rate=1e-3, gamma=0.9995, entropy=0.0, epochs=4, evaluate_every=200_000)
+}
+"""For inspections by thrusters, with a decision every 10 s. A discount of 0.9999 learned more slowly."""
+
 RECIPES: dict[str, dict[str, dict[str, Any]]] = {
     "NadirScan-v1": SCANNING,
     "NadirScience-v1": SCIENCE,
@@ -112,6 +124,8 @@ RECIPES: dict[str, dict[str, dict[str, Any]]] = {
     "Services-v1": SERVICES,
     "RSOInspection-v1": INSPECTION,
     "MultiInspection-v1": CREW,
+    "CWDocking-v1": CW_DOCKING,
+    "CWInspection-v1": CW_INSPECTION,
 }
 """Settings that differ from the defaults of :class:`PPOConfig` or :class:`MAPPOConfig`, by environment and network."""
 
