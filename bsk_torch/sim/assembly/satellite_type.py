@@ -232,6 +232,10 @@ def satellite_type(
     orbit = dyn_type.orbit if options.orbit is None else options.orbit
     if orbit not in ORBITS:
         raise ValueError(f"orbit={orbit!r} must be one of {list(ORBITS)}, or None for the model's own")
+    if orbit == "arc" and not dyn_type.gravity_degree:
+        raise ValueError(
+            f"orbit='arc' needs the Earth's oblateness, but {dyn_type.__name__} has gravity_degree = 0; pass orbit='integrated'"
+        )
     check_required_dyn(dyn_type, fsw_type)
     world, around = world_of(dyn_type, world_type), world_components(dyn_type, world_type)
     own = (*dyn_type.all_components(), *fsw_type.all_components())

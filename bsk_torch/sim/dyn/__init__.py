@@ -1,5 +1,6 @@
 """Dynamics: the parts of a spacecraft and the models that compose them."""
 
+from bsk_torch.sim.dyn.aeos_bench import AEOSBenchDynModel
 from bsk_torch.sim.dyn.catalog_radio import CatalogRadioDynModel
 from bsk_torch.sim.dyn.facets import Facet, box_facets
 from bsk_torch.sim.dyn.forces import add_force
@@ -36,6 +37,7 @@ from bsk_torch.sim.readout.observables import Now, observable, vital
 __all__ = [
     "THRUSTER_TYPES",
     "WHEEL_TYPES",
+    "AEOSBenchDynModel",
     "AtmosphericDragDynModel",
     "BasicDynamicsModel",
     "CatalogRadioDynModel",

@@ -43,7 +43,8 @@ class DynamicsModel(Model):
     ``requires_world`` lists the required world models, in addition to those of the base classes. ``world_components`` are further
     components of the world, which replace those of world models in the same slots. ``orbit`` is the default computation of the
     orbit: ``"arc"`` (in advance) or ``"integrated"`` (in every tick). ``schedule`` is the order of a tick (default: bsk_rl's);
-    see :mod:`bsk_torch.sim.schedule`. ``gravity_degree`` is the degree and order of the Earth's field, from 2 to 10.
+    see :mod:`bsk_torch.sim.schedule`. ``gravity_degree`` is the degree and order of the Earth's field, from 2 to 10, or 0 for a
+    point mass, which orbits that are integrated can have.
 
     Frames: N is inertial (J2000 equator), B the body, P fixed to the Earth, H the Hill frame. Vectors ``r``, ``v`` and ``h`` in
     the formulas are ``r_BN_N``, ``v_BN_N`` and their cross product. Equations of two-body motion and of attitude are those of

@@ -1,5 +1,6 @@
 """Flight software: guidance, control, and the modes that actions switch between."""
 
+from bsk_torch.sim.fsw.aeos_bench import AEOSBenchFSWModel
 from bsk_torch.sim.fsw.gains import propose_gains
 from bsk_torch.sim.fsw.inspection import RSOInspectorFSWModel
 from bsk_torch.sim.fsw.models import (
@@ -21,6 +22,7 @@ from bsk_torch.sim.fsw.strip import StripImagingFSWModel
 from bsk_torch.sim.fsw.tasks import Task, action
 
 __all__ = [
+    "AEOSBenchFSWModel",
     "AttitudeSetpointFSWModel",
     "BasicFSWModel",
     "CatalogRadioFSWModel",

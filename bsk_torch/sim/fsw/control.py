@@ -69,7 +69,8 @@ def _feed_back(bus: Bus, with_wheels: bool) -> None:
         opposite = opposite + bus.known_torque_B
     write_commands(bus, commands_for(bus, -opposite), on)
     bus.control_integral_B = select(on & integrates, integral, bus.control_integral_B)
-    bus.control_idle = torch.where(on, torch.zeros_like(dt), torch.where(never, bus.control_idle, bus.control_idle + bus.h))
+    if bus.h_ns:  # Basilisk takes a call at time zero for none
+        bus.control_idle = torch.where(on, torch.zeros_like(dt), torch.where(never, bus.control_idle, bus.control_idle + bus.h))
 
 
 def check_control_axes(args: Values) -> None:

@@ -44,7 +44,7 @@ def navigate(bus: Bus) -> None:
     bus.BN, bus.error = mrp_to_dcm(navigated(bus).sigma_BN), rest(bus)
 
 
-def point_at(bus: Bus, axis_B: Vec3, r_TN_N: Vec3, task: str) -> None:
+def point_at(bus: Bus, axis_B: Vec3, r_TN_N: Vec3, task: str, damped: bool = True) -> None:
     """Write the error of pointing an axis p of B at a target T, both directions in B (Basilisk's locationPointing).
 
     With the direction ``x = [BN] (r_TN - r_BN) / |r_TN - r_BN|`` of the target and the angle phi between p and x::
@@ -54,14 +54,15 @@ def point_at(bus: Bus, axis_B: Vec3, r_TN_N: Vec3, task: str) -> None:
         omega_RN_B = omega_BN_B - omega_BR_B,  domega_RN_B = 0
 
     The rotation about the shortest way turns p to x; the rate error is a difference of attitude errors, see
-    :func:`bsk_torch.astro.attitude.mrp_rate_to_omega`, and its last term damps the rate about the line of sight. In the first
-    tick after a reset, where ``<task>_fresh`` is 1, there is no difference to take and its term is zero.
+    :func:`bsk_torch.astro.attitude.mrp_rate_to_omega`, and its last term damps the rate about the line of sight where ``damped``.
+    In the first tick after a reset, where ``<task>_fresh`` is 1, there is no difference to take and its term is zero.
 
     Args:
         bus: Messages of the tick.
         axis_B: Unit vector p in B.
         r_TN_N: Position of the target in N, m.
         task: ``"sun"`` or ``"location"``, whose flag switches the law on and whose memory it uses.
+        damped: Whether the rate about the line of sight is damped.
     """
     known = navigated(bus)
     on, memory, fresh = getattr(bus, f"{task}_on") > 0.0, getattr(bus, f"{task}_sigma_BR"), getattr(bus, f"{task}_fresh")
@@ -72,8 +73,11 @@ def point_at(bus: Bus, axis_B: Vec3, r_TN_N: Vec3, task: str) -> None:
         # tan(phi / 4) / sin(phi) = 1 / (c + sqrt(c^2 + sin(phi)^2)) with c = 1 + cos(phi): acos would lose digits near alignment
         half = 1.0 + cosine
         sigma_BR = -turn / torch.clamp(half + torch.sqrt(half * half + turn.dot(turn)), min=1e-30)
-        difference = mrp_rate_to_omega(sigma_BR, (sigma_BR - memory) / bus.h)
-        omega_BR_B = select(fresh > 0.0, Vec3.zeros_like(cosine), difference) + x_B * known.omega_BN_B.dot(x_B)
+        omega_BR_B = Vec3.zeros_like(cosine)
+        if bus.h_ns:
+            difference = mrp_rate_to_omega(sigma_BR, (sigma_BR - memory) / bus.h)
+            omega_BR_B = select(fresh > 0.0, omega_BR_B, difference)
+        omega_BR_B = omega_BR_B + x_B * known.omega_BN_B.dot(x_B) if damped else omega_BR_B
         return sigma_BR, Error(sigma_BR, omega_BR_B, known.omega_BN_B - omega_BR_B, Vec3.zeros_like(cosine))
 
     memory, bus.error = only(on, law, (memory, bus.error))

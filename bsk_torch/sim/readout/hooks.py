@@ -59,7 +59,10 @@ UNUSED: dict[str, str] = {
 """Names that are not hooks of models, those of bsk_rl among them, and what to write instead."""
 
 LEAST_DEGREE = 2
-"""Least degree of the Earth's field: look-ahead and the solvers of arcs are built around its oblateness."""
+"""Least degree of the Earth's field, apart from the point mass: solvers of arcs are built around its oblateness."""
+
+DEGREES = (0, *range(LEAST_DEGREE, DEGREE + 1))
+"""Degrees of the Earth's field."""
 
 SIMILAR = 0.85
 """Similarity of two names of values from which one counts as a misspelling of the other."""
@@ -135,8 +138,8 @@ def _check_table(title: str, name: str, value: object) -> None:
             raise TypeError(f"{title}={value!r} is no tuple of models; {example}")
     elif name == "schedule" and not isinstance(value, Schedule):
         raise TypeError(f"{title}={value!r} is no Schedule, from bsk_torch.sim.schedule; {example}")
-    elif name == "gravity_degree" and not (type(value) is int and LEAST_DEGREE <= value <= DEGREE):
-        raise TypeError(f"{title}={value!r} must be a whole number from {LEAST_DEGREE} to {DEGREE}; {example}")
+    elif name == "gravity_degree" and not (type(value) is int and value in DEGREES):
+        raise TypeError(f"{title}={value!r} must be 0 (a point mass) or from {LEAST_DEGREE} to {DEGREE}; {example}")
     elif name in ("modes", "commands") and not isinstance(value, Mapping):
         raise TypeError(f"{title}={value!r} is no dictionary; {example}")
 
