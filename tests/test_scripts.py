@@ -246,6 +246,7 @@ STARTS: dict[str, list[Start]] = {
 """Commands by script, run in an empty folder."""
 
 RECORDED = {
+    "record_aeos_bench": "basilisk/recordings/aeos_bench_odd",
     "record_basilisk": "basilisk/recordings/two_seconds",
     "record_constellation": "basilisk/recordings/constellation_untasked",
     "record_craft": "basilisk/recordings/craft_steering",

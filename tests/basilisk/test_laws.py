@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from tests.basilisk import test_aeos_bench as aeos_bench
 from tests.basilisk import test_constellation_parity as constellations
 from tests.basilisk import test_imaging_parity as images
 from tests.basilisk import test_inspection as inspection
@@ -57,6 +58,10 @@ LAWS = {
         (models.test_an_imposed_attitude_is_the_same_in_kernels,),
         (models.test_wheels_of_a_spacecraft_whose_attitude_is_imposed_turn_with_it,),
         (models.test_passive_satellites_fly_beside_one_with_wheels,),
+    ],
+    "the tick of AEOS-Bench": [
+        *((aeos_bench.test_a_tick_from_every_recorded_state, "compiled", name) for name in ("random", "odd", "stiff")),
+        *((aeos_bench.test_a_flight, "compiled", name) for name in aeos_bench.NAMES),
     ],
 }
 """Replays of each law: a test, and the values of its parameters."""

@@ -82,7 +82,7 @@ FIELD_OF_VIEW = Component(
 
 
 class AEOSBenchDynModel(EclipseDynModel):
-    """The spacecraft of AEOS-Bench; see :mod:`bsk_torch.sim.dyn.aeos_bench`. Nothing ends an episode, not an empty battery either."""
+    """The spacecraft of AEOS-Bench; see :mod:`bsk_torch.sim.dyn.aeos_bench`. No state ends an episode."""
 
     components: ClassVar[tuple[Component, ...]] = (
         HUB,
