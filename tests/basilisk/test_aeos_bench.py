@@ -139,9 +139,8 @@ def test_a_satellite_is_the_same_alone_and_among_others(backend):
         for _ in flight.replay(30):
             pass
     together, alone = flights
-    for field in FIELDS:
-        for env in range(3):
-            np.testing.assert_array_equal(together.read(field)[env, 1], alone.read(field)[0, 0], err_msg=field)
+    differ = [field for field in FIELDS if (together.read(field)[:, 1] != alone.read(field)[0, 0]).any()]
+    assert not differ
 
 
 def test_sixty_ticks_at_once_are_sixty_runs_of_one():
@@ -152,8 +151,7 @@ def test_sixty_ticks_at_once_are_sixty_runs_of_one():
     at_once.run(60)
     for _ in range(60):
         by_one.run(1)
-    for field in FIELDS:
-        np.testing.assert_array_equal(at_once.read(field), by_one.read(field), err_msg=field)
+    assert not [field for field in FIELDS if (at_once.read(field) != by_one.read(field)).any()]
 
 
 # --- what is particular to the benchmark ---
