@@ -82,20 +82,21 @@ SERVICES: dict[str, dict[str, Any]] = {
         num_envs=128,
         rollout=32,
         hidden=(64,),
-        learning_rate=5e-4,
-        epochs=3,
-        minibatch=1024,
-        gamma=0.9995,
-        entropy=0.003,
-        imitate="candidate_rate",
-        imitation=0.15,
-        evaluate_every=75_000,
-        evaluate_episodes=48,
-        options=dict(order="priority_per_second", as_set=True, delivery_share=0.1),
+        learning_rate=7e-4,
+        epochs=4,
+        minibatch=512,
+        gamma=0.999,
+        lmbda=0.9,
+        entropy=0.005,
+        imitate="candidate_rate_ahead",
+        imitation=0.1,
+        evaluate_every=60_000,
+        evaluate_episodes=64,
+        options=dict(order="priority_per_second_ahead", as_set=True, outlook=True, delivery_share=0.1),
     )
 }
 """For images that count when they have been verified on the ground: most of the reward is paid at the capture in training, and
-candidates that promise the most come first."""
+candidates that promise the most come first. The future of ten decisions counts."""
 
 CW_DOCKING: dict[str, dict[str, Any]] = {
     "mlp": dict(
