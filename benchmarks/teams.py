@@ -5,7 +5,7 @@ Usage:
 
 Cases are those of the studies: satellites that know their own images only (``independent``) decide by the rule ``local``, those
 that know all (``ideal``) by ``centralized``. In ``three-shared``, satellites know all and decide for themselves, of which no
-result is published.
+result is published, and none of the rule ``prompt`` either.
 """
 
 from __future__ import annotations
@@ -55,8 +55,12 @@ CASES = {
     "three-shared": Case(THREE, "local", "ideal", "LEO", None),
     "three-mixed-local": Case(THREE, "local", "independent", MIXED, (322.6, 302.2, 320.01, 96.78, 96.6, 488.4, 45.3)),
     "three-mixed-centralized": Case(THREE, "centralized", "ideal", MIXED, (350.94, 335.82, 349.67, 97.16, 96.96, 0.0, 0.0)),
+    "three-prompt": Case(THREE, "prompt", "independent", "LEO", None),
+    "three-shared-prompt": Case(THREE, "prompt", "ideal", "LEO", None),
     "walker-local": Case(FOUR, "local", "independent", MIXED, (361.2, 337.4, 359.9, 100.0, 100.0, 704.4, 48.2)),
     "walker-centralized": Case(FOUR, "centralized", "ideal", MIXED, (396.2, 382.2, 394.8, 100.0, 100.0, 0.0, 0.0)),
+    "walker-prompt": Case(FOUR, "prompt", "independent", MIXED, None),
+    "walker-shared-prompt": Case(FOUR, "prompt", "ideal", MIXED, None),
 }
 
 COLUMNS = {
@@ -76,7 +80,9 @@ COLUMNS = {
 def flown(name: str, options: argparse.Namespace) -> dict[str, Any]:
     """Play the episodes of a case; figures are means and half-widths."""
     case = CASES[name]
-    team = dict(information=case.information, mixture=case.mixture, n_targets=options.targets)
+    team: dict[str, Any] = dict(
+        as_set=case.rule == "prompt", information=case.information, mixture=case.mixture, n_targets=options.targets
+    )
     world = dict(time_limit=options.time_limit, backend=options.backend)
     env = bsk_torch.make(case.preset, num_envs=options.episodes, **team, **world)
     assert isinstance(env, ConstellationTasking)

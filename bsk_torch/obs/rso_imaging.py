@@ -28,8 +28,9 @@ one, else 0; 1 where an image is on board; 1 where the imager is imaging the can
 EXPECTED_RATE = "expected_priority_per_second"
 """Property of candidates: priority to expect of an image per second of its duration; 0 if dark or hidden at its end."""
 
-PROPERTIES = ("valid", "priority", *Views._fields, *Outlook._fields, EXPECTED_RATE, *KNOWN)
-"""Properties of candidates: the allowed values of ``prop``."""
+PROPERTIES = ("valid", "priority", "in_sight", *Views._fields, *Outlook._fields, EXPECTED_RATE, *KNOWN)
+"""Properties of candidates: the allowed values of ``prop``. ``in_sight`` is 1 where the Earth is not in the way; see
+:meth:`~bsk_torch.scene.RSOTargets.in_sight`."""
 
 DEFAULT = (
     {"prop": "priority", "norm": 2},
@@ -115,6 +116,8 @@ class RSOTargetProperties(Observation):
             "valid": torch.ones_like(seen.target_distance),
             "priority": self.satellite.of_env(scenario.priority).gather(1, candidates.place),
         }
+        if any(entry.prop == "in_sight" for entry in self.entries):
+            known["in_sight"] = scenario.in_sight(self.satellite, candidates).double()
         if any(entry.prop in (*Outlook._fields, EXPECTED_RATE) for entry in self.entries):
             outlook = scenario.outlook(self.satellite, candidates)
             known |= outlook._asdict() | {EXPECTED_RATE: expected_rate(known["priority"], outlook)}

@@ -66,6 +66,7 @@ from typing import Any, ClassVar
 import torch
 
 from bsk_torch import act, comm, data, formations, obs, sats, scene
+from bsk_torch._checks import switch
 from bsk_torch.astro.elements import ClassicElements
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.presets.services import (
@@ -73,6 +74,7 @@ from bsk_torch.presets.services import (
     CANDIDATES,
     EPISODE,
     MIXTURE,
+    ORDERS,
     ServicingDynModel,
     own_properties,
     servicing_args,
@@ -113,6 +115,9 @@ CANDIDATE = (
 )
 """Observed properties of candidates."""
 
+CANDIDATE_SET = obs.RSOTargetProperties(*CANDIDATE, dict(prop="in_sight"), n_ahead_observe=CANDIDATES, as_set=True)
+"""Candidates as a set, with what the studies do not observe: whether the Earth is not in the way."""
+
 
 class SensorDynModel(dyn.CatalogRadioDynModel, ServicingDynModel):
     """Dynamics of an imager of objects in orbit with a radio to other imagers."""
@@ -150,8 +155,26 @@ class SensorOfFour(Sensor):
     action_spec = (*Sensor.action_spec, act.TransmitCatalog(3))
 
 
-RADIO = {3: SensorOfThree, 4: SensorOfFour}
-"""Sensors with a radio, by their number."""
+class SetSensor(Sensor):
+    """The same as :class:`Sensor`, observing its candidates as a set."""
+
+    observation_spec = (*Sensor.observation_spec[:-1], CANDIDATE_SET)
+
+
+class SetSensorOfThree(SensorOfThree):
+    """The same as :class:`SensorOfThree`, observing its candidates as a set."""
+
+    observation_spec = (*SetSensor.observation_spec, obs.RSOPeers(2))
+
+
+class SetSensorOfFour(SensorOfFour):
+    """The same as :class:`SensorOfFour`, observing its candidates as a set."""
+
+    observation_spec = (*SetSensor.observation_spec, obs.RSOPeers(3))
+
+
+KINDS = {0: (Sensor, SetSensor), 3: (SensorOfThree, SetSensorOfThree), 4: (SensorOfFour, SetSensorOfFour)}
+"""Sensors that observe candidates in one vector or as a set, by the number of those with a radio."""
 
 
 def choice(title: str, value: object, known: Sequence[str]) -> str:
@@ -169,22 +192,26 @@ def team(
     n_targets: int,
     delivery_share: float,
     sat_args: dict[str, Any] | None,
-    obs_type: type,
+    obs_type: type | None,
+    order: str,
+    as_set: bool,
     options: dict[str, Any],
 ) -> ConstellationTasking:
     """Return a team of sensors, with arguments of each orbit."""
+    choice("order", order, list(ORDERS))
     choice("information", information, INFORMATION)
     choice("retasking", retasking, RETASKING)
     names = [f"SS{k + 1}" for k in range(len(orbits))]
     started = servicing_args() | dict(storedCharge_Init=0.9 * BATTERY, wheelSpeeds=[0.0, 0.0, 0.0])
-    kind = RADIO[len(names)] if information == "radio" else Sensor
+    kind = KINDS[len(names) if information == "radio" else 0][switch("as_set", as_set)]
+    observed_as = (dict if as_set else torch.Tensor) if obs_type is None else obs_type
     satellites = [
-        kind(name, started | orbit | (sat_args or {}), obs_type=obs_type) for name, orbit in zip(names, orbits, strict=True)
+        kind(name, started | orbit | (sat_args or {}), obs_type=observed_as) for name, orbit in zip(names, orbits, strict=True)
     ]
     told = {"independent": comm.NoCommunication, "ideal": comm.FreeCommunication, "radio": comm.CatalogCommunication}
     catalog = servicing_catalog(n_targets, mixture, exact_mixture=True, priority_event=False)
     defaults: dict[str, Any] = dict(
-        scenario=scene.RSOTargets(catalog, names, knowledge="own"),
+        scenario=scene.RSOTargets(catalog, names, knowledge="own", order=ORDERS[order]),
         rewarder=(data.RSOTeamReward(delivery_share=delivery_share), data.OperationsPenalty(empty_downlink=-1.0)),
         communicator=told[information](),
         time_limit=EPISODE,
@@ -204,7 +231,9 @@ def three_sensors(
     retasking: str = "conflict",
     delivery_share: float = 0.1,
     sat_args: dict[str, Any] | None = None,
-    obs_type: type = torch.Tensor,
+    order: str = "elevation",
+    as_set: bool = False,
+    obs_type: type | None = None,
     **options: Any,
 ) -> ConstellationTasking:
     """Return ThreeSensors-v1; see the module.
@@ -217,7 +246,11 @@ def three_sensors(
         retasking: ``"conflict"`` or ``"continuous"``; see the module.
         delivery_share: Share of the priority that is paid when an image has been downlinked.
         sat_args: Arguments of the satellites that replace those of the preset.
-        obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations.
+        obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations (default: with ``as_set``).
+        order: Order of the candidates: ``"elevation"``, the one of the studies, or ``"priority_per_second"``; see
+            :func:`~bsk_torch.scene.by_priority_per_second`.
+        as_set: Whether candidates are observed as ``rows`` [N, 10, 18] with a ``mask`` instead of in one vector; the last
+            number is 1 where the Earth does not hide the candidate.
         **options: Arguments of :class:`~bsk_torch.ConstellationTasking` that replace those of the preset.
 
     Raises:
@@ -227,7 +260,7 @@ def three_sensors(
         dict(oe=elements(EARTH + altitude, 0.001, inclination, 30.0 * k, 15.0 * k))
         for k, (altitude, inclination) in enumerate(ORBITS)
     ]
-    return team(orbits, mixture, information, retasking, n_targets, delivery_share, sat_args, obs_type, options)
+    return team(orbits, mixture, information, retasking, n_targets, delivery_share, sat_args, obs_type, order, as_set, options)
 
 
 def elements(a: float, e: float, i: float, Omega: float, f: float) -> ClassicElements:
@@ -244,7 +277,9 @@ def walker4(
     retasking: str = "conflict",
     delivery_share: float = 0.1,
     sat_args: dict[str, Any] | None = None,
-    obs_type: type = torch.Tensor,
+    order: str = "elevation",
+    as_set: bool = False,
+    obs_type: type | None = None,
     **options: Any,
 ) -> ConstellationTasking:
     """Return Walker4-v1; see the module. Arguments and errors are those of :func:`three_sensors`."""
@@ -259,5 +294,7 @@ def walker4(
         delivery_share,
         sat_args,
         obs_type,
+        order,
+        as_set,
         dict(sat_arg_randomizer=pattern) | options,
     )

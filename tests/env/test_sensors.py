@@ -49,11 +49,49 @@ def fly(env, steps, rule="local"):
         (dict(retasking="never"), "retasking='never' must be one of"),
         (dict(delivery_share=2.0), "delivery_share=2.0"),
         (dict(mixture="MEO"), "MEO"),
+        (dict(order="distance"), "order='distance' must be one of"),
     ],
 )
 def test_wrong_arguments_are_named(options, message):
     with pytest.raises(ValueError, match=message):
         sensors(**options)
+
+
+@pytest.mark.parametrize(("name", "peers"), [("ThreeSensors-v1", 2), ("Walker4-v1", 3)])
+def test_candidates_are_observed_as_a_set(name, peers):
+    """The same numbers as in one vector, by which the same rule decides alike."""
+    options = dict(information="radio", order="priority_per_second", backend="eager")
+    sets, vectors = sensors(name, as_set=True, **options), sensors(name, **options)
+    (group,) = sets.group_map
+    td, other = sets.reset(), vectors.reset()
+    seen, vector = td[group, "observation"], other[group, "observation"]
+    assert torch.equal(seen["rso_targets", "rows"][..., :17].flatten(2), vector[..., 26:196])
+    assert torch.equal(seen["rso_targets", "mask"].bool(), td[group, "action_mask"][..., 3:13])
+    assert len(seen["peers"].keys()) == peers
+    candidates = sets.scenario.candidates(sets.satellites[0], 10)
+    in_sight = sets.scenario.in_sight(sets.satellites[0], candidates)
+    assert torch.equal(seen["rso_targets", "rows"][..., 17].flatten(0, 1).bool(), in_sight)
+    rules = [bsk_torch.rule("candidate_rate", env) for env in (sets, vectors)]
+    assert torch.equal(rules[0](td)[group, "action"], rules[1](other)[group, "action"])
+
+
+def test_the_prompt_rule_images_what_pays_most_per_second():
+    """Against a loop over the candidates that are lit and in sight."""
+    env = sensors("ThreeSensors-v1", information="ideal", num_envs=8, n_targets=60, as_set=True)
+    td = fly(env, 5, "prompt")
+    (group,) = env.group_map
+    decided = bsk_torch.rule("prompt", env)(td)[group, "action"]
+    names, images = env.satellites[0].action_description, 0
+    for e, a in itertools.product(range(8), range(3)):
+        legal, action = td[group, "action_mask"][e, a], int(decided[e, a])
+        if not legal[:-1].any() or names[action] in ("action_downlink", "action_charge"):
+            continue
+        rows = td[group, "observation", "rso_targets", "rows"][e, a].tolist()
+        able = {k: row for k, row in enumerate(rows) if legal[3 + k] and row[9] >= 0.5 and row[17]}
+        worth = {3 + k: row[0] / (40.0 + 90.0 * row[7]) for k, row in able.items()}
+        assert action == (max(worth, key=worth.__getitem__) if worth else names.index("action_desat"))
+        images += bool(worth)
+    assert images > 0
 
 
 @pytest.mark.parametrize(
@@ -242,11 +280,11 @@ def test_rules_of_teams_need_a_team():
 
 def test_rules_of_teams_are_compared_with_and_stand_behind_no_shield():
     env = sensors("ThreeSensors-v1", backend="eager")
-    assert set(shared_baselines(env)) == {"random", "local", "centralized", *WORTHS}
+    assert set(shared_baselines(env)) == {"random", "local", "centralized", *WORTHS} - {"prompt", "candidate_rate_ahead"}
     with pytest.raises(ValueError, match="decides for all satellites at once"):
         for_each_group(lambda policy, view: policy, baseline("local", env), env)
     alone = shared_baselines(bsk_torch.make("Services-v1", n_targets=12, backend="eager"))
-    assert set(alone) == {"random", *ORDERS, *WORTHS}
+    assert set(alone) == {"random", *ORDERS, *WORTHS} - {"prompt", "candidate_rate_ahead"}
 
 
 def test_rules_of_teams_are_flown_from_the_command_line(capsys):

@@ -240,6 +240,7 @@ def rule(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
     ``candidate_rate``        the same among the observed candidates
     ``rate_ahead``            like ``rate``, with the duration, light and sight expected for the end of the image
     ``candidate_rate_ahead``  likewise among the observed candidates, with ``outlook=True`` of ``Services-v1``
+    ``prompt``                like ``candidate_rate`` in sight only, for teams with ``as_set=True``; waits by desaturating
     ``local``                 those of ``ThreeSensors-v1`` and ``Walker4-v1``: each imager decides by what it knows
     ``centralized``           the same: the best joint choice, which needs ``information="ideal"`` to be one of the team
     ========================  ==================================================================================================

@@ -119,27 +119,41 @@ def expected_rate_of(see: TargetReader, observation: Observation) -> Tensor:
     return see.read(observation, EXPECTED_RATE)
 
 
+def sighted_rate_of(see: TargetReader, observation: Observation) -> Tensor:
+    """Return what :func:`rate_of` does, [..., n], but zero also for candidates that the Earth hides."""
+    return see.read(observation, "in_sight") * rate_of(see, observation)
+
+
 WORTHS: dict[str, Callable[[TargetReader, Observation], Tensor]] = {
     "candidate_priority": priority_of,
     "candidate_rate": rate_of,
     "candidate_rate_ahead": expected_rate_of,
+    "prompt": sighted_rate_of,
 }
 """Rules over the observed candidates by name: the candidate of the largest worth is imaged."""
+
+TEAMWORK = Upkeep(low=0.3, worth=1e-9, full=0.8)
+"""When imagers of the studies of teams do something else than take images; every bit is worth a downlink during a pass."""
+
+IDLE = {"prompt": ("action_desat", TEAMWORK)}
+"""Action of rules without an object, and their upkeep, where these are not charging and the default."""
 
 
 @dataclass(frozen=True)
 class ServicingRule:
-    """Images the best object, and otherwise keeps battery, wheels and store in order; without an object, the satellite charges.
+    """Images the best object, and otherwise keeps battery, wheels and store in order; without an object, it waits.
 
     Attributes:
         satellite: The imagers of an environment, which the rule commands.
         choose: Returns the action that images the best object, and whether there is one, for an observation and legal actions.
         upkeep: When the satellite does something else.
+        wait: Name of the action without an object.
     """
 
     satellite: BoundSatellite
     choose: Callable[[Observation, Tensor], tuple[Tensor, Tensor]]
     upkeep: Upkeep = Upkeep()
+    wait: str = "action_charge"
 
     def decide(self, observation: Observation, action_mask: Tensor) -> Tensor:
         """Return actions [...] for observations [..., F] and legal actions [..., A].
@@ -150,7 +164,7 @@ class ServicingRule:
         see = Columns(observation, self.satellite.observation_description)
         names: Sequence[str] = self.satellite.action_description
         wish, exists = self.choose(observation, action_mask)
-        wish = torch.where(exists, wish, names.index("action_charge"))
+        wish = torch.where(exists, wish, names.index(self.wait))
         for name, wanted in self.upkeep.wishes(see).items():
             wish = torch.where(wanted, names.index(name), wish)
         return wish
@@ -206,7 +220,8 @@ def servicing_rule(name: str) -> Callable[[SatelliteTasking, int], TensorDictMod
             )
         see = TargetReader.of(env)
         choose = first_of_catalog(satellite, ORDERS[name]) if name in ORDERS else best_candidate(see, images, WORTHS[name])
-        rule = ServicingRule(satellite, choose)
+        wait, upkeep = IDLE.get(name, ("action_charge", Upkeep()))
+        rule = ServicingRule(satellite, choose, upkeep, wait)
         zero = env.observation_spec.zero()
         for action in rule.upkeep.wishes(Columns(zero["observation"], satellite.observation_description)):
             if action not in satellite.action_description:

@@ -19,7 +19,7 @@ from bsk_torch.astro.sight import line_clearance
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.env.base import Tasking
 from bsk_torch.rl.rules.observation_columns import Columns
-from bsk_torch.rl.rules.servicing import Upkeep
+from bsk_torch.rl.rules.servicing import TEAMWORK, Upkeep
 from bsk_torch.scene import RSOTargets
 from bsk_torch.scene.rso_records import AGO
 from bsk_torch.sim.catalog.aim import AIM
@@ -33,10 +33,6 @@ MOST_IMAGERS = 5
 
 KNOWN_RANK = 1e3
 """Rank of candidates that have been imaged, above all angles in degrees."""
-
-
-UPKEEP = Upkeep(low=0.3, worth=1e-9, full=0.8)
-"""When imagers of the studies do something else than take images; every bit is worth a downlink during a pass."""
 
 
 class TeamPolicy(TensorDictModule):
@@ -70,7 +66,7 @@ class TeamRule:
     then the most images, the smallest sum of angles, and the highest priorities.
     """
 
-    def __init__(self, env: Tasking, name: str = "local", upkeep: Upkeep = UPKEEP) -> None:
+    def __init__(self, env: Tasking, name: str = "local", upkeep: Upkeep = TEAMWORK) -> None:
         """Make a rule for ``env``.
 
         Raises:
