@@ -14,6 +14,7 @@ ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "benchmarks" / "results"
 
 SCRIPTS = {
+    "teams_prompt": "teams",
     "vs_basilisk_imaging": "vs_basilisk",
     "constellation_intervals": "constellation",
     "constellation_tasks": "constellation",

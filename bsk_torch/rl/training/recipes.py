@@ -110,6 +110,25 @@ CW_INSPECTION: dict[str, dict[str, Any]] = {
 }
 """For inspections by thrusters, with a decision every 10 s. A discount of 0.9999 learned more slowly."""
 
+CREW_OF_SENSORS: dict[str, dict[str, Any]] = {
+    "attention": dict(
+        num_envs=32,
+        rollout=64,
+        hidden=(64,),
+        learning_rate=1e-3,
+        epochs=6,
+        minibatch=256,
+        gamma=0.9995,
+        entropy=0.002,
+        imitate="prompt",
+        imitation=0.7,
+        evaluate_every=0,
+        options=dict(as_set=True),
+    )
+}
+"""For imagers of the same objects in orbit: a rule that reacts fast is the start. Evaluations take longer than
+the training, so there are none before its end."""
+
 RECIPES: dict[str, dict[str, dict[str, Any]]] = {
     "NadirScan-v1": SCANNING,
     "NadirScience-v1": SCIENCE,
@@ -123,6 +142,7 @@ RECIPES: dict[str, dict[str, dict[str, Any]]] = {
     "RelayConstellation-v1": CREW_WITH_RELAYS,
     "HeteroCluster-v1": CLUSTER,
     "Services-v1": SERVICES,
+    "ThreeSensors-v1": CREW_OF_SENSORS,
     "RSOInspection-v1": INSPECTION,
     "MultiInspection-v1": CREW,
     "CWDocking-v1": CW_DOCKING,
