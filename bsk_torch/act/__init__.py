@@ -10,6 +10,7 @@ from bsk_torch.act.held_thrust import HeldThrust
 from bsk_torch.act.image import Image, image_target
 from bsk_torch.act.image_strip import HybridImageStrip, ImageStrip
 from bsk_torch.act.masks import allow_only, forbid
+from bsk_torch.act.point_at_task import PointAtTask
 from bsk_torch.act.rso_imaging import ImageRSO
 from bsk_torch.act.setpoint import AttitudeSetpoint
 from bsk_torch.act.thrust import ImpulsiveThrust, ImpulsiveThrustHill
@@ -38,6 +39,7 @@ __all__ = [
     "ImpulsiveThrust",
     "ImpulsiveThrustHill",
     "NadirPoint",
+    "PointAtTask",
     "Scan",
     "TransmitCatalog",
     "allow_only",

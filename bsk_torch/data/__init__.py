@@ -14,6 +14,7 @@ from bsk_torch.data.rso_imaging import RSOImageRecord, RSOImageReward
 from bsk_torch.data.rso_team import RSOTeamReward
 from bsk_torch.data.scanning import ScanningTimeReward
 from bsk_torch.data.strips import StripImageReward
+from bsk_torch.data.task_reward import TaskReward
 from bsk_torch.data.time_penalty import TimePenalty
 from bsk_torch.data.unique_images import UniqueImageData
 
@@ -35,6 +36,7 @@ __all__ = [
     "ResourceReward",
     "ScanningTimeReward",
     "StripImageReward",
+    "TaskReward",
     "TimePenalty",
     "UniqueImageData",
     "UniqueImageReward",

@@ -1,5 +1,7 @@
 """Scenarios: the tasks of the satellites."""
 
+from bsk_torch.scene.aeos_bench import AEOSBench
+from bsk_torch.scene.aeos_files import CaseError, Cases, read_cases
 from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.cities import CityTargets
 from bsk_torch.scene.clouds import CloudyTargets
@@ -19,6 +21,9 @@ from bsk_torch.scene.uniform import UniformTargets
 from bsk_torch.scene.wildfires import Wildfires
 
 __all__ = [
+    "AEOSBench",
+    "CaseError",
+    "Cases",
     "ChangingTargets",
     "CityTargets",
     "CloudyTargets",
@@ -44,4 +49,5 @@ __all__ = [
     "Wildfires",
     "by_priority_per_second",
     "by_priority_per_second_ahead",
+    "read_cases",
 ]

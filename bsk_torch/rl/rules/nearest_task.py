@@ -1,0 +1,77 @@
+"""The greedy rule of AEOS-Bench: the nearest task, kept while it is within reach."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, cast
+
+import torch
+from torch import Tensor
+
+from bsk_torch.act import PointAtTask
+from bsk_torch.env import ConstellationTasking
+from bsk_torch.env.base import Tasking
+from bsk_torch.rl.rules.team import TeamPolicy
+from bsk_torch.scene import AEOSBench
+from bsk_torch.scene.aeos_bench import ASSIGNED, PLACES
+from bsk_torch.scene.aeos_files import EARTH_RADIUS
+
+REACH = math.cos(math.pi / 3.0)
+"""Cosine of the largest angle from the nadir within reach."""
+
+
+class NearestTask:
+    """Chooses for each satellite the nearest offered task, or the one that it has, while it is within reach.
+
+    A satellite whose nearest task is out of reach gets none, even if the one that it has is within reach; several satellites may
+    choose the same task. Reach has no test of the horizon: near tasks beyond it count, as in the benchmark. Positions of
+    satellites are rounded to float32, as there.
+    """
+
+    def __init__(self, env: Tasking) -> None:
+        """ValueError unless ``env`` has satellites of one type, with ``act.PointAtTask`` alone, and tasks of AEOS-Bench."""
+        fits = isinstance(env, ConstellationTasking) and len(env.satellites) == 1 and isinstance(env.scenario, AEOSBench)
+        entries: Any = env.satellites[0].actions.entries if fits else ()
+        if not fits or len(entries) != 1 or not isinstance(entries[0], PointAtTask):
+            raise ValueError("the rule needs scene.AEOSBench and satellites of one type whose only action is act.PointAtTask")
+        self.env, self.satellite, self.entry = env, env.satellites[0], entries[0]
+        self.scenario = cast("AEOSBench", env.scenario)
+
+    def module(self) -> TeamPolicy:
+        """Return the rule as a policy of the environment."""
+        group = next(iter(self.env.group_map))
+        return TeamPolicy(self, [(group, "action_mask")], [(group, "action")])
+
+    def __call__(self, action_mask: Tensor) -> Tensor:
+        """Return actions [N, S] for legal actions [N, S, n + 1]."""
+        stay = action_mask.shape[-1] - 1
+        action = self.tasks() + 1
+        if self.entry.sensor == "chosen":
+            action = action + self.scenario.n_tasks + 1
+        return torch.where(action_mask[..., :stay].any(-1), action, stay)
+
+    def tasks(self) -> Tensor:
+        """Return the task of each satellite, [N, S]; -1 for none."""
+        scenario, fleet = self.scenario, self.scenario.fleet
+        r_N = self.satellite.dynamics.r_BN_N.float()
+        PN = self.satellite.simulator.observer.now.PN.stack()
+        radius = r_N.norm(dim=-1).double().view(fleet.shape)
+        r_P = (PN @ r_N.double().unsqueeze(-1)).view(*fleet.shape, 3)
+        height = torch.where(scenario.task_offered.unsqueeze(1), r_P @ scenario.drawn(PLACES).mT, -torch.inf)
+        highest, nearest = height.max(2)  # the distance from the satellite falls with r . p
+        old = self.satellite.simulator.memory[ASSIGNED].view(fleet.shape)
+        kept = height.gather(2, old.clamp(min=0).unsqueeze(2)).squeeze(2)
+        task = torch.where((old >= 0) & within_reach(kept, radius), old, nearest)
+        return torch.where(within_reach(highest, radius), task, -1)
+
+
+def within_reach(height: Tensor, radius: Tensor) -> Tensor:
+    """Return which places p are within reach of satellites at r, [...], given ``r . p`` and ``|r|`` in m^2 and m.
+
+    With the distance d, the angle from the nadir has the cosine ``(d^2 + r^2 - R^2) / (2 d r)``, which must exceed 1/2, and d
+    must be below the Earth's radius R.
+    """
+    distance2 = radius.square() + EARTH_RADIUS * EARTH_RADIUS - 2.0 * height
+    distance = distance2.clamp(min=1.0).sqrt()
+    cosine = (distance2 + radius.square() - EARTH_RADIUS * EARTH_RADIUS) / (2.0 * distance * radius)
+    return (distance < EARTH_RADIUS) & (cosine > REACH)

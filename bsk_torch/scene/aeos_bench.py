@@ -1,0 +1,223 @@
+"""The task of AEOS-Bench: places that satellites see for a while, each within its time, whoever sees them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+from bsk_torch._checks import number
+from bsk_torch.rand import Key
+from bsk_torch.scene.aeos_files import EARTH_RADIUS, HORIZON, Cases, read_cases
+from bsk_torch.scene.base import Scenario
+from bsk_torch.sim.names import nearest
+
+if TYPE_CHECKING:
+    from bsk_torch.sats.fleet import SatelliteFleet
+
+FARTHEST = 1e9
+"""Range, m, of the benchmark's access."""
+
+MARGIN = 1e-4
+"""Share of the squared radius of the Earth by which float32 tests of cones are widened."""
+
+SENSOR_ON = "sensor_on"
+"""Flight mode in which the sensor is on."""
+
+ASSIGNED, NO_TASK = "assigned_task", -1
+"""Memory of the task that a satellite points at, and its value for none."""
+
+PLACES = "task_place"
+"""Name of the drawn positions of tasks."""
+
+ORDERS = ("random", "listed")
+
+
+class AEOSBench(Scenario):
+    """Cases of AEOS-Bench: tasks at places on the ground, with release and due times, that last for some seconds.
+
+    A task is ongoing from its release to its due time, both included, until it succeeds. It is visible where a present satellite
+    whose sensor is on, and of the task's type, has it in its cone and above its horizon, whichever place the satellite points at.
+    It succeeds once it has been visible in as many ticks without a gap as it lasts; satellites may take turns. All of this is
+    counted by :class:`bsk_torch.data.TaskReward`.
+
+    The satellites of the cases come with :class:`bsk_torch.presets.CaseSatellites`, as ``sat_arg_randomizer`` of the environment.
+
+    Attributes:
+        cases: The cases.
+    """
+
+    def __init__(
+        self,
+        cases: Cases | str | Path,
+        satellites: int | None = None,
+        tasks: int | None = None,
+        order: Literal["random", "listed"] = "random",
+        horizon: float = HORIZON,
+    ) -> None:
+        """Fly cases of a folder, or those given.
+
+        Args:
+            cases: A folder with files of the benchmark, see :func:`bsk_torch.scene.read_cases`, or its result.
+            satellites: Satellites to which the cases of a folder are padded (default: the most of any case).
+            tasks: Tasks to which they are padded, likewise.
+            order: ``"random"``: every episode draws a case. ``"listed"``: the episode with seed s in environment i flies case s +
+                i, counted modulo their number, and the following episodes the cases after it.
+            horizon: Time from which on nothing counts, s.
+
+        Raises:
+            ValueError: For another order, and as :func:`bsk_torch.scene.read_cases`.
+            FileNotFoundError: Likewise.
+        """
+        if order not in ORDERS:
+            raise ValueError(f"order={order!r} must be one of {list(ORDERS)}; {nearest(str(order), ORDERS)}")
+        self.cases = cases if isinstance(cases, Cases) else read_cases(cases, satellites, tasks)
+        self.horizon = number("horizon", horizon, 0.0, unit="s", above=True)
+        self.order = order
+
+    def case_of(self, key: Key) -> Tensor:
+        """Return the number of the case of each episode, [n]."""
+        if self.order == "listed":
+            return (key.seed + key.env_id + key.episode) % len(self.cases)
+        return (key.named("case").uniform(1).squeeze(1) * len(self.cases)).long()
+
+    def draw(self, key: Key) -> dict[str, Tensor]:
+        """See :meth:`Scenario.draw`."""
+        case, cases = self.case_of(key), self.cases
+        tasks = {f"task_{name}": values[case] for name, values in cases.tasks.items()}
+        sensors = {"sensor_type": cases.sensors[case], "sensor_enabled": cases.enabled[case].double()}
+        return tasks | sensors | {PLACES: cases.places[case], "case": case.double()}
+
+    def present(self, key: Key, names: Sequence[str]) -> Tensor:
+        """See :meth:`Scenario.present`."""
+        return self.cases.present[self.case_of(key)]
+
+    def link(self, fleet: SatelliteFleet) -> None:
+        """See :meth:`Scenario.link`; ValueError for satellites without the sensor of the benchmark."""
+        super().link(fleet)
+        for satellite in fleet.satellites:
+            if not hasattr(type(satellite.dynamics), "boresight_P"):
+                raise ValueError(f"scene.AEOSBench needs satellites with dyn.AEOSBenchDynModel; {satellite.name} has none")
+            kind = type(satellite.dynamics)
+            satellite.simulator.observer.want([kind.boresight_P.function, kind.r_BN_P.function, kind.sensor_cone.function])
+        count = self.cases.places.shape[1]
+        fleet.memory.declare("task_progress", 0.0, count, low=0.0)
+        fleet.memory.declare("task_best", 0.0, count, low=0.0)
+        fleet.memory.declare("task_success", -1.0, count, low=-1.0)
+
+    @property
+    def n_tasks(self) -> int:
+        """Number of tasks of an episode, those that pad included."""
+        return self.cases.places.shape[1]
+
+    @property
+    def task_time(self) -> Tensor:
+        """Time since the start, [N] s; whole ticks are not rounded."""
+        return self.fleet.ticks.double() * self.fleet.h
+
+    @property
+    def task_exists(self) -> Tensor:
+        """Which tasks exist, [N, T]."""
+        return self.drawn("task_duration") > 0.0
+
+    @property
+    def task_succeeded(self) -> Tensor:
+        """Which tasks have succeeded, [N, T]."""
+        return self.memory["task_success"] >= 0.0
+
+    @property
+    def task_ongoing(self) -> Tensor:
+        """Which tasks are ongoing at the current time, [N, T]: released, not overdue, and not succeeded."""
+        return self._timely & ~self.task_succeeded
+
+    @property
+    def task_offered(self) -> Tensor:
+        """Which tasks can be chosen, [N, T]: the ongoing ones, and those that succeed at this time.
+
+        The benchmark decides before it counts, so its satellites point at a task for one more second.
+        """
+        success = self.memory["task_success"]
+        return self._timely & ((success < 0.0) | (success == self.task_time.unsqueeze(1)))
+
+    @property
+    def _timely(self) -> Tensor:
+        now = self.task_time.unsqueeze(1)
+        timely = (self.drawn("task_release") <= now) & (now <= self.drawn("task_due"))
+        return timely & self.task_exists & (now < self.horizon)
+
+    def _views(self) -> Views:
+        satellites = self.fleet.satellites
+        r_P, axis_P, tangent = (
+            self.fleet.joined([read(satellite.dynamics) for satellite in satellites])
+            for read in (lambda dyn: dyn.r_BN_P, lambda dyn: dyn.boresight_P, lambda dyn: dyn.sensor_cone)
+        )
+        return Views(r_P, axis_P, tangent)
+
+    def task_access(self) -> Tensor:
+        """Return which places each present satellite has in its cone and above its horizon, [N, S, T].
+
+        With the position r of a satellite, m, the axis n of its sensor, and the place p, all Earth-fixed, and ``d = p - r``::
+
+            0 <= d . n <= 1e9,    |d - (d . n) n| < (d . n) tan(half field of view),    p . (r - p) > 0,    |d| <= 1e9
+        """
+        place, view = self.drawn(PLACES).unsqueeze(1), Views(*(part.unsqueeze(2) for part in self._views()))
+        return in_access(view, place) & self._present.unsqueeze(-1)
+
+    @property
+    def _present(self) -> Tensor:
+        return self.fleet.joined([satellite.present for satellite in self.fleet.satellites])
+
+    @property
+    def sensor_on(self) -> Tensor:
+        """Which satellites have had their sensor on in the last tick, [N, S]; at the start, those that the file enables."""
+        simulators = self.fleet.simulators
+        on = self.fleet.joined([part.mode == part.mode_names.index(SENSOR_ON) for part in simulators])
+        return torch.where((self.fleet.ticks == 0).unsqueeze(1), self.drawn("sensor_enabled") > 0.5, on)
+
+    def task_visible(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the ongoing tasks that satellites see with their sensors, as indices of episode, satellite and task, [m] each.
+
+        Few pairs of satellites and tasks are near the cone of a sensor. These are found in float32, within a margin of a hundred
+        times its rounding errors, and then tested as in :meth:`task_access`.
+        """
+        views, places = self._views(), self.drawn(PLACES)
+        looks = (self.sensor_on & self._present).unsqueeze(-1)
+        near = near_cone(views, places) & self.task_ongoing.unsqueeze(1) & looks
+        episode, satellite, task = torch.nonzero(near, as_tuple=True)
+        view = Views(*(part[episode, satellite] for part in views))
+        fits = self.drawn("sensor_type")[episode, satellite] == self.drawn("task_type")[episode, task]
+        seen = in_access(view, places[episode, task]) & fits
+        return episode[seen], satellite[seen], task[seen]
+
+
+class Views(NamedTuple):
+    """Positions of satellites, [..., 3] m, axes of their sensors, [..., 3], both Earth-fixed, and tangents of cones, [...]."""
+
+    r_P: Tensor
+    axis_P: Tensor
+    tangent: Tensor
+
+
+def in_access(view: Views, place: Tensor) -> Tensor:
+    """Return whether satellites have access to places [..., 3], [...]; see :meth:`AEOSBench.task_access`."""
+    d = place - view.r_P
+    along, range2 = (d * view.axis_P).sum(-1), (d * d).sum(-1)
+    aside = d - along.unsqueeze(-1) * view.axis_P
+    inside = ((aside * aside).sum(-1) < (along * view.tangent) ** 2) & (along >= 0.0) & (along <= FARTHEST)
+    return inside & ((place * d).sum(-1) < 0.0) & (range2 <= FARTHEST * FARTHEST)
+
+
+def near_cone(views: Views, places: Tensor) -> Tensor:
+    """Return the pairs of satellites and places that may be in access, [N, S, T], from float32 numbers in Earth radii.
+
+    ``|d|^2 = 1 + r^2 - 2 r . p`` and ``d . n = n . p - n . r`` have errors of about 1e-6 for orbits up to several radii, so that
+    ``|d|^2 < (1 + tan^2) (d . n)^2`` holds for all places in the cone once :data:`MARGIN` is added.
+    """
+    r, n, p = (part.float() for part in (views.r_P / EARTH_RADIUS, views.axis_P, places.mT / EARTH_RADIUS))
+    along = torch.baddbmm(-(r * n).sum(-1, keepdim=True), n, p)
+    wide = (1.0 + views.tangent.float().square()).unsqueeze(-1)
+    limit = along * along.abs() * wide
+    return limit.add_(r @ p, alpha=2.0) > 1.0 + (r * r).sum(-1, keepdim=True) - MARGIN
