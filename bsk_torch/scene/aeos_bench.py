@@ -44,7 +44,7 @@ class AEOSBench(Scenario):
     It succeeds once it has been visible in as many ticks without a gap as it lasts; satellites may take turns. All of this is
     counted by :class:`bsk_torch.data.TaskReward`.
 
-    The satellites of the cases come with :class:`bsk_torch.presets.CaseSatellites`, as ``sat_arg_randomizer`` of the environment.
+    The satellites of the cases come with :class:`bsk_torch.presets.aeos_bench.CaseSatellites`, as ``sat_arg_randomizer``.
 
     Attributes:
         cases: The cases.
