@@ -24,7 +24,7 @@ from bsk_torch import SatelliteTasking
 from bsk_torch.rl.evaluation import Evaluation, evaluate
 from bsk_torch.rl.policies.files import load_policy, read_card
 from bsk_torch.rl.policies.shared_policy import rule
-from bsk_torch.rl.rules.servicing import ORDERS, WORTHS
+from bsk_torch.rl.rules.servicing import IDLE, ORDERS, WORTHS
 
 PRESET = "Services-v1"
 
@@ -79,7 +79,7 @@ def row(name: str, found: Evaluation, best: Evaluation, cpu: float) -> dict[str,
 
 def main() -> None:
     """Play the episodes, and print a table."""
-    names = ["random", *ORDERS, *WORTHS]
+    names = ["random", *ORDERS, *(name for name in WORTHS if name not in IDLE)]  # those that wait otherwise are for teams
     parsed = harness.parser(__doc__, rules=names, episodes=100, batch=100, targets=200, time_limit=45_000.0)
     parsed.add_argument("--policies", nargs="*", default=[], metavar="FILE", help="policies of bsk-torch train")
     parsed.add_argument("--backend", choices=("compiled", "eager"), default="compiled")
