@@ -72,7 +72,7 @@ def test_without_matplotlib_pictures_are_left_out(run, tmp_path, monkeypatch):
 
 
 def test_the_number_of_processes_is_chosen_and_kept(run, tmp_path, monkeypatch, caplog):
-    caplog.set_level(logging.INFO)
+    caplog.set_level(logging.INFO, logger="bsk_torch")
     monkeypatch.setattr("bsk_torch.rl.training.workers.available_cores", lambda: Cores(2, "2 available cores"))
     sizes = ["num_envs=64", "rollout=2"]
     result = run("train", "NadirScan-v1", "--frames", 128, "--workers", "auto", *sizes, "--out", tmp_path, *SHORT)

@@ -9,6 +9,7 @@ import torch
 import bsk_torch
 from bsk_torch import formations
 from bsk_torch.act.assurance import Barriers, Deputies, crew_barriers, crew_inspection
+from bsk_torch.rl.marl.runs import is_constellation
 from tests.safe_autonomy.replay import read
 
 RECORDED = read("crews.npz")
@@ -185,3 +186,9 @@ def test_the_filter_keeps_deputies_apart():
     kept = flown("asif")
     assert not kept["counts", "collided"].any()
     assert (kept["counts", "interventions"] > 0).all()
+
+
+@pytest.mark.parametrize("preset", ["CWDocking-v1", "CWInspection-v1"])
+def test_several_deputies_are_a_constellation(preset):
+    assert not is_constellation(preset)
+    assert is_constellation(preset, {"deputies": 2})

@@ -42,14 +42,15 @@ TRAINED = "trained"
 def is_constellation(preset: str, options: Mapping[str, Any] | None = None) -> bool:
     """Return whether a preset has many satellites; False for a name that is not one of the presets.
 
-    A preset without a return annotation is built with ``options`` to find its class.
+    A preset without a class as its return annotation, such as one whose options ask for several satellites, is built with
+    ``options`` to find its class.
     """
     if preset not in PRESETS:
         return False
     made = inspect.signature(PRESETS[preset], eval_str=True).return_annotation
-    if made is inspect.Signature.empty:
+    if made is inspect.Signature.empty or not isinstance(made, type):
         return isinstance(make(preset, **({"num_envs": 1, "backend": "eager"} | dict(options or {}))), ConstellationTasking)
-    return isinstance(made, type) and issubclass(made, ConstellationTasking)
+    return issubclass(made, ConstellationTasking)
 
 
 def configure(preset: str, network: str | None = None, algorithm: str | None = None, **changes: Any) -> PPOConfig:
