@@ -95,7 +95,16 @@ def read_config(folder: Path) -> PPOConfig:
 
 
 def training_of(config: PPOConfig, out: Path, resume: bool = False) -> Training:
-    """Return the training of a configuration; see :class:`~bsk_torch.rl.training.trainer.Training` for arguments and errors."""
+    """Return the training of a configuration; see :class:`~bsk_torch.rl.training.trainer.Training` for arguments and errors.
+
+    Raises:
+        ValueError: For an environment that the algorithm of the configuration does not train, too.
+    """
+    many = is_constellation(config.preset, config.options)
+    if config.preset in PRESETS and many != isinstance(config, MAPPOConfig):
+        has, kind = ("many satellites", "MAPPOConfig") if many else ("one satellite", "PPOConfig")
+        call = f"configure({config.preset!r}, options={config.options})"
+        raise ValueError(f"{config.preset} has {has}, and is trained by a {kind}; {call} makes it")
     return (MAPPOTraining if isinstance(config, MAPPOConfig) else Training)(config, out, resume)
 
 
@@ -118,10 +127,6 @@ def train(config: PPOConfig, out: Path, *, episodes: int = COMPARED, quiet: bool
     Raises:
         ValueError: For an environment that the algorithm of the configuration does not train, or negative ``episodes``.
     """
-    many = is_constellation(config.preset, config.options)
-    if config.preset in PRESETS and many != isinstance(config, MAPPOConfig):
-        has, kind = ("many satellites", "MAPPOConfig") if many else ("one satellite", "PPOConfig")
-        raise ValueError(f"{config.preset} has {has}, and is trained by a {kind}; configure({config.preset!r}, ...) makes it")
     _check_episodes(episodes)
     return _completed(training_of(config, out), episodes, quiet, ("untrained",))
 
