@@ -81,7 +81,7 @@ class TaskReward(GlobalReward):
         With durations D, largest progress M, and the set S of the n tasks that have succeeded: ``CR = |S| / n``, ``WCR = sum_S D
         / sum D``, ``PCR = mean(M / D)``, ``WPCR = sum M / sum D``, ``TAT``, the mean time from release to success, s (NaN without
         success), ``PC``, the energy of the sensors of satellites with a task, W s, and ``CS = 1 / (0.6 CR + 0.2 PCR + 0.2 WCR) +
-        TAT / 7 h + PC / 100 W h``, of which lower is better.
+        TAT / 7 h + PC / 100 W h``, of which lower is better (NaN without success).
         """
         scenario, memory = self.scenario, self.memory
         duration, exists, done = scenario.drawn("task_duration"), scenario.task_exists, scenario.task_succeeded

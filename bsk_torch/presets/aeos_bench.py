@@ -5,7 +5,7 @@ The cases are those of the user's files, so :func:`aeos_bench` is not among the 
 Observation of each satellite, 9 numbers: charge of the battery, the speeds of the three wheels over 6000 rpm, the true anomaly
 over pi, the attitude (MRP), and the time over an hour.
 
-Actions: 0 points at the Earth's center, k at task k - 1 of the case. ``action_mask`` allows ongoing tasks.
+Actions: 0 points at the Earth's center, k at task k - 1 of the case. ``action_mask`` allows the tasks that are offered.
 
 Reward: a completed task pays 1 / n of n tasks, shared by the satellites that see it; see :class:`~bsk_torch.data.TaskReward`,
 whose ``measures()`` are those of the benchmark. The episode is truncated after an hour. Nothing dies.
@@ -106,7 +106,7 @@ def aeos_bench(
     """
     scenario = scene.AEOSBench(cases, satellites, tasks, order=order)
     kind = type("BenchSatellite", (BenchSatellite,), {"action_spec": (act.PointAtTask(sensor),)})
-    # numbers of the first satellite decide the form of hub and wheels; every episode replaces them
+    # these numbers decide the form of hub and wheels; every episode replaces them
     form = {name: of_form(values) for name, values in scenario.cases.satellites.items()}
     names = [f"Satellite{k}" for k in range(scenario.cases.present.shape[1])]
     defaults: dict[str, Any] = dict(

@@ -133,13 +133,13 @@ class ServicingSetImager(ServicingImager):
 
 
 class ServicingOutlookImager(ServicingImager):
-    """The same as the first, observing the time, and what can be expected of images."""
+    """The same as :class:`ServicingImager`, observing the time, and what can be expected of images."""
 
     observation_spec = (*own_properties(), obs.Time(), obs.RSOTargetProperties(*DEFAULT, *OUTLOOK, n_ahead_observe=CANDIDATES))
 
 
 class ServicingOutlookSetImager(ServicingImager):
-    """The same as the third, observing its candidates as a set."""
+    """The same as :class:`ServicingOutlookImager`, observing its candidates as a set."""
 
     observation_spec = (
         *own_properties(),

@@ -12,12 +12,7 @@ from numpy.typing import NDArray
 from bsk_torch import ConstellationTasking
 from bsk_torch.presets.aeos_bench import aeos_bench
 from bsk_torch.rl.rules.nearest_task import NearestTask
-from tests.basilisk.replay import RECORDINGS
-
-
-def recorded(name: str) -> dict[str, NDArray]:
-    with np.load(RECORDINGS / f"aeos_bench_{name}.npz") as file:
-        return dict(file)
+from tests.basilisk.aeos_bench import Flight
 
 
 def environment(file: dict[str, NDArray], folder: Path, **options) -> ConstellationTasking:
@@ -43,7 +38,7 @@ def choices(file: dict[str, NDArray], count: int) -> NDArray:
 @pytest.mark.parametrize("name", ["random", "odd", "greedy"])
 def test_access_and_successes_are_those_of_basilisk(name, tmp_path, backend):
     """All events to the second: the flights are gentle enough for two flights of Basilisk to have the same (``sensitivity``)."""
-    file = recorded(name)
+    file = Flight.file_of(name)
     env = environment(file, tmp_path, sensor="chosen", backend=backend)
     td, scenario = env.reset(), env.scenario
     count = scenario.cases.present.shape[1]
@@ -57,7 +52,7 @@ def test_access_and_successes_are_those_of_basilisk(name, tmp_path, backend):
         task, toggle = torch.tensor(row).unbind(1)
         on = on ^ (toggle > 0)
         td = env.step(td.set(("agents", "action"), (task + 1 + on * (scenario.n_tasks + 1)).unsqueeze(0)))["next"]
-    flown = len(row) and file["tick"].max()
+    flown = file["tick"].max()
     assert events == [tuple(event) for event in file["access"].tolist() if event[0] < flown]
     counted = file["success"] < flown  # the recorder does not count in the last second
     success = scenario.memory["task_success"][0].numpy()
@@ -65,7 +60,7 @@ def test_access_and_successes_are_those_of_basilisk(name, tmp_path, backend):
 
 
 def test_the_rule_decides_as_recorded(tmp_path):
-    file = recorded("greedy")
+    file = Flight.file_of("greedy")
     env = environment(file, tmp_path, sensor="on", backend="compiled")
     td, rule = env.reset(), NearestTask(env)
     wanted = choices(file, env.scenario.cases.present.shape[1])[..., 0]

@@ -19,7 +19,7 @@ UNLISTED = {
     "bsk_torch.astro",
 }
 UNLISTED |= {"bsk_torch.sim", "bsk_torch.codegen", "bsk_torch.cli", "bsk_torch.wrappers.gymnasium"}
-"""Packages that list no names of their own, or whose names are listed by another one, or that are imported nowhere."""
+"""Packages without a list of names, with names that another package lists, or that are imported nowhere."""
 
 
 def packages():
