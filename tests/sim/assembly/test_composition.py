@@ -211,9 +211,17 @@ def test_the_model_that_provides_a_message_is_found(name, model):
 @pytest.mark.parametrize(
     ("prop", "error", "words"),
     [
-        ("battery_charge_fraction", ValueError, r"is not a property of A; dyn.BasicDynamicsModel has it"),
+        (
+            "battery_charge_fraction",
+            ValueError,
+            r"is not a property of A; dyn.BasicDynamicsModel or dyn.AEOSBenchDynModel has it",
+        ),
         ("c_hat_P", ValueError, r"is not a property of A; fsw.ImagingFSWModel has it"),
-        ("tanks", TypeError, r"A: the satellite has no state 'charge'; dyn.BasicDynamicsModel provides it"),
+        (
+            "tanks",
+            TypeError,
+            r"A: the satellite has no state 'charge'; dyn.BasicDynamicsModel or dyn.AEOSBenchDynModel provides it",
+        ),
     ],
 )
 def test_observations_of_what_the_models_lack_name_the_model_that_has_it(prop, error, words):
