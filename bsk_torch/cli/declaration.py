@@ -30,7 +30,7 @@ Policy = Annotated[
     typer.Argument(
         help="Run folder, policy file, 'pretrained', or a baseline: random, rule, cautious, science, greedy, nearest, hasty, "
         "farsighted, cooperative, drift, circumnavigate, survey, glide, seek, angle, priority_angle, distance, "
-        "candidate_priority, rate, candidate_rate, rate_ahead, candidate_rate_ahead, prompt, local, centralized.",
+        "candidate_priority, rate, candidate_rate, rate_ahead, candidate_rate_ahead, prompt, prompt_ahead, local, centralized.",
         show_default=False,
     ),
 ]
@@ -39,8 +39,8 @@ PolicyOrPlanner = Annotated[
     typer.Argument(
         help="Run folder, policy file, 'pretrained', a baseline (random, rule, cautious, science, greedy, nearest, hasty, "
         "farsighted, cooperative, drift, circumnavigate, survey, glide, seek, angle, priority_angle, distance, "
-        "candidate_priority, rate, candidate_rate, rate_ahead, candidate_rate_ahead, prompt, local, centralized), or a "
-        "planner (plan:rollout, plan:beam, plan:mcts, plan:cem).",
+        "candidate_priority, rate, candidate_rate, rate_ahead, candidate_rate_ahead, prompt, prompt_ahead, local, centralized), "
+        "or a planner (plan:rollout, plan:beam, plan:mcts, plan:cem).",
         show_default=False,
     ),
 ]

@@ -48,6 +48,8 @@ candidates 0 to 9 (at most 300 s), with a radio 13 to 15 transmit to a peer (at 
 With ``retasking="conflict"``, a busy imager decides if it is told of a recent image of its object; with ``"continuous"``, all
 decide at the end of each step, and choosing the task in progress continues it.
 
+With ``shielded=True``, ``action_mask`` excludes downlinks with an empty store.
+
 Reward: an image with at least half of the Sun at its object, on average over the 10 s that it must be held, pays 0.9 of the
 priority when it is taken and 0.1 when it has been downlinked, each only if taken two orbits after the one paid last; see
 :class:`~bsk_torch.data.RSOTeamReward`. A downlink with an empty store costs 1, and so does a death.
@@ -61,9 +63,10 @@ Random at reset: orbits and priorities of the objects, the latter with a sum of 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import torch
+from torch import Tensor
 
 from bsk_torch import act, comm, data, formations, obs, sats, scene
 from bsk_torch._checks import switch
@@ -75,12 +78,14 @@ from bsk_torch.presets.services import (
     EPISODE,
     MIXTURE,
     ORDERS,
+    OUTLOOK,
     ServicingDynModel,
     own_properties,
     servicing_args,
     servicing_catalog,
 )
 from bsk_torch.sim import dyn, fsw
+from bsk_torch.sim.dyn.events import LEFT_OVER
 from bsk_torch.sim.names import nearest
 
 INFORMATION = ("independent", "ideal", "radio")
@@ -115,8 +120,14 @@ CANDIDATE = (
 )
 """Observed properties of candidates."""
 
-CANDIDATE_SET = obs.RSOTargetProperties(*CANDIDATE, dict(prop="in_sight"), n_ahead_observe=CANDIDATES, as_set=True)
-"""Candidates as a set, with what the studies do not observe: whether the Earth is not in the way."""
+SIGHTED = (*CANDIDATE, dict(prop="in_sight"))
+"""The same, and what the studies do not observe: whether the Earth is not in the way."""
+
+CANDIDATE_SET = obs.RSOTargetProperties(*SIGHTED, n_ahead_observe=CANDIDATES, as_set=True)
+"""Candidates as a set."""
+
+OUTLOOK_SET = obs.RSOTargetProperties(*SIGHTED, *OUTLOOK, n_ahead_observe=CANDIDATES, as_set=True)
+"""Candidates as a set, with what can be expected of images."""
 
 
 class SensorDynModel(dyn.CatalogRadioDynModel, ServicingDynModel):
@@ -139,6 +150,16 @@ class Sensor(sats.AccessSatellite):
         act.Desat(duration=150.0),
         act.ImageRSO(CANDIDATES, exposure="first", require_illumination_during_hold=False),
     )
+    shielded = False
+    """Whether ``action_mask`` excludes downlinks with an empty store."""
+
+    def legal_actions(self) -> Tensor | None:
+        """See :meth:`Satellite.legal_actions`."""
+        if not self.shielded:
+            return None
+        satellite = cast(sats.BoundSatellite, self)
+        empty = satellite.dynamics.storage_level <= LEFT_OVER
+        return act.forbid(satellite.action_description, "action_downlink", where=empty)
 
 
 class SensorOfThree(Sensor):
@@ -173,8 +194,30 @@ class SetSensorOfFour(SensorOfFour):
     observation_spec = (*SetSensor.observation_spec, obs.RSOPeers(3))
 
 
-KINDS = {0: (Sensor, SetSensor), 3: (SensorOfThree, SetSensorOfThree), 4: (SensorOfFour, SetSensorOfFour)}
-"""Sensors that observe candidates in one vector or as a set, by the number of those with a radio."""
+class OutlookSensor(Sensor):
+    """The same as :class:`SetSensor`, observing the time, and what can be expected of images."""
+
+    observation_spec = (*Sensor.observation_spec[:-1], obs.Time(), OUTLOOK_SET)
+
+
+class OutlookSensorOfThree(SensorOfThree):
+    """The same as :class:`SetSensorOfThree`, observing the time, and what can be expected of images."""
+
+    observation_spec = (*OutlookSensor.observation_spec, obs.RSOPeers(2))
+
+
+class OutlookSensorOfFour(SensorOfFour):
+    """The same as :class:`SetSensorOfFour`, observing the time, and what can be expected of images."""
+
+    observation_spec = (*OutlookSensor.observation_spec, obs.RSOPeers(3))
+
+
+KINDS = {
+    0: (Sensor, SetSensor, OutlookSensor),
+    3: (SensorOfThree, SetSensorOfThree, OutlookSensorOfThree),
+    4: (SensorOfFour, SetSensorOfFour, OutlookSensorOfFour),
+}
+"""Sensors that observe candidates in one vector, as a set, or as a set with an outlook, by the number of those with a radio."""
 
 
 def choice(title: str, value: object, known: Sequence[str]) -> str:
@@ -195,6 +238,8 @@ def team(
     obs_type: type | None,
     order: str,
     as_set: bool,
+    outlook: bool,
+    shielded: bool,
     options: dict[str, Any],
 ) -> ConstellationTasking:
     """Return a team of sensors, with arguments of each orbit."""
@@ -203,11 +248,16 @@ def team(
     choice("retasking", retasking, RETASKING)
     names = [f"SS{k + 1}" for k in range(len(orbits))]
     started = servicing_args() | dict(storedCharge_Init=0.9 * BATTERY, wheelSpeeds=[0.0, 0.0, 0.0])
-    kind = KINDS[len(names) if information == "radio" else 0][switch("as_set", as_set)]
+    shield = switch("shielded", shielded)
+    if switch("outlook", outlook) and not switch("as_set", as_set):
+        raise ValueError("outlook=True needs as_set=True: what is expected of images is observed of candidates in a set")
+    kind = KINDS[len(names) if information == "radio" else 0][as_set + outlook]
     observed_as = (dict if as_set else torch.Tensor) if obs_type is None else obs_type
     satellites = [
         kind(name, started | orbit | (sat_args or {}), obs_type=observed_as) for name, orbit in zip(names, orbits, strict=True)
     ]
+    for satellite in satellites:
+        satellite.shielded = shield
     told = {"independent": comm.NoCommunication, "ideal": comm.FreeCommunication, "radio": comm.CatalogCommunication}
     catalog = servicing_catalog(n_targets, mixture, exact_mixture=True, priority_event=False)
     defaults: dict[str, Any] = dict(
@@ -233,6 +283,8 @@ def three_sensors(
     sat_args: dict[str, Any] | None = None,
     order: str = "elevation",
     as_set: bool = False,
+    outlook: bool = False,
+    shielded: bool = False,
     obs_type: type | None = None,
     **options: Any,
 ) -> ConstellationTasking:
@@ -251,6 +303,9 @@ def three_sensors(
             :func:`~bsk_torch.scene.by_priority_per_second`.
         as_set: Whether candidates are observed as ``rows`` [N, 10, 18] with a ``mask`` instead of in one vector; the last
             number is 1 where the Earth does not hide the candidate.
+        outlook: Whether to observe the elapsed fraction of the episode as well, and five more properties of each candidate in
+            the set; see :func:`bsk_torch.presets.services.services`.
+        shielded: Whether ``action_mask`` excludes downlinks with an empty store.
         **options: Arguments of :class:`~bsk_torch.ConstellationTasking` that replace those of the preset.
 
     Raises:
@@ -260,7 +315,21 @@ def three_sensors(
         dict(oe=elements(EARTH + altitude, 0.001, inclination, 30.0 * k, 15.0 * k))
         for k, (altitude, inclination) in enumerate(ORBITS)
     ]
-    return team(orbits, mixture, information, retasking, n_targets, delivery_share, sat_args, obs_type, order, as_set, options)
+    return team(
+        orbits,
+        mixture,
+        information,
+        retasking,
+        n_targets,
+        delivery_share,
+        sat_args,
+        obs_type,
+        order,
+        as_set,
+        outlook,
+        shielded,
+        options,
+    )
 
 
 def elements(a: float, e: float, i: float, Omega: float, f: float) -> ClassicElements:
@@ -279,6 +348,8 @@ def walker4(
     sat_args: dict[str, Any] | None = None,
     order: str = "elevation",
     as_set: bool = False,
+    outlook: bool = False,
+    shielded: bool = False,
     obs_type: type | None = None,
     **options: Any,
 ) -> ConstellationTasking:
@@ -296,5 +367,7 @@ def walker4(
         obs_type,
         order,
         as_set,
+        outlook,
+        shielded,
         dict(sat_arg_randomizer=pattern) | options,
     )

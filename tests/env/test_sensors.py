@@ -21,6 +21,9 @@ pytestmark = pytest.mark.compiled
 
 TARGETS = 20
 
+AHEAD = {"candidate_rate_ahead", "prompt_ahead"}
+"""Rules that need the outlook of candidates."""
+
 
 def sensors(name="Walker4-v1", **options):
     defaults = dict(n_targets=TARGETS, num_envs=2, seed=3, dtype=torch.float64)
@@ -50,6 +53,8 @@ def fly(env, steps, rule="local"):
         (dict(delivery_share=2.0), "delivery_share=2.0"),
         (dict(mixture="MEO"), "MEO"),
         (dict(order="distance"), "order='distance' must be one of"),
+        (dict(outlook=True), "outlook=True needs as_set=True"),
+        (dict(shielded=1), "shielded=1"),
     ],
 )
 def test_wrong_arguments_are_named(options, message):
@@ -92,6 +97,57 @@ def test_the_prompt_rule_images_what_pays_most_per_second():
         assert action == (max(worth, key=worth.__getitem__) if worth else names.index("action_desat"))
         images += bool(worth)
     assert images > 0
+
+
+@pytest.mark.parametrize(("name", "peers"), [("ThreeSensors-v1", 2), ("Walker4-v1", 3)])
+def test_the_outlook_is_added_to_the_set(name, peers):
+    """With the time, and what the scenario expects of images."""
+    options = dict(information="radio", as_set=True, backend="eager", time_limit=1800.0)
+    plain, ahead = sensors(name, **options), sensors(name, outlook=True, **options)
+    (group,) = ahead.group_map
+    seen, other = (fly(env, 3, "prompt")[group, "observation"] for env in (ahead, plain))
+    assert torch.equal(seen["rso_targets", "rows"][..., :18], other["rso_targets", "rows"])
+    scenario, imagers = ahead.scenario, ahead.satellites[0]
+    candidates = scenario.candidates(imagers, 10)
+    expected = torch.stack(scenario.outlook(imagers, candidates), -1) / torch.tensor([100.0, 90.0, 1.0, 1.0])
+    shown = seen["rso_targets", "rows"].flatten(0, 1)[..., 18:22]
+    torch.testing.assert_close(shown, torch.where(candidates.exists.unsqueeze(-1), expected, 0.0))
+    assert torch.equal(seen["time"].flatten(), (ahead.fleet.sim_time / 1800.0).repeat_interleave(peers + 1))
+
+
+def test_the_rule_that_looks_ahead_images_what_promises_most_per_second():
+    env = sensors("ThreeSensors-v1", information="ideal", num_envs=8, n_targets=60, as_set=True, outlook=True)
+    td = fly(env, 5, "prompt_ahead")
+    (group,) = env.group_map
+    decided = bsk_torch.rule("prompt_ahead", env)(td)[group, "action"]
+    names, images = env.satellites[0].action_description, 0
+    for e, a in itertools.product(range(8), range(3)):
+        legal, action = td[group, "action_mask"][e, a], int(decided[e, a])
+        if not legal[:-1].any() or names[action] in ("action_downlink", "action_charge"):
+            continue
+        rows = td[group, "observation", "rso_targets", "rows"][e, a].tolist()
+        able = {k: row for k, row in enumerate(rows) if legal[3 + k] and row[20] >= 0.5 and row[21]}
+        worth = {3 + k: row[0] / row[18] for k, row in able.items()}
+        assert action == (max(worth, key=worth.__getitem__) if worth else names.index("action_desat"))
+        images += bool(worth)
+    assert images > 0
+
+
+@pytest.mark.parametrize("name", ["ThreeSensors-v1", "Walker4-v1"])
+def test_a_shield_leaves_out_downlinks_from_an_empty_store(name):
+    """Random actions are then never fined."""
+    env = sensors(name, shielded=True, time_limit=3000.0)
+    (group,) = env.group_map
+    downlink = env.satellites[0].action_description.index("action_downlink")
+    td, found = env.reset(), set()
+    for _ in range(40):
+        decides = ~td[group, "action_mask"][..., -1]
+        stored = env.satellites[0].dynamics.storage_level.view(decides.shape) > 1.0
+        assert torch.equal(td[group, "action_mask"][..., downlink][decides], stored[decides])
+        found |= set(stored[decides].tolist())
+        td = env.step(bsk_torch.rule("random", env)(td))["next"]
+    assert found == {True, False}
+    assert not (env.satellites[0].memory["empty_downlinks"] > 0).any()
 
 
 @pytest.mark.parametrize(
@@ -280,11 +336,11 @@ def test_rules_of_teams_need_a_team():
 
 def test_rules_of_teams_are_compared_with_and_stand_behind_no_shield():
     env = sensors("ThreeSensors-v1", backend="eager")
-    assert set(shared_baselines(env)) == {"random", "local", "centralized", *WORTHS} - {"prompt", "candidate_rate_ahead"}
+    assert set(shared_baselines(env)) == {"random", "local", "centralized", *WORTHS} - {"prompt", *AHEAD}
     with pytest.raises(ValueError, match="decides for all satellites at once"):
         for_each_group(lambda policy, view: policy, baseline("local", env), env)
     alone = shared_baselines(bsk_torch.make("Services-v1", n_targets=12, backend="eager"))
-    assert set(alone) == {"random", *ORDERS, *WORTHS} - {"prompt", "candidate_rate_ahead"}
+    assert set(alone) == {"random", *ORDERS, *WORTHS} - {"prompt", *AHEAD}
 
 
 def test_rules_of_teams_are_flown_from_the_command_line(capsys):

@@ -320,7 +320,7 @@ def test_a_saved_state_continues_bit_for_bit():
 
 @pytest.mark.parametrize("name", [name for name in (*ORDERS, *WORTHS) if name != "prompt"])
 def test_rules_survive_and_deliver(name):
-    env = make(3, time_limit=9000.0, n_targets=40, outlook=name == "candidate_rate_ahead")
+    env = make(3, time_limit=9000.0, n_targets=40, outlook=name in ("candidate_rate_ahead", "prompt_ahead"))
     rule, td = bsk_torch.rule(name, env), env.reset()
     while bool((env.fleet.sim_time < 8500.0).any()) and not bool(td["done"].any()):
         td = env.step(rule(td))["next"]

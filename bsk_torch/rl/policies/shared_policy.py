@@ -241,6 +241,7 @@ def rule(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
     ``rate_ahead``            like ``rate``, with the duration, light and sight expected for the end of the image
     ``candidate_rate_ahead``  likewise among the observed candidates, with ``outlook=True`` of ``Services-v1``
     ``prompt``                like ``candidate_rate`` in sight only, for teams with ``as_set=True``; waits by desaturating
+    ``prompt_ahead``          the same with what is expected for the end of the image, with ``outlook=True``
     ``local``                 those of ``ThreeSensors-v1`` and ``Walker4-v1``: each imager decides by what it knows
     ``centralized``           the same: the best joint choice, which needs ``information="ideal"`` to be one of the team
     ========================  ==================================================================================================

@@ -129,13 +129,14 @@ WORTHS: dict[str, Callable[[TargetReader, Observation], Tensor]] = {
     "candidate_rate": rate_of,
     "candidate_rate_ahead": expected_rate_of,
     "prompt": sighted_rate_of,
+    "prompt_ahead": expected_rate_of,
 }
 """Rules over the observed candidates by name: the candidate of the largest worth is imaged."""
 
 TEAMWORK = Upkeep(low=0.3, worth=1e-9, full=0.8)
 """When imagers of the studies of teams do something else than take images; every bit is worth a downlink during a pass."""
 
-IDLE = {"prompt": ("action_desat", TEAMWORK)}
+IDLE = dict.fromkeys(("prompt", "prompt_ahead"), ("action_desat", TEAMWORK))
 """Action of rules without an object, and their upkeep, where these are not charging and the default."""
 
 
