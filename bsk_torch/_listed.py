@@ -45,6 +45,7 @@ LISTED: dict[str, Listed] = {
     "Walker4-v1": Listed(MANY, "four imagers of objects in orbit that tell each other of images by radio"),
     "CWDocking-v1": Listed(ONE, "dock by thrusters, slowly enough at every distance; linear motion"),
     "CWInspection-v1": Listed(ONE, "inspect lit points of a spacecraft by thrusters; linear motion"),
+    "AEOSBench-v1": Listed(MANY, "AEOS-Bench: point up to 50 satellites at tasks on the ground, second by second"),
 }
 """The presets of the package, in the order of :data:`bsk_torch.presets.PRESETS`."""
 

@@ -27,7 +27,8 @@ INSPECTIONS = {"RSOInspection-v1": 1, "MultiInspection-v1": 3}
 SCANNING = ("NadirScan-v1", "NadirScience-v1", "FaultyScan-v1")
 LINEAR = ("CWDocking-v1", "CWInspection-v1")  # see tests/safe_autonomy
 OBJECTS = ("Services-v1", "ThreeSensors-v1", "Walker4-v1")  # see tests/env/test_services.py, test_sensors.py
-IMAGING = sorted(set(PRESETS) - {*SCANNING, *CONSTELLATIONS, *INSPECTIONS, *LINEAR, *OBJECTS})
+BENCH = "AEOSBench-v1"  # see tests/scene/test_aeos_bench.py
+IMAGING = sorted(set(PRESETS) - {BENCH, *SCANNING, *CONSTELLATIONS, *INSPECTIONS, *LINEAR, *OBJECTS})
 ACTIONS = {"AEOSPower-v1": 3 + AHEAD}
 
 
@@ -146,13 +147,14 @@ def test_density_counts_every_target_once():
 
 WIDTHS = {"NadirScan-v1": 12, "NadirScience-v1": 10, "FaultyScan-v1": 21, "AEOS-v1": 269, "CloudyAEOS-v1": 301,
           "AEOSPower-v1": 298, "Constellation-v1": 141, "AEOSConstellation-v1": 269, "HeteroCluster-v1": 182,
-          "Services-v1": 124, "ThreeSensors-v1": 196, "Walker4-v1": 232, "CWDocking-v1": 8, "CWInspection-v1": 11}  # fmt: skip
+          "Services-v1": 124, "ThreeSensors-v1": 196, "Walker4-v1": 232, "CWDocking-v1": 8, "CWInspection-v1": 11,
+          "AEOSBench-v1": 9}  # fmt: skip
 
 
 @pytest.mark.parametrize(("name", "width"), WIDTHS.items())
 def test_docstrings_state_what_is_observed(name, width):
     """Every observed quantity is listed in the module of its preset, or in the one that it refers to."""
-    options = {} if name in (*SCANNING, *LINEAR) else dict(n_targets=20 if name in OBJECTS else 300)
+    options = {} if name in (*SCANNING, *LINEAR, BENCH) else dict(n_targets=20 if name in OBJECTS else 300)
     if name == "Constellation-v1":
         options |= dict(n_satellites=2, n_planes=1)
     env = bsk_torch.make(name, time_limit=600.0, backend="eager", **options)

@@ -220,6 +220,12 @@ STARTS: dict[str, list[Start]] = {
     ],
     "scripts/demo.sh": [Start(f"{TRAIN} --out {{tmp}}/run", "trained")],
     "scripts/tools/make_readme_pictures.py": [Start("speed CWDocking-v1 --out .", r"(?s)speed.png.*CWDocking-v1.png")],
+    "scripts/tools/make_aeos_pool.py": [
+        Start(
+            "--size 4 --batch 16 --seconds 5 --share 0 --out pool.npz",
+            r"(?s)16 of 16 candidates.*pool.npz: 4 satellites, [\d,]+ bytes",
+        )
+    ],
     "scripts/tools/make_coastlines.py": [Start("{countries} --out land.geojson", "2 pieces of land", "coastlines")],
     "scripts/tools/make_tables.py": [Start("--samples --out .", "largest position error 0.49", "basilisk")],
     "scripts/tools/update_golden.py": [

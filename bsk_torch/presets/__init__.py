@@ -21,6 +21,7 @@ name                       module                      task
 ``Walker4-v1``             ``presets.sensors``         four imagers that tell each other of images by radio
 ``CWDocking-v1``           ``presets.cw_docking``      dock by thrusters, slowly enough at every distance; linear motion
 ``CWInspection-v1``        ``presets.cw_inspection``   inspect lit points of a spacecraft by thrusters; linear motion
+``AEOSBench-v1``           ``presets.aeos_bench``      AEOS-Bench: point satellites at tasks on the ground, second by second
 =========================  ==========================  ==================================================================
 """
 
@@ -32,6 +33,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from bsk_torch.presets.aeos import aeos, aeos_city, cloudy_aeos
+from bsk_torch.presets.aeos_bench import aeos_bench
 from bsk_torch.presets.aeos_power import aeos_power
 from bsk_torch.presets.constellation import aeos_constellation, constellation, relay_constellation
 from bsk_torch.presets.cw_docking import cw_docking
@@ -66,6 +68,7 @@ PRESETS: dict[str, Callable[..., Any]] = {
     "Walker4-v1": walker4,
     "CWDocking-v1": cw_docking,
     "CWInspection-v1": cw_inspection,
+    "AEOSBench-v1": aeos_bench,
 }
 """Presets by name: functions of the arguments of the environment to override."""
 

@@ -1,14 +1,28 @@
-"""AEOS-Bench: up to fifty satellites point their sensors at tasks on the ground, one joint decision of all in every second.
+"""AEOSBench-v1: up to fifty satellites point their sensors at tasks on the ground, one joint decision of all in every second.
 
-The cases are those of the user's files, so :func:`aeos_bench` is not among the named presets.
+The task is that of AEOS-Bench (NeurIPS 2025, arXiv 2510.26297). By default, every episode draws a small case, of 8 satellites and
+50 tasks; those of the benchmark have 1 to 50 satellites and 50 to 300 tasks, ``satellites=(1, 50), tasks=(50, 300)``. With
+``folder``, its files are flown.
 
-Observation of each satellite, 9 numbers: charge of the battery, the speeds of the three wheels over 6000 rpm, the true anomaly
-over pi, the attitude (MRP), and the time over an hour.
+Observation of each satellite, 9 numbers:
 
-Actions: 0 points at the Earth's center, k at task k - 1 of the case. ``action_mask`` allows the tasks that are offered.
+===========================  ====================================================
+``battery_charge_fraction``  charge of the battery
+``wheel_speeds_normd`` (3)   speeds of the wheels, divided by 6000 rpm
+``true_anomaly_normd``       true anomaly, divided by pi
+``sigma_BN`` (3)             attitude (MRP)
+``time``                     time since the start, divided by an hour
+===========================  ====================================================
+
+Actions: 0 points at the Earth's center, k at task k - 1 of the case, for a second. ``action_mask`` allows the offered tasks.
 
 Reward: a completed task pays 1 / n of n tasks, shared by the satellites that see it; see :class:`~bsk_torch.data.TaskReward`,
-whose ``measures()`` are those of the benchmark. The episode is truncated after an hour. Nothing dies.
+whose ``measures()`` are those of the benchmark.
+
+Termination: nothing dies; an empty battery stops nothing. At the time limit of an hour, the episode is truncated.
+
+Random at reset: orbits, bodies, wheels, gains, panels, sensors and batteries of the satellites, and the tasks; see
+:class:`~bsk_torch.scene.AEOSBenchGenerator`. With ``folder``, which of its cases is flown.
 """
 
 from __future__ import annotations
@@ -16,7 +30,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import torch
 
@@ -24,9 +38,10 @@ from bsk_torch import act, data, obs, sats, scene
 from bsk_torch.constants import RPM
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.formations import Formation, Settings
-from bsk_torch.rand import Key
+from bsk_torch.rand import Key, first_key
 from bsk_torch.scene.aeos_files import HORIZON, MOST_TORQUE, MU, TOP_SPEED
 from bsk_torch.sim import dyn, fsw
+from bsk_torch.sim.names import nearest
 
 __all__ = ["BenchSatellite", "CaseSatellites", "aeos_bench"]
 
@@ -45,6 +60,10 @@ FIXED: dict[str, Any] = dict(
 """Arguments that all satellites of the benchmark share."""
 
 
+SMALL = 8, 50
+"""Satellites and tasks of the random cases, unless others are chosen."""
+
+
 class CaseSatellites(Formation):
     """The satellites of the cases that a :class:`~bsk_torch.scene.AEOSBench` draws."""
 
@@ -54,14 +73,13 @@ class CaseSatellites(Formation):
 
     def check(self, names: Sequence[str]) -> None:
         """ValueError unless there are as many satellites as the cases are padded to."""
-        count = self.scenario.cases.present.shape[1]
+        count = self.scenario.cases.n_satellites
         if len(names) != count:
             raise ValueError(f"the cases are padded to {count} satellites, but the environment has {len(names)}")
 
     def draw(self, key: Key, names: Sequence[str]) -> Settings:
         """See :meth:`Formation.draw`."""
-        case = self.scenario.case_of(key)
-        return {name: (range(len(names)), values[case]) for name, values in self.scenario.cases.satellites.items()}
+        return {name: (range(len(names)), values) for name, values in self.scenario.cases_of(key).satellites.items()}
 
 
 class BenchSatellite(sats.Satellite):
@@ -81,21 +99,39 @@ class BenchSatellite(sats.Satellite):
     action_spec = (act.PointAtTask(),)
 
 
+class SensorOnSatellite(BenchSatellite):
+    """A satellite whose sensor is always on."""
+
+    action_spec = (act.PointAtTask("on"),)
+
+
+class SensorChosenSatellite(BenchSatellite):
+    """A satellite whose actions switch its sensor."""
+
+    action_spec = (act.PointAtTask("chosen"),)
+
+
+KINDS = {"assigned": BenchSatellite, "on": SensorOnSatellite, "chosen": SensorChosenSatellite}
+"""Satellites by when their sensors are on."""
+
+
 def aeos_bench(
-    cases: scene.Cases | str | Path,
-    satellites: int | None = None,
-    tasks: int | None = None,
+    folder: str | Path | scene.Cases | scene.AEOSBenchGenerator | None = None,
+    satellites: int | tuple[int, int] | None = None,
+    tasks: int | tuple[int, int] | None = None,
     *,
     order: Literal["random", "listed"] = "random",
     sensor: Literal["assigned", "on", "chosen"] = "assigned",
     **options: Any,
 ) -> ConstellationTasking:
-    """Return the environment of cases of AEOS-Bench.
+    """Return AEOSBench-v1: cases of AEOS-Bench; see the module.
 
     Args:
-        cases: A folder with files of the benchmark, or the result of :func:`bsk_torch.scene.read_cases`.
-        satellites: Satellites to which the cases of a folder are padded (default: the most of any case).
-        tasks: Tasks to which they are padded, likewise.
+        folder: A folder with files of the benchmark, the result of :func:`bsk_torch.scene.read_cases`, or a generator; None:
+            random cases.
+        satellites: Satellites of random cases (default: 8), or the smallest and the largest number. Of a folder: the number to
+            which its cases are padded (default: the most of any case).
+        tasks: Tasks, likewise (default of random cases: 50).
         order: Cases of the episodes; see :class:`~bsk_torch.scene.AEOSBench`.
         sensor: When sensors are on; see :class:`~bsk_torch.act.PointAtTask`. The benchmark's rule has them always on.
         **options: Arguments of :class:`~bsk_torch.ConstellationTasking` that replace these.
@@ -104,11 +140,17 @@ def aeos_bench(
         FileNotFoundError: For a folder without cases.
         ValueError: For files that are not those of the benchmark, and for wrong arguments.
     """
-    scenario = scene.AEOSBench(cases, satellites, tasks, order=order)
-    kind = type("BenchSatellite", (BenchSatellite,), {"action_spec": (act.PointAtTask(sensor),)})
+    if sensor not in KINDS:
+        raise ValueError(f"sensor={sensor!r} must be one of {list(KINDS)}; {nearest(str(sensor), KINDS)}")
+    if folder is None:
+        generator = scene.AEOSBenchGenerator(SMALL[0] if satellites is None else satellites, SMALL[1] if tasks is None else tasks)
+        scenario = scene.AEOSBench(generator, order=order)
+    else:  # ranges are an error of the scenario
+        scenario = scene.AEOSBench(folder, cast("int | None", satellites), cast("int | None", tasks), order=order)
     # these numbers decide the form of hub and wheels; every episode replaces them
-    form = {name: of_form(values) for name, values in scenario.cases.satellites.items()}
-    names = [f"Satellite{k}" for k in range(scenario.cases.present.shape[1])]
+    example = scenario.cases if isinstance(scenario.cases, scene.Cases) else scenario.cases_of(first_key(1))
+    form = {name: of_form(values) for name, values in example.satellites.items()}
+    names = [f"Satellite{k}" for k in range(scenario.cases.n_satellites)]
     defaults: dict[str, Any] = dict(
         scenario=scenario,
         rewarder=data.TaskReward(),
@@ -118,7 +160,7 @@ def aeos_bench(
         sim_rate=1.0,
         terminate_on_time_limit=False,
     )
-    return ConstellationTasking([kind(name, FIXED | form) for name in names], **(defaults | options))
+    return ConstellationTasking([KINDS[sensor](name, FIXED | form) for name in names], **(defaults | options))
 
 
 def of_form(values: torch.Tensor) -> Any:

@@ -2,6 +2,7 @@
 
 from bsk_torch.scene.aeos_bench import AEOSBench
 from bsk_torch.scene.aeos_files import CaseError, Cases, read_cases
+from bsk_torch.scene.aeos_generator import AEOSBenchGenerator
 from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.cities import CityTargets
 from bsk_torch.scene.clouds import CloudyTargets
@@ -22,6 +23,7 @@ from bsk_torch.scene.wildfires import Wildfires
 
 __all__ = [
     "AEOSBench",
+    "AEOSBenchGenerator",
     "CaseError",
     "Cases",
     "ChangingTargets",

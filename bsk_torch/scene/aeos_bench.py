@@ -12,6 +12,7 @@ from torch import Tensor
 from bsk_torch._checks import number
 from bsk_torch.rand import Key
 from bsk_torch.scene.aeos_files import EARTH_RADIUS, HORIZON, Cases, read_cases
+from bsk_torch.scene.aeos_generator import AEOSBenchGenerator
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.names import nearest
 
@@ -52,20 +53,20 @@ class AEOSBench(Scenario):
 
     def __init__(
         self,
-        cases: Cases | str | Path,
+        cases: Cases | AEOSBenchGenerator | str | Path,
         satellites: int | None = None,
         tasks: int | None = None,
         order: Literal["random", "listed"] = "random",
         horizon: float = HORIZON,
     ) -> None:
-        """Fly cases of a folder, or those given.
+        """Fly cases of a folder, or those given, or random ones.
 
         Args:
-            cases: A folder with files of the benchmark, see :func:`bsk_torch.scene.read_cases`, or its result.
+            cases: A folder with files of the benchmark, see :func:`bsk_torch.scene.read_cases`, its result, or a generator.
             satellites: Satellites to which the cases of a folder are padded (default: the most of any case).
             tasks: Tasks to which they are padded, likewise.
-            order: ``"random"``: every episode draws a case. ``"listed"``: the episode with seed s in environment i flies case s +
-                i, counted modulo their number, and the following episodes the cases after it.
+            order: ``"random"``: every episode draws one of the cases. ``"listed"``: the episode with seed s in environment i
+                flies case s + i, counted modulo their number, and the following episodes the cases after it.
             horizon: Time from which on nothing counts, s.
 
         Raises:
@@ -74,26 +75,37 @@ class AEOSBench(Scenario):
         """
         if order not in ORDERS:
             raise ValueError(f"order={order!r} must be one of {list(ORDERS)}; {nearest(str(order), ORDERS)}")
-        self.cases = cases if isinstance(cases, Cases) else read_cases(cases, satellites, tasks)
+        given = isinstance(cases, Cases | AEOSBenchGenerator)
+        if given and not (satellites is None and tasks is None):
+            raise ValueError(f"satellites={satellites} and tasks={tasks} pad cases of a folder; those given have their sizes")
+        if isinstance(cases, AEOSBenchGenerator) and order != "random":
+            raise ValueError(f"order={order!r} lists cases, but a generator draws them; leave it out")
+        self.cases = cases if isinstance(cases, Cases | AEOSBenchGenerator) else read_cases(cases, satellites, tasks)
         self.horizon = number("horizon", horizon, 0.0, unit="s", above=True)
         self.order = order
 
     def case_of(self, key: Key) -> Tensor:
-        """Return the number of the case of each episode, [n]."""
+        """Return the number of the case of each episode, [n]; -1 for cases of a generator."""
+        if isinstance(self.cases, AEOSBenchGenerator):
+            return torch.full((len(key),), -1)
         if self.order == "listed":
             return (key.seed + key.env_id + key.episode) % len(self.cases)
         return (key.named("case").uniform(1).squeeze(1) * len(self.cases)).long()
 
+    def cases_of(self, key: Key) -> Cases:
+        """Return the cases of the episodes that begin in the n environments of a key."""
+        return self.cases.draw(key) if isinstance(self.cases, AEOSBenchGenerator) else self.cases.take(self.case_of(key))
+
     def draw(self, key: Key) -> dict[str, Tensor]:
         """See :meth:`Scenario.draw`."""
-        case, cases = self.case_of(key), self.cases
-        tasks = {f"task_{name}": values[case] for name, values in cases.tasks.items()}
-        sensors = {"sensor_type": cases.sensors[case], "sensor_enabled": cases.enabled[case].double()}
-        return tasks | sensors | {PLACES: cases.places[case], "case": case.double()}
+        cases = self.cases_of(key)
+        tasks = {f"task_{name}": values for name, values in cases.tasks.items()}
+        sensors = {"sensor_type": cases.sensors, "sensor_enabled": cases.enabled.double()}
+        return tasks | sensors | {PLACES: cases.places, "case": self.case_of(key).double()}
 
     def present(self, key: Key, names: Sequence[str]) -> Tensor:
         """See :meth:`Scenario.present`."""
-        return self.cases.present[self.case_of(key)]
+        return self.cases_of(key).present
 
     def link(self, fleet: SatelliteFleet) -> None:
         """See :meth:`Scenario.link`; ValueError for satellites without the sensor of the benchmark."""
@@ -103,7 +115,7 @@ class AEOSBench(Scenario):
                 raise ValueError(f"scene.AEOSBench needs satellites with dyn.AEOSBenchDynModel; {satellite.name} has none")
             kind = type(satellite.dynamics)
             satellite.simulator.observer.want([kind.boresight_P.function, kind.r_BN_P.function, kind.sensor_cone.function])
-        count = self.cases.places.shape[1]
+        count = self.n_tasks
         fleet.memory.declare("task_progress", 0.0, count, low=0.0)
         fleet.memory.declare("task_best", 0.0, count, low=0.0)
         fleet.memory.declare("task_success", -1.0, count, low=-1.0)
@@ -111,7 +123,7 @@ class AEOSBench(Scenario):
     @property
     def n_tasks(self) -> int:
         """Number of tasks of an episode, those that pad included."""
-        return self.cases.places.shape[1]
+        return self.cases.n_tasks
 
     @property
     def task_time(self) -> Tensor:

@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import whole
 from bsk_torch.sim.names import nearest
 
 EARTH_RADIUS = 6378136.6
@@ -36,7 +37,7 @@ class Cases:
     """Cases of AEOS-Bench: C of them, padded to S satellites and T tasks.
 
     Attributes:
-        names: Names of the cases, C of them.
+        names: Names of the cases, C of them; none of cases that have been drawn.
         satellites: Arguments of satellites by their names in ``sat_args``, [C, S, ...] float64 each. Those of the first satellite
             of a case fill the places of absent ones.
         present: Which satellites exist, [C, S] bool.
@@ -57,7 +58,29 @@ class Cases:
 
     def __len__(self) -> int:
         """Number of cases."""
-        return len(self.names)
+        return len(self.present)
+
+    @property
+    def n_satellites(self) -> int:
+        """Number of satellites, those that pad included."""
+        return self.present.shape[1]
+
+    @property
+    def n_tasks(self) -> int:
+        """Number of tasks, those that pad included."""
+        return self.places.shape[1]
+
+    def take(self, rows: Tensor) -> Cases:
+        """Return the cases with the numbers ``rows`` [n]."""
+        return Cases(
+            names=tuple(self.names[int(row)] for row in rows) if self.names else (),
+            satellites={name: values[rows] for name, values in self.satellites.items()},
+            present=self.present[rows],
+            sensors=self.sensors[rows],
+            enabled=self.enabled[rows],
+            places=self.places[rows],
+            tasks={name: values[rows] for name, values in self.tasks.items()},
+        )
 
 
 class CaseError(ValueError):
@@ -78,6 +101,7 @@ def read_cases(folder: str | Path, satellites: int | None = None, tasks: int | N
     Raises:
         FileNotFoundError: For a folder without cases, and a constellation without tasks.
         CaseError: For a file that is not one of the benchmark, and a case with more satellites or tasks than the padding.
+        ValueError: For a padding that is not a whole number.
     """
     pairs = list(_pairs(Path(folder)))
     if not pairs:
@@ -171,9 +195,9 @@ Satellites = list[dict[str, Any]]
 
 def _constellation(path: Path) -> Satellites:
     """Return the arguments of the satellites of a file, sorted by their ids."""
-    whole = Entry(_read(path), path.as_posix())
-    orbits = {int(orbit.number("id")): orbit for orbit in whole.entries("orbits")}
-    listed = sorted(whole.entries("satellites"), key=lambda entry: entry.number("id"))
+    content = Entry(_read(path), path.as_posix())
+    orbits = {int(orbit.number("id")): orbit for orbit in content.entries("orbits")}
+    listed = sorted(content.entries("satellites"), key=lambda entry: entry.number("id"))
     ids = [int(entry.number("id")) for entry in listed]
     if not listed or len(set(ids)) < len(ids):
         raise CaseError(f"{path}: satellites have the ids {ids}; give each satellite its id, at least one")
@@ -226,8 +250,8 @@ Tasks = list[dict[str, float]]
 def _tasks(path: Path) -> Tasks:
     """Return the tasks of a file, a list or an object with the key ``tasks``, sorted by their ids."""
     values = _read(path)
-    whole = Entry({"tasks": values} if isinstance(values, list) else values, path.as_posix())
-    listed = sorted(whole.entries("tasks"), key=lambda entry: entry.number("id"))
+    content = Entry({"tasks": values} if isinstance(values, list) else values, path.as_posix())
+    listed = sorted(content.entries("tasks"), key=lambda entry: entry.number("id"))
     if not listed:
         raise CaseError(f"{path}: no tasks; a case needs at least one")
     return [_task(entry) for entry in listed]
@@ -257,9 +281,12 @@ def _task(entry: Entry) -> dict[str, float]:
 def stacked(cases: Sequence[tuple[str, Satellites, Tasks]], satellites: int | None, tasks: int | None) -> Cases:
     """Return cases, by name, with their satellites and tasks, as tables."""
     most = [max(len(part[k]) for part in cases) for k in (1, 2)]
-    sizes = [biggest if wanted is None else wanted for biggest, wanted in zip(most, (satellites, tasks), strict=True)]
+    wanted = {"satellites": satellites, "tasks": tasks}
+    sizes = [
+        biggest if size is None else whole(title, size, 1) for biggest, (title, size) in zip(most, wanted.items(), strict=True)
+    ]
     for name, *parts in cases:
-        for title, part, size in zip(("satellites", "tasks"), parts, sizes, strict=True):
+        for title, part, size in zip(wanted, parts, sizes, strict=True):
             if len(part) > size:
                 raise CaseError(f"case {name!r} has {len(part)} {title}, more than {title}={size}")
 

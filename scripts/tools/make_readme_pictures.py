@@ -71,6 +71,7 @@ RULES = {
     "Walker4-v1": "local",
     "CWDocking-v1": "glide",
     "CWInspection-v1": "seek",
+    "AEOSBench-v1": "nearest_task",
 }
 """Presets without a pretrained policy, and the rules that their thumbnails show."""
 

@@ -43,6 +43,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "Services-v1": dict(n_targets=12),
     "ThreeSensors-v1": dict(n_targets=12),
     "Walker4-v1": dict(n_targets=12),
+    "AEOSBench-v1": dict(satellites=(1, 3), tasks=(5, 12)),
 }
 """What makes presets small."""
 

@@ -31,6 +31,7 @@ def test_a_pretrained_policy_has_its_score(preset):
 
 
 WITHOUT = {
+    "AEOSBench-v1",
     "HeteroCluster-v1",
     "Services-v1",
     "ThreeSensors-v1",

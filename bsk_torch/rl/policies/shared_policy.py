@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import cast
 
 import torch
@@ -16,6 +17,7 @@ from bsk_torch.env import NO_ACTION, ConstellationTasking, SatelliteTasking, Tas
 from bsk_torch.env.agents import AGENTS, Group
 from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.rl.rules.baselines import BASELINES, random_policy
+from bsk_torch.rl.rules.nearest_task import NearestTask
 from bsk_torch.rl.rules.team import TEAM_RULES, TeamPolicy, TeamRule
 from bsk_torch.sim.arguments.values import nearest
 
@@ -23,7 +25,13 @@ TRAINED_WITH = "make it with the options that the policy was trained with, which
 """Advice for a policy that reads observations missing in the environment."""
 
 
-RULES = (*BASELINES, *TEAM_RULES)
+TOGETHER: dict[str, Callable[[Tasking], TeamRule | NearestTask]] = {
+    **{name: partial(TeamRule, name=name) for name in TEAM_RULES},
+    "nearest_task": NearestTask,
+}
+"""Rules that decide for all satellites of an environment."""
+
+RULES = (*BASELINES, *TOGETHER)
 """Names of all rules, for single satellites and for teams."""
 
 
@@ -189,15 +197,15 @@ def for_each_group(
 
 
 def baseline(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
-    """Return one of the ``BASELINES`` for one satellite of ``env``, or for one of each group, or one of ``TEAM_RULES`` for all.
+    """Return one of the ``BASELINES`` for one satellite of ``env``, or for one of each group, or one of :data:`TOGETHER` for all.
 
     If the rule applies to some groups only, the others act at random, such as relays with a rule for imaging.
 
     Raises:
         KeyError, ValueError: If the rule applies to no group, or for an unknown name.
     """
-    if name in TEAM_RULES:
-        return TeamRule(env, name).module()
+    if name in TOGETHER:
+        return TOGETHER[name](env).module()
     rule, views = BASELINES[name], member_views(env)
     found: dict[str, TensorDictModuleBase] = {}
     errors: list[Exception] = []
@@ -244,6 +252,7 @@ def rule(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
     ``prompt_ahead``          the same with what is expected for the end of the image, with ``outlook=True``
     ``local``                 those of ``ThreeSensors-v1`` and ``Walker4-v1``: each imager decides by what it knows
     ``centralized``           the same: the best joint choice, which needs ``information="ideal"`` to be one of the team
+    ``nearest_task``          those of ``AEOSBench-v1``: the benchmark's greedy rule, which needs ``sensor="on"`` to be that
     ========================  ==================================================================================================
 
     If the rule applies to some groups of a constellation only, the others act at random.
