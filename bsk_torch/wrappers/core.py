@@ -12,7 +12,7 @@ from gymnasium.error import ResetNeeded
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from bsk_torch.env import NO_ACTION, SatelliteTasking
+from bsk_torch.env import NO_ACTION, ConstellationTasking, SatelliteTasking
 from bsk_torch.env.action_forms import form, read
 from bsk_torch.env.base import ResetNeededError, Tasking
 from bsk_torch.env.no_action import is_no_action
@@ -23,6 +23,12 @@ Kind = TypeVar("Kind", bound=Tasking)
 
 RENDERING: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
 """Metadata of wrappers. A step lasts minutes, so ten frames in a second make a video slow enough."""
+
+FITTING: dict[type[Tasking], str] = {
+    SatelliteTasking: "bsk_torch.wrappers.gymnasium.GymEnv or bsk_torch.wrappers.gymnasium.GymVectorEnv",
+    ConstellationTasking: "bsk_torch.wrappers.pettingzoo.parallel_env or bsk_torch.wrappers.general.GymJointEnv",
+}
+"""Views of each kind of environment, named in messages."""
 
 SEEN = ("observation", "action_mask", "duration", "counts")
 """Results of a step that environments keep while others are reset."""
@@ -47,7 +53,9 @@ def build(core: Kind | str | Callable[..., Kind], options: dict[str, Any], kind:
         env = make(core, **options) if isinstance(core, str) else core(**options)
     if not isinstance(env, kind):
         named = f"core={core!r} makes" if isinstance(core, str) else "core is or makes"
-        raise TypeError(f"{named} a {type(env).__name__}; this view needs a {kind.__name__}")
+        needs = f"this view needs a {kind.__name__}"
+        fitting = next((f"; use {views}" for made, views in FITTING.items() if isinstance(env, made)), "")
+        raise TypeError(f"{named} a {type(env).__name__}; {needs}{fitting}")
     return env
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import get_type_hints
+from typing import get_args, get_type_hints
 
 from bsk_torch._listed import MANY, ONE, OWN, register_listed, register_once
 from bsk_torch.env import ConstellationTasking
@@ -17,7 +17,8 @@ def register() -> None:
     Options pass through: ``gymnasium.make_vec("bsk_torch/NadirScan-v1", num_envs=64, backend="eager")``.
     Constellations have one agent for all satellites; :func:`bsk_torch.wrappers.pettingzoo.parallel_env` has one for each.
     The package's presets are registered when it is imported; call this after adding one to
-    :data:`~bsk_torch.presets.PRESETS`. Repeated calls do nothing.
+    :data:`~bsk_torch.presets.PRESETS`. A preset whose options change its class is registered as the first class of its
+    return annotation. Repeated calls do nothing.
 
     Raises:
         TypeError: For a user's preset without a return annotation.
@@ -27,5 +28,6 @@ def register() -> None:
         made = get_type_hints(preset).get("return")
         if made is None:
             raise TypeError(f"preset {name!r} has no return annotation; write def {preset.__name__}(...) -> SatelliteTasking")
-        views = MANY if issubclass(made, ConstellationTasking) else ONE
+        usual = next(iter(get_args(made)), made)
+        views = MANY if issubclass(usual, ConstellationTasking) else ONE
         register_once(f"bsk_torch/{name}", **views, kwargs={"core": name})

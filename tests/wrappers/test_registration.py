@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from bsk_torch import ConstellationTasking, GeneralSatelliteTasking, act, data, obs, sats, scene
+from bsk_torch import ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking, act, data, obs, sats, scene
+from bsk_torch._listed import MANY
 from bsk_torch.presets import PRESETS
 from bsk_torch.wrappers.registration import OWN, register
 
@@ -71,6 +72,21 @@ def test_bare_names_are_left_to_bsk_rl_where_it_is_there(there, monkeypatch):
     register()
     assert all(f"bsk_torch/{name}" in gymnasium.registry for name in OWN)
     assert [name in gymnasium.registry for name in OWN] == [not there] * len(OWN)
+
+
+def either(**options) -> GeneralSatelliteTasking | SatelliteTasking: ...
+
+
+def test_a_preset_of_two_classes_is_registered_as_the_first(monkeypatch):
+    monkeypatch.setitem(PRESETS, "Own-v1", either)
+    monkeypatch.delitem(gymnasium.registry, "bsk_torch/Own-v1", raising=False)
+    register()
+    assert gymnasium.registry.pop("bsk_torch/Own-v1").entry_point == MANY["entry_point"]
+
+
+def test_options_that_change_the_class_are_refused_with_the_views_that_fit():
+    with pytest.raises(TypeError, match=r"makes a ConstellationTasking; this view needs a SatelliteTasking; use .*parallel_env"):
+        gymnasium.make("bsk_torch/CWDocking-v1", deputies=2, backend="eager")
 
 
 def test_presets_must_say_what_they_return(monkeypatch):
