@@ -43,16 +43,21 @@ percent geosynchronous on average, see :class:`~bsk_torch.scene.RSOMixture`; and
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import torch
+from torch import Tensor
 
 from bsk_torch import act, data, obs, rand, sats, scene
 from bsk_torch._checks import number, switch, whole
+from bsk_torch.act import forbid
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.obs.rso_imaging import DEFAULT, EXPECTED_RATE
 from bsk_torch.presets.nadir_scan import ORBIT
+from bsk_torch.sats import BoundSatellite
+from bsk_torch.scene import RSOTargets
 from bsk_torch.sim import dyn, fsw
+from bsk_torch.sim.catalog.outlook import expected_rate
 from bsk_torch.sim.dyn import Now, observable
 from bsk_torch.sim.names import nearest
 from bsk_torch.vec3 import Vec3
@@ -75,6 +80,9 @@ EPISODE = 45000.0
 IMAGE = 4e6
 """Data of an image, bit."""
 
+FULL = 0.99
+"""Fraction of the store above which there is no room for another image."""
+
 BATTERY = 500 * 3600.0
 """Capacity of the battery, W s."""
 
@@ -92,6 +100,21 @@ class ServicingDynModel(dyn.SpaceToSpaceImagingDynModel, dyn.GroundStationDynMod
     def sun_hat_H(now: Now) -> Vec3:
         """Direction from the satellite to the Sun in the Hill frame, [N, 3]."""
         return (now.HN @ (now.r_SN_N - now.r_BN_N)).unit()
+
+
+def shield(satellite: BoundSatellite) -> Tensor:
+    """Return which actions can bring anything, [N, n_actions] bool.
+
+    Images of objects that are expected to be in the dark or out of sight at their end cannot, nor any images while the store is
+    full, nor a downlink while it is empty.
+    """
+    level, scenario = satellite.dynamics.storage_level_fraction, satellite.scenario
+    assert isinstance(scenario, RSOTargets)
+    candidates = scenario.candidates(satellite, CANDIDATES)
+    priority = satellite.of_env(scenario.priority).gather(1, candidates.place)
+    images = (expected_rate(priority, scenario.outlook(satellite, candidates)) > 0.0) & (level < FULL).unsqueeze(1)
+    others = forbid(satellite.action_description[:-CANDIDATES], "action_downlink", where=level <= 0.0)
+    return torch.cat([others, images], 1)
 
 
 def own_properties() -> tuple[obs.Observation, ...]:
@@ -114,6 +137,7 @@ class ServicingImager(sats.AccessSatellite):
 
     dyn_type = ServicingDynModel
     fsw_type = fsw.SpaceToSpaceImagingFSWModel
+    shielded = False
     observation_spec: ClassVar[Sequence[obs.Observation]] = (
         *own_properties(),
         obs.RSOTargetProperties(n_ahead_observe=CANDIDATES),
@@ -124,6 +148,10 @@ class ServicingImager(sats.AccessSatellite):
         act.Desat(duration=150.0),
         act.ImageRSO(CANDIDATES, exposure="first", require_illumination_during_hold=False),
     )
+
+    def legal_actions(self) -> Tensor | None:
+        """See :meth:`Satellite.legal_actions`."""
+        return shield(cast(BoundSatellite, self)) if self.shielded else None
 
 
 class ServicingSetImager(ServicingImager):
@@ -224,6 +252,7 @@ def services(
     order: str = "elevation",
     as_set: bool = False,
     outlook: bool = False,
+    shielded: bool = False,
     sat_args: dict[str, Any] | None = None,
     obs_type: type | None = None,
     **options: object,
@@ -247,6 +276,7 @@ def services(
         as_set: Whether candidates are observed as ``rows`` [N, 10, 11] with a ``mask`` instead of in one vector.
         outlook: Whether to observe the elapsed fraction of the episode as well, and five more properties of each candidate:
             those of :class:`~bsk_torch.sim.catalog.outlook.Outlook`, and the priority per second that they promise.
+        shielded: Whether ``action_mask`` excludes actions that cannot bring anything; see :func:`shield`.
         sat_args: Arguments of the satellite that replace those of the preset.
         obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations (default: with ``as_set``).
         **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset.
@@ -270,4 +300,5 @@ def services(
     kind = KINDS[switch("as_set", as_set), switch("outlook", outlook)]
     observed_as = (dict if as_set else torch.Tensor) if obs_type is None else obs_type
     satellite = kind("SS1", servicing_args() | (sat_args or {}), obs_type=observed_as)
+    satellite.shielded = switch("shielded", shielded)
     return SatelliteTasking(satellite, **(defaults | options))

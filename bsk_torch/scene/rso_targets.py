@@ -462,19 +462,24 @@ class RSOTargets(Scenario):
 
     def outlook(self, satellite: BoundSatellite, candidates: Candidates) -> Outlook:
         """Return what satellites of a type can expect of images of their candidates that they begin now, [n, k] each."""
-        seen = self._states_of(satellite, candidates)
+        self._positions()  # which catch up
+        r_TN_N, v_TN_N = self.orbits.motion(self._envs(satellite), candidates.place, self.fleet.sim_time)
         at = self._moment(satellite)
-        end = image_end(seen.r_N, seen.v_N, at)
-        light = illumination(Vec3.of(end.r_TN_N), Vec3.of(at.r_SN_N.unsqueeze(1).expand_as(end.r_TN_N)))
+        end = image_end(r_TN_N, v_TN_N, at)
+        light = illumination(end.r_TN_N, Vec3.of(at.r_SN_N.unsqueeze(1)))
         clear = candidates.exists & self._clear(satellite, end.r_TN_N, end.r_BN_N)
         return Outlook(end.duration, elevation(end.r_TN_N, end.r_BN_N), light, clear.double())
 
     def _states_of(self, satellite: BoundSatellite, candidates: Candidates) -> ObjectStates:
         """Return the states of the candidates of each satellite of a type, now and one tick ago."""
-        simulator, now = satellite.simulator, self.fleet.sim_time
+        now = self.fleet.sim_time
         self._positions()  # which catch up
-        envs = simulator.state.all_rows // simulator.count
-        return self.orbits.states(envs, candidates.place, now, (now - self.fleet.h).clamp(min=0.0))
+        return self.orbits.states(self._envs(satellite), candidates.place, now, (now - self.fleet.h).clamp(min=0.0))
+
+    @staticmethod
+    def _envs(satellite: BoundSatellite) -> Tensor:
+        """Return the episode of each satellite of a type, [n]."""
+        return satellite.simulator.state.all_rows // satellite.simulator.count
 
     def _moment(self, satellite: BoundSatellite) -> Moment:
         """Return the satellites of a type at this decision."""
@@ -493,15 +498,15 @@ class RSOTargets(Scenario):
         """
         place = candidates.place.unsqueeze(-1).expand(-1, -1, 3)
         r_TN_N = satellite.of_env(self.r_TN_N).gather(1, place)
-        return candidates.exists & self._clear(satellite, r_TN_N, satellite.dynamics.r_BN_N.unsqueeze(1).expand_as(r_TN_N))
+        return candidates.exists & self._clear(satellite, Vec3.of(r_TN_N), Vec3.of(satellite.dynamics.r_BN_N.unsqueeze(1)))
 
     @staticmethod
-    def _clear(satellite: BoundSatellite, r_TN_N: Tensor, r_BN_N: Tensor) -> Tensor:
-        """Return whether objects are in sight of satellites of a type, and in range, at positions [n, k, 3] m; [n, k]."""
+    def _clear(satellite: BoundSatellite, r_TN_N: Vec3, r_BN_N: Vec3) -> Tensor:
+        """Return whether objects are in sight of satellites of a type, and in range, at positions [n, k] m; [n, k]."""
         pole_N = Vec3.of(satellite.simulator.world.PN[:, 2].unsqueeze(1))
-        clear = line_clearance(stretch(Vec3.of(r_TN_N), pole_N), stretch(Vec3.of(r_BN_N), pole_N)) > 0.0
+        clear = line_clearance(stretch(r_TN_N, pole_N), stretch(r_BN_N, pole_N)) > 0.0
         reach = satellite.sat_args["imageTargetMaximumRange"].view(-1, 1)
-        return clear & ((reach < 0.0) | ((r_TN_N - r_BN_N).norm(dim=-1) <= reach))
+        return clear & ((reach < 0.0) | ((r_TN_N - r_BN_N).norm() <= reach))
 
     def candidate_ids(self, satellite: BoundSatellite, row: int, count: int) -> list[str | None]:
         """Return the ids of the first ``count`` candidates of one satellite of a type; None for those that do not exist."""

@@ -17,6 +17,7 @@ from bsk_torch.presets.services import EPISODE, IMAGE, ServicingImager, servicin
 from bsk_torch.rl.rules.servicing import ORDERS, WORTHS, whole_catalog
 from bsk_torch.sim.catalog.candidates import Candidates
 from bsk_torch.sim.catalog.outlook import coast
+from bsk_torch.vec3 import Vec3
 from tests.support.rso_imaging import Imager, environment, play
 
 pytestmark = pytest.mark.compiled
@@ -385,7 +386,8 @@ def test_the_outlook_is_what_is_flown():
     td = env.reset()
     at, (r_N, v_N, _) = env.scenario._moment(env.satellite), env.scenario._states_of(env.satellite, everything(env))
     seconds = torch.full_like(r_N[..., 0], 150.0)
-    expected = coast(r_N, v_N, seconds), coast(at.r_BN_N, at.v_BN_N, seconds[:, 0])
+    motions = (r_N, v_N, seconds), (at.r_BN_N, at.v_BN_N, seconds[:, 0])
+    expected = [coast(Vec3.of(r), Vec3.of(v), t).stack() for r, v, t in motions]
     td = env.step(td.set("action", torch.full((16,), 2)))["next"]
     assert (td["duration"] == 150.0).all()
     assert (env.satellite.dynamics.r_BN_N - expected[1]).norm(dim=-1).max() < 250.0  # the flattening of the Earth
@@ -432,6 +434,20 @@ def test_the_outlook_is_observed_and_ranks_candidates():
     good = (every.expected_in_sight > 0.0) & (every.expected_illumination_factor >= 0.5)
     assert torch.equal(good, rank < 0.0)
     torch.testing.assert_close(-rank[good], (sets.scenario.priority / every.expected_duration)[good], rtol=1e-12, atol=0.0)
+
+
+@pytest.mark.parametrize("images", [0, 20, 50])
+def test_the_shield_leaves_actions_that_can_bring_something(images):
+    """Images that promise something while the store has room, and downlinks while there is something in it."""
+    stored = dict(storageInit=images * IMAGE)
+    env = make(16, as_set=True, outlook=True, shielded=True, sat_args=stored, backend="eager")
+    td = env.reset()
+    rows, legal = td["observation", "rso_targets", "rows"], td["action_mask"]
+    promising = rows[..., -1] > 0.0
+    assert promising.any()
+    assert not promising.all()
+    assert torch.equal(legal[:, FIRST:], promising & (images < 50))
+    assert torch.equal(legal[:, :FIRST], torch.tensor([True, images > 0, True]).expand(16, -1))
 
 
 @pytest.mark.parametrize("rank", [float("nan"), None])

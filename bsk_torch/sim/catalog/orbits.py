@@ -18,6 +18,7 @@ from bsk_torch.sim.orbit.arcs import FARTHEST, REACH_AROUND
 from bsk_torch.sim.orbit.flights import FIRST_STEP, REMEMBERED, Flights, positions, velocities
 from bsk_torch.sim.orbit.flown_arc import FLOWN_STATE, MULTISTEP_STEP
 from bsk_torch.sim.state import StateTable, outside_inference
+from bsk_torch.vec3 import Vec3
 
 CHUNK, DEVICE_CHUNK = 4096, 1 << 20
 """Objects advanced at once on the CPU, where they should fit into its cache, and on other devices."""
@@ -113,6 +114,11 @@ class CatalogOrbits(StateTable):
     def positions(self, time: Tensor) -> Tensor:
         """Return positions of all objects, [3, num_envs, G] m in N, at ``time`` [num_envs] s, to which they have caught up."""
         return positions(self.flights.view(FLOWN_STATE, self.num_envs, -1), self._since(time))
+
+    def motion(self, envs: Tensor, place: Tensor, time: Tensor) -> tuple[Vec3, Vec3]:
+        """Return positions, [n, k] m, and velocities, m/s, of some objects in N; for arguments, see :meth:`states`."""
+        flights, now = self.flights[:, envs.unsqueeze(-1) * self.count + place], self._since(time)[envs]
+        return Vec3(*positions(flights, now)), Vec3(*velocities(flights, now))
 
     def states(self, envs: Tensor, place: Tensor, time: Tensor, ago: Tensor) -> ObjectStates:
         """Return the states of some objects.

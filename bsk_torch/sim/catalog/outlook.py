@@ -9,6 +9,7 @@ from torch import Tensor
 
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.sim.catalog.candidates import Moment
+from bsk_torch.vec3 import Vec3
 
 START = 40.0
 """Time for an image in the direction of the instrument, s."""
@@ -41,49 +42,50 @@ class Outlook(NamedTuple):
 
 
 class ImageEnd(NamedTuple):
-    """Ends of images: time until then, [n, k] s, and positions of objects and satellites then, [n, k, 3] m in N."""
+    """Ends of images: time until then, [n, k] s, and positions of objects and satellites then, [n, k] m in N."""
 
     duration: Tensor
-    r_TN_N: Tensor
-    r_BN_N: Tensor
+    r_TN_N: Vec3
+    r_BN_N: Vec3
 
 
-def coast(r_N: Tensor, v_N: Tensor, seconds: Tensor) -> Tensor:
-    """Return positions [..., 3] m after ``seconds`` [...] on circles, without perturbations.
+def coast(r_N: Vec3, v_N: Vec3, seconds: Tensor) -> Vec3:
+    """Return positions [...] m after ``seconds`` [...] on circles, without perturbations.
 
     Args:
-        r_N: Positions, [..., 3] m; they and the velocities may be those on an ellipse, for a fraction of an orbit.
-        v_N: Velocities, [..., 3] m/s.
+        r_N: Positions, [...] m; they and the velocities may be those on an ellipse, for a fraction of an orbit.
+        v_N: Velocities, [...] m/s.
         seconds: Times, [...] s.
     """
-    rate = (MU_EARTH / r_N.norm(dim=-1, keepdim=True) ** 3).sqrt()
-    phase = rate * seconds.unsqueeze(-1)
-    return r_N * phase.cos() + v_N * phase.sin() / rate
+    square = r_N.dot(r_N)
+    rate = (MU_EARTH / (square * square.sqrt())).sqrt()
+    phase = rate * seconds
+    return r_N * phase.cos() + v_N * (phase.sin() / rate)
 
 
-def elevation(r_TN_N: Tensor, r_BN_N: Tensor) -> Tensor:
-    """Return angles of objects T above the local horizontal of satellites B, [...] degrees, for positions [..., 3]."""
+def elevation(r_TN_N: Vec3, r_BN_N: Vec3) -> Tensor:
+    """Return angles of objects T above the local horizontal of satellites B, [...] degrees, for positions [...]."""
     rho = r_TN_N - r_BN_N
-    sine = (rho * r_BN_N).sum(-1) / (rho.norm(dim=-1) * r_BN_N.norm(dim=-1))
+    sine = rho.dot(r_BN_N) / (rho.norm() * r_BN_N.norm())
     return torch.rad2deg(torch.asin(sine.clamp(-1.0, 1.0)))
 
 
-def image_end(r_TN_N: Tensor, v_TN_N: Tensor, at: Moment) -> ImageEnd:
+def image_end(r_TN_N: Vec3, v_TN_N: Vec3, at: Moment) -> ImageEnd:
     """Return when images of objects are expected to end that satellites begin now, and where both are then.
 
     An image takes ``START + PER_ROOT * sqrt(angle)``, with the angle in degrees from the present axis of the instrument to the
     direction to the object at the end.
 
     Args:
-        r_TN_N: Positions of the objects, [n, k, 3] m.
-        v_TN_N: Velocities of the objects, [n, k, 3] m/s.
+        r_TN_N: Positions of the objects, [n, k] m.
+        v_TN_N: Velocities of the objects, [n, k] m/s.
         at: The satellites.
     """
-    r_BN_N, v_BN_N = (part.unsqueeze(1).expand_as(r_TN_N) for part in (at.r_BN_N, at.v_BN_N))
-    end = ImageEnd(torch.zeros_like(r_TN_N[..., 0]), r_TN_N, r_BN_N)
+    r_BN_N, v_BN_N, axis_N = (Vec3.of(part.unsqueeze(1)) for part in (at.r_BN_N, at.v_BN_N, at.axis_N))
+    end = ImageEnd(torch.zeros_like(r_TN_N.x), r_TN_N, r_BN_N)
     for _ in range(PASSES):
         rho = end.r_TN_N - end.r_BN_N
-        cosine = (rho * at.axis_N.unsqueeze(1)).sum(-1) / rho.norm(dim=-1)
+        cosine = rho.dot(axis_N) / rho.norm()
         duration = START + PER_ROOT * torch.rad2deg(torch.acos(cosine.clamp(-1.0, 1.0))).sqrt()
         end = ImageEnd(duration, coast(r_TN_N, v_TN_N, duration), coast(r_BN_N, v_BN_N, duration))
     return end
