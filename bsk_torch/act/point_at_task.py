@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import torch
 from torch import Tensor
 
-from bsk_torch.act.base import Action, Decision
+from bsk_torch._checks import whole
+from bsk_torch.act.base import Action, Decision, positive_duration
 from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.scene.aeos_bench import ASSIGNED, NO_TASK, PLACES, AEOSBench
 from bsk_torch.sim.names import nearest
@@ -16,25 +18,36 @@ SENSORS = ("assigned", "on", "chosen")
 
 
 class PointAtTask(Action):
-    """Points the sensor at a task for one tick; action 0 points at the Earth's center, action k at task k - 1.
+    """Points the sensor at a task; action 0 points at the Earth's center, action k at task k - 1, or at the k-th candidate.
 
     What is chosen at a time acts from the next tick on, as in the benchmark. A task that is not offered, see
     :attr:`bsk_torch.scene.AEOSBench.task_offered`, can be pointed at, but ``action_mask`` excludes it.
     """
 
-    def __init__(self, sensor: Literal["assigned", "on", "chosen"] = "assigned", name: str = "point") -> None:
-        """Provide an action for each task of the scenario, and one for none.
+    def __init__(
+        self,
+        sensor: Literal["assigned", "on", "chosen"] = "assigned",
+        name: str = "point",
+        n_candidates: int | None = None,
+        duration: float | None = None,
+    ) -> None:
+        """Provide an action for each task or candidate, and one for none.
 
         Args:
             sensor: ``"assigned"``: the sensor is on while a task is chosen. ``"on"``: it is always on, as under the benchmark's
                 rule. ``"chosen"``: there are twice as many actions; the second half are the same with the sensor on, the first
                 with the sensor off.
             name: Name in ``action_description``.
+            n_candidates: Number of candidates of each satellite to choose from, see
+                :meth:`bsk_torch.scene.AEOSBench.candidates`; None for all tasks of the scenario.
+            duration: Time until the next decision, s (default: one tick, as in the benchmark).
 
         Raises:
-            ValueError: For another sensor.
+            ValueError: For another sensor, fewer than one candidate, or a duration that is not positive.
         """
         super().__init__(name)
+        self.n_candidates = None if n_candidates is None else whole("n_candidates", n_candidates, 1)
+        self.duration = None if duration is None else positive_duration("duration", duration, name, math.inf)
         if sensor not in SENSORS:
             raise ValueError(f"sensor={sensor!r} must be one of {list(SENSORS)}; {nearest(str(sensor), SENSORS)}")
         self.sensor = sensor
@@ -46,7 +59,7 @@ class PointAtTask(Action):
             raise ValueError(f"act.PointAtTask {self.name!r} needs scene.AEOSBench as the scenario of the environment")
         for command in ("sensor_off", "sensor_on"):
             satellite.simulator.check_command(command)
-        self._choices = 1 + satellite.simulator.scenario_state[PLACES].shape[1]
+        self._choices = 1 + (self.n_candidates or satellite.simulator.scenario_state[PLACES].shape[1])
         self.n_actions = self._choices * (2 if self.sensor == "chosen" else 1)
         satellite.simulator.memory.declare(ASSIGNED, NO_TASK, low=NO_TASK)
 
@@ -60,21 +73,31 @@ class PointAtTask(Action):
         names = [f"{self.name}_none", *(f"{self.name}_{k}" for k in range(self._choices - 1))]
         return names if self.sensor != "chosen" else [*(f"{name}_off" for name in names), *(f"{name}_on" for name in names)]
 
+    def _candidates(self) -> tuple[Tensor, Tensor]:
+        """Return the numbers of the candidates, and which of them exist, [N, n] each."""
+        fleet, found = self._scenario.fleet, self._scenario.candidates(self._choices - 1)
+        task, exists = (fleet.rows_of(self.satellite.type_index, part) for part in (found.task, found.exists))
+        return task, exists
+
     def mask(self) -> Tensor:
         """See :meth:`Action.mask`."""
-        offered = self.satellite.of_env(self._scenario.task_offered)
+        offered = self.satellite.of_env(self._scenario.task_offered) if self.n_candidates is None else self._candidates()[1]
         legal = torch.cat([torch.ones_like(offered[:, :1]), offered], 1)
         return torch.cat([legal, legal], 1) if self.sensor == "chosen" else legal
 
     def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
         """See :meth:`Action.decide`."""
-        simulator, task = self.satellite.simulator, index % self._choices - 1
+        simulator, choice = self.satellite.simulator, index % self._choices - 1
+        task = choice
+        if self.n_candidates is not None:
+            number, exists = (part.gather(1, choice.clamp(min=0).unsqueeze(1)).squeeze(1) for part in self._candidates())
+            task = torch.where((choice >= 0) & exists, number, NO_TASK)
         off, on = (torch.full_like(index, simulator.mode_names.index(name)) for name in ("sensor_off", "sensor_on"))
         if self.sensor == "on":
             mode = on
         else:
             mode = torch.where(task >= 0 if self.sensor == "assigned" else index >= self._choices, on, off)
-        duration = torch.full_like(simulator.sim_time, simulator.h)
+        duration = torch.full_like(simulator.sim_time, self.duration or simulator.h)
         return Decision(mode, torch.ones_like(mask), duration, action, duration, task)
 
     def begin(self, mask: Tensor, decision: Decision) -> None:

@@ -1,5 +1,6 @@
 """Observations: entries of a satellite's ``observation_spec``."""
 
+from bsk_torch.obs.aeos_tasks import TaskProperties
 from bsk_torch.obs.base import Observation
 from bsk_torch.obs.noisy import Noisy
 from bsk_torch.obs.opportunities import OpportunityProperties
@@ -20,5 +21,6 @@ __all__ = [
     "RelativeProperties",
     "ResourceRewardWeight",
     "SatProperties",
+    "TaskProperties",
     "Time",
 ]

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import number, switch, text, whole
-from bsk_torch.obs.base import Observation, Values, joined
+from bsk_torch.obs.candidates import CandidateProperties
 from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.scene.rso_records import AGO, CAPTURED, DELIVERED
 from bsk_torch.scene.rso_targets import OWN_PENDING, RSOTargets, check_imager
 from bsk_torch.sim.catalog.aim import AIM
-from bsk_torch.sim.catalog.candidates import Candidates, Views
+from bsk_torch.sim.catalog.candidates import Views
 from bsk_torch.sim.catalog.outlook import Outlook, expected_rate
-from bsk_torch.sim.names import nearest
 
 KNOWN = ("capture_age", "capture_known", "delivery_age", "delivery_known", "on_board", "in_progress")
 """Properties of candidates that need ``knowledge="own"`` in :class:`~bsk_torch.scene.RSOTargets`.
@@ -44,32 +41,7 @@ DEFAULT = (
 """Entries where none are given, those of bsk_rl."""
 
 
-class Entry(NamedTuple):
-    """A property of candidates, its name in the observation, and its divisor."""
-
-    prop: str
-    name: str
-    norm: float
-
-
-def parsed(given: Mapping[str, Any]) -> Entry:
-    """Return an entry of a user; ValueError for a wrong one."""
-    title = "obs.RSOTargetProperties"
-    if not isinstance(given, Mapping):
-        raise ValueError(f"{title} has the entry {given!r}; it must be a dictionary, such as dict(prop='priority', norm=2)")
-    for key in given:
-        if key not in ("prop", "norm", "name"):
-            raise ValueError(f"{title} has the key {key!r} in {dict(given)}; {nearest(str(key), ('prop', 'norm', 'name'))}")
-    prop = given.get("prop")
-    if prop not in PROPERTIES:
-        raise ValueError(f"{title}: prop={prop!r} is no property of candidates; {nearest(str(prop), PROPERTIES)}")
-    norm = 1.0 if given.get("norm") is None else number(f"{title}: norm of {prop!r}", given["norm"])
-    if norm == 0.0:
-        raise ValueError(f"{title}: norm of {prop!r} is 0; it must not be zero")
-    return Entry(prop, text(f"{title}: name", given.get("name", prop)), norm)
-
-
-class RSOTargetProperties(Observation):
+class RSOTargetProperties(CandidateProperties):
     """Properties of the first n candidates of an imager; action k of :class:`~bsk_torch.act.ImageRSO` images the k-th.
 
     For the order of candidates, see :class:`~bsk_torch.scene.RSOTargets`; for properties, :data:`PROPERTIES`,
@@ -77,6 +49,10 @@ class RSOTargetProperties(Observation):
     an image, from which :data:`EXPECTED_RATE` follows. Where there are fewer candidates, all properties are zero, ``valid`` too,
     which is 1 for the others.
     """
+
+    properties = PROPERTIES
+    usual = DEFAULT
+    title = "obs.RSOTargetProperties"
 
     def __init__(
         self, *properties: dict[str, Any], n_ahead_observe: int = 10, name: str = "rso_targets", as_set: bool = False
@@ -94,21 +70,15 @@ class RSOTargetProperties(Observation):
         Raises:
             ValueError: For unknown properties or keys, equal names, or fewer than one candidate.
         """
-        super().__init__(name)
-        self.entries = tuple(parsed(given) for given in properties or DEFAULT)
-        names = [entry.name for entry in self.entries]
-        if len(set(names)) < len(names):
-            raise ValueError(f"obs.RSOTargetProperties has the names {names}; they must be unique")
-        self.n_ahead_observe, self.as_set = whole("n_ahead_observe", n_ahead_observe, 1), switch("as_set", as_set)
-        self.exact = ("mask",) if as_set else ()  # not changed by obs.Noisy
+        super().__init__(*properties, n_ahead_observe=n_ahead_observe, name=name, as_set=as_set)
 
     def link_satellite(self, satellite: BoundSatellite) -> None:
         """See :meth:`Observation.link_satellite`; ValueError unless it is an imager of a catalog."""
         super().link_satellite(satellite)
         check_imager(satellite, f"obs.RSOTargetProperties {self.name!r}")
 
-    def _columns(self) -> tuple[dict[str, Tensor], Tensor]:
-        """Return the properties of the candidates by name, [N, n] or [N, n, 3], and which of them exist, [N, n]."""
+    def read_candidates(self, wanted: frozenset[str]) -> tuple[dict[str, Tensor], Tensor]:
+        """See :meth:`CandidateProperties.read_candidates`."""
         scenario: RSOTargets = self.satellite.scenario
         candidates = scenario.candidates(self.satellite, self.n_ahead_observe)
         seen = scenario.views(self.satellite, candidates)
@@ -116,15 +86,14 @@ class RSOTargetProperties(Observation):
             "valid": torch.ones_like(seen.target_distance),
             "priority": self.satellite.of_env(scenario.priority).gather(1, candidates.place),
         }
-        if any(entry.prop == "in_sight" for entry in self.entries):
+        if "in_sight" in wanted:
             known["in_sight"] = scenario.in_sight(self.satellite, candidates).double()
-        if any(entry.prop in (*Outlook._fields, EXPECTED_RATE) for entry in self.entries):
+        if not wanted.isdisjoint((*Outlook._fields, EXPECTED_RATE)):
             outlook = scenario.outlook(self.satellite, candidates)
             known |= outlook._asdict() | {EXPECTED_RATE: expected_rate(known["priority"], outlook)}
-        if any(entry.prop in KNOWN for entry in self.entries):
+        if not wanted.isdisjoint(KNOWN):
             known |= self._known(candidates.place)
-        columns = {entry.name: _blank(known[entry.prop] / entry.norm, candidates) for entry in self.entries}
-        return columns, candidates.exists
+        return known, candidates.exists
 
     def _known(self, place: Tensor) -> dict[str, Tensor]:
         """Return what satellites know of targets, [N, n] each; see :data:`KNOWN`."""
@@ -140,22 +109,3 @@ class RSOTargetProperties(Observation):
         busy = images & ~satellite.task.requires_retasking
         mine = busy.unsqueeze(1) & (satellite.simulator.memory[AIM].unsqueeze(1) == place)
         return found | {"on_board": (pending > 0).double(), "in_progress": mine.double()}
-
-    def get_obs(self) -> Values:
-        """See :meth:`Observation.get_obs`."""
-        columns, exists = self._columns()
-        if self.as_set:
-            return {"rows": joined(columns), "mask": exists.double()}
-        return {f"{self.name}_{k}": {name: column[:, k] for name, column in columns.items()} for k in range(self.n_ahead_observe)}
-
-    def get_vector(self) -> Tensor:
-        """See :meth:`Observation.get_vector`; one candidate after the other."""
-        columns, exists = self._columns()
-        rows = joined(columns).flatten(1)
-        return torch.cat([rows, exists.to(rows.dtype)], -1) if self.as_set else rows
-
-
-def _blank(column: Tensor, candidates: Candidates) -> Tensor:
-    """Return a column [N, n, ...] with zeros for candidates that do not exist."""
-    exists = candidates.exists.view(*candidates.exists.shape, *[1] * (column.ndim - 2))
-    return torch.where(exists, column, 0.0)

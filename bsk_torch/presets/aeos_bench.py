@@ -16,6 +16,9 @@ Observation of each satellite, 9 numbers:
 
 Actions: 0 points at the Earth's center, k at task k - 1 of the case, for a second. ``action_mask`` allows the offered tasks.
 
+With ``candidates=True``, satellites also observe the eight tasks that they can be expected to complete first, see
+:class:`~bsk_torch.obs.TaskProperties`, and action k points at the k-th of them.
+
 Reward: a completed task pays 1 / n of n tasks, shared by the satellites that see it; see :class:`~bsk_torch.data.TaskReward`,
 whose ``measures()`` are those of the benchmark.
 
@@ -30,11 +33,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, ClassVar, Literal, cast
 
 import torch
 
 from bsk_torch import act, data, obs, sats, scene
+from bsk_torch._checks import switch
 from bsk_torch.constants import RPM
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.formations import Formation, Settings
@@ -87,7 +91,7 @@ class BenchSatellite(sats.Satellite):
 
     dyn_type = dyn.AEOSBenchDynModel
     fsw_type = fsw.AEOSBenchFSWModel
-    observation_spec = (
+    observation_spec: ClassVar[Sequence[obs.Observation]] = (
         obs.SatProperties(
             dict(prop="battery_charge_fraction"),
             dict(prop="wheel_speeds", norm=TOP_SPEED * RPM),
@@ -111,6 +115,28 @@ class SensorChosenSatellite(BenchSatellite):
     action_spec = (act.PointAtTask("chosen"),)
 
 
+CANDIDATES = 8
+"""Tasks among which satellites with candidates choose."""
+
+OWN = BenchSatellite.observation_spec[:1]
+
+
+class CandidateSatellite(BenchSatellite):
+    """A satellite that chooses among the tasks that it can be expected to complete first."""
+
+    observation_spec = (*OWN, obs.TaskProperties(n_ahead_observe=CANDIDATES), obs.Time())
+    action_spec = (act.PointAtTask(n_candidates=CANDIDATES),)
+
+
+class CandidateSetSatellite(CandidateSatellite):
+    """The same, which observes them as a set."""
+
+    observation_spec = (*OWN, obs.TaskProperties(n_ahead_observe=CANDIDATES, as_set=True), obs.Time())
+
+
+CHOOSING = CandidateSatellite, CandidateSetSatellite
+"""Satellites with candidates, by ``as_set``."""
+
 KINDS = {"assigned": BenchSatellite, "on": SensorOnSatellite, "chosen": SensorChosenSatellite}
 """Satellites by when their sensors are on."""
 
@@ -122,6 +148,9 @@ def aeos_bench(
     *,
     order: Literal["random", "listed"] = "random",
     sensor: Literal["assigned", "on", "chosen"] = "assigned",
+    candidates: bool = False,
+    as_set: bool = False,
+    obs_type: type | None = None,
     **options: Any,
 ) -> ConstellationTasking:
     """Return AEOSBench-v1: cases of AEOS-Bench; see the module.
@@ -134,6 +163,10 @@ def aeos_bench(
         tasks: Tasks, likewise (default of random cases: 50).
         order: Cases of the episodes; see :class:`~bsk_torch.scene.AEOSBench`.
         sensor: When sensors are on; see :class:`~bsk_torch.act.PointAtTask`. The benchmark's rule has them always on.
+        candidates: Whether satellites choose among the 8 tasks that they can be expected to complete first, which
+            they observe; see :class:`~bsk_torch.obs.TaskProperties`. Sensors are on while a task is chosen.
+        as_set: Whether candidates are observed as ``rows`` [N, S, 8, 11] with a ``mask``.
+        obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations (default: with ``as_set``).
         **options: Arguments of :class:`~bsk_torch.ConstellationTasking` that replace these.
 
     Raises:
@@ -142,6 +175,12 @@ def aeos_bench(
     """
     if sensor not in KINDS:
         raise ValueError(f"sensor={sensor!r} must be one of {list(KINDS)}; {nearest(str(sensor), KINDS)}")
+    if (candidates and sensor != "assigned") or (as_set and not candidates):
+        raise ValueError(
+            f"sensor={sensor!r}, candidates={candidates} and as_set={as_set}: candidates have sensor='assigned' alone"
+        )
+    kind = CHOOSING[switch("as_set", as_set)] if switch("candidates", candidates) else KINDS[sensor]
+    observed_as = (dict if as_set else torch.Tensor) if obs_type is None else obs_type
     if folder is None:
         generator = scene.AEOSBenchGenerator(SMALL[0] if satellites is None else satellites, SMALL[1] if tasks is None else tasks)
         scenario = scene.AEOSBench(generator, order=order)
@@ -160,7 +199,8 @@ def aeos_bench(
         sim_rate=1.0,
         terminate_on_time_limit=False,
     )
-    return ConstellationTasking([KINDS[sensor](name, FIXED | form) for name in names], **(defaults | options))
+    fleet = [kind(name, FIXED | form, obs_type=observed_as) for name in names]
+    return ConstellationTasking(fleet, **(defaults | options))
 
 
 def of_form(values: torch.Tensor) -> Any:

@@ -13,10 +13,13 @@ from bsk_torch._checks import number
 from bsk_torch.rand import Key
 from bsk_torch.scene.aeos_files import EARTH_RADIUS, HORIZON, Cases, read_cases
 from bsk_torch.scene.aeos_generator import AEOSBenchGenerator
+from bsk_torch.scene.aeos_outlook import EARTH_SPIN, TaskCandidates, TaskOutlook, find_candidates, find_outlook
 from bsk_torch.scene.base import Scenario
+from bsk_torch.scene.found import Found
 from bsk_torch.sim.names import nearest
 
 if TYPE_CHECKING:
+    from bsk_torch.sats.bound import BoundSatellite
     from bsk_torch.sats.fleet import SatelliteFleet
 
 FARTHEST = 1e9
@@ -83,6 +86,7 @@ class AEOSBench(Scenario):
         self.cases = cases if isinstance(cases, Cases | AEOSBenchGenerator) else read_cases(cases, satellites, tasks)
         self.horizon = number("horizon", horizon, 0.0, unit="s", above=True)
         self.order = order
+        self._found = Found()
 
     def case_of(self, key: Key) -> Tensor:
         """Return the number of the case of each episode, [n]; -1 for cases of a generator."""
@@ -160,7 +164,8 @@ class AEOSBench(Scenario):
         timely = (self.drawn("task_release") <= now) & (now <= self.drawn("task_due"))
         return timely & self.task_exists & (now < self.horizon)
 
-    def _views(self) -> Views:
+    def views(self) -> Views:
+        """Return where the sensors of the satellites are and look, [N, S, ...] each."""
         satellites = self.fleet.satellites
         r_P, axis_P, tangent = (
             self.fleet.joined([read(satellite.dynamics) for satellite in satellites])
@@ -175,11 +180,12 @@ class AEOSBench(Scenario):
 
             0 <= d . n <= 1e9,    |d - (d . n) n| < (d . n) tan(half field of view),    p . (r - p) > 0,    |d| <= 1e9
         """
-        place, view = self.drawn(PLACES).unsqueeze(1), Views(*(part.unsqueeze(2) for part in self._views()))
-        return in_access(view, place) & self._present.unsqueeze(-1)
+        place, view = self.drawn(PLACES).unsqueeze(1), Views(*(part.unsqueeze(2) for part in self.views()))
+        return in_access(view, place) & self.present_now.unsqueeze(-1)
 
     @property
-    def _present(self) -> Tensor:
+    def present_now(self) -> Tensor:
+        """Which satellites exist in the current episodes, [N, S]."""
         return self.fleet.joined([satellite.present for satellite in self.fleet.satellites])
 
     @property
@@ -189,14 +195,42 @@ class AEOSBench(Scenario):
         on = self.fleet.joined([part.mode == part.mode_names.index(SENSOR_ON) for part in simulators])
         return torch.where((self.fleet.ticks == 0).unsqueeze(1), self.drawn("sensor_enabled") > 0.5, on)
 
+    def motion(self) -> tuple[Tensor, Tensor]:
+        """Return positions, m, and velocities relative to the Earth, m/s, of satellites, Earth-fixed, [N, S, 3] each."""
+        r_P = self.views().r_P
+
+        def velocity(satellite: BoundSatellite) -> Tensor:
+            PN: Tensor = satellite.simulator.observer.now.PN.stack()
+            return (PN @ satellite.dynamics.v_BN_N.unsqueeze(-1)).squeeze(-1)
+
+        spin = torch.tensor(EARTH_SPIN, dtype=r_P.dtype, device=r_P.device).expand_as(r_P)
+        return r_P, self.fleet.each(velocity) - torch.linalg.cross(spin, r_P)
+
+    def outlook(self) -> TaskOutlook:
+        """Return what satellites can expect of tasks if they turn to them now."""
+        return self._found.once("outlook", self.fleet, lambda: find_outlook(self))
+
+    def candidates(self, count: int) -> TaskCandidates:
+        """Return the first ``count`` tasks of each satellite in the order of their expected ends."""
+
+        def found() -> TaskCandidates:
+            return find_candidates(self.outlook(), self.held_task, count)
+
+        return self._found.once(f"candidates {count}", self.fleet, found)
+
+    @property
+    def held_task(self) -> Tensor:
+        """Number of the task that each satellite points at, [N, S]; -1 for none."""
+        return self.fleet.each(lambda satellite: satellite.simulator.memory[ASSIGNED])
+
     def task_visible(self) -> tuple[Tensor, Tensor, Tensor]:
         """Return the ongoing tasks that satellites see with their sensors, as indices of episode, satellite and task, [m] each.
 
         Few pairs of satellites and tasks are near the cone of a sensor. These are found in float32, within a margin of a hundred
         times its rounding errors, and then tested as in :meth:`task_access`.
         """
-        views, places = self._views(), self.drawn(PLACES)
-        looks = (self.sensor_on & self._present).unsqueeze(-1)
+        views, places = self.views(), self.drawn(PLACES)
+        looks = (self.sensor_on & self.present_now).unsqueeze(-1)
         near = near_cone(views, places) & self.task_ongoing.unsqueeze(1) & looks
         episode, satellite, task = torch.nonzero(near, as_tuple=True)
         view = Views(*(part[episode, satellite] for part in views))

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -21,6 +21,7 @@ from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
+from bsk_torch.scene.found import Found, Value
 from bsk_torch.scene.rso_catalog import RandomRSOCatalog, RSOTarget, RSOTargetCatalog, among
 from bsk_torch.scene.rso_records import RecordBook
 from bsk_torch.sim.catalog.aim import AIM, NO_AIM, AimedNodes
@@ -62,11 +63,6 @@ def partition_name(target_id: str) -> str:
 
 Order = Callable[["RSOTargets", BoundSatellite], Tensor]
 """Ranks all targets for each satellite of a type, [n, G]."""
-
-
-class _Cached(NamedTuple):
-    key: tuple[int, ...]
-    value: Any
 
 
 class RSOTargets(Scenario):
@@ -260,7 +256,7 @@ class RSOTargets(Scenario):
             simulator.memory.declare(AIM, NO_AIM, low=NO_AIM, high=self.n_targets - 1)
             simulator.sources[RSO_TRACK.name] = AimedNodes(simulator, self.orbits)
         self._wanted = _epochs(self.given)
-        self._cache: dict[tuple[Any, ...], _Cached] = {}
+        self._found = Found()
 
     @property
     def _et(self) -> Tensor:
@@ -424,15 +420,9 @@ class RSOTargets(Scenario):
 
         return self._once(("positions",), found)
 
-    def _once(self, name: tuple[Any, ...], find: Any) -> Any:
+    def _once(self, name: Hashable, find: Callable[[], Value]) -> Value:
         """Return what ``find`` returns, which is valid until the state changes."""
-        key = (*(simulator.state.version for simulator in self.fleet.simulators), self.memory.version)
-        key += (self.records.version,) if self.knowledge == "own" else ()
-        cached = self._cache.get(name)
-        if cached is None or cached.key != key:
-            value = find()
-            cached = self._cache[name] = _Cached(key, value)
-        return cached.value
+        return self._found.once(name, self.fleet, find, (self.records.version,) if self.knowledge == "own" else ())
 
     # -- candidates ---------------------------------------------------------------------------------------------------
 

@@ -4,6 +4,7 @@ from bsk_torch.plan.bounds.envelope import Envelope
 from bsk_torch.plan.bounds.imaging import ImagingBound, imaging_bound
 from bsk_torch.plan.bounds.scanning import ScanningBound, scanning_bound
 from bsk_torch.plan.bounds.schedule import Schedule, ScheduledPolicy, milp_schedule, relaxed_schedule
+from bsk_torch.plan.bounds.sight import sight_bound
 from bsk_torch.plan.bounds.transitions import Transitions, carried_over, record_transitions
 
 __all__ = [
@@ -19,4 +20,5 @@ __all__ = [
     "record_transitions",
     "relaxed_schedule",
     "scanning_bound",
+    "sight_bound",
 ]

@@ -253,6 +253,7 @@ def rule(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
     ``local``                 those of ``ThreeSensors-v1`` and ``Walker4-v1``: each imager decides by what it knows
     ``centralized``           the same: the best joint choice, which needs ``information="ideal"`` to be one of the team
     ``nearest_task``          those of ``AEOSBench-v1``: the benchmark's greedy rule, which needs ``sensor="on"`` to be that
+    ``soonest_task``          the same with ``candidates=True``: satellites share the tasks, each taking what it completes first
     ========================  ==================================================================================================
 
     If the rule applies to some groups of a constellation only, the others act at random.

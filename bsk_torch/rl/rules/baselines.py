@@ -19,6 +19,7 @@ from bsk_torch.rl.rules.imaging import IMAGING_RULES, ImagingRule, ranking_rule
 from bsk_torch.rl.rules.inspection import inspection_rule
 from bsk_torch.rl.rules.observation_columns import Columns
 from bsk_torch.rl.rules.servicing import ORDERS, WORTHS, servicing_rule
+from bsk_torch.rl.rules.soonest_task import SOONEST, soonest_rule
 from bsk_torch.rl.rules.thrusters import thruster_rule
 
 LOT = "lot"
@@ -175,5 +176,6 @@ BASELINES: dict[str, Callable[[SatelliteTasking, int], TensorDictModuleBase]] = 
     "glide": thruster_rule("glide"),
     "seek": thruster_rule("seek"),
     **{name: servicing_rule(name) for name in (*ORDERS, *WORTHS)},
+    SOONEST: soonest_rule,
 }
 """Baselines by name: functions of the environment and a seed, which raise KeyError or ValueError if they do not apply."""

@@ -8,10 +8,11 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
-from bsk_torch.act import Action, Image, ImageRSO
+from bsk_torch.act import Action, Image, ImageRSO, PointAtTask
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.action_forms import form
-from bsk_torch.obs import OpportunityProperties, RSOTargetProperties
+from bsk_torch.obs import OpportunityProperties
+from bsk_torch.obs.candidates import CandidateProperties
 from bsk_torch.sim.arguments.values import nearest
 
 WIDTHS = {"r_LP_P": 3, "r_LB_H": 3, "rel_pos_vector_r_BR_H": 3, "rel_vel_vector_v_BR_H": 3}
@@ -22,7 +23,7 @@ Observation = Any
 
 
 def image_actions(env: SatelliteTasking) -> range:
-    """Return the indices of the actions that image the next targets, on the ground or in orbit.
+    """Return the indices of the actions that image the next targets, on the ground or in orbit, or point at candidates.
 
     Raises:
         ValueError: If there are none, or of several instruments.
@@ -33,6 +34,8 @@ def image_actions(env: SatelliteTasking) -> range:
     for entry in env.satellite.actions.entries if form(env.satellite) is None else ():
         if isinstance(entry, Image | ImageRSO):
             return range(first, first + entry.n_actions)
+        if isinstance(entry, PointAtTask) and entry.n_candidates is not None and entry.sensor != "chosen":
+            return range(first + 1, first + entry.n_actions)
         first += cast(Action, entry).n_actions
     raise ValueError(f"{env.satellite.name} images no targets; its actions are {env.satellite.action_description}")
 
@@ -52,9 +55,9 @@ def read(observation: Observation, description: Sequence[str], path: str) -> Ten
     return observation[tuple(path.split("."))]
 
 
-def _properties(entry: OpportunityProperties | RSOTargetProperties) -> list[tuple[str, float]]:
+def _properties(entry: OpportunityProperties | CandidateProperties) -> list[tuple[str, float]]:
     """Return the names and divisors of the observed properties of targets."""
-    if isinstance(entry, RSOTargetProperties):
+    if isinstance(entry, CandidateProperties):
         return [(part.prop, part.norm) for part in entry.entries]
     return [(str(part.get("prop") or part["fn"].__name__), float(part["norm"])) for part in entry.entries]
 
@@ -62,7 +65,7 @@ def _properties(entry: OpportunityProperties | RSOTargetProperties) -> list[tupl
 class TargetReader:
     """Reads properties of the next n targets from observations."""
 
-    def __init__(self, entry: OpportunityProperties | RSOTargetProperties, description: Sequence[str]) -> None:
+    def __init__(self, entry: OpportunityProperties | CandidateProperties, description: Sequence[str]) -> None:
         """Read the columns of ``entry`` in observations whose vector has the entries ``description``."""
         self.entry, self.name, self.n = entry, entry.name, entry.n_ahead_observe
         self.column: dict[str, int] = {}
@@ -83,7 +86,7 @@ class TargetReader:
         """Return the reader for an environment; ValueError if no targets are observed, or nested but not as a set."""
         satellite = env.satellite
         for entry in satellite.observations.entries:
-            if isinstance(entry, RSOTargetProperties) or (isinstance(entry, OpportunityProperties) and entry.type == "target"):
+            if isinstance(entry, CandidateProperties) or (isinstance(entry, OpportunityProperties) and entry.type == "target"):
                 if satellite.obs_type is dict and not entry.as_set:
                     raise ValueError(f"{entry.name!r} is read from vectors, or from nested observations with as_set=True")
                 return cls(entry, satellite.observation_description)
