@@ -7,7 +7,7 @@ from bsk_torch.obs.opportunities import OpportunityProperties
 from bsk_torch.obs.relative_observations import RelativeProperties
 from bsk_torch.obs.resources import ResourceRewardWeight
 from bsk_torch.obs.rso_imaging import RSOTargetProperties
-from bsk_torch.obs.rso_team import RSOPeers, RSOTaskStatus
+from bsk_torch.obs.rso_team import RSOPeers, RSOTaskStatus, RSOTeamState
 from bsk_torch.obs.satellite import Eclipse, SatProperties, Time
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "RSOPeers",
     "RSOTargetProperties",
     "RSOTaskStatus",
+    "RSOTeamState",
     "RelativeProperties",
     "ResourceRewardWeight",
     "SatProperties",

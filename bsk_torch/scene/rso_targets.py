@@ -371,11 +371,14 @@ class RSOTargets(Scenario):
             raise ValueError("what imagers know of images needs scene.RSOTargets with knowledge='own'")
         return self.records
 
+    def each_imager(self, read: Callable[[BoundSatellite], Tensor]) -> Tensor:
+        """Return what ``read`` returns, [n, ...] for the satellites of a type, for all imagers, [N, A, ...]."""
+        return self.fleet.each(read)[:, self._padded_columns]
+
     def imager_states(self) -> tuple[Tensor, Tensor]:
         """Return positions, m, and velocities, m/s, of all imagers in N, [N, A, 3] each."""
-        read = (lambda satellite: satellite.dynamics.r_BN_N), (lambda satellite: satellite.dynamics.v_BN_N)
-        r_N, v_N = (self.fleet.each(each)[:, self._padded_columns] for each in read)
-        return r_N, v_N
+        r_N = self.each_imager(lambda satellite: satellite.dynamics.r_BN_N)
+        return r_N, self.each_imager(lambda satellite: satellite.dynamics.v_BN_N)
 
     @property
     def linked(self) -> Tensor:
@@ -387,7 +390,7 @@ class RSOTargets(Scenario):
     @property
     def imagers_alive(self) -> Tensor:
         """Imagers that had not died when the last step ended, [N, A]."""
-        return ~self.fleet.each(lambda satellite: satellite.task.dead)[:, self._padded_columns]
+        return ~self.each_imager(lambda satellite: satellite.task.dead)
 
     def by_imager(self, satellite: BoundSatellite, rows: Tensor, missing: float | bool) -> Tensor:
         """Return a table by imager, [N, A, ...], of rows [n, ...] of one type, with ``missing`` for all other imagers."""

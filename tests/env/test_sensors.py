@@ -10,8 +10,10 @@ import pytest
 import torch
 
 import bsk_torch
+from bsk_torch import obs
 from bsk_torch.act import image_target
 from bsk_torch.cli.main import app
+from bsk_torch.presets.sensors import KINDS, SensorOfThree
 from bsk_torch.rl.policies.shared_policy import baseline, for_each_group, shared_baselines
 from bsk_torch.rl.rules.servicing import ORDERS, WORTHS
 from bsk_torch.rl.rules.team import Choices, TeamRule
@@ -361,3 +363,84 @@ def test_a_busy_sensor_reserves_its_target():
     reserved = rule._reserved(~busy)
     assert reserved[:, target].tolist() == busy[:, 0].tolist()
     assert float(env.scenario.records.latest().amax()) >= AGO
+
+
+class Reporter(SensorOfThree):
+    """Observes a summary of the others."""
+
+    observation_spec = (*SensorOfThree.observation_spec, obs.RSOTeamState(2))
+
+
+def heard_state(imagers, row):
+    """Battery, storage, fastest wheel, end of the task, s, and its place among the observed kinds."""
+    dynamics, task, simulator = imagers.dynamics, imagers.task, imagers.simulator
+    wheel = max(abs(speed) for speed in dynamics.wheel_speeds_fraction[row].tolist())
+    kinds = ["charge", "downlink", "desat_sun", "transmit_rso", "image_rso"]
+    busy = not task.requires_retasking[row]
+    kind = kinds.index(simulator.mode_names[int(simulator.mode[row])]) if busy else 5
+    ends = float(task.ends[row] * simulator.h if busy else simulator.sim_time[row])
+    return float(dynamics.battery_charge_fraction[row]), float(dynamics.storage_level_fraction[row]), wheel, ends, kind
+
+
+def summary(scenario, e, a, heard, now):
+    """The 24 numbers of an imager, by loops over the others from which it has heard."""
+    records = scenario.records
+    r_N, v_N = (part[e] for part in scenario.imager_states())
+    columns, tasks = [], [0] * 6
+    for b in sorted(heard):
+        battery, storage, wheel, ends, kind = heard[b]
+        rho, dv = r_N[b] - r_N[a], v_N[b] - v_N[a]
+        distance = float(rho.norm())
+        captures = [
+            float(records.capture[e, k])
+            for k in range(records.target.shape[1])
+            if int(records.target[e, k]) >= 0 and int(records.source[e, k]) == b and int(records.known[e, k, a]) > 0
+        ]
+        message, capture = now - float(records.exchanged[e, b, a]), now - max(captures, default=0.0)
+        rate, link = float(rho @ dv) / distance, float(scenario.linked[e, a, b])
+        column = [distance / 15960e3, rate / 12e3, battery, storage, wheel, max(ends - now, 0.0) / 12e3]
+        columns.append([*column, message / 12e3, capture / 12e3, link])
+        tasks[kind] += 1
+    if not columns:
+        return [0.0] * 24
+    pairs = [number for values in zip(*columns, strict=True) for number in (sum(values) / len(values), max(values))]
+    return [*pairs, *(count / len(columns) for count in tasks)]
+
+
+def test_the_state_of_the_team_is_what_has_been_heard_last(monkeypatch):
+    """Imagers that transmit whenever they can, and act at random otherwise."""
+    monkeypatch.setitem(KINDS, 3, (Reporter,) * 3)
+    env = sensors("ThreeSensors-v1", information="radio", num_envs=3)
+    (group,) = env.group_map
+    policy, td, heard, sizes = bsk_torch.rule("random", env), env.reset(), {}, set()
+    assert not td[group, "observation"][..., -24:].any()
+    for _ in range(60):
+        legal = policy(td)[group, "action_mask"]
+        for k in (13, 14):
+            td[group, "action"] = torch.where(legal[..., k], k, td[group, "action"])
+        td = env.step(td)["next"]
+        for e, a in itertools.product(range(3), range(3)):
+            now = float(env.fleet.sim_time[e])
+            for b in {0, 1, 2} - {a}:
+                if float(env.scenario.records.exchanged[e, b, a]) == now:
+                    heard.setdefault((e, a), {})[b] = heard_state(env.satellites[0], 3 * e + b)
+            known = heard.get((e, a), {})
+            sizes.add(len(known))
+            expected = summary(env.scenario, e, a, known, now)
+            assert td[group, "observation"][e, a, -24:].tolist() == pytest.approx(expected, rel=1e-9, abs=1e-12)
+    assert sizes == {0, 1, 2}
+
+
+def test_the_state_of_a_team_has_its_size(monkeypatch):
+    class Two(SensorOfThree):
+        observation_spec = (obs.RSOTeamState(2), obs.RSOTeamState(2, name="again"))
+
+    class Four(SensorOfThree):
+        observation_spec = (obs.RSOTeamState(3),)
+
+    for kind, message in ((Two, "two observations obs.RSOTeamState"), (Four, "n_peers=3, but each imager has 2 peers")):
+        monkeypatch.setitem(KINDS, 3, (kind,) * 3)
+        with pytest.raises(ValueError, match=message):
+            sensors("ThreeSensors-v1", information="radio", backend="eager").reset()
+    with pytest.raises(ValueError, match="norm=0"):
+        obs.RSOTeamState(2, norm=0.0)
