@@ -8,10 +8,11 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import whole
+from bsk_torch._checks import switch, whole
 from bsk_torch.act.base import Action, Decision, positive_duration
 from bsk_torch.sats.bound import BoundSatellite
-from bsk_torch.scene.aeos_bench import ASSIGNED, NO_TASK, PLACES, AEOSBench
+from bsk_torch.scene.aeos_bench import ASSIGNED, AWAITED, NO_TASK, PLACES, AEOSBench
+from bsk_torch.sim.dyn.aeos_bench import AEOSBenchTracedDynModel
 from bsk_torch.sim.names import nearest
 
 SENSORS = ("assigned", "on", "chosen")
@@ -20,8 +21,8 @@ SENSORS = ("assigned", "on", "chosen")
 class PointAtTask(Action):
     """Points the sensor at a task; action 0 points at the Earth's center, action k at task k - 1, or at the k-th candidate.
 
-    What is chosen at a time acts from the next tick on, as in the benchmark. A task that is not offered, see
-    :attr:`bsk_torch.scene.AEOSBench.task_offered`, can be pointed at, but ``action_mask`` excludes it.
+    What is chosen at a time acts from the next tick on, as in the benchmark. A task that is not offered can be pointed at, but
+    ``action_mask`` excludes it: see :attr:`offered`.
     """
 
     def __init__(
@@ -30,6 +31,7 @@ class PointAtTask(Action):
         name: str = "point",
         n_candidates: int | None = None,
         duration: float | None = None,
+        until_done: bool = False,
     ) -> None:
         """Provide an action for each task or candidate, and one for none.
 
@@ -40,7 +42,9 @@ class PointAtTask(Action):
             name: Name in ``action_description``.
             n_candidates: Number of candidates of each satellite to choose from, see
                 :meth:`bsk_torch.scene.AEOSBench.candidates`; None for all tasks of the scenario.
-            duration: Time until the next decision, s (default: one tick, as in the benchmark).
+            duration: Time until the next decision, s (default: one tick, as in the benchmark). Choices that last longer than a
+                tick need satellites with :class:`bsk_torch.sim.dyn.AEOSBenchTracedDynModel`, and still count in every tick.
+            until_done: Whether a choice ends earlier once its task has succeeded, whoever saw it, or is overdue.
 
         Raises:
             ValueError: For another sensor, fewer than one candidate, or a duration that is not positive.
@@ -51,22 +55,35 @@ class PointAtTask(Action):
         if sensor not in SENSORS:
             raise ValueError(f"sensor={sensor!r} must be one of {list(SENSORS)}; {nearest(str(sensor), SENSORS)}")
         self.sensor = sensor
+        self.until_done = switch("until_done", until_done)
 
     def link_satellite(self, satellite: BoundSatellite) -> None:
         """See :meth:`Action.link_satellite`; ValueError unless the scenario has tasks of AEOS-Bench."""
         super().link_satellite(satellite)
         if PLACES not in satellite.simulator.scenario_state:
             raise ValueError(f"act.PointAtTask {self.name!r} needs scene.AEOSBench as the scenario of the environment")
+        traced = isinstance(satellite.dynamics, AEOSBenchTracedDynModel)
+        if self.duration is not None and self.duration > satellite.simulator.h and not traced:
+            raise ValueError(
+                f"act.PointAtTask {self.name!r}: duration={self.duration:g} s is longer than a tick of {satellite.simulator.h:g} "
+                "s; give the satellite dyn_type = dyn.AEOSBenchTracedDynModel, which records all ticks"
+            )
         for command in ("sensor_off", "sensor_on"):
             satellite.simulator.check_command(command)
         self._choices = 1 + (self.n_candidates or satellite.simulator.scenario_state[PLACES].shape[1])
         self.n_actions = self._choices * (2 if self.sensor == "chosen" else 1)
-        satellite.simulator.memory.declare(ASSIGNED, NO_TASK, low=NO_TASK)
+        for name in (ASSIGNED, AWAITED) if self.until_done else (ASSIGNED,):
+            satellite.simulator.memory.declare(name, NO_TASK, low=NO_TASK)
 
     @property
     def _scenario(self) -> AEOSBench:
         scenario: AEOSBench = self.satellite.scenario
         return scenario
+
+    @property
+    def offered(self) -> Tensor:
+        """Which tasks can be chosen, [N, T]: the ongoing ones, and for choices of one tick those that have just succeeded."""
+        return self._scenario.task_offered if self.duration is None else self._scenario.task_ongoing
 
     def names(self) -> list[str]:
         """See :meth:`Action.names`."""
@@ -81,7 +98,7 @@ class PointAtTask(Action):
 
     def mask(self) -> Tensor:
         """See :meth:`Action.mask`."""
-        offered = self.satellite.of_env(self._scenario.task_offered) if self.n_candidates is None else self._candidates()[1]
+        offered = self.satellite.of_env(self.offered) if self.n_candidates is None else self._candidates()[1]
         legal = torch.cat([torch.ones_like(offered[:, :1]), offered], 1)
         return torch.cat([legal, legal], 1) if self.sensor == "chosen" else legal
 
@@ -98,6 +115,10 @@ class PointAtTask(Action):
         else:
             mode = torch.where(task >= 0 if self.sensor == "assigned" else index >= self._choices, on, off)
         duration = torch.full_like(simulator.sim_time, self.duration or simulator.h)
+        if self.until_done:
+            due = simulator.look_up(self._scenario.drawn("task_due"), task.clamp(min=0).unsqueeze(1)).squeeze(1)
+            left = (due - simulator.ticks.double() * simulator.h).clamp(min=0.0) + simulator.h
+            duration = torch.where(task >= 0, torch.minimum(duration, left), duration)
         return Decision(mode, torch.ones_like(mask), duration, action, duration, task)
 
     def begin(self, mask: Tensor, decision: Decision) -> None:
@@ -108,4 +129,5 @@ class PointAtTask(Action):
         place = simulator.look_up(self._scenario.drawn(PLACES), chosen.unsqueeze(1)).squeeze(1)
         simulator.write("r_LP_P", mask, torch.where((task >= 0).unsqueeze(1), place, 0.0))
         memory = simulator.memory
-        memory[ASSIGNED] = torch.where(mask, task, memory[ASSIGNED])
+        for name in (ASSIGNED, AWAITED) if self.until_done else (ASSIGNED,):
+            memory[name] = torch.where(mask, task, memory[name])

@@ -2,23 +2,66 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
 
 from bsk_torch._checks import number
 from bsk_torch.data.base import GlobalReward, Log
-from bsk_torch.scene.aeos_bench import ASSIGNED, AEOSBench
+from bsk_torch.scene.aeos_bench import ASSIGNED, AWAITED, AEOSBench, Sights
+from bsk_torch.sim.dyn.aeos_bench import AEOSBenchTracedDynModel
+from bsk_torch.sim.fleet import NEVER
 
 if TYPE_CHECKING:
     from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.scene.base import Scenario
+    from bsk_torch.sim.run.trace import Flight
 
 WATT_HOUR = 3600.0
 
 CLOSENESS = 0.6, 0.2, 0.2
 """Weights of CR, PCR and WCR in the score."""
+
+
+class Counts(NamedTuple):
+    """What n episodes come to in K ticks, of the u tasks that are seen.
+
+    Attributes:
+        sights: Who sees which task at which tick, m entries.
+        place: Which of the u tasks each of these is, [m].
+        row: Episode of each task, from 0 to n - 1, [u].
+        task: Its number, [u].
+        seen: By how many satellites it is seen, [u, K] float64.
+        run: Its progress, [u, K]; see :func:`progress`.
+        first: The tick at which it succeeds, [u], counted from one; :data:`NEVER` for none.
+    """
+
+    sights: Sights
+    place: Tensor
+    row: Tensor
+    task: Tensor
+    seen: Tensor
+    run: Tensor
+    first: Tensor
+
+
+def progress(visible: Tensor, before: Tensor, duration: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the progress of tasks at each of K ticks, [u, K], and the tick at which they succeed, [u], from one.
+
+    Progress is the number of ticks without a gap in which a task has been visible, and zero once it has succeeded. It succeeds
+    when its progress reaches its duration; :data:`NEVER` where it does not.
+
+    Args:
+        visible: Whether a satellite sees the task, and it counts, [u, K].
+        before: Progress before the first tick, [u].
+        duration: Ticks that the task lasts, [u].
+    """
+    tick = torch.arange(1, visible.shape[1] + 1, device=visible.device).expand(visible.shape)
+    gap = torch.where(visible, 0, tick).cummax(1).values
+    run = tick - gap + torch.where(gap == 0, before.unsqueeze(1), 0.0)
+    first = torch.where(visible & (run >= duration.unsqueeze(1)), tick, NEVER).amin(1)
+    return run * (tick <= first.unsqueeze(1)), first
 
 
 class TaskReward(GlobalReward):
@@ -42,32 +85,108 @@ class TaskReward(GlobalReward):
         if not isinstance(scenario, AEOSBench):
             raise ValueError(f"data.TaskReward needs a scene.AEOSBench; the scenario is {type(scenario).__name__}")
         fleet.memory.declare("sensor_energy", 0.0)
+        self._earned = self._nothing()
+        self._traced = all(isinstance(satellite.dynamics, AEOSBenchTracedDynModel) for satellite in fleet.satellites)
+        if self._traced:
+            fleet.flight_observers.append(self._look)
+        if self._traced and any(AWAITED in satellite.simulator.memory for satellite in fleet.satellites):
+            fleet.stop_conditions.append(self._first_success)
+
+    # -- counting -----------------------------------------------------------------------------------------------------
+
+    def _first_success(self, flight: Flight) -> Tensor:
+        """Return the first tick of a flight at which a task succeeds that ends the choice of a satellite, [n]."""
+        ends, fleet = torch.full_like(flight.ticks, NEVER), self.fleet
+        if not int(flight.ticks.max()):
+            return ends
+        counts = self._counts_of(flight)
+        first = torch.full((len(ends), self.scenario.n_tasks), NEVER, device=ends.device)
+        first[counts.row, counts.task] = counts.first
+        for k, satellite in enumerate(fleet.satellites):
+            if AWAITED in satellite.simulator.memory:
+                task = satellite.simulator.memory[AWAITED].view(fleet.num_envs, flight.counts[k])[flight.envs]
+                ends = torch.minimum(ends, torch.where(task >= 0, first.gather(1, task.clamp(min=0)), NEVER).amin(1))
+        return ends
+
+    def _look(self, flight: Flight) -> None:
+        """Count the tasks of the episodes of a flight at each tick."""
+        if len(flight.envs) and int(flight.ticks.max()):
+            self._add(flight.envs, flight.ticks, self._counts_of(flight))
+
+    def _counts_of(self, flight: Flight) -> Counts:
+        """Return the counts of a flight."""
+        scenario, fleet, envs, K = self.scenario, self.fleet, flight.envs, int(flight.ticks.max())
+        tick = torch.arange(1, K + 1, device=fleet.device)
+        ongoing = scenario.timely(envs, (flight.since.unsqueeze(1) + tick).double() * fleet.h)
+        ongoing = ongoing & (tick <= flight.ticks.unsqueeze(1)).unsqueeze(2) & ~scenario.task_succeeded[envs].unsqueeze(1)
+        views, on = scenario.flown_views(flight, K), scenario.sensor_in_mode[envs]
+        return self._counts(envs, scenario.sights(envs, views, flight.ticks, on, ongoing), K)
+
+    def _counts(self, envs: Tensor, sights: Sights, ticks: int) -> Counts:
+        """Return the counts of the episodes ``envs`` [n] at so many ticks with the given sights."""
+        number_of = self.scenario.n_tasks
+        key, place = (sights.episode * number_of + sights.task).unique(return_inverse=True)
+        row, task = key // number_of, key % number_of
+        seen = torch.zeros(len(key), ticks, dtype=torch.float64, device=envs.device)
+        seen = seen.index_put((place, sights.tick), torch.ones_like(place, dtype=torch.float64), accumulate=True)
+        before, duration = self.memory["task_progress"], self.scenario.drawn("task_duration")
+        run, first = progress(seen > 0.0, before[envs[row], task], duration[envs[row], task])
+        return Counts(sights, place, row, task, seen, run, first)
+
+    def _add(self, envs: Tensor, ran: Tensor, counts: Counts) -> None:
+        """Add what the episodes ``envs`` [n] have come to in ``ran`` ticks, [n]."""
+        scenario, memory, fleet, share = self.scenario, self.memory, self.fleet, self.progress_share
+        where = envs[counts.row], counts.task
+        old = memory["task_best"][where].unsqueeze(1)
+        best = torch.cat([old, torch.maximum(old, counts.run)], 1).cummax(1).values
+        fresh = torch.arange(1, counts.run.shape[1] + 1, device=ran.device) == counts.first.unsqueeze(1)
+        growth = best.diff(dim=1) / scenario.drawn("task_duration")[where].unsqueeze(1)
+        worth = ((1.0 - share) * fresh + share * growth) / scenario.task_exists.sum(1)[where[0]].unsqueeze(1)
+        final = counts.run.gather(1, (ran[counts.row] - 1).unsqueeze(1)).squeeze(1)
+        when = (fleet.since[where[0]] + counts.first).double() * fleet.h
+        kept = torch.where((ran > 0).unsqueeze(1), 0.0, memory["task_progress"][envs])
+        memory["task_progress"] = memory["task_progress"].index_copy(0, envs, kept).index_put(where, final)
+        memory["task_best"] = memory["task_best"].index_put(where, best[:, -1])
+        success = torch.where(counts.first < NEVER, when, memory["task_success"][where])
+        memory["task_success"] = memory["task_success"].index_put(where, success)
+        energy = self._energy()[envs] * fleet.h * ran
+        memory["sensor_energy"] = memory["sensor_energy"].index_add(0, envs, energy)
+        row, at, satellite, _ = counts.sights
+        paid = (worth / counts.seen.clamp(min=1.0))[counts.place, at]
+        self._earned = self._earned.index_put((envs[row], satellite), paid, accumulate=True)
 
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        """See :meth:`GlobalReward.calculate_reward`; RuntimeError for steps longer than a tick."""
-        scenario, memory, fleet = self.scenario, self.memory, self.fleet
-        ran = fleet.ticks - fleet.since
-        if int(ran.max()) > 1:
-            raise RuntimeError(
-                "data.TaskReward counts in every tick, but this step had more; use only act.PointAtTask, which lasts one tick"
-            )
-        moved = (ran > 0).unsqueeze(1)
-        episode, satellite, task = scenario.task_visible()
-        ones = torch.ones(len(task), dtype=torch.float64, device=fleet.device)
-        seen = torch.zeros_like(memory["task_progress"]).index_put((episode, task), ones, accumulate=True)
-        progress = torch.where(moved, (memory["task_progress"] + 1.0) * (seen > 0.0), memory["task_progress"])
-        best = torch.maximum(memory["task_best"], progress)
-        duration, exists = scenario.drawn("task_duration"), scenario.task_exists
-        fresh = moved & exists & (progress >= duration) & ~scenario.task_succeeded
-        share = self.progress_share
-        growth = torch.where(exists, (best - memory["task_best"]) / duration.clamp(min=1.0), 0.0)
-        worth = ((1.0 - share) * fresh + share * growth) / exists.sum(1, keepdim=True)
-        memory["task_progress"], memory["task_best"] = progress, best
-        memory["task_success"] = torch.where(fresh, scenario.task_time.unsqueeze(1), memory["task_success"])
-        memory["sensor_energy"] = memory["sensor_energy"] + self._energy() * fleet.h * ran
-        share_of_each = (worth / seen.clamp(min=1.0))[episode, task]
-        earned = torch.zeros(fleet.shape, dtype=torch.float64, device=fleet.device)
-        return self.of_channel(earned.index_put((episode, satellite), share_of_each, accumulate=True))
+        """See :meth:`GlobalReward.calculate_reward`; RuntimeError for steps longer than a tick of satellites without traces."""
+        fleet = self.fleet
+        if not self._traced:
+            ran = fleet.ticks - fleet.since
+            if int(ran.max()) > 1:
+                raise RuntimeError(
+                    "data.TaskReward counts in every tick, but this step had more; use only act.PointAtTask, which lasts one "
+                    "tick, or satellites with dyn.AEOSBenchTracedDynModel"
+                )
+            visible = torch.stack(self.scenario.task_visible())
+            episode, satellite, task = visible[:, ran[visible[0]] > 0]
+            sights = Sights(episode, torch.zeros_like(task), satellite, task)
+            self._add(fleet.all_envs, ran, self._counts(fleet.all_envs, sights, 1))
+        else:
+            self._ask_those_done()
+        earned, self._earned = self._earned, self._nothing()
+        return self.of_channel(earned)
+
+    def _nothing(self) -> Tensor:
+        """Return no reward for each satellite, [N, S]."""
+        return torch.zeros(self.fleet.shape, dtype=torch.float64, device=self.fleet.device)
+
+    def _ask_those_done(self) -> None:
+        """Let satellites choose again whose choice ends with its task, which succeeds now."""
+        for satellite in self.fleet.satellites:
+            simulator, task = satellite.simulator, satellite.task
+            if AWAITED in simulator.memory:
+                awaited = simulator.memory[AWAITED]
+                success = simulator.look_up(self.memory["task_success"], awaited.clamp(min=0).unsqueeze(1)).squeeze(1)
+                done = (awaited >= 0) & (success == simulator.ticks.double() * simulator.h) & ~task.dead
+                task.requires_retasking = task.requires_retasking | done
 
     def _energy(self) -> Tensor:
         """Return the power of the sensors of satellites with a task, [N] W."""

@@ -14,7 +14,8 @@ Observation of each satellite, 9 numbers:
 ``time``                     time since the start, divided by an hour
 ===========================  ====================================================
 
-Actions: 0 points at the Earth's center, k at task k - 1 of the case, for a second. ``action_mask`` allows the offered tasks.
+Actions: 0 points at the Earth's center, k at task k - 1 of the case, for ``step_duration``, by default a second. With
+``until_done``, a satellite chooses again once its task has succeeded or is overdue. ``action_mask`` allows the offered tasks.
 
 With ``candidates=True``, satellites also observe the eight tasks that they can be expected to complete first, see
 :class:`~bsk_torch.obs.TaskProperties`, and action k points at the k-th of them.
@@ -31,21 +32,20 @@ Random at reset: orbits, bodies, wheels, gains, panels, sensors and batteries of
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Literal, cast
 
 import torch
 
 from bsk_torch import act, data, obs, sats, scene
-from bsk_torch._checks import switch
+from bsk_torch._checks import number, switch
 from bsk_torch.constants import RPM
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.formations import Formation, Settings
 from bsk_torch.rand import Key, first_key
 from bsk_torch.scene.aeos_files import HORIZON, MOST_TORQUE, MU, TOP_SPEED
 from bsk_torch.sim import dyn, fsw
-from bsk_torch.sim.names import nearest
 
 __all__ = ["BenchSatellite", "CaseSatellites", "aeos_bench"]
 
@@ -63,6 +63,9 @@ FIXED: dict[str, Any] = dict(
 )
 """Arguments that all satellites of the benchmark share."""
 
+
+TICK = 1.0
+"""Length of a tick, s."""
 
 SMALL = 8, 50
 """Satellites and tasks of the random cases, unless others are chosen."""
@@ -102,17 +105,18 @@ class BenchSatellite(sats.Satellite):
     )
     action_spec = (act.PointAtTask(),)
 
-
-class SensorOnSatellite(BenchSatellite):
-    """A satellite whose sensor is always on."""
-
-    action_spec = (act.PointAtTask("on"),)
-
-
-class SensorChosenSatellite(BenchSatellite):
-    """A satellite whose actions switch its sensor."""
-
-    action_spec = (act.PointAtTask("chosen"),)
+    def __init__(
+        self,
+        name: str,
+        sat_args: Mapping[str, object] | Callable[[], Mapping[str, object]] | None = None,
+        *,
+        action: act.PointAtTask | None = None,
+        **options: Any,
+    ) -> None:
+        """Describe a satellite, with another action if one is given; see :class:`~bsk_torch.sats.Satellite`."""
+        super().__init__(name, sat_args, **options)
+        if action is not None:
+            self.action_spec = (action,)  # type: ignore[misc]
 
 
 CANDIDATES = 8
@@ -134,11 +138,29 @@ class CandidateSetSatellite(CandidateSatellite):
     observation_spec = (*OWN, obs.TaskProperties(n_ahead_observe=CANDIDATES, as_set=True), obs.Time())
 
 
-CHOOSING = CandidateSatellite, CandidateSetSatellite
-"""Satellites with candidates, by ``as_set``."""
+class HeldBenchSatellite(BenchSatellite):
+    """A satellite whose choices last longer than a second."""
 
-KINDS = {"assigned": BenchSatellite, "on": SensorOnSatellite, "chosen": SensorChosenSatellite}
-"""Satellites by when their sensors are on."""
+    dyn_type = dyn.AEOSBenchTracedDynModel
+
+
+class HeldCandidateSatellite(CandidateSatellite):
+    """The same, which chooses among candidates."""
+
+    dyn_type = dyn.AEOSBenchTracedDynModel
+
+
+class HeldCandidateSetSatellite(CandidateSetSatellite):
+    """The same, which observes them as a set."""
+
+    dyn_type = dyn.AEOSBenchTracedDynModel
+
+
+KINDS = (
+    (BenchSatellite, CandidateSatellite, CandidateSetSatellite),
+    (HeldBenchSatellite, HeldCandidateSatellite, HeldCandidateSetSatellite),
+)
+"""Satellites by whether choices last longer than a second; without candidates, with them, and with them as a set."""
 
 
 def aeos_bench(
@@ -148,6 +170,8 @@ def aeos_bench(
     *,
     order: Literal["random", "listed"] = "random",
     sensor: Literal["assigned", "on", "chosen"] = "assigned",
+    step_duration: float = TICK,
+    until_done: bool = False,
     candidates: bool = False,
     as_set: bool = False,
     obs_type: type | None = None,
@@ -163,6 +187,8 @@ def aeos_bench(
         tasks: Tasks, likewise (default of random cases: 50).
         order: Cases of the episodes; see :class:`~bsk_torch.scene.AEOSBench`.
         sensor: When sensors are on; see :class:`~bsk_torch.act.PointAtTask`. The benchmark's rule has them always on.
+        step_duration: Time for which choices hold, s. With more than a second, tasks still count in every second.
+        until_done: Whether a satellite chooses again once its task has succeeded or is overdue, before ``step_duration``.
         candidates: Whether satellites choose among the 8 tasks that they can be expected to complete first, which
             they observe; see :class:`~bsk_torch.obs.TaskProperties`. Sensors are on while a task is chosen.
         as_set: Whether candidates are observed as ``rows`` [N, S, 8, 11] with a ``mask``.
@@ -173,13 +199,20 @@ def aeos_bench(
         FileNotFoundError: For a folder without cases.
         ValueError: For files that are not those of the benchmark, and for wrong arguments.
     """
-    if sensor not in KINDS:
-        raise ValueError(f"sensor={sensor!r} must be one of {list(KINDS)}; {nearest(str(sensor), KINDS)}")
+    held = number("step_duration", step_duration, TICK, unit="s") > TICK
+    if switch("until_done", until_done) and not held:
+        raise ValueError(f"until_done=True needs a longer step_duration than {TICK:g} s, such as step_duration=60.0")
+    action = act.PointAtTask(
+        sensor,
+        n_candidates=CANDIDATES if switch("candidates", candidates) else None,
+        duration=step_duration if held else None,
+        until_done=until_done,
+    )
     if (candidates and sensor != "assigned") or (as_set and not candidates):
         raise ValueError(
             f"sensor={sensor!r}, candidates={candidates} and as_set={as_set}: candidates have sensor='assigned' alone"
         )
-    kind = CHOOSING[switch("as_set", as_set)] if switch("candidates", candidates) else KINDS[sensor]
+    kind = KINDS[held][candidates + switch("as_set", as_set)]
     observed_as = (dict if as_set else torch.Tensor) if obs_type is None else obs_type
     if folder is None:
         generator = scene.AEOSBenchGenerator(SMALL[0] if satellites is None else satellites, SMALL[1] if tasks is None else tasks)
@@ -196,10 +229,10 @@ def aeos_bench(
         sat_arg_randomizer=CaseSatellites(scenario),
         world_args={"utc_init": EPOCH},
         time_limit=HORIZON,
-        sim_rate=1.0,
+        sim_rate=TICK,
         terminate_on_time_limit=False,
     )
-    fleet = [kind(name, FIXED | form, obs_type=observed_as) for name in names]
+    fleet = [kind(name, FIXED | form, action=action, obs_type=observed_as) for name in names]
     return ConstellationTasking(fleet, **(defaults | options))
 
 

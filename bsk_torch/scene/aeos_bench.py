@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -16,11 +17,13 @@ from bsk_torch.scene.aeos_generator import AEOSBenchGenerator
 from bsk_torch.scene.aeos_outlook import EARTH_SPIN, TaskCandidates, TaskOutlook, find_candidates, find_outlook
 from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.found import Found
+from bsk_torch.sim.dyn.aeos_bench import VIEWS
 from bsk_torch.sim.names import nearest
 
 if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite
     from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sim.run.trace import Flight
 
 FARTHEST = 1e9
 """Range, m, of the benchmark's access."""
@@ -28,11 +31,17 @@ FARTHEST = 1e9
 MARGIN = 1e-4
 """Share of the squared radius of the Earth by which float32 tests of cones are widened."""
 
+PIECE, AT_ONCE = 64, 1 << 14
+"""Ticks of a flight, and pairs of satellites and tasks, tested at once."""
+
 SENSOR_ON = "sensor_on"
 """Flight mode in which the sensor is on."""
 
 ASSIGNED, NO_TASK = "assigned_task", -1
 """Memory of the task that a satellite points at, and its value for none."""
+
+AWAITED = "awaited_task"
+"""Memory of the task whose success ends the choice of a satellite; ``NO_TASK`` for none."""
 
 PLACES = "task_place"
 """Name of the drawn positions of tasks."""
@@ -164,6 +173,12 @@ class AEOSBench(Scenario):
         timely = (self.drawn("task_release") <= now) & (now <= self.drawn("task_due"))
         return timely & self.task_exists & (now < self.horizon)
 
+    def timely(self, envs: Tensor, now: Tensor) -> Tensor:
+        """Return which tasks of the episodes ``envs`` [n] are released and not overdue at times ``now`` [n, K] s, [n, K, T]."""
+        release, due = (self.drawn(name)[envs].unsqueeze(1) for name in ("task_release", "task_due"))
+        now = now.unsqueeze(2)
+        return (release <= now) & (now <= due) & self.task_exists[envs].unsqueeze(1) & (now < self.horizon)
+
     def views(self) -> Views:
         """Return where the sensors of the satellites are and look, [N, S, ...] each."""
         satellites = self.fleet.satellites
@@ -189,11 +204,14 @@ class AEOSBench(Scenario):
         return self.fleet.joined([satellite.present for satellite in self.fleet.satellites])
 
     @property
+    def sensor_in_mode(self) -> Tensor:
+        """Which satellites are in the mode in which the sensor is on, [N, S]."""
+        return self.fleet.joined([part.mode == part.mode_names.index(SENSOR_ON) for part in self.fleet.simulators])
+
+    @property
     def sensor_on(self) -> Tensor:
         """Which satellites have had their sensor on in the last tick, [N, S]; at the start, those that the file enables."""
-        simulators = self.fleet.simulators
-        on = self.fleet.joined([part.mode == part.mode_names.index(SENSOR_ON) for part in simulators])
-        return torch.where((self.fleet.ticks == 0).unsqueeze(1), self.drawn("sensor_enabled") > 0.5, on)
+        return torch.where((self.fleet.ticks == 0).unsqueeze(1), self.drawn("sensor_enabled") > 0.5, self.sensor_in_mode)
 
     def motion(self) -> tuple[Tensor, Tensor]:
         """Return positions, m, and velocities relative to the Earth, m/s, of satellites, Earth-fixed, [N, S, 3] each."""
@@ -238,6 +256,52 @@ class AEOSBench(Scenario):
         seen = in_access(view, places[episode, task]) & fits
         return episode[seen], satellite[seen], task[seen]
 
+    def sights(self, envs: Tensor, views: Views, ran: Tensor, on: Tensor, ongoing: Tensor) -> Sights:
+        """Return which tasks satellites see with their sensors at each of K ticks.
+
+        Most pairs of satellites and tasks are never above the horizon. The others are tested at every tick as in
+        :meth:`task_access`.
+
+        Args:
+            envs: The episodes, [n].
+            views: Where their satellites look, [n, S, K].
+            ran: Number of ticks for which this is known, [n].
+            on: Which of their sensors are on, [n, S].
+            ongoing: Which of their tasks count, [n, K, T].
+        """
+        places, looks = self.drawn(PLACES)[envs], (on & self.present_now[envs]).unsqueeze(-1)
+        fits = self.drawn("sensor_type")[envs].unsqueeze(2) == self.drawn("task_type")[envs].unsqueeze(1)
+        parts = [torch.empty(4, 0, dtype=torch.int64, device=envs.device)]
+        for start in range(0, ongoing.shape[1], PIECE):
+            piece, count = Views(*(part[:, :, start : start + PIECE] for part in views)), ongoing[:, start : start + PIECE]
+            above = above_horizon(piece.r_P, (ran - start).clamp(0, count.shape[1]), places)
+            pairs = torch.nonzero(above & count.any(1).unsqueeze(1) & looks & fits)
+            for row, satellite, task in (some.unbind(1) for some in pairs.split(AT_ONCE)):
+                view = Views(*(part[row, satellite] for part in piece))
+                seen = in_access(view, places[row, task].unsqueeze(1)) & count[row, :, task]
+                pair, tick = torch.nonzero(seen, as_tuple=True)
+                parts.append(torch.stack([row[pair], tick + start, satellite[pair], task[pair]]))
+        return Sights(*torch.cat(parts, 1))
+
+    def flown_views(self, flight: Flight, ticks: int) -> Views:
+        """Return where satellites of a flight looked at each of its first ticks, [n, S, K]; they record it."""
+        order = torch.cat(self.fleet.columns).argsort()
+        r_P, axis_P = (
+            torch.cat([flight.read(k, name)[:, :, 1 : 1 + ticks] for k in range(len(flight.counts))], 1)[:, order]
+            for name in VIEWS
+        )
+        tangent = self.fleet.joined([satellite.dynamics.sensor_cone for satellite in self.fleet.satellites])[flight.envs]
+        return Views(r_P, axis_P, tangent.unsqueeze(2).expand(r_P.shape[:3]))
+
+
+class Sights(NamedTuple):
+    """Tasks that satellites see: numbers of episode, tick, satellite and task, [m] each."""
+
+    episode: Tensor
+    tick: Tensor
+    satellite: Tensor
+    task: Tensor
+
 
 class Views(NamedTuple):
     """Positions of satellites, [..., 3] m, axes of their sensors, [..., 3], both Earth-fixed, and tangents of cones, [...]."""
@@ -267,3 +331,19 @@ def near_cone(views: Views, places: Tensor) -> Tensor:
     wide = (1.0 + views.tangent.float().square()).unsqueeze(-1)
     limit = along * along.abs() * wide
     return limit.add_(r @ p, alpha=2.0) > 1.0 + (r * r).sum(-1, keepdim=True) - MARGIN
+
+
+def above_horizon(r_P: Tensor, ran: Tensor, places: Tensor) -> Tensor:
+    """Return the pairs of satellites and places that may see each other at some of the first ``ran`` [n] of K ticks, [n, S, T].
+
+    A place p [n, T, 3] is above the horizon of a satellite at ``r_P`` [n, S, K, 3] within the angle ``arccos(R / r)`` of it. The
+    test is at the middle tick, for the largest r, with the largest angle of motion since or until then, and a margin of 1e-3 rad.
+    """
+    radius = r_P.norm(dim=-1)
+    up = r_P / radius.clamp(min=1.0).unsqueeze(-1)
+    middle = up[torch.arange(len(ran), device=ran.device), :, ran // 2]
+    known = (torch.arange(r_P.shape[2], device=ran.device) < ran.unsqueeze(1)).unsqueeze(1)
+    moved = torch.where(known, (up * middle.unsqueeze(2)).sum(-1), 1.0).amin(2).clamp(-1.0, 1.0).arccos()
+    highest = torch.where(known, radius, EARTH_RADIUS).amax(2)
+    reach = (EARTH_RADIUS / highest).clamp(max=1.0).arccos() + moved + 1e-3
+    return middle @ (places.mT / EARTH_RADIUS) > reach.clamp(max=math.pi).cos().unsqueeze(-1)

@@ -57,7 +57,7 @@ class NearestTask:
         PN = self.satellite.simulator.observer.now.PN.stack()
         radius = r_N.norm(dim=-1).double().view(fleet.shape)
         r_P = (PN @ r_N.double().unsqueeze(-1)).view(*fleet.shape, 3)
-        height = torch.where(scenario.task_offered.unsqueeze(1), r_P @ scenario.drawn(PLACES).mT, -torch.inf)
+        height = torch.where(self.entry.offered.unsqueeze(1), r_P @ scenario.drawn(PLACES).mT, -torch.inf)
         highest, nearest = height.max(2)  # the distance from the satellite falls with r . p
         old = self.satellite.simulator.memory[ASSIGNED].view(fleet.shape)
         kept = height.gather(2, old.clamp(min=0).unsqueeze(2)).squeeze(2)

@@ -1,6 +1,6 @@
 """Dynamics: the parts of a spacecraft and the models that compose them."""
 
-from bsk_torch.sim.dyn.aeos_bench import AEOSBenchDynModel
+from bsk_torch.sim.dyn.aeos_bench import AEOSBenchDynModel, AEOSBenchTracedDynModel
 from bsk_torch.sim.dyn.catalog_radio import CatalogRadioDynModel
 from bsk_torch.sim.dyn.facets import Facet, box_facets
 from bsk_torch.sim.dyn.forces import add_force
@@ -38,6 +38,7 @@ __all__ = [
     "THRUSTER_TYPES",
     "WHEEL_TYPES",
     "AEOSBenchDynModel",
+    "AEOSBenchTracedDynModel",
     "AtmosphericDragDynModel",
     "BasicDynamicsModel",
     "CatalogRadioDynModel",

@@ -15,7 +15,8 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from bsk_torch.sim.component import Arg, Bus, Component, Field
+from bsk_torch.astro.attitude import mrp_to_dcm
+from bsk_torch.sim.component import Arg, Bus, Component, Field, vec
 from bsk_torch.sim.dyn import panels, power
 from bsk_torch.sim.dyn.hub import HUB
 from bsk_torch.sim.dyn.models import BasicDynamicsModel, EclipseDynModel
@@ -24,7 +25,7 @@ from bsk_torch.sim.dyn.wheel_types import TRIAD
 from bsk_torch.sim.dyn.wheels import WHEELS, draw_power_of_wheels, wheel_power
 from bsk_torch.sim.readout.observables import Now, observable
 from bsk_torch.sim.schedule import SCHEDULE, Schedule
-from bsk_torch.vec3 import Vec3
+from bsk_torch.vec3 import Mat3, Vec3
 
 
 def started(component: Component) -> Component:
@@ -81,6 +82,30 @@ FIELD_OF_VIEW = Component(
 """The sensor's cone; its axis is +z of B."""
 
 
+def look(bus: Bus) -> None:
+    """Write where the satellite is, and where its sensor looks, in P; in the same operations as the observables."""
+    x, y, z = bus.EN
+    PN = Mat3(x * bus.cos_earth + y * bus.sin_earth, y * bus.cos_earth - x * bus.sin_earth, z)
+    bus.r_sensor_P, bus.axis_sensor_P = PN @ bus.r_BN_N, PN @ mrp_to_dcm(bus.sigma_BN).z
+
+
+VIEWS = ("r_sensor_P", "axis_sensor_P")
+"""Recorded fields of a model with :data:`SENSOR_VIEW`."""
+
+SENSOR_VIEW = Component(
+    slot="sensor_view",
+    after="instrument_draw",
+    update=look,
+    state=(
+        vec("r_sensor_P", "m", "position of the satellite, Earth-fixed", exact=True),
+        vec("axis_sensor_P", "-", "axis of the sensor, Earth-fixed", exact=True),
+    ),
+    initial=lambda args: {name: torch.zeros(1, 3, dtype=torch.float64) for name in VIEWS},
+    overwrites=tuple((name, "it follows from orbit and attitude") for name in VIEWS),
+    records=VIEWS,
+)
+
+
 class AEOSBenchDynModel(EclipseDynModel):
     """The spacecraft of AEOS-Bench; see :mod:`bsk_torch.sim.dyn.aeos_bench`. No state ends an episode."""
 
@@ -115,3 +140,9 @@ class AEOSBenchDynModel(EclipseDynModel):
     def sensor_cone(now: Now) -> Tensor:
         """Tangent of half of the sensor's field of view, [N]."""
         return torch.tan(now.args.sensorFieldOfView)
+
+
+class AEOSBenchTracedDynModel(AEOSBenchDynModel):
+    """The same, which records at every tick where its sensor looks, for choices that last longer than a tick."""
+
+    components: ClassVar[tuple[Component, ...]] = (SENSOR_VIEW,)
