@@ -111,6 +111,18 @@ STARTS: dict[str, list[Start]] = {
             r"(?s)\| rate \| [\d.]+ \+- [\d.]+ \| \+0.0 .*\| angle \| ",
         ),
     ],
+    "benchmarks/aeos_speed.py": [
+        Start(
+            "--sizes 2x50 --rows 4 --turns 1 --steps 1 10 --seconds 0.1 --backend eager --plot rates.png",
+            r"(?s)\| 2 \| 50 \| 2 \| 1 \| [\d,]+ \| .*\| 2 \| 50 \| 2 \| 10 \| [\d,]+ \| ",
+        ),
+    ],
+    "benchmarks/aeos_bench.py": [
+        Start(
+            "--cases 2 --batch 2 --time-limit 60 --satellites 2 3 --tasks 50 60 --backend eager",
+            r"(?s)\| nearest_task \| [\d.]+ \+- [\d.]+ \| \+0.0 .*\| soonest_task \| .*\| bound \| ",
+        ),
+    ],
     "benchmarks/teams.py": [
         Start(
             "--episodes 2 --time-limit 300 --targets 12 --only three-local walker-centralized --backend eager",
@@ -296,6 +308,7 @@ ELSEWHERE = {
 STARTED_BY_OTHERS = {
     "benchmarks/basilisk_side.py": "benchmarks/harness.py",
     "benchmarks/safe_autonomy_side.py": "benchmarks/safe_autonomy.py",
+    "benchmarks/aeos_speed_side.py": "benchmarks/aeos_speed.py",
 }
 """Scripts that others start in another interpreter: their names occur there."""
 

@@ -42,7 +42,7 @@ def flight():
     """Two episodes of satellites that look at the Earth: which task is above whose horizon, [300, N, S, T], and expectations."""
     cases = scene.AEOSBenchGenerator(4, 60)
     soon = scene.AEOSBench(cases, horizon=SOON)
-    env = bsk_torch.make("AEOSBench-v1", num_envs=2, seed=5, folder=cases, scenario=soon, candidates=True, backend="eager")
+    env = bsk_torch.make("AEOSBench-v1", num_envs=2, seed=5, folder=cases, scenario=soon, backend="eager")
     env.reset()
     scenario, above, bound = env.scenario, [], sight_bound(env, interval=5.0)
     place, expected, action = scenario.drawn("task_place").unsqueeze(1), scenario.outlook(), env.full_action_spec.zero()
@@ -132,10 +132,10 @@ def test_places_that_never_rise_are_not_expected():
 
 def test_the_rule_points_at_different_tasks_and_candidates_are_observed_in_order():
     env = bsk_torch.make(
-        "AEOSBench-v1", num_envs=2, seed=3, satellites=20, tasks=300, candidates=True, as_set=True, backend="eager"
+        "AEOSBench-v1", num_envs=2, seed=3, satellites=20, tasks=300, candidates=True, as_set=True, step_duration=10.0
     )
     rule, td, wait = bsk_torch.rule("soonest_task", env), env.reset(), env.full_action_spec.zero()
-    for _ in range(120):  # until some tasks have been released
+    for _ in range(12):  # until some tasks have been released
         td = env.step(wait)["next"]
     group = next(iter(env.group_map))
     seen = td[group, "observation", "tasks"]

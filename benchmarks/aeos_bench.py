@@ -1,0 +1,144 @@
+"""What do rules and policies reach in AEOS-Bench, and how much is there to be gained?
+
+Usage:
+    python benchmarks/aeos_bench.py [--folder FOLDER] [--cases 32] [--batch 32] [--rules nearest_task soonest_task]
+        [--policies FILE ...] [--satellites 1 50] [--tasks 50 300] [--step 10] [--seed 1000] [--out FILE.json]
+
+All fly the same cases: those of a folder with the benchmark's files, or random ones with the distributions of its training set.
+``nearest_task`` is the benchmark's greedy rule, with its actions in every second and sensors always on; the others choose among
+candidates, every ``--step`` seconds. Measures are means over the cases, with intervals of 95 percent; gains are those of CR over
+``nearest_task``, paired by case. The bound is the share of tasks that satellites have above their horizons long enough.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from typing import Any
+
+import harness
+import torch
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+
+import bsk_torch
+from bsk_torch import ConstellationTasking
+from bsk_torch.plan.bounds import sight_bound
+from bsk_torch.rl.policies.files import load_policy, read_card
+from bsk_torch.rl.policies.shared_policy import rule, shared
+from bsk_torch.scene import read_cases
+
+PRESET = "AEOSBench-v1"
+
+GREEDY = "nearest_task"
+"""The benchmark's rule, over which gains are."""
+
+OF_TRAINING = ("candidates", "as_set", "step_duration", "until_done")
+"""Options of their training with which policies fly."""
+
+PERCENT = 100.0
+
+COLUMNS = {
+    "policy": "{policy}",
+    "CR %": "{CR:.1f} +- {half:.1f}",
+    "gain": "{gain:+.1f} +- {gain_half:.1f}",
+    "PCR %": "{PCR:.1f}",
+    "WCR %": "{WCR:.1f}",
+    "TAT s": "{TAT:.0f}",
+    "PC W s": "{PC:,.0f}",
+    "CS": "{CS:.2f}",
+    "cases": "{cases}",
+    "core-seconds per case": "{cpu:.1f}",
+}
+
+
+def make_env(options: argparse.Namespace, batch: int, **preset: Any) -> ConstellationTasking:
+    """Return an environment of the cases."""
+    if options.folder:
+        cases: dict[str, Any] = {"folder": options.folder, "order": "listed"}
+    else:
+        cases = {"satellites": tuple(options.satellites), "tasks": tuple(options.tasks)}
+    world = dict(num_envs=batch, seed=0, time_limit=options.time_limit, backend=options.backend)
+    env = bsk_torch.make(PRESET, **world, **cases, **preset)
+    assert isinstance(env, ConstellationTasking)
+    return env
+
+
+def fly(env: ConstellationTasking, policy: TensorDictModuleBase | None, options: argparse.Namespace) -> dict[str, Tensor]:
+    """Fly all cases, and return the measures of each; without a policy, the bound."""
+    parts: list[dict[str, Tensor]] = []
+    (batch,) = env.batch_size
+    for first in range(0, options.cases, batch):
+        env.set_seed(first if options.folder else options.seed + first)
+        td = env.reset()
+        if policy is None:
+            parts.append({"CR": sight_bound(env)})
+            continue
+        while not bool(td["done"].all()):
+            td = env.step(policy(td))["next"]
+        parts.append(env.rewarder.measures())
+    return {name: torch.cat([part[name] for part in parts])[: options.cases] for name in parts[0]}
+
+
+def half_width(values: Tensor) -> float:
+    """Half of the interval of 95 percent of a mean."""
+    return 1.96 * float(values.std() / len(values) ** 0.5)
+
+
+def row(name: str, found: dict[str, Tensor], greedy: Tensor, cpu: float) -> dict[str, Any]:
+    """Figures of a policy; ``greedy`` are the completion rates of the greedy rule in the same cases."""
+    rate, gain = PERCENT * found["CR"], PERCENT * (found["CR"] - greedy)
+    means = {key: float(value.nanmean()) for key, value in found.items()}
+    return {
+        "policy": name,
+        **means,
+        **{key: PERCENT * means[key] for key in ("CR", "PCR", "WCR", "WPCR") if key in means},
+        "half": half_width(rate),
+        "gain": float(gain.mean()),
+        "gain_half": half_width(gain),
+        "cases": len(rate),
+        "cpu": cpu / len(rate),
+    }
+
+
+def main() -> None:
+    """Fly the cases, and print a table."""
+    rules = [GREEDY, "soonest_task"]
+    parsed = harness.parser(__doc__, folder="", cases=32, batch=32, rules=rules, step=10.0, seed=1000, time_limit=3600.0)
+    parsed.add_argument("--policies", nargs="*", default=[], metavar="FILE", help="policies of bsk-torch train")
+    for name, usual in (("satellites", (1, 50)), ("tasks", (50, 300))):
+        parsed.add_argument(f"--{name}", nargs=2, type=int, default=usual, help="smallest and largest number in a random case")
+    parsed.add_argument("--backend", choices=("compiled", "eager"), default="compiled")
+    options, described = harness.begin(parsed)
+    if options.folder:
+        options.cases = min(options.cases, len(read_cases(options.folder)))
+    batch = min(options.batch, options.cases)
+    rows: list[dict[str, Any]] = []
+    greedy: Tensor | None = None
+
+    def compare(name: str, policy: TensorDictModuleBase | None, env: ConstellationTasking) -> None:
+        nonlocal greedy
+        clock = time.process_time()
+        with torch.no_grad():
+            found = fly(env, policy, options)
+        greedy = found["CR"] if greedy is None else greedy
+        blank = dict.fromkeys(("PCR", "WCR", "TAT", "PC", "CS"), float("nan"))
+        rows.append(blank | row(name, found, greedy, time.process_time() - clock))
+        print(harness.cell("{policy}: CR {CR:.1f} %, gain {gain:+.1f} +- {gain_half:.1f}", rows[-1]), flush=True)
+        harness.write(options, described, rows=rows)
+
+    every = make_env(options, batch, sensor="on")
+    compare(GREEDY, rule(GREEDY, every), every)
+    chosen = make_env(options, batch, candidates=True, step_duration=options.step)
+    for name in (name for name in options.rules if name != GREEDY):
+        compare(name, rule(name, chosen), chosen)
+    for k, file in enumerate(options.policies):
+        given = read_card(file)["options"]
+        env = make_env(options, batch, **{key: given[key] for key in OF_TRAINING if key in given})
+        compare(f"trained, seed {k}", shared(load_policy(file), env), env)
+    compare("bound", None, every)
+    print(harness.table(COLUMNS, rows))
+
+
+if __name__ == "__main__":
+    main()
