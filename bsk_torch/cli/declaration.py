@@ -30,7 +30,8 @@ Policy = Annotated[
     typer.Argument(
         help="Run folder, policy file, 'pretrained', or a baseline: random, rule, cautious, science, greedy, nearest, hasty, "
         "farsighted, cooperative, drift, circumnavigate, survey, glide, seek, angle, priority_angle, distance, "
-        "candidate_priority, rate, candidate_rate, rate_ahead, candidate_rate_ahead, prompt, prompt_ahead, local, centralized.",
+        "candidate_priority, rate, candidate_rate, rate_ahead, candidate_rate_ahead, prompt, prompt_ahead, local, centralized, "
+        "nearest_task, soonest_task.",
         show_default=False,
     ),
 ]
@@ -39,7 +40,8 @@ PolicyOrPlanner = Annotated[
     typer.Argument(
         help="Run folder, policy file, 'pretrained', a baseline (random, rule, cautious, science, greedy, nearest, hasty, "
         "farsighted, cooperative, drift, circumnavigate, survey, glide, seek, angle, priority_angle, distance, "
-        "candidate_priority, rate, candidate_rate, rate_ahead, candidate_rate_ahead, prompt, prompt_ahead, local, centralized), "
+        "candidate_priority, rate, candidate_rate, rate_ahead, candidate_rate_ahead, prompt, prompt_ahead, local, centralized, "
+        "nearest_task, soonest_task), "
         "or a planner (plan:rollout, plan:beam, plan:mcts, plan:cem).",
         show_default=False,
     ),
@@ -70,6 +72,15 @@ OfPreset = Annotated[str | None, typer.Option(metavar="NAME", help="Environment;
 Plan = Annotated[
     list[str] | None,
     typer.Option(metavar="NAME=VALUE", help="Option of a planner, such as base=hasty, horizon=240 or budget=64; repeatable."),
+]
+Options = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--option", metavar="NAME=VALUE", help="Option of the environment, such as n_targets=1000 or folder=cases; repeatable."
+    ),
+]
+Sensor = Annotated[
+    str, typer.Option(metavar="NAME", help="When sensors are on: 'assigned', while a task is assigned, or 'on', always.")
 ]
 Shield = Annotated[str | None, typer.Option(metavar="NAME", help="'safe', 'imager', or package.module:function.")]
 TimeLimit = Annotated[float | None, typer.Option(metavar="S", help="Length of an episode in seconds; default: the preset's.")]

@@ -10,7 +10,7 @@ from tensordict.nn import TensorDictModuleBase
 
 from bsk_torch.cli.planned import PREFIX, NamedPlanner, named_planner
 from bsk_torch.cli.policies import NamedPolicy, named_policy
-from bsk_torch.cli.shared import check_writable, environment_options, seed_range
+from bsk_torch.cli.shared import check_writable, environment_options, preset_options, seed_range
 from bsk_torch.cli.terminal import activity, fail, working
 from bsk_torch.env import Tasking
 from bsk_torch.rl.evaluation.evaluate import evaluate
@@ -32,6 +32,7 @@ MOST_PLANNED = 64
 def evaluate_policy(
     policy: str,
     preset: str | None,
+    option: list[str] | None,
     seeds: str,
     shield: str | None,
     plan: list[str] | None,
@@ -61,7 +62,7 @@ def evaluate_policy(
         named = named_policy(policy, preset)
         most = MOST_TEAMS if is_constellation(named.preset) else MOST
     size = min(len(episodes), most)
-    env = named.environment(size, environment_options(backend, device, time_limit))
+    env = named.environment(size, preset_options(option) | environment_options(backend, device, time_limit))
     label, actor = named.label, named.build(env, device)
     guarded = {} if shield is None else {f"{label} + {shield}": _guarded(actor, shield, env)}
     planned = isinstance(named, NamedPlanner)

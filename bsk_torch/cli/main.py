@@ -18,11 +18,13 @@ from bsk_torch.cli.declaration import (
     Device,
     Network,
     OfPreset,
+    Options,
     Plan,
     Policy,
     PolicyOrPlanner,
     Preset,
     Run,
+    Sensor,
     Shield,
     Threads,
     TimeLimit,
@@ -174,12 +176,14 @@ def profile(
     bsk-torch eval pretrained --preset AEOS-v1 --seeds 0:256
     bsk-torch eval runs/scan --shield safe --out results.json
     bsk-torch eval plan:rollout --plan base=rule --plan horizon=1500 --seeds 0:8
+    bsk-torch eval nearest_task --preset AEOSBench-v1 --option sensor=on
     """,
     name="eval",
 )
 def evaluate_policy(
     policy: PolicyOrPlanner,
     preset: OfPreset = None,
+    option: Options = None,
     seeds: Annotated[str, typer.Option(metavar="A:B", help="Episodes of the seeds A to B - 1, or of a single seed.")] = "0:1000",
     shield: Shield = None,
     plan: Plan = None,
@@ -191,7 +195,7 @@ def evaluate_policy(
     device: Device = "cpu",
     time_limit: TimeLimit = None,
 ) -> None:
-    """Compare policies in the same episodes: returns, survival, causes of death.
+    """Compare policies in the same episodes: returns, survival, causes of death, and measures of the task.
 
     The episode of seed 7 is the one that gymnasium.make("bsk_torch/PRESET").reset(seed=7) starts.
     """
@@ -325,6 +329,60 @@ def bench(
     created. Policies have no score for presets to which they do not apply. With --certify, the last column shows how many of the
     episodes repeated on Basilisk have the same decisions and outcome, and the largest difference of their returns.
     """
+
+
+@command(
+    app,
+    "aeos",
+    """
+    bsk-torch export-aeosbench runs/bench --cases cases --out data
+    bsk-torch export-aeosbench nearest_task --cases cases --out o --sensor on
+    """,
+    name="export-aeosbench",
+)
+def export_aeosbench(
+    policy: Policy,
+    cases: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of the cases: constellations and tasks.")],
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for the files.")],
+    split: Annotated[str, typer.Option(metavar="NAME", help="Part of the data set that the files are named after.")] = "test",
+    turn: Annotated[
+        int, typer.Option("--round", metavar="E", min=0, help="Round of annotation that the files are named after.")
+    ] = 0,
+    sensor: Sensor = "assigned",
+    threads: Threads = 1,
+    backend: Backend = "compiled",
+    device: Device = "cpu",
+    time_limit: TimeLimit = None,
+) -> None:
+    """Fly cases of AEOS-Bench, and write trajectories and annotations for its own evaluator."""
+
+
+@command(
+    app,
+    "aeos",
+    """
+    bsk-torch import-aeosbench data --cases cases
+    bsk-torch import-aeosbench flown --cases flown --sensor on
+    """,
+    name="import-aeosbench",
+)
+def import_aeosbench(
+    assignments: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FOLDER", help="Folder of trajectories (.pth) or assignment_runs.json of all cases.", show_default=False
+        ),
+    ],
+    cases: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of the cases: constellations and tasks.")],
+    sensor: Sensor = "assigned",
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for the results.")] = None,
+    episodes_out: Annotated[Path | None, typer.Option(metavar="FILE", help="CSV file with a row for each case.")] = None,
+    threads: Threads = 1,
+    backend: Backend = "compiled",
+    device: Device = "cpu",
+    time_limit: TimeLimit = None,
+) -> None:
+    """Fly the assigned tasks in files of AEOS-Bench, and show the measures of the benchmark."""
 
 
 @command(app, "arguments", "bsk-torch args NadirScan-v1", name="args")

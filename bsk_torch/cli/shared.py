@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 from collections.abc import Mapping, Sequence
 from importlib import import_module
@@ -17,9 +18,35 @@ LARGEST_SEED, MOST_SEEDS = 2**62, 10_000_000
 """Bounds of the seeds of episodes, and of their number, that a command plays."""
 
 
+WORDS = {"true": True, "false": False, "none": None}
+"""Values of options that are written otherwise in Python."""
+
+OF_COMMANDS = {
+    name: f"it is the option --{name.replace('_', '-')} of the command" for name in ("backend", "device", "time_limit")
+}
+OF_COMMANDS |= dict.fromkeys(("num_envs", "env_ids", "seed"), "it follows from the episodes; choose these with --seeds")
+"""Options of environments that commands set, and where to set them."""
+
+
 def environment_options(backend: str, device: str, time_limit: float | None) -> dict[str, Any]:
     """Return the arguments of the environment that the command line sets."""
     return {"backend": backend, "device": device} | ({} if time_limit is None else {"time_limit": time_limit})
+
+
+def preset_options(given: Sequence[str] | None) -> dict[str, Any]:
+    """Return options NAME=VALUE of an environment; ends the program for other texts, and for those of the command itself."""
+    found = {}
+    for text in given or ():
+        name, equals, value = text.partition("=")
+        if not equals or not name.isidentifier():
+            fail(f"--option {text!r} must be NAME=VALUE, such as n_targets=1000")
+        if name in OF_COMMANDS:
+            fail(f"--option {text!r}: {OF_COMMANDS[name]}")
+        try:
+            found[name] = WORDS[value] if value in WORDS else ast.literal_eval(value)
+        except (ValueError, SyntaxError):
+            found[name] = value
+    return found
 
 
 def made(preset: str, num_envs: int, options: Mapping[str, object], why: str = "") -> Tasking:

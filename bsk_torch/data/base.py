@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 Log = dict[str, Tensor]
 """Properties of the satellites at a decision boundary by name, [N, S, ...] each."""
 
-HOOKS = ("link", "read_log", "calculate_reward", "share", "counts", "is_terminated", "is_truncated")
+HOOKS = ("link", "read_log", "calculate_reward", "share", "counts", "measures", "is_terminated", "is_truncated")
 """Members of :class:`GlobalReward` that subclasses may define."""
 
 LOGS = "define read_log(), and calculate_reward(before, after), which gets what it returned before and after a step"
@@ -167,6 +167,13 @@ class GlobalReward:
 
     def counts(self) -> dict[str, Tensor]:
         """Return counters of the current episodes by name, [N, S] int64 each; environments return them under ``counts``."""
+        return {}
+
+    def measures(self) -> dict[str, Tensor]:
+        """Return measures of the current episodes by name, [N] float64 each, which evaluations show besides returns.
+
+        Means are over the episodes in which a measure is not NaN.
+        """
         return {}
 
     def is_terminated(self) -> Tensor:

@@ -110,6 +110,11 @@ class ComposedReward(GlobalReward):
         pairs = [pair for part in self.rewarders for pair in checked.counts(part).items()]
         return dict(zip(_numbered(name for name, _ in pairs), (count for _, count in pairs), strict=True))
 
+    def measures(self) -> dict[str, Tensor]:
+        """See :meth:`GlobalReward.measures`; names used by several parts are numbered."""
+        pairs = [pair for part in self.rewarders for pair in part.measures().items()]
+        return dict(zip(_numbered(name for name, _ in pairs), (value for _, value in pairs), strict=True))
+
     def is_terminated(self) -> Tensor:
         """See :meth:`GlobalReward.is_terminated`."""
         return torch.stack([checked.terminated(part) for part in self.rewarders]).any(0)

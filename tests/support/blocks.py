@@ -19,6 +19,8 @@ SHORT = {
     "train": "--frames 32 num_envs=2 rollout=8 evaluate_every=16 evaluate_episodes=2 --episodes 2 --time-limit 300",
     "eval": "--seeds 0:2 --time-limit 300",
     "report": "--episodes 3",
+    "export-aeosbench": "--time-limit 60",
+    "import-aeosbench": "--time-limit 60",
     "list": "",
     "film": "--time-limit 300 --height 120",
     "schedule": "",

@@ -15,7 +15,7 @@ from torch import Tensor
 from bsk_torch.env import ConstellationTasking, SatelliteTasking, Tasking
 from bsk_torch.env.rollout import Policy, play_episodes
 from bsk_torch.rand import Key
-from bsk_torch.rl.evaluation.statistics import Estimate, confidence, mean, wilson
+from bsk_torch.rl.evaluation.statistics import Estimate, confidence, known, mean, wilson
 from bsk_torch.rl.policies.shared_policy import TRAINED_WITH, check_reads
 from bsk_torch.rl.rules.baselines import LOT
 
@@ -39,7 +39,8 @@ class Evaluation:
     ``returns`` are sums of rewards (float64), ``collected`` the same without failure penalties, and ``decisions`` and ``seconds``
     the lengths. ``deaths`` contains for each aliveness check whether it failed at the end, and ``counts`` the counters of the
     environment, such as ``imaged``. ``fill`` is the fill level of the data buffer at the end, as a fraction; None without a
-    buffer. ``simulated`` is the time simulated by a planner for all decisions of the episode, s; None for other policies.
+    buffer. ``measures`` are those of the rewarder, such as the completion rate ``CR`` of AEOS-Bench; NaN where there is none.
+    ``simulated`` is the time simulated by a planner for all decisions of the episode, s; None for other policies.
     """
 
     returns: Tensor
@@ -50,6 +51,7 @@ class Evaluation:
     deaths: dict[str, Tensor]
     counts: dict[str, Tensor] = field(default_factory=dict)
     fill: Tensor | None = None
+    measures: dict[str, Tensor] = field(default_factory=dict)
     simulated: Tensor | None = None
 
     @classmethod
@@ -100,6 +102,7 @@ class Evaluation:
             **({} if self.simulated is None else {"simulated_per_decision": self.simulated_per_decision}),
             "deaths": self.causes,
             "counts": {name: mean(count) for name, count in self.counts.items()},
+            **({"measures": {name: asdict(known(value)) for name, value in self.measures.items()}} if self.measures else {}),
             "gain": {name: asdict(self.gain_over(other)) for name, other in (others or {}).items()},
         }
 
@@ -170,6 +173,7 @@ def _evaluated(policy: TensorDictModuleBase, env: Tasking, start: TensorDictBase
         deaths={name: _of_team(failed)[:n] for name, failed in _failed_checks(env).items()},
         counts={name: _of_team(count)[:n].clone() for name, count in env.counts().items()},
         fill=None if level is None else level[:n].clone(),
+        measures={name: value[:n].clone() for name, value in env.rewarder.measures().items()},
         simulated=simulated[:n] if SIMULATED in policy.out_keys else None,
     )
 

@@ -12,7 +12,7 @@ import torch
 
 from bsk_torch.files import write_file
 from bsk_torch.rl.evaluation.evaluate import Evaluation
-from bsk_torch.rl.evaluation.statistics import Estimate, mean
+from bsk_torch.rl.evaluation.statistics import Estimate, known, mean
 from bsk_torch.tables import print_table
 
 EVALUATION = "evaluation.json"
@@ -46,6 +46,7 @@ def _row(result: Evaluation, mortal: bool) -> dict[str, str]:
     row |= {"collected": f"{mean(result.collected):.3f}"} if mortal else {}
     row |= {} if result.fill is None else {"fill": f"{mean(result.fill):.0%}"}
     row |= {"decisions": f"{mean(result.decisions):.0f}"} | {name: f"{mean(n):.1f}" for name, n in result.counts.items()}
+    row |= {name: f"{known(value).mean:,.4g}" for name, value in result.measures.items()}
     deaths = ", ".join(f"{n} {cause.removesuffix('_valid')}" for cause, n in result.causes.items())
     return row | ({"deaths": deaths or "none"} if mortal else {})
 
@@ -79,7 +80,7 @@ def _episodes(result: Evaluation, seeds: Sequence[int], plans: bool) -> Iterator
     columns |= {} if result.fill is None else {"fill": result.fill}
     if plans:
         columns["simulated"] = torch.zeros_like(result.returns) if result.simulated is None else result.simulated
-    lists = {name: column.tolist() for name, column in (columns | result.counts).items()}
+    lists = {name: column.tolist() for name, column in (columns | result.counts | result.measures).items()}
     failed = {name: column.tolist() for name, column in result.deaths.items()}
     for k, seed in enumerate(seeds):
         causes = " ".join(name for name, column in failed.items() if column[k])

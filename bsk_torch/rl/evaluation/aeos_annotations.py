@@ -1,0 +1,243 @@
+"""Assignments of AEOS-Bench in its files: trajectories for its own evaluator, and flights of such files.
+
+A trajectory is two files, ``trajectories.E/SPLIT/AA/BBBBB.pth`` and ``.json``, of the case BBBBB, its thousands AA and the round
+E: tensors at every second, and measures. ``annotations/SPLIT.json`` lists the numbers of cases, and their rounds.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+
+from bsk_torch.constants import RPM
+from bsk_torch.env import ConstellationTasking
+from bsk_torch.env.base import Tasking
+from bsk_torch.env.rollout import play_episodes
+from bsk_torch.files import write_file
+from bsk_torch.rl.evaluation.evaluate import start_episodes
+from bsk_torch.rl.rules.nearest_task import NearestTask
+from bsk_torch.rl.rules.team import TeamPolicy
+from bsk_torch.scene import CaseError, Cases
+from bsk_torch.scene.aeos_bench import NO_TASK
+
+TASK_ID, ENABLED, DATA, PROGRESS, VISIBLE = (
+    "actions.task_id",
+    "constellation.sensor_enabled",
+    "constellation.data",
+    "taskset.progress",
+    "is_visible",
+)
+"""Tensors of a trajectory at t seconds: assigned tasks, -1 for none, and sensors that are on, [t, S]; charge as a fraction,
+speeds of wheels, rpm, true anomaly, degrees, and attitude (MRP), [t, S, 8]; progress, [t, T]; visible tasks, [t, S, T]."""
+
+RUNS = "assignment_runs.json"
+"""File of runs ``[task, seconds]`` of each satellite, in a folder with the name of the case."""
+
+LARGEST = 100_000
+"""Numbers of cases are below."""
+
+
+class Trajectory(NamedTuple):
+    """A flight of a case.
+
+    Attributes:
+        name: Name of the case.
+        tensors: See :data:`TASK_ID`.
+        measures: See :meth:`bsk_torch.data.TaskReward.measures`.
+    """
+
+    name: str
+    tensors: Mapping[str, Tensor]
+    measures: Mapping[str, float]
+
+
+# -- export ---------------------------------------------------------------------------------------------------------------------
+
+
+def bench_of(env: Tasking) -> tuple[NearestTask, Cases]:
+    """Return a view of an environment and its cases; ValueError unless it flies listed cases, with any task in any second."""
+    view = NearestTask(env)
+    cases = view.scenario.cases
+    if not isinstance(cases, Cases) or view.scenario.order != "listed":
+        raise ValueError("annotations are of listed cases; make AEOSBench-v1 with folder=... and order='listed'")
+    if view.entry.duration is not None or view.entry.n_candidates is not None:
+        raise ValueError("annotations have a task in every second; make AEOSBench-v1 without step_duration and candidates")
+    return view, cases
+
+
+def fly_cases(policy: TensorDictModuleBase, env: ConstellationTasking) -> Iterator[Trajectory]:
+    """Fly every case of an environment once by a policy of all its satellites, and yield the trajectories, in the order of cases.
+
+    ValueError for an environment that :func:`bench_of` rejects.
+    """
+    view, cases = bench_of(env)
+    scenario, n = view.scenario, env.batch_size[0]
+    for first in range(0, len(cases), n):
+        seeds = range(first, min(first + n, len(cases)))
+        start = start_episodes(env, seeds)
+        rows: list[dict[str, Tensor]] = []
+        sights: list[Tensor] = []
+        present, visible = _present_of(view), scenario.task_visible()
+        for _ in play_episodes(env, policy, start, torch.arange(n, device=env.device) < len(seeds)):
+            sights.append(torch.stack([torch.full_like(visible[0], len(rows)), *visible]))
+            rows.append(present | {TASK_ID: scenario.held_task.clone()})
+            present, visible = _present_of(view), scenario.task_visible()
+        tables = {name: torch.stack([row[name] for row in rows], 1) for name in rows[0]}
+        second, episode, satellite, task = torch.cat(sights, 1)
+        measures = env.rewarder.measures()
+        for k, case in enumerate(seeds):
+            crew, jobs = int(cases.present[case].sum()), int((cases.tasks["duration"][case] > 0.0).sum())
+            kept = {name: table[k, :, : jobs if name == PROGRESS else crew].clone() for name, table in tables.items()}
+            mine = episode == k
+            kept[VISIBLE] = torch.zeros(len(rows), crew, jobs, dtype=torch.bool)
+            kept[VISIBLE][second[mine], satellite[mine], task[mine]] = True
+            yield Trajectory(cases.names[case], kept, {name: float(value[k]) for name, value in measures.items()})
+
+
+def _present_of(view: NearestTask) -> dict[str, Tensor]:
+    """Return what a trajectory has of the present, [N, ...]."""
+    scenario, shape, dynamics = view.scenario, view.scenario.fleet.shape, view.satellite.dynamics
+    numbers = (
+        dynamics.battery_charge_fraction.unsqueeze(-1),
+        dynamics.wheel_speeds / RPM,
+        torch.rad2deg(dynamics.true_anomaly).unsqueeze(-1),
+        dynamics.sigma_BN,
+    )
+    return {
+        ENABLED: scenario.sensor_on,
+        DATA: torch.cat(numbers, -1).view(*shape, -1).float(),
+        PROGRESS: scenario.memory["task_progress"].to(torch.uint8),
+    }
+
+
+def export_annotations(flown: Sequence[Trajectory], folder: Path, split: str = "test", turn: int = 0) -> list[Path]:
+    """Write trajectories and the list of them.
+
+    Args:
+        flown: The trajectories.
+        folder: Folder of the data set, which is made if needed.
+        split: Part of the data set.
+        turn: Round E that the files are named after.
+
+    Returns:
+        The files.
+
+    Raises:
+        ValueError: For a case whose name is not a number below 100,000.
+    """
+    numbers = [_number(one.name) for one in flown]
+    paths = []
+    for number, one in zip(numbers, flown, strict=True):
+        stem = folder / f"trajectories.{turn}" / split / f"{number // 1000:02d}" / f"{number:05d}"
+        stem.parent.mkdir(parents=True, exist_ok=True)
+        buffer = io.BytesIO()
+        torch.save(dict(one.tensors), buffer)
+        write_file(stem.with_suffix(".pth"), buffer.getvalue())
+        measures = {name: None if math.isnan(value) else value for name, value in one.measures.items()}
+        write_file(stem.with_suffix(".json"), json.dumps(measures, indent=1) + "\n")
+        paths += [stem.with_suffix(".pth"), stem.with_suffix(".json")]
+    listed = folder / "annotations" / f"{split}.json"
+    listed.parent.mkdir(parents=True, exist_ok=True)
+    write_file(listed, json.dumps({"ids": numbers, "epochs": [turn] * len(numbers)}) + "\n")
+    return [*paths, listed]
+
+
+def _number(name: str) -> int:
+    if not name.isdecimal() or int(name) >= LARGEST:
+        raise ValueError(f"case {name!r}: the benchmark names cases by numbers below {LARGEST:,}, such as '00006'")
+    return int(name)
+
+
+# -- import ---------------------------------------------------------------------------------------------------------------------
+
+
+def read_assignments(folder: str | Path, cases: Cases) -> Tensor:
+    """Return the assigned tasks of all cases at every second, [C, t, S] int64; -1 for none, and where there are no satellites.
+
+    Args:
+        folder: Folder with a trajectory (``.pth``) or runs (``NAME/assignment_runs.json``) of each case, in subfolders.
+        cases: The cases.
+
+    Raises:
+        FileNotFoundError: For a case without assignments.
+        CaseError: For assignments that do not fit the case: other satellites, or tasks that it does not have.
+    """
+    files = {path.stem: path for path in sorted(Path(folder).rglob("*.pth"))}
+    files |= {path.parent.name: path for path in sorted(Path(folder).rglob(RUNS))}
+    tables = []
+    for k, name in enumerate(cases.names):
+        if name not in files:
+            raise FileNotFoundError(f"{folder}: no {name}.pth and no {name}/{RUNS}")
+        table = _trajectory(files[name]) if files[name].suffix == ".pth" else _runs(files[name])
+        crew, jobs = int(cases.present[k].sum()), int((cases.tasks["duration"][k] > 0.0).sum())
+        if table.shape[1] != crew:
+            raise CaseError(f"{files[name]}: assignments of {table.shape[1]} satellites, but case {name!r} has {crew}")
+        if bool(((table < NO_TASK) | (table >= jobs)).any()):
+            raise CaseError(f"{files[name]}: tasks from {int(table.min())} to {int(table.max())}, but case {name!r} has {jobs}")
+        tables.append(table)
+    longest = max(len(table) for table in tables)
+    found = torch.full((len(tables), longest, cases.n_satellites), NO_TASK)
+    for k, table in enumerate(tables):
+        found[k, : len(table), : table.shape[1]] = table
+    return found
+
+
+def _trajectory(path: Path) -> Tensor:
+    """Return the assigned tasks of a trajectory, [t, S]."""
+    try:
+        values: Any = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:
+        raise CaseError(f"{path}: no trajectory: {error}") from None
+    table = values.get(TASK_ID) if isinstance(values, dict) else None
+    if not isinstance(table, Tensor) or table.ndim != 2 or table.is_floating_point():
+        raise CaseError(f"{path}: a trajectory needs whole numbers {TASK_ID!r}, [t, S]")
+    return table.long()
+
+
+def _runs(path: Path) -> Tensor:
+    """Return the assigned tasks of a file of runs, [t, S]."""
+    try:
+        values = json.loads(path.read_text())
+        rows = [[int(task) for task, seconds in values[str(k)] for _ in range(int(seconds))] for k in range(len(values))]
+    except (ValueError, TypeError, KeyError) as error:
+        raise CaseError(f"{path}: runs are lists of [task, seconds] by the number of the satellite: {error!r}") from None
+    if len({len(row) for row in rows}) != 1:
+        raise CaseError(f"{path}: runs of {sorted({len(row) for row in rows})} s; all satellites need the same")
+    return torch.tensor(rows).mT
+
+
+class AssignedTasks:
+    """Points satellites at given tasks, second by second: the benchmark's replay of an annotation."""
+
+    def __init__(self, env: Tasking, assignments: Tensor) -> None:
+        """Replay ``assignments`` [C, t, S] of the cases of ``env``; ValueError for other shapes, or another environment."""
+        self.view, cases = bench_of(env)
+        if assignments.ndim != 3 or len(assignments) != len(cases) or assignments.shape[2] != cases.n_satellites:
+            raise ValueError(
+                f"assignments={list(assignments.shape)} must be [C, t, S] of C={len(cases)} cases with S={cases.n_satellites} "
+                "satellites, those that pad included"
+            )
+        end = torch.full_like(assignments[:, :1], NO_TASK)
+        self.env, self.assignments = env, torch.cat([assignments, end], 1).to(env.device)
+
+    def module(self) -> TeamPolicy:
+        """Return the replay as a policy of the environment."""
+        group = next(iter(self.env.group_map))
+        return TeamPolicy(self, [(group, "action_mask")], [(group, "action")])
+
+    def __call__(self, action_mask: Tensor) -> Tensor:
+        """Return actions [N, S] for legal actions [N, S, n + 1]."""
+        scenario, stay = self.view.scenario, action_mask.shape[-1] - 1
+        now = scenario.fleet.ticks.clamp(max=self.assignments.shape[1] - 1)
+        task = self.assignments[scenario.drawn("case").long().flatten(), now]
+        if self.view.entry.sensor == "chosen":
+            return torch.where(action_mask[..., :stay].any(-1), task + 1 + (task >= 0) * (scenario.n_tasks + 1), stay)
+        return torch.where(action_mask[..., :stay].any(-1), task + 1, stay)
