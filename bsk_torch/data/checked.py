@@ -73,6 +73,14 @@ def share(rewarder: GlobalReward, links: Tensor) -> None:
         raise TypeError(f"{type(rewarder).__name__}.share(links) must return None; keep what it computes in fleet.memory")
 
 
+def measures(rewarder: GlobalReward) -> dict[str, Tensor]:
+    """Return the measures of a rewarder, [N] float64 each; TypeError for one with a wrong shape or dtype."""
+    found = rewarder.measures()
+    for name, value in found.items():
+        check_tensor(f"{type(rewarder).__name__}.measures()[{name!r}]", value, rewarder.fleet.shape[:1], torch.float64)
+    return found
+
+
 def counts(rewarder: GlobalReward, taken: Collection[str] = ()) -> dict[str, Tensor]:
     """Return the counters of a rewarder, [N, S] int64 each.
 

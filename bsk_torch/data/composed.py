@@ -112,7 +112,7 @@ class ComposedReward(GlobalReward):
 
     def measures(self) -> dict[str, Tensor]:
         """See :meth:`GlobalReward.measures`; names used by several parts are numbered."""
-        pairs = [pair for part in self.rewarders for pair in part.measures().items()]
+        pairs = [pair for part in self.rewarders for pair in checked.measures(part).items()]
         return dict(zip(_numbered(name for name, _ in pairs), (value for _, value in pairs), strict=True))
 
     def is_terminated(self) -> Tensor:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,6 +15,8 @@ from torch import Tensor
 
 from bsk_torch._checks import whole
 from bsk_torch.sim.names import nearest
+
+logger = logging.getLogger(__name__)
 
 EARTH_RADIUS = 6378136.6
 """Radius of the sphere on which places lie, m."""
@@ -107,7 +110,22 @@ def read_cases(folder: str | Path, satellites: int | None = None, tasks: int | N
     if not pairs:
         raise FileNotFoundError(f"{folder}: no constellation.json, NAME.constellation.json or constellations/ in it")
     flown = [(name, _constellation(ours), _tasks(theirs)) for name, ours, theirs in pairs]
-    return stacked(flown, satellites, tasks)
+    cases = stacked(flown, satellites, tasks)
+    strange, count = int((impossible(cases.satellites["inertia"]) & cases.present).sum()), int(cases.present.sum())
+    if strange:
+        logger.warning(
+            "%s: %d of %d satellites have an inertia that no body has; they fly with it, as in the benchmark",
+            folder,
+            strange,
+            count,
+        )
+    return cases
+
+
+def impossible(inertia: Tensor) -> Tensor:
+    """Return whether inertias [..., 9], row by row, break the triangle inequality of principal moments, [...]."""
+    moments = torch.linalg.eigvalsh(inertia.unflatten(-1, (3, 3)))
+    return moments[..., 0] + moments[..., 1] < moments[..., 2] * (1.0 - 1e-9)
 
 
 def _pairs(folder: Path) -> Iterator[tuple[str, Path, Path]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 
 import pytest
 import torch
@@ -11,6 +12,9 @@ from tensordict import TensorDict
 import bsk_torch
 from bsk_torch import ConstellationTasking, comm, data, rand, scene
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
+from bsk_torch.rl.evaluation.evaluate import evaluate
+from bsk_torch.rl.evaluation.statistics import known
+from bsk_torch.rl.policies.shared_policy import rule
 
 pytestmark = pytest.mark.compiled
 
@@ -154,6 +158,44 @@ def test_counters_have_names_of_their_own():
 
     with pytest.raises(ValueError, match="has 'imaged', which the satellites count, too"):
         bsk_torch.make("AEOS-v1", n_targets=300, time_limit=600.0, backend="eager", rewarder=Twice())
+
+
+class Measured(data.NoReward):
+    """Has a measure."""
+
+    def __init__(self, value):
+        self.value = value
+
+    def measures(self):
+        return {"share": self.value}
+
+
+def test_measures_of_parts_are_numbered_and_shown_in_evaluations():
+    half = torch.full((N,), 0.5, dtype=torch.float64)
+    env = make([Measured(half), Measured(2.0 * half), data.NoReward()], env_ids=[0] * N, backend="eager")
+    result = evaluate(rule("random", env), env, seeds=[0, 1, 2, 3])
+    assert {name: value.tolist() for name, value in result.measures.items()} == {"share": [0.5] * 4, "share_2": [1.0] * 4}
+    assert result.summary()["measures"]["share_2"]["mean"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (torch.ones(N), r"Measured.measures\(\)\['share'\] .* dtype torch\.float64"),
+        (torch.ones(N, S, dtype=torch.float64), r"Measured.measures\(\)\['share'\] is a tensor of shape \[3, 2\]"),
+        (1.0, r"Measured.measures\(\)\['share'\] is 1\.0"),
+    ],
+)
+def test_measures_that_do_not_fit_are_named(value, words):
+    env = make(Measured(value), env_ids=[0] * N, backend="eager")
+    with pytest.raises(TypeError, match=words):
+        evaluate(rule("random", env), env, seeds=[0])
+
+
+def test_measures_without_a_value_do_not_count():
+    known_values = torch.tensor([1.0, math.nan, 3.0], dtype=torch.float64)
+    assert known(known_values).mean == 2.0
+    assert math.isnan(known(known_values[1:2]).mean)
 
 
 def test_choices_of_wrong_shape_are_named():

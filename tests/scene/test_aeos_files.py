@@ -100,6 +100,17 @@ def test_a_wrong_entry_is_named(tmp_path, change, message):
         read_cases(folder)
 
 
+def test_impossible_inertias_are_told(tmp_path, caplog):
+    read_cases(write(tmp_path / "usual", constellation(2), tasks(1)))
+    assert not caplog.records
+    orbits, jobs = broken(lambda c, t: c["satellites"][1].update(inertia=[50.0, 0, 0, 0, 60.0, 0, 0, 0, 190.0]))
+    cases = read_cases(write(tmp_path / "odd", orbits, jobs))
+    assert [record.getMessage() for record in caplog.records] == [
+        f"{tmp_path / 'odd'}: 1 of 2 satellites have an inertia that no body has; they fly with it, as in the benchmark"
+    ]
+    assert cases.satellites["inertia"][0, 1, 8] == 190.0
+
+
 def test_missing_and_unreadable_files(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"no constellation.json"):
         read_cases(tmp_path)

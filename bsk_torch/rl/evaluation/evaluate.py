@@ -12,6 +12,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
+from bsk_torch.data import checked
 from bsk_torch.env import ConstellationTasking, SatelliteTasking, Tasking
 from bsk_torch.env.rollout import Policy, play_episodes
 from bsk_torch.rand import Key
@@ -173,7 +174,7 @@ def _evaluated(policy: TensorDictModuleBase, env: Tasking, start: TensorDictBase
         deaths={name: _of_team(failed)[:n] for name, failed in _failed_checks(env).items()},
         counts={name: _of_team(count)[:n].clone() for name, count in env.counts().items()},
         fill=None if level is None else level[:n].clone(),
-        measures={name: value[:n].clone() for name, value in env.rewarder.measures().items()},
+        measures={name: value[:n].clone() for name, value in checked.measures(env.rewarder).items()},
         simulated=simulated[:n] if SIMULATED in policy.out_keys else None,
     )
 
