@@ -1,13 +1,13 @@
 """What do rules and policies return in Services-v1, next to the study that the preset is from?
 
 Usage:
-    python benchmarks/services.py [--rules rate angle ...] [--policies FILE ...] [--episodes 100] [--batch 100]
-        [--out FILE.json]
+    python benchmarks/services.py [--rules rate angle ...] [--best rate] [--policies FILE ...] [--episodes 100] [--first 0]
+        [--batch 100] [--out FILE.json]
 
-All play the same episodes, those of the seeds 0, 1, ..., by the study's protocol: 200 objects, half of the orbits low, 30 percent
-medium and 20 percent geosynchronous on average, priorities of sum 100, eight of which rise in the middle of the episode, and
-rewards for verified images. Policies are files that ``bsk-torch train`` has written, and observe what they did in training. Gains
-over the rule ``rate`` are paired by episode.
+All play the same episodes, those of the seeds 0, 1, ... from ``--first`` on, by the study's protocol: 200 objects, half of the
+orbits low, 30 percent medium and 20 percent geosynchronous on average, priorities of sum 100, eight of which rise in the middle
+of the episode, and rewards for verified images. Policies are files that ``bsk-torch train`` has written, and observe and may do
+what they did in training. Gains over the rule ``--best`` are paired by episode.
 """
 
 from __future__ import annotations
@@ -28,11 +28,8 @@ from bsk_torch.rl.rules.servicing import IDLE, ORDERS, WORTHS
 
 PRESET = "Services-v1"
 
-BEST = "rate"
-"""The rule over which gains are."""
-
-OF_TRAINING = ("order", "as_set", "outlook")
-"""Options that change what policies observe, which are those of their training."""
+OF_TRAINING = ("order", "as_set", "outlook", "shielded")
+"""Options that change what policies observe or may choose, which are those of their training."""
 
 NEEDS_OUTLOOK = ("candidate_rate_ahead",)
 """Rules that read what is expected of images."""
@@ -80,7 +77,8 @@ def row(name: str, found: Evaluation, best: Evaluation, cpu: float) -> dict[str,
 def main() -> None:
     """Play the episodes, and print a table."""
     names = ["random", *ORDERS, *(name for name in WORTHS if name not in IDLE)]  # those that wait otherwise are for teams
-    parsed = harness.parser(__doc__, rules=names, episodes=100, batch=100, targets=200, time_limit=45_000.0)
+    parsed = harness.parser(__doc__, rules=names, episodes=100, first=0, batch=100, targets=200, time_limit=45_000.0)
+    parsed.add_argument("--best", choices=names, default="rate", help="rule over which gains are")
     parsed.add_argument("--policies", nargs="*", default=[], metavar="FILE", help="policies of bsk-torch train")
     parsed.add_argument("--backend", choices=("compiled", "eager"), default="compiled")
     options, described = harness.begin(parsed)
@@ -90,14 +88,14 @@ def main() -> None:
     def compare(name: str, policy: TensorDictModuleBase, env: SatelliteTasking) -> None:
         nonlocal best
         clock = time.process_time()
-        found = evaluate(policy, env, seeds=range(options.episodes))
+        found = evaluate(policy, env, seeds=range(options.first, options.first + options.episodes))
         best = found if best is None else best
         rows.append(row(name, found, best, time.process_time() - clock))
         print(harness.cell("{policy}: {return:.1f}, gain {gain:+.1f} +- {gain_half:.1f}", rows[-1]), flush=True)
         harness.write(options, described, rows=rows)
 
     envs = {outlook: make_env(options, outlook=outlook) for outlook in (False, True)}
-    for name in [BEST, *(name for name in options.rules if name != BEST)]:
+    for name in [options.best, *(name for name in options.rules if name != options.best)]:
         env = envs[name in NEEDS_OUTLOOK]
         compare(name, rule(name, env), env)
     for k, file in enumerate(options.policies):

@@ -33,7 +33,6 @@ def test_a_pretrained_policy_has_its_score(preset):
 WITHOUT = {
     "AEOSBench-v1",
     "HeteroCluster-v1",
-    "Services-v1",
     "ThreeSensors-v1",
     "Walker4-v1",
     "CWDocking-v1",
