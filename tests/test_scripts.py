@@ -129,6 +129,12 @@ STARTS: dict[str, list[Start]] = {
             r"(?s)\| three-local \| [\d.]+ \+- [\d.]+ \| .*\| walker-centralized \| ",
         ),
     ],
+    "benchmarks/crews.py": [
+        Start(
+            "--episodes 2 --time-limit 300 --targets 12 --rules prompt --backend eager",
+            r"(?s)\| prompt \| [\d.]+ \+- [\d.]+ \| .*\| \+0.0 \+- 0.0 \|",
+        ),
+    ],
     "benchmarks/safe_autonomy.py": [
         Start(
             "--episodes 2 --batch 2 --time-limit 40 --filters none asif --policies glide --turns 1 --steps 2 --backend eager",

@@ -15,6 +15,7 @@ RESULTS = ROOT / "benchmarks" / "results"
 
 SCRIPTS = {
     "teams_prompt": "teams",
+    "crews_three": "crews",
     "vs_basilisk_imaging": "vs_basilisk",
     "constellation_intervals": "constellation",
     "constellation_tasks": "constellation",
@@ -652,6 +653,25 @@ def teams(name: str) -> str:
     return with_command(name, [*titles, "duplicate attempts", "wasted, %"], rows)
 
 
+def crews(name: str) -> str:
+    """Return what policies of teams return next to rules, with gains over these in the same episodes."""
+    loaded = load(name)
+    rules = loaded["options"]["rules"]
+    rows = [
+        [
+            row["policy"] if row["policy"].startswith("trained") else f"`{row['policy']}`",
+            f"{row['return'][0]:.1f} ±\u00a0{row['return'][1]:.1f}",
+            *(f"{gain[0]:+.1f} ±\u00a0{gain[1]:.1f}" if gain[1] else "-" for gain in (row["over"][rule] for rule in rules)),
+            *(f"{row[count]:.1f}" for count in ("acquisitions", "services", "duplicate_attempts")),
+            whole(row["decisions"]),
+        ]
+        for row in loaded["rows"]
+    ]
+    gains = [f"over `{rule}`" for rule in rules]
+    titles = ["policy", "return", *gains, "captures paid", "deliveries paid", "duplicate attempts", "decisions"]
+    return with_command(name, titles, rows)
+
+
 def digits_of(value: float) -> str:
     """Return milliseconds in three digits."""
     return f"{value:.3f}" if value < 1.0 else f"{value:.1f}" if value < 100.0 else whole(value)
@@ -700,5 +720,6 @@ TABLES = {
     "safe_autonomy": safe_autonomy,
     "services": services,
     "teams": teams,
+    "crews": crews,
     "suites": suites,
 }

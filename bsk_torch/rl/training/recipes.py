@@ -112,22 +112,22 @@ CW_INSPECTION: dict[str, dict[str, Any]] = {
 
 CREW_OF_SENSORS: dict[str, dict[str, Any]] = {
     "attention": dict(
-        num_envs=32,
-        rollout=64,
+        num_envs=64,
+        rollout=32,
         hidden=(64,),
         learning_rate=1e-3,
-        epochs=6,
-        minibatch=256,
+        epochs=4,
+        minibatch=512,
         gamma=0.9995,
         entropy=0.002,
-        imitate="prompt",
-        imitation=0.7,
+        imitate="prompt_ahead",
+        imitation=0.4,
         evaluate_every=0,
-        options=dict(as_set=True),
+        options=dict(as_set=True, outlook=True, shielded=True),
     )
 }
-"""For imagers of the same objects in orbit: a rule that reacts fast is the start. Evaluations take longer than
-the training, so there are none before its end."""
+"""For imagers of the same objects in orbit, each of which knows its own images: a rule that reacts fast is the start, and the
+shield keeps empty downlinks from being explored. Evaluations take longer than the training, so there are none before its end."""
 
 RECIPES: dict[str, dict[str, dict[str, Any]]] = {
     "NadirScan-v1": SCANNING,
