@@ -7,7 +7,8 @@ Usage:
 All fly the same cases: those of a folder with the benchmark's files, or random ones with the distributions of its training set.
 ``nearest_task`` is the benchmark's greedy rule, with its actions in every second and sensors always on; the others choose among
 candidates, every ``--step`` seconds. Measures are means over the cases, with intervals of 95 percent; gains are those of CR over
-``nearest_task``, paired by case. The bound is the share of tasks that satellites have above their horizons long enough.
+``nearest_task``, and over the last of the rules, paired by case. The bound is the share of tasks that satellites have above their
+horizons long enough.
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ COLUMNS = {
     "policy": "{policy}",
     "CR %": "{CR:.1f} +- {half:.1f}",
     "gain": "{gain:+.1f} +- {gain_half:.1f}",
+    "over the last rule": "{over:+.2f} +- {over_half:.2f}",
     "PCR %": "{PCR:.1f}",
     "WCR %": "{WCR:.1f}",
     "TAT s": "{TAT:.0f}",
@@ -85,9 +87,9 @@ def half_width(values: Tensor) -> float:
     return 1.96 * float(values.std() / len(values) ** 0.5)
 
 
-def row(name: str, found: dict[str, Tensor], greedy: Tensor, cpu: float) -> dict[str, Any]:
-    """Figures of a policy; ``greedy`` are the completion rates of the greedy rule in the same cases."""
-    rate, gain = PERCENT * found["CR"], PERCENT * (found["CR"] - greedy)
+def row(name: str, found: dict[str, Tensor], greedy: Tensor, last: Tensor, cpu: float) -> dict[str, Any]:
+    """Figures of a policy; ``greedy`` and ``last`` are the completion rates of two rules in the same cases."""
+    rate, gain, over = PERCENT * found["CR"], PERCENT * (found["CR"] - greedy), PERCENT * (found["CR"] - last)
     means = {key: float(value.nanmean()) for key, value in found.items()}
     return {
         "policy": name,
@@ -96,6 +98,8 @@ def row(name: str, found: dict[str, Tensor], greedy: Tensor, cpu: float) -> dict
         "half": half_width(rate),
         "gain": float(gain.mean()),
         "gain_half": half_width(gain),
+        "over": float(over.mean()),
+        "over_half": half_width(over),
         "cases": len(rate),
         "cpu": cpu / len(rate),
     }
@@ -112,25 +116,25 @@ def main() -> None:
     options, described = harness.begin(parsed)
     if options.folder:
         options.cases = min(options.cases, len(read_cases(options.folder)))
-    batch = min(options.batch, options.cases)
+    batch, names = min(options.batch, options.cases), [GREEDY, *(name for name in options.rules if name != GREEDY)]
     rows: list[dict[str, Any]] = []
-    greedy: Tensor | None = None
+    rates: list[Tensor] = []
 
     def compare(name: str, policy: TensorDictModuleBase | None, env: ConstellationTasking) -> None:
-        nonlocal greedy
         clock = time.process_time()
         with torch.no_grad():
             found = fly(env, policy, options)
-        greedy = found["CR"] if greedy is None else greedy
+        rates.append(found["CR"])
+        last = rates[min(len(rates), len(names)) - 1]
         blank = dict.fromkeys(("PCR", "WCR", "TAT", "PC", "CS"), float("nan"))
-        rows.append(blank | row(name, found, greedy, time.process_time() - clock))
+        rows.append(blank | row(name, found, rates[0], last, time.process_time() - clock))
         print(harness.cell("{policy}: CR {CR:.1f} %, gain {gain:+.1f} +- {gain_half:.1f}", rows[-1]), flush=True)
         harness.write(options, described, rows=rows)
 
     every = make_env(options, batch, sensor="on")
     compare(GREEDY, rule(GREEDY, every), every)
     chosen = make_env(options, batch, candidates=True, step_duration=options.step)
-    for name in (name for name in options.rules if name != GREEDY):
+    for name in names[1:]:
         compare(name, rule(name, chosen), chosen)
     for k, file in enumerate(options.policies):
         given = read_card(file)["options"]

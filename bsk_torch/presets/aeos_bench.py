@@ -133,7 +133,7 @@ class CandidateSatellite(BenchSatellite):
 
 
 class CandidateSetSatellite(CandidateSatellite):
-    """The same, which observes them as a set."""
+    """A satellite that observes its candidates as a set."""
 
     observation_spec = (*OWN, obs.TaskProperties(n_ahead_observe=CANDIDATES, as_set=True), obs.Time())
 
@@ -145,13 +145,13 @@ class HeldBenchSatellite(BenchSatellite):
 
 
 class HeldCandidateSatellite(CandidateSatellite):
-    """The same, which chooses among candidates."""
+    """A satellite whose choices among candidates last longer than a second."""
 
     dyn_type = dyn.AEOSBenchTracedDynModel
 
 
 class HeldCandidateSetSatellite(CandidateSetSatellite):
-    """The same, which observes them as a set."""
+    """A satellite whose choices last longer than a second, and which observes its candidates as a set."""
 
     dyn_type = dyn.AEOSBenchTracedDynModel
 

@@ -129,6 +129,25 @@ CREW_OF_SENSORS: dict[str, dict[str, Any]] = {
 """For imagers of the same objects in orbit, each of which knows its own images: a rule that reacts fast is the start, and the
 shield keeps empty downlinks from being explored. Evaluations take longer than the training, so there are none before its end."""
 
+BENCH: dict[str, dict[str, Any]] = {
+    "attention": dict(
+        num_envs=16,
+        rollout=36,
+        hidden=(64,),
+        learning_rate=5e-4,
+        epochs=2,
+        minibatch=1024,
+        gamma=0.995,
+        lmbda=0.9,
+        entropy=0.001,
+        imitate="soonest_task",
+        imitation=0.3,
+        evaluate_every=0,
+        options=dict(satellites=(4, 24), tasks=(60, 200), candidates=True, as_set=True, step_duration=10.0),
+    )
+}
+"""For satellites that share tasks on the ground: a rule that shares them is the start. The next minutes count."""
+
 RECIPES: dict[str, dict[str, dict[str, Any]]] = {
     "NadirScan-v1": SCANNING,
     "NadirScience-v1": SCIENCE,
@@ -143,6 +162,7 @@ RECIPES: dict[str, dict[str, dict[str, Any]]] = {
     "HeteroCluster-v1": CLUSTER,
     "Services-v1": SERVICES,
     "ThreeSensors-v1": CREW_OF_SENSORS,
+    "AEOSBench-v1": BENCH,
     "RSOInspection-v1": INSPECTION,
     "MultiInspection-v1": CREW,
     "CWDocking-v1": CW_DOCKING,

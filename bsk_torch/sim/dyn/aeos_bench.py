@@ -143,6 +143,6 @@ class AEOSBenchDynModel(EclipseDynModel):
 
 
 class AEOSBenchTracedDynModel(AEOSBenchDynModel):
-    """The same, which records at every tick where its sensor looks, for choices that last longer than a tick."""
+    """A spacecraft of AEOS-Bench that records at every tick where its sensor looks, for choices that last longer than a tick."""
 
     components: ClassVar[tuple[Component, ...]] = (SENSOR_VIEW,)
