@@ -16,6 +16,8 @@ RESULTS = ROOT / "benchmarks" / "results"
 SCRIPTS = {
     "teams_prompt": "teams",
     "crews_three": "crews",
+    "aeos_real": "aeos_bench",
+    "aeos_random": "aeos_bench",
     "vs_basilisk_imaging": "vs_basilisk",
     "constellation_intervals": "constellation",
     "constellation_tasks": "constellation",
@@ -639,6 +641,57 @@ def services(name: str) -> str:
     return with_command(name, titles, rows)
 
 
+def aeos_bench(name: str) -> str:
+    """Return what rules and policies reach in cases of AEOS-Bench, with the bound."""
+    rows = [
+        [
+            f"`{row['policy']}`" if row["policy"].endswith("_task") else row["policy"],
+            f"{row['CR']:.1f} ±\u00a0{row['half']:.1f}",
+            f"{row['gain']:+.1f} ±\u00a0{row['gain_half']:.1f}" if row["gain_half"] else "-",
+            f"{row['over']:+.2f} ±\u00a0{row['over_half']:.2f}" if row["policy"].startswith("trained") else "-",
+            *(measured(row[key], digit) for key, digit in (("PCR", 1), ("WCR", 1), ("TAT", 0), ("PC", 0), ("CS", 2))),
+            f"{row['cpu']:.1f}",
+        ]
+        for row in load(name)["rows"]
+    ]
+    titles = [
+        "policy",
+        "CR, %",
+        "over `nearest_task`",
+        "over `soonest_task`",
+        "PCR, %",
+        "WCR, %",
+        "TAT, s",
+        "PC, W s",
+        "CS",
+        "core-s per case",
+    ]
+    return with_command(name, titles, rows)
+
+
+def measured(value: float, digit: int) -> str:
+    """Return a measure with so many digits; a dash for NaN."""
+    return "-" if value != value else f"{value:,.{digit}f}"
+
+
+def aeos_speed(name: str) -> str:
+    """Return rates of AEOS-Bench, here and on Basilisk."""
+    rows = [
+        [
+            str(row["satellites"]),
+            str(row["tasks"]),
+            str(row["batch"]),
+            f"{row['step']:g}",
+            whole(row["rate"]),
+            measured(row["basilisk_rate"], 0),
+            f"{measured(row['ratio'], 0)} ({measured(row['low'], 0)} to {measured(row['high'], 0)})",
+        ]
+        for row in load(name)["rows"]
+    ]
+    titles = ["satellites", "tasks", "episodes", "s per choice", "satellite-s per core-s", "on Basilisk", "ratio"]
+    return with_command(name, titles, rows)
+
+
 def teams(name: str) -> str:
     """Return what rules of teams reach, with the published means below."""
     counted = ("acquisitions", "services", "reward", "captured_share", "delivered_share", "duplicate_attempts", "wasted_share")
@@ -719,6 +772,8 @@ TABLES = {
     "planners": planners,
     "safe_autonomy": safe_autonomy,
     "services": services,
+    "aeos_bench": aeos_bench,
+    "aeos_speed": aeos_speed,
     "teams": teams,
     "crews": crews,
     "suites": suites,
