@@ -75,7 +75,7 @@ def size(text: str) -> tuple[int, int]:
     """Parse satellites and tasks, such as ``8x50``."""
     satellites, _, tasks = text.partition("x")
     if not (satellites.isdigit() and tasks.isdigit()):
-        raise argparse.ArgumentTypeError(f"{text!r} must be satellites x tasks, such as 8x50")
+        raise SystemExit(f"--sizes {text}: write satellites x tasks, such as 8x50")
     return int(satellites), int(tasks)
 
 
@@ -95,19 +95,19 @@ def plot(rows: list[dict[str, Any]], path: str) -> None:
 def main() -> None:
     """Measure and print a table."""
     arguments = harness.parser(__doc__, turns=3, seconds=5.0, rows=2048, steps=[1.0, 30.0])
-    arguments.add_argument("--sizes", nargs="+", type=size, default=[(8, 50), (40, 250)], help="satellites x tasks")
+    arguments.add_argument("--sizes", nargs="+", default=["8x50", "40x250"], help="satellites x tasks")
     arguments.add_argument("--basilisk", metavar="PYTHON", help="interpreter with Basilisk")
     arguments.add_argument("--plot", metavar="FILE", help="picture of the rates")
     arguments.add_argument("--backend", choices=("compiled", "eager"), default="compiled")
     options, described = harness.begin(arguments)
-    players = {}
-    for satellites, tasks in options.sizes:
+    players, sizes = {}, [size(text) for text in options.sizes]
+    for satellites, tasks in sizes:
         for step in options.steps:
             made = (satellites, tasks, step)
             players[made], _ = harness.start(lambda made=made: rollout(*made, options.rows, options.backend), 2)
     turns: dict[tuple[int, int, float], list[tuple[float, float]]] = {made: [] for made in players}
     for _ in range(options.turns):
-        for satellites, tasks in options.sizes:
+        for satellites, tasks in sizes:
             theirs = on_basilisk(options, satellites, tasks) if options.basilisk else float("nan")
             for step in options.steps:
                 made = (satellites, tasks, step)
