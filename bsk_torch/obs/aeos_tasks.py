@@ -110,8 +110,6 @@ class TaskProperties(CandidateProperties):
     @staticmethod
     def _lead(end: Tensor, task: Tensor) -> Tensor:
         """Return how much earlier satellites complete tasks than the first of the others, s, [N, S, n]."""
-        first = end.topk(min(2, end.shape[1]), 1, largest=False).values
-        best, second = first[:, :1].expand_as(end).gather(2, task), first[:, -1:].expand_as(end).gather(2, task)
-        own = end.gather(2, task)
-        others = torch.where(own > best, best, second if len(end[0]) > 1 else torch.full_like(second, NEVER))
-        return (others - own).clamp(-MOST_LEAD, MOST_LEAD)
+        first = torch.cat([end, torch.full_like(end[:, :1], NEVER)], 1).topk(2, 1, largest=False).values  # also of one satellite
+        own, best, second = (part.expand_as(end).gather(2, task) for part in (end, first[:, :1], first[:, 1:]))
+        return (torch.where(own > best, best, second) - own).clamp(-MOST_LEAD, MOST_LEAD)

@@ -31,7 +31,7 @@ def parsed(title: str, given: Mapping[str, Any], properties: Sequence[str]) -> E
             raise ValueError(f"{title} has the key {key!r} in {dict(given)}; {nearest(str(key), ('prop', 'norm', 'name'))}")
     prop = str(given.get("prop"))
     if prop not in properties:
-        raise ValueError(f"{title}: prop={prop!r} is no property of candidates; {nearest(str(prop), properties)}")
+        raise ValueError(f"{title}: prop={prop!r} is no property of candidates; {nearest(prop, properties)}")
     norm = 1.0 if given.get("norm") is None else number(f"{title}: norm of {prop!r}", given["norm"])
     if norm == 0.0:
         raise ValueError(f"{title}: norm of {prop!r} is 0; it must not be zero")
@@ -63,7 +63,7 @@ class CandidateProperties(Observation):
 
     def read_candidates(self, wanted: frozenset[str]) -> tuple[dict[str, Tensor], Tensor]:
         """Return at least the wanted properties by ``prop``, [N, n] or [N, n, 3], and which candidates exist, [N, n]."""
-        raise NotImplementedError
+        raise NotImplementedError(f"{type(self).__name__} must implement read_candidates(wanted)")
 
     def _columns(self) -> tuple[dict[str, Tensor], Tensor]:
         """Return the properties of the candidates by name, [N, n] or [N, n, 3], and which of them exist, [N, n]."""

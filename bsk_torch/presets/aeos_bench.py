@@ -208,10 +208,10 @@ def aeos_bench(
         duration=step_duration if held else None,
         until_done=until_done,
     )
-    if (candidates and sensor != "assigned") or (as_set and not candidates):
-        raise ValueError(
-            f"sensor={sensor!r}, candidates={candidates} and as_set={as_set}: candidates have sensor='assigned' alone"
-        )
+    if candidates and sensor != "assigned":
+        raise ValueError(f"sensor={sensor!r} does not go with candidates=True, for which it must be 'assigned'")
+    if as_set and not candidates:
+        raise ValueError("as_set=True observes candidates as a set; give candidates=True with it")
     kind = KINDS[held][candidates + switch("as_set", as_set)]
     observed_as = (dict if as_set else torch.Tensor) if obs_type is None else obs_type
     if folder is None:

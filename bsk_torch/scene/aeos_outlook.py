@@ -20,7 +20,8 @@ AIM = 0.5
 """Share of the field of view to which the error of pointing decays in a turn."""
 
 PACE = 0.65
-"""Share of the sum of both parts of a turn, see :func:`turn_time`, that flown turns take: the median of 2,236 turns."""
+"""Share of the sum of both parts of a turn, see :func:`turn_time`, that flown turns take: the median of 2,236
+turns in 16 of the benchmark's test cases."""
 
 KEEP = 20.0
 """Time by which another task must end earlier to be preferred to the present one, s."""
@@ -173,7 +174,8 @@ def match(candidates: TaskCandidates, n_tasks: int) -> Tensor:
     """Return for each satellite the place of the candidate that it should take, [N, S]; -1 for none.
 
     Every satellite proposes its first candidate. A task accepts the satellite that would complete it first, and the others
-    propose their next candidates: the stable matching of Gale and Shapley (1962), after :data:`ROUNDS` rounds.
+    propose their next candidates: the stable matching of Gale and Shapley (1962), after :data:`ROUNDS` rounds. Satellites that
+    would complete a task at exactly the same time share it.
 
     Args:
         candidates: Candidates of all satellites.

@@ -12,7 +12,7 @@ Value = TypeVar("Value")
 
 
 class Found:
-    """Results that are valid until the state of the satellites, or what is kept of an episode, changes."""
+    """Results for the current state of the satellites and the memory of the episodes, each computed once."""
 
     def __init__(self) -> None:
         """Start without results."""

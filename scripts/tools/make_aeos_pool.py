@@ -4,7 +4,7 @@
 
 The benchmark draws bodies, wheels and gains, and keeps a satellite if it completes all of 36 tasks near the equator within two
 hours by the benchmark's rule. Its own tasks are not known, and with those of this script more candidates pass, 590 of 1,024. Most
-of those with wheels of 50 N m s are among them, but of 359 satellites in the benchmark's test set, one has such wheels, 182 have
+of those with wheels of 50 N m s are among them, but of 359 satellites in 32 of its test cases, one has such wheels, 182 have
 wheels of 25, and 176 of 12 N m s. So only these two are drawn, and the pool has as many satellites with either.
 """
 

@@ -50,13 +50,13 @@ def flight():
         r = scenario.views().r_P.unsqueeze(2)
         above.append((place * (r - place)).sum(-1) > 0.0)
         env.step(action)
-    return torch.stack(above), expected, scenario, bound
+    return torch.stack(above), expected, env, bound
 
 
 def test_tasks_rise_and_set_when_they_are_expected_to(flight):
     """The Earth's rotation curves paths, and orbits are no circles: it matters most for passes near the horizon."""
-    above, expected, scenario, _ = flight
-    due_later = scenario.drawn("task_due").unsqueeze(1) > SOON
+    above, expected, env, _ = flight
+    due_later = env.scenario.drawn("task_due").unsqueeze(1) > SOON
     rises = ~above[0] & above.any(0) & (expected.start > expected.turn)
     sets = above[0] & ~above.all(0) & due_later
     errors = [
@@ -71,7 +71,8 @@ def test_tasks_rise_and_set_when_they_are_expected_to(flight):
 
 def test_no_more_tasks_stay_in_sight_than_the_bound_says(flight):
     """The bound rounds up to 5 s: at most few tasks are just missed."""
-    above, _, scenario, bound = flight
+    above, _, env, bound = flight
+    scenario = env.scenario
     release, due, duration = (scenario.drawn(f"task_{name}") for name in ("release", "due", "duration"))
     longest = run = torch.zeros_like(duration)
     for tick, seen in enumerate(above.any(2)):
@@ -81,6 +82,12 @@ def test_no_more_tasks_stay_in_sight_than_the_bound_says(flight):
     assert bool((rate <= bound).all())
     assert bool((bound - rate < 0.05).all())
     assert rate.min() > 0.01
+
+
+def test_nothing_can_be_completed_after_the_horizon(flight):
+    env = flight[2]
+    assert bool((env.scenario.task_time == SOON).all())
+    assert torch.equal(sight_bound(env).double(), env.rewarder.measures()["CR"])
 
 
 def test_the_bound_needs_tasks_of_the_benchmark_and_looks_that_no_pass_slips_through():
@@ -112,6 +119,19 @@ def test_matches_are_stable(seed):
                 assert cost[owner, taken[owner]] < cost[s, other]
                 compared += 1
     assert compared > 3
+
+
+@pytest.mark.parametrize("satellites", [1, 4])
+def test_leads_are_over_the_first_of_the_others(satellites):
+    end = 500.0 * torch.rand(2, satellites, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(satellites))
+    task = torch.arange(5).expand(2, satellites, 5)
+    lead = obs.TaskProperties._lead(end, task)
+    others = [[end[n, [o for o in range(satellites) if o != s]].tolist() for s in range(satellites)] for n in range(2)]
+    first = torch.tensor(
+        [[[min(column) for column in zip([1e9] * 5, *rows, strict=True)] for rows in some] for some in others],
+        dtype=torch.float64,
+    )
+    torch.testing.assert_close(lead, (first - end).clamp(-300.0, 300.0))
 
 
 def test_candidates_come_in_the_order_of_their_ends_and_pad():

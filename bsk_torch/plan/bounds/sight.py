@@ -21,10 +21,10 @@ LONGEST = 15.0
 def sight_bound(env: Tasking, *, interval: float = 10.0) -> Tensor:
     """Return an upper bound on the completion rate of the current episodes of AEOS-Bench, [N].
 
-    A task can succeed only if satellites have it above their horizons, one after the other, for as long as it lasts, between now
-    or its release and its due time. Power, turns, and the narrow cones of sensors are left out: satellites are taken to look
-    everywhere at once. Satellites fly Kepler orbits here, which are meters away after an hour, and are looked at once in an
-    interval; a task counts as seen in an interval if it is at either end.
+    A task can succeed only if satellites have it above their horizons, one after the other, for as long as it still lasts,
+    between now or its release and its due time. Power, turns, and the narrow cones of sensors are left out: satellites are
+    taken to look everywhere at once. Satellites fly Kepler orbits here, which are meters away after an hour, and are looked at
+    once in an interval; a task counts as seen in an interval if it is at either end.
 
     Args:
         env: An environment with :class:`~bsk_torch.scene.AEOSBench` after ``reset``; what it returns afterwards does not change.
@@ -37,21 +37,21 @@ def sight_bound(env: Tasking, *, interval: float = 10.0) -> Tensor:
     if not isinstance(scenario, AEOSBench):
         raise ValueError(f"sight_bound needs an environment with scene.AEOSBench; this is {type(env.scenario).__name__}")
     number("interval", interval, 0.0, LONGEST, unit="s", above=True)
-    now, place = float(scenario.task_time.max()), scenario.drawn("task_place")
+    now, place = scenario.task_time.unsqueeze(1), scenario.drawn("task_place")
     release, due, duration = (scenario.drawn(f"task_{name}") for name in ("release", "due", "duration"))
     r_P, v_P = scenario.motion()
     present = scenario.present_now.unsqueeze(2)
     spin = torch.tensor(EARTH_SPIN, dtype=r_P.dtype, device=r_P.device)
     v_P = v_P + torch.linalg.cross(spin.expand_as(r_P), r_P)  # of axes that do not turn with the Earth from now on
     seen = torch.where(scenario.task_succeeded, torch.inf, 0.0)
-    run, was, elapsed = torch.zeros_like(duration), _above(r_P, place, present), 0.0
-    for _ in range(math.ceil((scenario.horizon - now) / interval)):
+    run, was, elapsed = scenario.memory["task_progress"], _above(r_P, place, present), 0.0
+    for _ in range(math.ceil((scenario.horizon - float(now.min())) / interval)):
         r_P, v_P = _coasted(r_P, v_P, interval)
         elapsed += interval
         angle = EARTH_SPIN[2] * elapsed
         above = _above(_turned(r_P, angle), place, present)
-        end = torch.minimum(due, torch.full_like(due, now + elapsed))
-        counted = (end - torch.maximum(release, torch.full_like(due, now + elapsed - interval))).clamp(min=0.0)
+        end = torch.minimum(due, now + elapsed).clamp(max=scenario.horizon)
+        counted = (end - torch.maximum(release, now + elapsed - interval)).clamp(min=0.0)
         run = torch.where(above | was, run + counted, 0.0)
         seen, was = torch.maximum(seen, run), above
     exists = scenario.task_exists
