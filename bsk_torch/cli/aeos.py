@@ -10,7 +10,7 @@ from bsk_torch.cli.policies import named_policy
 from bsk_torch.cli.shared import check_writable, environment, environment_options
 from bsk_torch.cli.terminal import activity, fail, working
 from bsk_torch.env import ConstellationTasking
-from bsk_torch.rl.evaluation.aeos_annotations import AssignedTasks, export_annotations, fly_cases, read_assignments
+from bsk_torch.rl.evaluation.aeos_annotations import AssignedTasks, check_names, export_annotations, fly_cases, read_assignments
 from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.evaluation.results import print_results, save_episodes, save_results
 from bsk_torch.rl.policies.shared_policy import shared
@@ -53,14 +53,19 @@ def export_aeosbench(
 ) -> None:
     """Fly cases by a policy, and write the files; see :mod:`bsk_torch.cli.main`."""
     torch.set_num_threads(threads)
-    named = named_policy(policy, PRESET)
-    env = bench(cases_of(cases), sensor, named.options(environment_options(backend, device, time_limit)))
+    named, given = named_policy(policy, PRESET), cases_of(cases)
+    try:
+        check_names(given)  # before hours are spent
+    except ValueError as error:
+        fail(str(error))
+    env = bench(given, sensor, named.options(environment_options(backend, device, time_limit)))
     actor = shared(named.build(env, device), env)
     with working(f"flying {policy}"):
         try:
-            written = export_annotations(list(fly_cases(actor, env)), out, split, turn)
+            flown = list(fly_cases(actor, env))
         except ValueError as error:
             fail(str(error))
+        written = export_annotations(flown, out, split, turn)
     activity.report()
     print(f"{written[-1]}: {(len(written) - 1) // 2} cases")
 

@@ -201,7 +201,7 @@ class RSOTeamState(Observation):
     message; its end may have passed, and then no time remains. Distance, rate and link are present ones, which follow from the
     orbits. Without a capture, its age is the time since the episode began. All numbers are zero without a message.
 
-    The summary is that of a public branch of bsk_rl, with the definitions above, as that branch does not tell all of them.
+    A public branch of bsk_rl has a summary of as many numbers; the definitions above are those of this package.
     """
 
     def __init__(self, n_peers: int, norm: float = LONG, name: str = "team_state") -> None:

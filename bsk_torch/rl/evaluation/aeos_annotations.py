@@ -73,6 +73,12 @@ def bench_of(env: Tasking) -> tuple[NearestTask, Cases]:
     return view, cases
 
 
+def check_names(cases: Cases) -> None:
+    """ValueError unless the names of all cases are numbers below 100,000, by which the benchmark names its files."""
+    for name in cases.names:
+        _number(name)
+
+
 def fly_cases(policy: TensorDictModuleBase, env: ConstellationTasking) -> Iterator[Trajectory]:
     """Fly every case of an environment once by a policy of all its satellites, and yield the trajectories, in the order of cases.
 
