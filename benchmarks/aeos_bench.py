@@ -2,9 +2,10 @@
 
 Usage:
     python benchmarks/aeos_bench.py [--folder FOLDER] [--cases 32] [--batch 32] [--rules nearest_task soonest_task]
-        [--policies FILE ...] [--satellites 1 50] [--tasks 50 300] [--step 10] [--seed 1000] [--out FILE.json]
+        [--policies FILE ...] [--satellites 1 50] [--tasks 50 300] [--orbits random] [--step 10] [--seed 1000] [--out FILE.json]
 
-All fly the same cases: those of a folder with the benchmark's files, or random ones with the distributions of its training set.
+All fly the same cases: those of a folder with the benchmark's files, or random ones with the distributions of its training set,
+``--orbits random``, or of its test set, ``--orbits real``.
 ``nearest_task`` is the benchmark's greedy rule, with its actions in every second and sensors always on; the others choose among
 candidates, every ``--step`` seconds. Measures are means over the cases, with intervals of 95 percent; gains are those of CR over
 ``nearest_task``, and over the last of the rules, paired by case. The bound is the share of tasks that satellites have above their
@@ -59,7 +60,7 @@ def make_env(options: argparse.Namespace, batch: int, **preset: Any) -> Constell
     if options.folder:
         cases: dict[str, Any] = {"folder": options.folder, "order": "listed"}
     else:
-        cases = {"satellites": tuple(options.satellites), "tasks": tuple(options.tasks)}
+        cases = {"satellites": tuple(options.satellites), "tasks": tuple(options.tasks), "orbits": options.orbits}
     world = dict(num_envs=batch, seed=0, time_limit=options.time_limit, backend=options.backend)
     env = bsk_torch.make(PRESET, **world, **cases, **preset)
     assert isinstance(env, ConstellationTasking)
@@ -112,6 +113,7 @@ def main() -> None:
     parsed.add_argument("--policies", nargs="*", default=[], metavar="FILE", help="policies of bsk-torch train")
     for name, usual in (("satellites", (1, 50)), ("tasks", (50, 300))):
         parsed.add_argument(f"--{name}", nargs=2, type=int, default=usual, help="smallest and largest number in a random case")
+    parsed.add_argument("--orbits", choices=("random", "real"), default="random", help="orbits of random cases")
     parsed.add_argument("--backend", choices=("compiled", "eager"), default="compiled")
     options, described = harness.begin(parsed)
     if options.folder:

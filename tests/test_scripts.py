@@ -244,6 +244,7 @@ STARTS: dict[str, list[Start]] = {
             r"(?s)16 of 16 candidates.*pool.npz: 4 satellites, [\d,]+ bytes",
         )
     ],
+    "scripts/tools/make_aeos_orbits.py": [Start("{orbits} --out orbits.npz", r"orbits.npz: 2 orbits, [\d,]+ bytes")],
     "scripts/tools/make_coastlines.py": [Start("{countries} --out land.geojson", "2 pieces of land", "coastlines")],
     "scripts/tools/make_tables.py": [Start("--samples --out .", "largest position error 0.49", "basilisk")],
     "scripts/tools/update_golden.py": [
@@ -342,8 +343,11 @@ def test_runs(path, start, tmp_path):
     if path == "scripts/demo.sh" and not (ROOT / ".venv/bin/bsk-torch").exists():
         pytest.skip("needs .venv, which scripts/test.sh makes")
     values = {"root": str(ROOT), "python": sys.executable, "countries": "countries.whl", "tmp": str(tmp_path)}
+    values["orbits"] = "orbits.zip"
     if "{countries}" in start.arguments:
         write_countries(tmp_path / values["countries"])
+    if "{orbits}" in start.arguments:
+        write_orbits(tmp_path / values["orbits"])
     printed = run(tmp_path, path, *start.arguments.format(**values).split())
     assert re.search(start.printed, printed), printed
 
@@ -360,6 +364,15 @@ def write_countries(wheel: Path) -> None:
     with zipfile.ZipFile(wheel, "w") as archive:
         for kind in ("shp", "shx", "dbf"):
             archive.write(wheel.with_suffix(f".{kind}"), f"geopandas/datasets/naturalearth_lowres/naturalearth_lowres.{kind}")
+
+
+def write_orbits(path: Path) -> None:
+    """Two orbits in the files of AEOS-Bench."""
+    names = ("eccentricity", "semi_major_axis", "inclination", "right_ascension_of_the_ascending_node", "argument_of_perigee")
+    with zipfile.ZipFile(path, "w") as archive:
+        for k in (7, 3):
+            values = {"id": k} | dict(zip(names, (2.555e-4, 6921000.0, 70.0008, 49.064, 259.1988), strict=True))
+            archive.writestr(f"orbits/{k}.json", json.dumps(values))
 
 
 @pytest.mark.basilisk

@@ -1,8 +1,8 @@
 """AEOSBench-v1: up to fifty satellites point their sensors at tasks on the ground, one joint decision of all in every second.
 
 The task is that of AEOS-Bench (NeurIPS 2025, arXiv 2510.26297). By default, every episode draws a small case, of 8 satellites and
-50 tasks; those of the benchmark have 1 to 50 satellites and 50 to 300 tasks, ``satellites=(1, 50), tasks=(50, 300)``. With
-``folder``, its files are flown.
+50 tasks; those of the benchmark have 1 to 50 satellites and 50 to 300 tasks, ``satellites=(1, 50), tasks=(50, 300)``. Their
+orbits are random as in its training set, or with ``orbits="real"`` real as in its test set. With ``folder``, its files are flown.
 
 Observation of each satellite, 9 numbers:
 
@@ -168,6 +168,7 @@ def aeos_bench(
     satellites: int | tuple[int, int] | None = None,
     tasks: int | tuple[int, int] | None = None,
     *,
+    orbits: Literal["random", "real"] = "random",
     order: Literal["random", "listed"] = "random",
     sensor: Literal["assigned", "on", "chosen"] = "assigned",
     step_duration: float = TICK,
@@ -185,6 +186,7 @@ def aeos_bench(
         satellites: Satellites of random cases (default: 8), or the smallest and the largest number. Of a folder: the number to
             which its cases are padded (default: the most of any case).
         tasks: Tasks, likewise (default of random cases: 50).
+        orbits: Orbits of random cases; see :class:`~bsk_torch.scene.AEOSBenchGenerator`.
         order: Cases of the episodes; see :class:`~bsk_torch.scene.AEOSBench`.
         sensor: When sensors are on; see :class:`~bsk_torch.act.PointAtTask`. The benchmark's rule has them always on.
         step_duration: Time for which choices hold, s. With more than a second, tasks still count in every second.
@@ -214,8 +216,11 @@ def aeos_bench(
         raise ValueError("as_set=True observes candidates as a set; give candidates=True with it")
     kind = KINDS[held][candidates + switch("as_set", as_set)]
     observed_as = (dict if as_set else torch.Tensor) if obs_type is None else obs_type
+    if folder is not None and orbits != "random":
+        raise ValueError(f"orbits={orbits!r} is of random cases, but folder gives the cases; leave one of them out")
     if folder is None:
-        generator = scene.AEOSBenchGenerator(SMALL[0] if satellites is None else satellites, SMALL[1] if tasks is None else tasks)
+        sizes = SMALL[0] if satellites is None else satellites, SMALL[1] if tasks is None else tasks
+        generator = scene.AEOSBenchGenerator(*sizes, orbits)
         scenario = scene.AEOSBench(generator, order=order)
     else:  # ranges are an error of the scenario
         scenario = scene.AEOSBench(folder, cast("int | None", satellites), cast("int | None", tasks), order=order)

@@ -6,7 +6,7 @@ import functools
 import importlib.resources
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -15,15 +15,33 @@ from torch import Tensor
 from bsk_torch._checks import no_gradient, whole
 from bsk_torch.rand import Key
 from bsk_torch.scene.aeos_files import HORIZON, Cases, on_sphere
+from bsk_torch.sim.names import nearest
 
 POOL = "aeos_pool.npz"
 """File of the satellites that pass the benchmark's filter; ``scripts/tools/make_aeos_pool.py`` writes it."""
+
+ORBITS = "aeos_orbits.npz"
+"""File of the 4,994 orbits of the benchmark's test set; ``scripts/tools/make_aeos_orbits.py`` writes it."""
+
+ORBIT_FIELDS = (
+    "semi_major_axis",
+    "eccentricity",
+    "inclination",
+    "right_ascension_of_the_ascending_node",
+    "argument_of_perigee",
+)
+"""Elements of an orbit in the files of the benchmark: m, and degrees."""
+
+DIGITS = 1.0, 1e-7, 1e-4, 1e-4, 1e-4
+"""Units of these elements in :data:`ORBITS`."""
 
 SATELLITES, TASKS = (1, 50), (50, 300)
 """Numbers of satellites and tasks of the benchmark's cases, both ends included."""
 
 DURATIONS = (15, 60)
 """Durations of tasks, s, both ends included."""
+
+ORBIT_KINDS = ("random", "real")
 
 MOST = 1000
 """Largest number of satellites, or of tasks."""
@@ -36,12 +54,23 @@ def pool() -> dict[str, Tensor]:
         return {name: torch.from_numpy(values.astype(np.float64)) for name, values in np.load(file).items()}
 
 
+@functools.cache
+def real_orbits() -> Tensor:
+    """Return the orbits of the benchmark's test set, [4994, 5] float64; see :class:`AEOSBenchGenerator`.
+
+    Source: ``data/orbits.zip`` of https://github.com/buaa-colalab/AEOSBench (Apache-2.0).
+    """
+    with (importlib.resources.files("bsk_torch.scene") / "tables" / ORBITS).open("rb") as file:
+        elements = torch.from_numpy(np.load(file)["elements"] * np.array(DIGITS))
+    return torch.cat([elements[:, :2], torch.deg2rad(elements[:, 2:])], 1)
+
+
 class AEOSBenchGenerator:
     """Draws a case of AEOS-Bench in each episode.
 
     Satellites are drawn without replacement from a pool of those that pass the benchmark's filter: in two hours, they complete 36
     tasks near the equator by the benchmark's rule. Orbits, panels, sensors, batteries and tasks are drawn as in the benchmark's
-    training set, and so are their numbers. Orbits of its test set are real ones; give them as ``orbits``.
+    training set, and so are their numbers. With ``orbits="real"``, orbits are drawn from real ones, as in its test set.
 
     Attributes:
         n_satellites: Largest number of satellites.
@@ -52,15 +81,16 @@ class AEOSBenchGenerator:
         self,
         satellites: int | tuple[int, int] = SATELLITES,
         tasks: int | tuple[int, int] = TASKS,
-        orbits: Tensor | Sequence[Sequence[float]] | None = None,
+        orbits: Literal["random", "real"] | Tensor | Sequence[Sequence[float]] = "random",
     ) -> None:
         """Draw cases of so many satellites and tasks.
 
         Args:
             satellites: Number of satellites, or its range, both ends included.
             tasks: Number of tasks, likewise.
-            orbits: Semi-major axes, m, eccentricities, and inclinations, right ascensions of ascending nodes and arguments of
-                perigee, rad, [K, 5], of which each episode draws some without replacement; None: random orbits.
+            orbits: ``"random"``: random ones, as in the training set. ``"real"``: each episode draws some of 4,994 orbits of real
+                satellites without replacement, as in the test set. Or your own such list: semi-major axes, m, eccentricities,
+                and inclinations, right ascensions of ascending nodes and arguments of perigee, rad, [K, 5].
 
         Raises:
             ValueError: For a number or an orbit that is not allowed, and for fewer orbits, or satellites in the pool, than
@@ -68,7 +98,7 @@ class AEOSBenchGenerator:
         """
         self.satellites, self.tasks = _span("satellites", satellites), _span("tasks", tasks)
         self.n_satellites, self.n_tasks = self.satellites[1], self.tasks[1]
-        self.orbits = None if orbits is None else _orbits(orbits)
+        self.orbits = _orbits(orbits)
         available = {"the pool": len(pool()["mass"])} | ({} if self.orbits is None else {"orbits": len(self.orbits)})
         for title, count in available.items():
             if self.n_satellites > count:
@@ -143,8 +173,12 @@ def _span(title: str, value: int | tuple[int, int]) -> tuple[int, int]:
     return low, high
 
 
-def _orbits(value: Tensor | Sequence[Sequence[float]]) -> Tensor:
-    """Return orbits [K, 5]; ValueError for others, or ones that are not around the Earth."""
+def _orbits(value: str | Tensor | Sequence[Sequence[float]]) -> Tensor | None:
+    """Return orbits [K, 5], None for random ones; ValueError for others, or ones that are not around the Earth."""
+    if isinstance(value, str):
+        if value not in ORBIT_KINDS:
+            raise ValueError(f"orbits={value!r} must be one of {list(ORBIT_KINDS)}, or a list; {nearest(value, ORBIT_KINDS)}")
+        return real_orbits() if value == "real" else None
     orbits = torch.as_tensor(no_gradient("orbits", value), dtype=torch.float64)
     if orbits.ndim != 2 or orbits.shape[1] != 5 or not bool(torch.isfinite(orbits).all()):
         raise ValueError(f"orbits has the shape {list(orbits.shape)}; it must have finite elements a, e, i, Omega, omega, [K, 5]")

@@ -11,7 +11,7 @@ import bsk_torch
 from bsk_torch.rand import first_key
 from bsk_torch.scene import AEOSBenchGenerator
 from bsk_torch.scene.aeos_files import EARTH_RADIUS
-from bsk_torch.scene.aeos_generator import pool
+from bsk_torch.scene.aeos_generator import pool, real_orbits
 from tests.scene.aeos_cases import constellation, tasks, write
 
 
@@ -135,6 +135,23 @@ def test_given_orbits_are_drawn_without_replacement():
     assert drawn[..., 5].std() > 1.0  # true anomalies are random
 
 
+def test_real_orbits_are_those_of_the_benchmark():
+    """Numbers of the file in the benchmark's repository, and orbits drawn from all of it."""
+    orbits = real_orbits()
+    a, e, angles = orbits[:, 0], orbits[:, 1], torch.rad2deg(orbits[:, 2:])
+    assert orbits.shape == (4994, 5)
+    assert (a.min(), a.median(), a.max()) == (6524e3, 6921e3, 7871e3)
+    assert int((a == 6921e3).sum()) == 3832
+    assert (e.min().item(), e.max().item()) == pytest.approx((7.2e-6, 0.86505), rel=1e-12)
+    assert angles.amin(0).tolist() == pytest.approx([0.0476, 0.3239, 0.083], rel=1e-12)
+    assert angles.amax(0).tolist() == pytest.approx([141.7312, 359.9398, 359.8869], rel=1e-12)
+    drawn = AEOSBenchGenerator(50, 50, "real").draw(first_key(64)).satellites["oe"]
+    assert all(len(row.unique(dim=0)) == 50 for row in drawn)
+    assert set(drawn[..., 3].flatten().tolist()) <= set(orbits[:, 3].tolist())
+    share = (drawn[..., 0] == 6921e3).double().mean()
+    assert abs(share - 3832 / 4994) < 4.5 * math.sqrt(0.77 * 0.23 / 3200)
+
+
 def test_a_preset_of_random_cases():
     """Small by default; episodes are the same in other batches, and other sizes can be chosen."""
     env = bsk_torch.make("AEOSBench-v1", num_envs=2, seed=3, backend="eager")
@@ -162,6 +179,7 @@ def test_a_generator_takes_the_place_of_a_folder(tmp_path):
     assert env.scenario.cases is generator
     for arguments, message in (
         (dict(folder=generator, satellites=3), r"those given have their sizes"),
+        (dict(folder=generator, orbits="real"), r"orbits='real' is of random cases"),
         (dict(order="listed"), r"order='listed' lists cases, but a generator draws them"),
         (
             dict(folder=write(tmp_path / "one", constellation(1), tasks(1)), satellites=(1, 2)),
@@ -182,6 +200,7 @@ def test_a_generator_takes_the_place_of_a_folder(tmp_path):
         ((2, 1001), r"tasks=1001"),
         ((3, 10, [[7e6, 0.0, 1.0, 0.0, 0.0]]), r"satellites=3 exceeds the 1 of orbits"),
         ((1, 10, [[7e6, 1.0, 1.0, 0.0, 0.0]]), r"needs a > 0 m and 0 <= e < 1"),
+        ((1, 10, "reel"), r"orbits='reel' must be one of \['random', 'real'\], or a list; did you mean 'real'"),
         ((1, 10, [[7e6, 0.0, 1.0]]), r"shape \[1, 3\]"),
         ((1, 10, [[7e6, 0.0, float("nan"), 0.0, 0.0]]), r"must have finite elements"),
     ],
