@@ -135,7 +135,9 @@ def train(
     out: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Folder for the results; default: a new one in runs/.")
     ] = None,
-    episodes: Annotated[int, typer.Option(metavar="N", min=1, help="Unseen episodes of the final comparison.")] = 256,
+    episodes: Annotated[
+        int, typer.Option(metavar="N", min=0, help="Unseen episodes of the final comparison; with 0, there is none.")
+    ] = 256,
     threads: Threads = 1,
     backend: Backend = "compiled",
     device: Device = "cpu",

@@ -80,11 +80,13 @@ def train(
         folder = out or Path("runs") / f"{preset}_{datetime.now():%Y%m%d-%H%M%S}"
         runs = {folder / f"seed_{seed + k}" if seeds > 1 else folder: replace(config, seed=seed + k) for k in range(seeds)}
         _check(runs)
-    env = environment(config.preset, episodes, config.options)
-    results = {name: _evaluated(name, rule, env, seed) for name, rule in shared_baselines(env, seed).items()}
+    env = environment(config.preset, episodes, config.options) if episodes else None
+    results = {name: _evaluated(name, rule, env, seed) for name, rule in shared_baselines(env, seed).items()} if env else {}
     trained: dict[str, Evaluation] = {}
     for folder, config in runs.items():
-        trained[f"seed {config.seed}"], interrupted = _run(config, folder, env, results, seed, resume)
+        found, interrupted = _run(config, folder, env, results, seed, resume)
+        if found is not None:
+            trained[f"seed {config.seed}"] = found
         if interrupted:
             break
     if len(trained) > 1:
@@ -146,34 +148,38 @@ def _read(folder: Path, changes: list[str]) -> PPOConfig:
 def _run(
     config: PPOConfig,
     folder: Path,
-    env: Tasking,
+    env: Tasking | None,
     baselines: Mapping[str, Evaluation],
     seed: int,
     resume: bool,
-) -> tuple[Evaluation, bool]:
+) -> tuple[Evaluation | None, bool]:
     """Train, compare with ``baselines`` in unseen episodes of ``seed``, draw, and keep all in ``folder``.
 
     Returns:
-        Results of the trained policy, and whether the user interrupted the training.
+        Results of the trained policy, None without an environment for the comparison, and whether the user interrupted the
+        training.
     """
     try:
         with working("building the training"):
             run = training_of(config, folder, resume)
     except (ValueError, FileNotFoundError, ModuleNotFoundError, ConnectionError) as error:
         fail(str(error))
-    results = dict(baselines) | ({} if resume else {"untrained": _evaluated("untrained", shared(run.policy, env), env, seed)})
+    results = dict(baselines)
+    if env is not None and not resume:
+        results["untrained"] = _evaluated("untrained", shared(run.policy, env), env, seed)
     activity.report()
-    policy = shared(run.run(bar=not activity.quiet), env)
-    results[TRAINED] = _evaluated(TRAINED, policy, env, seed)
-    print_results(results, f"{config.preset}, {env.batch_size[0]} unseen episodes", TRAINED)
-    save_results(results, folder / EVALUATION, TRAINED)
+    policy = run.run(bar=not activity.quiet)
+    if env is not None:
+        results[TRAINED] = _evaluated(TRAINED, shared(policy, env), env, seed)
+        print_results(results, f"{config.preset}, {env.batch_size[0]} unseen episodes", TRAINED)
+        save_results(results, folder / EVALUATION, TRAINED)
     if find_spec("matplotlib") is None:
         typer.echo("no pictures were drawn: they need matplotlib; pip install 'bsk_torch[viz]'")
     else:
         with working("drawing"):
             _draw(policy, results, config, folder)
     typer.echo(told(run))
-    return results[TRAINED], run.interrupted
+    return results.get(TRAINED), run.interrupted
 
 
 def _evaluated(name: str, policy: TensorDictModuleBase, env: Tasking, seed: int) -> Evaluation:
@@ -190,5 +196,5 @@ def _draw(policy: TensorDictModuleBase, results: Mapping[str, Evaluation], confi
 
         learning_curve(log, folder / "learning_curve.png", levels, f"{config.preset}: learning")
     env = make(config.preset, num_envs=1, **config.options)
-    recorded = record(policy, env, config.seed + FRESH)
+    recorded = record(shared(policy, env), env, config.seed + FRESH)
     draw_episode(recorded, folder, f"{config.preset}: one episode of the trained policy")

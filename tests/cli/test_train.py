@@ -25,6 +25,19 @@ def test_train_compares_and_draws(run, tmp_path):
     assert again.exit_code == 0, again.output
 
 
+def test_without_a_comparison_no_episode_is_evaluated(run, tmp_path):
+    alone = (*SHORT[:-1], "0")
+    result = run("train", "NadirScan-v1", "--frames", 20, *SIZES, "--out", tmp_path / "run", "--seeds", 2, *alone)
+    assert result.exit_code == 0, result.output
+    assert "unseen episodes" not in result.output
+    for seed in range(2):
+        written = {path.name for path in (tmp_path / f"run/seed_{seed}").iterdir()}
+        assert {"policy.pt", "learning_curve.png", "timeline.png"} <= written
+        assert "evaluation.json" not in written
+    page = run("report", tmp_path / "run/seed_1", "--episodes", 2)
+    assert page.exit_code == 0, page.output
+
+
 def test_train_with_attention_knows_the_targets_and_draws_them(run, tmp_path):
     shown = ("--backend", "compiled", "--time-limit", "300", "--episodes", "2")
     sizes = ("--frames", 10, "num_envs=2", "rollout=5")
