@@ -10,6 +10,7 @@ import torch
 import bsk_torch
 from bsk_torch import act, obs, scene
 from bsk_torch.plan.bounds import sight_bound
+from bsk_torch.rl.policies.shared_policy import shared_baselines
 from bsk_torch.scene.aeos_outlook import NEVER, TaskCandidates, find_candidates, match, sight_times, time_constant, turn_time
 from bsk_torch.scene.aeos_outlook import TaskOutlook as Outlook
 
@@ -187,3 +188,12 @@ def test_wrong_numbers_and_names_are_refused():
         bsk_torch.make("AEOSBench-v1", as_set=True)
     with pytest.raises(ValueError, match="sensor='on'"):
         bsk_torch.make("AEOSBench-v1", candidates=True, sensor="on")
+
+
+def test_baselines_of_candidates_are_those_that_choose_among_them():
+    env = bsk_torch.make("AEOSBench-v1", num_envs=1, candidates=True, backend="eager")
+    found = shared_baselines(env)
+    assert {"random", "soonest_task"} <= found.keys()
+    assert "nearest_task" not in found
+    with pytest.raises(ValueError, match="nearest_task chooses among all tasks; make the environment without candidates"):
+        bsk_torch.rule("nearest_task", env)

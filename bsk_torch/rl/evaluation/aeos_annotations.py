@@ -23,7 +23,7 @@ from bsk_torch.env.base import Tasking
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.files import write_file
 from bsk_torch.rl.evaluation.evaluate import start_episodes
-from bsk_torch.rl.rules.nearest_task import NearestTask
+from bsk_torch.rl.rules.nearest_task import TaskTeam, task_team
 from bsk_torch.rl.rules.team import TeamPolicy
 from bsk_torch.scene import CaseError, Cases
 from bsk_torch.scene.aeos_bench import NO_TASK
@@ -62,9 +62,9 @@ class Trajectory(NamedTuple):
 # -- export ---------------------------------------------------------------------------------------------------------------------
 
 
-def bench_of(env: Tasking) -> tuple[NearestTask, Cases]:
-    """Return a view of an environment and its cases; ValueError unless it flies listed cases, with any task in any second."""
-    view = NearestTask(env)
+def bench_of(env: Tasking) -> tuple[TaskTeam, Cases]:
+    """Return the team of an environment and its cases; ValueError unless it flies listed cases, with any task in any second."""
+    view = task_team(env)
     cases = view.scenario.cases
     if not isinstance(cases, Cases) or view.scenario.order != "listed":
         raise ValueError("annotations are of listed cases; make AEOSBench-v1 with folder=... and order='listed'")
@@ -108,7 +108,7 @@ def fly_cases(policy: TensorDictModuleBase, env: ConstellationTasking) -> Iterat
             yield Trajectory(cases.names[case], kept, {name: float(value[k]) for name, value in measures.items()})
 
 
-def _present_of(view: NearestTask) -> dict[str, Tensor]:
+def _present_of(view: TaskTeam) -> dict[str, Tensor]:
     """Return what a trajectory has of the present, [N, ...]."""
     scenario, shape, dynamics = view.scenario, view.scenario.fleet.shape, view.satellite.dynamics
     numbers = (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import torch
 from torch import Tensor
@@ -12,12 +12,31 @@ from bsk_torch.act import PointAtTask
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.env.base import Tasking
 from bsk_torch.rl.rules.team import TeamPolicy
+from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.scene import AEOSBench
 from bsk_torch.scene.aeos_bench import ASSIGNED, PLACES
 from bsk_torch.scene.aeos_files import EARTH_RADIUS
 
 REACH = math.cos(math.pi / 3.0)
 """Cosine of the largest angle from the nadir within reach."""
+
+
+class TaskTeam(NamedTuple):
+    """An environment of AEOS-Bench, its satellites, their only action, and its scenario."""
+
+    env: ConstellationTasking
+    satellite: BoundSatellite
+    entry: PointAtTask
+    scenario: AEOSBench
+
+
+def task_team(env: Tasking) -> TaskTeam:
+    """Return the team; ValueError unless the only action of its satellites, of one type, is ``act.PointAtTask``."""
+    fits = isinstance(env, ConstellationTasking) and len(env.satellites) == 1 and isinstance(env.scenario, AEOSBench)
+    entries: Any = env.satellites[0].actions.entries if fits else ()
+    if not fits or len(entries) != 1 or not isinstance(entries[0], PointAtTask):
+        raise ValueError("the rule needs scene.AEOSBench and satellites of one type whose only action is act.PointAtTask")
+    return TaskTeam(cast("ConstellationTasking", env), env.satellites[0], entries[0], cast("AEOSBench", env.scenario))
 
 
 class NearestTask:
@@ -29,13 +48,10 @@ class NearestTask:
     """
 
     def __init__(self, env: Tasking) -> None:
-        """ValueError unless ``env`` has satellites of one type, with ``act.PointAtTask`` alone, and tasks of AEOS-Bench."""
-        fits = isinstance(env, ConstellationTasking) and len(env.satellites) == 1 and isinstance(env.scenario, AEOSBench)
-        entries: Any = env.satellites[0].actions.entries if fits else ()
-        if not fits or len(entries) != 1 or not isinstance(entries[0], PointAtTask):
-            raise ValueError("the rule needs scene.AEOSBench and satellites of one type whose only action is act.PointAtTask")
-        self.env, self.satellite, self.entry = env, env.satellites[0], entries[0]
-        self.scenario = cast("AEOSBench", env.scenario)
+        """ValueError as :func:`task_team`, and for satellites that choose among candidates."""
+        self.env, self.satellite, self.entry, self.scenario = task_team(env)
+        if self.entry.n_candidates is not None:
+            raise ValueError("nearest_task chooses among all tasks; make the environment without candidates")
 
     def module(self) -> TeamPolicy:
         """Return the rule as a policy of the environment."""
