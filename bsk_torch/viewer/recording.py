@@ -1,0 +1,484 @@
+"""Recordings of episodes for the viewer: their contents, and their files (.bskview).
+
+A file is a gzip stream of the bytes ``BSKVIEW`` and a line feed, the version and the length of the header (two little-endian
+32-bit numbers), the header (JSON in UTF-8), and the arrays, each at a multiple of 8 bytes. The header lists the arrays with
+types, shapes and offsets, so that a page in a browser can use them without a copy. The same recording always has the same bytes.
+
+:data:`SCENE_ARRAYS` and :data:`TRACK_ARRAYS` are the arrays of a recording. Units are SI, times are seconds since reset, and
+frames are N (inertial) and P (Earth-fixed).
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+import struct
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from bsk_torch.files import write_file
+
+__all__ = [
+    "EVENTS",
+    "SCENE_ARRAYS",
+    "TRACK_ARRAYS",
+    "VERSION",
+    "Branch",
+    "Craft",
+    "Death",
+    "Form",
+    "Instrument",
+    "Recording",
+    "Scene",
+    "Series",
+    "Track",
+    "check",
+    "decode",
+    "load",
+]
+
+MAGIC = b"BSKVIEW\n"
+"""How the content of a file begins."""
+
+VERSION = 1
+"""Version of the format, which this module writes and reads."""
+
+SUFFIX = ".bskview"
+"""What the names of files end with."""
+
+SIGMA_SCALE = 1.0 / 32767.0
+"""Step of modified Rodrigues parameters, which are stored as 16-bit numbers; their norm is at most 1."""
+
+NOT_A_NUMBER = -32768
+"""Stored number that stands for NaN where values are stored as 16-bit numbers."""
+
+Array = np.ndarray[Any, Any]
+
+Places = Literal["ground", "orbit", "points", "none"]
+"""What the targets of a scene are: places on the Earth, objects in orbit, points of a spacecraft, or nothing."""
+
+
+class Form(NamedTuple):
+    """Type and shape of an array.
+
+    Attributes:
+        dtypes: Allowed types, the first of which a recorder uses; ``i2`` stands for numbers with the step :data:`SIGMA_SCALE`.
+        dims: Names of the dimensions, which have one size for each name in a scene or track; digits are sizes.
+        required: Whether every recording has it.
+    """
+
+    dtypes: tuple[str, ...]
+    dims: tuple[str, ...]
+    required: bool = True
+
+
+def _form(dtypes: str, dims: str, required: bool = True) -> Form:
+    return Form(tuple(dtypes.split("|")), tuple(dims.split()), required)
+
+
+SCENE_ARRAYS: dict[str, Form] = {
+    "stations_P": _form("f4", "stations 3"),
+    "targets_P": _form("f4", "T 3"),
+    "priority": _form("f4", "T"),
+    "cloud": _form("f4", "T", required=False),
+    "elements": _form("f8", "T 6", required=False),
+}
+"""Arrays of a scene with T targets: positions in P, or in the frame of the inspected spacecraft; priorities; fractions of clouds;
+and the orbits of objects that move as two bodies (semi-major axis, eccentricity, inclination, node, argument of periapsis, true
+anomaly at time 0)."""
+
+TRACK_ARRAYS: dict[str, Form] = {
+    "key_times": _form("f8", "K"),
+    "r_N": _form("f4|f8", "K S 3"),
+    "v_N": _form("f4|f8", "K S 3"),
+    "sun_N": _form("f4", "K 3"),
+    "sigma": _form("i2", "M S 3"),
+    "series_times": _form("f8", "J"),
+    "series": _form("f4", "J S n"),
+    "decision_time": _form("f8", "D"),
+    "decision_end": _form("f8", "D"),
+    "decision_satellite": _form("i4", "D"),
+    "decision_action": _form("i4", "D"),
+    "decision_target": _form("i4", "D"),
+    "decision_reward": _form("f4", "D"),
+    "decision_mask": _form("u1", "D A"),
+    "decision_probability": _form("f4", "D A"),
+    "decision_value": _form("f4", "D"),
+    "decision_action_value": _form("f4", "D A"),
+    "decision_control": _form("f4", "D C", required=False),
+    "observation": _form("f4", "D O"),
+    "event_time": _form("f8", "E"),
+    "event_satellite": _form("i4", "E"),
+    "event_target": _form("i4", "E"),
+    "event_kind": _form("i4", "E"),
+    "link_start": _form("f8", "L"),
+    "link_end": _form("f8", "L"),
+    "link_a": _form("i4", "L"),
+    "link_b": _form("i4", "L"),
+    "passes": _form("f8", "P 2"),
+    "passes_satellite": _form("i4", "P"),
+    "eclipses": _form("f8", "Q 2"),
+    "eclipses_satellite": _form("i4", "Q"),
+    "object_r_N": _form("f4", "K T 3", required=False),
+    "object_v_N": _form("f4", "K T 3", required=False),
+}
+"""Arrays of a track: K keyframes, between which cubic Hermite polynomials give the S satellites (NaN for absent ones);
+attitudes at M equal steps; n series at J times; D decisions in the order of their times with A actions, C controls and O observed
+numbers; E events of targets (kinds: see :data:`EVENTS`); L links; P passes over stations; Q eclipses."""
+
+EVENTS = ("rewarded", "unrewarded", "delivered")
+"""Kinds of events: a target is imaged or a point inspected, with or without a reward; its data reach the ground."""
+
+ASCENDING = ("key_times", "series_times", "decision_time")
+"""Arrays of a track that never decrease."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Instrument:
+    """Direction in the body frame in which a satellite looks, and the half angle of its cone, rad."""
+
+    axis_B: list[float]
+    half_angle: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Craft:
+    """A satellite, the same in all tracks.
+
+    Attributes:
+        name: Its name.
+        kind: What sort of satellite it is.
+        actions: Label of every discrete action, by index; empty where actions are continuous.
+        controls: Name of every continuous action; empty where actions are discrete.
+        observation: Name of every number of the observation.
+        instrument: Where it looks, if anywhere.
+        panel_normal_B: Normal of the solar panel in the body frame, if it has one.
+    """
+
+    name: str
+    kind: str
+    actions: list[str]
+    controls: list[str] = field(default_factory=list)
+    observation: list[str] = field(default_factory=list)
+    instrument: Instrument | None = None
+    panel_normal_B: list[float] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """Surroundings of the tracks of one episode.
+
+    Attributes:
+        seed: Seed of the episode.
+        PN0: DCM from N to P at time 0, 9 numbers by rows; empty where there is no Earth.
+        rate: Rotation rate of the Earth about the third axis of P, rad/s.
+        station_names: Names of the ground stations.
+        points_of: Index of the satellite that bears the points, for recordings of points.
+        arrays: :data:`SCENE_ARRAYS`.
+    """
+
+    seed: int
+    PN0: list[float]
+    rate: float
+    station_names: list[str] = field(default_factory=list)
+    points_of: int | None = None
+    arrays: dict[str, Array]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Series:
+    """A quantity over time: its name, its label, and which of its values is bad."""
+
+    name: str
+    label: str
+    bad: Literal["low", "high"] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Death:
+    """The death of a satellite, by index, with the checks that have failed."""
+
+    satellite: int
+    time: float
+    causes: list[str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Branch:
+    """Where a track leaves its parent: a decision of the parent, and the action that is taken there instead."""
+
+    time: float
+    decision: int
+    satellite: int
+    action: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Track:
+    """One flight of all satellites.
+
+    Attributes:
+        label: What it is called.
+        scene: Index of its scene.
+        parent: Index of the track that it leaves, if any; the common past is part of both.
+        branch: Where it leaves its parent.
+        total: Return.
+        duration: Seconds that it lasts.
+        limit: Length of the episode, s, if it has one.
+        deaths: Deaths of satellites.
+        series: What the columns of the array ``series`` are.
+        counts: What is counted, by name, of all satellites together.
+        attitude_start: Time of the first attitude, s.
+        attitude_step: Time from one attitude to the next, s.
+        arrays: :data:`TRACK_ARRAYS`.
+    """
+
+    label: str
+    scene: int
+    parent: int | None = None
+    branch: Branch | None = None
+    total: float
+    duration: float
+    limit: float | None = None
+    deaths: list[Death]
+    series: list[Series]
+    counts: dict[str, int]
+    attitude_start: float
+    attitude_step: float
+    arrays: dict[str, Array]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """Recorded flights of one environment.
+
+    Attributes:
+        title: Headline.
+        preset: Name of the environment.
+        policy: What acts.
+        package: Version of bsk_torch that has recorded it.
+        places: What the targets are.
+        station_min_elevation: Elevation above which a station sees satellites, rad.
+        satellites: The satellites of all tracks.
+        scenes: The surroundings, one for each episode.
+        tracks: The flights.
+    """
+
+    title: str
+    preset: str
+    policy: str
+    package: str
+    places: Places
+    station_min_elevation: float
+    satellites: list[Craft]
+    scenes: list[Scene]
+    tracks: list[Track]
+
+    def encode(self) -> bytes:
+        """Return the content of a file; ValueError for a recording that contradicts itself."""
+        check(self)
+        listed, payload = _packed(_all_arrays(self))
+        header = {"version": VERSION, "payload_bytes": len(payload), **_plain(self), "arrays": listed}
+        text = json.dumps(header, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
+        text += b" " * (-(len(MAGIC) + 8 + len(text)) % 8)
+        return gzip.compress(MAGIC + struct.pack("<II", VERSION, len(text)) + text + payload, mtime=0)
+
+    def save(self, path: Path | str) -> None:
+        """Write a file; its name must end with :data:`SUFFIX`."""
+        path = Path(path)
+        if path.suffix != SUFFIX:
+            raise ValueError(f"path={str(path)!r} must end with {SUFFIX!r}")
+        write_file(path, self.encode())
+
+
+def load(path: Path | str) -> Recording:
+    """Read a file.
+
+    Raises:
+        OSError: If it cannot be read.
+        ValueError: If it is no recording, cut off, of another version, or contradicts itself; the error names the file.
+    """
+    try:
+        return decode(Path(path).read_bytes())
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def decode(content: bytes) -> Recording:
+    """Return the recording in the content of a file; ValueError as for :func:`load`."""
+    header, payload = _opened(content)
+    try:
+        arrays = {name: _unpacked(entry, payload) for name, entry in header["arrays"].items()}
+        scenes = [_scene(k, entry, arrays) for k, entry in enumerate(header["scenes"])]
+        tracks = [_track(k, entry, arrays) for k, entry in enumerate(header["tracks"])]
+        crafts = [_craft(entry) for entry in header["satellites"]]
+        whole = {name: header[name] for name in ("title", "preset", "policy", "package", "places", "station_min_elevation")}
+        recording = Recording(**whole, satellites=crafts, scenes=scenes, tracks=tracks)
+        check(recording)
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"a damaged recording: {error}") from error
+    return recording
+
+
+def _opened(content: bytes) -> tuple[dict[str, Any], bytes]:
+    """Header and payload of the content of a file."""
+    try:
+        raw = gzip.decompress(content)
+    except EOFError:
+        raise ValueError("the recording is cut off; copy or download it again") from None
+    except (OSError, zlib.error):
+        raise ValueError(f"not a recording of the viewer: those are written by 'bsk-torch view' as *{SUFFIX}") from None
+    if not raw.startswith(MAGIC):
+        raise ValueError(f"not a recording of the viewer: its content does not begin with {MAGIC!r}")
+    if len(raw) < len(MAGIC) + 8:
+        raise ValueError("the recording is cut off; copy or download it again")
+    version, length = struct.unpack_from("<II", raw, len(MAGIC))
+    if version != VERSION:
+        raise ValueError(
+            f"a recording of version {version}, and this bsk_torch reads version {VERSION}; record the episode again"
+        )
+    start = len(MAGIC) + 8
+    if len(raw) < start + length:
+        raise ValueError("the recording is cut off; copy or download it again")
+    try:
+        header = json.loads(raw[start : start + length])
+        missing = header["payload_bytes"] - (len(raw) - start - length)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"a damaged recording: its header cannot be read ({error})") from None
+    if missing > 0:
+        raise ValueError(f"the recording is cut off: {missing:,} bytes are missing; copy or download it again")
+    return header, raw[start + length :]
+
+
+def _plain(recording: Recording) -> dict[str, Any]:
+    """The recording without its arrays, as JSON can hold it."""
+    found = {entry.name: getattr(recording, entry.name) for entry in fields(recording)}
+    for name in ("satellites", "scenes", "tracks"):
+        found[name] = [{key: value for key, value in asdict(part).items() if key != "arrays"} for part in found[name]]
+    return found
+
+
+def _all_arrays(recording: Recording) -> Iterator[tuple[str, Form, Array]]:
+    """Every array with its name in the file."""
+    owners: list[tuple[str, dict[str, Form], list[dict[str, Array]]]] = [
+        ("s", SCENE_ARRAYS, [scene.arrays for scene in recording.scenes]),
+        ("t", TRACK_ARRAYS, [track.arrays for track in recording.tracks]),
+    ]
+    for letter, forms, owned in owners:
+        for k, arrays in enumerate(owned):
+            for name, form in forms.items():
+                if name in arrays:
+                    yield f"{letter}{k}/{name}", form, arrays[name]
+
+
+def _packed(arrays: Iterator[tuple[str, Form, Array]]) -> tuple[dict[str, Any], bytes]:
+    """The list of arrays for the header, and their bytes."""
+    listed: dict[str, Any] = {}
+    parts: list[bytes] = []
+    offset = 0
+    for name, form, value in arrays:
+        dtype = stored_as(form, value)
+        listed[name] = {"dtype": dtype, "shape": list(value.shape), "offset": offset}
+        if dtype == "i2":
+            listed[name]["scale"] = SIGMA_SCALE
+            whole = np.rint(np.clip(np.asarray(value, "f8"), -1.0, 1.0) / SIGMA_SCALE)
+            value = np.where(np.isnan(whole), NOT_A_NUMBER, whole)
+        raw = np.ascontiguousarray(value, f"<{dtype}" if dtype != "u1" else "u1").tobytes()
+        raw += bytes(-len(raw) % 8)
+        parts.append(raw)
+        offset += len(raw)
+    return listed, b"".join(parts)
+
+
+def stored_as(form: Form, value: Array) -> str:
+    """Return the type in which an array is stored: its own where the form allows it, otherwise the first of the form."""
+    own = f"{value.dtype.kind}{value.dtype.itemsize}"
+    return own if own in form.dtypes else form.dtypes[0]
+
+
+def _unpacked(entry: Mapping[str, Any], payload: bytes) -> Array:
+    count = int(np.prod(entry["shape"], dtype=np.int64))
+    dtype = np.dtype(f"<{entry['dtype']}" if entry["dtype"] != "u1" else "u1")
+    value = np.frombuffer(payload, dtype, count, entry["offset"]).reshape(entry["shape"])
+    if "scale" not in entry:
+        return value
+    return np.where(value == NOT_A_NUMBER, np.nan, value * entry["scale"]).astype("f4")
+
+
+def _own_arrays(prefix: str, arrays: Mapping[str, Array]) -> dict[str, Array]:
+    return {name.removeprefix(prefix): value for name, value in arrays.items() if name.startswith(prefix)}
+
+
+def _scene(k: int, entry: Mapping[str, Any], arrays: Mapping[str, Array]) -> Scene:
+    return Scene(**entry, arrays=_own_arrays(f"s{k}/", arrays))
+
+
+def _craft(entry: Mapping[str, Any]) -> Craft:
+    instrument = entry["instrument"]
+    return Craft(**{**entry, "instrument": None if instrument is None else Instrument(**instrument)})
+
+
+def _track(k: int, entry: Mapping[str, Any], arrays: Mapping[str, Array]) -> Track:
+    parts = {
+        "branch": None if entry["branch"] is None else Branch(**entry["branch"]),
+        "deaths": [Death(**death) for death in entry["deaths"]],
+        "series": [Series(**series) for series in entry["series"]],
+    }
+    return Track(**{**entry, **parts}, arrays=_own_arrays(f"t{k}/", arrays))
+
+
+def check(recording: Recording) -> None:
+    """Raise ValueError where a recording contradicts itself: missing arrays, shapes, the order of times, indices."""
+    if not recording.tracks:
+        raise ValueError("tracks=[] must hold at least one flight")
+    crafts = recording.satellites
+    known = {
+        "S": len(crafts),
+        "A": max((len(craft.actions) for craft in crafts), default=0),
+        "O": max((len(craft.observation) for craft in crafts), default=0),
+    }
+    sizes = []
+    for k, scene in enumerate(recording.scenes):
+        sizes.append(_check_forms(f"scene {k}", SCENE_ARRAYS, scene.arrays, {"stations": len(scene.station_names)}))
+    for k, track in enumerate(recording.tracks):
+        if not 0 <= track.scene < len(recording.scenes):
+            raise ValueError(f"track {k}: scene={track.scene} must be one of the {len(recording.scenes)} scenes")
+        if track.parent is not None and not 0 <= track.parent < k:
+            raise ValueError(f"track {k}: parent={track.parent} must be one of the tracks before it")
+        targets = sizes[track.scene]["T"]
+        _check_forms(f"track {k}", TRACK_ARRAYS, track.arrays, known | {"n": len(track.series), "T": targets})
+        _check_values(f"track {k}", track.arrays, len(crafts), known["A"], targets)
+
+
+def _check_forms(title: str, forms: Mapping[str, Form], arrays: Mapping[str, Array], known: Mapping[str, int]) -> dict[str, int]:
+    """Raise ValueError for missing or unknown arrays and for wrong shapes; return the sizes of the dimensions."""
+    sizes = dict(known)
+    missing = [name for name, form in forms.items() if form.required and name not in arrays]
+    unknown = [name for name in arrays if name not in forms]
+    if missing or unknown:
+        raise ValueError(f"{title}: arrays {missing} are missing, and {unknown} are unknown")
+    for name, value in arrays.items():
+        dims = forms[name].dims
+        expected = [
+            int(dim) if dim.isdigit() else sizes.setdefault(dim, size) for dim, size in zip(dims, value.shape, strict=False)
+        ]
+        if list(value.shape) != expected or len(dims) != value.ndim:
+            raise ValueError(f"{title}: {name} has the shape {list(value.shape)}, not [{', '.join(dims)}] with {sizes}")
+    return sizes
+
+
+def _check_values(title: str, arrays: Mapping[str, Array], satellites: int, actions: int, targets: int) -> None:
+    """Raise ValueError for times that decrease or are no numbers, and for indices out of range."""
+    for name in ASCENDING:
+        if not (np.isfinite(arrays[name]).all() and (np.diff(arrays[name]) >= 0.0).all()):
+            raise ValueError(f"{title}: {name} must be numbers that never decrease")
+    ends = {"satellite": (0, satellites), "action": (-1, actions), "target": (-1, targets), "kind": (0, len(EVENTS))}
+    for name, value in arrays.items():
+        low, high = ends.get(name.rpartition("_")[2], (0, satellites)) if name not in ("link_a", "link_b") else (0, satellites)
+        if TRACK_ARRAYS[name].dtypes == ("i4",) and value.size and not (low <= value.min() and value.max() < high):
+            raise ValueError(f"{title}: {name} must lie from {low} to {high - 1}")
