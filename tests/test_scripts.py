@@ -238,6 +238,7 @@ STARTS: dict[str, list[Start]] = {
     ],
     "scripts/demo.sh": [Start(f"{TRAIN} --out {{tmp}}/run", "trained")],
     "scripts/tools/make_readme_pictures.py": [Start("speed CWDocking-v1 --out .", r"(?s)speed.png.*CWDocking-v1.png")],
+    "scripts/tools/make_paper_figure.py": [Start("--out evidence.png", r"evidence.png")],
     "scripts/tools/make_aeos_pool.py": [
         Start(
             "--size 4 --batch 16 --seconds 5 --share 0 --out pool.npz",
