@@ -1,5 +1,6 @@
 """Planners, policies that simulate copies of the current episodes before each decision, and bounds on returns."""
 
+from bsk_torch.plan.action_values import ActionValues
 from bsk_torch.plan.base_policies import base_of
 from bsk_torch.plan.beam import BeamSearch
 from bsk_torch.plan.cross_entropy import CrossEntropy
@@ -11,6 +12,7 @@ from bsk_torch.plan.search import TreeSearch
 
 __all__ = [
     "PLANNERS",
+    "ActionValues",
     "BeamSearch",
     "CrossEntropy",
     "Planner",

@@ -50,14 +50,22 @@ class Rollout(Planner):
         """See :meth:`Planner._improved`."""
         mine = self.slots.at(self.slots.chosen(td)[rows], slot)
         tried = self._tried(td, rows, slot, mine)
-        q = torch.full(tried.shape, -torch.inf, dtype=torch.float64, device=td.device)
-        several = torch.nonzero(tried & (tried.sum(1, keepdim=True) > 1))
-        if not len(several):
-            return mine, torch.zeros(len(rows), dtype=torch.float64, device=td.device)
-        total, simulated = self._flown(td, memory, rows, slot, several)
-        q[several[:, 0], several[:, 1]] = total
-        action = self._preferred(q.repeat_interleave(self._copies, 0), mine)
-        return action, torch.zeros_like(q[:, 0]).index_add(0, several[:, 0], simulated)
+        totals, simulated = self._returns(td, memory, rows, slot, tried & (tried.sum(1, keepdim=True) > 1))
+        q = totals.mean(1).nan_to_num(nan=-torch.inf)
+        return self._preferred(q.repeat_interleave(self._copies, 0), mine), simulated
+
+    def _returns(
+        self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor, tried: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Return the returns of the actions ``tried`` [n, A] in each future, [n, futures, A], NaN for others, and seconds [n]."""
+        totals = torch.full((len(rows), self._copies, tried.shape[1]), torch.nan, dtype=torch.float64, device=td.device)
+        seconds = torch.zeros(len(rows), dtype=torch.float64, device=td.device)
+        chosen = torch.nonzero(tried)
+        if not len(chosen):
+            return totals, seconds
+        total, simulated = self._flown(td, memory, rows, slot, chosen)
+        totals[chosen[:, 0], :, chosen[:, 1]] = total
+        return totals, seconds.index_add(0, chosen[:, 0], simulated)
 
     def _tried(self, td: TensorDictBase, rows: Tensor, slot: Tensor, mine: Tensor) -> Tensor:
         """Return the actions to try, [n, A], including the base policy's."""
@@ -72,7 +80,7 @@ class Rollout(Planner):
     def _flown(
         self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor, tried: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Return returns and simulated seconds of branches [J]; ``tried`` [J, 2] has indices into ``rows`` and actions."""
+        """Return returns [J, futures] and simulated seconds [J]; ``tried`` [J, 2] has indices into ``rows`` and actions."""
         which, action = tried.unbind(1)
         if self.futures is None:
             source, places, each = self.env, rows[which], which
@@ -85,4 +93,4 @@ class Rollout(Planner):
         flown = self.branches.fly(source, jobs)
         total = self._discounting.before(flown.reward, flown.seconds, flown.rest)
         shape = (len(which), self._copies)
-        return total.view(shape).mean(1), flown.simulated.view(shape).sum(1)
+        return total.view(shape), flown.simulated.view(shape).sum(1)
