@@ -346,6 +346,17 @@ def test_the_citation_is_that_of_the_package_and_of_the_paper(entries):
     assert {reference["title"] for reference in citation["references"]} <= titles
 
 
+def test_entries_of_lists_have_the_versions_that_tests_use():
+    text = (ROOT / "docs" / "contributing" / "listings.md").read_text()
+    badges = re.findall(r"badge/(\w+)-v([\d.]+)-blue", text)
+    pins = dict(re.findall(r"^([\w-]+)==(\S+)$", (ROOT / "constraints.txt").read_text(), re.MULTILINE))
+    assert [name for name, _ in badges] == ["Gymnasium", "PettingZoo"]
+    assert all(pins[name.lower()] == version for name, version in badges)
+    entries = re.findall(r"^```markdown\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    assert len(entries) == 3
+    assert 2 <= len(re.findall(r"\.(?=\s)", entries[0])) <= 5  # sentences of an entry of Gymnasium
+
+
 def test_fields_to_be_filled_in_are_those_of_the_checklist():
     listed = re.findall(r"^\| `(\S+)` \| .* \|$", CHECKLIST.read_text(), re.MULTILINE)
     places = [*ROOT.glob("*.md"), *ROOT.glob("*.cff"), *ROOT.glob("*.toml"), *ROOT.glob("paper/*"), *ROOT.glob("docs/**/*.md")]
