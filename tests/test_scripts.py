@@ -304,6 +304,7 @@ ELSEWHERE = {
     "scripts/tools/try_newest.sh": "tests/packaging/test_packages.py",
     "scripts/tools/docs_stamp.py": "tests/docs/test_stamp.py",
     "scripts/tools/check_prose.py": "tests/test_prose.py",
+    "scripts/tools/make_three.py": "tests/viewer/test_page.py",
     "scripts/tools/publish_docs.py": "tests/docs/test_site.py",
     "tests/basilisk/recorders/record_arguments.py": "tests/test_scripts.py",
     "tests/basilisk/recorders/record_lost_passes.py": "tests/test_scripts.py",
