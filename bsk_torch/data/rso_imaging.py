@@ -122,6 +122,9 @@ class RSOImageReward(GlobalReward):
       imagers' periods, at the beginning of the episode.
 
     With ``delivery_share``, images pay the priority of the target: this share of it when delivered, and the rest when taken.
+    With ``advance``, they pay this share when taken, and the rest of the priority at that time when delivered. At the time limit,
+    advances for images on board are paid back: returns are those of ``delivery_share=1``, but what an image brings shows at
+    once, which is learned faster. An episode that ends earlier keeps them.
 
     N is the number of episodes, S that of satellites. The counters ``captured`` and ``delivered`` [N, S] count images.
     """
@@ -137,6 +140,7 @@ class RSOImageReward(GlobalReward):
         multi_imager_credit: str | None = None,
         cooldown_orbits: float | None = None,
         delivery_share: float | None = None,
+        advance: float = 0.0,
     ) -> None:
         """ValueError for a wrong argument.
 
@@ -149,12 +153,18 @@ class RSOImageReward(GlobalReward):
             multi_imager_credit: ``"shared"`` or ``"per_imager"``, see the class; needed with several imagers.
             cooldown_orbits: The same time as ``cooldown_s``, in orbital periods; give one of them.
             delivery_share: Share of the priority that images pay when delivered, from 0 to 1, in place of the functions.
+            advance: Share of the priority that they pay in advance, likewise; for one imager.
         """
+        self.advance = number("advance", advance, 0.0, 1.0)
+        if self.advance > 0.0:
+            if delivery_share not in (None, 1.0):
+                raise ValueError(f"delivery_share={delivery_share!r} and advance={advance!r}: give one of them")
+            delivery_share = 1.0
         if delivery_share is not None:
             if acquisition_reward_fn is not None or delivery_reward_fn is not None:
                 raise ValueError("delivery_share and functions of rewards exclude one another; give one of them")
             share = number("delivery_share", delivery_share, 0.0, 1.0)
-            acquisition_reward_fn, delivery_reward_fn = Share(1.0 - share), Share(share)
+            acquisition_reward_fn, delivery_reward_fn = Share(self.advance or 1.0 - share), Share(share)
         what = "record and target"
         self.acquisition_reward_fn = (
             nothing if acquisition_reward_fn is None else function("acquisition_reward_fn", acquisition_reward_fn, what)
@@ -185,6 +195,10 @@ class RSOImageReward(GlobalReward):
                 f"imager_names={list(scenario.imager_names)}: with several imagers, RSOImageReward needs "
                 "multi_imager_credit='shared' or 'per_imager'"
             )
+        if len(scenario.imager_names) > 1 and self.advance > 0.0:
+            raise ValueError(
+                f"advance={self.advance}: images pay in advance for one imager; there are {len(scenario.imager_names)}"
+            )
         self._columns = torch.tensor(scenario.imager_columns, device=fleet.device)
         imagers, targets = len(scenario.imager_columns), scenario.n_targets
         scopes = targets * imagers if self.multi_imager_credit == "per_imager" else targets
@@ -194,6 +208,8 @@ class RSOImageReward(GlobalReward):
             declare(f"rso_{stage}_service", 0, scopes, low=0)
             declare(f"rso_{stage}_time", -FINITE, scopes, low=-FINITE, high=FINITE)
             declare(f"rso_{stage}_reward", 0.0, fleet.size, low=-FINITE, high=FINITE)
+        if self.advance > 0.0:
+            declare("rso_advance", 0.0, targets, low=0.0, high=FINITE)
         room = FIRST_PRODUCTS, imagers
         declare("rso_product_target", NONE, *room, grows=True, low=NONE, high=targets - 1)
         for name in ("time", "quality", "held", "left"):
@@ -253,6 +269,8 @@ class RSOImageReward(GlobalReward):
         self._credit("acquisition", self.acquisition_reward_fn, captured, sizes[0], torch.full_like(captured.time, torch.nan))
         arrival = self.fleet.sim_time.unsqueeze(1).expand_as(delivered.time)
         self._credit("delivery", self.delivery_reward_fn, delivered, sizes[1], arrival)
+        if self.advance > 0.0:
+            self._settle(captured, delivered)
         return self.memory["rso_acquisition_reward"] + self.memory["rso_delivery_reward"]
 
     def _taken(self, old: Log, new: Log) -> tuple[_Images, _Images]:
@@ -366,6 +384,21 @@ class RSOImageReward(GlobalReward):
         memory[f"rso_{stage}_time"] = torch.where(pays, earliest, last)
         of_scope = memory["rso_service"] if shared else memory["rso_service"].repeat(1, len(self._columns))
         memory[f"rso_{stage}_service"] = torch.where(pays, of_scope, paid)
+
+    def _settle(self, captured: _Images, delivered: _Images) -> None:
+        """Take advances back for images that have been delivered, and at the time limit for all others.
+
+        There is one imager, which cannot choose a target while its image is on board: a target has one advance at most.
+        """
+        memory = self.memory
+        paid = memory["rso_acquisition_reward"][:, self._columns]
+        open_ = memory["rso_advance"].scatter_add(1, captured.target, torch.where(captured.there, paid, 0.0))
+        gone = torch.zeros_like(open_).scatter_add(1, delivered.target, delivered.there.double()) > 0.0
+        over = (self.fleet.sim_time + 0.5 * self.fleet.h >= self.fleet.state.time_limit).unsqueeze(1)
+        back = torch.where(gone | over, open_, 0.0)
+        memory["rso_advance"] = open_ - back
+        reward = memory["rso_delivery_reward"]
+        memory["rso_delivery_reward"] = reward.index_add(1, self._columns, -back.sum(1, keepdim=True))
 
     def _priority(self, images: _Images) -> Tensor:
         """Return the priorities of the targets of images at the beginning of the step, [N, R]."""

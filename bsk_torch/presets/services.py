@@ -29,7 +29,8 @@ satellite must keep both for 10 s in all; see ``exposure="first"`` of :class:`~b
 are masked; bsk_rl's branch repeats the last candidate there.
 
 Reward: a good image that has been downlinked pays the priority of its object. An image is good if at least half of the Sun was
-visible at the object, on average over the 10 s. With ``delivery_share`` below 1, the rest is paid when the image is taken. A
+visible at the object, on average over the 10 s. With ``delivery_share`` below 1, the rest is paid when the image is taken. With
+``advance``, a share is paid then, and paid back at the time limit for images that have not been downlinked. A
 downlink with an empty store costs 1, and the death of the satellite 1. An object is no candidate while its image is on board, nor
 in the two orbits after a good image was taken, as soon as this has been downlinked.
 
@@ -244,6 +245,7 @@ def services(
     mixture: tuple[float, float, float] | str = MIXTURE,
     exact_mixture: bool = False,
     delivery_share: float = 1.0,
+    advance: float = 0.0,
     priority_sum: float = 100.0,
     priority_event: bool = True,
     low_battery_penalty: float = 0.0,
@@ -265,6 +267,8 @@ def services(
             :class:`~bsk_torch.scene.RSOMixture`.
         exact_mixture: Whether the catalog has exactly these shares; likewise.
         delivery_share: Share of the priority that a good image pays when it has been downlinked; the study calls it alpha.
+        advance: Share that it pays in advance when taken, which changes when rewards come, but not their sum; see
+            :class:`~bsk_torch.data.RSOImageReward`.
         priority_sum: Sum of the initial priorities.
         priority_event: Whether some priorities change in the middle of the episode.
         low_battery_penalty: Reward at every step that ends with a battery below 10 percent, negative.
@@ -290,7 +294,7 @@ def services(
     defaults: dict[str, Any] = dict(
         scenario=scene.RSOTargets(catalog, ["SS1"], order=ORDERS[order]),
         rewarder=(
-            data.RSOImageReward(cooldown_orbits=2.0, delivery_share=delivery_share),
+            data.RSOImageReward(cooldown_orbits=2.0, delivery_share=delivery_share, advance=advance),
             data.OperationsPenalty(low_battery_penalty, full_storage_penalty, empty_downlink_penalty),
         ),
         time_limit=EPISODE,

@@ -8,12 +8,14 @@ from typing import Any
 
 import pytest
 import torch
+from torchrl.envs.utils import step_mdp
 
 import bsk_torch
 from bsk_torch import act, data, scene
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args, scanning_environment
 from bsk_torch.presets.services import EPISODE, IMAGE, ServicingImager, servicing_catalog
+from bsk_torch.rl.policies.shared_policy import rule
 from bsk_torch.rl.rules.servicing import ORDERS, WORTHS, whole_catalog
 from bsk_torch.sim.catalog.candidates import Candidates
 from bsk_torch.sim.catalog.outlook import coast
@@ -141,6 +143,37 @@ def test_rewards_are_those_of_a_ledger_of_lists():
     assert verified > 10
 
 
+def test_advances_change_when_rewards_come_but_not_their_sum():
+    """The priorities rise in between, while images are on board, and some images are never downlinked."""
+    episodes = {advance: played_to_the_end(advance) for advance in (0.0, 0.9)}
+    late, early = (episode[0].cumsum(0) for episode in episodes.values())
+    assert torch.equal(episodes[0.0][1], episodes[0.9][1])
+    torch.testing.assert_close(early[-1], late[-1], rtol=0.0, atol=1e-5)
+    assert ((early - late) > -1e-5).all()
+    assert ((early - late).amax(0) > 0.4).all()
+    assert bool((early[-2] - late[-2] > 0.4).any())  # paid back in the last step
+
+
+def played_to_the_end(advance: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """Rewards [T, N] and actions [T, N] of an episode of images, with downlinks and changes of priorities in the middle."""
+    env = make(6, advance=advance, time_limit=25_000.0, sat_args=dict(imageRateErrorRequirement=0.0025))
+    decide = rule("priority_angle", env)
+    td, rewards, actions = env.reset(), [], []
+    over = torch.zeros(6, dtype=torch.bool)
+    while not bool(over.all()):
+        td = env.step(decide(td))
+        rewards.append(torch.where(over, 0.0, td["next", "reward"].flatten().double()))
+        actions.append(torch.where(over, 0, td["action"]))
+        over = over | td["next", "done"].flatten()
+        td = step_mdp(td)
+    return torch.stack(rewards), torch.stack(actions)
+
+
+def test_advances_are_for_one_imager():
+    with pytest.raises(ValueError, match=r"advance=0\.5: images pay in advance for one imager; there are 2"):
+        environment(imagers=2, kind=Eager, rewarder=data.RSOImageReward(advance=0.5, multi_imager_credit="shared"))
+
+
 def test_an_image_is_stored_a_tick_after_the_first_valid_one_and_held_afterward():
     env = make(6)
     td = env.reset()
@@ -227,6 +260,8 @@ def test_penalties_that_nobody_can_earn_are_named():
         (dict(n_targets=5), "n_targets=5: 8 objects change their priority"),
         (dict(n_targets=0), "n_targets=0"),
         (dict(delivery_share=1.5), "delivery_share=1.5"),
+        (dict(advance=-0.5), "advance=-0.5"),
+        (dict(delivery_share=0.5, advance=0.5), "delivery_share=0.5 and advance=0.5: give one of them"),
         (dict(priority_sum=0.0), "priority_sum=0.0"),
         (dict(mixture="MEO"), "shares='MEO'"),
         (dict(priority_event=1.5), "priority_event=1.5"),
