@@ -241,6 +241,45 @@ def film(
 
 @command(
     app,
+    "audit",
+    """
+    bsk-torch audit runs/scan --seeds 0:16
+    bsk-torch audit pretrained --preset AEOS-v1 --horizon 300 --budget 8 --draw regret.png
+    bsk-torch audit hasty --preset CloudyAEOS-v1 --horizon 300 --futures 8 --budget 8
+    """,
+    name="audit",
+)
+def audit_policy(
+    policy: Policy,
+    preset: OfPreset = None,
+    option: Options = None,
+    seeds: Annotated[str, typer.Option(metavar="A:B", help="Episodes of the seeds A to B - 1, or of a single seed.")] = "0:8",
+    horizon: Annotated[
+        float, typer.Option(metavar="S", help="Length of branches in seconds; default: to the end of the episode.")
+    ] = float("inf"),
+    gamma: Annotated[float, typer.Option(metavar="G", min=0.0, max=1.0, help="Discount per second.")] = 1.0,
+    futures: Annotated[
+        int | None, typer.Option(metavar="N", min=2, help="Futures drawn for each decision; default: the true one.")
+    ] = None,
+    budget: Annotated[
+        int | None, typer.Option(metavar="N", min=1, help="Number of actions to value, those that the policy prefers.")
+    ] = None,
+    num_envs: Annotated[int, typer.Option(metavar="N", min=1, help="Episodes at once.")] = 16,
+    draw: Annotated[Path | None, typer.Option(metavar="FILE", help="Picture (.png, .svg) of the regrets.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for all decisions.")] = None,
+    threads: Threads = 1,
+    backend: Backend = "compiled",
+    device: Device = "cpu",
+    time_limit: TimeLimit = None,
+) -> None:
+    """Find the decisions at which a policy loses, by flying all other actions as well.
+
+    The regret of a decision is the return of the best action minus that of the chosen one, both followed by the policy.
+    """
+
+
+@command(
+    app,
     "explain",
     """
     bsk-torch explain runs/scan --seeds 0:200
