@@ -20,13 +20,24 @@ from bsk_torch.basilisk import FLOWN, absent_data, lacking
 from bsk_torch.basilisk import certify as certified
 from bsk_torch.cli.planned import PREFIX, named_planner
 from bsk_torch.cli.policies import PRETRAINED, NamedPolicy, named_policy
-from bsk_torch.cli.shared import check_writable
+from bsk_torch.cli.shared import check_writable, preset_options
 from bsk_torch.cli.terminal import fail, print_message, working
 from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import Policy
 from bsk_torch.files import write_file
-from bsk_torch.rl.evaluation.statistics import Estimate
-from bsk_torch.rl.evaluation.suite import EPISODES, VIEWS, Entrant, Score, Task, normalised, play, ranking, references, tasks_of
+from bsk_torch.rl.evaluation.suite import (
+    REMARKS,
+    VIEWS,
+    Entrant,
+    Score,
+    Task,
+    bench_folder,
+    normalised,
+    play,
+    ranking,
+    references,
+    tasks_of,
+)
 from bsk_torch.rl.policies.pretrained import makings
 from bsk_torch.rl.policies.shared_policy import RULES, baseline, shared
 from bsk_torch.sim.arguments.values import nearest
@@ -40,7 +51,8 @@ def bench(
     policies: list[str],
     suite: str,
     presets: str | None,
-    episodes: int,
+    folder: Path | None,
+    episodes: int | None,
     earlier: list[Path] | None,
     out: Path | None,
     threads: int,
@@ -52,11 +64,15 @@ def bench(
     torch.set_num_threads(threads)
     check_writable(out)
     try:
-        tasks = tasks_of(suite, presets)
-    except ValueError as error:
+        tasks = chosen_tasks(suite, presets, folder)
+    except (ValueError, FileNotFoundError) as error:
         fail(str(error))
-    check_certifiable(tasks, certify, episodes)
-    entrants = {name: entrant_of(name) for name in policies}
+    most = max(task.episodes for task in tasks)
+    if episodes is not None and episodes > most:
+        fail(f"--episodes {episodes} must be at most {most}, the number of episodes of each task")
+    counts = {task.title: min(episodes or most, task.episodes) for task in tasks}
+    check_certifiable(tasks, certify, min(counts.values()))
+    entrants = {name: entrant_of(name, tasks) for name in policies}
     results = read_earlier(earlier or [], suite)
     for name in entrants:
         if name in results:
@@ -65,22 +81,32 @@ def bench(
     for name, entrant in entrants.items():
         results[name] = {}
         for task in tasks:
-            with working(f"{name}: {task.preset}"):
+            with working(f"{name}: {task.title}"):
                 try:
-                    score = play(task, entrant, episodes, backend=backend, device=device)
+                    score = play(task, entrant, counts[task.title], backend=backend, device=device)
                     again = certify if score is not None and task.preset in FLOWN else 0
                     flown = certified(task, entrant, again, backend=backend, device=device) if again else None
                 except (TypeError, ValueError) as error:
                     fail(f"{name}: {error}")
             if score is not None:
                 flights = {} if flown is None else {"basilisk": flown.summary()}
-                results[name][task.preset] = told(score, known.get(task.preset)) | flights
-    print_suite(results, [task.preset for task in tasks], f"suite {suite}, {episodes} of {EPISODES} episodes of each task")
+                results[name][task.title] = told(score, known.get(task.title)) | flights
+    print_suite(results, tasks, suite, counts)
     if out is not None:
-        write_file(out, json.dumps(document(suite, episodes, results), indent=1) + "\n")
+        write_file(out, json.dumps(document(suite, tasks, max(counts.values()), results), indent=1) + "\n")
     idle = [name for name in entrants if not results[name]]
     if idle:
-        fail(f"no preset among {', '.join(task.preset for task in tasks)} fits {', '.join(idle)}")
+        fail(f"no preset among {', '.join(task.title for task in tasks)} fits {', '.join(idle)}")
+
+
+def chosen_tasks(suite: str, presets: str | None, folder: Path | None) -> tuple[Task, ...]:
+    """Return the tasks of a suite that are played, and that of a folder; ValueError where the suite has no folders."""
+    tasks = tasks_of(suite, presets)
+    if folder is None:
+        return tasks
+    if suite != "aeosbench":
+        raise ValueError(f"--folder {folder} has cases of AEOS-Bench, but the suite is {suite}; choose --suite aeosbench")
+    return (*tasks, bench_folder(folder))
 
 
 def check_certifiable(tasks: Sequence[Task], certify: int, episodes: int) -> None:
@@ -102,8 +128,10 @@ def check_certifiable(tasks: Sequence[Task], certify: int, episodes: int) -> Non
         print_message(f"not flown on Basilisk, as only {names} can be: {', '.join(left)}")
 
 
-def entrant_of(name: str) -> Entrant:
-    """Return what enters the policy that the command line names; ends the program if there is none."""
+def entrant_of(name: str, tasks: Sequence[Task] = ()) -> Entrant:
+    """Return what enters the policy that the command line names in ``tasks``; ends the program if there is none."""
+    allowed = tuple(dict.fromkeys(view for task in tasks for view in task.views)) or VIEWS
+    drawn = tuple(dict.fromkeys(option for task in tasks for option in task.drawn)) or ("time_limit",)
     if name == PRETRAINED:
         return lambda preset, make: entered(named_policy(name, preset), make) if preset in makings() else None
     plain, *views = name.split(",")
@@ -111,25 +139,26 @@ def entrant_of(name: str) -> Entrant:
         named_planner(plain, None, views)  # unknown names and options end the program before anything runs
         return lambda preset, make: planned(plain, views, preset, make)
     if plain in RULES:
-        chosen = dict(view_of(view) for view in views)
+        usual = {view: value for task in tasks for view, value in task.rules.get(plain, {}).items()}
+        chosen = usual | dict(view_of(view, allowed) for view in views)
         return lambda preset, make: rule(plain, chosen, make)
     module, colon, function = plain.partition(":")
     if colon and not Path(name).exists():
         found = imported(module, function)
         return lambda preset, make: found(preset, make, *views)
     policy = named_policy(name, None)
-    return lambda preset, make: entered(policy, make) if preset == policy.preset else None
+    return lambda preset, make: entered(policy, make, drawn) if preset == policy.preset else None
 
 
-def entered(policy: NamedPolicy, make: Callable[..., Tasking]) -> tuple[Tasking, Policy]:
-    """Enter a policy of a file, in an environment with the views that it was trained with."""
-    env = make(**views_of(policy))
+def entered(policy: NamedPolicy, make: Callable[..., Tasking], drawn: Sequence[str] = ("time_limit",)) -> tuple[Tasking, Policy]:
+    """Enter a policy of a file, in an environment with the views that it was trained with; see :func:`views_of`."""
+    env = make(**views_of(policy, drawn))
     return env, shared(policy.build(env, str(env.device)), env)
 
 
-def views_of(policy: NamedPolicy) -> dict[str, Any]:
-    """Return the options of a policy's training, without the length of its episodes."""
-    return {name: value for name, value in policy.card.get("options", {}).items() if name != "time_limit"}
+def views_of(policy: NamedPolicy, drawn: Sequence[str] = ("time_limit",)) -> dict[str, Any]:
+    """Return the options of a policy's training, without those named in ``drawn``, such as the length of its episodes."""
+    return {name: value for name, value in policy.card.get("options", {}).items() if name not in drawn}
 
 
 def rule(name: str, views: Mapping[str, object], make: Callable[..., Tasking]) -> tuple[Tasking, Policy] | None:
@@ -151,12 +180,12 @@ def planned(name: str, options: list[str], preset: str, make: Callable[..., Task
     return env, chosen.build(env, str(env.device))
 
 
-def view_of(text: str) -> tuple[str, Any]:
+def view_of(text: str, allowed: Sequence[str]) -> tuple[str, Any]:
     """Return name and value of ``NAME=VALUE``; ends the program for other texts and names."""
-    name, sign, value = text.partition("=")
-    if not sign or name not in VIEWS:
-        fail(f"{text!r} must be NAME=VALUE with a NAME among {', '.join(VIEWS)}; {nearest(name, VIEWS)}")
-    return name, {"True": True, "False": False}.get(value, value)
+    name, sign, _ = text.partition("=")
+    if not sign or name not in allowed:
+        fail(f"{text!r} must be NAME=VALUE with a NAME among {', '.join(allowed)}; {nearest(name, allowed)}")
+    return name, preset_options([text])[name]
 
 
 def imported(module: str, function: str) -> Callable[..., tuple[Tasking, Policy] | None]:
@@ -196,8 +225,10 @@ def read_earlier(files: Iterable[Path], suite: str) -> dict[str, dict[str, Any]]
     return results
 
 
-def document(suite: str, episodes: int, results: Mapping[str, object]) -> dict[str, Any]:
+def document(suite: str, tasks: Sequence[Task], episodes: int, results: Mapping[str, object]) -> dict[str, Any]:
     """Return the content of the JSON file."""
+    about = {task.title: task.about for task in tasks if task.about}
+    remarks = {"tasks": about, "remarks": REMARKS[suite]} if suite in REMARKS else {}
     return {
         "format": FORMAT,
         "suite": suite,
@@ -206,41 +237,60 @@ def document(suite: str, episodes: int, results: Mapping[str, object]) -> dict[s
         "torch": str(torch.__version__),
         "machine": platform.processor() or platform.machine(),
         "date": datetime.now(timezone.utc).date().isoformat(),
+        **remarks,
         "policies": results,
     }
 
 
-def print_suite(results: Mapping[str, Mapping[str, Any]], presets: list[str], title: str) -> None:
-    """Print a table for each task: policies, the paired gain of the best over each, survival and computation."""
-    for preset in presets:
-        rows = {name: result[preset] for name, result in results.items() if preset in result}
+def print_suite(results: Mapping[str, Mapping[str, Any]], tasks: Sequence[Task], suite: str, counts: Mapping[str, int]) -> None:
+    """Print a table for each task: policies, the paired gain of the best over each, survival or measures, and computation."""
+    for task in tasks:
+        rows = {name: result[task.title] for name, result in results.items() if task.title in result}
         if not rows:
             continue
         best, gains = ranking({name: row["returns"] for name, row in rows.items()})
-        columns = ["policy", "score", "return", f"gain of {best}", "survival", "ms / decision", "simulated s / decision"]
         flown = any("basilisk" in row for row in rows.values())
         most, table = len(rows[best]["returns"]), []
         for name, gain in gains.items():
             row, n = rows[name], len(rows[name]["returns"])
             more = {"same on Basilisk": on_basilisk(row)} if flown else {}
             label = name if n == most else f"{name} ({n} episodes)"
-            table.append(dict(zip(columns, [label, *cells(row, None if name == best else gain)], strict=True)) | more)
-        expendable = ("simulated s / decision", "ms / decision", "survival", "return", "same on Basilisk")
-        print_table(table, f"{preset}, {title}", expendable, left=("policy",))
+            behind = {f"gain of {best}": "" if name == best else f"{gain.mean:+.3f} ± {gain.half_width:.3f}"}
+            table.append({"policy": label} | (measured(row, task, behind) if task.measures else cells(row, behind)) | more)
+        least = tuple(name for name in (*task.measures[1:], f"gain of {best}")) if task.measures else ("survival", "return")
+        expendable = ("simulated s / decision", "ms / decision", *least, "same on Basilisk")
+        title = f"{task.title}, suite {suite}, {counts[task.title]} of {task.episodes} episodes of each task"
+        print_table(table, title, expendable, left=("policy",))
+        if task.about:
+            print_message(f"{task.title}: {task.about}.")
+    if suite in REMARKS:
+        print_message(REMARKS[suite])
 
 
-def cells(row: Mapping[str, Any], gain: Estimate | None) -> list[str]:
-    """Return the cells of a policy after its name; ``gain`` is that of the best over it."""
-    score = "" if "score" not in row else "{mean:.3f} ± {half_width:.3f}".format(**row["score"])
+def measured(row: Mapping[str, Any], task: Task, behind: Mapping[str, str]) -> dict[str, str]:
+    """Return the cells of a policy by column, with the measures of the task."""
+    cells = {name: amount(row["measures"][name]) for name in task.measures}
+    return cells | dict(behind) | {"ms / decision": f"{1e3 * row['seconds_per_decision']:.3f}"}
+
+
+def amount(estimate: Mapping[str, float]) -> str:
+    """Return a measure with its interval, in the digits that its size asks for."""
+    size = abs(estimate["mean"])
+    digits = 0 if size >= 100.0 else 2 if size >= 1.0 else 3
+    return f"{estimate['mean']:,.{digits}f} ± {estimate['half_width']:,.{digits}f}"
+
+
+def cells(row: Mapping[str, Any], behind: Mapping[str, str]) -> dict[str, str]:
+    """Return the cells of a policy by column, with its score."""
     simulated = row.get("simulated_per_decision")
-    return [
-        score,
-        "{mean:.3f} ± {half_width:.3f}".format(**row["return"]),
-        "" if gain is None else f"{gain.mean:+.3f} ± {gain.half_width:.3f}",
-        f"{row['survival']:.1%}",
-        f"{1e3 * row['seconds_per_decision']:.3f}",
-        "" if simulated is None else f"{simulated:,.0f}",
-    ]
+    return {
+        "score": "" if "score" not in row else "{mean:.3f} ± {half_width:.3f}".format(**row["score"]),
+        "return": "{mean:.3f} ± {half_width:.3f}".format(**row["return"]),
+        **behind,
+        "survival": f"{row['survival']:.1%}",
+        "ms / decision": f"{1e3 * row['seconds_per_decision']:.3f}",
+        "simulated s / decision": "" if simulated is None else f"{simulated:,.0f}",
+    }
 
 
 def on_basilisk(row: Mapping[str, Any]) -> str:

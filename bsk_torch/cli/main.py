@@ -335,6 +335,7 @@ def report(
     bsk-torch bench pretrained hasty --presets AEOS-v1 --episodes 64
     bsk-torch bench plan:rollout,base=hasty,horizon=240 --out results.json
     bsk-torch bench my_package.policies:enter
+    bsk-torch bench nearest_task soonest_task --suite aeosbench
     """,
 )
 def bench(
@@ -348,10 +349,16 @@ def bench(
         ),
     ],
     suite: Annotated[str, typer.Option(metavar="NAME", help="Suite of fixed episodes.")] = "v1",
-    presets: Annotated[str | None, typer.Option(metavar="NAMES", help="Only some of its presets, separated by commas.")] = None,
+    presets: Annotated[
+        str | None, typer.Option(metavar="NAMES", help="Only some of its presets or other tasks, separated by commas.")
+    ] = None,
+    folder: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Cases of AEOS-Bench, as another task of the suite aeosbench.")
+    ] = None,
     episodes: Annotated[
-        int, typer.Option(metavar="N", min=1, max=1024, help="Number of episodes per task (the first N).")
-    ] = 1024,
+        int | None,
+        typer.Option(metavar="N", min=1, help="Number of episodes per task, the first N; default: all.", show_default=False),
+    ] = None,
     earlier: Annotated[
         list[Path] | None,
         typer.Option("--with", metavar="FILE", help="JSON file of an earlier run, whose policies are also shown; repeatable."),

@@ -21,7 +21,7 @@ POOL = "aeos_pool.npz"
 """File of the satellites that pass the benchmark's filter; ``scripts/tools/make_aeos_pool.py`` writes it."""
 
 ORBITS = "aeos_orbits.npz"
-"""File of the 4,994 orbits of the benchmark's test set; ``scripts/tools/make_aeos_orbits.py`` writes it."""
+"""File of orbits of the benchmark's test set; ``scripts/tools/make_aeos_orbits.py`` writes it."""
 
 ORBIT_FIELDS = (
     "semi_major_axis",
@@ -56,7 +56,7 @@ def pool() -> dict[str, Tensor]:
 
 @functools.cache
 def real_orbits() -> Tensor:
-    """Return the orbits of the benchmark's test set, [4994, 5] float64; see :class:`AEOSBenchGenerator`.
+    """Return the orbits of the benchmark's test set above the ground, [4993, 5] float64; see :class:`AEOSBenchGenerator`.
 
     Source: ``data/orbits.zip`` of https://github.com/buaa-colalab/AEOSBench (Apache-2.0).
     """
@@ -88,7 +88,7 @@ class AEOSBenchGenerator:
         Args:
             satellites: Number of satellites, or its range, both ends included.
             tasks: Number of tasks, likewise.
-            orbits: ``"random"``: random ones, as in the training set. ``"real"``: each episode draws some of 4,994 orbits of real
+            orbits: ``"random"``: random ones, as in the training set. ``"real"``: each episode draws some of 4,993 orbits of real
                 satellites without replacement, as in the test set. Or your own such list: semi-major axes, m, eccentricities,
                 and inclinations, right ascensions of ascending nodes and arguments of perigee, rad, [K, 5].
 

@@ -4,7 +4,7 @@
 
 ``data/orbits.zip`` of https://github.com/buaa-colalab/AEOSBench (Apache-2.0) has a JSON file for each of 4,994 orbits, most of
 them of Starlink satellites. The table has them in the order of their ids, as whole numbers of their last digits, so that none is
-rounded.
+rounded. Orbits through the Earth are left out: one of the 4,994 has a perigee of 880 km from its center.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from bsk_torch.files import write_file
+from bsk_torch.scene.aeos_files import EARTH_RADIUS
 from bsk_torch.scene.aeos_generator import DIGITS, ORBIT_FIELDS
 
 FILE = Path(__file__).resolve().parents[2] / "bsk_torch/scene/tables/aeos_orbits.npz"
@@ -31,6 +32,7 @@ def main() -> None:
     options = parser.parse_args()
     with zipfile.ZipFile(options.archive) as archive:
         orbits = [json.loads(archive.read(name)) for name in archive.namelist() if name.endswith(".json")]
+    orbits = [orbit for orbit in orbits if orbit["semi_major_axis"] * (1.0 - orbit["eccentricity"]) > EARTH_RADIUS]
     orbits.sort(key=lambda orbit: orbit["id"])
     given = np.array([[orbit[name] for name in ORBIT_FIELDS] for orbit in orbits])
     whole = np.rint(given / DIGITS)

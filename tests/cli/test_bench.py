@@ -4,6 +4,8 @@ import json
 
 import pytest
 
+from tests.scene.aeos_cases import constellation, tasks, write
+
 pytestmark = pytest.mark.compiled
 
 TWO = ["--presets", "NadirScan-v1", "--episodes", "2"]
@@ -71,6 +73,14 @@ def test_a_function_may_enter_a_policy(run, tmp_path, monkeypatch):
         (["json:__doc__"], "json:__doc__ is no function"),
         (["random", "--with", "pyproject.toml"], "'pyproject.toml' is no result of bsk-torch bench"),
         (["survey,actions=waypoint", "--presets", "RSOInspection-v1"], "actions='waypoint' must be one of"),
+        (
+            ["random", "--folder", "tests"],
+            "--folder tests has cases of AEOS-Bench, but the suite is v1; choose --suite aeosbench",
+        ),
+        (["random", "--episodes", "1025"], "--episodes 1025 must be at most 1024"),
+        (["random", "--suite", "aeosbench", "--presets", "real_orbit"], "not in the suite aeosbench; did you mean 'real_orbits'"),
+        (["random", "--suite", "aeosbench", "--folder", "docs/start"], "docs/start: no constellation.json"),
+        (["nearest_task,sensors=on", "--suite", "aeosbench"], "did you mean 'sensor'"),
         (["hasty", *TWO], "no preset among NadirScan-v1 fits hasty"),
     ],
 )
@@ -78,6 +88,36 @@ def test_errors_before_anything_runs(run, arguments, message):
     result = run("bench", *arguments)
     assert result.exit_code == 1
     assert message in result.output
+
+
+def test_a_suite_with_measures_shows_them(run, tmp_path):
+    cases = tmp_path / "cases"
+    write(cases / "00001", constellation(2), tasks(4))
+    write(cases / "00002", constellation(1), tasks(6))
+    out = tmp_path / "bench.json"
+    result = run(
+        "bench",
+        "soonest_task",
+        "--suite",
+        "aeosbench",
+        "--presets",
+        "real_orbits",
+        "--episodes",
+        "1",
+        "--folder",
+        cases,
+        "--out",
+        out,
+    )
+    assert result.exit_code == 0, result.output
+    assert "but not with numbers of the paper" in result.output.replace("\n", " ")
+    kept = json.loads(out.read_text())
+    assert list(kept["tasks"]) == ["real_orbits", "folder cases"]
+    assert "all 2 scenarios of the folder cases, with the SHA-256" in kept["tasks"]["folder cases"]
+    for row in kept["policies"]["soonest_task"].values():
+        assert list(row["measures"]) == ["CR", "WCR", "PCR", "WPCR", "TAT", "PC", "CS"]
+        assert row["measures"]["CR"]["mean"] == pytest.approx(row["returns"][0], abs=1e-12)
+        assert "score" not in row
 
 
 def test_planners_say_what_they_simulate(run, tmp_path):

@@ -6,9 +6,10 @@ from tensordict.nn import TensorDictModule
 
 from bsk_torch.presets import PRESETS
 from bsk_torch.rl.evaluation.evaluate import SUITE_SEEDS, evaluate
-from bsk_torch.rl.evaluation.suite import EPISODES, SUITES, Timed, normalised, play, ranking, references, tasks_of
+from bsk_torch.rl.evaluation.suite import EPISODES, SUITES, Timed, bench_folder, normalised, play, ranking, references, tasks_of
 from bsk_torch.rl.rules.baselines import random_policy
 from bsk_torch.rl.training.config import PPOConfig
+from tests.scene.aeos_cases import constellation, tasks, write
 
 NADIR = tasks_of("v1", "NadirScan-v1")[0]
 
@@ -129,7 +130,45 @@ def test_scores_are_linear_in_returns():
     assert score.half_width == pytest.approx(evaluation.mean_return.half_width / 2.0, rel=1e-9)
 
 
+def test_scenarios_of_aeos_bench_stay():
+    """Seeds of their own, and the sizes and the tasks that these draw."""
+    tasks = SUITES["aeosbench"]
+    assert [(task.title, task.first_seed - 2**60, task.episodes) for task in tasks] == [
+        ("random_orbits", 16384, 64),
+        ("real_orbits", 17408, 64),
+    ]
+    found = []
+    for task in tasks:
+        env = task.environment(2, backend="eager")
+        env.reseed(list(task.seeds(2)))
+        env.reset()
+        exists = env.scenario.task_exists
+        found.append([env.present.sum(1).tolist(), exists.sum(1).tolist(), int(env.scenario.drawn("task_due")[exists].sum())])
+    assert found == DRAWN
+
+
+DRAWN = [[[12, 2], [101, 293], 1069150], [[17, 21], [182, 294], 1269448]]
+"""Numbers of satellites and of tasks in the first two scenarios of each task, and the sum of due times, s."""
+
+
+def test_cases_of_a_folder_are_a_task_with_a_checksum(tmp_path):
+    write(tmp_path / "00001", constellation(2), tasks(5))
+    write(tmp_path / "00002", constellation(1), tasks(7))
+    task = bench_folder(tmp_path)
+    assert (task.episodes, list(task.seeds())) == (2, [0, 1])
+    assert task.about == bench_folder(tmp_path).about
+    write(tmp_path / "00002", constellation(1), tasks(6))
+    assert bench_folder(tmp_path).about != task.about
+    env = task.environment(backend="eager")
+    env.reseed([0, 1])
+    env.reset()
+    assert env.present.sum(1).tolist() == [2, 1]
+    with pytest.raises(ValueError, match="satellites=3 would change the task folder"):
+        task.environment(satellites=3)
+
+
 def test_references_are_sound():
+    assert references("aeosbench") == {}
     known = references("v1")
     assert known.keys() <= PRESETS.keys()
     for reference in known.values():

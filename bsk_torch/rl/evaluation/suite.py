@@ -1,16 +1,17 @@
 """Suites of tasks with fixed episodes, for comparing policies from any library.
 
-A task of a suite is a preset with its options and the seeds of its episodes. Tasks never change: a suite with another task, or a
-preset with a changed decision process, gets a new name.
+A suite is a table of tasks. A task is a preset with its options, the seeds of its episodes, and perhaps measures for a score.
+Tasks never change: a suite with another task, or a preset with a changed decision process, gets a new name.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -20,18 +21,21 @@ from tensordict.nn import TensorDictModuleBase
 
 from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import Policy
-from bsk_torch.presets import PRESETS, make
+from bsk_torch.presets import make
 from bsk_torch.rl.evaluation.evaluate import SUITE_SEEDS, Evaluation, evaluate
 from bsk_torch.rl.evaluation.statistics import Estimate, confidence
+from bsk_torch.scene import read_cases
 from bsk_torch.sim.arguments.values import nearest
 
 __all__ = [
     "EPISODES",
+    "REMARKS",
     "SUITES",
     "VIEWS",
     "Entrant",
     "Score",
     "Task",
+    "bench_folder",
     "enter",
     "normalised",
     "play",
@@ -41,7 +45,7 @@ __all__ = [
 ]
 
 EPISODES = 1024
-"""Number of episodes of each task."""
+"""Number of episodes of each task, unless it has its own."""
 
 VIEWS = ("as_set", "shielded", "actions")
 """Options of presets that change only the observations and actions of a policy; each policy may choose them."""
@@ -56,28 +60,48 @@ class Task:
         first_seed: Seed of the first episode; the seeds of the others follow.
         at_once: Number of episodes played at once, limited by memory. Results do not depend on it.
         options: Arguments of the environment that differ from the preset's.
+        name: Name of the task in its suite (default: the preset).
+        episodes: Number of its episodes.
+        measures: Measures of the rewarder in place of a score; none for tasks with a score.
+        views: Options that each policy may choose.
+        rules: Views of rules that are not those of the preset, by the name of the rule.
+        drawn: Options of trainings that the task replaces: they tell which scenarios are drawn, and policies may differ in them.
+        about: Which scenarios the episodes are.
     """
 
     preset: str
     first_seed: int
     at_once: int
     options: Mapping[str, Any] = field(default_factory=dict)
+    name: str = ""
+    episodes: int = EPISODES
+    measures: tuple[str, ...] = ()
+    views: tuple[str, ...] = VIEWS
+    rules: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
+    drawn: tuple[str, ...] = ("time_limit",)
+    about: str = ""
 
-    def seeds(self, episodes: int = EPISODES) -> range:
-        """Return the seeds of the first ``episodes``; ValueError for a number out of range."""
-        if not 1 <= episodes <= EPISODES:
-            raise ValueError(f"episodes={episodes} must lie in [1, {EPISODES}]")
-        return range(self.first_seed, self.first_seed + episodes)
+    @property
+    def title(self) -> str:
+        """Name of the task in its suite."""
+        return self.name or self.preset
 
-    def environment(self, episodes: int = EPISODES, **views: object) -> Tasking:
-        """Return an environment for the episodes; ``views`` are changed options of :data:`VIEWS`.
+    def seeds(self, episodes: int | None = None) -> range:
+        """Return the seeds of the first ``episodes`` (default: all); ValueError for a number out of range."""
+        count = self.episodes if episodes is None else episodes
+        if not 1 <= count <= self.episodes:
+            raise ValueError(f"episodes={episodes} must lie in [1, {self.episodes}]")
+        return range(self.first_seed, self.first_seed + count)
+
+    def environment(self, episodes: int | None = None, **views: object) -> Tasking:
+        """Return an environment for the episodes (default: all); ``views`` are changed options among those of the task.
 
         Raises:
             ValueError: For options that would change the task, and values rejected by the preset.
         """
         for name in views:
-            if name not in (*VIEWS, "backend", "device"):
-                raise ValueError(f"{name}={views[name]!r} would change the task {self.preset}; policies choose among {VIEWS}")
+            if name not in (*self.views, "backend", "device"):
+                raise ValueError(f"{name}={views[name]!r} would change the task {self.title}; policies choose among {self.views}")
         size = min(len(self.seeds(episodes)), self.at_once)
         return make(self.preset, num_envs=size, env_ids=[0] * size, **(dict(self.options) | views))
 
@@ -106,22 +130,81 @@ SUITES: dict[str, tuple[Task, ...]] = {
 }
 """Tasks by name of the suite."""
 
+AEOS_BENCH = partial(
+    Task,
+    "AEOSBench-v1",
+    at_once=32,
+    measures=("CR", "WCR", "PCR", "WPCR", "TAT", "PC", "CS"),
+    views=("sensor", "candidates", "as_set", "step_duration", "until_done"),
+    rules={"nearest_task": {"sensor": "on"}, "soonest_task": {"candidates": True, "step_duration": 10.0}},
+    drawn=("time_limit", "satellites", "tasks", "orbits", "folder", "order"),
+)
+"""What all tasks of the suite ``aeosbench`` share."""
+
+BENCH_SIZES = {"satellites": (1, 50), "tasks": (50, 300)}
+
+SUITES["aeosbench"] = (
+    AEOS_BENCH(
+        SUITE_SEEDS[EPISODES * 16],
+        options=BENCH_SIZES,
+        name="random_orbits",
+        episodes=64,
+        about="64 random scenarios with the distributions of the training and val_seen sets of AEOS-Bench: 1 to 50 satellites on "
+        "random orbits, 50 to 300 tasks",
+    ),
+    AEOS_BENCH(
+        SUITE_SEEDS[EPISODES * 17],
+        options=BENCH_SIZES | {"orbits": "real"},
+        name="real_orbits",
+        episodes=64,
+        about="64 random scenarios with the distributions of its test set: the same on orbits of real satellites, which its "
+        "repository lists",
+    ),
+)
+
+REMARKS = {
+    "aeosbench": "Satellites come from a pool of this package, selected by a filter like that of the benchmark; none of the "
+    "random scenarios is in its data set. Rows of the same task can be compared with one another, but not with numbers of the "
+    "paper: these are means over 64 scenarios of each split, on another Basilisk. Give its own scenarios with --folder."
+}
+"""What cannot be compared, by name of the suite."""
+
+
+def bench_folder(folder: str | Path) -> Task:
+    """Return a task of all cases of AEOS-Bench in a folder, each flown once, for the suite ``aeosbench``.
+
+    ``about`` has a checksum of what is read, by which results of the same cases are recognized. Errors as
+    :func:`bsk_torch.scene.read_cases`.
+    """
+    cases, name = read_cases(folder), Path(folder).name
+    numbers = [*(cases.satellites[key] for key in sorted(cases.satellites)), *(cases.tasks[key] for key in sorted(cases.tasks))]
+    content = hashlib.sha256(repr(cases.names).encode())
+    for values in (*numbers, cases.places, cases.present, cases.sensors, cases.enabled):
+        content.update(values.contiguous().numpy().tobytes())
+    return AEOS_BENCH(
+        0,
+        options={"folder": cases, "order": "listed"},
+        name=f"folder {name}",
+        episodes=len(cases),
+        about=f"all {len(cases)} scenarios of the folder {name}, with the SHA-256 {content.hexdigest()[:16]}",
+    )
+
 
 def tasks_of(suite: str, presets: str | None = None) -> tuple[Task, ...]:
-    """Return the tasks of a suite, or only those of ``presets``, a list separated by commas.
+    """Return the tasks of a suite, or only those named in ``presets``, a list separated by commas.
 
     Raises:
-        ValueError: For an unknown suite or preset; the message contains the nearest name.
+        ValueError: For an unknown suite or task; the message contains the nearest name.
     """
     if suite not in SUITES:
         raise ValueError(f"suite={suite!r} is not a suite; {nearest(suite, SUITES)}")
-    tasks = {task.preset: task for task in SUITES[suite]}
+    tasks = {task.title: task for task in SUITES[suite]}
     if presets is None:
         return tuple(tasks.values())
     wanted = presets.split(",")
     for name in wanted:
         if name not in tasks:
-            raise ValueError(f"preset {name!r} is not in the suite {suite}; {nearest(name, PRESETS)}")
+            raise ValueError(f"preset {name!r} is not in the suite {suite}; {nearest(name, tasks)}")
     return tuple(tasks[name] for name in dict.fromkeys(wanted))
 
 
@@ -161,13 +244,13 @@ class Timed(TensorDictModuleBase):
         return tensordict
 
 
-def enter(task: Task, entrant: Entrant, episodes: int = EPISODES, **options: object) -> tuple[Tasking, Policy] | None:
+def enter(task: Task, entrant: Entrant, episodes: int | None = None, **options: object) -> tuple[Tasking, Policy] | None:
     """Return the environment for the first ``episodes`` of a task and the policy of ``entrant``; None without a policy.
 
     Args:
         task: The task.
         entrant: See :data:`Entrant`.
-        episodes: Number of episodes.
+        episodes: Number of episodes (default: all).
         **options: ``backend`` and ``device`` of the environment.
 
     Raises:
@@ -190,7 +273,7 @@ def enter(task: Task, entrant: Entrant, episodes: int = EPISODES, **options: obj
     return env, policy
 
 
-def play(task: Task, entrant: Entrant, episodes: int = EPISODES, **options: object) -> Score | None:
+def play(task: Task, entrant: Entrant, episodes: int | None = None, **options: object) -> Score | None:
     """Play the first ``episodes`` of a task with the policy of ``entrant``; see :func:`enter` for arguments and errors."""
     entered = enter(task, entrant, episodes, **options)
     if entered is None:
@@ -207,8 +290,10 @@ def references(suite: str) -> dict[str, dict[str, Any]]:
     """Return the reference returns of a suite by preset: ``low`` and ``high``, each with its mean and its source.
 
     ``low`` is the random policy, and ``high`` the best of the package's rules and policies when the suite was created. They are
-    means over all episodes, and are as fixed as the episodes.
+    means over all episodes, and are as fixed as the episodes. Suites whose tasks have measures have no references.
     """
+    if any(task.measures for task in SUITES[suite]):
+        return {}
     return json.loads((Path(__file__).parent / "suites" / f"{suite}.json").read_text())
 
 
