@@ -238,6 +238,26 @@ def test_compared_flights_are_drawn_together(browser, flight):
     assert not visitor.troubles
 
 
+def test_episodes_of_other_seeds_are_drawn_side_by_side(browser, tmp_path):
+    recording = synthetic_recording(tracks=3)
+    recording.scenes.extend([recording.scenes[0]] * 2)
+    for k, track in enumerate(recording.tracks):
+        object.__setattr__(track, "scene", k)
+    path = tmp_path / "episodes.html"
+    path.write_text(build_page(recording.encode()))
+    visitor, page = opened(browser, path, "#t=700&compare=1")
+    assert page.evaluate("bskViewer.viewer.stage.views.map(view => [view.x > 0, view.y > 0])") == [
+        [False, False],
+        [True, False],
+        [False, True],
+    ]
+    picture = pixels(page)
+    height, width, _ = picture.shape
+    assert picture[: height // 2, : width // 2].std() > 5.0
+    assert picture[: height // 2, width // 2 :].std() > 5.0
+    assert not visitor.troubles
+
+
 @pytest.mark.parametrize("view", ["map", "hill"])
 def test_other_views_draw(browser, flight, view):
     visitor, page = opened(browser, flight, f"#view={view}&t=700")

@@ -1,6 +1,7 @@
 // A track of a recording: what it holds at a time, looked up without a pass over the flight.
 
-import { countUntil, earthAttitude, hermite, interval, linear, mixMrp, onOrbit, quaternionOfMrp } from "viewer/interpolate";
+import { countUntil, earthAttitude, hermite, interval, linear, mixMrp, quaternionOfMrp } from "viewer/interpolate";
+import { GRAY, actionColor } from "viewer/palette";
 import { Quaternion } from "three";
 
 const NOT_A_NUMBER = -32768; // as which recording.py stores NaN in 16-bit numbers
@@ -14,6 +15,12 @@ export class Recording {
     Object.assign(this, { header, arrays, satellites: header.satellites, places: header.places });
     this.scenes = header.scenes.map((_, index) => new Scene(this, index));
     this.tracks = header.tracks.map((_, index) => new Track(this, index));
+  }
+
+  /** Label of an action as it is read: "image 0" for "action_image_0". */
+  actionName(s, action) {
+    const label = this.satellites[s].actions[action];
+    return label === undefined ? "continuous control" : label.replace(/^action_/, "").replaceAll("_", " ");
   }
 
   targetName(j) {
@@ -32,7 +39,6 @@ export class Scene {
     this.count = own("targets_P").shape[0];
     this.priority = own("priority").data;
     this.cloud = own("cloud")?.data ?? null;
-    this.elements = own("elements")?.data ?? null;
     this.attitude = [1, 0, 0, 0, 1, 0, 0, 0, 1];
   }
 
@@ -63,7 +69,7 @@ export class Track {
     this.linkBuckets = this.#bucketLinks();
     this.passes = this.#intervals(own, "passes");
     this.eclipses = this.#intervals(own, "eclipses");
-    this.objects = { r: own("object_r_N"), v: own("object_v_N") };
+    this.objects = { times: own("object_times").data, r: own("object_r_N").data, v: own("object_v_N").data };
     this.position = new Float64Array(this.count * 3);
     this.velocity = new Float64Array(this.count * 3);
     this.rotation = Array.from({ length: this.count }, () => new Quaternion());
@@ -107,6 +113,18 @@ export class Track {
     return linear(this.seriesTimes, this.seriesValues, this.count * width, s * width + n, t);
   }
 
+  /** Whether satellite s has series n. */
+  hasSeries(s, n) {
+    this.having ??= new Map();
+    const key = s * this.series.length + n;
+    if (!this.having.has(key)) {
+      let found = false;
+      for (let k = key; k < this.seriesValues.length && !found; k += this.count * this.series.length) found = Number.isFinite(this.seriesValues[k]);
+      this.having.set(key, found);
+    }
+    return this.having.get(key);
+  }
+
   /** Pairs of satellites that are linked at t. */
   linksAt(t) {
     return (this.linkBuckets.get(Math.floor(t / BUCKET)) ?? [])
@@ -125,13 +143,8 @@ export class Track {
 
   /** Positions of objects in orbit at t, m, written to out, [T, 3]. */
   objectsAt(t, out) {
-    const { elements } = this.scene;
-    if (elements) {
-      for (let k = 0; k < out.length / 3; k++) onOrbit(elements, k, t, out.subarray(3 * k, 3 * k + 3));
-    } else {
-      this.scratch ??= new Float64Array(out.length);
-      hermite(this.keys, this.objects.r.data, this.objects.v.data, out.length / 3, t, out, this.scratch);
-    }
+    this.scratch ??= new Float64Array(out.length);
+    hermite(this.objects.times, this.objects.r, this.objects.v, out.length / 3, t, out, this.scratch);
   }
 
   #decisions(own) {
@@ -195,6 +208,14 @@ export class Track {
     if (w < 1e-9) this.rotation[s].set(1, 0, 0, 0);
     return this.rotation[s].normalize();
   }
+}
+
+/** Color of what satellite s does at t. */
+export function activityColor(track, s, t) {
+  const d = track.decisionAt(s, t);
+  if (d < 0) return GRAY;
+  const action = track.decisions.action[d];
+  return actionColor(track.recording.actionName(s, action), action);
 }
 
 /** Hill axes of a satellite as unit vectors in N: radial, along-track, orbit normal. */

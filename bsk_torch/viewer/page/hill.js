@@ -1,12 +1,13 @@
 // The Hill view: places relative to one satellite, radial up, along-track to the right, orbit normal toward the viewer at first.
 
 import { Quaternion, Vector3 } from "three";
-import { EVENT, hillAxes } from "viewer/flight";
+import { EVENT, activityColor, hillAxes } from "viewer/flight";
 import { hermite } from "viewer/interpolate";
 import { Labels, shorten } from "viewer/labels";
-import { GREEN, ORANGE, SKY, TRACKS, VERMILION, actionColor } from "viewer/palette";
+import { GREEN, ORANGE, SKY, TRACKS, VERMILION } from "viewer/palette";
 
 const SAMPLES = 240; // points of a path
+const SEEN = 38; // CSS pixels: smaller spacecraft are drawn with at least this radius, and their enlargement is written
 
 export class HillView {
   constructor(canvas) {
@@ -152,7 +153,8 @@ export class HillView {
     const body = bodyToHill(track, origin);
     let largest = 1e-9;
     for (let j = 0; j < targets.length; j++) largest = Math.max(largest, Math.abs(targets[j]));
-    const factor = Math.max(1, 62 / (largest * this.scale)); // at least 62 pixels in radius
+    const factor = Math.max(1, SEEN / (largest * this.scale));
+    this.reach = largest * factor * this.scale;
     const points = Array.from({ length: count }, (_, j) => {
       const [x, y, depth] = this.project(body(targets.subarray(3 * j, 3 * j + 3)).map((value) => value * factor));
       return { x, y, depth, color: t >= delivered[j] ? SKY : t >= paid[j] ? GREEN : t >= unpaid[j] ? ORANGE : null };
@@ -166,6 +168,10 @@ export class HillView {
       this.pen.fill();
     }
     this.pen.globalAlpha = 1;
+    if (factor < 1.05) return;
+    this.pen.fillStyle = "#8d9cb3";
+    this.pen.textAlign = "right";
+    this.pen.fillText(`points drawn ${factor.toFixed(factor < 10 ? 1 : 0)} times as large`, this.canvas.clientWidth - 12, 20);
   }
 
   #bodies(state, t, origin) {
@@ -178,10 +184,8 @@ export class HillView {
       const place = places.subarray(3 * s, 3 * s + 3);
       if (!Number.isFinite(place[0])) continue;
       const [x, y] = this.project(place);
-      const d = track.decisionAt(s, t);
-      const action = d < 0 ? -1 : track.decisions.action[d];
       if (s !== origin || recording.places !== "points") {
-        pen.fillStyle = actionColor(recording.satellites[s].actions[action] ?? "", Math.max(action, 0));
+        pen.fillStyle = activityColor(track, s, t);
         pen.strokeStyle = s === state.satellite ? "#fff" : "#0a1422";
         pen.lineWidth = 2;
         pen.beginPath();
@@ -190,8 +194,8 @@ export class HillView {
         pen.stroke();
       }
       const far = s === origin ? "" : ` · ${distance(Math.hypot(...place))}`;
-      const above = s === origin && recording.places === "points" ? -78 : 11;
-      labels.reserve(x, y, 6);
+      const above = s === origin && recording.places === "points" ? -this.reach - 14 : 11;
+      if (s !== origin) labels.reserve(x, y, 6);
       labels.write(shorten(recording.satellites[s].name) + far, x, y, { strong: s === state.satellite, above });
     }
     if (!track.scene.hasEarth) return;

@@ -89,24 +89,6 @@ export function mixMrp(a, b, s, out) {
   for (let j = 0; j < 3; j++) out[j] = a[j] + (b[j] * factor - a[j]) * s;
 }
 
-/** Position, m, on a two-body orbit of the elements (a, e, i, node, argument of periapsis, true anomaly at time 0), at t. */
-export function onOrbit(elements, k, t, out, mu = 3.986004415e14) {
-  const [a, e, i, node, argument, anomaly] = elements.subarray(6 * k, 6 * k + 6);
-  const root = Math.sqrt((1 - e) / (1 + e));
-  const eccentric = 2 * Math.atan(root * Math.tan(anomaly / 2));
-  const mean = eccentric - e * Math.sin(eccentric) + Math.sqrt(mu / (a * a * a)) * t;
-  let E = mean;
-  for (let step = 0; step < 6; step++) E -= (E - e * Math.sin(E) - mean) / (1 - e * Math.cos(E)); // Newton: 6 steps for e < 0.8
-  const x = a * (Math.cos(E) - e);
-  const y = a * Math.sqrt(1 - e * e) * Math.sin(E);
-  const [cw, sw, ci, si, cn, sn] = [argument, i, node].flatMap((angle) => [Math.cos(angle), Math.sin(angle)]);
-  const u = cw * x - sw * y;
-  const w = sw * x + cw * y;
-  out[0] = cn * u - sn * ci * w;
-  out[1] = sn * u + cn * ci * w;
-  out[2] = si * w;
-}
-
 /** Direction cosines of P relative to N at t, row-major: the Earth turns about P's third axis at a constant rate, rad/s. */
 export function earthAttitude(PN0, rate, t, out) {
   const c = Math.cos(rate * t);

@@ -73,7 +73,8 @@ class Viewer {
       this.timeline = new Timeline(byId("timeline"), { seek: (t) => this.seek(t ?? this.time), select: (s) => this.select(s) });
       this.speed = SPEEDS.reduce((a, b) => (Math.abs(b - this.track.duration / PLAYED) < Math.abs(a - this.track.duration / PLAYED) ? b : a));
       this.#controls();
-      this.satellite = Math.max(this.recording.satellites.findIndex((craft) => craft.actions.length || craft.controls?.length), 0);
+      const decided = this.track.decisions.of.map(({ times }) => times.length);
+      this.satellite = decided.indexOf(Math.max(...decided)); // the first one of those with the most decisions
       this.#restore();
       if (!this.track.scene.hasEarth || (this.recording.places === "points" && !this.viewChosen)) this.setView("hill");
       this.stage.face(this.track, this.satellite, this.time);
@@ -261,7 +262,8 @@ class Viewer {
       const { action_value: found, half, how } = await this.live.values(this.track.index, d);
       const { data, shape } = this.track.decisions.actionValue;
       data.set(found.map((value) => value ?? NaN), d * shape[1]);
-      this.said = half ? `${how}; half widths up to ${Math.max(...half.filter(Number.isFinite)).toFixed(3)}` : how;
+      const widest = Math.max(...(half ?? []).filter(Number.isFinite));
+      this.said = Number.isFinite(widest) ? `${how}; 95 % intervals of up to ± ${widest.toFixed(3)}` : how;
     });
   }
 

@@ -1,12 +1,14 @@
 // The map view: plate carree, with night, ground tracks, targets and stations. Longitudes and latitudes are geocentric.
 
-import { EVENT } from "viewer/flight";
+import { EVENT, activityColor } from "viewer/flight";
 import { landPath } from "viewer/globe";
 import { hermite } from "viewer/interpolate";
 import { Labels, shorten } from "viewer/labels";
-import { GREEN, ORANGE, SKY, TRACKS, actionColor } from "viewer/palette";
+import { GREEN, ORANGE, SKY, TRACKS } from "viewer/palette";
 
 const EVERY = 20; // s between the points of a ground track
+const TOOLS = 44; // CSS pixels above the map
+const LEGEND = 34; // and below it
 const WIDTH = 2048; // pixels of the land that is drawn in advance
 
 export class WorldMap {
@@ -30,11 +32,10 @@ export class WorldMap {
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
     pen.fillStyle = "#070b14";
     pen.fillRect(0, 0, width, height);
-    this.width = Math.min(width, 2 * (height - 56));
+    this.width = Math.min(width, 2 * (height - TOOLS - LEGEND));
     this.height = this.width / 2;
     this.left = (width - this.width) / 2;
-    this.top = Math.max((height - this.height) / 2, 44);
-    if (this.top + this.height > height) this.top = height - this.height;
+    this.top = Math.max((height - this.height) / 2, TOOLS);
     const t = Math.min(state.time, state.track.duration);
     const { track } = state;
     track.moveTo(t);
@@ -192,9 +193,7 @@ export class WorldMap {
       if (!track.isPresent(s)) continue;
       const [x, y] = this.project(turn(PN, track.position.subarray(3 * s, 3 * s + 3)));
       const chosen = s === state.satellite;
-      const d = track.decisionAt(s, t);
-      const action = d < 0 ? -1 : track.decisions.action[d];
-      pen.fillStyle = track.isAlive(s, t) ? actionColor(recording.satellites[s].actions[action] ?? "", Math.max(action, 0)) : "#555f70";
+      pen.fillStyle = track.isAlive(s, t) ? activityColor(track, s, t) : "#555f70";
       pen.strokeStyle = chosen ? "#fff" : "#0a1422";
       pen.lineWidth = chosen ? 2 : 1.2;
       pen.beginPath();

@@ -19,8 +19,9 @@ const ACTIONS = [
 ];
 const OTHERS = [BLUE, VERMILION, ORANGE, PURPLE, SKY, GREEN, YELLOW];
 
-/** Color of an action: by what its label says, otherwise by its index. */
+/** Color of an action: by what its label says, otherwise by its index; continuous actions have the index -1. */
 export function actionColor(label, index) {
+  if (index < 0) return ORANGE;
   const found = ACTIONS.find(([pattern]) => pattern.test(label));
   return found ? found[1] : OTHERS[index % OTHERS.length];
 }

@@ -62,12 +62,11 @@ export class Panels {
 
   #doing(state, d) {
     const { track, satellite, time, recording } = state;
-    const labels = recording.satellites[satellite].actions;
     const death = track.deathOf.get(satellite);
     const parts = [];
     if (d >= 0 && track.isAlive(satellite, time)) {
       const { action, target, end } = track.decisions;
-      const label = labels[action[d]] ?? "thrust";
+      const label = recording.actionName(satellite, action[d]);
       const aim = target[d] >= 0 ? ` · ${recording.targetName(target[d])}` : "";
       const left = end[d] - time;
       const mark = make("span", { className: "mark square", style: { background: actionColor(label, action[d]) } });
@@ -122,7 +121,8 @@ export class Panels {
     const best = flown ? Math.max(...values.filter(Number.isFinite)) : NaN;
     const headings = ["action", chances ? "policy" : null, flown ? "value" : null, state.live ? "" : null].filter((x) => x !== null);
     const table = make("table", {}, make("tr", {}, ...headings.map((text) => make("th", { scope: "col" }, text))));
-    actions.forEach((label, a) => {
+    actions.forEach((_, a) => {
+      const label = state.recording.actionName(state.satellite, a);
       const allowed = mask[a] === 1;
       const chosen = a === decisions.action[d];
       const cells = [make("td", {}, label)];

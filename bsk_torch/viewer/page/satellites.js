@@ -1,10 +1,11 @@
 // One track over the globe: orbits, symbols, instruments with their footprints, links, passes and body axes.
 
 import { BufferGeometry, DoubleSide, Float32BufferAttribute, Group, Mesh, MeshBasicMaterial, Vector3 } from "three";
+import { activityColor } from "viewer/flight";
 import { countUntil, hermite } from "viewer/interpolate";
 import { Lines } from "viewer/lines";
 import { Crafts } from "viewer/craft";
-import { GRAY, GREEN, ORANGE, SKY, VERMILION, actionColor, rgb } from "viewer/palette";
+import { GREEN, ORANGE, SKY, VERMILION, rgb } from "viewer/palette";
 
 export const RADIUS = 6378136.6; // m, one unit of length of the scene
 const PARTS = 3; // pieces of an orbit between two keyframes
@@ -57,14 +58,6 @@ export class TrackLayer {
     for (const lines of [this.rays, this.threads, this.axes]) lines.commit();
     this.cones.geometry.setDrawRange(0, this.coneCount);
     for (const name of ["position", "color"]) this.cones.geometry.attributes[name].needsUpdate = true;
-  }
-
-  /** Color of what satellite s does at t. */
-  activityColor(s, t) {
-    const d = this.track.decisionAt(s, t);
-    if (d < 0) return GRAY;
-    const action = this.track.decisions.action[d];
-    return actionColor(this.track.recording.satellites[s].actions[action] ?? "", action);
   }
 
   #orbits() {
@@ -123,7 +116,7 @@ export class TrackLayer {
   #look(s, t) {
     const { instrument } = this.track.recording.satellites[s];
     if (!instrument) return;
-    const color = rgb(this.activityColor(s, t));
+    const color = rgb(activityColor(this.track, s, t));
     const place = this.places[s];
     const axis = new Vector3(...instrument.axis_B).normalize().applyQuaternion(this.track.rotation[s]);
     const center = meet(place, axis);

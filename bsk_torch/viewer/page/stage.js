@@ -2,7 +2,7 @@
 
 import { Matrix4, Scene, Vector3, WebGLRenderer } from "three";
 import { OrbitCamera } from "viewer/camera";
-import { hillAxes } from "viewer/flight";
+import { activityColor, hillAxes } from "viewer/flight";
 import { Globe } from "viewer/globe";
 import { Labels, shorten } from "viewer/labels";
 import { RADIUS, TrackLayer } from "viewer/satellites";
@@ -222,7 +222,7 @@ export class Stage {
       if (!spot.visible) continue;
       const chosen = s === state.satellite;
       labels.reserve(spot.x, spot.y, 7);
-      if (chosen) this.#ring(spot, layer.activityColor(s, view.track.now));
+      if (chosen) this.#ring(spot, activityColor(view.track, s, view.track.now));
       if (!view.track.isAlive(s, view.track.now)) this.#cross(spot);
       if (state.show.labels || chosen) {
         labels.write(shorten(this.recording.satellites[s].name), spot.x, spot.y, { strong: chosen, aside: 16, above: 14, edge });

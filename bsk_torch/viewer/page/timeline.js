@@ -42,8 +42,8 @@ export class Timeline {
       if (list.length) lanes.push({ name, height: 9, draw: (y, h) => this.#intervals(list, color, y, h) });
     }
     track.series.forEach((series, n) => {
-      if (state.narrow && lanes.length > many + 5) return;
-      lanes.push({ name: series.label, height: 26, draw: (y, h) => this.#series(state, n, y, h) });
+      if (!track.hasSeries(satellite, n) || (series.name === "sunlit" && track.eclipses[satellite].length)) return;
+      lanes.push({ name: series.label, height: 23, draw: (y, h) => this.#series(state, n, y, h) });
     });
     return lanes;
   }
@@ -150,7 +150,7 @@ export class Timeline {
   #decisions(state, s, y, h) {
     const { pen } = this;
     const { of, end, action } = state.track.decisions;
-    const labels = state.recording.satellites[s].actions;
+    const name = (d) => state.recording.actionName(s, action[d]);
     const [from, to] = this.range;
     const { times, indices } = of[s];
     pen.font = "10.5px system-ui, sans-serif";
@@ -161,11 +161,11 @@ export class Timeline {
       const until = Math.min(Number.isFinite(end[d]) ? end[d] : state.track.duration, times[k + 1] ?? Infinity);
       const [a, b] = [this.x(times[k]), this.x(until)];
       const width = Math.max(b - a, 0.6);
-      pen.fillStyle = actionColor(labels[action[d]] ?? "", action[d]);
+      pen.fillStyle = actionColor(name(d), action[d]);
       pen.globalAlpha = s === state.satellite ? 0.95 : 0.55;
       pen.fillRect(a, y, width > 3 ? width - 1 : width, h);
       pen.globalAlpha = 1;
-      const label = labels[action[d]] ?? "";
+      const label = name(d);
       if (h >= 13 && width > 26 && pen.measureText(label).width < width - 8) {
         pen.fillStyle = "#10141c";
         pen.fillText(label, a + 4, y + h / 2 + 0.5);
