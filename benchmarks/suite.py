@@ -86,6 +86,8 @@ def summaries(results: Mapping[str, Mapping[str, Any]], known: Mapping[str, Any]
                 "simulated": row.get("simulated_per_decision"),
                 "basilisk": certificate(row),
             }
+            if row.get("measures"):
+                summary["measures"] = row["measures"]
             if preset in known and len(row["returns"]) == EPISODES:
                 low, high = (known[preset][end]["return"] for end in ("low", "high"))
                 summary["score"] = (row["return"]["mean"] - low) / (high - low)

@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 
 from bsk_torch.cli.policies import named_policy
-from bsk_torch.cli.shared import check_writable, environment, environment_options
+from bsk_torch.cli.shared import check_writable, environment, environment_options, preset_options
 from bsk_torch.cli.terminal import activity, fail, working
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.rl.evaluation.aeos_annotations import AssignedTasks, check_names, export_annotations, fly_cases, read_assignments
@@ -46,6 +46,7 @@ def export_aeosbench(
     split: str,
     turn: int,
     sensor: str,
+    option: list[str] | None,
     threads: int,
     backend: str,
     device: str,
@@ -58,7 +59,8 @@ def export_aeosbench(
         check_names(given)  # before hours are spent
     except ValueError as error:
         fail(str(error))
-    env = bench(given, sensor, named.options(environment_options(backend, device, time_limit)))
+    options = preset_options(option) | environment_options(backend, device, time_limit)
+    env = bench(given, sensor, named.options(options))
     actor = shared(named.build(env, device), env)
     with working(f"flying {policy}"):
         try:

@@ -385,6 +385,8 @@ def bench(
     """
     bsk-torch export-aeosbench runs/bench --cases cases --out data
     bsk-torch export-aeosbench nearest_task --cases cases --out o --sensor on
+    bsk-torch export-aeosbench soonest_task --cases cases --out o \
+        --option candidates=True --option step_duration=10
     """,
     name="export-aeosbench",
 )
@@ -397,6 +399,7 @@ def export_aeosbench(
         int, typer.Option("--round", metavar="E", min=0, help="Round of annotation that the files are named after.")
     ] = 0,
     sensor: Sensor = "assigned",
+    option: Options = None,
     threads: Threads = 1,
     backend: Backend = "compiled",
     device: Device = "cpu",

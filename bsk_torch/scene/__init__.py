@@ -3,6 +3,7 @@
 from bsk_torch.scene.aeos_bench import AEOSBench
 from bsk_torch.scene.aeos_files import CaseError, Cases, read_cases
 from bsk_torch.scene.aeos_generator import AEOSBenchGenerator
+from bsk_torch.scene.aeos_writing import write_cases
 from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.cities import CityTargets
 from bsk_torch.scene.clouds import CloudyTargets
@@ -52,4 +53,5 @@ __all__ = [
     "by_priority_per_second",
     "by_priority_per_second_ahead",
     "read_cases",
+    "write_cases",
 ]

@@ -593,6 +593,8 @@ def suites(name: str) -> str:
     """Return what policies reach in a suite, in a table for each preset."""
     content = load(name)
     most = max(row["episodes"] for row in content["rows"])
+    if any("measures" in row for row in content["rows"]):
+        return suite_measures(content["rows"])
     presets: dict[str, list[list[str]]] = {}
     for row in content["rows"]:
         marked = entrant(row["policy"]) + ("" if row["episodes"] == most else f" ({row['episodes']} episodes)")
@@ -606,6 +608,21 @@ def suites(name: str) -> str:
     versions = f"bsk_torch {content['bsk_torch']}, torch {content['torch']}"
     made_by = f"{versions}, {most:,} episodes of each task unless said otherwise, one thread."
     return "\n\n".join([*tables, made_by]) + "\n"
+
+
+def suite_measures(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the measures of policies in the tasks of a suite, in a table for each task."""
+    shares, others = ("CR", "WCR", "PCR", "WPCR"), (("TAT", 0), ("PC", 0), ("CS", 2))
+    head = ["policy", *(f"{name}, %" for name in shares), "TAT, s", "PC, W s", "CS", "behind the best, %", "on Basilisk"]
+    tasks: dict[str, list[list[str]]] = {}
+    for row in rows:
+        measures = row["measures"]
+        cells = [f"{100.0 * measures[name]['mean']:.1f} ±\u00a0{100.0 * measures[name]['half_width']:.1f}" for name in shares]
+        cells += [f"{measures[name]['mean']:,.{n}f} ±\u00a0{measures[name]['half_width']:,.{n}f}" for name, n in others]
+        behind = f"{100.0 * row['behind']:.1f} ±\u00a0{100.0 * row['behind_half']:.1f}" if row["behind"] else "-"
+        line = [entrant(row["policy"]), *cells, behind, certificate(row["basilisk"])]
+        tasks.setdefault(f"`{row['preset']}`, {row['episodes']} scenarios", []).append(line)
+    return "\n\n".join(f"{title}:\n\n{table(head, lines)}" for title, lines in tasks.items()) + "\n"
 
 
 def entrant(policy: str) -> str:

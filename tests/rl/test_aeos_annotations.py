@@ -91,6 +91,24 @@ def test_flights_of_exported_files_are_the_same(flown, folder, tmp_path):
         assert result.summary()["measures"]["CR"]["mean"] == pytest.approx(sum(one.measures["CR"] for one in flown) / 2)
 
 
+def test_flights_among_candidates_are_exported_second_by_second(folder):
+    env = made(folder, sensor="assigned", candidates=True, step_duration=20.0, until_done=True)
+    policy = rule("soonest_task", env)
+    flown = list(fly_cases(policy, env))
+    result = evaluate(policy, env, seeds=range(2))
+    assert result.measures["PCR"].min() > 0.0
+    for k, one in enumerate(flown):
+        assert len(one.tensors[TASK_ID]) == SECONDS
+        for name, value in result.measures.items():
+            assert one.measures[name] == pytest.approx(float(value[k]), rel=1e-12, nan_ok=True), name
+    changes = (flown[0].tensors[TASK_ID].diff(dim=0) != 0).any(1).nonzero().flatten() + 1
+    assert len(changes) > 1
+    env = made(folder, sensor="chosen", step_duration=200.0, backend="eager")
+    flights = fly_cases(rule("nearest_task", env), env)
+    with pytest.raises(ValueError, match=r"flights with sensor='chosen' are not told by their tasks"):
+        next(flights)
+
+
 def test_runs_of_each_satellite_are_read(folder, tmp_path):
     for name, crew in (("00007", 2), ("01003", 3)):
         runs = {str(k): [[-1, 3], [k + 1, 4]] for k in range(crew)}

@@ -9,7 +9,7 @@ import torch
 
 import bsk_torch
 from bsk_torch.rand import first_key
-from bsk_torch.scene import AEOSBenchGenerator
+from bsk_torch.scene import AEOSBenchGenerator, read_cases, write_cases
 from bsk_torch.scene.aeos_files import EARTH_RADIUS
 from bsk_torch.scene.aeos_generator import pool, real_orbits
 from tests.scene.aeos_cases import constellation, tasks, write
@@ -151,6 +151,20 @@ def test_real_orbits_are_those_of_the_benchmark():
     assert set(drawn[..., 3].flatten().tolist()) <= set(orbits[:, 3].tolist())
     share = (drawn[..., 0] == 6921e3).double().mean()
     assert abs(share - 3832 / 4993) < 4.5 * math.sqrt(0.77 * 0.23 / 3200)
+
+
+def test_drawn_cases_can_be_written_to_files(tmp_path):
+    """Files of random cases have the same satellites and tasks up to rounding."""
+    cases = AEOSBenchGenerator((2, 4), (5, 9), "real").draw(first_key(3))
+    assert [path.name for path in write_cases(cases, tmp_path)] == ["00000", "00001", "00002"]
+    again = read_cases(tmp_path, 4, 9)
+    assert torch.equal(again.present, cases.present)
+    exists = cases.tasks["duration"] > 0.0
+    for name, values in cases.satellites.items():
+        torch.testing.assert_close(again.satellites[name][cases.present], values[cases.present], rtol=1e-14, atol=1e-13)
+    for name, values in cases.tasks.items():
+        assert torch.equal(again.tasks[name][exists], values[exists])
+    torch.testing.assert_close(again.places[exists], cases.places[exists], rtol=0.0, atol=1e-8)
 
 
 def test_a_preset_of_random_cases():

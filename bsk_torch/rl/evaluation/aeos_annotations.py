@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
@@ -22,7 +23,9 @@ from bsk_torch.env import ConstellationTasking
 from bsk_torch.env.base import Tasking
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.files import write_file
-from bsk_torch.rl.evaluation.evaluate import start_episodes
+from bsk_torch.presets.aeos_bench import aeos_bench
+from bsk_torch.rl.evaluation.evaluate import start_episodes, with_lots
+from bsk_torch.rl.rules.baselines import LOT
 from bsk_torch.rl.rules.nearest_task import TaskTeam, task_team
 from bsk_torch.rl.rules.team import TeamPolicy
 from bsk_torch.scene import CaseError, Cases
@@ -62,12 +65,18 @@ class Trajectory(NamedTuple):
 # -- export ---------------------------------------------------------------------------------------------------------------------
 
 
-def bench_of(env: Tasking) -> tuple[TaskTeam, Cases]:
-    """Return the team of an environment and its cases; ValueError unless it flies listed cases, with any task in any second."""
+def listed(env: Tasking) -> tuple[TaskTeam, Cases]:
+    """Return the team of an environment and its cases; ValueError unless it flies listed cases."""
     view = task_team(env)
     cases = view.scenario.cases
     if not isinstance(cases, Cases) or view.scenario.order != "listed":
         raise ValueError("annotations are of listed cases; make AEOSBench-v1 with folder=... and order='listed'")
+    return view, cases
+
+
+def bench_of(env: Tasking) -> tuple[TaskTeam, Cases]:
+    """Return the team of an environment and its cases; ValueError unless it flies listed cases, with any task in any second."""
+    view, cases = listed(env)
     if view.entry.duration is not None or view.entry.n_candidates is not None:
         raise ValueError("annotations have a task in every second; make AEOSBench-v1 without step_duration and candidates")
     return view, cases
@@ -79,12 +88,53 @@ def check_names(cases: Cases) -> None:
         _number(name)
 
 
+def assigned_tasks(policy: TensorDictModuleBase, env: ConstellationTasking, start: TensorDictBase, rows: Tensor) -> Tensor:
+    """Play the episodes ``rows`` [N] from ``start`` to their ends, and return the assigned tasks in each second, [N, t, S].
+
+    Choices may hold for any number of seconds, and be among candidates.
+    """
+    player = with_lots(policy, env) if LOT in policy.in_keys else policy
+    scenario, before = task_team(env).scenario, env.fleet.ticks.clone()
+    tick = torch.arange(int(env.time_limit.max() / env.fleet.h), device=env.device)
+    table = torch.full((*env.batch_size, len(tick), env.fleet.shape[1]), NO_TASK, device=env.device)
+    for playing, _ in play_episodes(env, player, start, rows):
+        after, span = env.fleet.ticks, slice(int(before[playing].min()), int(env.fleet.ticks[playing].max()))
+        ran = (tick[span] >= before.unsqueeze(1)) & (tick[span] < after.unsqueeze(1))
+        table[:, span] = torch.where(ran.unsqueeze(2), scenario.held_task.unsqueeze(1), table[:, span])
+        before = after.clone()
+    return table
+
+
+def replaying(env: ConstellationTasking, cases: Cases, num_envs: int) -> ConstellationTasking:
+    """Return an environment of ``cases`` with a choice in every second, and sensors and length of episodes as in ``env``.
+
+    ValueError where sensors do not follow from the tasks, so that a replay would be another flight.
+    """
+    sensor = task_team(env).entry.sensor
+    if sensor == "chosen":
+        raise ValueError("flights with sensor='chosen' are not told by their tasks; choose 'assigned' or 'on'")
+    (limit,) = env.time_limit.unique().tolist()
+    like: dict[str, Any] = {name: getattr(env.options, name) for name in ("backend", "device", "dtype")}
+    one = dict(num_envs=num_envs, env_ids=[0] * num_envs, time_limit=limit)
+    return aeos_bench(cases, order="listed", sensor=sensor, **like, **one)
+
+
 def fly_cases(policy: TensorDictModuleBase, env: ConstellationTasking) -> Iterator[Trajectory]:
     """Fly every case of an environment once by a policy of all its satellites, and yield the trajectories, in the order of cases.
 
-    ValueError for an environment that :func:`bench_of` rejects.
+    Flights whose choices hold for longer than a second, or are among candidates, are flown again with the tasks of each second.
+    ValueError for an environment without listed cases, and for such flights with ``sensor="chosen"``.
     """
-    view, cases = bench_of(env)
+    view, cases = listed(env)
+    if view.entry.duration is not None or view.entry.n_candidates is not None:
+        parts, size = [], env.batch_size[0]
+        for first in range(0, len(cases), size):
+            seeds = range(first, min(first + size, len(cases)))
+            flying = torch.arange(size, device=env.device) < len(seeds)
+            parts.append(assigned_tasks(policy, env, start_episodes(env, seeds), flying)[flying])
+        again = replaying(env, cases, size)
+        yield from fly_cases(AssignedTasks(again, torch.cat(parts)).module(), again)
+        return
     scenario, n = view.scenario, env.batch_size[0]
     for first in range(0, len(cases), n):
         seeds = range(first, min(first + n, len(cases)))
