@@ -1,19 +1,20 @@
 """What do rules and policies return in Services-v1, next to the study that the preset is from?
 
 Usage:
-    python benchmarks/services.py [--rules rate angle ...] [--best rate] [--policies FILE ...] [--episodes 100] [--first 0]
+    python benchmarks/services.py [--rules rate angle ...] [--best rate] [--policies RUN ...] [--episodes 100] [--first 0]
         [--batch 100] [--out FILE.json]
 
 All play the same episodes, those of the seeds 0, 1, ... from ``--first`` on, by the study's protocol: 200 objects, half of the
 orbits low, 30 percent medium and 20 percent geosynchronous on average, priorities of sum 100, eight of which rise in the middle
-of the episode, and rewards for verified images. Policies are files that ``bsk-torch train`` has written, and observe and may do
-what they did in training. Gains over the rule ``--best`` are paired by episode.
+of the episode, and rewards for verified images. Policies are folders that ``bsk-torch train`` has written, whose names are shown,
+and observe and may do what they did in training. Gains over the rule ``--best`` are paired by episode.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
+from pathlib import Path
 from typing import Any
 
 import harness
@@ -79,7 +80,7 @@ def main() -> None:
     names = ["random", *ORDERS, *(name for name in WORTHS if name not in IDLE)]  # those that wait otherwise are for teams
     parsed = harness.parser(__doc__, rules=names, episodes=100, first=0, batch=100, targets=200, time_limit=45_000.0)
     parsed.add_argument("--best", choices=names, default="rate", help="rule over which gains are")
-    parsed.add_argument("--policies", nargs="*", default=[], metavar="FILE", help="policies of bsk-torch train")
+    parsed.add_argument("--policies", nargs="*", default=[], type=Path, metavar="RUN", help="folders of bsk-torch train")
     parsed.add_argument("--backend", choices=("compiled", "eager"), default="compiled")
     options, described = harness.begin(parsed)
     rows: list[dict[str, Any]] = []
@@ -98,10 +99,10 @@ def main() -> None:
     for name in [options.best, *(name for name in options.rules if name != options.best)]:
         env = envs[name in NEEDS_OUTLOOK]
         compare(name, rule(name, env), env)
-    for k, file in enumerate(options.policies):
-        given = read_card(file)["options"]
+    for run in options.policies:
+        given = read_card(run)["options"]
         seen = {key: given[key] for key in OF_TRAINING if key in given}
-        compare(f"trained, seed {k}", load_policy(file), make_env(options, **seen))
+        compare(f"trained, {run.name}", load_policy(run), make_env(options, **seen))
     print(harness.table(COLUMNS, rows))
 
 

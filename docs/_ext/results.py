@@ -16,6 +16,7 @@ RESULTS = ROOT / "benchmarks" / "results"
 SCRIPTS = {
     "teams_prompt": "teams",
     "crews_three": "crews",
+    "services_leo": "services",
     "aeos_real": "aeos_bench",
     "aeos_random": "aeos_bench",
     "vs_basilisk_imaging": "vs_basilisk",
@@ -641,6 +642,7 @@ def with_half(value: float | None, half: float) -> str:
 
 def services(name: str) -> str:
     """Return what rules and policies return in the episodes of Services-v1."""
+    loaded = load(name)
     rows = [
         [
             row["policy"] if row["policy"].startswith("trained") else f"`{row['policy']}`",
@@ -652,9 +654,10 @@ def services(name: str) -> str:
             f"{row['survival']:.0%}",
             f"{row['cpu']:.2f}",
         ]
-        for row in load(name)["rows"]
+        for row in loaded["rows"]
     ]
-    titles = ["policy", "return", "gain over rate", "images", "downlinked", "decisions", "survival", "core-s per episode"]
+    best = loaded["options"].get("best", "rate")
+    titles = ["policy", "return", f"gain over `{best}`", "images", "downlinked", "decisions", "survival", "core-s per episode"]
     return with_command(name, titles, rows)
 
 
