@@ -3,8 +3,8 @@
 Usage:
     python benchmarks/aeos_speed_side.py [--satellites 8] [--tasks 50] [--seconds 20]
 
-It runs in an interpreter with Basilisk, which does not need torch, and flies with the modules and the order of the recordings of
-this project (``tests/basilisk/recorders/record_aeos_bench.py``). It prints satellite-seconds per core-second.
+It runs in an interpreter with the extra ``basilisk``, and flies with the modules and the order of the recordings of this project
+(``tests/basilisk/recorders/record_aeos_bench.py``). It prints satellite-seconds per core-second.
 """
 
 import argparse

@@ -18,6 +18,7 @@ import torch
 
 from bsk_torch.basilisk import FLOWN, absent_data, lacking
 from bsk_torch.basilisk import certify as certified
+from bsk_torch.basilisk.aeos_certificate import BENCH, certify_bench
 from bsk_torch.cli.planned import PREFIX, named_planner
 from bsk_torch.cli.policies import PRETRAINED, NamedPolicy, named_policy
 from bsk_torch.cli.shared import check_writable, preset_options
@@ -42,6 +43,9 @@ from bsk_torch.rl.policies.pretrained import makings
 from bsk_torch.rl.policies.shared_policy import RULES, baseline, shared
 from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.tables import print_table
+
+CERTIFIERS = {**dict.fromkeys(FLOWN, certified), BENCH: certify_bench}
+"""Functions that fly episodes again on Basilisk, by preset."""
 
 FORMAT = 1
 """Version of the layout of the JSON file."""
@@ -84,8 +88,8 @@ def bench(
             with working(f"{name}: {task.title}"):
                 try:
                     score = play(task, entrant, counts[task.title], backend=backend, device=device)
-                    again = certify if score is not None and task.preset in FLOWN else 0
-                    flown = certified(task, entrant, again, backend=backend, device=device) if again else None
+                    fly = CERTIFIERS.get(task.preset) if score is not None and certify else None
+                    flown = None if fly is None else fly(task, entrant, certify, backend=backend, device=device)
                 except (TypeError, ValueError) as error:
                     fail(f"{name}: {error}")
             if score is not None:
@@ -113,8 +117,8 @@ def check_certifiable(tasks: Sequence[Task], certify: int, episodes: int) -> Non
     """End the program if episodes cannot be flown on Basilisk; name the presets that will not be."""
     if not certify:
         return
-    flown = [task for task in tasks if task.preset in FLOWN]
-    names = ", ".join(FLOWN)
+    flown = [task for task in tasks if task.preset in CERTIFIERS]
+    names = ", ".join(CERTIFIERS)
     if not flown:
         fail(f"--certify {certify}: none of {', '.join(task.preset for task in tasks)} can be flown on Basilisk; {names} can")
     most = min(episodes, *(task.at_once for task in flown))

