@@ -86,11 +86,9 @@ SCENE_ARRAYS: dict[str, Form] = {
     "targets_P": _form("f4", "T 3"),
     "priority": _form("f4", "T"),
     "cloud": _form("f4", "T", required=False),
-    "elements": _form("f8", "T 6", required=False),
 }
-"""Arrays of a scene with T targets: positions in P, or in the frame of the inspected spacecraft; priorities; fractions of clouds;
-and the orbits of objects that move as two bodies (semi-major axis, eccentricity, inclination, node, argument of periapsis, true
-anomaly at time 0)."""
+"""Arrays of a scene with T targets: positions in P, or in the frame of the inspected spacecraft (NaN for objects in orbit, whose
+positions are in tracks); priorities; fractions of clouds."""
 
 TRACK_ARRAYS: dict[str, Form] = {
     "key_times": _form("f8", "K"),
@@ -124,12 +122,14 @@ TRACK_ARRAYS: dict[str, Form] = {
     "passes_satellite": _form("i4", "P"),
     "eclipses": _form("f8", "Q 2"),
     "eclipses_satellite": _form("i4", "Q"),
-    "object_r_N": _form("f4", "K T 3", required=False),
-    "object_v_N": _form("f4", "K T 3", required=False),
+    "object_times": _form("f8", "G", required=False),
+    "object_r_N": _form("f4", "G T 3", required=False),
+    "object_v_N": _form("f4", "G T 3", required=False),
 }
 """Arrays of a track: K keyframes, between which cubic Hermite polynomials give the S satellites (NaN for absent ones);
 attitudes at M equal steps; n series at J times; D decisions in the order of their times with A actions, C controls and O observed
-numbers; E events of targets (kinds: see :data:`EVENTS`); L links; P passes over stations; Q eclipses."""
+numbers; E events of targets (kinds: see :data:`EVENTS`); L links; P passes over stations; Q eclipses; G keyframes of T
+objects in orbit."""
 
 EVENTS = ("rewarded", "unrewarded", "delivered")
 """Kinds of events: a target is imaged or a point inspected, with or without a reward; its data reach the ground."""

@@ -89,7 +89,9 @@ class Recording:
             k, number = fleet.place_of(name)
             of_type.setdefault(k, []).append((number, place))
         layouts = {k: fleet.simulators[k].tick.state for k in of_type}
-        known = {name: layout.fields[name].width for layout in layouts.values() for name in layout.fields}
+        known = dict[str, int]()  # types of satellites may have different numbers of wheels
+        for layout in layouts.values():
+            known |= {name: max(part.width, known.get(name, 0)) for name, part in layout.fields.items()}
         for name in self.fields:
             if name not in known:
                 those = ", ".join(self.satellites)
@@ -101,7 +103,7 @@ class Recording:
         for k, pairs in of_type.items():
             having = [name for name in self.fields if name in layouts[k].fields]
             planes = [plane for name in having for plane in _range(layouts[k].slices[name])]
-            columns = [column for name in having for column in _range(self._slices[name])]
+            columns = [column for name in having for column in _range(self._slices[name])[: layouts[k].fields[name].width]]
             numbers, places = zip(*pairs, strict=True)
             index = [torch.tensor(part, dtype=torch.int64, device=fleet.device) for part in (numbers, places, planes, columns)]
             self._types.append(_Type(k, index[0], index[1].unsqueeze(-1), index[2], index[3]))

@@ -36,6 +36,15 @@ def rewarder_of(env: Tasking) -> RSOImageReward | None:
     return next((part for part in parts if isinstance(part, RSOImageReward)), None)
 
 
+def images_on_board(rewarder: RSOImageReward) -> list[tuple[int, int, float, float]]:
+    """Return imager, object, time and quality of the images that the imagers of episode 0 hold."""
+    memory = rewarder.memory
+    target, time, quality = (memory[f"rso_product_{name}"][0].cpu() for name in ("target", "time", "quality"))
+    there = target != NONE
+    imager = torch.arange(target.shape[1]).expand_as(target)
+    return list(zip(*(part[there].tolist() for part in (imager, target, time, quality)), strict=True))
+
+
 def _parts(env: Tasking) -> tuple[RSOTargets, RSOImageReward]:
     """Return scenario and rewarder; ValueError for other problems."""
     rewarder = rewarder_of(env)
@@ -129,21 +138,13 @@ class RSOImagingRecorder:
         self.priorities.append(self.scenario.priority[0].cpu())
         for name, values in quantities(self.fleet).items():
             self.series.setdefault(name, []).append(values[self.columns])
-        products = {(k, target, time): quality for k, target, time, quality in self._products()}
+        products = {(k, target, time): quality for k, target, time, quality in images_on_board(self.rewarder)}
         for image in self.on_board - products.keys():
             self.deliveries[image] = now
         self.qualities |= products
         self.on_board = set(products)
         self.deaths = torch.where(self.env.dead[0].cpu(), self.deaths.clamp(max=now), self.deaths)
         self.removed = self.fleet.state.removed[0].clone()
-
-    def _products(self) -> list[tuple[int, int, float, float]]:
-        """Imager, object, time and quality of the images on board."""
-        memory = self.rewarder.memory
-        target, time, quality = (memory[f"rso_product_{name}"][0].cpu() for name in ("target", "time", "quality"))
-        there = target != NONE
-        imager = torch.arange(target.shape[1]).expand_as(target)
-        return list(zip(*(part[there].tolist() for part in (imager, target, time, quality)), strict=True))
 
     def episode(self) -> RSOImagingEpisode:
         """Return the recorded episode."""

@@ -110,7 +110,7 @@ def look(env: Tasking, row: int) -> Moment:
     fleet = env.fleet
     shown = torch.nonzero(env.present[row].cpu()).squeeze(-1)
     kind, number = fleet.place_of(fleet.names[int(shown[0])])
-    modes, causes, world = _modes(env, row), _causes(env, row), fleet.simulators[kind].world
+    modes, causes, world = _modes(env, row), causes_of(env, row), fleet.simulators[kind].world
     first = row * fleet.simulators[kind].count + number
     in_orbit = isinstance(env.scenario, RSOTargets)
     find = _objects if in_orbit else _targets
@@ -127,7 +127,7 @@ def look(env: Tasking, row: int) -> Moment:
         orbits_N=array(revolution(r_N, v_N)),
         sun_N=array(world.sun_direction_N[first]),
         PN=array(world.PN[first]),
-        stations_P=array(_stations(fleet.simulators)),
+        stations_P=array(stations_of(fleet.simulators)),
         targets_P=array(r_TP_P),
         imaged=array(imaged),
         worth=array(worth),
@@ -173,7 +173,7 @@ def _modes(env: Tasking, row: int) -> list[str]:
     return [modes[column] for column in range(env.fleet.size)]
 
 
-def _causes(env: Tasking, row: int) -> list[str]:
+def causes_of(env: Tasking, row: int) -> list[str]:
     """The checks that a dead satellite fails, for each satellite of the fleet."""
     causes = [""] * env.fleet.size
     for satellite in env.satellites:
@@ -192,7 +192,7 @@ def command_of(simulator: Simulator, mode: str) -> str:
     return next(wider, mode)
 
 
-def _stations(simulators: Iterable[Simulator]) -> Tensor:
+def stations_of(simulators: Iterable[Simulator]) -> Tensor:
     """Earth-fixed positions [K, 3] of the ground stations, if anybody sees some."""
     for simulator in simulators:
         stations = None if simulator.access is None else simulator.access.kinds.get("ground_station")
