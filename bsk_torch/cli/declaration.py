@@ -67,6 +67,19 @@ Network = Annotated[
         "for constellations).",
     ),
 ]
+What = Annotated[str, typer.Argument(help="Preset, run folder, or recording (.bskview).", show_default=False)]
+WithPolicy = Annotated[
+    str | None,
+    typer.Option(
+        "--policy",
+        metavar="NAME",
+        help="Policy of a preset: 'pretrained' (default), a baseline, a run folder, or a planner such as plan:rollout.",
+    ),
+]
+Branches = Annotated[
+    list[str] | None,
+    typer.Option("--branch", metavar="DECISION:ACTION", help="Another future: take this action at that decision; repeatable."),
+]
 Run = Annotated[Path, typer.Argument(help="Run folder.", show_default=False)]
 OfPreset = Annotated[str | None, typer.Option(metavar="NAME", help="Environment; default: that of the run, or NadirScan-v1.")]
 Plan = Annotated[

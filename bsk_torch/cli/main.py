@@ -14,6 +14,7 @@ from bsk_torch.cli.declaration import (
     MACHINE,
     Algorithm,
     Backend,
+    Branches,
     Changes,
     Device,
     Network,
@@ -28,7 +29,9 @@ from bsk_torch.cli.declaration import (
     Shield,
     Threads,
     TimeLimit,
+    What,
     WithoutTypes,
+    WithPolicy,
     command,
 )
 from bsk_torch.cli.terminal import activity, fail, print_message
@@ -276,6 +279,70 @@ def audit_policy(
 
     The regret of a decision is the return of the best action minus that of the chosen one, both followed by the policy.
     """
+
+
+@command(
+    app,
+    "view",
+    """
+    bsk-torch view NadirScan-v1
+    bsk-torch view Constellation-v1 --until 1200 --out team.html
+    bsk-torch view NadirScan-v1 --policy rule --branch 12:1 --out futures.html
+    bsk-torch view runs/scan
+    bsk-torch view flight.bskview
+    """,
+)
+def view(
+    what: What,
+    policy: WithPolicy = None,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the episode.")] = 0,
+    until: Annotated[float | None, typer.Option(metavar="S", help="Stop after S seconds of the episode.")] = None,
+    branch: Branches = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a file (.html, .bskview, .czml) instead of starting a server.")
+    ] = None,
+    host: Annotated[str, typer.Option(metavar="NAME", help="Address of the server; others need a token.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(metavar="N", min=1, max=65535, help="Port of the server, or the next free one.")] = 8765,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
+    plan: Plan = None,
+    threads: Threads = 1,
+    backend: Backend = "compiled",
+    device: Device = "cpu",
+    time_limit: TimeLimit = None,
+) -> None:
+    """Show an episode in the browser: a preset, a run or a recording.
+
+    The page of a server also shows the value of every action at a decision, and flies other futures from there. With --out, one
+    file plays without a server.
+    """
+
+
+@command(
+    app,
+    "view",
+    """
+    bsk-torch export NadirScan-v1 --out flight.html
+    bsk-torch export flight.bskview --out flight.czml
+    bsk-torch export runs/scan --seed 7 --out flight.mp4
+    """,
+)
+def export(
+    what: What,
+    out: Annotated[
+        Path,
+        typer.Option(metavar="FILE", help="A page (.html), recording (.bskview), CZML (.czml) or film (.mp4, .gif, .webp)."),
+    ],
+    policy: WithPolicy = None,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the episode.")] = 0,
+    until: Annotated[float | None, typer.Option(metavar="S", help="Stop after S seconds of the episode.")] = None,
+    branch: Branches = None,
+    plan: Plan = None,
+    threads: Threads = 1,
+    backend: Backend = "compiled",
+    device: Device = "cpu",
+    time_limit: TimeLimit = None,
+) -> None:
+    """Write an episode of a preset, a run or a recording to a file."""
 
 
 @command(

@@ -16,12 +16,14 @@ import struct
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields
+from html import escape
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from bsk_torch.files import write_file
+from bsk_torch.viewer.page import build_page
 
 __all__ = [
     "EVENTS",
@@ -175,6 +177,7 @@ class Scene:
 
     Attributes:
         seed: Seed of the episode.
+        et: Ephemeris time at time 0, s since J2000.
         PN0: DCM from N to P at time 0, 9 numbers by rows; empty where there is no Earth.
         rate: Rotation rate of the Earth about the third axis of P, rad/s.
         station_names: Names of the ground stations.
@@ -183,6 +186,7 @@ class Scene:
     """
 
     seed: int
+    et: float
     PN0: list[float]
     rate: float
     station_names: list[str] = field(default_factory=list)
@@ -287,6 +291,15 @@ class Recording:
         text = json.dumps(header, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
         text += b" " * (-(len(MAGIC) + 8 + len(text)) % 8)
         return gzip.compress(MAGIC + struct.pack("<II", VERSION, len(text)) + text + payload, mtime=0)
+
+    def html(self) -> str:
+        """Return a page that plays the recording: one file of HTML, without a server or a network."""
+        return build_page(self.encode(), title=self.title)
+
+    def _repr_html_(self) -> str:
+        """Return the page as a frame, which notebooks show."""
+        page = escape(self.html(), quote=True)
+        return f'<iframe srcdoc="{page}" title="{escape(self.title)}" style="width:100%;height:640px;border:0"></iframe>'
 
     def save(self, path: Path | str) -> None:
         """Write a file; its name must end with :data:`SUFFIX`."""

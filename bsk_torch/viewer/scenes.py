@@ -108,6 +108,7 @@ def scene_of(env: Tasking, seed: int) -> Scene:
         owner = env.fleet.size
     return Scene(
         seed=seed,
+        et=float(env.fleet.simulators[0].arcs.et[0]),
         PN0=[] if relative else env.fleet.simulators[0].world.PN[0].flatten().tolist(),
         rate=EARTH_ROTATION_RATE,
         station_names=names,

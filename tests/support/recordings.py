@@ -140,6 +140,7 @@ def synthetic_recording(
     cos, sin = np.cos(ANGLE0), np.sin(ANGLE0)
     scene = Scene(
         seed=0,
+        et=6.6e8,
         PN0=[cos, sin, 0.0, -sin, cos, 0.0, 0.0, 0.0, 1.0],
         rate=RATE,
         station_names=["Station A", "Station B"],

@@ -437,13 +437,17 @@ def recording_of(env: Tasking, flight: Flight, tracks: list[Track], title: str, 
     )
 
 
-def branched(flown: Flown, decision: int, action: int, parent: int) -> Branch:
-    """Return the branch of a flight at one of its decisions; IndexError or ValueError for others and for illegal actions."""
+def branched(flown: Flown, decision: int, action: int | None, parent: int) -> Branch:
+    """Return the branch of a flight at one of its decisions, with its own action for None.
+
+    IndexError for other decisions, ValueError for illegal actions and for decisions of real numbers.
+    """
     if not 0 <= decision < len(flown.choices):
         raise IndexError(f"decision={decision} must lie from 0 to {len(flown.choices) - 1}, the decisions of track {parent}")
     choice = flown.choices[decision]
     if not choice.mask:
         raise ValueError(f"decision {decision} is made of real numbers; only numbered actions can be exchanged")
+    action = choice.action if action is None else action
     if not (0 <= action < len(choice.mask) and choice.mask[action]):
         legal = [k for k, allowed in enumerate(choice.mask) if allowed]
         raise ValueError(f"action={action} is not legal at decision {decision}; legal are {legal!s:.200}")

@@ -8,7 +8,7 @@ from bsk_torch.env.rollout import play_episodes
 from bsk_torch.rl.policies.files import build_policy, read_card
 from bsk_torch.rl.policies.pretrained import pretrained_file
 from bsk_torch.rl.policies.shared_policy import rule, shared
-from bsk_torch.viewer.record import record
+from bsk_torch.viewer.recorder import record
 from bsk_torch.viewer.recording import decode
 from bsk_torch.viz.recorders.constellation import quantities
 
@@ -103,6 +103,7 @@ def test_resources_agree_with_the_simulator(scan):
         if times[-1] >= track.duration:
             break
     at = np.searchsorted(track.arrays["series_times"], times)
+    assert len(track.series) == 5
     for k, series in enumerate(track.series[:3]):
         expected = [float(now[series.name].abs().max()) for now in seen]
         assert np.allclose(track.arrays["series"][at, 0, k], expected, atol=1e-6)

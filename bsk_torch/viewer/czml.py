@@ -1,0 +1,217 @@
+"""Recordings as CZML, which CesiumJS and other virtual globes show.
+
+Positions of satellites are in the inertial frame (``INERTIAL``: J2000 axes, which are those of N), places in ``FIXED``.
+Source of the format: "CZML Guide", AnalyticalGraphicsInc/czml-writer.
+"""
+
+from __future__ import annotations
+
+import json
+from datetime import datetime, timedelta
+from typing import Any
+
+import numpy as np
+
+from bsk_torch.viewer.recording import Array, Recording, Scene, Track
+
+__all__ = ["czml"]
+
+J2000 = datetime(2000, 1, 1, 12)
+"""Epoch of ephemeris time."""
+
+SHIFT = 69.184
+"""Ephemeris time minus UTC since 2017, s; before, up to five seconds less."""
+
+ATTITUDE_STEP = 10.0
+"""Least time between two orientations, s."""
+
+COLORS = {
+    "satellite": [86, 180, 233, 255],
+    "open": [230, 159, 0, 255],
+    "done": [0, 158, 115, 255],
+    "station": [204, 121, 167, 255],
+}
+"""Colors, RGBA, that remain distinct for the color-blind (Okabe and Ito)."""
+
+
+def czml(recording: Recording, track: int = 0) -> str:
+    """Return a track as the text of a CZML file.
+
+    Args:
+        recording: Flights around the Earth.
+        track: Which of its tracks.
+
+    Raises:
+        IndexError: For a track that does not exist.
+        ValueError: For a flight without the Earth.
+    """
+    if not 0 <= track < len(recording.tracks):
+        raise IndexError(f"track={track} must lie from 0 to {len(recording.tracks) - 1}")
+    flight = recording.tracks[track]
+    scene = recording.scenes[flight.scene]
+    if not scene.PN0:
+        raise ValueError(f"{recording.preset or 'the recording'} has no Earth, which CZML needs; write .html instead")
+    start = J2000 + timedelta(seconds=scene.et - SHIFT)
+    packets = [_document(recording, flight, start), *_stations(scene)]
+    packets += [_satellite(recording, flight, scene, start, k) for k in range(len(recording.satellites))]
+    packets += _targets(recording, flight, scene, start)
+    packets += _links(recording, flight, start)
+    return json.dumps(packets, ensure_ascii=False, allow_nan=False)
+
+
+def _time(start: datetime, seconds: float) -> str:
+    return (start + timedelta(seconds=float(seconds))).isoformat(timespec="milliseconds") + "Z"
+
+
+def _span(start: datetime, begin: float, end: float) -> str:
+    return f"{_time(start, begin)}/{_time(start, end)}"
+
+
+def _document(recording: Recording, flight: Track, start: datetime) -> dict[str, Any]:
+    clock = {
+        "interval": _span(start, 0.0, flight.duration),
+        "currentTime": _time(start, 0.0),
+        "multiplier": 60,
+        "range": "CLAMPED",
+    }
+    return {"id": "document", "name": recording.title, "version": "1.0", "clock": clock}
+
+
+def _satellite(recording: Recording, flight: Track, scene: Scene, start: datetime, k: int) -> dict[str, Any]:
+    times, r_N = flight.arrays["key_times"], flight.arrays["r_N"][:, k].astype("f8")
+    there = np.isfinite(r_N).all(-1)
+    rows = np.concatenate([times[there, None], r_N[there]], 1).round(3)
+    death = min([death.time for death in flight.deaths if death.satellite == k], default=flight.duration)
+    packet = {
+        "id": f"satellite/{k}",
+        "name": recording.satellites[k].name,
+        "availability": _span(start, 0.0, flight.duration),
+        "position": {
+            "epoch": _time(start, 0.0),
+            "referenceFrame": "INERTIAL",
+            "interpolationAlgorithm": "LAGRANGE",
+            "interpolationDegree": 5,
+            "cartesian": rows.flatten().tolist(),
+        },
+        "point": {"pixelSize": 8, "color": {"rgba": COLORS["satellite"]}},
+        "label": {"text": recording.satellites[k].name, "font": "12px sans-serif", "pixelOffset": {"cartesian2": [12, 0]}},
+        "path": {"leadTime": 0, "trailTime": 5400, "width": 1, "material": _solid(COLORS["satellite"])},
+        "description": _description(recording, flight, k, death),
+    }
+    turn = _orientation(flight, scene, k)
+    if turn is not None:
+        packet["orientation"] = {
+            "epoch": _time(start, 0.0),
+            "interpolationAlgorithm": "LINEAR",
+            "interpolationDegree": 1,
+            "unitQuaternion": turn,
+        }
+    return packet
+
+
+def _description(recording: Recording, flight: Track, k: int, death: float) -> str:
+    """What has become of a satellite; markup in names is text."""
+    deaths = [entry for entry in flight.deaths if entry.satellite == k]
+    if not deaths:
+        return f"{flight.label}: survived"
+    return f"{flight.label}: lost at {death:.0f} s ({', '.join(deaths[0].causes)})"
+
+
+def _solid(color: list[int]) -> dict[str, Any]:
+    return {"solidColor": {"color": {"rgba": color}}}
+
+
+def _orientation(flight: Track, scene: Scene, k: int) -> list[float] | None:
+    """Times and quaternions (x, y, z, w) of the turn from body axes to Earth-fixed ones; None without attitudes."""
+    sigma = flight.arrays["sigma"][:, k].astype("f8")
+    if not len(sigma):
+        return None
+    every = max(1, round(ATTITUDE_STEP / flight.attitude_step))
+    at = np.arange(0, len(sigma), every)
+    times = flight.attitude_start + at * flight.attitude_step
+    good = np.isfinite(sigma[at]).all(-1)
+    times, sigma = times[good], sigma[at][good]
+    if not len(times):
+        return None
+    square = (sigma**2).sum(-1, keepdims=True)
+    body = np.concatenate([2.0 * sigma, 1.0 - square], -1) / (1.0 + square)  # of the turn from N to body axes
+    angle = 0.5 * scene.rate * times  # of the Earth since time 0
+    spin = np.stack([0.0 * angle, 0.0 * angle, np.sin(angle), np.cos(angle)], -1)
+    first = np.tile(_quaternion(np.array(scene.PN0).reshape(3, 3)), (len(times), 1))
+    # vectors turn from body axes to N, then to P; turns of axes are the inverse of turns of vectors
+    inverse = np.array([-1.0, -1.0, -1.0, 1.0])
+    turn = _product(_product(spin * inverse, first * inverse), body)
+    turn *= np.where(turn[:, 3:] < 0.0, -1.0, 1.0)
+    return np.concatenate([times[:, None], turn], 1).round(7).flatten().tolist()
+
+
+def _quaternion(dcm: Array) -> Array:
+    """Quaternion (x, y, z, w) whose turn of axes is a DCM, by Shepperd's method."""
+    squares = np.array([1.0 + 2.0 * np.diag(dcm)[i] - np.trace(dcm) for i in range(3)] + [1.0 + np.trace(dcm)]) / 4.0
+    off = np.array([dcm[1, 2] - dcm[2, 1], dcm[2, 0] - dcm[0, 2], dcm[0, 1] - dcm[1, 0]]) / 4.0
+    table = (np.pad(dcm + dcm.T, (0, 1))) / 4.0
+    table[:3, 3] = table[3, :3] = off
+    np.fill_diagonal(table, squares)
+    largest = int(squares.argmax())
+    found: Array = table[largest] / np.sqrt(squares[largest])
+    return found
+
+
+def _product(a: Array, b: Array) -> Array:
+    """Products of quaternions (x, y, z, w), [M, 4]."""
+    va, wa, vb, wb = a[:, :3], a[:, 3:], b[:, :3], b[:, 3:]
+    return np.concatenate([wa * vb + wb * va + np.cross(va, vb), wa * wb - (va * vb).sum(-1, keepdims=True)], -1)
+
+
+def _stations(scene: Scene) -> list[dict[str, Any]]:
+    return [
+        {
+            "id": f"station/{k}",
+            "name": name,
+            "position": {"cartesian": np.asarray(place, "f8").round(1).tolist()},
+            "point": {"pixelSize": 6, "color": {"rgba": COLORS["station"]}},
+            "label": {"text": name, "font": "11px sans-serif", "pixelOffset": {"cartesian2": [10, 0]}},
+        }
+        for k, (name, place) in enumerate(zip(scene.station_names, scene.arrays["stations_P"], strict=True))
+    ]
+
+
+def _targets(recording: Recording, flight: Track, scene: Scene, start: datetime) -> list[dict[str, Any]]:
+    """Targets on the ground, which change their color when they are imaged."""
+    if recording.places != "ground":
+        return []
+    arrays = flight.arrays
+    imaged = arrays["event_kind"] == 0
+    first = dict(zip(arrays["event_target"][imaged][::-1].tolist(), arrays["event_time"][imaged][::-1].tolist(), strict=True))
+    packets = []
+    for k, place in enumerate(scene.arrays["targets_P"].astype("f8")):
+        if not np.isfinite(place).all():
+            continue
+        when = first.get(k, flight.duration)
+        color = [{"interval": _span(start, 0.0, when), "rgba": COLORS["open"]}]
+        if when < flight.duration:
+            color.append({"interval": _span(start, when, flight.duration), "rgba": COLORS["done"]})
+        position, point = {"cartesian": place.round(1).tolist()}, {"pixelSize": 4, "color": color}
+        packets.append({"id": f"target/{k}", "name": f"target {k}", "position": position, "point": point})
+    return packets
+
+
+def _links(recording: Recording, flight: Track, start: datetime) -> list[dict[str, Any]]:
+    """Lines between satellites while they communicate."""
+    arrays = flight.arrays
+    pairs: dict[tuple[int, int], list[tuple[float, float]]] = {}
+    for a, b, begin, end in zip(*(arrays[f"link_{name}"].tolist() for name in ("a", "b", "start", "end")), strict=True):
+        pairs.setdefault((a, b), []).append((begin, end))
+    packets = []
+    for (a, b), spans in pairs.items():
+        show: list[dict[str, Any]] = [{"interval": _span(start, 0.0, flight.duration), "boolean": False}]
+        show += [{"interval": _span(start, begin, end), "boolean": True} for begin, end in spans]
+        line = {
+            "positions": {"references": [f"satellite/{a}#position", f"satellite/{b}#position"]},
+            "arcType": "NONE",
+            "width": 1,
+            "show": show,
+            "material": _solid(COLORS["done"]),
+        }
+        packets.append({"id": f"link/{a}/{b}", "availability": _span(start, 0.0, flight.duration), "polyline": line})
+    return packets

@@ -1,0 +1,48 @@
+"""bsk-torch view and bsk-torch export."""
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from bsk_torch.cli import app
+from bsk_torch.viewer.recording import load
+from tests.support.recordings import synthetic_recording
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, [*map(str, arguments)])
+
+
+def test_preset_becomes_page_recording_and_czml(tmp_path):
+    flight = tmp_path / "flight.bskview"
+    made = run("view", "NadirScan-v1", "--policy", "rule", "--time-limit", 1200, "--branch", "1:1", "--out", flight)
+    assert made.exit_code == 0, made.output
+    assert len(load(flight).tracks) == 2
+    for name in ("flight.html", "flight.czml"):
+        made = run("export", flight, "--out", tmp_path / name)
+        assert made.exit_code == 0, made.output
+    assert "NadirScan-v1, rule, seed 0" in (tmp_path / "flight.html").read_text()
+    assert json.loads((tmp_path / "flight.czml").read_text())[0]["id"] == "document"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("NadirScan-v2", "--out", "x.html"), "'NadirScan-v2' is neither a preset"),
+        (("NadirScan-v1", "--out", "x.htm"), "must end with one of"),
+        (("NadirScan-v1", "--branch", "one", "--out", "x.html"), "must be DECISION:ACTION"),
+        (("HeteroCluster-v1", "--out", "x.html"), "HeteroCluster-v1"),
+        (("cut.bskview", "--out", "x.html"), "cut off"),
+        (("flight.bskview", "--policy", "rule", "--out", "x.html"), "is a recording"),
+    ],
+)
+def test_bad_input(arguments, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    content = synthetic_recording().encode()
+    (tmp_path / "flight.bskview").write_bytes(content)
+    (tmp_path / "cut.bskview").write_bytes(content[: len(content) // 2])
+    result = run("export", *arguments)
+    assert result.exit_code == 1
+    assert message in " ".join(result.output.split())
+    assert not (tmp_path / "x.html").exists()
