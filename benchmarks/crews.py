@@ -4,12 +4,13 @@ Usage:
     bsk-torch train ThreeSensors-v1 --frames 65536 --seed 0 --out runs/0 --episodes 0   # likewise with other seeds
     python benchmarks/crews.py --preset ThreeSensors-v1 --policies runs/* [--episodes 32] [--rules local ...] [--out FILE.json]
 
-All know their own images only (``information="independent"``), and observe what the policies were trained with. The rule
-``local`` reads nothing but the environment.
+Rules know their own images only (``information="independent"``); ``local`` reads nothing but the environment. Policies observe
+and may do what they did in training: those of Walker4-v1 may tell others about their images.
 """
 
 from __future__ import annotations
 
+import argparse
 import time
 from collections.abc import Callable
 from functools import partial
@@ -22,7 +23,7 @@ from tensordict.nn import TensorDictModuleBase
 import bsk_torch
 from bsk_torch import ConstellationTasking
 from bsk_torch.rl.evaluation.evaluate import FRESH, Evaluation, evaluate
-from bsk_torch.rl.policies.files import load_policy
+from bsk_torch.rl.policies.files import load_policy, read_card
 from bsk_torch.rl.policies.shared_policy import rule, shared
 
 PRESETS = ("ThreeSensors-v1", "Walker4-v1")
@@ -40,9 +41,27 @@ COLUMNS = {
 }
 
 
-def trained(run: Path, env: ConstellationTasking) -> TensorDictModuleBase:
-    """Return the policy of a run for all satellites."""
-    return shared(load_policy(run), env)
+Played = tuple[TensorDictModuleBase, ConstellationTasking]
+"""A policy for all satellites, and the environment in which it decides."""
+
+
+def make_env(options: argparse.Namespace, **team: Any) -> ConstellationTasking:
+    """Return the environment of a team."""
+    world = dict(n_targets=options.targets, time_limit=options.time_limit, backend=options.backend)
+    env = bsk_torch.make(options.preset, num_envs=options.episodes, **(team | world))
+    assert isinstance(env, ConstellationTasking)
+    return env
+
+
+def ruled(name: str, env: ConstellationTasking) -> Played:
+    """Return a rule."""
+    return rule(name, env), env
+
+
+def trained(run: Path, options: argparse.Namespace) -> Played:
+    """Return the policy of a run, in an environment with the options of its training."""
+    env = make_env(options, **read_card(run)["options"])
+    return shared(load_policy(run), env), env
 
 
 def row(name: str, played: dict[str, Evaluation], rules: list[str], cpu: float) -> dict[str, Any]:
@@ -69,18 +88,15 @@ def main() -> None:
     parsed.add_argument("--policies", nargs="*", default=[], type=Path, metavar="RUN", help="folders of bsk-torch train")
     parsed.add_argument("--backend", choices=("compiled", "eager"), default="compiled")
     options, described = harness.begin(parsed)
-    team = dict(information="independent", as_set=True, outlook=True, shielded=True, n_targets=options.targets)
-    world = dict(time_limit=options.time_limit, backend=options.backend)
-    env = bsk_torch.make(options.preset, num_envs=options.episodes, **team, **world)
-    assert isinstance(env, ConstellationTasking)
-
-    policies: dict[str, Callable[[], TensorDictModuleBase]] = {name: partial(rule, name, env) for name in options.rules}
-    policies |= {f"trained, {run.name}": partial(trained, run, env) for run in options.policies}
+    env = make_env(options, information="independent", as_set=True, outlook=True, shielded=True)
+    policies: dict[str, Callable[[], Played]] = {name: partial(ruled, name, env) for name in options.rules}
+    policies |= {f"trained, {run.name}": partial(trained, run, options) for run in options.policies}
     played: dict[str, Evaluation] = {}
     cpu: dict[str, float] = {}
-    for name, policy in policies.items():
+    for name, make in policies.items():
+        policy, env = make()
         clock = time.process_time()
-        played[name] = evaluate(policy(), env, seed=FRESH)
+        played[name] = evaluate(policy, env, seed=FRESH)
         cpu[name] = (time.process_time() - clock) / options.episodes
         rows = [row(each, played, options.rules, cpu[each]) for each in played]
         print(harness.cell("{policy}: {return[0]:.1f} +- {return[1]:.1f}", rows[-1]), flush=True)

@@ -16,6 +16,7 @@ RESULTS = ROOT / "benchmarks" / "results"
 SCRIPTS = {
     "teams_prompt": "teams",
     "crews_three": "crews",
+    "crews_walker": "crews",
     "services_leo": "services",
     "aeos_real": "aeos_bench",
     "aeos_random": "aeos_bench",

@@ -162,6 +162,7 @@ RECIPES: dict[str, dict[str, dict[str, Any]]] = {
     "HeteroCluster-v1": CLUSTER,
     "Services-v1": SERVICES,
     "ThreeSensors-v1": CREW_OF_SENSORS,
+    "Walker4-v1": CREW_OF_SENSORS,
     "AEOSBench-v1": BENCH,
     "RSOInspection-v1": INSPECTION,
     "MultiInspection-v1": CREW,
