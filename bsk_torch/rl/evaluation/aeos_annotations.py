@@ -31,6 +31,16 @@ from bsk_torch.rl.rules.team import TeamPolicy
 from bsk_torch.scene import CaseError, Cases
 from bsk_torch.scene.aeos_bench import NO_TASK
 
+__all__ = [
+    "AssignedTasks",
+    "Trajectory",
+    "assigned_tasks",
+    "export_annotations",
+    "fly_cases",
+    "read_assignments",
+    "replaying",
+]
+
 TASK_ID, ENABLED, DATA, PROGRESS, VISIBLE = (
     "actions.task_id",
     "constellation.sensor_enabled",
