@@ -15,6 +15,7 @@ import { Stage } from "viewer/stage";
 import { Timeline, clock } from "viewer/timeline";
 
 const FRAME = 1000 / 31; // ms: at most 30 frames a second
+const READ = 150; // ms: while playing, texts change no faster than they can be read
 const LEAST_DETAIL = 0.5; // of the resolution, along both axes
 const SPEEDS = [1, 5, 10, 30, 60, 120, 300, 600, 1200];
 const PLAYED = 75; // s that a flight takes at the first speed, roughly
@@ -26,7 +27,7 @@ const dark = window.matchMedia("(prefers-color-scheme: dark)");
 
 class Viewer {
   constructor(settings, land) {
-    Object.assign(this, { settings, land, playing: false, speed: 60, view: "globe", drawn: 0 });
+    Object.assign(this, { settings, land, playing: false, speed: 60, view: "globe", drawn: 0, read: 0 });
     this.live = settings.live ? new Live(settings.live) : null;
     this.show = Object.fromEntries(Object.keys(LAYERS).map((name) => [name, name !== "cones"]));
     Object.assign(this, { time: 0, satellite: 0, target: -1, follow: false, frame: "inertial", ghosts: [], side: [] });
@@ -70,14 +71,13 @@ class Viewer {
     this.hill = new HillView(canvas);
     if (first) {
       this.panels = new Panels(byId("panels"), this);
-      this.timeline = new Timeline(byId("timeline"), { seek: (t) => this.seek(t ?? this.time), select: (s) => this.select(s) });
+      this.timeline = new Timeline(byId("timeline"), byId("playhead"), { seek: (t) => this.seek(t ?? this.time), select: (s) => this.select(s) });
       this.speed = SPEEDS.reduce((a, b) => (Math.abs(b - this.track.duration / PLAYED) < Math.abs(a - this.track.duration / PLAYED) ? b : a));
       this.#controls();
       const decided = this.track.decisions.of.map(({ times }) => times.length);
       this.satellite = decided.indexOf(Math.max(...decided)); // the first one of those with the most decisions
       this.#restore();
       if (!this.track.scene.hasEarth || (this.recording.places === "points" && !this.viewChosen)) this.setView("hill");
-      this.stage.face(this.track, this.satellite, this.time);
     }
     this.#trackMenu();
     this.#legend();
@@ -141,13 +141,16 @@ class Viewer {
     const height = this.timeline.height(state);
     if (height !== this.tall) byId("timeline").style.height = `${(this.tall = height)}px`;
     this.timeline.draw(state);
+    const now = performance.now();
+    this.drawn++;
+    if (this.playing && now - this.read < READ) return;
+    this.read = now;
     this.panels.draw(state);
     byId("clock").textContent = clock(this.time);
     const scrubber = byId("scrubber");
     scrubber.setAttribute("aria-valuemax", Math.round(this.end));
     scrubber.setAttribute("aria-valuenow", Math.round(this.time));
     scrubber.setAttribute("aria-valuetext", clock(this.time));
-    this.drawn++;
   }
 
   seek(t) {
@@ -402,6 +405,7 @@ class Viewer {
     if (wanted.has("track")) this.track = this.recording.tracks[whole("track", this.recording.tracks.length)];
     if (wanted.has("satellite")) this.satellite = whole("satellite", this.recording.satellites.length);
     this.time = Math.min(Math.max(Number(wanted.get("t")) || 0, 0), this.track.duration);
+    this.stage.face(this.track, this.satellite, this.time);
     this.viewChosen = ["globe", "map", "hill"].includes(wanted.get("view"));
     if (this.viewChosen) this.setView(wanted.get("view"));
     if (wanted.get("compare")) this.compare(true);

@@ -225,7 +225,7 @@ export class Stage {
       if (chosen) this.#ring(spot, activityColor(view.track, s, view.track.now));
       if (!view.track.isAlive(s, view.track.now)) this.#cross(spot);
       if (state.show.labels || chosen) {
-        labels.write(shorten(this.recording.satellites[s].name), spot.x, spot.y, { strong: chosen, aside: 16, above: 14, edge });
+        labels.write(shorten(this.recording.satellites[s].name), spot.x, spot.y, { strong: chosen, aside: chosen ? 20 : 16, above: chosen ? 21 : 14, edge });
       }
     }
     if (state.show.axes && layer.axisTips && view.track.isPresent(state.satellite)) {

@@ -17,8 +17,8 @@ export function clock(t) {
 }
 
 export class Timeline {
-  constructor(canvas, { seek, select }) {
-    Object.assign(this, { canvas, seek, select, pen: canvas.getContext("2d"), still: document.createElement("canvas") });
+  constructor(canvas, playhead, { seek, select }) {
+    Object.assign(this, { playhead, canvas, seek, select, pen: canvas.getContext("2d") });
     this.window = null; // [start, end] of the shown time, s; null: all of it
     canvas.addEventListener("pointerdown", (event) => this.#down(event));
     canvas.addEventListener("pointermove", (event) => this.dragging && this.#scrub(event));
@@ -80,22 +80,16 @@ export class Timeline {
       canvas.height = Math.round(height * ratio);
     }
     Object.assign(this, { width, tall: height, left: width < 560 ? LEFT_NARROW : LEFT });
-    if (key !== this.key) this.#drawStill(state, ratio);
+    if (key !== this.key) this.#drawLanes(state, ratio);
     this.key = key;
-    pen.setTransform(1, 0, 0, 1, 0, 0);
-    pen.clearRect(0, 0, canvas.width, canvas.height);
-    if (this.still.width && this.still.height) pen.drawImage(this.still, 0, 0);
-    pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-    this.#playhead(state);
+    const x = this.x(state.time);
+    this.playhead.hidden = x < this.left - 1;
+    this.playhead.style.transform = `translateX(${x}px)`; // an element over the canvas, which is not drawn again
   }
 
-  /** Everything but the playhead, kept until something else than the time changes. */
-  #drawStill(state, ratio) {
-    const live = this.pen;
-    this.still.width = this.canvas.width;
-    this.still.height = this.canvas.height;
-    this.pen = this.still.getContext("2d");
+  #drawLanes(state, ratio) {
     this.pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+    this.pen.clearRect(0, 0, this.width, this.tall);
     this.#axis();
     this.lanes = this.#lanes(state);
     let y = AXIS + 2;
@@ -115,7 +109,6 @@ export class Timeline {
       y += lane.height + 2;
     }
     this.#deaths(state);
-    this.pen = live;
   }
 
   #axis() {
@@ -230,19 +223,6 @@ export class Timeline {
       }
       pen.stroke();
     }
-  }
-
-  #playhead(state) {
-    const { pen } = this;
-    const x = this.x(state.time);
-    if (x < this.left - 1) return;
-    pen.fillStyle = this.style("--accent");
-    pen.fillRect(x - 0.75, 14, 1.5, this.tall - 14);
-    pen.beginPath();
-    pen.moveTo(x - 5, 12);
-    pen.lineTo(x + 5, 12);
-    pen.lineTo(x, 20);
-    pen.fill();
   }
 
   /** Keep the playhead in a part of the flight that is shown larger. */
