@@ -1,11 +1,12 @@
 """Make the pictures of README.md: a film of a trained policy, thumbnails of all presets, a plot of speed; and those of pages.
 
-    python scripts/tools/make_readme_pictures.py [film] [thumbnails] [frame] [speed] [guides] [PRESET]
+    python scripts/tools/make_readme_pictures.py [film] [thumbnails] [frame] [speed] [guides] [viewer] [PRESET]
 
-They are written to docs/_static/readme, those of guides to docs/_static/how_to: all of them, or those that are named, among them
-thumbnails of single presets. The film and the thumbnails show the pretrained policies, or a rule where there is none; the plot
-shows ``benchmarks/results/vs_basilisk.json`` and ``vs_basilisk_imaging.json``; the pictures of guides are those that the blocks
-of code of these pages draw. Needs the extras ``viz``, ``video`` and ``cities``.
+They are written to docs/_static/readme, those of guides to docs/_static/how_to, those of the viewer to docs/_static/viewer: all
+of them, or those that are named, among them thumbnails of single presets. The film and the thumbnails show the pretrained
+policies, or a rule where there is none; the plot shows ``benchmarks/results/vs_basilisk.json`` and
+``vs_basilisk_imaging.json``; the pictures of guides are those that the blocks of code of these pages draw. Needs the extras
+``viz``, ``video`` and ``cities``.
 """
 
 from __future__ import annotations
@@ -13,12 +14,14 @@ from __future__ import annotations
 import argparse
 import json
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib.pyplot as plt
 import torch
@@ -33,6 +36,8 @@ from bsk_torch.env.rollout import play_episodes
 from bsk_torch.presets import PRESETS
 from bsk_torch.rl.policies import pretrained, pretrained_file, read_card
 from bsk_torch.rl.policies.shared_policy import shared
+from bsk_torch.viewer.page import build_page
+from bsk_torch.viewer.recorder import record
 from bsk_torch.viz.figures.inspection import draw_paths
 from bsk_torch.viz.figures.style import save
 from bsk_torch.viz.recorders.inspection import record_inspection
@@ -80,6 +85,15 @@ LINEAR, DEPUTIES = ("CWDocking-v1", "CWInspection-v1"), 12
 
 GUIDES = ("own_rewarder", "own_satellite")
 """Pages of docs/how_to whose blocks draw ``<page>.png``."""
+
+VIEWER_SEED, VIEWER_SIZE = 3, {"width": 1280, "height": 800}
+
+VIEWS: dict[str, tuple[str, dict[str, Any], Literal["light", "dark"], str]] = {
+    "globe": ("Constellation-v1", {"n_targets": 1000, "time_limit": 6000.0}, "dark", "t=2700&satellite=2"),
+    "follow": ("AEOSPower-v1", {"time_limit": 11400.0}, "light", "t=3030&follow=1"),
+    "map": ("Constellation-v1", {}, "dark", "t=2700&satellite=2&view=map"),
+}
+"""Pictures of the viewer: preset, options of its environment, color scheme, and the address after ``#``."""
 
 INK, OURS, THEIRS = "#14171c", "#2a6ebb", "#98a2b3"
 
@@ -266,12 +280,40 @@ def guide(page: str, path: Path) -> Path:
     return path
 
 
+def viewer(folder: Path) -> list[Path]:
+    """Write pictures of the viewer in Chromium, with pretrained policies, into the folder ``viewer`` next to the given one."""
+    from playwright.sync_api import sync_playwright  # only here: the other pictures need no browser
+
+    target = folder.resolve().parent / "viewer"
+    target.mkdir(parents=True, exist_ok=True)
+    with sync_playwright() as playwright, tempfile.TemporaryDirectory() as empty:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"])
+        pages: dict[str, Path] = {}
+        for name, (preset, options, scheme, where) in VIEWS.items():
+            if preset not in pages:
+                env = make(preset, num_envs=1, seed=0, **(options_of(preset) | options))
+                recording = record(
+                    env, shared(pretrained(preset), env), seed=VIEWER_SEED, preset=preset, label="pretrained policy"
+                )
+                pages[preset] = Path(empty) / f"{preset}.html"
+                pages[preset].write_text(build_page(recording.encode()))
+            page = browser.new_page(viewport=VIEWER_SIZE, color_scheme=scheme)
+            page.goto(f"{pages[preset].as_uri()}#{where}")
+            page.wait_for_selector("#message[hidden]", state="attached")
+            page.wait_for_timeout(1000)  # until it has been drawn
+            Image.open(BytesIO(page.screenshot())).convert("RGB").save(target / f"{name}.webp", quality=82, method=6)
+            page.close()
+        browser.close()
+    return [target / f"{name}.webp" for name in VIEWS]
+
+
 PICTURES: dict[str, Callable[[Path], Any]] = {
     "film": film,
     "thumbnails": thumbnails,
     "frame": frame,
     "speed": speed,
     "guides": guides,
+    "viewer": viewer,
 }
 
 
