@@ -48,6 +48,9 @@ OBJECT_KEYFRAME = 240.0
 SAMPLE = 10.0
 """Seconds between the values of series."""
 
+BITS = 12
+"""Binary digits of series, probabilities and observations, 0.02 % of the number."""
+
 NONE = -1
 """Action or target of a decision without one."""
 
@@ -293,8 +296,9 @@ class Flight:
         time = ticks["time"].cpu().numpy()
         data = {name: _by_satellite(ticks[name], size) for name in ticks.keys() if name not in ("env", "episode", "tick", "time")}  # noqa: SIM118
         boundaries = np.array(noted.times)
-        keys = _keyframes(time, boundaries)
         relative = is_relative(env)
+        jumps = relative or any(simulator.has_tank for simulator in env.fleet.simulators)
+        keys = _keyframes(time, boundaries if jumps else boundaries[[0, -1]])
         r_N, v_N = (data[name][keys] for name in ((RELATIVE, "rho_dot_H") if relative else ("r_BN_N", "v_BN_N")))
         sigma = data["sigma_BN"]
         if relative:  # the chief, at the origin
@@ -311,7 +315,7 @@ class Flight:
             "sun_N": _unit(np.stack([np.interp(time[keys], boundaries, sun[:, axis]) for axis in range(3)], -1)),
             "sigma": sigma,
             "series_times": values_time,
-            "series": values,
+            "series": _rounded(values),
             **self._decision_arrays(max((len(c.actions) for c in crafts), default=0), max(len(c.observation) for c in crafts)),
             **_event_arrays(noted.events),
             **_link_arrays(boundaries, torch.stack(noted.links)),
@@ -341,7 +345,10 @@ class Flight:
         """Names, times [J] and values [J, S, n] of the quantities over time."""
         noted = self.noted
         boundaries = np.array(noted.times)
-        chosen = np.union1d(np.searchsorted(time, boundaries).clip(max=len(time) - 1), np.arange(0, len(time), self._stride()))
+        chosen = np.arange(0, len(time), self._stride())
+        if len(boundaries) < len(chosen):
+            chosen = np.union1d(chosen, np.searchsorted(time, boundaries).clip(max=len(time) - 1))
+        chosen = np.union1d(chosen, [len(time) - 1])
         named, columns = list[Series](), list[Array]()
         for name, title in QUANTITIES.items():
             if FIELDS[name] in data and name in noted.quantities[0]:
@@ -385,10 +392,10 @@ class Flight:
             "decision_target": np.array([choice.target for choice in choices], "i4"),
             "decision_reward": np.array([choice.reward for choice in choices], "f4"),
             "decision_mask": masks,
-            "decision_probability": _padded([choice.probability for choice in choices], actions),
+            "decision_probability": _rounded(_padded([choice.probability for choice in choices], actions)),
             "decision_value": np.full(len(choices), np.nan, "f4"),
             "decision_action_value": np.full((len(choices), actions), np.nan, "f4"),
-            "observation": _padded([choice.observation for choice in choices], observed),
+            "observation": _rounded(_padded([choice.observation for choice in choices], observed)),
             **({"decision_control": _padded([choice.control for choice in choices], controls)} if controls else {}),
         }
 
@@ -546,10 +553,11 @@ def _by_satellite(values: Tensor, size: int) -> Array:
 
 
 def _keyframes(time: Array, boundaries: Array) -> Array:
-    """Indices of ticks that are keyframes: at the boundaries of steps, and at most :data:`KEYFRAME` apart."""
+    """Indices of ticks that are keyframes: at ``boundaries``, and at most :data:`KEYFRAME` apart."""
     at = np.unique(np.searchsorted(time, boundaries).clip(max=len(time) - 1))
-    every = [np.linspace(a, b, max(2, math.ceil((time[b] - time[a]) / KEYFRAME) + 1)) for a, b in itertools.pairwise(at)]
-    return np.unique(np.concatenate([[0.0], *every]).round().astype(np.int64))
+    stride = int(KEYFRAME / (time[1] - time[0])) if len(time) > 1 else 1
+    between = [np.arange(a, b, max(1, stride)) for a, b in itertools.pairwise(at)]
+    return np.unique(np.concatenate([at, *between]))
 
 
 def _scaled(time: Array, chosen: Array, values: Array, boundaries: Array, fraction: Array) -> Array:
@@ -602,6 +610,15 @@ def _spans(times: Array, holds: Array) -> list[tuple[float, float]]:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], holds.astype(np.int8), [0]])))
     last = len(times) - 1
     return [(float(times[a]), float(times[min(b, last)])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _rounded(values: Array) -> Array:
+    """Numbers rounded to :data:`BITS` binary digits, which compress well, as float32."""
+    dropped = 24 - BITS
+    whole = np.ascontiguousarray(values, "f4").view("u4")
+    rounded = ((whole.astype("u8") + (1 << (dropped - 1))) >> dropped << dropped).astype("u4").view("f4")
+    found: Array = np.where(np.isfinite(rounded), rounded, values).astype("f4")
+    return found
 
 
 def _unit(vectors: Array) -> Array:

@@ -23,6 +23,7 @@ SHORT = {
     "import-aeosbench": "--time-limit 60",
     "list": "",
     "film": "--time-limit 300 --height 120",
+    "view": "--time-limit 300",
     "schedule": "",
     "explain": "--seeds 0:1",
     "bench": "--episodes 2",
