@@ -227,12 +227,15 @@ def test_the_panel_says_what_was_allowed_and_why_a_satellite_died(browser, fligh
 
 def test_compared_flights_are_drawn_together(browser, flight):
     visitor, page = opened(browser, flight)
+    page.add_style_tag(content="#scrubber { height: 130px; }")  # with more lanes too, so that the scene keeps its size
     seek(page, 1500.0)
     alone = pixels(page)
     page.click("#compare")
     seek(page, 1500.0)
     together = pixels(page)
     assert np.abs(alone - together).max() > 60.0
+    lanes = page.evaluate("bskViewer.viewer.timeline.lanes.map(lane => lane.name ?? '')")
+    assert lanes[:3] == ["Sat0", "Sat1", "2: branch 0"]  # decisions of the other flight are below those of the shown one
     page.select_option("#tracks select", "1")
     assert page.evaluate(STATE)["track"] == 1
     assert not visitor.troubles

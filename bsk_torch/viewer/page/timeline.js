@@ -36,6 +36,11 @@ export class Timeline {
       const name = many > 12 && s !== satellite ? "" : state.recording.satellites[s].name;
       lanes.push({ name, height: row, satellite: s, draw: (y, h) => this.#decisions(state, s, y, h), chosen: s === satellite });
     }
+    for (const [k, ghost] of state.ghosts.entries()) {
+      const other = { ...state, track: ghost };
+      const color = TRACKS[(k + 1) % TRACKS.length];
+      lanes.push({ name: `${ghost.index + 1}: ${ghost.label}`, height: Math.max(row, 9), color, draw: (y, h) => this.#decisions(other, satellite, y, h) });
+    }
     lanes.push({ gap: 5 });
     const intervals = [["eclipse", track.eclipses[satellite], this.style("--eclipse")], ["pass", track.passes[satellite], SKY]];
     for (const [name, list, color] of intervals) {
@@ -108,6 +113,7 @@ export class Timeline {
       this.pen.restore();
       y += lane.height + 2;
     }
+    this.#branches(state);
     this.#deaths(state);
   }
 
@@ -128,11 +134,17 @@ export class Timeline {
     }
   }
 
-  #name({ name, height, chosen }, y) {
+  #name({ name, height, chosen, color }, y) {
     const { pen } = this;
     if (!name) return;
     pen.font = `${chosen ? 600 : 400} ${height < 12 ? 9.5 : 11}px system-ui, sans-serif`;
     pen.fillStyle = this.style(chosen ? "--ink" : "--soft");
+    if (color) {
+      pen.save();
+      pen.fillStyle = color;
+      pen.fillRect(0, y, 3, height);
+      pen.restore();
+    }
     pen.textAlign = "right";
     pen.textBaseline = "middle";
     let text = name;
@@ -207,6 +219,23 @@ export class Timeline {
     pen.stroke();
   }
 
+  /** A dashed line where a flight leaves the one that it repeats until then. */
+  #branches(state) {
+    const { pen } = this;
+    for (const track of [state.track, ...state.ghosts]) {
+      const x = track.branch ? this.x(track.branch.time) : -1;
+      if (x < this.left || x > this.width - RIGHT) continue;
+      pen.strokeStyle = this.style("--ink");
+      pen.lineWidth = 1;
+      pen.setLineDash([2, 3]);
+      pen.beginPath();
+      pen.moveTo(x, AXIS - 2);
+      pen.lineTo(x, this.tall);
+      pen.stroke();
+      pen.setLineDash([]);
+    }
+  }
+
   #deaths(state) {
     const { pen } = this;
     for (const death of state.track.deaths) {
@@ -275,6 +304,7 @@ export function bounds(tracks, s, n) {
       if (value > high) high = value;
     }
   }
-  if (low >= 0 && high <= 1.0001 && (high > 0.02 || tracks[0].series[n].bad)) return [0, 1];
+  const sum = /reward|return/.test(tracks[0].series[n].name); // not a level between 0 and 1
+  if (!sum && low >= 0 && high <= 1.0001) return [0, 1];
   return high > low ? [low, high] : [low, low + 1];
 }
