@@ -9,14 +9,13 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
-from bsk_torch import __version__
 from bsk_torch.env import Tasking
 from bsk_torch.plan import ActionValues
 from bsk_torch.plan.action_values import ACTION_VALUE
 from bsk_torch.plan.planner import Planner
-from bsk_torch.viewer.recorder import Flight, Flown, branched
+from bsk_torch.viewer.recorder import Flight, Flown, branched, recording_of
 from bsk_torch.viewer.recording import Recording, Scene
-from bsk_torch.viewer.scenes import crafts_of, places_of, station_elevation
+from bsk_torch.viewer.scenes import crafts_of
 
 __all__ = ["Futures"]
 
@@ -104,17 +103,8 @@ class Futures:
     def recording(self) -> Recording:
         """Return all flights so far as a recording."""
         seeds = ", ".join(str(scene.seed) for scene in self.scenes)
-        return Recording(
-            title=f"{self.preset or 'An episode'}, {self.label}, seed{'s' * (len(self.scenes) > 1)} {seeds}",
-            preset=self.preset,
-            policy=self.label,
-            package=__version__,
-            places=places_of(self.env),
-            station_min_elevation=station_elevation(self.env),
-            satellites=crafts_of(self.env),
-            scenes=self.scenes,
-            tracks=[flown.track for flown in self.flown],
-        )
+        title = f"{self.preset or 'An episode'}, {self.label}, seed{'s' * (len(self.scenes) > 1)} {seeds}"
+        return recording_of(self.env, self.scenes, [flown.track for flown in self.flown], title, self.preset, self.label)
 
     def _add(self, flown: Flown, **changes: object) -> int:
         self.flown.append(dataclasses.replace(flown, track=dataclasses.replace(flown.track, **changes)))  # type: ignore[arg-type]

@@ -29,7 +29,7 @@ from bsk_torch.rl.evaluation.evaluate import LOT, with_lots
 from bsk_torch.rl.policies.shared_policy import GroupPolicies, SharedPolicy
 from bsk_torch.scene import AEOSBench, RSOPoints, RSOTargets
 from bsk_torch.sim.catalog.aim import AIM
-from bsk_torch.viewer.recording import Array, Branch, Death, Recording, Series, Track
+from bsk_torch.viewer.recording import Array, Branch, Death, Recording, Scene, Series, Track
 from bsk_torch.viewer.scenes import RELATIVE, crafts_of, inspected_of, is_relative, places_of, scene_of, station_elevation
 from bsk_torch.viz.recorders.constellation import quantities
 from bsk_torch.viz.recorders.episode import QUANTITIES, first_row
@@ -40,7 +40,7 @@ from bsk_torch.viz.render.moment import causes_of
 __all__ = ["Flight", "Flown", "record"]
 
 KEYFRAME = 60.0
-"""Longest time between keyframes of satellites, s; with cubic polynomials, low orbits are then off by half a meter."""
+"""Longest time between keyframes of satellites, s; positions in between are off by less than a meter in low orbits."""
 
 OBJECT_KEYFRAME = 240.0
 """Time between keyframes of objects in orbit, s."""
@@ -426,11 +426,13 @@ def record(
     """
     flight = Flight(env, policy)
     flown = flight.fly(seed, until)
-    return recording_of(env, flight, [flown.track], title or f"{preset or 'An episode'}, {label}, seed {seed}", preset, label)
+    return recording_of(
+        env, [flight.scene], [flown.track], title or f"{preset or 'An episode'}, {label}, seed {seed}", preset, label
+    )
 
 
-def recording_of(env: Tasking, flight: Flight, tracks: list[Track], title: str, preset: str, label: str) -> Recording:
-    """Return a recording of ``tracks`` in the scene of a flight."""
+def recording_of(env: Tasking, scenes: list[Scene], tracks: list[Track], title: str, preset: str, label: str) -> Recording:
+    """Return a recording of tracks in their scenes; other arguments are those of :func:`record`."""
     return Recording(
         title=title,
         preset=preset,
@@ -439,7 +441,7 @@ def recording_of(env: Tasking, flight: Flight, tracks: list[Track], title: str, 
         places=places_of(env),
         station_min_elevation=station_elevation(env),
         satellites=crafts_of(env),
-        scenes=[flight.scene],
+        scenes=scenes,
         tracks=tracks,
     )
 
