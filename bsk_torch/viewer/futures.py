@@ -80,13 +80,13 @@ class Futures:
     def values(self, track: int, decision: int) -> list[float]:
         """Return the return that follows each action at a decision, [A], if the policy acts afterwards; NaN for illegal actions.
 
-        They become part of the recording. Errors are those of :meth:`branch`.
+        For a planner, its base policy acts afterwards. The values are also kept in the recording. Errors are those of
+        :meth:`branch`.
         """
         flown = self._known(track)
         branched(flown, decision, None, track)
         choice = flown.choices[decision]
-        base = self.policy.base if isinstance(self.policy, Planner) else self.policy
-        asked = ActionValues(self.env, base)
+        asked = ActionValues(self.env, self.policy.base if isinstance(self.policy, Planner) else self.policy)
         found: list[torch.Tensor] = []
 
         def ask(step: int, tensordict: TensorDictBase) -> None:
@@ -99,6 +99,12 @@ class Futures:
         row[: len(known)] = known[: len(row)]
         values: list[float] = row.astype("f8").tolist()
         return values
+
+    @property
+    def meaning(self) -> str:
+        """What :meth:`values` are, for readers of the page."""
+        follows = "base policy of the planner" if isinstance(self.policy, Planner) else "policy"
+        return f"The rest of the return of the episode, if this action is taken and the {follows} decides afterwards."
 
     def recording(self) -> Recording:
         """Return all flights so far as a recording."""

@@ -38,9 +38,6 @@ MOST = 10_000
 API = "/api"
 """Where the page asks."""
 
-HOW = "the rest of the return of the episode, if this action is taken and the policy decides afterwards"
-"""What values of actions are."""
-
 
 class _RejectedError(Exception):
     """A request that is not answered, with its status."""
@@ -105,7 +102,9 @@ class _Handler(BaseHTTPRequestHandler):
         track, decision = self._numbers("track", "decision")
         with self.server.lock:
             values = self._futures().values(track, decision)
-        return "application/json", json.dumps({"action_value": finite(values), "half": None, "how": HOW}).encode()
+        return "application/json", json.dumps(
+            {"action_value": finite(values), "half": None, "how": self._futures().meaning}
+        ).encode()
 
     def _branch(self) -> tuple[str, bytes]:
         track, decision, action = self._numbers("track", "decision", "action")

@@ -53,6 +53,7 @@ def test_values_branch_and_episode(live):
     status, content = ask(live, "POST", "/api/values", {"track": 0, "decision": 1})
     assert status == 200
     assert len(json.loads(content)["action_value"]) == 4
+    assert "the policy decides afterwards" in json.loads(content)["how"]
     before = len(decode(ask(live, "GET", "/api/recording")[1]).tracks)
     status, content = ask(live, "POST", "/api/branch", {"track": 0, "decision": 1, "action": 1})
     assert status == 200
