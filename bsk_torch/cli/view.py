@@ -124,7 +124,7 @@ def _source(
             fail(f"{what!r} is a recording, in which nothing flies any more; --policy and --branch are for presets and runs")
         try:
             return recordings.load(what)
-        except (OSError, ValueError) as error:
+        except ValueError as error:
             fail(str(error))
     pairs = [_branch(text) for text in branch or ()]
     name, preset = _named(what, policy)

@@ -34,6 +34,7 @@ def test_preset_becomes_page_recording_and_czml(tmp_path):
         (("NadirScan-v1", "--branch", "one", "--out", "x.html"), "must be DECISION:ACTION"),
         (("HeteroCluster-v1", "--out", "x.html"), "HeteroCluster-v1"),
         (("cut.bskview", "--out", "x.html"), "cut off"),
+        (("nowhere.bskview", "--out", "x.html"), "'nowhere.bskview': No such file or directory"),
         (("flight.bskview", "--policy", "rule", "--out", "x.html"), "is a recording"),
     ],
 )
