@@ -10,8 +10,8 @@
 #                            names a folder with them (see tests/basilisk/recorders/recording.py). No test is skipped for a
 #                            missing package.
 #   scripts/test.sh --basilisk, --rllib    only one of these two
-#   scripts/test.sh --browser [pytest arguments]    only the tests of pages and reports in Chromium, which is installed with
-#                            apt-get where it is missing; part of --all
+#   scripts/test.sh --browser [pytest arguments]    only the tests of pages, reports and the viewer in Chromium, which is
+#                            installed with apt-get where it is missing; part of --all
 #   scripts/test.sh --nightly [pytest arguments]    only the tests that take long, of the marker nightly, and those of the
 #                            documentation, so that a page which breaks by a change inside of a function is found here; then, where
 #                            --basilisk or --all has made .venv-basilisk, 40 random problems in bsk_rl on Basilisk and here
@@ -64,7 +64,7 @@ install_chromium() {
 
 test_browser() {
     install_chromium
-    BSK_TORCH_STRICT_TESTS=1 .venv/bin/python -m pytest -m browser tests/docs tests/viz "$@"
+    BSK_TORCH_STRICT_TESTS=1 .venv/bin/python -m pytest -m browser tests/docs tests/viz tests/viewer "$@"
 }
 
 case "${1:-}" in
