@@ -224,7 +224,7 @@ def film(
         Path,
         typer.Option(
             metavar="FILE",
-            help="A film (.gif, .webp, .mp4), or a picture of the whole episode (.png, .svg).",
+            help="A film (.gif, .webp, .mp4), or a picture of the whole episode (.png, .svg, .pdf).",
         ),
     ] = Path("film.gif"),
     until: Annotated[float | None, typer.Option(metavar="S", help="Stop after S seconds of the episode.")] = None,
@@ -268,7 +268,7 @@ def audit_policy(
         int | None, typer.Option(metavar="N", min=1, help="Number of actions to value, those that the policy prefers.")
     ] = None,
     num_envs: Annotated[int, typer.Option(metavar="N", min=1, help="Episodes at once.")] = 16,
-    draw: Annotated[Path | None, typer.Option(metavar="FILE", help="Picture (.png, .svg) of the regrets.")] = None,
+    draw: Annotated[Path | None, typer.Option(metavar="FILE", help="Picture (.png, .svg, .pdf) of the regrets.")] = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for all decisions.")] = None,
     threads: Threads = 1,
     backend: Backend = "compiled",
@@ -367,7 +367,8 @@ def explain_failures(
     ] = None,
     num_envs: Annotated[int, typer.Option(metavar="N", min=1, help="Episodes, or states of a search, at once.")] = 1024,
     draw: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Picture (.png, .svg) of the first death, with its cause and last chance.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Picture (.png, .svg, .pdf) of the first death, with its cause and last chance."),
     ] = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for the results.")] = None,
     threads: Threads = 1,

@@ -102,7 +102,7 @@ def check_writable(path: Path | None) -> None:
         fail(f"{str(path)!r} cannot be written: the folder {str(path.parent)!r} is read-only")
 
 
-PICTURES = (".png", ".svg")
+PICTURES = (".png", ".svg", ".pdf")
 """What the names of pictures end with."""
 
 

@@ -43,7 +43,7 @@ def record(policy: TensorDictModuleBase, env: Tasking, *, seed: int) -> Recorded
 
 
 def draw(episode: Recorded, path: Path | str, title: str = "") -> Path:
-    """Draw a recorded episode to the file ``path``, .png or .svg, and return its path.
+    """Draw a recorded episode to the file ``path``, .png, .svg or .pdf, and return its path.
 
     A constellation is drawn on a map with tasks over time, an inspection as paths around the RSO with its points, imaging in
     orbit as images and downlinks over time, an imager on a map with its targets, and any other satellite as modes and resources

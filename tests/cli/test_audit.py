@@ -37,7 +37,7 @@ def test_several_futures_and_few_actions(run):
     [
         (("audit", "ruel", *TWO), "did you mean 'rule'"),
         (("audit", "rule", *TWO, "--horizon", "0"), "horizon=0"),
-        (("audit", "rule", *TWO, "--draw", "regret.gif"), "must end with .png or .svg"),
+        (("audit", "rule", *TWO, "--draw", "regret.gif"), "must end with .png, .svg or .pdf"),
         (("audit", "rule", *TWO, "--out", "nowhere/r.json"), "there is no folder"),
     ],
 )

@@ -40,12 +40,12 @@ def test_constellations_are_filmed_between_their_decisions(run, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["film.mp4"]
 
 
-@pytest.mark.parametrize("kind", ["png", "svg"])
+@pytest.mark.parametrize("kind", ["png", "svg", "pdf"])
 def test_an_episode_is_drawn_as_one_picture(run, tmp_path, kind):
     out = tmp_path / f"episode.{kind}"
     result = run("film", "pretrained", "--preset", "NadirScan-v1", "--time-limit", "300", "--out", out)
     assert result.exit_code == 0, result.output
-    assert out.read_bytes()[:5] in (b"\x89PNG\r", b"<?xml")
+    assert out.read_bytes()[:5] == {"png": b"\x89PNG\r", "svg": b"<?xml", "pdf": b"%PDF-"}[kind]
     assert f"{out}: the whole episode, 300 s of NadirScan-v1" in result.output
 
 
@@ -60,7 +60,7 @@ def test_planners_are_filmed(run, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--out", "film.avi"), "--out 'film.avi' must end with .gif, .webp, .mp4, .png or .svg"),
+        (("--out", "film.avi"), "--out 'film.avi' must end with .gif, .webp, .mp4, .png, .svg or .pdf"),
         (("--every", "20"), "--every 20 is for constellations"),
         (("--height", "121"), "height=121 must be an even number of pixels"),
         (("--out", "nowhere/film.gif"), "there is no folder 'nowhere'"),

@@ -6,7 +6,7 @@ import torch
 import bsk_torch
 from bsk_torch.rl.rules.baselines import scan_rule
 from bsk_torch.viz.figures.curves import learning_curve
-from bsk_torch.viz.figures.style import spread
+from bsk_torch.viz.figures.style import label, panels, save, spread
 from bsk_torch.viz.figures.timeline import record_episode, timeline
 from bsk_torch.viz.recorders.episode import union
 
@@ -56,3 +56,15 @@ def test_intervals_are_joined_and_cut_to_the_episode():
     joined = union({(50.0, 60.0), (-5.0, 10.0), (8.0, 20.0), (9.0, 12.0), (90.0, float("inf")), (200.0, 300.0)}, 100.0)
     assert joined.tolist() == [[0.0, 20.0], [50.0, 60.0], [90.0, 100.0]]
     assert union(set(), 100.0).shape == (0, 2)
+
+
+@pytest.mark.parametrize("kind", ["png", "svg", "pdf"])
+def test_equal_figures_are_equal_files(tmp_path, kind):
+    files = []
+    for k in range(2):
+        figure, (panel,) = panels((2.0,))
+        panel.plot([0.0, 1.0], [0.0, 1.0])
+        label(panel, "share of all regret")
+        files.append(save(figure, tmp_path / f"{k}.{kind}").read_bytes())
+    assert files[0] == files[1]
+    assert b"/Type3" not in files[0]  # fonts that publishers reject

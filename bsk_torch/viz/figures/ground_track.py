@@ -65,7 +65,7 @@ DAY = LinearSegmentedColormap.from_list("day", ("#b9d3ee", PALETTE[0], "#12305a"
 
 
 def ground_track(episode: ImagingEpisode, path: Path, title: str = "") -> Path:
-    """Draw an episode to the file ``path``, .png or .svg, with headline ``title`` unless that is empty.
+    """Draw an episode to the file ``path``, .png, .svg or .pdf, with headline ``title`` unless that is empty.
 
     From above: the world with the ground track and all targets; ten minutes of it large, with lines from the satellite to what
     it imaged; decisions and reward over time; and battery, wheels and store where the satellite can do something for them.

@@ -156,7 +156,7 @@ class InspectionEpisode(Tabular):
 
 
 def inspection_figure(episode: InspectionEpisode, path: Path, title: str = "") -> Path:
-    """Draw an episode to the file ``path``, .png or .svg, with headline ``title`` unless that is empty.
+    """Draw an episode to the file ``path``, .png, .svg or .pdf, with headline ``title`` unless that is empty.
 
     From top to bottom: the paths around the RSO in projections of its Hill frame, complete and near the RSO, with maneuvers; a
     map of its points, colored by the time of inspection; the numbers of lit and inspected points and the fuel over time.

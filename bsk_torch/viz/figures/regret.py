@@ -65,7 +65,7 @@ def regret_figure(found: Regrets, path: Path, title: str) -> Path:
 
     Args:
         found: An audit.
-        path: The picture, .png or .svg.
+        path: The picture, .png, .svg or .pdf.
         title: Headline.
     """
     figure = Figure(figsize=(10.0, 3.6), dpi=140, layout="constrained", facecolor="white")

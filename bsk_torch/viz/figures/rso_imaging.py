@@ -184,7 +184,7 @@ def _check_shape(name: str, value: Tensor, shape: tuple[int, ...]) -> None:
 
 
 def sky_figure(sky: Sky, path: Path, title: str = "") -> Path:
-    """Draw a sky to the file ``path``, .png or .svg, with headline ``title`` unless that is empty.
+    """Draw a sky to the file ``path``, .png, .svg or .pdf, with headline ``title`` unless that is empty.
 
     It is an equal-area map of directions in the imager's Hill frame: ahead is in the middle, behind at both edges, the zenith
     above and the Earth below. Marks are larger for higher priorities. The first candidates have the numbers of their actions.
@@ -260,7 +260,7 @@ def _ring(color: str, name: str) -> Line2D:
 
 
 def services_figure(episode: RSOImagingEpisode, path: Path, title: str = "") -> Path:
-    """Draw an episode to the file ``path``, .png or .svg, with headline ``title`` unless that is empty.
+    """Draw an episode to the file ``path``, .png, .svg or .pdf, with headline ``title`` unless that is empty.
 
     Above is a row for each object that was imaged, in the order of their first images: bars from images to their deliveries, and
     when the object was in eclipse. Below are the images on board of each imager, and the return.

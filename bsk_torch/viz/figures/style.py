@@ -18,6 +18,9 @@ from bsk_torch.files import write_file
 PALETTE = ("#2f6db3", "#e8a628", "#2f9e72", "#c1476b", "#7b62b8", "#5aa9c9", "#8c6d4f", "#6b7280")
 """Colors that are distinguishable in print and for color-blind readers."""
 
+UNDATED: dict[str, dict[str, None]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+"""Metadata without a date, by format."""
+
 INK, FAINT = "#333a45", "#d9dde3"
 """Colors of text and of guide lines."""
 
@@ -81,12 +84,13 @@ def headline(figure: Figure, text: str) -> None:
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write a figure in the format of the path's suffix, .png or .svg, and return the path.
+    """Write a figure in the format of the path's suffix, .png, .svg or .pdf, and return the path.
 
-    Equal figures give equal files: an SVG has no date, and ids derived from its content.
+    Equal figures give equal files: SVG and PDF have no date, and an SVG has ids derived from its content. A PDF embeds its fonts
+    as TrueType, since publishers reject Type 3.
     """
-    with rc_context({"svg.hashsalt": "bsk_torch"}):
+    with rc_context({"svg.hashsalt": "bsk_torch", "pdf.fonttype": 42}):
         drawn, kind = BytesIO(), path.suffix.removeprefix(".")
-        figure.savefig(drawn, format=kind, metadata={"Date": None} if kind == "svg" else None)
+        figure.savefig(drawn, format=kind, metadata=UNDATED.get(kind))
     write_file(path, drawn.getvalue())
     return path

@@ -26,7 +26,7 @@ NIGHT, PASS = "#3b4252", "#2f9e72"
 
 
 def timeline(episode: Episode, path: Path, title: str = "", marks: Sequence[tuple[float, str]] = ()) -> Path:
-    """Draw an episode to the file ``path``, .png or .svg.
+    """Draw an episode to the file ``path``, .png, .svg or .pdf.
 
     Args:
         episode: The recorded episode.

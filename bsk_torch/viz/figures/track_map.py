@@ -27,7 +27,7 @@ SHADE_ALPHA = 0.22
 
 
 def track_map(episode: TrackEpisode, path: Path, title: str = "") -> Path:
-    """Draw an episode to the file ``path``, .png or .svg, with headline ``title`` unless that is empty.
+    """Draw an episode to the file ``path``, .png, .svg or .pdf, with headline ``title`` unless that is empty.
 
     The ground track has the colors of the timeline's modes. It is thick for decisions that earned a reward and shaded in eclipse.
     Ground stations, start and end are marked.

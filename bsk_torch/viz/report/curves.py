@@ -108,7 +108,7 @@ def _same(one: Sequence[float], other: Sequence[float]) -> bool:
 
 
 def curve(measure: Measure, log: Columns, evaluations: Columns, path: Path, *, marked: bool) -> Path:
-    """Draw a measure over the steps of training to the file ``path``, .png or .svg.
+    """Draw a measure over the steps of training to the file ``path``, .png, .svg or .pdf.
 
     Args:
         measure: What is drawn.

@@ -18,7 +18,7 @@ MODEST = 0.06
 
 
 def deaths_chart(deaths: Mapping[str, Mapping[str, int]], path: Path) -> Path:
-    """Draw a bar for each policy to the file ``path``, .png or .svg, as long as its deaths are many, parted by what failed.
+    """Draw a bar for each policy to the file ``path``, .png, .svg or .pdf, as long as its deaths are many, parted by what failed.
 
     Args:
         deaths: By policy, the number of episodes in which each aliveness check failed at the end.
