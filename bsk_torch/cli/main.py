@@ -246,9 +246,9 @@ def film(
     app,
     "audit",
     """
-    bsk-torch audit runs/scan --seeds 0:16
-    bsk-torch audit pretrained --preset AEOS-v1 --horizon 300 --budget 8 --draw regret.png
-    bsk-torch audit hasty --preset CloudyAEOS-v1 --horizon 300 --futures 8 --budget 8
+    bsk-torch audit runs/scan --seeds 0:16 --draw regret.png
+    bsk-torch audit pretrained --preset AEOS-v1 --horizon 300 --budget 8
+    bsk-torch audit hasty --preset CloudyAEOS-v1 --horizon 300 --futures 8
     """,
     name="audit",
 )
@@ -453,8 +453,6 @@ def bench(
     """
     bsk-torch export-aeosbench runs/bench --cases cases --out data
     bsk-torch export-aeosbench nearest_task --cases cases --out o --sensor on
-    bsk-torch export-aeosbench soonest_task --cases cases --out o \
-        --option candidates=True --option step_duration=10
     """,
     name="export-aeosbench",
 )

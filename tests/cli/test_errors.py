@@ -100,7 +100,7 @@ def test_mistakes_are_named_in_one_line(run, folder, arguments, message):
         ("train", "NadirScan-v1", "--minutes", "nan"),
         ("train", "NadirScan-v1", "--seed", -1),
         ("train", "NadirScan-v1", "--seeds", 0),
-        ("train", "NadirScan-v1", "--episodes", 0),
+        ("train", "NadirScan-v1", "--episodes", -1),
         ("train", "NadirScan-v1", "--threads", 0),
         ("eval", "random", "--threads", -1),
         ("explain", "random", "--num-envs", 0),

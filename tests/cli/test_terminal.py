@@ -35,9 +35,11 @@ COMMANDS = get_command(app).commands
 
 MODULES = {
     "args": "arguments",
+    "audit": "audit",
     "bench": "bench",
     "build-kernels": "kernels",
     "eval": "evaluate",
+    "export": "view",
     "export-aeosbench": "aeos",
     "explain": "explain",
     "film": "film",
@@ -48,6 +50,7 @@ MODULES = {
     "report": "report",
     "schedule": "schedule",
     "train": "train",
+    "view": "view",
 }
 """Modules of the functions that do the work, by command."""
 
