@@ -118,4 +118,4 @@ def test_nothing_that_is_built_is_kept():
     assert len(names) > 500
     assert not [name for name in names if name.endswith((".so", ".o", ".cpp.lock", ".pyc", ".whl"))]
     folders = {name.partition("/")[0] for name in names if "/" in name}
-    assert folders == {".ci", "benchmarks", "bsk_torch", "docs", "examples", "packaging", "scripts", "tests"}
+    assert folders == {".ci", ".github", "benchmarks", "bsk_torch", "docs", "examples", "packaging", "paper", "scripts", "tests"}
