@@ -72,7 +72,7 @@ case "${1:-}" in
     --rllib) test_rllib; exit ;;
 esac
 make_venv .venv
-extras=tensorboard,viz,video,sb3,cities,docs,dev
+extras=tensorboard,viz,video,sb3,cities,minari,docs,dev
 case "${1:-}" in --all | --nightly) extras=$extras,ray ;; esac
 .venv/bin/python -m pip install -q -c constraints.txt -e ".[$extras]"
 # a client that no one here wrote; pip would take an older TorchRL with it

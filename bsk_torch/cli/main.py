@@ -283,6 +283,65 @@ def audit_policy(
 
 @command(
     app,
+    "dataset",
+    """
+    bsk-torch dataset NadirScan-v1 --out data/scan --seeds 0:256
+    bsk-torch dataset AEOS-v1 --out data/aeos --target hasty --share 0.002
+    bsk-torch dataset NadirScan-v1 --out data/b --behavior rule,random=0.2
+    bsk-torch dataset NadirScan-v1 --out data/plan --behavior plan:rollout
+    """,
+)
+def dataset(
+    preset: Preset,
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="New folder for the dataset.")],
+    behavior: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Policy that acts: 'random', a baseline, 'pretrained', a run folder, or a planner with its options after "
+            "commas, each with random=P for random actions with probability P; repeatable. Default: random actions, the best "
+            "rule, and the pretrained policy.",
+        ),
+    ] = None,
+    target: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Policy that follows the tried actions: a baseline, 'pretrained' (default) or a run folder; repeatable.",
+        ),
+    ] = None,
+    option: Options = None,
+    seeds: Annotated[
+        str, typer.Option(metavar="A:B", help="Episodes of the seeds A to B - 1, or of a single seed, for each behavior.")
+    ] = "0:64",
+    share: Annotated[
+        float,
+        typer.Option(metavar="P", min=0.0, max=1.0, help="Probability that all actions are tried at a decision."),
+    ] = 0.01,
+    gamma: Annotated[
+        float, typer.Option(metavar="G", min=0.0, max=1.0, help="Discount per second of the returns of actions.")
+    ] = 1.0,
+    futures: Annotated[
+        int | None, typer.Option(metavar="N", min=1, help="Futures drawn for each tried action; default: the true one.")
+    ] = None,
+    minari: Annotated[
+        bool, typer.Option("--minari", help="Write the episodes in Minari's format as well. Needs the extra minari.")
+    ] = False,
+    num_envs: Annotated[int, typer.Option(metavar="N", min=1, help="Episodes at once.")] = 64,
+    threads: Threads = 1,
+    backend: Backend = "compiled",
+    device: Device = "cpu",
+    time_limit: TimeLimit = None,
+) -> None:
+    """Write episodes of several policies for offline learning, with the returns of all actions at a sample of decisions.
+
+    The transitions are tensordicts in the layout of TorchRL, mapped from files. At the sampled decisions, every legal action is
+    flown to the end of the episode, followed by each target: off-policy evaluation can be scored against these returns.
+    """
+
+
+@command(
+    app,
     "view",
     """
     bsk-torch view NadirScan-v1

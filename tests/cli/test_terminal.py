@@ -38,6 +38,7 @@ MODULES = {
     "audit": "audit",
     "bench": "bench",
     "build-kernels": "kernels",
+    "dataset": "dataset",
     "eval": "evaluate",
     "export": "view",
     "export-aeosbench": "aeos",
