@@ -213,20 +213,29 @@ def told(score: Score, reference: Mapping[str, object] | None) -> dict[str, Any]
     return rated | summary | {"seconds_per_decision": score.seconds, "returns": evaluation.returns.tolist()}
 
 
+def suite_of(path: Path) -> str:
+    """Return the suite of a file of an earlier run; ends the program for other files."""
+    return read_result(path)[0][1]
+
+
 def read_earlier(files: Iterable[Path], suite: str) -> dict[str, dict[str, Any]]:
     """Return the results of earlier runs, by policy; ends the program for those of another suite."""
     results: dict[str, dict[str, Any]] = {}
     for path in files:
-        try:
-            kept = json.loads(path.read_text())
-            made = (kept["format"], kept["suite"])
-            policies = kept["policies"]
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            fail(f"{str(path)!r} is no result of bsk-torch bench: {type(error).__name__}: {error}")
+        made, policies = read_result(path)
         if made != (FORMAT, suite):
             fail(f"{str(path)!r} has format and suite {made}; this run has {(FORMAT, suite)}")
         results |= policies
     return results
+
+
+def read_result(path: Path) -> tuple[tuple[int, str], dict[str, dict[str, Any]]]:
+    """Return format and suite of a file of an earlier run, and its results by policy; ends the program for other files."""
+    try:
+        kept = json.loads(path.read_text())
+        return (kept["format"], kept["suite"]), kept["policies"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        fail(f"{str(path)!r} is no result of bsk-torch bench: {type(error).__name__}: {error}")
 
 
 def document(suite: str, tasks: Sequence[Task], episodes: int, results: Mapping[str, object]) -> dict[str, Any]:

@@ -508,6 +508,43 @@ def bench(
 
 @command(
     app,
+    "leaderboard",
+    """
+    bsk-torch leaderboard bench.json --draw profiles.png
+    bsk-torch leaderboard a.json b.json --method 'ppo=runs/ppo*/seed_*'
+    """,
+)
+def leaderboard(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="JSON files of bsk-torch bench.", show_default=False)],
+    method: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=PATTERN",
+            help="The policies whose names match PATTERN are runs of the method NAME, as many in each task; repeatable, also for "
+            "the same method. Default: each policy is a method.",
+            show_default=False,
+        ),
+    ] = None,
+    presets: Annotated[
+        str | None, typer.Option(metavar="NAMES", help="Only some presets or other tasks of the suite, separated by commas.")
+    ] = None,
+    against: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Method with which the others are compared; default: the best.")
+    ] = None,
+    draw: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Picture (.png, .svg, .pdf) of the performance profiles.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for the results.")] = None,
+) -> None:
+    """Compare methods in all tasks of a suite, with the aggregates of Agarwal et al. (2021).
+
+    The interquartile mean (IQM) is the mean of the middle half of the scores of all runs and tasks, the optimality gap is how far
+    scores are below 1 on average. "better than" is the probability that a run has a higher score than one of the other method.
+    """
+
+
+@command(
+    app,
     "aeos",
     """
     bsk-torch export-aeosbench runs/bench --cases cases --out data

@@ -45,6 +45,7 @@ MODULES = {
     "explain": "explain",
     "film": "film",
     "import-aeosbench": "aeos",
+    "leaderboard": "leaderboard",
     "list": "presets",
     "profile": "profile",
     "publish": "publish",

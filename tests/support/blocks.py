@@ -27,6 +27,7 @@ SHORT = {
     "schedule": "",
     "explain": "--seeds 0:1",
     "bench": "--episodes 2",
+    "leaderboard": "",
     "benchmarks/inspection_rules.py": "--episodes 2 --time-limit 600",
     "args": "",
     "examples/curriculum.py": "--num-envs 2 --steps 2",

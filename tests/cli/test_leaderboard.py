@@ -1,0 +1,103 @@
+"""``bsk-torch leaderboard``."""
+
+import json
+
+import pytest
+
+from bsk_torch.rl.evaluation.suite import references
+
+SCAN, POWER = "NadirScan-v1", "AEOSPower-v1"
+
+
+def scoring(preset, *scores, certified=None):
+    """Return the row of a policy whose episodes have the given scores."""
+    low, high = (references("v1")[preset][end]["return"] for end in ("low", "high"))
+    row = {"returns": [low + score * (high - low) for score in scores]}
+    return {preset: row | ({} if certified is None else {"basilisk": {"same": certified, "returns": [0.0, 0.0]}})}
+
+
+POLICIES = {
+    "runs/ppo/seed_0": scoring(SCAN, 0.9, 0.7),
+    "runs/ppo/seed_1": scoring(SCAN, 1.2, 1.0),
+    "runs/power/seed_0": scoring(POWER, 0.6, 0.6),
+    "runs/power/seed_1": scoring(POWER, 0.4, 0.4),
+    "scanner": scoring(SCAN, 0.9, 0.5, certified=2),
+    "hasty": scoring(POWER, 0.3, 0.3),
+    "plan:rollout,base=rule": scoring(SCAN, 2.0),
+}
+
+METHODS = ["--method", "ppo=runs/*/seed_*", "--method", "rules=scanner", "--method", "rules=hasty"]
+
+
+@pytest.fixture
+def board(tmp_path):
+    """Return a file of ``bsk-torch bench``."""
+    path = tmp_path / "bench.json"
+    path.write_text(json.dumps({"format": 1, "suite": "v1", "policies": POLICIES}))
+    return path
+
+
+def test_methods_are_aggregated_over_their_runs_and_tasks(run, board, tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    result = run("leaderboard", board, *METHODS, "--out", tmp_path / "out.json", "--draw", tmp_path / "profiles.svg")
+    assert result.exit_code == 0, result.output
+    kept = json.loads((tmp_path / "out.json").read_text())
+    assert (kept["tasks"], kept["against"]) == ([SCAN, POWER], "ppo")
+    ppo, rules = kept["methods"]["ppo"], kept["methods"]["rules"]
+    # scores of the runs: 0.8, 1.1 and 0.6, 0.4; of four, one at either end is left out
+    assert ppo["IQM"]["value"] == pytest.approx(0.7)
+    assert ppo["mean"]["value"] == pytest.approx(0.725)
+    assert ppo["optimality gap"]["value"] == pytest.approx((0.2 + 0.0 + 0.4 + 0.6) / 4)
+    assert ppo["IQM"]["low"] < 0.7 < ppo["IQM"]["high"]
+    assert (rules["IQM"]["value"], rules["better"]["value"]) == (pytest.approx(0.5), 0.0)
+    assert rules["basilisk"] == {"same": 2, "episodes": 2}
+    assert "2 of 2" in result.output
+    assert "<svg" in (tmp_path / "profiles.svg").read_text()
+
+
+def test_policies_of_the_most_episodes_are_compared(run, board):
+    result = run("leaderboard", board, "--method", "all=scanner", "--method", "planned=plan:*")
+    assert result.exit_code == 1
+    assert "plan:rollout,base=rule played 1 of 2 episodes, and is left out" in result.output
+    assert "no task is played by all of all, planned" in result.output
+
+
+def test_policies_are_methods_by_default(run, board):
+    result = run("leaderboard", board, "--presets", POWER, "--against", "hasty")
+    assert result.exit_code == 1
+    assert "no task is played by all of" in result.output
+    content = json.loads(board.read_text())
+    content["policies"] = {"both": POLICIES["scanner"] | POLICIES["hasty"], "hasty": POLICIES["hasty"]}
+    board.write_text(json.dumps(content))
+    result = run("leaderboard", board)
+    assert result.exit_code == 0, result.output
+    assert "left out, as others play more tasks: hasty" in result.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--method", "hasty"], "--method 'hasty' must be NAME=PATTERN"),
+        (["--method", "rules=hasti"], "did you mean 'hasty'?"),
+        (["--method", "ppo=runs/*/seed_0", "--method", "ppo=runs/ppo/*"], "as many runs in each task"),
+        ([*METHODS, "--against", "rule"], "--against 'rule' is not a method; did you mean 'rules'?"),
+        ([*METHODS, "--presets", "NadirScan"], "did you mean 'NadirScan-v1'"),
+        ([*METHODS, "--draw", "a.bmp"], "--draw"),
+    ],
+)
+def test_wrong_arguments_say_what_is_allowed(run, board, arguments, message):
+    result = run("leaderboard", board, *arguments)
+    assert result.exit_code == 1
+    assert message in " ".join(result.output.split())
+
+
+def test_suites_with_measures_are_refused(run, tmp_path):
+    path = tmp_path / "aeos.json"
+    path.write_text(json.dumps({"format": 1, "suite": "aeosbench", "policies": {}}))
+    result = run("leaderboard", path)
+    assert result.exit_code == 1
+    assert "the tasks of the suite aeosbench have measures, not scores" in " ".join(result.output.split())
+    path.write_text(json.dumps({"format": 1, "suite": "v0", "policies": {}}))
+    assert "suite='v0' is not a suite" in run("leaderboard", path).output
+    path.write_text(json.dumps({"format": 1, "suite": "v1", "policies": {}}))
+    assert "has no policies" in run("leaderboard", path).output
