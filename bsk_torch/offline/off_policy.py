@@ -52,7 +52,7 @@ class ImportanceEstimate(NamedTuple):
     Attributes:
         ordinary: Mean over episodes of per-decision importance sampling, with its 95 % confidence interval. Without bias, but the
             interval is too narrow where few episodes have all the weight.
-        weighted: The same with weights that are normalized at each decision.
+        weighted: The same with normalized weights at each decision.
         effective: Effective number of episodes, (sum of weights)^2 / sum of squared weights, at their ends.
     """
 

@@ -115,7 +115,7 @@ def open_dataset(folder: Path | str) -> OfflineDataset:
 
     Raises:
         FileNotFoundError: If the folder has no ``dataset.json``.
-        ValueError: If that is no card of a dataset, or one of a later version of the package.
+        ValueError: If it is not the card of a dataset, or one of a later version of the package.
     """
     path = Path(folder) / CARD
     if not path.is_file():

@@ -48,7 +48,7 @@ class Recipe:
         """Check the settings that need no environment.
 
         Raises:
-            ValueError: For no behavior or seed, equal names, names that are no folders, seeds of suites, targets that are
+            ValueError: For no behavior or seed, equal names, names that cannot be folders, seeds of suites, targets that are
                 planners or draw their actions, or numbers out of range.
         """
         number("share", self.share, 0.0, 1.0)
@@ -94,6 +94,6 @@ def _check_target(name: str, target: TensorDictModuleBase) -> None:
     if name != slug(name):
         raise ValueError(f"target {name!r} must be named by letters, digits and dashes, such as {slug(name)!r}")
     if isinstance(target, Planner):
-        raise ValueError(f"target {name!r} is a planner, which cannot go on in copies; name a rule or a trained policy")
+        raise ValueError(f"target {name!r} is a planner, which cannot continue in copies; name a rule or a trained policy")
     if LOT in target.in_keys:
         raise ValueError(f"target {name!r} draws its actions: one flight is not its value; name a rule or a trained policy")

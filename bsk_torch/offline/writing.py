@@ -42,7 +42,7 @@ from bsk_torch.offline.recipe import Recipe
 from bsk_torch.plan.action_values import ActionValues
 
 BLOCK = 1 << 20
-"""Bytes of a file that are read at once."""
+"""Bytes of a file read at once."""
 
 Progress = Callable[[str], None]
 """Function that is told what is done now."""
@@ -61,7 +61,7 @@ class Played(NamedTuple):
 def write_dataset(folder: Path | str, env: Tasking, recipe: Recipe, progress: Progress = lambda doing: None) -> dict[str, Any]:
     """Play the episodes of a dataset, and write it; see :func:`bsk_torch.offline.open_dataset` for reading.
 
-    The content depends on the recipe only, not on the number of episodes that are played at once. It is collected next to
+    The content depends on the recipe only, not on the number of episodes played at once. It is collected next to
     ``folder``, which appears when all is complete.
 
     Args:

@@ -223,7 +223,7 @@ def test_wrong_behaviors_and_targets_are_named():
         Behavior("half", None, 0.5)
     with pytest.raises(ValueError, match="draws its actions, with unknown probabilities"):
         Behavior("drawn", rule("random", env))
-    with pytest.raises(ValueError, match="is a planner, which cannot go on in copies"):
+    with pytest.raises(ValueError, match="is a planner, which cannot continue in copies"):
         recipe(env, targets={"plan": planner("rollout", env)})
     remembering = TensorDictModule(
         lambda mask, memory: mask.long().argmax(1), in_keys=["action_mask", "hidden"], out_keys=["action"]
