@@ -64,7 +64,7 @@ install_chromium() {
 
 test_browser() {
     install_chromium
-    BSK_TORCH_STRICT_TESTS=1 .venv/bin/python -m pytest -m browser tests/docs tests/viz tests/viewer "$@"
+    BSK_TORCH_STRICT_TESTS=1 .venv/bin/python -m pytest -m browser tests/docs tests/viz tests/viewer tests/test_scripts.py "$@"
 }
 
 case "${1:-}" in

@@ -105,6 +105,13 @@ STARTS: dict[str, list[Start]] = {
             r"(?s)\| 2 \| 2 \| 3 \| [\d,]+ \| - \|.*\| 3 \| 2 \| [\d.]+ \| [\d.]+ \| \d+ \| \d+ \(",
         ),
     ],
+    "benchmarks/viewer_frames.py": [
+        Start(
+            "--satellites 2 --targets 20 --limit 300 --seconds 1 --turns 1 --views globe map",
+            r"(?s)\| globe \| [\d.]+ \| .*\| map \| [\d.]+ \| ",
+            "browser",
+        ),
+    ],
     "benchmarks/services.py": [
         Start(
             "--episodes 2 --time-limit 300 --targets 12 --rules rate angle --backend eager",

@@ -6,7 +6,7 @@ import json
 import platform
 import shlex
 from collections.abc import Iterator
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
@@ -16,7 +16,7 @@ import torch
 import typer
 
 from bsk_torch.cli.pictures import record
-from bsk_torch.cli.shared import check_writable, environment, environment_options
+from bsk_torch.cli.shared import check_writable, environment, environment_options, extra
 from bsk_torch.cli.terminal import fail, working
 from bsk_torch.rl.evaluation.evaluate import FRESH, evaluate
 from bsk_torch.rl.evaluation.results import EVALUATION
@@ -47,7 +47,7 @@ def report(run: Path, episodes: int, threads: int, backend: str, device: str) ->
     results = _results(run / EVALUATION)
     check_writable(run / REPORT)
     options = config.options | environment_options(backend, device, None)
-    shown = _episodes(config, card, options, episodes, device)
+    shown, flights = _episodes(config, card, options, episodes, device)
     data = pages.RunData(
         name=run.resolve().name,
         preset=config.preset,
@@ -55,6 +55,7 @@ def report(run: Path, episodes: int, threads: int, backend: str, device: str) ->
         evaluations=evaluations,
         results=results,
         episodes=[pages.Chosen(*chosen) for chosen in shown],
+        flights=flights,
         played=episodes,
         config=asdict(config),
         facts=_facts(card),
@@ -129,20 +130,41 @@ def _facts(card: dict[str, Any]) -> dict[str, str]:
 
 def _episodes(
     config: PPOConfig, card: dict[str, Any], options: dict[str, Any], episodes: int, device: str
-) -> Iterator[tuple[str, int, Any]]:
-    """Yield the reason, the number and the recording of the best, the median and the worst of unseen episodes."""
+) -> tuple[list[tuple[str, int, Any]], str]:
+    """The reason, the number and the recording of the best, the median and the worst of unseen episodes; and their viewer."""
     env = environment(config.preset, episodes, options)
     try:
         check_fits(card, env, config.preset)
         policy = shared(build_policy(card, device), env)
     except ValueError as error:
         fail(str(error))
+    seed = config.seed + FRESH
     with working(f"playing {episodes} unseen episodes"):
-        returns = evaluate(policy, env, seed=config.seed + FRESH).returns
-    for why, number in extremes(returns).items():
+        returns = evaluate(policy, env, seed=seed).returns
+    chosen = extremes(returns)
+    made = {why: environment(config.preset, 1, options | {"env_ids": [number]}) for why, number in chosen.items()}
+    shown = []
+    for why, number in chosen.items():
         with working(f"playing the {why} episode again"):
-            one = environment(config.preset, 1, options | {"env_ids": [number]})
-            yield why, number, record(policy, one, config.seed + FRESH)
+            shown.append((why, number, record(policy, made[why], seed)))
+    with working("recording these episodes for the viewer"):
+        labels = {f"{why} episode (no. {number})": made[why] for why, number in chosen.items()}
+        return shown, _viewer(labels, policy, seed, config.preset)
+
+
+def _viewer(episodes: dict[str, Any], policy: Any, seed: int, preset: str) -> str:
+    """Page of the viewer with the first episode of each environment; empty for teams with one agent, which it cannot show."""
+    recorder = extra("bsk_torch.viewer.recorder")
+    env = next(iter(episodes.values()))
+    if not recorder.has_agents(env):
+        return ""
+    scenes, tracks = [], []
+    for k, (label, one) in enumerate(episodes.items()):
+        flight = recorder.Flight(one, policy)
+        tracks.append(replace(flight.fly(seed).track, label=label, scene=k))
+        scenes.append(flight.scene)
+    page: str = recorder.recording_of(env, scenes, tracks, f"{preset}: episodes of the report", preset, "trained").html()
+    return page
 
 
 def extremes(returns: Tensor) -> dict[str, int]:

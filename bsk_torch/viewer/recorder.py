@@ -463,11 +463,16 @@ def branched(flown: Flown, decision: int, action: int | None, parent: int) -> Br
     return Branch(time=choice.time, decision=decision, satellite=choice.satellite, action=action)
 
 
+def has_agents(env: Tasking) -> bool:
+    """Whether each satellite is an agent, as the viewer needs."""
+    return not (isinstance(env, ConstellationTasking) and (env.joint or any(group.is_meta for group in env.groups)))
+
+
 def _slots(env: Tasking) -> list[tuple[str | None, int, int]]:
     """Group, number within it, and satellite of each agent; ValueError unless satellites are separate agents."""
     if not isinstance(env, ConstellationTasking):
         return [(None, 0, 0)]
-    if env.joint or any(group.is_meta for group in env.groups):
+    if not has_agents(env):
         raise ValueError("env has agents of several satellites; the viewer needs one agent for each satellite")
     return [(g.name, k, int(column)) for g in env.groups for k, column in enumerate(g.members[:, 0].tolist())]
 

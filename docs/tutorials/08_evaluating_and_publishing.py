@@ -105,7 +105,7 @@ bsk_torch_command(
 # --------------
 #
 # ``bsk-torch report`` converts a run folder to one HTML page with learning curves, the evaluation table, causes of death, and the
-# best, median and worst episodes. Here for a short training run:
+# best, median and worst episodes, also in the viewer. Here for a short training run:
 import tempfile
 from pathlib import Path
 

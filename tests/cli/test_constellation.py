@@ -68,6 +68,8 @@ def test_the_report_shows_all_satellites(run, trained):
     assert result.exit_code == 0, result.output
     page = (trained / "report.html").read_text()
     assert "images by 3 satellites" in page or "image by 3 satellites" in page
+    assert "Episodes in the viewer" in page
+    assert len(page) < 5e6
     assert "bsk-torch train Constellation-v1 --algorithm ippo --network attention --frames" in page
 
 

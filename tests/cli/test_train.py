@@ -36,6 +36,7 @@ def test_without_a_comparison_no_episode_is_evaluated(run, tmp_path):
         assert "evaluation.json" not in written
     page = run("report", tmp_path / "run/seed_1", "--episodes", 2)
     assert page.exit_code == 0, page.output
+    assert "Episodes in the viewer" in (tmp_path / "run/seed_1/report.html").read_text()
 
 
 def test_train_with_attention_knows_the_targets_and_draws_them(run, tmp_path):

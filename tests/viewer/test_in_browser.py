@@ -78,6 +78,22 @@ def test_it_opens_without_errors_and_rests(browser, flight):
     assert page.evaluate(STATE)["drawn"] == drawn >= 1  # nothing is drawn while nothing changes
 
 
+def test_the_earth_is_drawn_again_only_when_it_would_look_different(browser, flight):
+    _, page = opened(browser, flight, "#t=600")
+
+    def drawn(change):
+        before = page.evaluate("bskViewer.viewer.stage.backdrop.drawn")
+        page.evaluate(change)
+        return page.evaluate("bskViewer.viewer.stage.backdrop.drawn") - before
+
+    assert drawn("bskViewer.seek(600)") == 0
+    assert drawn("bskViewer.seek(604)") == 0  # the Earth has turned by 0.0003 rad, less than a third of a pixel
+    assert drawn("for (let t = 604; t < 644; t += 2) bskViewer.seek(t)") in (2, 3, 4)  # of 20 frames
+    assert drawn("bskViewer.viewer.turn(0.1, 0); bskViewer.viewer.draw()") == 1
+    assert drawn("bskViewer.viewer.stage.detail = 0.5; bskViewer.viewer.draw()") == 1
+    assert drawn("bskViewer.viewer.show.targets = false; bskViewer.viewer.draw()") == 0
+
+
 @pytest.mark.parametrize("time", [0.0, 90.0, 1234.5, 2990.0])
 def test_a_satellite_is_where_its_orbit_is(browser, flight, time):
     _, page = opened(browser, flight)

@@ -31,7 +31,7 @@ class Page(HTMLParser):
 
     def __init__(self, html: str) -> None:
         super().__init__()
-        self.images, self.loads, self.titles, self.words, self._tags = [], [], [], [], []
+        self.images, self.loads, self.frames, self.titles, self.words, self._tags = [], [], [], [], [], []
         self.feed(html)
 
     def handle_starttag(self, tag, attrs):
@@ -40,6 +40,7 @@ class Page(HTMLParser):
         if tag == "img":
             self.images.append(attrs)
         self.loads += [attrs[name] for name in ("src", "href") if not (attrs.get(name) or "data:").startswith("data:")]
+        self.frames += [attrs["srcdoc"]] if tag == "iframe" else []
         self.loads += [tag] if tag in ("script", "link", "iframe") else []
 
     def handle_data(self, data):
@@ -65,6 +66,13 @@ def test_a_page_needs_nothing_else(run, tmp_path):
         assert drawn(image).startswith("<?xml")
         assert len(image["alt"]) > 20
     assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_episodes_are_in_a_viewer_whose_page_stays_text(run, tmp_path):
+    flights = "<script>hacked = 1</script>"
+    page = read(dataclasses.replace(run, flights=flights), tmp_path)
+    assert page.loads == ["iframe"]
+    assert page.frames == [flights]
 
 
 def test_a_page_says_what_was_measured(run, tmp_path):

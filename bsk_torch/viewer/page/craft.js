@@ -10,7 +10,7 @@ const VERTEX = `
 attribute vec3 paint; varying vec3 vPaint; varying vec3 vUp;
 void main() {
   vPaint = paint; vUp = normalize(mat3(instanceMatrix) * normal);
-  gl_Position = projectionMatrix * viewMatrix * instanceMatrix * vec4(position, 1.0);
+  gl_Position = projectionMatrix * (viewMatrix * (instanceMatrix * vec4(position, 1.0)));
 }`;
 
 const FRAGMENT = `

@@ -1,36 +1,42 @@
 // The Earth: land from coastlines, day and night, a graticule, the rim of the atmosphere, stars and the Sun.
 
 import {
-  AdditiveBlending, BackSide, BufferGeometry, CanvasTexture, Float32BufferAttribute, Group, LineBasicMaterial, LineSegments, Mesh, Points,
-  ShaderMaterial, Vector3,
+  AdditiveBlending, BackSide, BufferGeometry, CanvasTexture, Float32BufferAttribute, Group, LinearMipmapNearestFilter, LineSegments,
+  Mesh, Points, ShaderMaterial, Vector3,
 } from "three";
+import { rgb } from "viewer/palette";
 
 const TEXTURE = [4096, 2048];
 const TURNS = 96; // pieces of a parallel; the sphere lies at most 0.0011 radii below the true one
 const ABOVE = 1.0012; // radii: lines lie over the sphere's flat pieces
 
+const GRID = "#9fb6c9";
+
+const LINE = {
+  vertex: "void main() { gl_Position = projectionMatrix * (modelViewMatrix * vec4(position, 1.0)); }",
+  fragment: "uniform vec3 tint; uniform float opacity; void main() { gl_FragColor = vec4(tint, opacity); }",
+};
+
 const SURFACE = {
   vertex: `
-varying vec2 vUv; varying vec3 vNormal2; varying vec3 vToEye;
+uniform vec3 eye; varying vec2 vUv; varying vec3 vUp; varying vec3 vToEye;
 void main() {
-  vUv = uv; vNormal2 = position;
-  vec4 place = modelMatrix * vec4(position, 1.0);
-  vToEye = (inverse(modelMatrix) * vec4(cameraPosition, 1.0)).xyz - position;
-  gl_Position = projectionMatrix * viewMatrix * place;
+  vUv = uv; vUp = position;
+  vToEye = eye - position;
+  gl_Position = projectionMatrix * (modelViewMatrix * vec4(position, 1.0));
 }`,
   fragment: `
 uniform sampler2D land; uniform vec3 sun;
-varying vec2 vUv; varying vec3 vNormal2; varying vec3 vToEye;
+varying vec2 vUv; varying vec3 vUp; varying vec3 vToEye;
 void main() {
-  vec3 up = normalize(vNormal2);
   float ground = texture2D(land, vUv).r;
-  float height = dot(up, sun);
+  float height = dot(vUp, sun);
   float lit = smoothstep(-0.13, 0.16, height);            // civil twilight ends where the Sun is 6 degrees below the horizon
   vec3 day = mix(vec3(0.105, 0.225, 0.36), vec3(0.36, 0.43, 0.40), ground) * (0.72 + 0.42 * max(height, 0.0));
   vec3 night = mix(vec3(0.022, 0.040, 0.085), vec3(0.062, 0.084, 0.132), ground);
   vec3 color = mix(night, day, lit);
   color += vec3(0.085, 0.038, 0.010) * exp(-(height - 0.01) * (height - 0.01) * 178.0);
-  float rim = 1.0 - max(dot(up, normalize(vToEye)), 0.0);
+  float rim = 1.0 - max(dot(vUp, normalize(vToEye)), 0.0);
   rim *= rim * rim;
   color += vec3(0.22, 0.42, 0.72) * rim * (0.16 + 0.75 * lit);
   gl_FragColor = vec4(color, 1.0);
@@ -42,7 +48,7 @@ const HALO = {
 varying vec3 vPlace; varying vec3 vEye;
 void main() {
   vPlace = (modelMatrix * vec4(position, 1.0)).xyz; vEye = cameraPosition;
-  gl_Position = projectionMatrix * viewMatrix * vec4(vPlace, 1.0);
+  gl_Position = projectionMatrix * (viewMatrix * vec4(vPlace, 1.0));
 }`,
   fragment: `
 uniform vec3 sun; varying vec3 vPlace; varying vec3 vEye;
@@ -59,7 +65,7 @@ void main() {
 const STAR = {
   vertex: `
 attribute float bright; uniform float ratio; varying float vBright;
-void main() { vBright = bright; gl_PointSize = (1.1 + 1.7 * bright) * ratio; gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0); }`,
+void main() { vBright = bright; gl_PointSize = (1.1 + 1.7 * bright) * ratio; gl_Position = projectionMatrix * (modelViewMatrix * vec4(position, 1.0)); }`,
   fragment: `
 varying float vBright;
 void main() { float r = length(gl_PointCoord - 0.5); gl_FragColor = vec4(0.78, 0.84, 1.0, vBright * 0.75 * smoothstep(0.5, 0.1, r)); }`,
@@ -70,7 +76,7 @@ const SUN = {
 uniform vec3 sun; uniform float ratio; uniform float far;
 void main() {
   gl_PointSize = 150.0 * ratio;
-  vec4 place = projectionMatrix * viewMatrix * vec4(cameraPosition + sun * far * 0.9, 1.0);
+  vec4 place = projectionMatrix * (viewMatrix * vec4(cameraPosition + sun * far * 0.9, 1.0));
   gl_Position = place;
 }`,
   fragment: `
@@ -86,11 +92,12 @@ export class Globe {
   constructor(land) {
     this.sunP = new Vector3();
     this.sunN = new Vector3();
+    this.eyeP = new Vector3();
     this.group = new Group();
     this.group.matrixAutoUpdate = false;
     this.sky = new Group();
     const whole = sphere(1, TURNS);
-    this.surface = new Mesh(whole, shader(SURFACE, { land: { value: landTexture(land) }, sun: { value: this.sunP } }));
+    this.surface = new Mesh(whole, shader(SURFACE, { land: { value: landTexture(land) }, sun: { value: this.sunP }, eye: { value: this.eyeP } }));
     this.group.add(this.surface, coastlines(land), graticule());
     this.halo = new Mesh(sphere(1.12, TURNS / 2), shader(HALO, { sun: { value: this.sunN } }, { transparent: true, side: BackSide }));
     this.halo.material.blending = AdditiveBlending;
@@ -107,7 +114,9 @@ export class Globe {
     this.sunP.set(a * sun[0] + b * sun[1] + c * sun[2], d * sun[0] + e * sun[1] + f * sun[2], g * sun[0] + h * sun[1] + i * sun[2]);
   }
 
+  /** See from a camera, with so many pixels per CSS pixel. */
   setView(camera, ratio) {
+    this.eyeP.copy(camera.position).applyMatrix4(this.group.matrix.clone().transpose());
     for (const part of this.sky.children) {
       if (part.material.uniforms.ratio) part.material.uniforms.ratio.value = ratio;
       if (part.material.uniforms.far) part.material.uniforms.far.value = camera.far;
@@ -166,6 +175,7 @@ function landTexture(land) {
   pen.fillStyle = "#fff";
   pen.fill(landPath(land, canvas.width, canvas.height), "evenodd");
   const texture = new CanvasTexture(canvas);
+  texture.minFilter = LinearMipmapNearestFilter; // software takes half the time of blending two levels
   return texture;
 }
 
@@ -179,9 +189,10 @@ export function landPath(land, width, height) {
   return path;
 }
 
-function segments(places, color, opacity) {
+function segments(places, opacity) {
   const geometry = new BufferGeometry().setAttribute("position", new Float32BufferAttribute(places, 3));
-  return new LineSegments(geometry, new LineBasicMaterial({ color, opacity, transparent: true, depthWrite: false }));
+  const uniforms = { tint: { value: new Vector3(...rgb(GRID)) }, opacity: { value: opacity } };
+  return new LineSegments(geometry, shader(LINE, uniforms, { transparent: true, depthWrite: false }));
 }
 
 function coastlines(land) {
@@ -192,7 +203,7 @@ function coastlines(land) {
       if (!edge && ring[k][1] > -89.9) places.push(...onGround(...ring[k - 1], ABOVE), ...onGround(...ring[k], ABOVE));
     }
   }
-  return segments(places, 0x9fb6c9, 0.42);
+  return segments(places, 0.42);
 }
 
 function graticule() {
@@ -203,7 +214,7 @@ function graticule() {
     for (let x = -end; x < end; x += 3) piece([line, x], [line, x + 3]);
     if (Math.abs(line) < 90) for (let x = -180; x < 180; x += 3) piece([x, line], [x + 3, line]);
   }
-  return segments(places, 0x9fb6c9, 0.11);
+  return segments(places, 0.11);
 }
 
 /** Faint points; their places come from a fixed sequence, so that pictures are the same each time. */

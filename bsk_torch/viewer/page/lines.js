@@ -8,8 +8,8 @@ attribute vec2 corner; attribute vec3 end; attribute vec4 tint; attribute vec2 m
 uniform vec2 size; uniform float width;
 varying vec4 vTint; varying float vSide; varying float vMoment; varying vec3 vPlace;
 void main() {
-  vec4 a = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
-  vec4 b = projectionMatrix * modelViewMatrix * vec4(end, 1.0);
+  vec4 a = projectionMatrix * (modelViewMatrix * vec4(position, 1.0));
+  vec4 b = projectionMatrix * (modelViewMatrix * vec4(end, 1.0));
   float nearest = 1e-4;                                   // pieces that pass the camera are cut off in front of it
   if (a.w < nearest && b.w >= nearest) a = mix(b, a, (b.w - nearest) / (b.w - a.w));
   if (b.w < nearest && a.w >= nearest) b = mix(a, b, (a.w - nearest) / (a.w - b.w));
@@ -70,6 +70,7 @@ export class Lines {
     this.mesh = new Mesh(geometry, material);
     this.mesh.frustumCulled = false;
     this.capacity = capacity;
+    this.sent = ["position", "end", "tint", ...(orbit ? ["moment"] : [])];
     this.clear();
   }
 
@@ -103,6 +104,11 @@ export class Lines {
   /** Send what was added to the graphics card. */
   commit() {
     this.limit(0, this.count);
-    for (const name of ["position", "end", "tint", "moment"]) this.mesh.geometry.attributes[name].needsUpdate = true;
+    for (const name of this.count ? this.sent : []) {
+      const attribute = this.mesh.geometry.attributes[name];
+      attribute.clearUpdateRanges();
+      attribute.addUpdateRange(0, 4 * this.count * attribute.itemSize);
+      attribute.needsUpdate = true;
+    }
   }
 }

@@ -8,7 +8,7 @@ import { Crafts } from "viewer/craft";
 import { GREEN, ORANGE, SKY, VERMILION, rgb } from "viewer/palette";
 
 export const RADIUS = 6378136.6; // m, one unit of length of the scene
-const PARTS = 3; // pieces of an orbit between two keyframes
+const PARTS = 2; // pieces of an orbit between two keyframes
 const RAYS = 28; // around the cone of an instrument
 const REACH = 0.35; // radii: length of a line of sight that misses the Earth
 const SYMBOL = 0.0105; // size of a symbol at the distance 1 from the camera
@@ -57,7 +57,12 @@ export class TrackLayer {
     if (show.links && !ghost) for (const [a, b] of track.linksAt(t)) this.#thread(this.places[a], this.places[b], [...rgb(ORANGE), 0.85]);
     for (const lines of [this.rays, this.threads, this.axes]) lines.commit();
     this.cones.geometry.setDrawRange(0, this.coneCount);
-    for (const name of ["position", "color"]) this.cones.geometry.attributes[name].needsUpdate = true;
+    for (const name of this.coneCount ? ["position", "color"] : []) {
+      const attribute = this.cones.geometry.attributes[name];
+      attribute.clearUpdateRanges();
+      attribute.addUpdateRange(0, this.coneCount * 3);
+      attribute.needsUpdate = true;
+    }
   }
 
   #orbits() {

@@ -1,6 +1,7 @@
 // The globe with one track, with others as ghosts over it, or with several tracks side by side; and labels over it.
 
 import { Matrix4, Scene, Vector3, WebGLRenderer } from "three";
+import { Backdrop } from "viewer/backdrop";
 import { OrbitCamera } from "viewer/camera";
 import { activityColor, hillAxes } from "viewer/flight";
 import { Globe } from "viewer/globe";
@@ -20,7 +21,8 @@ export class Stage {
     this.renderer.autoClear = false;
     this.scene = new Scene();
     this.globe = new Globe(land);
-    this.scene.add(this.globe.sky, this.globe.group);
+    this.backdrop = new Backdrop(this.globe);
+    this.scene.add(this.backdrop.earth);
     this.control = new OrbitCamera(overlay, onChange);
     this.layers = new Map();
     this.stations = new Map();
@@ -117,7 +119,7 @@ export class Stage {
     const { camera } = this;
     const ratio = this.ratio * this.detail; // pixels of the globe per CSS pixel
     this.globe.setView(camera, ratio);
-    const eyeP = camera.position.clone().applyMatrix4(this.globe.group.matrix.clone().transpose());
+    const { eyeP } = this.globe;
     const layer = this.layer(track);
     const stations = this.stationsOf(track);
     const shown = new Set([layer]);
@@ -148,7 +150,8 @@ export class Stage {
     const bottom = this.height - view.y - view.height;
     this.renderer.setViewport(view.x, bottom, view.width, view.height);
     this.renderer.setScissor(view.x, bottom, view.width, view.height);
-    this.renderer.clear();
+    this.renderer.clearDepth();
+    this.backdrop.update(this.renderer, camera, index, [view.x, bottom, view.width, view.height].map((x) => Math.round(x * ratio)));
     this.renderer.render(this.scene, camera);
     this.#label(state, view, layer, index, ghosts);
   }

@@ -21,7 +21,7 @@ void main() {
   if (abs(number - selected) < 0.5) size = 15.0;
   vSize = size * ratio * scale + 2.0;
   gl_PointSize = vSize;
-  gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
+  gl_Position = projectionMatrix * (modelViewMatrix * vec4(position, 1.0));
   bool hidden = ground > 0.5 && dot(normalize(eye), normalize(position)) < 1.0 / length(eye);   // behind the horizon
   if (hidden) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
 }`;
@@ -43,7 +43,7 @@ const STATION = `
 uniform vec3 eye; uniform float ratio;
 void main() {
   gl_PointSize = 9.0 * ratio;
-  gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
+  gl_Position = projectionMatrix * (modelViewMatrix * vec4(position, 1.0));
   if (dot(normalize(eye), normalize(position)) < 1.0 / length(eye)) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
 }`;
 

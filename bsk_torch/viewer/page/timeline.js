@@ -69,7 +69,10 @@ export class Timeline {
 
   /** Height in CSS pixels that the lanes of a state need. */
   height(state) {
-    return this.#lanes(state).reduce((sum, lane) => sum + (lane.gap ?? lane.height + 2), AXIS + 4);
+    const key = JSON.stringify([state.track.index, state.satellite, state.ghosts.map((g) => g.index), state.version]);
+    if (key === this.fitted) return this.needed;
+    this.fitted = key;
+    return (this.needed = this.#lanes(state).reduce((sum, lane) => sum + (lane.gap ?? lane.height + 2), AXIS + 4));
   }
 
   draw(state) {

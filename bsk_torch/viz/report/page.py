@@ -57,6 +57,7 @@ class RunData:
             ``survival_interval``, ``collected``, ``fill``, ``deaths`` by cause, ``counts`` by name, ``episodes`` (how many) and
             ``gain`` over other policies by name.
         episodes: Episodes to be shown, in this order.
+        flights: Page of the viewer with these episodes, as HTML; empty without one.
         played: Number of unseen episodes that these were chosen from.
         config: Settings by name.
         facts: What else should be noted, by name: versions, machine.
@@ -69,6 +70,7 @@ class RunData:
     evaluations: Columns
     results: Mapping[str, Mapping[str, Any]]
     episodes: Sequence[Chosen] = ()
+    flights: str = ""
     played: int = 0
     config: Mapping[str, Any] = field(default_factory=dict)
     facts: Mapping[str, str] = field(default_factory=dict)
