@@ -107,7 +107,7 @@ STARTS: dict[str, list[Start]] = {
     ],
     "benchmarks/viewer_frames.py": [
         Start(
-            "--satellites 2 --targets 20 --limit 300 --seconds 1 --turns 1 --views globe map",
+            "--satellites 3 --targets 200 --limit 300 --seconds 1 --turns 1 --views globe map",
             r"(?s)\| globe \| [\d.]+ \| .*\| map \| [\d.]+ \| ",
             "browser",
         ),
