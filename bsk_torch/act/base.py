@@ -128,11 +128,13 @@ class Action:
         satellite: The satellites, once an environment has been built.
         n_actions: Number of actions.
         fsw_type: Flight software added to the satellite's by the action; None for none.
+        first_is_legal: Whether :meth:`mask` always allows the first action; then rows need no check for a legal one.
     """
 
     n_actions: int = 1
     satellite: BoundSatellite
     fsw_type: type[FSWModel] | None = None
+    first_is_legal: bool = False
 
     def __init__(self, name: str) -> None:
         """Name the entry; ValueError unless the name is a string."""
@@ -205,6 +207,7 @@ class ActionBuilder:
         entries: The entries.
         n_actions: Size of the action space.
         n_negative_actions: Number of additional legal negative actions.
+        some_legal: Whether an entry always allows its first action.
     """
 
     def __init__(self, spec: Sequence[Action], satellite: BoundSatellite) -> None:
@@ -227,6 +230,7 @@ class ActionBuilder:
         self._beginning, self._ending, self._masking = (
             [k for k, entry in numbered if overrides(entry, Action, hook)] for hook in ("begin", "end", "mask")
         )
+        self.some_legal = any(entry.first_is_legal for entry in self.entries)
         self._all_legal = torch.ones_like(satellite.simulator.ticks, dtype=torch.bool).unsqueeze(1).expand(-1, self.n_actions)
         longest = [LONGEST if k in self._fixed else torch.inf for k, size in enumerate(sizes) for _ in range(size)]
         self._longest = torch.tensor(longest, dtype=torch.float64, device=self._all_legal.device)

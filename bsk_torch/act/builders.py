@@ -52,9 +52,11 @@ class ContinuousBuilder:
         high: Highest values, [A] float64.
         n_actions: Number K of choices; 0 without a choice.
         n_negative_actions: 0.
+        some_legal: False: masks may be empty.
     """
 
     n_negative_actions = 0
+    some_legal = False
 
     def __init__(self, entry: ContinuousAction, satellite: BoundSatellite) -> None:
         """Link the entry to the satellite.

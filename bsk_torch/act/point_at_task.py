@@ -25,6 +25,8 @@ class PointAtTask(Action):
     ``action_mask`` excludes it: see :attr:`offered`.
     """
 
+    first_is_legal = True
+
     def __init__(
         self,
         sensor: Literal["assigned", "on", "chosen"] = "assigned",
@@ -98,8 +100,9 @@ class PointAtTask(Action):
 
     def mask(self) -> Tensor:
         """See :meth:`Action.mask`."""
-        offered = self.satellite.of_env(self.offered) if self.n_candidates is None else self._candidates()[1]
+        offered = self.offered if self.n_candidates is None else self._candidates()[1]
         legal = torch.cat([torch.ones_like(offered[:, :1]), offered], 1)
+        legal = self.satellite.of_env(legal) if self.n_candidates is None else legal
         return torch.cat([legal, legal], 1) if self.sensor == "chosen" else legal
 
     def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import number
+from bsk_torch._checks import number, switch
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.scene.aeos_bench import ASSIGNED, AWAITED, AEOSBench, Sights
 from bsk_torch.sim.dyn.aeos_bench import AEOSBenchTracedDynModel
@@ -71,13 +71,19 @@ class TaskReward(GlobalReward):
     succeeds when its progress reaches its duration. The reward is ``(1 - s) / n`` for a success, and ``s / n`` times the growth
     of its largest progress over the duration, with n tasks and s = ``progress_share``: by default, returns are the completion
     rate. It is divided equally among the satellites that see the task at that time.
+
+    With ``end_when_closed``, an episode terminates once every task has succeeded or is overdue, and in flights second by second
+    those that have just succeeded are no longer offered. Nothing is left to count then: measures are those of the whole hour, if
+    satellites without an offered task point at none. Of a policy that ignores ``action_mask``, PC lacks what it would spend on
+    closed tasks until the end of the hour.
     """
 
     scenario: AEOSBench
 
-    def __init__(self, progress_share: float = 0.0) -> None:
+    def __init__(self, progress_share: float = 0.0, end_when_closed: bool = False) -> None:
         """ValueError unless ``progress_share`` is from 0 to 1."""
         self.progress_share = number("progress_share", progress_share, 0.0, 1.0)
+        self.end_when_closed = switch("end_when_closed", end_when_closed)
 
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
         """See :meth:`GlobalReward.link`; ValueError for another scenario."""
@@ -91,6 +97,17 @@ class TaskReward(GlobalReward):
             fleet.flight_observers.append(self._look)
         if self._traced and any(AWAITED in satellite.simulator.memory for satellite in fleet.satellites):
             fleet.stop_conditions.append(self._first_success)
+
+    def is_terminated(self) -> Tensor:
+        """See :meth:`GlobalReward.is_terminated`; all satellites, once all tasks are closed, with ``end_when_closed``."""
+        if not self.end_when_closed:
+            return super().is_terminated()
+        scenario = self.scenario
+        awaited = (
+            scenario.task_exists & ~scenario.task_succeeded & (scenario.task_time.unsqueeze(1) <= scenario.drawn("task_due"))
+        )
+        left = awaited if self._traced else awaited | scenario.task_offered
+        return ~left.any(1, keepdim=True).expand(self.fleet.shape)
 
     # -- counting -----------------------------------------------------------------------------------------------------
 

@@ -57,6 +57,8 @@ class SatelliteGroup(BoundSatellite):
         if legal is not None:
             check_tensor(f"{type(self).__name__}.legal_actions()", legal, mask.shape, torch.bool)
             mask = mask & legal
+        elif self.actions.some_legal:
+            return mask
         return mask | ~mask.any(1, keepdim=True)
 
 

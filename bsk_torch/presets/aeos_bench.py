@@ -23,7 +23,8 @@ With ``candidates=True``, satellites also observe the eight tasks that they can 
 Reward: a completed task pays 1 / n of n tasks, shared by the satellites that see it; see :class:`~bsk_torch.data.TaskReward`,
 whose ``measures()`` are those of the benchmark.
 
-Termination: nothing dies; an empty battery stops nothing. At the time limit of an hour, the episode is truncated.
+Termination: nothing dies; an empty battery stops nothing. At the time limit of an hour, the episode is truncated. With
+``end_when_closed``, it terminates before, once all tasks have succeeded or are overdue.
 
 Random at reset: orbits, bodies, wheels, gains, panels, sensors and batteries of the satellites, and the tasks; see
 :class:`~bsk_torch.scene.AEOSBenchGenerator`. With ``folder``, which of its cases is flown.
@@ -173,6 +174,7 @@ def aeos_bench(
     sensor: Literal["assigned", "on", "chosen"] = "assigned",
     step_duration: float = TICK,
     until_done: bool = False,
+    end_when_closed: bool = False,
     candidates: bool = False,
     as_set: bool = False,
     obs_type: type | None = None,
@@ -191,6 +193,8 @@ def aeos_bench(
         sensor: When sensors are on; see :class:`~bsk_torch.act.PointAtTask`. The benchmark's rule has them always on.
         step_duration: Time for which choices hold, s. With more than a second, tasks still count in every second.
         until_done: Whether a satellite chooses again once its task has succeeded or is overdue, before ``step_duration``.
+        end_when_closed: Whether an episode terminates once all tasks have succeeded or are overdue; see
+            :class:`~bsk_torch.data.TaskReward`.
         candidates: Whether satellites choose among the 8 tasks that they can be expected to complete first, which
             they observe; see :class:`~bsk_torch.obs.TaskProperties`. Sensors are on while a task is chosen.
         as_set: Whether candidates are observed as ``rows`` [N, S, 8, 11] with a ``mask``.
@@ -230,7 +234,7 @@ def aeos_bench(
     names = [f"Satellite{k}" for k in range(scenario.cases.n_satellites)]
     defaults: dict[str, Any] = dict(
         scenario=scenario,
-        rewarder=data.TaskReward(),
+        rewarder=data.TaskReward(end_when_closed=end_when_closed),
         sat_arg_randomizer=CaseSatellites(scenario),
         world_args={"utc_init": EPOCH},
         time_limit=HORIZON,

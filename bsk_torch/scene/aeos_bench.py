@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 FARTHEST = 1e9
 """Range, m, of the benchmark's access."""
 
-MARGIN = 1e-4
+MARGIN = 1e-5
 """Share of the squared radius of the Earth by which float32 tests of cones are widened."""
 
 PIECE, AT_ONCE = 64, 1 << 14
@@ -169,9 +169,12 @@ class AEOSBench(Scenario):
 
     @property
     def _timely(self) -> Tensor:
-        now = self.task_time.unsqueeze(1)
-        timely = (self.drawn("task_release") <= now) & (now <= self.drawn("task_due"))
-        return timely & self.task_exists & (now < self.horizon)
+        def find() -> Tensor:
+            now = self.task_time.unsqueeze(1)
+            timely = (self.drawn("task_release") <= now) & (now <= self.drawn("task_due"))
+            return timely & self.task_exists & (now < self.horizon)
+
+        return self._found.once("timely", self.fleet, find)
 
     def timely(self, envs: Tensor, now: Tensor) -> Tensor:
         """Return which tasks of the episodes ``envs`` [n] are released and not overdue at times ``now`` [n, K] s, [n, K, T]."""
@@ -241,19 +244,24 @@ class AEOSBench(Scenario):
         """Number of the task that each satellite points at, [N, S]; -1 for none."""
         return self.fleet.each(lambda satellite: satellite.simulator.memory[ASSIGNED])
 
-    def task_visible(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the ongoing tasks that satellites see with their sensors, as indices of episode, satellite and task, [m] each.
+    def task_visible(self, counted: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the tasks that satellites see with their sensors, as indices of episode, satellite and task, [m] each.
 
-        Few pairs of satellites and tasks are near the cone of a sensor. These are found in float32, within a margin of a hundred
-        times its rounding errors, and then tested as in :meth:`task_access`.
+        Few satellites have an ongoing task near the cone of their sensor. These are found in float32, within a margin of ten
+        times its rounding errors, and their tasks are tested as in :meth:`task_access`.
+
+        Args:
+            counted: The tasks that count, [N, T] (default: the ongoing ones).
         """
-        views, places = self.views(), self.drawn(PLACES)
-        looks = (self.sensor_on & self.present_now).unsqueeze(-1)
-        near = near_cone(views, places) & self.task_ongoing.unsqueeze(1) & looks
-        episode, satellite, task = torch.nonzero(near, as_tuple=True)
+        views, places, ongoing = self.views(), self.drawn(PLACES), self.task_ongoing if counted is None else counted
+        near = near_cone(views, places * ongoing.unsqueeze(-1))
+        found = (near.closest > near.limit) & self.sensor_on & self.present_now
+        row, column = torch.nonzero(found, as_tuple=True)
+        pair, task = torch.nonzero(near.closeness[row, column] > near.limit[row, column].unsqueeze(1), as_tuple=True)
+        episode, satellite = row[pair], column[pair]
         view = Views(*(part[episode, satellite] for part in views))
         fits = self.drawn("sensor_type")[episode, satellite] == self.drawn("task_type")[episode, task]
-        seen = in_access(view, places[episode, task]) & fits
+        seen = in_access(view, places[episode, task]) & fits & ongoing[episode, task]
         return episode[seen], satellite[seen], task[seen]
 
     def sights(self, envs: Tensor, views: Views, ran: Tensor, on: Tensor, ongoing: Tensor) -> Sights:
@@ -320,17 +328,44 @@ def in_access(view: Views, place: Tensor) -> Tensor:
     return inside & ((place * d).sum(-1) < 0.0) & (range2 <= FARTHEST * FARTHEST)
 
 
-def near_cone(views: Views, places: Tensor) -> Tensor:
-    """Return the pairs of satellites and places that may be in access, [N, S, T], from float32 numbers in Earth radii.
+class NearCone(NamedTuple):
+    """Which places may be in access: those whose ``closeness`` [N, S, T] exceeds ``limit`` [N, S], float32 each.
 
-    ``|d|^2 = 1 + r^2 - 2 r . p`` and ``d . n = n . p - n . r`` have errors of about 1e-6 for orbits up to several radii, so that
-    ``|d|^2 < (1 + tan^2) (d . n)^2`` holds for all places in the cone once :data:`MARGIN` is added.
+    ``closest`` [N, S] is the largest closeness of each satellite.
     """
-    r, n, p = (part.float() for part in (views.r_P / EARTH_RADIUS, views.axis_P, places.mT / EARTH_RADIUS))
-    along = torch.baddbmm(-(r * n).sum(-1, keepdim=True), n, p)
-    wide = (1.0 + views.tangent.float().square()).unsqueeze(-1)
-    limit = along * along.abs() * wide
-    return limit.add_(r @ p, alpha=2.0) > 1.0 + (r * r).sum(-1, keepdim=True) - MARGIN
+
+    closeness: Tensor
+    limit: Tensor
+    closest: Tensor
+
+
+def near_cone(views: Views, places: Tensor) -> NearCone:
+    """Return which of the places [N, T, 3] may be in access of satellites [N, S], from float32 numbers in Earth radii.
+
+    In the plane of its axis n and of the nadir, a satellite at r sees along directions with the angle a from the nadir, to the
+    range ``s = x - sqrt(x^2 - r^2 + 1)`` with ``x = r cos a``, at most that of the horizon. With those of both ends of its cone,
+    s1 and s2, the point q on the axis at ``s = (s1 + s2) / 2``, and the tangent t of the cone, places p that it sees have
+
+        |p - q|^2 < (s2 - s1)^2 / 4 + s2 s t^2 = e,    so that    p . q > (1 + |q|^2 - e) / 2,
+
+    less :data:`MARGIN` for rounding. The limit is infinite where the cone misses the Earth.
+    """
+    r, tangent = views.r_P / EARTH_RADIUS, views.tangent
+    radius2, x = (r * r).sum(-1), -(r * views.axis_P).sum(-1)
+    across, cosine = (radius2 - x * x).clamp(min=0.0).sqrt(), (1.0 + tangent * tangent).rsqrt()
+    horizon2 = (radius2 - 1.0).clamp(min=0.0)
+    low, high = horizon2.sqrt(), radius2.sqrt()
+    outer = (x - across * tangent) * cosine
+    inner = torch.where(across <= x * tangent, high, (x + across * tangent) * cosine)
+    ranges = (part - (part * part - horizon2).clamp(min=0.0).sqrt() for part in (at.clamp(low, high) for at in (inner, outer)))
+    nearest_range, farthest_range = ranges
+    middle = 0.5 * (nearest_range + farthest_range)
+    q = r + middle.unsqueeze(-1) * views.axis_P
+    error = 0.25 * (farthest_range - nearest_range).square() + farthest_range * middle * tangent * tangent
+    limit = 0.5 * (1.0 + (q * q).sum(-1) - error) - MARGIN
+    limit = torch.where(inner < low - MARGIN, torch.inf, limit).float()
+    closeness = q.float() @ (places / EARTH_RADIUS).float().mT
+    return NearCone(closeness, limit, closeness.amax(-1))
 
 
 def above_horizon(r_P: Tensor, ran: Tensor, places: Tensor) -> Tensor:

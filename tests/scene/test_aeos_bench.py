@@ -51,10 +51,28 @@ def drawn_views(count: int, seed: int) -> tuple[Views, torch.Tensor]:
 def test_the_search_in_float32_finds_all_that_have_access(seed):
     views, places = drawn_views(500, seed)
     exact = in_access(Views(*(part.unsqueeze(2) for part in views)), places.unsqueeze(1))
-    near = near_cone(views, places)
+    found = near_cone(views, places)
+    near = found.closeness > found.limit.unsqueeze(2)
+    assert torch.equal(near.any(2), found.closest > found.limit)
     assert exact.sum() > 50
     assert not (exact & ~near).any()
     assert near.double().mean() < 0.1  # few are left to test
+
+
+def test_the_search_in_float32_finds_all_in_wide_cones_and_at_the_limb():
+    views, places = drawn_views(500, 5)
+    up = views.r_P / views.r_P.norm(dim=-1, keepdim=True)
+    sideways = torch.linalg.cross(up, views.axis_P)
+    sideways = sideways / sideways.norm(dim=-1, keepdim=True)
+    sine = EARTH_RADIUS / views.r_P.norm(dim=-1, keepdim=True)
+    limb = sine * sideways - (1.0 - sine * sine).sqrt() * up
+    for axis in (views.axis_P, limb):
+        for wide in (1.0, 10.0, 100.0, 700.0):  # up to 86 degrees
+            seen = Views(views.r_P, axis, wide * views.tangent)
+            exact = in_access(Views(*(part.unsqueeze(2) for part in seen)), places.unsqueeze(1))
+            found = near_cone(seen, places)
+            assert not (exact & ~(found.closeness > found.limit.unsqueeze(2))).any()
+        assert exact.sum() > 1000
 
 
 def test_access_is_a_cone_above_the_horizon():

@@ -8,8 +8,10 @@ import torch
 import bsk_torch
 from bsk_torch import SatelliteTasking, act, data, scene
 from bsk_torch.data.task_reward import NEVER, progress
+from bsk_torch.env.rollout import play_episodes
 from bsk_torch.presets.aeos_bench import BenchSatellite
 from bsk_torch.scene import aeos_bench
+from tests.scene.aeos_cases import constellation, tasks, write
 
 SIZES = dict(satellites=(3, 5), tasks=(120, 200), seed=5, sensor="on")
 
@@ -32,6 +34,31 @@ def fly(env, seconds):
 def counted(env):
     memory = env.scenario.memory
     return {name: memory[f"task_{name}"].clone() for name in ("success", "best", "progress")}
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("options", [dict(), dict(step_duration=10.0), dict(step_duration=60.0, until_done=True)])
+def test_an_episode_that_ends_when_all_tasks_are_closed_has_the_measures_of_the_whole(options, tmp_path):
+    """The last task is due at 600 s, or succeeds before: the same choices, successes and energies, in less time."""
+    due = [dict(task, due_time=min(task["due_time"], 600 - k)) for k, task in enumerate(tasks(200))]
+    write(tmp_path / "a", constellation(3), due)
+    write(tmp_path / "b", constellation(2), due[:1])
+    flown = {}
+    for early in (False, True):
+        env = bsk_torch.make(
+            "AEOSBench-v1", num_envs=2, folder=tmp_path, order="listed", seed=0, time_limit=800, end_when_closed=early, **options
+        )
+        rule, returns, done = bsk_torch.rule("nearest_task", env), torch.zeros(2), torch.zeros(2, dtype=torch.bool)
+        for playing, step in play_episodes(env, rule):
+            returns += playing * step["next", "agents", "reward"].sum((1, 2))
+            done |= step["next", "terminated"].squeeze(-1)
+        flown[early] = env.rewarder.measures() | {"returns": returns}
+        assert done.all() if early else not done.any()
+        assert int(env.fleet.ticks.max()) <= 660 if early else int(env.fleet.ticks.min()) == 800
+    for name, value in flown[False].items():
+        torch.testing.assert_close(flown[True][name], value, rtol=0.0, atol=0.0, equal_nan=True, msg=name)
+    assert flown[True]["CR"][0] > 0.0
+    assert flown[True]["PC"][0] > 0.0
 
 
 @pytest.mark.compiled

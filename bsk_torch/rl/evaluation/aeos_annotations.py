@@ -49,7 +49,8 @@ TASK_ID, ENABLED, DATA, PROGRESS, VISIBLE = (
     "is_visible",
 )
 """Tensors of a trajectory at t seconds: assigned tasks, -1 for none, and sensors that are on, [t, S]; charge as a fraction,
-speeds of wheels, rpm, true anomaly, degrees, and attitude (MRP), [t, S, 8]; progress, [t, T]; visible tasks, [t, S, T]."""
+speeds of wheels, rpm, true anomaly, degrees, and attitude (MRP), [t, S, 8]; progress, [t, T]; visible tasks, [t, S, T], also
+in the second of their success."""
 
 RUNS = "assignment_runs.json"
 """File of runs ``[task, seconds]`` of each satellite, in a folder with the name of the case."""
@@ -151,11 +152,11 @@ def fly_cases(policy: TensorDictModuleBase, env: ConstellationTasking) -> Iterat
         start = start_episodes(env, seeds)
         rows: list[dict[str, Tensor]] = []
         sights: list[Tensor] = []
-        present, visible = _present_of(view), scenario.task_visible()
+        present, visible = _present_of(view), scenario.task_visible(scenario.task_offered)
         for _ in play_episodes(env, policy, start, torch.arange(n, device=env.device) < len(seeds)):
             sights.append(torch.stack([torch.full_like(visible[0], len(rows)), *visible]))
             rows.append(present | {TASK_ID: scenario.held_task.clone()})
-            present, visible = _present_of(view), scenario.task_visible()
+            present, visible = _present_of(view), scenario.task_visible(scenario.task_offered)
         tables = {name: torch.stack([row[name] for row in rows], 1) for name in rows[0]}
         second, episode, satellite, task = torch.cat(sights, 1)
         measures = env.rewarder.measures()

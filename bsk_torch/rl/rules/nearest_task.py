@@ -16,9 +16,16 @@ from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.scene import AEOSBench
 from bsk_torch.scene.aeos_bench import ASSIGNED, PLACES
 from bsk_torch.scene.aeos_files import EARTH_RADIUS
+from bsk_torch.sim.readout.observables import Now
+from bsk_torch.vec3 import Mat3
 
 REACH = math.cos(math.pi / 3.0)
 """Cosine of the largest angle from the nadir within reach."""
+
+
+def earth_axes(now: Now) -> Mat3:
+    """Return the DCM from N to P."""
+    return now.PN
 
 
 class TaskTeam(NamedTuple):
@@ -52,6 +59,7 @@ class NearestTask:
         self.env, self.satellite, self.entry, self.scenario = task_team(env)
         if self.entry.n_candidates is not None:
             raise ValueError("nearest_task chooses among all tasks; make the environment without candidates")
+        self.satellite.simulator.observer.want([earth_axes])
 
     def module(self) -> TeamPolicy:
         """Return the rule as a policy of the environment."""
@@ -60,21 +68,22 @@ class NearestTask:
 
     def __call__(self, action_mask: Tensor) -> Tensor:
         """Return actions [N, S] for legal actions [N, S, n + 1]."""
-        stay = action_mask.shape[-1] - 1
         action = self.tasks() + 1
         if self.entry.sensor == "chosen":
             action = action + self.scenario.n_tasks + 1
-        return torch.where(action_mask[..., :stay].any(-1), action, stay)
+        # the first action is legal unless the satellite has to stay, which is the last
+        return torch.where(action_mask[..., 0], action, action_mask.shape[-1] - 1)
 
     def tasks(self) -> Tensor:
         """Return the task of each satellite, [N, S]; -1 for none."""
         scenario, fleet = self.scenario, self.scenario.fleet
         r_N = self.satellite.dynamics.r_BN_N.float()
-        PN = self.satellite.simulator.observer.now.PN.stack()
+        PN = self.satellite.dynamics.observed(earth_axes)
         radius = r_N.norm(dim=-1).double().view(fleet.shape)
         r_P = (PN @ r_N.double().unsqueeze(-1)).view(*fleet.shape, 3)
-        height = torch.where(self.entry.offered.unsqueeze(1), r_P @ scenario.drawn(PLACES).mT, -torch.inf)
-        highest, nearest = height.max(2)  # the distance from the satellite falls with r . p
+        # the distance from the satellite falls with r . p; with zero instead of p, what is not offered is out of reach
+        height = r_P @ (scenario.drawn(PLACES) * self.entry.offered.unsqueeze(2)).mT
+        highest, nearest = height.max(2)
         old = self.satellite.simulator.memory[ASSIGNED].view(fleet.shape)
         kept = height.gather(2, old.clamp(min=0).unsqueeze(2)).squeeze(2)
         task = torch.where((old >= 0) & within_reach(kept, radius), old, nearest)
