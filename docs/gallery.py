@@ -20,6 +20,7 @@ PICTURES = {".png", ".webp"}
 ARGUMENTS: dict[str, str] = {
     "examples/curriculum.py": "--num-envs 256 --steps 400 --figure curriculum.png",
     "examples/mappo_benchmarl.py": "--iterations 6 --num-envs 64 --episodes 64 --out {tmp} --figure episode.png",
+    "examples/offline_cql.py": "--episodes 32 --time-limit 5700 --steps 2000 --iterations 100",
     "examples/ppo_cleanrl.py": "--steps 400000 --episodes 256 --figure episode.png",
     "examples/ppo_sb3.py": "--num-envs 256 --rollout 32 --steps 400000 --episodes 256 --out {tmp} --figure episode.png",
     "examples/share_intent.py": "--minutes 0.4 --episodes 32 --n-satellites 6 --n-targets 2000 --out {tmp} --figure episode.png",

@@ -179,6 +179,12 @@ STARTS: dict[str, list[Start]] = {
     "benchmarks/recording.py": [
         Start("--batches 2 --every 4 --steps 1 --rounds 1", r"\| scan \| 2 \| 2 \| 4 \| [\d.]+ \| [\d.]+ \|"),
     ],
+    "benchmarks/off_policy.py": [
+        Start(
+            "--seeds 1 --episodes 2 --iterations 2 --time-limit 600 --share 0.3 --presets NadirScan-v1",
+            r"(?s)\| NadirScan-v1 \| pretrained,random=0.05 \| [-\d.]+ \| [-\d.]+ \| [-+].*\| NadirScan-v1 \| \d+ \| \d+ \|",
+        ),
+    ],
     "benchmarks/orbiting_places.py": [
         Start(
             "--batch 2 --places 5 --chunk 1 --minutes 20 --range-km 3000 --arcs 5",
@@ -241,6 +247,12 @@ STARTS: dict[str, list[Start]] = {
         Start(
             "--num-envs 4 --steps 10 --time-limit 360 --rise 0.5 --figure levels.png",
             r"(?s)step 10: \d+ episodes.*nothing was rebuilt",
+        ),
+    ],
+    "examples/offline_cql.py": [
+        Start(
+            "--episodes 2 --time-limit 900 --steps 20 --iterations 3",
+            r"(?s)random: \d+ decisions, .*learned: return .*fitted Q with traces: .* of the pairs of actions in order",
         ),
     ],
     "scripts/demo.sh": [Start(f"{TRAIN} --out {{tmp}}/run", "trained")],

@@ -28,9 +28,11 @@ SHORT = {
     "explain": "--seeds 0:1",
     "bench": "--episodes 2",
     "leaderboard": "",
+    "dataset": "--seeds 0:4 --time-limit 1200",
     "benchmarks/inspection_rules.py": "--episodes 2 --time-limit 600",
     "args": "",
     "examples/curriculum.py": "--num-envs 2 --steps 2",
+    "examples/offline_cql.py": "--episodes 2 --time-limit 900 --steps 20 --iterations 3",
     "examples/share_intent.py": "--minutes 0.02 --episodes 2 --time-limit 300",
 }
 """What makes a command short enough for a test; later options win over those of the page."""
