@@ -505,6 +505,52 @@ def own_environments() -> str:
     return with_command("own_environments", head, rows)
 
 
+def of_runs(runs: Sequence[Mapping[str, float]], key: str, form: str) -> str:
+    """Return the mean of a figure over runs, with the smallest and the largest; a dash if a run has none."""
+    if not all(key in run for run in runs):
+        return "-"
+    values = [run[key] for run in runs]
+    mean, low, high = (form.format(value) for value in (sum(values) / len(values), min(values), max(values)))
+    return f"{mean} ({low} to {high})"
+
+
+def off_policy(preset: str) -> str:
+    """Return the errors of estimators of a policy's value in a preset, by the behavior whose episodes they have."""
+    rows = []
+    for row in load("off_policy")["rows"]:
+        if row["preset"] == preset:
+            forms = {"behavior_return": "{:.2f}", "fitted": "{:+.2f}", "traced": "{:+.2f}", "importance": "{:+.2f}"}
+            cells = [of_runs(row["seeds"], key, form) for key, form in (forms | {"effective": "{:.1f}"}).items()]
+            rows.append([code(row["behavior"]), *cells])
+    head = ["behavior", "its return", "fitted Q", "fitted Q with traces", "importance sampling", "effective episodes"]
+    return table(head, rows) + "\n"
+
+
+def action_scores() -> str:
+    """Return the scores of estimated action values against the returns of all actions."""
+    forms = {"rmse": "{:.2f}", "concordance": "{:.0%}", "regret": "{:.3f}"}
+    rows = []
+    for row in load("off_policy")["rows"]:
+        for label, words in (("fitted", "fitted Q"), ("traced", "with traces")):
+            cells = [of_runs(row["seeds"], f"{label}_{key}", form) for key, form in forms.items()]
+            rows.append([row["preset"], code(row["behavior"]), words, *cells])
+    return table(["preset", "behavior", "estimator", "error of values", "pairs in order", "loss of one decision"], rows) + "\n"
+
+
+def dataset_sizes() -> str:
+    """Return the sizes of datasets and the time to write them, with the command."""
+    found: dict[str, list[dict[str, float]]] = {}
+    for one in load("off_policy")["sizes"]:
+        found.setdefault(one["preset"], []).append(one)
+    forms = {"decisions": "{:,.0f}", "sampled": "{:,.0f}", "returns": "{:,.0f}", "megabytes": "{:.1f}", "bytes": "{:,.0f}"}
+    rows = []
+    for preset, runs in found.items():
+        means = {key: sum(run[key] for run in runs) / len(runs) for key in (*forms, "cpu")}
+        rows.append([preset, *(form.format(means[key]) for key, form in forms.items()), of_runs(runs, "cpu", "{:.0f}")])
+    head = ["preset", "decisions", "sampled", "returns of actions", "MB", "bytes per decision", "core-seconds"]
+    return with_command("off_policy", head, rows)
+
+
 def clouds(name: str) -> str:
     """Return what policies reach under clouds, by what they see of them."""
     rows = []
@@ -763,6 +809,9 @@ TABLES = {
     "by_condition": by_condition,
     "headroom": headroom,
     "own_environments": own_environments,
+    "off_policy": off_policy,
+    "action_scores": action_scores,
+    "dataset_sizes": dataset_sizes,
     "clouds": clouds,
     "envelope": envelope,
     "bounds": bounds,
