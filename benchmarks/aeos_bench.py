@@ -7,9 +7,9 @@ Usage:
 All fly the same cases: those of a folder with the benchmark's files, or random ones with the distributions of its training set,
 ``--orbits random``, or of its test set, ``--orbits real``.
 ``nearest_task`` is the benchmark's greedy rule, with its actions in every second and sensors always on; the others choose among
-candidates, every ``--step`` seconds. Measures are means over the cases, with intervals of 95 percent; gains are those of CR over
-``nearest_task``, and over the last of the rules, paired by case. The bound is the share of tasks that satellites have above their
-horizons long enough.
+candidates, every ``--step`` seconds, and ``soonest_task@3,0.5`` every 3 s, with ``haste=0.5``. Measures are means over the cases,
+with intervals of 95 percent; gains are those of CR over ``nearest_task``, and of rules over the rule before, of policies over the
+last rule, paired by case. The bound is the share of tasks that satellites have above their horizons long enough.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ def main() -> None:
         with torch.no_grad():
             found = fly(env, policy, options)
         rates.append(found["CR"])
-        last = rates[min(len(rates), len(names)) - 1]
+        last = rates[max(min(len(rates) - 1, len(names)) - 1, 0)]
         blank = dict.fromkeys(("PCR", "WCR", "TAT", "PC", "CS"), float("nan"))
         rows.append(blank | row(name, found, rates[0], last, time.process_time() - clock))
         print(harness.cell("{policy}: CR {CR:.1f} %, gain {gain:+.1f} +- {gain_half:.1f}", rows[-1]), flush=True)
@@ -135,9 +135,11 @@ def main() -> None:
 
     every = make_env(options, batch, sensor="on")
     compare(GREEDY, rule(GREEDY, every), every)
-    chosen = make_env(options, batch, candidates=True, step_duration=options.step)
     for name in names[1:]:
-        compare(name, rule(name, chosen), chosen)
+        plain, _, given = name.partition("@")
+        step, haste = (float(part) for part in given.split(",")) if given else (options.step, 1.0)
+        chosen = make_env(options, batch, candidates=True, step_duration=step, haste=haste)
+        compare(name, rule(plain, chosen), chosen)
     for k, file in enumerate(options.policies):
         given = read_card(file)["options"]
         env = make_env(options, batch, **{key: given[key] for key in OF_TRAINING if key in given})

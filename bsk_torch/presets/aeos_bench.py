@@ -177,6 +177,7 @@ def aeos_bench(
     end_when_closed: bool = False,
     candidates: bool = False,
     as_set: bool = False,
+    haste: float = 1.0,
     obs_type: type | None = None,
     **options: Any,
 ) -> ConstellationTasking:
@@ -198,6 +199,7 @@ def aeos_bench(
         candidates: Whether satellites choose among the 8 tasks that they can be expected to complete first, which
             they observe; see :class:`~bsk_torch.obs.TaskProperties`. Sensors are on while a task is chosen.
         as_set: Whether candidates are observed as ``rows`` [N, S, 8, 11] with a ``mask``.
+        haste: Share of its expected time that a turn to a candidate may take; see :class:`~bsk_torch.scene.AEOSBench`.
         obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations (default: with ``as_set``).
         **options: Arguments of :class:`~bsk_torch.ConstellationTasking` that replace these.
 
@@ -225,9 +227,9 @@ def aeos_bench(
     if folder is None:
         sizes = SMALL[0] if satellites is None else satellites, SMALL[1] if tasks is None else tasks
         generator = scene.AEOSBenchGenerator(*sizes, orbits)
-        scenario = scene.AEOSBench(generator, order=order)
+        scenario = scene.AEOSBench(generator, order=order, haste=haste)
     else:  # ranges are an error of the scenario
-        scenario = scene.AEOSBench(folder, cast("int | None", satellites), cast("int | None", tasks), order=order)
+        scenario = scene.AEOSBench(folder, cast("int | None", satellites), cast("int | None", tasks), order=order, haste=haste)
     # these numbers decide the form of hub and wheels; every episode replaces them
     example = scenario.cases if isinstance(scenario.cases, scene.Cases) else scenario.cases_of(first_key(1))
     form = {name: of_form(values) for name, values in example.satellites.items()}

@@ -70,6 +70,7 @@ class AEOSBench(Scenario):
         tasks: int | None = None,
         order: Literal["random", "listed"] = "random",
         horizon: float = HORIZON,
+        haste: float = 1.0,
     ) -> None:
         """Fly cases of a folder, or those given, or random ones.
 
@@ -80,6 +81,8 @@ class AEOSBench(Scenario):
             order: ``"random"``: every episode draws one of the cases. ``"listed"``: the episode with seed s in environment i
                 flies case s + i, counted modulo their number, and the following episodes the cases after it.
             horizon: Time from which on nothing counts, s.
+            haste: Share of its expected time that a turn may take where :meth:`outlook` calls a task feasible. Below 1, there are
+                candidates that only a faster turn than expected completes in time, as half of all turns are.
 
         Raises:
             ValueError: For another order, and as :func:`bsk_torch.scene.read_cases`.
@@ -94,6 +97,7 @@ class AEOSBench(Scenario):
             raise ValueError(f"order={order!r} lists cases, but a generator draws them; leave it out")
         self.cases = cases if isinstance(cases, Cases | AEOSBenchGenerator) else read_cases(cases, satellites, tasks)
         self.horizon = number("horizon", horizon, 0.0, unit="s", above=True)
+        self.haste = number("haste", haste, 0.0, 1.0)
         self.order = order
         self._found = Found()
 
@@ -232,7 +236,7 @@ class AEOSBench(Scenario):
         return self._found.once("outlook", self.fleet, lambda: find_outlook(self))
 
     def candidates(self, count: int) -> TaskCandidates:
-        """Return the first ``count`` tasks of each satellite in the order of their expected ends."""
+        """Return the first ``count`` tasks of each satellite, in the order of their costs."""
 
         def found() -> TaskCandidates:
             return find_candidates(self.outlook(), self.held_task, count)

@@ -26,6 +26,9 @@ turns in 16 of the benchmark's test cases."""
 KEEP = 20.0
 """Time by which another task must end earlier to be preferred to the present one, s."""
 
+LATE = 300.0
+"""Time by which tasks that are not expected in time are preferred less than others, s."""
+
 NEVER = 1e9
 """End of tasks that cannot be expected to succeed, s."""
 
@@ -45,7 +48,8 @@ class TaskOutlook(NamedTuple):
         start: Time until the task is seen, s: until the end of the turn, and until the task is above the horizon.
         end: Time until the task succeeds, s.
         last: Time until the task is below the horizon or overdue, s.
-        feasible: Whether the task is offered and ``end`` is not after ``last``; False for absent satellites.
+        feasible: Whether the task is offered, and succeeds until ``last`` after a turn that takes a share ``haste`` of ``turn``;
+            see :class:`~bsk_torch.scene.AEOSBench`. False for absent satellites.
     """
 
     angle: Tensor
@@ -57,12 +61,13 @@ class TaskOutlook(NamedTuple):
 
 
 class TaskCandidates(NamedTuple):
-    """The first n tasks of each satellite, [N, S, n] each, in the order of their expected ends.
+    """The first n tasks of each satellite, [N, S, n] each, in the order of their costs.
 
     Attributes:
         task: Number of the task.
-        exists: Whether it can be expected to succeed; the others pad.
-        cost: Time until it succeeds, s, less :data:`KEEP` for the current task; :data:`NEVER` for padding.
+        exists: Whether it may succeed; the others pad.
+        cost: Time until it succeeds, s, less :data:`KEEP` for the current task, and plus :data:`LATE` if that is not expected in
+            time; :data:`NEVER` for padding.
     """
 
     task: Tensor
@@ -139,10 +144,11 @@ def find_outlook(scenario: AEOSBench) -> TaskOutlook:
     turn = turn_time(angle, cone, pace, acceleration)
     start = torch.maximum(turn, rise)
     progress = torch.where(angle > cone, 0.0, scenario.memory["task_progress"].unsqueeze(1))
-    end = start + scenario.drawn("task_duration").unsqueeze(1) - progress
+    left = scenario.drawn("task_duration").unsqueeze(1) - progress
     last = torch.minimum(below, scenario.drawn("task_due").unsqueeze(1).clamp(max=scenario.horizon - 1.0) - now)
-    feasible = (end <= last) & scenario.task_ongoing.unsqueeze(1) & scenario.present_now.unsqueeze(2)
-    return TaskOutlook(angle, turn, start, end, last, feasible)
+    in_time = torch.maximum(scenario.haste * turn, rise) + left <= last
+    feasible = in_time & scenario.task_ongoing.unsqueeze(1) & scenario.present_now.unsqueeze(2)
+    return TaskOutlook(angle, turn, start, start + left, last, feasible)
 
 
 def _abilities(satellite: BoundSatellite) -> tuple[Tensor, Tensor]:
@@ -153,7 +159,7 @@ def _abilities(satellite: BoundSatellite) -> tuple[Tensor, Tensor]:
 
 
 def find_candidates(outlook: TaskOutlook, held: Tensor, count: int) -> TaskCandidates:
-    """Return the tasks that can be expected to succeed first.
+    """Return the tasks that may succeed, first those that are expected to, in the order of their expected ends.
 
     Args:
         outlook: What can be expected of all tasks.
@@ -162,7 +168,8 @@ def find_candidates(outlook: TaskOutlook, held: Tensor, count: int) -> TaskCandi
     """
     n_tasks = outlook.end.shape[2]
     mine = held.unsqueeze(2) == torch.arange(n_tasks, device=held.device)
-    cost = torch.where(outlook.feasible, outlook.end - KEEP * mine, NEVER)
+    expected = outlook.end + LATE * (outlook.end > outlook.last) - KEEP * mine
+    cost = torch.where(outlook.feasible, expected, NEVER)
     cost, task = cost.sort(stable=True, dim=2)
     if n_tasks < count:
         cost = torch.nn.functional.pad(cost, (0, count - n_tasks), value=NEVER)

@@ -151,21 +151,24 @@ def test_places_that_never_rise_are_not_expected():
     assert rise > below
 
 
-def test_the_rule_points_at_different_tasks_and_candidates_are_observed_in_order():
-    env = bsk_torch.make(
-        "AEOSBench-v1", num_envs=2, seed=3, satellites=20, tasks=300, candidates=True, as_set=True, step_duration=10.0
-    )
+@pytest.mark.parametrize("haste", [1.0, 0.5])
+def test_the_rule_points_at_different_tasks_and_candidates_are_observed_in_order(haste):
+    options = dict(candidates=True, as_set=True, step_duration=10.0, haste=haste)
+    env = bsk_torch.make("AEOSBench-v1", num_envs=2, seed=3, satellites=20, tasks=300, **options)
     rule, td, wait = bsk_torch.rule("soonest_task", env), env.reset(), env.full_action_spec.zero()
     for _ in range(12):  # until some tasks have been released
         td = env.step(wait)["next"]
     group = next(iter(env.group_map))
     seen = td[group, "observation", "tasks"]
     columns = [entry.name for entry in obs.TaskProperties().entries]
-    end, held = (seen["rows"][..., columns.index(name)] for name in ("end", "held"))
+    end, held, slack = (seen["rows"][..., columns.index(name)] for name in ("end", "held", "slack"))
     exists = seen["mask"] > 0.0
     assert not bool(held.any())
     assert bool(exists.any(2).sum(1).min() > 3)
-    assert bool((end.diff(dim=2)[exists[..., 1:]] >= 0.0).all())
+    late = exists & (slack < 0.0)
+    assert 0 < int(late.sum()) < int(exists.sum()) if haste < 1.0 else not late.any()
+    cost = end + 3.0 * late  # 300 s
+    assert bool((cost.diff(dim=2)[exists[..., 1:]] >= 0.0).all())
     assert torch.equal(td[group, "action_mask"][..., 1:9], exists)
     action = rule(td)[group, "action"]
     env.step(td)
@@ -184,6 +187,8 @@ def test_wrong_numbers_and_names_are_refused():
         act.PointAtTask(duration=-1.0)
     with pytest.raises(ValueError, match="'slack'"):
         obs.TaskProperties(dict(prop="slac"))
+    with pytest.raises(ValueError, match="haste=2"):
+        bsk_torch.make("AEOSBench-v1", candidates=True, haste=2.0)
     with pytest.raises(ValueError, match="as_set"):
         bsk_torch.make("AEOSBench-v1", as_set=True)
     with pytest.raises(ValueError, match="sensor='on'"):
