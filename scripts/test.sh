@@ -77,6 +77,8 @@ case "${1:-}" in --all | --nightly) extras=$extras,ray ;; esac
 .venv/bin/python -m pip install -q -c constraints.txt -e ".[$extras]"
 # a client that no one here wrote; pip would take an older TorchRL with it
 .venv/bin/python -m pip install -q --no-deps benchmarl==1.5.2
+# validates CZML; pip would take an older python-dateutil with it
+.venv/bin/python -m pip install -q --no-deps czml3==4.0.0
 if [ "${1:-}" = --browser ]; then
     test_browser "${@:2}"
     exit

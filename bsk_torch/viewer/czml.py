@@ -7,6 +7,7 @@ Source of the format: "CZML Guide", AnalyticalGraphicsInc/czml-writer.
 from __future__ import annotations
 
 import json
+import math
 from datetime import datetime, timedelta
 from typing import Any
 
@@ -33,9 +34,17 @@ COLORS = {
 }
 """Colors, RGBA, that remain distinct for the color-blind (Okabe and Ito)."""
 
+OTHERS = ([230, 159, 0, 255], [204, 121, 167, 255], [0, 114, 178, 255], [213, 94, 0, 255], [240, 228, 66, 255])
+"""Colors of the satellites of other futures, likewise."""
+
+BEFORE = 300.0
+"""Seconds of another future before it begins, for interpolation."""
+
 
 def czml(recording: Recording, track: int = 0) -> str:
-    """Return a track as the text of a CZML file.
+    """Return a track as the text of a CZML file, with the satellites of other futures from where they branch.
+
+    Other futures are the tracks of the same scene: branches, and the track from which this one branches.
 
     Args:
         recording: Flights around the Earth.
@@ -56,7 +65,44 @@ def czml(recording: Recording, track: int = 0) -> str:
     packets += [_satellite(recording, flight, scene, start, k) for k in range(len(recording.satellites))]
     packets += _targets(recording, flight, scene, start)
     packets += _links(recording, flight, start)
+    for n, other in enumerate(recording.tracks):
+        if n != track and other.scene == flight.scene:
+            packets += _future(recording, n, parting(recording, track, n), start)
     return json.dumps(packets, ensure_ascii=False, allow_nan=False)
+
+
+def parting(recording: Recording, track: int, other: int) -> float:
+    """Return the time until which two tracks of a scene are the same, s."""
+    ways = [_way(recording, k) for k in (track, other)]
+    for (first, until), (second, end) in zip(*ways, strict=False):
+        if first != second:
+            return 0.0
+        if until != end:
+            return min(until, end)
+    return min(way[-1][1] for way in ways)
+
+
+def _way(recording: Recording, track: int) -> list[tuple[int, float]]:
+    """The tracks that have led to a track, first the oldest one, with the time until which it follows each."""
+    way, until = list[tuple[int, float]](), math.inf
+    number: int | None = track
+    while number is not None:
+        way.insert(0, (number, until))
+        flight = recording.tracks[number]
+        until = min(until, flight.branch.time) if flight.branch is not None else until
+        number = flight.parent
+    return way
+
+
+def _future(recording: Recording, number: int, begin: float, start: datetime) -> list[dict[str, Any]]:
+    """The satellites of another track from a time on, below an entry with its label."""
+    flight, scene = recording.tracks[number], recording.scenes[recording.tracks[number].scene]
+    folder = f"track/{number}"
+    packets: list[dict[str, Any]] = [{"id": folder, "name": flight.label}]
+    for k in range(len(recording.satellites)):
+        packet = _satellite(recording, flight, scene, start, k, OTHERS[(number - 1) % len(OTHERS)], begin)
+        packets.append(packet | {"id": f"{folder}/satellite/{k}", "parent": folder, "name": f"{flight.label}: {packet['name']}"})
+    return packets
 
 
 def _time(start: datetime, seconds: float) -> str:
@@ -77,15 +123,24 @@ def _document(recording: Recording, flight: Track, start: datetime) -> dict[str,
     return {"id": "document", "name": recording.title, "version": "1.0", "clock": clock}
 
 
-def _satellite(recording: Recording, flight: Track, scene: Scene, start: datetime, k: int) -> dict[str, Any]:
+def _satellite(
+    recording: Recording,
+    flight: Track,
+    scene: Scene,
+    start: datetime,
+    k: int,
+    color: list[int] = COLORS["satellite"],
+    begin: float = 0.0,
+) -> dict[str, Any]:
+    """A satellite of a track, with its path in a color, from a time on."""
     times, r_N = flight.arrays["key_times"], flight.arrays["r_N"][:, k].astype("f8")
-    there = np.isfinite(r_N).all(-1)
+    there = np.isfinite(r_N).all(-1) & (times >= begin - BEFORE)
     rows = np.concatenate([times[there, None], r_N[there]], 1).round(3)
     death = min([death.time for death in flight.deaths if death.satellite == k], default=flight.duration)
     packet = {
         "id": f"satellite/{k}",
         "name": recording.satellites[k].name,
-        "availability": _span(start, 0.0, flight.duration),
+        "availability": _span(start, min(begin, flight.duration), flight.duration),
         "position": {
             "epoch": _time(start, 0.0),
             "referenceFrame": "INERTIAL",
@@ -93,12 +148,12 @@ def _satellite(recording: Recording, flight: Track, scene: Scene, start: datetim
             "interpolationDegree": 5,
             "cartesian": rows.flatten().tolist(),
         },
-        "point": {"pixelSize": 8, "color": {"rgba": COLORS["satellite"]}},
+        "point": {"pixelSize": 8, "color": {"rgba": color}},
         "label": {"text": recording.satellites[k].name, "font": "12px sans-serif", "pixelOffset": {"cartesian2": [12, 0]}},
-        "path": {"leadTime": 0, "trailTime": 5400, "width": 1, "material": _solid(COLORS["satellite"])},
+        "path": {"leadTime": 0, "trailTime": 5400, "width": 1, "material": _solid(color)},
         "description": _description(recording, flight, k, death),
     }
-    turn = _orientation(flight, scene, k)
+    turn = _orientation(flight, scene, k, begin - BEFORE)
     if turn is not None:
         packet["orientation"] = {
             "epoch": _time(start, 0.0),
@@ -121,15 +176,15 @@ def _solid(color: list[int]) -> dict[str, Any]:
     return {"solidColor": {"color": {"rgba": color}}}
 
 
-def _orientation(flight: Track, scene: Scene, k: int) -> list[float] | None:
-    """Times and quaternions (x, y, z, w) of the turn from body axes to Earth-fixed ones; None without attitudes."""
+def _orientation(flight: Track, scene: Scene, k: int, begin: float) -> list[float] | None:
+    """Times and quaternions (x, y, z, w) of the turn from body to Earth-fixed axes, from a time on; None without attitudes."""
     sigma = flight.arrays["sigma"][:, k].astype("f8")
     if not len(sigma):
         return None
     every = max(1, round(ATTITUDE_STEP / flight.attitude_step))
     at = np.arange(0, len(sigma), every)
     times = flight.attitude_start + at * flight.attitude_step
-    good = np.isfinite(sigma[at]).all(-1)
+    good = np.isfinite(sigma[at]).all(-1) & (times >= begin)
     times, sigma = times[good], sigma[at][good]
     if not len(times):
         return None

@@ -393,7 +393,6 @@ class Flight:
             "decision_reward": np.array([choice.reward for choice in choices], "f4"),
             "decision_mask": masks,
             "decision_probability": _rounded(_padded([choice.probability for choice in choices], actions)),
-            "decision_value": np.full(len(choices), np.nan, "f4"),
             "decision_action_value": np.full((len(choices), actions), np.nan, "f4"),
             "observation": _rounded(_padded([choice.observation for choice in choices], observed)),
             **({"decision_control": _padded([choice.control for choice in choices], controls)} if controls else {}),

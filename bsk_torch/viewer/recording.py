@@ -108,7 +108,6 @@ TRACK_ARRAYS: dict[str, Form] = {
     "decision_reward": _form("f4", "D"),
     "decision_mask": _form("u1", "D A"),
     "decision_probability": _form("f4", "D A"),
-    "decision_value": _form("f4", "D"),
     "decision_action_value": _form("f4", "D A"),
     "decision_control": _form("f4", "D C", required=False),
     "observation": _form("f4", "D O"),

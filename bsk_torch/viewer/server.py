@@ -102,9 +102,7 @@ class _Handler(BaseHTTPRequestHandler):
         track, decision = self._numbers("track", "decision")
         with self.server.lock:
             values = self._futures().values(track, decision)
-        return "application/json", json.dumps(
-            {"action_value": finite(values), "half": None, "how": self._futures().meaning}
-        ).encode()
+        return "application/json", json.dumps({"action_value": finite(values), "how": self._futures().meaning}).encode()
 
     def _branch(self) -> tuple[str, bytes]:
         track, decision, action = self._numbers("track", "decision", "action")

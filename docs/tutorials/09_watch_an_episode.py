@@ -4,7 +4,7 @@
 Watch an episode
 ================
 
-Make films of episodes: frames of the globe with satellites, targets and activities.
+Make films of episodes, and open them in the viewer: the globe with satellites, targets and activities.
 
 A frame shows the current moment of one episode. No display is needed.
 """
@@ -24,6 +24,7 @@ from bsk_torch.rl.policies import pretrained
 # sphinx_gallery_thumbnail_path = "_static/readme/CloudyAEOS-v1.png"
 FRAMES = 60
 MEMBERS = 6
+UNTIL = 5700.0
 
 torch.set_num_threads(1)
 
@@ -88,6 +89,33 @@ env = bsk_torch.make("NadirScan-v1", num_envs=1)
 film(env, pretrained("NadirScan-v1"), "scanning.webp", seed=7, frames=FRAMES)
 
 # %%
+# Open an episode in the viewer
+# -----------------------------
+#
+# A film shows what was drawn. The viewer shows a whole flight from any side and at any time, with what each satellite observed and
+# could have done. ``record`` plays an episode for it, and ``html`` makes one file that plays in a browser without a network:
+from pathlib import Path
+
+from bsk_torch.viewer import record
+
+flight = record(
+    env,
+    pretrained("NadirScan-v1"),
+    seed=7,
+    until=UNTIL,
+    preset="NadirScan-v1",
+    label="pretrained",
+)
+page = Path("scanning.html")
+page.write_text(flight.html(), encoding="utf-8")
+print(f"{page}: {page.stat().st_size / 1e6:.1f} MB")
+
+# %%
+# .. image:: /_static/viewer/globe.webp
+#    :alt: The viewer with twelve satellites over the Earth, the timeline of their decisions, and the panel of one of them
+#
+# ``bsk-torch view NadirScan-v1`` does the same and can fly other actions from any decision; see :doc:`/how_to/view`.
+#
 # Record with Gymnasium
 # ---------------------
 #

@@ -96,7 +96,6 @@ def track_arrays(satellites: int, targets: int, duration: float, shift: int = 0)
         "decision_reward": np.where(action == 2, 0.1, 0.0),
         "decision_mask": mask,
         "decision_probability": probability,
-        "decision_value": np.linspace(1.0, 0.0, len(start)),
         "decision_action_value": np.full((len(start), len(ACTIONS)), np.nan),
         "observation": np.linspace(0.0, 1.0, 2 * len(start)).reshape(-1, 2),
         "event_time": start[images] + 200.0 if targets else np.zeros(0),

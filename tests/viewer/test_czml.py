@@ -1,5 +1,6 @@
 """CZML: structure, and positions and attitudes as Cesium interpolates them."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -51,6 +52,44 @@ def test_orientations_turn_body_axes_to_the_earth(packets):
         -1,
     )
     assert np.abs(third - expected).max() < 1e-3
+
+
+def test_other_futures_begin_where_they_part():
+    recording = synthetic_recording(tracks=3)
+    object.__setattr__(recording.tracks[2], "parent", 1)  # a branch of a branch, later
+    object.__setattr__(recording.tracks[2], "branch", dataclasses.replace(recording.tracks[2].branch, time=900.0))
+    found = {track: {packet["id"]: packet for packet in json.loads(czml(recording, track))} for track in range(3)}
+    begins = {
+        (track, other): found[track][f"track/{other}/satellite/0"]["availability"].partition("/")[0]
+        for track in range(3)
+        for other in range(3)
+        if track != other
+    }
+    at_600, at_900 = "2020-11-30T09:28:50.816Z", "2020-11-30T09:33:50.816Z"
+    assert begins == {(0, 1): at_600, (1, 0): at_600, (0, 2): at_600, (2, 0): at_600, (1, 2): at_900, (2, 1): at_900}
+    future = found[0]["track/1/satellite/1"]
+    assert (future["parent"], found[0]["track/1"]["name"]) == ("track/1", "branch 0")
+    rows = np.array(future["position"]["cartesian"]).reshape(-1, 4)
+    assert rows[0, 0] == 300.0
+    assert future["path"]["material"] != found[0]["satellite/1"]["path"]["material"]
+    scene = dataclasses.replace(recording.scenes[0])
+    recording.scenes.append(scene)
+    object.__setattr__(recording.tracks[2], "scene", 1)
+    assert "track/2" not in czml(recording)
+
+
+@pytest.mark.parametrize("targets", [0, 40])
+def test_it_follows_the_schema(targets):
+    czml3 = pytest.importorskip("czml3", reason="needs pip install --no-deps czml3==4.0.0")
+    recording = synthetic_recording(targets=targets, name=SCRIPT)
+    packets = json.loads(czml(recording))
+    document = czml3.Document(packets=packets)  # forbids what it does not know
+    written = json.loads(document.dumps())
+    assert [packet["id"] for packet in written] == [packet["id"] for packet in packets]
+    assert written[3]["position"]["cartesian"] == packets[3]["position"]["cartesian"]
+    packets[-1]["polyLine"] = {}
+    with pytest.raises(ValueError, match="polyLine"):
+        czml3.Document(packets=packets)
 
 
 def test_errors():

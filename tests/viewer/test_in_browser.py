@@ -237,6 +237,7 @@ def test_the_panel_says_what_was_allowed_and_why_a_satellite_died(browser, fligh
     page.click(".link")
     state = page.evaluate(STATE)
     assert (state["satellite"], state["time"]) == (0, 3000.0)
+    assert state["satellites"][0]["visible"]  # the camera has turned to it
     page.wait_for_selector(".dead")
     assert "battery" in page.inner_text(".dead")
 

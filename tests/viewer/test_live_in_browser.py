@@ -49,7 +49,7 @@ class Answers(BaseHTTPRequestHandler):
         wanted = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
         self.asked.append((name, wanted))
         if name == "values":
-            self.send(200, "application/json", b'{"action_value": [0.25, null, 1.5], "half": null, "how": "one future each"}')
+            self.send(200, "application/json", b'{"action_value": [0.25, null, 1.5], "how": "one future each"}')
         elif len(self.asked) > 4:
             self.send(400, "application/json", b'{"error": "action=1 is not <allowed>"}')
         else:

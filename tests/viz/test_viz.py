@@ -1,14 +1,18 @@
 """Pictures are written, and show what happened."""
 
+import re
+
 import pytest
 import torch
 
 import bsk_torch
 from bsk_torch.rl.rules.baselines import scan_rule
 from bsk_torch.viz.figures.curves import learning_curve
-from bsk_torch.viz.figures.style import label, panels, save, spread
+from bsk_torch.viz.figures.style import COLUMN, WIDTH, label, panels, save, spread
 from bsk_torch.viz.figures.timeline import record_episode, timeline
+from bsk_torch.viz.figures.track_map import track_map
 from bsk_torch.viz.recorders.episode import union
+from bsk_torch.viz.recorders.track import record_track
 
 PNG = b"\x89PNG"
 
@@ -43,6 +47,27 @@ def test_learning_curve_is_drawn(tmp_path):
     path = learning_curve(log, tmp_path / "curve.png", {"random": (-0.4, 0.1), "rule": (0.4, 0.02)}, "learning")
     assert path.read_bytes()[:4] == PNG
     assert path.stat().st_size > 10_000
+
+
+def test_figures_fit_a_column_of_a_paper(tmp_path):
+    env = bsk_torch.make("NadirScan-v1", num_envs=1, seed=0, backend="eager", time_limit=700.0)
+    flight = record_track(scan_rule(env), env, seed=1)
+    log = {"seconds": [1.0, 2.0], "return": [-1.0, 0.5], "survival": [0.0, 1.0], "simulated_days": [1, 2]}
+    wide, narrow = (
+        [
+            timeline(flight, tmp_path / f"timeline_{width}.pdf", width=width),
+            track_map(flight, tmp_path / f"map_{width}.pdf", width=width),
+            learning_curve(log, tmp_path / f"curve_{width}.pdf", {"rule": (0.4, 0.02)}, "", width=width),
+        ]
+        for width in (WIDTH, COLUMN)
+    )
+    assert [media_width(path) for path in wide] == pytest.approx([72.0 * WIDTH] * 3)
+    assert [media_width(path) for path in narrow] == pytest.approx([72.0 * COLUMN] * 3)
+
+
+def media_width(path):
+    """Width of the page of a PDF, points."""
+    return float(re.search(rb"/MediaBox \[ *\S+ +\S+ +(\S+)", path.read_bytes())[1])
 
 
 def test_names_of_close_lines_are_kept_apart_in_their_order():

@@ -148,7 +148,7 @@ export class Track {
   }
 
   #decisions(own) {
-    const d = { value: own("decision_value").data, mask: own("decision_mask"), probability: own("decision_probability") };
+    const d = { mask: own("decision_mask"), probability: own("decision_probability") };
     d.actionValue = own("decision_action_value");
     d.control = own("decision_control");
     for (const name of ["time", "end", "satellite", "action", "target", "reward"]) d[name] = own(`decision_${name}`).data;

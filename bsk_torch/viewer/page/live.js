@@ -12,7 +12,7 @@ export class Live {
     return this.#bytes(await this.#answer("recording"));
   }
 
-  /** The value of every action of a decision: {action_value, half, how}. */
+  /** The value of every action of a decision: {action_value, how}. */
   async values(track, decision) {
     return (await this.#answer("values", { track, decision })).json();
   }

@@ -189,6 +189,7 @@ class Viewer {
     this.play(false);
     this.select(satellite);
     this.seek(time);
+    this.stage.face(this.track, satellite, this.time, this.frame);
   }
 
   setTrack(index) {
@@ -262,11 +263,10 @@ class Viewer {
   /** Ask the server for the values of all actions of decision d. */
   values(d) {
     return this.#ask("All actions are flown …", async () => {
-      const { action_value: found, half, how } = await this.live.values(this.track.index, d);
+      const { action_value: found, how } = await this.live.values(this.track.index, d);
       const { data, shape } = this.track.decisions.actionValue;
       data.set(found.map((value) => value ?? NaN), d * shape[1]);
-      const widest = Math.max(...(half ?? []).filter(Number.isFinite));
-      this.said = Number.isFinite(widest) ? `${how}; 95 % intervals of up to ± ${widest.toFixed(3)}` : how;
+      this.said = how;
     });
   }
 

@@ -104,10 +104,7 @@ export class Panels {
     const head = make("h2", {}, title, make("span", {}, `at ${clock(track.decisions.time[d])}`));
     const panel = make("div", { className: "panel decision" }, head);
     panel.append(actions.length ? this.#actionTable(state, d, actions) : this.#controlTable(track, d, controls ?? []));
-    const { value, reward } = track.decisions;
-    const notes = [`Reward of this step: ${number(reward[d])}.`];
-    if (Number.isFinite(value[d])) notes.push(`The critic expects ${number(value[d])} from here on.`);
-    panel.append(make("p", { className: "note" }, notes.join(" ")));
+    panel.append(make("p", { className: "note" }, `Reward of this step: ${number(track.decisions.reward[d])}.`));
     if (state.live) panel.append(this.#liveTools(state, d));
     return panel;
   }

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from matplotlib.ticker import PercentFormatter
 
-from bsk_torch.viz.figures.style import INK, PALETTE, headline, label, name_lines, panels, save
+from bsk_torch.viz.figures.style import INK, PALETTE, WIDTH, fit, headline, label, name_lines, panels, save
 
 NAME_HEIGHT = 0.055
 """Height of a line's name, fraction of the panel's."""
@@ -16,22 +16,26 @@ Level = tuple[float, float]
 """Mean return and half width of its confidence interval."""
 
 
-def learning_curve(log: Mapping[str, Sequence[float]], path: Path, levels: Mapping[str, Level], title: str) -> Path:
+def learning_curve(
+    log: Mapping[str, Sequence[float]], path: Path, levels: Mapping[str, Level], title: str, width: float = WIDTH
+) -> Path:
     """Draw return and survival over training time.
 
     Args:
         log: Columns of a training log: ``seconds``, ``return``, ``survival`` and ``simulated_days``.
-        path: The PNG file to write.
+        path: The file to write, .png, .svg or .pdf.
         levels: Returns of policies to compare with, by name, as horizontal lines.
-        title: Headline.
+        title: Headline; no headline if empty.
+        width: Width, inches, such as :data:`~bsk_torch.viz.figures.style.COLUMN` for a paper.
     """
-    figure, (returns, survival) = panels((3.4, 1.4))
+    share = (width / WIDTH) ** 0.5  # narrow panels are also lower
+    figure, (returns, survival) = panels((3.4 * share, 1.4 * share), width)
     returns.plot(log["seconds"], log["return"], color=PALETTE[0], linewidth=1.8)
     lines = {name: (mean, color) for color, (name, (mean, _)) in zip(PALETTE[1:], levels.items(), strict=False)}
     for name, (mean, color) in lines.items():
         returns.axhline(mean, color=color, linewidth=1.2, linestyle=(0, (4, 2)))
         returns.axhspan(mean - levels[name][1], mean + levels[name][1], color=color, alpha=0.15, linewidth=0)
-    name_lines(returns, {**lines, "while training": (log["return"][-1], PALETTE[0])}, NAME_HEIGHT)
+    name_lines(returns, {**lines, "while training": (log["return"][-1], PALETTE[0])}, NAME_HEIGHT / share)
     label(returns, "return of an episode")
     survival.fill_between(log["seconds"], log["survival"], color=PALETTE[0], alpha=0.15, linewidth=0)
     survival.plot(log["seconds"], log["survival"], color=PALETTE[0], linewidth=1.8)
@@ -40,5 +44,7 @@ def learning_curve(log: Mapping[str, Sequence[float]], path: Path, levels: Mappi
     label(survival, "survival")
     survival.set_xlabel(f"training time, s ({log['simulated_days'][-1]:,.0f} days of flight in all)", color=INK, fontsize=9.5)
     survival.set_xlim(0.0, max(log["seconds"]))
-    headline(figure, title)
+    if title:
+        headline(figure, title)
+    fit(figure, width)
     return save(figure, path)

@@ -10,8 +10,10 @@ from pathlib import Path
 
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.text import Text
 
 from bsk_torch.files import write_file
 
@@ -25,7 +27,37 @@ INK, FAINT = "#333a45", "#d9dde3"
 """Colors of text and of guide lines."""
 
 
-def panels(heights: Sequence[float], width: float = 10.0) -> tuple[Figure, list[Axes]]:
+WIDTH, COLUMN = 10.0, 3.4
+"""Widths of figures, inches: of pages and reports, and of a column of a paper."""
+
+SMALLER = 0.78
+"""Size of text and lines in a column of a paper, relative to that of wide figures."""
+
+
+def fit(figure: Figure, width: float) -> None:
+    """Make text, lines and markers of a finished figure smaller where it is narrower than :data:`WIDTH`."""
+    if width >= WIDTH:
+        return
+    for panel in figure.axes:
+        panel.tick_params(labelsize=9 * SMALLER, length=2)
+    for text in figure.findobj(Text):
+        assert isinstance(text, Text)
+        text.set_fontsize(text.get_fontsize() * SMALLER)
+    for line in figure.findobj(Line2D):
+        assert isinstance(line, Line2D)
+        line.set_linewidth(line.get_linewidth() * SMALLER)
+        line.set_markersize(line.get_markersize() * SMALLER)
+    for lines in figure.findobj(LineCollection):
+        assert isinstance(lines, LineCollection)
+        lines.set_linewidth([one * SMALLER for one in lines.get_linewidth()])
+
+
+def legend_columns(width: float) -> int:
+    """How many entries of a legend stand side by side."""
+    return max(2, round(8 * width / WIDTH))
+
+
+def panels(heights: Sequence[float], width: float = WIDTH) -> tuple[Figure, list[Axes]]:
     """Return a figure with stacked panels that share the abscissa, with ``heights`` in inches."""
     figure = Figure(figsize=(width, sum(heights) + 1.2), dpi=140, layout="constrained", facecolor="white")
     axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=list(heights))[:, 0]

@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MultipleLocator, PercentFormatter
 from torch import Tensor
 
-from bsk_torch.viz.figures.style import INK, PALETTE, headline, label, panels, save
+from bsk_torch.viz.figures.style import INK, PALETTE, WIDTH, fit, headline, label, legend_columns, panels, save
 from bsk_torch.viz.recorders.episode import QUANTITIES, Episode, record_episode
 
 __all__ = ["record_episode", "timeline"]
@@ -25,7 +25,9 @@ GRAYS, DASHES = (INK, "#6b7280", "#9aa3af"), ("-", (0, (5, 1.5)), (0, (1.5, 1)))
 NIGHT, PASS = "#3b4252", "#2f9e72"
 
 
-def timeline(episode: Episode, path: Path, title: str = "", marks: Sequence[tuple[float, str]] = ()) -> Path:
+def timeline(
+    episode: Episode, path: Path, title: str = "", marks: Sequence[tuple[float, str]] = (), width: float = WIDTH
+) -> Path:
     """Draw an episode to the file ``path``, .png, .svg or .pdf.
 
     Args:
@@ -33,37 +35,47 @@ def timeline(episode: Episode, path: Path, title: str = "", marks: Sequence[tupl
         path: The file.
         title: Headline; no headline if empty.
         marks: Times, s since reset, with a text for each, drawn as lines through all panels.
+        width: Width, inches, such as :data:`~bsk_torch.viz.figures.style.COLUMN` for a paper.
 
     Returns:
         The path.
     """
-    figure, axes = panels((0.5, *(1.35 for _ in episode.series)))
+    share = (width / WIDTH) ** 0.5  # narrow panels are also lower
+    figure, axes = panels((0.5 * share, *(1.35 * share for _ in episode.series)), width)
     _modes(axes[0], episode)
     for panel, name in zip(axes[1:], episode.series, strict=True):
         _series(panel, episode, name)
     for panel in axes:
         shade(panel, episode)
-    time_axis(axes[-1], episode)
+    time_axis(axes[-1], episode, width=width)
     for k, (time, text) in enumerate(sorted(marks)):
         mark(axes, time / HOUR, text, row=k)
     if title:
         headline(figure, f"{title}: {episode.outcome}")
-    figure.legend(handles=_legend(episode), loc="outside lower center", ncols=8, frameon=False, fontsize=9, labelcolor=INK)
+    figure.legend(
+        handles=_legend(episode),
+        loc="outside lower center",
+        ncols=legend_columns(width),
+        frameon=False,
+        fontsize=9,
+        labelcolor=INK,
+    )
+    fit(figure, width)
     return save(figure, path)
 
 
-def time_axis(panel: Axes, episode: Episode, named: bool = True) -> None:
+def time_axis(panel: Axes, episode: Episode, named: bool = True, width: float = WIDTH) -> None:
     """Ticks of an abscissa in hours, and their numbers and its name where it is ``named``."""
     hours = float(episode.times[-1]) / HOUR
     panel.tick_params(labelbottom=named)
     panel.set_xlabel("hours since the start" if named else "", color=INK, fontsize=9.5)
     panel.set_xlim(0.0, hours)
-    panel.xaxis.set_major_locator(MultipleLocator(spacing(hours)))
+    panel.xaxis.set_major_locator(MultipleLocator(spacing(hours, round(12 * (width / WIDTH) ** 0.5))))
 
 
-def spacing(hours: float) -> float:
-    """Distance of the ticks, hours."""
-    return next(step for step in (0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 6.0, 24.0, 1e9) if hours / step <= 12)
+def spacing(hours: float, most: int = 12) -> float:
+    """Distance of the ticks, hours, of which there are at most so many."""
+    return next(step for step in (0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 6.0, 24.0, 1e9) if hours / step <= most)
 
 
 def bars(panel: Axes, episode: Episode, rows: Tensor, base: float = 0.0, height: float = 1.0, **look: Any) -> None:

@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from torch import Tensor
 
-from bsk_torch.viz.figures.style import INK, caption, dot, headline, save, tidy
+from bsk_torch.viz.figures.style import INK, WIDTH, caption, dot, fit, headline, legend_columns, save, tidy
 from bsk_torch.viz.figures.timeline import NIGHT, mode_color, plain
 from bsk_torch.viz.figures.world import pieces, world_map
 from bsk_torch.viz.recorders.track import TrackEpisode, ground
@@ -26,13 +26,19 @@ THIN, THICK, SHADE = 1.5, 3.4, 7.5
 SHADE_ALPHA = 0.22
 
 
-def track_map(episode: TrackEpisode, path: Path, title: str = "") -> Path:
+def track_map(episode: TrackEpisode, path: Path, title: str = "", width: float = WIDTH) -> Path:
     """Draw an episode to the file ``path``, .png, .svg or .pdf, with headline ``title`` unless that is empty.
 
     The ground track has the colors of the timeline's modes. It is thick for decisions that earned a reward and shaded in eclipse.
-    Ground stations, start and end are marked.
+    Ground stations, start and end are marked. ``width`` is in inches, such as :data:`~bsk_torch.viz.figures.style.COLUMN`.
     """
-    figure = Figure(figsize=(10.0, 5.8 if title else 5.35), dpi=140, layout="constrained", facecolor="white")
+    extra = 0.8 if title else 0.35  # of height, for text
+    figure = Figure(
+        figsize=(width, 0.5 * width + (extra if width >= WIDTH else extra + 0.3)),
+        dpi=140,
+        layout="constrained",
+        facecolor="white",
+    )
     panel = figure.subplots()
     tidy(panel)
     world_map(panel)
@@ -44,7 +50,15 @@ def track_map(episode: TrackEpisode, path: Path, title: str = "") -> Path:
     if title:
         caption(panel, "ground track by mode; thick where a reward was earned, shaded in eclipse")
         headline(figure, f"{title}: {episode.outcome}")
-    figure.legend(handles=_legend(episode), loc="outside lower center", ncols=8, frameon=False, fontsize=9, labelcolor=INK)
+    figure.legend(
+        handles=_legend(episode),
+        loc="outside lower center",
+        ncols=legend_columns(width),
+        frameon=False,
+        fontsize=9,
+        labelcolor=INK,
+    )
+    fit(figure, width)
     return save(figure, path)
 
 
