@@ -92,8 +92,8 @@ film(env, pretrained("NadirScan-v1"), "scanning.webp", seed=7, frames=FRAMES)
 # Open an episode in the viewer
 # -----------------------------
 #
-# A film shows what was drawn. The viewer shows a whole flight from any side and at any time, with what each satellite observed and
-# could have done. ``record`` plays an episode for it, and ``html`` makes one file that plays in a browser without a network:
+# A film shows what was drawn. The viewer shows a whole flight from any side and at any time, with what each satellite observed
+# and could have done. ``record`` plays an episode for it, and ``html`` makes one file that plays in a browser without a network:
 from pathlib import Path
 
 from bsk_torch.viewer import record

@@ -34,7 +34,7 @@ SIZES: dict[str, dict[str, str]] = {
         "SEEDS, SHOWN": '"0:2", "1"',
         "LIMIT": '["--time-limit", "300"]',
     },
-    "09_watch_an_episode.py": {"FRAMES": "3", "MEMBERS": "3"},
+    "09_watch_an_episode.py": {"FRAMES": "3", "MEMBERS": "3", "UNTIL": "600.0"},
     "10_inspection.py": {"EPISODES": "2", "SECONDS": "1200.0", "FRAMES, NUM_ENVS": "64, 4"},
     "11_planning.py": {"EPISODES": "2", "SECONDS": "600.0", "TARGETS": "2000", "LIMIT": "1.0"},
     "12_cubesat.py": {"DAY": "3_600.0"},

@@ -8,6 +8,7 @@ from itertools import pairwise
 from math import isfinite
 from pathlib import Path
 
+import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -42,14 +43,14 @@ def fit(figure: Figure, width: float) -> None:
         panel.tick_params(labelsize=9 * SMALLER, length=2)
     for text in figure.findobj(Text):
         assert isinstance(text, Text)
-        text.set_fontsize(text.get_fontsize() * SMALLER)
+        text.set_fontsize(text.get_fontproperties().get_size_in_points() * SMALLER)
     for line in figure.findobj(Line2D):
         assert isinstance(line, Line2D)
         line.set_linewidth(line.get_linewidth() * SMALLER)
         line.set_markersize(line.get_markersize() * SMALLER)
     for lines in figure.findobj(LineCollection):
         assert isinstance(lines, LineCollection)
-        lines.set_linewidth([one * SMALLER for one in lines.get_linewidth()])
+        lines.set_linewidth((np.atleast_1d(lines.get_linewidth()) * SMALLER).tolist())
 
 
 def legend_columns(width: float) -> int:
