@@ -1,8 +1,8 @@
 """Offline data: episodes of several behaviors, with the returns of all actions at a sample of decisions.
 
-:func:`write_dataset` plays the episodes and writes them in TorchRL's TED layout, and in Minari's format;
-:func:`open_dataset` reads them. Since an episode can be copied at any decision, the returns of actions that were not
-taken are known (:class:`~bsk_torch.plan.ActionValues`), and off-policy evaluation can be scored against them.
+:func:`~bsk_torch.offline.write_dataset` plays the episodes and writes them in TorchRL's TED layout, and in Minari's format;
+:func:`~bsk_torch.offline.open_dataset` reads them. Since an episode can be copied at any decision, the returns of actions
+that were not taken are known (:class:`~bsk_torch.plan.ActionValues`), and off-policy evaluation can be scored against them.
 """
 
 from bsk_torch.offline.behaviors import Behavior

@@ -111,7 +111,7 @@ def fitted_q(
     are those of the policy (tree backup: D. Precup, R. Sutton, S. Singh, ICML 2000).
 
     Args:
-        transitions: Whole episodes one after the other, [T]; see :meth:`OfflineDataset.transitions`.
+        transitions: Whole episodes one after the other, [T]; see :meth:`~bsk_torch.offline.OfflineDataset.transitions`.
         policy: The policy to judge, whose most probable action is taken.
         gamma: Discount per second.
         trace: Share of the sum along the episode, 0 to 1.

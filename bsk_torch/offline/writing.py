@@ -75,7 +75,7 @@ def write_dataset(folder: Path | str, env: Tasking, recipe: Recipe, progress: Pr
 
     Raises:
         ValueError: If the folder exists, or for an environment that does not fit the recipe, all before an episode is played; see
-            :meth:`Recipe.checked`.
+            :meth:`~bsk_torch.offline.Recipe.checked`.
         ImportError: Without Minari, or with a version that does not read what it writes, if the recipe asks for it.
         OSError: If a file cannot be written.
     """
