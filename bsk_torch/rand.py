@@ -11,7 +11,7 @@ import logging
 import math
 import random
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -25,6 +25,7 @@ from bsk_torch.astro.elements import ClassicElements
 from bsk_torch.astro.ephemeris import et_of_dates
 
 __all__ = [
+    "Blend",
     "Choice",
     "Distribution",
     "Key",
@@ -34,6 +35,7 @@ __all__ = [
     "RandomOrbit",
     "Uniform",
     "UnitVector",
+    "blended",
     "per_env",
     "random_circular_orbit",
     "random_epoch",
@@ -57,6 +59,11 @@ MOST_SATELLITES = 1 << (32 - BLOCK_BITS)
 
 HIGH_WORDS = zlib.crc32(b"high words of environment and episode")
 """Stream of the keys of environments and episodes from 2**32 on."""
+
+MOMENTS = 0x1E3779B97F4A7C15
+"""Odd number multiplied by ticks to change the seed, so that every moment of an episode has separate random numbers."""
+
+SEED_BITS = 2**63 - 1
 
 BLOCKS_AT_ONCE = 1 << 14
 """Philox blocks drawn at once, so that their words stay in the processor's cache."""
@@ -94,6 +101,7 @@ class Key:
         name: Name of the drawn quantity.
         satellite: Number of the satellite that a row belongs to, [n] int64; None, which is the same as zeros, for quantities
             of a whole environment.
+        moment: Ticks since reset at which the quantity is drawn, [n] int64; None for what is drawn once for an episode.
     """
 
     seed: Tensor
@@ -101,6 +109,7 @@ class Key:
     episode: Tensor
     name: str = ""
     satellite: Tensor | None = None
+    moment: Tensor | None = None
 
     def named(self, name: str) -> Key:
         """Return the key of another quantity."""
@@ -108,8 +117,8 @@ class Key:
 
     def of_satellites(self, index: Tensor) -> Key:
         """Return the key with a row for each satellite in ``index`` [S] of every environment, [n * S] rows, environment-major."""
-        seed, env_id, episode = (word.repeat_interleave(len(index)) for word in (self.seed, self.env_id, self.episode))
-        return Key(seed, env_id, episode, self.name, index.to(self.seed.device).repeat(len(self)))
+        each = torch.arange(len(self)).repeat_interleave(len(index))
+        return replace(self._rows(each), satellite=index.to(self.seed.device).repeat(len(self)))
 
     def __len__(self) -> int:
         """Number of environments."""
@@ -117,18 +126,23 @@ class Key:
 
     def split(self, rows: int) -> list[Key]:
         """Return keys of at most ``rows`` environments each, in order."""
-        satellite = torch.zeros_like(self.seed) if self.satellite is None else self.satellite
-        parts = zip(*(torch.split(x, rows) for x in (self.seed, self.env_id, self.episode, satellite)), strict=True)
-        return [Key(seed, env_id, episode, self.name, index) for seed, env_id, episode, index in parts]
+        return [self._rows(index) for index in torch.arange(len(self)).split(rows)]
 
     def take(self, rows: Sequence[int]) -> Key:
         """Return the key of some of its environments."""
-        index = torch.tensor(rows, dtype=torch.int64)
-        satellite = None if self.satellite is None else self.satellite[index]
-        return Key(self.seed[index], self.env_id[index], self.episode[index], self.name, satellite)
+        return self._rows(torch.tensor(rows, dtype=torch.int64))
+
+    def _rows(self, index: Tensor) -> Key:
+        """Return the key of the environments ``index`` [m]."""
+        satellite, moment = (None if x is None else x[index] for x in (self.satellite, self.moment))
+        return Key(self.seed[index], self.env_id[index], self.episode[index], self.name, satellite, moment)
 
     def uniform(self, count: int) -> Tensor:
-        """Return uniform float64 numbers in [0, 1), [n, count], with 53 random bits each."""
+        """Return uniform float64 numbers in [0, 1), [n, count], with 53 random bits each; see also :func:`blended`."""
+        return self._independent(count) if _blend is None else _blend.uniform(self, count)
+
+    def _independent(self, count: int) -> Tensor:
+        """Return the numbers of the seeds themselves; see :meth:`uniform`."""
         rows = max(1, BLOCKS_AT_ONCE // max(1, (count + 1) // 2))
         return self._uniform(count) if len(self) <= rows else torch.cat([part._uniform(count) for part in self.split(rows)])
 
@@ -151,7 +165,8 @@ class Key:
         The counter has their low words. Where there are high words, Philox of them under the seed gives another key, so that all
         64 bits count, and numbers below 2**32 have the seed itself as their key.
         """
-        key = [self.seed & WORD_MASK, (self.seed >> 32) & WORD_MASK]
+        seed = self.seed if self.moment is None else (self.seed ^ (self.moment + 1) * MOMENTS) & SEED_BITS
+        key = [seed & WORD_MASK, (seed >> 32) & WORD_MASK]
         high = [(x >> 32) & WORD_MASK for x in (self.episode, self.env_id)]
         large = (high[0] | high[1]) != 0
         if not bool(large.any()):
@@ -161,8 +176,15 @@ class Key:
         return [torch.where(large, new, old) for new, old in zip(other[:2], key, strict=True)]
 
     def normal(self, count: int) -> Tensor:
-        """Return standard normal float64 numbers [n, count], by the Box-Muller transform ``sqrt(-2 ln(1 - u)) cos(2 pi u')``."""
-        u = self.uniform(2 * count)
+        """Return standard normal float64 numbers [n, count], by the Box-Muller transform ``sqrt(-2 ln(1 - u)) cos(2 pi u')``.
+
+        See also :func:`blended`.
+        """
+        return self._independent_normal(count) if _blend is None else _blend.normal(self, count)
+
+    def _independent_normal(self, count: int) -> Tensor:
+        """Return the numbers of the seeds themselves; see :meth:`normal`."""
+        u = self._independent(2 * count)
         radius = torch.sqrt(-2.0 * torch.log1p(-u[:, :count]))
         return radius * torch.cos(2.0 * math.pi * u[:, count:])
 
@@ -196,6 +218,113 @@ def first_key(n: int) -> Key:
     """Return the key of the first episodes of environments 0 to n - 1 under seed 0, for trial draws."""
     zeros = torch.zeros(n, dtype=torch.int64)
     return Key(zeros, torch.arange(n), zeros)
+
+
+# -- blended seeds -----------------------------------------------------------------------------------------------------------
+
+LEAST = 2.0**-54
+"""Half the smallest distance of two uniform numbers: bound of the numbers that are converted to normal ones."""
+
+MOST_BLENDED = 1 << 21
+"""Numbers of parts drawn at once."""
+
+
+@dataclass(frozen=True)
+class Blend:
+    """Seeds whose random numbers are blended from those of others, in small steps from one draw to another one.
+
+    Blended numbers start from those of the first part. Each further part, of step s in (0, 1], changes a normal number z to
+    ``sqrt(1 - s^2) z + s z'``, where z' is its own, and a uniform number u likewise as ``Phi^-1(u)``, with the normal
+    distribution function ``Phi``. It changes each quantity, by name, satellite and moment, with the probability ``share``, and
+    leaves others unchanged. So blended numbers have the distribution of all others, and a part with a small step or share
+    changes little. A seed whose only part is the seed itself keeps its numbers.
+
+    Attributes:
+        seeds: Blended seeds, [M] int64, all different.
+        parts: Seeds that they are made of, in order, [M, J] int64.
+        steps: Steps of the parts, [M, J] float64; 1 for the first part, and 0 for parts that do not count.
+        shares: Shares of the parts, [M, J] float64; 1 for the first part.
+
+    Raises:
+        ValueError: For other shapes, repeated seeds, and steps or shares out of range.
+    """
+
+    seeds: Tensor
+    parts: Tensor
+    steps: Tensor
+    shares: Tensor
+
+    def __post_init__(self) -> None:
+        """Check the tables, and sort them by seed."""
+        m, shapes = len(self.seeds), [list(table.shape) for table in (self.parts, self.steps, self.shares)]
+        if m == 0 or any(shape != shapes[0] or len(shape) != 2 or shape[0] != m or shape[1] == 0 for shape in shapes):
+            raise ValueError(f"Blend: parts, steps and shares of {m} seeds have shapes {shapes}; they must be [M, J] of M seeds")
+        if len(self.seeds.unique()) < m:
+            raise ValueError("Blend: seeds are repeated; each may be there once only")
+        for name, table in (("steps", self.steps), ("shares", self.shares)):
+            if not bool(((table >= 0.0) & (table <= 1.0)).all()) or not bool((table[:, 0] == 1.0).all()):
+                raise ValueError(f"Blend: {name} must be from 0 to 1, and 1 for the first part")
+        order = self.seeds.argsort()
+        for name in ("seeds", "parts", "steps", "shares"):
+            object.__setattr__(self, name, getattr(self, name)[order])
+
+    def uniform(self, key: Key, count: int) -> Tensor:
+        """Return the numbers of a key, [n, count]; see :meth:`Key.uniform`."""
+
+        def normal(part: Key) -> Tensor:
+            return torch.special.ndtri(part._independent(count).clamp(min=LEAST))
+
+        rows, mixed = self._mixed(key, count, normal)
+        return key._independent(count).index_copy(0, rows, torch.special.ndtr(mixed).clamp(max=1.0 - 2.0 * LEAST))
+
+    def normal(self, key: Key, count: int) -> Tensor:
+        """Return the numbers of a key, [n, count]; see :meth:`Key.normal`."""
+        rows, mixed = self._mixed(key, count, lambda part: part._independent_normal(count))
+        return key._independent_normal(count).index_copy(0, rows, mixed)
+
+    def _mixed(self, key: Key, count: int, normal: Callable[[Key], Tensor]) -> tuple[Tensor, Tensor]:
+        """Return the rows [m] of a key with blended seeds, and their normal numbers, [m, count]."""
+        place = torch.searchsorted(self.seeds, key.seed).clamp(max=len(self.seeds) - 1)
+        itself = (self.parts[:, 0] == self.seeds) & (self.steps[:, 1:] == 0.0).all(1)
+        rows = torch.nonzero((self.seeds[place] == key.seed) & ~itself[place]).squeeze(1)
+        found = [torch.zeros(0, count, dtype=torch.float64)]
+        for some in rows.split(max(1, MOST_BLENDED // (self.parts.shape[1] * max(count, 1)))):
+            parts, steps, shares = (table[place[some]] for table in (self.parts, self.steps, self.shares))
+            each = replace(key._rows(some.repeat_interleave(parts.shape[1])), seed=parts.flatten())
+            changes = each.named(f"{key.name} changes")._independent(1).view(parts.shape) < shares
+            step = torch.where(changes, steps, 0.0)
+            keep, numbers = (1.0 - step.square()).sqrt(), normal(each).view(*parts.shape, count)
+            total = torch.zeros(len(some), count, dtype=torch.float64)
+            for j in range(parts.shape[1]):
+                total = keep[:, j, None] * total + step[:, j, None] * numbers[:, j]
+            found.append(total)
+        return rows, torch.cat(found)
+
+
+_blend: Blend | None = None
+"""The blend in whose context numbers are drawn."""
+
+
+@contextmanager
+def blended(blend: Blend) -> Iterator[None]:
+    """Give the seeds of a blend its numbers, wherever keys draw within this context; other seeds keep their own.
+
+    An environment that is reset to a blended seed, and flown to the end of the episode, within the context plays the episode of
+    the blended numbers: initial states, scenarios, faults, noise, and random numbers of policies.
+
+    Example:
+        >>> one = torch.ones(1, 2, dtype=torch.float64)
+        >>> with blended(Blend(torch.tensor([9]), torch.tensor([[1, 2]]), torch.tensor([[1.0, 0.1]]), one)):
+        ...     env.reseed(9)
+        ...     env.rollout(100, policy)
+    """
+    global _blend
+    before = _blend
+    _blend = blend
+    try:
+        yield
+    finally:
+        _blend = before
 
 
 # -- user functions ----------------------------------------------------------------------------------------------------------

@@ -22,11 +22,6 @@ if TYPE_CHECKING:
 Noise = float | Distribution | Mapping[str, float | Distribution]
 """Standard deviation of normal noise, or a distribution, of all numbers observed or by name."""
 
-STREAM = 0x1E3779B97F4A7C15
-"""Odd number multiplied by ticks to change the seed, so that every decision has separate random numbers."""
-
-SEED_BITS = 2**63 - 1
-
 MOST_NOISE = 1e30
 """Upper limit of standard deviations, so that noise is finite in float32."""
 
@@ -144,7 +139,7 @@ class Noisy(Observation):
 
     def _now(self, key: Key) -> Key:
         """Return a key of the current time."""
-        return replace(key, seed=(key.seed ^ (self.simulator.ticks.cpu() + 1) * STREAM) & SEED_BITS)
+        return replace(key, moment=self.simulator.ticks.cpu())
 
 
 def _parse(noise: object, title: str) -> dict[str | None, Distribution]:

@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from bsk_torch.env import Tasking
-from bsk_torch.obs.noisy import SEED_BITS, STREAM
 from bsk_torch.rand import Key
 from bsk_torch.scene import CloudyTargets
 from bsk_torch.scene.draws import draw_numbers
@@ -27,8 +26,7 @@ def present_key(env: Tasking, rows: Tensor, env_ids: Tensor, name: str) -> Key:
         name: Name of the draw.
     """
     state, ticks = env.state, env.fleet.ticks
-    seed = (state.seed[rows] ^ (ticks[rows] + 1) * STREAM) & SEED_BITS
-    return Key(seed.cpu(), env_ids.cpu(), state.episode[rows].cpu(), name)
+    return Key(state.seed[rows].cpu(), env_ids.cpu(), state.episode[rows].cpu(), name, moment=ticks[rows].cpu())
 
 
 def reseed_copies(env: Tasking, rows: Tensor, lots: Tensor, key: Key, redraw: Redraw | None) -> None:
