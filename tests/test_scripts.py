@@ -99,6 +99,12 @@ STARTS: dict[str, list[Start]] = {
             r"(?s)\| 2 \| arc \| on \| [\d.]+ \|.*\| 2 \| integrated \| off \| [\d.]+ \|",
         ),
     ],
+    "benchmarks/risk.py": [
+        Start(
+            "--questions charge --runs 1 --episodes 20 --repetitions 4 --plain 0 --num-envs 20 --time-limit 300",
+            r"(?s)textbook case: [\d.e-]+ for 1e-06, .*\| charge \| [\d.e+-]+ \([\d.e+-]+ to [\d.e+-]+\) \| \d+ \|",
+        ),
+    ],
     "benchmarks/rso_imaging.py": [
         Start(
             "--batches 2 --targets 3 --turns 1 --seconds 0.1 --warm-up 1 --catalogs 3 --many 2 --steps 2",

@@ -342,6 +342,57 @@ def dataset(
 
 @command(
     app,
+    "risk",
+    """
+    bsk-torch risk pretrained --preset NadirScan-v1 --save deaths.json
+    bsk-torch risk rule --event 'battery_charge_fraction<0.05' --draw low.png
+    bsk-torch risk runs/scan --level battery --episodes 1000 --out risk.json
+    """,
+    name="risk",
+)
+def estimate_risk(
+    policy: Policy,
+    preset: OfPreset = None,
+    option: Options = None,
+    event: Annotated[
+        str,
+        typer.Option(metavar="EVENT", help="'death', or a property with a limit such as 'battery_charge_fraction<0.05'."),
+    ] = "death",
+    level: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="What is followed toward a death: battery, wheels, buffer or distance; repeatable. Default: the nearest limit.",
+        ),
+    ] = None,
+    episodes: Annotated[
+        int, typer.Option(metavar="N", min=20, help="Independent episodes of a repetition, a multiple of 10.")
+    ] = 1000,
+    repetitions: Annotated[int, typer.Option(metavar="R", min=4, help="Independent repetitions.")] = 8,
+    smallest: Annotated[float, typer.Option(metavar="P", help="Probability at which the search for the event ends.")] = 1e-9,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the estimate.")] = 0,
+    num_envs: Annotated[int, typer.Option(metavar="N", min=1, help="Episodes at once.")] = 512,
+    save: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="JSON file for a typical episode of each way, to fly it again.")
+    ] = None,
+    draw: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Picture (.png, .svg, .pdf) of the most typical episode.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for the results.")] = None,
+    threads: Threads = 1,
+    backend: Backend = "compiled",
+    device: Device = "cpu",
+    time_limit: TimeLimit = None,
+) -> None:
+    """Estimate the probability of a loss, down to 1e-6 and below, and show the ways to it.
+
+    Initial states, scenarios, faults and noise are followed in small steps toward the event (subset simulation). An event that
+    never happens has an upper limit.
+    """
+
+
+@command(
+    app,
     "view",
     """
     bsk-torch view NadirScan-v1

@@ -36,6 +36,7 @@ COMMANDS = get_command(app).commands
 MODULES = {
     "args": "arguments",
     "audit": "audit",
+    "risk": "risk",
     "bench": "bench",
     "build-kernels": "kernels",
     "dataset": "dataset",

@@ -171,8 +171,8 @@ def _evaluated(policy: TensorDictModuleBase, env: Tasking, start: TensorDictBase
         survived=~dead.any(1),
         decisions=decisions[:n],
         seconds=env.fleet.sim_time[:n].clone(),
-        deaths={name: _of_team(failed)[:n] for name, failed in _failed_checks(env).items()},
-        counts={name: _of_team(count)[:n].clone() for name, count in env.counts().items()},
+        deaths={name: of_team(failed)[:n] for name, failed in failed_checks(env).items()},
+        counts={name: of_team(count)[:n].clone() for name, count in env.counts().items()},
         fill=None if level is None else level[:n].clone(),
         measures={name: value[:n].clone() for name, value in checked.measures(env.rewarder).items()},
         simulated=simulated[:n] if SIMULATED in policy.out_keys else None,
@@ -199,7 +199,7 @@ def _asked(env: Tasking, step: TensorDictBase) -> Tensor:
     return torch.cat([step[key].flatten(1) for key in keys], 1).sum(1)
 
 
-def _failed_checks(env: Tasking) -> dict[str, Tensor]:
+def failed_checks(env: Tasking) -> dict[str, Tensor]:
     """Return the present satellites that fail each aliveness check, [N, S] booleans by the name of the check."""
     checks = [part.aliveness() for part in env.fleet.satellites]
     passed = [torch.ones_like(rows[0], dtype=torch.bool) for rows in ([*alive.values()] for alive in checks)]
@@ -210,7 +210,7 @@ def _failed_checks(env: Tasking) -> dict[str, Tensor]:
     }
 
 
-def _of_team(each: Tensor) -> Tensor:
+def of_team(each: Tensor) -> Tensor:
     """Return values [N, S] summed over the satellites, [N]."""
     return each.squeeze(1) if each.shape[1] == 1 else each.sum(1)
 

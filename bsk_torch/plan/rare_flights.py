@@ -1,0 +1,207 @@
+"""Flights of subset simulation: episodes of seeds, with their levels, draws and causes of death, and files to fly them again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+
+from bsk_torch.env import Tasking
+from bsk_torch.env.rollout import play_episodes
+from bsk_torch.files import write_file
+from bsk_torch.plan.agent_table import AgentTable
+from bsk_torch.plan.rare_events import RareEvent
+from bsk_torch.plan.subset import Flown, Sample
+from bsk_torch.rand import Blend, blended
+from bsk_torch.rl.evaluation.evaluate import failed_checks, of_team, start_episodes, with_lots
+from bsk_torch.rl.rules.baselines import LOT
+
+COMPONENTS = {"oe": ("a", "e", "i", "Omega", "omega", "f")}
+"""Names of the components of arguments; others are numbered."""
+
+FAILED, TIME, DRAWN, RETURNS = "failed", "time", "drawn", "returns"
+"""Notes: failed aliveness checks [m, C], time of the event [m] s (NaN without), drawn arguments [m, D], returns [m]."""
+
+
+@dataclass
+class Flights:
+    """Plays episodes of seeds with a policy, as many at a time as the environment has rows.
+
+    Attributes:
+        env: The environment, with ``env_ids=[0] * num_envs``.
+        policy: The policy.
+        event: The event.
+        checks: Names of the aliveness checks, after the first flight.
+        columns: Names of the drawn arguments, after the first flight.
+    """
+
+    env: Tasking
+    policy: TensorDictModuleBase
+    event: RareEvent
+    checks: list[str] = field(default_factory=list)
+    columns: list[str] = field(default_factory=list)
+
+    def __call__(self, seeds: Tensor) -> Flown:
+        """Play the episodes of ``seeds`` [m]; see :data:`bsk_torch.plan.subset.Fly`."""
+        parts = [self._fly(some) for some in seeds.split(self.env.num_envs)]
+        notes = {name: torch.cat([part.notes[name] for part in parts]) for name in parts[0].notes}
+        return Flown(torch.cat([part.level for part in parts]), torch.cat([part.seconds for part in parts]), notes)
+
+    def _fly(self, seeds: Tensor) -> Flown:
+        env, m = self.env, len(seeds)
+        start = start_episodes(env, seeds.tolist())
+        names, drawn = drawn_arguments(env)
+        player = with_lots(self.policy, env) if LOT in self.policy.in_keys else self.policy
+        rows = torch.arange(env.num_envs, device=env.device) < m
+        level, happened = self.event.level(env), self.event.happens(env)
+        time = torch.where(happened, env.fleet.sim_time, torch.nan)
+        for playing, _ in play_episodes(env, player, start, rows):
+            level = torch.where(playing, torch.maximum(level, self.event.level(env)), level)
+            now = playing & ~happened & self.event.happens(env)
+            happened, time = happened | now, torch.where(now, env.fleet.sim_time, time)
+        failed = {name: of_team(each) > 0 for name, each in failed_checks(env).items()}
+        self.checks, self.columns = list(failed), names
+        notes = {
+            FAILED: torch.stack(list(failed.values()), 1) & env.dead.view(len(rows), -1).any(1, keepdim=True),
+            TIME: time,
+            DRAWN: drawn,
+            RETURNS: env.returns.clone(),
+        }
+        level = torch.where(happened, torch.inf, level)
+        return Flown(level[:m].cpu(), env.fleet.sim_time[:m].cpu(), {name: value[:m].cpu() for name, value in notes.items()})
+
+    def actions(self, seeds: Tensor) -> list[list[Any]]:
+        """Return the actions of all agents in the episodes of ``seeds`` [m], a list of decisions for each."""
+        env, slots, found = self.env, AgentTable(self.env), list[list[Any]]()
+        for some in seeds.split(env.num_envs):
+            taken: list[list[Any]] = [[] for _ in some]
+            start = start_episodes(env, some.tolist())
+            player = with_lots(self.policy, env) if LOT in self.policy.in_keys else self.policy
+            rows = torch.arange(env.num_envs, device=env.device) < len(some)
+            for playing, step in play_episodes(env, player, start, rows):
+                chosen = slots.numbers(step) if any(slots.real) else slots.chosen(step)
+                for row in torch.nonzero(playing).squeeze(1).tolist():
+                    taken[row].append(chosen[row].tolist())
+            found += taken
+        return found
+
+
+def drawn_arguments(env: Tasking) -> tuple[list[str], Tensor]:
+    """Return the names and values [N, D] of the numbers drawn for the arguments of satellites and world at reset."""
+    found: dict[str, Tensor] = {}
+    for part in env.fleet.satellites:
+        simulator, arguments = part.simulator, part.simulator.type.arguments
+        for table, owned in ((arguments.sat_args, env.fleet.size > 1), (arguments.world_args, False)):
+            for name in table.table:
+                if table.is_random(name) and name in simulator.state.arguments:
+                    each = simulator.state.arguments[name].double().reshape(env.num_envs, simulator.count, -1)
+                    for k, column in enumerate(simulator.columns if owned else simulator.columns[:1]):
+                        owner = f"{env.names[column]}: " if owned else ""
+                        found |= {f"{owner}{name}{_component(name, j, each.shape[2])}": c for j, c in enumerate(each[:, k].T)}
+    values = torch.stack(list(found.values()), 1) if found else torch.zeros(env.num_envs, 0, dtype=torch.float64)
+    return list(found), values
+
+
+def _component(name: str, j: int, count: int) -> str:
+    """Return the end of the name of a component."""
+    if count == 1:
+        return ""
+    known = COMPONENTS.get(name, ())
+    return f".{known[j]}" if len(known) == count else f"[{j}]"
+
+
+# -- files --------------------------------------------------------------------------------------------------------------------
+
+KIND = "episodes with a rare event"
+"""What the first entry of a file says."""
+
+TABLES = {"parts": torch.int64, "steps": torch.float64, "shares": torch.float64}
+"""Tables of a blend in a file, and their types."""
+
+
+def save_paths(path: Path | str, about: Mapping[str, Any], sample: Sample, actions: Sequence[Any]) -> None:
+    """Write episodes into a JSON file, from which :func:`read_paths` plays them again.
+
+    Args:
+        path: The file.
+        about: Entries that tell what was flown, such as preset, options and policy.
+        sample: The episodes.
+        actions: What was done in each of them; see :meth:`Flights.actions`.
+    """
+    lines = []
+    for k, seed in enumerate(sample.seeds.tolist()):
+        used = sample.steps[k] != 0.0
+        blend = {name: getattr(sample, name)[k, used].tolist() for name in TABLES}
+        flown = {"time": float(sample.flown.notes[TIME][k]), "return": float(sample.flown.notes[RETURNS][k])}
+        lines.append({"seed": seed, **blend, **flown, "actions": actions[k]})
+    head = ",\n ".join(f"{json.dumps(name)}: {json.dumps(value)}" for name, value in {"kind": KIND, **about}.items())
+    listed = ",\n  ".join(json.dumps(line) for line in lines)
+    write_file(path, f'{{\n {head},\n "episodes": [\n  {listed}\n ]\n}}\n')
+
+
+def read_paths(path: Path | str) -> tuple[dict[str, Any], Blend]:
+    """Return the content of a file of :func:`save_paths`, and the blend within whose context its seeds are its episodes.
+
+    Raises:
+        OSError: If it cannot be read.
+        ValueError: For another file.
+    """
+    try:
+        content = json.loads(Path(path).read_text())
+        if content["kind"] != KIND:
+            raise KeyError(KIND)
+        episodes = content["episodes"]
+        width = max(len(episode["parts"]) for episode in episodes)
+        tables = [
+            torch.tensor([episode[name] + [0] * (width - len(episode[name])) for episode in episodes], dtype=dtype)
+            for name, dtype in TABLES.items()
+        ]
+        blend = Blend(torch.tensor([episode["seed"] for episode in episodes], dtype=torch.int64), *tables)
+    except (KeyError, TypeError, ValueError, UnicodeDecodeError) as error:
+        raise ValueError(f"{str(path)!r} is not a file of episodes written by 'bsk-torch risk'") from error
+    return content, blend
+
+
+def play_again(env: Tasking, path: Path | str) -> Tensor:
+    """Take the saved actions in the saved episodes, and return their returns, [E].
+
+    Args:
+        env: An environment made as for the file; it plays ``num_envs`` episodes at a time.
+        path: See :func:`read_paths`.
+
+    Raises:
+        OSError, ValueError: See :func:`read_paths`.
+    """
+    content, blend = read_paths(path)
+    twin, episodes, found = env.like(env.num_envs, env_ids=[0] * env.num_envs), content["episodes"], list[Tensor]()
+    with blended(blend):
+        for first in range(0, len(episodes), env.num_envs):
+            some = episodes[first : first + env.num_envs]
+            now = start_episodes(twin, [episode["seed"] for episode in some])
+            found.append(_repeated(twin, now, [episode["actions"] for episode in some]))
+    return torch.cat(found)
+
+
+def _repeated(env: Tasking, start: Any, actions: Sequence[Sequence[Any]]) -> Tensor:
+    """Take the actions of episodes in the first rows, and return their returns."""
+    slots, steps = AgentTable(env), iter(range(max(map(len, actions))))
+    rows = torch.arange(env.num_envs) < len(actions)
+
+    def scripted(td: Any) -> Any:
+        step = next(steps)
+        wanted = [list(taken[min(step, len(taken) - 1)]) for taken in actions]
+        table = torch.tensor(wanted + wanted[-1:] * (env.num_envs - len(wanted)), device=env.device)
+        slots.neutral(td)
+        for slot in range(slots.size):
+            slots.put(td, torch.full_like(rows, slot, dtype=torch.int64), table[:, slot], torch.ones_like(rows))
+        return td
+
+    for _ in play_episodes(env, scripted, start, rows.to(env.device)):
+        pass
+    return env.returns[: len(actions)].clone()

@@ -1,0 +1,134 @@
+"""Risks: agreement with independent episodes, episodes that can be flown again, and errors."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+import bsk_torch
+from bsk_torch.plan.base_policies import base_of
+from bsk_torch.plan.rare_events import rare_event
+from bsk_torch.plan.rare_flights import DRAWN, RETURNS, Flights, play_again, read_paths, save_paths
+from bsk_torch.plan.risk import risk
+from bsk_torch.plan.rollout import Rollout
+from bsk_torch.rand import blended
+from bsk_torch.rl.evaluation.evaluate import evaluate
+from bsk_torch.rl.evaluation.statistics import wilson
+from tests.plan.conftest import scanning
+
+pytestmark = pytest.mark.compiled
+
+LOW = "battery_charge_fraction<0.22"
+SMALL = dict(event=LOW, episodes=40, repetitions=4)
+
+
+@pytest.fixture(scope="module")
+def found():
+    return risk(scanning(16, 1200.0), "random", **SMALL)
+
+
+def test_the_estimate_agrees_with_independent_episodes(found):
+    env = scanning(200, 1200.0)
+    env.reset()
+    flights = Flights(env, base_of("random", env), rare_event(env, LOW, None))
+    seen = flights(torch.arange(600) + 10**6).level == torch.inf
+    low, high = wilson(int(seen.sum()), 600)
+    assert found.thresholds
+    assert found.probability.low < high
+    assert low < found.probability.high
+    assert 0.0 < found.probability.mean < 0.2
+
+
+def test_the_batch_does_not_matter(found):
+    other = risk(scanning(7, 1200.0), "random", **SMALL)
+    assert torch.equal(found.estimates, other.estimates)
+    assert torch.equal(found.found.seeds, other.found.seeds)
+    assert torch.equal(found.found.flown.notes[DRAWN], other.found.flown.notes[DRAWN])
+    assert found.ways == other.ways
+    assert found.actions == other.actions
+
+
+def test_the_ways_are_described(found):
+    (way,) = found.ways
+    assert way.cause == ()
+    assert way.share == pytest.approx(1.0)
+    assert 0.0 <= way.time[0] <= way.time[2] <= 1200.0
+    assert found.shifts[0].name == "storedCharge_Init"
+    assert found.shifts[0].larger < 0.2
+    assert found.shifts[0].event[1] < found.shifts[0].all[1]
+    kept = json.loads(json.dumps(found.to_dict(), allow_nan=False))
+    assert kept["probability"]["mean"] == pytest.approx(float(found.estimates.mean()))
+    assert kept["ways"][0]["seed"] == int(found.paths().seeds[0])
+
+
+def test_a_saved_episode_is_flown_again_with_its_actions_and_by_its_policy(found, tmp_path):
+    path = tmp_path / "paths.json"
+    sample = found.paths()
+    save_paths(path, {"preset": "NadirScan-v1"}, sample, found.actions)
+    env = scanning(3, 1200.0)
+    assert torch.equal(play_again(env, path), sample.flown.notes[RETURNS])
+    content, blend = read_paths(path)
+    assert content["preset"] == "NadirScan-v1"
+    with blended(blend):
+        again = evaluate(bsk_torch.rule("random", env), env, seeds=[content["episodes"][0]["seed"]])
+    assert torch.equal(again.returns, sample.flown.notes[RETURNS][:1])
+    path.write_text("{}")
+    with pytest.raises(ValueError, match="is not a file of episodes written by 'bsk-torch risk'"):
+        read_paths(path)
+
+
+def test_an_event_that_never_happens_has_an_upper_limit():
+    never = risk(scanning(16, 300.0), "rule", event="storage_level_fraction>2", episodes=20, repetitions=4, smallest=0.05)
+    assert never.probability.mean == 0.0
+    assert 0.0 < never.probability.high < 0.3
+    assert never.ways == []
+    assert json.loads(json.dumps(never.to_dict(), allow_nan=False))["saved"] is None
+
+
+def test_satellites_of_a_team_are_named_and_own_functions_are_events():
+    env = bsk_torch.make("Constellation-v1", num_envs=20, env_ids=[0] * 20, time_limit=60.0)
+
+    def late(env):
+        return env.fleet.sim_time > 50.0
+
+    found = risk(env, "random", event=late, level=lambda env: env.fleet.sim_time, episodes=20, repetitions=4)
+    assert (found.event, found.probability.mean) == ("late", 1.0)
+    assert f"{env.names[0]}: sigma_init[0]" in found.columns
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (dict(event="deaht"), "must be 'death', or a property with a limit"),
+        (dict(event="batery_charge_fraction<0.1"), "did you mean 'battery_charge_fraction'"),
+        (dict(level="batery"), "did you mean 'battery'"),
+        (dict(level="buffer"), "level='buffer' is not a limit of the satellites"),
+        (dict(event=lambda env: torch.zeros(3, dtype=torch.bool)), "needs level="),
+        (dict(level=lambda env: 1.0), "level= must return a tensor \\[3\\] of numbers; it returned 1.0"),
+        (dict(level=lambda env: torch.full((3,), torch.nan)), "it returned NaN"),
+        (dict(episodes=25), "episodes=25 must be a multiple of 10"),
+        (dict(repetitions=1), "repetitions=1"),
+        (dict(smallest=0.0), "smallest=0"),
+        (dict(policy="ruel"), "did you mean 'rule'"),
+    ],
+)
+def test_wrong_arguments_are_named(env, given, message):
+    with pytest.raises(ValueError, match=message):
+        risk(env, **(dict(policy="rule", episodes=20) | given))
+
+
+def test_environments_and_policies_that_do_not_repeat_episodes_are_rejected(env):
+    with pytest.raises(ValueError, match="plans in its own environment"):
+        risk(env, Rollout(env, "rule", horizon=60.0))
+    stream = np.random.default_rng(0)
+    wild = scanning(2, sat_args={"storedCharge_Init": lambda: float(stream.uniform(3e5, 6e5))})
+    with pytest.raises(ValueError, match="the environment cannot be copied"):
+        risk(wild, "rule")
+
+
+def test_faults_are_followed_too():
+    env = bsk_torch.make("FaultyScan-v1", num_envs=20, env_ids=[0] * 20, time_limit=600.0, kinds=["battery"], chance=0.5)
+    found = risk(env, "rule", event="battery_charge_fraction<0.31", episodes=40, repetitions=4)
+    assert found.probability.mean > 0.0
+    assert found.found.flown.notes[DRAWN][:, found.columns.index("battery.at")].isfinite().any()
