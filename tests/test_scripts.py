@@ -286,6 +286,13 @@ STARTS: dict[str, list[Start]] = {
             "basilisk",
         ),
     ],
+    "scripts/validation/refly_on_basilisk.py": [
+        Start(
+            "{root}/benchmarks/results/risk_paths.json --out out.json",
+            r"(?s)bsk_torch  battery_valid after \d+ s.*Basilisk   battery_valid after \d+ s",
+            "basilisk",
+        ),
+    ],
     "scripts/validation/fly_on_basilisk.py": [
         Start(
             "rule --seeds 1:2 --workers 1 --time-limit 400 --out out.json",

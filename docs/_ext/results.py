@@ -31,6 +31,8 @@ SCRIPTS = {
     "safe_inspection": "safe_autonomy",
     "safe_docking_trained": "safe_autonomy",
     "safe_inspection_trained": "safe_autonomy",
+    "risk_scan": "risk",
+    "risk_large": "risk",
 }
 """Scripts by result, where the names differ."""
 
@@ -485,6 +487,56 @@ def headroom(name: str) -> str:
     return with_command(name, ["policy", "episodes", "return", "gain over cautious", "survival"], rows)
 
 
+def risks(*names: str) -> str:
+    """Return probabilities by subset simulation, next to the shares of independent episodes, of the questions in some results."""
+    rows = []
+    for found in [found for name in names for found in load(name)["questions"].values()]:
+        asked, plain, (mean, low, high) = found["question"], found.get("plain"), found["probability"].values()
+        limit = asked["options"].get("time_limit")
+        rows.append(
+            [
+                asked["preset"] + ("" if limit is None else f", first {limit:,.0f} s"),
+                asked["policy"],
+                f"`{asked['event']}`",
+                f"{mean:.1e} ({low:.1e} to {high:.1e})" if mean else f"at most {high:.1e}",
+                whole(found["episodes"]),
+                f"{plain['mean']:.1e} ({plain['low']:.1e} to {plain['high']:.1e})" if plain else "-",
+                whole(plain["episodes"]) if plain else "-",
+                digits(found["saved"]) if found["saved"] else "-",
+                whole(found["cpu"]),
+            ]
+        )
+    head = [
+        "task",
+        "policy",
+        "event",
+        "subset simulation",
+        "episodes",
+        "independent episodes",
+        "their number",
+        "factor",
+        "core-s",
+    ]
+    return f"{table(head, rows)}\n\n" + "\n".join(made(name) for name in names)
+
+
+def known_risks() -> str:
+    """Return estimates of known probabilities."""
+    rows = [
+        [
+            f"{case['probability']:.0e}",
+            f"{case['mean']:.2e} ± {case['standard_error']:.1e}",
+            f"{case['relative_error_of_one_repetition']:.0%}",
+            f"{case['intervals_with_the_truth']} of {case['runs']}",
+            whole(case["episodes"]),
+            digits(case["saved"]),
+        ]
+        for case in load("risk")["textbook"]
+    ]
+    head = ["probability", "mean estimate, standard error", "error of a repetition", "intervals with it", "episodes", "factor"]
+    return f"{table(head, rows)}\n"
+
+
 def own_environments() -> str:
     """Return what trainings without settings reach, and random and constant actions."""
     head = [
@@ -808,6 +860,8 @@ def certificate(flown: Mapping[str, Any] | None) -> str:
 TABLES = {
     "by_condition": by_condition,
     "headroom": headroom,
+    "risks": risks,
+    "known_risks": known_risks,
     "own_environments": own_environments,
     "off_policy": off_policy,
     "action_scores": action_scores,
