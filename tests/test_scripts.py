@@ -124,6 +124,12 @@ STARTS: dict[str, list[Start]] = {
             r"(?s)\| rate \| [\d.]+ \+- [\d.]+ \| \+0.0 .*\| angle \| ",
         ),
     ],
+    "benchmarks/expert_iteration.py": [
+        Start(
+            "--seeds 1 --episodes 2 --evaluate 2 --planned 2 --time-limit 300 --budget 2 --epochs 1 --backend eager",
+            r"(?s)\| audited, seed 0, round 1 \| [\d.]+ \+- [\d.]+ \| .*\| planner \| ",
+        ),
+    ],
     "benchmarks/aeos_speed.py": [
         Start(
             "--sizes 2x50 --rows 4 --turns 1 --steps 1 10 --seconds 0.1 --backend eager --plot rates.png",
