@@ -18,6 +18,7 @@ SCRIPTS = {
     "crews_three": "crews",
     "crews_walker": "crews",
     "services_leo": "services",
+    "services_trained": "services",
     "aeos_real": "aeos_bench",
     "aeos_random": "aeos_bench",
     "vs_basilisk_imaging": "vs_basilisk",

@@ -85,18 +85,18 @@ SERVICES: dict[str, dict[str, Any]] = {
         learning_rate=1e-3,
         epochs=4,
         minibatch=512,
-        gamma=0.9995,
+        gamma=0.9998,
         lmbda=0.9,
         entropy=0.001,
         imitate="candidate_rate_ahead",
         imitation=0.12,
         evaluate_every=0,
-        options=dict(order="priority_per_second_ahead", as_set=True, outlook=True, shielded=True, delivery_share=0.1),
+        options=dict(order="priority_per_second_ahead", as_set=True, outlook=True, shielded=True, advance=0.9),
     )
 }
-"""For images that count when they have been verified on the ground: most of the reward is paid at the capture in training, and
-candidates that promise the most come first. The shield excludes what a policy would have to learn from few errors, such as images
-with a full store. The future of twenty decisions counts."""
+"""For images that count when they have been verified on the ground: in training, most of the reward is paid in advance when an
+image is taken, and candidates that promise the most come first. The shield excludes what a policy would have to learn from few
+errors, such as images with a full store. The future of fifty decisions counts."""
 
 CW_DOCKING: dict[str, dict[str, Any]] = {
     "mlp": dict(
