@@ -579,6 +579,24 @@ def off_policy(preset: str) -> str:
     return table(head, rows) + "\n"
 
 
+def expert_iteration() -> str:
+    """Return what training on audited decisions gains, with the command."""
+    rows = [
+        [
+            row["policy"],
+            f"{row['return']:.2f} ±\u00a0{row['half']:.2f}",
+            f"{row['gain']:+.2f} ±\u00a0{row['gain_half']:.2f}" if row["gain_half"] else "-",
+            f"{row['regret']:.3f}" if "regret" in row else "-",
+            whole(row["decisions"]) if "decisions" in row else "-",
+            whole(row["cpu"]) if row["cpu"] else "-",
+            whole(row["episodes"]),
+        ]
+        for row in load("expert_iteration")["rows"]
+    ]
+    head = ["policy", "return", "gain", "regret of a decision", "decisions", "core-seconds", "unseen episodes"]
+    return with_command("expert_iteration", head, rows)
+
+
 def action_scores() -> str:
     """Return the scores of estimated action values against the returns of all actions."""
     forms = {"rmse": "{:.2f}", "concordance": "{:.0%}", "regret": "{:.3f}"}
@@ -865,6 +883,7 @@ TABLES = {
     "known_risks": known_risks,
     "own_environments": own_environments,
     "off_policy": off_policy,
+    "expert_iteration": expert_iteration,
     "action_scores": action_scores,
     "dataset_sizes": dataset_sizes,
     "clouds": clouds,
