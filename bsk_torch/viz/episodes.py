@@ -12,6 +12,7 @@ from bsk_torch.viz.figures.constellation import ConstellationEpisode, constellat
 from bsk_torch.viz.figures.ground_track import ground_track
 from bsk_torch.viz.figures.inspection import InspectionEpisode, inspection_figure
 from bsk_torch.viz.figures.rso_imaging import RSOImagingEpisode, services_figure
+from bsk_torch.viz.figures.style import WIDTH
 from bsk_torch.viz.figures.timeline import timeline
 from bsk_torch.viz.recorders.constellation import record_constellation
 from bsk_torch.viz.recorders.imaging import ImagingEpisode, record_imaging_episode
@@ -42,20 +43,20 @@ def record(policy: TensorDictModuleBase, env: Tasking, *, seed: int) -> Recorded
     return (record_imaging_episode if images else record_track)(policy, env, seed=seed)
 
 
-def draw(episode: Recorded, path: Path | str, title: str = "") -> Path:
+def draw(episode: Recorded, path: Path | str, title: str = "", width: float = WIDTH) -> Path:
     """Draw a recorded episode to the file ``path``, .png, .svg or .pdf, and return its path.
 
     A constellation is drawn on a map with tasks over time, an inspection as paths around the RSO with its points, imaging in
     orbit as images and downlinks over time, an imager on a map with its targets, and any other satellite as modes and resources
-    over time; ``title`` is the headline.
+    over time. ``title`` is the headline, and ``width`` in inches, such as :data:`~bsk_torch.viz.figures.style.COLUMN`.
     """
     path = Path(path)
     if isinstance(episode, ConstellationEpisode):
-        return constellation_figure(episode, path, title)
+        return constellation_figure(episode, path, title, width)
     if isinstance(episode, InspectionEpisode):
-        return inspection_figure(episode, path, title)
+        return inspection_figure(episode, path, title, width)
     if isinstance(episode, RSOImagingEpisode):
-        return services_figure(episode, path, title)
+        return services_figure(episode, path, title, width)
     if isinstance(episode, ImagingEpisode):
-        return ground_track(episode, path, title)
-    return timeline(episode, path, title)
+        return ground_track(episode, path, title, width)
+    return timeline(episode, path, title, width=width)

@@ -134,7 +134,7 @@ left.bar(
     color="#2f6db3",
 )
 left.set_ylabel("return of the team")
-right.bar(wasted.keys(), wasted.values(), color="#c1476b")
+right.bar(wasted.keys(), wasted.values(), color="#a52b5b")
 right.set_ylabel("images in vain")
 
 # %%

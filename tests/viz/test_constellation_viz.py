@@ -16,6 +16,7 @@ from bsk_torch.constants import MU_EARTH
 from bsk_torch.formations import walker_delta
 from bsk_torch.viz.figures import constellation as pictures
 from bsk_torch.viz.figures.style import PALETTE
+from tests.support.figures import check_column
 
 PNG = b"\x89PNG"
 
@@ -84,6 +85,11 @@ def drawn(tmp_path, monkeypatch):
 
 def legend(figure: Figure) -> list[str]:
     return [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+@pytest.mark.parametrize("title", ["", "A title of a policy and a preset"])
+def test_it_fits_a_column_of_a_paper(episode, tmp_path, title):
+    check_column(pictures.constellation_figure, [episode], tmp_path, title)
 
 
 def test_an_episode_is_drawn(episode, drawn):

@@ -18,6 +18,7 @@ from bsk_torch.viz.figures import ground_track as pictures
 from bsk_torch.viz.figures.timeline import timeline
 from bsk_torch.viz.recorders.imaging import IMAGED, LOST, NONE, OPEN, UNPAID, record_imaging_episode
 from bsk_torch.viz.recorders.track import ground
+from tests.support.figures import check_column
 
 PNG = b"\x89PNG"
 
@@ -136,6 +137,11 @@ def test_an_episode_is_drawn(episode, tmp_path):
         path = draw(episode, tmp_path / f"{draw.__name__}.png", "AEOS-v1")
         assert path.read_bytes()[:4] == PNG
         assert path.stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("title", ["", "A title of a policy and a preset"])
+def test_it_fits_a_column_of_a_paper(episode, tmp_path, title):
+    check_column(pictures.ground_track, [episode], tmp_path, title)
 
 
 def test_other_modes_deaths_and_a_track_over_the_date_line_are_drawn(episode, tmp_path):

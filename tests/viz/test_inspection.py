@@ -18,6 +18,7 @@ from bsk_torch.viz.figures import inspection as pictures
 from bsk_torch.viz.figures.constellation import ConstellationEpisode
 from bsk_torch.viz.figures.style import PALETTE
 from bsk_torch.viz.recorders.inspection import InspectionRecorder, inspects, record_inspection
+from tests.support.figures import check_column
 from tests.support.inspecting import RSO, Inspector, chief_args, inspection, inspector_args
 
 PNG = b"\x89PNG"
@@ -80,7 +81,7 @@ def test_an_episode_is_drawn(episode, drawn):
     counts, fuel = figure.axes[-2:]
     assert figure.get_suptitle() == "Two: 6 of 8 lit points inspected, complete after 2.0 h, 2.50 m/s, 1 of 2 died"
     assert legend(figure)[:2] == ["A", "B"]
-    assert {"start", "end", "died", "manoeuvre", "reach of the instrument", "complete", "eclipse"} < set(legend(figure))
+    assert {"start", "end", "died", "maneuver", "reach of the instrument", "complete", "eclipse"} < set(legend(figure))
     assert whole.get_xlim()[1] == pytest.approx(1.08 * 300.0)
     assert near.get_xlim()[1] < 1.08 * 300.0
     assert (near.get_ylabel(), normal.get_ylabel()) == ("radial, m", "orbit normal, m")
@@ -90,6 +91,11 @@ def test_an_episode_is_drawn(episode, drawn):
     assert fuel.lines[0].get_ydata().tolist() == [10.0, 9.0, 9.0, 8.5]
     assert counts.patches[0].get_x() == 0.5
     assert counts.patches[0].get_width() == pytest.approx(0.5 + 1.0 / 60.0)  # the first sample in the light ends it
+
+
+@pytest.mark.parametrize("title", ["", "A title of a policy and a preset"])
+def test_it_fits_a_column_of_a_paper(episode, tmp_path, title):
+    check_column(pictures.inspection_figure, [episode], tmp_path, title)
 
 
 def test_manoeuvres_are_where_they_were_made(episode, drawn):
@@ -114,7 +120,7 @@ def test_an_episode_without_events_is_drawn(episode, drawn):
     quiet = dataclasses.replace(episode, **change, deaths=torch.full((2,), math.inf), completed=math.inf, reach=math.inf)
     figure = drawn(quiet, title="")
     assert quiet.outcome == "0 of 0 lit points inspected, 0.00 m/s"
-    assert not {"died", "manoeuvre", "reach of the instrument", "complete", "eclipse"} & set(legend(figure))
+    assert not {"died", "maneuver", "reach of the instrument", "complete", "eclipse"} & set(legend(figure))
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from bsk_torch.viz.render.frames import frames
 from bsk_torch.viz.render.marks import DONE, color_of
 from bsk_torch.viz.render.moment import look
 from bsk_torch.viz.table import Tasks
+from tests.support.figures import check_column
 from tests.support.rso_imaging import KEPT, Imager, catalog, environment, play
 
 pytestmark = pytest.mark.compiled
@@ -115,6 +116,12 @@ def test_a_sky_is_drawn(sky, drawn):
     numbers = {text.get_text(): text.xy for text in panel.texts if text.get_text().isdigit()}
     assert list(numbers) == ["0", "1", "2", "3", "4"]
     assert numbers["1"] == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("title", ["", "A title of a policy and a preset"])
+def test_it_fits_a_column_of_a_paper(sky, episode, tmp_path, title):
+    check_column(pictures.sky_figure, [sky], tmp_path, title)
+    check_column(pictures.services_figure, [episode], tmp_path, title)
 
 
 def test_an_empty_sky_is_drawn(sky, drawn):

@@ -1,18 +1,23 @@
 """Pictures are written, and show what happened."""
 
-import re
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import torch
+from matplotlib.colors import to_rgb
 
 import bsk_torch
 from bsk_torch.rl.rules.baselines import scan_rule
 from bsk_torch.viz.figures.curves import learning_curve
-from bsk_torch.viz.figures.style import COLUMN, WIDTH, label, panels, save, spread
+from bsk_torch.viz.figures.profiles import performance_profiles
+from bsk_torch.viz.figures.regret import regret_figure
+from bsk_torch.viz.figures.style import COLUMN, PALETTE, WIDTH, label, panels, save, spread
 from bsk_torch.viz.figures.timeline import record_episode, timeline
 from bsk_torch.viz.figures.track_map import track_map
 from bsk_torch.viz.recorders.episode import union
 from bsk_torch.viz.recorders.track import record_track
+from tests.support.figures import check_column, media_width, unreadable
 
 PNG = b"\x89PNG"
 
@@ -49,25 +54,65 @@ def test_learning_curve_is_drawn(tmp_path):
     assert path.stat().st_size > 10_000
 
 
-def test_figures_fit_a_column_of_a_paper(tmp_path):
+def regrets():
+    """Regrets of 40 decisions, as an audit has them."""
+    rows = [SimpleNamespace(chosen=name, share=share) for name, share in (("nadir scan", 0.75), ("downlink", 0.25))]
+    regret = torch.linspace(-1.0, 1.0, 40, dtype=torch.float64).clamp(min=0.0)
+    return SimpleNamespace(regret=regret, time=torch.arange(40) * 60.0, by_action=lambda: rows)
+
+
+@pytest.mark.parametrize("title", ["", "A title of a policy, a preset and some seeds"])
+def test_figures_fit_a_column_of_a_paper(tmp_path, episode, title):
     env = bsk_torch.make("NadirScan-v1", num_envs=1, seed=0, backend="eager", time_limit=700.0)
-    flight = record_track(scan_rule(env), env, seed=1)
+    thresholds = torch.linspace(0.0, 1.5, 7)
+    fraction = (1.0 - thresholds / 1.5).clamp(0.0, 1.0)
+    profiles = dict.fromkeys(("the pretrained policy", "the rule", "random actions"), (fraction, 0.9 * fraction, fraction))
+    check_column(timeline, [episode], tmp_path, title)
+    check_column(track_map, [record_track(scan_rule(env), env, seed=1)], tmp_path, title)
+    check_column(performance_profiles, [thresholds, profiles], tmp_path, title)
+    check_column(regret_figure, [regrets()], tmp_path, title)
+
+
+@pytest.mark.parametrize("title", ["", "learning"])
+def test_learning_curves_fit_a_column_of_a_paper(tmp_path, title):
     log = {"seconds": [1.0, 2.0], "return": [-1.0, 0.5], "survival": [0.0, 1.0], "simulated_days": [1, 2]}
-    wide, narrow = (
-        [
-            timeline(flight, tmp_path / f"timeline_{width}.pdf", width=width),
-            track_map(flight, tmp_path / f"map_{width}.pdf", width=width),
-            learning_curve(log, tmp_path / f"curve_{width}.pdf", {"rule": (0.4, 0.02)}, "", width=width),
-        ]
-        for width in (WIDTH, COLUMN)
-    )
-    assert [media_width(path) for path in wide] == pytest.approx([72.0 * WIDTH] * 3)
-    assert [media_width(path) for path in narrow] == pytest.approx([72.0 * COLUMN] * 3)
+    for width in (WIDTH, COLUMN):
+        path = learning_curve(log, tmp_path / f"{width}.pdf", {"rule": (0.4, 0.02)}, title, width=width)
+        assert media_width(path) == pytest.approx(width)
 
 
-def media_width(path):
-    """Width of the page of a PDF, points."""
-    return float(re.search(rb"/MediaBox \[ *\S+ +\S+ +(\S+)", path.read_bytes())[1])
+def test_texts_that_do_not_fit_are_found():
+    figure, (panel,) = panels((1.0,), COLUMN)
+    panel.set_xticks([0.0, 0.01, 1.0], ["begin", "later", "end"], fontsize=6.0)
+    figure.text(0.99, 0.5, "reaches over the edge", fontsize=9.0)
+    found = unreadable(figure)
+    assert "'begin' has 6.0 points" in found
+    assert "'begin' overlaps 'later'" in found
+    assert "'reaches over the edge' is cut off" in found
+
+
+SEEN = {
+    "normal": np.eye(3),
+    "protanopia": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    "deuteranopia": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+    "tritanopia": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
+}
+"""Linear RGB as seen, from Machado, Oliveira and Fernandes, 2009, severity 1.0."""
+
+TO_XYZ = [[0.4339, 0.3762, 0.1899], [0.2127, 0.7152, 0.0722], [0.0178, 0.1095, 0.8727]]
+"""CIE XYZ of linear sRGB, over that of the white point D65."""
+
+
+@pytest.mark.parametrize("sight", SEEN)
+def test_colors_are_distinct_for_the_color_blind(sight):
+    """Also green and red, which the tracks of imagers have for images and for what was not imaged."""
+    rgb = np.array([to_rgb(color) for color in PALETTE])
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    seen = np.clip(linear @ np.transpose(SEEN[sight]), 0.0, 1.0)
+    x, y, z = np.cbrt(seen @ np.transpose(TO_XYZ)).T
+    lab = np.stack([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)], -1)
+    apart = np.linalg.norm(lab[:, None] - lab[None], axis=-1)
+    assert apart[np.triu_indices(len(PALETTE), 1)].min() > 11.0
 
 
 def test_names_of_close_lines_are_kept_apart_in_their_order():

@@ -18,11 +18,10 @@ from matplotlib.colors import ListedColormap, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import MultipleLocator
 from torch import Tensor
 
-from bsk_torch.viz.figures.style import FAINT, INK, PALETTE, caption, dot, headline, save, tidy
-from bsk_torch.viz.figures.timeline import HOUR, plain, spacing
+from bsk_torch.viz.figures.style import FAINT, INK, PALETTE, SMALLER, WIDTH, caption, dot, fit, headline, legend, save, tidy
+from bsk_torch.viz.figures.timeline import HOUR, hour_ticks, plain
 from bsk_torch.viz.figures.world import pieces, world_map
 from bsk_torch.viz.table import Columns, Tabular, Tasks, satellite_columns
 
@@ -222,21 +221,26 @@ class ConstellationEpisode(Tabular):
         return len(total) - 1 - int(total.flip(0).argmax())
 
 
-def constellation_figure(episode: ConstellationEpisode, path: Path, title: str) -> Path:
-    """Draw an episode to the PNG file ``path``, with headline ``title``.
+def constellation_figure(episode: ConstellationEpisode, path: Path, title: str = "", width: float = WIDTH) -> Path:
+    """Draw an episode to the file ``path``, .png, .svg or .pdf, with headline ``title`` unless that is empty.
 
     From above: the world with all ground tracks, images, and the satellites with their contacts at the moment of most contacts;
-    and for each satellite a row over time with tasks, images, contacts and, where it died, when.
+    and for each satellite a row over time with tasks, images, contacts and, where it died, when. ``width`` is in inches, such as
+    :data:`~bsk_torch.viz.figures.style.COLUMN`.
     """
-    rows = min(max(ALL_ROWS[0], ROW_HEIGHT * episode.size), ALL_ROWS[1])
-    figure = Figure(figsize=(10.0, MAP_HEIGHT + rows + 2.0), dpi=140, facecolor="white")
+    narrow, height = width < WIDTH, MAP_HEIGHT * width / WIDTH
+    rows = (SMALLER if narrow else 1.0) * min(max(ALL_ROWS[0], ROW_HEIGHT * episode.size), ALL_ROWS[1])
+    figure = Figure(figsize=(width, height + rows + (1.2 if narrow else 2.0)), dpi=140, facecolor="white")
     figure.set_layout_engine("constrained", h_pad=0.06)
-    world, rows_panel = figure.subplots(2, 1, height_ratios=(MAP_HEIGHT, rows))
+    world, rows_panel = figure.subplots(2, 1, height_ratios=(height, rows))
     for panel in (world, rows_panel):
         tidy(panel)
-    handles = [*_world(world, episode), *_rows(rows_panel, episode)]
-    headline(figure, f"{title}: {episode.outcome}")
-    figure.legend(handles=handles, loc="outside lower center", ncols=5, frameon=False, fontsize=9, labelcolor=INK)
+    handles = [*_world(world, episode, width), *_rows(rows_panel, episode)]
+    hour_ticks(rows_panel, float(episode.times[-1] - episode.times[0]) / HOUR, width)
+    if title:
+        headline(figure, f"{title}: {episode.outcome}")
+    fit(figure, width)
+    legend(figure, handles, width)
     return save(figure, path)
 
 
@@ -247,9 +251,9 @@ def _clock(seconds: float) -> str:
 # -- the world -------------------------------------------------------------------------------------------------------------------
 
 
-def _world(panel: Axes, episode: ConstellationEpisode) -> list[Artist]:
+def _world(panel: Axes, episode: ConstellationEpisode, width: float) -> list[Artist]:
     """Draw the map; entries for the legend."""
-    world_map(panel)
+    world_map(panel, width)
     panel.set_anchor("C")
     panel.plot(episode.target_longitude, episode.target_latitude, "o", markersize=1.8, zorder=1.5, **TARGET)
     now = float(episode.times[episode.moment])
@@ -257,7 +261,7 @@ def _world(panel: Axes, episode: ConstellationEpisode) -> list[Artist]:
         _track(panel, episode, k, color, now)
     _images_on_map(panel, episode)
     _links(panel, episode)
-    _satellites(panel, episode)
+    _satellites(panel, episode, CLOSE if width >= WIDTH else CLOSE * SMALLER * WIDTH / width)
     shown = ", images" * bool(len(episode.image_times)) + ", and contacts" * (episode.links is not None)
     caption(
         panel,
@@ -304,13 +308,13 @@ def great_circle(latitude: Tensor, longitude: Tensor, points: int = 90) -> tuple
     return torch.rad2deg(torch.atan2(y, x)), torch.rad2deg(torch.atan2(z, torch.hypot(x, y)))
 
 
-def _satellites(panel: Axes, episode: ConstellationEpisode) -> None:
-    """Dots where the satellites that live are at the moment of the map, with names where there is room."""
+def _satellites(panel: Axes, episode: ConstellationEpisode, close: float) -> None:
+    """Dots where the satellites that live are at the moment of the map, with names of those not ``close``, degrees, to others."""
     k, named = episode.moment, list[tuple[float, float]]()
     for s in torch.nonzero(episode.ends >= episode.times[k]).flatten().tolist():
         x, y = float(episode.longitude[s, k]), float(episode.latitude[s, k])
         panel.plot(x, y, "o", color="white", markeredgecolor=episode.colors[s], markeredgewidth=2.0, markersize=6.5, zorder=6)
-        if all((x - u) ** 2 + (y - v) ** 2 > CLOSE**2 for u, v in named):
+        if all((x - u) ** 2 + (y - v) ** 2 > close**2 for u, v in named):
             named.append((x, y))
             text = panel.annotate(
                 episode.names[s], (x, y), (0, 5), textcoords="offset points", ha="center", color=INK, fontsize=7.5
@@ -339,8 +343,6 @@ def _rows(panel: Axes, episode: ConstellationEpisode) -> list[Artist]:
     hours = (episode.times / HOUR).tolist()
     panel.set(xlim=(hours[0], hours[-1]), ylim=(episode.size - 0.5, -0.5))
     panel.grid(False)
-    panel.xaxis.set_major_locator(MultipleLocator(spacing(hours[-1] - hours[0])))
-    panel.set_xlabel("hours since the start", color=INK, fontsize=9.5)
     panel.set_yticks(range(episode.size), episode.names, fontsize=8.5 if episode.size <= 24 else 6.5)
     panel.tick_params(axis="y", length=0)
     for text, color in zip(panel.get_yticklabels(), episode.colors, strict=True):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from matplotlib.ticker import PercentFormatter
 
-from bsk_torch.viz.figures.style import INK, PALETTE, WIDTH, fit, headline, label, name_lines, panels, save
+from bsk_torch.viz.figures.style import INK, PALETTE, WIDTH, fit, headline, label, name_lines, panels, save, share
 
 NAME_HEIGHT = 0.055
 """Height of a line's name, fraction of the panel's."""
@@ -28,14 +28,13 @@ def learning_curve(
         title: Headline; no headline if empty.
         width: Width, inches, such as :data:`~bsk_torch.viz.figures.style.COLUMN` for a paper.
     """
-    share = (width / WIDTH) ** 0.5  # narrow panels are also lower
-    figure, (returns, survival) = panels((3.4 * share, 1.4 * share), width)
+    figure, (returns, survival) = panels((3.4 * share(width), 1.4 * share(width)), width)
     returns.plot(log["seconds"], log["return"], color=PALETTE[0], linewidth=1.8)
     lines = {name: (mean, color) for color, (name, (mean, _)) in zip(PALETTE[1:], levels.items(), strict=False)}
     for name, (mean, color) in lines.items():
         returns.axhline(mean, color=color, linewidth=1.2, linestyle=(0, (4, 2)))
         returns.axhspan(mean - levels[name][1], mean + levels[name][1], color=color, alpha=0.15, linewidth=0)
-    name_lines(returns, {**lines, "while training": (log["return"][-1], PALETTE[0])}, NAME_HEIGHT / share)
+    name_lines(returns, {**lines, "while training": (log["return"][-1], PALETTE[0])}, NAME_HEIGHT / share(width))
     label(returns, "return of an episode")
     survival.fill_between(log["seconds"], log["survival"], color=PALETTE[0], alpha=0.15, linewidth=0)
     survival.plot(log["seconds"], log["survival"], color=PALETTE[0], linewidth=1.8)

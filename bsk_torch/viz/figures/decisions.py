@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, MultipleLocator, PercentFormatter
 
-from bsk_torch.viz.figures.style import INK, PALETTE, caption, label, name_lines, tidy
+from bsk_torch.viz.figures.style import INK, PALETTE, WIDTH, caption, label, name_lines, share, tidy
 from bsk_torch.viz.figures.timeline import HOUR, bars, plain, shade, shade_legend
 from bsk_torch.viz.recorders.imaging import IMAGED, LOST, UNPAID, ImagingEpisode
 
@@ -86,8 +86,8 @@ def _rewards(panel: Axes, episode: ImagingEpisode, limits: tuple[float, float]) 
     return Line2D([], [], color=INK, linewidth=1.7, label="sum of rewards")
 
 
-def resources(panel: Axes, episode: ImagingEpisode) -> list[Artist]:
-    """Draw battery, fastest wheel and store; entries for the legend."""
+def resources(panel: Axes, episode: ImagingEpisode, width: float = WIDTH) -> list[Artist]:
+    """Draw battery, fastest wheel and store in a figure of a ``width``, inches; entries for the legend."""
     hours, ends = (episode.times / HOUR).tolist(), {}
     for color, (name, called) in zip((INK, PALETTE[1], PALETTE[4]), QUANTITIES.items(), strict=True):
         if name in episode.series:
@@ -99,5 +99,5 @@ def resources(panel: Axes, episode: ImagingEpisode) -> list[Artist]:
     panel.yaxis.set_major_locator(MultipleLocator(0.5))
     panel.yaxis.set_major_formatter(PercentFormatter(1.0))
     label(panel, "share of limit")
-    name_lines(panel, ends, NAME_HEIGHT)
+    name_lines(panel, ends, NAME_HEIGHT / share(width))
     return [*shade_legend()]

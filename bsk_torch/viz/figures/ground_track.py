@@ -16,7 +16,7 @@ from torch import Tensor
 
 from bsk_torch.constants import R_EARTH
 from bsk_torch.viz.figures.decisions import decisions, resources
-from bsk_torch.viz.figures.style import INK, PALETTE, caption, dot, headline, label, save, tidy
+from bsk_torch.viz.figures.style import INK, PALETTE, WIDTH, caption, dot, fit, headline, label, legend, save, share, tidy
 from bsk_torch.viz.figures.timeline import HOUR, time_axis
 from bsk_torch.viz.figures.world import pieces, world_map
 from bsk_torch.viz.recorders.imaging import IMAGED, LOST, OPEN, UNPAID, ImagingEpisode, record_imaging_episode
@@ -56,37 +56,44 @@ LOOKS = {
 }
 """Face, edge and name of targets by what became of them."""
 
-LEGEND: dict[str, Any] = dict(
-    loc="upper center", frameon=False, fontsize=9, labelcolor=INK, handletextpad=0.5, columnspacing=1.4, borderaxespad=0.0
-)
+BELOW: dict[str, Any] = dict(loc="upper center", handletextpad=0.5, columnspacing=1.4, borderaxespad=0.0)
+"""Place of the legend of the map."""
 
 DAY = LinearSegmentedColormap.from_list("day", ("#b9d3ee", PALETTE[0], "#12305a"))
 """Colors of the track from start to end."""
 
 
-def ground_track(episode: ImagingEpisode, path: Path, title: str = "") -> Path:
+def ground_track(episode: ImagingEpisode, path: Path, title: str = "", width: float = WIDTH) -> Path:
     """Draw an episode to the file ``path``, .png, .svg or .pdf, with headline ``title`` unless that is empty.
 
     From above: the world with the ground track and all targets; ten minutes of it large, with lines from the satellite to what
     it imaged; decisions and reward over time; and battery, wheels and store where the satellite can do something for them.
+    ``width`` is in inches, such as :data:`~bsk_torch.viz.figures.style.COLUMN`.
     """
-    heights = [*HEIGHTS, *([1.1] if len(episode.names) > 1 else [])]
-    figure = Figure(figsize=(10.0, sum(heights) + 2.6), dpi=140, facecolor="white")
+    world, close_up, lower = HEIGHTS
+    heights = [
+        world * width / WIDTH,
+        close_up * width / WIDTH,
+        *(share(width) * h for h in (lower, *([1.1] if len(episode.names) > 1 else []))),
+    ]
+    figure = Figure(figsize=(width, sum(heights) + (2.6 if width >= WIDTH else 1.7)), dpi=140, facecolor="white")
     figure.set_layout_engine("constrained", h_pad=GAP)
     panels = figure.subplots(len(heights), 1, height_ratios=heights).tolist()
     for panel in panels:
         tidy(panel)
     span = busiest(episode)
-    _world(panels[0], episode, span)
+    _world(panels[0], episode, span, width)
     _close_up(panels[1], episode, span)
     handles = decisions(panels[2], episode, span)
     for panel in panels[3:]:
-        handles += resources(panel, episode)
+        handles += resources(panel, episode, width)
     for panel in panels[2:]:
-        time_axis(panel, episode, named=panel is panels[-1])
+        time_axis(panel, episode, named=panel is panels[-1], width=width)
     if title:
         headline(figure, f"{title}: {episode.outcome}")
-    figure.legend(handles=handles, loc="outside lower center", ncols=5, frameon=False, fontsize=9, labelcolor=INK)
+    fit(figure, width)
+    legend(panels[0], _world_legend(episode), width, 8, bbox_to_anchor=(0.5, -0.06 * WIDTH / width), **BELOW)
+    legend(figure, handles, width)
     return save(figure, path)
 
 
@@ -104,8 +111,8 @@ def busiest(episode: ImagingEpisode) -> tuple[float, float]:
 # -- the world -------------------------------------------------------------------------------------------------------------------
 
 
-def _world(panel: Axes, episode: ImagingEpisode, span: tuple[float, float]) -> None:
-    world_map(panel)
+def _world(panel: Axes, episode: ImagingEpisode, span: tuple[float, float], width: float) -> None:
+    world_map(panel, width)
     _targets(panel, episode, ground(episode.r_LP_P), episode.exists)
     lines, hours = pieces(*ground(episode.track)), episode.track_times / HOUR
     shown = (episode.track_times[1:] > span[0]) & (episode.track_times[:-1] < span[1])
@@ -121,7 +128,6 @@ def _world(panel: Axes, episode: ImagingEpisode, span: tuple[float, float]) -> N
     bar.ax.tick_params(colors=INK, labelsize=9, length=3)
     label(bar.ax, "hours since the start")
     caption(panel, "ground track and targets; the larger a dot, the higher its priority")
-    panel.legend(handles=_world_legend(episode), bbox_to_anchor=(0.5, -0.06), ncols=8, **LEGEND)
 
 
 def _targets(panel: Axes, episode: ImagingEpisode, at: tuple[Tensor, Tensor], shown: Tensor, scale: float = 1.0) -> None:
@@ -140,7 +146,10 @@ def _world_legend(episode: ImagingEpisode) -> list[Line2D]:
     markers = [("o", *look) for kind, look in LOOKS.items() if kind in present][::-1]
     markers += [("o", "white", INK, "start"), ("s", "white", INK, "end")]
     markers += [("^", INK, INK, "ground station")] if len(episode.stations) else []
-    return [*(dot(*marker) for marker in markers), Line2D([], [], color=INK, alpha=0.2, linewidth=7.0, label="shown below")]
+    return [
+        *(dot(*marker) for marker in markers),
+        Line2D([], [], color=INK, alpha=0.2, linewidth=7.0, solid_capstyle="butt", label="shown below"),
+    ]
 
 
 # -- ten minutes -----------------------------------------------------------------------------------------------------------------

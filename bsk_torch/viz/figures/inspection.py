@@ -15,17 +15,19 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
-from matplotlib.ticker import MultipleLocator
 from torch import Tensor
 
-from bsk_torch.viz.figures.style import FAINT, INK, PALETTE, caption, dot, headline, label, save, tidy
-from bsk_torch.viz.figures.timeline import HOUR, NIGHT, spacing
+from bsk_torch.viz.figures.style import FAINT, INK, PALETTE, WIDTH, caption, dot, fit, headline, label, legend, save, tidy
+from bsk_torch.viz.figures.timeline import HOUR, NIGHT, hour_ticks
 from bsk_torch.viz.table import Columns, Tabular, Tasks, satellite_columns
 
 __all__ = ["InspectionEpisode", "inspection_figure"]
 
 HEIGHTS = (3.5, 3.2)
 """Heights of the paths, and of what is below them, inches."""
+
+COLUMN_HEIGHTS = (3.5, 1.9)
+"""These in a column of a paper."""
 
 AXES = ("radial", "along the track", "orbit normal")
 """Axes of the Hill frame."""
@@ -155,32 +157,50 @@ class InspectionEpisode(Tabular):
         return float(torch.quantile(self.rho_H[alive].abs().amax(1), NEAR if near else 1.0))
 
 
-def inspection_figure(episode: InspectionEpisode, path: Path, title: str = "") -> Path:
+def inspection_figure(episode: InspectionEpisode, path: Path, title: str = "", width: float = WIDTH) -> Path:
     """Draw an episode to the file ``path``, .png, .svg or .pdf, with headline ``title`` unless that is empty.
 
     From top to bottom: the paths around the RSO in projections of its Hill frame, complete and near the RSO, with maneuvers; a
     map of its points, colored by the time of inspection; the numbers of lit and inspected points and the fuel over time.
+    ``width`` is in inches, such as :data:`~bsk_torch.viz.figures.style.COLUMN`.
     """
-    figure = Figure(figsize=(10.0, sum(HEIGHTS) + 1.0), dpi=140, layout="constrained", facecolor="white")
-    above, below = figure.subfigures(2, 1, height_ratios=HEIGHTS)  # type: ignore[misc]
-    for panel, (x, y, near) in zip(above.subplots(1, 3), VIEWS, strict=True):
+    figure, paths, surface, (counts, fuel) = _arrange(width)
+    for panel, (x, y, near) in zip(paths, VIEWS, strict=True):
         tidy(panel)
         draw_paths(panel, episode, x, y, near)
         caption(panel, "near the RSO" if near else "paths around the RSO")
         panel.set_xlabel(f"{AXES[x]}, m", color=INK, fontsize=9.5)
         panel.set_ylabel(f"{AXES[y]}, m", color=INK, fontsize=9.5, labelpad=0.0)
-    left, right = below.subfigures(1, 2)
-    _map(left.add_subplot(projection="mollweide"), episode)
-    counts, fuel = right.subplots(2, 1, sharex=True, height_ratios=(1.5, 1.0))
+    _map(surface, episode, "inspected at, hours" + " since the start" * (width >= WIDTH))
     for panel in (counts, fuel):
         tidy(panel)
         _night(panel, episode)
     _counts(counts, episode)
     _fuel(fuel, episode)
+    hour_ticks(fuel, float(episode.decisions[-1]) / HOUR, width)
     if title:
         headline(figure, f"{title}: {episode.outcome}")
-    figure.legend(handles=_legend(episode), loc="outside lower center", ncols=5, frameon=False, fontsize=9, labelcolor=INK)
+    fit(figure, width)
+    legend(figure, _legend(episode), width)
     return save(figure, path)
+
+
+def _arrange(width: float) -> tuple[Figure, list[Axes], Axes, list[Axes]]:
+    """Return a figure, and its panels of the projections, of the points, and of what changes over time.
+
+    In a column of a paper, the points are next to the last projection, and what changes over time is below all.
+    """
+    narrow, heights = width < WIDTH, HEIGHTS if width >= WIDTH else COLUMN_HEIGHTS
+    figure = Figure(figsize=(width, sum(heights) + (0.0 if narrow else 1.0)), dpi=140, layout="constrained", facecolor="white")
+    above, below = figure.subfigures(2, 1, height_ratios=heights)  # type: ignore[misc]
+    if narrow:
+        paths = [above.add_subplot(2, 2, k) for k in (1, 2, 3)]
+        surface, right = above.add_subplot(2, 2, 4, projection="mollweide"), below
+    else:
+        paths = list(above.subplots(1, 3))
+        left, right = below.subfigures(1, 2)
+        surface = left.add_subplot(projection="mollweide")
+    return figure, paths, surface, list(right.subplots(2, 1, sharex=True, height_ratios=(1.5, 1.0)))
 
 
 # -- paths -----------------------------------------------------------------------------------------------------------------------
@@ -209,7 +229,7 @@ def draw_paths(panel: Axes, episode: InspectionEpisode, x: int, y: int, near: bo
         panel.plot(rho[:, x], rho[:, y], color=color, linewidth=1.1, zorder=3)
         panel.plot(rho[0, x], rho[0, y], "o", color="white", markeredgecolor=color, markersize=6.0, zorder=5)
         panel.plot(rho[-1, x], rho[-1, y], color=color, markeredgecolor="white", zorder=6, **_end(episode, k))
-        size, where = _manoeuvres(episode, k)
+        size, where = _maneuvers(episode, k)
         area = SMALL + (LARGE - SMALL) * size / largest
         panel.scatter(where[:, x], where[:, y], area, marker="^", color=color, edgecolors="white", linewidths=0.6, zorder=4)
 
@@ -219,7 +239,7 @@ def _end(episode: InspectionEpisode, k: int) -> dict[str, Any]:
     return dict(marker="X", markersize=9.0) if isfinite(float(episode.deaths[k])) else dict(marker="s", markersize=6.0)
 
 
-def _manoeuvres(episode: InspectionEpisode, k: int) -> tuple[Tensor, Tensor]:
+def _maneuvers(episode: InspectionEpisode, k: int) -> tuple[Tensor, Tensor]:
     """Return changes of velocity [M], m/s, and where they were made, [M, 3]."""
     there = episode.spent[k] > 0.0
     sample = torch.searchsorted(episode.times, episode.decisions[:-1][there]).clamp(max=len(episode.times) - 1)
@@ -229,8 +249,8 @@ def _manoeuvres(episode: InspectionEpisode, k: int) -> tuple[Tensor, Tensor]:
 # -- points ----------------------------------------------------------------------------------------------------------------------
 
 
-def _map(panel: Axes, episode: InspectionEpisode) -> None:
-    """Draw the surface of the RSO as an equal-area map of directions in its axes."""
+def _map(panel: Axes, episode: InspectionEpisode, colors: str) -> None:
+    """Draw the surface of the RSO as an equal-area map of directions in its axes, with a name for its ``colors``."""
     x, y, z = torch.nn.functional.normalize(episode.points, dim=1).unbind(1)
     longitude, latitude = torch.atan2(y, x), torch.asin(z.clamp(-1.0, 1.0))
     inspected = torch.isfinite(episode.inspected_at)
@@ -248,7 +268,7 @@ def _map(panel: Axes, episode: InspectionEpisode) -> None:
     bar = panel.figure.colorbar(shown, ax=panel, orientation="horizontal", shrink=0.7, aspect=30, pad=0.03)
     bar.outline.set_visible(False)
     bar.ax.tick_params(colors=INK, labelsize=8.5, length=3)
-    bar.set_label("inspected at, hours since the start", color=INK, fontsize=9)
+    bar.set_label(colors, color=INK, fontsize=9)
     caption(panel, "points of the RSO, in its axes")
 
 
@@ -288,8 +308,6 @@ def _fuel(panel: Axes, episode: InspectionEpisode) -> None:
             panel.plot(death / HOUR, float(episode.fuel[k, where]), "X", color=color, markeredgecolor="white", markersize=9.0)
     panel.set_ylim(0.0, 1.08 * max(float(episode.fuel.max()), 1e-9))
     panel.set_xlim(0.0, 1.01 * hours[-1])
-    panel.xaxis.set_major_locator(MultipleLocator(spacing(hours[-1])))
-    panel.set_xlabel("hours since the start", color=INK, fontsize=9.5)
     label(panel, "fuel, m/s")
 
 
@@ -301,7 +319,7 @@ def _legend(episode: InspectionEpisode) -> list[Artist]:
         (True, dot("o", "white", first, "start")),
         (not bool(dead.all()), dot("s", first, "white", "end")),
         (bool(dead.any()), dot("X", first, "white", "died")),
-        (bool((episode.spent > 0.0).any()), dot("^", first, "white", "manoeuvre")),
+        (bool((episode.spent > 0.0).any()), dot("^", first, "white", "maneuver")),
         (
             isfinite(episode.reach),
             Line2D([], [], color=INK, linewidth=0.8, linestyle=(0, (4, 3)), label="reach of the instrument"),

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 from torch import Tensor
 
-from bsk_torch.viz.figures.style import FAINT, INK, PALETTE, caption, headline, label, save, tidy
+from bsk_torch.viz.figures.style import FAINT, INK, PALETTE, WIDTH, caption, fit, headline, label, save, tidy
 
 
 class OfAction(Protocol):
@@ -60,16 +60,18 @@ def shares(regret: Tensor) -> Shares:
     return Shares(torch.arange(len(summed), dtype=ordered.dtype) / max(len(regret), 1), summed)
 
 
-def regret_figure(found: Regrets, path: Path, title: str) -> Path:
+def regret_figure(found: Regrets, path: Path, title: str = "", width: float = WIDTH) -> Path:
     """Draw the share of the regret in the worst decisions, the regret over time, and its share by chosen action.
 
     Args:
         found: An audit.
         path: The picture, .png, .svg or .pdf.
-        title: Headline.
+        title: Headline; no headline if empty.
+        width: Width, inches, such as :data:`~bsk_torch.viz.figures.style.COLUMN` for a paper, where the panels are stacked.
     """
-    figure = Figure(figsize=(10.0, 3.6), dpi=140, layout="constrained", facecolor="white")
-    lorenz, times, kinds = figure.subplots(1, 3)
+    narrow = width < WIDTH
+    figure = Figure(figsize=(width, 5.8 if narrow else 3.6), dpi=140, layout="constrained", facecolor="white")
+    lorenz, times, kinds = figure.subplots(*((3, 1) if narrow else (1, 3)))
     for panel in (lorenz, times, kinds):
         tidy(panel)
     curve = shares(found.regret)
@@ -87,5 +89,7 @@ def regret_figure(found: Regrets, path: Path, title: str) -> Path:
     kinds.xaxis.set_major_formatter(PercentFormatter(1.0))
     kinds.grid(axis="y", visible=False)
     caption(kinds, "share of all regret by chosen action")
-    headline(figure, title)
+    if title:
+        headline(figure, title)
+    fit(figure, width)
     return save(figure, path)

@@ -16,11 +16,26 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import MultipleLocator
+from matplotlib.text import Annotation, Text
 from torch import Tensor
 
-from bsk_torch.viz.figures.style import FAINT, INK, PALETTE, caption, dot, headline, label, panels, save
-from bsk_torch.viz.figures.timeline import HOUR, NIGHT, spacing
+from bsk_torch.viz.figures.style import (
+    FAINT,
+    INK,
+    PALETTE,
+    SMALLER,
+    WIDTH,
+    caption,
+    dot,
+    fit,
+    headline,
+    label,
+    legend,
+    panels,
+    save,
+    share,
+)
+from bsk_torch.viz.figures.timeline import HOUR, NIGHT, hour_ticks
 from bsk_torch.viz.table import Columns, Tabular, Tasks, satellite_columns
 
 __all__ = ["RSOImagingEpisode", "Sky", "services_figure", "sky_figure"]
@@ -44,6 +59,9 @@ NAMES_AT = math.radians(45.0)
 
 NUMBERED = 10
 """Largest number of candidates whose places are written next to them."""
+
+SIDES = ((10.0, 6.0), (-10.0, 6.0), (10.0, -12.0), (-10.0, -12.0), (0.0, 9.0), (0.0, -16.0))
+"""Where these may stand, points from the middle of a mark, in the order of preference."""
 
 ROW = 0.2
 """Height of the row of an object, inches."""
@@ -183,19 +201,19 @@ def _check_shape(name: str, value: Tensor, shape: tuple[int, ...]) -> None:
 # -- sky -------------------------------------------------------------------------------------------------------------------------
 
 
-def sky_figure(sky: Sky, path: Path, title: str = "") -> Path:
+def sky_figure(sky: Sky, path: Path, title: str = "", width: float = WIDTH) -> Path:
     """Draw a sky to the file ``path``, .png, .svg or .pdf, with headline ``title`` unless that is empty.
 
     It is an equal-area map of directions in the imager's Hill frame: ahead is in the middle, behind at both edges, the zenith
     above and the Earth below. Marks are larger for higher priorities. The first candidates have the numbers of their actions.
+    ``width`` is in inches, such as :data:`~bsk_torch.viz.figures.style.COLUMN`.
     """
-    figure = Figure(figsize=(9.0, 5.2), dpi=140, layout="constrained", facecolor="white")
+    figure = Figure(figsize=(width, 0.58 * width), dpi=140, layout="constrained", facecolor="white")
     panel = figure.add_subplot(projection="mollweide")
     _horizon(panel, sky)
     x, y = torch.deg2rad(sky.azimuth), torch.deg2rad(sky.elevation)
     area = SMALL + (LARGE - SMALL) * (sky.priority / sky.priority.max().clamp(min=1e-12)).clamp(min=0.0)
     lit = sky.light >= LIGHT
-    outlined: dict[str, Any] = dict(path_effects=[withStroke(linewidth=2.5, foreground="white")])
     for rows, color in ((lit, SUNLIT), (~lit, DARK)):
         for seen, face in ((sky.in_sight, color), (~sky.in_sight, "white")):
             now = rows & seen
@@ -211,14 +229,33 @@ def sky_figure(sky: Sky, path: Path, title: str = "") -> Path:
             zorder=4,
             clip_on=False,
         )
+    names, numbers = list(panel.texts), list[Annotation]()
+    look: dict[str, Any] = dict(textcoords="offset points", ha="center", color=INK, fontsize=9, zorder=5)
+    look["path_effects"] = [withStroke(linewidth=2.5, foreground="white")]
     for k, number in enumerate(sky.candidates[:NUMBERED].tolist()):
-        at = float(x[number]), float(y[number])
-        panel.annotate(str(k), at, xytext=(7.0, 6.0), textcoords="offset points", color=INK, fontsize=9, zorder=5, **outlined)
+        numbers.append(panel.annotate(str(k), (float(x[number]), float(y[number])), SIDES[0], **look))
     if title:
         headline(figure, f"{title}: {sky.outcome}")
     caption(panel, f"sky of {sky.imager} after {sky.time / MINUTE:.0f} min")
-    figure.legend(handles=_sky_legend(sky), loc="outside lower center", ncols=4, frameon=False, fontsize=9, labelcolor=INK)
+    fit(figure, width)
+    legend(figure, _sky_legend(sky), width, 4)
+    figure.draw_without_rendering()  # arranges the panel
+    _keep_apart(numbers, names, SMALLER if width < WIDTH else 1.0)
     return save(figure, path)
+
+
+def _keep_apart(numbers: Sequence[Annotation], names: Sequence[Text], scale: float) -> None:
+    """Write each number at the first of the :data:`SIDES` of its mark, times ``scale``, at which it overlaps no other text."""
+    taken = [name.get_window_extent() for name in names]
+    for number in numbers:
+        for x, y in SIDES:
+            number.xyann = (scale * x, scale * y)
+            box = number.get_window_extent()
+            if not any(box.overlaps(other) for other in taken):
+                break
+        else:
+            number.xyann = (scale * SIDES[0][0], scale * SIDES[0][1])
+        taken.append(number.get_window_extent())
 
 
 def _horizon(panel: Axes, sky: Sky) -> None:
@@ -246,7 +283,19 @@ def _sky_legend(sky: Sky) -> list[Artist]:
         (bool((sky.pending > 0).any()), _ring(PENDING, "image on board")),
         (bool((sky.imaged & (sky.pending == 0)).any()), _ring(IMAGED, "image delivered")),
         (True, Patch(facecolor=EARTH, edgecolor=INK, linewidth=1.0, label="Earth")),
-        (numbered > 0, Line2D([], [], linestyle="", marker=f"${0}$", color=INK, markersize=6.0, label="number of the action")),
+        (
+            numbered > 0,
+            Line2D(
+                [],
+                [],
+                linestyle="",
+                marker=f"${0}$",
+                color=INK,
+                markeredgewidth=0.0,
+                markersize=6.0,
+                label="number of the action",
+            ),
+        ),
     ]
     return [handle for shown, handle in there if shown]
 
@@ -259,14 +308,16 @@ def _ring(color: str, name: str) -> Line2D:
 # -- services --------------------------------------------------------------------------------------------------------------------
 
 
-def services_figure(episode: RSOImagingEpisode, path: Path, title: str = "") -> Path:
+def services_figure(episode: RSOImagingEpisode, path: Path, title: str = "", width: float = WIDTH) -> Path:
     """Draw an episode to the file ``path``, .png, .svg or .pdf, with headline ``title`` unless that is empty.
 
     Above is a row for each object that was imaged, in the order of their first images: bars from images to their deliveries, and
-    when the object was in eclipse. Below are the images on board of each imager, and the return.
+    when the object was in eclipse. Below are the images on board of each imager, and the return. ``width`` is in inches, such as
+    :data:`~bsk_torch.viz.figures.style.COLUMN`.
     """
     shown = list(dict.fromkeys(episode.target.tolist()))
-    figure, (rows, board, value) = panels((max(1.0, 0.5 + ROW * len(shown)), 0.9, 0.9))
+    above = max(1.0, 0.5 + (ROW if width >= WIDTH else SMALLER * ROW) * len(shown))
+    figure, (rows, board, value) = panels((above, 0.9 * share(width), 0.9 * share(width)), width)
     _services(rows, episode, shown)
     hours = (episode.decisions / HOUR).tolist()
     for k, color in enumerate(episode.colors):
@@ -277,11 +328,11 @@ def services_figure(episode: RSOImagingEpisode, path: Path, title: str = "") -> 
     label(board, "on board")
     label(value, "return")
     value.set_xlim(0.0, hours[-1])
-    value.xaxis.set_major_locator(MultipleLocator(spacing(hours[-1])))
-    value.set_xlabel("hours since the start", color=INK, fontsize=9.5)
+    hour_ticks(value, hours[-1], width)
     if title:
         headline(figure, f"{title}: {episode.outcome}")
-    figure.legend(handles=_legend(episode), loc="outside lower center", ncols=6, frameon=False, fontsize=9, labelcolor=INK)
+    fit(figure, width)
+    legend(figure, _legend(episode), width, 6)
     return save(figure, path)
 
 

@@ -7,19 +7,22 @@ from io import BytesIO
 from itertools import pairwise
 from math import isfinite
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
+from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
 
 from bsk_torch.files import write_file
 
-PALETTE = ("#2f6db3", "#e8a628", "#2f9e72", "#c1476b", "#7b62b8", "#5aa9c9", "#8c6d4f", "#6b7280")
-"""Colors that are distinguishable in print and for color-blind readers."""
+PALETTE = ("#2f6db3", "#e8a628", "#0fa783", "#a52b5b", "#797ae3", "#6ea8bf", "#9a7750", "#6b7280")
+"""Colors that are distinguishable in print and for color-blind readers: any two differ by at least 11 in CIELAB, also as seen by
+protanopes, deuteranopes and tritanopes (Machado, Oliveira and Fernandes, 2009)."""
 
 UNDATED: dict[str, dict[str, None]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
 """Metadata without a date, by format."""
@@ -35,27 +38,75 @@ SMALLER = 0.78
 """Size of text and lines in a column of a paper, relative to that of wide figures."""
 
 
+LEAST = 6.5
+"""Smallest text in a column of a paper, points."""
+
+PRINT = 300
+"""Resolution of narrow figures, dots per inch: of PNG files, and of the parts of others that are no vector graphics."""
+
+
 def fit(figure: Figure, width: float) -> None:
-    """Make text, lines and markers of a finished figure smaller where it is narrower than :data:`WIDTH`."""
+    """Make text, lines and markers of a figure smaller where it is narrower than :data:`WIDTH`, and add room for its headline."""
     if width >= WIDTH:
         return
-    for panel in figure.axes:
-        panel.tick_params(labelsize=9 * SMALLER, length=2)
-    for text in figure.findobj(Text):
+    figure.set_dpi(PRINT)
+    _shrink(figure, width)
+    for axis in (axis for panel in figure.axes for axis in (panel.xaxis, panel.yaxis)):
+        size = next((text.get_fontsize() for text in axis.get_ticklabels()), 9 * SMALLER)
+        axis.set_tick_params(length=2 if axis.get_tick_params().get("length") != 0 else 0, labelsize=size)
+    _heighten(figure, figure.texts)
+
+
+def _shrink(artist: Artist, width: float) -> None:
+    """Make text, lines and markers smaller."""
+    for text in artist.findobj(Text):
         assert isinstance(text, Text)
-        text.set_fontsize(text.get_fontproperties().get_size_in_points() * SMALLER)
-    for line in figure.findobj(Line2D):
+        size = text.get_fontproperties().get_size_in_points()
+        text.set_fontsize(min(size, max(LEAST, size * SMALLER)))
+    for line in artist.findobj(Line2D):
         assert isinstance(line, Line2D)
         line.set_linewidth(line.get_linewidth() * SMALLER)
         line.set_markersize(line.get_markersize() * SMALLER)
-    for lines in figure.findobj(LineCollection):
+    for lines in artist.findobj(LineCollection):
         assert isinstance(lines, LineCollection)
         lines.set_linewidth((np.atleast_1d(lines.get_linewidth()) * SMALLER).tolist())
+    for marks in artist.findobj(PathCollection):
+        assert isinstance(marks, PathCollection)
+        marks.set_sizes(marks.get_sizes() * width / WIDTH)
+        marks.set_linewidth((np.atleast_1d(marks.get_linewidth()) * SMALLER).tolist())
 
 
-def legend_columns(width: float) -> int:
-    """How many entries of a legend stand side by side."""
-    return max(2, round(8 * width / WIDTH))
+def _heighten(figure: Figure, added: Sequence[Artist]) -> None:
+    """Make a figure higher by the heights of artists above or below its panels."""
+    height = sum(artist.get_window_extent().height for artist in added) / figure.dpi
+    figure.set_figheight(figure.get_figheight() + height)
+
+
+def legend(owner: Figure | Axes, handles: Sequence[Artist], width: float, columns: int = 5, **place: Any) -> None:
+    """Write a legend below the panels of a figure that is otherwise finished, or at a ``place`` of a panel.
+
+    At most so many ``columns`` stand side by side, fewer where they do not fit into the ``width``, inches. Figures narrower than
+    :data:`WIDTH` become higher by the legend.
+    """
+    narrow, figure = width < WIDTH, owner.get_figure(root=True)
+    assert isinstance(figure, Figure)
+    for handle in handles if narrow else ():
+        _shrink(handle, width)
+    look = {"loc": "outside lower center", "frameon": False, "fontsize": 9 * (SMALLER if narrow else 1.0), "labelcolor": INK}
+    if narrow:
+        look["columnspacing"] = 1.2
+    for count in range(max(1, min(columns, len(handles))), 0, -1):
+        entries = owner.legend(handles=handles, ncols=count, **(look | place))
+        if count == 1 or entries.get_window_extent().width <= 0.95 * figure.bbox.width:
+            break
+        entries.remove()
+    if narrow:
+        _heighten(figure, [entries])
+
+
+def share(width: float) -> float:
+    """Return the height of panels relative to that in wide figures: narrow ones are also lower, but less so."""
+    return float((width / WIDTH) ** 0.5)
 
 
 def panels(heights: Sequence[float], width: float = WIDTH) -> tuple[Figure, list[Axes]]:
@@ -83,7 +134,7 @@ def label(panel: Axes, text: str) -> None:
 
 def caption(panel: Axes, text: str) -> None:
     """Write the title of a panel above it."""
-    panel.set_title(text, loc="left", color=INK, fontsize=9.5)
+    panel.set_title(text, loc="left", color=INK, fontsize=9.5, wrap=True)
 
 
 def name_lines(panel: Axes, lines: Mapping[str, tuple[float, str]], height: float) -> None:
@@ -113,7 +164,7 @@ def dot(marker: str, face: str, edge: str, name: str) -> Line2D:
 
 def headline(figure: Figure, text: str) -> None:
     """Write the title of the figure, aligned left."""
-    figure.suptitle(text, x=0.01, ha="left", color=INK, fontsize=12.5, fontweight="bold")
+    figure.suptitle(text, x=0.01, ha="left", color=INK, fontsize=12.5, fontweight="bold", wrap=True)
 
 
 def save(figure: Figure, path: Path) -> Path:
@@ -124,6 +175,6 @@ def save(figure: Figure, path: Path) -> Path:
     """
     with rc_context({"svg.hashsalt": "bsk_torch", "pdf.fonttype": 42}):
         drawn, kind = BytesIO(), path.suffix.removeprefix(".")
-        figure.savefig(drawn, format=kind, metadata=UNDATED.get(kind))
+        figure.savefig(drawn, format=kind, dpi=figure.dpi, metadata=UNDATED.get(kind))
     write_file(path, drawn.getvalue())
     return path

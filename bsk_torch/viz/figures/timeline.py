@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MultipleLocator, PercentFormatter
 from torch import Tensor
 
-from bsk_torch.viz.figures.style import INK, PALETTE, WIDTH, fit, headline, label, legend_columns, panels, save
+from bsk_torch.viz.figures.style import INK, PALETTE, WIDTH, fit, headline, label, legend, panels, save, share
 from bsk_torch.viz.recorders.episode import QUANTITIES, Episode, record_episode
 
 __all__ = ["record_episode", "timeline"]
@@ -22,7 +22,7 @@ HOUR = 3600.0
 GRAYS, DASHES = (INK, "#6b7280", "#9aa3af"), ("-", (0, (5, 1.5)), (0, (1.5, 1)))
 """Looks of several lines in a panel, such as of wheels: colors are those of modes."""
 
-NIGHT, PASS = "#3b4252", "#2f9e72"
+NIGHT, PASS = "#3b4252", PALETTE[2]
 
 
 def timeline(
@@ -40,8 +40,7 @@ def timeline(
     Returns:
         The path.
     """
-    share = (width / WIDTH) ** 0.5  # narrow panels are also lower
-    figure, axes = panels((0.5 * share, *(1.35 * share for _ in episode.series)), width)
+    figure, axes = panels((0.5 * share(width), *(1.35 * share(width) for _ in episode.series)), width)
     _modes(axes[0], episode)
     for panel, name in zip(axes[1:], episode.series, strict=True):
         _series(panel, episode, name)
@@ -52,30 +51,27 @@ def timeline(
         mark(axes, time / HOUR, text, row=k)
     if title:
         headline(figure, f"{title}: {episode.outcome}")
-    figure.legend(
-        handles=_legend(episode),
-        loc="outside lower center",
-        ncols=legend_columns(width),
-        frameon=False,
-        fontsize=9,
-        labelcolor=INK,
-    )
     fit(figure, width)
+    legend(figure, _legend(episode), width, 8)
     return save(figure, path)
 
 
 def time_axis(panel: Axes, episode: Episode, named: bool = True, width: float = WIDTH) -> None:
     """Ticks of an abscissa in hours, and their numbers and its name where it is ``named``."""
     hours = float(episode.times[-1]) / HOUR
+    hour_ticks(panel, hours, width)
     panel.tick_params(labelbottom=named)
-    panel.set_xlabel("hours since the start" if named else "", color=INK, fontsize=9.5)
     panel.set_xlim(0.0, hours)
-    panel.xaxis.set_major_locator(MultipleLocator(spacing(hours, round(12 * (width / WIDTH) ** 0.5))))
+    if not named:
+        panel.set_xlabel("")
 
 
-def spacing(hours: float, most: int = 12) -> float:
-    """Distance of the ticks, hours, of which there are at most so many."""
-    return next(step for step in (0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 6.0, 24.0, 1e9) if hours / step <= most)
+def hour_ticks(panel: Axes, hours: float, width: float = WIDTH) -> None:
+    """Set the ticks and the name of an abscissa of so many hours."""
+    most = round(12 * share(width))
+    steps = (0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 6.0, 24.0, 1e9)
+    panel.xaxis.set_major_locator(MultipleLocator(next(step for step in steps if hours / step <= most)))
+    panel.set_xlabel("hours since the start", color=INK, fontsize=9.5)
 
 
 def bars(panel: Axes, episode: Episode, rows: Tensor, base: float = 0.0, height: float = 1.0, **look: Any) -> None:

@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from torch import Tensor
 
-from bsk_torch.viz.figures.style import INK, WIDTH, caption, dot, fit, headline, legend_columns, save, tidy
+from bsk_torch.viz.figures.style import INK, WIDTH, caption, dot, fit, headline, legend, save, tidy
 from bsk_torch.viz.figures.timeline import NIGHT, mode_color, plain
 from bsk_torch.viz.figures.world import pieces, world_map
 from bsk_torch.viz.recorders.track import TrackEpisode, ground
@@ -33,15 +33,10 @@ def track_map(episode: TrackEpisode, path: Path, title: str = "", width: float =
     Ground stations, start and end are marked. ``width`` is in inches, such as :data:`~bsk_torch.viz.figures.style.COLUMN`.
     """
     extra = 0.8 if title else 0.35  # of height, for text
-    figure = Figure(
-        figsize=(width, 0.5 * width + (extra if width >= WIDTH else extra + 0.3)),
-        dpi=140,
-        layout="constrained",
-        facecolor="white",
-    )
+    figure = Figure(figsize=(width, 0.5 * width + extra), dpi=140, layout="constrained", facecolor="white")
     panel = figure.subplots()
     tidy(panel)
-    world_map(panel)
+    world_map(panel, width)
     panel.set_anchor("C")
     _track(panel, episode)
     _stations(panel, episode)
@@ -50,15 +45,8 @@ def track_map(episode: TrackEpisode, path: Path, title: str = "", width: float =
     if title:
         caption(panel, "ground track by mode; thick where a reward was earned, shaded in eclipse")
         headline(figure, f"{title}: {episode.outcome}")
-    figure.legend(
-        handles=_legend(episode),
-        loc="outside lower center",
-        ncols=legend_columns(width),
-        frameon=False,
-        fontsize=9,
-        labelcolor=INK,
-    )
     fit(figure, width)
+    legend(figure, _legend(episode), width, 8)
     return save(figure, path)
 
 

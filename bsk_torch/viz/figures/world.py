@@ -12,7 +12,7 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 from torch import Tensor
 
-from bsk_torch.viz.figures.style import FAINT
+from bsk_torch.viz.figures.style import FAINT, WIDTH
 
 GROUND, COAST = "#eceff3", "#b4bcc8"
 """Colors of land and of its coasts."""
@@ -29,10 +29,11 @@ def land() -> Path:
     return Path.make_compound_path(*(Path(ring, closed=True) for ring in rings))
 
 
-def world_map(panel: Axes) -> None:
-    """Equirectangular (plate carree) map of the world, degrees."""
+def world_map(panel: Axes, width: float = WIDTH) -> None:
+    """Equirectangular (plate carree) map of the world, degrees, in a figure of a ``width``, inches."""
+    meridians = range(-180, 181, 60 if width >= WIDTH else 90)
     panel.set(xlim=(-180.0, 180.0), ylim=(-90.0, 90.0), aspect="equal", anchor="W")
-    panel.set_xticks(range(-180, 181, 60), [_degrees(angle, "W", "E") for angle in range(-180, 181, 60)])
+    panel.set_xticks(meridians, [_degrees(angle, "W", "E") for angle in meridians])
     panel.set_yticks(range(-90, 91, 30), [_degrees(angle, "S", "N") for angle in range(-90, 91, 30)])
     panel.grid(axis="both", color=FAINT, linewidth=0.6)
     panel.add_patch(PathPatch(land(), facecolor=GROUND, edgecolor=COAST, linewidth=0.5, zorder=0.4))

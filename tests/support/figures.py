@@ -1,0 +1,70 @@
+"""Figures in a column of a paper."""
+
+import re
+import sys
+from itertools import combinations
+
+from matplotlib.text import Text
+
+from bsk_torch.viz.figures.style import COLUMN, LEAST, WIDTH
+
+SLACK = 0.015
+"""Inches by which the box of a text may reach over the edge of a figure or over another box: letters are smaller than boxes."""
+
+
+def media_width(path):
+    """Width of the page of a PDF, inches."""
+    return float(re.search(rb"/MediaBox \[ *\S+ +\S+ +(\S+)", path.read_bytes())[1]) / 72.0
+
+
+def check_column(draw, drawn, folder, title=""):
+    """Draw what is ``drawn`` with a function at both widths; in a column, texts are legible, whole, and apart from each other."""
+    kept, module = [], sys.modules[draw.__module__]
+    save = module.save
+
+    def keep(figure, path):
+        kept.append(figure)
+        return save(figure, path)
+
+    module.save = keep
+    try:
+        for width in (WIDTH, COLUMN):
+            path = draw(*drawn, folder / f"{draw.__name__}_{width}.pdf", title=title, width=width)
+            assert abs(media_width(path) - width) < 1e-3
+    finally:
+        module.save = save
+    assert not (found := unreadable(kept[-1])), found
+
+
+def unreadable(figure):
+    """Sentences about texts of a figure that are too small, cut off, or overlap."""
+    texts = drawn_texts(figure)
+    boxes = [text.get_window_extent().padded(-SLACK * figure.dpi) for text in texts]
+    named = [repr(text.get_text()) for text in texts]
+    found = [
+        f"{name} has {text.get_fontsize()} points" for name, text in zip(named, texts, strict=True) if text.get_fontsize() < LEAST
+    ]
+    width, height = figure.bbox.size
+    for name, box in zip(named, boxes, strict=True):
+        if min(box.x0, box.y0, width - box.x1, height - box.y1) < 0.0:
+            found.append(f"{name} is cut off")
+    for (name, box), (other, below) in combinations(zip(named, boxes, strict=True), 2):
+        if box.overlaps(below):
+            found.append(f"{name} overlaps {other}")
+    return found
+
+
+def drawn_texts(figure):
+    """Texts that are drawn with the figure: not those of ticks outside the limits."""
+    texts, draw = [], Text.draw
+
+    def keep(self, renderer):
+        texts.append(self)
+        draw(self, renderer)
+
+    Text.draw = keep
+    try:
+        figure.draw_without_rendering()
+    finally:
+        Text.draw = draw
+    return [text for text in texts if text.get_visible() and text.get_text().strip()]
