@@ -77,8 +77,7 @@ def legend(figure: Figure) -> list[str]:
 
 def test_an_episode_is_drawn(episode, drawn):
     figure = drawn(episode)
-    whole, near, normal, world, *_ = figure.axes
-    counts, fuel = figure.axes[-2:]
+    whole, near, normal, world, counts, fuel, _ = figure.axes
     assert figure.get_suptitle() == "Two: 6 of 8 lit points inspected, complete after 2.0 h, 2.50 m/s, 1 of 2 died"
     assert legend(figure)[:2] == ["A", "B"]
     assert {"start", "end", "died", "maneuver", "reach of the instrument", "complete", "eclipse"} < set(legend(figure))
