@@ -42,7 +42,7 @@ LEAST = 6.5
 """Smallest text in a column of a paper, points."""
 
 PRINT = 300
-"""Resolution of narrow figures, dots per inch: of PNG files, and of the parts of others that are no vector graphics."""
+"""Resolution of narrow figures, dots per inch: of PNG files, and of pixels within other files."""
 
 
 def fit(figure: Figure, width: float) -> None:
