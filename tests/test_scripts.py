@@ -299,6 +299,13 @@ STARTS: dict[str, list[Start]] = {
             "basilisk",
         ),
     ],
+    "scripts/validation/drift.py": [
+        Start(
+            "--releases installed --presets NadirScan-v1 --seeds 0:1 --time-limit 900 --workers 2 --out out.json",
+            r"NadirScan-v1 on [\d.]+: the first to fly; .*storage, bit 0.0e\+00 \(0.0e\+00\), .*reward 0.0e\+00",
+            "basilisk",
+        ),
+    ],
     "scripts/validation/fly_on_basilisk.py": [
         Start(
             "rule --seeds 1:2 --workers 1 --time-limit 400 --out out.json",

@@ -170,8 +170,11 @@ def shield(satellite: Any, n_actions: int) -> NDArray[np.bool_]:
 # -- flying -----------------------------------------------------------------------------------------------------------
 
 
-def fly_there(problem: Problem, start: Start, pilot: Pilot) -> Flight:
-    """The episode in bsk_rl; ValueError if it observes, or may do, something else than bsk_torch."""
+def fly_there(problem: Problem, start: Start, pilot: Pilot, watch: Callable[[Any], None] = lambda satellite: None) -> Flight:
+    """The episode in bsk_rl; ValueError if it observes, or may do, something else than bsk_torch.
+
+    ``watch`` is called with bsk_rl's satellite at the start and after each decision.
+    """
     env = BUILDERS[problem.preset](problem, start)
     observation, _ = env.reset(seed=0)
     satellite = env.satellite
@@ -179,11 +182,13 @@ def fly_there(problem: Problem, start: Start, pilot: Pilot) -> Flight:
     check_names("actions", problem.actions, satellite.action_description)
     steps: list[tuple[int, Array, float]] = []
     observations, begin, ended = [observation], env.simulator.sim_time, False
+    watch(satellite)
     while not ended and len(steps) < LONGEST:
         action, said = pilot(seen_by(problem, satellite, observation), [start.seed], len(steps))
         observation, reward, terminated, truncated, _ = env.step(int(action[0]))
         observations.append(observation)
         steps.append((int(action[0]), said[0].numpy(), float(reward)))
+        watch(satellite)
         ended = terminated or truncated
     actions, logits, rewards = (np.array(part) for part in zip(*steps, strict=True))
     dynamics, deaths = satellite.dynamics, causes(problem, satellite)

@@ -300,6 +300,64 @@ def flights(*names: str) -> str:
     return f"{filled}\n\n{block(chr(10).join(commands))}\n\nVersions: {used}.\n"
 
 
+def releases(name: str) -> str:
+    """Return since which release of Basilisk results differ, by preset."""
+    rows = load(name)["rows"]
+    presets = list(load(name)["flights"])
+    found = {(row["release"], row["preset"]): verdict(row) for row in rows}
+    numbers = dict.fromkeys(row["release"] for row in rows)
+    cells = [[number, *(found[number, preset] for preset in presets)] for number in numbers]
+    return f"{table(['release', *map(code, presets)], cells)}\n\n{drift_made(name)}"
+
+
+def verdict(row: Mapping[str, Any]) -> str:
+    """Return how a release differs from the one before it."""
+    if "error" in row:
+        return code(row["error"])
+    if "previous" not in row:
+        return "first"
+    if not any(row["previous"].values()):
+        return "identical"
+    parts = [f"{key} {quantity(row['previous'][key])} ({quantity(row['twin'][key])})" for key in row["changed"]]
+    return f"changed: {'; '.join(parts)}" if parts else "rounding"
+
+
+def release_differences(name: str, preset: str) -> str:
+    """Return the largest difference of each quantity from the last release and from bsk_torch, identical releases in a column."""
+    groups: list[list[dict[str, Any]]] = []
+    for row in load(name)["rows"]:
+        if row["preset"] != preset or "error" in row:
+            continue
+        if groups and not any(row["previous"].values()):
+            groups[-1].append(row)
+        else:
+            groups.append([row])
+    sides = {"latest": f"from {groups[-1][-1]['release']}", "here": "from bsk_torch", "twin": "from the twin"}
+    if len(groups) == 1:  # which is the last one
+        del sides["latest"]
+    cells = [
+        [key, *(" / ".join(quantity(group[0][side][key]) for side in sides) for group in groups)] for key in groups[0][0]["here"]
+    ]
+    labels = [" to ".join(dict.fromkeys([group[0]["release"], group[-1]["release"]])) for group in groups]
+    flight = load(name)["flights"][preset]
+    decisions, seconds = whole(sum(flight["decisions"])), whole(sum(flight["seconds"]))
+    about = f"Largest difference {' / '.join(sides.values())}, over {decisions} decisions in {seconds} simulated s."
+    return f"{about}\n\n{table(['quantity', *labels], cells)}\n"
+
+
+def drift_made(name: str) -> str:
+    """Return the command that compares releases, and the versions."""
+    result = load(name)
+    words = ["python scripts/validation/drift.py", f"--presets {' '.join(result['flights'])}"]
+    words += [f"--seeds {':'.join(map(str, result['seeds']))}"]
+    if result["give"]:
+        words += [f"--releases {' '.join(dict.fromkeys(row['release'] for row in result['rows']))}"]
+        words += [f"--give {' '.join(f'{key}={value!r}' for key, value in result['give'].items())}"]
+    words += [f"--out benchmarks/results/{name}.json"]
+    used = ", ".join(f"{package} {number}" for package, number in result["versions"].items())
+    return f"{command(words)}\n\nVersions: {used}.\n"
+
+
 PAPERS = "NadirScan-v1"
 """Default preset of flights."""
 
@@ -909,6 +967,9 @@ TABLES = {
     "memory": memory,
     "soak": soak,
     "flights": flights,
+    "releases": releases,
+    "release_differences": release_differences,
+    "drift_made": drift_made,
     "failures": failures,
     "pretrained": pretrained,
     "pretrained_short": pretrained_short,
