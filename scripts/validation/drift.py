@@ -6,7 +6,7 @@
 A rule chooses the actions in bsk_torch. bsk_rl then flies them on each release from the same initial conditions, and again as a
 twin, whose initial conditions differ in the 14th digit. A release has changed in a quantity if this differs from the release
 before by :data:`CHANGED` times more than the release does from its twin; smaller differences are rounding. Releases that
-``--folder`` lacks are installed from PyPI, each in its own folder; the installed one is flown where it is. The extra ``basilisk`` is
+``--folder`` lacks are installed from PyPI, in a folder each; the installed one is flown where it is. The extra ``basilisk`` is
 needed, and all releases read the support data of ``BSK_SUPPORT_DATA_CACHE``; see ``recording.py`` for these.
 """
 
@@ -41,7 +41,7 @@ from bsk_torch.sim.arguments.sources import RANKS
 from bsk_torch.sim.arguments.values import nearest
 
 RELEASES = "2.8.33", "2.9.0", "2.9.1", "2.10.0", "2.10.1", "2.10.2", "2.11.0", "2.11.1", "2.12.0", "2.12.1"
-"""All of ``bsk`` on PyPI, oldest first."""
+"""All of Basilisk 2 on PyPI, oldest first."""
 
 RULES = {"NadirScan-v1": "rule", "AEOS-v1": "hasty", "AEOSPower-v1": "hasty"}
 """Rules that choose the actions, by preset."""
@@ -290,7 +290,12 @@ def main() -> None:
     """Fly, print and write after each preset; end with a message where something is missing or wrong."""
     options = arguments()
     torch.set_num_threads(1)
-    if missing := lacking() or absent_data(os.environ.get("BSK_SUPPORT_DATA_CACHE")):
+    data = os.environ.get("BSK_SUPPORT_DATA_CACHE")
+    if not data:
+        sys.exit(
+            "set BSK_SUPPORT_DATA_CACHE, which all releases read; for its contents, see tests/basilisk/recorders/recording.py"
+        )
+    if missing := lacking() or absent_data(data):
         sys.exit(missing)
     about = {
         "seeds": [options.seeds.start, options.seeds.stop],
