@@ -64,8 +64,8 @@ def audited(policy: TensorDictModuleBase, env: SatelliteTasking, seeds: range, *
     parts = []
     for playing, step in play_episodes(env, judge, start_episodes(env, seeds)):
         value = step[ACTION_VALUE][:, 0]
-        open_ = playing & ((~value.isnan()).sum(1) > 1)
-        parts.append(step.select("observation", "action_mask", "action")[open_].set("value", value[open_]))
+        choosing = playing & ((~value.isnan()).sum(1) > 1)
+        parts.append(step.select("observation", "action_mask", "action")[choosing].set("value", value[choosing]))
     decisions = torch.cat(parts)
     value = decisions["value"]
     chosen = value.gather(1, decisions["action"].view(-1, 1)).squeeze(1)

@@ -213,11 +213,6 @@ def told(score: Score, reference: Mapping[str, object] | None) -> dict[str, Any]
     return rated | summary | {"seconds_per_decision": score.seconds, "returns": evaluation.returns.tolist()}
 
 
-def suite_of(path: Path) -> str:
-    """Return the suite of a file of an earlier run; ends the program for other files."""
-    return read_result(path)[0][1]
-
-
 def read_earlier(files: Iterable[Path], suite: str) -> dict[str, dict[str, Any]]:
     """Return the results of earlier runs, by policy; ends the program for those of another suite."""
     results: dict[str, dict[str, Any]] = {}

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from bsk_torch.cli.bench import read_earlier, suite_of
+from bsk_torch.cli.bench import read_earlier, read_result
 from bsk_torch.cli.shared import check_picture, check_writable, extra
 from bsk_torch.cli.terminal import fail, print_message
 from bsk_torch.files import write_file
@@ -79,9 +79,9 @@ def leaderboard(
     if draw is not None:
         check_picture("--draw", draw)
         extra("bsk_torch.viz.figures.profiles")
-    suite = suite_of(files[0])
+    (_, suite), _ = read_result(files[0])
     try:
-        tasks_of(suite, presets)
+        tasks = [task.title for task in tasks_of(suite, presets)]
     except ValueError as error:
         fail(str(error))
     if not references(suite):
@@ -89,7 +89,7 @@ def leaderboard(
     results = read_earlier(files, suite)
     if not results:
         fail(f"{', '.join(map(str, files))} has no policies")
-    board = board_of(results, methods_of(results, method or []), suite, presets, against)
+    board = board_of(results, methods_of(results, method or []), suite, tasks, against)
     print_board(board)
     if draw is not None:
         figure = extra("bsk_torch.viz.figures.profiles").performance_profiles
@@ -125,14 +125,13 @@ def board_of(
     results: Mapping[str, Mapping[str, Any]],
     methods: Mapping[str, Sequence[str]],
     suite: str,
-    presets: str | None,
+    wanted: Sequence[str],
     against: str | None,
 ) -> Board:
-    """Return the methods in the tasks that all of them play; ends the program without one, and for an unknown ``against``.
+    """Return the methods in the ``wanted`` tasks that all of them play; ends the program without one, or for another ``against``.
 
     In each task, policies that played fewer episodes than another policy of a method, such as planners, are left out.
     """
-    wanted = [task.title for task in tasks_of(suite, presets)]
     known = {policy for policies in methods.values() for policy in policies}
     rows = {task: {policy: results[policy][task] for policy in known if task in results[policy]} for task in wanted}
     for task, played in rows.items():

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
@@ -188,12 +189,12 @@ def play_again(env: Tasking, path: Path | str) -> Tensor:
     return torch.cat(found)
 
 
-def _repeated(env: Tasking, start: Any, actions: Sequence[Sequence[Any]]) -> Tensor:
+def _repeated(env: Tasking, start: TensorDictBase, actions: Sequence[Sequence[Any]]) -> Tensor:
     """Take the actions of episodes in the first rows, and return their returns."""
     slots, steps = AgentTable(env), iter(range(max(map(len, actions))))
     rows = torch.arange(env.num_envs) < len(actions)
 
-    def scripted(td: Any) -> Any:
+    def scripted(td: TensorDictBase) -> TensorDictBase:
         step = next(steps)
         wanted = [list(taken[min(step, len(taken) - 1)]) for taken in actions]
         table = torch.tensor(wanted + wanted[-1:] * (env.num_envs - len(wanted)), device=env.device)
