@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from tests.scene.aeos_cases import constellation, tasks, write
 from tests.support.programs import run_script
 
 ROOT = Path(__file__).parents[1]
@@ -299,6 +300,13 @@ STARTS: dict[str, list[Start]] = {
             "basilisk",
         ),
     ],
+    "scripts/validation/greedy_on_basilisk.py": [
+        Start(
+            "{cases} --seconds 60 --backend eager --out out.json",
+            r"(?s)00001: CR here 0.0000, here, 1e-14 away 0.0000, Basilisk 0.0000, .*here - Basilisk",
+            "basilisk",
+        ),
+    ],
     "scripts/validation/drift.py": [
         Start(
             "--releases installed --presets NadirScan-v1 --seeds 0:1 --time-limit 900 --workers 2 --out out.json",
@@ -390,11 +398,13 @@ def test_runs(path, start, tmp_path):
     if path == "scripts/demo.sh" and not (ROOT / ".venv/bin/bsk-torch").exists():
         pytest.skip("needs .venv, which scripts/test.sh makes")
     values = {"root": str(ROOT), "python": sys.executable, "countries": "countries.whl", "tmp": str(tmp_path)}
-    values["orbits"] = "orbits.zip"
+    values |= {"orbits": "orbits.zip", "cases": "cases"}
     if "{countries}" in start.arguments:
         write_countries(tmp_path / values["countries"])
     if "{orbits}" in start.arguments:
         write_orbits(tmp_path / values["orbits"])
+    if "{cases}" in start.arguments:
+        write(tmp_path / "cases" / "00001", constellation(2), tasks(40))
     printed = run(tmp_path, path, *start.arguments.format(**values).split())
     assert re.search(start.printed, printed), printed
 

@@ -7,9 +7,10 @@ flight here whose start is changed so much tells how long a satellite can be com
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from functools import partial
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from bsk_torch.basilisk.support_data import lacking
+from bsk_torch.data.task_reward import task_measures
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.rand import Key
@@ -26,6 +28,9 @@ from bsk_torch.rl.evaluation.suite import Entrant, Task, enter
 from bsk_torch.rl.rules.nearest_task import task_team
 from bsk_torch.scene import Cases
 from bsk_torch.scene.aeos_writing import case_content
+
+if TYPE_CHECKING:
+    from bsk_torch.basilisk.aeos_reference import Flight
 
 BENCH = "AEOSBench-v1"
 """The preset."""
@@ -54,22 +59,24 @@ class Flown:
         sights: Ongoing tasks that sensors see at that time, [t, S, T].
         success: The second at which each task has succeeded, [T]; -1 for none.
         best: Largest progress of each task, s, [T].
+        energy: Energy of the sensors of satellites with a task, W s.
     """
 
     sigma: Array
     sights: Array
     success: Array
     best: Array
+    energy: float
 
     def measures(self, tasks: Sequence[dict[str, Any]]) -> dict[str, float]:
-        """Return CR, WCR, PCR and WPCR; see :meth:`bsk_torch.data.TaskReward.measures`."""
-        duration, done = np.array([task["duration"] for task in tasks]), self.success >= 0
-        return {
-            "CR": float(done.mean()),
-            "WCR": float(duration[done].sum() / duration.sum()),
-            "PCR": float((self.best / duration).mean()),
-            "WPCR": float(self.best.sum() / duration.sum()),
-        }
+        """Return the benchmark's measures; see :func:`bsk_torch.data.task_reward.task_measures`."""
+        duration, release = (
+            torch.tensor([[task[name] for task in tasks]], dtype=torch.float64) for name in ("duration", "release_time")
+        )
+        success, best = (torch.as_tensor(one, dtype=torch.float64).unsqueeze(0) for one in (self.success, self.best))
+        energy = torch.tensor([self.energy], dtype=torch.float64)
+        found = task_measures(duration=duration, release=release, success=success, best=best, energy=energy)
+        return {name: float(value) for name, value in found.items()}
 
 
 @dataclass(frozen=True)
@@ -157,7 +164,8 @@ def certify_bench(task: Task, entrant: Entrant, episodes: int, **options: object
         crew = int(case.present.sum())
         content = case_content(case, 0)
         here, twin = flown_here(env, replace(case, names=("0",)), table[k], content)
-        there = flown_there(content, table[k, :, :crew].cpu().numpy(), team.entry.sensor == "on")
+        assigned = partial(_assigned, table[k, :, :crew].cpu().numpy())
+        there = flown_there(content, assigned, table.shape[1], team.entry.sensor == "on")
         compared.append(comparison(here, twin, there, content["taskset"]))
     return BenchCertificate(tuple(seeds), tuple(compared))
 
@@ -204,27 +212,50 @@ def flown_here(env: ConstellationTasking, case: Cases, table: Tensor, content: d
         if second < seconds:
             note(second)
     memory = team.scenario.memory
-    success, best = memory["task_success"][:, :jobs].cpu(), memory["task_best"][:, :jobs].cpu()
+    success, best, energy = (memory[name].cpu() for name in ("task_success", "task_best", "sensor_energy"))
     both = (
-        Flown(attitude[:, k].numpy(), sights[:, k].numpy(), success[k].long().numpy(), best[k].long().numpy()) for k in range(2)
+        Flown(
+            sigma=attitude[:, k].numpy(),
+            sights=sights[:, k].numpy(),
+            success=success[k, :jobs].long().numpy(),
+            best=best[k, :jobs].long().numpy(),
+            energy=float(energy[k]),
+        )
+        for k in range(2)
     )
     return next(both), next(both)
 
 
-def flown_there(content: dict[str, Any], table: Array, always_on: bool) -> Flown:
-    """Fly the assigned tasks [t, S] of a scenario on Basilisk; sensors are on always, or while a task is assigned."""
+def _assigned(table: Array, flight: Flight, is_open: Array) -> Array:
+    """Return the tasks in the present second of those of a whole flight, [t, S]."""
+    return table[flight.tick]
+
+
+def flown_there(content: dict[str, Any], choose: Callable[[Flight, Array], Array], seconds: int, always_on: bool) -> Flown:
+    """Fly a scenario on Basilisk; sensors are on always, or while a task is assigned.
+
+    Args:
+        content: Contents of the files of the scenario.
+        choose: Returns the task of each satellite in the next second, -1 for none, [S], given which tasks are open, [T].
+        seconds: Length of the flight.
+        always_on: Whether sensors are on without a task.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         from bsk_torch.basilisk.aeos_reference import Flight, Progress
     flight, progress = Flight(content), Progress(content)
-    sigma, sights = [], []
-    for second, choice in enumerate(table):
+    power = np.array([one["sensor"]["power"] for one in content["constellation"]["satellites"]])
+    sigma, sights, energy = [], [], 0.0
+    for second in range(seconds):
         flight.run_to(second)
         is_open = progress.open(second)
         access = flight.access_of(flight.above(HORIZON_MARGIN) & is_open)
         sigma.append([craft.body.scStateOutMsg.read().sigma_BN for craft in flight.crafts])
         sights.append(access & progress.matches & flight.sensors_on[:, None])
+        # the benchmark decides before it counts
+        choice = choose(flight, is_open)
         progress.add(flight, access)
+        energy += float(power @ (choice >= 0))
         wanted = np.ones(len(choice), dtype=bool) if always_on else choice >= 0
         flight.act(choice, wanted != flight.sensors_on)
-    return Flown(np.array(sigma), np.array(sights), progress.success, progress.most)
+    return Flown(np.array(sigma), np.array(sights), progress.success, progress.most, energy)

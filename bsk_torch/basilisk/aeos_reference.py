@@ -7,7 +7,7 @@ measurements of Basilisk's speed and certificates fly with these modules.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -284,3 +284,31 @@ class Progress:
         self.count = np.where(seen, self.count + 1, 0)
         self.most = np.maximum(self.most, self.count)
         self.success = np.where((self.count >= self.duration) & (self.success < 0), flight.tick, self.success)
+
+
+def greedy_rule() -> Callable[[Flight, Array], Array]:
+    """Return the benchmark's greedy rule: the nearest task, kept while it is within 60 degrees of nadir.
+
+    It is a function of a flight and of which tasks are open, [T], and returns the task of each satellite, -1 for none, [S]. It
+    remembers the tasks of the second before, so every flight needs another one.
+    """
+    held: list[int] = []
+
+    def reached(d: Any, r: Any) -> Any:
+        return (d < R_EARTH) & ((d * d + r * r - R_EARTH**2) / (2 * d * r) > math.cos(math.pi / 3))
+
+    def choose(flight: Flight, is_open: Array) -> Array:
+        candidates, n = np.flatnonzero(is_open), len(flight.crafts)
+        choice = np.full(n, -1)
+        if len(candidates):
+            positions = np.stack([craft.rounded_position() for craft in flight.crafts])
+            places, radius = flight.places_P[candidates] @ flight.PN, np.linalg.norm(positions, axis=1)
+            distance = np.linalg.norm(places - positions[:, None], axis=2)
+            for s, (d, r) in enumerate(zip(distance, radius, strict=True)):
+                if reached(d.min(), r):  # else a task that is kept is lost too
+                    old: Array = np.flatnonzero(candidates == held[s]) if held else np.array([], dtype=int)
+                    choice[s] = candidates[old[0] if len(old) and reached(d[old[0]], r) else d.argmin()]
+        held[:] = choice.tolist()
+        return choice
+
+    return choose

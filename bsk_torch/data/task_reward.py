@@ -46,6 +46,37 @@ class Counts(NamedTuple):
     first: Tensor
 
 
+def task_measures(*, duration: Tensor, release: Tensor, success: Tensor, best: Tensor, energy: Tensor) -> dict[str, Tensor]:
+    """Return the benchmark's measures of N episodes, [N] float64 each.
+
+    With durations D, largest progress M, and the set S of the n tasks that have succeeded: ``CR = |S| / n``, ``WCR = sum_S D
+    / sum D``, ``PCR = mean(M / D)``, ``WPCR = sum M / sum D``, ``TAT``, the mean time from release to success, s (NaN without
+    success), ``PC``, the energy of the sensors of satellites with a task, W s, and ``CS = 1 / (0.6 CR + 0.2 PCR + 0.2 WCR) +
+    TAT / 7 h + PC / 100 W h``, of which lower is better (NaN without success). Source: AEOS-Bench, arXiv 2510.26297.
+
+    Args:
+        duration: D of each task, s, [N, T]; 0 for those that an episode does not have.
+        release: Time at which each task is released, s, [N, T].
+        success: Time at which it has succeeded, s, [N, T]; negative for none.
+        best: M of each task, s, [N, T].
+        energy: Energy of sensors, W s, [N].
+    """
+    done = success >= 0.0
+    number_of, whole = (duration > 0.0).sum(1).double(), duration.sum(1)
+    measures = {
+        "CR": done.sum(1) / number_of,
+        "WCR": (duration * done).sum(1) / whole,
+        "PCR": (best / duration.clamp(min=1.0)).sum(1) / number_of,
+        "WPCR": best.sum(1) / whole,
+        "TAT": ((success - release) * done).sum(1) / done.sum(1),
+        "PC": energy,
+    }
+    weights = zip(CLOSENESS, ("CR", "PCR", "WCR"), strict=True)
+    closeness = sum(weight * measures[name] for weight, name in weights)
+    measures["CS"] = 1.0 / closeness + measures["TAT"] / WATT_HOUR / 7.0 + measures["PC"] / WATT_HOUR / 100.0
+    return measures
+
+
 def progress(visible: Tensor, before: Tensor, duration: Tensor) -> tuple[Tensor, Tensor]:
     """Return the progress of tasks at each of K ticks, [u, K], and the tick at which they succeed, [u], from one.
 
@@ -212,26 +243,12 @@ class TaskReward(GlobalReward):
         return (assigned * power).sum(1)
 
     def measures(self) -> dict[str, Tensor]:
-        """Return the benchmark's measures of the current episodes, [N] float64 each.
-
-        With durations D, largest progress M, and the set S of the n tasks that have succeeded: ``CR = |S| / n``, ``WCR = sum_S D
-        / sum D``, ``PCR = mean(M / D)``, ``WPCR = sum M / sum D``, ``TAT``, the mean time from release to success, s (NaN without
-        success), ``PC``, the energy of the sensors of satellites with a task, W s, and ``CS = 1 / (0.6 CR + 0.2 PCR + 0.2 WCR) +
-        TAT / 7 h + PC / 100 W h``, of which lower is better (NaN without success).
-        """
+        """Return :func:`task_measures` of the current episodes, [N] float64 each."""
         scenario, memory = self.scenario, self.memory
-        duration, exists, done = scenario.drawn("task_duration"), scenario.task_exists, scenario.task_succeeded
-        best, number_of = memory["task_best"], exists.sum(1).double()
-        whole = duration.sum(1)
-        measures = {
-            "CR": done.sum(1) / number_of,
-            "WCR": (duration * done).sum(1) / whole,
-            "PCR": torch.where(exists, best / duration.clamp(min=1.0), 0.0).sum(1) / number_of,
-            "WPCR": best.sum(1) / whole,
-            "TAT": ((memory["task_success"] - scenario.drawn("task_release")) * done).sum(1) / done.sum(1),
-            "PC": memory["sensor_energy"],
-        }
-        weights = zip(CLOSENESS, ("CR", "PCR", "WCR"), strict=True)
-        closeness = sum(weight * measures[name] for weight, name in weights)
-        measures["CS"] = 1.0 / closeness + measures["TAT"] / WATT_HOUR / 7.0 + measures["PC"] / WATT_HOUR / 100.0
-        return measures
+        return task_measures(
+            duration=scenario.drawn("task_duration"),
+            release=scenario.drawn("task_release"),
+            success=memory["task_success"],
+            best=memory["task_best"],
+            energy=memory["sensor_energy"],
+        )

@@ -14,16 +14,17 @@ from tests.scene.aeos_cases import constellation, tasks, write
 def flown(seen, success, away=0.0):
     """A flight of a satellite and a task for three seconds."""
     sigma = np.array([0.0, 0.0, away])[:, None, None] * np.ones(3)
-    return Flown(sigma, np.array(seen, dtype=bool)[:, None, None], np.array([success]), np.array([sum(seen)]))
+    return Flown(sigma, np.array(seen, dtype=bool)[:, None, None], np.array([success]), np.array([sum(seen)]), energy=36.0)
 
 
 def test_flights_are_compared_as_long_as_the_second_one_agrees():
-    one, job = flown([0, 1, 1], 2), [{"duration": 2}]
+    one, job = flown([0, 1, 1], 2), [{"duration": 2, "release_time": 1}]
     exact = comparison(one, one, one, job)
     assert exact.agrees
     assert exact.same
     assert (exact.seconds, exact.sights, exact.successes) == ((3, 3), (2, 0), (1, 1, 1))
-    assert exact.measures[0] == {"CR": 1.0, "WCR": 1.0, "PCR": 1.0, "WPCR": 1.0}
+    shares = dict.fromkeys(("CR", "WCR", "PCR", "WPCR"), 1.0)
+    assert exact.measures[0] == shares | {"TAT": 1.0, "PC": 36.0, "CS": pytest.approx(1.0 + 1.0 / 25200.0 + 0.01 / 100.0)}
     other = flown([0, 0, 1], -1, away=0.1)
     chaotic = comparison(one, flown([0, 1, 1], 2, away=0.1), other, job)
     assert (chaotic.seconds, chaotic.sights, chaotic.agrees) == ((3, 2), (1, 1), False)

@@ -65,7 +65,7 @@ class Trajectory(NamedTuple):
     Attributes:
         name: Name of the case.
         tensors: See :data:`TASK_ID`.
-        measures: See :meth:`bsk_torch.data.TaskReward.measures`.
+        measures: See :func:`bsk_torch.data.task_reward.task_measures`.
     """
 
     name: str
