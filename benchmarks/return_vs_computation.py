@@ -3,7 +3,8 @@
 Usage:
     python benchmarks/return_vs_computation.py [--presets AEOS-v1 AEOSPower-v1 CloudyAEOS-v1 NadirScan-v1 RSOInspection-v1]
         [--episodes 64] [--least 4] [--core-seconds 120] [--timing-seconds 2] [--first 3000000] [--dearest 15] [--limit 0]
-        [--figure FILE.png] [--out FILE.json]
+        [--out FILE.json]
+    python benchmarks/return_vs_computation.py --draw FILE.json ... --figure FILE.png
 
 Seconds are CPU seconds of one core for one decision, in an environment of a single episode: what a computer that decides for
 one satellite needs. Returns come from batches, on which decisions do not depend. A policy plays as many episodes, a power of
@@ -15,6 +16,7 @@ their presets, see ``CASES``, or have ``--limit`` seconds. The rules were chosen
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable
 from functools import partial
@@ -76,7 +78,7 @@ def searches(rollout: list[dict[str, Any]], beam: list[dict[str, Any]], mcts: li
     return (
         Line("rule", None, "rule", ({},)),
         Line("network", None, "trained", ({},)),
-        Line("rollout over the rule", "rollout", "rule", tuple(rollout)),
+        Line("rollout over the rule", "rollout", "rule", tuple(rollout[1:])),
         Line("rollout over the network", "rollout", "trained", tuple(rollout)),
         Line("beam search", "beam", "trained", tuple(beam)),
         Line("tree search", "mcts", "trained", tuple(mcts)),
@@ -90,14 +92,14 @@ IMAGING = searches(
 )
 
 SCHEDULES = (
-    Line("MILP", milp_schedule, "rule", (dict(seconds=2.0), dict(seconds=15.0))),
+    Line("MILP", milp_schedule, "rule", (dict(seconds=2.0), dict(seconds=10.0))),
     Line("multipliers", relaxed_schedule, "rule", (dict(iterations=3), dict(iterations=30))),
 )
 
 SCANNING = searches(
     [dict(horizon=600.0), dict(horizon=2000.0), dict(horizon=6000.0)],
-    [dict(budget=12), dict(budget=48, depth=6), dict(budget=192, depth=12, width=8)],
-    [dict(budget=12), dict(budget=48)],
+    [dict(budget=12), dict(budget=48, depth=6)],
+    [dict(budget=12)],
 )
 
 CASES = {
@@ -122,11 +124,7 @@ CASES = {
         dict(time_limit=11400.0),
         "survey",
         dict(horizon=11400.0, gamma=1.0),
-        searches(
-            [dict(budget=2), dict(budget=8), dict(budget=32)],
-            [dict(budget=24), dict(budget=96, width=8)],
-            [dict(budget=12), dict(budget=48)],
-        ),
+        searches([dict(budget=n) for n in (2, 8, 32)], [dict(budget=24), dict(budget=96, width=8)], [dict(budget=12)]),
     ),
 }
 
@@ -313,8 +311,9 @@ def main() -> None:
         first=3_000_000,
         dearest=15.0,
         limit=0.0,
-        figure="",
     )
+    arguments.add_argument("--draw", type=Path, nargs="+", metavar="FILE.json", help="draw these results, and play nothing")
+    arguments.add_argument("--figure", type=Path, metavar="FILE.png", help="draw what was played, or --draw")
     options, described = harness.begin(arguments)
     rows: list[dict[str, Any]] = []
 
@@ -323,10 +322,12 @@ def main() -> None:
         print(harness.cell("{task}, {policy} {size}: {gain:+.3f} +- {gain_half:.3f} in {seconds:.3g} s", found), flush=True)
         harness.write(options, described, cases={name: case._asdict() for name, case in CASES.items()}, rows=rows)
 
-    for task in options.presets:
+    for task in () if options.draw else options.presets:
         rows_of(task, options, done)
+    for path in options.draw or ():
+        rows += json.loads(path.read_text())["rows"]
     if options.figure:
-        draw(rows, Path(options.figure))
+        draw(rows, options.figure)
     print(harness.table(COLUMNS, rows))
 
 
