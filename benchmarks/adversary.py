@@ -113,6 +113,11 @@ def uniform(bounds: Bounds) -> Points:
     return lambda key: between(bounds, key.named("family").uniform(len(NOMINAL)))
 
 
+def listed(table: Tensor) -> Points:
+    """Return the rows of a ``table`` [N, P], one for each environment."""
+    return lambda key: table[key.env_id]
+
+
 def mixed(first: Points, second: Points) -> Points:
     """Return points of which half are of the first kind, by chance."""
 
@@ -200,7 +205,7 @@ def searched(bounds: Bounds, policy: TensorDictModuleBase, options: Any) -> tupl
     history, elite = [], shares
     for turn in range(options.iterations):
         table = between(bounds, shares.double()).repeat_interleave(options.each, 0)
-        env = world(lambda key, table=table: table[key.env_id % len(table)], len(table), options, range(len(table)))
+        env = world(listed(table), len(table), options, range(len(table)))
         behind = duel(env, policy, SEARCHED + turn).behind.view(options.candidates, options.each).mean(1)
         best = behind.topk(options.elite)
         elite = shares[best.indices]
@@ -263,7 +268,7 @@ def trained(points: Points, seed: int, options: Any, folder: Path) -> TensorDict
     """Return the policy of the package after further training in episodes with the given points."""
     given = dict(sat_args=arguments(points), time_limit=options.time_limit, backend=options.backend)
     sizes = dict(frames=options.frames, seconds=None, num_envs=options.num_envs, learning_rate=options.rate)
-    config: PPOConfig = configure(PRESET, seed=seed, **sizes, options=given)  # type: ignore[arg-type]
+    config: PPOConfig = configure(PRESET, seed=seed, **sizes, options=given)
     return copy.deepcopy(Further(config, folder).run())
 
 

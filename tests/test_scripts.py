@@ -174,6 +174,25 @@ STARTS: dict[str, list[Start]] = {
             r"\| NadirScan-v1 \| mcts over rule \| [\d.]+ \+- [\d.]+ \|.*\| [\d,]+ \| [\d.]+ \|",
         ),
     ],
+    "benchmarks/return_vs_computation.py": [
+        Start(
+            "--presets NadirScan-v1 --limit 300 --episodes 2 --least 1 --core-seconds 0 --timing-seconds 0 --dearest 0",
+            r"(?s)\| rule \|  \| 2 \| .*\| tree search \| budget=12 \| 1 \| [\d.]+ \+- \w+ \|",
+        ),
+    ],
+    "benchmarks/distillation.py": [
+        Start(
+            "--presets NadirScan-v1 --limit 600 --seeds 1 --episodes 2 --evaluate 2 --epochs 1",
+            r"(?s)\| NadirScan-v1 \| planner \| .*\| student of all, seed 0 \| \d+ \| [\d.]+ \+- [\d.]+ \|",
+        ),
+    ],
+    "benchmarks/adversary.py": [
+        Start(
+            "--candidates 2 --each 1 --iterations 1 --elite 2 --episodes 2 --time-limit 300 --seeds 1 --frames 32 --num-envs 2 "
+            "--boxes wide --backend eager",
+            r"(?s)\| wide \| package \| family \| .*\| wide \| trained on preset, seed 0 \| preset \| ",
+        ),
+    ],
     "benchmarks/milp.py": [
         Start(
             "--targets 300 --episodes 2 --seconds 2 --iterations 3 --time-limit 1900 --figure milp.png",

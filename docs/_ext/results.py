@@ -34,6 +34,13 @@ SCRIPTS = {
     "safe_inspection_trained": "safe_autonomy",
     "risk_scan": "risk",
     "risk_large": "risk",
+    "computation_aeos": "return_vs_computation",
+    "computation_power": "return_vs_computation",
+    "computation_clouds": "return_vs_computation",
+    "computation_scan": "return_vs_computation",
+    "computation_inspection": "return_vs_computation",
+    "adversary_wide": "adversary",
+    "adversary_retrained": "adversary",
 }
 """Scripts by result, where the names differ."""
 
@@ -513,6 +520,102 @@ def planners(name: str) -> str:
     return with_command(name, head, rows)
 
 
+def computation(name: str) -> str:
+    """Return what methods gain in a task, with the CPU time of a decision."""
+    rows = []
+    for row in load(name)["rows"]:
+        of_rule = f"{row['relative']:+.1%} ± {row['relative_half']:.1%}" if row["policy"] != "rule" else "-"
+        value = f"{row['value']:.3g} ± {row['half']:.2g}"
+        seconds = milliseconds(row["seconds"]), milliseconds(row["longest"])
+        rows.append([row["policy"], row["size"] or "-", value, of_rule, whole(row["episodes"]), *seconds])
+    head = ["policy", "size", "return", "gain over the rule", "episodes", "ms per decision", "longest"]
+    return with_command(name, head, rows)
+
+
+def milliseconds(seconds: float) -> str:
+    """Return seconds as milliseconds, in the digits that matter."""
+    return digits(1e3 * seconds)
+
+
+def distillations() -> str:
+    """Return what networks keep of a planner's gain."""
+    rows = []
+    for row in load("distillation")["rows"]:
+        gain = f"{row['gain']:+.3f} ± {row['gain_half']:.3f}" if row["policy"] != "network" else "-"
+        kept = f"{row['share']:.0%} ± {row['share_half']:.0%}" if "training" in row else "-"
+        spent = [whole(row[key]) if key in row else "-" for key in ("decisions", "collecting", "training")]
+        rows.append([code(row["task"]), row["policy"], f"{row['value']:.3f} ± {row['half']:.3f}", gain, kept, *spent])
+    head = [
+        "task",
+        "policy",
+        "return",
+        "gain over the network",
+        "share of the planner's",
+        "decisions",
+        "collection, core-s",
+        "training, core-s",
+    ]
+    return with_command("distillation", head, rows)
+
+
+PARAMETERS = {
+    "battery": "capacity of the battery, of the preset's",
+    "charge": "initial charge, of the capacity",
+    "storage": "initial data, of the capacity",
+    "spin": "bound of initial wheel speeds, of the largest",
+    "fastest": "largest wheel speed, of the preset's",
+    "torque": "disturbance, of the preset's",
+    "baud": "baud rate of the transmitter, of the preset's",
+    "panel": "area of the panel, of the preset's",
+    "inclination": "inclination, degrees",
+}
+"""What the parameters of adversarial scenarios are."""
+
+
+def adversarial_family(name: str, box: str) -> str:
+    """Return the family that a search has found in a box."""
+    content = load(name)
+    whole_box, found = content["boxes"][box], content["families"][box]["family"]
+    rows = [
+        [title, *(" to ".join(f"{end:.3g}" for end in ends[key]) for ends in (whole_box, found))]
+        for key, title in PARAMETERS.items()
+    ]
+    return table(["parameter", "searched", "family"], rows) + "\n"
+
+
+def adversaries(name: str) -> str:
+    """Return what policies reach in a family and in the preset, with the rule in the same episodes."""
+    rows = [
+        [
+            row["policy"],
+            row["condition"],
+            f"{row['value']:.3f} ± {row['half']:.3f}",
+            f"{row['gain']:+.3f} ± {row['gain_half']:.3f}",
+            f"{row['survival']:.1%}",
+            f"{row['rule_survival']:.1%}",
+            whole(row["episodes"]),
+        ]
+        for row in load(name)["rows"]
+    ]
+    head = ["policy", "episodes from", "return", "over the rule", "survival", "the rule's", "episodes"]
+    return with_command(name, head, rows)
+
+
+def adversarial_flights(name: str, box: str) -> str:
+    """Return the certificates of a family on Basilisk."""
+    rows = [
+        [
+            f"`{policy}`" if policy == "rule" else "of the package",
+            *(", ".join(f"{value:.4f}" for value in flown[key]) for key in ("returns", "returns_basilisk")),
+            *(", ".join("yes" if value else "no" for value in flown[key]) for key in ("survived", "survived_basilisk")),
+            certificate(flown),
+        ]
+        for policy, flown in load(name)["families"][box]["basilisk"].items()
+    ]
+    head = ["policy", "returns", "on Basilisk", "survived", "on Basilisk", "same decisions; largest difference"]
+    return table(head, rows) + "\n"
+
+
 def spread(values: Sequence[float], form: str) -> str:
     """Return a mean, with the least and the largest of several values."""
     mean, low, high = (form.format(x) for x in (sum(values) / len(values), min(values), max(values)))
@@ -975,6 +1078,11 @@ TABLES = {
     "pretrained_short": pretrained_short,
     "inspections": inspections,
     "planners": planners,
+    "computation": computation,
+    "distillations": distillations,
+    "adversarial_family": adversarial_family,
+    "adversaries": adversaries,
+    "adversarial_flights": adversarial_flights,
     "safe_autonomy": safe_autonomy,
     "services": services,
     "aeos_bench": aeos_bench,
