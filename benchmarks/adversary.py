@@ -2,7 +2,8 @@
 
 Usage:
     python benchmarks/adversary.py [--boxes drawn wide] [--candidates 64] [--each 4] [--iterations 6] [--elite 10]
-        [--episodes 512] [--basilisk 0] [--seeds 0] [--frames 400000] [--time-limit 28500] [--out FILE.json]
+        [--episodes 512] [--basilisk 0] [--seeds 0] [--frames 400000] [--time-limit 28500]
+        [--families FILE.json] [--out FILE.json]
 
 The cross-entropy method searches a box of arguments of the satellite, see ``BOXES``: all candidates fly as one batch, ``--each``
 episodes of each, with the policy of the package and with the rule, and the ``--elite`` candidates at which the rule is ahead by
@@ -15,6 +16,7 @@ half from the preset, and as a comparison with episodes of the preset only.
 from __future__ import annotations
 
 import copy
+import json
 import math
 import tempfile
 from collections.abc import Callable, Mapping
@@ -289,12 +291,16 @@ def main() -> None:
         time_limit=28_500.0,
     )
     parsed.add_argument("--boxes", nargs="+", choices=BOXES, default=list(BOXES), metavar="NAME")
+    parsed.add_argument(
+        "--families", type=Path, metavar="FILE.json", help="take the families of these results, and search nothing"
+    )
     parsed.add_argument("--backend", choices=("compiled", "eager"), default="compiled")
     options, described = harness.begin(parsed)
     families: dict[str, Any] = {}
     rows: list[dict[str, Any]] = []
     for box in options.boxes:
-        family, history = searched(BOXES[box], pretrained(PRESET), options)
+        known = json.loads(options.families.read_text())["families"][box] if options.families else None
+        family, history = (known["family"], known["history"]) if known else searched(BOXES[box], pretrained(PRESET), options)
         flown = on_basilisk(family, options) if options.basilisk else None
         families[box] = {"family": family, "history": history, "basilisk": flown}
         conditions = {"family": uniform(family), "preset": uniform(NOMINAL)}
