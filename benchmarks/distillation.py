@@ -36,7 +36,7 @@ from bsk_torch.rl.training.loss import log_probabilities, log_probability
 UNSEEN, LESSONS = 910_000_000, 1_000_000
 """First seed of the episodes that compare policies, and the number of seeds in which the planner plays for each training."""
 
-TEACHERS = {"AEOS-v1": dict(budget=8), "NadirScan-v1": dict(horizon=6000.0)}
+TEACHERS = {"AEOS-v1": dict(budget=8), "NadirScan-v1": dict(horizon=600.0)}
 """Sizes of the planner: the least that gains about as much as larger ones in ``return_vs_computation.py``."""
 
 COLUMNS = {

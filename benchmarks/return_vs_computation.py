@@ -73,12 +73,15 @@ class Case(NamedTuple):
     lines: tuple[Line, ...]
 
 
-def searches(rollout: list[dict[str, Any]], beam: list[dict[str, Any]], mcts: list[dict[str, Any]]) -> tuple[Line, ...]:
+Sizes = list[dict[str, Any]]
+
+
+def searches(over_rule: Sizes, rollout: Sizes, beam: Sizes, mcts: Sizes) -> tuple[Line, ...]:
     """Return the lines that all tasks have: bases, and planners with the given sizes."""
     return (
         Line("rule", None, "rule", ({},)),
         Line("network", None, "trained", ({},)),
-        Line("rollout over the rule", "rollout", "rule", tuple(rollout[1:])),
+        Line("rollout over the rule", "rollout", "rule", tuple(over_rule)),
         Line("rollout over the network", "rollout", "trained", tuple(rollout)),
         Line("beam search", "beam", "trained", tuple(beam)),
         Line("tree search", "mcts", "trained", tuple(mcts)),
@@ -86,17 +89,19 @@ def searches(rollout: list[dict[str, Any]], beam: list[dict[str, Any]], mcts: li
 
 
 IMAGING = searches(
+    [dict(budget=n) for n in (8, 32)],
     [dict(budget=n) for n in (2, 8, 32)],
     [dict(budget=24), dict(budget=96, width=8), dict(budget=384, width=32, depth=4)],
     [dict(budget=12), dict(budget=48)],
 )
 
 SCHEDULES = (
-    Line("MILP", milp_schedule, "rule", (dict(seconds=2.0), dict(seconds=10.0))),
+    Line("MILP", milp_schedule, "rule", (dict(seconds=10.0),)),
     Line("multipliers", relaxed_schedule, "rule", (dict(iterations=3), dict(iterations=30))),
 )
 
 SCANNING = searches(
+    [dict(horizon=2000.0), dict(horizon=6000.0)],
     [dict(horizon=600.0), dict(horizon=2000.0), dict(horizon=6000.0)],
     [dict(budget=12), dict(budget=48, depth=6)],
     [dict(budget=12)],
@@ -124,7 +129,12 @@ CASES = {
         dict(time_limit=11400.0),
         "survey",
         dict(horizon=11400.0, gamma=1.0),
-        searches([dict(budget=n) for n in (2, 8, 32)], [dict(budget=24), dict(budget=96, width=8)], [dict(budget=12)]),
+        searches(
+            [dict(budget=n) for n in (2, 8, 32)],
+            [dict(budget=n) for n in (2, 8, 32)],
+            [dict(budget=24), dict(budget=96, width=8)],
+            [dict(budget=12), dict(budget=48)],
+        ),
     ),
 }
 
