@@ -3,12 +3,12 @@
 Usage:
     python benchmarks/adversary.py [--boxes drawn wide] [--candidates 64] [--each 4] [--iterations 6] [--elite 10]
         [--episodes 512] [--basilisk 0] [--seeds 0] [--frames 400000] [--time-limit 28500]
-        [--families FILE.json] [--out FILE.json]
+        [--families FILE.json] [--alone battery ...] [--out FILE.json]
 
 The cross-entropy method searches a box of arguments of the satellite, see ``BOXES``: all candidates fly as one batch, ``--each``
 episodes of each, with the policy of the package and with the rule, and the ``--elite`` candidates at which the rule is ahead by
 most give mean and deviation of the next ones. A family is the box between the 10th and the 90th percentile of the last elite.
-Losses there are measured in fresh episodes, paired. ``--basilisk`` episodes of a family are flown again on Basilisk (needs the
+Losses there are measured in fresh episodes, paired; with ``--alone``, also with single parameters of the family. ``--basilisk`` episodes of a family are flown again on Basilisk (needs the
 extra ``basilisk``). With ``--seeds``, the policy of the package is trained further, half of the episodes from the family and
 half from the preset, and as a comparison with episodes of the preset only.
 """
@@ -19,7 +19,7 @@ import copy
 import json
 import math
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -274,6 +274,24 @@ def trained(points: Points, seed: int, options: Any, folder: Path) -> TensorDict
     return copy.deepcopy(Further(config, folder).run())
 
 
+def conditions(family: Bounds, alone: Sequence[str]) -> dict[str, Points]:
+    """Return the episodes in which policies are judged, with single parameters of the family, and with all but these."""
+    found = {"family": uniform(family), "preset": uniform(NOMINAL)}
+    for name in alone:
+        found[f"preset with the family's {name}"] = uniform({**NOMINAL, name: family[name]})
+        found[f"family with the preset's {name}"] = uniform({**family, name: NOMINAL[name]})
+    return found
+
+
+def family_of(box: str, options: Any) -> dict[str, Any]:
+    """Return a family, the history of its search and its certificates, new or from the results of ``--families``."""
+    if options.families:
+        known: dict[str, Any] = json.loads(options.families.read_text())["families"][box]
+        return known
+    family, history = searched(BOXES[box], pretrained(PRESET), options)
+    return dict(family=family, history=history, basilisk=on_basilisk(family, options) if options.basilisk else None)
+
+
 def main() -> None:
     """Search, confirm, train, and print a table."""
     parsed = harness.parser(
@@ -291,6 +309,7 @@ def main() -> None:
         time_limit=28_500.0,
     )
     parsed.add_argument("--boxes", nargs="+", choices=BOXES, default=list(BOXES), metavar="NAME")
+    parsed.add_argument("--alone", nargs="+", choices=NOMINAL, default=[], metavar="NAME", help="parameters to change alone")
     parsed.add_argument(
         "--families", type=Path, metavar="FILE.json", help="take the families of these results, and search nothing"
     )
@@ -299,13 +318,10 @@ def main() -> None:
     families: dict[str, Any] = {}
     rows: list[dict[str, Any]] = []
     for box in options.boxes:
-        known = json.loads(options.families.read_text())["families"][box] if options.families else None
-        family, history = (known["family"], known["history"]) if known else searched(BOXES[box], pretrained(PRESET), options)
-        flown = on_basilisk(family, options) if options.basilisk else None
-        families[box] = {"family": family, "history": history, "basilisk": flown}
-        conditions = {"family": uniform(family), "preset": uniform(NOMINAL)}
-        envs = {name: world(points, options.episodes, options) for name, points in conditions.items()}
-        trainings = {"family and preset": mixed(*conditions.values()), "preset": conditions["preset"]}
+        families[box] = family_of(box, options)
+        points = conditions(families[box]["family"], options.alone)
+        envs = {name: world(each, options.episodes, options) for name, each in points.items()}
+        trainings = {"family and preset": mixed(points["family"], points["preset"]), "preset": points["preset"]}
 
         def judge(name: str, policy: TensorDictModuleBase, box: str = box, envs: dict[str, Tasking] = envs) -> None:
             for condition, env in envs.items():
@@ -315,9 +331,9 @@ def main() -> None:
 
         judge("package", pretrained(PRESET))
         with tempfile.TemporaryDirectory() as folder:
-            for name, points in trainings.items():
+            for name, each in trainings.items():
                 for seed in range(options.seeds):
-                    judge(f"trained on {name}, seed {seed}", trained(points, seed, options, Path(folder) / f"{name}-{seed}"))
+                    judge(f"trained on {name}, seed {seed}", trained(each, seed, options, Path(folder) / f"{name}-{seed}"))
     print(harness.table(COLUMNS, rows))
 
 

@@ -330,7 +330,7 @@ def main() -> None:
     def done(found: dict[str, Any]) -> None:
         rows.append(found)
         print(harness.cell("{task}, {policy} {size}: {gain:+.3f} +- {gain_half:.3f} in {seconds:.3g} s", found), flush=True)
-        harness.write(options, described, cases={name: case._asdict() for name, case in CASES.items()}, rows=rows)
+        harness.write(options, described, rows=rows)
 
     for task in () if options.draw else options.presets:
         rows_of(task, options, done)

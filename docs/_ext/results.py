@@ -40,7 +40,7 @@ SCRIPTS = {
     "computation_scan": "return_vs_computation",
     "computation_inspection": "return_vs_computation",
     "adversary_wide": "adversary",
-    "adversary_retrained": "adversary",
+    "adversary_alone": "adversary",
 }
 """Scripts by result, where the names differ."""
 
