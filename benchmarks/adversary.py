@@ -2,15 +2,16 @@
 
 Usage:
     python benchmarks/adversary.py [--boxes drawn wide] [--candidates 64] [--each 4] [--iterations 6] [--elite 10]
-        [--episodes 512] [--basilisk 0] [--seeds 0] [--frames 400000] [--time-limit 28500]
+        [--episodes 512] [--certify 0] [--seeds 0] [--frames 400000] [--time-limit 28500]
         [--families FILE.json] [--alone battery ...] [--out FILE.json]
 
 The cross-entropy method searches a box of arguments of the satellite, see ``BOXES``: all candidates fly as one batch, ``--each``
 episodes of each, with the policy of the package and with the rule, and the ``--elite`` candidates at which the rule is ahead by
 most give mean and deviation of the next ones. A family is the box between the 10th and the 90th percentile of the last elite.
-Losses there are measured in fresh episodes, paired; with ``--alone``, also with single parameters of the family. ``--basilisk`` episodes of a family are flown again on Basilisk (needs the
-extra ``basilisk``). With ``--seeds``, the policy of the package is trained further, half of the episodes from the family and
-half from the preset, and as a comparison with episodes of the preset only.
+Losses there are measured in fresh episodes, paired; with ``--alone``, also with single parameters of the family.
+``--certify`` episodes of a family are flown again on Basilisk (needs the extra ``basilisk``). With ``--seeds``, the policy of
+the package is trained further, half of the episodes from the family and half from the preset, and as a comparison with episodes
+of the preset only.
 """
 
 from __future__ import annotations
@@ -245,14 +246,14 @@ def row(box: str, policy: str, condition: str, found: Duel) -> dict[str, Any]:
 def on_basilisk(family: Bounds, options: Any) -> dict[str, Any]:
     """Return the certificates of the policy of the package and of the rule in episodes of a family."""
     fixed = dict(sat_args=arguments(uniform(family)), time_limit=options.time_limit)
-    task = Task(PRESET, CERTIFIED, options.basilisk, fixed)
+    task = Task(PRESET, CERTIFIED, options.certify, fixed)
     entrants = {
         "package": lambda preset, make: (make(), pretrained(PRESET)),
         RULE: lambda preset, make: (lambda env: (env, bsk_torch.rule(RULE, env)))(make()),
     }
     found = {}
     for name, entrant in entrants.items():
-        certificate = certify(task, entrant, options.basilisk, backend=options.backend)
+        certificate = certify(task, entrant, options.certify, backend=options.backend)
         assert certificate is not None
         found[name] = certificate.summary()
     return found
@@ -289,7 +290,7 @@ def family_of(box: str, options: Any) -> dict[str, Any]:
         known: dict[str, Any] = json.loads(options.families.read_text())["families"][box]
         return known
     family, history = searched(BOXES[box], pretrained(PRESET), options)
-    return dict(family=family, history=history, basilisk=on_basilisk(family, options) if options.basilisk else None)
+    return dict(family=family, history=history, basilisk=on_basilisk(family, options) if options.certify else None)
 
 
 def main() -> None:
@@ -301,7 +302,7 @@ def main() -> None:
         iterations=6,
         elite=10,
         episodes=512,
-        basilisk=0,
+        certify=0,
         seeds=0,
         frames=400_000,
         num_envs=512,

@@ -608,7 +608,7 @@ def adversarial_flights(name: str, box: str) -> str:
             f"`{policy}`" if policy == "rule" else "of the package",
             *(", ".join(f"{value:.4f}" for value in flown[key]) for key in ("returns", "returns_basilisk")),
             *(", ".join("yes" if value else "no" for value in flown[key]) for key in ("survived", "survived_basilisk")),
-            certificate(flown),
+            certificate({"episodes": len(flown["returns"])} | flown),
         ]
         for policy, flown in load(name)["families"][box]["basilisk"].items()
     ]
