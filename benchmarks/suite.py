@@ -7,9 +7,9 @@ Usage:
     python benchmarks/suite.py scan.json aeos.json planned.json [--out FILE.json] [--references FILE.json]
 
 The references are made once for a suite, from all of its episodes: 0 is what random actions return, 1 the best mean of all
-policies in the files. They belong to the suite as its episodes do, and are not made again for better policies: presets that have
-references keep them. Policies that played fewer episodes, such as planners, are compared in these. Rows of presets that no file
-has stay in FILE.json.
+policies in the files. Of planners, which play fewer episodes, the mean is that of the best other policy and their gain over it in
+the episodes that both played, if this is significant. References belong to the suite as its episodes do, and are not made again
+for better policies: tasks that have references keep them. Rows of tasks that no file has stay in FILE.json.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bsk_torch.rl.evaluation.suite import EPISODES, ranking
+from bsk_torch.rl.evaluation.suite import SUITES, ranking
 from bsk_torch.rl.evaluation.suite import references as frozen
 
 
@@ -48,26 +48,38 @@ def merged(files: Sequence[Path]) -> tuple[dict[str, Any], dict[str, dict[str, A
     return head, results
 
 
+def episodes_of(suite: str) -> dict[str, int]:
+    """Number of episodes of each task of a suite."""
+    return {task.title: task.episodes for task in SUITES[suite]}
+
+
 def references(head: Mapping[str, Any], results: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Lowest and highest returns by preset, each with the policy, of presets in which random actions played all episodes."""
-    found = {}
-    for preset, rows in results.items():
-        played = {name: row["return"]["mean"] for name, row in rows.items() if len(row["returns"]) == EPISODES}
-        if "random" in played and len(played) > 1:
-            best, source = max(played, key=lambda name: played[name]), f"bsk_torch {head['bsk_torch']}"
-            found[preset] = {
-                "low": {"return": played["random"], "source": f"random actions, {source}"},
-                "high": {"return": played[best], "source": f"{best}, {source}"},
-            }
+    """Lowest and highest returns by task, each with the policy, of tasks in which random actions and another one played all."""
+    found, all_of = {}, episodes_of(head["suite"])
+    for task, rows in results.items():
+        played = [name for name, row in rows.items() if len(row["returns"]) == all_of[task]]
+        if "random" not in played or len(played) < 2:
+            continue
+        best, gains = ranking({name: row["returns"] for name, row in rows.items()})
+        ahead = [name for name, gain in gains.items() if gain.mean + gain.half_width < 0.0]
+        top, source = (ahead or [best])[0], f"bsk_torch {head['bsk_torch']}"
+        few = f", gain over {best} in {len(rows[top]['returns'])} episodes" if ahead else ""
+        found[task] = {
+            "low": {"return": rows["random"]["return"]["mean"], "source": f"random actions, {source}"},
+            "high": {"return": rows[best]["return"]["mean"] - gains[top].mean, "source": f"{top}, {source}{few}"},
+        }
     return found
 
 
-def summaries(results: Mapping[str, Mapping[str, Any]], known: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """A row for each preset and policy, the best first: score, return, paired gain of the best, survival and computation.
+def summaries(
+    results: Mapping[str, Mapping[str, Any]], known: Mapping[str, Any], all_of: Mapping[str, int]
+) -> Iterator[dict[str, Any]]:
+    """A row for each task and policy, the best first: score, return, paired gain of the best, survival and computation.
 
     See :func:`~bsk_torch.rl.evaluation.suite.ranking`. Policies that played fewer than all episodes have no score.
     """
     for preset, rows in results.items():
+        whole = all_of[preset]
         _, gains = ranking({name: row["returns"] for name, row in rows.items()})
         for name, gain in gains.items():
             row = rows[name]
@@ -88,7 +100,7 @@ def summaries(results: Mapping[str, Mapping[str, Any]], known: Mapping[str, Any]
             }
             if row.get("measures"):
                 summary["measures"] = row["measures"]
-            if preset in known and len(row["returns"]) == EPISODES:
+            if preset in known and len(row["returns"]) == whole:
                 low, high = (known[preset][end]["return"] for end in ("low", "high"))
                 summary["score"] = (row["return"]["mean"] - low) / (high - low)
                 summary["score_half"] = row["return"]["half_width"] / (high - low)
@@ -134,14 +146,12 @@ def main() -> None:
     given = parser.parse_args()
     head, results = merged(given.files)
     known = references(head, results) | frozen(head["suite"])
-    rows = list(summaries(results, known))
+    rows = list(summaries(results, known, episodes_of(head["suite"])))
     for row in rows:
         print(line(row))
     if given.references is not None:
         if missing := [preset for preset in results if preset not in known]:
-            parser.error(
-                f"references need all {EPISODES} episodes of random actions and of another policy in {', '.join(missing)}"
-            )
+            parser.error(f"references need all episodes of random actions and of another policy in {', '.join(missing)}")
         given.references.write_text(json.dumps(dict(sorted(known.items())), indent=1) + "\n")
     if given.out is not None:
         given.out.write_text(json.dumps(head | {"rows": with_others(given.out, head, rows)}, indent=1) + "\n")

@@ -258,6 +258,22 @@ def test_claims_and_the_numbers_of_the_rule():
 # -- bsk_rl's benchmark suite -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("name", ["AEOS-v1", "AEOSCity-v1", "CloudyAEOS-v1"])
+@pytest.mark.parametrize("as_set", [False, True])
+def test_few_choices_are_the_first_of_the_preset(name, as_set):
+    few, many = (make(name, as_set=as_set, num_envs=2, backend="eager", **more) for more in ({"n_ahead": 3}, {}))
+    seen, all_seen = (env.reset()["observation"] for env in (few, many))
+    assert few.satellite.action_description == ["action_image_0", "action_image_1", "action_image_2"]
+    if as_set:
+        assert torch.equal(seen["target", "rows"], all_seen["target", "rows"][:, :3])
+    else:
+        width = (all_seen.shape[-1] - 13) // AHEAD
+        assert torch.equal(seen, torch.cat([all_seen[:, : 12 + 3 * width], all_seen[:, -1:]], -1))
+    assert pickle.loads(pickle.dumps(few)).satellite.action_description == few.satellite.action_description
+    with pytest.raises(ValueError, match="n_ahead=0"):
+        make(name, n_ahead=0)
+
+
 @pytest.mark.parametrize("name", ["AEOS-v1", "AEOSConstellation-v1"])
 @pytest.mark.parametrize("as_set", [False, True])
 def test_the_benchmark_divides_angles_by_a_quarter_turn_and_has_a_larger_buffer(name, as_set):

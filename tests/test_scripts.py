@@ -85,6 +85,12 @@ STARTS: dict[str, list[Start]] = {
             r"(?s)\| trained, seed 0 \| .*\| planner, past faults known \| [-\d.]+ \+- [\d.]+ \| ",
         ),
     ],
+    "benchmarks/headroom.py": [
+        Start(
+            "--candidates dim_scan --episodes 2 --draws 1 --tuned 2 --policies pretrained",
+            r"(?s)dim_scan, tuned: .*\| dim_scan \| .* \| pretrained: [\d.]+ \+- [\d.]+ \| ",
+        ),
+    ],
     "benchmarks/inspection.py": [
         Start("--batch 2 --turns 1 --seconds 0.1 --warm-up 1 --only 1 manoeuvres", r"\| manoeuvres \| 2 \| [\d,.]+ \| - \|")
     ],

@@ -513,6 +513,7 @@ def report(
     bsk-torch bench pretrained hasty --presets AEOS-v1 --episodes 64
     bsk-torch bench plan:rollout,base=hasty,horizon=240 --out results.json
     bsk-torch bench my_package.policies:enter
+    bsk-torch bench hasty farsighted --suite v2 --presets few_choices
     bsk-torch bench nearest_task soonest_task --suite aeosbench
     """,
 )
@@ -551,9 +552,9 @@ def bench(
 ) -> None:
     """Compare policies from any library in the fixed episodes of a suite.
 
-    Scores are returns, scaled to 0 for random actions and 1 for the best rule or policy of the package when the suite was
-    created. Policies have no score for presets to which they do not apply. With --certify, the last column shows how many of the
-    episodes repeated on Basilisk have the same decisions and outcome, and the largest difference of their returns.
+    Scores are returns, scaled to 0 for random actions and 1 for the best rule, policy or planner of the package when the suite
+    was created. Policies have no score for presets to which they do not apply. With --certify, the last column shows how many of
+    the episodes repeated on Basilisk have the same decisions and outcome, and the largest difference of their returns.
     """
 
 

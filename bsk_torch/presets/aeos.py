@@ -38,13 +38,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, ClassVar, Literal
+from functools import cache
+from typing import Any, ClassVar, Literal, cast
 
 import torch
 from torch import Tensor
 
 from bsk_torch import act, data, obs, rand, sats, scene
-from bsk_torch._checks import switch
+from bsk_torch._checks import switch, whole
 from bsk_torch.constants import R_EARTH
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.sim import dyn, fsw
@@ -127,6 +128,41 @@ def agile_satellites(benchmark: bool) -> tuple[type[AgileSatellite], type[AgileS
     return (SuiteSatellite, SuiteSetSatellite) if suite else (AgileSatellite, AgileSetSatellite)
 
 
+LIST = "Ahead"
+"""Part of the names of satellites that do not choose among the next 32 targets, before their number."""
+
+
+@cache
+def looking_ahead(kind: type[AgileSatellite], n_ahead: int) -> type[AgileSatellite]:
+    """Return a class like ``kind`` that observes the next ``n_ahead`` targets and images one of them.
+
+    Raises:
+        ValueError: Unless ``n_ahead`` is a positive whole number.
+    """
+    if whole("n_ahead", n_ahead, 1) == AHEAD:
+        return kind
+    body, targets, *more = kind.observation_spec
+    listed = cast(obs.OpportunityProperties, targets)
+    shorter = obs.OpportunityProperties(*listed.entries, type="target", n_ahead_observe=n_ahead, as_set=listed.as_set)
+    members = {
+        "observation_spec": (body, shorter, *more),
+        "action_spec": (act.Image(n_ahead_image=n_ahead),),
+        "__doc__": kind.__doc__,
+        "__module__": __name__,
+    }
+    # pickles find the class by its qualified name, in __getattr__
+    return type(kind.__name__, (kind,), members | {"__qualname__": f"{kind.__name__}{LIST}{n_ahead}"})
+
+
+def __getattr__(name: str) -> type[AgileSatellite]:
+    """Return a class of :func:`looking_ahead` by its name, as saved environments refer to it."""
+    kind, _, number = name.rpartition(LIST)
+    known = globals().get(kind)
+    if number.isdecimal() and isinstance(known, type) and issubclass(known, AgileSatellite):
+        return looking_ahead(known, int(number))
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
 def agile_args(benchmark: bool = False) -> dict[str, Any]:
     """Return orbit, agility and instrument of bsk_rl's benchmark, with a hundred times the power and storage of its defaults.
 
@@ -147,14 +183,16 @@ def agile_args(benchmark: bool = False) -> dict[str, Any]:
 
 
 def agile_environment(
-    satellites: tuple[type[sats.ImagingSatellite], type[sats.ImagingSatellite]],
+    satellites: tuple[type[AgileSatellite], type[AgileSatellite]],
     arguments: dict[str, Any],
     as_set: bool,
     options: dict[str, Any],
+    n_ahead: int = AHEAD,
 ) -> SatelliteTasking:
     """Return an environment with the first of two satellites, or with the second for ``as_set``; see :func:`aeos`."""
     obs_type = options.pop("obs_type", dict if as_set else torch.Tensor)
-    satellite = satellites[as_set]("EO1", arguments | options.pop("sat_args", {}), obs_type=obs_type, may_see_nothing=True)
+    kind = looking_ahead(satellites[as_set], n_ahead)
+    satellite = kind("EO1", arguments | options.pop("sat_args", {}), obs_type=obs_type, may_see_nothing=True)
     defaults: dict[str, Any] = dict(
         rewarder=data.UniqueImageReward(),
         time_limit=3 * ORBIT,
@@ -167,28 +205,39 @@ def agile_environment(
 
 
 def aeos(
-    *, n_targets: int | tuple[int, int] = (100, 10_000), as_set: bool = False, benchmark: bool = False, **options: object
+    *,
+    n_targets: int | tuple[int, int] = (100, 10_000),
+    n_ahead: int = AHEAD,
+    as_set: bool = False,
+    benchmark: bool = False,
+    **options: object,
 ) -> SatelliteTasking:
     """Return AEOS-v1; see the module.
 
     Args:
         n_targets: Number of targets, or its range (the upper end excluded).
-        as_set: Whether targets are observed as ``rows`` [N, 32, features] with a ``mask`` instead of in one vector.
+        n_ahead: Number of observed targets to choose from, those whose windows close next.
+        as_set: Whether targets are observed as ``rows`` [N, n_ahead, features] with a ``mask`` instead of in one vector.
         benchmark: Whether angles of targets are divided by pi / 2, and the data buffer holds 1.6e11 bit instead of 1.6e10, as in
             bsk_rl's benchmark suite.
         **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset, and ``obs_type`` and
             ``sat_args`` of the satellite.
     """
     options = {"scenario": scene.UniformTargets(n_targets)} | options
-    return agile_environment(agile_satellites(benchmark), agile_args(benchmark), as_set, options)
+    return agile_environment(agile_satellites(benchmark), agile_args(benchmark), as_set, options, n_ahead)
 
 
 def aeos_city(
-    *, n_targets: int = 1000, n_select_from: int | Literal["all"] | None = 5000, as_set: bool = False, **options: object
+    *,
+    n_targets: int = 1000,
+    n_select_from: int | Literal["all"] | None = 5000,
+    n_ahead: int = AHEAD,
+    as_set: bool = False,
+    **options: object,
 ) -> SatelliteTasking:
     """Return AEOSCity-v1: targets are ``n_targets`` of the ``n_select_from`` largest cities, drawn at reset; see :func:`aeos`."""
     options = {"scenario": scene.CityTargets(n_targets, n_select_from)} | options
-    return agile_environment((AgileSatellite, AgileSetSatellite), agile_args(), as_set, options)
+    return agile_environment((AgileSatellite, AgileSetSatellite), agile_args(), as_set, options, n_ahead)
 
 
 def cloud_forecast(satellite: sats.BoundSatellite, targets: sats.Opportunities) -> Tensor:
@@ -212,7 +261,9 @@ class CloudySetSatellite(AgileSatellite):
     observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(CLOUDS, as_set=True), obs.Time())
 
 
-def cloudy_aeos(*, n_targets: int | tuple[int, int] = 1000, as_set: bool = False, **options: object) -> SatelliteTasking:
+def cloudy_aeos(
+    *, n_targets: int | tuple[int, int] = 1000, n_ahead: int = AHEAD, as_set: bool = False, **options: object
+) -> SatelliteTasking:
     """Return CloudyAEOS-v1: only images without clouds are rewarded; see :func:`aeos`."""
     clouds = dict(scenario=scene.CloudyTargets(scene.UniformTargets(n_targets)), rewarder=data.CloudFreeImageReward())
-    return agile_environment((CloudySatellite, CloudySetSatellite), agile_args(), as_set, clouds | options)
+    return agile_environment((CloudySatellite, CloudySetSatellite), agile_args(), as_set, clouds | options, n_ahead)

@@ -649,6 +649,34 @@ def headroom(name: str) -> str:
     return with_command(name, ["policy", "episodes", "return", "gain over cautious", "survival"], rows)
 
 
+def candidates() -> str:
+    """Return how far policies and planners are ahead of the best rule, by candidate for a task of the suite v2."""
+    head = [
+        "candidate",
+        "random",
+        "best rule",
+        "best policy or planner",
+        "episodes",
+        "gain",
+        "share of head-room",
+        "in the suite",
+    ]
+    rows = [
+        [
+            f"`{row['candidate']}` ({row['preset']})",
+            f"{row['random']:.3f}",
+            f"{entrant(row['rule'])}: {with_half(row['rule_return'], row['rule_half'])}",
+            f"{entrant(row['best'])}: {with_half(row['best_return'], row['best_half'])}",
+            whole(row["episodes"]),
+            f"{row['gain']:+.3f} ±\u00a0{row['gain_half']:.3f}",
+            f"{row['share']:.2f} ({row['share_low']:.2f} to {row['share_high']:.2f})",
+            "yes" if row["task"] else "no",
+        ]
+        for row in sorted(load("headroom")["rows"], key=lambda row: -row["share"])
+    ]
+    return table(head, rows) + "\n"
+
+
 def risks(*names: str) -> str:
     """Return probabilities by subset simulation, next to the shares of independent episodes, of the questions in some results."""
     rows = []
@@ -1040,6 +1068,7 @@ def certificate(flown: Mapping[str, Any] | None) -> str:
 TABLES = {
     "by_condition": by_condition,
     "headroom": headroom,
+    "candidates": candidates,
     "risks": risks,
     "known_risks": known_risks,
     "own_environments": own_environments,

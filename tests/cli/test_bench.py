@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from bsk_torch.rl.evaluation.suite import references
 from tests.scene.aeos_cases import constellation, tasks, write
 
 pytestmark = pytest.mark.compiled
@@ -118,6 +119,22 @@ def test_a_suite_with_measures_shows_them(run, tmp_path):
         assert list(row["measures"]) == ["CR", "WCR", "PCR", "WPCR", "TAT", "PC", "CS"]
         assert row["measures"]["CR"]["mean"] == pytest.approx(row["returns"][0], abs=1e-12)
         assert "score" not in row
+
+
+def test_the_policy_of_a_preset_plays_the_harder_tasks_that_it_fits(run, tmp_path):
+    out = tmp_path / "bench.json"
+    tasks = "few_choices,dim_scan"
+    result = run("bench", "pretrained", "random", "--suite", "v2", "--presets", tasks, "--episodes", "1", "--out", out)
+    assert result.exit_code == 0, result.output
+    kept = json.loads(out.read_text())["policies"]
+    assert {name: sorted(rows) for name, rows in kept.items()} == {
+        "pretrained": ["dim_scan"],
+        "random": ["dim_scan", "few_choices"],
+    }
+    low, high = (references("v2")["dim_scan"][end]["return"] for end in ("low", "high"))
+    row = kept["random"]["dim_scan"]
+    assert row["score"]["mean"] == pytest.approx((row["returns"][0] - low) / (high - low))
+    assert "half an orbit of AEOS-v1 with 10,000 targets" in " ".join(result.output.split())
 
 
 def test_planners_say_what_they_simulate(run, tmp_path):

@@ -95,3 +95,52 @@ def test_rows_of_other_presets_stay_in_the_suites_file(tmp_path, suite):
     assert suite.with_others(file, head, mine) == [old[0], mine[0], old[3]]
     with pytest.raises(ValueError, match="rows of another suite: 'v1', not 'v2'"):
         suite.with_others(file, head | {"suite": "v2"}, mine)
+
+
+def test_references_count_the_gain_of_planners_in_the_episodes_that_they_play(suite):
+    def row(*returns):
+        return {"returns": list(returns), "return": {"mean": sum(returns) / len(returns)}}
+
+    rest = [0.0] * 253
+    rows = {"random": row(0.0, 0.0, 0.0, *rest), "hasty": row(3.0, 2.0, 4.0, *rest), "plan:rollout": row(5.0, 4.1, 5.9)}
+    head = {"suite": "v2", "bsk_torch": "0.3.0"}
+    found = suite.references(head, {"few_choices": rows, "few_clouded": {"hasty": rows["hasty"]}})
+    assert found.keys() == {"few_choices"}  # random actions have not played the other task
+    assert found["few_choices"]["high"]["return"] == pytest.approx(9.0 / 256 + 2.0)
+    assert found["few_choices"]["high"]["source"] == "plan:rollout, bsk_torch 0.3.0, gain over hasty in 3 episodes"
+    unsure = rows | {"plan:rollout": row(3.5, 1.0, 4.5)}
+    assert suite.references(head, {"few_choices": unsure})["few_choices"]["high"]["source"] == "hasty, bsk_torch 0.3.0"
+
+
+@pytest.fixture
+def headroom(monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
+    import headroom
+
+    yield headroom
+    for name in ("headroom", "harness"):
+        sys.modules.pop(name, None)
+
+
+def test_shares_of_head_room_are_paired(headroom):
+    def row(policy, kind, *returns):
+        mean = sum(returns) / len(returns)
+        common = {"candidate": "few_choices", "preset": "AEOS-v1", "half": 0.1}
+        return common | {"policy": policy, "kind": kind, "episodes": len(returns), "return": mean, "returns": list(returns)}
+
+    rules = [
+        row("random", "random", 0.0, 1.0, 0.0, 9.0),
+        row("hasty", "rule", 6.0, 7.0, 6.1, 9.0),
+        row("greedy", "rule", 1.0, 1.0, 1.0, 9.0),
+    ]
+    found = headroom.share_of([*rules, row("plan:rollout", "planner", 10.0, 11.0, 10.0)])
+    assert (found["rule"], found["best"], found["episodes"]) == ("hasty", "plan:rollout", 3)
+    assert found["gain"] == pytest.approx((4.0 + 4.0 + 3.9) / 3)  # in the episodes of the planner
+    assert found["share"] == pytest.approx((4.0 + 4.0 + 3.9) / 30.0)
+    assert found["share_low"] <= found["share"] <= found["share_high"]
+    assert found["admitted"]
+    assert found["task"]
+    worse = headroom.share_of([*rules, row("slow", "policy", 5.0, 5.0, 5.0, 9.0)])
+    assert worse["share"] < 0.0
+    assert not worse["admitted"]
+    assert headroom.merged(None, [found]) == [found]

@@ -49,6 +49,33 @@ def test_frozen_seeds_stay():
     }
 
 
+def test_the_second_suite_is_frozen():
+    # its published scores are of these episodes, whose seeds no other suite has
+    tasks = SUITES["v2"]
+    assert {task.title: (task.preset, task.first_seed - 2**60, task.episodes) for task in tasks} == {
+        "dim_scan": ("NadirScan-v1", 18 * 1024, 256),
+        "few_choices": ("AEOS-v1", 19 * 1024, 256),
+        "few_clouded": ("CloudyAEOS-v1", 20 * 1024, 256),
+        "few_cities": ("AEOSCity-v1", 21 * 1024, 256),
+    }
+    mine = {seed for task in tasks for seed in task.seeds()}
+    assert not mine & {seed for name in set(SUITES) - {"v2"} for task in SUITES[name] for seed in task.seeds()}
+    assert mine <= set(SUITE_SEEDS[18 * 1024 : 22 * 1024])
+    known = references("v2")
+    assert known.keys() == {task.title for task in tasks}
+    assert all(one["low"]["return"] < one["high"]["return"] for one in known.values())
+
+
+@pytest.mark.compiled
+def test_a_harder_task_replaces_options_of_trainings():
+    task = tasks_of("v2", "few_choices")[0]
+    env = task.environment(1)
+    assert env.satellite.action_description == [f"action_image_{k}" for k in range(4)]
+    assert {"n_targets", "n_ahead", "time_limit"} == set(task.drawn)
+    with pytest.raises(ValueError, match="n_ahead=5 would change the task few_choices"):
+        task.environment(1, n_ahead=5)
+
+
 def test_policies_are_ranked_by_what_they_gain_in_the_same_episodes():
     best, gains = ranking({"low": [1.0, 1.0, 4.0], "high": [2.0, 1.0, 5.0], "lucky": [3.0], "short": [1.5, 1.0]})
     assert best == "high"
@@ -114,8 +141,8 @@ def test_numbers_of_episodes(episodes):
 
 
 def test_unknown_suites_and_presets_name_the_nearest():
-    with pytest.raises(ValueError, match="suite='v2' is not a suite; did you mean 'v1'"):
-        tasks_of("v2")
+    with pytest.raises(ValueError, match="suite='v3' is not a suite; did you mean 'v"):
+        tasks_of("v3")
     with pytest.raises(ValueError, match="preset 'AEOS-v2' is not in the suite v1; did you mean 'AEOS-v1'"):
         tasks_of("v1", "NadirScan-v1,AEOS-v2")
     assert [task.preset for task in tasks_of("v1", "AEOS-v1,NadirScan-v1,AEOS-v1")] == ["AEOS-v1", "NadirScan-v1"]

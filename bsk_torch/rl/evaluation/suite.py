@@ -1,7 +1,8 @@
 """Suites of tasks with fixed episodes, for comparing policies from any library.
 
 A suite is a table of tasks. A task is a preset with its options, the seeds of its episodes, and perhaps measures for a score.
-Tasks never change: a suite with another task, or a preset with a changed decision process, gets a new name.
+Tasks never change: a suite with another task, or a preset with a changed decision process, gets a new name. The tasks of ``v1``
+are presets; those of ``v2`` are harder ones, in each of which a planner or policy is well ahead of all rules.
 """
 
 from __future__ import annotations
@@ -162,6 +163,55 @@ SUITES["aeosbench"] = (
     ),
 )
 
+HALF_AN_ORBIT = 2850.0
+"""Time limit of imaging tasks of the suite ``v2``, s."""
+
+
+def harder(number: int, preset: str, name: str, about: str, **options: Any) -> Task:
+    """Return task ``number`` of the suite ``v2``: 256 episodes of a preset with other ``options``."""
+    drawn = (*options, "time_limit")
+    return Task(preset, SUITE_SEEDS[EPISODES * (18 + number)], 256, options, name, 256, drawn=drawn, about=about)
+
+
+SUITES["v2"] = (
+    harder(
+        0,
+        "NadirScan-v1",
+        "dim_scan",
+        "NadirScan-v1 with 0.6 of the panel and 0.24 of the data rate of downlinks; a death costs nothing but the time after it",
+        sat_args={"panelArea": 0.15, "transmitterBaudRate": -12 * 8e6},
+        failure_penalty=0.0,
+    ),
+    harder(
+        1,
+        "AEOS-v1",
+        "few_choices",
+        "half an orbit of AEOS-v1 with 10,000 targets, of which a satellite chooses among the four whose windows close next",
+        n_targets=10_000,
+        n_ahead=4,
+        time_limit=HALF_AN_ORBIT,
+    ),
+    harder(
+        2,
+        "CloudyAEOS-v1",
+        "few_clouded",
+        "half an orbit of CloudyAEOS-v1 with 5,000 targets, of which a satellite chooses among the four whose windows close next",
+        n_targets=5000,
+        n_ahead=4,
+        time_limit=HALF_AN_ORBIT,
+    ),
+    harder(
+        3,
+        "AEOSCity-v1",
+        "few_cities",
+        "half an orbit of AEOSCity-v1 with 5,000 cities, of which a satellite chooses among the four whose windows close next",
+        n_targets=5000,
+        n_select_from="all",
+        n_ahead=4,
+        time_limit=HALF_AN_ORBIT,
+    ),
+)
+
 REMARKS = {
     "aeosbench": "Satellites come from a pool of this package, selected by a filter like that of the benchmark; none of the "
     "random scenarios is in its data set. Rows of the same task can be compared with one another, but not with numbers of the "
@@ -287,14 +337,14 @@ def play(task: Task, entrant: Entrant, episodes: int | None = None, **options: o
 
 @cache
 def references(suite: str) -> dict[str, dict[str, Any]]:
-    """Return the reference returns of a suite by preset: ``low`` and ``high``, each with its mean and its source.
+    """Return the reference returns of a suite by task: ``low`` and ``high``, each with its mean and its source.
 
-    ``low`` is the random policy, and ``high`` the best of the package's rules and policies when the suite was created. They are
-    means over all episodes, and are as fixed as the episodes. Suites whose tasks have measures have no references.
+    ``low`` is the random policy, and ``high`` the best of the package's rules, policies and, in ``v2``, planners when the suite
+    was created. They are means over all episodes, of planners estimated from their gains in the first ones, and are as fixed as
+    the episodes. Suites whose tasks have measures have no references, nor have those whose references are not computed yet.
     """
-    if any(task.measures for task in SUITES[suite]):
-        return {}
-    return json.loads((Path(__file__).parent / "suites" / f"{suite}.json").read_text())
+    file = Path(__file__).parent / "suites" / f"{suite}.json"
+    return json.loads(file.read_text()) if file.exists() else {}
 
 
 def normalised(evaluation: Evaluation, reference: Mapping[str, Any]) -> Estimate:
