@@ -132,15 +132,19 @@ LIST = "Ahead"
 """Part of the names of satellites that do not choose among the next 32 targets, before their number."""
 
 
-@cache
 def looking_ahead(kind: type[AgileSatellite], n_ahead: int) -> type[AgileSatellite]:
-    """Return a class like ``kind`` that observes the next ``n_ahead`` targets and images one of them.
+    """Return a class of this module like ``kind`` that observes the next ``n_ahead`` targets and images one of them.
 
     Raises:
         ValueError: Unless ``n_ahead`` is a positive whole number.
     """
-    if whole("n_ahead", n_ahead, 1) == AHEAD:
-        return kind
+    return kind if whole("n_ahead", n_ahead, 1) == AHEAD else _listing(kind.__name__, n_ahead)
+
+
+@cache
+def _listing(name: str, n_ahead: int) -> type[AgileSatellite]:
+    """Return the class for another number of targets than :data:`AHEAD`, by the ``name`` of that for this number."""
+    kind: type[AgileSatellite] = globals()[name]
     body, targets, *more = kind.observation_spec
     listed = cast(obs.OpportunityProperties, targets)
     shorter = obs.OpportunityProperties(*listed.entries, type="target", n_ahead_observe=n_ahead, as_set=listed.as_set)

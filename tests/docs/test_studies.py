@@ -101,12 +101,12 @@ def test_references_count_the_gain_of_planners_in_the_episodes_that_they_play(su
     def row(*returns):
         return {"returns": list(returns), "return": {"mean": sum(returns) / len(returns)}}
 
-    rest = [0.0] * 253
+    rest = [0.0] * 61
     rows = {"random": row(0.0, 0.0, 0.0, *rest), "hasty": row(3.0, 2.0, 4.0, *rest), "plan:rollout": row(5.0, 4.1, 5.9)}
     head = {"suite": "v2", "bsk_torch": "0.3.0"}
     found = suite.references(head, {"few_choices": rows, "few_clouded": {"hasty": rows["hasty"]}})
     assert found.keys() == {"few_choices"}  # random actions have not played the other task
-    assert found["few_choices"]["high"]["return"] == pytest.approx(9.0 / 256 + 2.0)
+    assert found["few_choices"]["high"]["return"] == pytest.approx(9.0 / 64 + 2.0)
     assert found["few_choices"]["high"]["source"] == "plan:rollout, bsk_torch 0.3.0, gain over hasty in 3 episodes"
     unsure = rows | {"plan:rollout": row(3.5, 1.0, 4.5)}
     assert suite.references(head, {"few_choices": unsure})["few_choices"]["high"]["source"] == "hasty, bsk_torch 0.3.0"
