@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from bsk_torch.rl.evaluation.suite import references
 from tests.scene.aeos_cases import constellation, tasks, write
 
 pytestmark = pytest.mark.compiled
@@ -130,6 +131,9 @@ def test_the_policy_of_a_preset_plays_the_harder_tasks_that_it_fits(run, tmp_pat
         "pretrained": ["dim_scan"],
         "random": ["dim_scan", "few_choices"],
     }
+    low, high = (references("v2")["dim_scan"][end]["return"] for end in ("low", "high"))
+    row = kept["random"]["dim_scan"]
+    assert row["score"]["mean"] == pytest.approx((row["returns"][0] - low) / (high - low))
     assert "half an orbit of AEOS-v1 with 10,000 targets" in " ".join(result.output.split())
 
 

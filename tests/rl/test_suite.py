@@ -60,6 +60,9 @@ def test_the_second_suite_is_frozen():
     mine = {seed for task in tasks for seed in task.seeds()}
     assert not mine & {seed for name in set(SUITES) - {"v2"} for task in SUITES[name] for seed in task.seeds()}
     assert mine <= set(SUITE_SEEDS[18 * 1024 : 21 * 1024])
+    known = references("v2")
+    assert known.keys() == {task.title for task in tasks}
+    assert all(one["low"]["return"] < one["high"]["return"] for one in known.values())
 
 
 @pytest.mark.compiled
