@@ -429,7 +429,8 @@ def test_runs(path, start, tmp_path):
     if "{orbits}" in start.arguments:
         write_orbits(tmp_path / values["orbits"])
     if "{cases}" in start.arguments:
-        write(tmp_path / "cases" / "00001", constellation(2), tasks(40))
+        for name in ("00001", "00002"):
+            write(tmp_path / "cases" / name, constellation(2), tasks(40))
     printed = run(tmp_path, path, *start.arguments.format(**values).split())
     assert re.search(start.printed, printed), printed
 

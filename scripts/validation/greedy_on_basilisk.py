@@ -14,12 +14,11 @@ import json
 import math
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import torch
-from torch import Tensor
 
 import bsk_torch
 from bsk_torch import ConstellationTasking
@@ -54,8 +53,8 @@ def nudged(cases: Cases) -> Cases:
 
 def flown_here(cases: Cases, batch: int, seconds: int, backend: str) -> list[dict[str, float]]:
     """Return the measures of all cases here."""
-    world = {"num_envs": min(batch, len(cases)), "time_limit": float(seconds), "backend": backend}
-    env = bsk_torch.make("AEOSBench-v1", folder=cases, order="listed", sensor="on", **world)
+    size, world = min(batch, len(cases)), {"time_limit": float(seconds), "backend": backend}
+    env = bsk_torch.make("AEOSBench-v1", num_envs=size, env_ids=[0] * size, folder=cases, order="listed", sensor="on", **world)
     assert isinstance(env, ConstellationTasking)
     with torch.no_grad():
         return [dict(flight.measures) for flight in fly_cases(rule("nearest_task", env), env)]
@@ -79,31 +78,22 @@ def published(folder: Path, name: str) -> Row:
 
 def means(rows: list[Row]) -> dict[str, dict[str, Estimate]]:
     """Return the mean measures of each kind of flight, over the cases that have them."""
-    return {
-        flight: {name: known(values) for name, values in columns(rows, lambda row, one=flight: row.get(one, {})).items()}
-        for flight in (HERE, HERE_AGAIN, THERE, THERE_AGAIN, OTHERS)
-    }
+    kinds = (HERE, HERE_AGAIN, THERE, THERE_AGAIN, OTHERS)
+    return {kind: estimates([row[kind] for row in rows if kind in row]) for kind in kinds}
 
 
 def differences(rows: list[Row]) -> dict[str, dict[str, Estimate]]:
     """Return the mean differences between flights, paired by case, over the cases that have both."""
-
-    def difference(row: Row, one: str, other: str) -> dict[str, float]:
-        first, second = row.get(one, {}), row.get(other, {})
-        return {name: first[name] - second[name] for name in MEASURES if name in first and name in second}
-
-    return {
-        f"{one} - {other}": {
-            name: known(values) for name, values in columns(rows, lambda row, pair=(one, other): difference(row, *pair)).items()
-        }
-        for one, other in PAIRS
-    }
+    found = {}
+    for one, other in PAIRS:
+        both = [(row[one], row[other]) for row in rows if one in row and other in row]
+        found[f"{one} - {other}"] = estimates([{name: a[name] - b[name] for name in a if name in b} for a, b in both])
+    return found
 
 
-def columns(rows: list[Row], values_of: Callable[[Row], dict[str, float]]) -> dict[str, Tensor]:
-    """Return each measure in the cases that have it."""
-    found = [values_of(row) for row in rows]
-    return {name: torch.tensor([one[name] for one in found if name in one], dtype=torch.float64) for name in MEASURES}
+def estimates(found: list[dict[str, float]]) -> dict[str, Estimate]:
+    """Return the mean of each measure over those that have it."""
+    return {name: known(torch.tensor([one[name] for one in found if name in one], dtype=torch.float64)) for name in MEASURES}
 
 
 def cell(value: Estimate) -> str:
