@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -21,6 +22,7 @@ SCRIPTS = {
     "services_trained": "services",
     "aeos_real": "aeos_bench",
     "aeos_random": "aeos_bench",
+    "aeos_generated": "aeos_bench",
     "vs_basilisk_imaging": "vs_basilisk",
     "constellation_intervals": "constellation",
     "constellation_tasks": "constellation",
@@ -996,6 +998,41 @@ def aeos_bench(name: str) -> str:
     return with_command(name, titles, rows)
 
 
+BENCH_MEASURES = {
+    "CR": ("CR, %", 100.0, 1),
+    "WCR": ("WCR, %", 100.0, 1),
+    "PCR": ("PCR, %", 100.0, 1),
+    "WPCR": ("WPCR, %", 100.0, 1),
+    "TAT": ("TAT, s", 1.0, 0),
+    "PC": ("PC, W s", 1.0, 0),
+    "CS": ("CS", 1.0, 2),
+}
+"""Title, factor and decimals of the measures of AEOS-Bench."""
+
+
+def greedy_flights(name: str) -> str:
+    """Return the measures of the greedy rule here and on Basilisk, and how far flights differ."""
+    result = load(name)
+
+    def cells(found: Mapping[str, Mapping[str, float]], sign: str, more: int) -> list[str]:
+        shown = []
+        for key, (_, factor, decimals) in BENCH_MEASURES.items():
+            value, half = (factor * found[key][part] for part in ("mean", "half_width"))
+            form = f",.{decimals + more}f"
+            shown.append("-" if math.isnan(value) else f"{value:{sign}{form}} ±\u00a0{half:{form}}")
+        return shown
+
+    titles = [title for title, _, _ in BENCH_MEASURES.values()]
+    means = [[kind, *cells(found, "", 0)] for kind, found in result["means"].items()]
+    pairs = [[pair, *cells(found, "+", 1)] for pair, found in result["differences"].items()]
+    tables = [
+        table([head, *titles], [row for row in rows if set(row[1:]) != {"-"}])  # not those of flights that no case has
+        for head, rows in (("flight", means), ("difference", pairs))
+    ]
+    words = [f"python scripts/validation/greedy_on_basilisk.py cases/{result['folder']}", f"--out benchmarks/results/{name}.json"]
+    return "\n\n".join([*tables, command(words)]) + "\n"
+
+
 def measured(value: float, digit: int) -> str:
     """Return a measure with so many digits; a dash for NaN."""
     return "-" if value != value else f"{value:,.{digit}f}"
@@ -1116,6 +1153,7 @@ TABLES = {
     "services": services,
     "aeos_bench": aeos_bench,
     "aeos_speed": aeos_speed,
+    "greedy_flights": greedy_flights,
     "teams": teams,
     "crews": crews,
     "suites": suites,

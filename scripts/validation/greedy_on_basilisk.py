@@ -133,8 +133,8 @@ def main() -> None:
         rows.append(flights | published(options.folder, cases.names[k]))
         print(f"{cases.names[k]}: CR " + ", ".join(f"{flight} {row['CR']:.4f}" for flight, row in rows[-1].items()), flush=True)
         if options.out is not None:
-            found = {"means": means(rows), "differences": differences(rows)}
-            content = {"seconds": options.seconds, "names": cases.names[: k + 1], "rows": rows, **found}
+            flown = {"folder": options.folder.name, "seconds": options.seconds, "names": cases.names[: k + 1], "rows": rows}
+            content = flown | {"means": means(rows), "differences": differences(rows)}
             write_file(options.out, json.dumps(content, default=asdict, indent=1) + "\n")
     print_table(table("flight", means(rows)), f"{len(rows)} cases of {options.folder}")
     print_table(table("difference", differences(rows)), "differences, paired by case")
