@@ -229,6 +229,7 @@ def choice(title: str, value: object, known: Sequence[str]) -> str:
 
 def team(
     orbits: Sequence[dict[str, Any]],
+    *,
     mixture: tuple[float, float, float] | str,
     information: str,
     retasking: str,
@@ -317,18 +318,18 @@ def three_sensors(
     ]
     return team(
         orbits,
-        mixture,
-        information,
-        retasking,
-        n_targets,
-        delivery_share,
-        sat_args,
-        obs_type,
-        order,
-        as_set,
-        outlook,
-        shielded,
-        options,
+        mixture=mixture,
+        information=information,
+        retasking=retasking,
+        n_targets=n_targets,
+        delivery_share=delivery_share,
+        sat_args=sat_args,
+        obs_type=obs_type,
+        order=order,
+        as_set=as_set,
+        outlook=outlook,
+        shielded=shielded,
+        options=options,
     )
 
 
@@ -358,16 +359,16 @@ def walker4(
     orbits: list[dict[str, Any]] = [{} for _ in range(4)]
     return team(
         orbits,
-        mixture,
-        information,
-        retasking,
-        n_targets,
-        delivery_share,
-        sat_args,
-        obs_type,
-        order,
-        as_set,
-        outlook,
-        shielded,
-        dict(sat_arg_randomizer=pattern) | options,
+        mixture=mixture,
+        information=information,
+        retasking=retasking,
+        n_targets=n_targets,
+        delivery_share=delivery_share,
+        sat_args=sat_args,
+        obs_type=obs_type,
+        order=order,
+        as_set=as_set,
+        outlook=outlook,
+        shielded=shielded,
+        options=dict(sat_arg_randomizer=pattern) | options,
     )
