@@ -13,6 +13,9 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 LONGEST = 1_000_000
 """Number of steps after which an unfinished rollout raises an error."""
 
+ACTION_VALUE = "action_value"
+"""Key under which a policy may write what it expects of each action, [..., A]; TorchRL's networks of values use it too."""
+
 Policy = Callable[[TensorDictBase], TensorDictBase]
 """Writes actions into a tensordict [N] with observations and action masks, and returns it."""
 

@@ -9,13 +9,11 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from bsk_torch.env import Tasking
+from bsk_torch.env.rollout import ACTION_VALUE
 from bsk_torch.plan.base_policies import Base
 from bsk_torch.plan.rollout import Rollout
 
 __all__ = ["ACTION_VALUE", "ACTION_VALUES", "ActionValues"]
-
-ACTION_VALUE = "action_value"
-"""Key of the mean returns of actions, [N, S, A]."""
 
 ACTION_VALUES = "action_values"
 """Key of the returns of actions in each future, [N, S, futures, A]."""
@@ -46,7 +44,7 @@ class ActionValues(Rollout):
             **options: Further arguments of :class:`~bsk_torch.plan.planner.Planner`.
         """
         super().__init__(env, base, horizon=horizon, gamma=gamma, **options)
-        self.out_keys = [*self.out_keys, ACTION_VALUE, ACTION_VALUES]
+        self.out_keys = [*self.out_keys, ACTION_VALUES]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the actions of the base policy, and the returns of all actions.

@@ -167,6 +167,7 @@ class BeamSearch(Planner):
             kept, child = beam.extend(level, (r, b, action), number, flown, self._discounting)
             store.restore(store, kept, child)
         mine = self.slots.at(self.slots.chosen(td)[rows], slot)
+        self._note(rows, slot, beam.q)
         action, seconds = self._preferred(beam.q, mine), beam.simulated.view(len(rows), -1).sum(1)
         if not self._keeps_plans:
             return action, seconds

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from bsk_torch._checks import number, whole
 from bsk_torch.env import Tasking
-from bsk_torch.env.rollout import decide
+from bsk_torch.env.rollout import ACTION_VALUE, decide
 from bsk_torch.plan.agent_table import AgentTable
 from bsk_torch.plan.base_policies import Base, base_of
 from bsk_torch.plan.branches import Branches, Discounting, Jobs, Value, carried
@@ -37,7 +37,9 @@ class Planner(TensorDictModuleBase):
 
     A planner belongs to one environment, whose current episodes it copies. It writes the actions of all agents into the
     tensordict returned by ``reset`` or ``step`` of this environment, and ``simulated_seconds`` [N], the simulated time of flight
-    for the decision. The environment itself is left unchanged, and decisions do not depend on other rows.
+    for the decision. Planners of discrete actions also write ``action_value`` [N, S, A]: the return up to the horizon that they
+    have found for each action of the S agents, NaN where they have tried none. The environment itself is left unchanged, and
+    decisions do not depend on other rows.
 
     In a constellation, agents deciding at the same time are improved one after the other, in the order of the groups. In the
     branches of an agent, the agents before it take the actions already decided, and all others follow the base policy (Bertsekas,
@@ -58,6 +60,7 @@ class Planner(TensorDictModuleBase):
 
     in_keys: list[Any]
     out_keys: list[Any]
+    _worth: Tensor
 
     def __init__(
         self,
@@ -124,7 +127,7 @@ class Planner(TensorDictModuleBase):
         kinds = zip(slots.real, slots.n_actions, strict=True)
         self._plannable = slots.of([real if self.real else n > 1 for real, n in kinds], env.device)
         self.in_keys = list(policy.in_keys)
-        self.out_keys = [*policy.out_keys, SIMULATED]
+        self.out_keys = list(dict.fromkeys([*policy.out_keys, SIMULATED, *([] if self.real else [ACTION_VALUE])]))
 
     def _check_actions(self, env: Tasking, slots: AgentTable) -> None:
         """Raise ValueError unless some agent has actions of the planner's kind."""
@@ -176,7 +179,7 @@ class Planner(TensorDictModuleBase):
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write the actions, and ``simulated_seconds``.
+        """Write the actions, ``simulated_seconds`` and, if they are discrete, ``action_value``.
 
         Raises:
             ValueError: For a tensordict of another batch size than the planner's environment.
@@ -190,6 +193,9 @@ class Planner(TensorDictModuleBase):
         memory = memory if len(memory.keys()) else carried(tensordict, self.base, env)
         deciding = slots.deciding(tensordict) & self._plannable
         simulated = torch.zeros(env.num_envs, dtype=torch.float64, device=env.device)
+        self._worth = torch.full(
+            (env.num_envs, slots.size, slots.most_actions), torch.nan, dtype=torch.float64, device=env.device
+        )
         order = deciding.cumsum(1)
         for turn in range(int(deciding.sum(1).max())):
             mine = deciding & (order == turn + 1)
@@ -200,6 +206,8 @@ class Planner(TensorDictModuleBase):
             whole_batch = torch.zeros(env.num_envs, *action.shape[1:], dtype=action.dtype, device=env.device)
             everybody = torch.zeros_like(simulated, dtype=torch.int64).index_copy(0, rows, slot)
             slots.put(tensordict, everybody, whole_batch.index_copy(0, rows, action), mine.any(1))
+        if not self.real:
+            tensordict.set(ACTION_VALUE, self._worth)
         return tensordict.set(SIMULATED, simulated)
 
     def _improved(self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor) -> tuple[Tensor, Tensor]:
@@ -293,6 +301,11 @@ class Planner(TensorDictModuleBase):
         return self._value is None and self.futures is None and self.slots.size == 1
 
     # -- decisions ----------------------------------------------------------------------------------------------------
+
+    def _note(self, rows: Tensor, slot: Tensor, q: Tensor) -> None:
+        """Keep the returns ``q`` [n * futures, A] of the agents ``slot`` [n] for ``action_value``."""
+        mean = q.view(len(rows), self._copies, -1).mean(1)
+        self._worth[rows, slot] = mean.masked_fill(~torch.isfinite(mean), torch.nan)
 
     def _preferred(self, q: Tensor, mine: Tensor) -> Tensor:
         """Return the best action, [n]: the base policy's action ``mine`` [n] unless another one is better.

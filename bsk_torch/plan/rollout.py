@@ -51,8 +51,9 @@ class Rollout(Planner):
         mine = self.slots.at(self.slots.chosen(td)[rows], slot)
         tried = self._tried(td, rows, slot, mine)
         totals, simulated = self._returns(td, memory, rows, slot, tried & (tried.sum(1, keepdim=True) > 1))
-        q = totals.mean(1).nan_to_num(nan=-torch.inf)
-        return self._preferred(q.repeat_interleave(self._copies, 0), mine), simulated
+        q = totals.mean(1).nan_to_num(nan=-torch.inf).repeat_interleave(self._copies, 0)
+        self._note(rows, slot, q)
+        return self._preferred(q, mine), simulated
 
     def _returns(
         self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor, tried: Tensor

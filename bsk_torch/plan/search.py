@@ -96,6 +96,7 @@ class TreeSearch(Planner):
             wave = [self._selected(trees) for _ in range(min(self.leaves, left))]
             wave = [leaves for leaves in wave if bool(leaves.found.any())]
         q = trees.returns()
+        self._note(rows, slot, q)
         if not exact:
             q = self._by_visits(trees, q)
         chosen, seconds = self._preferred(q, mine), simulated.view(len(rows), -1).sum(1)

@@ -23,7 +23,7 @@ from bsk_torch.act import Image, ImageRSO, PointAtTask
 from bsk_torch.act.point_at_task import ASSIGNED
 from bsk_torch.env import NO_ACTION, ConstellationTasking, Tasking
 from bsk_torch.env.action_forms import acts, form, read
-from bsk_torch.env.rollout import Policy, decide, play_episodes
+from bsk_torch.env.rollout import ACTION_VALUE, Policy, decide, play_episodes
 from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.rl.evaluation.evaluate import LOT, with_lots
 from bsk_torch.rl.policies.shared_policy import GroupPolicies, SharedPolicy
@@ -78,6 +78,7 @@ class Choice:
     reward: float
     mask: list[bool]
     probability: list[float]
+    value: list[float]
     control: list[float]
     observation: list[float]
 
@@ -205,7 +206,10 @@ class Flight:
             found = step if at is None else step[at]
             action = found["action"][0] if at is None else found["action"][0, number]
             if not bool(removed[satellite]) and _decides(group, action):
-                self.latest[satellite] = self._choice(slot, _entries(found, at, number), group, satellite, begin)
+                part = _entries(found, at, number)
+                if at is not None and ACTION_VALUE in step.keys():  # noqa: SIM118  - of all agents
+                    part[ACTION_VALUE] = step[ACTION_VALUE][0, slot]
+                self.latest[satellite] = self._choice(slot, part, group, satellite, begin)
                 self.choices.append(self.latest[satellite])
             rewards = (step["next"] if at is None else step["next", at])["reward"][0].flatten()
             if satellite in self.latest:
@@ -227,6 +231,7 @@ class Flight:
             action = number if 0 <= number < len(group.action_description) else NONE  # none for any object of a catalog
             mask = part["action_mask"][: group.actions.n_actions].tolist()
             entry = group.actions.entries[group.actions.entry_of(number)]
+        probability, value = _opinion(self.policy, part, self.slots[slot][0]) if mask else ([], [])
         return Choice(
             step=len(self.actions) - 1,
             slot=slot,
@@ -236,7 +241,8 @@ class Flight:
             target=self._target(entry, satellite),
             reward=0.0,
             mask=mask,
-            probability=_probabilities(self.policy, part, self.slots[slot][0]) if mask else [],
+            probability=probability,
+            value=value,
             control=control,
             observation=_flat(part["observation"]),
         )
@@ -393,7 +399,7 @@ class Flight:
             "decision_reward": np.array([choice.reward for choice in choices], "f4"),
             "decision_mask": masks,
             "decision_probability": _rounded(_padded([choice.probability for choice in choices], actions)),
-            "decision_action_value": np.full((len(choices), actions), np.nan, "f4"),
+            "decision_action_value": _rounded(_padded([choice.value for choice in choices], actions)),
             "observation": _rounded(_padded([choice.observation for choice in choices], observed)),
             **({"decision_control": _padded([choice.control for choice in choices], controls)} if controls else {}),
         }
@@ -485,7 +491,7 @@ def _decides(group: SatelliteGroup, action: Tensor) -> bool:
 
 def _entries(found: TensorDictBase, at: str | None, number: int) -> TensorDictBase:
     """What an agent of episode 0 has observed and done."""
-    names = [name for name in ("observation", "action", "action_mask", "logits") if name in found.keys()]  # noqa: SIM118
+    names = [name for name in ("observation", "action", "action_mask", "logits", ACTION_VALUE) if name in found.keys()]  # noqa: SIM118
     chosen = found.select(*names)
     return chosen[0] if at is None else chosen[0, number]
 
@@ -494,25 +500,26 @@ def _action_keys(env: Tasking) -> list[Any]:
     return [(g.name, "action") for g in env.groups] if isinstance(env, ConstellationTasking) else ["action"]
 
 
-def _probabilities(policy: TensorDictModuleBase, part: TensorDictBase, group: str | None) -> list[float]:
-    """Probabilities of the actions under a policy of networks, [A]; empty for others."""
-    if isinstance(policy, GroupPolicies):
-        single = policy.policies[str(group)]
-    else:
-        single = policy.policy if isinstance(policy, SharedPolicy) else policy
-    logits = part.get("logits", None)
-    if logits is None and group is not None and isinstance(policy, SharedPolicy | GroupPolicies):
+def _opinion(policy: TensorDictModuleBase, part: TensorDictBase, group: str | None) -> tuple[list[float], list[float]]:
+    """What a policy has computed for a decision: probabilities and values of the actions, [A]; empty for policies without them.
+
+    Policies write ``logits`` or ``action_value``. Those of one satellite that act for each of a constellation are asked again.
+    """
+    known = {"logits", ACTION_VALUE}
+    if group is not None and isinstance(policy, SharedPolicy | GroupPolicies) and not known & set(part.keys()):
+        single = policy.policies[group] if isinstance(policy, GroupPolicies) else policy.policy
         seen = part.select("observation", "action_mask").unsqueeze(0)
         seen["action_mask"] = seen["action_mask"][..., :-1]
-        if LOT in single.in_keys:
-            return []
-        logits = decide(single, seen).get("logits", None)
-        logits = None if logits is None else logits[0]
-    if logits is None:
-        return []
-    legal = part["action_mask"][: logits.shape[-1]]
-    found: list[float] = torch.where(legal, logits.double(), -torch.inf).softmax(-1).tolist()
-    return found
+        part = part if LOT in single.in_keys else decide(single, seen)[0]
+    logits, values = part.get("logits", None), part.get(ACTION_VALUE, None)
+    chances, worths = list[float](), list[float]()
+    if logits is not None:
+        chances = torch.where(part["action_mask"][: logits.shape[-1]], logits.double(), -torch.inf).softmax(-1).tolist()
+    if values is not None:
+        values = values.double().reshape(-1)[: part["action_mask"].shape[-1]]  # planners write those of the one agent as [1, A]
+        told = part["action_mask"][: len(values)] & torch.isfinite(values)
+        worths = torch.where(told, values, torch.nan).tolist()
+    return chances, worths
 
 
 def _memory(part: SatelliteGroup, name: str) -> Tensor:

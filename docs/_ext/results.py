@@ -214,6 +214,23 @@ def learner_limit() -> str:
     return with_command("learner_limit", head, cells)
 
 
+def viewer_frames() -> str:
+    """Return the frames per second of the viewer's page."""
+    rows = [
+        [
+            row["view"],
+            f"{row['rate']:.1f}",
+            f"{row['rate_least']:.1f} to {row['rate_most']:.1f}",
+            f"{row['detail']:.2f}",
+            f"{row['cpu']:.0f}",
+        ]
+        for row in load("viewer_frames")["rows"]
+    ]
+    head = ["view", "frames a second", "range of turns", "resolution", "CPU ms a frame"]
+    made_by = command(invocation("viewer_frames", "viewer_frames", load("viewer_frames")["options"]))
+    return f"{table(head, rows)}\n\n{made_by}\n"
+
+
 def startup() -> str:
     """Return the time until the first step is done."""
     kept = {"nothing": "nothing compiled before", "everything": "everything compiled before"}
@@ -1131,6 +1148,7 @@ TABLES = {
     "learner_limit": learner_limit,
     "records": records,
     "startup": startup,
+    "viewer_frames": viewer_frames,
     "recordings": recordings,
     "resets": resets,
     "memory": memory,

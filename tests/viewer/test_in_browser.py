@@ -180,6 +180,45 @@ def test_it_plays_and_pauses(browser, flight):
     assert not visitor.troubles
 
 
+def test_slow_frames_are_drawn_with_fewer_pixels_until_it_pauses(browser, flight):
+    _, page = opened(browser, flight)
+    detail = "bskViewer.viewer.stage.detail"
+    assert page.evaluate(detail) == 1
+    page.evaluate(
+        """() => { const { stage } = bskViewer.viewer; const draw = stage.draw.bind(stage);
+        stage.draw = (state) => { draw(state); for (const end = performance.now() + 60; performance.now() < end;); }; }"""
+    )
+    page.click("#play")
+    page.wait_for_function(f"() => {detail} < 0.4", polling=100)
+    page.wait_for_timeout(500)
+    assert page.evaluate(detail) == pytest.approx(0.36)  # and no less
+    page.click("#play")
+    assert page.evaluate(detail) == 1
+
+
+def test_the_earth_hides_satellites_behind_it_and_no_others(browser, flight):
+    _, page = opened(browser, flight)
+    page.evaluate("for (const name in bskViewer.viewer.show) bskViewer.viewer.show[name] = false")
+    layer = "bskViewer.viewer.stage.layer(bskViewer.viewer.track)"
+    shown = f"on => {{ for (const mesh of {layer}.crafts.meshes.values()) mesh.visible = on; }}"
+    spots = {}  # by whether the second satellite can be seen: time and place of the last such moment on the screen
+    for time in range(0, 3000, 100):
+        spot = seek(page, float(time))["satellites"][1]
+        if 10 < spot["x"] < 900 and 10 < spot["y"] < 500:
+            spots[spot["visible"]] = (float(time), round(spot["x"]), round(spot["y"]))
+
+    def changes(time, x, y):  # what the symbol changes around its place, in pixels
+        pictures = []
+        for on in (True, False):
+            page.evaluate(shown, on)
+            seek(page, time)
+            pictures.append(pixels(page)[y - 4 : y + 5, x - 4 : x + 5])
+        return np.abs(pictures[0] - pictures[1]).max()
+
+    assert changes(*spots[True]) > 60.0
+    assert changes(*spots[False]) == 0.0
+
+
 def test_it_stops_at_the_end(browser, flight):
     _, page = opened(browser, flight)
     seek(page, 2995.0)

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 import bsk_torch
+from bsk_torch.plan import Rollout
 from bsk_torch.rl.policies.shared_policy import rule
 from bsk_torch.viewer import record
 from bsk_torch.viewer.futures import Futures
@@ -85,6 +86,31 @@ def test_a_user_asks_for_values_takes_over_and_gives_back(visitor, futures):
 def futures_label(futures, action):
     """What the page calls an action."""
     return futures.recording().satellites[0].actions[action].removeprefix("action_").replace("_", " ")
+
+
+def decided_page(browser, path, env, policy):
+    """The page of a short flight after its first decision, and the recording."""
+    recording = record(env, policy, seed=0, until=400.0)
+    path.write_text(recording.html())
+    page = Visitor(browser, viewport=WIDE).page
+    page.goto(f"{path.as_uri()}#t=1")
+    page.wait_for_selector("#message[hidden]", state="attached")
+    return page, recording
+
+
+def test_values_of_a_planner_are_on_the_page_and_a_rule_is_said_to_have_none(tmp_path):
+    torch.set_num_threads(1)
+    env = bsk_torch.make("NadirScan-v1", num_envs=1, env_ids=[0], time_limit=LIMIT)
+    with chromium() as browser:
+        page, recording = decided_page(browser, tmp_path / "planner.html", env, Rollout(env, "rule"))
+        assert page.locator(".decision th").all_inner_texts() == ["action", "value"]
+        values = recording.tracks[0].arrays["decision_action_value"][0]
+        shown = page.locator(".decision tr:not(:first-child) td:nth-child(2)").all_inner_texts()
+        assert [float(text) for text in shown] == pytest.approx(values.tolist(), abs=6e-3)
+        assert "of a planner, the return up to its horizon" in page.inner_text(".opinion")
+        page, _ = decided_page(browser, tmp_path / "rule.html", env, rule("rule", env))
+        assert page.locator(".decision th").all_inner_texts() == ["action"]
+        assert page.inner_text(".opinion") == "This policy computes neither probabilities nor values of actions."
 
 
 @pytest.mark.parametrize("preset", FLIGHTS)

@@ -5,6 +5,7 @@ from tensordict.nn import TensorDictModule
 
 import bsk_torch
 from bsk_torch.env.rollout import play_episodes
+from bsk_torch.plan import BeamSearch, Rollout, TreeSearch
 from bsk_torch.rl.policies.files import build_policy, read_card
 from bsk_torch.rl.policies.pretrained import pretrained_file
 from bsk_torch.rl.policies.shared_policy import rule, shared
@@ -119,6 +120,50 @@ def test_decisions_have_masks_probabilities_and_names(scan):
     assert craft.actions == ["action_nadir_scan", "action_charge", "action_downlink", "action_desat"]
     assert arrays["observation"].shape == (len(chosen), len(craft.observation))
     assert not np.isnan(arrays["observation"]).any()
+
+
+def told(env, policy, until=300.0):
+    """Values of the actions of every decision, [D, A], with the masks."""
+    arrays = record(env, policy, seed=2, until=until).tracks[0].arrays
+    return arrays["decision_action_value"], arrays["decision_mask"].astype(bool), arrays["decision_action"]
+
+
+@pytest.mark.parametrize("planner", [Rollout, BeamSearch, TreeSearch])
+def test_values_that_a_planner_has_found_are_recorded(planner):
+    env = bsk_torch.make("NadirScan-v1", num_envs=1, env_ids=[0], time_limit=600.0)
+    values, mask, action = told(env, planner(env, "rule", horizon=200.0))
+    assert np.isfinite(values).any(1).all()
+    assert not np.isfinite(values[~mask]).any()
+    best = np.nanmax(values, 1)
+    assert values[np.arange(len(action)), action] == pytest.approx(best)
+
+
+def test_values_of_a_planner_are_those_of_the_satellite_that_decides():
+    env = bsk_torch.make("HeteroCluster-v1", num_envs=1, env_ids=[0], time_limit=300.0)
+    planner = Rollout(env, horizon=120.0)
+    env.set_seed(2)
+    first = planner(env.reset())["action_value"][0]
+    values, mask, _ = told(env, planner, 1.0)
+    for slot, row in enumerate(values):
+        n = len(mask[slot])
+        assert row.tolist() == pytest.approx(first[slot, :n].tolist(), rel=1e-3, nan_ok=True)
+
+
+def test_the_ranking_of_a_rule_and_values_of_a_users_policy_are_recorded():
+    env = bsk_torch.make("AEOS-v1", num_envs=1, env_ids=[0], time_limit=600.0)
+    values, mask, action = told(env, rule("greedy", env))
+    ranked = np.isfinite(values).any(1)
+    assert ranked.any()
+    assert values[ranked][np.arange(ranked.sum()), action[ranked]] == pytest.approx(np.nanmax(values[ranked], 1))
+
+    def decide(mask):
+        worth = torch.arange(mask.shape[-1]).expand(mask.shape).float()
+        return worth.masked_fill(~mask, -torch.inf).argmax(-1), worth
+
+    policy = TensorDictModule(decide, in_keys=["action_mask"], out_keys=["action", "action_value"])
+    values, mask, _ = told(env, policy)
+    assert (values[mask] == np.broadcast_to(np.arange(mask.shape[1]), mask.shape)[mask]).all()
+    assert np.isnan(values[~mask]).all()
 
 
 def test_sun_and_earth(scan):

@@ -10,6 +10,7 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor
 
 from bsk_torch.env import SatelliteTasking
+from bsk_torch.env.rollout import ACTION_VALUE
 from bsk_torch.obs import RSOTargetProperties
 from bsk_torch.rl.rules.targets import Observation, TargetReader, image_actions, read
 
@@ -133,18 +134,25 @@ class ImagingRule:
             worths[:, downlink] = torch.where((level > FULL) & (opens <= 0.0), URGENCY, -URGENCY).to(images.dtype)
         return worths.masked_fill(~action_mask, -torch.inf)
 
-    def decide(self, observation: Observation, action_mask: Tensor) -> Tensor:
-        """Return actions [N] for an observation and the legal actions [N, A]: the first of those with the largest value."""
-        return self.worths(observation, action_mask).argmax(1)
+    def decide(self, observation: Observation, action_mask: Tensor) -> tuple[Tensor, Tensor]:
+        """Return actions [N] for an observation and the legal actions [N, A], and the ranking of targets [N, A].
+
+        The action is the first of those with the largest value. Actions that are not ranked have NaN.
+        """
+        worths = self.worths(observation, action_mask)
+        return worths.argmax(1), worths.masked_fill(worths.abs() >= URGENCY, torch.nan)
 
 
 def ranking_rule(ranking: Callable[[SatelliteTasking], ImagingRule]) -> Callable[[SatelliteTasking, int], TensorDictModule]:
-    """Return a function from environment and seed to a rule; it raises KeyError or ValueError if unsuitable."""
+    """Return a function from environment and seed to a rule; it raises KeyError or ValueError if unsuitable.
+
+    The rule writes ``action``, and its ranking as ``action_value``.
+    """
 
     def make(env: SatelliteTasking, seed: int = 0) -> TensorDictModule:
         rule = ranking(env)
         zero = env.observation_spec.zero()
         rule.decide(zero["observation"], zero["action_mask"])
-        return TensorDictModule(rule.decide, in_keys=["observation", "action_mask"], out_keys=["action"])
+        return TensorDictModule(rule.decide, in_keys=["observation", "action_mask"], out_keys=["action", ACTION_VALUE])
 
     return make

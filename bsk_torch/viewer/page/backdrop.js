@@ -1,7 +1,8 @@
 // The Earth and the sky as a picture, drawn again only when it would look different: without a graphics card, their shades take
 // most of the time of a frame, and while the camera rests they hardly change from one frame to the next.
 
-import { Matrix4, Mesh, NearestFilter, Scene, ShaderMaterial, Vector2, WebGLRenderTarget } from "three";
+import { Matrix4, NearestFilter, Scene, ShaderMaterial, Vector2, WebGLRenderTarget } from "three";
+import { disc, placeOnHorizon } from "viewer/globe";
 
 const MOST_SHIFT = 0.35; // pixels that a part of the picture may be off
 
@@ -9,8 +10,6 @@ const HIDE = {
   vertex: "void main() { gl_Position = projectionMatrix * (modelViewMatrix * vec4(position, 1.0)); }",
   fragment: "void main() { gl_FragColor = vec4(0.0); }",
 };
-
-const shader = ({ vertex, fragment }, options) => new ShaderMaterial({ vertexShader: vertex, fragmentShader: fragment, ...options });
 
 /** The picture; `earth` belongs into the scene that is drawn over it, and hides what lies behind the Earth. */
 export class Backdrop {
@@ -23,15 +22,13 @@ export class Backdrop {
     this.kept = []; // by view: what its part of the picture shows
     this.drawn = 0;
     this.size = new Vector2();
-    this.earth = new Mesh(globe.surface.geometry, shader(HIDE, { colorWrite: false }));
-    this.earth.matrixAutoUpdate = false;
-    this.earth.frustumCulled = false;
+    this.earth = disc(new ShaderMaterial({ vertexShader: HIDE.vertex, fragmentShader: HIDE.fragment, colorWrite: false }));
     this.earth.renderOrder = -1;
   }
 
   /** Bring the part of the picture that view `index` shows up to date: `box` is its place [x, y, width, height] in pixels. */
   update(renderer, camera, index, box) {
-    this.earth.matrix.copy(this.globe.group.matrix);
+    placeOnHorizon(this.earth, camera.position);
     renderer.getDrawingBufferSize(this.size);
     if (this.picture.width !== this.size.x || this.picture.height !== this.size.y) {
       this.picture.setSize(this.size.x, this.size.y);

@@ -1,10 +1,11 @@
 // The Earth: land from coastlines, day and night, a graticule, the rim of the atmosphere, stars and the Sun.
 
 import {
-  AdditiveBlending, BackSide, BufferGeometry, CanvasTexture, Float32BufferAttribute, Group, LinearMipmapNearestFilter, LineSegments,
-  Mesh, Points, ShaderMaterial, Vector3,
+  AdditiveBlending, BufferGeometry, CanvasTexture, Float32BufferAttribute, Group, LinearMipmapNearestFilter, LineSegments, Mesh, Points,
+  ShaderMaterial, Vector3, Vector4,
 } from "three";
 import { rgb } from "viewer/palette";
+import { across } from "viewer/satellites";
 
 const TEXTURE = [4096, 2048];
 const TURNS = 96; // pieces of a parallel; the sphere lies at most 0.0011 radii below the true one
@@ -12,8 +13,17 @@ const ABOVE = 1.0012; // radii: lines lie over the sphere's flat pieces
 
 const GRID = "#9fb6c9";
 
+const HALO_RADIUS = 1.12; // radii: where the rim of the atmosphere is no longer seen
+const BEYOND = 0.05; // rad beyond the horizon from which on the Earth hides lines on the ground: those are not drawn
+
+// Behind the far plane, lines are dropped before they are rasterized, which takes software most of the time of a line
 const LINE = {
-  vertex: "void main() { gl_Position = projectionMatrix * (modelViewMatrix * vec4(position, 1.0)); }",
+  vertex: `
+uniform vec4 horizon;
+void main() {
+  gl_Position = projectionMatrix * (modelViewMatrix * vec4(position, 1.0));
+  if (dot(position, horizon.xyz) < horizon.w) gl_Position.z = 2.0 * gl_Position.w;
+}`,
   fragment: "uniform vec3 tint; uniform float opacity; void main() { gl_FragColor = vec4(tint, opacity); }",
 };
 
@@ -43,11 +53,12 @@ void main() {
 }`,
 };
 
+// On a ring around the horizon: position.z is 0 at its inner edge and 1 at its outer edge
 const HALO = {
   vertex: `
-varying vec3 vPlace; varying vec3 vEye;
+uniform float reach; varying vec3 vPlace; varying vec3 vEye;
 void main() {
-  vPlace = (modelMatrix * vec4(position, 1.0)).xyz; vEye = cameraPosition;
+  vPlace = (modelMatrix * vec4(position.xy * mix(0.98, reach, position.z), 0.0, 1.0)).xyz; vEye = cameraPosition;
   gl_Position = projectionMatrix * (viewMatrix * vec4(vPlace, 1.0));
 }`,
   fragment: `
@@ -98,10 +109,10 @@ export class Globe {
     this.sky = new Group();
     const whole = sphere(1, TURNS);
     this.surface = new Mesh(whole, shader(SURFACE, { land: { value: landTexture(land) }, sun: { value: this.sunP }, eye: { value: this.eyeP } }));
-    this.group.add(this.surface, coastlines(land), graticule());
-    this.halo = new Mesh(sphere(1.12, TURNS / 2), shader(HALO, { sun: { value: this.sunN } }, { transparent: true, side: BackSide }));
-    this.halo.material.blending = AdditiveBlending;
-    this.halo.material.depthWrite = false;
+    this.horizon = new Vector4(); // lines on the ground are in front of this plane
+    this.group.add(this.surface, coastlines(land, this.horizon), graticule(this.horizon));
+    const uniforms = { sun: { value: this.sunN }, reach: { value: 1 } };
+    this.halo = onHorizon(new Mesh(ring(), shader(HALO, uniforms, { transparent: true, depthWrite: false, blending: AdditiveBlending })));
     this.sky.add(stars(), this.#sunDisc(), this.halo);
   }
 
@@ -121,6 +132,11 @@ export class Globe {
       if (part.material.uniforms.ratio) part.material.uniforms.ratio.value = ratio;
       if (part.material.uniforms.far) part.material.uniforms.far.value = camera.far;
     }
+    const edge = Math.acos(Math.min(1 / this.eyeP.length(), 1)) + BEYOND;
+    this.horizon.set(...this.eyeP.clone().normalize().toArray(), ABOVE * Math.cos(edge));
+    placeOnHorizon(this.halo, camera.position);
+    const square = camera.position.lengthSq();
+    this.halo.material.uniforms.reach.value = HALO_RADIUS * Math.sqrt((square - 1) / Math.max(square - HALO_RADIUS ** 2, 1e-3));
     this.sky.children[0].position.copy(camera.position);
     this.sky.children[0].scale.setScalar(camera.far * 0.95);
   }
@@ -189,32 +205,74 @@ export function landPath(land, width, height) {
   return path;
 }
 
-function segments(places, opacity) {
+/** The horizon, as a disc of radius 1 with its center in the origin: it hides what the whole Earth hides, with few triangles. */
+export function disc(material) {
+  const places = Array.from({ length: TURNS }, (_, k) => [...circle(k), 0]).flat();
   const geometry = new BufferGeometry().setAttribute("position", new Float32BufferAttribute(places, 3));
-  const uniforms = { tint: { value: new Vector3(...rgb(GRID)) }, opacity: { value: opacity } };
+  geometry.setIndex(Array.from({ length: TURNS - 2 }, (_, k) => [0, k + 1, k + 2]).flat());
+  return onHorizon(new Mesh(geometry, material));
+}
+
+function ring() {
+  const places = Array.from({ length: TURNS + 1 }, (_, k) => [...circle(k), 0, ...circle(k), 1]).flat();
+  const geometry = new BufferGeometry().setAttribute("position", new Float32BufferAttribute(places, 3));
+  geometry.setIndex(Array.from({ length: TURNS }, (_, k) => [0, 1, 2, 2, 1, 3].map((corner) => 2 * k + corner)).flat());
+  return geometry;
+}
+
+function circle(k) {
+  return [Math.cos((2 * Math.PI * k) / TURNS), Math.sin((2 * Math.PI * k) / TURNS)];
+}
+
+function onHorizon(mesh) {
+  mesh.matrixAutoUpdate = false;
+  mesh.frustumCulled = false;
+  return mesh;
+}
+
+/** Place a disc or a ring on the circle in which lines of sight from `eye`, in radii, touch the Earth. */
+export function placeOnHorizon(mesh, eye) {
+  const distance = Math.max(eye.length(), 1.0001);
+  const up = eye.clone().normalize();
+  const radius = Math.sqrt(1 - 1 / distance ** 2);
+  const [u, w] = across(up).map((axis) => axis.multiplyScalar(radius));
+  mesh.matrix.makeBasis(u, w, up.clone()).setPosition(up.divideScalar(distance));
+  mesh.matrixWorldNeedsUpdate = true;
+}
+
+/** Lines along rows of places, as one draw call in which neighbors share vertices. */
+function lines(rows, opacity, horizon) {
+  const [places, index] = [[], []];
+  for (const row of rows) {
+    row.forEach(([x, y, drawn = true], k) => {
+      if (k && drawn) index.push(places.length / 3 - 1, places.length / 3);
+      places.push(...onGround(x, y, ABOVE));
+    });
+  }
+  const geometry = new BufferGeometry().setAttribute("position", new Float32BufferAttribute(places, 3)).setIndex(index);
+  const uniforms = { tint: { value: new Vector3(...rgb(GRID)) }, opacity: { value: opacity }, horizon: { value: horizon } };
   return new LineSegments(geometry, shader(LINE, uniforms, { transparent: true, depthWrite: false }));
 }
 
-function coastlines(land) {
-  const places = [];
-  for (const ring of land.coordinates.flat()) {
-    for (let k = 1; k < ring.length; k++) {
-      const edge = Math.abs(ring[k][0]) > 179.9 && Math.abs(ring[k - 1][0]) > 179.9; // of the map, not a coast
-      if (!edge && ring[k][1] > -89.9) places.push(...onGround(...ring[k - 1], ABOVE), ...onGround(...ring[k], ABOVE));
-    }
-  }
-  return segments(places, 0.42);
+function coastlines(land, horizon) {
+  const rows = land.coordinates.flat().map((ring) =>
+    ring.map(([x, y], k) => {
+      const before = ring[Math.max(k - 1, 0)][0];
+      const edge = Math.abs(x) > 179.9 && Math.abs(before) > 179.9; // of the map, not a coast
+      return [x, y, !edge && y > -89.9];
+    }));
+  return lines(rows, 0.42, horizon);
 }
 
-function graticule() {
-  const places = [];
-  const piece = (a, b) => places.push(...onGround(...a, ABOVE), ...onGround(...b, ABOVE));
+function graticule(horizon) {
+  const rows = [];
+  const range = (from, to) => Array.from({ length: (to - from) / 3 + 1 }, (_, k) => from + 3 * k);
   for (let line = -180; line < 180; line += 15) {
     const end = line % 90 ? 75 : 90;
-    for (let x = -end; x < end; x += 3) piece([line, x], [line, x + 3]);
-    if (Math.abs(line) < 90) for (let x = -180; x < 180; x += 3) piece([x, line], [x + 3, line]);
+    rows.push(range(-end, end).map((y) => [line, y]));
+    if (Math.abs(line) < 90) rows.push(range(-180, 180).map((x) => [x, line]));
   }
-  return segments(places, 0.11);
+  return lines(rows, 0.11, horizon);
 }
 
 /** Faint points; their places come from a fixed sequence, so that pictures are the same each time. */

@@ -14,9 +14,10 @@ import { RADIUS } from "viewer/satellites";
 import { Stage } from "viewer/stage";
 import { Timeline, clock } from "viewer/timeline";
 
-const FRAME = 1000 / 31; // ms: at most 30 frames a second
-const READ = 150; // ms: while playing, texts change no faster than they can be read
-const LEAST_DETAIL = 0.5; // of the resolution, along both axes
+const FRAME = 1000 / 31; // ms: about 30 frames a second, in the mean
+const SLOW = 1.1; // times this long, frames are drawn with fewer pixels
+const READ = 200; // ms: while playing, texts change no faster than they can be read
+const LEAST_DETAIL = 0.36; // of the resolution, along both axes
 const SPEEDS = [1, 5, 10, 30, 60, 120, 300, 600, 1200];
 const PLAYED = 75; // s that a flight takes at the first speed, roughly
 const LAYERS = { orbits: "Orbits", instruments: "Instruments", links: "Links and passes", targets: "Targets", stations: "Stations", cones: "Station cones", axes: "Body axes", labels: "Names" };
@@ -108,7 +109,8 @@ class Viewer {
     this.waiting = false;
     if (!this.recording) return;
     if (this.playing) {
-      if (now - this.last < FRAME) return this.changed();
+      if (now < this.due) return this.changed();
+      this.due = Math.max(this.due + FRAME, now - FRAME); // the frame after a late one comes earlier, so that the mean is kept
       const passed = Math.min(now - this.last, 250);
       this.last = now;
       this.#adapt(passed);
@@ -122,8 +124,8 @@ class Viewer {
 
   /** While playing, draw the globe with fewer pixels if frames take too long, as without a graphics card. */
   #adapt(passed) {
-    this.pace = 0.8 * this.pace + 0.2 * passed;
-    if (this.pace < 1.35 * FRAME || this.stage.detail <= LEAST_DETAIL) return;
+    this.pace = 0.9 * this.pace + 0.1 * passed;
+    if (this.pace < SLOW * FRAME || this.stage.detail <= LEAST_DETAIL) return;
     this.stage.detail = Math.max(this.stage.detail * 0.84, LEAST_DETAIL);
     this.pace = FRAME;
   }
@@ -163,7 +165,7 @@ class Viewer {
     this.playing = on;
     this.pace = FRAME;
     if (!on && this.stage) this.stage.detail = 1;
-    this.last = performance.now();
+    this.last = this.due = performance.now();
     byId("play").classList.toggle("on", on);
     byId("play").setAttribute("aria-label", on ? "Pause" : "Play");
     this.changed();

@@ -104,6 +104,8 @@ export class Panels {
     const head = make("h2", {}, title, make("span", {}, `at ${clock(track.decisions.time[d])}`));
     const panel = make("div", { className: "panel decision" }, head);
     panel.append(actions.length ? this.#actionTable(state, d, actions) : this.#controlTable(track, d, controls ?? []));
+    const told = actions.length ? opinion(track.decisions, d, state.said) : "";
+    if (told) panel.append(make("p", { className: "note opinion" }, told));
     panel.append(make("p", { className: "note" }, `Reward of this step: ${number(track.decisions.reward[d])}.`));
     if (state.live) panel.append(this.#liveTools(state, d));
     return panel;
@@ -111,7 +113,7 @@ export class Panels {
 
   #actionTable(state, d, actions) {
     const { decisions } = state.track;
-    const row = (array) => array.data.subarray(d * array.shape[1], (d + 1) * array.shape[1]);
+    const row = (array) => rowOf(array, d);
     const [mask, probability, values] = [row(decisions.mask), row(decisions.probability), row(decisions.actionValue)];
     const chances = probability.some(Number.isFinite);
     const flown = values.some(Number.isFinite);
@@ -191,6 +193,18 @@ function isShare(track, n) {
     return true;
   });
   return track.shares[n];
+}
+
+function rowOf(array, d) {
+  return array.data.subarray(d * array.shape[1], (d + 1) * array.shape[1]);
+}
+
+/** What the policy has computed for decision d; `said` is what the server has said about values that were asked for. */
+function opinion({ probability, actionValue }, d, said) {
+  if (rowOf(actionValue, d).some(Number.isFinite)) {
+    return said ? "" : "Value: of a planner, the return up to its horizon; of a rule, its ranking; if asked for, the rest of the return.";
+  }
+  return rowOf(probability, d).some(Number.isFinite) ? "" : "This policy computes neither probabilities nor values of actions.";
 }
 
 function chanceCell(chance, allowed) {
