@@ -213,7 +213,7 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
         panel.axhline(max(row["constants"].values()), color=style.PALETTE[1], label="best constant action")
         panel.axhline(row["random"], color="0.5", linestyle="--", label="random actions")
         style.label(panel, f"return in {row['name']}")
-    panels[0].legend(fontsize=7, loc="lower right", frameon=False)
+    panels[0].legend(fontsize=7, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False)  # above all lines
     panels[-1].set_xlabel("decisions learned from, thousands")
     style.save(figure, path)
 
