@@ -295,6 +295,9 @@ STARTS: dict[str, list[Start]] = {
     ],
     "scripts/demo.sh": [Start(f"{TRAIN} --out {{tmp}}/run", "trained")],
     "scripts/tools/make_readme_pictures.py": [Start("speed CWDocking-v1 --out .", r"(?s)speed.png.*CWDocking-v1.png")],
+    "scripts/tools/make_viewer_film.py": [
+        Start("--preset NadirScan-v1 --until 900 --step 450 --out film.webp", r"film\.webp: \d+ frames, \d", "browser"),
+    ],
     "scripts/tools/make_paper_figure.py": [Start("--out evidence.png", r"evidence.png")],
     "scripts/tools/make_aeos_pool.py": [
         Start(
