@@ -2,8 +2,8 @@
 
     python scripts/tools/make_viewer_film.py [--preset Constellation-v1] [--until 1500] [--step 25] [--out FILE.webp]
 
-A flight of the pretrained policy plays until a decision, another action is chosen there, and both futures play together. The time of
-the page is set for every frame, so the film does not depend on the speed of the machine. Needs Chromium and the extra ``viz``.
+A flight of the pretrained policy plays until a decision, another action is chosen there, and both futures play together. The time
+of the page is set for every frame, so the film does not depend on the speed of the machine. Needs Chromium and the extra ``viz``.
 """
 
 from __future__ import annotations
@@ -26,18 +26,21 @@ from bsk_torch.viewer import Futures
 from bsk_torch.viewer.server import serve
 
 FILM = Path(__file__).parents[2] / "docs" / "_static" / "viewer" / "film.webp"
-SCREEN = {"width": 960, "height": 600}
 SEED, TARGETS = 3, 1000
 
 SHARE = 0.5
 """Share of the flight after which another action is chosen."""
 
 FRAME_MS, HELD = 110, 1200
-"""Milliseconds that a frame is shown, and that the choice and both futures are shown before time goes on."""
+"""Milliseconds that a frame is shown, and that the choice is shown."""
 
 QUALITY = 30
 
-SCROLL = """() => { const line = document.querySelector('.decision'); document.getElementById('panels').scrollTop = line.offsetTop - 90; }"""
+SCROLL = """() => {
+  const line = document.querySelector('.decision');
+  document.getElementById('panels').scrollTop = line.offsetTop - 90;
+}"""
+"""Brings the table of actions into view."""
 
 
 def futures_of(preset: str, until: float) -> Futures:
@@ -105,7 +108,7 @@ def main() -> None:
     threading.Thread(target=server.serve_forever, daemon=True).start()
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"])
-        page = browser.new_page(viewport=SCREEN, color_scheme="dark")
+        page = browser.new_page(viewport={"width": 960, "height": 600}, color_scheme="dark")
         page.set_default_timeout(300_000)
         page.goto(server.url)
         page.wait_for_selector("#message[hidden]", state="attached")
