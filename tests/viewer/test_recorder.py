@@ -144,9 +144,10 @@ def test_values_of_a_planner_are_those_of_the_satellite_that_decides():
     env.set_seed(2)
     first = planner(env.reset())["action_value"][0]
     values, mask, _ = told(env, planner, 1.0)
-    for slot, row in enumerate(values):
-        n = len(mask[slot])
-        assert row.tolist() == pytest.approx(first[slot, :n].tolist(), rel=1e-3, nan_ok=True)
+    assert len(values) == 3 == len(first)
+    assert np.isfinite(values).any(1).all()
+    for row, found in zip(values, first, strict=True):
+        assert row.tolist() == pytest.approx(found[: mask.shape[1]].tolist(), rel=1e-3, nan_ok=True)
 
 
 def test_the_ranking_of_a_rule_and_values_of_a_users_policy_are_recorded():
