@@ -195,7 +195,7 @@ STARTS: dict[str, list[Start]] = {
     "benchmarks/adversary.py": [
         Start(
             "--candidates 2 --each 1 --iterations 1 --elite 2 --episodes 2 --time-limit 300 --seeds 1 --frames 32 --num-envs 2 "
-            "--boxes wide --backend eager",
+            "--boxes wide",
             r"(?s)\| wide \| package \| family \| .*\| wide \| trained on preset, seed 0 \| preset \| ",
         ),
     ],

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import torch
 
+import bsk_torch
 from bsk_torch.env.rollout import play_episodes
 
 SEED = 4_000_011
@@ -144,3 +145,49 @@ def test_shares_of_head_room_are_paired(headroom):
     assert worse["share"] < 0.0
     assert not worse["admitted"]
     assert headroom.merged(None, [found]) == [found]
+
+
+@pytest.fixture
+def distillation(monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
+    import distillation
+
+    yield distillation
+    for name in ("distillation", "return_vs_computation", "expert_iteration", "harness"):
+        sys.modules.pop(name, None)
+
+
+@pytest.fixture
+def adversary(monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
+    import adversary
+
+    yield adversary
+    for name in ("adversary", "harness"):
+        sys.modules.pop(name, None)
+
+
+def test_the_interval_of_a_share_shrinks_with_what_the_gains_have_in_common(distillation):
+    draws = torch.Generator().manual_seed(SEED)
+    whole = 1.0 + torch.rand(400, generator=draws, dtype=torch.float64)
+    noise = 0.1 * torch.randn(400, generator=draws, dtype=torch.float64)
+    exact, noisy = distillation.share(0.3 * whole, whole), distillation.share(0.3 * whole + noise, whole)
+    assert exact.mean == pytest.approx(0.3, abs=1e-12)
+    assert exact.half_width < 1e-12
+    assert abs(noisy.mean - 0.3) < noisy.half_width == pytest.approx(1.96 * 0.1 / 400**0.5 / 1.5, rel=0.15)
+
+
+def test_the_nominal_box_is_the_preset(adversary):
+    preset = bsk_torch.make("NadirScan-v1", num_envs=512, backend="eager", seed=SEED)
+    boxed = adversary.arguments(adversary.uniform(adversary.NOMINAL))
+    same = bsk_torch.make("NadirScan-v1", num_envs=512, sat_args=boxed, backend="eager", seed=SEED)
+    for env in (preset, same):
+        env.reset()
+    for name in (*boxed, "oe"):
+        expected, found = (env.satellite.sat_args[name].double() for env in (preset, same))
+        expected, found = (values.expand(512, *values.shape[1:]) for values in (expected, found))
+        if name == "oe":  # (i, Omega) and (-i, Omega + pi) are the same orbit
+            expected, found = expected[:, :3].abs(), found[:, :3].abs()
+        spread = float(expected.std(0).max())
+        assert torch.allclose(expected.mean(0), found.mean(0), atol=4.0 * spread * (2.0 / 512) ** 0.5 + 1e-12)
+        assert float(found.std(0).max()) == pytest.approx(spread, rel=0.15)
