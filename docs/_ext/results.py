@@ -562,8 +562,9 @@ def distillations() -> str:
     for row in load("distillation")["rows"]:
         gain = f"{row['gain']:+.3f} ± {row['gain_half']:.3f}" if row["policy"] != "network" else "-"
         kept = f"{row['share']:.0%} ± {row['share_half']:.0%}" if "training" in row else "-"
-        spent = [whole(row[key]) if key in row else "-" for key in ("decisions", "collecting", "training")]
-        rows.append([code(row["task"]), row["policy"], f"{row['value']:.3f} ± {row['half']:.3f}", gain, kept, *spent])
+        spent = [digits(row[key]) if key in row else "-" for key in ("collecting", "training")]
+        learned = whole(row["decisions"]) if "decisions" in row else "-"
+        rows.append([code(row["task"]), row["policy"], f"{row['value']:.3f} ± {row['half']:.3f}", gain, kept, learned, *spent])
     head = [
         "task",
         "policy",
