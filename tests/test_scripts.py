@@ -211,6 +211,12 @@ STARTS: dict[str, list[Start]] = {
             r"(?s)\| 300 \| least \| [\d.]+ \| [\d.]+ \| .*\| 300 \| typical \| [\d.]+ \| ",
         ),
     ],
+    "benchmarks/sustained.py": [
+        Start(
+            "--scale 0.01 --planned 1 --time-limit 900 --window 120 --rounds 1 --enough 1",
+            r"(?s)\| 0.20 to 0.30 \| .*\| AEOS-v1/9999 \| rollout over trained \| \d+ \| [\d.]+ \| .*\"share\": [01]\.\d",
+        ),
+    ],
     "benchmarks/resources.py": [
         Start("--episodes 2 --time-limit 900", r"(?s)\| targets in view \| .*\| images that the store holds \| 100 \|"),
     ],

@@ -855,6 +855,28 @@ def envelope() -> str:
     return with_command("envelope", head, rows)
 
 
+def sustained() -> str:
+    """Return times between images that satellites cannot beat for long, with the least and the median ones."""
+    fitted = json.loads((ROOT / "bsk_torch" / "plan" / "bounds" / "agile_sustained.json").read_text())
+    rows = []
+    for row in load("sustained")["rows"]:
+        k = round(row["low"] / fitted["width"])
+        times = [fitted["direct"][k] * fitted["step"], row["least"], row["median"]]
+        rows.append([f"{row['low']:.1f} to {row['high']:.1f}", whole(row["count"]), *(f"{seconds:.1f}" for seconds in times)])
+    return table(["angle, rad", "transitions", "sustained, s", "least in one step, s", "median, s"], rows) + "\n"
+
+
+def largest_leads() -> str:
+    """Return how far ahead of the sustained times flights get that the fit has not seen."""
+    rows = []
+    found = load("sustained")
+    names = ["times of the program, seen", "times of the program", "lowered times, seen", "lowered times"]
+    planned = [row | {"policy": f"{row['policy']}, {name}"} for row, name in zip(found["planned"], names, strict=True)]
+    for row in found["leads"] + planned[1:]:
+        rows.append([code(row["task"]), row["policy"], whole(row["images"]), f"{row['largest']:.1f}", whole(row["beyond"])])
+    return with_command("sustained", ["task", "policy", "images", "largest lead, s", "beyond the reserve"], rows)
+
+
 def bounds(*tasks: str) -> str:
     """Return how near policies come to their bounds in some tasks."""
     rows = []
@@ -889,9 +911,18 @@ def relaxations() -> str:
     """Return what the relaxation allows with several times between images."""
     rows = []
     for row in load("relaxation")["rows"]:
-        values = [f"{row[name]:.2f}" for name in ("in_view", "bound", "schedule")]
+        values = [f"{row[name]:.2f}" for name in ("in_view", "bound", "schedule", "planner")]
         rows.append([whole(row["targets"]), row["times"], *values, whole(row["knapsack"]), short(row["seconds"])])
-    head = ["targets", "times between images", "in view", "bound", "schedule", "quickest transitions, s", "s for each bound"]
+    head = [
+        "targets",
+        "times between images",
+        "in view",
+        "bound",
+        "schedule",
+        "planner",
+        "quickest transitions, s",
+        "s for each bound",
+    ]
     return with_command("relaxation", head, rows)
 
 
@@ -1133,6 +1164,8 @@ TABLES = {
     "dataset_sizes": dataset_sizes,
     "clouds": clouds,
     "envelope": envelope,
+    "sustained": sustained,
+    "largest_leads": largest_leads,
     "bounds": bounds,
     "bounds_made": bounds_made,
     "schedules": schedules,

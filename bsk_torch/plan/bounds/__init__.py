@@ -1,24 +1,31 @@
 """Upper bounds on what any policy can reach, each with its assumptions."""
 
-from bsk_torch.plan.bounds.envelope import Envelope
+from bsk_torch.plan.bounds.envelope import SUSTAINED, Envelope
 from bsk_torch.plan.bounds.imaging import ImagingBound, imaging_bound
 from bsk_torch.plan.bounds.scanning import ScanningBound, scanning_bound
 from bsk_torch.plan.bounds.schedule import Schedule, ScheduledPolicy, milp_schedule, relaxed_schedule
 from bsk_torch.plan.bounds.sight import sight_bound
+from bsk_torch.plan.bounds.sustained import ImageSequences, Leads, leads, record_images, sustained_envelope
 from bsk_torch.plan.bounds.transitions import Transitions, carried_over, record_transitions
 
 __all__ = [
+    "SUSTAINED",
     "Envelope",
+    "ImageSequences",
     "ImagingBound",
+    "Leads",
     "ScanningBound",
     "Schedule",
     "ScheduledPolicy",
     "Transitions",
     "carried_over",
     "imaging_bound",
+    "leads",
     "milp_schedule",
+    "record_images",
     "record_transitions",
     "relaxed_schedule",
     "scanning_bound",
     "sight_bound",
+    "sustained_envelope",
 ]

@@ -22,6 +22,9 @@ from bsk_torch.files import write_file
 FILE = Path(__file__).with_name("agile.json")
 """Envelope of the agile satellite of AEOS-v1, which ``benchmarks/envelope.py`` fits and checks."""
 
+SUSTAINED = Path(__file__).with_name("agile_sustained.json")
+"""Times that the same satellite cannot beat for long, which ``benchmarks/sustained.py`` fits and checks."""
+
 SOONEST = 2
 """Least number of ticks of a step that ends with an image: one until the instrument may record, one until data have come."""
 
@@ -66,6 +69,8 @@ class Envelope:
         arguments: Arguments of the satellite that it was fitted on, as text by name.
         transitions: Number of transitions that it was fitted on.
         typical: Median time of each bin in one step, ticks; what schedules count with.
+        reserve: Ticks by which a satellite may be ahead of these times (:mod:`bsk_torch.plan.bounds.sustained`); 0 if every
+            single transition obeys them.
     """
 
     width: float
@@ -75,6 +80,7 @@ class Envelope:
     arguments: Mapping[str, str]
     transitions: int
     typical: tuple[int, ...] = ()
+    reserve: int = 0
 
     def least(self, angle: Tensor, *, direct: bool) -> Tensor:
         """Return the least ticks, for angles of any shape, rad."""
@@ -139,7 +145,7 @@ class Envelope:
         """The same with typical times in place of the least ones: no bound, but what a schedule counts with."""
         if not self.typical:
             raise ValueError("the envelope has no typical times; fit one with Envelope.below")
-        return replace(self, direct=self.typical, any=self.typical)
+        return replace(self, direct=self.typical, any=self.typical, reserve=0)
 
     def smallest_margin(self, angle: Tensor, ticks: Tensor, one_step: Tensor) -> int:
         """Return how many ticks the nearest transition lies above the envelope; negative if one lies below."""

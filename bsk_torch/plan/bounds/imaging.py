@@ -30,8 +30,8 @@ class ImagingBound:
         found: Return of the best schedule found in the relaxation, [N]; a satellite may be unable to fly it. The optimum of the
             relaxation with these minimum times between images lies between this and ``upper``.
         multiplier: Multipliers of the targets, [N, T]: what an image of each is worth alongside others.
-        target, tick: That schedule: targets by index, and the ticks at which their steps end, [N, K]; -1 behind the last. Of a
-            constellation, the images of one satellite follow those of the one before.
+        target, tick: That schedule: targets by index, and the ticks at which their steps end, up to the reserve of the envelope
+            late, [N, K]; -1 behind the last. Of a constellation, the images of one satellite follow those of the one before.
         satellite: Which satellite of the episode takes each image, [N, K].
     """
 
@@ -49,24 +49,26 @@ def imaging_bound(
 ) -> ImagingBound:
     """Return an upper bound on the return of each episode that has just begun.
 
-    The bound is that of a relaxation: images of targets within their windows, as the environment finds them, with least times
-    between successive images of a satellite, and each target pays once. It assumes that
+    The bound is that of a relaxation: images of targets within their windows, as the environment finds them, with times between
+    successive images of a satellite, and each target pays once. It assumes that
 
-    * successive images are no closer in time than ``envelope`` says: it rests on a million recorded transitions, not on a proof;
+    * successive images are no closer in time than ``envelope`` says, or, where it has a reserve, satellites are never ahead of
+      its times by more than that (:mod:`bsk_torch.plan.bounds.sustained`): it rests on recorded flights, not on a proof;
     * no image is carried over from a step that has just ended (:func:`~bsk_torch.plan.bounds.transitions.carried_over`); what
       policies collect alongside such images lies below the bound in any case;
     * power, storage and the first slew cost nothing; dying pays nothing.
 
-    With the envelope of the package and full episodes of AEOS-v1 it is hardly lower than ``in_view``, whatever the number of
-    targets tried: minimum times depend only on the angle, and are short. Energy and storage of AEOSPower-v1 would suffice for
-    images of all targets in view, so that constraints on them would not lower it (``docs/studies/bounds.md`` has the figures).
+    With the least times of single slews and full episodes of AEOS-v1 it is hardly lower than ``in_view``, whatever the number of
+    targets tried. ``Envelope.load(SUSTAINED)`` has times that policies do not beat for long; with 10,000 targets, they lower the
+    bound by more than a third. Energy and storage of AEOSPower-v1 would suffice for images of all targets in view, so that
+    constraints on them would not lower it (``docs/studies/bounds.md`` has the figures).
 
     Targets pay once by multipliers (:mod:`bsk_torch.plan.bounds.paths`); time is in cells of some ticks, rounded in favor of
     the satellite. In a constellation all satellites share the targets: the sum of their paths under the same multipliers.
 
     Args:
         env: An environment after ``reset``; what it returns afterwards does not change.
-        envelope: Least times between images (default: those of the presets' agile satellite).
+        envelope: Times between images (default: the least ones of single slews of the presets' agile satellite).
         iterations: Subgradients for the multipliers.
         bits: Neighbors that paths remember; each doubles the time.
         cell: Ticks in a cell, 1 or 2.
@@ -133,14 +135,16 @@ def graph_of(
         count: Satellites of an episode.
         envelope: Least times between images.
         cell: Ticks in a cell.
-        limit: Largest number of ticks of an episode.
+        limit: Largest number of ticks of an episode; orbits are solved that far, and images of the graph may come
+            ``envelope.reserve`` later.
         pause: Ticks after which other actions than images may end; None if there are none.
     """
     rows = (envs.unsqueeze(1) * count + torch.arange(count)).flatten()
     mine = (every.row >= rows[0]) & (every.row <= rows[-1])
-    some = Openings(*(column[mine] for column in every))._replace(row=every.row[mine] - rows[0])
-    cells, h = limit // cell + 1, satellite.simulator.h
-    middle = (torch.arange(cells, dtype=torch.float64) * cell + 0.5 * (cell - 1)) * h
+    row, target, first, last = (column[mine] for column in every)
+    some = Openings(row - rows[0], target, first, last + envelope.reserve)
+    cells, h = (limit + envelope.reserve) // cell + 1, satellite.simulator.h
+    middle = (torch.arange(cells, dtype=torch.float64) * cell + 0.5 * (cell - 1)).clamp(max=float(limit)) * h
     r_P = satellite_positions(satellite, rows.repeat_interleave(cells), middle.repeat(len(rows))).view(len(rows), cells, 3)
     r_LP_P = satellite.simulator.scenario_state["target_r_LP_P"][envs].repeat_interleave(count, 0)
     return image_graph(some, r_P, r_LP_P, envelope, cell, cells, pause)

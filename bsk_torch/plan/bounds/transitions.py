@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import torch
@@ -50,8 +51,29 @@ def carried_over(imaged: Tensor, ticks: Tensor) -> Tensor:
     return imaged & (ticks <= 1)
 
 
-def record_transitions(env: SatelliteTasking, policy: Policy, seed: int) -> Transitions:
-    """Play one episode in each row to its end and return the transitions between images that were not carried over.
+class ImageStep(NamedTuple):
+    """What a step of N episodes imaged.
+
+    Attributes:
+        satellite: The satellites.
+        r_LP_P: Earth-fixed positions of the targets, [N, T, 3] m.
+        own: Whether the step ended with an image that was not carried over, [N].
+        carried: Whether it was credited with the image of the step before, [N].
+        target: Latest target with an image, [N].
+        before, now: Ticks at which it began and ended, [N].
+    """
+
+    satellite: BoundImagingSatellite
+    r_LP_P: Tensor
+    own: Tensor
+    carried: Tensor
+    target: Tensor
+    before: Tensor
+    now: Tensor
+
+
+def image_steps(env: SatelliteTasking, policy: Policy, seed: int) -> Iterator[ImageStep]:
+    """Play one episode in each row to its end and yield what every step imaged.
 
     ValueError for a satellite that takes no images.
     """
@@ -61,20 +83,29 @@ def record_transitions(env: SatelliteTasking, policy: Policy, seed: int) -> Tran
     env.set_seed(seed)
     start, state = env.reset(), env.simulator.state
     places = env.simulator.scenario_state["target_r_LP_P"]
-    rows, found, carried = torch.arange(len(places)), [], 0
-    since, from_target = torch.full_like(state.ticks, -1), torch.zeros_like(state.ticks)
     before, images = state.ticks.clone(), satellite.imaged.clone()
     for playing, _ in play_episodes(env, policy, start):
-        now, target = state.ticks, satellite.latest_target
+        now = state.ticks.clone()
         imaged = (satellite.imaged > images) & playing
-        over = carried_over(imaged, now - before)
-        own = imaged & ~over
-        carried += int(over.sum())
-        row = rows[own & (since >= 0)]
-        here = satellite_positions(satellite, row, since[row] * env.simulator.h)
-        angle = angle_between(places[row, from_target[row]] - here, places[row, target[row]] - here)
-        found.append((angle, now[row] - since[row], before[row] == since[row]))
-        since, from_target = torch.where(own, now, since), torch.where(own, target, from_target)
-        before, images = now.clone(), satellite.imaged.clone()
+        carried = carried_over(imaged, now - before)
+        yield ImageStep(satellite, places, imaged & ~carried, carried, satellite.latest_target, before, now)
+        before, images = now, satellite.imaged.clone()
+
+
+def record_transitions(env: SatelliteTasking, policy: Policy, seed: int) -> Transitions:
+    """Play one episode in each row to its end and return the transitions between images that were not carried over.
+
+    ValueError for a satellite that takes no images.
+    """
+    rows = torch.arange(len(env.env_ids))
+    found, carried = [], 0
+    since, from_target = torch.full_like(rows, -1), torch.zeros_like(rows)
+    for step in image_steps(env, policy, seed):
+        carried += int(step.carried.sum())
+        row = rows[step.own & (since >= 0)]
+        here = satellite_positions(step.satellite, row, since[row] * env.simulator.h)
+        angle = angle_between(step.r_LP_P[row, from_target[row]] - here, step.r_LP_P[row, step.target[row]] - here)
+        found.append((angle, step.now[row] - since[row], step.before[row] == since[row]))
+        since, from_target = torch.where(step.own, step.now, since), torch.where(step.own, step.target, from_target)
     angles, ticks, one_step = (torch.cat(column) for column in zip(*found, strict=True))
     return Transitions(angles, ticks, one_step, carried)

@@ -1,0 +1,202 @@
+"""Times that satellites cannot beat for long: leads by hand, the fit, and bounds around schedules that are counted out."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+
+from bsk_torch import presets
+from bsk_torch.astro.frames import angle_between
+from bsk_torch.plan.bounds import (
+    SUSTAINED,
+    Envelope,
+    ImageSequences,
+    imaging_bound,
+    leads,
+    record_images,
+    record_transitions,
+    sustained_envelope,
+)
+from bsk_torch.plan.bounds.graph import image_graph
+from bsk_torch.plan.bounds.paths import best_paths
+from bsk_torch.plan.bounds.sustained import NODES, SPACING, _later, bins_of
+from bsk_torch.plan.bounds.windows import satellite_positions
+from bsk_torch.rl.evaluation import evaluate
+from bsk_torch.rl.policies import pretrained
+from bsk_torch.rl.rules.baselines import BASELINES
+from tests.plan.test_bounds import HALF_ORBIT, SEED, Tiny, envelope
+
+
+def flights(seed: int, rows: int = 6, images: int = 40) -> ImageSequences:
+    """Images of satellites at rest; times are those of the angle, and luck that does not last."""
+    g = torch.Generator().manual_seed(seed)
+    side = torch.rand(rows, images, generator=g, dtype=torch.float64)
+    places = torch.stack([side, torch.zeros_like(side), torch.full_like(side, -1.0)], -1)
+    angle = angle_between(places[:, :-1], places[:, 1:])
+    luck = torch.where(torch.rand(rows, images - 1, generator=g) < 0.1, 0.3, 1.0)
+    wait = torch.randint(0, 6, (rows, images - 1), generator=g)
+    step = ((20.0 + 60.0 * angle) * luck).long() + wait
+    tick = torch.cat([torch.ones(rows, 1, dtype=torch.int64), 1 + step.cumsum(1)], 1)
+    tick[0, images // 2 :] = -1
+    return ImageSequences(tick, places, torch.zeros(rows, images, NODES, 3, dtype=torch.float64), 0)
+
+
+def fitted(images: ImageSequences, reserve: int, **options: Any) -> Envelope:
+    return sustained_envelope(images, reserve=reserve, step=0.5, arguments={}, width=0.1, bins=10, enough=1, **options)
+
+
+def test_leads_are_those_of_a_clock_kept_by_hand():
+    images, times = flights(0), envelope([10, 12, 20, 24, 30, 33, 40, 44, 50, 55], [2] * 10)
+    found = leads(images, times)
+    for row in range(len(images.tick)):
+        ticks = [t for t in images.tick[row].tolist() if t >= 0]
+        clock = ticks[0]
+        for k in range(1, len(ticks)):
+            angle = float(angle_between(images.r_LP_P[row, k - 1], images.r_LP_P[row, k]))
+            clock = max(ticks[k], clock + times.direct[min(int(angle / 0.1), 9)])
+            assert int(found.lead[row, k]) == clock - ticks[k]
+            assert float(found.angle[row, k]) == pytest.approx(angle)
+        assert bool((found.lead[row, len(ticks) :] == 0).all())
+        assert bool(found.angle[row, len(ticks) :].isnan().all())
+
+
+@pytest.mark.parametrize("reserve", [0, 10, 40])
+def test_no_flight_of_the_fit_is_ahead_by_more_than_the_reserve(reserve):
+    images = flights(1)
+    made = fitted(images, reserve, margin=0)
+    assert int(leads(images, made).lead.max()) == made.reserve
+    assert made.reserve <= reserve + 1
+    assert list(made.direct) == sorted(made.direct)
+
+
+def test_a_larger_reserve_allows_longer_times():
+    images = flights(2)
+    weight = bins_of(leads(images, envelope([2] * 10, [2] * 10)).angle, 0.1, 10)
+    worth = [float((weight * torch.tensor(fitted(images, reserve, margin=0).direct)).sum()) for reserve in (0, 10, 40)]
+    assert worth[0] < worth[1] < worth[2]
+    single = images.tick.diff(dim=1)[images.tick[:, 1:] >= 0].min()
+    assert fitted(images, 0, margin=0).direct[0] <= int(single)
+
+
+def test_the_margin_is_added_to_the_largest_lead():
+    images = flights(3)
+    assert fitted(images, 20, margin=7).reserve == fitted(images, 20, margin=0).reserve + 7
+
+
+def test_flights_are_joined_with_their_images():
+    one, other = flights(4, rows=2, images=12), flights(5, rows=3, images=30)
+    both = ImageSequences.joined([one, other])
+    assert both.tick.shape == (5, 30)
+    assert both.transitions == one.transitions + other.transitions
+    times = envelope([20] * 10, [2] * 10)
+    assert torch.equal(leads(both, times).lead[:2, :12], leads(one, times).lead)
+    assert torch.equal(leads(both, times).lead[2:], leads(other, times).lead)
+
+
+def test_what_cannot_be_fitted_is_refused():
+    images = flights(6)
+    with pytest.raises(ValueError, match=r"214 transitions: no bin of the angle has 500 of them"):
+        sustained_envelope(images, reserve=10, step=0.5, arguments={})
+    with pytest.raises(ValueError, match="reserve=118, margin=6: leads can be followed up to 120 ticks"):
+        fitted(images, 118)
+
+
+# -- the relaxation -----------------------------------------------------------------------------------------------------------
+
+
+def optimum(tiny: Tiny, times: Envelope) -> float:
+    """The best schedule that is never ahead of the times by more than the reserve: all orders, each image as early as can be."""
+    spans = {int(t): (int(a), int(b)) for t, a, b in zip(*tiny.openings[1:], strict=True)}
+    best = 0.0
+    for count in range(1, len(spans) + 1):
+        for order in itertools.permutations(spans, count):
+            tick = clock = spans[order[0]][0]
+            for before, target in itertools.pairwise(order):
+                angle = angle_between(tiny.places[before], tiny.places[target])
+                due = clock + int(times.least(angle.unsqueeze(0), direct=True))
+                tick = max(spans[target][0], tick + 2, due - times.reserve)
+                clock = max(tick, due)
+                if tick > spans[target][1]:
+                    break
+            else:
+                best = max(best, float(tiny.priority[0, list(order)].sum()))
+    return best
+
+
+def bound_of(tiny: Tiny, times: Envelope, ticks: int) -> float:
+    cells = (tiny.cells + times.reserve) // ticks + 2
+    windows = tiny.openings._replace(last=tiny.openings.last + times.reserve)
+    graph = image_graph(windows, torch.zeros(1, cells, 3).double(), tiny.places.unsqueeze(0), times, ticks, cells)
+    return float(best_paths(graph, tiny.priority, iterations=300, bits=4, gap=0.0).upper)
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("ticks", [1, 2])
+@pytest.mark.parametrize("reserve", [0, 2, 5])
+def test_no_schedule_within_the_reserve_exceeds_the_bound(seed, ticks, reserve):
+    tiny = Tiny(seed)
+    slow = (3, 6, 6, 9, 10, 10, 12, 12, 13, 13)
+    times = replace(tiny.envelope, direct=slow, any=slow, reserve=reserve)
+    best = optimum(tiny, times)
+    assert best <= bound_of(tiny, times, ticks) + 1e-9
+    if reserve == 0 and ticks == 1:
+        assert bound_of(tiny, times, 1) <= 1.2 * best
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_longer_times_and_less_reserve_lower_the_bound(seed):
+    tiny = Tiny(seed)
+    slow = (3, 6, 6, 9, 10, 10, 12, 12, 13, 13)
+    times = replace(tiny.envelope, direct=slow, any=slow, reserve=4)
+    upper = bound_of(tiny, times, 1)
+    assert bound_of(tiny, replace(times, reserve=0), 1) <= upper + 1e-3
+    assert upper <= bound_of(tiny, replace(times, direct=(2,) * 10, any=(2,) * 10), 1) + 1e-3
+
+
+# -- flights ------------------------------------------------------------------------------------------------------------------
+
+
+def test_recorded_images_are_those_of_the_transitions():
+    env = presets.aeos(num_envs=4, time_limit=HALF_ORBIT, n_targets=3000)
+    pairs = record_transitions(env, BASELINES["hasty"](env, 0), SEED)
+    images = record_images(env, BASELINES["hasty"](env, 0), SEED)
+    assert images.transitions == len(pairs.ticks) > 50
+    found = leads(images, envelope([1], [1]))  # nothing is ahead of a single tick, so angles are those at the images
+    there = images.tick[:, 1:] >= 0
+    assert torch.equal(images.tick.diff(dim=1)[there].sort().values, pairs.ticks.sort().values)
+    assert torch.allclose(found.angle[:, 1:][there].sort().values, pairs.angle.sort().values)
+
+
+def test_positions_between_the_recorded_ones_are_good_to_meters():
+    env = presets.aeos(num_envs=4, time_limit=HALF_ORBIT, n_targets=1000)
+    images = record_images(env, BASELINES["hasty"](env, 0), SEED)
+    later = torch.tensor([3, 3 * SPACING // 2, 2 * SPACING + 5, (NODES - 1) * SPACING])
+    exact = satellite_positions(env.satellite, torch.arange(4), (images.tick[:, 0] + later) * env.simulator.h)
+    assert float((_later(images.r_P[:, 0], later) - exact).norm(dim=1).max()) < 10.0
+
+
+@pytest.mark.parametrize(("preset", "targets"), [("aeos", 9999), ("aeos_city", None), ("aeos_power", 4000)])
+def test_no_flight_is_ahead_of_the_times_of_the_package_by_more_than_the_reserve(preset, targets):
+    env: Any = getattr(presets, preset)(num_envs=8, time_limit=HALF_ORBIT, **({"n_targets": targets} if targets else {}))
+    times = Envelope.load(SUSTAINED)
+    images = record_images(env, BASELINES["hasty"](env, 0), SEED)
+    assert images.transitions > 100
+    assert int(leads(images, times).lead.max()) <= times.reserve
+
+
+def test_where_targets_are_dense_the_bound_lies_far_below_the_sum_in_view_and_above_policies():
+    options: dict[str, Any] = dict(num_envs=4, time_limit=1900.0, n_targets=9999)
+    env: Any = presets.aeos(as_set=True, **options)
+    env.set_seed(SEED)
+    env.reset()
+    bound = imaging_bound(env, envelope=Envelope.load(SUSTAINED), iterations=60, bits=2)
+    single = imaging_bound(env, iterations=10, bits=2)
+    assert float(bound.upper.sum()) < 0.85 * float(bound.in_view.sum())
+    assert float(bound.upper.sum()) < 0.85 * float(single.upper.sum())
+    plain: Any = presets.aeos(**options)
+    for where, policy in ((env, pretrained("AEOS-v1")), (plain, BASELINES["hasty"](plain, 0))):
+        assert float((bound.upper - evaluate(policy, where, seed=SEED).returns).min()) >= 0.0
