@@ -52,6 +52,7 @@ def fitted(images: ImageSequences, reserve: int, **options: Any) -> Envelope:
 def test_leads_are_those_of_a_clock_kept_by_hand():
     images, times = flights(0), envelope([10, 12, 20, 24, 30, 33, 40, 44, 50, 55], [2] * 10)
     found = leads(images, times)
+    assert int(found.lead.max()) > 0
     for row in range(len(images.tick)):
         ticks = [t for t in images.tick[row].tolist() if t >= 0]
         clock = ticks[0]
