@@ -35,7 +35,7 @@ from bsk_torch.env import SatelliteTasking, Tasking
 from bsk_torch.env.rollout import Policy
 from bsk_torch.rl.evaluation.evaluate import Evaluation
 from bsk_torch.rl.evaluation.statistics import confidence
-from bsk_torch.rl.evaluation.suite import Entrant, Task, play, tasks_of
+from bsk_torch.rl.evaluation.suite import EPISODES, Entrant, Task, play, tasks_of
 from bsk_torch.rl.policies.shared_policy import RULES, member_view, shared
 from bsk_torch.rl.rules.baselines import ScanRule, ScienceRule, scan_rule
 from bsk_torch.rl.rules.imaging import ImagingRule, ranking_rule
@@ -76,7 +76,10 @@ EXPLORED = (
 )
 """Candidates that are no task of the suite."""
 
-CANDIDATES = {task.title: task for task in (*tasks_of("v2"), *EXPLORED)}
+IN_SUITE = tuple(dataclasses.replace(task, episodes=EPISODES) for task in tasks_of("v2"))
+"""Tasks of the suite, with more episodes than there."""
+
+CANDIDATES = {task.title: task for task in (*IN_SUITE, *EXPLORED)}
 """Candidates by name: the tasks of the suite, in other episodes, and those that are not in it."""
 
 

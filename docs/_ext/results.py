@@ -43,6 +43,7 @@ SCRIPTS = {
     "computation_inspection": "return_vs_computation",
     "adversary_wide": "adversary",
     "adversary_alone": "adversary",
+    "adversary_trained": "adversary",
 }
 """Scripts by result, where the names differ."""
 
