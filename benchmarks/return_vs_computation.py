@@ -2,8 +2,8 @@
 
 Usage:
     python benchmarks/return_vs_computation.py [--presets AEOS-v1 AEOSPower-v1 CloudyAEOS-v1 NadirScan-v1 RSOInspection-v1]
-        [--episodes 64] [--least 4] [--core-seconds 120] [--timing-seconds 2] [--first 3000000] [--dearest 15] [--limit 0]
-        [--out FILE.json]
+        [--lines rule MILP ...] [--episodes 64] [--least 4] [--core-seconds 120] [--timing-seconds 2] [--first 3000000]
+        [--dearest 15] [--limit 0] [--out FILE.json]
     python benchmarks/return_vs_computation.py --draw FILE.json ... --figure FILE.png
 
 Seconds are CPU seconds of one core for one decision, in an environment of a single episode: what a computer that decides for
@@ -159,7 +159,7 @@ class ScheduleFirst(TensorDictModuleBase):
         """Schedule with ``schedule(env, **options)``; behind its end, and far from the next window, ``otherwise`` decides."""
         super().__init__()
         self.env, self.schedule, self.otherwise, self.options = env, schedule, otherwise, options
-        self.in_keys, self.out_keys = ScheduledPolicy.in_keys, ScheduledPolicy.out_keys
+        self.in_keys, self.out_keys = ["observation", "action_mask"], ["action"]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``action``, [N]."""
@@ -271,7 +271,7 @@ def rows_of(task: str, options: Any, done: Callable[[dict[str, Any]], None]) -> 
     case = CASES[task]
     flights = Flights(case, options)
     rule = flights.played(partial(policy_of, case=case, line=case.lines[0], size={}), options.episodes)
-    for line in case.lines:
+    for line in [line for line in case.lines if not options.lines or line.name in options.lines]:
         for size in line.sizes:
             single = flights.env(1)
             timing = timed(policy_of(single, case, line, size), single, options.first, options.timing_seconds)
@@ -322,6 +322,8 @@ def main() -> None:
         dearest=15.0,
         limit=0.0,
     )
+    names = list(dict.fromkeys(line.name for case in CASES.values() for line in case.lines))
+    arguments.add_argument("--lines", nargs="+", choices=names, help="only these methods")
     arguments.add_argument("--draw", type=Path, nargs="+", metavar="FILE.json", help="draw these results, and play nothing")
     arguments.add_argument("--figure", type=Path, metavar="FILE.png", help="draw what was played, or --draw")
     options, described = harness.begin(arguments)

@@ -185,6 +185,11 @@ STARTS: dict[str, list[Start]] = {
             "--presets NadirScan-v1 --limit 300 --episodes 2 --least 1 --core-seconds 0 --timing-seconds 0 --dearest 0",
             r"(?s)\| rule \|  \| 2 \| .*\| tree search \| budget=12 \| 1 \| [\d.]+ \+- \w+ \|",
         ),
+        Start(
+            "--presets AEOS-v1 --lines multipliers MILP --limit 600 --episodes 2 --least 2 --core-seconds 0 --timing-seconds 0 "
+            "--dearest 0",
+            r"(?s)\| MILP \| seconds=\d+ \| 2 \| .*\| multipliers \| iterations=3 \| 2 \| ",
+        ),
     ],
     "benchmarks/distillation.py": [
         Start(
