@@ -1079,7 +1079,8 @@ def greedy_flights(name: str) -> str:
         table([head, *titles], [row for row in rows if set(row[1:]) != {"-"}])  # not those of flights that no case has
         for head, rows in (("flight", means), ("difference", pairs))
     ]
-    words = [f"python scripts/validation/greedy_on_basilisk.py cases/{result['folder']}", f"--out benchmarks/results/{name}.json"]
+    words = [f"python scripts/validation/greedy_on_basilisk.py cases/{result['folder']}", f"--cases {len(result['names'])}"]
+    words += [f"--out benchmarks/results/{name}.json"]
     return "\n\n".join([*tables, command(words)]) + "\n"
 
 
