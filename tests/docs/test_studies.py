@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -15,24 +16,25 @@ from bsk_torch.env.rollout import play_episodes
 
 SEED = 4_000_011
 
-
-@pytest.fixture
-def clouds(monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
-    import clouds
-
-    yield clouds
-    for name in ("clouds", "harness"):
-        sys.modules.pop(name, None)
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
 
-@pytest.fixture
-def suite(monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
-    import suite
+def imported(name):
+    """A fixture that imports a benchmark, and forgets it and those that it imports afterwards."""
 
-    yield suite
-    sys.modules.pop("suite", None)
+    @pytest.fixture(name=name)
+    def module(monkeypatch):
+        monkeypatch.syspath_prepend(str(BENCHMARKS))
+        before = set(sys.modules)
+        yield import_module(name)
+        for other in set(sys.modules) - before:
+            if Path(getattr(sys.modules[other], "__file__", None) or "").parent == BENCHMARKS:
+                del sys.modules[other]
+
+    return module
+
+
+clouds, suite, headroom, distillation, adversary = map(imported, ("clouds", "suite", "headroom", "distillation", "adversary"))
 
 
 def test_clouds_change_every_half_hour_and_forecasts_are_about_right(clouds):
@@ -113,16 +115,6 @@ def test_references_count_the_gain_of_planners_in_the_episodes_that_they_play(su
     assert suite.references(head, {"few_choices": unsure})["few_choices"]["high"]["source"] == "hasty, bsk_torch 0.3.0"
 
 
-@pytest.fixture
-def headroom(monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
-    import headroom
-
-    yield headroom
-    for name in ("headroom", "harness"):
-        sys.modules.pop(name, None)
-
-
 def test_shares_of_head_room_are_paired(headroom):
     def row(policy, kind, *returns):
         mean = sum(returns) / len(returns)
@@ -145,26 +137,6 @@ def test_shares_of_head_room_are_paired(headroom):
     assert worse["share"] < 0.0
     assert not worse["admitted"]
     assert headroom.merged(None, [found]) == [found]
-
-
-@pytest.fixture
-def distillation(monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
-    import distillation
-
-    yield distillation
-    for name in ("distillation", "return_vs_computation", "expert_iteration", "harness"):
-        sys.modules.pop(name, None)
-
-
-@pytest.fixture
-def adversary(monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
-    import adversary
-
-    yield adversary
-    for name in ("adversary", "harness"):
-        sys.modules.pop(name, None)
 
 
 def test_the_interval_of_a_share_shrinks_with_what_the_gains_have_in_common(distillation):
