@@ -138,7 +138,9 @@ def entrant_of(name: str, tasks: Sequence[Task] = ()) -> Entrant:
     allowed = tuple(dict.fromkeys(view for task in tasks for view in task.views)) or VIEWS
     drawn = tuple(dict.fromkeys(option for task in tasks for option in task.drawn)) or ("time_limit",)
     if name == PRETRAINED:
-        return lambda preset, make: entered_if_fitting(named_policy(name, preset), make, drawn) if preset in makings() else None
+        return lambda preset, make: (
+            entered(named_policy(name, preset), make, drawn, must_fit=False) if preset in makings() else None
+        )
     plain, *views = name.split(",")
     if plain.startswith(PREFIX):
         named_planner(plain, None, views)  # unknown names and options end the program before anything runs
@@ -155,19 +157,20 @@ def entrant_of(name: str, tasks: Sequence[Task] = ()) -> Entrant:
     return lambda preset, make: entered(policy, make, drawn) if preset == policy.preset else None
 
 
-def entered(policy: NamedPolicy, make: Callable[..., Tasking], drawn: Sequence[str] = ("time_limit",)) -> tuple[Tasking, Policy]:
-    """Enter a policy of a file, in an environment with the views that it was trained with; see :func:`views_of`."""
-    env = make(**views_of(policy, drawn))
-    return env, shared(policy.build(env, str(env.device)), env)
+def entered(
+    policy: NamedPolicy, make: Callable[..., Tasking], drawn: Sequence[str], *, must_fit: bool = True
+) -> tuple[Tasking, Policy] | None:
+    """Enter a policy of a file, in an environment with the views that it was trained with; see :func:`views_of`.
 
-
-def entered_if_fitting(policy: NamedPolicy, make: Callable[..., Tasking], drawn: Sequence[str]) -> tuple[Tasking, Policy] | None:
-    """Enter a policy of the package; None in tasks with other observations or actions than those it was trained with."""
+    In tasks with other observations or actions than those of its training, the program ends, or the result is None where the
+    policy need not fit (``must_fit=False``), as one of the package that was not named for the task.
+    """
     env = make(**views_of(policy, drawn))
-    try:
-        check_fits(policy.card, env, policy.preset)
-    except ValueError:
-        return None
+    if not must_fit:
+        try:
+            check_fits(policy.card, env, policy.preset)
+        except ValueError:
+            return None
     return env, shared(policy.build(env, str(env.device)), env)
 
 
