@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from docs._ext import listings, results, truth
+from docs._ext import bounds, listings, on_basilisk, policies, results, speed, suites, truth, weaknesses
 
-TABLES: dict[str, Callable[..., str]] = {**listings.TABLES, **results.TABLES, **truth.TABLES}
+MODULES = listings, results, speed, on_basilisk, policies, weaknesses, bounds, suites, truth
+
+TABLES: dict[str, Callable[..., str]] = {name: function for module in MODULES for name, function in module.TABLES.items()}
 """Functions that return Markdown, by name."""
