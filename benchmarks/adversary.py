@@ -62,9 +62,9 @@ NOMINAL: Bounds = {
     "panel": (1.0, 1.0),
     "inclination": (0.0, 180.0),
 }
-"""The preset: capacity of the battery in terms of its own, initial charge and data as fractions of capacities, bound of initial
-wheel speeds in terms of the largest one; largest wheel speed, disturbance, baud rate and panel in terms of the preset's;
-inclination, degrees."""
+"""The preset. Battery capacity, largest wheel speed, disturbance, baud rate and panel area are multiples of the preset's. Initial
+charge and data are fractions of the capacities, and the bound of initial wheel speeds is a fraction of the largest speed. The
+inclination is in degrees."""
 
 BOXES: dict[str, Bounds] = {
     "drawn": {**NOMINAL, "spin": (0.0, 0.5)},
