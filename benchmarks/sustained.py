@@ -1,7 +1,7 @@
 """Times between images that satellites cannot beat for long: records flights, fits times by a linear program, and checks them.
 
 Usage:
-    python benchmarks/sustained.py [--scale 1.0] [--planned 2] [--planned-time 5700] [--reserve 60] [--margin 6] [--enough 500]
+    python benchmarks/sustained.py [--scale 1.0] [--planned 2] [--planned-time 17100] [--reserve 60] [--margin 6] [--enough 500]
         [--rounds 3] [--seed 11] [--time-limit 17100] [--window 1500] [--fitted FILE.json] [--envelope FILE.json]
         [--out FILE.json]
 
@@ -183,7 +183,7 @@ def policies(options: Any) -> tuple[Envelope, dict[str, Any]]:
 def main() -> None:
     """Record, fit, check, and print tables."""
     arguments = harness.parser(
-        __doc__, scale=1.0, planned=2, planned_time=5700.0, reserve=60, margin=6, enough=500, rounds=3, seed=11,
+        __doc__, scale=1.0, planned=2, planned_time=17_100.0, reserve=60, margin=6, enough=500, rounds=3, seed=11,
         time_limit=17_100.0, window=1500.0, backend="compiled", fitted="", envelope="",
     )  # fmt: skip
     options, described = harness.begin(arguments)
