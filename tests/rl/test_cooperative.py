@@ -35,7 +35,8 @@ def decide(*targets, sees_through=False, battery=0.9, level=0.1, opens=1.0, ecli
     see = TargetReader(obs.OpportunityProperties(*ENTRIES, n_ahead_observe=3, as_set=True), description)
     rule = CooperativeRule(see, range(3, 6), by_tour, description, ACTIONS, sees_through)
     observation = ObservationBuilder.vector(values, torch.float32) if vector else TensorDict(values, [1])
-    return ACTIONS[int(rule.decide(observation, torch.tensor([[name in legal for name in ACTIONS]])))]
+    action, _ = rule.decide(observation, torch.tensor([[name in legal for name in ACTIONS]]))
+    return ACTIONS[int(action)]
 
 
 @pytest.mark.parametrize("vector", [False, True])

@@ -61,12 +61,20 @@ def described(level, opens, as_set):
 
 def decide(worth, legal, *, nested=False, as_set=False, level=0.5, opens=1.0, actions=(*HOUSEKEEPING, *IMAGES)):
     """The action that a rule takes."""
+    return ranked(worth, legal, nested, as_set, level, opens, actions)[0]
+
+
+def ranked(worth, legal, nested=False, as_set=False, level=0.5, opens=1.0, actions=(*HOUSEKEEPING, *IMAGES)):
+    """The action that a rule takes, and its ranking of the actions by name, without those that it does not rank."""
     values, description, entry = described(level, opens, as_set)
     first = len(actions) - len(IMAGES)
     rule = ImagingRule(TargetReader(entry, description), range(first, len(actions)), worth, description, list(actions))
     observation = TensorDict(values, [1]) if nested else ObservationBuilder.vector(values, torch.float32)
     mask = torch.tensor([[name in legal for name in actions]])
-    return actions[int(rule.decide(observation, mask))]
+    action, ranking = rule.decide(observation, mask)
+    return actions[int(action)], {
+        name: value for name, value in zip(actions, ranking[0].tolist(), strict=True) if not math.isnan(value)
+    }
 
 
 FORMS = pytest.mark.parametrize(("nested", "as_set"), [(False, False), (False, True), (True, True)])
@@ -107,6 +115,13 @@ def test_padding_is_not_imaged():
 )
 def test_a_full_store_is_emptied_in_view_of_a_station(nested, as_set, level, opens, legal, expected):
     assert decide(by_priority, legal, nested=nested, as_set=as_set, level=level, opens=opens) == expected
+
+
+def test_rankings_are_of_legal_images_of_targets_that_exist():
+    legal = {"action_charge", "action_image_0", "action_image_2", "action_image_3"}
+    action, ranking = ranked(by_priority, legal, as_set=True)
+    assert action == "action_image_2"
+    assert ranking == {"action_image_0": 0.5, "action_image_2": pytest.approx(0.8)}
 
 
 def test_satellites_without_downlink_only_image():
