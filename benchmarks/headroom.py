@@ -36,9 +36,10 @@ from bsk_torch.env.rollout import Policy
 from bsk_torch.rl.evaluation.evaluate import Evaluation
 from bsk_torch.rl.evaluation.statistics import confidence
 from bsk_torch.rl.evaluation.suite import EPISODES, Entrant, Task, play, tasks_of
-from bsk_torch.rl.policies.shared_policy import RULES, member_view, shared
+from bsk_torch.rl.policies.shared_policy import RULES, baseline_of_groups, shared
 from bsk_torch.rl.rules.baselines import ScanRule, ScienceRule, scan_rule
 from bsk_torch.rl.rules.imaging import ImagingRule, ranking_rule
+from bsk_torch.rl.rules.inspection import inspection_rule
 from bsk_torch.rl.rules.targets import Observation, TargetReader
 
 ADMITTED = 0.2
@@ -59,6 +60,7 @@ def candidate(name: str, preset: str, at_once: int = 256, **options: Any) -> Tas
 
 
 DIM = dict(panelArea=0.12)
+SLOW_DOWNLINK = dict(transmitterBaudRate=-12 * 8e6)
 ORBIT = 5700.0
 
 EXPLORED = (
@@ -73,6 +75,9 @@ EXPLORED = (
     ),
     candidate("small_store", "AEOSPower-v1", n_targets=5000, time_limit=ORBIT, sat_args=dict(dataStorageCapacity=20 * 8e6)),
     candidate("few_choices_5000", "AEOS-v1", n_targets=5000, n_ahead=4, time_limit=ORBIT / 2),
+    candidate("faulty_scan", "FaultyScan-v1", failure_penalty=0.0),
+    candidate("faulty_dim_scan", "FaultyScan-v1", sat_args=dict(panelArea=0.15) | SLOW_DOWNLINK, failure_penalty=0.0),
+    candidate("science", "NadirScience-v1", failure_penalty=0.0),
 )
 """Candidates that are no task of the suite."""
 
@@ -110,7 +115,14 @@ def imaging(env: SatelliteTasking, u: Sequence[float]) -> TensorDictModuleBase:
     return ranking_rule(lambda one: ImagingRule.of(one, worth))(env, 0)
 
 
-TUNED: tuple[Callable[[SatelliteTasking, Sequence[float]], TensorDictModuleBase], ...] = (scanning, imaging)
+def surveying(env: SatelliteTasking, u: Sequence[float]) -> TensorDictModuleBase:
+    """Return the rule ``survey`` with another cost of time."""
+    return inspection_rule("survey", 1e-5 * 100.0 ** u[0])(env, 0)
+
+
+TunedRule = Callable[[SatelliteTasking, Sequence[float]], TensorDictModuleBase]
+
+TUNED: tuple[TunedRule, ...] = (scanning, imaging, surveying)
 """Rules with thresholds that are functions of numbers in [0, 1]; the first that fits a candidate is tuned for it."""
 
 KNOBS = 5
@@ -120,11 +132,14 @@ KNOBS = 5
 def tuned_entrant(numbers: Sequence[float]) -> Entrant:
     """Return what enters the rule of :data:`TUNED` that fits, with the thresholds of the ``numbers``; nothing where none fits."""
 
+    def with_numbers(rule: TunedRule) -> Callable[[SatelliteTasking, int], TensorDictModuleBase]:
+        return lambda view, seed: rule(view, numbers)
+
     def enter(preset: str, make: Callable[..., Tasking]) -> tuple[Tasking, Policy] | None:
         env = make()
         for rule in TUNED:
             try:
-                return env, shared(rule(member_view(env), numbers), env)
+                return env, shared(baseline_of_groups(with_numbers(rule), env), env)
             except (KeyError, ValueError):
                 continue
         return None

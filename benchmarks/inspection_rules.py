@@ -2,9 +2,9 @@
 
 Usage:
     python benchmarks/inspection_rules.py [--preset RSOInspection-v1] [--episodes 256] [--batch 256] [--seed 1000010]
-        [--policies drift circumnavigate survey] [--time-limit 57000] [--out FILE.json]
+        [--policies drift circumnavigate survey ...] [--time-limit 57000] [--out FILE.json]
 
-``--policies`` are rules, folders of runs, or files of policies. Rules act by changes of velocity, ``survey`` also by waypoints
+``--policies`` are rules, folders of runs, or files of policies. Rules act by changes of velocity, the surveys also by waypoints
 (``actions="waypoints"``), as trained policies do. All play the same episodes. ``gain`` is the mean difference of the returns to
 those of survey by waypoints, where that is among the policies.
 """
@@ -29,7 +29,12 @@ from bsk_torch.rl.training.log import LOG, read_log
 
 HOUR = 3600.0
 
-RULES = {"drift": ("thrust",), "circumnavigate": ("thrust",), "survey": ("thrust", "waypoints")}
+RULES = {
+    "drift": ("thrust",),
+    "circumnavigate": ("thrust",),
+    "survey": ("thrust", "waypoints"),
+    "hurried_survey": ("thrust", "waypoints"),
+}
 """Rules, and the actions by which they act."""
 
 REFERENCE = "survey", "waypoints"

@@ -274,6 +274,22 @@ def test_few_choices_are_the_first_of_the_preset(name, as_set):
         make(name, n_ahead=0)
 
 
+@pytest.mark.parametrize("as_set", [False, True])
+def test_a_constellation_chooses_among_few_targets(as_set):
+    few, many = (
+        make("AEOSConstellation-v1", as_set=as_set, num_envs=2, backend="eager", **more) for more in ({"n_ahead": 3}, {})
+    )
+    assert few.satellites[0].action_description == ["action_image_0", "action_image_1", "action_image_2"]
+    seen, all_seen = (env.reset()[env.groups[0].name, "observation"] for env in (few, many))
+    if as_set:
+        assert torch.equal(seen["target", "rows"], all_seen["target", "rows"][:, :, :3])
+    else:
+        width = (all_seen.shape[-1] - 13) // AHEAD
+        assert torch.equal(seen, torch.cat([all_seen[..., : 12 + 3 * width], all_seen[..., -1:]], -1))
+    with pytest.raises(ValueError, match="n_ahead=0"):
+        make("AEOSConstellation-v1", n_ahead=0)
+
+
 @pytest.mark.parametrize("name", ["AEOS-v1", "AEOSConstellation-v1"])
 @pytest.mark.parametrize("as_set", [False, True])
 def test_the_benchmark_divides_angles_by_a_quarter_turn_and_has_a_larger_buffer(name, as_set):

@@ -143,12 +143,15 @@ def entrant_of(name: str, tasks: Sequence[Task] = ()) -> Entrant:
         )
     plain, *views = name.split(",")
     if plain.startswith(PREFIX):
-        named_planner(plain, None, views)  # unknown names and options end the program before anything runs
-        return lambda preset, make: planned(plain, views, preset, make)
+        seen = [text for text in views if text.partition("=")[0] in allowed]
+        options = [text for text in views if text not in seen]
+        named_planner(plain, None, options)  # unknown names and options end the program before anything runs
+        chosen = dict(view_of(text, allowed) for text in seen)
+        return lambda preset, make: planned(plain, options, chosen, preset, make)
     if plain in RULES:
         usual = {view: value for task in tasks for view, value in task.rules.get(plain, {}).items()}
-        chosen = usual | dict(view_of(view, allowed) for view in views)
-        return lambda preset, make: rule(plain, chosen, make)
+        given = usual | dict(view_of(view, allowed) for view in views)
+        return lambda preset, make: rule(plain, given, make)
     module, colon, function = plain.partition(":")
     if colon and not Path(name).exists():
         found = imported(module, function)
@@ -191,10 +194,13 @@ def rule(name: str, views: Mapping[str, object], make: Callable[..., Tasking]) -
         return None
 
 
-def planned(name: str, options: list[str], preset: str, make: Callable[..., Tasking]) -> tuple[Tasking, Policy]:
-    """Enter a planner, in an environment with the views of its base policy; ends the program where it does not fit."""
+def planned(
+    name: str, options: list[str], views: Mapping[str, object], preset: str, make: Callable[..., Tasking]
+) -> tuple[Tasking, Policy]:
+    """Enter a planner, in an environment with ``views`` and those of its base; ends the program where it does not fit."""
     chosen = named_planner(name, preset, options)
-    env = make(**({} if chosen.base is None else views_of(chosen.base)))
+    of_base = {} if chosen.base is None else views_of(chosen.base)
+    env = make(**(of_base | dict(views)))
     return env, chosen.build(env, str(env.device))
 
 
@@ -228,13 +234,20 @@ def told(score: Score, reference: Mapping[str, object] | None) -> dict[str, Any]
 
 
 def read_earlier(files: Iterable[Path], suite: str) -> dict[str, dict[str, Any]]:
-    """Return the results of earlier runs, by policy; ends the program for those of another suite."""
+    """Return the results of earlier runs, by policy and task; ends the program for those of another suite.
+
+    Where a policy has played a task more than once, the result of the most episodes counts, and then that of the last file.
+    """
     results: dict[str, dict[str, Any]] = {}
     for path in files:
         made, policies = read_result(path)
         if made != (FORMAT, suite):
             fail(f"{str(path)!r} has format and suite {made}; this run has {(FORMAT, suite)}")
-        results |= policies
+        for name, rows in policies.items():
+            known = results.setdefault(name, {})
+            known |= {
+                task: row for task, row in rows.items() if task not in known or len(row["returns"]) >= len(known[task]["returns"])
+            }
     return results
 
 

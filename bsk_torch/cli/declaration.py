@@ -29,7 +29,7 @@ Policy = Annotated[
     str,
     typer.Argument(
         help="Run folder, policy file, 'pretrained', or a baseline: random, rule, cautious, science, greedy, nearest, hasty, "
-        "farsighted, cooperative, drift, circumnavigate, survey, glide, seek, angle, priority_angle, distance, "
+        "farsighted, cooperative, drift, circumnavigate, survey, hurried_survey, glide, seek, angle, priority_angle, distance, "
         "candidate_priority, rate, candidate_rate, rate_ahead, candidate_rate_ahead, prompt, prompt_ahead, local, centralized, "
         "nearest_task, soonest_task.",
         show_default=False,
@@ -39,7 +39,7 @@ PolicyOrPlanner = Annotated[
     str,
     typer.Argument(
         help="Run folder, policy file, 'pretrained', a baseline (random, rule, cautious, science, greedy, nearest, hasty, "
-        "farsighted, cooperative, drift, circumnavigate, survey, glide, seek, angle, priority_angle, distance, "
+        "farsighted, cooperative, drift, circumnavigate, survey, hurried_survey, glide, seek, angle, priority_angle, distance, "
         "candidate_priority, rate, candidate_rate, rate_ahead, candidate_rate_ahead, prompt, prompt_ahead, local, centralized, "
         "nearest_task, soonest_task), "
         "or a planner (plan:rollout, plan:beam, plan:mcts, plan:cem).",

@@ -567,7 +567,15 @@ def bench(
     """,
 )
 def leaderboard(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="JSON files of bsk-torch bench.", show_default=False)],
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE...",
+            help="JSON files of bsk-torch bench. Of a policy that played a task more than "
+            "once, the result of the most episodes counts, then that of the last file.",
+            show_default=False,
+        ),
+    ],
     method: Annotated[
         list[str] | None,
         typer.Option(

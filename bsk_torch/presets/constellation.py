@@ -39,7 +39,7 @@ import torch
 from bsk_torch import act, comm, data, formations, obs, sats, scene
 from bsk_torch.constants import R_EARTH
 from bsk_torch.env import ConstellationTasking
-from bsk_torch.presets.aeos import ALTITUDE, ORBIT, SATELLITE, SOON, TARGET, agile_args, agile_satellites
+from bsk_torch.presets.aeos import AHEAD, ALTITUDE, ORBIT, SATELLITE, SOON, TARGET, agile_args, agile_satellites, looking_ahead
 from bsk_torch.sim import dyn, fsw
 
 CHOICES = 16
@@ -166,15 +166,16 @@ def aeos_constellation(
     *,
     n_satellites: int = 3,
     n_targets: int | tuple[int, int] = (100, 10_000),
+    n_ahead: int = AHEAD,
     as_set: bool = False,
     benchmark: bool = False,
     **options: Any,
 ) -> ConstellationTasking:
     """Return AEOSConstellation-v1: AEOS-v1 with several satellites; see the module.
 
-    Arguments are those of :func:`constellation`, and ``benchmark`` is that of :func:`bsk_torch.presets.aeos.aeos`.
+    Arguments are those of :func:`constellation`; ``n_ahead`` and ``benchmark`` are those of :func:`bsk_torch.presets.aeos.aeos`.
     """
-    kind = agile_satellites(benchmark)[as_set]
+    kind = looking_ahead(agile_satellites(benchmark)[as_set], n_ahead)
     arguments = {name: value for name, value in agile_args(benchmark).items() if name != "oe"} | options.pop("sat_args", {})
     obs_type = options.pop("obs_type", dict if as_set else torch.Tensor)
     satellites = [kind(f"EO{k + 1}", arguments, obs_type=obs_type, may_see_nothing=True) for k in range(n_satellites)]

@@ -55,6 +55,21 @@ def test_methods_are_aggregated_over_their_runs_and_tasks(run, board, tmp_path, 
     assert "<svg" in (tmp_path / "profiles.svg").read_text()
 
 
+def test_files_are_merged_by_policy_and_task(run, board, tmp_path):
+    other = tmp_path / "other.json"
+    more = {"scanner": scoring(POWER, 0.2, 0.2) | scoring(SCAN, 0.0), "hasty": scoring(POWER, 0.4, 0.4)}
+    other.write_text(json.dumps({"format": 1, "suite": "v1", "policies": more}))
+    out = tmp_path / "out.json"
+    methods = ["--method", "scanner=scanner", "--method", "ppo=runs/*/seed_*"]
+    assert run("leaderboard", board, other, *methods, "--out", out).exit_code == 0
+    kept = json.loads(out.read_text())
+    assert kept["tasks"] == [SCAN, POWER]
+    # two episodes of the first file, not the one of the second
+    assert kept["methods"]["scanner"]["mean"]["value"] == pytest.approx((0.7 + 0.2) / 2)
+    assert run("leaderboard", board, other, "--method", "hasty=hasty", "--out", out).exit_code == 0
+    assert json.loads(out.read_text())["methods"]["hasty"]["mean"]["value"] == pytest.approx(0.4)  # of the last file
+
+
 def test_policies_of_the_most_episodes_are_compared(run, board):
     result = run("leaderboard", board, "--method", "all=scanner", "--method", "planned=plan:*")
     assert result.exit_code == 1

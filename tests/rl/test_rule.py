@@ -24,6 +24,15 @@ def test_rules_act_in_both_kinds_of_environments():
         bsk_torch.rule("rule", crew)
 
 
+def test_a_hurried_survey_prefers_short_transfers():
+    env = bsk_torch.make("RSOInspection-v1", num_envs=32, seed=0, time_limit=8550.0)
+    now = env.reset()
+    # velocity changes of 3 entries, and how long to wait for the next one
+    waits = {name: bsk_torch.rule(name, env)(now.clone())["inspector", "action"][..., 3] for name in ("survey", "hurried_survey")}
+    assert bool((waits["hurried_survey"] <= waits["survey"]).all())
+    assert float(waits["hurried_survey"].mean()) < 0.8 * float(waits["survey"].mean())
+
+
 def test_environments_say_what_they_are():
     env = bsk_torch.make("NadirScan-v1", **FEW)
     text = repr(env)

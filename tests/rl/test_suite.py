@@ -56,10 +56,12 @@ def test_the_second_suite_is_frozen():
         "dim_scan": ("NadirScan-v1", 18 * 1024, 64),
         "few_choices": ("AEOS-v1", 19 * 1024, 64),
         "few_clouded": ("CloudyAEOS-v1", 20 * 1024, 64),
+        "few_shared": ("AEOSConstellation-v1", 21 * 1024, 64),
+        "hurried_inspection": ("RSOInspection-v1", 22 * 1024, 64),
     }
     mine = {seed for task in tasks for seed in task.seeds()}
     assert not mine & {seed for name in set(SUITES) - {"v2"} for task in SUITES[name] for seed in task.seeds()}
-    assert mine <= set(SUITE_SEEDS[18 * 1024 : 21 * 1024])
+    assert mine <= set(SUITE_SEEDS[18 * 1024 : 23 * 1024])
     known = references("v2")
     assert known.keys() == {task.title for task in tasks}
     assert all(one["low"]["return"] < one["high"]["return"] for one in known.values())

@@ -164,7 +164,7 @@ SUITES["aeosbench"] = (
 )
 
 HALF_AN_ORBIT = 2850.0
-"""Time limit of imaging tasks of the suite ``v2``, s."""
+"""Unit of the time limits of the suite ``v2``, s."""
 
 
 def harder(number: int, preset: str, name: str, about: str, **options: Any) -> Task:
@@ -199,6 +199,23 @@ SUITES["v2"] = (
         n_targets=5000,
         n_ahead=4,
         time_limit=HALF_AN_ORBIT,
+    ),
+    harder(
+        3,
+        "AEOSConstellation-v1",
+        "few_shared",
+        "half an orbit of AEOSConstellation-v1 with 10,000 targets, of which each of the three satellites chooses among the four "
+        "whose windows close next",
+        n_targets=10_000,
+        n_ahead=4,
+        time_limit=HALF_AN_ORBIT,
+    ),
+    harder(
+        4,
+        "RSOInspection-v1",
+        "hurried_inspection",
+        "RSOInspection-v1 in 1.5 orbits instead of ten",
+        time_limit=3.0 * HALF_AN_ORBIT,
     ),
 )
 

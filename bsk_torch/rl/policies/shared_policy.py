@@ -199,14 +199,27 @@ def for_each_group(
 def baseline(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
     """Return one of the ``BASELINES`` for one satellite of ``env``, or for one of each group, or one of :data:`TOGETHER` for all.
 
-    If the rule applies to some groups only, the others act at random, such as relays with a rule for imaging.
+    Groups to which it does not apply act at random; see :func:`baseline_of_groups`.
 
     Raises:
         KeyError, ValueError: If the rule applies to no group, or for an unknown name.
     """
     if name in TOGETHER:
         return TOGETHER[name](env).module()
-    rule, views = BASELINES[name], member_views(env)
+    return baseline_of_groups(BASELINES[name], env, seed)
+
+
+def baseline_of_groups(
+    rule: Callable[[SatelliteTasking, int], TensorDictModuleBase], env: Tasking, seed: int = 0
+) -> TensorDictModuleBase:
+    """Return ``rule(view, seed)`` for one satellite of ``env``, or for one of each group, with another seed for each.
+
+    If the rule applies to some groups only, the others act at random, such as relays with a rule for imaging.
+
+    Raises:
+        KeyError, ValueError: If the rule applies to no group.
+    """
+    views = member_views(env)
     found: dict[str, TensorDictModuleBase] = {}
     errors: list[Exception] = []
     for k, (group, view) in enumerate(views.items()):
@@ -238,6 +251,7 @@ def rule(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
     ``drift``                 the observations and actions of ``RSOInspection-v1`` and ``MultiInspection-v1``
     ``circumnavigate``        the same
     ``survey``                the same
+    ``hurried_survey``        the same: prefers short transfers, for episodes of one to two orbits
     ``glide``                 the observations and actions of ``CWDocking-v1``
     ``seek``                  the observations and actions of ``CWInspection-v1``
     ``angle``                 those of ``Services-v1``: image the object of the catalog that needs the smallest turn

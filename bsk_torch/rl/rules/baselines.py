@@ -16,7 +16,7 @@ from bsk_torch.env import SatelliteTasking
 from bsk_torch.rl.rules.continuous import Bounds, bounds_of, spread
 from bsk_torch.rl.rules.cooperative import CooperativeRule
 from bsk_torch.rl.rules.imaging import IMAGING_RULES, ImagingRule, ranking_rule
-from bsk_torch.rl.rules.inspection import inspection_rule
+from bsk_torch.rl.rules.inspection import HURRIED_SECOND, inspection_rule
 from bsk_torch.rl.rules.observation_columns import Columns
 from bsk_torch.rl.rules.servicing import ORDERS, WORTHS, servicing_rule
 from bsk_torch.rl.rules.soonest_task import SOONEST, soonest_rule
@@ -173,6 +173,7 @@ BASELINES: dict[str, Callable[[SatelliteTasking, int], TensorDictModuleBase]] = 
     "drift": inspection_rule("drift"),
     "circumnavigate": inspection_rule("circumnavigate"),
     "survey": inspection_rule("survey"),
+    "hurried_survey": inspection_rule("survey", HURRIED_SECOND),
     "glide": thruster_rule("glide"),
     "seek": thruster_rule("seek"),
     **{name: servicing_rule(name) for name in (*ORDERS, *WORTHS)},
