@@ -85,6 +85,8 @@ def drift_made(name: str) -> str:
     result = load(name)
     words = ["python scripts/validation/drift.py", f"--presets {' '.join(result['flights'])}"]
     words += [f"--seeds {':'.join(map(str, result['seeds']))}"]
+    if result["time_limit"] is not None:
+        words += [f"--time-limit {result['time_limit']:g}"]
     if result["give"]:
         words += [f"--releases {' '.join(dict.fromkeys(row['release'] for row in result['rows']))}"]
         words += [f"--give {' '.join(f'{key}={value!r}' for key, value in result['give'].items())}"]
