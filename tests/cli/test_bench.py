@@ -150,12 +150,12 @@ def test_planners_say_what_they_simulate(run, tmp_path):
 
 
 def test_planners_choose_a_view(run, tmp_path):
-    out, name = tmp_path / "bench.json", "plan:rollout,base=survey,budget=2,horizon=600,actions=waypoints"
+    out, name = tmp_path / "bench.json", "plan:rollout,base=survey,budget=2,horizon=600"
     short = ("--suite", "v2", "--presets", "hurried_inspection", "--episodes", "1")
     result = run("bench", name, *short, "--out", out)
     assert result.exit_code == 0, result.output
     assert json.loads(out.read_text())["policies"][name]["hurried_inspection"]["simulated_per_decision"] > 600.0
-    wrong = run("bench", name.replace(",actions=waypoints", ""), *short)
+    wrong = run("bench", f"{name},actions=thrust", *short)
     assert wrong.exit_code == 1
     assert "use 'cem'" in wrong.output
 

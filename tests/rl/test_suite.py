@@ -77,6 +77,15 @@ def test_a_harder_task_replaces_options_of_trainings():
         task.environment(1, n_ahead=5)
 
 
+@pytest.mark.compiled
+def test_policies_choose_views_of_a_harder_task():
+    task = tasks_of("v2", "hurried_inspection")[0]
+    assert task.drawn == ("time_limit",)  # trained policies keep their actions
+    by_waypoints, by_thrust = task.environment(1), task.environment(1, actions="thrust")
+    assert "action_mask" in by_waypoints.reset()["waypoint_inspector"]
+    assert by_thrust.action_spec["inspector", "action"].shape == (1, 1, 4)
+
+
 def test_policies_are_ranked_by_what_they_gain_in_the_same_episodes():
     best, gains = ranking({"low": [1.0, 1.0, 4.0], "high": [2.0, 1.0, 5.0], "lucky": [3.0], "short": [1.5, 1.0]})
     assert best == "high"

@@ -168,8 +168,8 @@ HALF_AN_ORBIT = 2850.0
 
 
 def harder(number: int, preset: str, name: str, about: str, **options: Any) -> Task:
-    """Return task ``number`` of the suite ``v2``: 64 episodes of a preset with other ``options``."""
-    drawn = (*options, "time_limit")
+    """Return task ``number`` of the suite ``v2``: 64 episodes of a preset with other ``options``; policies may choose views."""
+    drawn = tuple(dict.fromkeys((*(option for option in options if option not in VIEWS), "time_limit")))
     return Task(preset, SUITE_SEEDS[EPISODES * (18 + number)], 64, options, name, 64, drawn=drawn, about=about)
 
 
@@ -214,7 +214,8 @@ SUITES["v2"] = (
         4,
         "RSOInspection-v1",
         "hurried_inspection",
-        "RSOInspection-v1 in 1.5 orbits instead of ten",
+        "RSOInspection-v1 in 1.5 orbits instead of ten, by waypoints unless a policy chooses thrust",
+        actions="waypoints",
         time_limit=3.0 * HALF_AN_ORBIT,
     ),
 )
