@@ -30,13 +30,16 @@ def print_table(
     """Print a table that fits the terminal.
 
     Args:
-        rows: Cells by column, the same columns in each row.
+        rows: Cells by column, in the order of the first row that has them. Columns without any text are left out.
         title: Headline.
         expendable: Columns to leave out where the terminal is too narrow, the first one first. A line below names them.
         left: Columns with left-aligned text.
         whole: Columns whose cells are never broken.
     """
-    console, columns = Console(width=line_width()), list(rows[0])
+    console, columns = (
+        Console(width=line_width()),
+        list(dict.fromkeys(name for row in rows for name, cell in row.items() if cell)),
+    )
     order = [name for name in expendable if name in columns]
     dropped: list[str] = []
     while order and _needed(console, _table(rows, columns, title, left, whole)) > console.width:
@@ -54,7 +57,7 @@ def _table(
     for name in columns:
         table.add_column(name, justify="left" if name in left else "right", overflow="fold", no_wrap=name in whole)
     for row in rows:
-        table.add_row(*(Text(row[name]) for name in columns))
+        table.add_row(*(Text(row.get(name, "")) for name in columns))
     return table
 
 

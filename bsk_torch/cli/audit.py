@@ -103,6 +103,7 @@ def print_audit(found: Audit, title: str) -> None:
                 "regret": f"{float(regret[k]):.4f}",
             }
             for k in found.worst(SHOWN).tolist()
+            if lost[k]
         ],
         "Largest regrets",
         ("agent",),

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import platform
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from datetime import datetime, timezone
 from importlib import import_module
@@ -22,8 +24,10 @@ from bsk_torch.basilisk.aeos_certificate import BENCH, certify_bench
 from bsk_torch.cli.planned import PREFIX, named_planner
 from bsk_torch.cli.policies import PRETRAINED, NamedPolicy, named_policy
 from bsk_torch.cli.shared import check_writable, preset_options
-from bsk_torch.cli.terminal import fail, print_message, working
+from bsk_torch.cli.terminal import Failure, fail, print_message, working
+from bsk_torch.codegen.inductor import BACKENDS
 from bsk_torch.env import Tasking
+from bsk_torch.env.assembly.devices import existing_device
 from bsk_torch.env.rollout import Policy
 from bsk_torch.files import write_file
 from bsk_torch.rl.evaluation.suite import (
@@ -45,11 +49,37 @@ from bsk_torch.rl.policies.shared_policy import RULES, baseline, shared
 from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.tables import print_table
 
+logger = logging.getLogger(__name__)
+
 CERTIFIERS = {**dict.fromkeys(FLOWN, certified), BENCH: certify_bench}
 """Functions that fly episodes again on Basilisk, by preset."""
 
+
+def described(error: BaseException) -> str:
+    """Return the message of an error; its type precedes it unless the message is this package's, or tells what is wrong."""
+    return (
+        str(error) if isinstance(error, (TypeError, ValueError, Failure)) and str(error) else f"{type(error).__name__}: {error}"
+    )
+
+
 FORMAT = 1
 """Version of the layout of the JSON file."""
+
+
+class Failures(dict[str, dict[str, str]]):
+    """Errors of policies in tasks, by name and task; the run goes on without them."""
+
+    @contextmanager
+    def of(self, name: str, task: Task) -> Iterator[None]:
+        """Print and keep the error that ends the block, whatever a library raises; an interrupt ends the program."""
+        try:
+            yield
+        except (Exception, SystemExit) as error:
+            logger.debug("%s failed", name, exc_info=error)
+            message = described(error)
+            if not isinstance(error, Failure):  # whose message has been printed
+                print_message(f"{name} failed in {task.title}: {message}")
+            self.setdefault(name, {})[task.title] = message
 
 
 def bench(
@@ -70,8 +100,11 @@ def bench(
     check_writable(out)
     try:
         tasks = chosen_tasks(suite, presets, folder)
+        existing_device(device)
     except (ValueError, FileNotFoundError) as error:
         fail(str(error))
+    if backend not in BACKENDS:
+        fail(f"backend={backend!r} must be one of {', '.join(BACKENDS)}")
     most = max(task.episodes for task in tasks)
     if episodes is not None and episodes > most:
         fail(f"--episodes {episodes} must be at most {most}, the number of episodes of each task")
@@ -80,28 +113,29 @@ def bench(
     entrants = {name: entrant_of(name, tasks) for name in policies}
     results = read_earlier(earlier or [], suite)
     for name in entrants:
-        if name in results:
-            fail(f"{name!r} is also in the results of `--with`; the suite has one row for each policy")
-    known = references(suite)
-    for name, entrant in entrants.items():
-        results[name] = {}
-        for task in tasks:
-            with working(f"{name}: {task.title}"):
-                try:
+        if again := [task.title for task in tasks if task.title in results.get(name, {})]:
+            fail(f"{name!r} is also in the results of `--with`, for {', '.join(again)}; a task has one row for each policy")
+    known, failed = references(suite), Failures()
+    try:
+        for name, entrant in entrants.items():
+            for task in tasks:
+                with working(f"{name}: {task.title}"), failed.of(name, task):
                     score = play(task, entrant, counts[task.title], backend=backend, device=device)
-                    fly = CERTIFIERS.get(task.preset) if score is not None and certify else None
+                    if score is None:
+                        continue
+                    row = results.setdefault(name, {})[task.title] = told(score, known.get(task.title))
+                    fly = CERTIFIERS.get(task.preset) if certify else None
                     flown = None if fly is None else fly(task, entrant, certify, backend=backend, device=device)
-                except (TypeError, ValueError) as error:
-                    fail(f"{name}: {error}")
-            if score is not None:
-                flights = {} if flown is None else {"basilisk": flown.summary()}
-                results[name][task.title] = told(score, known.get(task.title)) | flights
-    print_suite(results, tasks, suite, counts)
-    if out is not None:
-        write_file(out, json.dumps(document(suite, tasks, max(counts.values()), results), indent=1) + "\n")
-    idle = [name for name in entrants if not results[name]]
-    if idle:
+                    row |= {} if flown is None else {"basilisk": flown.summary()}
+                if out is not None:  # after each task, so that nothing is lost if the run is killed
+                    content = document(suite, tasks, max(counts.values()), results) | ({"failed": failed} if failed else {})
+                    write_file(out, json.dumps(content, indent=1) + "\n")
+    finally:
+        print_suite(results, tasks, suite, counts, failed)
+    if idle := [name for name in entrants if name not in failed and not results.get(name, {}).keys() & counts.keys()]:
         fail(f"no preset among {', '.join(task.title for task in tasks)} fits {', '.join(idle)}")
+    if failed:
+        fail("failed: " + "; ".join(f"{name} in {', '.join(errors)}" for name, errors in failed.items()))
 
 
 def chosen_tasks(suite: str, presets: str | None, folder: Path | None) -> tuple[Task, ...]:
@@ -217,9 +251,14 @@ def imported(module: str, function: str) -> Callable[..., tuple[Tasking, Policy]
     if str(Path.cwd()) not in sys.path:
         sys.path.insert(0, str(Path.cwd()))  # where a user's module is, as python -m would find it
     try:
-        found = getattr(import_module(module), function)
-    except (ImportError, AttributeError) as error:
-        fail(f"{module}:{function} cannot be imported: {error}")
+        found = getattr(loaded := import_module(module), function, None)
+    except Exception as error:  # a user's module may raise anything
+        logger.debug("%s cannot be imported", module, exc_info=error)
+        hint = f"; write {module.removesuffix('.py')}:{function}" if module.endswith(".py") else ""
+        fail(f"{module}:{function} cannot be imported: {described(error)}{hint}")
+    if found is None:
+        own = [name for name, value in vars(loaded).items() if callable(value) and not name.startswith("_")]
+        fail(f"{module}:{function} cannot be imported: {module} has no {function!r}; {nearest(function, own)}")
     if not callable(found):
         fail(f"{module}:{function} is no function of a preset's name and make")
     return found
@@ -277,22 +316,23 @@ def document(suite: str, tasks: Sequence[Task], episodes: int, results: Mapping[
     }
 
 
-def print_suite(results: Mapping[str, Mapping[str, Any]], tasks: Sequence[Task], suite: str, counts: Mapping[str, int]) -> None:
+def print_suite(
+    results: Mapping[str, Mapping[str, Any]],
+    tasks: Sequence[Task],
+    suite: str,
+    counts: Mapping[str, int],
+    failed: Mapping[str, Mapping[str, str]],
+) -> None:
     """Print a table for each task: policies, the paired gain of the best over each, survival or measures, and computation."""
     for task in tasks:
         rows = {name: result[task.title] for name, result in results.items() if task.title in result}
-        if not rows:
+        first = task.measures[0] if task.measures else "score"
+        lost = [{"policy": name, first: "failed"} for name, errors in failed.items() if task.title in errors and name not in rows]
+        table = played(rows, task) + lost
+        if not table:
             continue
-        best, gains = ranking({name: row["returns"] for name, row in rows.items()})
-        flown = any("basilisk" in row for row in rows.values())
-        most, table = len(rows[best]["returns"]), []
-        for name, gain in gains.items():
-            row, n = rows[name], len(rows[name]["returns"])
-            more = {"same on Basilisk": on_basilisk(row)} if flown else {}
-            label = name if n == most else f"{name} ({n} episodes)"
-            behind = {f"gain of {best}": "" if name == best else f"{gain.mean:+.3f} ± {gain.half_width:.3f}"}
-            table.append({"policy": label} | (measured(row, task, behind) if task.measures else cells(row, behind)) | more)
-        least = tuple(name for name in (*task.measures[1:], f"gain of {best}")) if task.measures else ("survival", "return")
+        gain = [name for name in table[0] if name.startswith("gain of ")]
+        least = (*task.measures[1:], *gain) if task.measures else ("survival", "return")
         expendable = ("simulated s / decision", "ms / decision", *least, "same on Basilisk")
         title = f"{task.title}, suite {suite}, {counts[task.title]} of {task.episodes} episodes of each task"
         print_table(table, title, expendable, left=("policy",))
@@ -300,6 +340,21 @@ def print_suite(results: Mapping[str, Mapping[str, Any]], tasks: Sequence[Task],
             print_message(f"{task.title}: {task.about}.")
     if suite in REMARKS:
         print_message(REMARKS[suite])
+
+
+def played(rows: Mapping[str, Mapping[str, Any]], task: Task) -> list[dict[str, str]]:
+    """Return the cells of the policies that have played a task by column, the best policy last but for planners ahead of it."""
+    if not rows:
+        return []
+    best, gains = ranking({name: row["returns"] for name, row in rows.items()})
+    most, table = len(rows[best]["returns"]), []
+    for name, gain in gains.items():
+        row, n = rows[name], len(rows[name]["returns"])
+        label = name if n == most else f"{name} ({n} episodes)"
+        behind = {f"gain of {best}": "" if name == best else f"{gain.mean:+.3f} ± {gain.half_width:.3f}"}
+        scored = measured(row, task, behind) if task.measures else cells(row, behind)
+        table.append({"policy": label} | scored | {"same on Basilisk": on_basilisk(row)})
+    return table
 
 
 def measured(row: Mapping[str, Any], task: Task, behind: Mapping[str, str]) -> dict[str, str]:

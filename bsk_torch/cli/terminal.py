@@ -23,10 +23,23 @@ screen = Console(stderr=True)
 """Where messages and activities are shown."""
 
 
+class Failure(typer.Exit):
+    """Ends the program after its message has been printed."""
+
+    def __init__(self, message: str) -> None:
+        """End with the status 1."""
+        super().__init__(1)
+        self.message = message
+
+    def __str__(self) -> str:
+        """Return the message."""
+        return self.message
+
+
 def fail(message: str) -> NoReturn:
     """Print an error and end the program."""
     screen.print(Text(message, style="red"), soft_wrap=not screen.is_terminal)
-    raise typer.Exit(1)
+    raise Failure(message)
 
 
 def for_shell(path: Path | str) -> str:

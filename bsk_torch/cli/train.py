@@ -162,7 +162,7 @@ def _run(
     try:
         with working("building the training"):
             run = training_of(config, folder, resume)
-    except (ValueError, FileNotFoundError, ModuleNotFoundError, ConnectionError) as error:
+    except (TypeError, ValueError, FileNotFoundError, ModuleNotFoundError, ConnectionError) as error:
         fail(str(error))
     results = dict(baselines)
     if env is not None and not resume:

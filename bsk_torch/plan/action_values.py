@@ -10,6 +10,7 @@ from torch import Tensor
 
 from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import ACTION_VALUE
+from bsk_torch.plan.agent_table import AgentTable
 from bsk_torch.plan.base_policies import Base
 from bsk_torch.plan.rollout import Rollout
 
@@ -45,6 +46,13 @@ class ActionValues(Rollout):
         """
         super().__init__(env, base, horizon=horizon, gamma=gamma, **options)
         self.out_keys = [*self.out_keys, ACTION_VALUES]
+
+    def _check_actions(self, env: Tasking, slots: AgentTable) -> None:
+        """Raise ValueError unless some agent has numbered actions, all of which can be tried."""
+        if all(n <= 1 for n in slots.n_actions):
+            names = ", ".join(dict.fromkeys(slots.acting))
+            raise ValueError(f"returns are computed of numbered actions; those of {names} are real numbers")
+        super()._check_actions(env, slots)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the actions of the base policy, and the returns of all actions.

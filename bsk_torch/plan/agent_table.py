@@ -45,6 +45,12 @@ class AgentTable:
         self.titles = [view.satellite.name for view in views.values()]
         self.most_actions, self.most_numbers = max(self.n_actions), max(map(len, self.bounds))
 
+    @property
+    def acting(self) -> list[str]:
+        """Names of the groups whose agents have a choice; of all groups if there are none."""
+        kinds = zip(self.titles, self.real, self.n_actions, strict=True)
+        return [title for title, real, n in kinds if real or n > 1] or self.titles
+
     def of(self, chosen: Sequence[bool], device: Any) -> Tensor:
         """Return which agents belong to the ``chosen`` groups, [S] booleans."""
         flags = [flag for flag, size in zip(chosen, self.sizes, strict=True) for _ in range(size)]

@@ -131,7 +131,7 @@ class Planner(TensorDictModuleBase):
 
     def _check_actions(self, env: Tasking, slots: AgentTable) -> None:
         """Raise ValueError unless some agent has actions of the planner's kind."""
-        titles = ", ".join(dict.fromkeys(slots.titles))
+        titles = ", ".join(dict.fromkeys(slots.acting))
         if any(real and n for real, n in zip(slots.real, slots.n_actions, strict=True)):
             raise ValueError(
                 f"planner {self.name!r}: the actions of {titles} have real numbers and a choice, which is not planned"

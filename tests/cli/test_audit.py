@@ -32,9 +32,22 @@ def test_several_futures_and_few_actions(run):
     assert "CloudyAEOS-v1, hasty, 1 episodes, seeds 1" in result.output
 
 
+def test_largest_regrets_are_regrets(run):
+    result = run("audit", "rule", *TWO)
+    assert result.exit_code == 0, result.output
+    found = int(result.output.split("of which ")[1].split()[0])
+    assert 0 < found < 5
+    rows = result.output.split("Largest regrets")[1].strip().splitlines()[2:]
+    assert sum(bool(row.strip()) for row in rows) == found
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (
+            ("audit", "survey", "--preset", "RSOInspection-v1", "--time-limit", "600"),
+            "returns are computed of numbered actions; those of Inspector1 are real numbers",
+        ),
         (("audit", "ruel", *TWO), "did you mean 'rule'"),
         (("audit", "rule", *TWO, "--horizon", "0"), "horizon=0"),
         (("audit", "rule", *TWO, "--draw", "regret.gif"), "must end with .png, .svg or .pdf"),

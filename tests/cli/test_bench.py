@@ -62,6 +62,97 @@ def test_a_function_may_enter_a_policy(run, tmp_path, monkeypatch):
     assert scanning["NadirScan-v1"]["returns"] != [0.0, 0.0]
 
 
+FAILING = """
+import torch
+from tensordict.nn import TensorDictModule
+
+
+class Choose:
+    def __init__(self, wrong):
+        self.wrong, self.calls = wrong, 0
+
+    def __call__(self, seen):
+        self.calls += 1
+        charge = torch.ones(seen.shape[:1], dtype=torch.int64)
+        if self.calls < 3:
+            return charge
+        if self.wrong == "raises":
+            raise RuntimeError("out of tokens")
+        if self.wrong == "exits":
+            raise SystemExit(3)
+        if self.wrong == "interrupted":
+            raise KeyboardInterrupt
+        return {"nan": charge * float("nan"), "shape": charge[:, None].expand(-1, 3), "illegal": 99 * charge}[self.wrong]
+
+
+def enter(preset, make, wrong):
+    return make(), TensorDictModule(Choose(wrong), in_keys=["observation"], out_keys=["action"])
+"""
+
+
+@pytest.fixture
+def failing(tmp_path, monkeypatch):
+    """Name of a function that enters policies which fail after two decisions."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend("")
+    (tmp_path / "failing_entrant.py").write_text(FAILING)
+    return "failing_entrant:enter"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ("raises", "RuntimeError: out of tokens"),
+        ("exits", "SystemExit: 3"),
+        ("nan", "action has dtype torch.float32"),
+        ("shape", "action has shape [2, 3]; it must be [2]"),
+        ("illegal", "action 99 of environment 0 is out of range"),
+    ],
+)
+def test_a_policy_that_fails_has_a_row_and_the_others_keep_theirs(run, failing, tmp_path, wrong, message):
+    out, name = tmp_path / "bench.json", f"{failing},{wrong}"
+    result = run("bench", "random", name, "rule", *TWO, "--out", out)
+    assert result.exit_code == 1
+    kept = json.loads(out.read_text())
+    assert list(kept["policies"]) == ["random", "rule"]
+    assert message in kept["failed"][name]["NadirScan-v1"]
+    assert f"{name} failed in NadirScan-v1: " in result.output
+    assert any(name in line and line.rstrip().endswith("failed") for line in result.output.splitlines())
+    again = run("bench", name, *TWO, "--with", out, "--out", tmp_path / "again.json")
+    assert f"failed: {name} in NadirScan-v1" in again.output.splitlines()[-1]
+    assert list(json.loads((tmp_path / "again.json").read_text())["policies"]) == ["random", "rule"]
+
+
+def test_an_interrupt_keeps_the_tasks_that_were_played(run, failing, tmp_path):
+    out = tmp_path / "bench.json"
+    result = run("bench", "random", f"{failing},interrupted", *TWO, "--out", out)
+    assert result.exit_code == 130
+    assert "NadirScan-v1, suite v1, 2 of 1024" in result.output
+    assert list(json.loads(out.read_text())["policies"]) == ["random"]
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("failing_entrant:entre", "failing_entrant has no 'entre'; did you mean 'enter'?"),
+        ("failing_entrant.py:enter", "write failing_entrant:enter"),
+        ("broken_entrant:enter", "ZeroDivisionError: division by zero"),
+    ],
+)
+def test_functions_that_cannot_be_imported(run, failing, tmp_path, name, message):
+    (tmp_path / "broken_entrant.py").write_text("1 / 0")
+    result = run("bench", name, *TWO)
+    assert result.exit_code == 1
+    assert f"{name} cannot be imported: " in result.output
+    assert message in result.output
+
+
+def test_names_of_tasks_may_follow_a_space(run):
+    result = run("bench", "random", "--presets", "NadirScan-v1, AEOSPower-v1", "--episodes", "1")
+    assert result.exit_code == 0, result.output
+    assert "AEOSPower-v1, suite v1, 1 of 1024" in result.output
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -78,6 +169,8 @@ def test_a_function_may_enter_a_policy(run, tmp_path, monkeypatch):
             ["random", "--folder", "tests"],
             "--folder tests has cases of AEOS-Bench, but the suite is v1; choose --suite aeosbench",
         ),
+        (["random", "--backend", "eagre"], "backend='eagre' must be one of compiled, eager"),
+        (["random", "--device", "mps"], "device='mps' is not available"),
         (["random", "--episodes", "1025"], "--episodes 1025 must be at most 1024"),
         (["random", "--suite", "aeosbench", "--presets", "real_orbit"], "not in the suite aeosbench; did you mean 'real_orbits'"),
         (["random", "--suite", "aeosbench", "--folder", "docs/start"], "docs/start: no constellation.json"),

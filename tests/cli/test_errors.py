@@ -46,6 +46,7 @@ def folder(tmp_path, monkeypatch):
         (("train", "NadirScan-v1", "--seed", 2**70), "must be at most"),
         ((*SCAN, "options.time_limt=1"), "did you mean 'time_limit'"),
         ((*SCAN, "options.foo=1"), "unexpected keyword argument 'foo'"),
+        ((*SCAN, "--episodes", 0, "options.foo=1"), "unexpected keyword argument 'foo'"),
         (("train", "AEOS-v1", "options.n_target=1"), "did you mean 'n_targets'"),
         (("train", "AEOS-v1", "options.as_set=7"), "as_set=7 must be True or False"),
         ((*SCAN, "options.sat_args.foo=1"), "sat_args['foo'] is unknown"),

@@ -116,3 +116,12 @@ def test_suites_with_measures_are_refused(run, tmp_path):
     assert "suite='v0' is not a suite" in run("leaderboard", path).output
     path.write_text(json.dumps({"format": 1, "suite": "v1", "policies": {}}))
     assert "has no policies" in run("leaderboard", path).output
+
+
+def test_columns_without_text_take_no_room(run, board, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    result = run("leaderboard", board, "--method", "rules=hasty")
+    assert result.exit_code == 0, result.output
+    assert "better than" not in result.output
+    assert "same on Basilisk" not in result.output
+    assert "optimality gap" in result.output

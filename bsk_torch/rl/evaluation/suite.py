@@ -259,7 +259,7 @@ def tasks_of(suite: str, presets: str | None = None) -> tuple[Task, ...]:
     tasks = {task.title: task for task in SUITES[suite]}
     if presets is None:
         return tuple(tasks.values())
-    wanted = presets.split(",")
+    wanted = [name.strip() for name in presets.split(",")]
     for name in wanted:
         if name not in tasks:
             raise ValueError(f"preset {name!r} is not in the suite {suite}; {nearest(name, tasks)}")
