@@ -35,6 +35,19 @@ class Seat(NamedTuple):
     column: int
 
 
+def check_actions(actions: Mapping[Any, Any], agents: Sequence[Any], num_envs: int) -> None:
+    """Raise TypeError unless ``actions`` is a mapping, KeyError for another agent, ValueError for a wrong number of actions."""
+    if not isinstance(actions, Mapping):
+        raise TypeError(f"actions={actions!r} must be a dictionary of arrays by agent; agents are {agents}")
+    for agent, each in actions.items():
+        if agent not in agents:
+            raise KeyError(f"{agent!r} is not an agent; agents are {agents}")
+        if np.ndim(each) == 0:
+            raise ValueError(f"actions[{agent!r}]={each!r} must have {num_envs} entries, one per environment")
+        if len(each) != num_envs:
+            raise ValueError(f"actions[{agent!r}] has {len(each)} entries; it must have {num_envs}, one per environment")
+
+
 class BatchedAgentsVectorEnv:
     """N constellations in one simulation, with the methods of :class:`~bsk_torch.bsk_rl.vector.AgentsVectorEnv`.
 
@@ -133,8 +146,9 @@ class BatchedAgentsVectorEnv:
 
         Raises:
             ResetNeeded: If no episode is running, or one is over that does not start by itself.
-            KeyError: For an agent that there is not.
-            ValueError: For actions of another number.
+            KeyError: For an unknown agent.
+            ValueError: For a wrong number of actions.
+            TypeError: For actions that are not integers, or not given by agent.
         """
         if not self._started or (self.autoreset_mode is AutoresetMode.DISABLED and bool(self._over.any())):
             raise ResetNeeded("step() needs running episodes; call reset(), with options={'reset_mask': ended} for some of them")
@@ -161,16 +175,15 @@ class BatchedAgentsVectorEnv:
 
     def _tables(self, actions: Mapping[Any, Any]) -> list[Tensor]:
         """Return the actions of each group, [N, A], which continue the tasks of agents without one."""
-        for agent, each in actions.items():
-            if agent not in self._seats:
-                raise KeyError(f"{agent!r} is not an agent; agents are {self.possible_agents}")
-            if len(each) != self.num_envs:
-                raise ValueError(f"actions[{agent!r}] has {len(each)} entries; it must have {self.num_envs}, one per environment")
+        check_actions(actions, self.possible_agents, self.num_envs)
         tables = {group.name: torch.full((self.num_envs, len(group.agents)), NO_ACTION) for group in self.core.groups}
         for agent, each in actions.items():
+            chosen = np.asarray(each)
+            if chosen.dtype.kind not in "iu":
+                raise TypeError(f"actions[{agent!r}] has dtype {chosen.dtype}; it must be an integer array, such as np.int64")
             seat = self._seats[agent]
             table, acts = tables[seat.group], self._left[:, seat.column] & ~self._over
-            table[:, seat.number] = torch.where(acts, torch.as_tensor(np.asarray(each)), table[:, seat.number])
+            table[:, seat.number] = torch.where(acts, torch.as_tensor(chosen), table[:, seat.number])
         return list(tables.values())
 
     def _ends(self) -> tuple[Tensor, Tensor]:

@@ -22,7 +22,7 @@ from gymnasium.vector.utils import batch_space, concatenate, create_empty_array,
 
 from bsk_torch._checks import whole
 from bsk_torch.bsk_rl.batch import BatchedVectorEnv, NotBatchedError, batched_core
-from bsk_torch.bsk_rl.batch_agents import BatchedAgentsVectorEnv
+from bsk_torch.bsk_rl.batch_agents import BatchedAgentsVectorEnv, check_actions
 from bsk_torch.bsk_rl.gym import ConstellationTasking, GeneralSatelliteTasking
 from bsk_torch.bsk_rl.utils.logging_config import ContextFilter
 from bsk_torch.env import ConstellationTasking as Constellation
@@ -316,14 +316,11 @@ class AgentsVectorEnv:
             ResetNeeded: If no episode is running, or one is over that does not start by itself.
             KeyError: For an unknown agent.
             ValueError: For a wrong number of actions.
+            TypeError: If the actions are not given by agent.
         """
         if self._last is None or (self.autoreset_mode is AutoresetMode.DISABLED and self._over.any()):
             raise ResetNeeded("step() needs running episodes; call reset(), with options={'reset_mask': ended} for some of them")
-        for agent, each in actions.items():
-            if agent not in self.action_spaces:
-                raise KeyError(f"{agent!r} is not an agent; agents are {self.possible_agents}")
-            if len(each) != self.num_envs:
-                raise ValueError(f"actions[{agent!r}] has {len(each)} entries; it must have {self.num_envs}, one per environment")
+        check_actions(actions, self.possible_agents, self.num_envs)
         found = [
             self._begin(k) if self._over[k] else self._move(k, {agent: each[k] for agent, each in actions.items()})
             for k in range(self.num_envs)

@@ -67,7 +67,7 @@ FORMAT = 1
 
 
 class Failures(dict[str, dict[str, str]]):
-    """Errors of policies in tasks, by name and task; the run goes on without them."""
+    """Errors of policies by name and task; all other policies and tasks are still played."""
 
     @contextmanager
     def of(self, name: str, task: Task) -> Iterator[None]:

@@ -120,11 +120,24 @@ def _tensor(where: str, given: object, dtype: torch.dtype | None = None) -> Tens
         raise TypeError(f"{where} is {given!r}; it must be numeric: {error}") from error
 
 
+def as_action(core: Tasking, action: object) -> Tensor:
+    """Return numbers in any form as a tensor on the core's device; TypeError for anything else."""
+    try:
+        return torch.as_tensor(action, device=core.device)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise TypeError(f"action={action!r} must be numeric: {error}") from error
+
+
 def read_actions(core: Tasking, action: object) -> Tensor:
-    """Return actions [N, ...] on the core's device; ValueError for another shape. The core checks their dtype and range."""
+    """Return actions [N, ...] on the core's device, which checks their dtype and range.
+
+    Raises:
+        TypeError: If they are not numbers.
+        ValueError: For another shape.
+    """
     if isinstance(core, SatelliteTasking) and form(core.satellite) is not None:
         return read_values("action", action, core.satellite, tuple(core.batch_size)).to(core.device)
-    tensor = torch.as_tensor(action, device=core.device)
+    tensor = as_action(core, action)
     if tensor.shape != core.batch_size:
         raise ValueError(f"action has shape {list(tensor.shape)}; it must be {list(core.batch_size)}, one per environment")
     return tensor

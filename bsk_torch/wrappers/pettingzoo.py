@@ -179,7 +179,7 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
         Raises:
             ResetNeeded: Before the first reset.
             ValueError: For an unknown agent, or an action out of range; no state has changed then.
-            TypeError: For an action that is not an integer.
+            TypeError: For an action that is not an integer, or actions that are not given by agent.
         """
         if self._seen is None:
             raise ResetNeeded("step() needs a running episode; call reset() first")
@@ -222,6 +222,8 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
 
     def _decoded(self, actions: Mapping[str, object]) -> list[Tensor]:
         """Return the actions of each group, [1, A] or [1, A, M], or [1, A, width] of real numbers."""
+        if not isinstance(actions, Mapping):
+            raise TypeError(f"actions={actions!r} must be a dictionary of actions by agent; agents are {self.possible_agents}")
         for agent in actions:
             self._known(agent, "actions: agent")
         live = set(self.agents)

@@ -171,6 +171,12 @@ def test_what_cannot_be_given_is_rejected(chargers):
         chargers.step({"C": [0, 0, 0]})
     with pytest.raises(ValueError, match=r"actions\['A'\] has 2 entries"):
         chargers.step({"A": [0, 0]})
+    with pytest.raises(ValueError, match=r"actions\['A'\]=0 must have 3 entries"):
+        chargers.step({"A": 0})
+    with pytest.raises(TypeError, match=r"actions\['A'\] has dtype float64"):
+        chargers.step({"A": [0.7, 0.0, 0.0]})
+    with pytest.raises(TypeError, match="must be a dictionary of arrays by agent"):
+        chargers.step(np.zeros((3, 2), dtype=np.int64))
     with pytest.raises(ValueError, match="reset_mask"):
         chargers.reset(options={"reset_mask": np.zeros(3, dtype=bool)})
     with pytest.raises(AttributeError, match="vectorize='episodes'"):

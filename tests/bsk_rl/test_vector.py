@@ -279,6 +279,10 @@ def test_what_agents_cannot_be_given_is_rejected(agents):
         agents.step({"C": np.zeros(N, dtype=int)})
     with pytest.raises(ValueError, match=r"actions\['A'\] has 2 entries"):
         agents.step({"A": np.zeros(2, dtype=int)})
+    with pytest.raises(ValueError, match=r"actions\['A'\]=0 must have"):
+        agents.step({"A": 0})
+    with pytest.raises(TypeError, match="must be a dictionary of arrays by agent"):
+        agents.step(np.zeros(N, dtype=int))
     with pytest.raises(ValueError, match="seed has 2 entries"):
         agents.reset(seed=[1, 2])
     with pytest.raises(ValueError, match="reset_mask"):

@@ -129,7 +129,13 @@ def test_an_episode_has_to_run():
         env.step(0)
 
 
-BAD = [(7, ValueError, "action 7 of environment 0"), (0.5, TypeError, "float32"), ([0, 1], ValueError, r"shape \[2\]")]
+BAD = [
+    (7, ValueError, "action 7 of environment 0"),
+    (0.5, TypeError, "float32"),
+    ([0, 1], ValueError, r"shape \[2\]"),
+    (None, TypeError, "action=None must be numeric"),
+    ("x", TypeError, "action='x' must be"),
+]
 
 
 def test_a_wrong_action_is_named_and_changes_nothing():

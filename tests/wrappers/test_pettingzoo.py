@@ -260,6 +260,8 @@ BAD = [
     ({"S0": "action_scan"}, TypeError, r"actions\['S0'\] is 'action_scan'"),
     ({"S0": [0, 1]}, ValueError, r"actions\['S0'\] has 2 entries; it must have 1"),
     ({"S0": True}, TypeError, r"actions\['S0'\] is True"),
+    ([1, 1], TypeError, r"actions=\[1, 1\] must be a dictionary of actions by agent"),
+    (None, TypeError, "actions=None must be a dictionary"),
 ]
 
 
@@ -267,7 +269,7 @@ BAD = [
 def test_a_wrong_action_is_named_and_changes_nothing(actions, error, text):
     env, *_ = view()
     with pytest.raises(error, match=text):
-        env.step({"S1": 0} | actions)
+        env.step({"S1": 0} | actions if isinstance(actions, dict) else actions)
     assert int(env.core.simulator.ticks[0]) == 0
     with pytest.raises(ValueError, match="'S9'"):
         env.action_space("S9")

@@ -15,6 +15,7 @@ from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.action_forms import form
 from bsk_torch.wrappers.core import (
     RENDERING,
+    as_action,
     as_numpy,
     begin,
     build,
@@ -103,7 +104,7 @@ class GymEnv(EpisodeView, gymnasium.Env[Any, Any]):
         if not self._running:
             raise ResetNeeded("step() needs a running episode; call reset() first")
         if form(self.core.satellite) is None:
-            actions = read_actions(self.core, torch.as_tensor(action).reshape(-1))
+            actions = read_actions(self.core, as_action(self.core, action).reshape(-1))
         else:
             actions = read_values("action", action, self.core.satellite).unsqueeze(0).to(self.core.device)
         seen = self.core.played(actions)
