@@ -1,24 +1,24 @@
 """Times between images that satellites cannot beat for long: records flights, fits times by a linear program, and checks them.
 
 Usage:
-    python benchmarks/sustained.py [--scale 1.0] [--planned 2] [--planned-time 17100] [--reserve 60] [--margin 6] [--enough 500]
-        [--rounds 3] [--seed 11] [--time-limit 17100] [--window 1500] [--fitted FILE.json] [--envelope FILE.json]
-        [--out FILE.json]
+    python benchmarks/sustained.py [--scale 1.0] [--planned 8] [--planned-time 5700] [--reserve 44] [--margin 8] [--enough 20]
+        [--share 0.25] [--lag 0.04] [--sectors 8] [--near 25000] [--rounds 2] [--seed 11] [--time-limit 17100] [--window 1200]
+        [--envelope FILE.json] [--out FILE.json]
 
-Several policies fly AEOS-v1, AEOSCity-v1 and AEOSPower-v1; ``--reserve`` is the lead in ticks that the times are chosen for, and
-``--margin`` is added to the largest lead of these flights. The program weights each angle by how often the best path of the bound
-uses it, in ``--window`` seconds of two episodes with 9,999 targets, and is solved ``--rounds`` times: the first weights are those
-of the flights. The times are then checked on other episodes of the same policies. Since a planner gets ahead of them, they are
-multiplied by the largest of 0.99, 0.98 and so on with which ``--planned`` episodes of a planner, ``--planned-time`` seconds long,
-keep within the reserve, and checked on as many others. ``--scale`` multiplies the number of episodes of the policies;
-``--fitted`` names the times of an earlier run, so that only the planner flies and other results in the file of ``--out`` stay;
-``--envelope`` names the file for the times, such as ``bsk_torch/plan/bounds/agile_sustained.json``.
+Several policies fly AEOS-v1, AEOSCity-v1 and AEOSPower-v1, and a planner flies ``--planned`` episodes of ``--planned-time``
+seconds; ``--reserve`` is the lead in ticks that the times are chosen for, and ``--margin`` is added to the largest lead of these
+flights. Angles are measured from where satellites point when they take an image: ``--lag`` rad beside the target, in the
+direction of the target before, one of ``--sectors``, or as before where that target is nearer than ``--near`` meters. No time
+is longer than the quantile ``--share`` of its bin. The program weights each angle by how often the best path of the bound uses
+it, in ``--window`` seconds of two episodes with 9,999 targets, and is solved ``--rounds`` times: the first weights are those of
+the flights. The times are then checked on as many other episodes of the planner, and half as many of the other policies. ``--scale``
+multiplies the number of episodes of the policies; ``--envelope`` names the file for the times, such as
+``bsk_torch/plan/bounds/agile_sustained.json``.
 """
 
 from __future__ import annotations
 
 import json
-from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,11 +29,10 @@ from envelope import Soonest
 from torch import Tensor
 
 import bsk_torch
-from bsk_torch.astro.frames import angle_between
 from bsk_torch.plan import planner
 from bsk_torch.plan.bounds import Envelope, ImageSequences, ImagingBound, imaging_bound, leads, record_images, sustained_envelope
 from bsk_torch.plan.bounds.envelope import SOONEST
-from bsk_torch.plan.bounds.sustained import bins_of
+from bsk_torch.plan.bounds.sustained import NODES, SPACING, bins_of
 from bsk_torch.plan.bounds.tasks import agility
 from bsk_torch.plan.bounds.windows import satellite_positions
 from bsk_torch.rl.policies import pretrained
@@ -55,13 +54,19 @@ CASES: tuple[tuple[Case, int], ...] = (
 """Preset, targets, a policy or the number of targets among which actions are drawn, and episodes."""
 
 PLANNED: Case = ("AEOS-v1", 9999, "rollout over trained")
-"""What the times are lowered for."""
+"""What the planner flies."""
 
 HELD_OUT, WEIGHED = 1000, 2000
 """What is added to the seed for flights that are checked, and for episodes whose bound gives weights."""
 
-BINS, WIDTH = 70, 0.02
+BINS, WIDTH = 190, 0.005
 """Bins of the angle, and their width, rad."""
+
+NEARBY = 9
+"""Bins over which weights are averaged: a path of the bound uses a few of them, and which ones is chance."""
+
+SHOWN = (0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+"""Angles in the table of times, rad."""
 
 LEADS = {
     "task": "{task}",
@@ -74,7 +79,7 @@ TIMES = {
     "angle, rad": "{low:.2f} to {high:.2f}",
     "transitions": "{count:,}",
     "sustained, s": "{sustained:.1f}",
-    "least in one step, s": "{least:.1f}",
+    "quickest tenth, s": "{tenth:.1f}",
     "median, s": "{median:.1f}",
 }
 
@@ -82,7 +87,8 @@ TIMES = {
 def fly(options: Any, case: Case, episodes: int, seed: int) -> tuple[ImageSequences, dict[str, str]]:
     """Record one case."""
     preset, targets, player = case
-    world: dict[str, Any] = dict(num_envs=episodes, backend=options.backend, time_limit=options.time_limit)
+    limit = min(options.time_limit, options.planned_time) if case == PLANNED else options.time_limit
+    world: dict[str, Any] = dict(num_envs=episodes, backend=options.backend, time_limit=limit)
     world |= {"n_targets": targets} if targets else {}
     learned = player in ("trained", PLANNED[2])
     env: Any = bsk_torch.make(preset, **world, **({"as_set": True} if learned else {}))
@@ -98,14 +104,25 @@ def fly(options: Any, case: Case, episodes: int, seed: int) -> tuple[ImageSequen
     return images, agility(env.satellite)
 
 
-def used(env: Any, bound: ImagingBound) -> Tensor:
-    """Return how often the best path of the bound uses each bin of the angle, [BINS]."""
-    satellite, places = env.satellite, env.simulator.scenario_state["target_r_LP_P"]
-    row, k = torch.nonzero(bound.tick[:, 1:] >= 0, as_tuple=True)
-    time = bound.tick[row, k].clamp(max=int(env.state.limit_ticks.max())) * env.simulator.h
-    here = satellite_positions(satellite, row, time)
-    angle = angle_between(places[row, bound.target[row, k]] - here, places[row, bound.target[row, k + 1]] - here)
-    return bins_of(angle, WIDTH, BINS)
+def images_of(env: Any, bound: ImagingBound) -> ImageSequences:
+    """Return the best path of the bound, as if a satellite had flown it."""
+    tick = bound.tick
+    target = bound.target.clamp(min=0).unsqueeze(-1).expand(-1, -1, 3)
+    places = env.simulator.scenario_state["target_r_LP_P"].gather(1, target)
+    later = tick.clamp(min=0).unsqueeze(-1) + SPACING * torch.arange(NODES)
+    time = later.clamp(max=int(env.state.limit_ticks.max())).flatten() * env.simulator.h
+    row = torch.arange(len(tick)).repeat_interleave(tick.shape[1] * NODES)
+    nodes = satellite_positions(env.satellite, row, time).view(*tick.shape, NODES, 3)
+    return ImageSequences(tick, places, nodes, 0)
+
+
+def used(env: Any, bound: ImagingBound, envelope: Envelope) -> Tensor:
+    """Return the share of each bin of the angle in the best path of the bound, [BINS], averaged over nearby ones."""
+    soonest = (SOONEST,) * BINS  # whose clock is that of the path
+    angle = leads(images_of(env, bound), replace(envelope, direct=soonest, any=soonest)).angle
+    use = bins_of(angle, WIDTH, BINS).double()
+    smooth = torch.nn.functional.avg_pool1d(use.view(1, 1, -1), NEARBY, 1, NEARBY // 2, count_include_pad=False).view(-1)
+    return smooth / smooth.sum().clamp(min=1.0)
 
 
 def fitted(options: Any, images: ImageSequences, args: dict[str, str]) -> Envelope:
@@ -115,16 +132,16 @@ def fitted(options: Any, images: ImageSequences, args: dict[str, str]) -> Envelo
     env.set_seed(options.seed + WEIGHED)
     env.reset()
     chosen = dict(reserve=options.reserve, margin=options.margin, enough=options.enough, width=WIDTH, bins=BINS)
+    chosen |= dict(lag=options.lag, sectors=options.sectors, near=options.near, share=options.share)
     weight: Tensor | None = None
     best: tuple[float, Envelope] | None = None
     for _ in range(options.rounds):
         made = sustained_envelope(images, weight=weight, step=float(args["sim_rate"]), arguments=args, **chosen)
         bound = imaging_bound(env, envelope=made, iterations=80, bits=2)
-        upper, use = float(bound.upper.mean()), used(env, bound).double()
+        upper, use = float(bound.upper.mean()), used(env, bound, made)
         print(f"reserve {made.reserve} ticks, bound {upper:.2f} of {float(bound.in_view.mean()):.2f}", flush=True)
         best = min(best or (upper, made), (upper, made), key=lambda pair: pair[0])
-        share = use / use.sum().clamp(min=1.0)
-        weight = share if weight is None else 0.5 * (weight + share)
+        weight = use if weight is None else 0.5 * (weight + use)
     assert best is not None
     return best[1]
 
@@ -139,71 +156,51 @@ def leads_of(case: Case, images: ImageSequences, envelope: Envelope) -> dict[str
 
 
 def times_of(images: ImageSequences, envelope: Envelope) -> list[dict[str, float]]:
-    """Rows of the table of times, for every tenth of a radian."""
-    angle, ticks, least, h = leads(images, envelope).angle[:, 1:], images.tick.diff(dim=1), Envelope.load(), envelope.step
+    """Rows of the table of times, for some angles."""
+    angle, ticks, h = leads(images, envelope).angle[:, 1:], images.tick.diff(dim=1), envelope.step
     rows = []
-    for k in range(0, BINS, 5):
-        low, high = k * WIDTH, (k + 5) * WIDTH
+    for low in SHOWN:
+        high = low + 2 * WIDTH
         here = (angle >= low) & (angle < high)
-        median = float(ticks[here].double().median()) * h if bool(here.any()) else float("nan")
-        times = dict(sustained=envelope.direct[k] * h, least=least.direct[k] * h, median=median)
-        rows.append(dict(low=low, high=high, count=int(here.sum())) | times)
+        times = ticks[here].double() * h if bool(here.any()) else torch.full((1,), torch.nan, dtype=torch.float64)
+        tenth, median = torch.quantile(times, torch.tensor([0.1, 0.5], dtype=torch.float64)).tolist()
+        sustained = envelope.direct[min(round(low / WIDTH), BINS - 1)] * h
+        rows.append(dict(low=low, high=high, count=int(here.sum()), sustained=sustained, tenth=tenth, median=median))
     return rows
 
 
-def lowered(envelope: Envelope, images: ImageSequences, margin: int) -> tuple[Envelope, float]:
-    """Return times multiplied by the largest number of hundredths with which flights keep within the reserve, and that number."""
-    for hundredths in range(100, 0, -1):
-        ticks = tuple(max(SOONEST, time * hundredths // 100) for time in envelope.direct)
-        found = replace(envelope, direct=ticks, any=ticks)
-        if int(leads(images, found).lead.max()) <= envelope.reserve - margin:
-            return found, hundredths / 100
-    raise ValueError("the flights are ahead of any times")
-
-
-def policies(options: Any) -> tuple[Envelope, dict[str, Any]]:
-    """Fit times to the flights of policies, and return them with what others are ahead of them."""
-    flights: list[ImageSequences] = []
-    args: dict[str, str] = {}
-    for case, episodes in CASES:
-        images, args = fly(options, case, max(1, round(episodes * options.scale)), options.seed)
-        flights.append(images)
-    every = ImageSequences.joined(flights)
-    envelope = fitted(options, every, args)
-    checked = []
-    for case, episodes in CASES:
-        count = max(1, round(0.5 * episodes * options.scale))
-        images, _ = fly(options, case, count, options.seed + HELD_OUT)
-        checked.append(leads_of(case, images, envelope))
-    check = dict(reserve=envelope.reserve * envelope.step, transitions=every.transitions, carried_over=every.carried)
-    check |= dict(largest=float(leads(every, envelope).lead.max()) * envelope.step)
-    return envelope, dict(check=check, rows=times_of(every, envelope), leads=checked)
+def flights(options: Any, share: float, planned: int, seed: int) -> tuple[list[tuple[Case, ImageSequences]], dict[str, str]]:
+    """Record all cases, with a ``share`` of their episodes, and the arguments of their satellite."""
+    found, args = [], {}
+    for case, episodes in (*CASES, (PLANNED, 0)):
+        count = planned if case == PLANNED else max(1, round(share * episodes * options.scale))
+        images, args = fly(options, case, count, seed)
+        found.append((case, images))
+    return found, args
 
 
 def main() -> None:
     """Record, fit, check, and print tables."""
     arguments = harness.parser(
-        __doc__, scale=1.0, planned=2, planned_time=17_100.0, reserve=60, margin=6, enough=500, rounds=3, seed=11,
-        time_limit=17_100.0, window=1500.0, backend="compiled", fitted="", envelope="",
+        __doc__, scale=1.0, planned=8, planned_time=5700.0, reserve=44, margin=8, enough=20, share=0.25, lag=0.04, sectors=8,
+        near=25_000.0, rounds=2, seed=11, time_limit=17_100.0, window=1200.0, backend="compiled", envelope="",
     )  # fmt: skip
     options, described = harness.begin(arguments)
-    if options.fitted:
-        envelope, results = Envelope.load(Path(options.fitted)), json.loads(options.out.read_text())
-        results = {name: results[name] for name in ("check", "rows", "leads")}
-    else:
-        envelope, results = policies(options)
-    print(harness.table(TIMES, results["rows"]))
-    print(harness.table(LEADS, results["leads"]))
-    short = Namespace(**vars(options) | {"time_limit": min(options.time_limit, options.planned_time)})
-    images, _ = fly(short, PLANNED, options.planned, options.seed)
-    made, share = lowered(envelope, images, options.margin)
-    others, _ = fly(short, PLANNED, options.planned, options.seed + HELD_OUT)
-    planned = [leads_of(PLANNED, *pair) for pair in ((images, envelope), (others, envelope), (images, made), (others, made))]
-    print(harness.table(LEADS, planned))
-    print(json.dumps(results["check"] | {"share": share}))
+    known, args = flights(options, 1.0, options.planned, options.seed)
+    every = ImageSequences.joined([images for _, images in known])
+    envelope = fitted(options, every, args)
     if options.envelope:
-        made.save(Path(options.envelope))
-    harness.write(options, described, **results, share=share, planned=planned)
+        envelope.save(Path(options.envelope))
+    others, _ = flights(options, 0.5, options.planned, options.seed + HELD_OUT)
+    fit, checked = ([leads_of(case, images, envelope) for case, images in part] for part in (known, others))
+    check = dict(reserve=envelope.reserve * envelope.step, transitions=every.transitions, carried_over=every.carried)
+    check |= dict(largest=float(leads(every, envelope).lead.max()) * envelope.step)
+    rows = times_of(every, envelope)
+    print(harness.table(TIMES, rows))
+    print(harness.table(LEADS, fit))
+    print(harness.table(LEADS, checked))
+    print(json.dumps(check))
+    harness.write(options, described, check=check, rows=rows, fit=fit, leads=checked)
 
 
 if __name__ == "__main__":

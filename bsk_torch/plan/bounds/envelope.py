@@ -49,12 +49,17 @@ def lowest(angle: Tensor, ticks: Tensor, width: float, bins: int) -> Tensor:
 
 def median(angle: Tensor, ticks: Tensor, width: float, bins: int) -> Tensor:
     """Return the median time of each bin, not descending, [bins] ticks; bins without transitions repeat the one before."""
+    return quantile(angle, ticks, width, bins, 0.5)
+
+
+def quantile(angle: Tensor, ticks: Tensor, width: float, bins: int, share: float) -> Tensor:
+    """Return the time of each bin that a ``share`` of its transitions is quicker than, as :func:`median` does for one half."""
     index = (angle / width).long().clamp(0, bins - 1)
     by = torch.argsort(ticks, stable=True)
     by = by[torch.argsort(index[by], stable=True)]
     edge = torch.searchsorted(index[by], torch.arange(bins + 1))
-    middle = ticks[by][((edge[:-1] + edge[1:]) // 2).clamp(max=len(ticks) - 1)]
-    return torch.where(edge[1:] > edge[:-1], middle, 0).cummax(0).values
+    chosen = edge[:-1] + ((edge[1:] - edge[:-1]).double() * share).long()
+    return torch.where(edge[1:] > edge[:-1], ticks[by][chosen.clamp(max=len(ticks) - 1)], 0).cummax(0).values
 
 
 @dataclass(frozen=True)
@@ -71,6 +76,11 @@ class Envelope:
         typical: Median time of each bin in one step, ticks; what schedules count with.
         reserve: Ticks by which a satellite may be ahead of these times (:mod:`bsk_torch.plan.bounds.sustained`); 0 if every
             single transition obeys them.
+        lag: Angle, rad, by which the satellite points short of the target of the first image, on the side of the target before
+            (:mod:`bsk_torch.plan.bounds.approach`); the angle is measured from there. 0 if it is measured from the target.
+        sectors: Directions that are told apart for the lag; 0 without lag.
+        near: Distance on the ground, m, below which the satellite hardly turns from one target to the next, so that the sector
+            stays.
     """
 
     width: float
@@ -81,6 +91,14 @@ class Envelope:
     transitions: int
     typical: tuple[int, ...] = ()
     reserve: int = 0
+    lag: float = 0.0
+    sectors: int = 0
+    near: float = 0.0
+
+    def __post_init__(self) -> None:
+        """ValueError for a lag without sectors, or the reverse."""
+        if self.lag < 0.0 or self.sectors < 0 or (self.lag > 0.0) != (self.sectors > 0):
+            raise ValueError(f"lag={self.lag:g}, sectors={self.sectors}: a lag has one sector or more, and no lag has none")
 
     def least(self, angle: Tensor, *, direct: bool) -> Tensor:
         """Return the least ticks, for angles of any shape, rad."""

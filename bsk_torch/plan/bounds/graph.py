@@ -1,7 +1,9 @@
 """Graph of images in time: which target may be imaged when, and which image may follow which.
 
 A node is a window at a time, in cells of one or several ticks. An edge leads to it from the latest time at which another target
-may have been imaged before. All rounding is such that what a satellite can do is a path in the graph.
+may have been imaged before. All rounding is such that what a satellite can do is a path in the graph. Where times depend on the
+direction that the satellite comes from, each window has a node for every sector of that direction: an edge leads from any of
+them, with times for that sector, to the one that its two targets decide.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.astro.frames import angle_between
+from bsk_torch.plan.bounds.approach import pointing, sector_from
 from bsk_torch.plan.bounds.envelope import SOONEST, Envelope
 from bsk_torch.plan.bounds.windows import Openings
 
@@ -44,7 +47,7 @@ def spans(lengths: Tensor) -> Spans:
 
 @dataclass(frozen=True)
 class ImageGraph:
-    """Windows, nodes and edges of the satellites of some episodes; nodes are sorted by satellite, cell and window.
+    """Windows, nodes and edges of the satellites of some episodes; nodes are sorted by satellite, cell, window and sector.
 
     Attributes:
         ticks: Ticks in a cell.
@@ -52,10 +55,11 @@ class ImageGraph:
         reach: Cells after which any target may follow any other.
         rows: Number of satellites.
         row, target: Satellite and target of each window, [w].
-        window, cell, previous: Window and cell of each node, and the node of that window one cell before, -1 for none, [n].
+        window, cell, previous: Window and cell of each node, and the node of that window and sector one cell before, -1 for
+            none, [n].
         node_begin: First node of each satellite, [rows + 1].
         edge_begin: First edge into each node, [n + 1].
-        source, pair: Node that an edge comes from, and its pair of windows, [e].
+        source, pair: Node that an edge comes from, and its pair of windows, [e] int32.
         pair_from, pair_to, pair_cells: Windows of each pair, and the least cells between images of them, [p].
     """
 
@@ -107,7 +111,7 @@ def image_graph(
     number = torch.empty_like(order)
     number[order] = torch.arange(n)
     before = torch.where(offset > 0, number[(torch.arange(n) - 1).clamp(min=0)], -1)[order]
-    nodes, slack = _Nodes(first, length, begin, number), ticks - 1
+    nodes, slack, sectors = _Nodes(first, length, begin, number), ticks - 1, envelope.sectors + 1
     reach = max(-(-(envelope.longest - slack) // ticks), int(length.max()) if len(length) else 0) + 1
     closings = _closings(openings, rows, pause)
     sources: list[Tensor] = []
@@ -118,22 +122,30 @@ def image_graph(
     pair_cells: list[Tensor] = []
     known = 0
     for left, right in _pairs(row, target, first, last, reach, rows):
-        arrival = _arrivals(openings, nodes, left, right, r_P, r_LP_P, envelope, ticks, closings)
-        source, destination, pair, least = _edges(nodes, left, right, arrival, cells, reach)
-        sources.append(source)
-        destinations.append(destination)
-        pairs.append(pair + known)
+        leave, reached = r_LP_P[row[left], target[left]], r_LP_P[row[right], target[right]]
+        new = sector_from(leave, reached, envelope.sectors) if envelope.sectors else torch.zeros_like(left)
+        stays = (reached - leave).norm(dim=-1) < envelope.near
+        least = torch.full_like(left, cells)
+        for sector in range(sectors):
+            arrival = _arrivals(openings, nodes, left, right, sector, r_P, r_LP_P, envelope, ticks, closings)
+            source, destination, pair, shortest = _edges(nodes, left, right, arrival, cells, reach)
+            sources.append((source * sectors + sector).int())
+            destinations.append((destination * sectors + torch.where(stays, sector, new)[pair]).int())
+            pairs.append((pair + known).int())
+            least = torch.minimum(least, shortest)
         pair_from.append(left)
         pair_to.append(right)
         pair_cells.append(least)
         known += len(left)
     none = torch.zeros(0, dtype=torch.int64)
-    source, destination, pair = (torch.cat(parts or [none]) for parts in (sources, destinations, pairs))
+    source, destination, pair = (torch.cat(parts or [none.int()]) for parts in (sources, destinations, pairs))
     destination, by = torch.sort(destination, stable=True)
+    every, offset = torch.arange(n * sectors) // sectors, torch.arange(n * sectors) % sectors
     return ImageGraph(
-        ticks, cells, reach, rows, row, target, window[order], cell[order], before,
-        node_begin=torch.searchsorted(row[window][order], torch.arange(rows + 1)),
-        edge_begin=torch.searchsorted(destination, torch.arange(n + 1)),
+        ticks, cells, reach, rows, row, target, window[order][every], cell[order][every],
+        previous=torch.where(before[every] < 0, -1, before[every] * sectors + offset),
+        node_begin=torch.searchsorted(row[window][order], torch.arange(rows + 1)) * sectors,
+        edge_begin=torch.searchsorted(destination, torch.arange(n * sectors + 1, dtype=torch.int32)),
         source=source[by], pair=pair[by],
         pair_from=torch.cat(pair_from or [none]),
         pair_to=torch.cat(pair_to or [none]),
@@ -190,21 +202,30 @@ def _arrivals(
     nodes: _Nodes,
     left: Tensor,
     right: Tensor,
+    sector: int,
     r_P: Tensor,
     r_LP_P: Tensor,
     envelope: Envelope,
     ticks: int,
     closings: _Closings,
 ) -> Tensor:
-    """Return for every pair and every cell of its first window the first cell of the second image, flat."""
+    """Return for every pair and every cell of its first window the first cell of the second image, flat.
+
+    For satellites that come from the ``sector``.
+    """
     pair, k, _ = spans(nodes.length[left])
     cell, row = nodes.first[left][pair] + k, openings.row[left][pair]
-    here = r_P[row, cell]
-    angle = angle_between(r_LP_P[row, openings.target[left][pair]] - here, r_LP_P[row, openings.target[right][pair]] - here)
-    slack = ticks - 1
+    here, at, to = r_P[row, cell], openings.target[left][pair], openings.target[right][pair]
+    start = r_LP_P[row, at] - here
+    if envelope.sectors:
+        start = pointing(here, r_LP_P[row, at], torch.full_like(row, sector), envelope.lag, envelope.sectors)
+    angle = angle_between(start, r_LP_P[row, to] - here)
+    slack = 0.5 * (ticks - 1)  # between the middle of a cell and its ticks
     angle = (angle - slack * envelope.step * LINE_OF_SIGHT_RATE).clamp(min=0.0)
     earliest = cell * ticks
     direct = earliest + envelope.least(angle, direct=True)
+    if envelope.any == envelope.direct:
+        return torch.maximum(direct // ticks, cell + 1)
     closing = _next_closing(closings, row, earliest, left[pair], right[pair])
     if closings.pause is not None:
         closing = torch.minimum(closing, earliest + closings.pause)

@@ -11,7 +11,9 @@ constexpr double NONE = -1e300;
 
 struct Graph {
     int64_t cells, reach, bits;
-    const int64_t *target, *window, *cell, *previous, *edge_begin, *source, *pair, *pair_from, *pair_to, *memory;
+    const int64_t *target, *window, *cell, *previous, *edge_begin;
+    const int32_t *source, *pair;
+    const int64_t *pair_from, *pair_to, *memory;
 };
 
 // What a path remembers after each pair of windows, by what it remembered before: a set of bits, or -1 where the image is excluded.
@@ -101,7 +103,7 @@ struct Solver {
 extern "C" void run(
     int64_t episodes, int64_t satellites, int64_t targets, int64_t cells, int64_t reach, int64_t bits, int64_t pairs,
     const int64_t* target, const int64_t* window, const int64_t* cell, const int64_t* previous, const int64_t* node_begin,
-    const int64_t* edge_begin, const int64_t* source, const int64_t* pair, const int64_t* pair_from, const int64_t* pair_to,
+    const int64_t* edge_begin, const int32_t* source, const int32_t* pair, const int64_t* pair_from, const int64_t* pair_to,
     const int64_t* memory, const double* priority, int64_t iterations, const double* gap, double* multiplier, double* lower,
     double* upper, int64_t* chosen, int64_t longest) {
     const Graph g{cells, reach, bits, target, window, cell, previous, edge_begin, source, pair, pair_from, pair_to, memory};

@@ -15,6 +15,7 @@ network delay", IEEE Transactions on Information Theory 37, 1991.)
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import torch
@@ -23,7 +24,8 @@ from torch import Tensor
 from bsk_torch.astro.frames import angle_between
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.rollout import Policy
-from bsk_torch.plan.bounds.envelope import SOONEST, Envelope, median
+from bsk_torch.plan.bounds.approach import pointing, sector_from
+from bsk_torch.plan.bounds.envelope import SOONEST, Envelope, quantile
 from bsk_torch.plan.bounds.transitions import image_steps
 from bsk_torch.plan.bounds.windows import satellite_positions
 
@@ -99,8 +101,8 @@ class Leads(NamedTuple):
 
     Attributes:
         lead: Lead at each image, [R, K] int64 ticks.
-        angle: Angle between the targets of the image before and this one, as seen at the time of the clock, [R, K] rad; NaN for
-            the first image and behind the last.
+        angle: Angle to the target of each image from where the satellite points at the one before, as seen at the time of the
+            clock, [R, K] rad; NaN for the first image and behind the last.
     """
 
     lead: Tensor
@@ -111,14 +113,28 @@ def leads(images: ImageSequences, envelope: Envelope) -> Leads:
     """Return how far the satellites of all flights are ahead of the times of ``envelope``; see the module."""
     tick, lead = images.tick, torch.zeros_like(images.tick)
     angle = torch.full(tick.shape, torch.nan, dtype=torch.float64)
+    sector = sectors_of(images, envelope)
     for k in range(1, tick.shape[1]):  # the clock of an image starts from that of the one before; all flights at once
         there, before = tick[:, k] >= 0, lead[:, k - 1]
         here = _later(images.r_P[:, k - 1], before)
-        seen = angle_between(images.r_LP_P[:, k - 1] - here, images.r_LP_P[:, k] - here)
+        start = pointing(here, images.r_LP_P[:, k - 1], sector[:, k - 1], envelope.lag, envelope.sectors)
+        seen = angle_between(start, images.r_LP_P[:, k] - here)
         ahead = before + envelope.least(seen.nan_to_num(), direct=True) - (tick[:, k] - tick[:, k - 1])
         lead[:, k] = torch.where(there, ahead.clamp(min=0), 0)
         angle[:, k] = torch.where(there, seen, torch.nan)
     return Leads(lead, angle)
+
+
+def sectors_of(images: ImageSequences, envelope: Envelope) -> Tensor:
+    """Return the sector that each image is approached from, [R, K]; ``envelope.sectors`` as long as there is none."""
+    found = torch.full_like(images.tick, envelope.sectors)
+    if envelope.sectors:
+        before, at = images.r_LP_P[:, :-1], images.r_LP_P[:, 1:]
+        new = sector_from(before, at, envelope.sectors)
+        stays = (at - before).norm(dim=-1) < envelope.near
+        for k in range(1, found.shape[1]):
+            found[:, k] = torch.where(stays[:, k - 1], found[:, k - 1], new[:, k - 1])
+    return found
 
 
 def _later(nodes: Tensor, ticks: Tensor) -> Tensor:
@@ -148,12 +164,16 @@ def sustained_envelope(
     margin: int = 6,
     enough: int = 500,
     rounds: int = 30,
+    lag: float = 0.0,
+    sectors: int = 0,
+    near: float = 0.0,
+    share: float = 0.5,
 ) -> Envelope:
     """Return times between images that no flight is ever ahead of by more than the reserve of the envelope.
 
-    A linear program maximizes ``sum_b weight_b f_b`` over times f that do not descend and are no longer than the median of
-    their bin, under constraints that are added where a flight gets too far ahead: over the images in which its lead grew, the
-    times must add up to no more than the time that it took, and the reserve.
+    A linear program maximizes ``sum_b weight_b f_b`` over times f that do not descend and are no longer than a quantile (by
+    default the median) of their bin, under constraints that are added where a flight gets too far ahead: over the images in
+    which its lead grew, the times must add up to no more than the time that it took, and the reserve.
 
     Args:
         images: Flights.
@@ -165,18 +185,26 @@ def sustained_envelope(
         width: Width of the bins, rad.
         bins: Number of bins.
         margin: Ticks.
-        enough: Number of transitions without which the median of a bin is not trusted: bins behind the last that has so many
+        enough: Number of transitions without which the quantile of a bin is not trusted: bins behind the last that has so many
             are no longer than that one.
         rounds: Maximum number of rounds of the program.
+        lag: Angle by which satellites point short of targets, rad, on the side that they come from.
+        sectors: Number of directions that are told apart for the lag.
+        near: Distance between targets, m, below which the sector stays.
+        share: Share of the transitions of a bin that are quicker than its longest admitted time; the rest may have waited.
 
     Raises:
-        ValueError: If no bin has enough transitions, or for a reserve longer than the recorded positions reach.
+        ValueError: For a share beyond 0 to 1, if no bin has enough transitions, or for a reserve longer than the recorded
+            positions reach.
     """
     if not 0 <= reserve + margin <= (NODES - 1) * SPACING:
         raise ValueError(
             f"reserve={reserve}, margin={margin}: leads can be followed up to {(NODES - 1) * SPACING} ticks together"
         )
-    known = Envelope(width, (SOONEST,) * bins, (SOONEST,) * bins, step, dict(arguments), images.transitions)
+    if not 0.0 < share < 1.0:
+        raise ValueError(f"share={share:g}: a share of the transitions lies between 0 and 1")
+    soonest = (SOONEST,) * bins
+    known = Envelope(width, soonest, soonest, step, dict(arguments), images.transitions, lag=lag, sectors=sectors, near=near)
     angle = leads(images, known).angle
     there = torch.isfinite(angle[:, 1:])
     number = bins_of(angle, width, bins)
@@ -186,7 +214,7 @@ def sustained_envelope(
             f"{images.transitions} transitions: no bin of the angle has {enough} of them, so no times can be fitted; fly more "
             "episodes"
         )
-    usual = median(angle[:, 1:][there], images.tick.diff(dim=1)[there], width, bins).clamp(min=SOONEST)
+    usual = quantile(angle[:, 1:][there], images.tick.diff(dim=1)[there], width, bins, share).clamp(min=SOONEST)
     usual = usual[torch.arange(bins).clamp(max=int(trusted[-1]))]
     worth = (number if weight is None else weight).double()
     worth = worth / worth.sum() + 1e-6  # bins without weight are as long as the constraints allow
@@ -201,14 +229,12 @@ def sustained_envelope(
         table = _longest(torch.cat(rows), torch.cat(limits), worth, usual)
     made = _with(known, table)
     largest = int(leads(images, made).lead.max())
-    return Envelope(
-        width, made.direct, made.any, step, dict(arguments), images.transitions, tuple(usual.tolist()), largest + margin
-    )
+    return replace(made, typical=tuple(usual.tolist()), reserve=largest + margin)
 
 
 def _with(envelope: Envelope, table: Tensor) -> Envelope:
     ticks = tuple(table.tolist())
-    return Envelope(envelope.width, ticks, ticks, envelope.step, envelope.arguments, envelope.transitions)
+    return replace(envelope, direct=ticks, any=ticks)
 
 
 def _constraints(images: ImageSequences, found: Leads, reserve: int, width: float, bins: int) -> tuple[Tensor, Tensor]:
