@@ -1,19 +1,22 @@
 """What keeps the bound of imaging up: multipliers, or least times between images that are too short?
 
 Usage:
-    python benchmarks/relaxation.py [--targets 3000 10000] [--episodes 2] [--time-limit 5700] [--iterations 60] [--bits 4]
-        [--seed 1000003] [--out FILE.json]
+    python benchmarks/relaxation.py [--targets 3000 10000] [--times "least" "sustained" ...] [--episodes 2] [--time-limit 5700]
+        [--iterations 60] [--bits 4] [--cell 2] [--seed 1000003] [--out FILE.json]
 
 The relaxation of AEOS-v1 with several times between images: the least ones of the envelope, those of slews in one step alone (no
-bound: satellites may be on their way already), those that satellites cannot beat for long, and typical ones. ``bound`` and
-``schedule`` enclose the best that the relaxation allows, whatever the multipliers. ``knapsack`` is the time that images of all
-targets in view take if each comes by the quickest transition to it: a bound that counts time alone can lie below the sum in view
-only where that is longer than the episode. ``planner`` is what a rollout planner over the trained policy collects in the same
-episodes.
+bound: satellites may be on their way already), those that satellites cannot beat for long, and typical ones. Of those that
+satellites cannot beat for long there are two variants: the direction that the satellite comes from is the best for every slew
+(a bound, too), and windows do not close later by the reserve (no bound). ``bound`` and ``schedule`` enclose the best that the
+relaxation allows, whatever the multipliers. ``knapsack`` is the time that images of all targets in view take if each comes by the
+quickest transition to it: a bound that counts time alone can lie below the sum in view only where that is longer than the
+episode. ``planner`` is what a rollout planner over the trained policy collects in the same episodes. ``--times`` chooses rows;
+others that FILE.json has of the same episodes stay in it, each with the commit that it was measured at.
 """
 
 from __future__ import annotations
 
+import json
 import time
 from dataclasses import replace
 from typing import Any
@@ -41,6 +44,7 @@ COLUMNS = {
     "schedule": "{schedule:.2f}",
     "planner": "{planner:.2f}",
     "knapsack, s": "{knapsack:,.0f}",
+    "cell, s": "{cell:.1f}",
     "s for each bound": "{seconds:.2f}",
 }
 
@@ -48,8 +52,21 @@ COLUMNS = {
 def envelopes() -> dict[str, Envelope]:
     """Return times between images by name."""
     least = Envelope.load()
-    others = {"sustained": Envelope.load(SUSTAINED), "typical": least.expected}
+    sustained = Envelope.load(SUSTAINED)
+    others = {
+        "sustained": sustained,
+        "sustained, best direction": towards(sustained),
+        "sustained, true windows": replace(sustained, reserve=0),
+        "typical": least.expected,
+    }
     return {"least": least, "least in one step": replace(least, any=least.direct)} | others
+
+
+def towards(envelope: Envelope) -> Envelope:
+    """Return times by the angle between targets for satellites that always point from one towards the next one."""
+    nearer = torch.arange(len(envelope.direct)) * envelope.width - envelope.lag
+    ticks = tuple(envelope.least(nearer.clamp(min=0.0), direct=True).tolist())
+    return replace(envelope, direct=ticks, any=ticks, lag=0.0, sectors=0, near=0.0)
 
 
 def quickest(graph: ImageGraph, step: float) -> Tensor:
@@ -76,8 +93,8 @@ def flown(options: Any, targets: int) -> float:
     return float(evaluate(policy, env, seed=options.seed).returns.mean())
 
 
-def rows_of(options: Any, targets: int) -> list[dict[str, Any]]:
-    """Solve the relaxation of the same episodes with all times."""
+def rows_of(options: Any, targets: int, known: list[dict[str, Any]], commit: str) -> list[dict[str, Any]]:
+    """Solve the relaxation of the same episodes with the chosen times; ``known`` rows have what the planner collects."""
     env: Any = bsk_torch.make(
         "AEOS-v1", n_targets=targets, num_envs=options.episodes, time_limit=options.time_limit, backend=options.backend
     )
@@ -87,17 +104,21 @@ def rows_of(options: Any, targets: int) -> list[dict[str, Any]]:
     every, rows = openings(satellite, limit), []
     in_view = torch.zeros_like(paid)
     in_view[every.row, every.target] = paid[every.row, every.target]
-    planned = flown(options, targets)
-    for name, envelope in envelopes().items():
+    planned = next((row["planner"] for row in known if row["targets"] == targets), None)
+    planned = flown(options, targets) if planned is None else planned
+    for name in options.times:
+        envelope = envelopes()[name]
         check_task(env, envelope)
         begin = time.process_time()
-        graph = graph_of(
-            satellite, every, torch.arange(len(paid)), 1, envelope, 2, int(limit.max()), shortest_pause(env, satellite)
-        )
-        found = best_paths(graph, paid, iterations=options.iterations, bits=options.bits)
+        parts = []
+        for envs in torch.arange(len(paid)).split(1):  # the graph of one episode at a time is enough to keep
+            graph = graph_of(satellite, every, envs, 1, envelope, options.cell, int(limit.max()), shortest_pause(env, satellite))
+            found = best_paths(graph, paid[envs], iterations=options.iterations, bits=options.bits)
+            parts.append((float(found.upper), float(found.lower), float(quickest(graph, env.simulator.h))))
+        upper, lower, knapsack = torch.tensor(parts, dtype=torch.float64).mean(0).tolist()
         seconds = (time.process_time() - begin) / len(paid)
-        row = dict(targets=targets, times=name, in_view=float(in_view.sum(1).mean()), bound=float(found.upper.mean()))
-        row |= dict(schedule=float(found.lower.mean()), knapsack=float(quickest(graph, env.simulator.h).mean()), seconds=seconds)
+        row = dict(targets=targets, times=name, in_view=float(in_view.sum(1).mean()), bound=upper, schedule=lower)
+        row |= dict(knapsack=knapsack, seconds=seconds, cell=options.cell * env.simulator.h, commit=commit)
         rows.append(row | {"planner": planned})
         print(harness.cell("{targets} {times}: {bound:.2f} of {in_view:.2f}, schedule {schedule:.2f}", row), flush=True)
     return rows
@@ -108,15 +129,27 @@ def main() -> None:
     arguments = harness.parser(
         __doc__,
         targets=[3000, 10_000],
+        times=list(envelopes()),
         episodes=2,
         time_limit=5700.0,
         iterations=60,
         bits=4,
+        cell=2,
         seed=1_000_003,
         backend="compiled",
     )
     options, described = harness.begin(arguments)
-    rows = [row for targets in options.targets for row in rows_of(options, targets)]
+    known: list[dict[str, Any]] = []
+    if options.out and options.out.exists():
+        earlier = json.loads(options.out.read_text())
+        if all(earlier["options"][name] == getattr(options, name) for name in ("episodes", "time_limit", "seed")):
+            known = [{"cell": 1.0, "commit": earlier["machine"]["commit"]} | row for row in earlier["rows"]]
+    found = {(row["targets"], row["times"]): row for row in known}
+    for targets in options.targets:
+        new = rows_of(options, targets, known, described["commit"])
+        found |= {(targets, row["times"]): row for row in new}
+    order = list(envelopes())
+    rows = sorted(found.values(), key=lambda row: (row["targets"], order.index(row["times"])))
     print(harness.table(COLUMNS, rows))
     harness.write(options, described, rows=rows)
 

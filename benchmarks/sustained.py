@@ -11,8 +11,8 @@ flights. Angles are measured from where satellites point when they take an image
 direction of the target before, one of ``--sectors``, or as before where that target is nearer than ``--near`` meters. No time
 is longer than the quantile ``--share`` of its bin. The program weights each angle by how often the best path of the bound uses
 it, in ``--window`` seconds of two episodes with 9,999 targets, and is solved ``--rounds`` times: the first weights are those of
-the flights. The times are then checked on as many other episodes of the planner, and half as many of the other policies. ``--scale``
-multiplies the number of episodes of the policies; ``--envelope`` names the file for the times, such as
+the flights. The times are then checked on as many other episodes of the planner, and half as many of the other policies.
+``--scale`` multiplies the number of episodes of the policies; ``--envelope`` names the file for the times, such as
 ``bsk_torch/plan/bounds/agile_sustained.json``.
 """
 

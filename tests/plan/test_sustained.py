@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -21,6 +22,7 @@ from bsk_torch.plan.bounds import (
     record_transitions,
     sustained_envelope,
 )
+from bsk_torch.plan.bounds.approach import pointing, sector_from
 from bsk_torch.plan.bounds.graph import image_graph
 from bsk_torch.plan.bounds.paths import best_paths
 from bsk_torch.plan.bounds.sustained import NODES, SPACING, _later, bins_of
@@ -201,3 +203,137 @@ def test_where_targets_are_dense_the_bound_lies_far_below_the_sum_in_view_and_ab
     plain: Any = presets.aeos(**options)
     for where, policy in ((env, pretrained("AEOS-v1")), (plain, BASELINES["hasty"](plain, 0))):
         assert float((bound.upper - evaluate(policy, where, seed=SEED).returns).min()) >= 0.0
+
+
+# -- where satellites point ---------------------------------------------------------------------------------------------------
+
+
+def test_sectors_are_those_of_azimuths_on_the_sphere():
+    lat, lon = torch.tensor([0.3, -1.1, 0.0]).double(), torch.tensor([0.5, 2.0, -3.0]).double()
+    at = 6.378e6 * torch.stack([lat.cos() * lon.cos(), lat.cos() * lon.sin(), lat.sin()], -1)
+    east = torch.stack([-lon.sin(), lon.cos(), torch.zeros_like(lon)], -1)
+    north = torch.stack([-lat.sin() * lon.cos(), -lat.sin() * lon.sin(), lat.cos()], -1)
+    for sectors in (1, 4, 8, 12):
+        for k in range(4 * sectors):
+            azimuth = 2.0 * torch.pi * (k + 0.1) / (4 * sectors)
+            before = at + 50e3 * (math.cos(azimuth) * east + math.sin(azimuth) * north) - 3e3 * at / at.norm(dim=1, keepdim=True)
+            assert sector_from(before, at, sectors).tolist() == [round(azimuth / (2.0 * math.pi) * sectors) % sectors] * 3
+
+
+def test_satellites_point_beside_their_targets_on_the_side_that_they_come_from():
+    at = torch.tensor([[6.378e6, 0.0, 0.0]], dtype=torch.float64)  # east is y, north is z
+    above = torch.tensor([[7.171e6, 0.0, 0.0]], dtype=torch.float64)
+    down = torch.tensor([[-1.0, 0.0, 0.0]], dtype=torch.float64)
+    for sector, side in enumerate(([0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0])):
+        found = pointing(above, at, torch.tensor([sector]), 0.04, 4)
+        expected = math.cos(0.04) * down + math.sin(0.04) * torch.tensor([side], dtype=torch.float64)
+        assert torch.allclose(found, expected)
+    assert torch.allclose(pointing(above, at, torch.tensor([4]), 0.04, 4), down)  # from nowhere: at the target
+    aside = torch.tensor([[7.0e6, 5e5, 2e5]], dtype=torch.float64)
+    for sector in range(4):
+        assert float(angle_between(pointing(aside, at, torch.tensor([sector]), 0.04, 4), at - aside)) == pytest.approx(0.04)
+
+
+def test_places_at_the_poles_have_sectors_too():
+    pole = torch.tensor([[0.0, 0.0, 6.378e6], [0.0, 0.0, -6.378e6]], dtype=torch.float64)
+    around = torch.tensor([[1e5, 0.0, 6.378e6], [0.0, 1e5, -6.378e6]], dtype=torch.float64)
+    assert bool((sector_from(around, pole, 8) >= 0).all())
+    assert bool(pointing(2.0 * pole, pole, torch.tensor([0, 3]), 0.04, 8).isfinite().all())
+
+
+def lagging(times: Envelope, near: float = 0.3) -> Envelope:
+    return replace(times, lag=0.15, sectors=4, near=near)
+
+
+def test_leads_with_a_lag_are_those_of_a_clock_kept_by_hand():
+    images, times = scattered(7), lagging(envelope([10, 12, 20, 24, 30, 33, 40, 44, 50, 55], [2] * 10))
+    found, here = leads(images, times), torch.zeros(3).double()
+    assert int(found.lead.max()) > 0
+    for row in range(len(images.tick)):
+        places, ticks = images.r_LP_P[row], images.tick[row].tolist()
+        clock, sector = ticks[0], 4
+        for k in range(1, len(ticks)):
+            start = pointing(here, places[k - 1], torch.tensor(sector), 0.15, 4)
+            angle = float(angle_between(start, places[k]))
+            clock = max(ticks[k], clock + times.direct[min(int(angle / 0.1), 9)])
+            assert int(found.lead[row, k]) == clock - ticks[k]
+            if float((places[k] - places[k - 1]).norm()) >= 0.3:
+                sector = int(sector_from(places[k - 1], places[k], 4))
+
+
+def scattered(seed: int, rows: int = 4, images: int = 30) -> ImageSequences:
+    """Images of targets about a satellite in the origin."""
+    g = torch.Generator().manual_seed(seed)
+    side = torch.rand(rows, images, 2, generator=g, dtype=torch.float64) - 0.5
+    places = torch.cat([side, torch.ones_like(side[..., :1])], -1)
+    tick = torch.randint(10, 60, (rows, images), generator=g).cumsum(1)
+    return ImageSequences(tick, places, torch.zeros(rows, images, NODES, 3, dtype=torch.float64), 0)
+
+
+def plane(seed: int) -> tuple[Tiny, torch.Tensor]:
+    """A tiny task with targets that do not lie on a line."""
+    tiny = Tiny(seed)
+    g = torch.Generator().manual_seed(seed)
+    count = len(tiny.places)
+    side = 0.7 * torch.rand(count, 2, generator=g, dtype=torch.float64)
+    return tiny, torch.cat([side, torch.ones(count, 1, dtype=torch.float64)], 1)
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("ticks", [1, 2])
+@pytest.mark.parametrize("reserve", [0, 3])
+def test_no_schedule_with_a_lag_exceeds_the_bound(seed, ticks, reserve):
+    tiny, places = plane(seed)
+    slow = (3, 6, 6, 9, 10, 10, 12, 12, 13, 13)
+    times = lagging(replace(tiny.envelope, direct=slow, any=slow, reserve=reserve))
+    spans = {int(t): (int(a), int(b)) for t, a, b in zip(*tiny.openings[1:], strict=True)}
+    here, best = torch.zeros(3).double(), 0.0
+    for count in range(1, len(spans) + 1):
+        for order in itertools.permutations(spans, count):
+            tick = clock = spans[order[0]][0]
+            sector = 4
+            for before, target in itertools.pairwise(order):
+                start = pointing(here, places[before], torch.tensor(sector), times.lag, 4)
+                due = clock + int(times.least(angle_between(start, places[target]).unsqueeze(0), direct=True))
+                if float((places[target] - places[before]).norm()) >= times.near:
+                    sector = int(sector_from(places[before], places[target], 4))
+                tick = max(spans[target][0], tick + 2, due - reserve)
+                clock = max(tick, due)
+                if tick > spans[target][1]:
+                    break
+            else:
+                best = max(best, float(tiny.priority[0, list(order)].sum()))
+    cells = (tiny.cells + reserve) // ticks + 2
+    windows = tiny.openings._replace(last=tiny.openings.last + reserve)
+    graph = image_graph(windows, torch.zeros(1, cells, 3).double(), places.unsqueeze(0), times, ticks, cells)
+    upper = float(best_paths(graph, tiny.priority, iterations=300, bits=4, gap=0.0).upper)
+    assert best <= upper + 1e-9
+    ahead = tuple(times.least(torch.arange(10).double() * 0.1 - times.lag + 1e-9, direct=True).tolist())
+    plain = replace(times, direct=ahead, any=ahead, lag=0.0, sectors=0, near=0.0)  # satellites that always point ahead
+    graph = image_graph(windows, torch.zeros(1, cells, 3).double(), places.unsqueeze(0), plain, ticks, cells)
+    assert upper <= float(best_paths(graph, tiny.priority, iterations=300, bits=4, gap=0.0).upper) + 1e-3
+
+
+@pytest.mark.parametrize("wrong", [dict(lag=0.04), dict(sectors=8), dict(lag=-0.1, sectors=8)])
+def test_a_lag_and_sectors_go_together(wrong):
+    with pytest.raises(ValueError, match="a lag has one sector or more, and no lag has none"):
+        replace(envelope([2], [2]), **wrong)
+
+
+def test_the_share_of_the_longest_times_is_checked():
+    with pytest.raises(ValueError, match="share=1: a share of the transitions lies between 0 and 1"):
+        fitted(flights(6), 10, share=1.0)
+
+
+def test_a_lag_admits_longer_times_where_satellites_have_one():
+    env: Any = presets.aeos(num_envs=8, time_limit=HALF_ORBIT, n_targets=9999)
+    images = record_images(env, BASELINES["hasty"](env, 0), SEED)
+    chosen: dict[str, Any] = dict(reserve=20, step=0.5, arguments={}, width=0.01, bins=90, enough=5, margin=0)
+    plain = sustained_envelope(images, **chosen)
+    better = sustained_envelope(images, lag=0.04, sectors=8, near=25e3, **chosen)
+    sums = []
+    for times in (plain, better):
+        angle = leads(images, times).angle[:, 1:]
+        sums.append(int(times.least(angle.nan_to_num(), direct=True)[torch.isfinite(angle)].sum()))
+    assert sums[1] > 1.03 * sums[0]
+    assert max(plain.reserve, better.reserve) <= 22

@@ -15,13 +15,15 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from bsk_torch.astro.frames import angle_between
 from bsk_torch.plan.bounds.approach import pointing, sector_from
 from bsk_torch.plan.bounds.envelope import SOONEST, Envelope
 from bsk_torch.plan.bounds.windows import Openings
 
 LINE_OF_SIGHT_RATE = 0.01
 """Bound of the rate, rad/s, at which angles between targets change; 7.5 km/s at 750 km."""
+
+ROUNDING = 2e-5
+"""Angle, rad, within which directions agree with those of recorded flights; positions are good to meters."""
 
 PAIRS = 1 << 14
 """Pairs of windows whose angles are computed at once."""
@@ -113,7 +115,7 @@ def image_graph(
     before = torch.where(offset > 0, number[(torch.arange(n) - 1).clamp(min=0)], -1)[order]
     nodes, slack, sectors = _Nodes(first, length, begin, number), ticks - 1, envelope.sectors + 1
     reach = max(-(-(envelope.longest - slack) // ticks), int(length.max()) if len(length) else 0) + 1
-    closings = _closings(openings, rows, pause)
+    closings = None if envelope.any == envelope.direct else _closings(openings, rows, pause)
     sources: list[Tensor] = []
     destinations: list[Tensor] = []
     pairs: list[Tensor] = []
@@ -121,13 +123,15 @@ def image_graph(
     pair_to: list[Tensor] = []
     pair_cells: list[Tensor] = []
     known = 0
+    pointings = _pointings(openings, window, cell, r_P, r_LP_P, envelope)
     for left, right in _pairs(row, target, first, last, reach, rows):
         leave, reached = r_LP_P[row[left], target[left]], r_LP_P[row[right], target[right]]
         new = sector_from(leave, reached, envelope.sectors) if envelope.sectors else torch.zeros_like(left)
         stays = (reached - leave).norm(dim=-1) < envelope.near
+        legs = _legs(openings, nodes, left, right, r_P, r_LP_P, closings, ticks)
         least = torch.full_like(left, cells)
         for sector in range(sectors):
-            arrival = _arrivals(openings, nodes, left, right, sector, r_P, r_LP_P, envelope, ticks, closings)
+            arrival = _arrivals(legs, pointings[sector], envelope, ticks)
             source, destination, pair, shortest = _edges(nodes, left, right, arrival, cells, reach)
             sources.append((source * sectors + sector).int())
             destinations.append((destination * sectors + torch.where(stays, sector, new)[pair]).int())
@@ -197,40 +201,59 @@ def _next_closing(closings: _Closings, row: Tensor, after: Tensor, left: Tensor,
     return torch.where(mine, 1 << 40, closings.tick.flatten()[k]).amin(1)
 
 
-def _arrivals(
+def _pointings(openings: Openings, window: Tensor, cell: Tensor, r_P: Tensor, r_LP_P: Tensor, envelope: Envelope) -> list[Tensor]:
+    """Return for every sector the direction of satellites that image the ``window`` [n] in a ``cell`` [n], [n, 3] each."""
+    row = openings.row[window]
+    here, at = r_P[row, cell], r_LP_P[row, openings.target[window]]
+    return [
+        pointing(here, at, torch.full_like(row, sector), envelope.lag, envelope.sectors) for sector in range(envelope.sectors + 1)
+    ]
+
+
+class _Legs(NamedTuple):
+    """Ways from every cell of the first window of every pair to its second window: what does not depend on the sector.
+
+    The node and the cell where they begin, the direction of the second target, and when another window may close, if ever.
+    """
+
+    node: Tensor
+    cell: Tensor
+    sight: Tensor
+    closing: Tensor | None
+
+
+def _legs(
     openings: Openings,
     nodes: _Nodes,
     left: Tensor,
     right: Tensor,
-    sector: int,
     r_P: Tensor,
     r_LP_P: Tensor,
-    envelope: Envelope,
+    closings: _Closings | None,
     ticks: int,
-    closings: _Closings,
-) -> Tensor:
-    """Return for every pair and every cell of its first window the first cell of the second image, flat.
-
-    For satellites that come from the ``sector``.
-    """
+) -> _Legs:
     pair, k, _ = spans(nodes.length[left])
     cell, row = nodes.first[left][pair] + k, openings.row[left][pair]
-    here, at, to = r_P[row, cell], openings.target[left][pair], openings.target[right][pair]
-    start = r_LP_P[row, at] - here
-    if envelope.sectors:
-        start = pointing(here, r_LP_P[row, at], torch.full_like(row, sector), envelope.lag, envelope.sectors)
-    angle = angle_between(start, r_LP_P[row, to] - here)
-    slack = 0.5 * (ticks - 1)  # between the middle of a cell and its ticks
-    angle = (angle - slack * envelope.step * LINE_OF_SIGHT_RATE).clamp(min=0.0)
-    earliest = cell * ticks
-    direct = earliest + envelope.least(angle, direct=True)
-    if envelope.any == envelope.direct:
-        return torch.maximum(direct // ticks, cell + 1)
-    closing = _next_closing(closings, row, earliest, left[pair], right[pair])
-    if closings.pause is not None:
-        closing = torch.minimum(closing, earliest + closings.pause)
-    indirect = torch.maximum(earliest + envelope.least(angle, direct=False), closing + SOONEST)
-    return torch.maximum(torch.minimum(direct, indirect) // ticks, cell + 1)
+    sight = torch.nn.functional.normalize(r_LP_P[row, openings.target[right][pair]] - r_P[row, cell], dim=-1)
+    closing = None
+    if closings is not None:
+        closing = _next_closing(closings, row, cell * ticks, left[pair], right[pair])
+        if closings.pause is not None:
+            closing = torch.minimum(closing, cell * ticks + closings.pause)
+    return _Legs(nodes.begin[left][pair] + k, cell, sight, closing)
+
+
+def _arrivals(legs: _Legs, pointings: Tensor, envelope: Envelope, ticks: int) -> Tensor:
+    """Return the first cell of the image at the end of each leg, for satellites that point as ``pointings`` [n, 3] say."""
+    angle = (pointings[legs.node] * legs.sight).sum(-1).clamp(-1.0, 1.0).acos()
+    late = 0.5 * (ticks - 1) * envelope.step  # between the middle of a cell and its ticks, s
+    angle = (angle - late * LINE_OF_SIGHT_RATE - ROUNDING).clamp(min=0.0)
+    earliest = legs.cell * ticks
+    arrival = earliest + envelope.least(angle, direct=True)
+    if legs.closing is not None:
+        indirect = torch.maximum(earliest + envelope.least(angle, direct=False), legs.closing + SOONEST)
+        arrival = torch.minimum(arrival, indirect)
+    return torch.maximum(arrival // ticks, legs.cell + 1)
 
 
 def _edges(

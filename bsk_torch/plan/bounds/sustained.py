@@ -1,15 +1,18 @@
 """Times between images that satellites cannot beat for long: learned from flights, with a bound on how far ahead they get.
 
 A single slew may be much shorter than usual, because the satellite was on its way already; that luck does not repeat. So let f
-be a time for every angle between two targets, and let a clock run behind the images of a flight at ticks t_k::
+be a time for every angle from where a satellite points to its next target, and let a clock run behind the images of a flight at
+ticks t_k::
 
-    v_1 = t_1,  v_k = max(t_k, v_(k-1) + f(angle of targets k-1 and k, seen at v_(k-1)))
+    v_1 = t_1,  v_k = max(t_k, v_(k-1) + f(angle from pointing s_(k-1) at target k-1 to target k, seen at v_(k-1)))
 
-The lead v_k - t_k is how far the satellite is ahead of these times: that of a leaky bucket. Where it never exceeds a reserve R,
-images at v_k instead of t_k are f apart, and within R behind the end of their windows. A bound over schedules with times f and
-windows that close R later thus holds for all such flights, whatever the order of their images. With f near the usual times the
-windows are hardly longer; with R = 0 every single transition would have to obey f. (The bucket is that of Cruz, "A calculus for
-network delay", IEEE Transactions on Information Theory 37, 1991.)
+The sector s_k that the satellite comes from is decided by the positions of targets k-1 and k, and by s_(k-1) where they are near
+one another (:mod:`bsk_torch.plan.bounds.approach`); the first image has none. The lead v_k - t_k is how far the satellite is
+ahead of these times: that of a leaky bucket. Where it never exceeds a reserve R, images at v_k instead of t_k are f apart, and
+within R behind the end of their windows. A bound over schedules with times f and windows that close R later thus holds for all
+such flights, whatever the order of their images: f may depend on anything that the order of the targets and the clock decide,
+since a schedule has the same. With f near the usual times the windows are hardly longer; with R = 0 every single transition would
+have to obey f. (The bucket is that of Cruz, "A calculus for network delay", IEEE Transactions on Information Theory 37, 1991.)
 """
 
 from __future__ import annotations
