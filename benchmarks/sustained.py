@@ -1,7 +1,7 @@
 """Times between images that satellites cannot beat for long: records flights, fits times by a linear program, and checks them.
 
 Usage:
-    python benchmarks/sustained.py [--scale 1.0] [--planned 8] [--planned-time 5700] [--reserve 44] [--margin 8] [--enough 20]
+    python benchmarks/sustained.py [--scale 1.0] [--planned 8] [--planned-time 5700] [--reserve 52] [--margin 8] [--enough 20]
         [--share 0.25] [--lag 0.04] [--sectors 8] [--near 25000] [--rounds 2] [--seed 11] [--time-limit 17100] [--window 1200]
         [--envelope FILE.json] [--out FILE.json]
 
@@ -182,7 +182,7 @@ def flights(options: Any, share: float, planned: int, seed: int) -> tuple[list[t
 def main() -> None:
     """Record, fit, check, and print tables."""
     arguments = harness.parser(
-        __doc__, scale=1.0, planned=8, planned_time=5700.0, reserve=44, margin=8, enough=20, share=0.25, lag=0.04, sectors=8,
+        __doc__, scale=1.0, planned=8, planned_time=5700.0, reserve=52, margin=8, enough=20, share=0.25, lag=0.04, sectors=8,
         near=25_000.0, rounds=2, seed=11, time_limit=17_100.0, window=1200.0, backend="compiled", envelope="",
     )  # fmt: skip
     options, described = harness.begin(arguments)

@@ -220,7 +220,7 @@ STARTS: dict[str, list[Start]] = {
     "benchmarks/sustained.py": [
         Start(
             "--scale 0.01 --planned 1 --time-limit 900 --window 120 --rounds 1 --enough 1",
-            r"(?s)\| 0.20 to 0.30 \| .*\| AEOS-v1/9999 \| rollout over trained \| \d+ \| [\d.]+ \| .*\"share\": [01]\.\d",
+            r"(?s)\| 0.20 to 0.21 \| .*\| AEOS-v1/9999 \| rollout over trained \| \d+ \| [\d.]+ \| .*\"reserve\": \d+\.\d",
         ),
     ],
     "benchmarks/resources.py": [

@@ -22,23 +22,18 @@ def envelope() -> str:
 
 
 def sustained() -> str:
-    """Return times between images that satellites cannot beat for long, with the least and the median ones."""
-    fitted = json.loads((ROOT / "bsk_torch" / "plan" / "bounds" / "agile_sustained.json").read_text())
+    """Return times between images that satellites cannot beat for long, with those of recorded flights."""
     rows = []
     for row in load("sustained")["rows"]:
-        k = round(row["low"] / fitted["width"])
-        times = [fitted["direct"][k] * fitted["step"], row["least"], row["median"]]
-        rows.append([f"{row['low']:.1f} to {row['high']:.1f}", whole(row["count"]), *(f"{seconds:.1f}" for seconds in times)])
-    return table(["angle, rad", "transitions", "sustained, s", "least in one step, s", "median, s"], rows) + "\n"
+        times = [f"{row[name]:.1f}" for name in ("sustained", "tenth", "median")]
+        rows.append([f"{row['low']:.2f} to {row['high']:.2f}", whole(row["count"]), *times])
+    return table(["angle, rad", "transitions", "sustained, s", "quickest tenth, s", "median, s"], rows) + "\n"
 
 
 def largest_leads() -> str:
     """Return how far ahead of the sustained times flights get that the fit has not seen."""
     rows = []
-    found = load("sustained")
-    names = ["flights for lowering", "other flights", "flights for lowering, lowered times", "other flights, lowered times"]
-    planned = [row | {"policy": f"{row['policy']}, {name}"} for row, name in zip(found["planned"], names, strict=True)]
-    for row in found["leads"] + planned:
+    for row in load("sustained")["leads"]:
         rows.append([code(row["task"]), row["policy"], whole(row["images"]), f"{row['largest']:.1f}", whole(row["beyond"])])
     return with_command("sustained", ["task", "policy", "images", "largest lead, s", "beyond the reserve"], rows)
 
@@ -78,7 +73,8 @@ def relaxations() -> str:
     rows = []
     for row in load("relaxation")["rows"]:
         values = [f"{row[name]:.2f}" for name in ("in_view", "bound", "schedule", "planner")]
-        rows.append([whole(row["targets"]), row["times"], *values, whole(row["knapsack"]), short(row["seconds"])])
+        made = [f"{row['cell']:.1f}", short(row["seconds"]), code(row["commit"])]
+        rows.append([whole(row["targets"]), row["times"], *values, whole(row["knapsack"]), *made])
     head = [
         "targets",
         "times between images",
@@ -87,7 +83,9 @@ def relaxations() -> str:
         "schedule",
         "planner",
         "quickest transitions, s",
+        "cell, s",
         "s for each bound",
+        "commit",
     ]
     return with_command("relaxation", head, rows)
 

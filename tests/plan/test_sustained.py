@@ -12,6 +12,7 @@ import torch
 
 from bsk_torch import presets
 from bsk_torch.astro.frames import angle_between
+from bsk_torch.plan import planner
 from bsk_torch.plan.bounds import (
     SUSTAINED,
     Envelope,
@@ -191,17 +192,28 @@ def test_no_flight_is_ahead_of_the_times_of_the_package_by_more_than_the_reserve
     assert int(leads(images, times).lead.max()) <= times.reserve
 
 
+def test_no_planner_is_ahead_of_the_times_of_the_package_by_more_than_the_reserve():
+    env: Any = presets.aeos(num_envs=2, time_limit=1200.0, n_targets=9999, as_set=True)
+    policy = planner("rollout", env, base=pretrained("AEOS-v1"), budget=4, horizon=120.0, gamma=0.99)
+    times = Envelope.load(SUSTAINED)
+    images = record_images(env, policy, SEED)
+    assert images.transitions > 50
+    assert int(leads(images, times).lead.max()) <= times.reserve
+
+
 def test_where_targets_are_dense_the_bound_lies_far_below_the_sum_in_view_and_above_policies():
-    options: dict[str, Any] = dict(num_envs=4, time_limit=1900.0, n_targets=9999)
+    options: dict[str, Any] = dict(num_envs=2, time_limit=1200.0, n_targets=9999)
     env: Any = presets.aeos(as_set=True, **options)
     env.set_seed(SEED)
     env.reset()
-    bound = imaging_bound(env, envelope=Envelope.load(SUSTAINED), iterations=60, bits=2)
+    bound = imaging_bound(env, envelope=Envelope.load(SUSTAINED), iterations=40, bits=2)
     single = imaging_bound(env, iterations=10, bits=2)
-    assert float(bound.upper.sum()) < 0.85 * float(bound.in_view.sum())
-    assert float(bound.upper.sum()) < 0.85 * float(single.upper.sum())
+    assert float(bound.upper.sum()) < 0.75 * float(bound.in_view.sum())
+    assert float(bound.upper.sum()) < 0.75 * float(single.upper.sum())
     plain: Any = presets.aeos(**options)
-    for where, policy in ((env, pretrained("AEOS-v1")), (plain, BASELINES["hasty"](plain, 0))):
+    rules = [(plain, BASELINES[name](plain, 0)) for name in ("random", "nearest", "hasty")]
+    ahead = planner("rollout", env, base=pretrained("AEOS-v1"), budget=4, horizon=120.0, gamma=0.99)
+    for where, policy in ((env, pretrained("AEOS-v1")), (env, ahead), *rules):
         assert float((bound.upper - evaluate(policy, where, seed=SEED).returns).min()) >= 0.0
 
 
@@ -335,5 +347,5 @@ def test_a_lag_admits_longer_times_where_satellites_have_one():
     for times in (plain, better):
         angle = leads(images, times).angle[:, 1:]
         sums.append(int(times.least(angle.nan_to_num(), direct=True)[torch.isfinite(angle)].sum()))
-    assert sums[1] > 1.03 * sums[0]
+    assert sums[1] > 1.01 * sums[0]
     assert max(plain.reserve, better.reserve) <= 22
