@@ -15,7 +15,7 @@ three minutes.
 # Result
 # ------
 #
-# One episode with the pretrained policy:
+# This is one episode with the pretrained policy:
 import torch
 
 import bsk_torch
@@ -56,10 +56,10 @@ for name, value in zip(names, td["observation"][0].tolist(), strict=True):
     print(f"{name:55} {value:7.3f}")
 
 # %%
-# Battery charge, buffer level and wheel speeds are fractions of their limits. The two errors are angles divided by pi: how far
-# the instrument is turned away from the ground below, and the panel from the Sun. The times until the start and end of the next
-# pass and the next eclipse are divided by 5700 s, about one orbit; the time until the start is 0 or negative during a pass. The
-# last entry is the time since the start of the episode, as a fraction of its length.
+# Battery charge, buffer level and wheel speeds are fractions of their limits. The two errors are angles divided by pi: the angle
+# between the instrument and the direction to the ground below, and the angle between the panel and the direction to the Sun. The
+# times until the start and end of the next pass and the next eclipse are divided by 5700 s, about one orbit; the time until the
+# start is 0 or negative during a pass. The last entry is the time since the start of the episode, as a fraction of its length.
 #
 # Actions
 # ------------
@@ -86,8 +86,8 @@ print("reward  ", td["reward"][:4].flatten().tolist())
 # Write a policy by hand
 # ----------------------
 #
-# A TorchRL policy reads a tensordict and writes ``action``. This one checks the battery, the wheels and the data buffer, most
-# urgent first. ``Columns`` finds entries of the observation by the end of their names.
+# A TorchRL policy reads a tensordict and writes ``action``. This policy checks the most urgent condition first: fast wheels, a
+# low battery, then data to downlink during a pass. ``Columns`` finds entries of the observation by the end of their names.
 from tensordict.nn import TensorDictModule
 
 from bsk_torch.rl.rules import Columns
@@ -109,8 +109,8 @@ def decide(observation):
 mine = TensorDictModule(decide, in_keys=["observation"], out_keys=["action"])
 
 # %%
-# ``evaluate`` plays one full episode in each environment. With the same ``seed``, every policy gets the same episodes, so gains
-# can be compared by episode. ``bsk_torch.rule`` makes random actions and a more careful rule.
+# ``evaluate`` plays one full episode in each environment. With the same ``seed``, every policy gets the same episodes, so
+# policies can be compared episode by episode. ``bsk_torch.rule`` returns the baselines: random actions and a more careful rule.
 from bsk_torch.rl.evaluation import evaluate
 
 policies = {
@@ -128,13 +128,13 @@ print(
 )
 
 # %%
-# The table shows 95 % confidence intervals. An episode with the hand-written policy:
+# The output shows 95 % confidence intervals. The next figure is an episode with the hand-written policy:
 env = bsk_torch.make("NadirScan-v1", num_envs=1, time_limit=SECONDS)
 episode = record(mine, env, seed=7)
 path = draw(episode, "mine.png", "mine")
 
 # %%
-# The same episode on the map, in the same colors. The track is thick where a reward was earned, and shaded in eclipse:
+# The map shows the same episode in the same colors. The track is thick where a reward was earned, and shaded in eclipse:
 from pathlib import Path
 
 from bsk_torch.viz.figures.track_map import track_map

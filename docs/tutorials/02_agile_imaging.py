@@ -15,7 +15,7 @@ means skipping others.
 # Result
 # ------
 #
-# One orbit with the pretrained policy, among 1,000 targets:
+# This is one orbit with the pretrained policy and 1,000 targets:
 import torch
 
 import bsk_torch
@@ -64,7 +64,8 @@ print("images  ", td["counts", "imaged"][:5].flatten().tolist())
 # %%
 # Windows and opportunities
 # -------------------------
-# An opportunity is one window of one target. The satellite knows all upcoming opportunities, observed or not:
+# An opportunity is one window of one target. The satellite object lists all upcoming opportunities, including those that are not
+# observed:
 ahead = env.satellite.find_next_opportunities(6)
 now = env.simulator.sim_time
 for k in range(6):
@@ -77,7 +78,7 @@ for k in range(6):
 
 # %%
 # ``place`` is the index of the target; ``env.scenario.priority`` and ``env.scenario.r_LP_P`` are tables of all targets in all
-# episodes. An action may also select a target directly, in view or not, with ``bsk_torch.act.image_target``:
+# episodes. An action may also select a target directly, whether or not it is in view, with ``bsk_torch.act.image_target``:
 from bsk_torch import act
 
 best = env.scenario.priority.gather(1, ahead.place).argmax(1, keepdim=True)
@@ -90,8 +91,8 @@ print("imaged after", td["duration"][:5].flatten().tolist(), "s")
 # -------------------
 #
 # The most valuable target is often far away, and the nearest one often has a low priority. This rule divides the priority by a
-# power of the time needed for the image: the slew time, or the wait for the window if longer. The agile satellite of the presets
-# slews by 1 rad in about a minute, and slew time grows with the square root of the angle.
+# power of the time needed for the image: the slew time, or the time until the window opens if that is longer. The agile satellite
+# of the presets slews by 1 rad in about a minute, and slew time grows with the square root of the angle.
 from tensordict.nn import TensorDictModule
 
 from bsk_torch.rl.rules import Columns
@@ -116,14 +117,14 @@ mine = TensorDictModule(
 )
 
 # %%
-# The rule plays the same episodes as the baselines. *Greedy* takes the most valuable target, *nearest* the target whose window
+# The rule plays the same episodes as the baselines. *Greedy* chooses the most valuable target, *nearest* the target whose window
 # closes next, and *hasty* discounts the value by the time needed for the image.
 from bsk_torch.rl.evaluation import compare, comparison_table
 
 print(comparison_table(compare({"mine": mine}, env, seed=0)))
 
 # %%
-# The same orbit as above with this rule:
+# This rule flies the same orbit as above:
 env = bsk_torch.make("AEOS-v1", **world)
 episode = record(mine, env, seed=3)
 path = draw(episode, "mine.png", "by value and angle")

@@ -6,16 +6,16 @@ Constellations and communication
 
 Several satellites share the targets of one episode: groups of agents, masks, shared knowledge, and the value of communication.
 
-If two satellites image the same target, one image is wasted. Each satellite knows its own images and those communicated by
-others, and skips these targets.
+If two satellites image the same target, one image is wasted. Each satellite knows which targets it has imaged and which images
+other satellites have communicated, and skips these targets.
 """
 
 # %%
 # Result
 # ------
 #
-# Twelve satellites in three planes for one orbit, with the pretrained policy. It was trained with a single satellite; ``shared``
-# applies it to all of them:
+# Twelve satellites in three planes fly for one orbit with the pretrained policy. The policy was trained with a single satellite;
+# ``shared`` applies it to all twelve:
 import torch
 
 import bsk_torch
@@ -38,8 +38,9 @@ policy = shared(pretrained("Constellation-v1"), env)
 path = draw(record(policy, env, seed=2), "constellation.png", "twelve satellites")
 
 # %%
-# The map shows the ground tracks, the images, and the satellites with their contacts at the moment with the most contacts. Below,
-# each satellite has a row with its images over time, and bars during contacts with other satellites.
+# The map shows the ground tracks and the images, and the satellites and their contacts at the time at which there are most
+# contacts. Below the map, each satellite has a row that shows its images over time, with bars during contacts with other
+# satellites.
 #
 # Groups of agents
 # ----------------
@@ -55,8 +56,8 @@ for name in ("observation", "action_mask", "mask", "requires_retasking"):
     print(f"{name:20}", list(td["agents", name].shape))
 
 # %%
-# ``mask`` marks living agents, and ``requires_retasking`` marks agents that need a new task. The observation of each satellite is
-# the one of ``AEOS-v1``, with its next 16 targets.
+# ``mask`` marks living agents, and ``requires_retasking`` marks agents that need a new task. Each satellite has the observation
+# of ``AEOS-v1``, with its next 16 targets.
 #
 # A step lasts until the first satellite finishes its task; the others continue theirs. For busy satellites, ``action_mask``
 # allows only the last action, which continues the task:
@@ -78,9 +79,9 @@ print(
 # %%
 # Shared knowledge
 # ----------------
-# After each step, the communicator determines which satellites share their knowledge. This preset uses
-# ``comm.LOSCommunication``, which links satellites with a line of sight. ``env.links[n, s, r]`` is True if ``s`` sent its
-# knowledge to ``r`` in the last step. ``env.rewarder.known[n, s, t]`` is True if satellite ``s`` knows that target ``t`` has
+# After each step, the communicator determines which satellites share their knowledge. This preset uses ``comm.LOSCommunication``,
+# which links satellites with a line of sight. ``env.links[n, s, r]`` is True if satellite ``s`` sent its knowledge to satellite
+# ``r`` in episode ``n`` in the last step. ``env.rewarder.known[n, s, t]`` is True if satellite ``s`` knows that target ``t`` has
 # been imaged.
 rule = bsk_torch.rule("hasty", env)
 for _ in range(40):
@@ -93,8 +94,8 @@ print("known to satellite", env.rewarder.known[first].sum(-1).tolist())
 # %%
 # Value of communication
 # ----------------------
-# Compare the same rule in the same episodes, with and without communication. A duplicate image earns 0, and its time is lost.
-# (``comm.FreeCommunication`` links all satellites; ``comm.LOSMultiCommunication`` relays messages.)
+# Compare the same rule in the same episodes, with and without communication. A duplicate image earns 0, and the time spent on it
+# is lost. (``comm.FreeCommunication`` links all satellites; ``comm.LOSMultiCommunication`` relays messages.)
 from bsk_torch.rl.evaluation import evaluate
 
 METHODS = {
@@ -138,9 +139,9 @@ right.bar(wasted.keys(), wasted.values(), color="#a52b5b")
 right.set_ylabel("images in vain")
 
 # %%
-# A custom ``CommunicationMethod`` returns the links ``[N, S, S]``, by sender and receiver, from ``communication_pairs()``.
-# Communication may also be an action: in ``RelayConstellation-v1``, four low imagers cannot see each other, and two high relays
-# choose when to broadcast. There are two kinds of agents and therefore two groups:
+# The method ``communication_pairs()`` of a custom ``CommunicationMethod`` returns the links ``[N, S, S]``, indexed by episode,
+# sender and receiver. Communication may also be an action: in ``RelayConstellation-v1``, four low imagers cannot see each other,
+# and two high relays choose when to broadcast. There are two kinds of agents and therefore two groups:
 env = bsk_torch.make("RelayConstellation-v1", num_envs=2, time_limit=600.0)
 td = env.reset()
 for group, agents in env.group_map.items():
@@ -155,8 +156,8 @@ for group, agents in env.group_map.items():
 # Use PettingZoo or Gymnasium
 # ---------------------------
 #
-# The PettingZoo view has one episode, with dictionaries by agent. Gymnasium's ``bsk_torch/GeneralSatelliteTasking-v1`` has one
-# agent that commands all satellites.
+# The PettingZoo view plays one episode, with dictionaries whose keys are agents. Gymnasium's
+# ``bsk_torch/GeneralSatelliteTasking-v1`` has one agent that commands all satellites.
 from bsk_torch.wrappers.pettingzoo import parallel_env
 
 parallel = parallel_env("AEOSConstellation-v1", n_targets=200, time_limit=600.0)

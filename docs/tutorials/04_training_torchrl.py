@@ -48,13 +48,13 @@ trained = Training(config, folder).run()
 print(sorted(path.name for path in folder.iterdir()))
 
 # %%
-# ``compare`` plays unseen episodes, the same for the policy and for every applicable baseline:
+# ``compare`` plays unseen episodes, which are the same for the policy and for every applicable baseline:
 env = bsk_torch.make("NadirScan-v1", num_envs=EPISODES, time_limit=SECONDS)
 results = compare({"trained": trained}, env, seed=config.seed)
 print(comparison_table(results))
 
 # %%
-# The learning curve, with the baselines as lines:
+# The learning curve is plotted with the baselines as horizontal lines:
 from bsk_torch.rl.training.log import LOG, read_log
 from bsk_torch.viz.figures.curves import learning_curve
 
@@ -71,14 +71,15 @@ path = learning_curve(read_log(folder / LOG), Path("curve.png"), levels, "NadirS
 #     bsk-torch train NadirScan-v1 --frames 262144 --out runs/scan \
 #         num_envs=256 rollout=32 evaluate_every=0
 #
-# which also evaluates and plots. To continue the run, use ``bsk-torch train runs/scan --resume frames=3000000``. A full training
-# of three million decisions takes a few minutes.
+# which also evaluates the policy and saves figures. To continue the run, use ``bsk-torch train runs/scan --resume
+# frames=3000000``. A full training of three million decisions takes a few minutes.
 #
 # Write the training loop
 # -----------------------
 #
-# The rest of this page is a PPO built from TorchRL components, ready to customize. First, create the environment, and compute the
-# mean and standard deviation of its observations under random actions, which the networks use to standardize their inputs.
+# The rest of this page is a PPO loop built from TorchRL components, which you can customize. First, create the environment, and
+# compute the mean and standard deviation of its observations under random actions, which the networks use to standardize their
+# inputs.
 torch.manual_seed(0)
 env = bsk_torch.make("NadirScan-v1", num_envs=NUM_ENVS, seed=0, time_limit=SECONDS)
 seen = env.rollout(ROLLOUT, break_when_any_done=False)["observation"].flatten(0, 1)
@@ -128,8 +129,8 @@ collector = Collector(
 )
 
 # %%
-# The advantage estimator accounts for time: ``steps_to_next_obs`` is the key of the step length, here in seconds. The discount
-# uses double precision, because it is close to one: 0.99999 per second is 0.57 over ten orbits.
+# The advantage estimator accounts for time: ``steps_to_next_obs`` is the key of the step length, here in seconds. The discount is
+# in double precision, because it is close to one: 0.99999 per second is a factor of 0.57 over ten orbits.
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
@@ -193,7 +194,7 @@ panel.grid(axis="y", alpha=0.3)
 legend = panel.legend(frameon=False)
 
 # %%
-# Evaluate its most probable actions on the episodes of the table above:
+# Evaluate the most probable actions of the actor on the episodes of the table above:
 judge = bsk_torch.make("NadirScan-v1", num_envs=EPISODES, time_limit=SECONDS)
 print(comparison_table(compare({"by hand": actor}, judge, seed=0)))
 

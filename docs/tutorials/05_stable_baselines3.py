@@ -4,7 +4,7 @@
 Train with Stable-Baselines3
 ============================
 
-Train sb3-contrib's MaskablePPO on many episodes in one simulation, without subprocesses, and compare it with rules.
+Train sb3-contrib's MaskablePPO with many episodes in one simulation, without subprocesses, and compare it with rules.
 
 Run ``pip install 'bsk_torch[sb3]'`` first. Other Stable-Baselines3 algorithms for discrete actions work in the same way;
 MaskablePPO also uses the mask of legal actions.
@@ -114,7 +114,7 @@ judge = bsk_torch.make("NadirScan-v1", num_envs=EPISODES, **world)
 print(comparison_table(compare({"MaskablePPO": policy}, judge, seed=0)))
 
 # %%
-# An episode with this policy:
+# The next figure is an episode with this policy:
 from bsk_torch.viz.episodes import draw, record
 
 alone = bsk_torch.make("NadirScan-v1", num_envs=1, **world)

@@ -7,7 +7,8 @@ Train with BenchMARL and RLlib
 Train a constellation with BenchMARL's IPPO, and a single satellite with RLlib.
 
 Install BenchMARL without its dependencies, because it declares an older TorchRL: ``pip install --no-deps benchmarl==1.5.2``.
-RLlib requires an older Gymnasium and therefore a separate virtual environment; its part of this page is shown but not executed.
+RLlib requires an older Gymnasium and therefore a separate virtual environment; the code of the RLlib section is shown but not
+executed.
 """
 
 # %%
@@ -73,15 +74,16 @@ results |= {
 print(comparison_table(results))
 
 # %%
-# An episode of the trained constellation:
+# The next figure is an episode of the trained constellation:
 from bsk_torch.viz.episodes import draw, record
 
 alone = bsk_torch.make("Constellation-v1", num_envs=1, **world)
 path = draw(record(experiment.policy, alone, seed=4), "ippo.png", "IPPO of BenchMARL")
 
 # %%
-# ``MappoConfig`` trains a critic that observes all satellites. ``AEOS_CONSTELLATION`` and ``RELAY_CONSTELLATION`` are the other
-# tasks. bsk_torch also provides MAPPO and IPPO, with a discount per second and attention over the targets:
+# ``MappoConfig`` trains a critic that observes all satellites. ``ConstellationTask.AEOS_CONSTELLATION`` and
+# ``ConstellationTask.RELAY_CONSTELLATION`` are the other tasks. bsk_torch also provides MAPPO and IPPO, with a discount per
+# second and attention over the targets:
 #
 # .. code-block:: text
 #
@@ -109,7 +111,7 @@ path = draw(record(experiment.policy, alone, seed=4), "ippo.png", "IPPO of Bench
 # .. literalinclude:: /../examples/ppo_rllib.py
 #     :pyobject: make_vector
 #
-# Register it under a name, and select it with the entry point. The network is RLlib's module for masked actions:
+# Register this function under a name, and select the name with the entry point. The network is RLlib's module for masked actions:
 #
 # .. literalinclude:: /../examples/ppo_rllib.py
 #     :pyobject: make_algorithm
@@ -119,12 +121,13 @@ path = draw(record(experiment.policy, alone, seed=4), "ippo.png", "IPPO of Bench
 # .. literalinclude:: /../examples/ppo_rllib.py
 #     :pyobject: as_policy
 #
-# RLlib stores episodes as Python objects, one decision after the other, and discounts per decision. For several agents with
-# different clocks, RLlib needs connectors; :ref:`sphx_glr_gallery_bsk_rl_async_multiagent_training.py` uses a mask instead.
+# RLlib stores episodes as Python objects, one decision after the other, and discounts per decision. For several agents that
+# decide at different times, RLlib needs connectors; :ref:`sphx_glr_gallery_bsk_rl_async_multiagent_training.py` uses a mask
+# instead.
 #
 # Next steps
 # ----------
 #
-# - :ref:`sphx_glr_gallery_mappo_benchmarl.py` and :ref:`sphx_glr_gallery_ppo_rllib.py`: both as programs with options.
+# - :ref:`sphx_glr_gallery_mappo_benchmarl.py` and :ref:`sphx_glr_gallery_ppo_rllib.py`: both trainings as programs with options.
 # - :ref:`tutorial-constellations`: groups, masks and communication.
 # - :ref:`tutorial-evaluating`: evaluate and publish policies.

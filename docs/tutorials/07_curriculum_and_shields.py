@@ -4,7 +4,7 @@
 Curriculum and shields
 ======================
 
-Increase the difficulty of episodes that the satellite survives, and mask actions that would end them.
+Increase the difficulty when the satellite survives an episode, and mask actions that would lead to its death.
 
 A curriculum changes the arguments of the satellite between episodes, separately for each environment. A shield is a rule that
 restricts the mask of legal actions. Neither needs recompilation.
@@ -15,8 +15,8 @@ restricts the mask of legal actions. Neither needs recompilation.
 # ------
 #
 # Each environment has a level from 0 to 1. At higher levels, the scanning satellite starts with less charge and faster wheels.
-# When an episode ends, the level rises if the satellite survived, and falls otherwise. Here, a rule is used instead of a learning
-# policy.
+# When an episode ends, the level rises if the satellite survived, and falls otherwise. Here, a hand-written rule takes the place
+# of a policy that learns.
 import torch
 from torchrl.envs.utils import step_mdp
 
@@ -102,13 +102,13 @@ panel.grid(axis="y", alpha=0.3)
 # Mechanism
 # ---------
 #
-# - ``rand.per_env(tensor)`` is an argument with one row per environment. The tensor may be edited in place.
-# - ``env.set_sat_args(arguments, envs=ended)`` sets the environments that use the new values. Large batches prepare their next
-#   episodes in advance; the prepared episodes of ``ended`` are discarded.
+# - ``rand.per_env(tensor)`` is the value of an argument, with one row per environment. The tensor may be edited in place.
+# - ``env.set_sat_args(arguments, envs=ended)`` gives the new values to the environments ``ended``. Large batches prepare their
+#   next episodes in advance; the prepared episodes of ``ended`` are discarded.
 # - ``env.maybe_reset`` starts the next episodes.
 #
-# Distributions can be changed in the same way, for all environments at once. From the next episodes on, these satellites start
-# with 20 to 40 % of charge:
+# Distributions can be changed in the same way, for all environments at once. From the next episodes on, all satellites start with
+# 20 to 40 % of charge:
 env.set_sat_args({"storedCharge_Init": rand.Uniform(0.2 * CAPACITY, 0.4 * CAPACITY)})
 env.reset()
 share = env.satellite.dynamics.battery_charge_fraction
@@ -158,8 +158,8 @@ for name, result in results.items():
 # Train with a shield
 # -------------------
 #
-# ``shielded`` restricts ``action_mask`` before the policy chooses. A method of the satellite does the same: the mask returned by
-# ``legal_actions`` becomes the environment's ``action_mask``, in every library and for every algorithm.
+# ``shielded`` restricts ``action_mask`` before the policy chooses. The method ``legal_actions`` of a satellite has the same
+# effect for every library and algorithm, because the mask that it returns becomes the environment's ``action_mask``.
 from bsk_torch import SatelliteTasking, data, scene
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
 
@@ -199,5 +199,6 @@ for fraction, mask in zip(
 # ----------
 #
 # - :ref:`sphx_glr_gallery_curriculum.py`: the curriculum as a program with options.
-# - :ref:`sphx_glr_gallery_bsk_rl_training_with_shield.py`: BSK-RL's problem, trained with masks and with replaced actions.
+# - :ref:`sphx_glr_gallery_bsk_rl_training_with_shield.py`: BSK-RL's example, trained with a shield that masks unsafe actions and
+#   with one that replaces them.
 # - :ref:`tutorial-evaluating`: compare policies with and without a shield.

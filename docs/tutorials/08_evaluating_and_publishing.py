@@ -14,7 +14,7 @@ therefore compared on the same episodes, and the differences are averaged.
 # Result
 # ------
 #
-# The gain of the pretrained policy over a rule, by episode:
+# The figure shows the gain of the pretrained policy over a rule in each episode:
 import matplotlib.pyplot as plt
 import torch
 
@@ -49,8 +49,8 @@ right.axvline(0.0, color="#333a45", linewidth=1)
 right.set(xlabel="gain (ends of the axis: or more)", ylabel="episodes")
 
 # %%
-# Each dot is an episode; above the line, the trained policy is better. The confidence interval of the mean difference is narrower
-# than with two different sets of episodes:
+# Each dot is an episode; in those above the line, the trained policy is better. The confidence interval of the mean difference is
+# narrower than with two different sets of episodes:
 print("trained:", trained.mean_return, f"survival {trained.survival:.1%}")
 print("rule:   ", rule.mean_return, f"survival {rule.survival:.1%}")
 print("gain:   ", trained.gain_over(rule))
@@ -67,16 +67,16 @@ print(
 )
 
 # %%
-# ``seeds`` selects single episodes: seed 7 is the episode started by
-# ``gymnasium.make("bsk_torch/NadirScan-v1").reset(seed=7)``, on every machine and with every batch size. ``seed`` instead starts
-# one episode in each environment. Use different seeds for training and evaluation; ``compare`` adds ``FRESH`` to the seed.
+# ``seeds`` selects single episodes: seed 7 is the episode started by ``gymnasium.make("bsk_torch/NadirScan-v1").reset(seed=7)``,
+# on every machine and with every batch size. With ``seed`` instead of ``seeds``, one episode starts in each environment. Use
+# different seeds for training and evaluation; ``compare`` does so by adding a constant, ``FRESH``, to the seed.
 #
 # Use the command line
 # --------------------
 #
-# ``bsk-torch eval`` prints the same numbers for a run folder, a file, ``pretrained``, or a baseline. ``--shield`` adds the policy
-# with a shield; ``--out`` and ``--episodes-out`` save the numbers. Here is
-# ``bsk-torch eval pretrained --preset NadirScan-v1 --seeds 0:200 --shield safe``:
+# ``bsk-torch eval`` prints the same numbers for a run folder, a file, ``pretrained``, or a baseline. ``--shield`` adds a row for
+# the policy with a shield; ``--out`` and ``--episodes-out`` save the numbers. The code below runs ``bsk-torch eval pretrained
+# --preset NadirScan-v1 --seeds 0:200 --shield safe``:
 from bsk_torch.cli import app
 
 SEEDS, SHOWN = "0:200", "8"
@@ -105,7 +105,7 @@ bsk_torch_command(
 # --------------
 #
 # ``bsk-torch report`` converts a run folder to one HTML page with learning curves, the evaluation table, causes of death, and the
-# best, median and worst episodes, also in the viewer. Here for a short training run:
+# best, median and worst episodes, which the viewer also plays. This is the report of a short training run:
 import tempfile
 from pathlib import Path
 
@@ -132,9 +132,9 @@ bsk_torch_command("report", str(folder), "--episodes", SHOWN)
 # Load a policy file
 # ------------------
 #
-# ``policy.pt`` in the run folder is self-contained: it has the weights, the network architecture, and the training environment.
-# ``load_policy`` reads it on any machine, ``read_card`` returns its metadata, and ``check_fits`` raises an error for an
-# environment with other observations or actions.
+# ``policy.pt`` in the run folder is self-contained: it contains the weights, the network architecture, and the training
+# environment. ``load_policy`` reads it on any machine, ``read_card`` returns its metadata, and ``check_fits`` raises an error for
+# an environment with other observations or actions.
 import shutil
 
 from bsk_torch.rl.policies import check_fits, load_policy, read_card
@@ -168,8 +168,8 @@ except ValueError as error:
     print(str(error).replace(str(folder.parent), "..."))
 
 # %%
-# ``bsk-torch publish RUN --folder FOLDER`` evaluates the policy of a run, copies it, and records command, time, machine and score
-# in ``policies.json``. The package's policies were published in this way:
+# ``bsk-torch publish RUN --folder FOLDER`` evaluates the policy of a run, copies it to the folder, and records the command, time,
+# machine and score in ``policies.json``. The package's policies were published in this way:
 from bsk_torch.rl.policies import makings
 
 for preset, making in makings().items():

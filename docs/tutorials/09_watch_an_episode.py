@@ -13,7 +13,7 @@ A frame shows the current moment of one episode. No display is needed.
 # Result
 # ------
 #
-# An imaging satellite with the pretrained policy, one frame per decision:
+# This film shows an imaging satellite with the pretrained policy, with one frame per decision:
 import torch
 from PIL import Image
 from torchrl.envs.utils import step_mdp
@@ -56,10 +56,11 @@ env = bsk_torch.make("AEOS-v1", num_envs=1, as_set=True, n_targets=1000)
 film(env, pretrained("AEOS-v1"), "imaging.webp", seed=5, frames=FRAMES)
 
 # %%
-# Dark dots are targets; green dots are imaged targets. The strong line is the past path of the satellite, and the faint line the
-# rest of its orbit. Pillow also writes GIF files, which are larger and limited to 256 colors.
+# Dark dots are targets; green dots are imaged targets. The strong line is the path that the satellite has flown, and the faint
+# line is the rest of its orbit. Pillow also writes GIF files, which are larger and limited to 256 colors.
 #
-# ``env.render()`` returns images ``[480, 640, 3]`` of unsigned bytes, for the selected environment or for up to sixteen.
+# ``env.render()`` returns images of unsigned bytes, ``[480, 640, 3]`` each, of the selected environment or of up to sixteen
+# environments.
 print(env.render(rows=0).shape, env.render(rows=0).dtype)
 
 # %%
@@ -92,8 +93,9 @@ film(env, pretrained("NadirScan-v1"), "scanning.webp", seed=7, frames=FRAMES)
 # Open an episode in the viewer
 # -----------------------------
 #
-# A film shows what was drawn. The viewer shows a whole flight from any side and at any time, with what each satellite observed
-# and could have done. ``record`` plays an episode for it, and ``html`` makes one file that plays in a browser without a network:
+# A film shows only the views that were drawn. The viewer shows a whole flight from any side and at any time, together with the
+# observations and legal actions of each satellite. ``record`` plays an episode for the viewer, and ``html`` makes one file that
+# plays in a browser without a network:
 from pathlib import Path
 
 from bsk_torch.viewer import record

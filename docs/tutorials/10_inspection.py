@@ -4,7 +4,7 @@
 Inspect a spacecraft
 ====================
 
-Fly around another spacecraft by velocity changes until its surface has been seen in sunlight: rules, figures, and training.
+Fly around another spacecraft with velocity changes until its surface has been seen in sunlight: rules, figures, and training.
 
 The inspected spacecraft, the RSO (resident space object), is a sphere with 100 points. An inspector starts some hundred meters
 away, with fuel for 10 m/s. To inspect a point, it must be closer than 250 m and within 30 degrees of the point's normal, with the
@@ -15,8 +15,8 @@ Sun within 60 degrees.
 # Result
 # ------
 #
-# One inspector flies from waypoint to waypoint by a rule: of 96 transfers, it takes the one that reveals the most points, minus
-# costs of fuel and time.
+# One inspector flies from waypoint to waypoint by a rule: of 96 transfers, the rule chooses the one with the largest number of
+# newly seen points minus costs of fuel and time.
 import torch
 
 import bsk_torch
@@ -44,7 +44,7 @@ print(episode.outcome)
 # -------------------
 #
 # By default, actions are continuous, as in bsk_rl: a velocity change in the Hill frame, in m/s, and the drift time, in s. Steps
-# end when an inspector finishes its drift. The RSO is also an agent, but has nothing to decide:
+# end when an inspector finishes its drift. The RSO is also an agent, but it has only one action:
 env = bsk_torch.make("RSOInspection-v1", num_envs=2, seed=0, time_limit=SECONDS)
 td = env.reset()
 for group, agents in env.group_map.items():
@@ -67,14 +67,14 @@ print("fuel, m/s", env.satellites[1].fsw.dv_available.tolist())
 
 # %%
 # The reward is the fraction of newly inspected points, minus 0.1 per m/s, plus 1 for completing the inspection.
-# ``env.rewarder.inspected`` and ``illuminated`` are tables ``[N, 100]`` of the points inspected and lit so far.
+# ``env.rewarder.inspected`` and ``env.rewarder.illuminated`` are tables ``[N, 100]`` of the points inspected and lit so far.
 #
 # Compare rules
 # -------------
 #
 # *Drift* never thrusts: a small difference in orbital period carries the inspector away, and it dies 1000 m from the RSO.
 # *Circumnavigate* cancels this difference every ten minutes and flies around the RSO, but at its initial distance. *Survey*
-# approaches and searches for missing points.
+# approaches the RSO and searches for points that are not inspected yet.
 from bsk_torch.rl.evaluation import evaluate
 
 env = bsk_torch.make("RSOInspection-v1", num_envs=EPISODES, time_limit=SECONDS)
@@ -93,8 +93,9 @@ for rule in ("drift", "circumnavigate", "survey"):
 # %%
 # Fuel-efficient circumnavigation
 # ~~~~~~~~~~~~~~~~~~~~~~~~~~~~~~~
-# Near a circular orbit, relative motion follows the Clohessy-Wiltshire equations. Seen from the RSO, an orbit with the same
-# period is an ellipse twice as long as it is high. Since the RSO's orbit is not quite circular, small corrections are needed:
+# Near a circular orbit, relative motion follows the Clohessy-Wiltshire equations. Relative to the RSO, an orbit with the same
+# period is an ellipse that is twice as long along the track as it is in the radial direction. Since the RSO's orbit is not quite
+# circular, small corrections are needed:
 env = bsk_torch.make("RSOInspection-v1", num_envs=1, time_limit=min(SECONDS, 17_100.0))
 episode = record(bsk_torch.rule("circumnavigate", env), env, seed=6)
 path = draw(episode, "circumnavigation.png", "natural motion")
@@ -103,7 +104,7 @@ path = draw(episode, "circumnavigation.png", "natural motion")
 # Three inspectors
 # ----------------
 # In ``MultiInspection-v1``, points are shared, so the inspection is complete earlier. Inspectors that come within 4 m of each
-# other die. With waypoints, transfers close to the predicted path of another inspector are masked.
+# other die. With waypoints, transfers that pass close to the predicted path of another inspector are masked.
 env = bsk_torch.make(
     "MultiInspection-v1", num_envs=1, actions="waypoints", time_limit=SECONDS
 )
@@ -113,8 +114,8 @@ path = draw(episode, "three.png", "three inspectors")
 # %%
 # Train
 # -----
-# With ``actions="waypoints"``, a policy chooses among the 96 transfers, with unsafe ones masked. ``configure`` returns the
-# settings of a training run. This run is far too short to learn the task and only demonstrates the start:
+# With ``actions="waypoints"``, a policy chooses among the 96 transfers, and unsafe ones are masked. ``configure`` returns the
+# settings of a training run. This run is far too short to learn the task and only demonstrates how to start:
 import tempfile
 from pathlib import Path
 

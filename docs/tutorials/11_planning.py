@@ -6,15 +6,15 @@ Plan ahead and compute bounds
 
 Simulate copies of an episode before deciding, compute an upper bound for any policy, and execute a mixed-integer schedule.
 
-The task is agile imaging: one orbit with 3000 targets on Earth. A satellite observes the next 32 targets and images one after the
-other; slews take most of the time.
+The task is agile imaging: one orbit with 3000 targets on Earth. A satellite observes the next 32 targets and chooses one at a
+time; slews take most of the time.
 """
 
 # %%
 # Result
 # ------
 #
-# The same episodes with random actions, a rule, the pretrained policy, and a planner:
+# The same episodes are played with random actions, a rule, the pretrained policy, and a planner:
 import time
 
 import torch
@@ -60,8 +60,9 @@ fly("planner", Rollout(env, "hasty", horizon=240.0, budget=8, gamma=0.997))
 # -------------
 #
 # ``Rollout`` copies every episode once for each of the rule's eight preferred targets, images the target in the copy, and
-# continues with the rule, for 240 s in total. It then takes the action with the highest return in the true episode, and repeats
-# this for the next decision. A planner is a policy like any other. It reports the simulated seconds of flight per decision:
+# continues with the rule, for 240 s in total. In the true episode, it then takes the action whose copy had the highest return. It
+# repeats this at each decision. A planner is used like any other policy, and also counts the seconds of flight simulated per
+# decision:
 print(
     f"{float(results['planner'].simulated_per_decision):,.0f}",
     "simulated seconds per decision",
@@ -72,7 +73,8 @@ print("gain over the rule", results["planner"].gain_over(results["hasty"]))
 # Compute an upper bound
 # ----------------------
 # No policy collects more than the bound of its episode. The bound solves an easier problem: every image lies within a window,
-# each target counts once, and two images are no closer in time than the closest of a million recorded pairs at the same angle.
+# each target counts once, and two images are separated by at least the shortest time found among a million recorded pairs at the
+# same angle.
 env.set_seed(SEED)
 env.reset()
 bound = imaging_bound(env, iterations=30)
@@ -89,9 +91,10 @@ print(
 # Compute a schedule
 # ------------------
 #
-# The BSK-RL paper compares learned policies with mixed-integer programs, which choose targets and times using typical instead of
-# minimum times between images. HiGHS solves one program per episode, with all targets known in advance. The schedule is executed
-# in closed loop: late images are delayed, impossible ones are skipped, and the rule acts after the end of the schedule.
+# The BSK-RL paper compares learned policies with mixed-integer programs, which choose targets and times. They use typical times
+# between images instead of the shortest ones. HiGHS solves one program per episode, with all targets known in advance. The
+# schedule is executed in closed loop: if the satellite is late, images are taken later than scheduled, images that have become
+# impossible are skipped, and the rule takes over after the end of the schedule.
 begun = time.process_time()
 env.set_seed(SEED)
 env.reset()
@@ -107,7 +110,7 @@ fly(
 # Compare return and computation
 # ------------------------------
 #
-# Return as a share of the bound, over computation time:
+# The figure shows the return as a share of the bound over the computation time:
 figure, axes = pyplot.subplots(figsize=(7.0, 3.2))
 for name, result in results.items():
     share = float(result.returns.sum() / bound.upper.sum())

@@ -4,16 +4,16 @@
 Fly a CubeSat for a day
 =======================
 
-Fly a 6U CubeSat of the spacecraft library for a day, break one of its four wheels at noon, and tell the flight software an hour
-later.
+Fly a 6U CubeSat of the spacecraft library for a day. At noon, one of its four wheels breaks; the flight software is told so an
+hour later.
 """
 
 # %%
 # Result
 # ------
 #
-# The satellite points at nadir and at the Sun in turns. At noon, the motor of a wheel fails. An hour later the flight software is
-# told, and commands only the other three.
+# The satellite points at nadir and at the Sun in turns. At noon, the motor of a wheel fails. An hour later, the flight software
+# is told that the wheel is unavailable, and from then on commands only the other three.
 import torch
 from matplotlib import pyplot as plt
 
@@ -79,18 +79,18 @@ figure.savefig("day.png")
 # Explanation
 # -----------
 #
-# In the morning, four wheels turn at 1000 to 2200 rpm, two in each direction. There is one way to change all four speeds
-# without a torque on the body, and null motion uses it to keep them away from zero. Their friction is then constant, the
-# integral of the control law cancels it, and errors are below a thousandth of a degree.
+# In the morning, four wheels turn at 1000 to 2200 rpm, two in each direction. There is one combination of speed changes of the
+# four wheels that exerts no torque on the body, and null motion uses it to keep the speeds away from zero. The friction of the
+# wheels is then constant, the integral term of the control law cancels it, and errors are below a thousandth of a degree.
 #
-# At noon, friction stops the wheel within minutes. The flight software still distributes each torque among four wheels. The part
-# of the broken one is missing, so torques act about a wrong axis, and the error is 14 degrees.
+# At noon, friction stops the broken wheel within minutes. The flight software still distributes each torque among four wheels.
+# Because the part of the broken wheel is missing, torques act about a wrong axis, and the error is 14 degrees.
 #
-# From 13:00 on, errors are below two degrees, but not as small as in the morning. Null motion counts on the broken wheel and
-# cannot help: momentum alone determines the speeds of three wheels, which pass through zero. There, friction changes its sign,
-# and the integral needs time to follow.
+# From 13:00 on, errors are below two degrees, but not as small as in the morning. Null motion needs four wheels: with three, the
+# momentum alone determines the speeds, and they pass through zero. At zero speed, friction changes its sign, and the integral
+# term needs time to follow.
 #
-# Numbers of the day:
+# The largest errors of each part of the day:
 before, between, after = nadir[:12], nadir[12:13], nadir[13:]
 for title, part in (("morning", before), ("failed", between), ("told", after)):
     if len(part):

@@ -6,16 +6,16 @@ Image other satellites
 
 Take images of the objects of a catalog from orbit, downlink them, and look at the sky of the imager.
 
-An object is imaged from a distance of thousands of kilometers: the imager points at it, and waits until pointing, light and line
-of sight have been right for ten seconds. An image counts when it has reached the ground.
+An object is imaged from a distance of thousands of kilometers: the imager points at it, and takes the image once the requirements
+on pointing, light and line of sight have been met for ten seconds. An image counts when it has reached the ground.
 """
 
 # %%
 # Result
 # ------
 #
-# One imager flies at 600 km, and 60 objects at 700 to 1400 km. A rule downlinks in view of a ground station, and else images the
-# most important object that it sees in the light.
+# One imager flies at an altitude of 600 km, and 60 objects at 700 to 1400 km. A rule downlinks in view of a ground station, and
+# otherwise images the most important object that is in sight and in sunlight.
 import torch
 from tensordict.nn import TensorDictModule
 
@@ -115,16 +115,17 @@ path = draw(episode, "services.png", "the most important first")
 print(episode.outcome)
 
 # %%
-# Each row is an object. A bar begins with its image and ends with the last bit of the downlink; meanwhile the object cannot be
-# chosen, and after that it cools down until an hour after the image. Images wait for stations, not the other way around: eight
-# megabits need two seconds of contact.
+# Each row is an object. A bar begins with an image of the object and ends with the last bit of its downlink; until then, the
+# object cannot be chosen. After that, it cannot be chosen until the cooldown ends, an hour after the image. Most of the delay is
+# the wait for a station: the eight megabits of an image need two seconds of contact.
 #
 # See what the imager sees
 # ------------------------
 #
-# After a quarter of an hour, some objects have been imaged. The map shows directions: ahead is in the middle, behind at both
-# edges, the zenith above. The Earth hides what is below its limb, unless it is nearer. Numbers are those of the candidates, in
-# the order in which they are observed and chosen: from 21 degrees below the horizontal upwards, whether they are hidden or not.
+# After a quarter of an hour, some objects have been imaged. The map shows directions: the direction of flight is in the middle,
+# the opposite direction at both edges, and the zenith at the top. The Earth hides objects below its limb, except those in front
+# of it. The numbers denote the candidates, in the order in which they are observed and chosen: from 21 degrees below the
+# horizontal upwards, whether they are hidden or not.
 from pathlib import Path
 
 from bsk_torch.viz.figures.rso_imaging import sky_figure
@@ -140,13 +141,13 @@ print(env.scenario.candidate_ids(scout, 0, 5))
 print(td["agents", "action_mask"][0, 0].int().tolist())
 
 # %%
-# Light, sight and pointing decide together. An action that images an object ends with the image, or after two minutes without
-# one. The action mask only excludes places without a candidate.
+# An image requires light, line of sight and pointing at the same time. An action that images an object ends with the image, or
+# after two minutes without one. The action mask only excludes places without a candidate.
 #
 # Compare rules
 # -------------
 #
-# Rules are functions of all episodes at once. These differ in one line: the rank of the candidates.
+# Rules are functions of all episodes at once. The following rules differ only in the function that ranks the candidates.
 from bsk_torch.rl.evaluation import evaluate
 
 
@@ -168,12 +169,12 @@ for rank in (important, nearby, ahead):
     )
 
 # %%
-# Turning less takes more images, of less important objects.
+# A rule that turns less takes more images, but of less important objects.
 #
 # Next steps
 # ----------
 #
 # - The how-to guide "Image objects in orbit": conditions of an image, several imagers, catalogs of bsk_rl.
 # - :ref:`sphx_glr_gallery_bsk_rl_space_to_space_rso_imaging.py`: bsk_rl's example.
-# - :ref:`tutorial-inspection`: look at a spacecraft from nearby.
+# - :ref:`tutorial-inspection`: look at a spacecraft from close range.
 # - :ref:`tutorial-film`: films and figures of episodes.
