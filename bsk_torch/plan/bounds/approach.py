@@ -1,8 +1,9 @@
 """Where a satellite points as it takes an image: short of the target, on the side of the previous one.
 
-The flight software takes an image as soon as the pointing error is below its limit. The satellite then still points beside the
-target, towards the one that it comes from, so that turning back is quicker than going straight on. Where that is depends on the
-direction of the previous target on the ground. Directions are counted in *sectors*, so that a path in a graph can remember them.
+The flight software takes an image as soon as the pointing error is below its limit. The satellite then still points short of
+the target, toward the one that it comes from, so that turning back is quicker than turning further. Where it points depends on
+the direction of the previous target on the ground. Directions are counted in *sectors*, so that a path in a graph can remember
+them.
 """
 
 from __future__ import annotations
