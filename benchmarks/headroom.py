@@ -35,7 +35,7 @@ from bsk_torch.env import SatelliteTasking, Tasking
 from bsk_torch.env.rollout import Policy
 from bsk_torch.rl.evaluation.evaluate import Evaluation
 from bsk_torch.rl.evaluation.statistics import confidence
-from bsk_torch.rl.evaluation.suite import EPISODES, Entrant, Task, play, tasks_of
+from bsk_torch.rl.evaluation.suite import EPISODES, VIEWS, Entrant, Task, play, tasks_of
 from bsk_torch.rl.policies.shared_policy import RULES, baseline_of_groups, shared
 from bsk_torch.rl.rules.baselines import ScanRule, ScienceRule, scan_rule
 from bsk_torch.rl.rules.imaging import ImagingRule, ranking_rule
@@ -78,6 +78,9 @@ EXPLORED = (
     candidate("faulty_scan", "FaultyScan-v1", failure_penalty=0.0),
     candidate("faulty_dim_scan", "FaultyScan-v1", sat_args=dict(panelArea=0.15) | SLOW_DOWNLINK, failure_penalty=0.0),
     candidate("science", "NadirScience-v1", failure_penalty=0.0),
+    dataclasses.replace(candidate("services", "Services-v1"), views=(*VIEWS, "order", "outlook")),
+    candidate("relay", "RelayConstellation-v1"),
+    candidate("multi_inspection", "MultiInspection-v1", actions="waypoints"),
 )
 """Candidates that are no task of the suite."""
 

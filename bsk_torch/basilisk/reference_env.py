@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from tensordict import TensorDict
 
 from bsk_torch.basilisk.flight import LONGEST, Array, Flight, Pilot, Problem, Start
-from bsk_torch.presets.aeos import AHEAD, ORBIT, SATELLITE, TARGET
+from bsk_torch.presets.aeos import ORBIT, SATELLITE, TARGET
 from bsk_torch.presets.aeos_power import BIN, BINS, CHARGE, CROWD, DESAT, FAST, RESERVE, RESOURCES
 
 # -- presets ----------------------------------------------------------------------------------------------------------
@@ -122,11 +123,15 @@ def entries(properties: tuple[dict[str, Any], ...]) -> list[dict[str, Any]]:
     return [dict(entry) for entry in properties]
 
 
+MODES = "action_charge", "action_downlink", "action_desat"
+"""Actions of AEOSPower-v1 that are no images."""
+
+
 def imaging(problem: Problem, start: Start) -> SatelliteTasking:
     """AEOS-v1 and AEOSCity-v1, or AEOSPower-v1 where the satellite may do more than image."""
-    powered = len(problem.actions) > AHEAD
+    powered, ahead = MODES[0] in problem.actions, sum(name not in MODES for name in problem.actions)
     properties = entries(SATELLITE + (RESOURCES if powered else ()))
-    targets = obs.OpportunityProperties(*entries(TARGET), type="target", n_ahead_observe=AHEAD)
+    targets = obs.OpportunityProperties(*entries(TARGET), type="target", n_ahead_observe=ahead)
     modes = [act.Charge(duration=60.0), act.Downlink(duration=60.0), act.Desat(duration=60.0)]
     attributes = {
         "observation_spec": [
@@ -135,7 +140,7 @@ def imaging(problem: Problem, start: Start) -> SatelliteTasking:
             *((TargetDensity("density"), next_station(), obs.Eclipse(norm=ORBIT)) if powered else ()),
             obs.Time(),
         ],
-        "action_spec": [*(modes if powered else ()), act.Image(n_ahead_image=AHEAD)],
+        "action_spec": [*(modes if powered else ()), act.Image(n_ahead_image=ahead)],
         "dyn_type": dyn.GroundStationDynModel if powered else dyn.ImagingDynModel,
         "fsw_type": fsw.SteeringImagerFSWModel,
     }
@@ -200,9 +205,10 @@ def fly_there(problem: Problem, start: Start, pilot: Pilot, watch: Callable[[Any
 
 
 def check_names(what: str, here: tuple[str, ...], there: Any) -> None:
-    """ValueError for a difference between bsk_torch's names and bsk_rl's."""
-    if list(here) != [str(name) for name in there]:
-        raise ValueError(f"{what} differ: bsk_torch has {list(here)}, bsk_rl {[str(name) for name in there]}")
+    """ValueError for a difference between bsk_torch's names and bsk_rl's; the message has the first one."""
+    for k, (mine, other) in enumerate(zip_longest(here, map(str, there), fillvalue="none")):
+        if mine != other:
+            raise ValueError(f"{what} differ: number {k} is {mine!r} in bsk_torch, and {other!r} in bsk_rl")
 
 
 def causes(problem: Problem, satellite: Any) -> tuple[str, ...]:

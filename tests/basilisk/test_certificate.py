@@ -159,17 +159,18 @@ def test_what_is_printed_past_python_is_discarded_and_names_stay(capfd, monkeypa
 
 @pytest.mark.basilisk
 @pytest.mark.parametrize(
-    ("preset", "name", "limit"),
+    ("preset", "name", "options"),
     [
-        ("NadirScan-v1", "rule", 400.0),
-        ("NadirScan-v1", "random", 400.0),
-        ("AEOS-v1", "pretrained", 200.0),
-        ("AEOSPower-v1", "pretrained", 200.0),
-        ("AEOSCity-v1", "hasty", 600.0),
+        ("NadirScan-v1", "rule", dict(time_limit=400.0)),
+        ("NadirScan-v1", "random", dict(time_limit=400.0)),
+        ("AEOS-v1", "pretrained", dict(time_limit=200.0)),
+        ("AEOS-v1", "hasty", dict(time_limit=300.0, n_targets=3000, n_ahead=4)),
+        ("AEOSPower-v1", "pretrained", dict(time_limit=200.0)),
+        ("AEOSCity-v1", "hasty", dict(time_limit=600.0)),
     ],
 )
-def test_episodes_of_the_suite_are_those_of_basilisk(preset, name, limit):
-    task = short(preset, time_limit=limit)
+def test_episodes_of_the_suite_are_those_of_basilisk(preset, name, options):
+    task = short(preset, **options)
     made = certify(task, entrant_of(name), 2, backend="eager")
     assert made.agrees
     assert made.replayed is (name == "random")
