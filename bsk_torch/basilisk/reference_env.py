@@ -124,7 +124,7 @@ def entries(properties: tuple[dict[str, Any], ...]) -> list[dict[str, Any]]:
 
 
 MODES = "action_charge", "action_downlink", "action_desat"
-"""Actions of AEOSPower-v1 that are no images."""
+"""Actions of AEOSPower-v1 other than images."""
 
 
 def imaging(problem: Problem, start: Start) -> SatelliteTasking:
