@@ -5,21 +5,27 @@ Usage:
     bsk-torch bench random hasty pretrained --presets AEOS-v1 --out aeos.json
     bsk-torch bench plan:rollout,base=rule --presets NadirScan-v1 --episodes 32 --out planned.json
     python benchmarks/suite.py scan.json aeos.json planned.json [--out FILE.json] [--references FILE.json]
+        [--published FILE.json --method NAME=PATTERN ...]
 
 The references are made once for a suite, from all of its episodes: 0 is what random actions return, 1 the best mean of all
 policies in the files. Of planners, which play fewer episodes, the mean is that of the best other policy and their gain over it in
 the episodes that both played, if this is significant. References belong to the suite as its episodes do, and are not made again
 for better policies: tasks that have references keep them. Rows of tasks that no file has stay in FILE.json.
+
+``--published`` writes what ``bsk-torch leaderboard --published`` shows: the returns of all policies, and of which policies each
+``--method`` consists. The runs of a seed in all tasks, ``runs/NAME/seed_K``, become one policy ``ppo/seed_K``.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from bsk_torch.cli.leaderboard import methods_of
 from bsk_torch.rl.evaluation.suite import SUITES, ranking
 from bsk_torch.rl.evaluation.suite import references as frozen
 
@@ -129,6 +135,26 @@ def certificate(row: Mapping[str, Any]) -> dict[str, Any] | None:
     return {"episodes": len(flown["returns"])} | {name: flown[name] for name in ("same", "largest_difference", "decided")}
 
 
+RUN = re.compile(r"runs/[^/]+/(seed_\d+)")
+"""Folder of a run of ``bsk-torch train``."""
+
+DIGITS = 7
+"""Digits of published returns; scores are told to three."""
+
+
+def public(head: Mapping[str, Any], results: Mapping[str, Mapping[str, Any]], methods: Sequence[str]) -> dict[str, Any]:
+    """Return the content of a file of published results, see :func:`~bsk_torch.rl.evaluation.suite.published`."""
+    policies: dict[str, dict[str, Any]] = {}
+    for task, rows in results.items():
+        for name, row in rows.items():
+            known = policies.setdefault(RUN.sub(r"ppo/\1", name), {})
+            if task in known:
+                raise ValueError(f"two runs of the same seed in {task}: {name} and another one")
+            flown = {"basilisk": row["basilisk"]} if "basilisk" in row else {}
+            known[task] = {"returns": [float(f"{value:.{DIGITS}g}") for value in row["returns"]]} | flown
+    return {**head, "methods": methods_of(policies, methods), "policies": policies}
+
+
 def line(row: Mapping[str, Any]) -> str:
     """A row as it is printed."""
     score = "-" if row["score"] is None else "{score:.3f} +- {score_half:.3f}".format(**row)
@@ -143,6 +169,10 @@ def main() -> None:
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE")
     parser.add_argument("--out", type=Path, help="JSON file for the rows of all presets and policies")
     parser.add_argument("--references", type=Path, help="JSON file for the references of the suite")
+    parser.add_argument("--published", type=Path, help="JSON file for the returns of all policies")
+    parser.add_argument(
+        "--method", action="append", default=[], metavar="NAME=PATTERN", help="the policies of a published method"
+    )
     given = parser.parse_args()
     head, results = merged(given.files)
     known = references(head, results) | frozen(head["suite"])
@@ -153,6 +183,8 @@ def main() -> None:
         if missing := [preset for preset in results if preset not in known]:
             parser.error(f"references need all episodes of random actions and of another policy in {', '.join(missing)}")
         given.references.write_text(json.dumps(dict(sorted(known.items())), indent=1) + "\n")
+    if given.published is not None:
+        given.published.write_text(json.dumps(public(head, results, given.method)).replace('}, "', '},\n "') + "\n")
     if given.out is not None:
         given.out.write_text(json.dumps(head | {"rows": with_others(given.out, head, rows)}, indent=1) + "\n")
 

@@ -282,12 +282,17 @@ def read_earlier(files: Iterable[Path], suite: str) -> dict[str, dict[str, Any]]
         made, policies = read_result(path)
         if made != (FORMAT, suite):
             fail(f"{str(path)!r} has format and suite {made}; this run has {(FORMAT, suite)}")
-        for name, rows in policies.items():
-            known = results.setdefault(name, {})
-            known |= {
-                task: row for task, row in rows.items() if task not in known or len(row["returns"]) >= len(known[task]["returns"])
-            }
+        add_results(results, policies)
     return results
+
+
+def add_results(results: dict[str, dict[str, Any]], policies: Mapping[str, Mapping[str, Any]]) -> None:
+    """Add the results of ``policies`` by task to ``results``, in place, unless those there have more episodes."""
+    for name, rows in policies.items():
+        known = results.setdefault(name, {})
+        known |= {
+            task: row for task, row in rows.items() if task not in known or len(row["returns"]) >= len(known[task]["returns"])
+        }
 
 
 def read_result(path: Path) -> tuple[tuple[int, str], dict[str, dict[str, Any]]]:

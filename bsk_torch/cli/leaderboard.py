@@ -12,12 +12,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from bsk_torch.cli.bench import read_earlier, read_result
+from bsk_torch.cli.bench import add_results, read_earlier, read_result
 from bsk_torch.cli.shared import check_picture, check_writable, extra
 from bsk_torch.cli.terminal import fail, print_message
 from bsk_torch.files import write_file
 from bsk_torch.rl.evaluation.aggregates import AGGREGATES, Interval, bootstrap, improvement, interval, profile, run_scores
-from bsk_torch.rl.evaluation.suite import references, tasks_of
+from bsk_torch.rl.evaluation.suite import published, references, tasks_of
 from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.tables import print_table
 
@@ -71,7 +71,13 @@ class Board:
 
 
 def leaderboard(
-    files: list[Path], method: list[str] | None, presets: str | None, against: str | None, draw: Path | None, out: Path | None
+    files: Sequence[Path] | None,
+    method: Sequence[str] | None,
+    presets: str | None,
+    against: str | None,
+    published_suite: str | None,
+    draw: Path | None,
+    out: Path | None,
 ) -> None:
     """Aggregate the scores of methods over tasks; see :mod:`bsk_torch.cli.main`."""
     for path in (draw, out):
@@ -79,17 +85,26 @@ def leaderboard(
     if draw is not None:
         check_picture("--draw", draw)
         extra("bsk_torch.viz.figures.profiles")
-    (_, suite), _ = read_result(files[0])
+    files = files or []
+    if published_suite is None and not files:
+        fail("no results: name a file of bsk-torch bench, or a suite with --published")
+    suite = published_suite or read_result(files[0])[0][1]
     try:
         tasks = [task.title for task in tasks_of(suite, presets)]
+        known = published(suite) if published_suite else {"policies": {}, "methods": {}}
     except ValueError as error:
         fail(str(error))
     if not references(suite):
         fail(f"the tasks of the suite {suite} have measures, not scores, and cannot be aggregated")
-    results = read_earlier(files, suite)
-    if not results:
+    mine, results = read_earlier(files, suite), dict[str, dict[str, Any]]()
+    if files and not mine:
         fail(f"{', '.join(map(str, files))} has no policies")
-    board = board_of(results, methods_of(results, method or []), suite, tasks, against)
+    add_results(results, known["policies"])
+    add_results(results, mine)
+    methods = methods_of(results, method) if method else separate(mine)
+    if taken := [name for name in methods if name in known["methods"]]:
+        fail(f"{taken[0]!r} is a method of the published results; use another name in --method NAME=PATTERN")
+    board = board_of(results, known["methods"] | methods, suite, tasks, against)
     print_board(board)
     if draw is not None:
         figure = extra("bsk_torch.viz.figures.profiles").performance_profiles
@@ -98,17 +113,19 @@ def leaderboard(
         write_file(out, json.dumps(document(board), indent=1) + "\n")
 
 
+def separate(results: Mapping[str, Mapping[str, object]]) -> dict[str, list[str]]:
+    """Return each policy that plays the most tasks as a method."""
+    most = max((len(played) for played in results.values()), default=0)
+    if left := [name for name, played in results.items() if len(played) < most]:
+        print_message(f"left out, as others play more tasks: {', '.join(left)}; combine policies with --method NAME=PATTERN")
+    return {name: [name] for name, played in results.items() if len(played) == most}
+
+
 def methods_of(results: Mapping[str, Mapping[str, object]], given: Sequence[str]) -> dict[str, list[str]]:
     """Return the policies of each method: those that match its patterns NAME=PATTERN.
 
-    Without patterns, each policy that plays the most tasks is a method. Ends the program for other texts, and for patterns of no
-    policy.
+    Ends the program for other texts, and for patterns of no policy.
     """
-    if not given:
-        most = max(len(played) for played in results.values())
-        if left := [name for name, played in results.items() if len(played) < most]:
-            print_message(f"left out, as others play more tasks: {', '.join(left)}; combine policies with --method NAME=PATTERN")
-        return {name: [name] for name, played in results.items() if len(played) == most}
     methods: dict[str, list[str]] = {}
     for text in given:
         name, sign, pattern = text.partition("=")

@@ -563,19 +563,20 @@ def bench(
     "leaderboard",
     """
     bsk-torch leaderboard bench.json --draw profiles.png
+    bsk-torch leaderboard bench.json --published v2
     bsk-torch leaderboard a.json b.json --method 'ppo=runs/ppo*/seed_*'
     """,
 )
 def leaderboard(
     files: Annotated[
-        list[Path],
+        list[Path] | None,
         typer.Argument(
             metavar="FILE...",
             help="JSON files of bsk-torch bench. Of a policy that played a task more than "
             "once, the result of the most episodes counts, then that of the last file.",
             show_default=False,
         ),
-    ],
+    ] = None,
     method: Annotated[
         list[str] | None,
         typer.Option(
@@ -590,6 +591,10 @@ def leaderboard(
     ] = None,
     against: Annotated[
         str | None, typer.Option(metavar="NAME", help="Method with which the others are compared; default: the best.")
+    ] = None,
+    published_suite: Annotated[
+        str | None,
+        typer.Option("--published", metavar="SUITE", help="Also compare with the methods published for the suite, such as v2."),
     ] = None,
     draw: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Picture (.png, .svg, .pdf) of the performance profiles.")

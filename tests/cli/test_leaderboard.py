@@ -4,7 +4,8 @@ import json
 
 import pytest
 
-from bsk_torch.rl.evaluation.suite import references
+from bsk_torch.rl.evaluation import suite as suites
+from bsk_torch.rl.evaluation.suite import PUBLISHED, references, tasks_of
 
 SCAN, POWER = "NadirScan-v1", "AEOSPower-v1"
 
@@ -87,6 +88,62 @@ def test_policies_are_methods_by_default(run, board):
     result = run("leaderboard", board)
     assert result.exit_code == 0, result.output
     assert "left out, as others play more tasks: hasty" in result.output
+
+
+@pytest.fixture
+def public(monkeypatch, tmp_path):
+    """Publish results of the suite v1, in which a method has two runs."""
+    policies = {
+        "ppo/seed_0": scoring(SCAN, 0.9, 0.7) | scoring(POWER, 0.6, 0.6),
+        "ppo/seed_1": scoring(SCAN, 1.2, 1.0) | scoring(POWER, 0.4, 0.4),
+        "hasty": scoring(POWER, 0.8, 0.8),
+    }
+    (tmp_path / "published").mkdir()
+    content = {"methods": {"ppo": ["ppo/seed_0", "ppo/seed_1"]}, "policies": policies}
+    (tmp_path / "published/v1.json").write_text(json.dumps(content))
+    suites.published.cache_clear()
+    monkeypatch.setattr(suites, "PUBLISHED", tmp_path / "published")
+    yield
+    suites.published.cache_clear()
+
+
+def test_published_methods_are_compared_with_policies_of_files(run, board, tmp_path, public):
+    out = tmp_path / "out.json"
+    rules = ["--method", "mine=scanner", "--method", "mine=hasty"]
+    assert run("leaderboard", board, "--published", "v1", *rules, "--out", out).exit_code == 0
+    kept = json.loads(out.read_text())
+    assert (list(kept["methods"]), kept["tasks"]) == (["ppo", "mine"], [SCAN, POWER])
+    assert kept["methods"]["ppo"]["IQM"]["value"] == pytest.approx(0.7)
+    # the file's hasty counts, not the published one
+    assert kept["methods"]["mine"]["mean"]["value"] == pytest.approx((0.7 + 0.3) / 2)
+
+
+def test_published_methods_alone(run, tmp_path, public):
+    out = tmp_path / "out.json"
+    assert run("leaderboard", "--published", "v1", "--out", out).exit_code == 0
+    assert list(json.loads(out.read_text())["methods"]) == ["ppo"]
+
+
+def test_wrong_use_of_published_results(run, board, public):
+    assert "name a file of bsk-torch bench, or a suite with --published" in run("leaderboard").output
+    result = run("leaderboard", board, "--published", "v1", "--method", "ppo=hasty")
+    assert "'ppo' is a method of the published results" in result.output
+    assert "suite='v2' has no published results; did you mean 'v1'?" in run("leaderboard", "--published", "v2").output
+    assert "suite='v9' is not a suite" in run("leaderboard", "--published", "v9").output
+
+
+@pytest.mark.parametrize("path", sorted(PUBLISHED.glob("*.json")), ids=lambda path: path.stem)
+def test_published_results_are_whole(path):
+    kept, tasks = json.loads(path.read_text()), tasks_of(path.stem)
+    assert kept["methods"]
+    for name, policies in kept["methods"].items():
+        for task in tasks:
+            rows = [kept["policies"][policy][task.title] for policy in policies if task.title in kept["policies"][policy]]
+            assert rows, (name, task.title)
+            assert {len(row["returns"]) for row in rows} == {task.episodes}
+    for task in tasks:
+        low = sum(kept["policies"]["random"][task.title]["returns"]) / task.episodes
+        assert low == pytest.approx(references(path.stem)[task.title]["low"]["return"], rel=1e-6)
 
 
 @pytest.mark.parametrize(

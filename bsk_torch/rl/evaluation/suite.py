@@ -355,6 +355,25 @@ def references(suite: str) -> dict[str, dict[str, Any]]:
     return json.loads(file.read_text()) if file.exists() else {}
 
 
+PUBLISHED = Path(__file__).parent / "suites" / "published"
+"""Folder with the results of policies in all tasks of a suite, a file for each suite that has such results."""
+
+
+@cache
+def published(suite: str) -> dict[str, Any]:
+    """Return published results of a suite: ``policies`` as in a file of ``bsk-torch bench``, and ``methods``, lists of these.
+
+    The results of the runs of a method, such as its training seeds, have the same names in all tasks.
+
+    Raises:
+        ValueError: If the suite has no published results.
+    """
+    have = sorted(path.stem for path in PUBLISHED.glob("*.json"))
+    if suite not in have:
+        raise ValueError(f"suite={suite!r} has no published results; {nearest(suite, have)}")
+    return json.loads((PUBLISHED / f"{suite}.json").read_text())
+
+
 def normalised(evaluation: Evaluation, reference: Mapping[str, Any]) -> Estimate:
     """Return the score, 0 for random actions and 1 for the reference, with its 95 % interval; the references count as exact."""
     low, high = reference["low"]["return"], reference["high"]["return"]
