@@ -222,6 +222,10 @@ STARTS: dict[str, list[Start]] = {
             "--scale 0.01 --planned 1 --time-limit 900 --window 120 --rounds 1 --enough 1",
             r"(?s)\| 0.20 to 0.21 \| .*\| AEOS-v1/9999 \| rollout over trained \| \d+ \| [\d.]+ \| .*\"reserve\": \d+\.\d",
         ),
+        Start(
+            "--fitted bsk_torch/plan/bounds/agile_sustained.json --scale 0.01 --planned 1 --time-limit 900",
+            r"\| AEOS-v1/9999 \| rollout over trained \| \d+ \| [\d.]+ \| \d+ \|",
+        ),
     ],
     "benchmarks/resources.py": [
         Start("--episodes 2 --time-limit 900", r"(?s)\| targets in view \| .*\| images that the store holds \| 100 \|"),

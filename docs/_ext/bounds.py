@@ -23,19 +23,21 @@ def envelope() -> str:
 
 def sustained() -> str:
     """Return times between images that satellites cannot beat for long, with those of recorded flights."""
+    fitted = json.loads((ROOT / "bsk_torch" / "plan" / "bounds" / "agile_sustained.json").read_text())
     rows = []
     for row in load("sustained")["rows"]:
-        times = [f"{row[name]:.1f}" for name in ("sustained", "tenth", "median")]
+        k = min(round(row["low"] / fitted["width"]), len(fitted["direct"]) - 1)
+        times = [f"{seconds:.1f}" for seconds in (fitted["direct"][k] * fitted["step"], row["tenth"], row["median"])]
         rows.append([f"{row['low']:.2f} to {row['high']:.2f}", whole(row["count"]), *times])
     return table(["angle, rad", "transitions", "sustained, s", "quickest tenth, s", "median, s"], rows) + "\n"
 
 
-def largest_leads() -> str:
+def largest_leads(name: str) -> str:
     """Return how far ahead of the sustained times flights get that the fit has not seen."""
     rows = []
-    for row in load("sustained")["leads"]:
+    for row in load(name)["leads"]:
         rows.append([code(row["task"]), row["policy"], whole(row["images"]), f"{row['largest']:.1f}", whole(row["beyond"])])
-    return with_command("sustained", ["task", "policy", "images", "largest lead, s", "beyond the reserve"], rows)
+    return with_command(name, ["task", "policy", "images", "largest lead, s", "beyond the reserve"], rows)
 
 
 def bounds(*tasks: str) -> str:
