@@ -223,7 +223,7 @@ STARTS: dict[str, list[Start]] = {
             r"(?s)\| 0.20 to 0.21 \| .*\| AEOS-v1/9999 \| rollout over trained \| \d+ \| [\d.]+ \| .*\"reserve\": \d+\.\d",
         ),
         Start(
-            "--fitted bsk_torch/plan/bounds/agile_sustained.json --scale 0.01 --planned 1 --time-limit 900",
+            f"--fitted {ROOT}/bsk_torch/plan/bounds/agile_sustained.json --scale 0.01 --planned 1 --time-limit 900",
             r"\| AEOS-v1/9999 \| rollout over trained \| \d+ \| [\d.]+ \| \d+ \|",
         ),
     ],
