@@ -1,12 +1,13 @@
-"""Probabilities of rare events by subset simulation, next to those of independent episodes where these are affordable.
+"""Probabilities of rare events by subset simulation or screened sampling, next to those of independent episodes.
 
 Usage:
-    python benchmarks/risk.py [--questions NAME ...] [--episodes 500] [--repetitions 8] [--plain 20000] [--num-envs 1000]
-        [--time-limit S] [--out FILE.json]
+    python benchmarks/risk.py [--questions NAME ...] [--method subset] [--pool 1000000] [--episodes 500] [--repetitions 8]
+        [--plain 20000] [--num-envs 1000] [--time-limit S] [--out FILE.json]
 
 The questions are in :data:`QUESTIONS`. A textbook case comes first: the sum of ten standard normal numbers over the square root
 of ten exceeds the quantiles of 1e-3 and 1e-6. It is repeated with other seeds, to count the intervals that contain the true
-probability. Independent episodes are those of seeds that no estimate draws; their intervals are Wilson's.
+probability. Screened sampling does not see the last term, which stands for noise.
+Independent episodes are those of seeds that no estimate draws; their intervals are Wilson's.
 """
 
 from __future__ import annotations
@@ -25,8 +26,9 @@ from bsk_torch.env import Tasking
 from bsk_torch.plan.base_policies import Base, base_of
 from bsk_torch.plan.rare_events import rare_event
 from bsk_torch.plan.rare_flights import Flights
-from bsk_torch.plan.risk import Risk, interval, risk
-from bsk_torch.plan.subset import Flown, SubsetSimulation
+from bsk_torch.plan.risk import LEARNED, METHODS, SUBSET, Risk, interval, risk
+from bsk_torch.plan.screened import ScreenedSampling
+from bsk_torch.plan.subset import Flown, SubsetSimulation, Tally
 from bsk_torch.rand import Key
 from bsk_torch.rl.evaluation.statistics import wilson
 from bsk_torch.rl.policies.pretrained import pretrained_file
@@ -60,13 +62,14 @@ QUESTIONS = {
     "faults": Question("FaultyScan-v1", "pretrained"),
     "orbit": Question("NadirScan-v1", "pretrained", options={"time_limit": ORBIT}),
     "cautious": Question("NadirScan-v1", "cautious", plain=False, options={"time_limit": ORBIT}),
+    "low": Question("NadirScan-v1", "pretrained", "battery_charge_fraction<0.12", options={"time_limit": ORBIT}),
     "charge": Question("NadirScan-v1", "rule", "battery_charge_fraction<0.02", plain=False, options={"time_limit": ORBIT}),
 }
 """Questions by name."""
 
 COLUMNS = {
     "question": "{name}",
-    "subset simulation": "{mean:.2e} ({low:.1e} to {high:.1e})",
+    "estimate": "{mean:.2e} ({low:.1e} to {high:.1e})",
     "episodes": "{episodes}",
     "independent": "{plain_mean:.2e} ({plain_low:.1e} to {plain_high:.1e})",
     "episodes, independent": "{plain_episodes}",
@@ -75,24 +78,37 @@ COLUMNS = {
 }
 
 
-def textbook(probability: float, size: int, repetitions: int, runs: int) -> dict[str, Any]:
-    """Return estimates of a known probability, and the share of intervals that contain it."""
+def terms(seeds: Tensor, count: int = TERMS) -> Tensor:
+    """Return the first terms of the textbook case, [m, count]."""
+    none = torch.zeros_like(seeds)
+    return torch.cat([Key(seeds, none, none, f"term {k}").normal(1) for k in range(count)], 1)
+
+
+def known(probability: float, options: Any, seed: int) -> tuple[Tensor, Tally]:
+    """Return estimates [R] of a known probability, and their cost."""
     limit = NormalDist().inv_cdf(1.0 - probability)
 
     def fly(seeds: Tensor) -> Flown:
-        none = torch.zeros_like(seeds)
-        key = Key(seeds, none, none)
-        terms = torch.stack([key.named(f"term {k}").normal(1).squeeze(1) for k in range(TERMS)])
-        total = terms.sum(0) / TERMS**0.5
+        total = terms(seeds).sum(1) / TERMS**0.5
         return Flown(torch.where(total > limit, torch.inf, total), torch.ones_like(total), {})
 
-    estimates, inside, flown = [], 0, 0
+    if options.method == SUBSET:
+        simulation = SubsetSimulation(fly, options.episodes, seed)
+        stages = simulation.climb(0.1 * probability).stages
+        return simulation.repeat(stages, options.repetitions).estimates, simulation.tally
+    learned = int(LEARNED * options.episodes * options.repetitions)
+    sampling = ScreenedSampling(fly, lambda seeds: terms(seeds, TERMS - 1), options.episodes, options.pool, learned, limit, seed)
+    return sampling.repeat(sampling.learn(), options.repetitions).estimates, sampling.tally
+
+
+def textbook(probability: float, options: Any) -> dict[str, Any]:
+    """Return estimates of a known probability, and the share of intervals that contain it."""
+    estimates, inside, flown, runs = [], 0, 0, options.runs
     for seed in range(runs):
-        simulation = SubsetSimulation(fly, size, seed)
-        found = simulation.repeat(simulation.climb(0.1 * probability).stages, repetitions).estimates
+        found, tally = known(probability, options, seed)
         low, high = interval(found)[1:]
         inside += low <= probability <= high
-        flown += simulation.tally.episodes
+        flown += tally.episodes
         estimates.append(found)
     table = torch.stack(estimates)
     mean, of_one = float(table.mean()), float(table.std()) / probability
@@ -104,7 +120,7 @@ def textbook(probability: float, size: int, repetitions: int, runs: int) -> dict
         "relative_error_of_one_repetition": of_one,
         "intervals_with_the_truth": inside,
         "episodes": flown / runs,
-        "saved": (1.0 - probability) / (probability * of_one**2 / repetitions) / (flown / runs),
+        "saved": (1.0 - probability) / (probability * of_one**2 / options.repetitions) / (flown / runs),
     }
 
 
@@ -114,7 +130,8 @@ def asked(question: Question, options: Any) -> tuple[Risk, dict[str, Any]]:
     env: Tasking = bsk_torch.make(question.preset, num_envs=options.num_envs, env_ids=[0] * options.num_envs, **given)
     policy: Base = pretrained_file(question.preset) if question.policy == "pretrained" else question.policy
     clock = time.process_time()
-    found = risk(env, policy, event=question.event, episodes=options.episodes, repetitions=options.repetitions, seed=options.seed)
+    shared = {name: getattr(options, name) for name in ("method", "pool", "episodes", "repetitions", "seed")}
+    found = risk(env, policy, event=question.event, **shared)
     figures: dict[str, Any] = {"question": asdict(question) | {"options": given}, "cpu": time.process_time() - clock}
     figures |= found.to_dict()
     figures["shifts"] = figures["shifts"][:SHOWN]
@@ -156,13 +173,15 @@ def row(name: str, figures: dict[str, Any]) -> dict[str, Any]:
 
 def main() -> None:
     """Ask all questions, and print a table."""
-    parsed = harness.parser(__doc__, episodes=500, repetitions=8, plain=20_000, num_envs=1000, runs=16, seed=0)
+    parsed = harness.parser(__doc__, episodes=500, repetitions=8, plain=20_000, num_envs=1000, runs=16, seed=0, pool=1_000_000)
     parsed.add_argument("--questions", nargs="*", choices=QUESTIONS, default=list(QUESTIONS))
+    parsed.add_argument("--method", choices=METHODS, default=SUBSET)
+    parsed.add_argument("--probabilities", nargs="*", type=float, default=[1e-3, 1e-6], help="those of the textbook case")
     parsed.add_argument("--time-limit", type=float, help="length of an episode, s, instead of the preset's")
     options, described = harness.begin(parsed)
     found: dict[str, Any] = {}
-    known = [textbook(p, options.episodes, options.repetitions, options.runs) for p in (1e-3, 1e-6)] if options.runs else []
-    for case in known:
+    cases = [textbook(p, options) for p in options.probabilities] if options.runs else []
+    for case in cases:
         print(
             f"textbook case: {case['mean']:.3e} for {case['probability']:.0e}, {case['intervals_with_the_truth']} of "
             f"{case['runs']} intervals contain it, simulated time saved {case['saved']:.1f}",
@@ -171,9 +190,9 @@ def main() -> None:
     for name in options.questions:
         _, found[name] = asked(QUESTIONS[name], options)
         print(harness.table(COLUMNS, [row(name, found[name])]), flush=True)
-        harness.write(options, described, textbook=known, questions=found)
+        harness.write(options, described, textbook=cases, questions=found)
     print(harness.table(COLUMNS, [row(name, figures) for name, figures in found.items()]))
-    harness.write(options, described, textbook=known, questions=found)
+    harness.write(options, described, textbook=cases, questions=found)
 
 
 if __name__ == "__main__":

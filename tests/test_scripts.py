@@ -112,6 +112,11 @@ STARTS: dict[str, list[Start]] = {
             "--questions charge --runs 1 --episodes 20 --repetitions 4 --plain 0 --num-envs 20 --time-limit 300",
             r"(?s)textbook case: [\d.e-]+ for 1e-06, .*\| charge \| [\d.e+-]+ \([\d.e+-]+ to [\d.e+-]+\) \| \d+ \|",
         ),
+        Start(
+            "--questions charge --method screen --pool 100 --probabilities 0.01 --runs 1 --episodes 20 --repetitions 4 --plain 0 "
+            "--num-envs 20 --time-limit 300",
+            r"(?s)textbook case: [\d.e-]+ for 1e-02, .*\| charge \| [\d.e+-]+ \([\d.e+-]+ to [\d.e+-]+\) \| \d+ \|",
+        ),
     ],
     "benchmarks/rso_imaging.py": [
         Start(

@@ -346,6 +346,7 @@ def dataset(
     """
     bsk-torch risk pretrained --preset NadirScan-v1 --save deaths.json
     bsk-torch risk rule --event 'battery_charge_fraction<0.05' --draw low.png
+    bsk-torch risk pretrained --preset NadirScan-v1 --time-limit 5700 --method screen
     bsk-torch risk runs/scan --level battery --episodes 1000 --out risk.json
     """,
     name="risk",
@@ -365,11 +366,19 @@ def estimate_risk(
             help="What is followed toward a death: battery, wheels, buffer or distance; repeatable. Default: the nearest limit.",
         ),
     ] = None,
-    episodes: Annotated[
-        int, typer.Option(metavar="N", min=20, help="Independent episodes of a repetition, a multiple of 10.")
-    ] = 1000,
+    method: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="subset: small steps of everything random. screen: flies the seeds whose draws at reset are most dangerous.",
+        ),
+    ] = "subset",
+    episodes: Annotated[int, typer.Option(metavar="N", min=20, help="Episodes of a repetition, a multiple of 10.")] = 1000,
     repetitions: Annotated[int, typer.Option(metavar="R", min=4, help="Independent repetitions.")] = 8,
-    smallest: Annotated[float, typer.Option(metavar="P", help="Probability at which the search for the event ends.")] = 1e-9,
+    smallest: Annotated[
+        float, typer.Option(metavar="P", help="Probability at which subset simulation ends its search for the event.")
+    ] = 1e-9,
+    pool: Annotated[int, typer.Option(metavar="N", min=40, help="Seeds that each repetition screens.")] = 1_000_000,
     seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the estimate.")] = 0,
     num_envs: Annotated[int, typer.Option(metavar="N", min=1, help="Episodes at once.")] = 512,
     save: Annotated[
@@ -386,8 +395,8 @@ def estimate_risk(
 ) -> None:
     """Estimate the probability of a loss, down to 1e-6 and below, and show the ways to it.
 
-    Initial states, scenarios, faults and noise are followed in small steps toward the event (subset simulation). An event that
-    never happens has an upper limit.
+    Initial states, scenarios, faults and noise are followed in small steps toward the event (subset simulation). Where draws at
+    reset decide about the event, --method screen needs fewer simulated seconds. An event that never happens has an upper limit.
     """
 
 

@@ -26,6 +26,9 @@ from bsk_torch.tables import print_table
 SHOWN = 6
 """Number of drawn quantities in the table."""
 
+CARRIED = 0.3
+"""Share of one episode in an estimate above which a line warns of it."""
+
 
 def estimate_risk(
     policy: str,
@@ -33,9 +36,11 @@ def estimate_risk(
     option: list[str] | None,
     event: str,
     level: list[str] | None,
+    method: str,
     episodes: int,
     repetitions: int,
     smallest: float,
+    pool: int,
     seed: int,
     num_envs: int,
     save: Path | None,
@@ -62,8 +67,8 @@ def estimate_risk(
     try:
         with working(f"estimating the risk of {named.label}") as show:
             found = risk(
-                env, actor, event=event, level=level or None, episodes=episodes, repetitions=repetitions, smallest=smallest,
-                seed=seed, tell=show,
+                env, actor, event=event, level=level or None, method=method, episodes=episodes, repetitions=repetitions,
+                smallest=smallest, pool=pool, seed=seed, tell=show,
             )  # fmt: skip
     except ValueError as error:
         fail(f"the risk in {named.preset} cannot be estimated: {error}")
@@ -87,6 +92,7 @@ def estimate_risk(
 def told(found: Risk, title: str) -> Iterator[str]:
     """Yield the estimate in lines of at most 80 characters."""
     mean, low, high = found.probability
+    screening, several = found.screening, f"{found.tally.episodes:,} episodes of {found.seconds:,.0f} s on average"
     yield f"{title}: {found.event}"
     if mean == 0.0:
         yield f"not seen; its probability is at most {high:.1e}, with a confidence of 95 %"
@@ -96,7 +102,14 @@ def told(found: Risk, title: str) -> Iterator[str]:
         yield f"probability {mean:.2e}, 95 % interval {low:.1e} to {high:.1e}"
         if found.error * len(found.estimates) ** 0.5 > 1.0:
             yield "single repetitions differ by more than their mean: use more --episodes"
-    yield f"{found.tally.episodes:,} episodes of {found.seconds:,.0f} s on average, {len(found.thresholds)} thresholds"
+    if screening is None:
+        yield f"{several}, {len(found.thresholds)} thresholds"
+    else:
+        yield f"{several}, {screening.learned:,} of them to learn from"
+        yield f"screened: {screening.pool:,} seeds in each of {len(found.estimates)} repetitions"
+        yield f"draws at reset explain {screening.explained:.0%} of the variance of levels"
+        if screening.largest > CARRIED:
+            yield f"one episode carries {screening.largest:.0%} of the estimate: do not rely on its interval"
     if found.saved == found.saved:
         yield f"as exact as {found.saved:,.1f} times as many simulated seconds of independent episodes"
 

@@ -65,11 +65,13 @@ class RareEvent:
         title: Description of the event.
         happens: Whether it happens in each episode, [N].
         level: Level of each episode, [N].
+        threshold: Level from which on the event happens, if known.
     """
 
     title: str
     happens: Function
     level: Function
+    threshold: float | None = None
 
 
 def rare_event(env: Tasking, event: str | Function, level: str | Sequence[str] | Function | None) -> RareEvent:
@@ -86,23 +88,24 @@ def rare_event(env: Tasking, event: str | Function, level: str | Sequence[str] |
         ValueError: For unknown names, an event without a level, and functions with wrong results.
     """
     own: Function | None = None
+    threshold: float | None = None
     if callable(event):
         title, happens = getattr(event, "__name__", "event"), event
     elif event == DEATH:
-        title, happens = DEATH, lambda env: env.dead.view(env.num_envs, -1).any(1)
+        title, happens, threshold = DEATH, lambda env: env.dead.view(env.num_envs, -1).any(1), 1.0
     else:
-        title, happens, own = _comparison(env, str(event))
+        title, happens, own, threshold = _comparison(env, str(event))
     if callable(level):
-        own = level
+        own, threshold = level, None
     elif level is not None or (own is None and event == DEATH):
-        own = _limits(env, level)
+        own, threshold = _limits(env, level), 1.0 if event == DEATH else None
     if own is None:
         raise ValueError(f"event={event!r} needs level=, a function that grows toward it, or a name of {sorted(LIMITS)}")
-    return RareEvent(title, _checked("event", happens, torch.bool), _checked("level", own, torch.float64))
+    return RareEvent(title, _checked("event", happens, torch.bool), _checked("level", own, torch.float64), threshold)
 
 
-def _comparison(env: Tasking, text: str) -> tuple[str, Function, Function]:
-    """Return title, event and level of a comparison."""
+def _comparison(env: Tasking, text: str) -> tuple[str, Function, Function, float]:
+    """Return title, event, level and threshold of a comparison."""
     found = COMPARISON.fullmatch(text)
     try:
         name, sign, limit = found[1], found[2], float(found[3])  # type: ignore[index]
@@ -124,7 +127,7 @@ def _comparison(env: Tasking, text: str) -> tuple[str, Function, Function]:
 
         return _largest(env, having, of)
 
-    return f"{name} {sign} {limit:g}", lambda env: level(env) > toward * limit, level
+    return f"{name} {sign} {limit:g}", lambda env: level(env) > toward * limit, level, toward * limit
 
 
 def _limits(env: Tasking, names: str | Sequence[str] | None) -> Function:

@@ -1,4 +1,4 @@
-"""Flights of subset simulation: episodes of seeds, with their levels, draws and causes of death, and files to fly them again."""
+"""Flights for estimates of risks: levels, draws and causes of death of the episodes of seeds, and files to fly them again."""
 
 from __future__ import annotations
 
@@ -17,14 +17,12 @@ from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.files import write_file
 from bsk_torch.plan.agent_table import AgentTable
+from bsk_torch.plan.drawn import drawn_arguments, drawn_of_seeds, suns
 from bsk_torch.plan.rare_events import RareEvent
 from bsk_torch.plan.subset import Flown, Sample
 from bsk_torch.rand import Blend, blended
 from bsk_torch.rl.evaluation.evaluate import failed_checks, of_team, start_episodes, with_lots
 from bsk_torch.rl.rules.baselines import LOT
-
-COMPONENTS = {"oe": ("a", "e", "i", "Omega", "omega", "f")}
-"""Names of the components of arguments; others are numbered."""
 
 FAILED, TIME, DRAWN, RETURNS = "failed", "time", "drawn", "returns"
 """Notes: failed aliveness checks [m, C], time of the event [m] s (NaN without), drawn arguments [m, D], returns [m]."""
@@ -77,6 +75,11 @@ class Flights:
         level = torch.where(happened, torch.inf, level)
         return Flown(level[:m].cpu(), env.fleet.sim_time[:m].cpu(), {name: value[:m].cpu() for name, value in notes.items()})
 
+    def draws(self, seeds: Tensor) -> Tensor:
+        """Return what is drawn at reset for ``seeds`` [m] without a reset, and the Sun's directions, [m, D + 3 S]."""
+        names, drawn = drawn_of_seeds(self.env, seeds)
+        return torch.cat([drawn, suns(names, drawn)], 1)
+
     def actions(self, seeds: Tensor) -> list[list[Any]]:
         """Return the actions of all agents in the episodes of ``seeds`` [m], a list of decisions for each."""
         env, slots, found = self.env, AgentTable(self.env), list[list[Any]]()
@@ -91,30 +94,6 @@ class Flights:
                     taken[row].append(chosen[row].tolist())
             found += taken
         return found
-
-
-def drawn_arguments(env: Tasking) -> tuple[list[str], Tensor]:
-    """Return the names and values [N, D] of the numbers drawn for the arguments of satellites and world at reset."""
-    found: dict[str, Tensor] = {}
-    for part in env.fleet.satellites:
-        simulator, arguments = part.simulator, part.simulator.type.arguments
-        for table, owned in ((arguments.sat_args, env.fleet.size > 1), (arguments.world_args, False)):
-            for name in table.table:
-                if table.is_random(name) and name in simulator.state.arguments:
-                    each = simulator.state.arguments[name].double().reshape(env.num_envs, simulator.count, -1)
-                    for k, column in enumerate(simulator.columns if owned else simulator.columns[:1]):
-                        owner = f"{env.names[column]}: " if owned else ""
-                        found |= {f"{owner}{name}{_component(name, j, each.shape[2])}": c for j, c in enumerate(each[:, k].T)}
-    values = torch.stack(list(found.values()), 1) if found else torch.zeros(env.num_envs, 0, dtype=torch.float64)
-    return list(found), values
-
-
-def _component(name: str, j: int, count: int) -> str:
-    """Return the end of the name of a component."""
-    if count == 1:
-        return ""
-    known = COMPONENTS.get(name, ())
-    return f".{known[j]}" if len(known) == count else f"[{j}]"
 
 
 # -- files --------------------------------------------------------------------------------------------------------------------

@@ -1,8 +1,9 @@
 """Probabilities of losses and other rare events under a policy, the ways that lead to them, and episodes to fly again.
 
 Everything random in an episode is drawn from keys (:mod:`bsk_torch.rand`): initial states, scenarios, faults, noise, and random
-numbers of policies. So an episode is a function of these numbers, and subset simulation (:mod:`bsk_torch.plan.subset`) walks in
-their space. Nothing needs to be known of the environment except a level that grows toward the event.
+numbers of policies. So an episode is a function of these numbers. Subset simulation (:mod:`bsk_torch.plan.subset`) walks in their
+space, and screened sampling (:mod:`bsk_torch.plan.screened`) flies the seeds whose draws at reset make the event likely. Nothing
+needs to be known of the environment except a level that grows toward the event.
 """
 
 from __future__ import annotations
@@ -23,11 +24,18 @@ from bsk_torch.plan.determinism import check_copyable
 from bsk_torch.plan.planner import Planner
 from bsk_torch.plan.rare_events import DEATH, Function, rare_event
 from bsk_torch.plan.rare_flights import DRAWN, FAILED, TIME, Flights
-from bsk_torch.plan.subset import CHAIN, STUCK, Climb, Repetitions, Sample, SubsetSimulation, Tally
+from bsk_torch.plan.screened import Screen, Screened, ScreenedSampling
+from bsk_torch.plan.subset import CHAIN, HAPPENS, STUCK, Repetitions, Sample, SubsetSimulation, Tally
 from bsk_torch.rand import blended
 from bsk_torch.rl.evaluation.statistics import confidence, wilson
 
-__all__ = ["Interval", "Risk", "Shift", "Way", "risk"]
+__all__ = ["METHODS", "Interval", "Risk", "Screening", "Shift", "Way", "risk"]
+
+SUBSET, SCREEN = METHODS = ("subset", "screen")
+"""Names of the methods: subset simulation and screened sampling."""
+
+LEARNED = 0.5
+"""Episodes from which screened sampling learns, over those of all repetitions."""
 
 LEAST_REPETITIONS = 4
 """Smallest number of repetitions, for an interval of any use."""
@@ -78,6 +86,25 @@ class Way:
 
 
 @dataclass(frozen=True)
+class Screening:
+    """How an estimate by screened sampling came about.
+
+    Attributes:
+        pool: Number of seeds of which a repetition flew the most dangerous ones.
+        learned: Number of episodes from which the surrogate was learned.
+        seen: Number of these with the event.
+        explained: Share of the variance of the levels of independent episodes that the surrogate explains.
+        largest: Largest share of an episode in the estimate; NaN if none had the event.
+    """
+
+    pool: int
+    learned: int
+    seen: int
+    explained: float
+    largest: float
+
+
+@dataclass(frozen=True)
 class Risk:
     """Estimated probability of an event.
 
@@ -85,12 +112,12 @@ class Risk:
         event: Description of the event.
         probability: The estimate.
         estimates: Estimates of the independent repetitions, [R].
-        thresholds: Levels of the stages, K.
+        thresholds: Levels of the stages of subset simulation, K.
         steps: Sizes of the steps of their chains, K.
         shares: Share of the episodes that reach each threshold, and of those with the event, [R, K + 1].
         why: Why there are no further thresholds; see :class:`~bsk_torch.plan.subset.Climb`.
-        highest: Largest finite level of the last stage.
-        tally: Flown episodes and simulated time, first run included.
+        highest: Largest finite level of the last stage, or of the episodes learned from.
+        tally: Flown episodes and simulated time, those of the first run or of learning included.
         seconds: Mean simulated time of an episode, s.
         found: Episodes with the event.
         weight: Their weights, which sum to 1.
@@ -99,6 +126,7 @@ class Risk:
         shifts: Drawn numbers, the most different one first.
         checks: Names of the aliveness checks, in the columns of the note ``failed`` of ``found``.
         columns: Names of the drawn numbers, in the columns of its note ``drawn``.
+        screening: How screened sampling went; None for subset simulation.
     """
 
     event: str
@@ -118,6 +146,7 @@ class Risk:
     shifts: list[Shift] = field(repr=False)
     checks: list[str] = field(repr=False)
     columns: list[str] = field(repr=False)
+    screening: Screening | None = None
 
     def paths(self) -> Sample:
         """Return the most typical episode of each way, the most likely way first."""
@@ -153,6 +182,7 @@ class Risk:
             "shares": self.shares.mean(0).tolist(),
             "why": self.why,
             "highest_level": self.highest if abs(self.highest) < float("inf") else None,
+            "screening": None if self.screening is None else _screening(self.screening),
             **asdict(self.tally),
             "seconds_per_episode": self.seconds,
             "saved": self.saved if known and self.error > 0.0 else None,
@@ -169,22 +199,31 @@ def risk(
     *,
     event: str | Function = DEATH,
     level: str | Sequence[str] | Function | None = None,
+    method: str = SUBSET,
     episodes: int = 1000,
     repetitions: int = 8,
     smallest: float = 1e-9,
+    pool: int = 1_000_000,
     seed: int = 0,
     tell: Callable[[str], object] = lambda words: None,
 ) -> Risk:
     """Estimate the probability of an event in an episode, down to 1e-6 and below.
+
+    Subset simulation follows everything random in small steps. Screened sampling needs far fewer simulated seconds where what is
+    drawn at reset decides about the event, and about as many as independent episodes where it does not.
 
     Args:
         env: The environment; copies of it play ``num_envs`` episodes at a time, which does not affect results.
         policy: The policy; see :func:`bsk_torch.plan.base_of`. It takes its most probable actions.
         event: The event; see :func:`~bsk_torch.plan.rare_events.rare_event`.
         level: Level that grows toward it; likewise.
-        episodes: Independent episodes of each repetition, a multiple of 10; later stages need 9 new ones for 10.
+        method: ``"subset"`` for subset simulation, ``"screen"`` for screened sampling.
+        episodes: Independent episodes of each repetition, a multiple of 10, of which later stages of subset simulation need 9 new
+            ones for 10; for screened sampling, the flown episodes of each repetition, and half as many for learning.
         repetitions: Independent repetitions R, at least 4, from which the interval follows.
-        smallest: Probability at which the search for the event ends.
+        smallest: Probability at which the search of subset simulation for the event ends.
+        pool: Number of seeds of which screened sampling chooses the flown ones, in each repetition, at least twice the
+            episodes. With a probability p, ``pool * repetitions * p`` of them have the event.
         seed: Seed of the estimate.
         tell: Called with a description of each stage.
 
@@ -194,10 +233,13 @@ def risk(
     """
     if not isinstance(env, Tasking):
         raise TypeError(f"env={env!r} must be an environment of bsk_torch; of a transformed one give base_env")
+    if method not in METHODS:
+        raise ValueError(f"method={method!r} must be one of {list(METHODS)}")
     if whole("episodes", episodes, 2 * CHAIN) % CHAIN:
         raise ValueError(f"episodes={episodes} must be a multiple of {CHAIN}, the number of states of a chain")
     whole("repetitions", repetitions, LEAST_REPETITIONS)
     number("smallest", smallest, 1e-15, 1.0)
+    whole("pool", pool, 2 * episodes, 2**31)
     if isinstance(policy, Planner):
         raise ValueError(f"policy={policy.name!r} plans in its own environment, and not in copies of it; give another policy")
     check_copyable(env, AgentTable(env))
@@ -205,12 +247,13 @@ def risk(
     twin = env.like(rows, env_ids=[0] * rows)
     twin.reset()
     flights = Flights(twin, base_of(policy, twin), rare_event(twin, event, level))
-    simulation = SubsetSimulation(flights, episodes, whole("seed", seed, 0), tell=tell)
-    climb = simulation.climb(smallest)
-    if climb.why == STUCK:
-        tell(f"the level does not rise above {float(climb.last.flown.level.max()):.4g}")
-    repeated = simulation.repeat(climb.stages, repetitions)
-    return _described(flights, climb, repeated, simulation)
+    whole("seed", seed, 0)
+    if method == SUBSET:
+        return _by_subsets(flights, SubsetSimulation(flights, episodes, seed, tell=tell), smallest, repetitions)
+    learned = int(LEARNED * episodes * repetitions)
+    sampling = ScreenedSampling(flights, flights.draws, episodes, pool, learned, flights.event.threshold, seed, tell=tell)
+    screen = sampling.learn()
+    return _by_screening(flights, screen, sampling.repeat(screen, repetitions), sampling)
 
 
 def interval(estimates: Tensor) -> Interval:
@@ -242,19 +285,15 @@ def _probability(repeated: Repetitions) -> Interval:
     return Interval(0.0, 0.0, min(1.0 - 0.025 ** (1.0 / n), interval(repeated.reached).high))
 
 
-def _described(flights: Flights, climb: Climb, repeated: Repetitions, simulation: SubsetSimulation) -> Risk:
-    """Return the estimate with the ways to the event."""
-    first, last = repeated.first, repeated.last
+def _by_subsets(flights: Flights, simulation: SubsetSimulation, smallest: float, repetitions: int) -> Risk:
+    """Return the estimate of subset simulation."""
+    climb = simulation.climb(smallest)
+    if climb.why == STUCK:
+        simulation.tell(f"the level does not rise above {float(climb.last.flown.level.max()):.4g}")
+    repeated = simulation.repeat(climb.stages, repetitions)
+    last = repeated.last
     rows = torch.nonzero(last.flown.level == torch.inf).squeeze(1)
-    found, weight = last.take(rows), repeated.reached[repeated.repetition[rows]]
-    weight = weight / weight.sum().clamp(min=torch.finfo(torch.float64).tiny)
-    everywhere = first.flown.notes[DRAWN]
-    shifts = [] if not len(rows) else _shifts(flights.columns, found.flown.notes[DRAWN], weight, everywhere)
     finite = climb.last.flown.level[climb.last.flown.level < torch.inf]
-    ways = _ways(flights, found, weight, everywhere, shifts)
-    typical = found.take(torch.tensor([way.row for way in ways], dtype=torch.int64))
-    with blended(typical.blend()) if ways else nullcontext():
-        actions = flights.actions(typical.seeds) if ways else []
     return Risk(
         event=flights.event.title,
         probability=_probability(repeated),
@@ -265,6 +304,55 @@ def _described(flights: Flights, climb: Climb, repeated: Repetitions, simulation
         why=climb.why,
         highest=float(finite.max()) if len(finite) else float("inf"),
         tally=simulation.tally,
+        **_described(flights, last.take(rows), repeated.reached[repeated.repetition[rows]], repeated.first),
+    )
+
+
+def _by_screening(flights: Flights, screen: Screen, screened: Screened, sampling: ScreenedSampling) -> Risk:
+    """Return the estimate of screened sampling.
+
+    The upper limit for an event that was not seen is Clopper and Pearson's for the flights that the surrogate did not choose.
+    """
+    weight, seen = screened.weight, bool(len(screened.weight))
+    unseen = Interval(0.0, 0.0, 1.0 - 0.05 ** (1.0 / screened.blind))
+    return Risk(
+        event=flights.event.title,
+        probability=interval(screened.estimates) if seen else unseen,
+        estimates=screened.estimates,
+        thresholds=[],
+        steps=[],
+        shares=screened.estimates.unsqueeze(1),
+        why=HAPPENS if seen else STUCK,
+        highest=screen.highest,
+        tally=sampling.tally,
+        screening=Screening(
+            pool=sampling.pool,
+            learned=sampling.learned,
+            seen=screen.seen,
+            explained=screen.explained,
+            largest=float(weight.max() / weight.sum()) if seen else float("nan"),
+        ),
+        **_described(flights, screened.found, weight, screen.first),
+    )
+
+
+def _described(flights: Flights, found: Sample, weight: Tensor, first: Sample) -> dict[str, Any]:
+    """Return the parts of a result that describe the ways to the event.
+
+    Args:
+        flights: Plays episodes.
+        found: Episodes with the event, [n].
+        weight: Their weights up to a factor, [n].
+        first: Independent episodes.
+    """
+    weight = weight / weight.sum().clamp(min=torch.finfo(torch.float64).tiny)
+    everywhere = first.flown.notes[DRAWN]
+    shifts = [] if not len(weight) else _shifts(flights.columns, found.flown.notes[DRAWN], weight, everywhere)
+    ways = _ways(flights, found, weight, everywhere, shifts)
+    typical = found.take(torch.tensor([way.row for way in ways], dtype=torch.int64))
+    with blended(typical.blend()) if ways else nullcontext():
+        actions = flights.actions(typical.seeds) if ways else []
+    return dict(
         seconds=float(first.flown.seconds.mean()),
         found=found,
         weight=weight,
@@ -328,3 +416,9 @@ def _ways(flights: Flights, found: Sample, weight: Tensor, everywhere: Tensor, s
 def _finite(values: Sequence[float]) -> list[float | None]:
     """Return numbers for JSON, with None for infinity, such as the time of a fault that never begins."""
     return [value if abs(value) < float("inf") else None for value in values]
+
+
+def _screening(screening: Screening) -> dict[str, Any]:
+    """Return how screened sampling went, for JSON."""
+    figures = asdict(screening)
+    return figures | {"largest": None if figures["largest"] != figures["largest"] else figures["largest"]}

@@ -76,6 +76,12 @@ class Sample:
     shares: Tensor
     flown: Flown
 
+    @staticmethod
+    def independent(seeds: Tensor, flown: Flown) -> Sample:
+        """Return the episodes of seeds [n] that blend no others."""
+        blank = torch.ones(len(seeds), 1, dtype=torch.float64)
+        return Sample(seeds, seeds.unsqueeze(1), blank, blank, flown)
+
     def blend(self) -> Blend:
         """Return the blend that gives the seeds their random numbers."""
         return Blend(self.seeds, self.parts, self.steps, self.shares)
@@ -133,6 +139,11 @@ class Tally:
     seconds: float = 0.0
     accepted: int = 0
     proposed: int = 0
+
+    def add(self, flown: Flown) -> None:
+        """Add flights."""
+        self.episodes += len(flown.seconds)
+        self.seconds += float(flown.seconds.sum())
 
 
 @dataclass(frozen=True)
@@ -254,13 +265,11 @@ class SubsetSimulation:
     def _independent(self, count: int, run: str) -> Sample:
         """Play n independent episodes for each of ``count`` repetitions."""
         seeds = (self._key(run, 0, count).uniform(self.size).flatten() * SEEDS).long()
-        blank = torch.ones(len(seeds), 1, dtype=torch.float64)
-        return Sample(seeds, seeds.unsqueeze(1), blank, blank, self._fly(seeds))
+        return Sample.independent(seeds, self._fly(seeds))
 
     def _fly(self, seeds: Tensor) -> Flown:
         flown = self.fly(seeds)
-        self.tally.episodes += len(seeds)
-        self.tally.seconds += float(flown.seconds.sum())
+        self.tally.add(flown)
         return flown
 
     def _chains(self, starts: Sample, stage: Stage, number: int, repetition: Tensor | None) -> tuple[Sample, float]:

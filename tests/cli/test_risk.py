@@ -26,6 +26,14 @@ def test_a_risk_is_estimated_and_its_ways_are_shown_saved_and_drawn(run, tmp_pat
     assert "battery_charge_fraction" in paths["draw"].read_text()
 
 
+def test_a_risk_is_estimated_by_screening(run, tmp_path):
+    result = run("risk", "random", *SHORT, *LOW, "--method", "screen", "--pool", "200", "--save", tmp_path / "p.json")
+    assert result.exit_code == 0, result.output
+    assert "screened: 200 seeds in each of 4 repetitions" in result.output
+    assert "of the variance of levels" in result.output
+    assert json.loads((tmp_path / "p.json").read_text())["episodes"]
+
+
 def test_what_never_happens_has_an_upper_limit(run, tmp_path):
     result = run(
         "risk", "rule", *SHORT, "--event", "storage_level_fraction>2", "--smallest", "0.05", "--save", tmp_path / "p.json"
@@ -42,6 +50,7 @@ def test_what_never_happens_has_an_upper_limit(run, tmp_path):
         (("risk", "ruel", *SHORT), "did you mean 'rule'"),
         (("risk", "rule", *SHORT, "--level", "batery"), "did you mean 'battery'"),
         (("risk", "rule", *SHORT, "--event", "deaht"), "must be 'death', or a property"),
+        (("risk", "rule", *SHORT, "--method", "sreen"), "must be one of ['subset', 'screen']"),
         (("risk", "rule", *SHORT, "--draw", "risk.gif"), "must end with .png, .svg or .pdf"),
         (("risk", "rule", *SHORT, "--save", "nowhere/r.json"), "there is no folder"),
         (("risk", "random", "--preset", "Constellation-v1", "--draw", "r.png"), "shows the episode of one satellite"),

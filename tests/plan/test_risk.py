@@ -49,6 +49,36 @@ def test_the_batch_does_not_matter(found):
     assert found.actions == other.actions
 
 
+@pytest.fixture(scope="module")
+def screened():
+    return risk(scanning(16, 1200.0), "random", **SMALL, method="screen", pool=400)
+
+
+def test_both_methods_agree_and_describe_the_same_ways(found, screened):
+    assert screened.probability.low < found.probability.high
+    assert found.probability.low < screened.probability.high
+    assert screened.tally.episodes < found.tally.episodes
+    assert screened.screening.learned == 80
+    assert 0.0 < screened.screening.largest < 0.5
+    assert screened.screening.explained > 0.5
+    assert screened.shifts[0].name == "storedCharge_Init"
+    assert [way.cause for way in screened.ways] == [()]
+    kept = json.loads(json.dumps(screened.to_dict(), allow_nan=False))
+    assert kept["screening"]["pool"] == 400
+    assert kept["thresholds"] == []
+
+
+def test_screened_episodes_do_not_depend_on_the_batch_and_are_those_of_plain_seeds(screened):
+    other = risk(scanning(7, 1200.0), "random", **SMALL, method="screen", pool=400)
+    assert torch.equal(screened.estimates, other.estimates)
+    assert torch.equal(screened.found.seeds, other.found.seeds)
+    assert screened.actions == other.actions
+    env = scanning(3, 1200.0)
+    paths = screened.paths()
+    again = evaluate(bsk_torch.rule("random", env), env, seeds=paths.seeds.tolist())
+    assert torch.equal(again.returns, paths.flown.notes[RETURNS])
+
+
 def test_the_ways_are_described(found):
     (way,) = found.ways
     assert way.cause == ()
@@ -78,10 +108,12 @@ def test_a_saved_episode_is_flown_again_with_its_actions_and_by_its_policy(found
         read_paths(path)
 
 
-def test_an_event_that_never_happens_has_an_upper_limit():
-    never = risk(scanning(16, 300.0), "rule", event="storage_level_fraction>2", episodes=20, repetitions=4, smallest=0.05)
+@pytest.mark.parametrize(("method", "high"), [("subset", 0.3), ("screen", 0.4)])
+def test_an_event_that_never_happens_has_an_upper_limit(method, high):
+    given = dict(event="storage_level_fraction>2", episodes=20, repetitions=4, smallest=0.05, pool=100)
+    never = risk(scanning(16, 300.0), "rule", method=method, **given)
     assert never.probability.mean == 0.0
-    assert 0.0 < never.probability.high < 0.3
+    assert 0.0 < never.probability.high < high
     assert never.ways == []
     assert json.loads(json.dumps(never.to_dict(), allow_nan=False))["saved"] is None
 
@@ -110,6 +142,8 @@ def test_satellites_of_a_team_are_named_and_own_functions_are_events():
         (dict(episodes=25), "episodes=25 must be a multiple of 10"),
         (dict(repetitions=1), "repetitions=1"),
         (dict(smallest=0.0), "smallest=0"),
+        (dict(method="sreen"), "method='sreen' must be one of"),
+        (dict(method="screen", pool=30), "pool=30"),
         (dict(policy="ruel"), "did you mean 'rule'"),
     ],
 )

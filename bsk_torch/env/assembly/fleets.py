@@ -307,6 +307,12 @@ class FleetBuilder:
         check_ephemeris(drawn, limit)
         return drawn._replace(present=self.draw_present(fleet, key, answers)), limit.to(self.device)
 
+    def draw_arguments(self, fleet: Fleet, key: Key) -> list[dict[str, Any]]:
+        """Return only the arguments of satellites and world of the key's environments, as :meth:`draw` does, for each type."""
+        answers = self.ask(fleet, key)
+        given = None if self.randomizer is None else self.randomizer(key, answers)
+        return fleet.draw(key, given, answers, {}).values
+
     def start(self, fleet: Fleet, envs: Tensor, drawn: EpisodeDraw, limit: Tensor) -> None:
         """Start the episodes ``envs`` [n] of a fleet."""
         durations = [self.satellites[s.columns[0]].generation(limit) for s in fleet.simulators]
