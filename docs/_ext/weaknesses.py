@@ -66,7 +66,7 @@ def adversarial_flights(name: str, box: str) -> str:
 
 
 def risks(*names: str) -> str:
-    """Return probabilities by subset simulation, next to the shares of independent episodes, of the questions in some results."""
+    """Return estimated probabilities, next to the shares of independent episodes, of the questions in some results."""
     rows = []
     for found in [found for name in names for found in load(name)["questions"].values()]:
         asked, plain, (mean, low, high) = found["question"], found.get("plain"), found["probability"].values()
@@ -88,7 +88,7 @@ def risks(*names: str) -> str:
         "task",
         "policy",
         "event",
-        "subset simulation",
+        "estimate",
         "episodes",
         "independent episodes",
         "their number",
@@ -98,7 +98,7 @@ def risks(*names: str) -> str:
     return f"{table(head, rows)}\n\n" + "\n".join(made(name) for name in names)
 
 
-def known_risks() -> str:
+def known_risks(name: str) -> str:
     """Return estimates of known probabilities."""
     rows = [
         [
@@ -109,7 +109,7 @@ def known_risks() -> str:
             whole(case["episodes"]),
             digits(case["saved"]),
         ]
-        for case in load("risk")["textbook"]
+        for case in load(name)["textbook"]
     ]
     head = ["probability", "mean estimate, standard error", "error of a repetition", "intervals with it", "episodes", "factor"]
     return f"{table(head, rows)}\n"
