@@ -65,9 +65,6 @@ QUESTIONS = {
     "low": Question("NadirScan-v1", "pretrained", "battery_charge_fraction<0.12", options={"time_limit": ORBIT}),
     "half_hour": Question("NadirScan-v1", "pretrained", "battery_charge_fraction<0.1555", options={"time_limit": 1800.0}),
     "quarter": Question("NadirScan-v1", "pretrained", "battery_charge_fraction<0.208", options={"time_limit": 900.0}),
-    "quarter_rare": Question(
-        "NadirScan-v1", "pretrained", "battery_charge_fraction<0.18", plain=False, options={"time_limit": 900.0}
-    ),
     "charge": Question("NadirScan-v1", "rule", "battery_charge_fraction<0.02", plain=False, options={"time_limit": ORBIT}),
 }
 """Questions by name."""
