@@ -346,7 +346,7 @@ def dataset(
     """
     bsk-torch risk pretrained --preset NadirScan-v1 --save deaths.json
     bsk-torch risk rule --event 'battery_charge_fraction<0.05' --draw low.png
-    bsk-torch risk pretrained --preset NadirScan-v1 --time-limit 5700 --method screen
+    bsk-torch risk rule --time-limit 900 --method screen
     bsk-torch risk runs/scan --level battery --episodes 1000 --out risk.json
     """,
     name="risk",
