@@ -55,15 +55,15 @@ CERTIFIERS = {**dict.fromkeys(FLOWN, certified), BENCH: certify_bench}
 """Functions that fly episodes again on Basilisk, by preset."""
 
 
+FORMAT = 1
+"""Version of the layout of the JSON file."""
+
+
 def described(error: BaseException) -> str:
     """Return the message of an error; its type precedes it unless the message is this package's, or tells what is wrong."""
     return (
         str(error) if isinstance(error, (TypeError, ValueError, Failure)) and str(error) else f"{type(error).__name__}: {error}"
     )
-
-
-FORMAT = 1
-"""Version of the layout of the JSON file."""
 
 
 class Failures(dict[str, dict[str, str]]):
