@@ -196,8 +196,8 @@ def _terms(features: Tensor, lengths: Tensor, centers: Tensor) -> Tensor:
 @torch.enable_grad()
 def _tuned(features: Tensor, target: Tensor) -> tuple[Tensor, float, float]:
     """Return lengths, amplitude and variance of noise with the largest likelihood that a few steps find."""
-    logs = [torch.full((features.shape[1],), FIRST_LENGTH), torch.tensor(1.0), torch.tensor(FIRST_NOISE)]
-    found = [value.double().log().requires_grad_() for value in logs]
+    first = ([FIRST_LENGTH] * features.shape[1], 1.0, FIRST_NOISE)
+    found = [torch.tensor(value, dtype=torch.float64).log().requires_grad_() for value in first]
     search, one = torch.optim.Adam(found, RATE), torch.eye(len(target), dtype=torch.float64)
     for _ in range(STEPS):
         length, amplitude, noise = (value.exp() for value in found)

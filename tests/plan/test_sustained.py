@@ -225,11 +225,12 @@ def test_sectors_are_those_of_azimuths_on_the_sphere():
     at = 6.378e6 * torch.stack([lat.cos() * lon.cos(), lat.cos() * lon.sin(), lat.sin()], -1)
     east = torch.stack([-lon.sin(), lon.cos(), torch.zeros_like(lon)], -1)
     north = torch.stack([-lat.sin() * lon.cos(), -lat.sin() * lon.sin(), lat.cos()], -1)
+    down = -3e3 * at / at.norm(dim=1, keepdim=True)
     for sectors in (1, 4, 8, 12):
-        for k in range(4 * sectors):
-            azimuth = 2.0 * torch.pi * (k + 0.1) / (4 * sectors)
-            before = at + 50e3 * (math.cos(azimuth) * east + math.sin(azimuth) * north) - 3e3 * at / at.norm(dim=1, keepdim=True)
-            assert sector_from(before, at, sectors).tolist() == [round(azimuth / (2.0 * math.pi) * sectors) % sectors] * 3
+        azimuths = [2.0 * math.pi * (k + 0.1) / (4 * sectors) for k in range(4 * sectors)]
+        before = [at + 50e3 * (math.cos(azimuth) * east + math.sin(azimuth) * north) + down for azimuth in azimuths]
+        expected = [[round(azimuth / (2.0 * math.pi) * sectors) % sectors] * 3 for azimuth in azimuths]
+        assert [sector_from(place, at, sectors).tolist() for place in before] == expected
 
 
 def test_satellites_point_beside_their_targets_on_the_side_that_they_come_from():
