@@ -81,6 +81,9 @@ EXPLORED = (
     dataclasses.replace(candidate("services", "Services-v1"), views=(*VIEWS, "order", "outlook")),
     candidate("relay", "RelayConstellation-v1"),
     candidate("multi_inspection", "MultiInspection-v1", actions="waypoints"),
+    candidate("docking", "CWDocking-v1"),
+    candidate("thrust_inspection", "CWInspection-v1"),
+    candidate("hetero", "HeteroCluster-v1"),
 )
 """Candidates that are no task of the suite."""
 
@@ -274,7 +277,11 @@ def main() -> None:
     options, described = harness.begin(parsed)
     shares: list[dict[str, Any]] = []
     for name in options.candidates:
-        shares.append(share_of(measure(CANDIDATES[name], options)) | {"options": harness.given(options)})
+        rows = measure(CANDIDATES[name], options)
+        if not any(one["kind"] in ("policy", "planner") for one in rows):
+            print(f"{name}: none of --policies {' '.join(options.policies)} plays it; left out", flush=True)
+            continue
+        shares.append(share_of(rows) | {"options": harness.given(options)})
         harness.write(options, described, rows=merged(options.out, shares))
     print(harness.table(COLUMNS, shares))
 

@@ -10,7 +10,7 @@ satellites cannot beat for long there are two variants: the direction that the s
 (a bound, too), and windows do not close later by the reserve (no bound). ``bound`` and ``schedule`` enclose the best that the
 relaxation allows, whatever the multipliers. ``knapsack`` is the time that images of all targets in view take if each comes by the
 quickest transition to it: a bound that counts time alone can lie below the sum in view only where that is longer than the
-episode. ``planner`` is what a rollout planner over the trained policy collects in the same episodes. ``--times`` chooses rows;
+episode. ``planner`` is what beam search over the trained policy collects in the same episodes. ``--times`` chooses rows;
 others that FILE.json has of the same episodes stay in it, each with the commit that it was measured at.
 """
 
@@ -35,6 +35,9 @@ from bsk_torch.plan.bounds.tasks import check_task, payment, shortest_pause
 from bsk_torch.plan.bounds.windows import openings
 from bsk_torch.rl.evaluation import evaluate
 from bsk_torch.rl.policies import pretrained
+
+PLANNER: dict[str, Any] = dict(name="beam", budget=256, horizon=240.0, gamma=0.99)
+"""The planner that the bounds are compared with."""
 
 COLUMNS = {
     "targets": "{targets:,}",
@@ -89,12 +92,12 @@ def flown(options: Any, targets: int) -> float:
         backend=options.backend,
         as_set=True,
     )
-    policy = planner("rollout", env, base=pretrained("AEOS-v1"), budget=8, horizon=240.0, gamma=0.99)
+    policy = planner(env=env, base=pretrained("AEOS-v1"), **PLANNER)
     return float(evaluate(policy, env, seed=options.seed).returns.mean())
 
 
-def rows_of(options: Any, targets: int, known: list[dict[str, Any]], commit: str) -> list[dict[str, Any]]:
-    """Solve the relaxation of the same episodes with the chosen times; ``known`` rows have what the planner collects."""
+def rows_of(options: Any, targets: int, commit: str) -> list[dict[str, Any]]:
+    """Solve the relaxation of the same episodes with the chosen times."""
     env: Any = bsk_torch.make(
         "AEOS-v1", n_targets=targets, num_envs=options.episodes, time_limit=options.time_limit, backend=options.backend
     )
@@ -104,8 +107,6 @@ def rows_of(options: Any, targets: int, known: list[dict[str, Any]], commit: str
     every, rows = openings(satellite, limit), []
     in_view = torch.zeros_like(paid)
     in_view[every.row, every.target] = paid[every.row, every.target]
-    planned = next((row["planner"] for row in known if row["targets"] == targets), None)
-    planned = flown(options, targets) if planned is None else planned
     for name in options.times:
         envelope = envelopes()[name]
         check_task(env, envelope)
@@ -119,7 +120,7 @@ def rows_of(options: Any, targets: int, known: list[dict[str, Any]], commit: str
         seconds = (time.process_time() - begin) / len(paid)
         row = dict(targets=targets, times=name, in_view=float(in_view.sum(1).mean()), bound=upper, schedule=lower)
         row |= dict(knapsack=knapsack, seconds=seconds, cell=options.cell * env.simulator.h, commit=commit)
-        rows.append(row | {"planner": planned})
+        rows.append(row)
         print(harness.cell("{targets} {times}: {bound:.2f} of {in_view:.2f}, schedule {schedule:.2f}", row), flush=True)
     return rows
 
@@ -140,18 +141,21 @@ def main() -> None:
     )
     options, described = harness.begin(arguments)
     known: list[dict[str, Any]] = []
+    collected: dict[int, float] = {}
     if options.out and options.out.exists():
         earlier = json.loads(options.out.read_text())
         if all(earlier["options"][name] == getattr(options, name) for name in ("episodes", "time_limit", "seed")):
-            known = [{"cell": 1.0, "commit": earlier["machine"]["commit"]} | row for row in earlier["rows"]]
+            known = earlier["rows"]
+            collected = {row["targets"]: row["planner"] for row in known} if earlier["planner"] == PLANNER else {}
     found = {(row["targets"], row["times"]): row for row in known}
     for targets in options.targets:
-        new = rows_of(options, targets, known, described["commit"])
-        found |= {(targets, row["times"]): row for row in new}
+        found |= {(targets, row["times"]): row for row in rows_of(options, targets, described["commit"])}
+    collected = {targets: collected.get(targets) or flown(options, targets) for targets in {targets for targets, _ in found}}
     order = list(envelopes())
     rows = sorted(found.values(), key=lambda row: (row["targets"], order.index(row["times"])))
+    rows = [row | {"planner": collected[row["targets"]]} for row in rows]
     print(harness.table(COLUMNS, rows))
-    harness.write(options, described, rows=rows)
+    harness.write(options, described, planner=PLANNER, rows=rows)
 
 
 if __name__ == "__main__":

@@ -1,21 +1,21 @@
 """Times between images that satellites cannot beat for long: records flights, fits times by a linear program, and checks them.
 
 Usage:
-    python benchmarks/sustained.py [--scale 1.0] [--planned 8] [--planned-time 5700] [--reserve 52] [--margin 8] [--enough 20]
-        [--share 0.25] [--lag 0.04] [--sectors 8] [--near 25000] [--rounds 2] [--seed 11] [--time-limit 17100] [--window 1200]
-        [--envelope FILE.json] [--fitted FILE.json] [--lowered 1.0] [--out FILE.json]
+    python benchmarks/sustained.py [--scale 1.0] [--planned 8] [--searched 0] [--planned-time 5700] [--reserve 52] [--margin 8]
+        [--enough 20] [--share 0.25] [--lag 0.04] [--sectors 8] [--near 25000] [--rounds 2] [--seed 11] [--time-limit 17100]
+        [--window 1200] [--envelope FILE.json] [--fitted FILE.json] [--lowered 1.0] [--out FILE.json]
 
-Several policies fly AEOS-v1, AEOSCity-v1 and AEOSPower-v1, and a planner flies ``--planned`` episodes of ``--planned-time``
-seconds; ``--reserve`` is the lead in ticks that the times are chosen for, and ``--margin`` is added to the largest lead of these
-flights. Angles are measured from where satellites point when they take an image: ``--lag`` rad beside the target, in the
-direction of the target before, one of ``--sectors``, or as before where that target is nearer than ``--near`` meters. No time
-is longer than the quantile ``--share`` of its bin. The program weights each angle by how often the best path of the bound uses
-it, in ``--window`` seconds of two episodes with 9,999 targets, and is solved ``--rounds`` times: the first weights are those of
-the flights. The times are then checked on as many other episodes of the planner, and half as many of the other policies.
-``--scale`` multiplies the number of episodes of the policies; ``--envelope`` names the file for the times, such as
-``bsk_torch/plan/bounds/agile_sustained.json``. ``--fitted`` names times of an earlier run, which are only checked on the
-episodes of another ``--seed``. ``--envelope`` then gets these times, multiplied by ``--lowered``, with a reserve that is long
-enough for these episodes; without lowering, it is no shorter than before.
+Several policies fly AEOS-v1, AEOSCity-v1 and AEOSPower-v1. A rollout planner flies ``--planned`` episodes of ``--planned-time``
+seconds, and beam search ``--searched`` episodes; ``--reserve`` is the lead in ticks that the times are chosen for, and
+``--margin`` is added to the largest lead of these flights. Angles are measured from where satellites point when they take an
+image: ``--lag`` rad beside the target, in the direction of the target before, one of ``--sectors``, or as before where that
+target is nearer than ``--near`` meters. No time is longer than the quantile ``--share`` of its bin. The program weights each
+angle by how often the best path of the bound uses it, in ``--window`` seconds of two episodes with 9,999 targets, and is solved
+``--rounds`` times: the first weights are those of the flights. The times are then checked on as many other episodes of the
+planners, and half as many of the other policies. ``--scale`` multiplies the number of episodes of the policies; ``--envelope``
+names the file for the times, such as ``bsk_torch/plan/bounds/agile_sustained.json``. ``--fitted`` names times of an earlier run,
+which are only checked on the episodes of another ``--seed``. ``--envelope`` then gets these times, multiplied by ``--lowered``,
+with a reserve that is long enough for these episodes; without lowering, it is no shorter than before.
 """
 
 from __future__ import annotations
@@ -55,8 +55,11 @@ CASES: tuple[tuple[Case, int], ...] = (
 )
 """Preset, targets, a policy or the number of targets among which actions are drawn, and episodes."""
 
-PLANNED: Case = ("AEOS-v1", 9999, "rollout over trained")
-"""What the planner flies."""
+PLANNERS = {"rollout over trained": ("rollout", 8), "beam search over trained": ("beam", 256)}
+"""Planners and their budgets."""
+
+PLANNED: tuple[Case, ...] = tuple(("AEOS-v1", 9999, name) for name in PLANNERS)
+"""What planners fly."""
 
 HELD_OUT, WEIGHED = 1000, 2000
 """What is added to the seed for flights that are checked, and for episodes whose bound gives weights."""
@@ -89,14 +92,15 @@ TIMES = {
 def fly(options: Any, case: Case, episodes: int, seed: int) -> tuple[ImageSequences, dict[str, str]]:
     """Record one case."""
     preset, targets, player = case
-    limit = min(options.time_limit, options.planned_time) if case == PLANNED else options.time_limit
+    limit = min(options.time_limit, options.planned_time) if case in PLANNED else options.time_limit
     world: dict[str, Any] = dict(num_envs=episodes, backend=options.backend, time_limit=limit)
     world |= {"n_targets": targets} if targets else {}
-    learned = player in ("trained", PLANNED[2])
+    learned = player in ("trained", *PLANNERS)
     env: Any = bsk_torch.make(preset, **world, **({"as_set": True} if learned else {}))
     policy: Any = pretrained(preset) if learned else None
-    if player == PLANNED[2]:
-        policy = planner("rollout", env, base=policy, budget=8, horizon=240.0, gamma=0.99)
+    if player in PLANNERS:
+        kind, budget = PLANNERS[player]
+        policy = planner(kind, env, base=policy, budget=budget, horizon=240.0, gamma=0.99)
     elif isinstance(player, int):
         policy = Soonest(player, seed)
     elif not learned:
@@ -171,12 +175,13 @@ def times_of(images: ImageSequences, envelope: Envelope) -> list[dict[str, float
     return rows
 
 
-def flights(options: Any, share: float, planned: int, seed: int) -> tuple[list[tuple[Case, ImageSequences]], dict[str, str]]:
-    """Record all cases, with a ``share`` of their episodes, and the arguments of their satellite."""
+def flights(options: Any, share: float, seed: int) -> tuple[list[tuple[Case, ImageSequences]], dict[str, str]]:
+    """Record all cases, those of policies with a ``share`` of their episodes, and return the arguments of their satellite."""
+    cases = [(case, max(1, round(share * episodes * options.scale))) for case, episodes in CASES]
+    cases += [(case, count) for case, count in zip(PLANNED, (options.planned, options.searched), strict=True) if count]
     found, args = [], {}
-    for case, episodes in (*CASES, (PLANNED, 0)):
-        count = planned if case == PLANNED else max(1, round(share * episodes * options.scale))
-        images, args = fly(options, case, count, seed)
+    for case, episodes in cases:
+        images, args = fly(options, case, episodes, seed)
         found.append((case, images))
     return found, args
 
@@ -184,9 +189,9 @@ def flights(options: Any, share: float, planned: int, seed: int) -> tuple[list[t
 def main() -> None:
     """Record, fit, check, and print tables."""
     arguments = harness.parser(
-        __doc__, scale=1.0, planned=8, planned_time=5700.0, reserve=52, margin=8, enough=20, share=0.25, lag=0.04, sectors=8,
-        near=25_000.0, rounds=2, seed=11, time_limit=17_100.0, window=1200.0, backend="compiled", envelope="", fitted="",
-        lowered=1.0,
+        __doc__, scale=1.0, planned=8, searched=0, planned_time=5700.0, reserve=52, margin=8, enough=20, share=0.25, lag=0.04,
+        sectors=8, near=25_000.0, rounds=2, seed=11, time_limit=17_100.0, window=1200.0, backend="compiled", envelope="",
+        fitted="", lowered=1.0,
     )  # fmt: skip
     options, described = harness.begin(arguments)
     if options.fitted:
@@ -194,7 +199,7 @@ def main() -> None:
         if options.lowered < 1.0:
             ticks = tuple(max(SOONEST, int(time * options.lowered)) for time in envelope.direct)
             envelope = replace(envelope, direct=ticks, any=ticks, reserve=0)
-        flown, _ = flights(options, 1.0, options.planned, options.seed)
+        flown, _ = flights(options, 1.0, options.seed)
         rows = [leads_of(case, images, envelope) for case, images in flown]
         if options.envelope:
             largest = round(max(row["largest"] for row in rows) / envelope.step)
@@ -203,12 +208,12 @@ def main() -> None:
         print(harness.table(LEADS, rows))
         harness.write(options, described, check=dict(reserve=envelope.reserve * envelope.step), leads=rows)
         return
-    known, args = flights(options, 1.0, options.planned, options.seed)
+    known, args = flights(options, 1.0, options.seed)
     every = ImageSequences.joined([images for _, images in known])
     envelope = fitted(options, every, args)
     if options.envelope:
         envelope.save(Path(options.envelope))
-    others, _ = flights(options, 0.5, options.planned, options.seed + HELD_OUT)
+    others, _ = flights(options, 0.5, options.seed + HELD_OUT)
     fit, checked = ([leads_of(case, images, envelope) for case, images in part] for part in (known, others))
     check = dict(reserve=envelope.reserve * envelope.step, transitions=every.transitions, carried_over=every.carried)
     check |= dict(largest=float(leads(every, envelope).lead.max()) * envelope.step)

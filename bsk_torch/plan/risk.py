@@ -34,8 +34,8 @@ __all__ = ["METHODS", "Interval", "Risk", "Screening", "Shift", "Way", "risk"]
 SUBSET, SCREEN = METHODS = ("subset", "screen")
 """Names of the methods: subset simulation and screened sampling."""
 
-LEARNED = 0.5
-"""Episodes from which screened sampling learns, over those of all repetitions."""
+LEARNED, MOST_LEARNED = 0.5, 4000
+"""Episodes from which screened sampling learns, over those of all repetitions, and the largest number of them."""
 
 LEAST_REPETITIONS = 4
 """Smallest number of repetitions, for an interval of any use."""
@@ -219,7 +219,8 @@ def risk(
         level: Level that grows toward it; likewise.
         method: ``"subset"`` for subset simulation, ``"screen"`` for screened sampling.
         episodes: Independent episodes of each repetition, a multiple of 10, of which later stages of subset simulation need 9 new
-            ones for 10; for screened sampling, the flown episodes of each repetition, and half as many for learning.
+            ones for 10; for screened sampling, the flown episodes of each repetition. Half as many, but no more than 4000 in
+            all, are flown before for learning.
         repetitions: Independent repetitions R, at least 4, from which the interval follows.
         smallest: Probability at which the search of subset simulation for the event ends.
         pool: Number of seeds of which screened sampling chooses the flown ones, in each repetition, at least twice the
@@ -250,7 +251,7 @@ def risk(
     whole("seed", seed, 0)
     if method == SUBSET:
         return _by_subsets(flights, SubsetSimulation(flights, episodes, seed, tell=tell), smallest, repetitions)
-    learned = int(LEARNED * episodes * repetitions)
+    learned = min(int(LEARNED * episodes * repetitions), MOST_LEARNED)
     sampling = ScreenedSampling(flights, flights.draws, episodes, pool, learned, flights.event.threshold, seed, tell=tell)
     screen = sampling.learn()
     return _by_screening(flights, screen, sampling.repeat(screen, repetitions), sampling)

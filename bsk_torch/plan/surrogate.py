@@ -18,11 +18,14 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 CENTERS = 300
 """Number of centers: episodes with the largest levels, and as many others."""
 
-TUNED, STEPS, RATE = 500, 50, 0.1
+TUNED, STEPS, RATE = 500, 150, 0.1
 """Number of episodes from which lengths are learned, of Adam's steps, and their size."""
 
 UPPER = (0.75, 0.9, 0.95, 0.98)
 """Quantiles of learned levels from which the probability of larger ones is learned."""
+
+TAIL = 0.05
+"""Share of the errors that are the tail."""
 
 FIRST_LENGTH, FIRST_NOISE = 4.5, 0.2
 """First lengths, in standard deviations of features, and the first share of noise in the variance."""
@@ -101,16 +104,26 @@ class Surrogate:
 
 @dataclass(frozen=True)
 class Chance:
-    """Probability of an event, ``1 / (1 + exp(-(slope z + offset)))`` with ``z = (predicted level - threshold) / spread``."""
+    """Probability of an event, given a predicted level.
+
+    It is ``1 / (1 + exp(-(slope z + offset)))`` with ``z = (predicted level - threshold) / spread``, but no less than the tail of
+    the errors, ``share exp(-(threshold - predicted level - begin) / scale)``, where the prediction is more than ``begin`` below
+    the threshold.
+    """
 
     threshold: float
     spread: float
     slope: float
     offset: float
+    begin: float
+    scale: float
+    share: float
 
     def __call__(self, level: Tensor) -> Tensor:
         """Return the probabilities [m] for predicted levels [m]."""
-        return torch.sigmoid(self.slope * (level - self.threshold) / self.spread + self.offset)
+        near = torch.sigmoid(self.slope * (level - self.threshold) / self.spread + self.offset)
+        beyond = self.threshold - level - self.begin
+        return torch.maximum(near, torch.where(beyond >= 0.0, self.share * torch.exp(-beyond / self.scale), 0.0))
 
 
 def fitted(values: Tensor, level: Tensor, lots: Tensor) -> Surrogate:
@@ -172,7 +185,20 @@ def chance(surrogate: Surrogate, level: Tensor, threshold: float) -> Chance:
     with torch.enable_grad():
         search.step(loss)
     slope, offset = line.detach().tolist()
-    return Chance(threshold, spread, max(slope, 0.0), offset)
+    return Chance(threshold, spread, max(slope, 0.0), offset, *_tail(surrogate, level))
+
+
+def _tail(surrogate: Surrogate, level: Tensor) -> tuple[float, float, float]:
+    """Return begin, scale and share of the tail of the errors: exponential, by maximum likelihood.
+
+    Episodes with the event end there, so that their errors are known to be larger only.
+    """
+    known = level < torch.inf
+    errors = torch.where(known, level, level[known].max()) - surrogate.left_out
+    begin = float(errors.quantile(1.0 - TAIL))
+    beyond = errors > begin
+    excess = float((errors[beyond] - begin).sum())
+    return begin, max(excess / max(int((beyond & known).sum()), 1), 1e-12), TAIL
 
 
 def _ordered(level: Tensor, lots: Tensor) -> Tensor:

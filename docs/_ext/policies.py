@@ -140,10 +140,10 @@ def milliseconds(seconds: float) -> str:
     return digits(1e3 * seconds)
 
 
-def distillations() -> str:
+def distillations(name: str) -> str:
     """Return what networks keep of a planner's gain."""
     rows = []
-    for row in load("distillation")["rows"]:
+    for row in load(name)["rows"]:
         gain = f"{row['gain']:+.3f} ± {row['gain_half']:.3f}" if row["policy"] != "network" else "-"
         kept = f"{row['share']:.0%} ± {row['share_half']:.0%}" if "training" in row else "-"
         spent = [digits(row[key]) if key in row else "-" for key in ("collecting", "training")]
@@ -159,7 +159,7 @@ def distillations() -> str:
         "collection, core-s",
         "training, core-s",
     ]
-    return with_command("distillation", head, rows)
+    return with_command(name, head, rows)
 
 
 def by_condition(name: str, what: str) -> str:
