@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import secrets
+import tempfile
 from contextlib import suppress
 from pathlib import Path
 
@@ -38,6 +39,21 @@ def write_file(path: Path | str, content: bytes | str) -> None:
         if isinstance(error, OSError):
             raise OSError(error.errno, f"cannot be written: {error.strerror}", str(path)) from error
         raise
+
+
+def unwritable(folder: Path) -> str | None:
+    """Return why no file can be made in a folder that exists, such as ``"... is read-only"``; None if one can.
+
+    Permissions do not tell for the superuser, who has them in ``/proc`` and on file systems mounted read-only, so a file without
+    a name is made, and removed.
+    """
+    if not os.access(folder, os.W_OK | os.X_OK):
+        return f"the folder {str(folder)!r} is read-only"
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return None
+    except OSError as error:
+        return f"no file can be made in the folder {str(folder)!r} ({error.strerror})"
 
 
 def _write_new(path: Path, content: bytes) -> None:

@@ -15,6 +15,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from pettingzoo import ParallelEnv
 
+from bsk_torch._checks import number
 from bsk_torch.bsk_rl.comm.communication import CommunicationMethod, NoCommunication
 from bsk_torch.bsk_rl.data.base import GlobalReward
 from bsk_torch.bsk_rl.data.composition import ComposedReward
@@ -27,6 +28,7 @@ from bsk_torch.bsk_rl.sim.simulator import Simulator
 from bsk_torch.bsk_rl.utils.logging_config import ContextFilter, SimFormatter
 from bsk_torch.env.no_action import NO_ACTION, is_no_action, no_action_keep_indices, no_action_like
 from bsk_torch.sim.assembly.composition import compose
+from bsk_torch.sim.assembly.satellite_type import LONGEST_TICK, SHORTEST_TICK
 from bsk_torch.sim.names import nearest
 from bsk_torch.sim.world import WorldModel
 
@@ -181,7 +183,8 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
         self.rewarder.link_scenario(self.scenario)
         self.communicator: Any = deepcopy(communicator) or NoCommunication()
         self.communicator.link_satellites(self.satellites)
-        self.sim_rate, self.max_step_duration = sim_rate, max_step_duration
+        self.sim_rate = number("sim_rate", sim_rate, SHORTEST_TICK, LONGEST_TICK, unit="s")
+        self.max_step_duration = max_step_duration
         self.failure_penalty = failure_penalty
         if failure_penalty > 0:
             logger.warning("Failure penalty should be nonpositive")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import os
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 
 from bsk_torch.cli.terminal import fail, working
 from bsk_torch.env import Tasking
+from bsk_torch.files import unwritable
 from bsk_torch.presets import make
 from bsk_torch.rl.policies.shared_policy import member_views
 
@@ -98,8 +98,8 @@ def check_writable(path: Path | None) -> None:
         fail(f"{str(path)!r} cannot be written: there is no folder {str(path.parent)!r}")
     if path.is_symlink() or (path.exists() and not path.is_file()):
         fail(f"{str(path)!r} is no ordinary file, which would be replaced; name another one")
-    if not os.access(path.parent, os.W_OK | os.X_OK):
-        fail(f"{str(path)!r} cannot be written: the folder {str(path.parent)!r} is read-only")
+    if (why := unwritable(path.parent)) is not None:
+        fail(f"{str(path)!r} cannot be written: {why}")
 
 
 PICTURES = (".png", ".svg", ".pdf")

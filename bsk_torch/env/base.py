@@ -142,6 +142,22 @@ class Tasking(Present, MadeOfArguments):
             lines.append(f"  {names} ({type(satellite).__name__}): {len(seen)} observed, {len(actions)} actions ({shown})")
         return "\n".join(lines)
 
+    def to(self, device: torch.device | str) -> Tasking:  # type: ignore[override]
+        """Return the environment, which stays on its device.
+
+        Args:
+            device: Device of the environment.
+
+        Raises:
+            ValueError: For another device: kernels, tables and arcs are made for one.
+        """
+        wanted, own = existing_device(device), torch.device(self.device)
+        if wanted.type != own.type or (wanted.index or 0) != (own.index or 0):
+            raise ValueError(
+                f"device={str(device)!r}: an environment stays on {str(own)!r}; make one with device={str(wanted)!r}"
+            )
+        return self
+
     # -- construction -------------------------------------------------------------------------------------------------
 
     def _next_fleet(self) -> Fleet:

@@ -11,6 +11,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, Unbounded
 
+from bsk_torch._checks import switch
 from bsk_torch.comm import CommunicationMethod
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.env import messages
@@ -54,6 +55,7 @@ class SatelliteTasking(Tasking):
             **options: ``generate_obs_retasking_only``, which has no effect with one satellite, as in bsk_rl; for the others see
                 :class:`bsk_torch.env.options.TaskingOptions`.
         """
+        switch("generate_obs_retasking_only", options.get("generate_obs_retasking_only", False))
         parsed = parse(TaskingOptions, {name: value for name, value in options.items() if name != "generate_obs_retasking_only"})
         alone = satellite[0] if isinstance(satellite, list | tuple) and len(satellite) == 1 else satellite
         if not isinstance(alone, Satellite):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import secrets
 import shutil
 from collections.abc import Callable, Iterator
@@ -17,7 +16,7 @@ from torch import Tensor
 
 from bsk_torch import __version__
 from bsk_torch.env import SatelliteTasking, Tasking
-from bsk_torch.files import write_file
+from bsk_torch.files import unwritable, write_file
 from bsk_torch.offline.behaviors import Behavior, slug
 from bsk_torch.offline.croissant import croissant
 from bsk_torch.offline.flights import Flown, first_observations, judges, play, target_returns
@@ -101,8 +100,8 @@ def check_folder(folder: Path) -> None:
         raise ValueError(f"{str(folder)!r} exists; a dataset is written into a new folder: name another one, or delete it")
     if not folder.parent.is_dir():
         raise ValueError(f"{str(folder)!r} cannot be made: there is no folder {str(folder.parent)!r}")
-    if not os.access(folder.parent, os.W_OK | os.X_OK):
-        raise ValueError(f"{str(folder)!r} cannot be made: the folder {str(folder.parent)!r} is read-only")
+    if (why := unwritable(folder.parent)) is not None:
+        raise ValueError(f"{str(folder)!r} cannot be made: {why}")
 
 
 def _write(

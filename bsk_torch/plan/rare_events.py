@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -104,6 +105,11 @@ def rare_event(env: Tasking, event: str | Function, level: str | Sequence[str] |
     return RareEvent(title, _checked("event", happens, torch.bool), _checked("level", own, torch.float64), threshold)
 
 
+def _meant(text: str) -> str:
+    """Return a hint if a text resembles the name of an event."""
+    return f"; {nearest(text, (DEATH,))}" if difflib.get_close_matches(text.lower(), (DEATH,)) else ""
+
+
 def _comparison(env: Tasking, text: str) -> tuple[str, Function, Function, float]:
     """Return title, event, level and threshold of a comparison."""
     found = COMPARISON.fullmatch(text)
@@ -111,7 +117,7 @@ def _comparison(env: Tasking, text: str) -> tuple[str, Function, Function, float
         name, sign, limit = found[1], found[2], float(found[3])  # type: ignore[index]
     except (TypeError, ValueError):
         raise ValueError(
-            f"event={text!r} must be 'death', or a property with a limit such as 'battery_charge_fraction<0.05'"
+            f"event={text!r} must be 'death', or a property with a limit such as 'battery_charge_fraction<0.05'{_meant(text)}"
         ) from None
     kinds = [type(part.dynamics) for part in env.fleet.satellites]
     having = [k for k, kind in enumerate(kinds) if isinstance(getattr(kind, name, None), property)]

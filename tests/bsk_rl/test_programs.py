@@ -1,5 +1,6 @@
 """Programs of bsk_rl play the episodes here that bsk_rl plays on Basilisk under the same seeds."""
 
+import copy
 import json
 import logging
 import os
@@ -354,3 +355,47 @@ def test_a_battery_starts_with_no_more_than_its_capacity():
     made = SatelliteTasking(Drifter("D", dict(storedCharge_Init=4e5, batteryStorageCapacity=3e5)), backend="eager")
     made.reset(seed=0)
     assert made.satellite.dynamics.battery_charge == 3e5
+
+
+class Looker(sats.ImagingSatellite):
+    observation_spec = [
+        obs.OpportunityProperties(
+            *(dict(prop=name) for name in ("priority", "r_LP_P", "opportunity_open", "opportunity_mid", "opportunity_close")),
+            n_ahead_observe=1,
+        )
+    ]
+    action_spec = [act.Image(n_ahead_image=1), act.Charge(duration=10.0)]
+    dyn_type = dyn.ImagingDynModel
+    fsw_type = fsw.ImagingFSWModel
+
+
+def looking(**sat_args):
+    return SatelliteTasking(
+        Looker("L", sat_args), scene.UniformTargets(np.int64(300)), data.UniqueImageReward(), time_limit=20.0, backend="eager"
+    )
+
+
+def test_environments_can_be_copied_before_their_first_reset():
+    env = looking()
+    other = copy.deepcopy(env)
+    assert np.array_equal(env.reset(seed=1)[0], other.reset(seed=1)[0])
+    assert np.array_equal(env.step(1)[0], other.step(1)[0])
+    with pytest.raises(TypeError, match="copy the environment before its first reset"):
+        copy.deepcopy(env)
+
+
+@pytest.mark.parametrize(
+    ("sat_args", "message"),
+    [
+        (dict(storedCharge_Init="100000"), "sat_args: storedCharge_Init='100000' must be a finite number of W s"),
+        (dict(oe=float("nan")), "sat_args: oe=nan must have the attributes a, e, i, Omega, omega, f"),
+    ],
+)
+def test_arguments_of_the_wrong_kind_are_named(sat_args, message):
+    with pytest.raises(ValueError, match=message):
+        looking(**sat_args).reset(seed=0)
+
+
+def test_the_length_of_a_tick_is_checked():
+    with pytest.raises(ValueError, match=r"sim_rate=0 must be a number in \[0.001, 60\] s"):
+        SatelliteTasking(Drifter("D"), sim_rate=0)

@@ -2,6 +2,7 @@
 
 import errno
 import os
+from pathlib import Path
 
 import pytest
 from torch._inductor import config
@@ -188,6 +189,23 @@ def test_a_folder_in_use_is_named(run, folder):
 
 
 # -- what fails in the middle of a command ----------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a folder without room for files that seems writable")
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("eval", "random", "--seeds", "0:1", "--out", "/proc/x"),
+        ("dataset", "NadirScan-v1", "--seeds", "0:1", "--out", "/proc/x"),
+        ("train", "NadirScan-v1", "--out", "/proc/x"),
+    ],
+)
+def test_a_folder_without_room_for_files_is_named_before_the_work(run, folder, arguments, monkeypatch):
+    monkeypatch.setattr("bsk_torch.files.os.access", lambda *_: True)  # as for the superuser
+    result = run(*arguments)
+    assert result.exit_code == 1
+    assert "'/proc/x' cannot be " in result.output
+    assert "no file can be made in the folder '/proc'" in result.output
 
 
 def test_a_full_disk_is_named(run, folder, monkeypatch):

@@ -1,5 +1,6 @@
 """Every mistake is answered before anything runs, with the value and what is allowed."""
 
+import copy
 import os
 import re
 import subprocess
@@ -18,6 +19,7 @@ from bsk_torch.env.options import TaskingOptions
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
 from bsk_torch.scene.cities import city_table
 from bsk_torch.sim import dyn, fsw
+from bsk_torch.sim.readout.observables import Arguments
 
 
 def make(sat_args=None, **options):
@@ -99,6 +101,30 @@ def test_devices(device):
         pytest.skip("there is one")
     with pytest.raises(ValueError, match=re.escape(f"device={str(device)!r} is not available (available: cpu")):
         make(device=device)
+
+
+def test_an_environment_stays_on_its_device(monkeypatch):
+    env = make()
+    assert env.to("cpu:0") is env
+    for device in ("cuda:99", "cud", "meta"):
+        with pytest.raises(ValueError, match=f"device='{device}' is not available"):
+            env.to(device)
+    monkeypatch.setattr("bsk_torch.env.base.existing_device", torch.device)
+    with pytest.raises(ValueError, match="device='cuda:1': an environment stays on 'cpu'; make one with device='cuda:1'"):
+        env.to("cuda:1")
+    assert env.rollout(1).device == torch.device("cpu")
+
+
+def test_a_switch_without_effect_is_checked():
+    with pytest.raises(ValueError, match="generate_obs_retasking_only='no' must be True or False"):
+        make(generate_obs_retasking_only="no")
+
+
+def test_arguments_that_are_missing_are_missing_attributes():
+    arguments = Arguments({"mass": 3.0}.__getitem__)
+    assert arguments.mass == 3.0
+    assert not hasattr(arguments, "mas")
+    assert copy.copy(arguments).mass == 3.0
 
 
 # -- memory -----------------------------------------------------------------------------------------------------------------

@@ -132,7 +132,8 @@ def test_satellites_of_a_team_are_named_and_own_functions_are_events():
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (dict(event="deaht"), "must be 'death', or a property with a limit"),
+        (dict(event="deaht"), "must be 'death', or a property with a limit such as .*; did you mean 'death'"),
+        (dict(event="x"), "must be 'death', or a property with a limit such as 'battery_charge_fraction<0.05'$"),
         (dict(event="batery_charge_fraction<0.1"), "did you mean 'battery_charge_fraction'"),
         (dict(level="batery"), "did you mean 'battery'"),
         (dict(level="buffer"), "level='buffer' is not a limit of the satellites"),

@@ -83,7 +83,7 @@ class UniformTargets(Scenario):
     def reset_pre_sim_init(self) -> None:
         """Draw targets and add them to the locations of satellites."""
         n = self._n_targets
-        self.n_targets = n if isinstance(n, int) else int(np.random.randint(n[0], n[1]))
+        self.n_targets = int(n) if isinstance(n, int | np.integer) else int(np.random.randint(n[0], n[1]))
         logger.info("Generating %d targets", self.n_targets)
         self.regenerate_targets()
         for satellite in self.satellites:

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import number
 from bsk_torch.act.base import Action as CoreAction
 from bsk_torch.astro.atmosphere import top_radius
 from bsk_torch.astro.orbit import periapsis_radius
@@ -176,7 +177,10 @@ def _own_values(satellite: Any) -> dict[str, Any]:
         )
         values["storageInit"] = 0
     if "storedCharge_Init" in values:  # what the battery does in its first tick
-        values["storedCharge_Init"] = min(values["storedCharge_Init"], values["batteryStorageCapacity"])
+        charge = (
+            number(f"sat_args: {name}", values[name], unit="W s") for name in ("storedCharge_Init", "batteryStorageCapacity")
+        )
+        values["storedCharge_Init"] = min(charge)
     return values
 
 

@@ -96,6 +96,13 @@ class Simulator:
             self.dynamics_list[satellite.name] = satellite.set_dynamics(sim_rate)
             self.fsw_list[satellite.name] = satellite.set_fsw(sim_rate)
 
+    def __getstate__(self) -> Any:
+        """Raise TypeError, as Basilisk's simulation does: the core reads the arguments of this episode from its environment."""
+        raise TypeError(
+            "the simulation of an episode cannot be copied or pickled, as in bsk_rl: copy the environment before its first "
+            "reset. Episodes of bsk_torch.SatelliteTasking can be copied with env.restore: docs/how_to/save_and_branch.md"
+        )
+
     def finish_init(self) -> None:
         """Finish a reset; nothing is left to do."""
 

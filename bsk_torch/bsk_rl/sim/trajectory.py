@@ -43,6 +43,9 @@ ALL_HOURS = 1 << 30
 BEHIND_SAMPLES = COUNT * NODE_SPACING
 """Seconds of the orbit behind the last sample, so that what is interpolated does not depend on how far it has been solved."""
 
+ELEMENTS = "a", "e", "i", "Omega", "omega", "f"
+"""Attributes of orbital elements: m, -, rad."""
+
 NOT_FOUND = 1.0, 1.0
 """Answer of a search for eclipses that fails, s."""
 
@@ -51,13 +54,15 @@ def initial_state(rN: Any, vN: Any, oe: Any, mu: float) -> tuple[Vector, Vector]
     """Return position, m, and velocity, m/s, in N from either of bsk_rl's two forms.
 
     Raises:
-        ValueError: Unless exactly one of ``oe`` and the pair ``rN``, ``vN`` is given.
+        ValueError: Unless exactly one of ``oe`` and the pair ``rN``, ``vN`` is given, and if ``oe`` lacks an element.
     """
     if oe is None and rN is not None and vN is not None:
         return np.array(rN, dtype=float).reshape(3), np.array(vN, dtype=float).reshape(3)
     if oe is None or rN is not None or vN is not None:
         raise ValueError("an orbit is given by oe, or by rN and vN with oe=None; exactly one of the two")
-    values = (torch.tensor(float(getattr(oe, name)), dtype=torch.float64) for name in ("a", "e", "i", "Omega", "omega", "f"))
+    if not all(hasattr(oe, name) for name in ELEMENTS):
+        raise ValueError(f"sat_args: oe={oe!r} must have the attributes {', '.join(ELEMENTS)}, such as random_orbit() returns")
+    values = (torch.tensor(float(getattr(oe, name)), dtype=torch.float64) for name in ELEMENTS)
     r, v = elements_to_rv(Elements(*values), torch.tensor(float(mu), dtype=torch.float64))
     return r.stack().numpy(), v.stack().numpy()
 

@@ -378,7 +378,7 @@ def check_ephemeris(drawn: EpisodeDraw, limit: Tensor) -> None:
         beyond = float(ends.max()) - coverage()[1]
         if beyond > 0.0:
             raise ValueError(
-                f"world_args: utc_init and time_limit: an episode would end {beyond:.0f} s after the ephemeris table, which "
+                f"world_args: utc_init and time_limit: an episode would end {beyond:.10g} s after the ephemeris table, which "
                 f"covers {coverage_in_words()} (TDB); give an earlier utc_init or a shorter time_limit"
             )
 

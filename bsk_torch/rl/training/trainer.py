@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import logging
-import os
 import shlex
 import threading
 import time
@@ -21,7 +20,7 @@ from torchrl.collectors import BaseCollector
 
 from bsk_torch import __version__
 from bsk_torch.constants import DAY
-from bsk_torch.files import PART
+from bsk_torch.files import PART, unwritable
 from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
 from bsk_torch.rl.networks.plans import MEMORY
 from bsk_torch.rl.policies.checksummed import load_checksummed, save_checksummed
@@ -421,10 +420,8 @@ def check_folder(out: Path) -> None:
         FolderLock(out).release()
     check_empty(out)
     there = next(folder for folder in (out, *out.absolute().parents) if folder.exists())
-    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
-        raise PermissionError(
-            f"{str(out)!r} cannot be written: {str(there)!r} is {'read-only' if there.is_dir() else 'not a folder'}"
-        )
+    if (why := unwritable(there) if there.is_dir() else f"{str(there)!r} is not a folder") is not None:
+        raise PermissionError(f"{str(out)!r} cannot be written: {why}")
 
 
 def check_empty(out: Path) -> None:

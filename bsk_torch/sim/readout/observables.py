@@ -42,8 +42,13 @@ class Arguments:
         self._read = read
 
     def __getattr__(self, name: str) -> Any:
-        """Return the argument ``name``."""
-        value = self._read(name)
+        """Return the argument ``name``; AttributeError if there is none, which ``copy`` and ``hasattr`` rely on."""
+        if name.startswith("__"):
+            raise AttributeError(name)
+        try:
+            value = self._read(name)
+        except KeyError as error:
+            raise AttributeError(error.args[0], name=name, obj=self) from error
         setattr(self, name, value)
         return value
 
