@@ -36,11 +36,19 @@ SCRIPTS = {
     "safe_inspection_trained": "safe_autonomy",
     "risk_scan": "risk",
     "risk_large": "risk",
+    "risk_screen": "risk",
+    "risk_screen_known": "risk",
+    "risk_screen_loss": "risk",
     "computation_aeos": "return_vs_computation",
     "computation_power": "return_vs_computation",
     "computation_clouds": "return_vs_computation",
     "computation_scan": "return_vs_computation",
     "computation_inspection": "return_vs_computation",
+    "computation_minute_aeos": "return_vs_computation",
+    "computation_minute_inspection": "return_vs_computation",
+    "distillation_aeos": "distillation",
+    "sustained_unseen": "sustained",
+    "sustained_searched": "sustained",
     "adversary_wide": "adversary",
     "adversary_alone": "adversary",
     "adversary_trained": "adversary",
@@ -66,10 +74,19 @@ def made(name: str) -> str:
 
 
 def invocation(script: str, name: str, options: dict[str, Any]) -> list[str]:
-    """Return the words of the command that writes a result, an option with its first value each."""
+    """Return the words of the command that writes a result, an option with its first value each.
+
+    Raises:
+        FileNotFoundError: If there is no such script.
+    """
+    if not (ROOT / "benchmarks" / f"{script}.py").exists():
+        raise FileNotFoundError(f"benchmarks/{script}.py does not exist; SCRIPTS has the script that writes {name}.json")
     words = [f"python benchmarks/{script}.py"]
     for option, value in (options | {"out": f"benchmarks/results/{name}.json"}).items():
-        if value in (None, "", []):
+        if value is False or value in (None, "", []):
+            continue
+        if value is True:
+            words.append(f"--{option.replace('_', '-')}")
             continue
         shown = "PYTHON" if option == "basilisk" else value
         first, *more = [quoted(str(v)) for v in shown] if isinstance(shown, list) else [quoted(str(shown))]
