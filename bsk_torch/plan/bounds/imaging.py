@@ -60,7 +60,7 @@ def imaging_bound(
 
     With the least times of single slews and full episodes of AEOS-v1 it is hardly lower than ``in_view``, whatever the number of
     targets tried. ``Envelope.load(SUSTAINED)`` has times that policies do not beat for long; with 10,000 targets, they lower the
-    bound by more than two fifths, in more than ten times the computation: paths also remember the direction that satellites
+    bound by more than a third, in more than ten times the computation: paths also remember the direction that satellites
     come from. Energy and storage of AEOSPower-v1 would suffice for images of all targets in view, so that constraints on them
     would not lower it (``docs/studies/bounds.md`` has the figures).
 
