@@ -146,7 +146,7 @@ def main() -> None:
         earlier = json.loads(options.out.read_text())
         if all(earlier["options"][name] == getattr(options, name) for name in ("episodes", "time_limit", "seed")):
             known = earlier["rows"]
-            collected = {row["targets"]: row["planner"] for row in known} if earlier["planner"] == PLANNER else {}
+            collected = {row["targets"]: row["planner"] for row in known} if earlier.get("planner") == PLANNER else {}
     found = {(row["targets"], row["times"]): row for row in known}
     for targets in options.targets:
         found |= {(targets, row["times"]): row for row in rows_of(options, targets, described["commit"])}

@@ -3,7 +3,7 @@
 Usage:
     python benchmarks/return_vs_computation.py [--presets AEOS-v1 AEOSPower-v1 CloudyAEOS-v1 NadirScan-v1 RSOInspection-v1]
         [--lines rule MILP ...] [--episodes 64] [--least 4] [--core-seconds 120] [--timing-seconds 2] [--first 3000000]
-        [--dearest 15] [--limit 0] [--minute] [--out FILE.json]
+        [--dearest 15] [--limit 0] [--minute 0] [--out FILE.json]
     python benchmarks/return_vs_computation.py --draw FILE.json ... --figure FILE.png
 
 Seconds are CPU seconds of one core for one decision, in an environment of a single episode: what a computer that decides for
@@ -11,8 +11,8 @@ one satellite needs. Returns come from batches, on which decisions do not depend
 two between ``--least`` and ``--episodes``, as would take ``--core-seconds`` one after the other; gains are paired with the best
 rule in the same episodes. Sizes of planners are tried in the order of their computation; behind the first one that needs more
 than ``--dearest`` seconds for a decision, the others of its line are left out. The episodes of tasks are shorter than those of
-their presets, see ``CASES``, or have ``--limit`` seconds. The rules were chosen in other episodes. ``--minute`` adds planners
-that need about a minute for a decision, see ``MINUTE``; with four episodes, each takes about an hour.
+their presets, see ``CASES``, or have ``--limit`` seconds. The rules were chosen in other episodes. ``--minute 1``
+adds planners that need about a minute for a decision, see ``MINUTE``; other values multiply their budgets.
 """
 
 from __future__ import annotations
@@ -139,9 +139,9 @@ CASES = {
     ),
 }
 
-MINUTE: dict[str, tuple[Line, ...]] = {
-    "AEOS-v1": (Line("tree search", "mcts", "trained", (dict(budget=6000),)),),
-    "RSOInspection-v1": (Line("tree search over the rule", "mcts", "rule", (dict(budget=500),)),),
+MINUTE = {
+    "AEOS-v1": Line("tree search", "mcts", "trained", (dict(budget=6000),)),
+    "RSOInspection-v1": Line("tree search over the rule", "mcts", "rule", (dict(budget=500),)),
 }
 """Planners that need about a minute for a decision on one slow core."""
 
@@ -279,7 +279,10 @@ def rows_of(task: str, options: Any, done: Callable[[dict[str, Any]], None]) -> 
     flights = Flights(case, options)
     rule = flights.played(partial(policy_of, case=case, line=case.lines[0], size={}), options.episodes)
     lines = [line for line in case.lines if not options.lines or line.name in options.lines]
-    for line in (*lines, *(MINUTE.get(task, ()) if options.minute else ())):
+    if options.minute and task in MINUTE:
+        longest = MINUTE[task]
+        lines.append(longest._replace(sizes=tuple(dict(budget=round(options.minute * size["budget"])) for size in longest.sizes)))
+    for line in lines:
         for size in line.sizes:
             single = flights.env(1)
             timing = timed(policy_of(single, case, line, size), single, options.first, options.timing_seconds)
@@ -329,10 +332,10 @@ def main() -> None:
         first=3_000_000,
         dearest=15.0,
         limit=0.0,
+        minute=0.0,
     )
     names = list(dict.fromkeys(line.name for case in CASES.values() for line in case.lines))
     arguments.add_argument("--lines", nargs="+", choices=names, help="only these methods")
-    arguments.add_argument("--minute", action="store_true", help="also planners that think for about a minute")
     arguments.add_argument("--draw", type=Path, nargs="+", metavar="FILE.json", help="draw these results, and play nothing")
     arguments.add_argument("--figure", type=Path, metavar="FILE.png", help="draw what was played, or --draw")
     options, described = harness.begin(arguments)

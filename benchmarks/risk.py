@@ -26,7 +26,7 @@ from bsk_torch.env import Tasking
 from bsk_torch.plan.base_policies import Base, base_of
 from bsk_torch.plan.rare_events import rare_event
 from bsk_torch.plan.rare_flights import Flights
-from bsk_torch.plan.risk import LEARNED, METHODS, MOST_LEARNED, SUBSET, Risk, interval, risk
+from bsk_torch.plan.risk import METHODS, SUBSET, Risk, interval, learned_from, risk
 from bsk_torch.plan.screened import ScreenedSampling
 from bsk_torch.plan.subset import Flown, SubsetSimulation, Tally
 from bsk_torch.rand import Key
@@ -98,7 +98,7 @@ def known(probability: float, options: Any, seed: int) -> tuple[Tensor, Tally]:
         simulation = SubsetSimulation(fly, options.episodes, seed)
         stages = simulation.climb(0.1 * probability).stages
         return simulation.repeat(stages, options.repetitions).estimates, simulation.tally
-    learned = min(int(LEARNED * options.episodes * options.repetitions), MOST_LEARNED)
+    learned = learned_from(options.episodes, options.repetitions)
     sampling = ScreenedSampling(fly, lambda seeds: terms(seeds, TERMS - 1), options.episodes, options.pool, learned, limit, seed)
     return sampling.repeat(sampling.learn(), options.repetitions).estimates, sampling.tally
 

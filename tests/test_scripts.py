@@ -196,6 +196,11 @@ STARTS: dict[str, list[Start]] = {
             "--dearest 0",
             r"(?s)\| MILP \| seconds=\d+ \| 2 \| .*\| multipliers \| iterations=3 \| 2 \| ",
         ),
+        Start(
+            "--presets AEOS-v1 --lines rule --minute 0.001 --limit 300 --episodes 1 --least 1 --core-seconds 0 "
+            "--timing-seconds 0",
+            r"\| tree search \| budget=6 \| 1 \| ",
+        ),
     ],
     "benchmarks/distillation.py": [
         Start(
@@ -228,8 +233,8 @@ STARTS: dict[str, list[Start]] = {
             r"(?s)\| 0.20 to 0.21 \| .*\| AEOS-v1/9999 \| rollout over trained \| \d+ \| [\d.]+ \| .*\"reserve\": \d+\.\d",
         ),
         Start(
-            f"--fitted {ROOT}/bsk_torch/plan/bounds/agile_sustained.json --scale 0.01 --planned 1 --time-limit 900",
-            r"\| AEOS-v1/9999 \| rollout over trained \| \d+ \| [\d.]+ \| \d+ \|",
+            f"--fitted {ROOT}/bsk_torch/plan/bounds/agile_sustained.json --scale 0.01 --planned 1 --searched 1 --time-limit 600",
+            r"(?s)\| rollout over trained \| \d+ \| [\d.]+ \| \d+ \|.*\| beam search over trained \| \d+ \| [\d.]+ \| ",
         ),
     ],
     "benchmarks/resources.py": [

@@ -193,6 +193,11 @@ class Risk:
         }
 
 
+def learned_from(episodes: int, repetitions: int) -> int:
+    """Return the number of episodes from which screened sampling learns, given those of a repetition, and the repetitions."""
+    return min(int(LEARNED * episodes * repetitions), MOST_LEARNED)
+
+
 def risk(
     env: Tasking,
     policy: Base = None,
@@ -251,7 +256,7 @@ def risk(
     whole("seed", seed, 0)
     if method == SUBSET:
         return _by_subsets(flights, SubsetSimulation(flights, episodes, seed, tell=tell), smallest, repetitions)
-    learned = min(int(LEARNED * episodes * repetitions), MOST_LEARNED)
+    learned = learned_from(episodes, repetitions)
     sampling = ScreenedSampling(flights, flights.draws, episodes, pool, learned, flights.event.threshold, seed, tell=tell)
     screen = sampling.learn()
     return _by_screening(flights, screen, sampling.repeat(screen, repetitions), sampling)

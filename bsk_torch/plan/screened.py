@@ -23,7 +23,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.plan.subset import SEEDS, Fly, Sample, Tally
-from bsk_torch.plan.surrogate import Chance, Surrogate, chance, fitted
+from bsk_torch.plan.surrogate import Chance, Surrogate, chance, fitted, largest_finite
 from bsk_torch.rand import Key
 
 BLIND = 0.1
@@ -156,9 +156,7 @@ class ScreenedSampling:
 
     def _fitted(self, sample: Sample, k: int) -> tuple[Surrogate, Tensor]:
         """Return the surrogate of the episodes, and their levels [n], the largest finite one for those with the event."""
-        level = sample.flown.level
-        finite = level[level < torch.inf]
-        level = level.clamp(max=float(finite.max()) if len(finite) else 0.0)
+        level = sample.flown.level.clamp(max=largest_finite(sample.flown.level))
         values = self.draws(sample.seeds)
         return fitted(values, level, self._lots("fit", k, len(level))[: len(level)]), level
 

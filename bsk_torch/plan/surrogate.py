@@ -107,7 +107,7 @@ class Chance:
     """Probability of an event, given a predicted level.
 
     It is ``1 / (1 + exp(-(slope z + offset)))`` with ``z = (predicted level - threshold) / spread``, but no less than the tail of
-    the errors, ``share exp(-(threshold - predicted level - begin) / scale)``, where the prediction is more than ``begin`` below
+    the errors, ``TAIL exp(-(threshold - predicted level - begin) / scale)``, where the prediction is more than ``begin`` below
     the threshold.
     """
 
@@ -117,13 +117,12 @@ class Chance:
     offset: float
     begin: float
     scale: float
-    share: float
 
     def __call__(self, level: Tensor) -> Tensor:
         """Return the probabilities [m] for predicted levels [m]."""
         near = torch.sigmoid(self.slope * (level - self.threshold) / self.spread + self.offset)
         beyond = self.threshold - level - self.begin
-        return torch.maximum(near, torch.where(beyond >= 0.0, self.share * torch.exp(-beyond / self.scale), 0.0))
+        return torch.maximum(near, torch.where(beyond >= 0.0, TAIL * torch.exp(-beyond / self.scale), 0.0))
 
 
 def fitted(values: Tensor, level: Tensor, lots: Tensor) -> Surrogate:
@@ -154,6 +153,12 @@ def fitted(values: Tensor, level: Tensor, lots: Tensor) -> Surrogate:
     weights = weights * size
     weights[-1] += mean
     return Surrogate(scaling, lengths, centers, weights, left_out, max(float((left_out - level).std()), 1e-12))
+
+
+def largest_finite(level: Tensor) -> float:
+    """Return the largest finite level, 0 if there is none: that of episodes with the event, for the surrogate."""
+    finite = level[level < torch.inf]
+    return float(finite.max()) if len(finite) else 0.0
 
 
 def chance(surrogate: Surrogate, level: Tensor, threshold: float) -> Chance:
@@ -188,17 +193,17 @@ def chance(surrogate: Surrogate, level: Tensor, threshold: float) -> Chance:
     return Chance(threshold, spread, max(slope, 0.0), offset, *_tail(surrogate, level))
 
 
-def _tail(surrogate: Surrogate, level: Tensor) -> tuple[float, float, float]:
-    """Return begin, scale and share of the tail of the errors: exponential, by maximum likelihood.
+def _tail(surrogate: Surrogate, level: Tensor) -> tuple[float, float]:
+    """Return begin and scale of the tail of the errors: exponential, by maximum likelihood.
 
-    Episodes with the event end there, so that their errors are known to be larger only.
+    The surrogate learned the largest finite level from episodes with the event, whose errors may be larger.
     """
     known = level < torch.inf
-    errors = torch.where(known, level, level[known].max()) - surrogate.left_out
+    errors = level.clamp(max=largest_finite(level)) - surrogate.left_out
     begin = float(errors.quantile(1.0 - TAIL))
     beyond = errors > begin
     excess = float((errors[beyond] - begin).sum())
-    return begin, max(excess / max(int((beyond & known).sum()), 1), 1e-12), TAIL
+    return begin, max(excess / max(int((beyond & known).sum()), 1), 1e-12)
 
 
 def _ordered(level: Tensor, lots: Tensor) -> Tensor:

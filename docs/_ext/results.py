@@ -47,7 +47,7 @@ SCRIPTS = {
     "computation_minute_aeos": "return_vs_computation",
     "computation_minute_inspection": "return_vs_computation",
     "distillation_aeos": "distillation",
-    "sustained_unseen": "sustained",
+    "sustained_checked": "sustained",
     "sustained_searched": "sustained",
     "adversary_wide": "adversary",
     "adversary_alone": "adversary",
@@ -83,10 +83,7 @@ def invocation(script: str, name: str, options: dict[str, Any]) -> list[str]:
         raise FileNotFoundError(f"benchmarks/{script}.py does not exist; SCRIPTS has the script that writes {name}.json")
     words = [f"python benchmarks/{script}.py"]
     for option, value in (options | {"out": f"benchmarks/results/{name}.json"}).items():
-        if value is False or value in (None, "", []):
-            continue
-        if value is True:
-            words.append(f"--{option.replace('_', '-')}")
+        if value in (None, "", []):
             continue
         shown = "PYTHON" if option == "basilisk" else value
         first, *more = [quoted(str(v)) for v in shown] if isinstance(shown, list) else [quoted(str(shown))]

@@ -188,9 +188,6 @@ def test_a_folder_in_use_is_named(run, folder):
     lock.release()
 
 
-# -- what fails in the middle of a command ----------------------------------------------------------------------------
-
-
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a folder without room for files that seems writable")
 @pytest.mark.parametrize(
     "arguments",
@@ -206,6 +203,9 @@ def test_a_folder_without_room_for_files_is_named_before_the_work(run, folder, a
     assert result.exit_code == 1
     assert "'/proc/x' cannot be " in result.output
     assert "no file can be made in the folder '/proc'" in result.output
+
+
+# -- what fails in the middle of a command ----------------------------------------------------------------------------
 
 
 def test_a_full_disk_is_named(run, folder, monkeypatch):

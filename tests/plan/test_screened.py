@@ -1,6 +1,7 @@
 """Screened sampling finds known probabilities without bias, whatever its surrogate predicts."""
 
 import math
+from dataclasses import replace
 from statistics import NormalDist
 
 import pytest
@@ -9,7 +10,7 @@ import torch
 from bsk_torch.plan.risk import interval
 from bsk_torch.plan.screened import BLIND, ScreenedSampling, _bernoulli, _chosen, _proportional
 from bsk_torch.plan.subset import Flown
-from bsk_torch.plan.surrogate import chance, fitted
+from bsk_torch.plan.surrogate import TAIL, chance, fitted
 from bsk_torch.rand import Key
 
 LOTS = torch.rand(4000, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
@@ -126,3 +127,22 @@ def test_a_surrogate_ignores_what_does_not_matter_and_accepts_what_never_happens
     assert float((likely - (level[400:] > 1.0).double()).abs().mean()) < 0.05
     without = chance(found, level[:400], 9.0)(torch.tensor([8.9, 9.0], dtype=torch.float64))
     assert 0.0 < float(without[0]) < float(without[1]) < 1.0
+
+
+def test_errors_with_a_long_tail_make_events_likelier_far_below_the_threshold():
+    values, half = draws(torch.arange(2000)), 2000
+    errors = torch.where(LOTS[:half] > 0.9, -torch.log(LOTS[half:]), 0.05 * normal(torch.arange(half), "error").squeeze(1))
+    level = values[:, 0] + errors
+    found = chance(fitted(values, level, LOTS[:half]), level, 6.0)
+    light = replace(found, begin=1e9)
+    far = torch.tensor([2.0], dtype=torch.float64)
+    assert float(light(far)) < 1e-5
+    assert 1e-4 < float(found(far)) < TAIL
+    assert torch.equal(found(torch.tensor([6.0, 7.0]).double()), light(torch.tensor([6.0, 7.0]).double()))
+
+
+def test_the_chance_is_known_where_all_learned_episodes_have_the_event():
+    values = draws(torch.arange(100))
+    level = torch.full((100,), torch.inf, dtype=torch.float64)
+    found = chance(fitted(values, level.clamp(max=0.0), LOTS[:100]), level, 1.0)
+    assert 0.0 <= float(found(torch.zeros(1, dtype=torch.float64))) <= 1.0
