@@ -230,7 +230,7 @@ def test_unknown_argument_is_named():
         observation_spec = (obs.SatProperties(dict(prop="wrong")),)
         dyn_type = Typo
 
-    with pytest.raises(KeyError, match="batteryStorageCapacity"):
+    with pytest.raises(AttributeError, match="batteryStorageCapacity"):
         SatelliteTasking(Wrong("Wrong1"), backend="eager")
 
 
