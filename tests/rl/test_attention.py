@@ -9,7 +9,7 @@ import bsk_torch
 from bsk_torch.rl.networks.attention import LEAST
 from bsk_torch.rl.networks.normaliser import MASK, OWN, ROWS, FeatureNormaliser, symlog
 from bsk_torch.rl.networks.plans import CLOCKS, AttentionPlan, MLPPlan
-from bsk_torch.rl.policies.files import load_policy, save_policy
+from bsk_torch.rl.policies import build_policy, check_fits, load_policy, pretrained_file, read_card, save_policy
 
 N, K, F, D = 6, 5, 4, 3
 OTHERS = 2
@@ -30,7 +30,9 @@ def seen():
 
 
 def logits(networks, seen):
-    return networks.actor[0].module(*seen)
+    own, _, mask = seen
+    others = torch.ones(*own.shape[:-1], OTHERS, dtype=torch.bool)
+    return networks.actor[0].module(*seen, torch.cat([others, mask], -1))
 
 
 def value(networks, seen):
@@ -58,6 +60,37 @@ def test_padding_has_no_influence_and_is_not_chosen(networks, seen):
     assert torch.equal(logits(networks, (own, noise, mask)), logits(networks, seen))
     assert torch.equal(value(networks, (own, noise, mask)), value(networks, seen))
     assert bool((logits(networks, seen)[:, OTHERS:][~mask] == LEAST).all())
+
+
+@pytest.mark.parametrize("number", [1, K + 3])
+def test_the_number_of_images_is_that_of_the_action_mask(networks, seen, number):
+    own, rows, mask = seen
+    rows, mask = (torch.nn.functional.pad(part, pad)[:, :number] for part, pad in ((rows, (0, 0, 0, 3)), (mask, (0, 3))))
+    others, images = logits(networks, (own, rows, mask)).split([OTHERS, number], -1)
+    known, padding = logits(networks, (own, rows[:, :K], mask[:, :K])).split([OTHERS, min(number, K)], -1)
+    torch.testing.assert_close(others, known, **SUMS)
+    torch.testing.assert_close(images[:, :K], padding, **SUMS)
+    assert bool((images[:, K:] == LEAST).all())
+    assert float(others.detach().std()) > 0.0
+
+
+def test_observed_targets_without_an_action_have_no_logit(networks, seen):
+    own, rows, mask = seen
+    legal = torch.ones(N, OTHERS + 2, dtype=torch.bool)
+    torch.testing.assert_close(networks.actor[0].module(own, rows, mask, legal), logits(networks, seen)[:, : OTHERS + 2], **SUMS)
+
+
+def test_a_published_policy_chooses_among_any_number_of_targets():
+    """With fewer targets than either number, the number does not matter."""
+    card, flown = read_card(pretrained_file("AEOS-v1")), []
+    for n_ahead in (24, 48):
+        env = bsk_torch.make("AEOS-v1", num_envs=2, n_targets=20, n_ahead=n_ahead, as_set=True, time_limit=900.0, backend="eager")
+        check_fits(card, env)
+        env.set_seed(0)
+        with set_exploration_type(ExplorationType.DETERMINISTIC):
+            flown.append(env.rollout(20, build_policy(card), break_when_any_done=False)["action"])
+    assert torch.equal(*flown)
+    assert int(flown[0].max()) > 0
 
 
 def test_a_target_that_exists_does_have_influence(networks, seen):

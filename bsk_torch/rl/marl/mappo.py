@@ -222,12 +222,13 @@ class GroupLearner(Learner):
         parts = [("seen", "others", name, part) for name, plan in plans.items() for part in observed_parts(plan)]
         critic = ValueOperator(judge, in_keys=[*keys, ALIVE, *parts, CLOCK]).to(env.device)
         self.bounds: Bounds = getattr(self.plan, "bounds", ())
-        acting = DecidingOnly(self.networks.actor[0].module)
+        parameters = self.networks.actor[0]  # of the distribution
+        acting, read = DecidingOnly(parameters.module), [*parameters.in_keys, DECIDES]
         if self.bounds:
-            actor = real_actor(TensorDictModule(acting, in_keys=[*keys, DECIDES], out_keys=["loc", "scale"]), self.bounds)
+            actor = real_actor(TensorDictModule(acting, in_keys=read, out_keys=["loc", "scale"]), self.bounds)
         else:
             actor = ProbabilisticActor(
-                TensorDictModule(acting, in_keys=[*keys, DECIDES], out_keys=["logits"]),
+                TensorDictModule(acting, in_keys=read, out_keys=["logits"]),
                 in_keys={"logits": "logits", "mask": "action_mask"},
                 distribution_class=MaskedCategorical,
                 return_log_prob=True,

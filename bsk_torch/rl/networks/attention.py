@@ -59,7 +59,10 @@ class Encoder(nn.Module):
 
 
 class SetActor(nn.Module):
-    """Computes the logits of all actions: of images from the tokens of their targets, of others from the satellite's token."""
+    """Computes the logits of all actions: of images from the tokens of their targets, of others from the satellite's token.
+
+    The number of images need not be that of the training: it is the number of the action mask's columns without other actions.
+    """
 
     def __init__(self, encoder: Encoder, width: int, n_actions: int, images: range, scale: float) -> None:
         """Build for ``n_actions`` actions, of which ``images`` image the first targets.
@@ -67,22 +70,21 @@ class SetActor(nn.Module):
         Initial logits are of the order of ``scale``.
         """
         super().__init__()
-        self.encoder, self.first, self.n_images = encoder, images.start, len(images)
-        others = n_actions - len(images)
+        self.encoder, self.first, self.n_others = encoder, images.start, n_actions - len(images)
         self.image = nn.utils.skip_init(nn.Linear, width, 1)
-        self.other = nn.utils.skip_init(nn.Linear, width, others) if others else None
+        self.other = nn.utils.skip_init(nn.Linear, width, self.n_others) if self.n_others else None
         with torch.no_grad():
             for layer in filter(None, (self.image, self.other)):
                 layer.weight.normal_(0.0, scale * width**-0.5)
                 layer.bias.zero_()
 
-    def forward(self, own: Tensor, rows: Tensor, mask: Tensor) -> Tensor:
-        """Return logits [..., A]; for the arguments, with any leading dimensions, see :meth:`Encoder.forward`."""
-        batch = own.shape[:-1]
+    def forward(self, own: Tensor, rows: Tensor, mask: Tensor, legal: Tensor) -> Tensor:
+        """Return logits [..., A] of the actions with the mask ``legal`` [..., A]; for the others, see :meth:`Encoder.forward`."""
+        batch, n_images = own.shape[:-1], legal.shape[-1] - self.n_others
         own, rows, mask = own.flatten(0, -2), rows.flatten(0, -3), mask.flatten(0, -2)
         tokens = self.encoder(own, rows, mask)
-        images = self.image(tokens[:, 1 : 1 + self.n_images]).squeeze(-1)
-        images = images.masked_fill(~mask[:, : self.n_images], LEAST)
+        images = self.image(tokens[:, 1 : 1 + n_images]).squeeze(-1)
+        images = images.masked_fill(~mask[:, :n_images], LEAST)
         others = tokens[:, 0, :0] if self.other is None else self.other(tokens[:, 0])
         logits = torch.cat([others[:, : self.first], images, others[:, self.first :]], -1)
         return logits.view(*batch, -1)
@@ -98,7 +100,7 @@ class SetCritic(nn.Module):
         self.value = nn.Sequential(nn.Linear(2 * width, width), nn.ReLU(), nn.Linear(width, 1))
 
     def forward(self, own: Tensor, rows: Tensor, mask: Tensor) -> Tensor:
-        """Return the value [..., 1]; arguments as for :meth:`SetActor.forward`."""
+        """Return the value [..., 1]; for the arguments, with any leading dimensions, see :meth:`Encoder.forward`."""
         batch = own.shape[:-1]
         own, rows, mask = own.flatten(0, -2), rows.flatten(0, -3), mask.flatten(0, -2)
         tokens = self.encoder(own, rows, mask)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import torch
@@ -188,7 +188,8 @@ class Recall(TensorDictModuleBase):
 class AttentionPlan:
     """Sizes of attention networks for observations with one set of targets, and the keys of this set.
 
-    ``images`` are the first and the exclusive end of the actions that image the targets of the first rows.
+    ``images`` are the first and the exclusive end of the actions that image the targets of the first rows. The networks fit any
+    number of rows and images, not only that of the plan.
     """
 
     set_key: tuple[str, ...]
@@ -233,7 +234,12 @@ class AttentionPlan:
         actor = SetActor(self._encoder(self.n_own, len(self.hidden)), width, self.n_actions, range(*self.images), INITIAL_LOGITS)
         critic = Clocked(SetCritic(self._encoder(self.n_own + CLOCKS, 0), width))
         normaliser = SetNormaliser(self.set_key, self.own_keys, self.n_own, self.n_features)
-        return Networks(normaliser, _actor(actor, keys), ValueOperator(critic, in_keys=[*keys, CLOCK]))
+        return Networks(normaliser, _actor(actor, [*keys, "action_mask"]), ValueOperator(critic, in_keys=[*keys, CLOCK]))
+
+    def with_images(self, number: int) -> AttentionPlan:
+        """Return the plan of the same networks for another number of images."""
+        first, end = self.images
+        return replace(self, n_actions=self.n_actions - (end - first) + number, images=(first, first + number))
 
     def _encoder(self, n_own: int, blocks: int) -> Encoder:
         width = self.hidden[0]

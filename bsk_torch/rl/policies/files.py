@@ -14,7 +14,7 @@ from tensordict.nn import TensorDictModuleBase
 from bsk_torch import __version__
 from bsk_torch.env import Tasking
 from bsk_torch.env.agents import AGENTS
-from bsk_torch.rl.networks.plans import ACTOR, NORMALISER, PLANS, Networks, Plan, check_network
+from bsk_torch.rl.networks.plans import ACTOR, NORMALISER, PLANS, AttentionPlan, Networks, Plan, check_network
 from bsk_torch.rl.policies.checksummed import load_checksummed, save_checksummed
 from bsk_torch.rl.policies.shared_policy import member_views, of_groups
 
@@ -139,7 +139,10 @@ def _is_weight(value: object) -> bool:
 
 
 def check_fits(card: Mapping[str, Any], env: Tasking, preset: str | None = None) -> None:
-    """Raise ValueError, naming both sides, unless the observations and actions of ``card`` fit ``env``, a ``preset``."""
+    """Raise ValueError, naming both sides, unless the observations and actions of ``card`` fit ``env``, a ``preset``.
+
+    The number of targets to choose from may differ for attention networks.
+    """
     parts, views, where = networks_of(card), member_views(env), preset or "this environment"
     trained = " ".join([card["preset"], *(f"{name}={value!r}" for name, value in card["options"].items())])
     if len(parts) == len(views) == 1:
@@ -149,7 +152,11 @@ def check_fits(card: Mapping[str, Any], env: Tasking, preset: str | None = None)
         raise ValueError(f"the policy was trained for {trained} with groups {theirs}; {where} has {ours}")
     for group, part in parts.items():
         kind, plan = PLANS[part["network"]], part["plan"]
-        here = dataclasses.asdict(kind.of(views[group], plan["hidden"]))
+        needed = kind.of(views[group], plan["hidden"])
+        if isinstance(needed, AttentionPlan):
+            first, end = plan.get("images", needed.images)
+            needed = needed.with_images(end - first)
+        here = dataclasses.asdict(needed)
         known = {name: plan.get(name, ()) for name in here}
         differing = [name for name in here if _listed(here[name]) != _listed(known[name])]
         if differing:

@@ -43,7 +43,7 @@ def pretrained(preset: str, device: torch.device | str = "cpu") -> TensorDictMod
     """Return the pretrained policy for ``preset``, a module that writes ``action`` into the environment's tensordict.
 
     The environment needs the options used in training, ``read_card(pretrained_file(preset))["options"]``, such as
-    ``as_set=True``. Policies for constellations act for one satellite; :func:`~bsk_torch.rl.policies.shared_policy.shared`
-    applies them to all.
+    ``as_set=True``, but policies with attention choose among any number of targets, ``n_ahead`` in presets. Policies for
+    constellations act for one satellite; :func:`~bsk_torch.rl.policies.shared_policy.shared` applies them to all.
     """
     return load_policy(pretrained_file(preset), device)
