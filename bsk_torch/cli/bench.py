@@ -43,7 +43,6 @@ from bsk_torch.rl.evaluation.suite import (
     references,
     tasks_of,
 )
-from bsk_torch.rl.policies.files import check_fits
 from bsk_torch.rl.policies.pretrained import makings
 from bsk_torch.rl.policies.shared_policy import RULES, baseline, shared
 from bsk_torch.sim.arguments.values import nearest
@@ -172,9 +171,7 @@ def entrant_of(name: str, tasks: Sequence[Task] = ()) -> Entrant:
     allowed = tuple(dict.fromkeys(view for task in tasks for view in task.views)) or VIEWS
     drawn = tuple(dict.fromkeys(option for task in tasks for option in task.drawn)) or ("time_limit",)
     if name == PRETRAINED:
-        return lambda preset, make: (
-            entered(named_policy(name, preset), make, drawn, must_fit=False) if preset in makings() else None
-        )
+        return lambda preset, make: entered(named_policy(name, preset), make, drawn) if preset in makings() else None
     plain, *views = name.split(",")
     if plain.startswith(PREFIX):
         seen = [text for text in views if text.partition("=")[0] in allowed]
@@ -194,20 +191,12 @@ def entrant_of(name: str, tasks: Sequence[Task] = ()) -> Entrant:
     return lambda preset, make: entered(policy, make, drawn) if preset == policy.preset else None
 
 
-def entered(
-    policy: NamedPolicy, make: Callable[..., Tasking], drawn: Sequence[str], *, must_fit: bool = True
-) -> tuple[Tasking, Policy] | None:
+def entered(policy: NamedPolicy, make: Callable[..., Tasking], drawn: Sequence[str]) -> tuple[Tasking, Policy]:
     """Enter a policy of a file, in an environment with the views that it was trained with; see :func:`views_of`.
 
-    In tasks with other observations or actions than those of its training, the program ends, or the result is None where the
-    policy need not fit (``must_fit=False``), as one of the package that was not named for the task.
+    The program ends in tasks with other observations or actions than those of its training.
     """
     env = make(**views_of(policy, drawn))
-    if not must_fit:
-        try:
-            check_fits(policy.card, env, policy.preset)
-        except ValueError:
-            return None
     return env, shared(policy.build(env, str(env.device)), env)
 
 
