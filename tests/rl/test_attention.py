@@ -80,11 +80,12 @@ def test_observed_targets_without_an_action_have_no_logit(networks, seen):
     torch.testing.assert_close(networks.actor[0].module(own, rows, mask, legal), logits(networks, seen)[:, : OTHERS + 2], **SUMS)
 
 
+@pytest.mark.compiled
 def test_a_published_policy_chooses_among_any_number_of_targets():
     """With fewer targets than either number, the number does not matter."""
     card, flown = read_card(pretrained_file("AEOS-v1")), []
     for n_ahead in (24, 48):
-        env = bsk_torch.make("AEOS-v1", num_envs=2, n_targets=20, n_ahead=n_ahead, as_set=True, time_limit=900.0, backend="eager")
+        env = bsk_torch.make("AEOS-v1", num_envs=2, n_targets=20, n_ahead=n_ahead, as_set=True, time_limit=900.0)
         check_fits(card, env)
         env.set_seed(0)
         with set_exploration_type(ExplorationType.DETERMINISTIC):
