@@ -139,7 +139,7 @@ STARTS: dict[str, list[Start]] = {
     ],
     "benchmarks/expert_iteration.py": [
         Start(
-            "--seeds 1 --episodes 2 --evaluate 2 --planned 2 --time-limit 300 --budget 2 --epochs 1 --backend eager",
+            "--seeds 1 --episodes 2 --evaluate 2 --planned 2 --time-limit 300 --budget 2 --epochs 1",
             r"(?s)\| audited, seed 0, round 1 \| [\d.]+ \+- [\d.]+ \| .*\| planner \| ",
         ),
     ],
