@@ -94,6 +94,18 @@ def test_a_published_policy_chooses_among_any_number_of_targets():
     assert int(flown[0].max()) > 0
 
 
+@pytest.mark.parametrize(
+    "crafted",
+    [{"images": 5}, {"images": (3, 35)}, {"n_actions": 33}, {"images": (0, 33)}, {"images": ("a", "b")}, {"images": ()}],
+)
+def test_other_actions_than_images_must_be_those_of_the_training(crafted):
+    env = bsk_torch.make("AEOS-v1", num_envs=1, n_targets=20, n_ahead=24, as_set=True, time_limit=300.0, backend="eager")
+    card = read_card(pretrained_file("AEOS-v1"))
+    check_fits(card, env)
+    with pytest.raises(ValueError, match=r"the policy was trained for AEOS-v1 .* this environment has"):
+        check_fits(card | {"plan": card["plan"] | crafted}, env)
+
+
 def test_a_target_that_exists_does_have_influence(networks, seen):
     own, rows, mask = seen
     changed = rows.clone()

@@ -153,9 +153,9 @@ def check_fits(card: Mapping[str, Any], env: Tasking, preset: str | None = None)
     for group, part in parts.items():
         kind, plan = PLANS[part["network"]], part["plan"]
         needed = kind.of(views[group], plan["hidden"])
-        if isinstance(needed, AttentionPlan):
-            first, end = plan.get("images", needed.images)
-            needed = needed.with_images(end - first)
+        match needed, plan.get("images"):
+            case AttentionPlan(), (int(first), int(end)):
+                needed = needed.with_images(end - first)
         here = dataclasses.asdict(needed)
         known = {name: plan.get(name, ()) for name in here}
         differing = [name for name in here if _listed(here[name]) != _listed(known[name])]
