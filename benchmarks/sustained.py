@@ -3,7 +3,7 @@
 Usage:
     python benchmarks/sustained.py [--scale 1.0] [--planned 8] [--searched 0] [--planned-time 5700] [--reserve 52] [--margin 8]
         [--enough 20] [--share 0.25] [--lag 0.04] [--sectors 8] [--near 25000] [--rounds 2] [--seed 11] [--time-limit 17100]
-        [--window 1200] [--envelope FILE.json] [--fitted FILE.json] [--lowered 1.0] [--out FILE.json]
+        [--window 1200] [--envelope FILE.json] [--fitted FILE.json] [--lowered 1.0] [--spare 2.0] [--out FILE.json]
 
 Several policies fly AEOS-v1, AEOSCity-v1 and AEOSPower-v1. A rollout planner flies ``--planned`` episodes of ``--planned-time``
 seconds, and beam search ``--searched`` episodes; ``--reserve`` is the lead in ticks that the times are chosen for, and
@@ -14,8 +14,10 @@ angle by how often the best path of the bound uses it, in ``--window`` seconds o
 ``--rounds`` times: the first weights are those of the flights. The times are then checked on as many other episodes of the
 planners, and half as many of the other policies. ``--scale`` multiplies the number of episodes of the policies; ``--envelope``
 names the file for the times, such as ``bsk_torch/plan/bounds/agile_sustained.json``. ``--fitted`` names times of an earlier run,
-which are only checked on the episodes of another ``--seed``. ``--envelope`` then gets these times, multiplied by ``--lowered``,
-with a reserve that is long enough for these episodes; without lowering, it is no shorter than before.
+which are only checked on the episodes of another ``--seed``: how late images come after their windows on the clock of these
+times, each and all of a flight together. ``--envelope`` then gets the times, multiplied by ``--lowered``, with a reserve
+``--margin`` above the latest image, and ``--spare`` times the lateness of the latest flight; without lowering, neither is less
+than before.
 """
 
 from __future__ import annotations
@@ -32,7 +34,16 @@ from torch import Tensor
 
 import bsk_torch
 from bsk_torch.plan import planner
-from bsk_torch.plan.bounds import Envelope, ImageSequences, ImagingBound, imaging_bound, leads, record_images, sustained_envelope
+from bsk_torch.plan.bounds import (
+    Envelope,
+    ImageSequences,
+    ImagingBound,
+    imaging_bound,
+    lateness,
+    leads,
+    record_images,
+    sustained_envelope,
+)
 from bsk_torch.plan.bounds.envelope import SOONEST
 from bsk_torch.plan.bounds.sustained import NODES, SPACING, bins_of
 from bsk_torch.plan.bounds.tasks import agility
@@ -78,7 +89,9 @@ LEADS = {
     "policy": "{policy}",
     "images": "{images:,}",
     "largest lead, s": "{largest:.1f}",
-    "beyond the reserve": "{beyond:,}",
+    "latest image, s": "{latest:.1f}",
+    "lateness, s in 1,000 s": "{lateness:.2f}",
+    "flights beyond": "{beyond:,}",
 }
 TIMES = {
     "angle, rad": "{low:.2f} to {high:.2f}",
@@ -92,8 +105,7 @@ TIMES = {
 def fly(options: Any, case: Case, episodes: int, seed: int) -> tuple[ImageSequences, dict[str, str]]:
     """Record one case."""
     preset, targets, player = case
-    limit = min(options.time_limit, options.planned_time) if case in PLANNED else options.time_limit
-    world: dict[str, Any] = dict(num_envs=episodes, backend=options.backend, time_limit=limit)
+    world: dict[str, Any] = dict(num_envs=episodes, backend=options.backend, time_limit=limit_of(options, case))
     world |= {"n_targets": targets} if targets else {}
     learned = player in ("trained", *PLANNERS)
     env: Any = bsk_torch.make(preset, **world, **({"as_set": True} if learned else {}))
@@ -119,7 +131,7 @@ def images_of(env: Any, bound: ImagingBound) -> ImageSequences:
     time = later.clamp(max=int(env.state.limit_ticks.max())).flatten() * env.simulator.h
     row = torch.arange(len(tick)).repeat_interleave(tick.shape[1] * NODES)
     nodes = satellite_positions(env.satellite, row, time).view(*tick.shape, NODES, 3)
-    return ImageSequences(tick, places, nodes, 0)
+    return ImageSequences(tick, places, nodes, tick, bound.found, 0)
 
 
 def used(env: Any, bound: ImagingBound, envelope: Envelope) -> Tensor:
@@ -152,13 +164,27 @@ def fitted(options: Any, images: ImageSequences, args: dict[str, str]) -> Envelo
     return best[1]
 
 
-def leads_of(case: Case, images: ImageSequences, envelope: Envelope) -> dict[str, Any]:
-    """Row of the table of leads."""
-    lead = leads(images, envelope).lead
+def limit_of(options: Any, case: Case) -> float:
+    """Return the time limit of the flights of a case, s."""
+    return min(options.time_limit, options.planned_time) if case in PLANNED else options.time_limit
+
+
+def leads_of(options: Any, case: Case, images: ImageSequences, envelope: Envelope) -> dict[str, Any]:
+    """Row of the table of leads; ``beyond`` are flights with more lateness than the envelope has, in an image or altogether."""
+    h, limit, late = envelope.step, limit_of(options, case), lateness(images, envelope)
+    latest, total = late.amax(1), late.sum(1)
     name = f"one of {case[2]}" if isinstance(case[2], int) else case[2]
-    task = case[0] if case[1] is None else f"{case[0]}/{case[1]}"
-    largest, beyond = float(lead.max()) * envelope.step, int((lead > envelope.reserve).sum())
-    return dict(task=task, policy=name, images=int((images.tick >= 0).sum()), largest=largest, beyond=beyond)
+    row: dict[str, Any] = dict(task=case[0] if case[1] is None else f"{case[0]}/{case[1]}", policy=name)
+    row |= dict(images=int((images.tick >= 0).sum()), largest=float(leads(images, envelope).lead.max()) * h)
+    row |= dict(latest=float(latest.max()) * h, lateness=float(total.max()) * h / limit * 1000.0)
+    beyond = (latest > envelope.reserve) | (total > envelope.most_late(round(limit / h)))
+    return row | dict(beyond=int(beyond.sum()))
+
+
+def limits(envelope: Envelope) -> dict[str, float | None]:
+    """Return what the envelope allows: the lateness of an image, s, and that of a flight beyond one reserve, s in 1,000 s."""
+    share = envelope.lateness
+    return dict(reserve=envelope.reserve * envelope.step, lateness=None if share is None else share * 1000.0)
 
 
 def times_of(images: ImageSequences, envelope: Envelope) -> list[dict[str, float]]:
@@ -191,22 +217,25 @@ def main() -> None:
     arguments = harness.parser(
         __doc__, scale=1.0, planned=8, searched=0, planned_time=5700.0, reserve=52, margin=8, enough=20, share=0.25, lag=0.04,
         sectors=8, near=25_000.0, rounds=2, seed=11, time_limit=17_100.0, window=1200.0, backend="compiled", envelope="",
-        fitted="", lowered=1.0,
+        fitted="", lowered=1.0, spare=2.0,
     )  # fmt: skip
     options, described = harness.begin(arguments)
     if options.fitted:
         envelope = Envelope.load(Path(options.fitted))
         if options.lowered < 1.0:
             ticks = tuple(max(SOONEST, int(time * options.lowered)) for time in envelope.direct)
-            envelope = replace(envelope, direct=ticks, any=ticks, reserve=0)
+            envelope = replace(envelope, direct=ticks, any=ticks, reserve=0, lateness=None)
         flown, _ = flights(options, 1.0, options.seed)
-        rows = [leads_of(case, images, envelope) for case, images in flown]
+        rows = [leads_of(options, case, images, envelope) for case, images in flown]
+        latest = round(max(row["latest"] for row in rows) / envelope.step) + options.margin
+        share = options.spare * max(row["lateness"] for row in rows) / 1000.0
+        found = replace(envelope, reserve=max(envelope.reserve, latest), lateness=max(envelope.lateness or 0.0, share))
         if options.envelope:
-            largest = round(max(row["largest"] for row in rows) / envelope.step)
-            envelope = replace(envelope, reserve=max(envelope.reserve, largest + options.margin))
-            envelope.save(Path(options.envelope))
+            found.save(Path(options.envelope))
         print(harness.table(LEADS, rows))
-        harness.write(options, described, check=dict(reserve=envelope.reserve * envelope.step), leads=rows)
+        check = dict(known=limits(envelope), found=limits(found))
+        print(json.dumps(check))
+        harness.write(options, described, check=check, leads=rows)
         return
     known, args = flights(options, 1.0, options.seed)
     every = ImageSequences.joined([images for _, images in known])
@@ -214,7 +243,7 @@ def main() -> None:
     if options.envelope:
         envelope.save(Path(options.envelope))
     others, _ = flights(options, 0.5, options.seed + HELD_OUT)
-    fit, checked = ([leads_of(case, images, envelope) for case, images in part] for part in (known, others))
+    fit, checked = ([leads_of(options, case, images, envelope) for case, images in part] for part in (known, others))
     check = dict(reserve=envelope.reserve * envelope.step, transitions=every.transitions, carried_over=every.carried)
     check |= dict(largest=float(leads(every, envelope).lead.max()) * envelope.step)
     rows = times_of(every, envelope)

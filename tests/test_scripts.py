@@ -230,11 +230,11 @@ STARTS: dict[str, list[Start]] = {
     "benchmarks/sustained.py": [
         Start(
             "--scale 0.01 --planned 1 --time-limit 900 --window 120 --rounds 1 --enough 1",
-            r"(?s)\| 0.20 to 0.21 \| .*\| AEOS-v1/9999 \| rollout over trained \| \d+ \| [\d.]+ \| .*\"reserve\": \d+\.\d",
+            r"(?s)\| 0.20 to 0.21 \| .*\| AEOS-v1/9999 \| rollout over trained \| \d+ \| .*\"reserve\": \d+\.\d",
         ),
         Start(
             f"--fitted {ROOT}/bsk_torch/plan/bounds/agile_sustained.json --scale 0.01 --planned 1 --searched 1 --time-limit 600",
-            r"(?s)\| rollout over trained \| \d+ \| [\d.]+ \| \d+ \|.*\| beam search over trained \| \d+ \| [\d.]+ \| ",
+            r"(?s)\| rollout over trained \| \d+ \| [\d.]+ \| .*\| beam search over trained \| \d+ \| [\d.]+ \| .*\"found\": ",
         ),
     ],
     "benchmarks/resources.py": [

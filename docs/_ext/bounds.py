@@ -33,11 +33,13 @@ def sustained() -> str:
 
 
 def largest_leads(name: str) -> str:
-    """Return how far ahead of the sustained times flights get that the fit has not seen."""
+    """Return how far ahead of the sustained times flights get that the fit has not seen, and how late their images come."""
     rows = []
     for row in load(name)["leads"]:
-        rows.append([code(row["task"]), row["policy"], whole(row["images"]), f"{row['largest']:.1f}", whole(row["beyond"])])
-    return with_command(name, ["task", "policy", "images", "largest lead, s", "beyond the reserve"], rows)
+        values = [f"{row['largest']:.1f}", f"{row['latest']:.1f}", f"{row['lateness']:.2f}", whole(row["beyond"])]
+        rows.append([code(row["task"]), row["policy"], whole(row["images"]), *values])
+    head = ["task", "policy", "images", "largest lead, s", "latest image, s", "lateness, s in 1,000 s", "flights beyond"]
+    return with_command(name, head, rows)
 
 
 def bounds(*tasks: str) -> str:

@@ -18,6 +18,7 @@ from bsk_torch.plan.bounds import (
     Envelope,
     ImageSequences,
     imaging_bound,
+    lateness,
     leads,
     record_images,
     record_transitions,
@@ -27,7 +28,7 @@ from bsk_torch.plan.bounds.approach import pointing, sector_from
 from bsk_torch.plan.bounds.graph import image_graph
 from bsk_torch.plan.bounds.paths import best_paths
 from bsk_torch.plan.bounds.sustained import NODES, SPACING, _later, bins_of
-from bsk_torch.plan.bounds.windows import satellite_positions
+from bsk_torch.plan.bounds.windows import openings, satellite_positions
 from bsk_torch.rl.evaluation import evaluate
 from bsk_torch.rl.policies import pretrained
 from bsk_torch.rl.rules.baselines import BASELINES
@@ -45,7 +46,7 @@ def flights(seed: int, rows: int = 6, images: int = 40) -> ImageSequences:
     step = ((20.0 + 60.0 * angle) * luck).long() + wait
     tick = torch.cat([torch.ones(rows, 1, dtype=torch.int64), 1 + step.cumsum(1)], 1)
     tick[0, images // 2 :] = -1
-    return ImageSequences(tick, places, torch.zeros(rows, images, NODES, 3, dtype=torch.float64), 0)
+    return ImageSequences(tick, places, torch.zeros(rows, images, NODES, 3, dtype=torch.float64), tick, torch.zeros(rows), 0)
 
 
 def fitted(images: ImageSequences, reserve: int, **options: Any) -> Envelope:
@@ -113,18 +114,21 @@ def test_what_cannot_be_fitted_is_refused():
 
 
 def optimum(tiny: Tiny, times: Envelope) -> float:
-    """The best schedule that is never ahead of the times by more than the reserve: all orders, each image as early as can be."""
+    """The best schedule whose images are no later than allowed, each and together: all orders, each image as early as can be."""
     spans = {int(t): (int(a), int(b)) for t, a, b in zip(*tiny.openings[1:], strict=True)}
     best = 0.0
     for count in range(1, len(spans) + 1):
         for order in itertools.permutations(spans, count):
             tick = clock = spans[order[0]][0]
+            late = 0
             for before, target in itertools.pairwise(order):
                 angle = angle_between(tiny.places[before], tiny.places[target])
                 due = clock + int(times.least(angle.unsqueeze(0), direct=True))
-                tick = max(spans[target][0], tick + 2, due - times.reserve)
+                tick = max(spans[target][0], tick + 2)
                 clock = max(tick, due)
-                if tick > spans[target][1]:
+                behind = max(0, clock - spans[target][1])
+                late += behind
+                if tick > spans[target][1] or behind > times.reserve or late > times.most_late(tiny.cells):
                     break
             else:
                 best = max(best, float(tiny.priority[0, list(order)].sum()))
@@ -135,16 +139,17 @@ def bound_of(tiny: Tiny, times: Envelope, ticks: int) -> float:
     cells = (tiny.cells + times.reserve) // ticks + 2
     windows = tiny.openings._replace(last=tiny.openings.last + times.reserve)
     graph = image_graph(windows, torch.zeros(1, cells, 3).double(), tiny.places.unsqueeze(0), times, ticks, cells)
-    return float(best_paths(graph, tiny.priority, iterations=300, bits=4, gap=0.0).upper)
+    return float(best_paths(graph, tiny.priority, budget=times.most_late(tiny.cells), iterations=300, bits=4, gap=0.0).upper)
 
 
 @pytest.mark.parametrize("seed", range(12))
 @pytest.mark.parametrize("ticks", [1, 2])
 @pytest.mark.parametrize("reserve", [0, 2, 5])
-def test_no_schedule_within_the_reserve_exceeds_the_bound(seed, ticks, reserve):
+@pytest.mark.parametrize("lateness", [None, 0.0, 0.02])
+def test_no_schedule_within_the_reserve_exceeds_the_bound(seed, ticks, reserve, lateness):
     tiny = Tiny(seed)
     slow = (3, 6, 6, 9, 10, 10, 12, 12, 13, 13)
-    times = replace(tiny.envelope, direct=slow, any=slow, reserve=reserve)
+    times = replace(tiny.envelope, direct=slow, any=slow, reserve=reserve, lateness=lateness)
     best = optimum(tiny, times)
     assert best <= bound_of(tiny, times, ticks) + 1e-9
     if reserve == 0 and ticks == 1:
@@ -159,6 +164,28 @@ def test_longer_times_and_less_reserve_lower_the_bound(seed):
     upper = bound_of(tiny, times, 1)
     assert bound_of(tiny, replace(times, reserve=0), 1) <= upper + 1e-3
     assert upper <= bound_of(tiny, replace(times, direct=(2,) * 10, any=(2,) * 10), 1) + 1e-3
+    limited = [bound_of(tiny, replace(times, lateness=lateness), 1) for lateness in (0.0, 0.02, 1.0)]
+    assert all(less <= more + 1e-3 for less, more in itertools.pairwise(limited))
+    assert limited[-1] == pytest.approx(upper, abs=1e-3)
+
+
+def test_a_schedule_of_the_relaxation_keeps_to_the_lateness_and_can_start_from_other_multipliers():
+    lower = 0
+    for seed in range(6):
+        tiny = Tiny(seed)
+        slow = (3, 6, 6, 9, 10, 10, 12, 12, 13, 13)
+        times = replace(tiny.envelope, direct=slow, any=slow, reserve=5, lateness=0.0)
+        windows = tiny.openings._replace(last=tiny.openings.last + 5)
+        cells = tiny.cells + 7
+        graph = image_graph(windows, torch.zeros(1, cells, 3).double(), tiny.places.unsqueeze(0), times, 1, cells)
+        first = best_paths(graph, tiny.priority, budget=2.0, iterations=40, bits=4, gap=0.0)
+        nodes = first.nodes[first.nodes >= 0]
+        assert int(graph.late[nodes].sum()) <= 2
+        assert torch.equal(graph.late, (graph.cell - tiny.openings.last[graph.window]).clamp(min=0))
+        again = best_paths(graph, tiny.priority, budget=2.0, iterations=40, bits=4, gap=0.0, start=first)
+        assert float(again.upper) <= float(first.upper) + 1e-9
+        lower += float(first.price) > 0.0
+    assert lower
 
 
 # -- flights ------------------------------------------------------------------------------------------------------------------
@@ -183,22 +210,51 @@ def test_positions_between_the_recorded_ones_are_good_to_meters():
     assert float((_later(images.r_P[:, 0], later) - exact).norm(dim=1).max()) < 10.0
 
 
+def assert_in_time(images: ImageSequences, times: Envelope, env: Any) -> None:
+    late = lateness(images, times)
+    assert int(late.max()) <= times.reserve
+    assert float(late.sum(1).max()) <= times.most_late(int(env.state.limit_ticks.max()))
+
+
+def test_images_lie_in_windows_whose_ends_are_recorded():
+    env: Any = presets.aeos(num_envs=3, time_limit=HALF_ORBIT, n_targets=300)
+    images = record_images(env, BASELINES["hasty"](env, 0), SEED)
+    env.set_seed(SEED)
+    env.reset()
+    every, places = openings(env.satellite, env.state.limit_ticks), env.simulator.scenario_state["target_r_LP_P"]
+    for row, k in torch.nonzero(images.tick >= 0).tolist():
+        target, tick = int((places[row] - images.r_LP_P[row, k]).norm(dim=1).argmin()), int(images.tick[row, k])
+        mine = (every.row == row) & (every.target == target) & (every.first <= tick) & (every.last >= tick)
+        assert every.last[mine].tolist() == [int(images.closes[row, k])]
+
+
+def test_lateness_is_that_of_a_clock_kept_by_hand():
+    images, times = flights(8), envelope([10, 12, 20, 24, 30, 33, 40, 44, 50, 55], [2] * 10)
+    images = images._replace(closes=images.tick + 5)
+    lead = leads(images, times).lead
+    assert int(lead.max()) > 5
+    expected = [[max(0, ahead - 5) if tick >= 0 else 0 for ahead, tick in zip(*row, strict=True)] for row in
+                zip(lead.tolist(), images.tick.tolist(), strict=True)]  # fmt: skip
+    assert lateness(images, times).tolist() == expected
+
+
 @pytest.mark.parametrize(("preset", "targets"), [("aeos", 9999), ("aeos_city", None), ("aeos_power", 4000)])
-def test_no_flight_is_ahead_of_the_times_of_the_package_by_more_than_the_reserve(preset, targets):
+def test_no_flight_is_later_than_the_times_of_the_package_allow(preset, targets):
     env: Any = getattr(presets, preset)(num_envs=8, time_limit=HALF_ORBIT, **({"n_targets": targets} if targets else {}))
     times = Envelope.load(SUSTAINED)
     images = record_images(env, BASELINES["hasty"](env, 0), SEED)
     assert images.transitions > 100
-    assert int(leads(images, times).lead.max()) <= times.reserve
+    assert_in_time(images, times, env)
 
 
-def test_no_planner_is_ahead_of_the_times_of_the_package_by_more_than_the_reserve():
+def test_no_planner_is_later_than_the_times_of_the_package_allow():
     env: Any = presets.aeos(num_envs=2, time_limit=1200.0, n_targets=9999, as_set=True)
     policy = planner("rollout", env, base=pretrained("AEOS-v1"), budget=4, horizon=120.0, gamma=0.99)
     times = Envelope.load(SUSTAINED)
     images = record_images(env, policy, SEED)
     assert images.transitions > 50
-    assert int(leads(images, times).lead.max()) <= times.reserve
+    assert torch.allclose(images.returns, evaluate(policy, env, seed=SEED).returns)
+    assert_in_time(images, times, env)
 
 
 def test_where_targets_are_dense_the_bound_lies_far_below_the_sum_in_view_and_above_policies():
@@ -280,7 +336,7 @@ def scattered(seed: int, rows: int = 4, images: int = 30) -> ImageSequences:
     side = torch.rand(rows, images, 2, generator=g, dtype=torch.float64) - 0.5
     places = torch.cat([side, torch.ones_like(side[..., :1])], -1)
     tick = torch.randint(10, 60, (rows, images), generator=g).cumsum(1)
-    return ImageSequences(tick, places, torch.zeros(rows, images, NODES, 3, dtype=torch.float64), 0)
+    return ImageSequences(tick, places, torch.zeros(rows, images, NODES, 3, dtype=torch.float64), tick, torch.zeros(rows), 0)
 
 
 def plane(seed: int) -> tuple[Tiny, torch.Tensor]:

@@ -5,7 +5,7 @@ from bsk_torch.plan.bounds.imaging import ImagingBound, imaging_bound
 from bsk_torch.plan.bounds.scanning import ScanningBound, scanning_bound
 from bsk_torch.plan.bounds.schedule import Schedule, ScheduledPolicy, milp_schedule, relaxed_schedule
 from bsk_torch.plan.bounds.sight import sight_bound
-from bsk_torch.plan.bounds.sustained import ImageSequences, Leads, leads, record_images, sustained_envelope
+from bsk_torch.plan.bounds.sustained import ImageSequences, Leads, lateness, leads, record_images, sustained_envelope
 from bsk_torch.plan.bounds.transitions import Transitions, carried_over, record_transitions
 
 __all__ = [
@@ -20,6 +20,7 @@ __all__ = [
     "Transitions",
     "carried_over",
     "imaging_bound",
+    "lateness",
     "leads",
     "milp_schedule",
     "record_images",

@@ -9,6 +9,7 @@ such slews, *any*, have a separate, lower envelope. An image is counted at the e
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -74,8 +75,10 @@ class Envelope:
         arguments: Arguments of the satellite that it was fitted on, as text by name.
         transitions: Number of transitions that it was fitted on.
         typical: Median time of each bin in one step, ticks; what schedules count with.
-        reserve: Ticks by which a satellite may be ahead of these times (:mod:`bsk_torch.plan.bounds.sustained`); 0 if every
-            single transition obeys them.
+        reserve: Ticks by which an image may come after its window on the clock of these times
+            (:mod:`bsk_torch.plan.bounds.sustained`); 0 if every single transition obeys them.
+        lateness: Ticks for each tick of a flight by which its images may together come after their windows on that clock, and
+            ``reserve`` once more; None if there is no such limit.
         lag: Angle, rad, by which the satellite points short of the target of the first image, on the side of the target before
             (:mod:`bsk_torch.plan.bounds.approach`); the angle is measured from there. 0 if it is measured from the target.
         sectors: Directions that are told apart for the lag; 0 without lag.
@@ -91,6 +94,7 @@ class Envelope:
     transitions: int
     typical: tuple[int, ...] = ()
     reserve: int = 0
+    lateness: float | None = None
     lag: float = 0.0
     sectors: int = 0
     near: float = 0.0
@@ -104,6 +108,10 @@ class Envelope:
         """Return the least ticks, for angles of any shape, rad."""
         table = torch.tensor(self.direct if direct else self.any, dtype=torch.int64, device=angle.device)
         return table[(angle / self.width).long().clamp(0, len(table) - 1)]
+
+    def most_late(self, ticks: int) -> float:
+        """Return the ticks by which images of a flight of so many ``ticks`` may together come after their windows."""
+        return math.inf if self.lateness is None else self.reserve + self.lateness * ticks
 
     @property
     def longest(self) -> int:
@@ -163,7 +171,7 @@ class Envelope:
         """The same with typical times in place of the least ones: no bound, but what a schedule counts with."""
         if not self.typical:
             raise ValueError("the envelope has no typical times; fit one with Envelope.below")
-        return replace(self, direct=self.typical, any=self.typical, reserve=0)
+        return replace(self, direct=self.typical, any=self.typical, reserve=0, lateness=None)
 
     def smallest_margin(self, angle: Tensor, ticks: Tensor, one_step: Tensor) -> int:
         """Return how many ticks the nearest transition lies above the envelope; negative if one lies below."""

@@ -59,6 +59,7 @@ class ImageGraph:
         row, target: Satellite and target of each window, [w].
         window, cell, previous: Window and cell of each node, and the node of that window and sector one cell before, -1 for
             none, [n].
+        late: How long after the window of each node its image comes at least, [n] ticks.
         node_begin: First node of each satellite, [rows + 1].
         edge_begin: First edge into each node, [n + 1].
         source, pair: Node that an edge comes from, and its pair of windows, [e] int32.
@@ -74,6 +75,7 @@ class ImageGraph:
     window: Tensor
     cell: Tensor
     previous: Tensor
+    late: Tensor
     node_begin: Tensor
     edge_begin: Tensor
     source: Tensor
@@ -96,7 +98,7 @@ def image_graph(
     """Return the graph of n satellites.
 
     Args:
-        openings: When images may be completed.
+        openings: When images may be completed, windows longer by ``envelope.reserve``.
         r_P: Earth-fixed positions in the middle of each cell, [n, cells, 3] m.
         r_LP_P: Earth-fixed positions of the targets, [n, T, 3] m.
         envelope: Least times between images.
@@ -148,6 +150,7 @@ def image_graph(
     return ImageGraph(
         ticks, cells, reach, rows, row, target, window[order][every], cell[order][every],
         previous=torch.where(before[every] < 0, -1, before[every] * sectors + offset),
+        late=(cell * ticks - (openings.last - envelope.reserve)[window]).clamp(min=0)[order][every],
         node_begin=torch.searchsorted(row[window][order], torch.arange(rows + 1)) * sectors,
         edge_begin=torch.searchsorted(destination, torch.arange(n * sectors + 1, dtype=torch.int32)),
         source=source[by], pair=pair[by],

@@ -52,8 +52,9 @@ def imaging_bound(
     The bound is that of a relaxation: images of targets within their windows, as the environment finds them, with times between
     successive images of a satellite, and each target pays once. It assumes that
 
-    * successive images are no closer in time than ``envelope`` says, or, where it has a reserve, satellites are never ahead of
-      its times by more than that (:mod:`bsk_torch.plan.bounds.sustained`): it rests on recorded flights, not on a proof;
+    * successive images are no closer in time than ``envelope`` says, or, where it has a reserve, images come no later than that
+      after their windows on the clock of its times, and together no later than its lateness allows
+      (:mod:`bsk_torch.plan.bounds.sustained`): it rests on recorded flights, not on a proof;
     * no image is carried over from a step that has just ended (:func:`~bsk_torch.plan.bounds.transitions.carried_over`); what
       policies collect alongside such images lies below the bound in any case;
     * power, storage and the first slew cost nothing; dying pays nothing.
@@ -92,7 +93,8 @@ def imaging_bound(
     pause, parts = shortest_pause(env, satellite), []
     for envs in _batches(every, len(paid), count, WINDOWS // (envelope.sectors + 1)):
         graph = graph_of(satellite, every, envs, count, envelope, cell, int(limit.max()), pause)
-        paths = best_paths(graph, paid[envs], satellites=count, iterations=iterations, bits=bits, gap=gap)
+        budget = count * envelope.most_late(int(limit.max()))
+        paths = best_paths(graph, paid[envs], satellites=count, budget=budget, iterations=iterations, bits=bits, gap=gap)
         parts.append((paths, _schedule(graph, paths.nodes, count)))
     shown = max(part[1][0].shape[1] for part in parts)
     target, tick, whose = (torch.cat([_widened(part[1][k], shown) for part in parts]) for k in range(3))

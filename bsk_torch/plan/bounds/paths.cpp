@@ -14,6 +14,7 @@ struct Graph {
     const int64_t *target, *window, *cell, *previous, *edge_begin;
     const int32_t *source, *pair;
     const int64_t *pair_from, *pair_to, *memory;
+    const double* late;
 };
 
 // What a path remembers after each pair of windows, by what it remembered before: a set of bits, or -1 where the image is excluded.
@@ -47,8 +48,9 @@ struct Solver {
     std::vector<double> best, reached;    // value of the best path that ends with an image of the node's window by then; by cell
     std::vector<int64_t> origin, last;    // states in which these images were taken
 
-    // Value of the best path of a satellite with nodes begin to end, and the nodes of its images, last first.
-    double solve(int64_t begin, int64_t end, const double* value, std::vector<int64_t>& path) {
+    // Value of the best path of a satellite with nodes begin to end, where lateness has a price, and the nodes of its images, last
+    // first.
+    double solve(int64_t begin, int64_t end, const double* value, double price, std::vector<int64_t>& path) {
         best.assign((end - begin) * sets, NONE);
         origin.assign((end - begin) * sets, -1);
         reached.assign(g.cells + 1, 0.0);
@@ -67,7 +69,7 @@ struct Solver {
                     for (int64_t s = 0; s < sets; ++s)
                         if (next[s] >= 0 && from[s] > now[next[s]]) now[next[s]] = from[s];
                 }
-                const double gain = value[g.target[g.window[node]]];
+                const double gain = value[g.target[g.window[node]]] - price * g.late[node];
                 const int64_t here = (node - begin) * sets, before = g.previous[node] < 0 ? -1 : (g.previous[node] - begin) * sets;
                 for (int64_t s = 0; s < sets; ++s) {
                     const double taken = now[s] <= NONE ? NONE : now[s] + gain, kept = before < 0 ? NONE : best[before + s];
@@ -104,9 +106,9 @@ extern "C" void run(
     int64_t episodes, int64_t satellites, int64_t targets, int64_t cells, int64_t reach, int64_t bits, int64_t pairs,
     const int64_t* target, const int64_t* window, const int64_t* cell, const int64_t* previous, const int64_t* node_begin,
     const int64_t* edge_begin, const int32_t* source, const int32_t* pair, const int64_t* pair_from, const int64_t* pair_to,
-    const int64_t* memory, const double* priority, int64_t iterations, const double* gap, double* multiplier, double* lower,
-    double* upper, int64_t* chosen, int64_t longest) {
-    const Graph g{cells, reach, bits, target, window, cell, previous, edge_begin, source, pair, pair_from, pair_to, memory};
+    const int64_t* memory, const double* late, const double* budget, const double* priority, int64_t iterations, const double* gap,
+    double* multiplier, double* price, double* lower, double* upper, int64_t* chosen, int64_t longest) {
+    const Graph g{cells, reach, bits, target, window, cell, previous, edge_begin, source, pair, pair_from, pair_to, memory, late};
     const auto table = transitions(g, pairs);
     Solver solver{g, table, int64_t(1) << bits, {}, {}, {}, {}};
     std::vector<double> value(targets), now(targets), direction(targets);
@@ -114,18 +116,23 @@ extern "C" void run(
     for (int64_t e = 0; e < episodes; ++e) {
         const double* p = priority + e * targets;
         double* kept = multiplier + e * targets;
+        const bool limited = budget[e] < std::numeric_limits<double>::infinity();
+        double toll = price[e], toll_direction = 0.0;
         std::copy(kept, kept + targets, now.begin());
         std::fill(direction.begin(), direction.end(), 0.0);
         double scale = 1.0;
         int64_t stalled = 0;
         for (int64_t k = 0; k < iterations && upper[e] - lower[e] > gap[0] * upper[e]; ++k) {
-            double bound = 0.0, feasible = 0.0;
+            double bound = limited ? toll * budget[e] : 0.0, feasible = 0.0, used = 0.0, spent = 0.0;
             for (int64_t t = 0; t < targets; ++t) value[t] = p[t] - now[t], bound += now[t], count[t] = 0;
             all.clear();
             for (int64_t s = e * satellites; s < (e + 1) * satellites; ++s) {
-                bound += solver.solve(node_begin[s], node_begin[s + 1], value.data(), path);
-                for (int64_t n : path)
-                    if (count[target[window[n]]]++ == 0) feasible += p[target[window[n]]], all.push_back(n);
+                bound += solver.solve(node_begin[s], node_begin[s + 1], value.data(), toll, path);
+                for (int64_t n : path) {
+                    used += late[n];
+                    if (count[target[window[n]]]++ > 0 || spent + late[n] > budget[e]) continue;
+                    feasible += p[target[window[n]]], spent += late[n], all.push_back(n);
+                }
             }
             if (feasible > lower[e]) {
                 lower[e] = feasible;
@@ -133,7 +140,7 @@ extern "C" void run(
                 std::copy(all.begin(), all.begin() + std::min<int64_t>(longest, all.size()), chosen + e * longest);
             }
             stalled = bound < upper[e] * (1.0 - 1e-5) ? 0 : stalled + 1;
-            if (bound < upper[e]) upper[e] = bound, std::copy(now.begin(), now.end(), kept);
+            if (bound < upper[e]) upper[e] = bound, price[e] = toll, std::copy(now.begin(), now.end(), kept);
             if (stalled >= 5) scale *= 0.7, stalled = 0;
             double norm = 0.0;
             for (int64_t t = 0; t < targets; ++t) {
@@ -142,8 +149,14 @@ extern "C" void run(
                 direction[t] = free ? 0.6 * direction[t] + 0.4 * slope : 0.0;
                 norm += direction[t] * direction[t];
             }
+            if (limited) {
+                const double slope = used - budget[e];
+                toll_direction = toll <= 0.0 && slope < 0.0 ? 0.0 : 0.6 * toll_direction + 0.4 * slope;
+                norm += toll_direction * toll_direction;
+            }
             const double step = scale * (bound - lower[e]) / std::max(norm, 1.0);
             for (int64_t t = 0; t < targets; ++t) now[t] = std::clamp(now[t] + step * direction[t], 0.0, p[t]);
+            toll = std::max(0.0, toll + step * toll_direction);
         }
     }
 }

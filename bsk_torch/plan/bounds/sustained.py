@@ -8,16 +8,21 @@ ticks t_k::
 
 The sector s_k that the satellite comes from is decided by the positions of targets k-1 and k, and by s_(k-1) where they are near
 one another (:mod:`bsk_torch.plan.bounds.approach`); the first image has none. The lead v_k - t_k is how far the satellite is
-ahead of these times: that of a leaky bucket. Where it never exceeds a reserve R, images at v_k instead of t_k are f apart, and
-within R behind the end of their windows. A bound over schedules with times f and windows that close R later thus holds for all
-such flights, whatever the order of their images: f may depend on anything that the order of the targets and the clock decide,
-since a schedule has the same. With f near the usual times the windows are hardly longer; with R = 0 every single transition would
-have to obey f. (The bucket is that of Cruz, "A calculus for network delay", IEEE Transactions on Information Theory 37, 1991.)
+ahead of these times: that of a leaky bucket. Images at v_k instead of t_k are f apart. With the end b_k of the window of image k,
+
+    l_k = max(0, v_k - b_k)
+
+is how late it is there: at most its lead, and mostly nothing, since few images are taken at the end of their window. Where no
+image is later than a reserve R, and all of a flight together no later than a budget L, a bound over schedules with times f,
+windows that close R later and lateness of at most L together holds for all such flights, whatever the order of their images: f
+may depend on anything that the order of the targets and the clock decide, since a schedule has the same. With f near the usual
+times hardly an image is late; with R = 0 every single transition would have to obey f. (The bucket is that of Cruz, "A calculus
+for network delay", IEEE Transactions on Information Theory 37, 1991.)
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -29,8 +34,8 @@ from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.rollout import Policy
 from bsk_torch.plan.bounds.approach import pointing, sector_from
 from bsk_torch.plan.bounds.envelope import SOONEST, Envelope, quantile
-from bsk_torch.plan.bounds.transitions import image_steps
-from bsk_torch.plan.bounds.windows import satellite_positions
+from bsk_torch.plan.bounds.transitions import image_steps, imaging_satellite
+from bsk_torch.plan.bounds.windows import openings, satellite_positions
 
 if TYPE_CHECKING:
     import numpy as np
@@ -49,21 +54,26 @@ class ImageSequences(NamedTuple):
         tick: Ticks at which their steps ended, [R, K]; -1 behind the last.
         r_LP_P: Earth-fixed positions of their targets, [R, K, 3] m.
         r_P: Earth-fixed positions of the satellite then and every :data:`SPACING` ticks later, [R, K, NODES, 3] m.
+        closes: Last tick of the window of each image, [R, K]; -1 behind the last.
+        returns: Return of each flight, [R]; with images that were carried over.
         carried: Number of excluded images that were carried over.
     """
 
     tick: Tensor
     r_LP_P: Tensor
     r_P: Tensor
+    closes: Tensor
+    returns: Tensor
     carried: int
 
     @classmethod
     def joined(cls, parts: list[ImageSequences]) -> ImageSequences:
         """The flights of all ``parts``."""
         width = max(part.tick.shape[1] for part in parts)
-        tick = torch.cat([_padded(part.tick, width, -1) for part in parts])
+        tick, closes = (torch.cat([_padded(part[k], width, -1) for part in parts]) for k in (0, 3))  # type: ignore[arg-type]
         places, nodes = (torch.cat([_padded(part[k], width, 0) for part in parts]) for k in (1, 2))  # type: ignore[arg-type]
-        return cls(tick, places, nodes, sum(part.carried for part in parts))
+        returns = torch.cat([part.returns for part in parts])
+        return cls(tick, places, nodes, closes, returns, sum(part.carried for part in parts))
 
     @property
     def transitions(self) -> int:
@@ -81,22 +91,45 @@ def record_images(env: SatelliteTasking, policy: Policy, seed: int) -> ImageSequ
 
     ValueError for a satellite that takes no images.
     """
-    parts, carried = [], 0
+    parts, carried, closing = [], 0, _closings(env, seed)
+    returns = torch.zeros(len(env.env_ids), dtype=torch.float64)
     for step in image_steps(env, policy, seed):
         row = torch.nonzero(step.own).flatten()
         later = step.now[row].unsqueeze(1) + SPACING * torch.arange(NODES)
         time = later.clamp(max=int(env.state.limit_ticks.max())).flatten() * env.simulator.h
         nodes = satellite_positions(step.satellite, row.repeat_interleave(NODES), time).view(-1, NODES, 3)
-        parts.append((row, step.now[row], step.r_LP_P[row, step.target[row]], nodes))
+        target = step.target[row]
+        parts.append((row, step.now[row], step.r_LP_P[row, target], nodes, closing(row, target, step.now[row])))
         carried += int(step.carried.sum())
-    row, tick, place, nodes = (torch.cat(column) for column in zip(*parts, strict=True))
+        returns += step.reward
+    row, tick, place, nodes, close = (torch.cat(column) for column in zip(*parts, strict=True))
     row, order = torch.sort(row, stable=True)
-    count = torch.bincount(row, minlength=len(env.env_ids))
+    count = torch.bincount(row, minlength=len(returns))
     column = torch.arange(len(row)) - (torch.cumsum(count, 0) - count)[row]
     shape = len(count), max(1, int(count.max()))
-    ticks = torch.full(shape, -1, dtype=torch.int64).index_put((row, column), tick[order])
+    ticks, closes = (torch.full(shape, -1, dtype=torch.int64).index_put((row, column), x[order]) for x in (tick, close))
     places = place.new_zeros(*shape, 3).index_put((row, column), place[order])
-    return ImageSequences(ticks, places, nodes.new_zeros(*shape, NODES, 3).index_put((row, column), nodes[order]), carried)
+    later = nodes.new_zeros(*shape, NODES, 3).index_put((row, column), nodes[order])
+    return ImageSequences(ticks, places, later, closes, returns, carried)
+
+
+def _closings(env: SatelliteTasking, seed: int) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
+    """Return a function of satellites, targets and ticks: the last tick of the window in which a step ended with an image."""
+    satellite = imaging_satellite(env)
+    env.set_seed(seed)
+    env.reset()
+    limit = env.state.limit_ticks
+    every = openings(satellite, limit)
+    targets, ticks = int(every.target.max()) + 1, int(limit.max()) + 1
+    key, order = torch.sort((every.row * targets + every.target) * ticks + every.last)
+
+    def closing(row: Tensor, target: Tensor, tick: Tensor) -> Tensor:
+        at = torch.searchsorted(key, (row * targets + target) * ticks + tick).clamp(max=len(key) - 1)
+        window = order[at]
+        known = (every.row[window] == row) & (every.target[window] == target)
+        return torch.where(known, every.last[window], tick)  # an image outside of windows is as late as it is ahead
+
+    return closing
 
 
 class Leads(NamedTuple):
@@ -113,7 +146,10 @@ class Leads(NamedTuple):
 
 
 def leads(images: ImageSequences, envelope: Envelope) -> Leads:
-    """Return how far the satellites of all flights are ahead of the times of ``envelope``; see the module."""
+    """Return how far the satellites of all flights are ahead of the times of ``envelope``; see the module.
+
+    Satellites are followed for 60 s behind each image; the clock of a longer lead sees them where they are then.
+    """
     tick, lead = images.tick, torch.zeros_like(images.tick)
     angle = torch.full(tick.shape, torch.nan, dtype=torch.float64)
     sector = sectors_of(images, envelope)
@@ -126,6 +162,12 @@ def leads(images: ImageSequences, envelope: Envelope) -> Leads:
         lead[:, k] = torch.where(there, ahead.clamp(min=0), 0)
         angle[:, k] = torch.where(there, seen, torch.nan)
     return Leads(lead, angle)
+
+
+def lateness(images: ImageSequences, envelope: Envelope) -> Tensor:
+    """Return how late all images are on the clock of ``envelope``, [R, K] int64 ticks; see the module."""
+    late = images.tick + leads(images, envelope).lead - images.closes
+    return torch.where(images.tick >= 0, late.clamp(min=0), 0)
 
 
 def sectors_of(images: ImageSequences, envelope: Envelope) -> Tensor:

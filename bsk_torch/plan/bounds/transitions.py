@@ -61,6 +61,7 @@ class ImageStep(NamedTuple):
         carried: Whether it was credited with the image of the step before, [N].
         target: Latest target with an image, [N].
         before, now: Ticks at which it began and ended, [N].
+        reward: What it paid, [N]; 0 for episodes that have ended.
     """
 
     satellite: BoundImagingSatellite
@@ -70,6 +71,15 @@ class ImageStep(NamedTuple):
     target: Tensor
     before: Tensor
     now: Tensor
+    reward: Tensor
+
+
+def imaging_satellite(env: SatelliteTasking) -> BoundImagingSatellite:
+    """Return the satellite of the environment; ValueError if it takes no images."""
+    satellite = env.satellite
+    if not isinstance(satellite, BoundImagingSatellite):
+        raise ValueError(f"{satellite.name} is a {type(satellite).__name__}; transitions need a sats.ImagingSatellite")
+    return satellite
 
 
 def image_steps(env: SatelliteTasking, policy: Policy, seed: int) -> Iterator[ImageStep]:
@@ -77,18 +87,17 @@ def image_steps(env: SatelliteTasking, policy: Policy, seed: int) -> Iterator[Im
 
     ValueError for a satellite that takes no images.
     """
-    satellite = env.satellite
-    if not isinstance(satellite, BoundImagingSatellite):
-        raise ValueError(f"{satellite.name} is a {type(satellite).__name__}; transitions need a sats.ImagingSatellite")
+    satellite = imaging_satellite(env)
     env.set_seed(seed)
     start, state = env.reset(), env.simulator.state
     places = env.simulator.scenario_state["target_r_LP_P"]
     before, images = state.ticks.clone(), satellite.imaged.clone()
-    for playing, _ in play_episodes(env, policy, start):
+    for playing, step in play_episodes(env, policy, start):
         now = state.ticks.clone()
         imaged = (satellite.imaged > images) & playing
         carried = carried_over(imaged, now - before)
-        yield ImageStep(satellite, places, imaged & ~carried, carried, satellite.latest_target, before, now)
+        reward = torch.where(playing, step["next", "reward"].squeeze(-1), 0.0)
+        yield ImageStep(satellite, places, imaged & ~carried, carried, satellite.latest_target, before, now, reward)
         before, images = now, satellite.imaged.clone()
 
 
