@@ -161,6 +161,7 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
             raise NotImplementedError(f"vizard_dir={vizard_dir!r}: {VIZARD}")
         if vizard_settings is not None:
             logger.warning("Vizard settings provided but Vizard is not enabled. Ignoring settings.")
+        self.vizard_settings = dict(vizard_settings or {})
         given = [satellites] if isinstance(satellites, Satellite) else list(satellites)
         if scenario is not None:
             scenario.validate_satellite_names(given)
@@ -242,15 +243,23 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
             engine=self._engine,
         )
         self._begin()
-        return self._get_obs(), self._get_info()
+        observation, info = self._get_obs(), self._get_info()
+        logger.info("Environment reset")
+        return observation, info
+
+    def _randomize_time_limit(self) -> None:
+        self.time_limit = np.ceil(self.time_limit_generator() / self.sim_rate) * self.sim_rate
+
+    def _generate_world_args(self) -> None:
+        self.world_args = {name: value() if callable(value) else value for name, value in self.world_args_generator.items()}
 
     def _draw(self) -> None:
-        """Draw the arguments of the episode, in bsk_rl's order."""
-        self.time_limit = np.ceil(self.time_limit_generator() / self.sim_rate) * self.sim_rate
+        """Draw the arguments of the episode, in bsk_rl's order, by methods that subclasses may override as there."""
+        self._randomize_time_limit()
         for part in (self.scenario, self.rewarder, self.communicator, *self.satellites):
             part.reset_overwrite_previous()
         self.latest_step_duration = 0.0
-        self.world_args = {name: value() if callable(value) else value for name, value in self.world_args_generator.items()}
+        self._generate_world_args()
         epoch, overrides = self.world_args["utc_init"], self.sat_arg_randomizer(self.satellites)
         for satellite in self.satellites:
             satellite.generate_sat_args(utc_init=epoch, **overrides.get(satellite, {}))
@@ -338,7 +347,9 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
         """Begin the actions, run to the next event, and score what has happened."""
         if len(actions) != len(self.satellites):
             raise ValueError("There must be the same number of actions and satellites")
+        logger.info("=== STARTING STEP ===")
         for satellite, action in zip(self.satellites, actions, strict=True):
+            satellite.info = []
             if not is_no_action(action):
                 satellite.requires_retasking = False
                 satellite.set_action(action)
@@ -353,11 +364,20 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
         self.reward_dict = self.rewarder.reward(new_data)
         self.scenario.after_step(self.simulator.sim_time)
         self.communicator.communicate()
+        for satellite in self.satellites:
+            if satellite.requires_retasking:
+                satellite.logger.info("Satellite %s requires retasking", satellite.name)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Carry out the actions until the first event that ends the step."""
         self._step(actions)
-        return self._get_obs(), self._get_reward(), self._get_terminated(), self._get_truncated(), self._get_info()
+        observation, reward = self._get_obs(), self._get_reward()
+        terminated, truncated = self._get_terminated(), self._get_truncated()
+        logger.info("Step reward: %s", reward)
+        level = logging.INFO if terminated or truncated else logging.DEBUG
+        logger.log(level, "Episode terminated: %s", terminated)
+        logger.log(level, "Episode truncated: %s", truncated)
+        return observation, reward, terminated, truncated, self._get_info()
 
     def render(self) -> None:
         """Draw nothing, as in bsk_rl."""
@@ -555,10 +575,14 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
 
     # -- what a step gives --------------------------------------------------------------------------------------------
 
+    def _requires_retasking(self, agent: Any) -> bool:
+        """Return whether a satellite of an agent waits for a task."""
+        return any(satellite.requires_retasking for satellite in self.meta_agent_groupings[agent])
+
     def _get_obs(self) -> dict[Any, Any]:
         found = {}
         for agent, members in self._present().items():
-            if self.generate_obs_retasking_only and not any(satellite.requires_retasking for satellite in members):
+            if self.generate_obs_retasking_only and not self._requires_retasking(agent):
                 parts = [satellite.observation_space.low * 0 for satellite in members]
             else:
                 parts = [satellite.get_obs() for satellite in members]
@@ -627,4 +651,10 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
             for name in ("_timed_terminal_event_name", "_image_event_name"):
                 if (event := getattr(satellite, name, None)) in self.simulator.eventMap:
                     self.simulator.delete_event(str(event))
-        return self._get_obs(), self._get_reward(), self._get_terminated(), self._get_truncated(), self._get_info()
+        observation, reward = self._get_obs(), self._get_reward()
+        terminated, truncated = self._get_terminated(), self._get_truncated()
+        logger.info("Step reward: %s", {agent: value for agent, value in reward.items() if value != 0.0})
+        for title, ended in (("terminated", terminated), ("truncated", truncated)):
+            if agents := [agent for agent, value in ended.items() if value]:
+                logger.info("Episode %s: %s", title, agents)
+        return observation, reward, terminated, truncated, self._get_info()

@@ -1,6 +1,7 @@
 """Programs of bsk_rl, written for a package whose name is given: ``bsk_rl`` on Basilisk, or ``bsk_torch.bsk_rl``."""
 
 import importlib
+from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
@@ -332,7 +333,82 @@ def spacecraft(b: Any) -> Any:
     )
 
 
+def events(b: Any) -> Any:
+    """Return a satellite whose steps are interrupted, and whose model overrides what bsk_rl's has."""
+
+    class Model(b.dyn.BasicDynamicsModel):
+        _doubled = 1.0
+
+        @property
+        def inclination(self):
+            return np.degrees(super().inclination)
+
+        @property
+        def true_anomaly(self):
+            return np.sin(super().true_anomaly)
+
+        @property
+        def doubled(self):
+            return 2.0 * self._doubled
+
+        @doubled.setter
+        def doubled(self, value):
+            self._doubled = value
+
+        @cached_property
+        def known_since(self):
+            return self.simulator.TotalSim.CurrentNanos * 1e-9 + 3.0
+
+        @property
+        def spin(self):
+            return sum(self.rwStateEffector.rwSpeedOutMsg.read().wheelSpeeds)
+
+    class Interrupted(b.act.Drift):
+        def set_action(self, action, prev_action_key=None):
+            key = super().set_action(action, prev_action_key)
+            satellite, simulator = self.satellite, self.satellite.simulator
+            now, model = simulator.sim_time, self.satellite.dynamics
+            model.doubled = now
+            satellite.seen = []
+
+            def look(again):
+                satellite.seen.append(model.battery_charge_fraction + simulator.sim_time)
+                if again:
+                    later(f"again {now}", simulator.sim_time + 10.0, lambda _: look(False))
+
+            def later(name, seconds, effect):
+                simulator.createNewEvent(name, int(1e9), True, conditionTime=int(seconds * 1e9), actionFunction=effect)
+
+            later(f"late {now}", now - 5.0, lambda _: look(False))
+            later(f"look {now}", now + 20.0, lambda _: look(True))
+            later(f"switch {now}", now + 31.0, lambda _: satellite.fsw.action_charge())
+            return key
+
+    class Watched(b.sats.Satellite):
+        seen: Any = ()
+        observation_spec = [
+            b.obs.SatProperties(
+                dict(prop="inclination"),
+                dict(prop="true_anomaly"),
+                dict(prop="doubled"),
+                dict(prop="known_since"),
+                dict(prop="spin", norm=600.0),
+                dict(prop="omega_BN_B"),
+                dict(prop="battery_charge_fraction"),
+                dict(prop="seen", fn=lambda satellite: float(np.sum(satellite.seen))),
+                dict(prop="count", fn=lambda satellite: float(len(satellite.seen))),
+            ),
+            b.obs.Time(),
+        ]
+        action_spec = [Interrupted(duration=60.0), b.act.Charge(duration=45.0), b.act.Drift(name="instant", duration=0.0)]
+        dyn_type = Model
+        fsw_type = b.fsw.BasicFSWModel
+
+    return b.root.SatelliteTasking(satellite=Watched("Watched"), time_limit=480.0)
+
+
 PROGRAMS = {
+    "events": events,
     "scanning": scanning,
     "imaging": imaging,
     "constellation": constellation,
@@ -357,6 +433,8 @@ def chosen(name: str, rng: np.random.Generator) -> Any:
     """Return the next action of a program."""
     if name in ("scanning", "horizon"):
         return int(rng.integers(4))
+    if name == "events":
+        return int(rng.choice([0, 1, 2], p=[0.6, 0.2, 0.2]))
     if name == "imaging":
         return [int(action) for action in rng.integers(6, size=2)]
     if name == "extremes":

@@ -16,7 +16,7 @@ import pytest
 from bsk_torch.bsk_rl import ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking, act, data, obs, sats, scene
 from bsk_torch.bsk_rl.basilisk.architecture import bskLogging, messaging
 from bsk_torch.bsk_rl.basilisk.utilities import macros
-from bsk_torch.bsk_rl.sim import dyn, fsw
+from bsk_torch.bsk_rl.sim import dyn, fsw, world
 from tests.bsk_rl import programs
 
 RECORDED = Path(__file__).parent / "data"
@@ -155,9 +155,10 @@ def test_access_to_a_station_is_read_from_its_messages():
     assert world.groundStations
     for station in world.groundStations:
         (message,) = station.accessOutMsgs
-        found, up = message.read(), station.r_LP_P_Init / np.linalg.norm(station.r_LP_P_Init)
-        assert found.slantRange == pytest.approx(np.linalg.norm(place - station.r_LP_P_Init))
-        assert np.sin(found.elevation) * found.slantRange == pytest.approx(up @ (place - station.r_LP_P_Init))
+        found, at = message.read(), np.ravel(station.r_LP_P_Init)
+        up = at / np.linalg.norm(at)
+        assert found.slantRange == pytest.approx(np.linalg.norm(place - at))
+        assert np.sin(found.elevation) * found.slantRange == pytest.approx(up @ (place - at))
         assert found.hasAccess == (found.elevation >= world.gsMinimumElevation)
 
 
@@ -399,3 +400,71 @@ def test_arguments_of_the_wrong_kind_are_named(sat_args, message):
 def test_the_length_of_a_tick_is_checked():
     with pytest.raises(ValueError, match=r"sim_rate=0 must be a number in \[0.001, 60\] s"):
         SatelliteTasking(Drifter("D"), sim_rate=0)
+
+
+def test_payloads_and_clocks_have_what_programs_of_bsk_rl_read(env):
+    env.reset(seed=0)
+    model, simulator = env.satellite.dynamics, env.simulator
+    assert len(model.rwStateEffector.rwSpeedOutMsg.read().wheelSpeeds) == 36
+    env.step(0)
+    assert simulator.TotalSim.CurrentNanos == 60_000_000_000
+    with pytest.raises(AttributeError, match=r"'omega_dot' of a message .* known are \['wheelSpeeds'\]"):
+        model.rwStateEffector.rwSpeedOutMsg.read().omega_dot  # noqa: B018
+    env.satellite.info.append("seen")
+    env.step(1)
+    assert env.satellite.info == []
+
+
+def test_properties_of_models_are_set_as_their_class_says(env):
+    env.reset(seed=0)
+    model = env.satellite.dynamics
+    with pytest.raises(AttributeError, match=r"property 'battery_charge_fraction' of .* has no setter"):
+        model.battery_charge_fraction = 0.1
+    model.noted = 5.0
+    assert model.noted == 5.0
+
+
+def test_a_model_is_not_initialized_with_a_satellite():
+    with pytest.raises(TypeError, match=r"Given.__init__ requires satellite, dyn_rate, .* def __init__\(self, \*args"):
+
+        class Given(dyn.BasicDynamicsModel):
+            def __init__(self, satellite, dyn_rate, **kwargs):
+                super().__init__(satellite, dyn_rate, **kwargs)
+
+
+def test_worlds_of_programs_have_attributes_and_flight_software_any_method():
+    class Dated(Drifter):
+        class Model(dyn.BasicDynamicsModel):
+            @property
+            def tag(self):
+                return self.world.tag + self.fsw.write()
+
+        class Software(fsw.BasicFSWModel):
+            def write(self):
+                return 4.0
+
+        observation_spec = [obs.SatProperties(dict(prop="tag"))]
+        dyn_type, fsw_type = Model, Software
+
+    class World(world.EclipseWorldModel, world.AtmosphereWorldModel):
+        def __init__(self, *args, **kwargs):
+            super().__init__(*args, **kwargs)
+            self.tag = 3.0
+
+    made = SatelliteTasking(Dated("D"), world_type=World, time_limit=200.0, backend="eager")
+    assert made.reset(seed=0)[0].tolist() == [7.0]
+    made.step(1)
+    made.satellite.fsw.action_charge()
+
+
+def test_steps_are_logged_as_bsk_rl_logs_them(caplog):
+    made = SatelliteTasking(Drifter("D"), time_limit=100.0, backend="eager", log_level="INFO")
+    made.reset(seed=0)
+    with caplog.at_level(logging.INFO):
+        made.step(0)
+        made.step(0)
+    said = [record.getMessage() for record in caplog.records]
+    assert said.count("=== STARTING STEP ===") == 2
+    assert [line for line in said if line.startswith("Step reward")] == ["Step reward: 0.0"] * 2
+    assert [line for line in said if line.startswith("Episode")] == ["Episode terminated: False", "Episode truncated: True"]
+    assert "Satellite D requires retasking" in said

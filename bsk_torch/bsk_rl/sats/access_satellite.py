@@ -77,7 +77,7 @@ class AccessSatellite(Satellite):
         if issubclass(self.dyn_type, dyn.GroundStationDynModel):
             for station in self.simulator.world.groundStations:
                 self.add_location_for_access_checking(
-                    station.ModelTag, station.r_LP_P_Init.flatten(), station.minimumElevation, "ground_station"
+                    station.ModelTag, np.ravel(station.r_LP_P_Init), station.minimumElevation, "ground_station"
                 )
         return made
 

@@ -40,6 +40,7 @@ class Satellite(ABC, Resetable):
         trajectory: Prediction of the orbit.
         data_store: Data that the satellite has collected.
         requires_retasking: Whether its task is over.
+        info: List that a program may fill during a step; every step starts with an empty one.
         time_of_death: Time at which it was found dead, s; None while it is alive.
         backend: Back end of the environment, which also predicts the orbit.
     """
@@ -54,6 +55,7 @@ class Satellite(ABC, Resetable):
     fsw: Any
     data_store: Any
     requires_retasking: bool
+    info: list[Any]
     trajectory: TrajectorySimulator
     sat_args: dict[str, Any]
     backend: str = "compiled"

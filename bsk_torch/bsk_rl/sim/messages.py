@@ -69,6 +69,12 @@ KEPT = (
 )
 """Arguments that models of bsk_rl keep as attributes of the same name."""
 
+WHOLE_STORE = "STORED DATA"
+"""Name that Basilisk gives the only partition of a simple store."""
+
+WHEELS = 36
+"""Number of wheels that Basilisk's messages have places for; those that do not exist are at rest."""
+
 LISTS = ("r_BN_N", "v_BN_N", "sigma_BN", "omega_BN_B")
 """Properties that are lists in bsk_rl, which adds them as such; other vectors are arrays."""
 
@@ -78,6 +84,18 @@ def advice(name: str) -> str:
     if name in ABSENT or name.endswith(("InMsg", "OutMsg", "Msgs", "Object", "Task")):
         return f"{name} is an object of Basilisk's, and bsk_torch has none; {COMPONENT}"
     return ""
+
+
+class Payload(SimpleNamespace):
+    """What a message holds."""
+
+    def __getattr__(self, name: str) -> Any:
+        """Raise AttributeError, with advice, for a number that is not imitated."""
+        if name.startswith("__"):
+            raise AttributeError(name)
+        raise AttributeError(
+            f"{name!r} of a message of Basilisk's cannot be read here; known are {sorted(vars(self))}. {COMPONENT}"
+        )
 
 
 class Message:
@@ -95,7 +113,7 @@ class Message:
 
     def read(self) -> Any:
         """Return the present payload, with the names of Basilisk's."""
-        return SimpleNamespace(**self._read())
+        return Payload(**self._read())
 
 
 class Module(NamedTuple):
@@ -146,18 +164,19 @@ def _battery(dynamics: DynamicsView) -> Message:
     capacity = float(dynamics.satellite.sat_args["batteryStorageCapacity"])
 
     def write(payload: Any) -> None:
-        dynamics.satellite.fsw.write("charge", float(payload.storageLevel))
+        dynamics.satellite.fsw._write("charge", float(payload.storageLevel))
 
     return Message(lambda: {"storageLevel": dynamics.battery_charge, "storageCapacity": capacity}, write)
 
 
 def _store(dynamics: DynamicsView) -> Message:
     def read() -> dict[str, Any]:
-        levels, given = [float(x) for x in dynamics.partition_levels], dynamics.satellite.sat_args.get("bufferNames")
+        levels, args = [float(x) for x in dynamics.partition_levels], dynamics.satellite.sat_args
+        given = args.get("bufferNames", [WHOLE_STORE])  # None for numbered partitions
         names = list(given) if given is not None else [str(k) for k in range(len(levels))]
         return {
             "storageLevel": dynamics.storage_level,
-            "storageCapacity": dynamics.satellite.sat_args["dataStorageCapacity"],
+            "storageCapacity": args["dataStorageCapacity"],
             "storedData": levels,
             "storedDataName": names,
         }
@@ -166,7 +185,11 @@ def _store(dynamics: DynamicsView) -> Message:
 
 
 def _wheels(dynamics: DynamicsView) -> Message:
-    return Message(lambda: {"wheelSpeeds": dynamics.wheel_speeds.tolist()})
+    def read() -> dict[str, Any]:
+        speeds = dynamics.wheel_speeds.tolist()
+        return {"wheelSpeeds": speeds + [0.0] * (WHEELS - len(speeds))}
+
+    return Message(read)
 
 
 MODULES: dict[str, Module] = {

@@ -119,7 +119,7 @@ class Capture:
         simulator.aims.point(satellite, target.target_spacecraft)
         names = satellite.sat_args["bufferNames"]
         if len(names) > 1:
-            satellite.fsw.write("data_partition", float(names.index(satellite.dynamics.rso_partition_names[target.id])))
+            satellite.fsw._write("data_partition", float(names.index(satellite.dynamics.rso_partition_names[target.id])))
         self._deadline = simulator.sim_time_ns + whole_nanoseconds(min(duration, LONGEST))
         task = {
             "rso_deadline": float(-(-self._deadline // simulator.tick_ns)),
@@ -129,7 +129,7 @@ class Capture:
             "rso_ends": 0.0,
         }
         for name, value in task.items():
-            satellite.fsw.write(name, value)
+            satellite.fsw._write(name, value)
 
     def forget(self) -> None:
         """Forget the task, which another command has ended or will end."""
@@ -140,7 +140,7 @@ class Capture:
         """End the task: no image is taken."""
         self.forget()
         for field in GATE_FIELDS:
-            self.satellite.fsw.write(field.name, 0.0)
+            self.satellite.fsw._write(field.name, 0.0)
 
     def check_capture(self) -> bool:
         """Add a new image to the records; return whether the image of the task has been taken."""

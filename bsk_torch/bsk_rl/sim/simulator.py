@@ -6,6 +6,7 @@ import logging
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import torch
@@ -76,7 +77,6 @@ class Simulator:
         self.satellites, self.sim_rate, self.max_step_duration = list(satellites), sim_rate, max_step_duration
         self.time_limit, self.logger, self.world_args = time_limit, logger, dict(world_args)
         self.eventMap: dict[str, Event] = {}
-        self._at: int | None = None
         self.engine = engine or Engine()
         self.fleet: SatelliteFleet = self.engine.begin(self.satellites, world_type, self.world_args, sim_rate, time_limit)
         self.aims = Aims(self.fleet)
@@ -116,12 +116,17 @@ class Simulator:
     @property
     def sim_time_ns(self) -> int:
         """Time since reset, ns."""
-        return (self._now if self._at is None else self._at) * self._h_ns
+        return self._now * self._h_ns
 
     @property
     def sim_time(self) -> float:
         """Time since reset, s."""
         return self.sim_time_ns * NANO
+
+    @property
+    def TotalSim(self) -> SimpleNamespace:
+        """Basilisk's clock: ``CurrentNanos``, time since reset, ns."""
+        return SimpleNamespace(CurrentNanos=self.sim_time_ns)
 
     def get_satellite(self, name: str) -> Any:
         """Return the satellite of a name; ValueError if there is none."""
@@ -206,41 +211,49 @@ class Simulator:
     # -- running ------------------------------------------------------------------------------------------------------
 
     def run(self) -> None:
-        """Run to the first event that ends the step, for ``max_step_duration``, or to the time limit."""
-        fleet, start = self.fleet, self._now
-        fleet.since = torch.tensor([start])
-        last = int(self._limit_ticks)
-        until = min(start + self.tick_at(self.max_step_duration), last)
-        timed = [event for event in self.eventMap.values() if event.eventActive and event.tick is not None]
-        for event in timed:
-            if event.terminal and event.tick is not None:
-                until = min(until, max(event.tick, start + 1))
-        if until <= start:
-            return
-        result = fleet.run(self._every, self._limit_ticks, torch.tensor([until]))
-        self._now = start + int(result.ticks[0])
-        self._fire(result.events)
-        for part in fleet.satellites:
-            part.memory.touch()
+        """Run to the first event that ends the step, for ``max_step_duration``, or to the time limit.
 
-    def _fire(self, images: Sequence[Any]) -> None:
-        """Let the events of the run happen, in the order of their ticks; at the time limit the clock stops before any does."""
-        reached = self._now - (self._now >= int(self._limit_ticks))
-        due = []
-        for name, event in self.eventMap.items():
-            if not event.eventActive:
+        Other events happen on the way. As in Basilisk, those that are due happen before the first tick, too, and none does at the
+        time limit.
+        """
+        fleet, limit = self.fleet, int(self._limit_ticks)
+        fleet.since = torch.tensor([self._now])
+        last = min(self._now + self.tick_at(self.max_step_duration), limit)
+        images: Sequence[Any] = [None] * len(fleet.satellites)
+        until = self._now
+        while self._now < limit:
+            imaged = any(self._is_due(event, images) for event in self.eventMap.values() if event.image_of is not None)
+            broken_off = self._now < until and not imaged  # by the core, such as by a conjunction
+            if self._fire(images) or broken_off or self._now >= last:
+                return
+            ticks = [event.tick for event in self.eventMap.values() if event.eventActive and event.tick is not None]
+            until = min([last, *(max(tick, self._now + 1) for tick in ticks)])
+            result = fleet.run(self._every, self._limit_ticks, torch.tensor([until]))
+            self._now += int(result.ticks[0])
+            images = result.events
+            for part in fleet.satellites:
+                part.memory.touch()
+
+    def _fire(self, images: Sequence[Any]) -> bool:
+        """Let the events happen that are due, in the order of the map, and return whether one of them ends the step.
+
+        Those that an effect adds, or activates later in the map, are looked at as well.
+        """
+        ends, k = False, 0
+        while k < len(self.eventMap):
+            event = list(self.eventMap.values())[k]
+            k += 1
+            if not self._is_due(event, images):
                 continue
-            if event.tick is not None and event.tick <= reached:
-                due.append((event.tick, name, event))
-            elif event.image_of is not None:
-                part, row = event.image_of.core_row
-                if images[part] is not None and bool(images[part][row]):
-                    due.append((self._now, name, event))
-        for tick, _, event in sorted(due, key=lambda entry: entry[0]):
             event.eventActive = False
-            self._at = tick
-            try:
-                if event.effect is not None:
-                    event.effect(self)
-            finally:
-                self._at = None
+            ends |= event.terminal
+            if event.effect is not None:
+                event.effect(self)
+            k = 1 + next((n for n, other in enumerate(self.eventMap.values()) if other is event), -1)
+        return ends
+
+    def _is_due(self, event: Event, images: Sequence[Any]) -> bool:
+        if event.tick is not None:
+            return event.eventActive and event.tick <= self._now
+        part, row = event.image_of.core_row
+        return event.eventActive and images[part] is not None and bool(images[part][row])

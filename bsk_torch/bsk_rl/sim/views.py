@@ -7,8 +7,9 @@ another one raises AttributeError with advice.
 
 from __future__ import annotations
 
+import inspect
 from copy import deepcopy
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +32,31 @@ CORE = "bsk_torch.sim."
 """Modules of the classes whose members are evaluated by the core."""
 
 
+ELEMENTS = {
+    "semi_major_axis": "a", "eccentricity": "e", "inclination": "i", "ascending_node": "Omega", "argument_of_periapsis": "omega",
+    "true_anomaly": "f",
+}  # fmt: skip
+"""Orbital elements of bsk_rl's models by property."""
+
+
+class _Overridden:
+    """A member of a view that the class of a user's model defines, too: the user's is the one that programs see."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def __get__(self, view: Any, owner: type | None = None) -> Any:
+        return ModelView.__getattr__(view, self.name)
+
+
+@cache
+def _overriding(view: type, model: type) -> type:
+    """Return the class of views of a model: ``view`` itself, or a subclass where the user's model defines some of its members."""
+    users = [owner for owner in model.__mro__ if owner.__module__.split(".")[0] not in ("bsk_torch", "builtins")]
+    names = {name for owner in users for name in vars(owner) if not name.startswith("_") and hasattr(view, name)}
+    return type(view.__name__, (view,), {name: _Overridden(name) for name in names}) if names else view
+
+
 def of_row(value: Any, row: int) -> Any:
     """Return one row of a tensor [N, ...] as a Python number or a new NumPy array."""
     if not isinstance(value, torch.Tensor):
@@ -44,6 +70,16 @@ class ModelView:
 
     ``isinstance`` is true for the classes of the model. Attributes that a program sets are kept until the next reset.
     """
+
+    def __new__(cls, *args: Any) -> Any:
+        """Return a view whose members the user's class of the model may override."""
+        made = _overriding(cls, type(cls._model(*args)))  # type: ignore[arg-type]  # mypy: a class is not Hashable
+        return object.__new__(made)
+
+    @staticmethod
+    def _model(whole: Any, row: int) -> Any:
+        """Return the model of the core that a view with these arguments shows."""
+        return whole
 
     def __init__(self, whole: Any, row: int) -> None:
         """View row number ``row`` of a model of the core."""
@@ -64,6 +100,10 @@ class ModelView:
         whole = self.__dict__["_whole"]
         if name.startswith("__"):
             raise AttributeError(name)
+        if name in vars(whole) and not isinstance(inspect.getattr_static(type(whole), name, None), cached_property):
+            # set by __init__ of the user's class, for each satellite and episode in bsk_rl
+            value = self.__dict__[name] = deepcopy(vars(whole)[name])
+            return value
         for owner in type(whole).__mro__:
             if name in vars(owner):
                 return self._member(name, vars(owner)[name], owner)
@@ -73,7 +113,13 @@ class ModelView:
         """Set an attribute of the program's; AttributeError, with advice, for one that the simulation would not follow."""
         if name in messages.KEPT and name not in self.__dict__:
             raise AttributeError(f"{name} of a model cannot be set during an episode: give it in sat_args or world_args")
-        super().__setattr__(name, value)
+        member = inspect.getattr_static(type(self._whole), name, None)
+        if isinstance(member, property):
+            if member.fset is None:
+                raise AttributeError(f"property {name!r} of {type(self._whole).__name__!r} has no setter")
+            member.fset(self, value)
+        else:
+            super().__setattr__(name, value)
 
     def _advice(self, name: str) -> str:
         known = messages.advice(name) or nearest(name, self._names())
@@ -98,8 +144,10 @@ class ModelView:
             if ours or isinstance(member, observable):
                 value = getattr(self._whole, name)
                 return (lambda: of_row(value(), self._row)) if callable(value) else self._mine(name, value)
-            function: Any = member.fget if isinstance(member, property) else member.func
-            return function(self)
+            if isinstance(member, property):
+                return member.fget(self)  # type: ignore[misc]
+            found = self.__dict__[name] = member.func(self)
+            return found
         if not callable(member) or isinstance(member, staticmethod | classmethod | type):
             return getattr(self._whole, name)
         if not ours:
@@ -150,15 +198,17 @@ class SatelliteModelView(ModelView):
         super().__init__(whole, row)
         self.__dict__["satellite"] = satellite
 
+    @staticmethod
+    def _model(satellite: Any, whole: Any, row: int) -> Any:  # type: ignore[override]
+        """See :meth:`ModelView._model`."""
+        return whole
+
     satellite: Any
 
     def __getattr__(self, name: str) -> Any:
         """Return an argument that bsk_rl's model keeps, or another attribute."""
         if name in messages.KEPT and name in self._arguments():
             return self.satellite.sat_args[name]
-        if name in vars(self._whole):  # set by __init__ of the user's class, for each satellite and episode in bsk_rl
-            value = self.__dict__[name] = deepcopy(vars(self._whole)[name])
-            return value
         return super().__getattr__(name)
 
     def _arguments(self) -> Any:
@@ -210,10 +260,13 @@ class DynamicsView(SatelliteModelView):
         """Return the orbital elements as they were when they were first read in the episode, as in bsk_rl."""
         if "_oe" not in self.__dict__:
             found = self._whole.elements
-            self.__dict__["_oe"] = {
-                name: float(getattr(found, name)[self._row]) for name in ("a", "e", "i", "Omega", "omega", "f")
-            }
+            self.__dict__["_oe"] = {name: float(getattr(found, name)[self._row]) for name in ELEMENTS.values()}
         return self.__dict__["_oe"]
+
+    def observed(self, function: Any) -> Any:
+        """See :meth:`ModelView.observed`; orbital elements are those of the first moment at which one was read."""
+        name = function.__name__
+        return self._elements_at_start()[ELEMENTS[name]] if name in ELEMENTS else super().observed(function)
 
     @property
     def semi_major_axis(self) -> float:
@@ -286,7 +339,7 @@ class FlightSoftwareView(SatelliteModelView):
         """Return a command of the model, or another attribute."""
         command = name.removeprefix("action_")
         if name.startswith("action_") and command in self._core.type.commands:
-            return lambda: self.enter(command)
+            return lambda: self._enter(command)
         return super().__getattr__(name)
 
     def _names(self) -> list[str]:
@@ -306,7 +359,7 @@ class FlightSoftwareView(SatelliteModelView):
     def _rows(self) -> torch.Tensor:
         return row_mask(self.simulator.fleet, *self.satellite.core_row)
 
-    def enter(self, command: str) -> None:
+    def _enter(self, command: str) -> None:
         """Enter the mode that a command means now."""
         core = self._core
         if command not in core.type.commands:
@@ -315,7 +368,7 @@ class FlightSoftwareView(SatelliteModelView):
             self.rso_capture.forget()
         core.command(self._rows, core.mode_index(command))
 
-    def write(self, name: str, value: Any) -> None:
+    def _write(self, name: str, value: Any) -> None:
         """Set a field of the simulation for this satellite."""
         rows = self._rows
         self._core.write(name, rows, torch.as_tensor(np.atleast_1d(np.asarray(value, dtype=float))).expand(len(rows), -1))
@@ -353,24 +406,24 @@ class FlightSoftwareView(SatelliteModelView):
         capture = self.rso_capture
         if target.id not in self.dynamics.rso_partition_names:
             raise ValueError(f"{self.satellite.name} does not know the target {target.id!r}; dynamics.bind_rso_target adds it")
-        self.enter("image_rso")
+        self._enter("image_rso")
         capture.start(target, duration, hold_s, hold_mode, require_illumination, illumination_threshold)
 
     def action_image(self, r_LP_P: Any, data_name: str = "") -> None:
         """Point the instrument at a place, m in Earth-fixed axes, and take one image of it."""
         if "image_rso" in self._core.type.commands:
             raise NotImplementedError(f"{type(self._whole).__name__} images satellites: use act.ImageRSO")
-        self.enter("image")
-        self.write("r_LP_P", r_LP_P)
+        self._enter("image")
+        self._write("r_LP_P", r_LP_P)
 
     def action_attitude_mrp(self, sigma_RN: Any) -> None:
         """Turn to an attitude relative to N, an MRP."""
-        self.enter(ATTITUDE_MRP)
-        self.write("sigma_RN", sigma_RN)
+        self._enter(ATTITUDE_MRP)
+        self._write("sigma_RN", sigma_RN)
 
     def action_impulsive_thrust(self, dv_N: Any) -> None:
         """Change the velocity at once, m/s in N; the attitude reference becomes that of N."""
-        self.enter(HOLD_INERTIAL)
+        self._enter(HOLD_INERTIAL)
         rows = self._rows
         dv = torch.as_tensor(np.asarray(dv_N, dtype=float)).reshape(1, 3)
         self._core.thrust(rows, dv.expand(len(rows), 3))
@@ -381,14 +434,15 @@ class Station:
 
     Attributes:
         ModelTag: Its name.
-        r_LP_P_Init: Its place, m, Earth-fixed.
+        r_LP_P_Init: Its place, m, Earth-fixed: a column, as Basilisk writes it.
         minimumElevation: Least elevation, rad.
         maximumRange: Longest range, m; no limit if negative.
     """
 
     def __init__(self, simulator: Simulator, name: str, r_LP_P: Any, sine: float, reach: float) -> None:
         """Keep the numbers of a station."""
-        self.ModelTag, self.r_LP_P_Init = name, np.asarray(r_LP_P, dtype=float)
+        self._place = np.asarray(r_LP_P, dtype=float)
+        self.ModelTag, self.r_LP_P_Init = name, self._place.reshape(3, 1).tolist()
         self.minimumElevation, self.maximumRange = float(np.arcsin(sine)), reach
         self._simulator = simulator
 
@@ -399,9 +453,9 @@ class Station:
         return [messages.Message(partial(self._access, s)) for s in satellites if issubclass(s.dyn_type, GroundStationDynModel)]
 
     def _access(self, satellite: Any) -> dict[str, Any]:
-        line_P = satellite.dynamics.r_BN_P - self.r_LP_P_Init
+        line_P = satellite.dynamics.r_BN_P - self._place
         reach = float(np.linalg.norm(line_P))
-        elevation = float(np.arcsin(line_P @ self.r_LP_P_Init / (reach * np.linalg.norm(self.r_LP_P_Init))))
+        elevation = float(np.arcsin(line_P @ self._place / (reach * np.linalg.norm(self._place))))
         sees = elevation >= self.minimumElevation and (self.maximumRange < 0.0 or reach <= self.maximumRange)
         return {"hasAccess": int(sees), "slantRange": reach, "elevation": elevation}
 
@@ -413,8 +467,13 @@ class WorldView(ModelView):
 
     def __init__(self, simulator: Simulator) -> None:
         """View the world of a simulation."""
-        super().__init__(simulator.fleet.simulators[0].world, 0)
+        super().__init__(self._model(simulator), 0)
         self.__dict__["_simulator"] = simulator
+
+    @staticmethod
+    def _model(simulator: Simulator) -> Any:  # type: ignore[override]
+        """See :meth:`ModelView._model`."""
+        return simulator.fleet.simulators[0].world
 
     @property
     def simulator(self) -> Simulator:

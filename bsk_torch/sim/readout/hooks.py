@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import inspect
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
 from bsk_torch.astro.gravity import DEGREE
@@ -109,12 +109,12 @@ def _check_member(cls: type, owner: type, base: type, name: str, value: object) 
         if name.endswith("Task"):
             raise TypeError(f"{title} is never used; tasks of bsk_rl are components and modes here: {COMPONENT}")
     elif callable(value) or isinstance(value, staticmethod | classmethod):
-        _check_method(title, name, value)
+        _check_method(title, name, value, base)
     elif not name.startswith("_") and not isinstance(value, property) and (meant := _misspelled(cls, name)) is not None:
         raise TypeError(f"{title} is never used; did you mean {meant!r}?")
 
 
-def _check_method(title: str, name: str, value: object) -> None:
+def _check_method(title: str, name: str, value: object, base: type) -> None:
     if name.startswith("setup_"):
         raise TypeError(f"{title} is never used; {COMPONENT}")
     if name.startswith("action_"):
@@ -123,8 +123,25 @@ def _check_method(title: str, name: str, value: object) -> None:
             f"{title} is never used; a command is a row of the table modes, which act.DiscreteFSWAction({command!r}) enters: "
             f"modes = {{{command!r}: fsw.Mode(('control_on', 'nadir_on'))}}"
         )
+    if (
+        name == "__init__"
+        and inspect.isfunction(value)
+        and len(names := _required(value)) > len(_required(inspect.getattr_static(base, "__init__")))
+    ):
+        raise TypeError(
+            f"{title} requires {', '.join(names)}, but one object of the class is made for all episodes, without these. Write "
+            "def __init__(self, *args, **kwargs), which calls super().__init__(*args, **kwargs); what depends on a satellite or "
+            f"its arguments is a property, or {COMPONENT}"
+        )
     if isinstance(getattr(value, "defaults", None), Mapping):
         raise TypeError(f"{title} has default arguments that are never used; {DEFAULTS}")
+
+
+def _required(function: Callable[..., object]) -> list[str]:
+    """Return the names of the parameters of a method without a default."""
+    given = list(inspect.signature(function).parameters.values())[1:]
+    variable = inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD
+    return [each.name for each in given if each.default is inspect.Parameter.empty and each.kind not in variable]
 
 
 def _check_table(title: str, name: str, value: object) -> None:
