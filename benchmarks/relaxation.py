@@ -6,8 +6,9 @@ Usage:
 
 The relaxation of AEOS-v1 with several times between images: the least ones of the envelope, those of slews in one step alone
 (no bound: satellites may be on their way already), those that satellites cannot beat for long, and typical ones. Of those that
-satellites cannot beat for long there are three variants: the direction that the satellite comes from is the best for every slew
-and images may together be as late as they like (bounds, too), and windows do not close later by the reserve (no bound).
+satellites cannot beat for long there are three variants. In the first, every slew starts from the best direction; in the second,
+only single images are limited in how late they are, not all of a flight together (both are bounds, too). In the third, windows
+do not close later by the reserve (no bound).
 ``bound`` and ``schedule`` enclose the best that the relaxation allows, whatever the multipliers. ``knapsack`` is the time that
 images of all targets in view take if each comes by the quickest transition to it: a bound that counts time alone can lie below
 the sum in view only where that is longer than the episode. ``planner`` is what beam search over the trained policy collects in

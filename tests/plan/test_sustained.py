@@ -169,8 +169,8 @@ def test_longer_times_and_less_reserve_lower_the_bound(seed):
     assert limited[-1] == pytest.approx(upper, abs=1e-3)
 
 
-def test_a_schedule_of_the_relaxation_keeps_to_the_lateness_and_can_start_from_other_multipliers():
-    lower = 0
+def test_a_schedule_of_the_relaxation_keeps_to_the_lateness():
+    priced = 0
     for seed in range(6):
         tiny = Tiny(seed)
         slow = (3, 6, 6, 9, 10, 10, 12, 12, 13, 13)
@@ -178,14 +178,12 @@ def test_a_schedule_of_the_relaxation_keeps_to_the_lateness_and_can_start_from_o
         windows = tiny.openings._replace(last=tiny.openings.last + 5)
         cells = tiny.cells + 7
         graph = image_graph(windows, torch.zeros(1, cells, 3).double(), tiny.places.unsqueeze(0), times, 1, cells)
-        first = best_paths(graph, tiny.priority, budget=2.0, iterations=40, bits=4, gap=0.0)
-        nodes = first.nodes[first.nodes >= 0]
+        found = best_paths(graph, tiny.priority, budget=2.0, iterations=40, bits=4, gap=0.0)
+        nodes = found.nodes[found.nodes >= 0]
         assert int(graph.late[nodes].sum()) <= 2
         assert torch.equal(graph.late, (graph.cell - tiny.openings.last[graph.window]).clamp(min=0))
-        again = best_paths(graph, tiny.priority, budget=2.0, iterations=40, bits=4, gap=0.0, start=first)
-        assert float(again.upper) <= float(first.upper) + 1e-9
-        lower += float(first.price) > 0.0
-    assert lower
+        priced += float(found.price) > 0.0
+    assert priced
 
 
 # -- flights ------------------------------------------------------------------------------------------------------------------

@@ -88,7 +88,6 @@ def best_paths(
     iterations: int,
     bits: int = 4,
     gap: float = 1e-3,
-    start: Paths | None = None,
 ) -> Paths:
     """Return bounds on what paths of the satellites of E episodes collect; see the module.
 
@@ -100,17 +99,15 @@ def best_paths(
         iterations: Number of subgradients.
         bits: Number of neighbors that paths remember.
         gap: Fraction by which upper and lower bound of an episode may differ in the end.
-        start: Paths of fewer iterations, whose multipliers are the first.
     """
     episodes, targets = priority.shape
     seen = torch.zeros_like(priority)
     seen[graph.row // satellites, graph.target] = 1.0
     paid = (priority * seen).clamp(min=0.0).double().contiguous()
     upper, lower = paid.sum(1), torch.zeros(episodes, dtype=torch.float64)
-    multiplier = 0.9 * paid if start is None else start.multiplier.clone()
+    multiplier = 0.9 * paid
     unit = UNIT * max(1.0, float(graph.late.max()) if len(graph.late) else 1.0)
-    price = torch.zeros(episodes, dtype=torch.float64) if start is None else start.price * unit
-    most = torch.full((episodes,), budget / unit, dtype=torch.float64)
+    price, most = torch.zeros_like(lower), torch.full_like(lower, budget / unit)
     chosen = torch.full((episodes, MOST_IMAGES), -1, dtype=torch.int64)
     memory = neighbours(graph, bits)
     arrays = (
