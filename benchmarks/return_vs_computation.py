@@ -141,6 +141,9 @@ CASES = {
 
 MINUTE = {
     "AEOS-v1": Line("tree search", "mcts", "trained", (dict(budget=6000),)),
+    "AEOSPower-v1": Line("tree search", "mcts", "trained", (dict(budget=6000),)),
+    "CloudyAEOS-v1": Line("tree search", "mcts", "trained", (dict(budget=7500),)),
+    "NadirScan-v1": Line("tree search over the rule", "mcts", "rule", (dict(budget=4000),)),
     "RSOInspection-v1": Line("tree search over the rule", "mcts", "rule", (dict(budget=500),)),
 }
 """Planners that need about a minute for a decision on one slow core."""
@@ -279,7 +282,7 @@ def rows_of(task: str, options: Any, done: Callable[[dict[str, Any]], None]) -> 
     flights = Flights(case, options)
     rule = flights.played(partial(policy_of, case=case, line=case.lines[0], size={}), options.episodes)
     lines = [line for line in case.lines if not options.lines or line.name in options.lines]
-    if options.minute and task in MINUTE:
+    if options.minute:
         longest = MINUTE[task]
         lines.append(longest._replace(sizes=tuple(dict(budget=round(options.minute * size["budget"])) for size in longest.sizes)))
     for line in lines:
