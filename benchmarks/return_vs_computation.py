@@ -3,7 +3,7 @@
 Usage:
     python benchmarks/return_vs_computation.py [--presets AEOS-v1 AEOSPower-v1 CloudyAEOS-v1 NadirScan-v1 RSOInspection-v1]
         [--lines rule MILP ...] [--episodes 64] [--least 4] [--core-seconds 120] [--timing-seconds 2] [--first 3000000]
-        [--dearest 15] [--limit 0] [--minute 0] [--out FILE.json]
+        [--dearest 15] [--limit 0] [--minute 0] [--together 64] [--out FILE.json]
     python benchmarks/return_vs_computation.py --draw FILE.json ... --figure FILE.png
 
 Seconds are CPU seconds of one core for one decision, in an environment of a single episode: what a computer that decides for
@@ -12,7 +12,8 @@ two between ``--least`` and ``--episodes``, as would take ``--core-seconds`` one
 rule in the same episodes. Sizes of planners are tried in the order of their computation; behind the first one that needs more
 than ``--dearest`` seconds for a decision, the others of its line are left out. The episodes of tasks are shorter than those of
 their presets, see ``CASES``, or have ``--limit`` seconds. The rules were chosen in other episodes. ``--minute 1``
-adds planners that need about a minute for a decision, see ``MINUTE``; other values multiply their budgets.
+adds planners that need about a minute for a decision, see ``MINUTE``; other values multiply their budgets. At most ``--together``
+episodes are simulated at a time, each of which needs as many copies as its planner has sequences and futures.
 """
 
 from __future__ import annotations
@@ -249,7 +250,7 @@ class Flights:
     @torch.no_grad()
     def played(self, make: Callable[[Tasking], TensorDictModuleBase], count: int) -> Evaluation:
         """Return the first ``count`` episodes of a policy."""
-        env, first = self.env(count), self.options.first
+        env, first = self.env(min(count, self.options.together)), self.options.first
         return evaluate(make(env), env, seeds=range(first, first + count))
 
 
@@ -336,6 +337,7 @@ def main() -> None:
         dearest=15.0,
         limit=0.0,
         minute=0.0,
+        together=64,
     )
     names = list(dict.fromkeys(line.name for case in CASES.values() for line in case.lines))
     arguments.add_argument("--lines", nargs="+", choices=names, help="only these methods")
