@@ -28,8 +28,8 @@ GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 
 
 def like(results: Tensor, *given: Numeric) -> Any:
-    """Return ``results`` as a tensor if one of the ``given`` arguments is, else as an array."""
-    return results if any(isinstance(value, Tensor) for value in given) else results.numpy()
+    """Return ``results`` as a tensor if one of the ``given`` arguments is, else as an array, or a number without dimensions."""
+    return results if any(isinstance(value, Tensor) for value in given) else results.numpy()[()]
 
 
 def float64(*given: Numeric) -> list[Tensor]:

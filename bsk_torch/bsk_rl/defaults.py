@@ -131,6 +131,12 @@ def sat_defaults(dyn_type: type, fsw_type: type) -> dict[str, Any]:
     return found | {name: value for name, value in values.items() if name not in found and name not in FIXED}
 
 
+def model_defaults(model: type) -> dict[str, Any]:
+    """Return the arguments that the methods of one model declare, without those of tasks; see :func:`sat_defaults`."""
+    values = {**FIXED, **_values(model.all_components())}  # type: ignore[attr-defined]
+    return _collected(model, _methods(model, {**DYN, **FSW, **WORLD}), values)
+
+
 def world_defaults(world_type: type) -> dict[str, Any]:
     """Return all arguments of a world model by name; see :func:`sat_defaults`."""
     values = _values(world_type.all_components())  # type: ignore[attr-defined]

@@ -311,17 +311,14 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
         return sum(self.reward_dict.values()) + sum([self.failure_penalty] * deaths)
 
     def _get_terminated(self) -> Any:
-        if self.terminate_on_time_limit and self._is_truncated():
+        if self.terminate_on_time_limit and self._get_truncated():
             return True
         return not all(satellite.is_alive() and not self.rewarder.is_terminated(satellite) for satellite in self.satellites)
 
-    def _is_truncated(self) -> bool:
+    def _get_truncated(self) -> Any:
         """Return whether the time is up, or the rewarder cuts the episode."""
         late = self.simulator.sim_time >= self.time_limit
         return bool(late) or any(self.rewarder.is_truncated(satellite) for satellite in self.satellites)
-
-    def _get_truncated(self) -> Any:
-        return self._is_truncated()
 
     # -- spaces -------------------------------------------------------------------------------------------------------
 
@@ -347,7 +344,6 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
         """Begin the actions, run to the next event, and score what has happened."""
         if len(actions) != len(self.satellites):
             raise ValueError("There must be the same number of actions and satellites")
-        logger.info("=== STARTING STEP ===")
         for satellite, action in zip(self.satellites, actions, strict=True):
             satellite.info = []
             if not is_no_action(action):
@@ -370,6 +366,7 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Carry out the actions until the first event that ends the step."""
+        logger.info("=== STARTING STEP ===")
         self._step(actions)
         observation, reward = self._get_obs(), self._get_reward()
         terminated, truncated = self._get_terminated(), self._get_truncated()
@@ -505,7 +502,7 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
     def agents(self) -> list[Any]:
         """Agents whose satellites are all alive; none when the time is up."""
         if self._agents_last_compute_time is None or self._agents_last_compute_time != self.simulator.sim_time:
-            over = self._is_truncated()
+            over = super()._get_truncated()
             alive = {agent: all(s.is_alive() for s in members) for agent, members in self.meta_agent_groupings.items()}
             self._agents_cache = [agent for agent, lives in alive.items() if lives and not over]
             self._agents_last_compute_time = self.simulator.sim_time
@@ -597,14 +594,14 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
         return {agent: sum(rewards.get(satellite, 0.0) for satellite in members) for agent, members in self._present().items()}
 
     def _get_terminated(self) -> dict[Any, bool]:
-        late = self.terminate_on_time_limit and self._is_truncated()
+        late = self.terminate_on_time_limit and super()._get_truncated()
         return {
             agent: late or any(not s.is_alive() or self.rewarder.is_terminated(s) for s in members)
             for agent, members in self._present().items()
         }
 
     def _get_truncated(self) -> dict[Any, bool]:
-        late = self._is_truncated()
+        late = super()._get_truncated()
         return {
             agent: late or any(self.rewarder.is_truncated(satellite) for satellite in members)
             for agent, members in self._present().items()
@@ -641,8 +638,11 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
 
     def step(self, actions: Mapping[Any, Any]) -> tuple[Any, Any, Any, Any, dict[Any, Any]]:
         """Carry out the actions of agents, by agent, until the first event that ends the step."""
+        logger.info("=== STARTING STEP ===")
         before, chosen = self.agents, dict[Satellite, Any]()
         for agent, action in actions.items():
+            if len(self.meta_agent_groupings[agent]) > 1:
+                logger.info("Decomposing action for meta agent %s", agent)
             chosen |= self._decompose_meta_action(agent, action)
         self._step([chosen.get(satellite) for satellite in self.satellites])
         now = self.agents

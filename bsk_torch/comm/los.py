@@ -66,14 +66,15 @@ class LOSMultiCommunication(MultiDegreeCommunication, LOSCommunication):
     """Satellites communicate if a chain of lines of sight connects them."""
 
 
-def visible_pairs(fleet: SatelliteFleet, asked: Tensor) -> Tensor:
-    """Return the pairs that had a line of sight, in either direction, since the current step began, [N, S, S] booleans.
+def visible_pairs(fleet: SatelliteFleet, asked: Tensor, directed: bool = False) -> Tensor:
+    """Return the pairs that had a line of sight since the current step began, [N, S, S] booleans.
 
     As in bsk_rl, ticks count from the start of the step to the last but one, because Basilisk's recorders run before the modules.
 
     Args:
         fleet: The satellites.
         asked: Episodes to search, [N]; the result is False for all others.
+        directed: Whether the result is that of each sensor, [N, sensor, other], or that of either sensor of a pair.
 
     Raises:
         RuntimeError: If arcs have advanced so far that they no longer cover the step.
@@ -85,8 +86,22 @@ def visible_pairs(fleet: SatelliteFleet, asked: Tensor) -> Tensor:
     _check_covered(fleet, asked)
     search = make_search(fleet, fleet.since, torch.maximum(fleet.ticks - 1, fleet.since))
     for some in envs.split(max(1, PAIRS_PER_BATCH // fleet.size**2)):
-        found[some] = search.visible_pairs(some)
+        found[some] = search.visible_pairs(some, directed)
     return found
+
+
+def sights(fleet: SatelliteFleet) -> Tensor:
+    """Return the lines of sight in each tick of the current step of the first episode, [T, sensor, other] booleans.
+
+    Ticks are those of :func:`visible_pairs`; T is 0 in a step without any.
+    """
+    first, end = int(fleet.since[0]), int(fleet.ticks[0])
+    if first == end:
+        return torch.zeros(0, fleet.size, fleet.size, dtype=torch.bool)
+    _check_covered(fleet, torch.ones(fleet.num_envs, dtype=torch.bool, device=fleet.device))
+    search = make_search(fleet, fleet.since, fleet.ticks - 1)
+    ticks = torch.arange(first, end, device=fleet.device)
+    return search.all_margins(torch.zeros_like(ticks), ticks) > 0.0
 
 
 def make_search(fleet: SatelliteFleet, first: Tensor, last: Tensor) -> LineOfSightSearch:

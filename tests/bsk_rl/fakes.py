@@ -43,7 +43,7 @@ class Fake:
 def fleet(count, simulator=None):
     """Return satellites Sat0, Sat1, ... with one simulator, whose ``pairs`` see one another."""
     simulator = simulator or SimpleNamespace(sim_time=0.0, pairs=[])
-    simulator.visible_pairs = lambda: list(simulator.pairs)
+    simulator.visible_pairs = lambda: {*simulator.pairs, *(pair[::-1] for pair in simulator.pairs)}
     return [Fake(f"Sat{k}", simulator) for k in range(count)]
 
 

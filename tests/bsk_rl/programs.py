@@ -12,7 +12,19 @@ STEPS = 12
 
 def load(root: str) -> SimpleNamespace:
     """Return the modules of a package by name."""
-    names = ("act", "comm", "data", "obs", "sats", "scene", "sim.dyn", "sim.fsw", "utils.orbital", "scene.targets")
+    names = (
+        "act",
+        "comm",
+        "data",
+        "obs",
+        "sats",
+        "scene",
+        "sim.dyn",
+        "sim.fsw",
+        "utils.functional",
+        "utils.orbital",
+        "scene.targets",
+    )
     package = importlib.import_module(root)
     found = {name.rpartition(".")[2]: importlib.import_module(f"{root}.{name}") for name in names}
     return SimpleNamespace(root=package, **found)
@@ -407,8 +419,65 @@ def events(b: Any) -> Any:
     return b.root.SatelliteTasking(satellite=Watched("Watched"), time_limit=480.0)
 
 
+def relays(b: Any) -> Any:
+    """Return imagers with sensors of different ranges, which tell what they know by rules of the user's, and die of old age."""
+
+    class Model(b.dyn.ImagingDynModel, b.dyn.LOSCommDynModel):
+        @b.functional.aliveness_checker
+        def young(self):
+            return self.simulator.sim_time < 100.0 or self.satellite.name != "Eye2"
+
+    class Often(b.comm.LOSCommunication):
+        """Those who have seen one another in most of the step communicate at its end."""
+
+        def reset_overwrite_previous(self):
+            super().reset_overwrite_previous()
+            self.ticks = self.pairs = 0
+
+        def communication_pairs(self):
+            logs = [log.hasAccess for seen in self.los_logs.values() for log in seen.values()]
+            self.ticks += sum(map(sum, logs)) + len(logs[0])
+            listed = super().communication_pairs()
+            self.pairs += len(listed)
+            return [(one, other) for one, other in listed if np.mean(self.los_logs[one][other].hasAccess) > 0.5]
+
+    class Joined(b.comm.BroadcastCommunication, b.comm.MultiDegreeCommunication, Often):
+        pass
+
+    class Eye(b.sats.ImagingSatellite):
+        observation_spec = [
+            b.obs.SatProperties(
+                dict(prop="known", fn=lambda satellite: len(satellite.data_store.data.imaged)),
+                dict(prop="twice", fn=lambda satellite: satellite.data_store.data.duplicates),
+                dict(prop="alive", fn=lambda satellite: satellite.dynamics.young(log_failure=True)),
+            ),
+            b.obs.OpportunityProperties(dict(prop="priority"), n_ahead_observe=2),
+        ]
+        action_spec = [b.act.Image(n_ahead_image=2), b.act.Charge(duration=80.0), b.act.Broadcast(duration=40.0)]
+        dyn_type = Model
+        fsw_type = b.fsw.ImagingFSWModel
+
+    class Until(b.root.ConstellationTasking):
+        def _get_info(self):
+            info = super()._get_info()
+            info["__common__"] = info["__common__"] | {"ticks": int(self.communicator.ticks), "pairs": self.communicator.pairs}
+            return info
+
+    args = dict(imageAttErrorRequirement=0.1, imageRateErrorRequirement=0.1)
+    ranges = (2.2e6, -1.0, 3e6, 1e6)
+    return Until(
+        satellites=[Eye(f"Eye{k}", dict(args, losMaximumRange=reach)) for k, reach in enumerate(ranges)],
+        scenario=b.scene.UniformTargets(900),
+        rewarder=b.data.UniqueImageReward(),
+        communicator=Joined(min_period=30.0),
+        sat_arg_randomizer=b.orbital.walker_delta_args(n_planes=2, altitude=800.0, inc=60.0, clustersize=2, clusterspacing=15.0),
+        time_limit=1100.0,
+    )
+
+
 PROGRAMS = {
     "events": events,
+    "relays": relays,
     "scanning": scanning,
     "imaging": imaging,
     "constellation": constellation,
@@ -435,6 +504,8 @@ def chosen(name: str, rng: np.random.Generator) -> Any:
         return int(rng.integers(4))
     if name == "events":
         return int(rng.choice([0, 1, 2], p=[0.6, 0.2, 0.2]))
+    if name == "relays":
+        return {f"Eye{k}": int(action) for k, action in enumerate(rng.choice([0, 1, 3], p=[0.4, 0.2, 0.4], size=4))}
     if name == "imaging":
         return [int(action) for action in rng.integers(6, size=2)]
     if name == "extremes":

@@ -13,10 +13,12 @@ import gymnasium
 import numpy as np
 import pytest
 
-from bsk_torch.bsk_rl import ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking, act, data, obs, sats, scene
+from bsk_torch.bsk_rl import ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking, act, comm, data, obs, sats, scene
 from bsk_torch.bsk_rl.basilisk.architecture import bskLogging, messaging
 from bsk_torch.bsk_rl.basilisk.utilities import macros
 from bsk_torch.bsk_rl.sim import dyn, fsw, world
+from bsk_torch.bsk_rl.utils import functional
+from bsk_torch.bsk_rl.utils.orbital import random_circular_orbit
 from tests.bsk_rl import programs
 
 RECORDED = Path(__file__).parent / "data"
@@ -468,3 +470,140 @@ def test_steps_are_logged_as_bsk_rl_logs_them(caplog):
     assert [line for line in said if line.startswith("Step reward")] == ["Step reward: 0.0"] * 2
     assert [line for line in said if line.startswith("Episode")] == ["Episode terminated: False", "Episode truncated: True"]
     assert "Satellite D requires retasking" in said
+
+
+def test_the_log_has_the_lines_of_bsk_rl(caplog):
+    class Dark(sats.ImagingSatellite):
+        observation_spec = [obs.Time()]
+        action_spec = [act.Charge(duration=60.0), act.Image(n_ahead_image=1)]
+        dyn_type = dyn.ImagingDynModel
+        fsw_type = fsw.ImagingFSWModel
+
+    args = dict(storedCharge_Init=500.0, panelArea=0.0, basePowerDraw=-20.0)
+    made = ConstellationTasking(
+        satellites=[Dark("A"), Dark("B", args)],
+        scenario=scene.UniformTargets(500),
+        rewarder=data.UniqueImageReward(),
+        communicator=comm.FreeCommunication(),
+        meta_agent_groupings={"both": ["A", "B"]},
+        time_limit=400.0,
+        max_step_duration=40.0,
+        backend="eager",
+        log_level="INFO",
+    )
+    made.reset(seed=3)
+    caplog.clear()
+    with caplog.at_level(logging.INFO):
+        made.step({"both": [0, 0]})
+    assert caplog.messages == [
+        "=== STARTING STEP ===",
+        "Decomposing action for meta agent both",
+        "action_charge tasked for 60.0 seconds",
+        "setting timed terminal event at 60.0",
+        "action_charge tasked for 60.0 seconds",
+        "setting timed terminal event at 60.0",
+        "Max step duration reached",
+        "Total reward: {}",
+        "Communicating data in 2 directions.",
+        "Optimizing data communication between all pairs of satellites",
+        "failed battery_valid check",
+        "Step reward: {'both': -1.0}",
+        "Episode terminated: ['both']",
+    ]
+    made.reset(seed=3)
+    with caplog.at_level(logging.INFO):
+        made.satellites[0].set_action(1)
+    target, window = made.satellites[0].latest_target, made.satellites[0].find_next_opportunities(1)[0]["window"]
+    until = f"{window[0]:.1f} to {window[1]:.1f}"
+    assert caplog.messages[-2:] == [
+        f"{target} window enabled: {until}",
+        f"setting timed terminal event at {window[1]:.1f}",
+    ]
+
+
+def test_checks_stop_at_the_first_failure_as_in_bsk_rl(caplog):
+    class Model(dyn.BasicDynamicsModel):
+        calls = 0
+
+        @functional.aliveness_checker
+        def a_first(self):
+            return self.simulator.sim_time == 0.0
+
+        @functional.aliveness_checker
+        def b_second(self):
+            self.calls += 1
+            return True
+
+    class Watched(Drifter):
+        dyn_type = Model
+
+    made = SatelliteTasking(Watched("W"), time_limit=300.0, backend="eager")
+    made.reset(seed=0)
+    model = made.satellite.dynamics
+    assert model.battery_valid(log_failure=True)
+    assert model.is_alive()
+    made.step(0)
+    counted = model.calls
+    assert not made.satellite.is_alive()
+    assert not model.is_alive(log_failure=True)
+    assert model.calls == counted
+    assert caplog.messages == ["failed a_first check"] * 2
+
+
+def test_environments_of_programs_may_cut_episodes():
+    class Cut(SatelliteTasking):
+        def _get_truncated(self):
+            return super()._get_truncated() or self.simulator.sim_time > 50.0
+
+    class CutAll(ConstellationTasking):
+        def _get_truncated(self):
+            return {agent: cut or self.simulator.sim_time > 50.0 for agent, cut in super()._get_truncated().items()}
+
+    made = Cut(Drifter("D"), time_limit=300.0, terminate_on_time_limit=True, backend="eager")
+    made.reset(seed=0)
+    assert made.step(0)[2:4] == (True, True)
+    several = CutAll(satellites=[Drifter("D")], time_limit=300.0, terminate_on_time_limit=True, backend="eager")
+    several.reset(seed=0)
+    assert several.step({"D": 0})[2:4] == ({"D": False}, {"D": True})
+    assert several.agents == ["D"]
+
+
+def test_continuous_actions_are_described_by_a_property_or_a_method():
+    class Turn(act.AttitudeSetpoint):
+        def action_description(self):
+            return ["x", "y", "z"]
+
+    def described(action):
+        satellite = type("Turning", (Drifter,), {"action_spec": [action]})("T")
+        return satellite.action_description
+
+    assert described(act.AttitudeSetpoint()) == ["mrp_1", "mrp_2", "mrp_3"]
+    assert described(Turn()) == ["x", "y", "z"]
+
+
+def test_lines_of_sight_are_logged_until_they_are_used():
+    class Kept(comm.LOSCommunication):
+        def communicate(self):
+            self.kept = {
+                one.name: {other.name: log.hasAccess for other, log in seen.items()} for one, seen in self.los_logs.items()
+            }
+            super().communicate()
+
+    class Seeing(Drifter):
+        dyn_type = (dyn.BasicDynamicsModel, dyn.LOSCommDynModel)
+
+    orbits = [random_circular_orbit(i=45.0, alt=800.0, Omega=0.0, f=f) for f in (0.0, 20.0)]
+    made = ConstellationTasking(
+        satellites=[Seeing(f"S{k}", dict(oe=oe, losMaximumRange=[-1.0, 1e6][k])) for k, oe in enumerate(orbits)],
+        communicator=Kept(),
+        time_limit=300.0,
+        backend="eager",
+    )
+    made.reset(seed=0)
+    made.step({"S0": 0, "S1": 1})
+    kept = made.communicator.kept
+    assert kept["S0"]["S1"].tolist() == [1] * 30
+    assert kept["S1"]["S0"].tolist() == [0] * 30
+    assert made.communicator.los_logs[made.satellites[0]][made.satellites[1]].hasAccess.tolist() == []
+    pairs = made.communicator.communication_pairs()
+    assert [(one.name, other.name) for one, other in pairs] == [("S0", "S1"), ("S1", "S0")]

@@ -13,7 +13,7 @@ from bsk_torch.bsk_rl.basilisk.utilities import RigidBodyKinematics
 from bsk_torch.bsk_rl.utils import attitude, functional, logging_config, orbital, rllib, vizard
 from bsk_torch.bsk_rl.utils.actuator_primitives import balancedHR16Triad, idealMonarc1Octet
 from bsk_torch.bsk_rl.utils.rllib import callbacks, discounting
-from bsk_torch.sim import dyn
+from bsk_torch.sim import dyn, fsw, world
 
 # -- functional ------------------------------------------------------------------------------------------------------------------
 
@@ -72,14 +72,21 @@ def test_aliveness_is_that_of_all_checks():
 
 
 def test_a_failed_check_is_logged(caplog):
-    model = SimpleNamespace(satellite=SimpleNamespace(logger=logging.getLogger("dead")))
+    class Model:
+        satellite = SimpleNamespace(logger=logging.getLogger("dead"))
 
-    def fuel_remaining():
-        return False
+        @functional.aliveness_checker
+        def fuel_remaining(self):
+            """Whether fuel remains."""
+            return False
 
-    model.fuel_remaining = functional.aliveness_checker(fuel_remaining)
+    model = Model()
     assert not functional.check_aliveness_checkers(model, log_failure=True)
-    assert "failed fuel_remaining check" in caplog.text
+    assert caplog.messages == ["failed fuel_remaining check"]
+    assert not model.fuel_remaining(log_failure=True)
+    assert not model.fuel_remaining()
+    assert caplog.messages == ["failed fuel_remaining check"] * 2
+    assert Model.fuel_remaining.__doc__ == "Whether fuel remains."
 
 
 def test_names_and_vectors():
@@ -88,6 +95,31 @@ def test_names_and_vectors():
     names, values = functional.vectorize_nested_dict({"a": 1, "b": np.array([2.0, 3.0]), "c": {"d": [4], "e": 5.0}})
     assert names == ["a", "b[0]", "b[1]", "c.d[0]", "c.e"]
     assert values.tolist() == [1, 2, 3, 4, 5]
+    assert functional.vectorize_nested_dict({"a": [[1, 2], [3, 4]]})[1].shape == (2, 2)
+
+
+@pytest.mark.parametrize("value", [None, "x", 1j, (1.0, 2.0)])
+def test_what_is_no_number_has_no_place_in_a_vector(value):
+    with pytest.raises(TypeError, match=r"c=.* cannot be part of a vector: give a number, a list or an array"):
+        functional.vectorize_nested_dict({"a": 1, "b": {"c": value}})
+
+
+def test_models_have_the_arguments_of_their_counterparts():
+    found = functional.collect_default_args(dyn.ImagingDynModel)
+    assert len(found) == 40
+    assert found["mass"] == 330
+    assert callable(found["wheelSpeeds"])
+    assert functional.collect_default_args(fsw.ImagingFSWModel) == {}
+    assert sorted(functional.collect_default_args(world.GroundStationWorldModel)) == [
+        "groundLocationPlanetRadius", "groundStationsData", "gsMaximumRange", "gsMinimumElevation", "utc_init"
+    ]  # fmt: skip
+
+
+def test_places_have_their_components_first_and_elevations_are_numbers():
+    places = orbital.lla2ecef(np.array([0.0, 90.0]), np.array([10.0, 20.0]), 2.0)
+    assert places.shape == (3, 2)
+    assert places[2].tolist() == pytest.approx([0.0, 2.0])
+    assert isinstance(orbital.elevation(np.array([2.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])), float)
 
 
 def test_classes_are_composed_without_repetitions():

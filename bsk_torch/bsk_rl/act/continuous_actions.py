@@ -29,7 +29,8 @@ class ContinuousActionBuilder(ActionBuilder):
     @property
     def action_description(self) -> list[str]:
         """See :attr:`ActionBuilder.action_description`."""
-        return self.action_spec[0].action_description
+        found = self.action_spec[0].action_description
+        return found() if callable(found) else found  # a method in programs of bsk_rl, which calls it
 
     def set_action(self, action: Any) -> None:
         """See :meth:`ActionBuilder.set_action`."""

@@ -6,7 +6,9 @@ import logging
 from abc import ABC, abstractmethod
 from copy import copy
 from itertools import permutations
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from bsk_torch.bsk_rl.utils.functional import Resetable
 from bsk_torch.sim.dyn import LOSCommDynModel
@@ -81,6 +83,7 @@ class CommunicationMethod(ABC, Resetable):
 
     def _communicate_all(self) -> None:
         """Give every satellite the data of all."""
+        logger.info("Optimizing data communication between all pairs of satellites")
         total = type(self.satellites[0].data_store.data)()
         for satellite in self.satellites:
             total += satellite.data_store.data
@@ -106,8 +109,20 @@ class FreeCommunication(CommunicationMethod):
         return list(permutations(self.satellites, 2))
 
 
+class SightLog(NamedTuple):
+    """What Basilisk's recorder keeps of the sight of one satellite by another one.
+
+    Attributes:
+        hasAccess: 1 in ticks with a line of sight and 0 in others, [T].
+    """
+
+    hasAccess: np.ndarray
+
+
 class LOSCommunication(CommunicationMethod):
     """Satellites exchange data if they had a line of sight to each other, not blocked by the Earth, at any time in the step."""
+
+    _cleared: float
 
     def link_satellites(self, satellites: list[Any]) -> None:
         """Keep the satellites; TypeError for those without lines of sight."""
@@ -119,15 +134,32 @@ class LOSCommunication(CommunicationMethod):
                     "write dyn_type = (..., dyn.LOSCommDynModel)"
                 )
 
-    def communication_pairs(self) -> Pairs:
-        """See :meth:`CommunicationMethod.communication_pairs`; as in bsk_rl, each direction is listed twice."""
-        visible = {frozenset(pair) for pair in self.satellites[0].simulator.visible_pairs()}
+    def reset_post_sim_init(self) -> None:
+        """See :meth:`CommunicationMethod.reset_post_sim_init`; logs are empty."""
+        super().reset_post_sim_init()
+        self._cleared = 0.0
+
+    @property
+    def los_logs(self) -> dict[Any, dict[Any, SightLog]]:
+        """Logs of the current step by sensor and other satellite; empty after :meth:`communicate`, as in bsk_rl."""
+        simulator = self.satellites[0].simulator
+        seen = simulator.sights()[: 0 if simulator.sim_time == self._cleared else None]
         numbered = list(enumerate(self.satellites))
+        return {one: {other: SightLog(seen[:, i, j].astype(int)) for j, other in numbered if j != i} for i, one in numbered}
+
+    def communication_pairs(self) -> Pairs:
+        """See :meth:`CommunicationMethod.communication_pairs`; as in bsk_rl, both directions are listed for each sensor."""
+        visible = self.satellites[0].simulator.visible_pairs()
         pairs = []
-        for (i, one), (j, other) in permutations(numbered, 2):
-            if frozenset((i, j)) in visible:
+        for (i, one), (j, other) in permutations(enumerate(self.satellites), 2):
+            if (i, j) in visible:
                 pairs += [(one, other), (other, one)]
         return pairs
+
+    def communicate(self) -> None:
+        """See :meth:`CommunicationMethod.communicate`; logs are empty afterwards."""
+        super().communicate()
+        self._cleared = self.satellites[0].simulator.sim_time
 
 
 class MultiDegreeCommunication(CommunicationMethod):

@@ -334,6 +334,7 @@ class ImagingSatellite(AccessSatellite):
             raise ValueError(f"{target} is in none of the windows that are known up to {self.window_calculation_time} s")
         self._update_image_event(target)
         window = windows[0]
+        self.logger.info("%s window enabled: %.1f to %.1f", target, *window)
 
         def over(simulator: Simulator) -> None:
             if np.isclose(simulator.sim_time, window[1], atol=1e-9):

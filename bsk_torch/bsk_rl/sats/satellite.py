@@ -269,6 +269,7 @@ class Satellite(ABC, Resetable):
         if extra_actions is not None and not callable(extra_actions):
             raise TypeError(f"extra_actions={extra_actions!r} must be a function of the simulator")
         self.disable_timed_terminal_event()
+        self.logger.info("setting timed terminal event at %.1f", t_close)
         self._timed_terminal_event_name = f"timed_terminal_{self.name}"
 
         def over(simulator: Simulator) -> None:

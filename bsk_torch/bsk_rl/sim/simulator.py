@@ -9,12 +9,13 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import torch
 
 from bsk_torch.bsk_rl.sim.engine import Engine, row_mask
 from bsk_torch.bsk_rl.sim.rso_imaging import Aims
 from bsk_torch.bsk_rl.sim.views import WorldView
-from bsk_torch.comm.los import visible_pairs
+from bsk_torch.comm.los import sights, visible_pairs
 from bsk_torch.constants import NANO
 from bsk_torch.env.episodes import whole_limit
 from bsk_torch.sats.fleet import SatelliteFleet
@@ -135,10 +136,16 @@ class Simulator:
                 return satellite
         raise ValueError(f"no satellite is called {name!r}; there are {[satellite.name for satellite in self.satellites]}")
 
-    def visible_pairs(self) -> list[tuple[int, int]]:
-        """Return the pairs of satellites, by their positions, that have seen each other since the last run began."""
-        seen = visible_pairs(self.fleet, self._every)[0]
-        return [(i, j) for i, j in torch.nonzero(seen).tolist() if i < j]
+    def visible_pairs(self) -> set[tuple[int, int]]:
+        """Return pairs of a satellite and another one, by their positions, that it has seen since the last run began."""
+        return {(i, j) for i, j in torch.nonzero(visible_pairs(self.fleet, self._every, directed=True)[0]).tolist()}
+
+    def sights(self) -> np.ndarray:
+        """Return whether one satellite sees another one in each tick since the last run began, [T, S, S] booleans.
+
+        Ticks are those that Basilisk's recorders keep: from the start of the run to the last but one.
+        """
+        return sights(self.fleet).numpy()
 
     # -- events -------------------------------------------------------------------------------------------------------
 
@@ -218,13 +225,17 @@ class Simulator:
         """
         fleet, limit = self.fleet, int(self._limit_ticks)
         fleet.since = torch.tensor([self._now])
-        last = min(self._now + self.tick_at(self.max_step_duration), limit)
+        longest = self._now + self.tick_at(self.max_step_duration)
+        last = min(longest, limit)
         images: Sequence[Any] = [None] * len(fleet.satellites)
         until = self._now
         while self._now < limit:
             imaged = any(self._is_due(event, images) for event in self.eventMap.values() if event.image_of is not None)
             broken_off = self._now < until and not imaged  # by the core, such as by a conjunction
-            if self._fire(images) or broken_off or self._now >= last:
+            ended = self._fire(images)
+            if self._now >= longest:
+                self.logger.info("Max step duration reached")
+            if ended or broken_off or self._now >= last:
                 return
             ticks = [event.tick for event in self.eventMap.values() if event.eventActive and event.tick is not None]
             until = min([last, *(max(tick, self._now + 1) for tick in ticks)])

@@ -140,10 +140,11 @@ class ModelView:
 
     def _member(self, name: str, member: Any, owner: type) -> Any:
         ours = owner.__module__.startswith(CORE)
+        if getattr(member, "is_aliveness_checker", False):
+            return partial(self._check, name, None if ours or isinstance(member, observable) else member)
         if isinstance(member, property | cached_property):
             if ours or isinstance(member, observable):
-                value = getattr(self._whole, name)
-                return (lambda: of_row(value(), self._row)) if callable(value) else self._mine(name, value)
+                return self._mine(name, getattr(self._whole, name))
             if isinstance(member, property):
                 return member.fget(self)  # type: ignore[misc]
             found = self.__dict__[name] = member.func(self)
@@ -153,6 +154,16 @@ class ModelView:
         if not ours:
             return member.__get__(self)
         return lambda *args, **options: of_row(getattr(self._whole, name)(*args, **options), self._row)
+
+    def _check(self, name: str, method: Any, *args: Any, log_failure: bool = False, **options: Any) -> Any:
+        """Evaluate an aliveness check, the core's or a ``method`` of the user's; log a warning of its failure on request."""
+        if method is None:
+            alive = of_row(getattr(self._whole, name)(*args, **options), self._row)
+        else:
+            alive = method.__get__(self)(*args, **options)
+        if log_failure and not np.all(alive):
+            self.satellite.logger.warning("failed %s check", name)
+        return alive
 
     # -- what every model has -----------------------------------------------------------------------------------------
 
@@ -177,11 +188,12 @@ class ModelView:
         return self.satellite.fsw
 
     def is_alive(self, log_failure: bool = False) -> bool:
-        """Return whether every aliveness check holds; failures are logged on request."""
-        failed = [name for name in self._whole.checks() if not getattr(self, name)()]
-        if failed and log_failure:
-            self.satellite.logger.warning("failed %s", ", ".join(failed))
-        return not failed
+        """Return whether every aliveness check holds; as in bsk_rl, those after the first failure are not called.
+
+        Args:
+            log_failure: Whether the logger of the satellite gets a warning of the first failure.
+        """
+        return all(getattr(self, name)(log_failure=log_failure) for name in self._whole.checks())
 
     def reset_during_sim_init(self) -> None:
         """Do nothing; the hook of bsk_rl's models is overridden by nothing here."""
@@ -327,9 +339,13 @@ class DynamicsView(SatelliteModelView):
 
     def is_alive(self, log_failure: bool = False) -> bool:
         """See :meth:`ModelView.is_alive`; deputies may take their chief with them."""
+        if not super().is_alive(log_failure):
+            return False
         part, row = self.satellite.core_row
-        taken = self.simulator.fleet.encounters.checks_of_deputies(part)
-        return super().is_alive(log_failure) and all(bool(valid[row]) for valid in taken.values())
+        near = all(bool(valid[row]) for valid in self.simulator.fleet.encounters.checks_of_deputies(part).values())
+        if log_failure and not near:
+            self.satellite.logger.warning("failed range_valid check")
+        return near
 
 
 class FlightSoftwareView(SatelliteModelView):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 import types
 import warnings
@@ -12,7 +13,7 @@ from unittest.mock import MagicMock
 
 import numpy as np
 
-from bsk_torch.sim.dyn import aliveness_checker
+from bsk_torch.sim import dyn, fsw, world
 
 __all__ = [
     "AbstractClassProperty",
@@ -74,7 +75,14 @@ def safe_dict_merge(updates: Mapping[str, Any], base: dict[str, Any]) -> dict[st
 
 
 def collect_default_args(object: object) -> dict[str, Any]:
-    """Return what :func:`default_args` has declared on the methods of a class or object, by the names of the methods in order."""
+    """Return what :func:`default_args` has declared on the methods of a class or object, by the names of the methods in order.
+
+    Of a class of models, the result has the arguments that its counterpart in bsk_rl declares, too.
+    """
+    if isinstance(object, type) and issubclass(object, dyn.DynamicsModel | fsw.FSWModel | world.WorldModel):
+        from bsk_torch.bsk_rl.defaults import model_defaults  # which uses this module
+
+        return model_defaults(object)
     defaults: dict[str, Any] = {}
     for method in _marked(object, "defaults"):
         safe_dict_merge(method.defaults, defaults)
@@ -86,6 +94,22 @@ def _marked(object: object, mark: str) -> list[Any]:
     names = (name for name in dir(object) if not name.startswith("__") and not is_property(object, name))
     found = (getattr(object, name, None) for name in names)
     return [method for method in found if callable(method) and hasattr(method, mark)]
+
+
+def aliveness_checker(method: Function) -> Function:
+    """Mark a method of a model as an aliveness check, and let it take ``log_failure``.
+
+    With ``log_failure=True``, the logger of the model's satellite gets a warning of a failure.
+    """
+
+    @functools.wraps(method)
+    def checked(self: Any, *args: Any, log_failure: bool = False, **options: Any) -> Any:
+        alive = method(self, *args, **options)
+        if log_failure and not np.all(np.asarray(alive)):
+            self.satellite.logger.warning(f"failed {method.__name__} check")
+        return alive
+
+    return dyn.aliveness_checker(checked)  # type: ignore[return-value]  # mypy: wraps() keeps the signature
 
 
 def check_aliveness_checkers(model: object, log_failure: bool = False) -> bool:
@@ -118,7 +142,11 @@ def valid_func_name(name: str) -> str:
 
 
 def vectorize_nested_dict(dictionary: Mapping[str, Any]) -> tuple[list[str], np.ndarray]:
-    """Return the names and numbers of nested dictionaries, as ``"target.priority"`` or ``"r_BN_N[0]"``, one after another."""
+    """Return the names and numbers of nested dictionaries, as ``"target.priority"`` or ``"r_BN_N[0]"``, one after another.
+
+    Raises:
+        TypeError: For what is no number, list, array or dictionary of such.
+    """
     names: list[str] = []
     values: list[np.ndarray] = []
     for key, value in dictionary.items():
@@ -127,12 +155,14 @@ def vectorize_nested_dict(dictionary: Mapping[str, Any]) -> tuple[list[str], np.
             names += [f"{key}.{name}" for name in inner]
             values.append(numbers)
         elif isinstance(value, np.ndarray | list):
-            numbers = np.asarray(value).flatten()
+            numbers = value.flatten() if isinstance(value, np.ndarray) else np.asarray(value)
             names += [f"{key}[{k}]" for k in range(len(numbers))]
             values.append(numbers)
-        else:
+        elif isinstance(value, int | float | np.number | np.bool_) and not isinstance(value, np.complexfloating):
             names.append(key)
             values.append(np.asarray([value]))
+        else:
+            raise TypeError(f"{key}={value!r} cannot be part of a vector: give a number, a list or an array")
     return names, np.concatenate(values)
 
 

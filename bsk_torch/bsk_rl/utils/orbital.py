@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from bsk_torch.astro.relative import cd2hill, elevation, fibonacci_sphere, hill2cd, lla2ecef, rv2HN, rv2omega
+from bsk_torch.astro import relative
+from bsk_torch.astro.relative import cd2hill, elevation, fibonacci_sphere, hill2cd, rv2HN, rv2omega
 from bsk_torch.bsk_rl.sim.trajectory import TrajectorySimulator
 from bsk_torch.bsk_rl.utils import orbital_motion as orbitalMotion  # noqa: N812  (the name that programs import)
 from bsk_torch.bsk_rl.utils.orbital_motion import ClassicElements, elem2rv, rv2elem
@@ -44,6 +45,17 @@ MONTHS = ["JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", 
 
 Randomizer = Callable[[Sequence[Any]], dict[Any, dict[str, Any]]]
 """Returns arguments by satellite, for ``sat_arg_randomizer`` of an environment."""
+
+
+def lla2ecef(lat: Any, long: Any, radius: Any) -> Any:
+    """Return Earth-fixed positions of places on a sphere, [3, ...] in the unit of ``radius``; components are first, as in bsk_rl.
+
+    Args:
+        lat: Latitude, degrees [...].
+        long: Longitude, degrees [...].
+        radius: Distance from the center [...].
+    """
+    return np.moveaxis(relative.lla2ecef(lat, long, radius), -1, 0)
 
 
 # -- random orbits ---------------------------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ and if ``f(a) + f(b) <= -v (b - a)``, there is no line of sight within. All othe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -111,6 +111,10 @@ class SatellitePairs(NamedTuple):
     def take(self, index: Tensor) -> SatellitePairs:
         """Return the pairs ``index``, which may repeat."""
         return SatellitePairs(*(part[index] for part in self))
+
+
+Margins = Callable[[SatellitePairs, Tensor], Tensor]
+"""Returns the margins of pairs, [m] m, at a tick [m] each."""
 
 
 class TickIntervals(NamedTuple):
@@ -217,25 +221,44 @@ class LineOfSightSearch:
         max_range = (None, None) if self.max_range is None else (self.max_range[env, i], self.max_range[env, j])
         return torch.maximum(visibility_margin(first, before, max_range[0]), visibility_margin(second, first, max_range[1]))
 
-    def visible_pairs(self, envs: Tensor) -> Tensor:
-        """Return the pairs with a line of sight at any tick, in either direction, of episodes [n]; [n, S, S] booleans."""
+    def view_margins(self, views: SatellitePairs, tick: Tensor) -> Tensor:
+        """Return the margins of pairs of a sensor ``i`` and another satellite ``j``, in any order, [m] m, at a tick [m] each."""
+        env, i, j = views
+        looks = (i, tick), (j, torch.where(i < j, (tick - 1).clamp(min=0), tick))
+        r_BN_N = self._positions(env.repeat(2), *(torch.cat(part) for part in zip(*looks, strict=True)))
+        halves = zip(*(x.chunk(2) for x in r_BN_N), strict=True)
+        pole = self._pole(env, tick)
+        own, other = (SatellitePositions.of(Vec3(*part), pole) for part in halves)
+        return visibility_margin(own, other, None if self.max_range is None else self.max_range[env, i])
+
+    def visible_pairs(self, envs: Tensor, directed: bool = False) -> Tensor:
+        """Return the pairs with a line of sight at any tick of episodes [n]; [n, S, S] booleans.
+
+        Args:
+            envs: Numbers of the episodes, [n].
+            directed: Whether the result is that of each sensor, [n, sensor, other], or that of either sensor of a pair.
+        """
         first, last, speed = self.first[envs], self.last[envs], self.speed[envs]
         ends = self.all_margins(envs, first), self.all_margins(envs, last)
-        found = (ends[0] > 0.0) | (ends[1] > 0.0)
-        found = (found | found.mT) & ~torch.eye(self.size, dtype=torch.bool, device=envs.device)
+        if not directed:
+            ends = torch.maximum(ends[0], ends[0].mT), torch.maximum(ends[1], ends[1].mT)
+        others = ~torch.eye(self.size, dtype=torch.bool, device=envs.device)
+        found = ((ends[0] > 0.0) | (ends[1] > 0.0)) & others
         speeds, length = torch.maximum(speed.unsqueeze(1), speed.unsqueeze(2)), (last - first).view(-1, 1, 1)
-        possible = (length > 1) & (ends[0] + ends[1] > -speeds * length)
+        possible = (length > 1) & (ends[0] + ends[1] > -speeds * length) & others
         if self.present is not None:
             both = self.present[envs].unsqueeze(1) & self.present[envs].unsqueeze(2)
             found, possible = found & both, possible & both
-        for part in torch.nonzero(((possible | possible.mT) & ~found).triu(1)).split(self.block):
+        possible &= ~found
+        margins = self.view_margins if directed else self.pair_margins
+        for part in torch.nonzero(possible if directed else possible.triu(1)).split(self.block):
             n, i, j = part.unbind(-1)
-            margins = (torch.maximum(end[n, i, j], end[n, j, i]) for end in ends)
-            whole = TickIntervals(torch.arange(len(n), device=n.device), first[n], last[n], *margins)
-            found[n, i, j] = found[n, j, i] = self._search(SatellitePairs(envs[n], i, j), speeds[n, i, j], whole)
-        return found
+            numbers = torch.arange(len(n), device=n.device)
+            whole = TickIntervals(numbers, first[n], last[n], *(end[n, i, j] for end in ends))
+            found[n, i, j] = self._search(SatellitePairs(envs[n], i, j), speeds[n, i, j], whole, margins)
+        return found if directed else found | found.mT
 
-    def _search(self, pairs: SatellitePairs, speed: Tensor, intervals: TickIntervals) -> Tensor:
+    def _search(self, pairs: SatellitePairs, speed: Tensor, intervals: TickIntervals, margins: Margins) -> Tensor:
         """Return the pairs, [p] booleans, with a positive margin inside one of the intervals.
 
         Margins change by at most ``speed`` [p] m a tick; see the formula at the top of the module.
@@ -243,7 +266,7 @@ class LineOfSightSearch:
         found = torch.zeros_like(pairs.env, dtype=torch.bool)
         while len(intervals.pair):
             middle = (intervals.first + intervals.last) // 2
-            margin = self.pair_margins(pairs.take(intervals.pair), middle)
+            margin = margins(pairs.take(intervals.pair), middle)
             found[intervals.pair[margin > 0.0]] = True
             halves = (
                 intervals._replace(last=middle, margin_last=margin),
@@ -251,8 +274,8 @@ class LineOfSightSearch:
             )
             intervals = TickIntervals(*(torch.cat(part) for part in zip(*halves, strict=True)))
             length = intervals.last - intervals.first
-            margins = intervals.margin_first + intervals.margin_last
-            possible = (length > 1) & (margins > -speed[intervals.pair] * length) & ~found[intervals.pair]
+            total = intervals.margin_first + intervals.margin_last
+            possible = (length > 1) & (total > -speed[intervals.pair] * length) & ~found[intervals.pair]
             index = torch.nonzero(possible).squeeze(-1)
             intervals = TickIntervals(*(part[index] for part in intervals))
         return found

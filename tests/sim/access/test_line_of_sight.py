@@ -178,14 +178,14 @@ def test_every_step_against_basilisk(name, recording, backend):
 
 
 def by_brute_force(fleet: SatelliteFleet) -> torch.Tensor:
-    """Who sees whom, by a look in every tick."""
+    """Who sees whom, sensors first, by a look in every tick."""
     first, last = fleet.since, torch.maximum(fleet.ticks - 1, fleet.since)
     seen = torch.zeros(fleet.num_envs, fleet.size, fleet.size, dtype=torch.bool)
     search = make_search(fleet, first, last)
     for env in torch.nonzero(fleet.ticks > first).squeeze(-1):
         ticks = torch.arange(int(first[env]), int(last[env]) + 1)
         seen[env] = (search.all_margins(env.expand(len(ticks)), ticks) > 0.0).any(0)
-    return (seen | seen.mT) & ~torch.eye(fleet.size, dtype=torch.bool)
+    return seen & ~torch.eye(fleet.size, dtype=torch.bool)
 
 
 def mixed_fleet(n: int, s: int, eccentricity: float, backend: str = "eager", **options: object) -> SatelliteFleet:
@@ -200,8 +200,9 @@ def test_the_search_finds_what_brute_force_finds(eccentricity, longest, backend)
     asked, glimpses = torch.ones(12, dtype=torch.bool), 0
     for _ in range(4):
         step(fleet, torch.randint(1, longest, (12,)))
-        found = visible_pairs(fleet, asked)
-        assert torch.equal(found, by_brute_force(fleet))
+        found, seen = visible_pairs(fleet, asked), by_brute_force(fleet)
+        assert torch.equal(visible_pairs(fleet, asked, directed=True), seen)
+        assert torch.equal(found, seen | seen.mT)
         search = make_search(fleet, fleet.since, fleet.ticks - 1)
         ends = [search.all_margins(fleet.all_envs, tick) > 0.0 for tick in (search.first, search.last)]
         glimpses += int((found & ~(ends[0] | ends[0].mT | ends[1] | ends[1].mT)).sum())
