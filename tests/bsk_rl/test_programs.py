@@ -18,7 +18,7 @@ from bsk_torch.bsk_rl.basilisk.architecture import bskLogging, messaging
 from bsk_torch.bsk_rl.basilisk.utilities import macros
 from bsk_torch.bsk_rl.sim import dyn, fsw, world
 from bsk_torch.bsk_rl.utils import functional
-from bsk_torch.bsk_rl.utils.orbital import random_circular_orbit
+from bsk_torch.bsk_rl.utils.orbital import random_circular_orbit, relative_to_chief
 from tests.bsk_rl import programs
 
 RECORDED = Path(__file__).parent / "data"
@@ -607,3 +607,77 @@ def test_lines_of_sight_are_logged_until_they_are_used():
     assert made.communicator.los_logs[made.satellites[0]][made.satellites[1]].hasAccess.tolist() == []
     pairs = made.communicator.communication_pairs()
     assert [(one.name, other.name) for one, other in pairs] == [("S0", "S1"), ("S1", "S0")]
+
+
+def relative(states):
+    """Return a function for ``sat_arg_randomizer`` that places satellites relative to the satellite A, [6] m and m/s each."""
+    orbit = random_circular_orbit(i=40.0, alt=600.0, Omega=0.0, f=0.0)
+    return relative_to_chief("A", orbit, {name: np.array(state, dtype=float) for name, state in states.items()})
+
+
+def test_collisions_are_booked_and_logged_as_in_bsk_rl(caplog):
+    args = dict(conjunction_radius=50.0)
+    made = ConstellationTasking(
+        satellites=[Drifter(name, args) for name in "ABC"],
+        sat_arg_randomizer=relative({"B": [10, 0, 0, 0, 0, 0], "C": [0, 120, 0, 0, -1, 0]}),
+        time_limit=400.0,
+        backend="eager",
+        log_level="INFO",
+    )
+    made.reset(seed=1)
+    caplog.clear()
+    with caplog.at_level(logging.INFO):
+        for _ in range(3):
+            made.step(dict.fromkeys(made.agents, 0))
+    said = [(record.name[-1], record.getMessage()) for record in caplog.records]
+    meetings = [f"{name} {text}" for name, text in said if text.startswith("collided")]
+    assert meetings == ["B collided with A", "A collided with B"] + ["C collided with B", "B collided with C"] * 2
+    assert ("B", "Collision occurred at t=0, may incorrectly report failure type") in said
+    booked = [[other.name for other in satellite.dynamics.conjunctions] for satellite in made.satellites]
+    assert booked == [["B"], ["A", "C", "C"], ["B", "B"]]  # bsk_rl books the later satellite of a pair with the one before it
+
+
+def test_a_range_that_is_left_is_logged(caplog):
+    class Near(Drifter):
+        dyn_type = (dyn.MaxRangeDynModel, dyn.BasicDynamicsModel)
+
+    made = ConstellationTasking(
+        satellites=[Near("A"), Near("B", dict(chief_name="A", max_range_radius=550.0, enforce_range_on_chief=True))],
+        sat_arg_randomizer=relative({"B": [500, 0, 0, 2, 0, 0]}),
+        time_limit=400.0,
+        backend="eager",
+        log_level="INFO",
+    )
+    made.reset(seed=1)
+    caplog.clear()
+    with caplog.at_level(logging.INFO):
+        result = made.step({"A": 0, "B": 0})
+    assert result[2] == {"A": True, "B": True}
+    assert "Exceeded maximum range of 550.0 m from A" in caplog.messages
+    warned = [record.name.rpartition(".")[2] for record in caplog.records if record.getMessage() == "failed range_valid check"]
+    assert sorted(warned) == ["A", "B"]
+
+
+def test_a_maneuver_beyond_the_fuel_is_logged(caplog):
+    class Tug(Drifter):
+        action_spec = [act.ImpulsiveThrust(max_dv=5.0, max_drift_duration=100.0)]
+        fsw_type = (fsw.BasicFSWModel, fsw.MagicOrbitalManeuverFSWModel)
+
+    made = SatelliteTasking(Tug("T", dict(dv_available_init=1.5)), time_limit=300.0, backend="eager")
+    made.reset(seed=0)
+    made.step(np.array([2.0, 0.0, 0.0, 20.0]))
+    assert "Maneuver exceeds available Delta V (2.0/1.5 m/s)." in caplog.messages
+    assert made.satellite.fsw.dv_available == 0.0
+
+
+def test_limits_of_the_simulation_may_change_during_an_episode(env):
+    env.reset(seed=0)
+    env.simulator.max_step_duration = 25.0
+    assert env.step(0)[4]["d_ts"] == 25.0
+    env.simulator.max_step_duration, env.time_limit, env.simulator.time_limit = 1e9, 70.0, 70.0
+    assert env.step(0)[3:] == (True, {"d_ts": 45.0, "requires_retasking": False})
+
+
+def test_a_satellite_needs_an_action():
+    with pytest.raises(ValueError, match=r"Idle.action_spec is empty; give it at least one action"):
+        type("Idle", (Drifter,), {"action_spec": []})("I")

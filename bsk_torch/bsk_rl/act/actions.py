@@ -12,7 +12,14 @@ __all__ = ["Action", "ActionBuilder", "select_action_builder"]
 
 
 def select_action_builder(satellite: Any) -> ActionBuilder:
-    """Return the builder of a satellite's actions; NotImplementedError for actions of several kinds, as in bsk_rl."""
+    """Return the builder of a satellite's actions.
+
+    Raises:
+        ValueError: For a satellite without actions.
+        NotImplementedError: For actions of several kinds, as in bsk_rl.
+    """
+    if not satellite.action_spec:
+        raise ValueError(f"{type(satellite).__name__}.action_spec is empty; give it at least one action")
     kinds = {entry.builder_type for entry in satellite.action_spec}
     if len(kinds) != 1:
         raise NotImplementedError(

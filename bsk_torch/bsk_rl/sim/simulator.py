@@ -21,6 +21,7 @@ from bsk_torch.env.episodes import whole_limit
 from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sim.assembly.satellite_type import whole_nanoseconds
 from bsk_torch.sim.dyn.events import DISARMED
+from bsk_torch.sim.run.encounters import LEFT, MET
 
 logger = logging.getLogger(__name__)
 
@@ -56,12 +57,13 @@ class Simulator:
     Attributes:
         satellites: The satellites, in their order.
         sim_rate: Length of a tick, s.
-        max_step_duration: Longest run, s.
-        time_limit: End of the episode, s.
+        max_step_duration: Longest run, s; a change counts from the next run on.
+        time_limit: End of the episode, s, likewise.
         world: Sun, Earth and ground stations.
         fleet: The core's simulation, with one environment.
         eventMap: Events by name.
         aims: Satellites at which imagers point.
+        collisions: Pairs of satellites that have collided, in the order in which bsk_rl books them.
     """
 
     def __init__(
@@ -83,9 +85,10 @@ class Simulator:
         self.aims = Aims(self.fleet)
         self._every = torch.ones(1, dtype=torch.bool)
         self._h_ns = self.fleet.simulators[0].h_ns
-        et = self.fleet.simulators[0].lookahead.flight.et[:1]
-        self._limit_ticks = whole_limit(torch.tensor([min(time_limit, LATEST)], dtype=torch.float64), et, self._h_ns)[0]
+        self._et = self.fleet.simulators[0].lookahead.flight.et[:1].clone()
         self._now = 0
+        self.collisions: list[tuple[Any, Any]] = []
+        self._booked: set[tuple[str, int, int]] = set()
         places = {column: (k, row) for k, s in enumerate(self.fleet.simulators) for row, column in enumerate(s.columns)}
         for column, satellite in enumerate(self.satellites):
             satellite.core_row = places[column]
@@ -223,7 +226,9 @@ class Simulator:
         Other events happen on the way. As in Basilisk, those that are due happen before the first tick, too, and none does at the
         time limit.
         """
-        fleet, limit = self.fleet, int(self._limit_ticks)
+        fleet, given = self.fleet, torch.tensor([min(self.time_limit, LATEST)], dtype=torch.float64)
+        limit_ticks = whole_limit(given, self._et, self._h_ns)[0]
+        limit = int(limit_ticks)
         fleet.since = torch.tensor([self._now])
         longest = self._now + self.tick_at(self.max_step_duration)
         last = min(longest, limit)
@@ -239,11 +244,38 @@ class Simulator:
                 return
             ticks = [event.tick for event in self.eventMap.values() if event.eventActive and event.tick is not None]
             until = min([last, *(max(tick, self._now + 1) for tick in ticks)])
-            result = fleet.run(self._every, self._limit_ticks, torch.tensor([until]))
+            result = fleet.run(self._every, limit_ticks, torch.tensor([until]))
             self._now += int(result.ticks[0])
             images = result.events
+            self._book_encounters()
             for part in fleet.satellites:
                 part.memory.touch()
+
+    def _book_encounters(self) -> None:
+        """Keep and log the conjunctions and the ranges left that are new, as bsk_rl does."""
+        pairs, memory = self.fleet.encounters.pairs, self.fleet.memory
+        fired = [
+            (name, *pair)
+            for name, listed in ((MET, pairs.conjunctions), (LEFT, pairs.ranges))
+            if name in memory
+            for pair, met in zip(listed, memory[name][0].tolist(), strict=True)
+            if met
+        ]
+        for event in fired:
+            if event in self._booked:
+                continue
+            self._booked.add(event)
+            one, other = self.satellites[event[1]], self.satellites[event[2]]
+            if event[0] == LEFT:
+                reach = one.sat_args["max_range_radius"]
+                one.logger.info("Exceeded maximum range of %s m from %s", reach, other.name)
+                continue
+            other = self.satellites[event[1] - 1]  # with which bsk_rl books the collision
+            self.collisions.append((one, other))
+            one.logger.info("collided with %s", other.name)
+            other.logger.info("collided with %s", one.name)
+            if self._now == 0:
+                one.logger.warning("Collision occurred at t=0, may incorrectly report failure type")
 
     def _fire(self, images: Sequence[Any]) -> bool:
         """Let the events happen that are due, in the order of the map, and return whether one of them ends the step.

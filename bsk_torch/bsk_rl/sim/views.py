@@ -254,19 +254,22 @@ class DynamicsView(SatelliteModelView):
 
     @property
     def conjunctions(self) -> list[Any]:
-        """Satellites with which this one has collided."""
-        return self._listed("conjunctions")
+        """Satellites with which this one has collided, in the order of the collisions."""
+        self._require("conjunctions")
+        mine = (pair for pair in self.simulator.collisions if self.satellite in pair)
+        return [other if one is self.satellite else one for one, other in mine]
 
     @property
     def out_of_ranges(self) -> list[Any]:
         """Satellites from which this one was too far away."""
-        return self._listed("out_of_ranges")
+        self._require("out_of_ranges")
+        flags = self._whole.out_of_ranges[self._row].tolist()
+        return [satellite for satellite, flag in zip(self.simulator.satellites, flags, strict=True) if flag]
 
-    def _listed(self, name: str) -> list[Any]:
+    def _require(self, name: str) -> None:
+        """Raise AttributeError for a model without an attribute."""
         if not hasattr(type(self._whole), name):
             raise AttributeError(self._advice(name))
-        flags = getattr(self._whole, name)[self._row].tolist()
-        return [satellite for satellite, flag in zip(self.simulator.satellites, flags, strict=True) if flag]
 
     def _elements_at_start(self) -> Any:
         """Return the orbital elements as they were when they were first read in the episode, as in bsk_rl."""
@@ -439,6 +442,9 @@ class FlightSoftwareView(SatelliteModelView):
 
     def action_impulsive_thrust(self, dv_N: Any) -> None:
         """Change the velocity at once, m/s in N; the attitude reference becomes that of N."""
+        size, available = np.linalg.norm(dv_N), self.dv_available
+        if size > available:
+            self.satellite.logger.warning("Maneuver exceeds available Delta V (%s/%s m/s).", size, available)
         self._enter(HOLD_INERTIAL)
         rows = self._rows
         dv = torch.as_tensor(np.asarray(dv_N, dtype=float)).reshape(1, 3)

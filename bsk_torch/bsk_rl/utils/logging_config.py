@@ -16,9 +16,6 @@ level_color = {"DEBUG": None, "INFO": None, "WARNING": "YELLOW", "ERROR": "RED",
 sat_color_cycle = ["DARK_CYAN", "GREEN", "DARK_BLUE", "MAGENTA", "CYAN", "DARK_GREEN", "BLUE", "DARK_MAGENTA"]
 """Colors of satellites, in the order in which they first say something."""
 
-SATELLITES = ".sats."
-"""Part of the names of satellites' loggers, which end with the satellite's name."""
-
 
 def style_string(
     string: str,
@@ -52,10 +49,11 @@ class SimFormatter(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
         """Return the line of a record."""
         plain = not self.color_output
-        satellite = record.name.rpartition(".")[2] if SATELLITES in record.name else None
+        title = record.name.partition("bsk_rl.")[2] or record.name
+        parents = title.split(".")  # such as sats.satellite.EO1
+        satellite = parents[2] if parents[0] == "sats" and len(parents) > 2 else None
         color = None if satellite is None else self._color_of(satellite)
         level: dict[str, Any] = {"color": level_color.get(record.levelname), "bold": record.levelname == "CRITICAL"}
-        title = record.name.partition("bsk_rl.")[2] or record.name
         parts = [
             style_string(self.formatTime(record), plain, color="GRAY", emph=True),
             style_string(f"{title:<30}", plain, color=color),
