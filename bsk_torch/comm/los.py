@@ -90,17 +90,16 @@ def visible_pairs(fleet: SatelliteFleet, asked: Tensor, directed: bool = False) 
     return found
 
 
-def sights(fleet: SatelliteFleet) -> Tensor:
-    """Return the lines of sight in each tick of the current step of the first episode, [T, sensor, other] booleans.
+def sights(fleet: SatelliteFleet, first: int) -> Tensor:
+    """Return the lines of sight in the current step of the first episode, [T, sensor, other] booleans.
 
-    Ticks are those of :func:`visible_pairs`; T is 0 in a step without any.
+    Args:
+        fleet: The satellites.
+        first: Number of the first tick, in the current step; the last one is the present.
     """
-    first, end = int(fleet.since[0]), int(fleet.ticks[0])
-    if first == end:
-        return torch.zeros(0, fleet.size, fleet.size, dtype=torch.bool)
     _check_covered(fleet, torch.ones(fleet.num_envs, dtype=torch.bool, device=fleet.device))
-    search = make_search(fleet, fleet.since, fleet.ticks - 1)
-    ticks = torch.arange(first, end, device=fleet.device)
+    search = make_search(fleet, fleet.since, fleet.ticks)
+    ticks = torch.arange(first, int(fleet.ticks[0]) + 1, device=fleet.device)
     return search.all_margins(torch.zeros_like(ticks), ticks) > 0.0
 
 

@@ -605,6 +605,9 @@ def test_lines_of_sight_are_logged_until_they_are_used():
     assert kept["S0"]["S1"].tolist() == [1] * 30
     assert kept["S1"]["S0"].tolist() == [0] * 30
     assert made.communicator.los_logs[made.satellites[0]][made.satellites[1]].hasAccess.tolist() == []
+    access = [satellite.dynamics.losComms.accessOutMsgs[0].read().hasAccess for satellite in made.satellites]
+    assert access == [1, 0]
+    assert [satellite.dynamics.los_comms_ids for satellite in made.satellites] == [["S1"], ["S0"]]
     pairs = made.communicator.communication_pairs()
     assert [(one.name, other.name) for one, other in pairs] == [("S0", "S1"), ("S1", "S0")]
 
@@ -668,6 +671,8 @@ def test_a_maneuver_beyond_the_fuel_is_logged(caplog):
     made.step(np.array([2.0, 0.0, 0.0, 20.0]))
     assert "Maneuver exceeds available Delta V (2.0/1.5 m/s)." in caplog.messages
     assert made.satellite.fsw.dv_available == 0.0
+    with pytest.raises(AttributeError, match="has no attribute 'losComms'"):
+        made.satellite.dynamics.losComms  # noqa: B018
 
 
 def test_limits_of_the_simulation_may_change_during_an_episode(env):

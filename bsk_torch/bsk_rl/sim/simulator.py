@@ -143,12 +143,16 @@ class Simulator:
         """Return pairs of a satellite and another one, by their positions, that it has seen since the last run began."""
         return {(i, j) for i, j in torch.nonzero(visible_pairs(self.fleet, self._every, directed=True)[0]).tolist()}
 
-    def sights(self) -> np.ndarray:
-        """Return whether one satellite sees another one in each tick since the last run began, [T, S, S] booleans.
+    def recorded_sights(self) -> np.ndarray:
+        """Return whether one satellite sees another one in each tick that Basilisk's recorders keep, [T, S, S] booleans.
 
-        Ticks are those that Basilisk's recorders keep: from the start of the run to the last but one.
+        Ticks are those from the start of the last run to the last but one.
         """
-        return sights(self.fleet).numpy()
+        return sights(self.fleet, int(self.fleet.since[0]))[:-1].numpy()
+
+    def sights_now(self) -> np.ndarray:
+        """Return whether one satellite sees another one now, [S, S] booleans."""
+        return sights(self.fleet, int(self.fleet.ticks[0]))[0].numpy()
 
     # -- events -------------------------------------------------------------------------------------------------------
 

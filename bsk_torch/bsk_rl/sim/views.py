@@ -19,7 +19,7 @@ import torch
 from bsk_torch.bsk_rl.sim import messages
 from bsk_torch.bsk_rl.sim.engine import row_mask
 from bsk_torch.bsk_rl.sim.rso_imaging import Capture, sees
-from bsk_torch.sim.dyn import GroundStationDynModel, SpaceToSpaceImagingDynModel
+from bsk_torch.sim.dyn import GroundStationDynModel, LOSCommDynModel, SpaceToSpaceImagingDynModel
 from bsk_torch.sim.environment.world import station_arrays, station_names
 from bsk_torch.sim.fsw.setpoint import ATTITUDE_MRP, HOLD_INERTIAL
 from bsk_torch.sim.names import nearest
@@ -265,6 +265,24 @@ class DynamicsView(SatelliteModelView):
         self._require("out_of_ranges")
         flags = self._whole.out_of_ranges[self._row].tolist()
         return [satellite for satellite, flag in zip(self.simulator.satellites, flags, strict=True) if flag]
+
+    @property
+    def los_comms_ids(self) -> list[str]:
+        """Names of the other satellites, in the order of the messages of ``losComms``."""
+        if not isinstance(self, LOSCommDynModel):
+            raise AttributeError(self._advice("los_comms_ids"))
+        return [satellite.name for satellite in self.simulator.satellites if satellite is not self.satellite]
+
+    @property
+    def losComms(self) -> SimpleNamespace:
+        """Basilisk's sensor: ``accessOutMsgs``, messages with ``hasAccess``, whether another satellite is in sight now."""
+        names, every = self.los_comms_ids, self.simulator.satellites
+        mine = every.index(self.satellite)
+
+        def message(other: int) -> messages.Message:
+            return messages.Message(lambda: {"hasAccess": int(self.simulator.sights_now()[mine, other])})
+
+        return SimpleNamespace(accessOutMsgs=[message(k) for k, satellite in enumerate(every) if satellite.name in names])
 
     def _require(self, name: str) -> None:
         """Raise AttributeError for a model without an attribute."""
