@@ -64,7 +64,9 @@ class SatelliteGroup(BoundSatellite):
 
 def died(satellites: BoundSatellite) -> Tensor:
     """Return the satellites that fail a check now, [N]; absent satellites are not checked."""
-    failed, present = ~satellites.is_alive(), satellites.simulator.present
+    alive, present = satellites.is_alive(), satellites.simulator.present
+    check_tensor(f"{type(satellites).__name__}.is_alive()", alive, satellites.simulator.ticks.shape, torch.bool)
+    failed = ~alive
     return failed if present is None else failed & present
 
 

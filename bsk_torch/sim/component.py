@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import text, whole
 from bsk_torch.constants import NANO
 from bsk_torch.sim.schedule import SCHEDULE, Schedule
 from bsk_torch.vec3 import Mat3, Vec3
@@ -64,6 +65,15 @@ class Bus:
         """Return whether some component has written ``name``."""
         return hasattr(self, name)
 
+
+EXAMPLES = {
+    "args": 'Arg("heaterPowerDraw", -20.0, "W", "power in shadow")',
+    "state": 'Field("heater_energy", 1, "W s")',
+    "params": 'Field("heater_power", 1, "W")',
+    "flags": '"heater_on"',
+    "resets": '("heater_energy", 0.0)',
+}
+"""Entries of the lists of a component, for messages."""
 
 KIND_SHAPES: dict[str, tuple[int, ...]] = {"vector": (3,), "matrix": (9,), "orbit": (6,)}
 """Shapes of the values of arguments, by kind; of all others one number."""
@@ -157,6 +167,11 @@ class Field:
     limit: float = 1e15
     vectors: bool = False
     matrix: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the name and the width; ValueError for wrong ones."""
+        text("name of a Field", self.name)
+        whole(f"field {self.name!r}: width", self.width, 1)
 
 
 def vec(name: str, unit: str = "", doc: str = "", exact: bool = False) -> Field:
@@ -322,6 +337,20 @@ class Component:
     allocation: Allocation | None = None
     places: Callable[[Any], Mapping[str, object]] | None = None
 
+    def __post_init__(self) -> None:
+        """Check the slot and the lists; ValueError or TypeError for wrong ones."""
+        text("slot of a Component", self.slot)
+        for name, kind in (("args", Arg), ("state", Field), ("params", Field), ("flags", str), ("resets", tuple)):
+            given = getattr(self, name)
+            if not isinstance(given, tuple | list) or not all(isinstance(entry, kind) for entry in given):
+                raise TypeError(
+                    f"the component in slot {self.slot!r} has {name}={given!r:.200}; it must be a tuple of {kind.__name__}, "
+                    f"such as {name}=({EXAMPLES[name]},)"
+                )
+        for name in ("initial", "prepare", "check"):
+            if not callable(getattr(self, name)):
+                raise TypeError(f"the component in slot {self.slot!r} has {name}={getattr(self, name)!r}; it must be a function")
+
     def extended(
         self,
         *,
@@ -463,7 +492,13 @@ class Layout:
         return planes
 
     def rows(self, values: Mapping[str, Tensor], n: int) -> Tensor:
-        """Return the pack [C, n] of named values [n or 1] or [n or 1, width]."""
+        """Return the pack [C, n] of named values [n or 1] or [n or 1, width]; ValueError if one is missing."""
+        for name in self.fields:
+            if name not in values:
+                raise ValueError(
+                    f"no component gives {name!r} a value when episodes start; return it from initial= of the component that "
+                    "lists it in state=, or from prepare= of the one that lists it in params="
+                )
         parts = [values[name].reshape(-1, f.width).mT.expand(-1, n) for name, f in self.fields.items()]
         return torch.cat(parts) if parts else torch.zeros(0, n, dtype=torch.float64)
 

@@ -154,13 +154,17 @@ class SatelliteState(StateTable):
 
         Raises:
             KeyError: For a name that no component declares.
-            ValueError: For a field that every tick recomputes, so that what is written is lost, or a value that requires a
-                gradient.
+            ValueError: For a field that every tick recomputes, so that what is written is lost, a value of a wrong shape, or one
+                that requires a gradient.
         """
         if name in self.overwritten:
             raise ValueError(f"write({name!r}) would be lost in the next tick: {self.overwritten[name]}")
         no_gradient(f"value of write({name!r}, rows, value)", value)
-        where = self.layout.slices[self._known(name)]
+        where, width = self.layout.slices[self._known(name)], self.layout.fields[name].width
+        if not isinstance(value, Tensor) or value.numel() != self.rows * width or value.shape[0] != self.rows:
+            given = f"of shape {list(value.shape)}" if isinstance(value, Tensor) else repr(value)
+            wanted = [self.rows] if width == 1 else [self.rows, width]
+            raise ValueError(f"value of write({name!r}, rows, value) is {given}; it must be a tensor of shape {wanted}")
         self.planes[where] = torch.where(rows, value.reshape(self.rows, -1).mT, self.planes[where])
         self.touch()
 

@@ -248,11 +248,21 @@ class Simulator:
     # -- commands -----------------------------------------------------------------------------------------------------
 
     def check_command(self, command: str) -> None:
-        """Raise ValueError for a command that the flight software does not have."""
+        """Raise ValueError for a command that the flight software does not have, or whose modes or argument do not exist."""
         if command not in self.type.commands:
             having = commanded_by(command)
             advice = f"{' or '.join(having)} has it" if having else nearest(command, self.type.commands)
             raise ValueError(f"fsw_action={command!r} is not a command of the flight software; {advice}")
+        entry, table = self.type.commands[command], self.type.arguments.sat_args.table
+        for mode in entry.modes:
+            if mode not in self.mode_names:
+                raise ValueError(f"command {command!r} enters the unknown mode {mode!r}; {nearest(mode, self.mode_names)}")
+        choices = {name: len(arg.choices) for name, arg in table.items() if arg.kind == "choice"}
+        if entry.choice is not None and choices.get(entry.choice) != len(entry.modes):
+            raise ValueError(
+                f"command {command!r} has choice={entry.choice!r}; it must be an argument of kind 'choice' with as many choices "
+                f"as the command has modes, {len(entry.modes)}"
+            )
 
     def mode_index(self, command: str) -> Tensor:
         """Return the index into the mode table, [N], that a command means for each row."""

@@ -332,7 +332,7 @@ def _may_control(satellite: Satellite) -> bool:
         if isinstance(entry, Broadcast):
             continue
         command = commands.get(str(getattr(entry, "fsw_action", "")).removeprefix("action_"))
-        if command is None or any("control_on" in (modes[mode].on or ()) for mode in command.modes):
+        if command is None or any(mode not in modes or "control_on" in (modes[mode].on or ()) for mode in command.modes):
             return True
     return False
 

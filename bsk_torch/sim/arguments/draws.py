@@ -147,7 +147,11 @@ class TypeArguments:
     def _check(self, values: dict[str, Any], replaced: bool) -> None:
         """Check what values mean together; ``replaced``: whether arguments of some satellites are replaced."""
         for part in self.parts:
-            part.check(values)
+            if (found := part.check(values)) is not None:  # type: ignore[func-returns-value]
+                raise TypeError(
+                    f"check(args) of the component in slot {part.slot!r} returns {found!r}; it must raise ValueError for "
+                    "arguments that do not fit together, and return None"
+                )
         self._check_tick(values, replaced)
         check_orbits(values, self.orbit)
 

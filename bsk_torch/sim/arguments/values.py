@@ -21,6 +21,7 @@ from torch import Tensor
 
 from bsk_torch._checks import no_gradient, number
 from bsk_torch.astro.ephemeris import coverage, parse_utc
+from bsk_torch.codegen.kept import of_package
 from bsk_torch.rand import Distribution, Key, PerEnv, RandomEpoch, seeded
 from bsk_torch.sim.arguments.sources import Answers, Member, in_order, is_function, unknown
 from bsk_torch.sim.component import Arg, Component, Values
@@ -193,6 +194,10 @@ class Arguments:
         for name in given:
             if name not in self.table:
                 raise KeyError(unknown(self.title, name, self.table))
+            if isinstance(given[name], type) and issubclass(given[name], Distribution):
+                raise ValueError(
+                    f"{self.title}: {name}={given[name].__name__} is a class; write an object of it, with parentheses"
+                )
         merged = {name: given.get(name, arg.default) for name, arg in self.table.items()}
         replaced = {"rN", "vN"} & {name for name in given if given[name] is not None}
         if replaced and "oe" not in given and "oe" in merged:
@@ -507,8 +512,51 @@ def _check_stations(stations: Any) -> None:
 
 
 def merge(values: Values, components: Iterable[Component], what: str) -> dict[str, Tensor]:
-    """Return all that the components' functions ``what``, ``initial`` or ``prepare``, compute from the values, by name."""
+    """Return all that the components' functions ``what``, ``initial`` or ``prepare``, compute from the values, by name.
+
+    Raises:
+        TypeError, ValueError: For a user's component whose function does not return a number for each of its fields.
+    """
     merged: dict[str, Tensor] = {}
+    own: dict[str, str] = {}  # slots of users' components by what they have returned
     for component in components:
-        merged.update(getattr(component, what)(values))
+        function = getattr(component, what)
+        found, is_own = function(values), not of_package([function])
+        if is_own:
+            _check_computed(component, what, found, values, merged)
+        for name in found.keys() & (merged if is_own else own).keys():
+            raise ValueError(
+                f"{what}(args) of the component in slot {own.get(name, component.slot)!r} returns {name!r}, which another "
+                "component returns, too; give the field another name"
+            )
+        own.update(dict.fromkeys(found if is_own else (), component.slot))
+        merged.update(found)
     return merged
+
+
+def _check_computed(component: Component, what: str, found: Any, values: Values, others: Container[str]) -> None:
+    """Check what a user's component computes when episodes start; ``others`` are values of the components before it."""
+    fields = {field.name: field for field in (component.state if what == "initial" else component.params)}
+    entry = "state" if what == "initial" else "params"
+    title = f"{what}(args) of the component in slot {component.slot!r}"
+    if not isinstance(found, Mapping):
+        raise TypeError(f"{title} returns {found!r}; it must return a dictionary of float64 tensors by the names in {entry}=")
+    for name in found:
+        if name not in fields:
+            raise ValueError(f"{title} returns {name!r}, which is not in {entry}= of the component; {nearest(str(name), fields)}")
+    rows = max((len(value) for value in values.values() if isinstance(value, Tensor)), default=1)
+    for name, field in fields.items():
+        if name not in found:
+            if name in others:
+                continue
+            raise ValueError(f"{title} lacks {name!r}, which {entry}= of the component lists")
+        value, width = found[name], field.width
+        shapes = [(n, width) for n in (1, rows)] + [(n,) for n in (1, rows) if width == 1]
+        if not isinstance(value, Tensor) or (value.shape not in shapes and not (value.ndim > 2 and value[0].numel() == width)):
+            given = f"of shape {list(value.shape)}" if isinstance(value, Tensor) else repr(value)
+            wanted = f"[1, {width}] or [{rows}, {width}]" if width > 1 else f"[1] or [{rows}]"
+            raise TypeError(f"{title}[{name!r}] is {given}; it must be a float64 tensor of shape {wanted}")
+        if bool(torch.isnan(value).any()):
+            raise ValueError(
+                f"{title}[{name!r}] is NaN in row {int(torch.isnan(value).view(len(value), -1).any(1).int().argmax())}"
+            )

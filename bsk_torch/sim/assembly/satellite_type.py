@@ -338,7 +338,7 @@ def _runners(tick: Tick, trial: TrialDraw, arguments: TypeArguments, options: Si
             if isinstance(runners.run, TickLoop):  # kernels have been traced, which shows the same
                 n = max(len(value) for value in trial.values.values() if isinstance(value, Tensor))
                 state = tick.state.rows(merge(trial.values, arguments.parts, "initial"), n)
-                tick.check_messages(state, tick.shared.rows(trial.parameters, 1), tick.own.rows(trial.parameters, n))
+                tick.check_updates(state, tick.shared.rows(trial.parameters, 1), tick.own.rows(trial.parameters, n))
         except MissingMessageError as error:
             raise TypeError(f"{error}; {provided_by(str(error.name))}") from None
         return tick, runners

@@ -26,6 +26,7 @@ from bsk_torch.sim.fsw.guidance import SUN_RESET
 from bsk_torch.sim.fsw.instrument import IMAGE_RESET
 from bsk_torch.sim.fsw.modes import Command, Mode
 from bsk_torch.sim.instruments import axis_now
+from bsk_torch.sim.names import nearest
 from bsk_torch.sim.readout.model import Model
 from bsk_torch.sim.readout.observables import Now, observable, vital
 from bsk_torch.vec3 import Vec3
@@ -61,15 +62,32 @@ class FSWModel(Model):
 
     @classmethod
     def all_modes(cls) -> dict[str, Mode]:
-        """Mode table of the class and its bases."""
-        table = {name: mode for base in reversed(cls.__mro__) for name, mode in vars(base).get("modes", {}).items()}
+        """Mode table of the class and its bases; ValueError if one removes a mode that those before it do not have.
+
+        TypeError for an entry that is not a mode.
+        """
+        table: dict[str, Mode | None] = {}
+        for base in reversed(cls.__mro__):
+            for name, mode in vars(base).get("modes", {}).items():
+                if not isinstance(mode, Mode | None):
+                    raise TypeError(
+                        f"{base.__name__}.modes[{name!r}]={mode!r} must be an fsw.Mode, or None to remove one of a base"
+                    )
+                if mode is None and name not in table:
+                    raise ValueError(f"{base.__name__}.modes removes {name!r}, which no base class has; {nearest(name, table)}")
+                table[name] = mode
         return {name: mode for name, mode in table.items() if mode is not None}
 
     @classmethod
     def all_commands(cls) -> dict[str, Command]:
-        """Commands of the class and its bases; every mode is also a command of the same name."""
+        """Commands of the class and its bases; every mode is also a command of the same name. TypeError for other entries."""
         table = {name: Command((name,)) for name in cls.all_modes()}
-        return table | {name: c for base in reversed(cls.__mro__) for name, c in vars(base).get("commands", {}).items()}
+        for base in reversed(cls.__mro__):
+            for name, command in vars(base).get("commands", {}).items():
+                if not isinstance(command, Command):
+                    raise TypeError(f"{base.__name__}.commands[{name!r}]={command!r} must be an fsw.Command")
+                table[name] = command
+        return table
 
 
 class BasicFSWModel(FSWModel):

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
+from bsk_torch._checks import number
 from bsk_torch.sim.component import Component
 from bsk_torch.sim.names import nearest
 
@@ -30,6 +31,8 @@ class Mode:
         """Raise a ValueError for a string in place of a tuple of flags."""
         if isinstance(self.on, str):
             raise ValueError(f"on={self.on!r} must be a tuple of flags: write on=({self.on!r},)")
+        for name, value in self.resets.items():
+            number(f"resets[{name!r}]", value)
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,13 @@ class Command:
 
     modes: tuple[str, ...]
     choice: str | None = None
+
+    def __post_init__(self) -> None:
+        """Raise a ValueError unless there is a mode, or several and the argument that chooses one."""
+        if isinstance(self.modes, str) or not self.modes:
+            raise ValueError(f"modes={self.modes!r} must be a tuple of names, such as modes=('safe',)")
+        if self.choice is None and len(self.modes) > 1:
+            raise ValueError(f"modes={self.modes!r} has several modes; name the argument that chooses one, choice='safeAttitude'")
 
 
 def mode_table(modes: Mapping[str, Mode], components: Iterable[Component]) -> dict[str, Mode]:

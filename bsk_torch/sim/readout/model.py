@@ -6,9 +6,11 @@ import functools
 from collections.abc import Callable
 from typing import Any, ClassVar, Protocol, TypeVar
 
+import torch
 from torch import Tensor
 
 from bsk_torch.sim.component import Component, collect
+from bsk_torch.sim.hooks import check_tensor
 from bsk_torch.sim.readout.hooks import check_model
 from bsk_torch.sim.readout.observables import Function, Observer
 from bsk_torch.sim.readout.surroundings import World
@@ -72,7 +74,13 @@ class Model:
         """Return the result [N] of every aliveness checker, by name."""
         found = self.simulator.observer.read_together(tuple(self.vitals().values()), bool)
         together = {} if found is None else dict(zip(self.vitals(), found.unbind(1), strict=True))
-        return {name: together[name] if name in together else getattr(self, name)() for name in self.checks()}
+        return {name: together[name] if name in together else self._checked(name) for name in self.checks()}
+
+    def _checked(self, name: str) -> Tensor:
+        """Return the result [N] of an aliveness checker; TypeError for one of another shape or type."""
+        found, state = getattr(self, name)(), self.simulator.state
+        check_tensor(f"{type(self).__name__}.{name}()", found, (state.rows,), torch.bool)
+        return found
 
     @classmethod
     @functools.cache

@@ -19,10 +19,11 @@ from bsk_torch.codegen.ir import Loop
 from bsk_torch.codegen.kernel import Kernel
 from bsk_torch.codegen.trace import Tracer
 from bsk_torch.constants import NANO
-from bsk_torch.sim.component import Bus, Component, Field, Layout, MissingMessageError, Track, neighbours
+from bsk_torch.sim.component import Bus, Component, Field, Layout, Track, neighbours
 from bsk_torch.sim.dyn.forces import check_force
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, put_track
 from bsk_torch.sim.orbit.arcs import ARC, follow_arc
+from bsk_torch.sim.run.own_updates import WatchedBus, check_read, update_checked
 from bsk_torch.sim.run.trace import recorded, trace_track
 
 _ON_ARC = "the orbit was computed in advance; pass orbit='integrated' to the environment"
@@ -124,14 +125,16 @@ class Tick:
                 bus.allocation = part.allocation
         return bus
 
-    def advance(self, inputs: Inputs, named: bool = False) -> tuple[list[Any], Any]:
+    def advance(self, inputs: Inputs, checked: bool = False) -> tuple[list[Any], Any]:
         """Return the planes of the state at the end of the tick, and the mask of rows that end their run with it, or None.
 
-        A MissingMessageError names its component, if ``named``.
+        Updates are ``checked`` as :mod:`bsk_torch.sim.run.own_updates` describes.
         """
         bus = self.bus(inputs)
-        update = _update_named if named else _update
-        update(bus, self.components)
+        if checked:
+            self._update_checked(bus)
+        else:
+            _update(bus, self.components)
         check_force(bus, self.on_arc)
         stop = bus.stop if self.stops and bus.has("stop") else None
         if stop is not None and stop.dtype is not torch.bool:
@@ -144,16 +147,26 @@ class Tick:
         _update(bus, [component for component in self.components if component.at_start])
         return self.state.gather(bus)
 
-    def check_messages(self, state: Tensor, shared: Tensor, own: Tensor) -> None:
+    def _update_checked(self, bus: Bus) -> None:
+        watched = WatchedBus.__new__(WatchedBus)
+        watched.__dict__ = bus.__dict__  # one bus under two classes
+        watched.watch()
+        for component in self.components:
+            update_checked(watched, component)
+        check_read(watched, (*self.state.fields, *(name for name in ("stop",) if self.stops)))
+        del bus.__dict__["unread"]
+
+    def check_updates(self, state: Tensor, shared: Tensor, own: Tensor) -> None:
         """Run the components once on tensors: state [C, n], parameters [C, 1] and [C, n].
 
         Raises:
             MissingMessageError: For a component that reads what none writes, with the name and the component's slot.
+            TypeError: For an update of a user's component that cannot be used.
         """
         n = state.shape[1]
         tables = [state.new_zeros(n, track.count, track.width) for track in self.tracks]
         flags, zero = state.new_zeros(self.flags.size, n), state.new_zeros(n)
-        self.advance(self.inputs(state, shared, own, flags, tables, [zero] * len(tables), zero), named=True)
+        self.advance(self.inputs(state, shared, own, flags, tables, [zero] * len(tables), zero), checked=True)
 
     @property
     def schedule(self) -> tuple[str, ...]:
@@ -237,7 +250,7 @@ class Tick:
         )
         if wakes:
             return Loop(program, self.wake(inputs), self.tracks, clock="start")
-        planes, stop = self.advance(inputs, named=True)
+        planes, stop = self.advance(inputs, checked=True)
         return Loop(program, planes, self.tracks, [planes[k] for k in self.recorded_planes], stop=stop)
 
     @property
@@ -259,12 +272,3 @@ def _update(bus: Bus, components: Sequence[Component]) -> None:
     for component in components:
         if component.update:
             component.update(bus)
-
-
-def _update_named(bus: Bus, components: Sequence[Component]) -> None:
-    for component in components:
-        try:
-            _update(bus, (component,))
-        except MissingMessageError as error:
-            title = f"the component in slot {component.slot!r} reads {error.name!r}, which no component writes before it"
-            raise MissingMessageError(title, name=error.name) from None
