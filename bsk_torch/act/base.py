@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import number, text
-from bsk_torch.sim.hooks import check_class, check_tensor, defined_first, overrides
+from bsk_torch.sim.hooks import check_class, check_tensor, defined_first, is_of_package, overrides
 
 if TYPE_CHECKING:
     from bsk_torch.act.continuous import ContinuousAction
@@ -53,15 +53,19 @@ LONGEST = 1e9
 """Duration of an action ended only by another event, s; longer durations are reduced to it."""
 
 
+SHORTEST = 1e-9
+"""Shortest duration of an action, s: clocks count nanoseconds, and a step of no length would never end an episode."""
+
+
 def positive_duration(title: str, duration: object, name: str, default: float) -> float:
     """Return the duration of the action ``name``, s; ``default`` for None, and at most ``default``.
 
     Raises:
-        ValueError: Unless it is positive.
+        ValueError: Unless it is at least :data:`SHORTEST`.
     """
     if duration is None:
         return default
-    return min(number(f"action {name!r}: {title}", duration, 0.0, unit="s", above=True, finite=False, none=True), default)
+    return min(number(f"action {name!r}: {title}", duration, SHORTEST, unit="s", finite=False, none=True), default)
 
 
 DTYPES = (torch.int64, torch.bool, torch.float64, torch.int64, torch.float64)
@@ -95,6 +99,33 @@ def check_decision(title: str, decision: Decision, rows: int) -> None:
         raise TypeError(f"{title}.decide(...) returns {decision!r}; it must return an act.Decision")
     for field, value, dtype in zip(Decision._fields, decision, DTYPES, strict=False):
         check_tensor(f"{title}.decide(...).{field}", value, (rows,), dtype)
+
+
+def checked_durations(title: str, decision: Decision, acts: Tensor, satellite: BoundSatellite) -> Decision:
+    """Return a decision with durations of at most :data:`LONGEST` where ``acts`` [N] holds, and that elsewhere.
+
+    Raises:
+        ValueError: For a duration that is NaN, or shorter than :data:`SHORTEST`.
+    """
+    for name, seconds in (("duration", decision.duration), ("expected", decision.expected)):
+        wrong = acts & ~(seconds >= SHORTEST)
+        if bool(wrong.any()):
+            row = int(torch.nonzero(wrong)[0])
+            raise ValueError(
+                f"{title}.decide(...).{name} is {float(seconds[row])} s for {satellite.title(row)}; it must be positive"
+            )
+    duration, expected = (torch.where(acts, s, LONGEST).clamp(max=LONGEST) for s in (decision.duration, decision.expected))
+    return decision._replace(duration=duration, expected=expected)
+
+
+def check_modes(title: str, mode: Tensor, acts: Tensor, names: Sequence[str]) -> None:
+    """Raise ValueError for modes [N] that are not the numbers of ``names`` where ``acts`` [N] holds."""
+    wrong = acts & ((mode < 0) | (mode >= len(names)))
+    if bool(wrong.any()):
+        raise ValueError(
+            f"{title}.mode is {int(mode[wrong][0])}; it must be from 0 to {len(names) - 1}, such as that of "
+            "simulator.mode_index('charge')"
+        )
 
 
 class ActionTable(NamedTuple):
@@ -324,8 +355,11 @@ class ActionBuilder:
         wanted = ((len(self._all_legal), n), torch.int64), ((n,), torch.bool), ((n,), torch.float64)
         for field, given, (shape, dtype) in zip(ActionTable._fields, table, wanted, strict=True):
             check_tensor(f"{type(entry).__name__}.table().{field}", given, shape, dtype)
-        if self._table is None and not bool((table.duration > 0.0).all()):  # once: a wait for the device
+        if self._table is None and not bool((table.duration >= SHORTEST).all()):  # once: a wait for the device
             raise ValueError(f"{type(entry).__name__}.table().duration is {table.duration.tolist()}; it must be positive, in s")
+        if self._table is None or not is_of_package(type(entry)):
+            everywhere = torch.ones_like(table.mode, dtype=torch.bool)
+            check_modes(f"{type(entry).__name__}.table()", table.mode, everywhere, self.satellite.simulator.mode_names)
         return table
 
     def _rows_of(self, k: int, action: Tensor) -> Tensor:
@@ -343,6 +377,7 @@ class ActionBuilder:
 
         Raises:
             TypeError: For a subclass's commands of wrong shape or dtype.
+            ValueError: For modes that do not exist, and durations that are not positive.
         """
         if len(self._deciding) == len(self.entries) == 1:
             return self._decided(0, acts, action, previous)
@@ -361,7 +396,12 @@ class ActionBuilder:
         index = (action - self._starts[k]).clamp(0, entry.n_actions - 1)
         decision = entry.decide(index, mask & acts, action, previous)
         check_decision(type(entry).__name__, decision, len(action))
-        return decision
+        if is_of_package(type(entry)):
+            return decision
+        title, rows = type(entry).__name__, mask & acts
+        check_modes(f"{title}.decide(...)", decision.mode, rows, self.satellite.simulator.mode_names)
+        mode = torch.where(rows, decision.mode, 0)
+        return checked_durations(title, decision._replace(mode=mode), rows, self.satellite)
 
     def begin(self, action: Tensor, acts: Tensor, decision: Decision) -> None:
         """Notify entries that their actions, of ``action`` [N], have been commanded in the rows ``acts`` [N] bool."""
@@ -414,5 +454,6 @@ def _link(entry: Action, satellite: BoundSatellite) -> None:
         if isinstance(number, bool) or not isinstance(number, int) or number < low:
             raise ValueError(f"{title}.{name} is {number!r}; it must be an integer of at least {low}")
     names = entry.names()
-    if len(names) != entry.n_actions or isinstance(names, str):
+    listed = isinstance(names, list | tuple) and all(isinstance(name, str) for name in names)
+    if not listed or len(names) != entry.n_actions:
         raise ValueError(f"{title}.names() returns {names!r}; it must return n_actions={entry.n_actions} names")

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import no_gradient
-from bsk_torch.act.base import LONGEST, ActionBuilder, ActionTable, Decision, check_decision, link_entry
+from bsk_torch.act.base import ActionBuilder, ActionTable, Decision, check_decision, checked_durations, link_entry
 from bsk_torch.act.continuous import ContinuousAction, HybridAction, is_continuous
 from bsk_torch.sim.hooks import check_tensor, overrides
 
@@ -149,15 +149,7 @@ class ContinuousBuilder:
         """
         title, decision = type(self.entry).__name__, self.entry.decide(action, acts)
         check_decision(title, decision, len(action))
-        for name, seconds in (("duration", decision.duration), ("expected", decision.expected)):
-            wrong = acts & ~(seconds > 0.0)
-            if bool(wrong.any()):
-                row = int(torch.nonzero(wrong)[0])
-                raise ValueError(
-                    f"{title}.decide(...).{name} is {float(seconds[row])} s for {self.satellite.title(row)}; it must be positive"
-                )
-        duration, expected = (torch.where(acts, s, LONGEST).clamp(max=LONGEST) for s in (decision.duration, decision.expected))
-        return decision._replace(duration=duration, expected=expected)
+        return checked_durations(title, decision, acts, self.satellite)
 
     def begin(self, action: Tensor, acts: Tensor, decision: Decision) -> None:
         """Notify the entry that its actions have been commanded in the rows ``acts`` [N] bool."""

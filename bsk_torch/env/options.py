@@ -56,7 +56,7 @@ class TaskingOptions:
         world_args: Arguments of the world, like ``sat_args``, also as one callable that returns a dictionary; see
             :meth:`~bsk_torch.env.base.Tasking.default_world_args`.
         sim_rate: Length of a tick, 0.001 to 60 s.
-        max_step_duration: Maximum length of a step, s; positive.
+        max_step_duration: Maximum length of a step, s; at least 1 ns.
         failure_penalty: Added to the reward of a step at the end of which the satellite is dead.
         failures: ``"step"``, as in bsk_rl: satellites are checked at the end of each step only, and a battery may be empty before
             that. ``"continuous"``: the first tick at whose end a battery is empty, or a wheel has reached its largest speed, ends
@@ -117,7 +117,7 @@ class TaskingOptions:
         checked = {
             "num_envs": whole("num_envs", self.num_envs, 1, 2**31 - 1),
             "sim_rate": number("sim_rate", self.sim_rate, SHORTEST_TICK, LONGEST_TICK, unit="s"),
-            "max_step_duration": number("max_step_duration", self.max_step_duration, 0.0, unit="s", above=True, finite=False),
+            "max_step_duration": number("max_step_duration", self.max_step_duration, 1e-9, unit="s", finite=False),
             "failure_penalty": penalty,
             "terminate_on_time_limit": switch("terminate_on_time_limit", self.terminate_on_time_limit),
             "dtype": as_dtype(self.dtype),
