@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import no_gradient, number, whole
+from bsk_torch._checks import no_gradient, number, text, whole
 from bsk_torch.astro.elements import ClassicElements
 from bsk_torch.astro.ephemeris import et_of_dates
 
@@ -112,7 +112,8 @@ class Key:
     moment: Tensor | None = None
 
     def named(self, name: str) -> Key:
-        """Return the key of another quantity."""
+        """Return the key of another quantity; ValueError for anything but a string."""
+        text("name of key.named", name)
         return replace(self, name=name)
 
     def of_satellites(self, index: Tensor) -> Key:
@@ -138,7 +139,11 @@ class Key:
         return Key(self.seed[index], self.env_id[index], self.episode[index], self.name, satellite, moment)
 
     def uniform(self, count: int) -> Tensor:
-        """Return uniform float64 numbers in [0, 1), [n, count], with 53 random bits each; see also :func:`blended`."""
+        """Return uniform float64 numbers in [0, 1), [n, count], with 53 random bits each; see also :func:`blended`.
+
+        ValueError for a ``count`` that is not a whole number.
+        """
+        whole("count", count, 0)
         return self._independent(count) if _blend is None else _blend.uniform(self, count)
 
     def _independent(self, count: int) -> Tensor:
@@ -178,8 +183,9 @@ class Key:
     def normal(self, count: int) -> Tensor:
         """Return standard normal float64 numbers [n, count], by the Box-Muller transform ``sqrt(-2 ln(1 - u)) cos(2 pi u')``.
 
-        See also :func:`blended`.
+        See also :func:`blended`. ValueError for a ``count`` that is not a whole number.
         """
+        whole("count", count, 0)
         return self._independent_normal(count) if _blend is None else _blend.normal(self, count)
 
     def _independent_normal(self, count: int) -> Tensor:

@@ -1,8 +1,8 @@
 """Calls of a rewarder's hooks with checks of their results.
 
 Environments and :class:`~bsk_torch.data.ComposedReward` call hooks only through these functions. A tensor of a wrong shape
-therefore raises an error naming the hook, instead of being broadcast to a wrong reward. The checks read shapes and dtypes, but no
-values.
+therefore raises an error naming the hook, instead of being broadcast to a wrong reward. The checks read shapes and dtypes, and
+values of users' rewarders only.
 """
 
 from __future__ import annotations
@@ -15,11 +15,19 @@ from torch import Tensor
 
 from bsk_torch._checks import no_gradient
 from bsk_torch.data.base import GlobalReward, Log
-from bsk_torch.sim.hooks import check_linked, check_tensor
+from bsk_torch.sim.hooks import ChangeGuard, check_linked, check_tensor, is_of_package
+from bsk_torch.sim.state import SHOWN
 
 if TYPE_CHECKING:
     from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.scene.base import Scenario
+
+
+REWARD_MEMORY = (
+    "keep values that are reset with every episode in self.fleet.memory, where link(scenario, fleet) declares them: "
+    "fleet.memory.declare(name, initial_value, fleet.size)"
+)
+"""Advice for rewarders that keep values of episodes themselves."""
 
 
 def link(rewarder: GlobalReward, scenario: Scenario, fleet: SatelliteFleet) -> None:
@@ -44,12 +52,19 @@ def reward(rewarder: GlobalReward, before: Log, after: Log) -> Tensor:
 
     Raises:
         TypeError: For a wrong shape, or a dtype that is not floating-point.
+        TypeError: For a user's rewarder with a public tensor attribute that changes; values of episodes belong in fleet.memory.
         ValueError: For a reward that requires a gradient.
+        FloatingPointError: For a reward of a user's rewarder that is NaN or infinite.
     """
     with torch.enable_grad():  # so that a reward that depends on parameters can be told
         found = rewarder.calculate_reward(before, after)
     title = f"{type(rewarder).__name__}.calculate_reward()"
     check_tensor(title, found, rewarder.fleet.shape, torch.float64, torch.float32)
+    if not is_of_package(type(rewarder)):
+        rows = torch.nonzero(~torch.isfinite(found).all(1)).squeeze(-1).tolist()
+        if rows:
+            raise FloatingPointError(f"{title} is NaN or infinite for environments {rows[:SHOWN]} ({len(rows)} in all)")
+        rewarder.__dict__.setdefault("_guard", ChangeGuard()).check(rewarder, REWARD_MEMORY)
     return no_gradient(title, found)
 
 
@@ -89,6 +104,8 @@ def counts(rewarder: GlobalReward, taken: Collection[str] = ()) -> dict[str, Ten
         ValueError: For a counter with a name already ``taken`` by the satellites.
     """
     found, shape = rewarder.counts(), rewarder.fleet.shape
+    if not isinstance(found, dict):
+        raise TypeError(f"{type(rewarder).__name__}.counts() returns {found!r}; it must return a dictionary of tensors")
     for name, value in found.items():
         check_tensor(f"{type(rewarder).__name__}.counts()[{name!r}]", value, shape, torch.int64)
         if name in taken:

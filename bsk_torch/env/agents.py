@@ -14,7 +14,19 @@ from bsk_torch.sim.names import nearest, snake
 AGENTS = "agents"
 """Name of the only group."""
 
-ROOT = ("observation", "action", "action_mask", "reward", "done", "terminated", "truncated", "duration", "counts", "state")
+ROOT = (
+    "observation",
+    "action",
+    "action_mask",
+    "reward",
+    "done",
+    "terminated",
+    "truncated",
+    "duration",
+    "counts",
+    "state",
+    "next",
+)
 """Names not allowed for groups."""
 
 
@@ -56,8 +68,10 @@ def agents_of(names: Sequence[str], groupings: Mapping[str, Sequence[str]] | Non
     """
     agents: dict[str, list[str]] = {}
     taken: dict[str, str] = {}
+    if groupings is not None and not isinstance(groupings, Mapping):
+        raise ValueError(f"meta_agent_groupings={groupings!r} must be a dictionary, such as {{'pair': ['EO0', 'EO1']}}")
     for agent, members in (groupings or {}).items():
-        if not agent.isidentifier() or keyword.iskeyword(agent):
+        if not isinstance(agent, str) or not agent.isidentifier() or keyword.iskeyword(agent):
             raise ValueError(f"meta_agent_groupings: agent {agent!r} must be a Python identifier")
         if isinstance(members, str) or not members:
             raise ValueError(f"meta_agent_groupings[{agent!r}]={members!r} must be a list of at least one satellite's name")
@@ -133,6 +147,8 @@ def named(kinds: Mapping[tuple[int, ...], list[str]], titles: Sequence[str]) -> 
 
 def check_map(group_map: Mapping[str, Sequence[str]], signature: Mapping[str, tuple[int, ...]]) -> None:
     """Raise ValueError unless the map assigns each agent to one group of agents with equal spaces."""
+    if not isinstance(group_map, Mapping) or not all(isinstance(name, str) for name in group_map):
+        raise ValueError(f"group_map={group_map!r} must be a dictionary, such as {{'imagers': ['EO0', 'EO1']}}")
     listed = [agent for agents in group_map.values() for agent in agents]
     for agent in listed:
         if agent not in signature:
@@ -142,8 +158,10 @@ def check_map(group_map: Mapping[str, Sequence[str]], signature: Mapping[str, tu
     if missing := [agent for agent in signature if agent not in listed]:
         raise ValueError(f"group_map lacks {missing}; every agent needs a group")
     for name, agents in group_map.items():
-        if not agents or name in ROOT:
-            raise ValueError(f"group_map[{name!r}]={list(agents)} is empty, or its name is one of {list(ROOT)}")
+        if not agents or name in ROOT or name.startswith("_"):
+            raise ValueError(
+                f"group_map[{name!r}]={list(agents)} is empty, or its name is one of {list(ROOT)}, or begins with an underscore"
+            )
         other = next((agent for agent in agents if signature[agent] != signature[agents[0]]), None)
         if other is not None:
             raise ValueError(

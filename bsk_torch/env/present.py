@@ -17,6 +17,7 @@ from bsk_torch.env.episodes import Episodes
 from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.env.snapshots import rows_of
 from bsk_torch.sim.arguments.table import ArgumentTable
+from bsk_torch.sim.hooks import check_tensor
 from bsk_torch.sim.run.recording import Recording
 
 
@@ -154,6 +155,9 @@ def pictures() -> Any:
 
 def _counted(name: str, satellite: SatelliteGroup) -> Tensor:
     counts = satellite.counts()
-    if name not in counts:
+    if name in counts:
+        title = f"{type(satellite).__name__}.counts()[{name!r}]"
+        check_tensor(title, counts[name], satellite.simulator.ticks.shape, torch.int64)
+    else:
         raise AttributeError(f"{satellite.name} does not count {name!r}")
     return counts[name]

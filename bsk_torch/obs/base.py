@@ -237,6 +237,8 @@ class ObservationBuilder:
             link(entry, satellite)
         self.entries, self.satellite = tuple(spec), satellite
         self._readers = [Reader(entry) for entry in self.entries]
+        self._width: int | None = None
+        self._calls_user = bool(self.functions)
         names: list[str] = []
         for entry in self.entries:
             number = 1 + sum(entry.name == other.name for other in self.entries[: len(names)])
@@ -263,8 +265,33 @@ class ObservationBuilder:
         return values
 
     def get_vector(self, dtype: torch.dtype) -> Tensor:
-        """Return all observations, concatenated, [N, width]."""
-        return torch.cat([reader.vector() for reader in self._readers], -1).to(dtype)
+        """Return all observations, concatenated, [N, width].
+
+        Raises:
+            TypeError: For another width than at the first call.
+            FloatingPointError: For NaN, where functions or classes of users take part.
+        """
+        vector = torch.cat([reader.vector() for reader in self._readers], -1)
+        if vector.shape[-1] != self._width:
+            if self._width is not None:
+                raise TypeError(
+                    f"the observation of {self.satellite.name} has {vector.shape[-1]} numbers, but had {self._width} before; it "
+                    "must always have as many"
+                )
+            self._width = vector.shape[-1]
+        if self._calls_user:
+            self._check_numbers(vector)
+        return vector.to(dtype)
+
+    def _check_numbers(self, vector: Tensor) -> None:
+        """Raise FloatingPointError for a vector [N, width] with NaN."""
+        wrong = torch.isnan(vector)
+        if bool(wrong.any()):
+            rows, columns = torch.nonzero(wrong).unbind(1)
+            name = self.describe(self.get_dict())[int(columns[0])]
+            raise FloatingPointError(
+                f"{name!r} in the observation of {self.satellite.title(int(rows[0]))} is NaN ({len(rows.unique())} rows in all)"
+            )
 
     @staticmethod
     def vector(values: Values, dtype: torch.dtype) -> Tensor:

@@ -23,10 +23,12 @@ def parse_entries(entries: Iterable[dict[str, Any]], allowed: set[str], title: s
     ``prop_0`` and so on for a function without one, with ``_normd`` where a norm divides it.
 
     Raises:
-        ValueError: For unknown keys, missing ``prop`` and ``fn``, a norm that is zero or not a number, or equal names.
+        ValueError: Without entries, for unknown keys, missing ``prop`` and ``fn``, a norm that is 0 or no number, or equal names.
         TypeError: For an entry that is not a dictionary, or a ``fn`` that is not a function.
     """
     parsed = tuple(_parsed(entry, number, allowed, title) for number, entry in enumerate(entries))
+    if not parsed:
+        raise ValueError(f"{title} has no properties; give at least one, such as dict(prop='battery_charge_fraction')")
     names = [entry["name"] for entry in parsed]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise ValueError(f"{title} has several properties called {twice}; tell them apart by the key 'name'")
@@ -42,6 +44,8 @@ def _parsed(entry: object, number: int, allowed: set[str], title: str) -> dict[s
     given = {key: value for key, value in entry.items() if value is not None}
     if "prop" not in given and "fn" not in given:
         raise ValueError(f"{title} needs 'prop' or 'fn' in {entry}")
+    if "fn" not in given and not isinstance(given["prop"], str):
+        raise ValueError(f"{title}: prop={given['prop']!r} must be the name of a property")
     if "fn" in given and not callable(given["fn"]):
         raise TypeError(f"{title}: fn={given['fn']!r} must be a function")
     norm = parse_norm(given.get("norm"), f"{title}: norm of {entry}")

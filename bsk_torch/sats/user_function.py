@@ -229,6 +229,8 @@ def as_batch(title: str, value: object, lead: Sequence[int], device: torch.devic
         value = torch.stack([part.double().expand(*lead) for part in parts], -1)
     if isinstance(value, np.ndarray | np.generic) and value.dtype.kind in "biuf":
         value = torch.from_numpy(np.array(value))
+    if isinstance(value, Tensor) and value.is_complex():
+        raise TypeError(f"{title} is complex; it must be real: return value.real, value.imag or both side by side")
     if isinstance(value, Tensor) and tuple(value.shape[: len(lead)]) == tuple(lead):
         return value.to(device)
     given = f"of shape {list(value.shape)}" if isinstance(value, Tensor | np.ndarray) else repr(value)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import no_gradient
-from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked, check_tensor, overrides
+from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked, check_tensor, is_of_package, overrides
 from bsk_torch.sim.places import TARGET_KIND, TARGETS, AboveElevation, DrawnTargets, SunElevation, WithinRange, instrument_kind
 
 if TYPE_CHECKING:
@@ -235,11 +235,13 @@ class Scenario:
         """Call :meth:`draw`; not to be overridden.
 
         Raises:
-            TypeError: If NumPy's global generator was used though ``calls_user`` is False.
+            TypeError: If torch's global generator was used, or NumPy's though ``calls_user`` is False, or for anything but a
+                dictionary of tensors.
             ValueError: If names or shapes differ from those of the first call, which would leave values of other episodes in
-                place; or for a value that requires a gradient.
+                place; for a value without a row for each environment, that is NaN, or requires a gradient.
         """
         values = self._drawn_from_key("draw(key)", lambda: self.draw(key))
+        self._check_drawn(values, len(key))
         form = {name: value.shape[1:] for name, value in values.items()}
         if self._form is None:
             self._form = form
@@ -247,6 +249,21 @@ class Scenario:
             forms = (", ".join(f"{name} {list(shape)}" for name, shape in each.items()) for each in (form, self._form))
             raise ValueError(f"{type(self).__name__}.draw(key) returns {' but earlier '.join(forms)}; all calls must agree")
         return values
+
+    def _check_drawn(self, values: Any, rows: int) -> None:
+        title = f"{type(self).__name__}.draw(key)"
+        if not isinstance(values, Mapping):
+            raise TypeError(f"{title} returns {values!r}; it must return a dictionary of tensors, {{name: tensor}}")
+        for name, value in values.items():
+            if not isinstance(name, str) or not isinstance(value, Tensor):
+                raise TypeError(f"{title}[{name!r}] is {value!r}; it must be a tensor, under a name that is a string")
+            if value.ndim == 0 or len(value) not in (1, rows):
+                raise ValueError(
+                    f"{title}[{name!r}] is of shape {list(value.shape)}; it needs a row for each environment, [{rows}, ...], or "
+                    "one for all, [1, ...]"
+                )
+            if not is_of_package(type(self)) and bool(torch.isnan(value).any()):
+                raise ValueError(f"{title}[{name!r}] is NaN in {int(torch.isnan(value).sum())} of {value.numel()} numbers")
 
     @property
     def varies_population(self) -> bool:
@@ -274,12 +291,19 @@ class Scenario:
         """Return the values drawn by a hook.
 
         Raises:
-            TypeError: If it has used NumPy's global generator though ``calls_user`` is False.
+            TypeError: If it has used torch's global generator, or NumPy's though ``calls_user`` is False.
             ValueError: For a value that requires a gradient.
         """
+        torch_before = torch.get_rng_state()
         before = None if self.calls_user else np.random.get_state()
         with torch.enable_grad():  # so that a value that depends on parameters can be told
             values = no_gradient(f"{type(self).__name__}.{call}", draw())
+        if not torch.equal(torch_before, torch.get_rng_state()):
+            torch.set_rng_state(torch_before)
+            raise TypeError(
+                f"{type(self).__name__}.{call} used torch's global generator, so episodes would depend on the batch; draw from "
+                'key.named("...").uniform(count) or .normal(count)'
+            )
         if before is not None and not _same(before, np.random.get_state()):
             np.random.set_state(before)
             raise TypeError(

@@ -19,10 +19,19 @@ if TYPE_CHECKING:
 class OverlaidTargets(TargetScenario):
     """Base class of scenarios that add values to the targets of another one; subclasses extend ``draw`` and ``_bounds``."""
 
+    targets: TargetScenario
+
     def __init__(self, targets: TargetScenario) -> None:
-        """Take positions and priorities from ``targets``; ValueError for another scenario."""
+        """Take positions and priorities from ``targets``; ValueError for another scenario, or one that adds the same values."""
         if not isinstance(targets, TargetScenario):
             raise ValueError(f"targets={targets!r} must be a scenario of point targets, such as scene.UniformTargets(300)")
+        within: TargetScenario | None = targets
+        while isinstance(within, OverlaidTargets):
+            if isinstance(within, type(self)) or isinstance(self, type(within)):
+                raise ValueError(
+                    f"targets={targets!r} has a {type(within).__name__} already, whose values {type(self).__name__} would replace"
+                )
+            within = within.targets
         self.targets, self.most_targets = targets, targets.most_targets
 
     @property

@@ -18,7 +18,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from bsk_torch._checks import no_gradient
+from bsk_torch._checks import no_gradient, whole
 
 Table = TypeVar("Table", bound="StateTable")
 
@@ -124,8 +124,12 @@ class StateTable:
             high: Largest one, likewise; :data:`FINITE` where all numbers are right.
 
         Raises:
-            ValueError: For a name already in use.
+            ValueError: For a name already in use, an initial value other than a number, or dimensions other than whole numbers.
         """
+        if not isinstance(initial, bool | int | float | None):
+            raise ValueError(f"declare({name!r}, initial={initial!r}): initial must be a number, a bool, or None")
+        for dimension in shape:
+            whole(f"declare({name!r}, initial, *shape): a size in shape", dimension, 0)
         if name in self.__dict__ or name in self.tables or hasattr(type(self), name):
             raise ValueError(f"name={name!r} is already declared; known are {sorted((*self.fields, *self.tables))}")
         if dtype is None:
@@ -192,8 +196,10 @@ class StateTable:
         return getattr(self, name)
 
     def __setitem__(self, name: str, value: Tensor) -> None:
-        """Replace the tensor ``name``, keeping its type; ValueError for another shape."""
+        """Replace the tensor ``name``, keeping its type; ValueError for another shape, TypeError for what is no tensor."""
         old = self[name]
+        if not isinstance(value, Tensor):
+            raise TypeError(f"{name!r} of the state cannot become {value!r}; it must be a tensor of shape {list(old.shape)}")
         if value.shape != old.shape:
             raise ValueError(f"{name!r} has shape {list(old.shape)} in the state; it cannot become {list(value.shape)}")
         self.__dict__[name] = owned(value.to(old.dtype))
