@@ -108,6 +108,7 @@ class Scenario:
     _link_needs_super: ClassVar[bool] = False
     _old_hooks: ClassVar[Sequence[str]] = ()
     _form: Mapping[str, torch.Size] | None = None
+    _tried: frozenset[str] = frozenset()
 
     def __init_subclass__(cls, **options: object) -> None:
         """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
@@ -235,8 +236,8 @@ class Scenario:
         """Call :meth:`draw`; not to be overridden.
 
         Raises:
-            TypeError: If torch's global generator was used, or NumPy's though ``calls_user`` is False, or for anything but a
-                dictionary of tensors.
+            TypeError: If the first call used torch's global generator, or any call NumPy's though ``calls_user`` is False, or for
+                anything but a dictionary of tensors.
             ValueError: If names or shapes differ from those of the first call, which would leave values of other episodes in
                 place; for a value without a row for each environment, that is NaN, or requires a gradient.
         """
@@ -291,14 +292,15 @@ class Scenario:
         """Return the values drawn by a hook.
 
         Raises:
-            TypeError: If it has used torch's global generator, or NumPy's though ``calls_user`` is False.
+            TypeError: If its first call has used torch's global generator, or any call NumPy's though ``calls_user`` is False.
             ValueError: For a value that requires a gradient.
         """
-        torch_before = torch.get_rng_state()
+        # once, since another thread, such as that of a learner, may draw numbers at the same time
+        torch_before = None if call in self._tried or is_of_package(type(self)) else torch.get_rng_state()
         before = None if self.calls_user else np.random.get_state()
         with torch.enable_grad():  # so that a value that depends on parameters can be told
             values = no_gradient(f"{type(self).__name__}.{call}", draw())
-        if not torch.equal(torch_before, torch.get_rng_state()):
+        if torch_before is not None and not torch.equal(torch_before, torch.get_rng_state()):
             torch.set_rng_state(torch_before)
             raise TypeError(
                 f"{type(self).__name__}.{call} used torch's global generator, so episodes would depend on the batch; draw from "
@@ -310,6 +312,7 @@ class Scenario:
                 f"{type(self).__name__}.{call} used NumPy's global generator, so episodes would depend on the batch; draw "
                 'from key.named("..."), or set calls_user = True: it is then called for one environment at a time, and seeded'
             )
+        self._tried |= {call}
         return values
 
     def begin_episodes(self, rows: Tensor) -> None:
