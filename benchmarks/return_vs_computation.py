@@ -234,7 +234,7 @@ def affordable(options: Any, cost: float) -> int:
 
 
 class Flights:
-    """The episodes of a task, in environments of as many rows as are played."""
+    """The episodes of a task, in environments of as many rows as are simulated together."""
 
     def __init__(self, case: Case, options: Any) -> None:
         """Make no environment yet."""
