@@ -147,7 +147,7 @@ MINUTE = {
     "NadirScan-v1": Line("tree search over the rule", "mcts", "rule", (dict(budget=4000),)),
     "RSOInspection-v1": Line("tree search over the rule", "mcts", "rule", (dict(budget=500),)),
 }
-"""Planners that need about a minute for a decision on one slow core."""
+"""Planners that need about a minute for a decision with many choices, on one slow core."""
 
 COLUMNS = {
     "task": "{task}",
