@@ -448,6 +448,8 @@ class Normal(Distribution):
         for name, value in (("mean", self.mean), ("std", self.std)):
             if isinstance(value, list | tuple):
                 raise ValueError(f"{name}={value!r} must be a number, or a tensor of several")
+        if bool((torch.as_tensor(self.std) < 0.0).any()):
+            raise ValueError(f"std={self.std!r} must not be negative")
         _check_size(self.size)
 
     def draw(self, key: Key) -> Tensor:

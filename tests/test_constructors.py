@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
+from functools import partial
 from typing import Any
 
 import pytest
@@ -54,7 +55,7 @@ VALID: dict[Any, dict[str, Any]] = {
     obs.Eclipse: {},
     obs.ResourceRewardWeight: {},
     obs.Noisy: dict(observation=obs.Time()),
-    obs.OpportunityProperties: dict(n_ahead_observe=2),
+    partial(obs.OpportunityProperties, dict(prop="priority")): dict(n_ahead_observe=2),
     obs.RSOTargetProperties: {},
     data.ScanningTimeReward: {},
     data.UniqueImageReward: {},
@@ -126,7 +127,7 @@ def use(made: Any) -> None:
         assert not isinstance(values, torch.Tensor) or bool(torch.isfinite(values).all())
 
 
-@pytest.mark.parametrize("make", VALID, ids=lambda make: make.__name__)
+@pytest.mark.parametrize("make", VALID, ids=lambda make: getattr(make, "func", make).__name__)
 def test_wrong_values(make):
     """Every argument of a constructor and every wrong value: an error that names the argument, or something finite."""
     use(make(**VALID[make]))

@@ -162,6 +162,9 @@ def test_normal_distribution():
     assert z.mean(0) == pytest.approx([5, 5], abs=0.1 * FIVE_SIGMA)
     assert z.std(0) == pytest.approx([0.1, 0.1], abs=0.1 * FIVE_SIGMA)
     assert rand.Normal().draw(key(3)).shape == (3,)
+    for std in (-0.1, torch.tensor([0.1, -0.1])):
+        with pytest.raises(ValueError, match=r"std=.* must not be negative"):
+            rand.Normal(0.0, std)
 
 
 def test_choice_is_even():

@@ -79,7 +79,8 @@ def named_policy(name: str, preset: str | None) -> NamedPolicy:
     try:
         card = read_card(pretrained_file(preset or FIRST) if name == PRETRAINED else name)
     except FileNotFoundError:
-        hint = nearest(name, (*RULES, PRETRAINED))
+        preset_hint = "it is a preset: name a policy first, such as pretrained"
+        hint = preset_hint if name in PRESETS else nearest(name, (*RULES, PRETRAINED))
         fail(f"{name!r} is not a run folder, policy file or baseline; {hint}")
     except ValueError as error:
         fail(str(error))

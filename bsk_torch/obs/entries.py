@@ -28,7 +28,7 @@ def parse_entries(entries: Iterable[dict[str, Any]], allowed: set[str], title: s
     """
     parsed = tuple(_parsed(entry, number, allowed, title) for number, entry in enumerate(entries))
     if not parsed:
-        raise ValueError(f"{title} has no properties; give at least one, such as dict(prop='battery_charge_fraction')")
+        raise ValueError(f"{title} has no properties; give a dictionary for each, such as dict(prop='name of a property')")
     names = [entry["name"] for entry in parsed]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise ValueError(f"{title} has several properties called {twice}; tell them apart by the key 'name'")

@@ -79,6 +79,7 @@ def folder(tmp_path, monkeypatch):
         (("eval", "random", "--backend", "eager", "--seeds", "0:1", "--shield", ".x:f"), "relative import"),
         (("eval", "random", "--backend", "eager", "--seeds", "0:1", "--shield", "os:getcwd"), "must take the observed columns"),
         (("eval", "empty"), "is not a run folder"),
+        (("eval", "NadirScan-v1"), "it is a preset: name a policy first, such as pretrained"),
         (("eval", "file"), "'file' is no file of a policy"),
         (("explain", "random", "--starts", "3:1"), "--starts '3:1' names no episode"),
         (("explain", "random", "--out", "empty"), "'empty' is a folder"),

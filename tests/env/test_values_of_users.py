@@ -59,7 +59,7 @@ def test_members_of_satellites(members, words):
 
 def test_entries_without_properties():
     for make in (obs.SatProperties, lambda: obs.OpportunityProperties(n_ahead_observe=2)):
-        with pytest.raises(ValueError, match="has no properties; give at least one"):
+        with pytest.raises(ValueError, match="has no properties; give a dictionary for each"):
             make()
     with pytest.raises(ValueError, match="prop=3 must be the name of a property"):
         obs.SatProperties(dict(prop=3))
