@@ -24,6 +24,7 @@ def make_satellite(n: int = 4) -> SimpleNamespace:
         ticks=torch.zeros(n, dtype=torch.int64),
         state=SimpleNamespace(arguments=SimpleNamespace(version=0)),
         type=SimpleNamespace(commands={"drift": None}),
+        mode_names=("drift", "charge", "scan", "nadir"),
         check_command=lambda command: None,
         mode_index=lambda command: torch.full((n,), DRIFT),
     )

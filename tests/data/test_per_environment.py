@@ -270,7 +270,7 @@ def test_hooks_of_communication_that_would_not_be_called_are_named():
 
     with pytest.raises(TypeError, match=r"Counting\(\)\): reset_post_sim_init would not be called"):
         per_environment(Counting())
-    with pytest.raises(TypeError, match=r"link_satellites would not be called.*comm\.LOSCommunication"):
+    with pytest.raises(TypeError, match=r"link_satellites, reset_post_sim_init would not be called.*comm\.LOSCommunication"):
         per_environment(one_comm.LOSCommunication())
 
 
