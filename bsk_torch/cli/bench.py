@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import logging
 import os
@@ -186,6 +187,7 @@ def entrant_of(name: str, tasks: Sequence[Task] = ()) -> Entrant:
     module, colon, function = plain.partition(":")
     if colon and not Path(name).exists():
         found = imported(module, function)
+        check_takes(found, plain, views)
         return lambda preset, make: found(preset, make, *views)
     policy = named_policy(name, None)
     return lambda preset, make: entered(policy, make, drawn) if preset == policy.preset else None
@@ -251,6 +253,19 @@ def imported(module: str, function: str) -> Callable[..., tuple[Tasking, Policy]
     if not callable(found):
         fail(f"{module}:{function} is no function of a preset's name and make")
     return found
+
+
+def check_takes(function: Callable[..., object], title: str, texts: Sequence[str]) -> None:
+    """End the program for a function that cannot be called with the name of a preset, ``make`` and further ``texts``."""
+    try:
+        taken = inspect.signature(function)
+    except ValueError:  # of a function that is not written in Python
+        return
+    try:
+        taken.bind("preset", "make", *texts)
+    except TypeError as error:
+        further = f", and the {len(texts)} texts after its commas" if texts else ""
+        fail(f"{title} takes {taken}; it must take the name of a preset and make, (preset, make){further}: {error}")
 
 
 def told(score: Score, reference: Mapping[str, object] | None) -> dict[str, Any]:

@@ -163,6 +163,8 @@ def test_names_of_tasks_may_follow_a_space(run):
         (["nobody:enter"], "nobody:enter cannot be imported"),
         (["json:nothing"], "json:nothing cannot be imported"),
         (["json:__doc__"], "json:__doc__ is no function"),
+        (["textwrap:dedent"], "textwrap:dedent takes (text); it must take the name of a preset and make"),
+        (["textwrap:indent,a,b"], "and the 2 texts after its commas: too many positional arguments"),
         (["random", "--with", "pyproject.toml"], "'pyproject.toml' is no result of bsk-torch bench"),
         (["survey,actions=waypoint", "--presets", "RSOInspection-v1"], "actions='waypoint' must be one of"),
         (
