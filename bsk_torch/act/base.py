@@ -112,7 +112,8 @@ def checked_durations(title: str, decision: Decision, acts: Tensor, satellite: B
         if bool(wrong.any()):
             row = int(torch.nonzero(wrong)[0])
             raise ValueError(
-                f"{title}.decide(...).{name} is {float(seconds[row])} s for {satellite.title(row)}; it must be positive"
+                f"{title}.decide(...).{name} is {float(seconds[row])} s for {satellite.title(row)}; it must be at least "
+                f"{SHORTEST} s"
             )
     duration, expected = (torch.where(acts, s, LONGEST).clamp(max=LONGEST) for s in (decision.duration, decision.expected))
     return decision._replace(duration=duration, expected=expected)
@@ -356,7 +357,9 @@ class ActionBuilder:
         for field, given, (shape, dtype) in zip(ActionTable._fields, table, wanted, strict=True):
             check_tensor(f"{type(entry).__name__}.table().{field}", given, shape, dtype)
         if self._table is None and not bool((table.duration >= SHORTEST).all()):  # once: a wait for the device
-            raise ValueError(f"{type(entry).__name__}.table().duration is {table.duration.tolist()}; it must be positive, in s")
+            raise ValueError(
+                f"{type(entry).__name__}.table().duration is {table.duration.tolist()}; it must be at least {SHORTEST} s"
+            )
         if self._table is None or not is_of_package(type(entry)):
             everywhere = torch.ones_like(table.mode, dtype=torch.bool)
             check_modes(f"{type(entry).__name__}.table()", table.mode, everywhere, self.satellite.simulator.mode_names)

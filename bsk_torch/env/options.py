@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import number, switch, whole
+from bsk_torch.act.base import SHORTEST
 from bsk_torch.codegen.inductor import BACKENDS
 from bsk_torch.rand import Distribution
 from bsk_torch.sats.dtypes import as_dtype
@@ -117,7 +118,7 @@ class TaskingOptions:
         checked = {
             "num_envs": whole("num_envs", self.num_envs, 1, 2**31 - 1),
             "sim_rate": number("sim_rate", self.sim_rate, SHORTEST_TICK, LONGEST_TICK, unit="s"),
-            "max_step_duration": number("max_step_duration", self.max_step_duration, 1e-9, unit="s", finite=False),
+            "max_step_duration": number("max_step_duration", self.max_step_duration, SHORTEST, unit="s", finite=False),
             "failure_penalty": penalty,
             "terminate_on_time_limit": switch("terminate_on_time_limit", self.terminate_on_time_limit),
             "dtype": as_dtype(self.dtype),

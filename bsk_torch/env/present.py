@@ -155,9 +155,7 @@ def pictures() -> Any:
 
 def _counted(name: str, satellite: SatelliteGroup) -> Tensor:
     counts = satellite.counts()
-    if name in counts:
-        title = f"{type(satellite).__name__}.counts()[{name!r}]"
-        check_tensor(title, counts[name], satellite.simulator.ticks.shape, torch.int64)
-    else:
+    if name not in counts:
         raise AttributeError(f"{satellite.name} does not count {name!r}")
+    check_tensor(f"{type(satellite).__name__}.counts()[{name!r}]", counts[name], satellite.simulator.ticks.shape, torch.int64)
     return counts[name]

@@ -114,8 +114,8 @@ class TestHooks:
     @pytest.mark.parametrize(
         ("change", "words"),
         [
-            (lambda d: d._replace(duration=d.duration * 0.0), "must be positive"),
-            (lambda d: d._replace(duration=d.duration * float("nan")), "must be positive"),
+            (lambda d: d._replace(duration=d.duration * 0.0), "must be at least 1e-09 s"),
+            (lambda d: d._replace(duration=d.duration * float("nan")), "must be at least 1e-09 s"),
             (lambda d: d._replace(duration=d.duration.float()), "duration is a tensor"),
             (lambda d: None, "must return an act.Decision"),
         ],

@@ -35,7 +35,9 @@ def deciding(seconds: float, mode: int = 1):
 
 @pytest.mark.parametrize("seconds", [math.nan, -1.0, 0.0, 1e-12])
 def test_durations_that_are_not_positive(seconds):
-    with pytest.raises(ValueError, match=r"Mine\.decide\(\.\.\.\)\.duration is .* for environment 0; it must be positive"):
+    with pytest.raises(
+        ValueError, match=r"Mine\.decide\(\.\.\.\)\.duration is .* for environment 0; it must be at least 1e-09 s"
+    ):
         play(environment(decide=deciding(seconds)))
 
 
