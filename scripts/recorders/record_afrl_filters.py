@@ -1,10 +1,10 @@
-"""Record forces filtered by AFRL's run-time-assurance: python record_filters.py filters.npz.
+"""Record forces filtered by AFRL's run-time-assurance: python record_afrl_filters.py filters.npz.
 
 Needs Python 3.10 with run-time-assurance 1.18.6 and what it requires. It computes in float64 here. States are random, some of
 them close to the limits of the constraints.
 """
 
-import sys
+import argparse
 import warnings
 
 import jax
@@ -77,4 +77,6 @@ def main(path):
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("path", help="file to write, such as those in tests/safe_autonomy/recordings")
+    main(parser.parse_args().path)

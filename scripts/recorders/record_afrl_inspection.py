@@ -1,10 +1,10 @@
-"""Record episodes of ``inspection_v0`` of AFRL's safe-autonomy-sims: python record_inspection.py inspection.npz.
+"""Record episodes of ``inspection_v0`` of AFRL's safe-autonomy-sims: python record_afrl_inspection.py inspection.npz.
 
-See record_docking.py for what it needs. The observation has the direction of a cluster of points; its k-means starts at random
-points, so its starts and results are recorded, too.
+See record_afrl_docking.py for what it needs. The observation has the direction of a cluster of points; its k-means starts at
+random points, so its starts and results are recorded, too.
 """
 
-import sys
+import argparse
 
 import numpy as np
 from safe_autonomy_sims.gym.inspection import InspectionEnv
@@ -109,4 +109,6 @@ def main(path):
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("path", help="file to write, such as those in tests/safe_autonomy/recordings")
+    main(parser.parse_args().path)

@@ -2,9 +2,9 @@
 
 Usage::
 
-    python tests/basilisk/recorders/record_imaging.py                      # every file, into tests/basilisk
-    python tests/basilisk/recorders/record_imaging.py imaging_full         # only this one
-    python tests/basilisk/recorders/record_imaging.py --list
+    python scripts/recorders/record_imaging.py                      # every file, into tests/basilisk/recordings
+    python scripts/recorders/record_imaging.py imaging_full         # only this one
+    python scripts/recorders/record_imaging.py --list
 
 See ``recording.py`` for what it needs. Initial conditions are drawn here, passed explicitly and stored; so are the actions.
 Targets come from a seed and numpy's frozen generator (see ``make_targets``), and only the seed is stored.

@@ -2,9 +2,9 @@
 
 Usage::
 
-    python tests/basilisk/recorders/record_constellation.py                        # every file, into tests/basilisk
-    python tests/basilisk/recorders/record_constellation.py constellation_los      # only this one
-    python tests/basilisk/recorders/record_constellation.py --list
+    python scripts/recorders/record_constellation.py                        # every file, into tests/basilisk/recordings
+    python scripts/recorders/record_constellation.py constellation_los      # only this one
+    python scripts/recorders/record_constellation.py --list
 
 See ``recording.py`` for what it needs. Initial conditions and targets are drawn here, passed explicitly and stored; so are the
 actions. Targets lie along the tracks of the satellites, so that satellites compete for them.

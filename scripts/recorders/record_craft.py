@@ -2,9 +2,9 @@
 
 Usage::
 
-    python tests/basilisk/recorders/record_craft.py                        # every file, into tests/basilisk/recordings
-    python tests/basilisk/recorders/record_craft.py craft_skewed           # only this one
-    python tests/basilisk/recorders/record_craft.py --list
+    python scripts/recorders/record_craft.py                        # every file, into tests/basilisk/recordings
+    python scripts/recorders/record_craft.py craft_skewed           # only this one
+    python scripts/recorders/record_craft.py --list
 
 See ``recording.py`` for what it needs. What flies, and which rows are kept, is read from the present files: ``craft``,
 ``sat_args`` and ``time``, which were drawn once. Everything else is recorded again. ``loads`` is the CubeSat of the file
@@ -15,7 +15,6 @@ See ``recording.py`` for what it needs. What flies, and which rows are kept, is 
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -34,9 +33,8 @@ from Basilisk.simulation import (
 from Basilisk.utilities import macros, simIncludeRW, simIncludeThruster, simSetPlanetEnvironment
 from bsk_rl import SatelliteTasking, act, data, obs, sats, scene
 from bsk_rl.sim import dyn, fsw
-from recording import Array, record_files
+from recording import RECORDINGS, Array, record_files
 
-RECORDINGS = Path(__file__).parents[1] / "recordings"
 CASES = ("skewed", "offset", "six", "cubesat", "power", "steering", "loads", "navigation")
 ACTIONS = ("scan", "charge", "desat", "downlink", "nadir", "drift")
 NUDGE = 1e-13  # change of the initial attitude of the twin

@@ -2,9 +2,9 @@
 
 Usage::
 
-    python tests/basilisk/recorders/record_models.py                    # every file, into tests/basilisk/recordings
-    python tests/basilisk/recorders/record_models.py models_pointing    # only this one
-    python tests/basilisk/recorders/record_models.py --list
+    python scripts/recorders/record_models.py                    # every file, into tests/basilisk/recordings
+    python scripts/recorders/record_models.py models_pointing    # only this one
+    python scripts/recorders/record_models.py --list
 
 See ``recording.py`` for what it needs. Spacecraft without actuators, whose attitude is imposed, alone and beside one with wheels;
 a scanner without ground stations; and the default arguments of models.

@@ -1,10 +1,10 @@
-"""Record several deputies of AFRL's programs: python record_crews.py crews.npz.
+"""Record several deputies of AFRL's programs: python record_afrl_crews.py crews.npz.
 
 Forces filtered by run-time-assurance 1.18.6 for three inspectors, and episodes of the PettingZoo environments of
-safe-autonomy-sims with two deputies. See record_filters.py and record_docking.py for what these need.
+safe-autonomy-sims with two deputies. See record_afrl_filters.py and record_afrl_docking.py for what these need.
 """
 
-import sys
+import argparse
 import warnings
 
 import jax
@@ -175,4 +175,6 @@ def main(path):
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("path", help="file to write, such as those in tests/safe_autonomy/recordings")
+    main(parser.parse_args().path)

@@ -2,7 +2,7 @@
 
 Usage::
 
-    python tests/basilisk/recorders/record_lost_passes.py
+    python scripts/recorders/record_lost_passes.py
 
 Windows are those after the reset, which searches one long interval, and after a search of more intervals. See ``recording.py``
 for what it needs.
@@ -19,6 +19,7 @@ from Basilisk.utilities import orbitalMotion
 from bsk_rl import SatelliteTasking, act, data, obs, sats, scene
 from bsk_rl.sim import dyn, fsw
 from bsk_rl.utils.orbital import random_orbit
+from recording import RECORDINGS
 
 UTC = "2012 MAR 04 05:06:07.000 (UTC)"
 
@@ -49,7 +50,7 @@ def windows(satellite: Any) -> list[tuple[str, float, float]]:
 def main() -> None:
     """Write the file."""
     parser = argparse.ArgumentParser(description="Record the windows of satellites that stay near ground stations for long.")
-    parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "recordings", help="folder of the file")
+    parser.add_argument("--out", type=Path, default=RECORDINGS, help="folder of the file")
     folder = parser.parse_args().out
     found = {}
     for name, elements in ORBITS.items():

@@ -2,8 +2,8 @@
 
 Usage::
 
-    python tests/basilisk/recorders/record_modules.py                 # every table, into tests/sim/data
-    python tests/basilisk/recorders/record_modules.py store           # only this one
+    python scripts/recorders/record_modules.py                 # every table, into tests/sim/data
+    python scripts/recorders/record_modules.py store           # only this one
 
 Needs the extra ``basilisk`` (bsk==2.12.1), but none of its support data. Inputs are drawn from the seeds below, written as
 messages before every tick, and stored beside what the modules answered; a repetition gives the same arrays.
@@ -279,7 +279,7 @@ def main() -> None:
     """Record the tables named on the command line."""
     parser = argparse.ArgumentParser(description="Record Basilisk's modules, each alone.")
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"tables to record, of {', '.join(RECORDERS)} (default: all)")
-    parser.add_argument("--out", type=Path, default=Path(__file__).parents[2] / "sim" / "data")
+    parser.add_argument("--out", type=Path, default=Path(__file__).parents[2] / "tests" / "sim" / "data")
     arguments = parser.parse_args()
     if unknown := set(arguments.names) - set(RECORDERS):
         parser.error(f"unknown: {', '.join(sorted(unknown))}")

@@ -2,9 +2,9 @@
 
 Usage::
 
-    python tests/basilisk/recorders/record_aeos_bench.py                        # every file, into tests/basilisk/recordings
-    python tests/basilisk/recorders/record_aeos_bench.py aeos_bench_random      # only this one
-    python tests/basilisk/recorders/record_aeos_bench.py --list
+    python scripts/recorders/record_aeos_bench.py                        # every file, into tests/basilisk/recordings
+    python scripts/recorders/record_aeos_bench.py aeos_bench_random      # only this one
+    python scripts/recorders/record_aeos_bench.py --list
 
 See ``recording.py`` for what it needs; bsk_rl has no part in it. Scenarios are in the benchmark's JSON form. They are drawn from
 the distributions of the benchmark (AEOS-Bench, NeurIPS 2025, arXiv 2510.26297), with tasks near the ground tracks, so that a

@@ -1,11 +1,11 @@
-"""Record episodes of ``docking_v0`` of AFRL's safe-autonomy-sims: python record_docking.py docking.npz.
+"""Record episodes of ``docking_v0`` of AFRL's safe-autonomy-sims: python record_afrl_docking.py docking.npz.
 
 Needs Python 3.10 with safe-autonomy-simulation 2.2.1 and safe-autonomy-sims of commit 6d71f7e (March 2025), in which the price
 of thrust is no longer that of release 4.2.3. Each episode follows one of the controllers
 below, so that the episodes end in every possible way.
 """
 
-import sys
+import argparse
 
 import numpy as np
 from safe_autonomy_sims.gym.docking import DockingEnv
@@ -88,4 +88,6 @@ def main(path):
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("path", help="file to write, such as those in tests/safe_autonomy/recordings")
+    main(parser.parse_args().path)

@@ -2,7 +2,7 @@
 
 Usage::
 
-    python tests/basilisk/recorders/record_strips.py              # strips.npz, into tests/basilisk/recordings
+    python scripts/recorders/record_strips.py              # strips.npz, into tests/basilisk/recordings
 
 See ``recording.py`` for what it needs. bsk_rl has no strips; the module runs alone, with the Earth at rest.
 """

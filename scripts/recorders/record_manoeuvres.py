@@ -2,9 +2,9 @@
 
 Usage::
 
-    python tests/basilisk/recorders/record_manoeuvres.py                        # every file, into tests/basilisk/recordings
-    python tests/basilisk/recorders/record_manoeuvres.py manoeuvre_scan         # only this one
-    python tests/basilisk/recorders/record_manoeuvres.py --list
+    python scripts/recorders/record_manoeuvres.py                        # every file, into tests/basilisk/recordings
+    python scripts/recorders/record_manoeuvres.py manoeuvre_scan         # only this one
+    python scripts/recorders/record_manoeuvres.py --list
 
 See ``recording.py`` for what it needs. Where episodes start, what targets there are and what is done are read from the present
 files: ``ic``, ``targets`` and ``action``, which were drawn once. Everything else is recorded again.
@@ -16,7 +16,6 @@ import itertools
 import json
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,9 +25,7 @@ from bsk_rl.scene.targets import Target, UniformTargets
 from bsk_rl.sim import dyn, fsw
 from bsk_rl.utils.rso_imaging import illumination_factor
 from gymnasium import spaces
-from recording import Array, record_files
-
-RECORDINGS = Path(__file__).parents[1] / "recordings"
+from recording import RECORDINGS, Array, record_files
 
 EARTH_RADIUS = REQ_EARTH * 1e3
 

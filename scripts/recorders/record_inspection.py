@@ -2,9 +2,9 @@
 
 Usage::
 
-    python tests/basilisk/recorders/record_inspection.py                         # every file, into tests/basilisk/recordings
-    python tests/basilisk/recorders/record_inspection.py inspection_dark         # only this one
-    python tests/basilisk/recorders/record_inspection.py --list
+    python scripts/recorders/record_inspection.py                         # every file, into tests/basilisk/recordings
+    python scripts/recorders/record_inspection.py inspection_dark         # only this one
+    python scripts/recorders/record_inspection.py --list
 
 See ``recording.py`` for what it needs. Where episodes start and what is done in them is read from the present files: ``ic``,
 ``action`` and ``rso_action``, which were drawn once (inspectors that fly to random places near the RSO, and what each file is
@@ -17,7 +17,6 @@ import itertools
 import json
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,9 +25,7 @@ from bsk_rl.obs.relative_observations import rso_imaged_regions
 from bsk_rl.sim import dyn, fsw
 from bsk_rl.utils.orbital import fibonacci_sphere
 from bsk_rl.utils.rso_imaging import illumination_factor
-from recording import Array, record_files
-
-RECORDINGS = Path(__file__).parents[1] / "recordings"
+from recording import RECORDINGS, Array, record_files
 
 CASES = ("one", "three", "fine", "steer", "collision", "range", "fuel", "complete", "dark", "collide3", "tumble")
 

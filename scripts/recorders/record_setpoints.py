@@ -2,9 +2,9 @@
 
 Usage::
 
-    python tests/basilisk/recorders/record_setpoints.py                        # every file, into tests/basilisk/recordings
-    python tests/basilisk/recorders/record_setpoints.py setpoint_wheels        # only this one
-    python tests/basilisk/recorders/record_setpoints.py --list
+    python scripts/recorders/record_setpoints.py                        # every file, into tests/basilisk/recordings
+    python scripts/recorders/record_setpoints.py setpoint_wheels        # only this one
+    python scripts/recorders/record_setpoints.py --list
 
 See ``recording.py`` for what it needs. Where episodes start and what is done are read from the present files: ``ic`` and
 ``action``, which were drawn once. Everything else is recorded again.
@@ -15,16 +15,13 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from bsk_rl import SatelliteTasking, act, data, obs, sats, scene
 from bsk_rl.sim import dyn, fsw
 from bsk_rl.utils.rso_imaging import illumination_factor
-from recording import Array, record_files
-
-RECORDINGS = Path(__file__).parents[1] / "recordings"
+from recording import RECORDINGS, Array, record_files
 
 
 class Pointer(sats.Satellite):

@@ -2,8 +2,8 @@
 
 Usage::
 
-    python tests/basilisk/recorders/record_arguments.py                 # both, into tests/sim/data
-    python tests/basilisk/recorders/record_arguments.py --out FOLDER
+    python scripts/recorders/record_arguments.py                 # both, into tests/sim/data
+    python scripts/recorders/record_arguments.py --out FOLDER
 
 Needs the extra ``basilisk`` and its support data; see ``recording.py``.
 
@@ -183,7 +183,7 @@ def spice(text: str) -> float | None:
 def main() -> None:
     """Write both tables."""
     parser = argparse.ArgumentParser(description="Record default arguments of bsk_rl, and epochs as SPICE reads them.")
-    parser.add_argument("--out", type=Path, default=Path(__file__).parents[2] / "sim" / "data")
+    parser.add_argument("--out", type=Path, default=Path(__file__).parents[2] / "tests" / "sim" / "data")
     folder = parser.parse_args().out
     warnings.simplefilter("ignore")
     modules = {"dyn": dyn, "fsw": fsw, "world": world}

@@ -2,9 +2,9 @@
 
 Usage::
 
-    python tests/basilisk/recorders/record_examples.py                              # every file, into tests/basilisk/recordings
-    python tests/basilisk/recorders/record_examples.py example_simple_environment   # only this one
-    python tests/basilisk/recorders/record_examples.py --list
+    python scripts/recorders/record_examples.py                              # every file, into tests/basilisk/recordings
+    python scripts/recorders/record_examples.py example_simple_environment   # only this one
+    python scripts/recorders/record_examples.py --list
 
 See ``recording.py`` for what it needs, and ``example_problems.py`` for the problems. bsk_rl draws from NumPy's global
 generator, which ``reset(seed=)`` seeds; what it has drawn is read back and stored: all arguments that are functions or come
@@ -409,10 +409,10 @@ EXAMPLES: dict[str, Example] = {
         drawn=("rN", "vN"),
     ),
     **{
-        f"space_to_space_rso_imaging_{name}": Example(
-            lambda amos=amos: problems.space_to_space_rso_imaging(amos), image_and_downlink, 40, drawn=("oe",)
+        f"space_to_space_rso_imaging_{profile}": Example(
+            lambda profile=profile: problems.space_to_space_rso_imaging(profile), image_and_downlink, 40, drawn=("oe",)
         )
-        for name, amos in (("compact", False), ("amos", True))
+        for profile in ("compact", "amos")
     },
     "fault_environment": Example(lambda: problems.fault_environment(False), drawn(17, soon(32, 0.1, 0.1)), 24),
     "fault_environment_literal": Example(lambda: problems.fault_environment(True), drawn(18, soon(32, 0.1, 0.1)), 24),
