@@ -4,7 +4,7 @@ Usage:
     python benchmarks/aeos_speed_side.py [--satellites 8] [--tasks 50] [--seconds 20]
 
 It runs in an interpreter with the extra ``basilisk``, and flies with the modules and the order of the recordings of this project
-(``tests/basilisk/recorders/record_aeos_bench.py``). It prints satellite-seconds per core-second.
+(``scripts/recorders/record_aeos_bench.py``). It prints satellite-seconds per core-second.
 """
 
 import argparse
@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-RECORDERS = Path(__file__).parents[1] / "tests" / "basilisk" / "recorders"
+RECORDERS = Path(__file__).parents[1] / "scripts" / "recorders"
 
 
 def parsed() -> argparse.Namespace:

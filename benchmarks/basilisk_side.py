@@ -25,7 +25,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "basilisk" / "recorders"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "scripts" / "recorders"))
 
 from Basilisk.simulation import reactionWheelStateEffector
 from Basilisk.utilities import orbitalMotion, simIncludeRW

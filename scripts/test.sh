@@ -1,22 +1,16 @@
 #!/usr/bin/env bash
-# Makes .venv, installs bsk_torch with what the tests need, and runs linters, type checker and tests.
-#   scripts/test.sh [pytest arguments]
-# Without arguments these are all tests but those of the night. The tests of the documentation (marker pages: blocks of the pages,
-# tutorials, the site) are left out where pages, examples, signatures and docstrings are those with which they last passed, which
-# tests/docs/stamp.json notes; where one of these has changed, or git cannot say, they run. Blocks of the README always run.
-#   scripts/test.sh --docs   only the tests of the documentation; then notes that they have passed
-#   scripts/test.sh --all    then also the tests that need Ray, and those that need Basilisk or RLlib, which pin other packages: in
-#                            .venv-basilisk and .venv-rllib. Basilisk downloads its support data unless BSK_SUPPORT_DATA_CACHE
-#                            names a folder with them (see tests/basilisk/recorders/recording.py). No test is skipped for a
-#                            missing package.
-#   scripts/test.sh --basilisk, --rllib    only one of these two
-#   scripts/test.sh --browser [pytest arguments]    only the tests of pages, reports and the viewer in Chromium, which is
-#                            installed with apt-get where it is missing; part of --all
-#   scripts/test.sh --nightly [pytest arguments]    only the tests that take long, of the marker nightly, and those of the
-#                            documentation, so that a page which breaks by a change inside of a function is found here; then, where
-#                            --basilisk or --all has made .venv-basilisk, 40 random problems in bsk_rl on Basilisk and here
+# Makes .venv, installs bsk_torch with what the tests need, and runs linters, type checker and tests. Three levels:
+#   scripts/test.sh              before each commit: linters, types, contracts, fast tests, a slow test of each promise of the README
+#   scripts/test.sh --full       before a change lands: also all slower tests, documentation included
+#   scripts/test.sh --nightly    what takes long, too, and what needs Basilisk, Ray, RLlib or a browser; writes tests/durations.json
+#
+#   scripts/test.sh [--full] [--shard 1/2] [pytest arguments]    only a part of the tests, which machines can share, or some tests:
+#                                                                scripts/test.sh tests/sim -k orbit
+#   scripts/test.sh --basilisk | --rllib | --browser             this part of the night alone
+# The level of a test follows from tests/durations.json. Nothing is installed again until pyproject.toml or constraints.txt change.
+# Basilisk downloads its support data unless BSK_SUPPORT_DATA_CACHE names a folder with them (scripts/recorders/recording.py).
 set -euo pipefail
-case "${1:-}" in -h | --help) sed -n '2,/^set/s/^# \{0,1\}//p' "$0"; exit ;; esac
+case "${1:-}" in -h | --help) sed -n '2,/^set/s/^# \{0,1\}//p' "$0" | sed '$d'; exit ;; esac
 cd "$(dirname "$0")/.."
 python="${PYTHON:-python3}"
 # processes that tests start find the package as bytecode, with which they import it in a quarter of the time
@@ -24,20 +18,34 @@ unset PYTHONDONTWRITEBYTECODE
 # one cache of kernels for all tests, and no threads that fight over the cores
 export OMP_NUM_THREADS=1 BSK_TORCH_CACHE="${BSK_TORCH_CACHE:-$PWD/.venv/kernels}"
 
-make_venv() {  # folder; torch first and by exact version: an open range may bring gigabytes of CUDA packages
-    [ -x "$1/bin/python" ] || "$python" -m venv "$1"
-    "$1/bin/python" -m pip install -q "torch==$(sed -n 's/^torch==//p' constraints.txt)"
+install() {  # folder of the environment, then arguments of pip
+    local folder=$1 wanted
+    shift
+    wanted=$(cat pyproject.toml constraints.txt <(echo "$PWD" "$@") | sha256sum)
+    grep -qsF "$wanted" "$folder/installed" && return
+    [ -x "$folder/bin/python" ] || "$python" -m venv "$folder"
+    # torch first and by exact version: an open range may bring gigabytes of CUDA packages
+    if "$folder/bin/python" -m pip install -q --retries 1 --no-compile "torch==$(pinned torch)" &&
+        "$folder/bin/python" -m pip install -q --retries 1 --no-compile "$@"; then
+        echo "$wanted" >> "$folder/installed"
+    elif "$folder/bin/python" -c "import bsk_torch, pytest, torchrl" 2> /dev/null; then
+        echo "test.sh: the installation failed, see above; testing with what $folder has" >&2
+    else
+        echo "test.sh: the installation failed, see above; without it, nothing can be tested" >&2
+        exit 1
+    fi
 }
 
+pinned() { sed -n "s/^$1==//p" constraints.txt; }
+
 test_basilisk() {
-    make_venv .venv-basilisk
-    .venv-basilisk/bin/python -m pip install -q -e ".[basilisk,cities]" pyshp shapely
+    install .venv-basilisk -e ".[basilisk,cities]" pyshp shapely
     # bsk-rl pins an old pytest, which it does not need to run
-    .venv-basilisk/bin/python -m pip install -q --no-deps "pytest==$(sed -n 's/^pytest==//p' constraints.txt)" pytest-xdist execnet
+    install .venv-basilisk --no-deps "pytest==$(pinned pytest)" pytest-xdist execnet
     # only files with such a test: others import packages that are not installed here
     local files
     mapfile -t files < <(grep -rlE 'mark\.(basilisk|coastlines)\b' tests --include='*.py')
-    BSK_TORCH_STRICT_TESTS=1 .venv-basilisk/bin/python -m pytest -m "basilisk or coastlines" "${files[@]}"
+    BSK_TORCH_STRICT_TESTS=1 .venv-basilisk/bin/python -m pytest --levels all -m "basilisk or coastlines" "${files[@]}"
 }
 
 fly_random_problems() {  # other ones every day, of the environments of this package and of the package that is bsk_rl
@@ -48,67 +56,69 @@ fly_random_problems() {  # other ones every day, of the environments of this pac
 }
 
 test_rllib() {
-    make_venv .venv-rllib
-    .venv-rllib/bin/python -m pip install -q -e . "ray[rllib]==2.60.0" "pytest==$(sed -n 's/^pytest==//p' constraints.txt)"
-    BSK_TORCH_STRICT_TESTS=1 .venv-rllib/bin/python -m pytest -m rllib tests/test_clients.py
-}
-
-install_chromium() {
-    command -v chromium > /dev/null && return
-    echo "installing Chromium, which the tests of the marker browser need: apt-get install chromium"
-    root=""
-    [ "$(id -u)" = 0 ] || root=sudo
-    $root apt-get update -qq
-    $root apt-get install -y -qq chromium
+    install .venv-rllib -e . "ray[rllib]==2.60.0" "pytest==$(pinned pytest)"
+    BSK_TORCH_STRICT_TESTS=1 .venv-rllib/bin/python -m pytest --levels all -m rllib tests/test_clients.py
 }
 
 test_browser() {
-    install_chromium
-    BSK_TORCH_STRICT_TESTS=1 .venv/bin/python -m pytest -m browser tests/docs tests/viz tests/viewer tests/test_scripts.py "$@"
+    if ! command -v chromium > /dev/null; then
+        echo "installing Chromium, which the tests of the marker browser need: apt-get install chromium"
+        local root=""
+        [ "$(id -u)" = 0 ] || root=sudo
+        $root apt-get update -qq
+        $root apt-get install -y -qq chromium
+    fi
+    BSK_TORCH_STRICT_TESTS=1 .venv/bin/python -m pytest --levels all -m browser tests/docs tests/viz tests/viewer tests/test_scripts.py "$@"
 }
 
+install_extras() {  # level
+    case $1 in
+        default) install .venv -c constraints.txt -e ".[test,viz,sb3,cities]"; return ;;
+        full) install .venv -c constraints.txt -e ".[tensorboard,viz,video,sb3,cities,minari,docs,dev]" ;;
+        nightly) install .venv -c constraints.txt -e ".[tensorboard,viz,video,sb3,cities,minari,docs,dev,ray]" ;;
+    esac
+    # clients and validators that no one here wrote; pip would take an older TorchRL or python-dateutil with them
+    install .venv --no-deps benchmarl==1.5.2 czml3==4.0.0
+}
+
+check() {  # what needs no test: seconds, but for the first run of mypy
+    .venv/bin/lint-imports && .venv/bin/python scripts/tools/check_prose.py && .venv/bin/mypy
+}
+
+level=default
 case "${1:-}" in
+    --full | --nightly) level=${1#--}; shift ;;
     --basilisk) test_basilisk; exit ;;
     --rllib) test_rllib; exit ;;
+    --browser) install_extras full; test_browser "${@:2}"; exit ;;
 esac
-make_venv .venv
-extras=tensorboard,viz,video,sb3,cities,minari,docs,dev
-case "${1:-}" in --all | --nightly) extras=$extras,ray ;; esac
-.venv/bin/python -m pip install -q -c constraints.txt -e ".[$extras]"
-# a client that no one here wrote; pip would take an older TorchRL with it
-.venv/bin/python -m pip install -q --no-deps benchmarl==1.5.2
-# validates CZML; pip would take an older python-dateutil with it
-.venv/bin/python -m pip install -q --no-deps czml3==4.0.0
-if [ "${1:-}" = --browser ]; then
-    test_browser "${@:2}"
-    exit
+if ! mkdir -p "$BSK_TORCH_CACHE" 2> /dev/null || ! [ -w "$BSK_TORCH_CACHE" ]; then
+    echo "test.sh: $BSK_TORCH_CACHE cannot be written to; kernels go to a temporary folder" >&2
+    BSK_TORCH_CACHE=$(mktemp -d)
 fi
-.venv/bin/ruff check .
-.venv/bin/ruff format --check .
-.venv/bin/python scripts/tools/check_prose.py
-.venv/bin/mypy
-.venv/bin/lint-imports
+install_extras "$level"
+.venv/bin/ruff check -q .
+.venv/bin/ruff format -q --check .
 .venv/bin/python -W error -c "import bsk_torch"
-if [ "${1:-}" = --nightly ]; then
-    .venv/bin/python -m pytest -m "nightly or pages" "${@:2}"
-    if [ -x .venv-basilisk/bin/python ]; then fly_random_problems; fi
-    exit
+check > .venv/checks.txt 2>&1 &  # beside the tests
+checks=$!
+.venv/bin/python -m tests.support.kernels ||
+    echo "test.sh: no kernels can be built, see above: what needs them is left out" >&2
+cores=$(nproc)
+pytest=(.venv/bin/python -m pytest)
+# files in their order, each by one worker (tests/support/levels.py)
+[ "$cores" = 1 ] || pytest+=(-n "$cores" --dist loadgroup --no-loadscope-reorder)
+failed=0
+if [ "$level" = nightly ]; then
+    for part in default full nightly; do "${pytest[@]}" --levels "$part" --measure "$@" || failed=1; done
+    test_browser || failed=1
+    test_basilisk || failed=1
+    test_rllib || failed=1
+    fly_random_problems || failed=1
+elif [ "$level" = full ] || [ $# -gt 0 ]; then
+    "${pytest[@]}" --levels default,full "$@" || failed=1
+else
+    "${pytest[@]}" --levels default || failed=1
 fi
-# files in their order, each by one worker (tests/conftest.py): by number of tests, the longest would come last
-parallel=(-n 2 --dist loadgroup --no-loadscope-reorder)
-if [ "${1:-}" = --docs ]; then
-    .venv/bin/python -m pytest "${parallel[@]}" -m pages
-    exec .venv/bin/python scripts/tools/docs_stamp.py --write
-fi
-if [ "${1:-}" = --all ]; then
-    .venv/bin/python -m pytest "${parallel[@]}"
-    test_browser
-    test_basilisk
-    test_rllib
-    exit
-fi
-if [ $# -gt 0 ]; then exec .venv/bin/python -m pytest "$@"; fi
-if .venv/bin/python scripts/tools/docs_stamp.py; then
-    exec .venv/bin/python -m pytest "${parallel[@]}" -m "not nightly and not browser and not pages"
-fi
-exec .venv/bin/python -m pytest "${parallel[@]}"
+wait "$checks" || { cat .venv/checks.txt; failed=1; }
+exit "$failed"

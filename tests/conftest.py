@@ -23,6 +23,8 @@ from bsk_torch.sim.access.visibility.planned import PlannedOrbits
 from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.orbit.solvers import make_solver
 
+pytest_plugins = ["tests.support.levels"]
+
 torch.set_num_threads(1)
 
 # what is imported stays, and need not be looked at by every collection, which takes a twelfth of the time of the tests otherwise
@@ -48,21 +50,7 @@ PROGRAMS = {"browser": ("chromium", "Chromium: scripts/test.sh --browser install
 STRICT = "BSK_TORCH_STRICT_TESTS"
 """Environment variable under which a test with unmet needs fails, so that scripts/test.sh --all skips none in silence."""
 
-SPLIT = ("docs/test_pages.py", "docs/test_tutorials.py", "test_scripts.py")
-"""Long files whose tests share nothing, so that two workers may have their parts."""
-
 RECORDINGS = Path(__file__).with_name("basilisk") / "recordings"
-
-
-@pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Keep the tests of a file in one worker, which then compiles their kernels, and makes what their fixtures make, once."""
-    if not config.pluginmanager.hasplugin("xdist"):
-        return
-    for item in items:
-        file = item.nodeid.partition("::")[0]
-        if item.get_closest_marker("xdist_group") is None and not file.endswith(SPLIT):
-            item.add_marker(pytest.mark.xdist_group(file))
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

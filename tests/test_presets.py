@@ -211,20 +211,6 @@ def test_kinds_of_faulty_scan_that_do_not_occur_can_be_injected():
     assert td["observation"][:, 20].tolist() == [0.0, 0.0]
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (dict(kinds=["wheels"]), "kinds: 'wheels' is not a kind of fault; did you mean 'wheel'"),
-        (dict(kinds="wheel"), r"kinds='wheel' must be a list of kinds of faults, such as \['wheel'\]"),
-        (dict(chance=1.5), "chance"),
-        (dict(observed=1), "observed=1 must be True or False"),
-    ],
-)
-def test_wrong_options_of_faulty_scan_are_rejected(options, message):
-    with pytest.raises(ValueError, match=message):
-        bsk_torch.make("FaultyScan-v1", num_envs=1, backend="eager", **options)
-
-
 def test_clouds_and_night_matter_to_optical_satellites_only():
     env = make("HeteroCluster-v1", n_targets=2000, num_envs=8, time_limit=3000.0)
     td, (optical, radar) = env.reset(), env.satellites
@@ -395,9 +381,3 @@ def test_a_tumbling_rso_is_the_same_in_other_batches_and_copies():
         seen.append(td["waypoint_inspector", "observation"][:2])
     assert torch.equal(seen[0], seen[1])
     assert torch.equal(seen[0], seen[2])
-
-
-@pytest.mark.parametrize("tumble", [-0.01, 0.06, math.nan, "fast", [0.01, 0.02]])
-def test_a_wrong_tumble_is_an_error(tumble):
-    with pytest.raises(ValueError, match=r"tumble=.* must be a number in \[0, 0.05\] rad/s"):
-        bsk_torch.make("RSOInspection-v1", num_envs=1, tumble=tumble)

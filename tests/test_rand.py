@@ -138,12 +138,6 @@ def test_unlucky_rows_draw_more_and_change_no_other(monkeypatch):
     assert picks[2].tolist() == skipping(unlucky(key(6), 200)[2].tolist(), 4, 20)
 
 
-@pytest.mark.parametrize("count", [0, 6])
-def test_impossible_numbers_of_distinct_indices(count):
-    with pytest.raises(ValueError, match=rf"count={count} different indices cannot be drawn from options=5; allowed is 1 to 5"):
-        key().distinct(count, 5)
-
-
 def test_uniform_distribution():
     one = rand.Uniform(-2.0, 6.0).draw(key(MANY))
     assert one.shape == (MANY,)
@@ -245,14 +239,6 @@ def test_random_epoch_does_not_follow_the_language_of_the_machine(monkeypatch):
     monkeypatch.setattr("calendar.month_abbr", ["", *("\u00e9" * 3 for _ in range(12))])
     for text in rand.random_epoch().draw(key(20)):
         parse_utc(text)
-
-
-def test_distribution_without_draw():
-    class Empty(rand.Distribution):
-        pass
-
-    with pytest.raises(TypeError, match=r"Empty must implement draw\(key\)"):
-        Empty().draw(key())
 
 
 # -- satellites -------------------------------------------------------------------------------------------------------

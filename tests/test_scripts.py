@@ -22,7 +22,7 @@ from tests.support.rounding import ABSOLUTE, RELATIVE, to_rounding
 
 ROOT = Path(__file__).parents[1]
 
-FOLDERS = ("benchmarks", "examples", "scripts", "tests/basilisk/recorders")
+FOLDERS = ("benchmarks", "examples", "scripts")
 
 TRAIN = "--frames 32 num_envs=2 rollout=8 evaluate_every=16 evaluate_episodes=2 --episodes 2 --time-limit 300"
 """What makes a training of ``bsk-torch`` short."""
@@ -335,11 +335,12 @@ STARTS: dict[str, list[Start]] = {
     "scripts/tools/make_coastlines.py": [Start("{countries} --out land.geojson", "2 pieces of land", "coastlines")],
     "scripts/tools/make_tables.py": [Start("--samples --out .", "largest position error 0.49", "basilisk")],
     "scripts/tools/update_golden.py": [
-        Start("--folder golden", "5 files in golden; written or changed: NadirScan-v1.cpp, AEOSPower-v1.cpp")
+        Start("--folder golden", "4 files in golden; written or changed: AEOS-v1.cpp, RSOInspection-v1.cpp, RSOInspection-v1.1.cpp")
     ],
     "scripts/validation/truth.py": [
         Start("--only spinning --out truth.json", r"spinning \(models\): .* equal: True; beyond their bounds: \[\]"),
     ],
+    "scripts/validation/mutants.py": [Start("--check", r"40 faults")],
     "scripts/validation/inspect_on_basilisk.py": [
         Start(
             "survey --seeds 1:2 --time-limit 1300 --backend eager --out out.json",
@@ -409,17 +410,24 @@ ELSEWHERE = {
     "scripts/validation/upstream.py": "tests/bsk_rl/test_upstream.py",
     "scripts/validation/differential.py": "tests/basilisk/test_differential.py",
     "scripts/tools/try_newest.sh": "tests/packaging/test_packages.py",
-    "scripts/tools/docs_stamp.py": "tests/docs/test_stamp.py",
     "scripts/tools/check_prose.py": "tests/test_prose.py",
     "scripts/tools/make_three.py": "tests/viewer/test_page.py",
     "scripts/tools/publish_docs.py": "tests/docs/test_site.py",
-    "tests/basilisk/recorders/record_arguments.py": "tests/test_scripts.py",
-    "tests/basilisk/recorders/record_lost_passes.py": "tests/test_scripts.py",
-    "tests/basilisk/recorders/record_drop_in.py": "tests/basilisk/test_drop_in.py",
-    "tests/basilisk/recorders/record_bsk_rl.py": "tests/basilisk/test_drop_in.py",
-    **{f"tests/basilisk/recorders/{script}.py": "tests/test_scripts.py" for script in RECORDED},
+    "scripts/recorders/record_arguments.py": "tests/test_scripts.py",
+    "scripts/recorders/record_lost_passes.py": "tests/test_scripts.py",
+    "scripts/recorders/record_drop_in.py": "tests/basilisk/test_drop_in.py",
+    "scripts/recorders/record_bsk_rl.py": "tests/basilisk/test_drop_in.py",
+    **{f"scripts/recorders/{script}.py": "tests/test_scripts.py" for script in RECORDED},
 }
 """Scripts that other tests start, and where."""
+
+REPLAYED_ONLY = {
+    "scripts/recorders/record_afrl_crews.py": "tests/safe_autonomy/test_crews.py",
+    "scripts/recorders/record_afrl_docking.py": "tests/safe_autonomy/test_docking.py",
+    "scripts/recorders/record_afrl_filters.py": "tests/safe_autonomy/test_filters.py",
+    "scripts/recorders/record_afrl_inspection.py": "tests/safe_autonomy/test_inspection.py",
+}
+"""Scripts that no test starts, because they need AFRL's programs and Python 3.10, and what replays their recordings."""
 
 STARTED_BY_OTHERS = {
     "benchmarks/basilisk_side.py": "benchmarks/harness.py",
@@ -495,7 +503,7 @@ JSON_TEXTS = ("constellation", "taskset")
 @pytest.mark.parametrize(("script", "recording"), RECORDED.items())
 def test_a_recording_can_be_repeated(script, recording, tmp_path):
     name = Path(recording).name
-    run(tmp_path, f"tests/basilisk/recorders/{script}.py", name, "--out", ".")
+    run(tmp_path, f"scripts/recorders/{script}.py", name, "--out", ".")
     with np.load(tmp_path / f"{name}.npz") as new, np.load(ROOT / "tests" / f"{recording}.npz") as old:
         assert set(new.files) == set(old.files)
         for key in set(old.files) - {"sensitivity", "versions"}:  # rounding errors as such, and what they depend on
@@ -509,14 +517,14 @@ def test_a_recording_can_be_repeated(script, recording, tmp_path):
 
 @pytest.mark.basilisk
 def test_tables_of_arguments_and_epochs_can_be_repeated(tmp_path):
-    run(tmp_path, "tests/basilisk/recorders/record_arguments.py", "--out", ".")
+    run(tmp_path, "scripts/recorders/record_arguments.py", "--out", ".")
     for name in ("default_args.json", "epochs.json"):
         assert (tmp_path / name).read_text() == (ROOT / "tests/sim/data" / name).read_text()
 
 
 @pytest.mark.basilisk
 def test_windows_that_bsk_rl_loses_can_be_recorded_again(tmp_path):
-    run(tmp_path, "tests/basilisk/recorders/record_lost_passes.py", "--out", ".")
+    run(tmp_path, "scripts/recorders/record_lost_passes.py", "--out", ".")
     new, old = (
         json.loads((folder / "lost_passes.json").read_text()) for folder in (tmp_path, ROOT / "tests/basilisk/recordings")
     )
@@ -545,9 +553,9 @@ def imported(path: Path) -> set[str]:
 def test_every_script_is_started():
     files = {path for folder in FOLDERS for path in (ROOT / folder).rglob("*") if path.suffix in (".py", ".sh")}
     names = {str(path.relative_to(ROOT)) for path in files}
-    started = {*STARTS, *ELSEWHERE}
+    started = {*STARTS, *ELSEWHERE, *REPLAYED_ONLY}
     assert started <= names, f"there is no {', '.join(sorted(started - names))}"
-    for path, where in (ELSEWHERE | STARTED_BY_OTHERS).items():
+    for path, where in (ELSEWHERE | REPLAYED_ONLY | STARTED_BY_OTHERS).items():
         assert Path(path).stem in (ROOT / where).read_text(), f"{where} does not start {path}"
     reached = started | set(STARTED_BY_OTHERS)
     modules = [(Path(name).stem, name) for name in names if name.endswith(".py")]
@@ -568,7 +576,7 @@ def test_every_script_is_started():
         ("scripts/tools/check_prose.py", "usage: check_prose.py [-h] [file ...]"),
         ("scripts/demo.sh", "Usage: scripts/demo.sh"),
         ("scripts/docs.sh", "scripts/docs.sh --quick"),
-        ("scripts/test.sh", "scripts/test.sh [pytest arguments]"),
+        ("scripts/test.sh", "scripts/test.sh tests/sim -k orbit"),
         ("scripts/tools/try_newest.sh", "scripts/tools/try_newest.sh [pytest arguments"),
     ],
 )
@@ -579,7 +587,7 @@ def test_help_explains_and_does_nothing(script, usage, tmp_path):
 
 
 def test_no_script_reads_its_arguments_by_position():
-    paths = [path for folder in ("benchmarks", "scripts", "tests/basilisk/recorders") for path in (ROOT / folder).rglob("*.py")]
+    paths = [path for folder in ("benchmarks", "scripts") for path in (ROOT / folder).rglob("*.py")]
     assert len(paths) > 20
     for path in paths:
         assert "sys.argv" not in path.read_text(), f"{path} takes --help for an argument: read them by argparse"

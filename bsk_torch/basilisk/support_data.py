@@ -28,7 +28,7 @@ def absent_data(cache: str | None) -> str:
     absent = [name for name in files if not (Path(cache) / name).is_file()]
     return (
         f"{cache} lacks {', '.join(absent)}; Basilisk will try to download them "
-        "(for its contents, see tests/basilisk/recorders/recording.py)"
+        "(for its contents, see scripts/recorders/recording.py)"
         if absent
         else ""
     )

@@ -8,6 +8,7 @@ import inspect
 import math
 import re
 from collections.abc import Iterable
+from functools import cache
 from typing import Any
 
 from docs._ext.markdown import block, code, plain, table
@@ -173,6 +174,7 @@ def bounds(arg: Any) -> str:
     return f"{plain(arg.low)} to {plain(arg.high)}"
 
 
+@cache
 def schedule() -> str:
     """Return the slots of a tick, in order, and in which presets each of them runs."""
     import bsk_torch
@@ -180,7 +182,7 @@ def schedule() -> str:
 
     running = {}
     for name in SCHEDULED:
-        env = bsk_torch.make(name, num_envs=1, backend="eager")
+        env = bsk_torch.make(name, num_envs=1, time_limit=60.0, backend="eager")
         parts = (component for simulator in env.fleet.simulators for component in simulator.tick.components)
         running[name] = {component.slot for component in parts if component.update is not None}
     sections, groups = [], list(dict.fromkeys(slot.group for slot in SCHEDULE))

@@ -14,7 +14,7 @@ leaves draws to the library, in one to three episodes: the same seeds must give 
 Basilisk also flies a twin, which starts 1e-12 away: where the twin parts from its original, the comparison ends ("chaos"). Where
 a difference remains, another twin starts 1e-10 away, about the accuracy of orbits and of the Earth's orientation. "error" is the
 same exception on both sides before the first step, "explained" a difference in docs/migration_reference.md.
-Ends with status 1 if a case is "different". Needs the extra ``basilisk``; see ``tests/basilisk/recorders/recording.py``.
+Ends with status 1 if a case is "different". Needs the extra ``basilisk``; see ``scripts/recorders/recording.py``.
 """
 
 from __future__ import annotations

@@ -292,9 +292,7 @@ def main() -> None:
     torch.set_num_threads(1)
     data = os.environ.get("BSK_SUPPORT_DATA_CACHE")
     if not data:
-        sys.exit(
-            "set BSK_SUPPORT_DATA_CACHE, which all releases read; for its contents, see tests/basilisk/recorders/recording.py"
-        )
+        sys.exit("set BSK_SUPPORT_DATA_CACHE, which all releases read; for its contents, see scripts/recorders/recording.py")
     if missing := lacking() or absent_data(data):
         sys.exit(missing)
     about = {

@@ -173,7 +173,7 @@ class Navigator:
 
 def build_there(env: ConstellationTasking, start: dict[str, Any]) -> Any:
     """Return bsk_rl's environment of an episode."""
-    sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "basilisk" / "recorders"))
+    sys.path.insert(0, str(Path(__file__).parents[1] / "recorders"))
     from bsk_rl import ConstellationTasking as Tasking
     from bsk_rl import act, data, obs, scene
     from bsk_rl.obs.relative_observations import rso_imaged_regions

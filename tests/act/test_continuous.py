@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -14,6 +16,7 @@ from bsk_torch.env.satellite_group import decide
 from bsk_torch.sim import dyn, fsw
 from tests.act.thrust_image import ThrustImageBox, ThrustImageHybrid
 from tests.env.test_state import N, strays
+from tests.support.refusals import check_refusals, refusal
 
 START = dict(oe=None, rN=[6.9e6, 0.0, 0.0], vN=[0.0, 6080.0, 4560.0])
 
@@ -94,43 +97,39 @@ class TestHooks:
         ]
         assert env.satellite.action_description == ["seconds"]
 
-    @pytest.mark.parametrize(
-        ("members", "words"),
-        [
-            (dict(bounds=lambda self: ([0.0, 0.0], [1.0])), r"shapes \[2\] and \[1\]"),
-            (dict(bounds=lambda self: ([1.0], [1.0])), "must be below"),
-            (dict(bounds=lambda self: ([float("nan")], [1.0])), "must be below"),
-            (dict(bounds=lambda self: 3.0), "must return the lower and upper bounds"),
-            (dict(bounds=lambda self: (["a"], ["b"])), "must be numbers"),
-            (dict(names=lambda self: ["a", "b"]), "1 names, one for each number of bounds"),
-            (dict(names=lambda self: "s"), "1 names"),
-            (dict(link_satellite=lambda self, satellite: None), r"super\(\)\.link_satellite"),
-        ],
-    )
-    def test_wrong_results_are_refused_when_the_environment_is_built(self, members, words):
-        with pytest.raises((TypeError, ValueError), match=words):
-            alone(type("Mine", (Point,), members)())
+    def test_rejects_results_that_do_not_fit(self):
+        made = lambda **members: alone(type("Mine", (Point,), members)(), backend="eager")
+        bounds = lambda *result: made(bounds=lambda self: result if len(result) > 1 else result[0])
+        table = [
+            refusal(lambda: bounds([0.0, 0.0], [1.0]), ValueError, "bounds()", [2], [1]),
+            refusal(lambda: bounds([1.0], [1.0]), ValueError, "bounds()", [1.0]),
+            refusal(lambda: bounds([math.nan], [1.0]), ValueError, "bounds()", [math.nan], [1.0]),
+            refusal(lambda: bounds(3.0), ValueError, "bounds()", 3.0),
+            refusal(lambda: bounds(["a"], ["b"]), ValueError, "bounds()", ["a"], ["b"], "numbers"),
+            refusal(lambda: made(names=lambda self: ["a", "b"]), ValueError, "names()", ["a", "b"], 1),
+            refusal(lambda: made(names=lambda self: "s"), ValueError, "names()", "'s'", 1),
+            refusal(lambda: made(link_satellite=lambda self, satellite: None), TypeError, "super().link_satellite"),
+        ]
+        check_refusals(table)
 
-    @pytest.mark.parametrize(
-        ("change", "words"),
-        [
-            (lambda d: d._replace(duration=d.duration * 0.0), "must be at least 1e-09 s"),
-            (lambda d: d._replace(duration=d.duration * float("nan")), "must be at least 1e-09 s"),
-            (lambda d: d._replace(duration=d.duration.float()), "duration is a tensor"),
-            (lambda d: None, "must return an act.Decision"),
-        ],
-    )
-    def test_wrong_decisions(self, change, words):
-        wrong = type("Mine", (Point,), dict(decide=lambda self, action, mask: change(Point.decide(self, action, mask))))
-        env = alone(wrong())
+    def test_rejects_wrong_decisions(self):
+        changes = []
+        decide = lambda self, action, mask: changes[-1](Point.decide(self, action, mask))
+        env = alone(type("Mine", (Point,), dict(decide=decide))(), backend="eager")
         env.reset()
-        with pytest.raises((TypeError, ValueError), match=words):
-            seconds(env, 3.0, 4.0)
+        decided = lambda change: (changes.append(change), seconds(env, 3.0, 4.0))
+        table = [
+            refusal(lambda: decided(lambda d: d._replace(duration=d.duration * 0.0)), ValueError, "duration", 0.0, 1e-9),
+            refusal(lambda: decided(lambda d: d._replace(duration=d.duration * math.nan)), ValueError, "duration", "nan", 1e-9),
+            refusal(lambda: decided(lambda d: d._replace(duration=d.duration.float())), TypeError, "duration", "torch.float32"),
+            refusal(lambda: decided(lambda d: None), TypeError, "Mine.decide", None, "act.Decision"),
+        ]
+        check_refusals(table)
 
-    def test_a_continuous_entry_is_alone(self):
-        for entries in ((Point(), act.Drift()), (act.Drift(), Point()), (Point(), Point("other"))):
-            with pytest.raises(ValueError, match="must be the only one"):
-                SatelliteTasking(kind(*entries)("A"))
+    def test_rejects_entries_beside_a_continuous_one(self):
+        lists = (Point(), act.Drift()), (act.Drift(), Point()), (Point(), Point("other"))
+        tasking = lambda entries: SatelliteTasking(kind(*entries)("A"))
+        check_refusals(refusal(lambda x=x: tasking(x), ValueError, "Real.action_spec", "'point'") for x in lists)
 
     def test_an_action_is_carried_out_anew(self):
         """An equal action twice resets what its mode resets: there is no rule for repeated actions."""
@@ -142,23 +141,23 @@ class TestHooks:
         assert decided.retask.all()
 
 
-@pytest.mark.parametrize(
-    ("members", "words"),
-    [
-        (dict(set_action=lambda self, action: None), "set_action is never used; define decide"),
-        (dict(space=property(lambda self: None)), "space is never used; define bounds"),
-        (dict(action_description=property(lambda self: [])), "define names"),
-        (dict(n_actions=3), "as many numbers as names"),
-        (dict(reset_post_sim_init=lambda self: None), r"memory\.declare"),
-        (dict(bounds=property(lambda self: None)), "bounds is a property; it must be a method"),
-        (dict(decide=lambda self, action: None), r"cannot be called as decide\(action, mask\)"),
-        (dict(decides=lambda self, action, mask: None), "did you mean 'decide'"),
-    ],
-)
-@pytest.mark.parametrize("base", [act.ContinuousAction, act.AttitudeSetpoint, act.HybridAction])
-def test_definitions_that_would_not_be_used(base, members, words):
-    with pytest.raises(TypeError, match=words):
-        type("Mine", (base,), members)
+def test_definitions_that_would_not_be_used():
+    wrong = [
+        (dict(set_action=lambda self, action: None), "Mine.set_action", "decide("),
+        (dict(space=property(lambda self: None)), "Mine.space", "bounds()"),
+        (dict(action_description=property(lambda self: [])), "Mine.action_description", "names()"),
+        (dict(n_actions=3), "Mine.n_actions", "names()"),
+        (dict(reset_post_sim_init=lambda self: None), "Mine.reset_post_sim_init", "memory.declare"),
+        (dict(bounds=property(lambda self: None)), "Mine.bounds", "property", "method"),
+        (dict(decide=lambda self, action: None), "Mine.decide", "decide(action, mask)"),
+        (dict(decides=lambda self, action, mask: None), "Mine.decides", "'decide'"),
+    ]
+    bases = (act.ContinuousAction,), (act.AttitudeSetpoint,), (act.HybridAction,)
+    check_refusals(
+        refusal(lambda base=base, members=members: type("Mine", base, members), TypeError, *names)
+        for base in bases
+        for members, *names in wrong
+    )
 
 
 class TestSpecs:
@@ -268,28 +267,21 @@ class TestGivenActions:
         env.play(torch.tensor([[5.0, 0.0], [3.0, 1.0]]))
         assert [env.simulator.mode_names[k] for k in env.simulator.mode.tolist()] == ["drift", "nadir_point"]
 
-    @pytest.mark.parametrize(
-        ("parts", "error", "words"),
-        [
-            ({"values": torch.ones(2, 1)}, TypeError, "'values' and 'choice'"),
-            ({"values": torch.ones(2, 2), "choice": torch.zeros(2).long()}, ValueError, r"action\['values'\] has shape \[2, 2\]"),
-            ({"values": torch.ones(2, 1), "choice": torch.zeros(2)}, TypeError, r"action\['choice'\] is .* integer"),
-            ({"values": torch.ones(2, 1).long(), "choice": torch.zeros(2).long()}, TypeError, "floating-point"),
-            (
-                {"values": torch.ones(2, 1), "choice": torch.tensor([0, 2])},
-                ValueError,
-                "choice 2 of environment 1 is out of range",
-            ),
-            ({"values": torch.ones(2, 1) * torch.nan, "choice": torch.zeros(2).long()}, ValueError, "seconds=nan"),
-        ],
-    )
-    def test_hybrid_actions_that_are_refused(self, parts, error, words):
-        env = alone(Choose("choose"))
+    def test_rejects_wrong_hybrid_actions(self):
+        env = alone(Choose("choose"), backend="eager")
         env.reset()
-        with pytest.raises(error, match=words):
-            step(env, TensorDict(parts, [2]))
-        with pytest.raises(ValueError, match=r"choice 0\.5"):
-            env.play(torch.tensor([[5.0, 0.5], [3.0, 1.0]]))
+        values, choice = torch.ones(2, 1), torch.zeros(2).long()
+        wrong = [
+            (dict(values=values), TypeError, "'values'", "'choice'"),
+            (dict(values=torch.ones(2, 2), choice=choice), ValueError, "action['values']", [2, 2], [2, 1]),
+            (dict(values=values, choice=torch.zeros(2)), TypeError, "action['choice']", "integer"),
+            (dict(values=values.long(), choice=choice), TypeError, "action['values']", "floating-point"),
+            (dict(values=values, choice=torch.tensor([0, 2])), ValueError, "choice 2", "environment 1"),
+            (dict(values=values * math.nan, choice=choice), ValueError, "seconds=nan"),
+        ]
+        half = refusal(lambda: env.play(torch.tensor([[5.0, 0.5], [3.0, 1.0]])), ValueError, "choice 0.5")
+        given = [refusal(lambda x=x: step(env, TensorDict(x, [2])), error, *names) for x, error, *names in wrong]
+        check_refusals(row for other in given for row in (other, half))
 
     def test_records_name_the_numbers(self, caplog):
         env = alone(Choose("choose"), log_level="DEBUG", num_envs=1)
@@ -382,9 +374,9 @@ class TestConstellations:
         with pytest.raises(TypeError, match="entry for each satellite"):
             env.step(td.set("action", torch.zeros(2, 4).long()))
 
-    def test_meta_agents_are_refused(self):
-        with pytest.raises(ValueError, match="'both' commands several satellites, and the actions of T1 are real numbers"):
-            self.make(meta_agent_groupings={"both": ["T1", "D1"]})
+    def test_rejects_meta_agents(self):
+        crew = {"both": ["T1", "D1"]}
+        check_refusals([refusal(lambda: self.make(meta_agent_groupings=crew, backend="eager"), ValueError, "'both'", "T1")])
 
     def test_only_satellites_of_numbers_of_real_actions_under_one_agent(self):
         point = kind(Point())

@@ -8,6 +8,7 @@ from tensordict import TensorDict
 
 from bsk_torch import SatelliteTasking, act, data, obs, sats, scene
 from bsk_torch.presets.nadir_scan import ScanningSatellite
+from tests.support.refusals import check_refusals, refusal
 
 FIELDS = act.Decision._fields[:5]  # the last one is for continuous actions
 
@@ -128,41 +129,31 @@ def test_fixed_commands_are_those_of_every_entry_alone():
         assert actions.entry_of(number) == entry
 
 
-def define(base=act.Charge, **members):
-    return type("Mine", (base,), members)
+def define(*bases, **members):
+    return type("Mine", bases or (act.Charge,), members)
 
 
-@pytest.mark.parametrize(
-    ("members", "words"),
-    [
-        (dict(set_action=lambda self, action, prev_action_key=None: None), "set_action is never used; define decide"),
-        (dict(set_action_override=lambda self, action: None), "integers"),
-        (dict(reset_post_sim_init=lambda self: None), r"memory\.declare"),
-        (dict(reset_pre_sim_init=lambda self: None), r"memory\.declare"),
-        (dict(space=property(lambda self: None)), "set n_actions"),
-        (dict(explicit=property(lambda self: 3)), "n_negative_actions"),
-        (dict(decides=lambda self, index, mask, action, previous: None), "did you mean 'decide'"),
-        (dict(ends=lambda self, mask, decision, event: None), "did you mean 'end'"),
-        (dict(link_satelite=lambda self, satellite: None), "did you mean 'link_satellite'"),
-        (dict(begin=lambda self, mask: None), r"begin\(self, mask\) cannot be called as begin\(mask, decision\)"),
-        (dict(end=lambda self, mask, decision: None), r"cannot be called as end\(mask, decision, event\)"),
-        (dict(names=["charge"]), "names is a value; it must be a method"),
-        (dict(n_actions=lambda self: 2), "n_actions is a method; it must be a value"),
-        (dict(decide=lambda self, *args: None, table=lambda self: None), "both table.. and decide"),
-    ],
-)
-def test_what_would_not_run_is_refused_at_the_definition(members, words):
-    with pytest.raises(TypeError, match=words):
-        define(**members)
-
-
-def test_what_is_refused_in_a_mixin():
-    class Mixin:
-        def set_action(self, action):
-            pass
-
-    with pytest.raises(TypeError, match=r"Mine\.set_action is never used"):
-        type("Mine", (Mixin, act.Charge), {})
+def test_what_would_not_run_is_refused_at_the_definition():
+    mixin = type("Mixin", (), dict(set_action=lambda self, action: None))
+    decides = lambda self, index, mask, action, previous: None
+    table = [
+        refusal(lambda: define(set_action=lambda self, action, prev_action_key=None: None), TypeError, "set_action", "decide"),
+        refusal(lambda: define(set_action_override=lambda self, action: None), TypeError, "set_action_override", "integers"),
+        refusal(lambda: define(reset_post_sim_init=lambda self: None), TypeError, "reset_post_sim_init", "memory.declare"),
+        refusal(lambda: define(reset_pre_sim_init=lambda self: None), TypeError, "reset_pre_sim_init", "memory.declare"),
+        refusal(lambda: define(space=property(lambda self: None)), TypeError, "Mine.space", "n_actions"),
+        refusal(lambda: define(explicit=property(lambda self: 3)), TypeError, "Mine.explicit", "n_negative_actions"),
+        refusal(lambda: define(decides=decides), TypeError, "Mine.decides", "'decide'"),
+        refusal(lambda: define(ends=lambda self, mask, decision, event: None), TypeError, "Mine.ends", "'end'"),
+        refusal(lambda: define(link_satelite=lambda self, satellite: None), TypeError, "link_satelite", "'link_satellite'"),
+        refusal(lambda: define(begin=lambda self, mask: None), TypeError, "begin(self, mask)", "begin(mask, decision)"),
+        refusal(lambda: define(end=lambda self, mask, decision: None), TypeError, "Mine.end", "end(mask, decision, event)"),
+        refusal(lambda: define(names=["charge"]), TypeError, "Mine.names", "value", "method"),
+        refusal(lambda: define(n_actions=lambda self: 2), TypeError, "Mine.n_actions", "method", "value"),
+        refusal(lambda: define(decide=lambda self, *args: None, table=lambda self: None), TypeError, "table()", "decide()"),
+        refusal(lambda: define(mixin, act.Charge), TypeError, "Mine.set_action"),
+    ]
+    check_refusals(table)
 
 
 def test_helpers_are_free():
@@ -181,35 +172,30 @@ def test_helpers_are_free():
     assert Mine().describe() == 3
 
 
-@pytest.mark.parametrize(
-    ("members", "error", "words"),
-    [
-        (dict(link_satellite=lambda self, satellite: None), TypeError, r"must call super\(\)\.link_satellite\(satellite\)"),
-        (dict(n_actions=2, names=lambda self: ["one"]), ValueError, r"must return n_actions=2 names"),
-        (dict(n_actions=0), ValueError, "n_actions is 0"),
-        (dict(n_actions=1.0), ValueError, r"n_actions is 1\.0"),
-    ],
-)
-def test_what_does_not_fit_is_refused_when_it_is_linked(members, error, words):
-    with pytest.raises(error, match=words):
-        make(define(**members)(), "fixed")
+def made(**members):
+    return make(define(**members)(duration=40.0), "fixed")
 
 
-@pytest.mark.parametrize(
-    ("members", "words"),
-    [
-        (dict(n_actions=2), r"Mine\.table\(\)\.mode is a tensor of shape \[2, 1\] .* shape \[2, 2\]"),
-        (dict(table=lambda self: None), r"table\(\) returns None"),
-        (
-            dict(decide=lambda self, *args: act.Charge.decide(self, *args)._replace(duration=torch.ones(1))),
-            r"duration is a tensor of shape \[1\] and dtype torch.float32; .* shape \[2\] and dtype torch.float64",
-        ),
-        (dict(decide=lambda self, *args: act.Charge.decide(self, *args)._replace(mode=3)), "mode is 3; it must be a tensor"),
-        (dict(mask=lambda self: torch.ones(2, dtype=torch.bool)), r"mask\(\) is a tensor of shape \[2\] .* shape \[2, 1\]"),
-        (dict(mask=lambda self: torch.ones(2, 1)), "dtype torch.bool"),
-    ],
-)
-def test_results_of_wrong_shape_or_dtype_are_named(members, words):
-    env = make(define(**members)(duration=40.0), "fixed")
-    with pytest.raises(TypeError, match=words):
-        env.rollout(1)
+def test_rejects_entries_that_do_not_fit():
+    table = [
+        refusal(lambda: made(link_satellite=lambda self, satellite: None), TypeError, "super().link_satellite(satellite)"),
+        refusal(lambda: made(n_actions=2, names=lambda self: ["one"]), ValueError, "names()", ["one"], "n_actions=2"),
+        refusal(lambda: made(n_actions=0), ValueError, "Mine.n_actions", 0),
+        refusal(lambda: made(n_actions=1.0), ValueError, "Mine.n_actions", 1.0),
+    ]
+    check_refusals(table)
+
+
+def test_rejects_results_that_do_not_fit():
+    run = lambda **members: made(**members).rollout(1)
+    decided = lambda **fields: run(decide=lambda self, *args: act.Charge.decide(self, *args)._replace(**fields))
+    boolean, one = torch.ones(2, dtype=torch.bool), torch.ones(1)
+    table = [
+        refusal(lambda: run(n_actions=2), TypeError, "Mine.table().mode", [2, 1], [2, 2]),
+        refusal(lambda: run(table=lambda self: None), TypeError, "table()", None),
+        refusal(lambda: decided(duration=one), TypeError, "duration", [1], "torch.float32", [2], "torch.float64"),
+        refusal(lambda: decided(mode=3), TypeError, "mode", 3, [2]),
+        refusal(lambda: run(mask=lambda self: boolean), TypeError, "mask()", [2], [2, 1]),
+        refusal(lambda: run(mask=lambda self: torch.ones(2, 1)), TypeError, "mask()", "torch.float32", "torch.bool"),
+    ]
+    check_refusals(table)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 import torch
@@ -148,36 +146,3 @@ def test_ends_lie_half_a_strip_from_the_middle():
     torch.testing.assert_close((end - start).norm(dim=-1), chord, rtol=1e-12, atol=0.0)
     torch.testing.assert_close(start.norm(dim=-1), radius, rtol=1e-14, atol=0.0)
     assert float((env.scenario.strip_along * env.scenario.r_LP_P).sum(-1).abs().max()) < 1e-1  # of 4e13 m^2
-
-
-# -- errors -----------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("length", [0.0, -1.0, math.nan, 2e7])
-def test_a_strip_has_a_length(length):
-    with pytest.raises(ValueError, match=r"length is .* m for target 0 of environment 0; .* in \[1, 1e\+07\]"):
-        scene.StripTargets(scene.UniformTargets(2), length)
-
-
-@pytest.mark.parametrize(
-    ("make_it", "message"),
-    [
-        (lambda: scene.StripTargets(3), "targets=3 must be a scenario of point targets"),
-        (lambda: scene.StripTargets(scene.UniformTargets(2), acquisition_speed=0.0), r"acquisition_speed=0.0 must be .* m/s"),
-        (lambda: act.ImageStrip(4, -1.0), r"pre_imaging_time=-1.0 must be a number in \[0, 100000\] s"),
-        (lambda: act.ImageStrip(0), "n_ahead_image=0 must be a whole number from 1 on"),
-        (lambda: act.HybridImageStrip(4, 0.0), r"max_duration=0.0 must be a number in \(0, 100000\] s"),
-        (lambda: data.StripImageReward(1.5), r"fraction=1.5 must be a number in \(0, 1\]"),
-        (lambda: data.StripImageReward(math.nan), "fraction=nan must be"),
-        (lambda: make(scenario=scene.UniformTargets(9), backend="eager"), "needs strips, such as scenario=scene.StripTargets"),
-        (lambda: make(rewarder=data.StripImageReward(), kind=Plain, backend="eager"), "needs a satellite with fsw.StripImaging"),
-    ],
-)
-def test_wrong_arguments(make_it, message):
-    with pytest.raises(ValueError, match=message):
-        make_it()
-
-
-class Plain(StripImager):
-    action_spec = (act.Image(4),)
-    dyn_type, fsw_type = dyn.ImagingDynModel, fsw.ImagingFSWModel

@@ -40,9 +40,3 @@ def test_another_command_begins_anew(env):
 def test_commands_may_be_named_as_methods_of_bsk_rl(env):
     assert env.satellite.action_description == ["a", "b", "c"]
     assert env.satellite.actions.entries[2].fsw_action == "drift"
-
-
-def test_a_command_that_the_flight_software_lacks_is_refused_with_the_model_that_has_it():
-    charging = type("Charging", (Pointing,), {"action_spec": (act.Charge(),)})
-    with pytest.raises(ValueError, match=r"fsw_action='charge' is not a command .*; fsw.BasicFSWModel has it"):
-        SatelliteTasking(charging("A"), backend="eager", time_limit=100.0)

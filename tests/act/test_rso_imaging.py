@@ -10,25 +10,6 @@ from tests.support.rso_imaging import Imager, environment, play
 CHARGE, DOWNLINK, FIRST = 0, 1, 2
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        (dict(n_ahead_image=0), "n_ahead_image=0"),
-        (dict(n_ahead_image=2.5), "n_ahead_image=2.5"),
-        (dict(max_duration=0.0), "max_duration"),
-        (dict(min_pointing_hold_s=-1.0), "min_pointing_hold_s=-1.0"),
-        (dict(min_pointing_hold_s=60.0, max_duration=60.0), "must be below max_duration=60.0 s, or it takes no image"),
-        (dict(hold_mode="cumulativ"), "hold_mode='cumulativ' must be one of"),
-        (dict(hold_illumination_threshold=1.5), "hold_illumination_threshold=1.5"),
-        (dict(require_illumination_during_hold=2), "require_illumination_during_hold=2"),
-        (dict(variable_duration_imaging=None), "variable_duration_imaging=None"),
-    ],
-)
-def test_wrong_arguments_are_named(changes, message):
-    with pytest.raises(ValueError, match=message):
-        act.ImageRSO(**({"n_ahead_image": 3} | changes))
-
-
 @pytest.mark.compiled
 def test_an_image_ends_its_step_and_hides_its_target():
     env = environment()
@@ -113,19 +94,6 @@ def test_room_range_and_pointing_are_conditions(args, images):
     env.reset()
     play(env, image_target(0))
     assert env.satellites[0].dynamics.rso_images.tolist() == [images, images]
-
-
-@pytest.mark.parametrize(
-    ("args", "message"),
-    [
-        (dict(imageTargetMaximumRange=0.0), "imageTargetMaximumRange=0"),
-        (dict(instrumentBaudRate=1.5), "instrumentBaudRate"),
-        (dict(instrumentBaudRate=0.0), "instrumentBaudRate"),
-    ],
-)
-def test_wrong_arguments_of_imagers_are_named(args, message):
-    with pytest.raises(ValueError, match=message):
-        environment(sat_args=args)
 
 
 @pytest.mark.compiled

@@ -12,6 +12,7 @@ from bsk_torch import ConstellationTasking, SatelliteTasking, act, obs, sats
 from bsk_torch.astro.relative import rv2HN
 from bsk_torch.env.satellite_group import command, decide
 from bsk_torch.sim import dyn, fsw
+from tests.support.refusals import check_refusals, refusal
 
 MU, RADIUS = 3.986004415e14, 6.9e6
 START = dict(oe=None, rN=[RADIUS, 0.0, 0.0], vN=[0.0, 0.8 * (MU / RADIUS) ** 0.5, 0.6 * (MU / RADIUS) ** 0.5])
@@ -148,32 +149,6 @@ class TestHillFrame:
         torch.testing.assert_close(dv_N, torch.tensor([[5.0, 0.0, 0.0]], dtype=torch.float64), atol=1e-14, rtol=0.0)
 
 
-@pytest.mark.parametrize(
-    ("entry", "words"),
-    [
-        (lambda: act.ImpulsiveThrust(max_dv=0.0), "max_dv=0.0 must be"),
-        (lambda: act.ImpulsiveThrust(max_drift_duration=-1.0), "max_drift_duration=-1.0 must be"),
-        (lambda: act.ImpulsiveThrust(max_drift_duration=2.0), "max_drift_duration=2 must be more than 2 ticks, 2 s"),
-        (
-            lambda: act.ImpulsiveThrust(fsw_action="nadir"),
-            "'nadir' is not a command of the flight software; did you mean 'nadir_point'",
-        ),
-        (lambda: act.ImpulsiveThrust(fsw_action=3), "fsw_action"),
-        (lambda: act.ImpulsiveThrustHill("B"), "chief_name='B' is not a satellite of the environment"),
-        (lambda: act.ImpulsiveThrustHill(3), "chief_name"),
-        (lambda: act.AttitudeSetpoint(control_period=0.0), "control_period=0.0 must be"),
-    ],
-)
-def test_wrong_arguments(entry, words):
-    with pytest.raises(ValueError, match=words):
-        make(entry())
-
-
-def test_a_satellite_without_a_tank():
-    with pytest.raises(ValueError, match="ImpulsiveThrust 'thrust_act' changes the velocity of a satellite without a tank"):
-        make(act.ImpulsiveThrust(), models=(dyn.DynamicsModel, fsw.FSWModel))
-
-
 def test_emptying_the_tank_kills_once_and_the_drift_is_flown(caplog):
     env = make(act.ImpulsiveThrust(), failure_penalty=-3.0)
     env.reset()
@@ -196,8 +171,7 @@ def test_the_norm_is_clamped_and_not_the_components():
 def test_nan_is_refused():
     env = make(act.ImpulsiveThrust())
     env.reset()
-    with pytest.raises(ValueError, match="dV_N_y=nan"):
-        step(env, [0.0, torch.nan, 0.0, 5.0])
+    check_refusals([refusal(lambda: step(env, [0.0, torch.nan, 0.0, 5.0]), ValueError, "environment 0", "dV_N_y=nan")])
 
 
 def test_under_compat_the_event_and_the_tank_are_rounded():

@@ -1,7 +1,5 @@
 """Transfers from waypoint to waypoint: what they reach, what is legal, and the shield between satellites."""
 
-import math
-
 import pytest
 import torch
 from tensordict import TensorDict
@@ -68,7 +66,7 @@ def decided(env, action):
 class TestFlight:
     @pytest.mark.parametrize(
         ("duration", "choices"),
-        [(600.0, ([0, 1, 2, 3], [4, 5, 0, 1])), pytest.param(2000.0, ([0, 1, 2, 4],), marks=pytest.mark.nightly)],
+        [(600.0, ([0, 1, 2, 3], [4, 5, 0, 1])), (2000.0, ([0, 1, 2, 4],))],
     )
     def test_legal_transfers_arrive(self, duration, choices):
         """What is not predicted, the Earth's flattening first, moves them by up to a part in a hundred of the way."""
@@ -280,36 +278,3 @@ def test_beside_other_actions():
     left = env.satellites[1].simulator.read("dv_available").tolist()
     assert left[0] == before[0]
     assert left[1] < before[1]
-
-
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        (dict(waypoints=0), "waypoints=0 must be at least 1"),
-        (dict(waypoints=[[1.0, 2.0]]), r"waypoints must be a number, or finite positions \[D, 3\]; their shape is \[1, 2\]"),
-        (dict(waypoints=[[1.0, 2.0, math.nan]]), "finite positions"),
-        (dict(durations=[]), "must have at least one entry"),
-        (dict(durations=[600.0, 0.0]), "durations=0.0 must be"),
-        (dict(distance=-1.0), "distance=-1.0 must be"),
-        (dict(max_dv=0.0), "max_dv=0.0 must be"),
-        (dict(keep_out=-1.0), "keep_out=-1.0 must be"),
-        (dict(keep_out=20.0, keep_in=10.0), "keep_in=10.0 must be"),
-        (dict(keep_apart=math.inf), "keep_apart=inf must be"),
-        (dict(chief_name=3), "chief_name"),
-    ],
-)
-def test_wrong_arguments(given, words):
-    with pytest.raises(ValueError, match=words):
-        HillWaypoint(**(dict(chief_name="C") | given))
-
-
-def test_wrong_satellites():
-    with pytest.raises(ValueError, match="chief_name='B' is not a satellite of the environment"):
-        make(HillWaypoint("B"))
-    with pytest.raises(ValueError, match="chief_name='D2' has the same type as its deputies"):
-        make(HillWaypoint("D2"), ("D1", "D2"))
-    with pytest.raises(ValueError, match="'nadir' is not a command of the flight software"):
-        make(HillWaypoint("C", fsw_action="nadir"))
-    dry = kind("Dry", HillWaypoint("C"), fsw_type=fsw.FSWModel)
-    with pytest.raises(ValueError, match="without a tank"):
-        ConstellationTasking([kind("Chief", act.Drift())("C"), dry("D1")], num_envs=1, backend="eager")

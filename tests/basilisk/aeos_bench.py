@@ -1,4 +1,4 @@
-"""Flights of AEOS-Bench's satellites, as recorded by ``recorders/record_aeos_bench.py``, and simulators that repeat them."""
+"""Flights of AEOS-Bench's satellites (``scripts/recorders/record_aeos_bench.py``), and simulators that repeat them."""
 
 from __future__ import annotations
 

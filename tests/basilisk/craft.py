@@ -1,6 +1,6 @@
 """Replay of recorded flights of spacecraft with their own bodies, wheels and thrusters.
 
-The recordings are those of ``recorders/record_craft.py``.
+The recordings are those of ``scripts/recorders/record_craft.py``.
 """
 
 from __future__ import annotations

@@ -43,7 +43,7 @@ class ImagingRecording(Recording):
 
 
 def make_targets(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Positions [count, 3] m and priorities [count] of recorded targets: what recorders/record_imaging.py draws."""
+    """Positions [count, 3] m and priorities [count] of recorded targets: what scripts/recorders/record_imaging.py draws."""
     rng = np.random.RandomState(seed)
     r_LP_P = rng.normal(size=(count, 3))
     r_LP_P *= EARTH_RADIUS / np.sqrt((r_LP_P**2).sum(1, keepdims=True))

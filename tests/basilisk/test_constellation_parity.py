@@ -11,7 +11,6 @@ import pytest
 
 from tests.basilisk.constellation import BUFFER, environment, load, replay
 from tests.basilisk.test_parity import BOUNDS, POSITION, check
-from tests.support.nightly import by_night
 
 CONSTELLATION = {**BOUNDS, "paid": 1e-9, "duration": 1e-9}
 NAMES = (
@@ -21,7 +20,7 @@ STORAGE = 17
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("name", by_night(NAMES, ["meta_idle"]))
+@pytest.mark.parametrize("name", NAMES)
 def test_constellation(name):
     recording = load(name)
     check(replay(recording, environment(recording)), POSITION["arc"], CONSTELLATION)
@@ -37,7 +36,6 @@ def test_second_episode(name):
     check(replay(recording, env), POSITION["arc"], CONSTELLATION)
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["types", "scan"])
 def test_eager_first_steps(name):
     """The debugger's back end."""

@@ -13,7 +13,7 @@ ARC = 1e-3
 
 
 @pytest.mark.parametrize("name", FLIGHTS)
-@pytest.mark.parametrize("backend", [pytest.param("eager", marks=pytest.mark.nightly), "compiled"])
+@pytest.mark.parametrize("backend", ["eager", "compiled"])
 def test_flights(name, backend):
     file, flown = fly(name, backend=backend)
     found, allowed = differences(file, flown), bounds(file)

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.basilisk
 
 @pytest.mark.parametrize("recorder", ["record_bsk_rl", "record_drop_in"])
 def test_recordings_are_those_of_bsk_rl(recorder, tmp_path):
-    script = TESTS / "basilisk" / "recorders" / f"{recorder}.py"
+    script = TESTS.parent / "scripts" / "recorders" / f"{recorder}.py"
     subprocess.run([sys.executable, str(script), "--out", str(tmp_path)], check=True, capture_output=True)
     made = list(tmp_path.glob("*.json"))
     assert made

@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from tests.basilisk.inspection import Episodes, environment, load, padded, replay
-from tests.support.nightly import by_night
 
 ORBIT = {"fine": (9e-9, 1.4e-10), "three": (3.6e-5, 3.3e-8), "collide3": (3.6e-5, 3.3e-8)}
 """Bounds of positions, m, and velocities, m/s, after 1000 s and after 9 h: ten times what the equations give in NumPy."""
@@ -97,7 +96,7 @@ def differences(env, recorded: Episodes, step) -> Worst:
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("case", by_night(CASES, ["fine", "steer", "one"]))
+@pytest.mark.parametrize("case", CASES)
 def test_an_episode_is_the_recorded_one(case):
     """Orbits, fuel, points, rewards, who leaves and when steps end, times of completion; attitudes that are not chaotic."""
     recorded = load(case)

@@ -1,6 +1,8 @@
-"""Every law that recordings of Basilisk check is replayed in CI at least once; the other recordings are replayed at night."""
+"""Every law that recordings of Basilisk check is replayed before a change lands; the other recordings are replayed at night."""
 
 from __future__ import annotations
+
+import itertools
 
 import pytest
 
@@ -14,7 +16,7 @@ from tests.basilisk import test_parity as scanning
 from tests.basilisk import test_relative_parity as relative
 from tests.basilisk import test_setpoint_parity as setpoints
 from tests.examples import test_bsk_rl as examples
-from tests.support.nightly import by_night, runs_in_ci
+from tests.support.levels import level, read_durations
 
 LAWS = {
     "orbits on arcs": [(scanning.test_arc, "nominal")],
@@ -67,22 +69,18 @@ LAWS = {
 """Replays of each law: a test, and the values of its parameters."""
 
 
+def cases_of(test):
+    """Values of the parameters of a test, in the order of its decorators from the lowest one."""
+    lists = [mark.args[1] for mark in getattr(test, "pytestmark", []) if mark.name == "parametrize"]
+    values = [[case if isinstance(case, tuple) else (case,) for case in cases] for cases in lists]
+    return [tuple(itertools.chain(*case)) for case in itertools.product(*values)]
+
+
 @pytest.mark.parametrize("law", LAWS)
-def test_every_law_is_replayed_in_ci(law):
+def test_every_law_is_replayed_before_a_change_lands(law):
+    durations = read_durations()
     assert LAWS[law]
     for test, *case in LAWS[law]:
-        assert runs_in_ci(test, *case), f"{test.__name__}{case} does not run in CI"
-
-
-def test_cases_of_the_night_are_told_apart():
-    @pytest.mark.parametrize("a", by_night(["x", "y"], ["y"]))
-    @pytest.mark.parametrize(("b", "c"), by_night([(1, 2), (3, 4)], [(3, 4)]))
-    def some(a, b, c):
-        pass
-
-    assert runs_in_ci(some, 1, 2, "x")
-    assert not any(runs_in_ci(some, *case) for case in [(1, 2, "y"), (3, 4, "x"), (1, 2), ()])
-    assert not runs_in_ci(scanning.test_eager_first_steps, "nominal", 1)
-    assert not runs_in_ci(images.test_integrated)
-    with pytest.raises(AssertionError, match="not all cases"):
-        by_night(["x"], ["z"])
+        assert tuple(case) in cases_of(test)
+        name = f"{test.__module__.replace('.', '/')}.py::{test.__name__}" + (f"[{'-'.join(case)}]" if case else "")
+        assert level(name, durations) != "nightly", f"{name} runs at night only"

@@ -17,7 +17,6 @@ from bsk_torch import SatelliteTasking, act, data, obs, rand, sats, scene
 from bsk_torch.sim import dyn, fsw
 from tests.act.thrust_image import ThrustImageBox
 from tests.basilisk.replay import RECORDINGS
-from tests.support.nightly import by_night
 
 EARTH_RADIUS = 6378136.6
 STATION = ({"prop": "opportunity_open", "norm": 5700.0}, {"prop": "opportunity_close", "norm": 5700.0})
@@ -158,11 +157,9 @@ def replay(name: str, **options: Any) -> dict[str, float]:
 
 
 REPLAYS = [(name, orbit) for orbit in BOUNDS for name in SATELLITE]
-AT_NIGHT = [replay for replay in REPLAYS if replay != ("manoeuvre_kick", "arc")]
-"""Replays that test_bsk_rl.py makes in CI too, of manoeuvre_scan, or whose orbit and satellite are those of others."""
 
 
-@pytest.mark.parametrize(("name", "orbit"), by_night(REPLAYS, AT_NIGHT))
+@pytest.mark.parametrize(("name", "orbit"), REPLAYS)
 def test_manoeuvres_against_basilisk(name, orbit):
     found = replay(name, orbit=orbit, compat="bsk_rl")
     assert all(difference <= BOUNDS[orbit][quantity] for quantity, difference in found.items()), found

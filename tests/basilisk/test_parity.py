@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from tests.basilisk.replay import RECORDINGS, Difference, environment, load, replay
-from tests.support.nightly import by_night
 
 BOUNDS = {
     "sigma": 1e-7,
@@ -71,14 +70,13 @@ def test_other_ticks(name):
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("name", by_night(["low", "nominal"], ["nominal"]))
+@pytest.mark.parametrize("name", ["low", "nominal"])
 def test_integrated(name):
     """The orbit integrated in every tick: with drag, and for five orbits."""
     recording = load(name)
     check(replay(recording, environment(recording, orbit="integrated")), POSITION["integrated"])
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize(("name", "steps"), [("nominal", 1), ("all_modes", 4)])
 def test_eager_first_steps(name, steps):
     """The debugger's back end on the first steps of two recordings; :func:`test_ticks` has single ticks of it."""
@@ -86,7 +84,7 @@ def test_eager_first_steps(name, steps):
     check(replay(recording, environment(recording, backend="eager"), longest=steps), POSITION["arc"])
 
 
-@pytest.mark.parametrize("orbit", by_night(["arc", "integrated"], ["integrated"]))
+@pytest.mark.parametrize("orbit", ["arc", "integrated"])
 def test_ticks(orbit):
     """Tick by tick: 200 ticks with station passes, desaturation and a change of mode."""
     from tests.basilisk.ticks import compare_ticks

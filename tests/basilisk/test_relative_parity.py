@@ -16,7 +16,6 @@ from bsk_torch.obs.relative_observations import FUNCTIONS
 from bsk_torch.sim.run.encounters import first_ticks
 from bsk_torch.sim.run.trace import Flight
 from tests.conftest import RECORDINGS
-from tests.support.nightly import by_night
 
 CASES = sorted(path.stem for path in RECORDINGS.glob("inspection_*.npz"))
 
@@ -128,11 +127,8 @@ def flown_steps(initial, r, v, begin, ticks):
 ENCOUNTERS = ("inspection_collide3", "inspection_collision", "inspection_range", "inspection_three")
 """Recordings that hold some."""
 
-SHORT = ("inspection_collide3", "inspection_range")
-"""Recordings with few steps, or short ones: collisions and lost deputies."""
 
-
-@pytest.mark.parametrize("case", by_night(CASES, [case for case in CASES if case not in SHORT]))
+@pytest.mark.parametrize("case", CASES)
 def test_recorded_steps_end_with_the_first_encounter_and_bookings_are_bsk_rls(case):
     """No condition that waits holds before the end of a recorded step; if one holds at its end, its victims die with it."""
     initial, episode, r, v, begin, duration, before, after, death = recorded_steps(case)

@@ -11,7 +11,6 @@ import torch
 from bsk_torch import scene
 from bsk_torch.sim.catalog.candidates import Candidates
 from tests.basilisk.rso_imaging import Episodes, environment, load, replay
-from tests.support.nightly import by_night
 
 BOUNDS = {
     "r": 1e-3,  # m, of orbits solved in advance
@@ -100,7 +99,7 @@ def differences(env, recorded: Episodes) -> tuple[dict[str, float], list[list[li
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("case", by_night(CASES, ["one", "per"]))
+@pytest.mark.parametrize("case", CASES)
 def test_episodes_are_the_recorded_ones(case):
     """Orbits, attitudes, candidates, rows of observations, holds, images, deliveries, credits and ends of steps."""
     parts = load(case)

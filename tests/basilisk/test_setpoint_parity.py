@@ -80,7 +80,7 @@ def replay(name, **options):
 
 
 @pytest.mark.parametrize("name", BOUNDS)
-@pytest.mark.parametrize("backend", [pytest.param("eager", marks=pytest.mark.nightly), "compiled"])
+@pytest.mark.parametrize("backend", ["eager", "compiled"])
 def test_set_points(name, backend):
     found = replay(name, backend=backend)
     assert all(found[quantity] <= bound for quantity, bound in BOUNDS[name].items()), found

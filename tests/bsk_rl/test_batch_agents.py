@@ -11,6 +11,7 @@ from bsk_torch.bsk_rl.scene.targets import Target
 from bsk_torch.bsk_rl.sim import dyn, fsw
 from bsk_torch.bsk_rl.utils.orbital import walker_delta_args
 from bsk_torch.bsk_rl.vector import AgentsVectorEnv
+from tests.support.refusals import check_refusals, refusal
 
 N, SEED = 4, 2
 
@@ -165,29 +166,24 @@ def test_some_environments_are_reset():
     np.testing.assert_array_equal(kept, observations["A"][~over])
 
 
-def test_what_cannot_be_given_is_rejected(chargers):
+def test_rejects_wrong_calls_of_agents(chargers):
+    def batched(*names, **options):
+        return ConstellationTasking([Charger(name, WEAK) for name in names], backend="eager", num_envs=2, **options)
+
     chargers.reset(seed=SEED)
-    with pytest.raises(KeyError, match="'C' is not an agent"):
-        chargers.step({"C": [0, 0, 0]})
-    with pytest.raises(ValueError, match=r"actions\['A'\] has 2 entries"):
-        chargers.step({"A": [0, 0]})
-    with pytest.raises(ValueError, match=r"actions\['A'\]=0 must have 3 entries"):
-        chargers.step({"A": 0})
-    with pytest.raises(TypeError, match=r"actions\['A'\] has dtype float64"):
-        chargers.step({"A": [0.7, 0.0, 0.0]})
-    with pytest.raises(TypeError, match="must be a dictionary of arrays by agent"):
-        chargers.step(np.zeros((3, 2), dtype=np.int64))
-    with pytest.raises(ValueError, match="reset_mask"):
-        chargers.reset(options={"reset_mask": np.zeros(3, dtype=bool)})
-    with pytest.raises(AttributeError, match="vectorize='episodes'"):
-        chargers.get_attr("simulator")
-    with pytest.raises(ValueError, match="autoreset_mode='SameStep'"):
-        ConstellationTasking([Charger("A", WEAK)], backend="eager", num_envs=2, autoreset_mode="SameStep")
-    with pytest.raises(NotBatchedError, match="agents of several satellites"):
-        ConstellationTasking(
-            [Charger("A", WEAK), Charger("B", WEAK)], meta_agent_groupings={"both": ["A", "B"]}, backend="eager", num_envs=2,
-            vectorize="batched",
-        )  # fmt: skip
+    crew = dict(meta_agent_groupings={"both": ["A", "B"]}, vectorize="batched")
+    table = [
+        refusal(lambda: chargers.step({"C": [0, 0, 0]}), KeyError, "'C'", ["A", "B"]),
+        refusal(lambda: chargers.step({"A": [0, 0]}), ValueError, "actions['A']", 2, 3),
+        refusal(lambda: chargers.step({"A": 0}), ValueError, "actions['A']=0", 3),
+        refusal(lambda: chargers.step({"A": [0.7, 0.0, 0.0]}), TypeError, "actions['A']", "float64", "int64"),
+        refusal(lambda: chargers.step(np.zeros((3, 2), dtype=np.int64)), TypeError, "actions", "array([[0, 0]", ["A", "B"]),
+        refusal(lambda: chargers.reset(options={"reset_mask": np.zeros(3, dtype=bool)}), ValueError, "reset_mask", [3]),
+        refusal(lambda: chargers.get_attr("simulator"), AttributeError, "'simulator'", "vectorize='episodes'"),
+        refusal(lambda: batched("A", autoreset_mode="SameStep"), ValueError, "autoreset_mode", "'SameStep'", "'NextStep'"),
+        refusal(lambda: batched("A", "B", **crew), NotBatchedError, "meta_agent_groupings", "several satellites"),
+    ]
+    check_refusals(table)
 
 
 def test_meta_agents_are_put_side_by_side():

@@ -1,7 +1,5 @@
 """Communication between satellites whose lines of sight the tests set."""
 
-import pytest
-
 from bsk_torch.bsk_rl.comm import (
     BroadcastCommunication,
     CommunicationMethod,
@@ -13,8 +11,7 @@ from bsk_torch.bsk_rl.comm import (
 )
 from bsk_torch.bsk_rl.data import UniqueImageReward
 from bsk_torch.bsk_rl.scene import UniformTargets
-from bsk_torch.sim.dyn import ImagingDynModel
-from tests.bsk_rl.fakes import Fake, begin, fleet, step
+from tests.bsk_rl.fakes import begin, fleet, step
 
 
 def imaged(communicator, count, pairs=(), time=10.0):
@@ -98,11 +95,3 @@ def test_communication_waits_for_its_period():
     communicator = FreeCommunication(min_period=60.0)
     assert imaged(communicator, 2, time=60.0) == [[0, 1]] * 2
     assert communicator.last_communication_time == 60.0
-
-
-def test_lines_of_sight_need_their_model():
-    class Blind(Fake):
-        dyn_type = ImagingDynModel
-
-    with pytest.raises(TypeError, match=r"Blind has dynamics model ImagingDynModel.*LOSCommDynModel"):
-        LOSCommunication().link_satellites([Blind("Blind")])

@@ -12,6 +12,7 @@ from bsk_torch.bsk_rl.sim.inspection import Found, Inspection
 from bsk_torch.sim import dyn, fsw
 from tests.basilisk.inspection import Episodes, environment, load, replay
 from tests.bsk_rl.fakes import Fake, begin, step
+from tests.support.refusals import check_refusals, refusal
 
 
 def one_episode(case, k):
@@ -140,16 +141,21 @@ def test_knowledge_of_points_is_that_of_either():
     assert repr(both) == "RSOInspectionData(inspected=2, illuminated=1)"
 
 
-def test_inspectors_need_their_flight_software(crew):
-    satellites, _, start = crew
-    satellites[1].__class__ = type("Blind", (Inspector,), {"fsw": None})
-    with pytest.raises(AssertionError, match=r"I0 needs fsw\.RSOInspectorFSWModel"):
+def test_rejects_wrong_satellites(crew):
+    satellites, scenario, start = crew
+
+    def blind():
+        satellites[1].__class__ = type("Blind", (Inspector,), {"fsw": None})
         start()
 
-
-def test_only_one_satellite_is_inspected(crew):
-    satellites, scenario, _ = crew
-    satellites.append(Target("Second", core_row=(0, 1)))
-    scenario.reset_overwrite_previous()
-    with pytest.raises(AssertionError, match=r"\['RSO', 'Second'\]"):
+    def twice():
+        satellites[1].__class__ = Inspector
+        satellites.append(Target("Second", core_row=(0, 1)))
+        scenario.reset_overwrite_previous()
         scenario.reset_pre_sim_init()
+
+    table = [
+        refusal(blind, AssertionError, "I0", "fsw.RSOInspectorFSWModel"),
+        refusal(twice, AssertionError, ["RSO", "Second"], "dyn.RSODynModel"),
+    ]
+    check_refusals(table)

@@ -65,9 +65,3 @@ def test_the_table_has_every_public_name_of_bsk_rl():
         public = {key for key in kinds if not key.startswith("_")} - {"P", "T"} | {*getattr(module, "__all__", ())}
         missing += sorted(f"{place}.{key}" for key in public - set(MODULES.get(place, ("", ""))[1].split()))
     assert not missing
-
-
-def test_a_name_that_nobody_has_is_an_attribute_error():
-    for module in ("scene", "data", "utils.rso_imaging", "utils.rllib.callbacks"):
-        with pytest.raises(AttributeError, match="no_such_name"):
-            _ = importlib.import_module(f"bsk_torch.bsk_rl.{module}").no_such_name

@@ -6,7 +6,6 @@ import pickle
 import numpy as np
 import pytest
 
-from bsk_torch.bsk_rl import act, obs, sats
 from bsk_torch.bsk_rl.scene import CityTargets, Scenario, SphericalRSO, UniformTargets, targets
 from bsk_torch.bsk_rl.scene.rso_points import RSOPoint
 from bsk_torch.bsk_rl.scene.targets import Target
@@ -134,12 +133,3 @@ def test_cities_are_those_of_bsk_rl_where_it_is_installed(tmp_path, monkeypatch)
     places = {target.name: target.r_LP_P for target in scenario.targets}
     assert places.keys() == {"LAquila, IT", "Windhoek, nan"}
     assert places["LAquila, IT"] == pytest.approx(lla2ecef(42.35, 13.39, scenario.radius))
-
-
-@pytest.mark.parametrize("name", ["imageTargetMinimumSunElevation", "imageTargetMaximumSunElevation"])
-def test_limits_of_light_which_windows_would_not_have_are_rejected(name):
-    spec = {"observation_spec": [obs.Time()], "action_spec": [act.Image(n_ahead_image=2)]}
-    imager = type("Imager", (sats.ImagingSatellite,), spec)
-    with pytest.raises(ValueError, match=f"{name}.* does not limit the windows"):
-        imager("A", {name: 0.2})
-    imager("A", {name: None})

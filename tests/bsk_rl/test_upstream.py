@@ -9,7 +9,6 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize("what", ["tests", "examples"])
 def test_what_bsk_rl_ships_runs_with_replaced_imports(what):
     script = ROOT / "scripts" / "validation" / "upstream.py"

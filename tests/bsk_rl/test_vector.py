@@ -19,6 +19,7 @@ from bsk_torch.bsk_rl import (
 )
 from bsk_torch.bsk_rl.sim import dyn, fsw
 from bsk_torch.bsk_rl.vector import AgentsVectorEnv, EpisodesVectorEnv
+from tests.support.refusals import check_refusals, refusal
 
 N, SEED = 3, 5
 
@@ -148,17 +149,6 @@ def test_one_environment_of_the_vector_form_has_its_dimension_too():
     assert single(num_envs=1).reset(seed=0)[0].shape == (1, 5)
 
 
-@pytest.mark.parametrize("num_envs", [0, -1, 2.5, "3", True])
-def test_wrong_numbers_are_rejected(num_envs):
-    with pytest.raises(ValueError, match="num_envs="):
-        single(num_envs=num_envs)
-
-
-def test_an_autoreset_mode_needs_a_number():
-    with pytest.raises(ValueError, match="num_envs"):
-        single(autoreset_mode="SameStep")
-
-
 def test_several_satellites_of_one_agent():
     def make(**options):
         return GeneralSatelliteTasking([Noisy("A"), Noisy("B")], time_limit=100.0, backend="eager", **options)
@@ -273,21 +263,18 @@ def test_agents_without_autoreset():
     vector.step(everybody)
 
 
-def test_what_agents_cannot_be_given_is_rejected(agents):
+def test_rejects_wrong_calls(agents):
     agents.reset(seed=SEED)
-    with pytest.raises(KeyError, match="'C' is not an agent"):
-        agents.step({"C": np.zeros(N, dtype=int)})
-    with pytest.raises(ValueError, match=r"actions\['A'\] has 2 entries"):
-        agents.step({"A": np.zeros(2, dtype=int)})
-    with pytest.raises(ValueError, match=r"actions\['A'\]=0 must have"):
-        agents.step({"A": 0})
-    with pytest.raises(TypeError, match="must be a dictionary of arrays by agent"):
-        agents.step(np.zeros(N, dtype=int))
-    with pytest.raises(ValueError, match="seed has 2 entries"):
-        agents.reset(seed=[1, 2])
-    with pytest.raises(ValueError, match="reset_mask"):
-        agents.reset(options={"reset_mask": np.zeros(N, dtype=bool)})
-    with pytest.raises(ValueError, match="autoreset_mode='SameStep'"):
-        constellation(num_envs=2, autoreset_mode="SameStep")
-    with pytest.raises(ValueError, match="values has 2 entries"):
-        agents.set_attr("max_step_duration", [1.0, 2.0])
+    table = [
+        *(refusal(lambda n=n: single(num_envs=n), ValueError, "num_envs", repr(n)) for n in (0, -1, 2.5, "3", True)),
+        refusal(lambda: single(autoreset_mode="SameStep"), ValueError, "autoreset_mode", "'SameStep'", "num_envs"),
+        refusal(lambda: agents.step({"C": np.zeros(N, dtype=int)}), KeyError, "'C'", ["A", "B"]),
+        refusal(lambda: agents.step({"A": np.zeros(2, dtype=int)}), ValueError, "actions['A']", 2, N),
+        refusal(lambda: agents.step({"A": 0}), ValueError, "actions['A']=0", N),
+        refusal(lambda: agents.step(np.zeros(N, dtype=int)), TypeError, "actions", "array([0, 0, 0])", ["A", "B"]),
+        refusal(lambda: agents.reset(seed=[1, 2]), ValueError, "seed", 2, N),
+        refusal(lambda: agents.reset(options={"reset_mask": np.zeros(N, dtype=bool)}), ValueError, "reset_mask", [N]),
+        refusal(lambda: constellation(num_envs=2, autoreset_mode="SameStep"), ValueError, "autoreset_mode", "'SameStep'"),
+        refusal(lambda: agents.set_attr("max_step_duration", [1.0, 2.0]), ValueError, "values", 2, N),
+    ]
+    check_refusals(table)

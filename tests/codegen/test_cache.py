@@ -14,6 +14,7 @@ import pytest
 
 from bsk_torch.codegen import build, cache
 from tests.codegen.test_kernel import SOURCE, START
+from tests.support.refusals import check_refusals, refusal
 
 pytestmark = [
     pytest.mark.compiled,
@@ -98,8 +99,7 @@ def test_a_new_library_is_not_put_into_a_folder_of_others(folder, monkeypatch):
 def test_folders_of_others_are_refused(planted, folder, monkeypatch):
     planted.rename(folder / planted.name)
     os.chown(folder, 1234, 1234)
-    with pytest.raises(PermissionError, match=r"belongs to user 1234, not to you \(0\)"):
-        load(monkeypatch)
+    check_refusals([refusal(lambda: load(monkeypatch), PermissionError, folder, "user 1234", "BSK_TORCH_CACHE")])
 
 
 @as_root

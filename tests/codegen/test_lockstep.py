@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from functools import cache
 
 import pytest
@@ -12,6 +13,7 @@ from bsk_torch.codegen.kernel import Entry, Kernel, Samples
 from bsk_torch.codegen.tiling import SPARE, in_tiles
 from bsk_torch.codegen.trace import Tracer
 from bsk_torch.sim.component import Field, Track
+from tests.support.refusals import check_refusals, refusal
 
 ISAS = ["", "avx2", "default"] if torch.backends.cpu.get_cpu_capability() in ("AVX2", "AVX512") else ["", "default"]
 GROUPS = [1, 2, 3, 7, 12, 40]
@@ -89,30 +91,31 @@ class Groups:
         options = dict(mode=self.mode, ticks=self.ticks) | self.options | options
         return state, kernel(state, counts, (self.track,), **options)
 
-    def check(self, kernel: Kernel, tolerance: float = 0.0, **options) -> None:
-        """Rows are, bit for bit unless there is a tolerance, what they are if each runs by itself until its group's end."""
+    def faults(self, kernel: Kernel, tolerance: float = 0.0, **options) -> list[str]:
+        """What differs, bit for bit unless there is a tolerance, from rows that each run by itself until its group's end."""
         state, ran = self.after(kernel, self.counts, lockstep=self.group, **options)
         expected, alone = self.after(kernel, self.ends)
-        assert torch.equal(ran, self.ends)
-        assert torch.equal(alone, self.ends)
         if tolerance:
-            torch.testing.assert_close(state, expected, rtol=tolerance, atol=tolerance)
+            same = torch.allclose(state, expected, rtol=tolerance, atol=tolerance)
         else:
-            assert torch.equal(state.view(torch.int64), expected.view(torch.int64))
+            same = torch.equal(state.view(torch.int64), expected.view(torch.int64))
+        checks = {"ticks": torch.equal(ran, self.ends), "ticks alone": torch.equal(alone, self.ends), "state": same}
+        return [name for name, right in checks.items() if not right]
 
 
 # -- ends -------------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("group", GROUPS)
-@pytest.mark.parametrize("mixed", [False, True], ids=["double", "mixed"])
-@pytest.mark.parametrize("isa", ISAS)
-def test_rows_of_a_group_end_with_the_first_that_stops(isa, mixed, group):
+def test_rows_of_a_group_end_with_the_first_that_stops():
     """In plain C++, the compiler does not fuse the same products with sums in both libraries: a rounding in a few ticks."""
-    tolerance = 0.0 if isa != "default" else 1e-5 if mixed else 1e-12
-    for _ in range(30):
-        Groups(int(torch.randint(1, 60, ())), group).check(walkers(isa, mixed), tolerance)
+    failures = []
+    for isa, mixed, group in itertools.product(ISAS, (False, True), GROUPS):
+        kernel, tolerance = walkers(isa, mixed), 0.0 if isa != "default" else 1e-5 if mixed else 1e-12
+        rows = [Groups(int(torch.randint(1, 60, ())), group) for _ in range(30)]
+        if differ := {fault for groups in rows for fault in groups.faults(kernel, tolerance)}:
+            failures.append(f"{isa or 'native'}, {'mixed' if mixed else 'double'}, groups of {group}: {differ} differ")
+    assert not failures, "\n".join(failures)
 
 
 @pytest.mark.compiled
@@ -133,7 +136,7 @@ def test_several_threads(group):
     torch.set_num_threads(2)
     try:
         for _ in range(5):
-            Groups(300, group).check(walkers(""))
+            assert not Groups(300, group).faults(walkers(""))
     finally:
         torch.set_num_threads(before)
 
@@ -144,7 +147,7 @@ def test_the_expected_ticks_change_nothing(group):
     for groups in (1, 5, 70):
         rows = Groups(groups, group)
         for expected in (rows.ends, torch.randint(0, LONGEST, (rows.n,)), torch.zeros(rows.n, dtype=torch.int64)):
-            rows.check(walkers(""), expected_ticks=expected)
+            assert not rows.faults(walkers(""), expected_ticks=expected)
 
 
 @pytest.mark.compiled
@@ -157,7 +160,7 @@ def test_a_group_may_stop_in_its_first_and_in_its_last_tick(tick, last):
     groups.fuse[:] = groups.state[6] = 99.0
     groups.fuse[-1 if last else 40] = groups.state[6, -1 if last else 40] = tick
     assert groups.ends.view(3, 40)[:, 0].tolist() == ([10, 10, tick] if last else [10, tick, 10])
-    groups.check(walkers(""))
+    assert not groups.faults(walkers(""))
 
 
 @pytest.mark.compiled
@@ -167,7 +170,7 @@ def test_several_rows_may_stop_at_once_and_one_after_another():
     groups.fuse[[0, 5, 11]], groups.fuse[[12, 20]], groups.fuse[[24, 25]] = 7.0, 7.0, torch.tensor([8.0, 9.0]).double()
     groups.state[6] = groups.fuse
     assert groups.ends[::12].tolist() == [7, 7, 8, 30]
-    groups.check(walkers(""))
+    assert not groups.faults(walkers(""))
 
 
 @pytest.mark.compiled
@@ -245,22 +248,23 @@ def test_libraries_are_built_when_they_are_needed(monkeypatch):
 # -- tiles -----------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("width", [2, 4, 8, 16])
-@pytest.mark.parametrize("group", [2, 3, 7, 12, 40, 100, 1001])
-@pytest.mark.parametrize("groups", [1, 2, 9, 300])
-def test_tiles_hold_whole_groups(groups, group, width):
-    counts = torch.randint(0, 9, (groups,)).repeat_interleave(group)
-    tiles = in_tiles(counts, counts, torch.randint(0, 3, (groups * group,)), group, width)
-    assert tiles.rows.shape == tiles.groups.shape == (tiles.size[0], tiles.size[1] * width)
-    real = tiles.groups < groups
-    assert torch.equal(tiles.rows[real].sort().values, torch.arange(groups * group))
-    assert torch.equal(tiles.rows[real] // group, tiles.groups[real])
-    assert torch.equal(tiles.ends, torch.cat([counts[::group], torch.zeros(1, dtype=torch.int64)]))
-    homes = [set(row.unique().tolist()) - {groups} for row in tiles.groups]
-    assert sum(len(home) for home in homes) == groups == len(set().union(*homes))
-    if groups == 300:
-        full = tiles.groups[0]
-        assert (full == groups).sum() <= SPARE * (full < groups).sum()
+def test_tiles_hold_whole_groups():
+    failures = []
+    for groups, group, width in itertools.product([1, 2, 9, 300], [2, 3, 7, 12, 40, 100, 1001], [2, 4, 8, 16]):
+        counts = torch.randint(0, 9, (groups,)).repeat_interleave(group)
+        tiles = in_tiles(counts, counts, torch.randint(0, 3, (groups * group,)), group, width)
+        real, full = tiles.groups < groups, tiles.groups[0]
+        homes = [set(row.unique().tolist()) - {groups} for row in tiles.groups]
+        checks = {
+            "shapes": tiles.rows.shape == tiles.groups.shape == (tiles.size[0], tiles.size[1] * width),
+            "rows": torch.equal(tiles.rows[real].sort().values, torch.arange(groups * group)),
+            "groups": torch.equal(tiles.rows[real] // group, tiles.groups[real]),
+            "ends": torch.equal(tiles.ends, torch.cat([counts[::group], torch.zeros(1, dtype=torch.int64)])),
+            "homes": sum(len(home) for home in homes) == groups == len(set().union(*homes)),
+            "spare": groups < 300 or (full == groups).sum() <= SPARE * (full < groups).sum(),
+        }
+        failures += [f"{groups} groups of {group}, width {width}: {name}" for name, right in checks.items() if not right]
+    assert not failures, "\n".join(failures)
 
 
 @pytest.mark.parametrize("group", [2, 3, 12, 64])
@@ -280,18 +284,21 @@ def test_tiles_are_of_like_durations_and_blocks_of_like_modes(group):
 
 
 @pytest.mark.compiled
-def test_groups_that_do_not_fit_are_refused():
-    groups = Groups(4, 6)
-    with pytest.raises(ValueError, match="lockstep=7 must divide the number of rows, 24"):
-        groups.after(walkers(""), groups.counts, lockstep=7)
-    groups.counts[:] = 5
-    groups.counts[14] = 3
-    with pytest.raises(ValueError, match=r"counts of group 2 are \[3, 5\]; rows in lockstep must have the same number of ticks"):
-        groups.after(walkers(""), groups.counts, lockstep=6)
-
-
-@pytest.mark.compiled
-def test_groups_do_not_write():
-    groups = Groups(4, 6)
-    with pytest.raises(ValueError, match="writes 0 numbers a tick; written must be None"):
-        groups.after(walkers(""), groups.counts, lockstep=6, written=torch.zeros(24, LONGEST, 1, dtype=torch.float64))
+def test_rejects_groups_that_do_not_fit_and_what_they_write():
+    kernel, groups, uneven = walkers(""), Groups(4, 6), Groups(4, 6)
+    uneven.counts[:] = 5
+    uneven.counts[14] = 3
+    written = torch.zeros(24, LONGEST, 1, dtype=torch.float64)
+    check_refusals(
+        [
+            refusal(lambda: groups.after(kernel, groups.counts, lockstep=7), ValueError, "lockstep=7", "24"),
+            refusal(lambda: uneven.after(kernel, uneven.counts, lockstep=6), ValueError, "counts", "group 2", "[3, 5]", "ticks"),
+            refusal(
+                lambda: groups.after(kernel, groups.counts, lockstep=6, written=written),
+                ValueError,
+                kernel.name,
+                "written",
+                "None",
+            ),
+        ]
+    )

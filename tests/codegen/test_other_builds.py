@@ -40,7 +40,6 @@ def played(*arguments: str, **environment: str) -> subprocess.CompletedProcess[s
     return subprocess.run(command, cwd=ROOT, env=os.environ | environment, capture_output=True, text=True)
 
 
-@pytest.mark.nightly  # as all that the driver is for
 def test_the_driver_compares_what_agents_see(tmp_path):
     run = played("NadirScan-v1", f"--eager={tmp_path}")
     assert run.returncode == 0, run.stderr
@@ -59,7 +58,6 @@ def eager(tmp_path_factory):
     return f"--eager={tmp_path_factory.mktemp('eager')}"
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize("build", BUILDS)
 def test_every_build_gives_the_numbers_of_the_eager_back_end(build, eager, tmp_path):
     compiler, isa = BUILDS[build]
@@ -72,7 +70,6 @@ def test_every_build_gives_the_numbers_of_the_eager_back_end(build, eager, tmp_p
     assert len(run.stdout.splitlines()) == len(PRESETS)
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize("isa", ["avx512", "default"])
 def test_sanitizers_find_nothing(isa, eager, tmp_path):
     """Kernels of all presets, with checks of addresses and of undefined behaviour."""
@@ -89,7 +86,6 @@ def test_sanitizers_find_nothing(isa, eager, tmp_path):
     assert len(run.stdout.splitlines()) == len(PRESETS)
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize("preset", ["NadirScan-v1", "AEOSPower-v1", "RelayConstellation-v1"])
 def test_kernels_for_aarch64_give_the_numbers_of_the_eager_back_end(preset, eager, tmp_path):
     """In an emulator; these presets together have all components."""

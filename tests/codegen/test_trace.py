@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import operator
 
 import pytest
@@ -79,67 +78,7 @@ class TestOnly:
         assert inner.parent is region
         assert merged.args[1].region is region
 
-    @pytest.mark.parametrize("use", [lambda p: p + 1.0, lambda p: torch.where(p > 0.0, p, 0.0)])
-    def test_nothing_leaks(self, x, use):
-        leaked = []
-        (x > 0.0).only(lambda: [leaked.append(torch.sin(x)) or x + 1.0], [x])
-        with pytest.raises(UntraceableError, match="leave as a result of only"):
-            use(leaked[0])
-        with pytest.raises(UntraceableError, match="leave as a result of only"):
-            (x < 0.0).only(lambda: [leaked[0]], [x])
-
-    def test_masks_are_booleans(self, x):
-        with pytest.raises(UntraceableError, match="booleans"):
-            x.only(lambda: [x], [x])
-
     def test_the_region_ends_with_an_error(self, program, x):
         with pytest.raises(UntraceableError):
             (x > 0.0).only(lambda: [x.sum()], [x])
         assert program.region is program.root
-
-
-def divided(x, **kwargs):
-    return torch.div(x, 2.0, **kwargs)
-
-
-@pytest.mark.parametrize(
-    ("code", "reason"),
-    [
-        (lambda x: 1.0 if x > 0.0 else 2.0, "torch.where"),
-        (lambda x: max(x, 1.0), "torch.where"),
-        (math.sqrt, "numbers"),
-        (int, "numbers"),
-        (lambda x: torch.stack([x, x]), r"torch\.stack has no kernel.*element by element"),
-        (lambda x: torch.cat([x, x]), r"torch\.cat has no kernel"),
-        (lambda x: torch.cumsum(x, 0), r"torch\.cumsum has no kernel.*FUNCTIONS"),
-        (lambda x: x.sum(-1), r"Tensor\.sum has no kernel"),
-        (lambda x: x.add_(1.0), r"Tensor\.add_ has no kernel"),
-        (lambda x: torch.tensor(1.0).add_(x), r"torch\.add_ has no kernel"),
-        (lambda x: x.shape[0], r"Tensor\.shape has no kernel"),
-        (lambda x: x[0], "no elements"),
-        (lambda x: list(x), "no elements"),
-        (lambda x: len(x), "no elements"),
-        (lambda x: x @ x, "Vec3"),
-        (lambda x: x // 2.0, r"torch\.floor"),
-        (lambda x: 2.0**x, "no kernel"),
-        (lambda x: x**0.5, "squares and cubes"),
-        (lambda x: x**x, "squares and cubes"),
-        (lambda x: x * torch.ones(3), "tensor with dimensions"),
-        (lambda x: torch.where(x > 0.0, x, torch.zeros(3)), "tensor with dimensions"),
-        (lambda x: x + "1", "neither a number nor a value"),
-        (lambda x: x + None, "neither a number nor a value"),
-        (lambda x: divided(x, rounding_mode="floor"), r"torch\.div has no kernel with these arguments.*rounding_mode"),
-        (lambda x: x.to(torch.int64), r"torch\.int64"),
-        (lambda x: torch.zeros_like(x, dtype=torch.long), r"torch\.int64"),
-        (lambda x: (x > 0.0) * 2, r"torch\.int64"),
-        (lambda x: torch.where(x > 0.0, 1, 0), r"torch\.int64"),
-        (lambda x: torch.where(x, x, 0.0), "booleans"),
-        (lambda x: x & x, "booleans"),
-        (lambda x: ~x, "booleans"),
-        (lambda x: torch.sqrt(x > 0.0), "booleans"),
-        (lambda x: (x > 0.0) < (x > 1.0), "booleans"),
-    ],
-)
-def test_untraceable(x, code, reason):
-    with pytest.raises(UntraceableError, match=reason):
-        code(x)

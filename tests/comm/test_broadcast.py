@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
-import pytest
 import torch
 
 from bsk_torch import act
@@ -66,9 +65,3 @@ def test_names_and_two_broadcasts_of_one_satellite():
     moves = torch.tensor([True, True, False, False])
     actions.begin(action, moves, actions.decide(action, action, moves))
     assert memory[PENDING].tolist() == [True, True, False, False]
-
-
-@pytest.mark.parametrize("duration", [0.0, -3.0, float("nan")])
-def test_durations_must_be_positive(duration):
-    with pytest.raises(ValueError, match=r"action 'action_broadcast': duration=.* must be a number in"):
-        act.Broadcast(duration=duration)

@@ -28,18 +28,6 @@ class Everywhere(Sender):
     action_spec = (*Imager.action_spec, act.TransmitCatalog(1, link_mode="ideal"))
 
 
-class TwoPeers(Sender):
-    action_spec = (*Imager.action_spec, act.TransmitCatalog(2))
-
-
-class WithoutRadio(Imager):
-    action_spec = Sender.action_spec
-
-
-class Twice(Sender):
-    action_spec = (*Sender.action_spec, act.TransmitCatalog(1, name="again"))
-
-
 def team(imagers=2, kind=Sender, knowledge="own", **options):
     names = [f"Imager{k}" for k in range(imagers)]
     defaults = dict(
@@ -76,34 +64,6 @@ def send(env):
     while env.scenario.records.sent[0, 0] == before:
         step(env, STAY, CHARGE)
     return env.fleet.sim_time[0].item()
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: act.TransmitCatalog(0), "n_peers=0"),
-        (lambda: act.TransmitCatalog(1, max_duration=0.0), "max_duration=0.0"),
-        (lambda: act.TransmitCatalog(1, min_hold_s=-1.0), "min_hold_s=-1.0"),
-        (lambda: act.TransmitCatalog(1, bits_per_second=0.0), "bits_per_second=0.0"),
-        (lambda: act.TransmitCatalog(1, link_mode="laser"), "link_mode='laser' must be one of"),
-        (lambda: comm.CatalogCommunication(delay_s=-1.0), "delay_s=-1.0"),
-        (lambda: comm.CatalogCommunication(loss_probability=2.0), "loss_probability=2.0"),
-        (lambda: comm.CatalogCommunication(delay_s=10.0, ttl_s=5.0), "ttl_s=5.0 is less than delay_s=10.0"),
-        (lambda: team(kind=WithoutRadio), r"needs dyn\.CatalogRadioDynModel"),
-        (lambda: team(kind=Twice), "two actions"),
-        (lambda: team(kind=TwoPeers), "n_peers=2, but each of 2 imagers has 1 peers"),
-        (lambda: team(communicator=None), r"needs communicator=comm\.CatalogCommunication"),
-        (lambda: team(communicator=comm.FreeCommunication()), r"needs communicator=comm\.CatalogCommunication"),
-        (lambda: team(kind=Imager), r"needs satellites with act\.TransmitCatalog"),
-        (
-            lambda: team(knowledge="common", rewarder=data.RSOImageReward(multi_imager_credit="shared")),
-            "needs .*knowledge='own'",
-        ),
-    ],
-)
-def test_what_would_not_work_raises(make, message):
-    with pytest.raises(ValueError, match=message):
-        make()
 
 
 def test_nobody_is_its_own_peer():

@@ -10,9 +10,8 @@ from bsk_torch import ConstellationTasking, act, comm, obs, sats
 from bsk_torch.act.broadcast import PENDING
 from bsk_torch.comm.base import LAST
 from bsk_torch.comm.multi import connected
-from bsk_torch.sim import dyn
 from bsk_torch.sim.state import StateTable
-from tests.comm.fleets import Seeing, drawn_elements, make_fleet, recorded, states, step
+from tests.comm.fleets import Seeing, make_fleet, recorded, states, step
 
 ALL = torch.tensor([True, True, True])
 
@@ -260,52 +259,6 @@ def test_contacts_between_communications_are_lost(recording):
 
 
 # -- errors --------------------------------------------------------------------------------------------------------------------
-
-
-def test_a_negative_period_is_an_error():
-    with pytest.raises(ValueError, match="min_period=-1"):
-        comm.FreeCommunication(min_period=-1)
-
-
-def test_a_method_without_pairs_is_an_error():
-    with pytest.raises(NotImplementedError, match="CommunicationMethod must implement communication_pairs"):
-        linked(comm.CommunicationMethod()).communicate(ALL)
-
-
-@pytest.mark.parametrize("pairs", [torch.ones(3, 3, 3), torch.ones(3, 3, dtype=torch.bool)], ids=["numbers", "shape"])
-def test_wrong_pairs_are_an_error(pairs):
-    method = linked(Given())
-    method.pairs = pairs
-    with pytest.raises(TypeError, match=r"must give torch.bool \[3, 3, 3\]"):
-        method.communicate(ALL)
-
-
-class LateMulti(comm.FreeCommunication, comm.MultiDegreeCommunication):
-    """The wrong way round."""
-
-
-@pytest.mark.parametrize("cls", [comm.BroadcastCommunication, comm.MultiDegreeCommunication, LateMulti])
-def test_a_refinement_of_nothing_is_an_error(cls):
-    with pytest.raises(TypeError, match=r"refines another communication method, which must follow it"):
-        linked(cls())
-
-
-def test_broadcasts_need_the_action():
-    with pytest.raises(ValueError, match=r"act.Broadcast\(\)"):
-        linked(GivenBroadcast(), 3, talkers=0)
-
-
-def test_sight_needs_the_model():
-    fleet = make_fleet(states(drawn_elements(3)), types=[[0, 2], [1]])
-    fleet.satellites[1].dyn_type = dyn.ImagingDynModel
-    with pytest.raises(TypeError, match=r"LOSCommDynModel among the bases of Sat1's dyn_type, which is ImagingDynModel"):
-        comm.LOSCommunication().link(fleet)
-
-
-def test_sight_needs_arcs():
-    fleet = make_fleet(states(drawn_elements(2)), orbit="integrated")
-    with pytest.raises(ValueError, match=r"Sat0 has orbit='integrated'; pass orbit='arc'"):
-        comm.LOSMultiCommunication().link(fleet)
 
 
 class Low(sats.Satellite):

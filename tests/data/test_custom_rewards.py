@@ -140,35 +140,3 @@ def test_strips_that_take_time():
     first = complete & (complete.cumsum(0) == 1)
     assert torch.equal(torch.stack(paid), first)
     assert first.any()
-
-
-# -- shapes --------------------------------------------------------------------------------------------------------------------
-
-
-class Flat(data.NoReward):
-    def calculate_reward(self, before, after):
-        return super().calculate_reward(before, after).squeeze(1)
-
-
-class Ended(data.NoReward):
-    def is_terminated(self):
-        return torch.zeros(1, dtype=torch.bool)
-
-
-class Logged(data.NoReward):
-    def read_log(self):
-        return {"level": self.fleet.sim_time}
-
-
-@pytest.mark.parametrize(
-    ("rewarder", "words"),
-    [
-        (Flat(), r"Flat.calculate_reward\(\) is a tensor of shape \[1\] .* must be a tensor of shape \[1, 1\]"),
-        (Ended(), r"Ended.is_terminated\(\) is a tensor of shape \[1\] .* must be a tensor of shape \[1, 1\]"),
-        (Logged(), r"Logged.read_log\(\)\['level'\] is a tensor of shape \[1\]"),
-    ],
-)
-def test_one_environment_is_no_excuse_for_other_shapes(rewarder, words):
-    """They are found when the environment is built."""
-    with pytest.raises(TypeError, match=words):
-        imaging(rewarder, scene.UniformTargets(T), num_envs=1)

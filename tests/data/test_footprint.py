@@ -102,14 +102,3 @@ def test_a_constellation_shares_what_it_has_seen():
     for _ in range(6):
         td = env.rand_step(td)["next"]
     assert env.counts()["off_target"].shape == (2, 3)
-
-
-@pytest.mark.parametrize("half_angle", [0.0, -0.1, 2.0, math.nan, "wide", [0.1, 0.2]])
-def test_a_wrong_angle_is_an_error(half_angle):
-    with pytest.raises(ValueError, match=r"half_angle=.* must be a number in \(0, 1.5708\] rad"):
-        data.FootprintImageReward(half_angle)
-
-
-def test_it_needs_uncertain_places():
-    with pytest.raises(ValueError, match=r"needs scene\.UncertainTargets; the scenario is UniformTargets"):
-        imaging(0.0, 0.1, scenario=scene.UniformTargets(10))

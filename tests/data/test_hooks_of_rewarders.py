@@ -15,6 +15,7 @@ from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
 from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.evaluation.statistics import known
 from bsk_torch.rl.policies.shared_policy import rule
+from tests.support.refusals import check_refusals, refusal
 
 pytestmark = pytest.mark.compiled
 
@@ -120,44 +121,32 @@ def test_attributes_of_parts():
     assert both.mine == 3
 
 
-@pytest.mark.parametrize("composed", [False, True])
-@pytest.mark.parametrize(
-    ("results", "words"),
-    [
-        (dict(link=False), r"Full\.link\(scenario, fleet\) must call super\(\)\.link\(scenario, fleet\)"),
-        (
-            dict(calculate_reward=torch.ones(1)),
-            r"calculate_reward\(\) is a tensor of shape \[1\] .* must be a tensor of shape \[3, 2\]",
-        ),
-        (dict(calculate_reward=torch.ones(N)), r"calculate_reward\(\) is a tensor of shape \[3\]"),
-        (dict(calculate_reward=torch.ones(N, 1)), r"calculate_reward\(\) is a tensor of shape \[3, 1\]"),
-        (dict(calculate_reward=1.0), r"calculate_reward\(\) is 1\.0"),
-        (dict(calculate_reward=torch.ones(N, S).long()), r"dtype torch\.int64; .* dtype torch\.float64 or torch\.float32"),
-        (dict(is_terminated=torch.ones(N, dtype=torch.bool)), r"is_terminated\(\) is a tensor of shape \[3\]"),
-        (dict(is_terminated=torch.ones(N, S)), r"is_terminated\(\) .* dtype torch\.float32; .* dtype torch\.bool"),
-        (dict(is_truncated=False), r"is_truncated\(\) is False"),
-        (dict(is_truncated=lambda self: self.flags()[:, :1]), r"is_truncated\(\) is a tensor of shape \[\d, 1\]"),
-        (dict(counts={"hits": torch.ones(N, S)}), r"counts\(\)\['hits'\] .* dtype torch\.int64"),
-        (dict(counts={"hits": torch.ones(N, dtype=torch.int64)}), r"counts\(\)\['hits'\] is a tensor of shape \[3\]"),
-        (dict(share=torch.ones(1)), r"share\(links\) must return None"),
-        (dict(read_log={"level": torch.ones(N)}), r"read_log\(\)\['level'\] is a tensor of shape \[3\]"),
-        (dict(read_log={"level": 1.0}), r"read_log\(\)\['level'\] is 1\.0"),
-        (dict(read_log=[1.0]), r"read_log\(\) returns \[1\.0\]; it must return a dictionary"),
-    ],
-)
-def test_results_that_do_not_fit_are_named(composed, results, words):
-    rewarder = Full(**results)
-    with pytest.raises(TypeError, match=words):
-        step(make(data.ComposedReward(rewarder, data.NoReward()) if composed else rewarder))
-
-
-def test_counters_have_names_of_their_own():
-    class Twice(data.UniqueImageReward):
-        def counts(self):
-            return super().counts() | {"imaged": self.memory["duplicates"]}
-
-    with pytest.raises(ValueError, match="has 'imaged', which the satellites count, too"):
-        bsk_torch.make("AEOS-v1", n_targets=300, time_limit=600.0, backend="eager", rewarder=Twice())
+def test_rejects_results_that_do_not_fit():
+    hits = lambda value: dict(counts={"hits": value})
+    wrong = [
+        (dict(link=False), "Full.link(scenario, fleet)", "super().link(scenario, fleet)"),
+        (dict(calculate_reward=torch.ones(1)), "calculate_reward()", [1], [N, S]),
+        (dict(calculate_reward=torch.ones(N)), "calculate_reward()", [N]),
+        (dict(calculate_reward=torch.ones(N, 1)), "calculate_reward()", [N, 1]),
+        (dict(calculate_reward=1.0), "calculate_reward()", 1.0),
+        (dict(calculate_reward=torch.ones(N, S).long()), "calculate_reward()", "int64", "torch.float64", "torch.float32"),
+        (dict(is_terminated=torch.ones(N, dtype=torch.bool)), "is_terminated()", [N]),
+        (dict(is_terminated=torch.ones(N, S)), "is_terminated()", "torch.float32", "torch.bool"),
+        (dict(is_truncated=False), "is_truncated()", False),
+        (dict(is_truncated=lambda self: self.flags()[:, :1]), "is_truncated()", [N, 1]),
+        (hits(torch.ones(N, S)), "counts()['hits']", "torch.float32", "torch.int64"),
+        (hits(torch.ones(N, dtype=torch.int64)), "counts()['hits']", [N]),
+        (dict(share=torch.ones(1)), "share(links)", None),
+        (dict(read_log={"level": torch.ones(N)}), "read_log()['level']", [N]),
+        (dict(read_log={"level": 1.0}), "read_log()['level']", 1.0),
+        (dict(read_log=[1.0]), "read_log()", [1.0], "dictionary"),
+    ]
+    alone, composed = lambda rewarder: rewarder, lambda rewarder: data.ComposedReward(rewarder, data.NoReward())
+    check_refusals(
+        refusal(lambda given=given, place=place: step(make(place(Full(**given)))), TypeError, *names)
+        for place in (alone, composed)
+        for given, *names in wrong
+    )
 
 
 class Measured(data.NoReward):
@@ -178,18 +167,16 @@ def test_measures_of_parts_are_numbered_and_shown_in_evaluations():
     assert result.summary()["measures"]["share_2"]["mean"] == 1.0
 
 
-@pytest.mark.parametrize(
-    ("value", "words"),
-    [
-        (torch.ones(N), r"Measured.measures\(\)\['share'\] .* dtype torch\.float64"),
-        (torch.ones(N, S, dtype=torch.float64), r"Measured.measures\(\)\['share'\] is a tensor of shape \[3, 2\]"),
-        (1.0, r"Measured.measures\(\)\['share'\] is 1\.0"),
-    ],
-)
-def test_measures_that_do_not_fit_are_named(value, words):
-    env = make(Measured(value), env_ids=[0] * N, backend="eager")
-    with pytest.raises(TypeError, match=words):
-        evaluate(rule("random", env), env, seeds=[0])
+def test_rejects_measures_that_do_not_fit():
+    measured = lambda value: make(Measured(value), env_ids=[0] * N, time_limit=100.0)
+    run = lambda value: evaluate(rule("random", env := measured(value)), env, seeds=[0])
+    each = torch.ones(N, S, dtype=torch.float64)
+    table = [
+        refusal(lambda: run(torch.ones(N)), TypeError, "Measured.measures()['share']", "torch.float32", "torch.float64"),
+        refusal(lambda: run(each), TypeError, "Measured.measures()['share']", [N, S], [N]),
+        refusal(lambda: run(1.0), TypeError, "Measured.measures()['share']", 1.0),
+    ]
+    check_refusals(table)
 
 
 def test_measures_without_a_value_do_not_count():
@@ -198,36 +185,38 @@ def test_measures_without_a_value_do_not_count():
     assert math.isnan(known(known_values[1:2]).mean)
 
 
-def test_choices_of_wrong_shape_are_named():
+def test_rejects_choices_and_counters_that_do_not_fit():
     class All(data.UniqueImageReward):
         def selectable(self):
             return self.scenario.available
 
-    with pytest.raises(TypeError, match=r"All\.selectable\(\) is a tensor of shape \[1, 300\] .* shape \[1, 1, 300\]"):
-        bsk_torch.make("AEOS-v1", n_targets=300, time_limit=600.0, backend="eager", rewarder=All())
+    class Twice(data.UniqueImageReward):
+        def counts(self):
+            return super().counts() | {"imaged": self.memory["duplicates"]}
+
+    made = lambda rewarder: bsk_torch.make("AEOS-v1", n_targets=300, time_limit=600.0, backend="eager", rewarder=rewarder)
+    table = [
+        refusal(lambda: made(All()), TypeError, "All.selectable()", [1, 300], [1, 1, 300]),
+        refusal(lambda: made(Twice()), ValueError, "counts()", "'imaged'"),
+    ]
+    check_refusals(table)
 
 
-@pytest.mark.parametrize(
-    ("base", "members", "words"),
-    [
-        (
-            data.GlobalReward,
-            dict(calculate_reward=lambda self, before, after, time: None),
-            r"called as calculate_reward\(before, after\)",
-        ),
-        (data.GlobalReward, dict(is_terminated=lambda self, satellite, time: None), r"cannot be called as is_terminated\(\)"),
-        (data.GlobalReward, dict(compare_log_states=lambda self, old, new: None), r"define read_log\(\)"),
-        (data.GlobalReward, dict(get_log_state=lambda self: None), r"define read_log\(\)"),
-        (data.GlobalReward, dict(update_from_logs=lambda self: None), r"define read_log\(\)"),
-        (data.GlobalReward, dict(reset_pre_sim_init=lambda self: None), r"fleet\.memory"),
-        (data.GlobalReward, dict(link_scenario=lambda self, scenario: None), r"define link\(scenario, fleet\)"),
-        (data.GlobalReward, dict(calc_reward=lambda self, before, after: None), "did you mean 'calculate_reward'"),
-        (data.GlobalReward, dict(is_terminate=lambda self: None), "did you mean 'is_terminated'"),
-        (data.GlobalReward, dict(read_logs=lambda self: None), "did you mean 'read_log'"),
-        (data.UniqueImageReward, dict(selectible=lambda self: None), "did you mean 'selectable'"),
-        (data.UniqueImageReward, dict(value=lambda self, target: None), r"called as value\(target, taken\)"),
-    ],
-)
-def test_what_would_not_run_is_refused_at_the_definition(base, members, words):
-    with pytest.raises(TypeError, match=words):
-        type("Mine", (base,), members)
+def test_rejects_definitions_that_would_not_run():
+    define = lambda base=data.GlobalReward, **members: type("Mine", (base,), members)
+    images, function = data.UniqueImageReward, lambda self: None
+    table = [
+        refusal(lambda: define(calculate_reward=lambda self, before, after, time: None), TypeError, "reward(before, after)"),
+        refusal(lambda: define(is_terminated=lambda self, satellite, time: None), TypeError, "is_terminated()"),
+        refusal(lambda: define(compare_log_states=lambda self, old, new: None), TypeError, "compare_log_states", "read_log()"),
+        refusal(lambda: define(get_log_state=function), TypeError, "get_log_state", "read_log()"),
+        refusal(lambda: define(update_from_logs=function), TypeError, "update_from_logs", "read_log()"),
+        refusal(lambda: define(reset_pre_sim_init=function), TypeError, "reset_pre_sim_init", "fleet.memory"),
+        refusal(lambda: define(link_scenario=lambda self, scenario: None), TypeError, "link_scenario", "link(scenario, fleet)"),
+        refusal(lambda: define(calc_reward=lambda self, before, after: None), TypeError, "calc_reward", "'calculate_reward'"),
+        refusal(lambda: define(is_terminate=function), TypeError, "Mine.is_terminate", "'is_terminated'"),
+        refusal(lambda: define(read_logs=function), TypeError, "Mine.read_logs", "'read_log'"),
+        refusal(lambda: define(images, selectible=function), TypeError, "Mine.selectible", "'selectable'"),
+        refusal(lambda: define(images, value=lambda self, target: None), TypeError, "Mine.value", "value(target, taken)"),
+    ]
+    check_refusals(table)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import pytest
 import torch
 
-from bsk_torch import comm, data, rand, scene
+from bsk_torch import comm, rand, scene
 from bsk_torch.wrappers import PettingZooEnv
 from tests.support.inspecting import POINTS, RSO, Inspector, act_all, chief_args, inspection, inspector_args
 
@@ -154,17 +153,3 @@ def test_fuel_is_charged_with_weights_of_each_episode():
     first = weight.clone()
     env.reset()
     assert (env.rewarder.rewarders[1].reward_weight != first).all()
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        (dict(completion_threshold=-0.1), "completion_threshold=-0.1 must be"),
-        (dict(min_illuminated_for_completion=1.1), "min_illuminated_for_completion=1.1 must be"),
-        (dict(terminate_on_completion="yes"), "terminate_on_completion='yes' must be True or False"),
-        (dict(completion_bonus=float("inf")), "completion_bonus=inf must be"),
-    ],
-)
-def test_wrong_arguments_are_refused(given, message):
-    with pytest.raises(ValueError, match=message):
-        data.RSOInspectionReward(**given)

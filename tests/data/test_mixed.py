@@ -16,6 +16,7 @@ from bsk_torch.sim import dyn, fsw
 from tests.support import inspecting as inspection
 from tests.support import rso_imaging as space
 from tests.support.inspecting import EPOCH, POINTS, RSO, TURNED, chief_args, inspector_args
+from tests.support.refusals import check_refusals, refusal
 
 N, STEPS = 2, 7
 GROUPS = {"ground": ["EO", "Scout"], "rso": ["RSO", "Above"]}
@@ -250,58 +251,38 @@ def test_copies_have_scenarios_and_rewarders_of_their_own():
 # -- errors -----------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"satellite_mapping": {"images": []}}, "satellite_mapping has the keys ['images']; they must be those of rewarders"),
-        ({"scenario_mapping": {"images": "ground"}}, "scenario_mapping has the keys ['images']"),
-        ({"rewarders": dict.fromkeys(CHANNELS, data.NoReward())}, "the channels ['images', 'points'] have the same rewarder"),
-        ({"rewarders": {"images": 3, "points": data.NoReward()}}, "3, which is not a rewarder"),
-        (
-            {"satellite_mapping": {**CHANNELS, "images": "EO"}},
-            "satellite_mapping['images']='EO' must be a list of names of satellites",
-        ),
-        ({"scenario_mapping": "ground"}, "scenario_mapping='ground' must be a dictionary with names as keys"),
-        ({"groups": {"ground": []}}, "satellite_mapping has the keys ['ground']; they must be those of scenarios"),
-        ({"scenarios": {"ground": 3, "rso": points()}}, "scenarios['ground']=3 must be a scenario"),
-        ({"scenario_mapping": None}, "scenario_mapping is missing; give each channel one of the scenarios ['ground', 'rso']"),
-        ({"scenario_mapping": {**PLACES, "images": "grund"}}, "is the unknown 'grund'; did you mean 'ground'?"),
-        ({"satellite_mapping": {**CHANNELS, "images": ["E0"]}}, "names the unknown satellite 'E0'; did you mean 'EO'?"),
-        ({"satellite_mapping": {**CHANNELS, "images": ["Above"]}}, "['Above'], which do not take part in the scenario 'ground'"),
-        (
-            {"satellite_mapping": {**CHANNELS, "points": ["RSO"]}},
-            "satellite_mapping['points'] lacks ['Above'], whose flights count for RSOInspectionReward",
-        ),
-        (
-            {"groups": {**GROUPS, "ground": ["Eo"]}},
-            "satellite_mapping['ground'] names the unknown satellite 'Eo'; did you mean 'EO'?",
-        ),
-        ({"scenarios": {"ground": targets(), "rso": targets()}}, "several scenarios of MixedScenario draw"),
-    ],
-)
-def test_what_does_not_fit_is_rejected(given, message):
-    with pytest.raises(ValueError, match=re.escape(message)):
-        environment(**mixed(**given), backend="eager")
-
-
-def test_an_imager_without_targets_is_rejected():
-    with pytest.raises(ValueError, match=re.escape("needs a sats.ImagingSatellite and a scenario with targets")):
-        environment(**mixed(groups={"ground": ["EO"], "rso": ["RSO", "Above"]}), backend="eager")
-
-
-def test_ids_of_scenarios_need_several():
-    reward = data.MixedReward({"a": data.UniqueImageReward()}, {"a": ["EO"]}, {"a": "ground"})
-    with pytest.raises(ValueError, match=re.escape("needs a scene.MixedScenario; the scenario is a UniformTargets")):
-        environment([imager("EO")], scenario=targets(), rewarder=reward, backend="eager")
-
-
-def test_a_scenario_must_not_draw_who_is_present():
+def test_rejects_what_does_not_fit():
     class Few(scene.Scenario):
         def present(self, key, names):
             return torch.ones(len(key), len(names), dtype=torch.bool)
 
-    with pytest.raises(ValueError, match=re.escape("scenarios['few'] draws which satellites are present")):
-        scene.MixedScenario({"few": Few()}, {"few": []})
+    made = lambda **given: environment(**mixed(**given), backend="eager")
+    mapped = lambda **channels: made(satellite_mapping={**CHANNELS, **channels})
+    ground = lambda *names: made(groups={**GROUPS, "ground": list(names)})
+    alone = data.MixedReward({"a": data.UniqueImageReward()}, {"a": ["EO"]}, {"a": "ground"})
+    only_ground = lambda: environment([imager("EO")], scenario=targets(), rewarder=alone, backend="eager")
+    nothing, both, places = data.NoReward(), ["images", "points"], ["ground", "rso"]
+    table = [
+        refusal(lambda: made(satellite_mapping={"images": []}), ValueError, "satellite_mapping", ["images"], both),
+        refusal(lambda: made(scenario_mapping={"images": "ground"}), ValueError, "scenario_mapping", ["images"]),
+        refusal(lambda: made(rewarders=dict.fromkeys(CHANNELS, nothing)), ValueError, both, "rewarder"),
+        refusal(lambda: made(rewarders={"images": 3, "points": nothing}), ValueError, "rewarders", 3),
+        refusal(lambda: mapped(images="EO"), ValueError, "satellite_mapping['images']='EO'", "list"),
+        refusal(lambda: made(scenario_mapping="ground"), ValueError, "scenario_mapping='ground'", "dictionary"),
+        refusal(lambda: made(groups={"ground": []}), ValueError, "satellite_mapping", ["ground"], places),
+        refusal(lambda: made(scenarios={"ground": 3, "rso": points()}), ValueError, "scenarios['ground']=3", "scenario"),
+        refusal(lambda: made(scenario_mapping=None), ValueError, "scenario_mapping", places),
+        refusal(lambda: made(scenario_mapping={**PLACES, "images": "grund"}), ValueError, "['images']", "'grund'", "'ground'"),
+        refusal(lambda: mapped(images=["E0"]), ValueError, "satellite_mapping['images']", "'E0'", "'EO'"),
+        refusal(lambda: mapped(images=["Above"]), ValueError, "satellite_mapping['images']", ["Above"], "'ground'"),
+        refusal(lambda: mapped(points=["RSO"]), ValueError, "mapping['points']", ["Above"], "RSOInspectionReward"),
+        refusal(lambda: ground("Eo"), ValueError, "satellite_mapping['ground']", "'Eo'", "'EO'"),
+        refusal(lambda: made(scenarios={"ground": targets(), "rso": targets()}), ValueError, "MixedScenario", "'target_exists'"),
+        refusal(lambda: ground("EO"), ValueError, "sats.ImagingSatellite", "targets", "Scout"),
+        refusal(lambda: only_ground(), ValueError, "scenario_mapping", "scene.MixedScenario", "UniformTargets"),
+        refusal(lambda: scene.MixedScenario({"few": Few()}, {"few": []}), ValueError, "scenarios['few']", "satellites"),
+    ]
+    check_refusals(table)
 
 
 def test_attributes_of_several_scenarios_are_ambiguous():

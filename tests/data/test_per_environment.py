@@ -23,6 +23,7 @@ from bsk_torch.bsk_rl.data.unique_image_data import UniqueImageData, UniqueImage
 from bsk_torch.bsk_rl.scene.targets import Target
 from bsk_torch.data.pickled import Pickler, Unpickler, modules_of
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
+from tests.support.refusals import check_refusals, refusal
 
 pytestmark = pytest.mark.compiled
 
@@ -152,18 +153,6 @@ def test_saved_episodes_go_on(clouds):
     assert len(other.rewarder.data_of(0).known) == 300
 
 
-def test_stores_that_cannot_be_saved_are_named():
-    class Kept(one.UniqueImageReward):
-        def create_data_store(self, satellite):
-            super().create_data_store(satellite)
-            satellite.add_access_filter(lambda opportunity: True)
-
-    env = imaging(per_environment(Kept()))
-    play(env, 1)
-    with pytest.raises(TypeError, match=r"Kept or its stores keep values that cannot be saved .* objects of a class"):
-        env.get_state()
-
-
 def test_filters_of_stores_hide_opportunities():
     class Some(one.UniqueImageReward):
         def create_data_store(self, satellite):
@@ -249,42 +238,6 @@ def test_data_take_one_hop_in_a_step():
     assert env.links[0].tolist() == [[False, True, False], [False, False, True], [False, False, False]]
 
 
-def test_methods_of_one_episode_need_the_adapter():
-    with pytest.raises(TypeError, match=r"communicator=.*per_environment\(communicator\)"):
-        crew(data.NoReward(), Ring())
-
-    class Listed(comm.CommunicationMethod):
-        def communication_pairs(self):
-            return [(self.satellites[0], self.satellites[1])]
-
-    env = crew(data.NoReward(), Listed())
-    env.reset()
-    with pytest.raises(AttributeError, match=r"Listed\.satellites: .*bsk_torch\.bsk_rl\.comm.*per_environment\(method\)"):
-        step(env)
-
-
-def test_hooks_of_communication_that_would_not_be_called_are_named():
-    class Counting(Ring):
-        def reset_post_sim_init(self):
-            self.count = 0
-
-    with pytest.raises(TypeError, match=r"Counting\(\)\): reset_post_sim_init would not be called"):
-        per_environment(Counting())
-    with pytest.raises(TypeError, match=r"link_satellites, reset_post_sim_init would not be called.*comm\.LOSCommunication"):
-        per_environment(one_comm.LOSCommunication())
-
-
-def test_pairs_of_one_episode_must_be_satellites():
-    class Wrong(Ring):
-        def communication_pairs(self):
-            return [1, 2]
-
-    env = crew(data.NoReward(), per_environment(Wrong()))
-    env.reset()
-    with pytest.raises(TypeError, match=r"Wrong\.communication_pairs\(\) gave \[1, 2\]; it must give \(sender, receiver\)"):
-        step(env)
-
-
 def test_all_get_the_sum_where_all_are_linked():
     env = crew(per_environment(VisitReward()), comm.FreeCommunication())
     env.reset()
@@ -343,60 +296,6 @@ def test_observations_read_the_store_of_each_satellite():
     assert (step(env)["agents", "observation"] == 2.0).all()
 
 
-# -- what cannot run -----------------------------------------------------------------------------------------------------------
-
-
-class Wrong(VisitReward):
-    def calculate_reward(self, new_data_dict):
-        return {"S0": 1.0}
-
-
-def test_rewards_that_are_missing_are_named():
-    env = crew(per_environment(Wrong()))
-    env.reset()
-    with pytest.raises(TypeError, match=r"Wrong.calculate_reward\(new_data_dict\) returns .* for each of \['S0', 'S1', 'S2'\]"):
-        step(env)
-
-
-@pytest.mark.parametrize(
-    ("base", "members", "marks"),
-    [
-        (data.GlobalReward, dict(data_store_type=VisitStore), "data_store_type"),
-        (data.GlobalReward, dict(calculate_reward=lambda self, new_data_dict: {}), "calculate_reward"),
-        (data.UniqueImageReward, dict(is_truncated=lambda self, satellite: False), "is_truncated"),
-        (data.UniqueImageReward, dict(initial_data=lambda self, satellite: None), "initial_data"),
-        (data.NoReward, dict(create_data_store=lambda self, satellite: None), "create_data_store"),
-    ],
-)
-def test_classes_for_one_episode_are_rejected_where_they_are_defined(base, members, marks):
-    words = rf"Mine defines {marks} for one episode.*bsk_torch.bsk_rl.data.*per_environment\(Mine\(\)\).*calculate_reward\(before"
-    with pytest.raises(TypeError, match=words):
-        type("Mine", (base,), members)
-
-
-def test_a_rewarder_of_one_episode_needs_the_adapter():
-    with pytest.raises(TypeError, match=r"is for one episode; bsk_torch\.per_environment\(rewarder\)"):
-        crew(VisitReward())
-
-
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        (data.NoReward(), "NoReward runs for all environments at once"),
-        (VisitReward, "made with parentheses"),
-        (3.0, r"per_environment\(3.0\)"),
-    ],
-)
-def test_what_the_adapter_does_not_take(given, words):
-    with pytest.raises(TypeError, match=words):
-        per_environment(given)
-
-
-def test_names_of_one_episode_say_where_they_are():
-    with pytest.raises(ImportError, match=r"bsk_torch\.bsk_rl\.data; bsk_torch\.per_environment"):
-        from bsk_torch.data.base import DataStore  # noqa: F401
-
-
 class Bands(one_scene.UniformTargets):
     """Targets on circles of latitude, one of which is drawn for each episode, with the number of the band."""
 
@@ -423,20 +322,6 @@ def test_targets_of_one_episode_are_made_for_each_environment():
     assert torch.equal(alone.scenario.r_LP_P[0], env.scenario.r_LP_P[5])
 
 
-def test_scenarios_of_one_episode_need_the_adapter():
-    with pytest.raises(TypeError, match=r"scenario=.* is for one episode; bsk_torch\.per_environment\(scenario\)"):
-        imaging(data.UniqueImageReward(), Bands(40))
-
-    class Moving(Bands):
-        def after_step(self, sim_time):
-            pass
-
-    with pytest.raises(TypeError, match=r"after_step would not be called; regenerate_targets\(\) is"):
-        per_environment(Moving(40))
-    with pytest.raises(TypeError, match="UniformTargets runs for all environments at once"):
-        per_environment(scene.UniformTargets(40))
-
-
 class Evil:
     """Runs a function where it is unpickled."""
 
@@ -461,6 +346,84 @@ def test_plain_data_come_back():
     assert torch.equal(found["c"], given["c"])
 
 
-def test_what_could_not_be_read_is_not_written():
-    with pytest.raises(TypeError, match="of class"):
-        Pickler(io.BytesIO(), set(), lambda value: None).dump({"loop": math.sin})
+# -- what cannot run -----------------------------------------------------------------------------------------------------------
+
+
+def test_rejects_classes_for_one_episode():
+    adapter = "bsk_torch.bsk_rl.data", "per_environment(Mine())", "calculate_reward(before"
+    wrong = [
+        (data.GlobalReward, dict(data_store_type=VisitStore)),
+        (data.GlobalReward, dict(calculate_reward=lambda self, new_data_dict: {})),
+        (data.UniqueImageReward, dict(is_truncated=lambda self, satellite: False)),
+        (data.UniqueImageReward, dict(initial_data=lambda self, satellite: None)),
+        (data.NoReward, dict(create_data_store=lambda self, satellite: None)),
+    ]
+    check_refusals(
+        refusal(lambda base=base, members=members: type("Mine", (base,), members), TypeError, "Mine", *members, *adapter)
+        for base, members in wrong
+    )
+
+
+def test_rejects_what_needs_the_adapter_and_what_it_does_not_take():
+    class Counting(Ring):
+        def reset_post_sim_init(self):
+            self.count = 0
+
+    class Moving(Bands):
+        def after_step(self, sim_time):
+            pass
+
+    def read():
+        from bsk_torch.data.base import DataStore
+
+        return DataStore
+
+    hooks = "link_satellites", "reset_post_sim_init", "comm.LOSCommunication"
+    table = [
+        refusal(lambda: crew(data.NoReward(), Ring()), TypeError, "communicator=", "per_environment(communicator)"),
+        refusal(lambda: crew(VisitReward()), TypeError, "rewarder=", "bsk_torch.per_environment(rewarder)"),
+        refusal(lambda: imaging(data.NoReward(), Bands(40)), TypeError, "scenario=", "bsk_torch.per_environment(scenario)"),
+        refusal(lambda: read(), ImportError, "bsk_torch.bsk_rl.data", "bsk_torch.per_environment"),
+        refusal(lambda: per_environment(Counting()), TypeError, "Counting()", "reset_post_sim_init"),
+        refusal(lambda: per_environment(one_comm.LOSCommunication()), TypeError, *hooks),
+        refusal(lambda: per_environment(Moving(40)), TypeError, "after_step", "regenerate_targets()"),
+        refusal(lambda: per_environment(scene.UniformTargets(40)), TypeError, "UniformTargets"),
+        refusal(lambda: per_environment(data.NoReward()), TypeError, "NoReward"),
+        refusal(lambda: per_environment(VisitReward), TypeError, "VisitReward", "parentheses"),
+        refusal(lambda: per_environment(3.0), TypeError, "per_environment(3.0)"),
+        refusal(lambda: Pickler(io.BytesIO(), set(), lambda value: None).dump({"loop": math.sin}), TypeError, "sin", "class"),
+    ]
+    check_refusals(table)
+
+
+def test_rejects_wrong_results_for_one_episode():
+    class Listed(comm.CommunicationMethod):
+        def communication_pairs(self):
+            return [(self.satellites[0], self.satellites[1])]
+
+    class Numbered(Ring):
+        def communication_pairs(self):
+            return [1, 2]
+
+    class Partial(VisitReward):
+        def calculate_reward(self, new_data_dict):
+            return {"S0": 1.0}
+
+    class Kept(one.UniqueImageReward):
+        def create_data_store(self, satellite):
+            super().create_data_store(satellite)
+            satellite.add_access_filter(lambda opportunity: True)
+
+    listed, numbered = crew(data.NoReward(), Listed()), crew(data.NoReward(), per_environment(Numbered()))
+    partial, kept = crew(per_environment(Partial())), imaging(per_environment(Kept()))
+    for env in (listed, numbered, partial):
+        env.reset()
+    play(kept, 1)
+    method = "bsk_torch.bsk_rl.comm", "per_environment(method)"
+    table = [
+        refusal(lambda: step(listed), AttributeError, "Listed.satellites", *method),
+        refusal(lambda: step(numbered), TypeError, "Numbered.communication_pairs()", [1, 2], "(sender, receiver)"),
+        refusal(lambda: step(partial), TypeError, "Partial.calculate_reward(new_data_dict)", ["S0", "S1", "S2"]),
+        refusal(lambda: kept.get_state(), TypeError, "Kept", "function", "class"),
+    ]
+    check_refusals(table)

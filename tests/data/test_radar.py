@@ -1,6 +1,5 @@
 """Clouds hide targets from satellites that do not see through them, and from these only."""
 
-import pytest
 import torch
 
 from bsk_torch import ConstellationTasking, act, comm, data, obs, sats, scene
@@ -93,10 +92,3 @@ def test_what_is_known_of_clouds_is_saved_with_the_episodes():
     assert hidden(other) == [[0], [], []]
     env.reset()
     assert hidden(env) == [[], [], []]
-
-
-def test_wrong_attributes_are_rejected():
-    with pytest.raises(ValueError, match=r"Radar\.sees_through_clouds=0\.5 must be True or False"):
-        cluster(type("Radar", (Optical,), {"sees_through_clouds": 0.5}), Optical, Optical)
-    with pytest.raises(TypeError, match="sees_trough_clouds is never used; did you mean 'sees_through_clouds'"):
-        type("Radar", (Optical,), {"sees_trough_clouds": True})

@@ -87,25 +87,3 @@ def test_a_fixed_weight_is_observed_too():
     env = make(2, data.ResourceReward(3.0, elapsed), (obs.ResourceRewardWeight(),))
     assert env.reset()["observation"].tolist() == [[3.0], [3.0]]
     assert torch.allclose(step(env)["reward"], torch.full((2, 1), 180.0, dtype=torch.float64))
-
-
-@pytest.mark.parametrize(
-    ("call", "error", "words"),
-    [
-        (lambda: data.ResourceReward(elapsed, -1.0), TypeError, "resource_fn=-1.0 must be a function of the satellite"),
-        (lambda: data.ResourceReward(2.0), TypeError, "resource_fn=None must be a function of the satellite"),
-        (lambda: make(2, data.NoReward()), ValueError, "'resource_reward_weight' observes weights .* a NoReward, does not have"),
-        (lambda: make(2, data.ResourceReward(2.0, elapsed)), ValueError, "'half' has 2 norms for 1 weights"),
-        (lambda: make(2, (data.ResourceReward(lambda: np.nan, elapsed),) * 2).reset(), ValueError, "must give a finite number"),
-        (lambda: step(_begun(lambda sat: sat.dynamics.r_BN_N)), TypeError, "one number for each satellite"),
-    ],
-)
-def test_what_is_no_resource_is_refused(call, error, words):
-    with pytest.raises(error, match=words):
-        call()
-
-
-def _begun(resource):
-    env = make(3, (data.ResourceReward(1.0, resource),) * 2)
-    env.reset()
-    return env

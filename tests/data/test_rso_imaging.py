@@ -15,38 +15,6 @@ from tests.support.rso_imaging import Imager, catalog, environment, play
 CHARGE, DOWNLINK, FIRST = 0, 1, 2
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        (dict(quality_threshold=1.5), "quality_threshold=1.5"),
-        (dict(cooldown_s=-1.0), "cooldown_s=-1.0"),
-        (dict(multi_imager_credit="both"), "multi_imager_credit='both' must be one of"),
-        (dict(acquisition_reward_fn=3.0), "acquisition_reward_fn=3.0 must be a function"),
-        (dict(delivery_reward_fn="priority"), "delivery_reward_fn='priority'"),
-    ],
-)
-def test_wrong_arguments_are_named(changes, message):
-    with pytest.raises(ValueError, match=message):
-        data.RSOImageReward(**changes)
-
-
-def test_several_imagers_need_a_mode_and_a_catalog():
-    with pytest.raises(ValueError, match="needs multi_imager_credit='shared' or 'per_imager'"):
-        environment(imagers=2, rewarder=data.RSOImageReward())
-    with pytest.raises(ValueError, match=r"needs scene\.RSOTargets"):
-        environment(scenario=scene.UniformNadirScanning())
-
-
-@pytest.mark.compiled
-def test_a_reward_must_be_finite_and_have_a_shape():
-    env = environment(rewarder=data.RSOImageReward(lambda record, target: target.priority / 0.0, quality_threshold=0.0))
-    env.reset()
-    with pytest.raises(ValueError, match=r"acquisition_reward_fn\(record, target\) is inf for an image of 'object 1'"):
-        play(env, FIRST)
-    with pytest.raises(TypeError, match="acquisition_reward_fn"):
-        environment(rewarder=data.RSOImageReward(lambda record, target: target.priority.sum()), num_envs=1)
-
-
 @pytest.mark.compiled
 def test_acquisition_and_delivery_pay_once():
     seen = {}

@@ -31,31 +31,6 @@ def ids(env, imager, count=4):
     return env.scenario.candidate_ids(env.satellites[0], imager, count)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        (dict(delivery_share=1.5), "delivery_share=1.5"),
-        (dict(quality_threshold=-1.0), "quality_threshold=-1.0"),
-        (dict(cooldown_s=-1.0), "cooldown_s=-1.0"),
-        (dict(same_time_s=-1.0), "same_time_s=-1.0"),
-    ],
-)
-def test_wrong_arguments_are_named(changes, message):
-    with pytest.raises(ValueError, match=message):
-        data.RSOTeamReward(**changes)
-
-
-def test_what_does_not_fit_together_is_named():
-    with pytest.raises(ValueError, match="knowledge='mine' must be one of"):
-        targets(knowledge="mine")
-    with pytest.raises(ValueError, match="knowledge='common'"):
-        team(scenario=targets(knowledge="common"))
-    with pytest.raises(ValueError, match="block_pending_targets=True"):
-        team(scenario=targets(block_pending_targets=False))
-    with pytest.raises(RuntimeError, match=r"data\.RSOTeamReward"):
-        team(rewarder=data.RSOImageReward(multi_imager_credit="shared"))
-
-
 @pytest.mark.compiled
 @pytest.mark.parametrize("told", [False, True])
 def test_candidates_follow_from_what_an_imager_knows(told):

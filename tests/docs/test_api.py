@@ -31,7 +31,6 @@ def packages():
     return [name for name in found if not name.startswith(inside)]
 
 
-@pytest.mark.pages
 def test_every_public_name_is_in_the_reference(site):
     import sphobjinv
 
@@ -67,7 +66,6 @@ def test_no_package_is_forgotten():
     assert not [name for name in packages() if name not in listed]
 
 
-@pytest.mark.pages
 def test_members_of_classes_have_entries(site):
     import sphobjinv
 

@@ -27,7 +27,6 @@ def presets():
     PRESETS.update(known)
 
 
-@pytest.mark.pages
 @pytest.mark.compiled
 @pytest.mark.parametrize("path", RUNNABLE, ids=name)
 def test_blocks(path, tmp_path, monkeypatch, presets):

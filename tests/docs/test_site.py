@@ -10,7 +10,7 @@ import pytest
 
 from tests.support.blocks import ROOT
 
-pytestmark = [pytest.mark.pages, pytest.mark.docs, pytest.mark.xdist_group("site")]
+pytestmark = [pytest.mark.docs, pytest.mark.xdist_group("site")]
 
 GENERATED = re.compile(r"^<!-- generated: ", re.MULTILINE)
 

@@ -63,7 +63,6 @@ def small(name: str) -> str:
     return source
 
 
-@pytest.mark.pages
 @pytest.mark.compiled
 @pytest.mark.parametrize("name", SIZES)
 def test_runs(name, tmp_path, monkeypatch):

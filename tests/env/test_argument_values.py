@@ -140,7 +140,6 @@ def test_some_episodes():
     assert not wrong, "\n".join(wrong)
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize("preset", SMALL)
 def test_all_episodes(preset):
     wrong = [words for words in map(play, cases(preset)) if words]

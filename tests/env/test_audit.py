@@ -94,7 +94,7 @@ def test_the_audit_sees_waits(function, waits):
     assert sum(audit.waits.values()) == waits, audit.waits
 
 
-@pytest.fixture(scope="module", params=[4, pytest.param(64, marks=pytest.mark.nightly)])
+@pytest.fixture(scope="module", params=[4, 64])
 def started(request):
     """An environment, and what has been seen of it after a reset."""
     env = bsk_torch.make("NadirScan-v1", num_envs=request.param, seed=4, backend="eager", max_step_duration=20.0)

@@ -70,7 +70,7 @@ def assert_close(eager: Simulator, fast: Simulator) -> None:
         assert ((a - b).abs().max() / scale) < RELATIVE * (1e3 if name in AMPLIFIED else 1.0), name
 
 
-@pytest.mark.parametrize("orbit", ["arc", pytest.param("integrated", marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("orbit", ["arc", "integrated"])
 def test_equals_eager(orbit):
     eager, fast = (make(backend, 5, orbit=orbit) for backend in ("eager", "compiled"))
     starts = eager.reset(), fast.reset()
@@ -176,7 +176,6 @@ def simulate(backend) -> Simulator:
     return simulator
 
 
-@pytest.mark.nightly
 def test_what_has_no_kernel_is_compiled_by_inductor(caplog):
     eager = simulate("eager")
     with caplog.at_level(logging.WARNING, logger="bsk_torch"):

@@ -14,6 +14,7 @@ from torchrl.envs.utils import check_env_specs, check_marl_grouping
 from bsk_torch import NO_ACTION, ConstellationTasking, SatelliteTasking, act, comm, data, formations, obs, rand, sats, scene
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.access.lookahead import LookAhead
+from tests.support.refusals import check_refusals, refusal
 
 pytestmark = pytest.mark.compiled
 
@@ -471,85 +472,56 @@ def test_users_communication() -> None:
     assert first.sum() < second.sum()
 
 
-WRONG = {
-    "no satellites": (lambda: build([]), ValueError, "satellites is empty"),
-    "twins": (lambda: build([*imagers(1), *imagers(1)]), ValueError, "several called \\['EO0'\\]"),
-    "class": (lambda: build([Imager]), TypeError, "with parentheses"),
-    "unknown member": (
-        lambda: build(imagers(2), meta_agent_groupings={"pair": ["EO0", "EO7"]}),
-        ValueError,
-        "'EO7', which is not a satellite; did you mean 'EO[01]'",
-    ),
-    "two agents": (
-        lambda: build(imagers(2), meta_agent_groupings={"a": ["EO0"], "b": ["EO0"]}),
-        ValueError,
-        "'EO0' belongs to 'a' and to 'b'",
-    ),
-    "no members": (lambda: build(imagers(2), meta_agent_groupings={"a": []}), ValueError, "at least one satellite"),
-    "joint and meta": (lambda: build(imagers(2), joint=True, meta_agent_groupings={"a": ["EO0"]}), ValueError, "joint=True"),
-    "unlike in a group": (lambda: mixed(group_map={"all": ["EO0", "EO1", "Relay1"]}), ValueError, "different types"),
-    "missing in map": (lambda: build(imagers(2), group_map={"x": ["EO0"]}), ValueError, "lacks \\['EO1'\\]"),
-    "dict in meta": (
-        lambda: build(
-            [Imager(f"EO{k}", ARGS, obs_type=dict, may_see_nothing=True) for k in range(2)],
-            meta_agent_groupings={"a": ["EO0", "EO1"]},
-        ),
-        ValueError,
-        "obs_type=torch.Tensor",
-    ),
-    "no sight": (
-        lambda: build([Blind(f"B{k}", ARGS) for k in range(2)], communicator=comm.LOSCommunication()),
-        TypeError,
-        "LOSCommDynModel",
-    ),
-    "no imager": (
-        lambda: build([Relay("A"), Relay("B")], scenario=None),
-        ValueError,
-        "UniqueImageReward needs a scenario with targets",
-    ),
-    "nobody sees targets": (lambda: build([Relay("A")], rewarder=None), ValueError, "needs a satellite that sees targets"),
-    "planes": (
-        lambda: build(imagers(4), sat_arg_randomizer=formations.walker_delta_args(3)),
-        ValueError,
-        "3",
-    ),
-    "randomizer": (lambda: build(imagers(1), sat_arg_randomizer=3), TypeError, "sat_arg_randomizer=3"),
-    "randomizer's satellite": (
-        lambda: build(imagers(1), sat_arg_randomizer=lambda satellites: {"EO9": {"mass": 1.0}}),
-        ValueError,
-        "'EO9', which is not a satellite; did you mean 'EO0'",
-    ),
-    "randomizer's argument": (
-        lambda: build(imagers(1), sat_arg_randomizer=lambda satellites: {"EO0": {"masss": 1.0}}),
-        KeyError,
-        "did you mean 'mass'",
-    ),
-    "world": (lambda: build(imagers(1), world_args={"utcinit": "x"}), KeyError, "did you mean 'utc_init'"),
-    "number": (lambda: build(imagers(1), num_envs=0), ValueError, "num_envs=0"),
-}
-
-
 class Blind(Imager):
     dyn_type = dyn.ImagingDynModel
 
 
-@pytest.mark.parametrize("case", WRONG)
-def test_bad_arguments_are_named(case: str) -> None:
-    wrong, error, text = WRONG[case]
-    with pytest.raises(error, match=text):
-        wrong()
+def test_rejects_wrong_satellites_and_agents():
+    meta = lambda groupings: build(imagers(2), meta_agent_groupings=groupings)
+    named = [Imager(f"EO{k}", ARGS, obs_type=dict, may_see_nothing=True) for k in range(2)]
+    joint = lambda: build(imagers(2), joint=True, meta_agent_groupings={"a": ["EO0"]})
+    table = [
+        refusal(lambda: build([]), ValueError, "satellites", "empty"),
+        refusal(lambda: build([*imagers(1), *imagers(1)]), ValueError, "satellites", ["EO0"]),
+        refusal(lambda: build([Imager]), TypeError, "satellites", "Imager", "parentheses"),
+        refusal(lambda: meta({"pair": ["EO0", "EO7"]}), ValueError, "meta_agent_groupings['pair']", "'EO7'", "'EO0'", "'EO1'"),
+        refusal(lambda: meta({"a": ["EO0"], "b": ["EO0"]}), ValueError, "meta_agent_groupings", "'EO0'", "'a'", "'b'"),
+        refusal(lambda: meta({"a": []}), ValueError, "meta_agent_groupings['a']", "[]"),
+        refusal(lambda: build(named, meta_agent_groupings={"a": ["EO0", "EO1"]}), ValueError, "'a'", "EO0", "obs_type"),
+        refusal(joint, ValueError, "joint=True", "meta_agent_groupings"),
+        refusal(lambda: build(imagers(2), group_map={"x": ["EO0"]}), ValueError, "group_map", ["EO1"]),
+        refusal(lambda: mixed(group_map={"all": ["EO0", "EO1", "Relay1"]}), ValueError, "group_map['all']", "'EO0'", "'Relay1'"),
+    ]
+    check_refusals(table)
 
 
-def test_bad_actions_are_named() -> None:
-    env = build(imagers(2), num_envs=2)
+def test_rejects_wrong_options():
+    unseen = lambda: build([Blind(f"B{k}", ARGS) for k in range(2)], communicator=comm.LOSCommunication())
+    randomized = lambda randomizer, count=1: build(imagers(count), sat_arg_randomizer=randomizer)
+    table = [
+        refusal(unseen, TypeError, "LOSCommDynModel", "B0", "ImagingDynModel"),
+        refusal(lambda: build([Relay("A"), Relay("B")], scenario=None), ValueError, "UniqueImageReward", "targets"),
+        refusal(lambda: build([Relay("A")], rewarder=None), ValueError, "scene.UniformTargets", "sats.ImagingSatellite", "Relay"),
+        refusal(lambda: randomized(formations.walker_delta_args(3), 4), ValueError, "n_planes=3", [1, 2, 4]),
+        refusal(lambda: randomized(3), TypeError, "sat_arg_randomizer=3"),
+        refusal(lambda: randomized(lambda _: {"EO9": {"mass": 1.0}}), ValueError, "sat_arg_randomizer", "'EO9'", "'EO0'"),
+        refusal(lambda: randomized(lambda _: {"EO0": {"masss": 1.0}}), KeyError, "sat_arg_randomizer", "'masss'", "'mass'"),
+        refusal(lambda: build(imagers(1), world_args={"utcinit": "x"}), KeyError, "world_args", "'utcinit'", "'utc_init'"),
+        refusal(lambda: build(imagers(1), num_envs=0), ValueError, "num_envs=0"),
+    ]
+    check_refusals(table)
+
+
+def test_rejects_wrong_actions() -> None:
+    env = build(imagers(2), num_envs=2, backend="eager")
     env.reset()
-    for action, error, text in (
-        (torch.tensor([[0, 6], [0, 0]]), ValueError, "action 6 of satellite EO1 of environment 0 is out of range; legal are 0:"),
-        (torch.zeros(2, 2), TypeError, "dtype torch.float32"),
-        (torch.zeros(2, dtype=torch.long), ValueError, "shape \\[2\\]; it must be \\[2, 2\\]"),
-    ):
-        with pytest.raises(error, match=text):
-            env.play([action], torch.ones(2, dtype=torch.bool))
+    act = lambda action: env.play([action], torch.ones(2, dtype=torch.bool))
+    table = [
+        refusal(lambda: act(torch.tensor([[0, 6], [0, 0]])), ValueError, "action 6", "EO1", "environment 0", "0: action_charge"),
+        refusal(lambda: act(torch.zeros(2, 2)), TypeError, "action", "torch.float32", "torch.int64"),
+        refusal(lambda: act(torch.zeros(2, dtype=torch.long)), ValueError, "action", [2], [2, 2]),
+    ]
+    check_refusals(table)
 
 
 def test_a_users_randomizer_is_asked_for_every_episode() -> None:

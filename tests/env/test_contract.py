@@ -306,9 +306,3 @@ def test_reseeded_environments_begin_with_the_first_episode_of_their_seed():
     assert env.episode.tolist() == [0, 1, 1]
     env.reseed(8)
     assert torch.equal(env.reset()["observation"], first)
-
-
-@pytest.mark.parametrize(("seeds", "words"), [([1, 2], "seed has 2 entries"), (-1, "seed=-1 must be"), ([1, 2, 0.5], "seed=0.5")])
-def test_seeds_are_checked(seeds, words):
-    with pytest.raises(ValueError, match=words):
-        make(3).reseed(seeds)

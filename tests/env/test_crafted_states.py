@@ -30,12 +30,11 @@ def assert_ended_well(result: dict) -> None:
     assert result["ends"]["played"] > 10  # numbers that are possible
 
 
-@pytest.mark.parametrize("name", ["NadirScan-v1", pytest.param("Constellation-v1", marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("name", ["NadirScan-v1", "Constellation-v1"])
 def test_spoilt_states(name):
     assert_ended_well(attack(1, name)[name])
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize("name", crafted.PRESETS)
 def test_all_spoilt_states(name):
     assert_ended_well(attack(8, name)[name])

@@ -14,7 +14,6 @@ from bsk_torch.rl.policies import pretrained
 from bsk_torch.rl.training import train
 from tests.env.default_dtype import CASES, Made
 from tests.rl.test_training import TINY, weights
-from tests.support.nightly import by_night
 from tests.support.programs import run_script
 
 PROGRAM = Path(__file__).with_name("default_dtype.py")
@@ -67,10 +66,7 @@ def digest(tensor):
 @pytest.mark.compiled
 @pytest.mark.parametrize(
     ("dtype", "cases"),
-    by_night(
-        [("bfloat16", SOME), ("float16", FEW), ("float64", FEW), *((name, [*CASES]) for name in TYPES)],
-        [(name, [*CASES]) for name in TYPES],
-    ),
+    [("bfloat16", SOME), ("float16", FEW), ("float64", FEW), *((name, [*CASES]) for name in TYPES)],
 )
 def test_episodes_are_the_same_under_every_default_type(played, dtype, cases):
     expected, found = played("float32", cases), played(dtype, cases)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any
 
 import pytest
 import torch
 
 from bsk_torch import ConstellationTasking, SatelliteTasking, act, data, obs, rand, sats, scene
-from bsk_torch.basilisk.flight import problem_of
 from bsk_torch.constants import RPM
 from bsk_torch.sim import dyn, fsw
 
@@ -180,21 +178,3 @@ def test_saved_episodes_go_on():
     other.restore(env.get_state())
     ends = [one.step(td.clone().set("action", torch.full((N,), 2)))["next"]["duration"] for one in (env, other)]
     assert torch.equal(*ends)
-
-
-# -- errors -----------------------------------------------------------------------------------------------------------------
-
-
-def test_unknown_checks_are_rejected():
-    with pytest.raises(ValueError, match=re.escape("failures='continous' must be one of ['step', 'continuous']; did you mean")):
-        single(RICH, "continous")
-
-
-def test_a_satellite_that_ends_no_steps_is_rejected():
-    with pytest.raises(ValueError, match="A has variable_interval=False, so that nothing in it ends a step"):
-        SatelliteTasking(Scanner("A", variable_interval=False), failures="continuous", max_step_duration=60.0)
-
-
-def test_what_bsk_rl_does_not_check_is_not_flown_there():
-    with pytest.raises(ValueError, match="bsk_rl checks satellites at the end of steps"):
-        problem_of(single(RICH, backend="eager"), "NadirScan-v1")

@@ -12,6 +12,7 @@ from bsk_torch import SatelliteTasking, act, data, fsw, obs, rand, sats, scene
 from bsk_torch.obs.base import ObservationBuilder
 from bsk_torch.presets.aeos import agile_args
 from bsk_torch.sim.access.window_table import next_to_close
+from tests.support.refusals import check_refusals, refusal
 
 pytestmark = pytest.mark.compiled
 
@@ -465,75 +466,25 @@ def test_more_targets_are_seen_above_the_horizon(compat):
     assert counts[0] > counts[1] > 5
 
 
-class TestBadInput:
-    def test_targets_on_a_satellite_that_sees_none(self):
-        class Blind(sats.AccessSatellite):
-            observation_spec = (obs.Time(),)
-            action_spec = (act.Charge(duration=60.0),)
-
-        with pytest.raises(ValueError, match=r"needs a satellite that sees targets, such as a sats\.ImagingSatellite"):
-            SatelliteTasking(Blind("B"), scene.UniformTargets(10), backend="eager")
-
-    def test_images_without_targets(self):
-        with pytest.raises(ValueError, match="and a scenario with targets"):
-            imager(1, targets=scene.UniformNadirScanning())
-        with pytest.raises(ValueError, match=r"a scenario with targets, such as scene\.UniformTargets"):
-            SatelliteTasking(varied(observation_spec=(obs.Time(),))("E"), backend="eager")
-
-    def test_observation_of_targets_without_access(self):
-        class Blind(sats.Satellite):
-            observation_spec = (obs.OpportunityProperties(dict(prop="priority"), n_ahead_observe=1),)
-            action_spec = (act.Charge(duration=60.0),)
-
-        with pytest.raises(ValueError, match=r"targets need a sats\.ImagingSatellite and a scenario"):
-            SatelliteTasking(Blind("B"), backend="eager")
-
-    @pytest.mark.parametrize("limit", [-0.1, math.pi / 2, 58.0])
-    def test_elevation_limits(self, limit):
-        with pytest.raises(ValueError, match="imageTargetMinimumElevation"):
-            imager(2, sat_args=dict(imageTargetMinimumElevation=limit), backend="eager")
-
-    def test_numbers_of_targets_ahead(self):
-        with pytest.raises(ValueError, match="n_ahead_image=0"):
-            act.Image(0)
-        with pytest.raises(ValueError, match="max_duration=-1"):
-            act.Image(3, max_duration=-1.0)
-
-    def test_nothing_in_reach(self):
-        """A satellite over the equator never sees a target at the pole."""
-        pole = scene.Targets([[0.0, 0.0, 6378136.6]], 1.0)
-        with pytest.raises(RuntimeError, match=r"no target comes into view of environments \[0\]"):
-            imager(2, targets=pole, sat_args=dict(oe=rand.random_orbit(i=0.0)))
-
-    def test_satellites_that_may_see_nothing_wait(self):
-        pole = scene.Targets([[0.0, 0.0, 6378136.6]], 1.0)
-        options = dict(sat_args=dict(oe=rand.random_orbit(i=0.0)), options=dict(may_see_nothing=True))
-        env = imager(
-            3,
-            targets=pole,
-            satellite=varied(action_spec=(act.Charge(duration=60.0), act.Image(2, mask_repeated=True))),
-            **options,
-        )
-        td = env.reset()
-        assert (td["observation"][:, 1:-1] == 0.0).all()
-        assert td["action_mask"].tolist() == [[True, False, False]] * 3
-        length = env.simulator.arcs.length
-        for _ in range(3):
-            td = step(env, 1)
-            assert (td["duration"] == 600.0).all()
-        assert env.satellite.latest_target.tolist() == [-1] * 3
-        assert env.satellite.missed.tolist() == [0] * 3
-        assert env.simulator.arcs.length <= length + 3600.0
-
-    def test_priority_of_stations(self):
-        with pytest.raises(ValueError, match="prop='priority' is a property of targets"):
-            obs.OpportunityProperties(dict(prop="priority"), type="ground_station", n_ahead_observe=1)
-
-    def test_threshold_of_clouds(self):
-        with pytest.raises(ValueError, match="threshold=70"):
-            data.CloudFreeImageReward(threshold=70)
-        with pytest.raises(ValueError, match=r"needs scene\.CloudyTargets"):
-            imager(1, rewarder=data.CloudFreeImageReward())
+def test_satellites_that_may_see_nothing_wait():
+    pole = scene.Targets([[0.0, 0.0, 6378136.6]], 1.0)
+    options = dict(sat_args=dict(oe=rand.random_orbit(i=0.0)), options=dict(may_see_nothing=True))
+    env = imager(
+        3,
+        targets=pole,
+        satellite=varied(action_spec=(act.Charge(duration=60.0), act.Image(2, mask_repeated=True))),
+        **options,
+    )
+    td = env.reset()
+    assert (td["observation"][:, 1:-1] == 0.0).all()
+    assert td["action_mask"].tolist() == [[True, False, False]] * 3
+    length = env.simulator.arcs.length
+    for _ in range(3):
+        td = step(env, 1)
+        assert (td["duration"] == 600.0).all()
+    assert env.satellite.latest_target.tolist() == [-1] * 3
+    assert env.satellite.missed.tolist() == [0] * 3
+    assert env.simulator.arcs.length <= length + 3600.0
 
 
 def test_shield_forbids_what_is_dangerous():
@@ -561,3 +512,34 @@ def test_vectors_are_the_leaves_of_dictionaries_in_order(as_set):
     values = env.satellite.observations.get_dict()
     assert torch.equal(seen, ObservationBuilder.vector(values, torch.float64))
     assert len(env.satellite.observation_description) == seen.shape[1]
+
+
+def test_rejects_what_does_not_fit_targets():
+    def blind(base, *entries, scenario=None):
+        kind = type("Blind", (base,), dict(observation_spec=entries, action_spec=(act.Charge(duration=60.0),)))
+        return SatelliteTasking(kind("B"), scenario, backend="eager")
+
+    priority = obs.OpportunityProperties(dict(prop="priority"), n_ahead_observe=1)
+    stations = lambda: obs.OpportunityProperties(dict(prop="priority"), type="ground_station", n_ahead_observe=1)
+    elevated = lambda limit: imager(2, sat_args=dict(imageTargetMinimumElevation=limit), backend="eager")
+    sightless = lambda: SatelliteTasking(varied(observation_spec=(obs.Time(),))("E"), backend="eager")
+    nadir, targets, clouds = scene.UniformNadirScanning(), scene.UniformTargets(10), data.CloudFreeImageReward
+    table = [
+        refusal(lambda: blind(sats.AccessSatellite, obs.Time(), scenario=targets), ValueError, "UniformTargets", "Blind"),
+        refusal(lambda: imager(1, targets=nadir, backend="eager"), ValueError, "action_image", "EO", "scene.UniformTargets"),
+        refusal(sightless, ValueError, "action_image", "E", "scene.UniformTargets"),
+        refusal(lambda: blind(sats.Satellite, priority), ValueError, "type='target'", "sats.ImagingSatellite"),
+        *(refusal(lambda e=e: elevated(e), ValueError, f"imageTargetMinimumElevation={e:g}") for e in (-0.1, math.pi / 2, 58.0)),
+        refusal(lambda: act.Image(0), ValueError, "n_ahead_image=0"),
+        refusal(lambda: act.Image(3, max_duration=-1.0), ValueError, "max_duration=-1"),
+        refusal(stations, ValueError, "prop='priority'", "'ground_station'"),
+        refusal(lambda: clouds(threshold=70), ValueError, "threshold=70"),
+        refusal(lambda: imager(1, rewarder=clouds(), backend="eager"), ValueError, "CloudFreeImageReward", "scene.CloudyTargets"),
+    ]
+    check_refusals(table)
+
+
+def test_rejects_targets_that_a_satellite_never_sees():
+    pole, equator = scene.Targets([[0.0, 0.0, 6378136.6]], 1.0), dict(oe=rand.random_orbit(i=0.0))
+    out_of_reach = lambda: imager(2, targets=pole, sat_args=equator, backend="eager")
+    check_refusals([refusal(out_of_reach, RuntimeError, "target", "environments [0]", "imageTargetMinimumElevation")])

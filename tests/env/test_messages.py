@@ -6,6 +6,7 @@ from torchrl.envs import StepCounter
 
 import bsk_torch
 from bsk_torch.env.messages import ATTRIBUTES
+from tests.support.refusals import check_refusals, refusal
 from tests.wrappers.constellations import trio
 
 
@@ -21,36 +22,16 @@ def test_an_attribute_of_gymnasium_names_the_one_to_read(env, name):
         getattr(env, name)
 
 
-def test_the_advice_reaches_through_transforms(env):
-    with pytest.raises(AttributeError, match=r"read env\.action_spec"):
-        env.append_transform(StepCounter()).action_space  # noqa: B018
-
-
-def test_other_unknown_attributes_fail_as_ever(env):
-    with pytest.raises(AttributeError, match="no attribute 'satelite'"):
-        env.satelite  # noqa: B018
-
-
-@pytest.mark.parametrize(
-    ("arguments", "advice"),
-    [
-        ({"seed": 1}, r"env\.set_seed\(seed\)"),
-        ({"options": {}}, "set_state=True"),
-        ({"sed": 1}, "tensordict and set_state"),
-    ],
-)
-def test_reset_refuses_arguments_that_it_would_ignore(env, arguments, advice):
-    with pytest.raises(TypeError, match=advice):
-        env.reset(**arguments)
-
-
-@pytest.mark.parametrize("action", [0, [0, 1], torch.tensor([0, 1])], ids=str)
-def test_step_refuses_bare_actions(env, action):
-    with pytest.raises(TypeError, match=r"td\['action'\] = actions; td = env\.step\(td\)\['next'\].*GymEnv"):
-        env.step(action)
-
-
-def test_a_constellation_names_the_action_of_its_group():
-    env = trio(backend="eager")
-    with pytest.raises(TypeError, match=r"td\['agents', 'action'\] = actions"):
-        env.step([0, 1, 2])
+def test_rejects_calls_of_gymnasium(env):
+    """The advice reaches through transforms; an unknown attribute fails as ever; a constellation names its group."""
+    group, step = trio(backend="eager"), ("td['action']", "env.step(td)", "GymEnv")
+    table = [
+        refusal(lambda: env.append_transform(StepCounter()).action_space, AttributeError, "'action_space'", "env.action_spec"),
+        refusal(lambda: env.satelite, AttributeError, "'satelite'"),
+        refusal(lambda: env.reset(seed=1), TypeError, "seed", "env.set_seed(seed)"),
+        refusal(lambda: env.reset(options={}), TypeError, "options", "set_state=True"),
+        refusal(lambda: env.reset(sed=1), TypeError, "sed", "tensordict", "set_state"),
+        *(refusal(lambda a=a: env.step(a), TypeError, a, *step) for a in (0, [0, 1], torch.tensor([0, 1]))),
+        refusal(lambda: group.step([0, 1, 2]), TypeError, [0, 1, 2], "td['agents', 'action']"),
+    ]
+    check_refusals(table)

@@ -8,6 +8,7 @@ import torch
 from torchrl.envs.utils import check_env_specs
 
 from bsk_torch import ConstellationTasking, SatelliteTasking, act, data, obs, rand, sats, scene
+from tests.support.refusals import check_refusals, refusal
 from tests.support.rso_imaging import EPOCH, KEPT, Imager, catalog, environment, play, state
 
 pytestmark = pytest.mark.compiled
@@ -96,21 +97,22 @@ def test_one_imager_is_an_environment_of_one_agent():
     assert td["next", "reward"].shape == (4, 4, 1)
 
 
-def test_a_wrong_saved_state_is_refused():
-    env = drawn(2)
+def test_rejects_wrong_saved_states():
+    env = drawn(2, backend="eager")
     env.reset()
-    saved = env.get_state()
-    saved["memory", "rso_pending"][0, 0] = -1
-    with pytest.raises(ValueError, match="rso_pending"):
+
+    def restore(*key, row, value):
+        saved = env.get_state()
+        saved[("memory", *key)][row] = value
         env.restore(saved)
-    saved = env.get_state()
-    saved["memory", "rso_orbits", "steps"][0, 1] += 1
-    with pytest.raises(ValueError, match="rso_orbits"):
-        env.restore(saved)
-    saved = env.get_state()
-    saved["memory", "rso_orbits", "flights"][1, 0] = torch.nan
-    with pytest.raises(ValueError, match=r"rso_orbits\.flights"):
-        env.restore(saved)
+
+    steps = env.get_state()["memory", "rso_orbits", "steps"][0, 1] + 1
+    table = [
+        refusal(lambda: restore("rso_pending", row=(0, 0), value=-1), ValueError, "rso_pending", -1),
+        refusal(lambda: restore("rso_orbits", "steps", row=(0, 1), value=steps), ValueError, "rso_orbits", int(steps)),
+        refusal(lambda: restore("rso_orbits", "flights", row=(1, 0), value=torch.nan), ValueError, "rso_orbits.flights", "nan"),
+    ]
+    check_refusals(table)
 
 
 def test_a_reset_of_some_environments_leaves_the_others():

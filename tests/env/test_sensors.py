@@ -47,23 +47,6 @@ def fly(env, steps, rule="local"):
     return td
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (dict(information="telepathy"), "information='telepathy' must be one of"),
-        (dict(retasking="never"), "retasking='never' must be one of"),
-        (dict(delivery_share=2.0), "delivery_share=2.0"),
-        (dict(mixture="MEO"), "MEO"),
-        (dict(order="distance"), "order='distance' must be one of"),
-        (dict(outlook=True), "outlook=True needs as_set=True"),
-        (dict(shielded=1), "shielded=1"),
-    ],
-)
-def test_wrong_arguments_are_named(options, message):
-    with pytest.raises(ValueError, match=message):
-        sensors(**options)
-
-
 @pytest.mark.parametrize(("name", "peers"), [("ThreeSensors-v1", 2), ("Walker4-v1", 3)])
 def test_candidates_are_observed_as_a_set(name, peers):
     """The same numbers as in one vector, by which the same rule decides alike."""
@@ -331,11 +314,6 @@ def test_shared_facts_avoid_duplicates():
     assert duplicates["ideal"] < 0.2 * duplicates["independent"]
 
 
-def test_rules_of_teams_need_a_team():
-    with pytest.raises(ValueError, match="knowledge='own'"):
-        bsk_torch.rule("local", bsk_torch.make("Services-v1", n_targets=12))
-
-
 def test_rules_of_teams_are_compared_with_and_stand_behind_no_shield():
     env = sensors("ThreeSensors-v1", backend="eager")
     assert set(shared_baselines(env)) == {"random", "local", "centralized", *WORTHS} - {"prompt", *AHEAD}
@@ -429,18 +407,3 @@ def test_the_state_of_the_team_is_what_has_been_heard_last(monkeypatch):
             expected = summary(env.scenario, e, a, known, now)
             assert td[group, "observation"][e, a, -24:].tolist() == pytest.approx(expected, rel=1e-9, abs=1e-12)
     assert sizes == {0, 1, 2}
-
-
-def test_the_state_of_a_team_has_its_size(monkeypatch):
-    class Two(SensorOfThree):
-        observation_spec = (obs.RSOTeamState(2), obs.RSOTeamState(2, name="again"))
-
-    class Four(SensorOfThree):
-        observation_spec = (obs.RSOTeamState(3),)
-
-    for kind, message in ((Two, "two observations obs.RSOTeamState"), (Four, "n_peers=3, but each imager has 2 peers")):
-        monkeypatch.setitem(KINDS, 3, (kind,) * 3)
-        with pytest.raises(ValueError, match=message):
-            sensors("ThreeSensors-v1", information="radio", backend="eager").reset()
-    with pytest.raises(ValueError, match="norm=0"):
-        obs.RSOTeamState(2, norm=0.0)

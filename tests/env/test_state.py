@@ -13,7 +13,6 @@ import torch
 from tensordict import TensorDict
 
 import bsk_torch
-from bsk_torch import scene
 from bsk_torch.sim.state import StateTable
 
 N = 7
@@ -291,35 +290,6 @@ def test_states_of_other_makes_are_refused(case):
     assert (env.get_state() == before).all()
 
 
-@pytest.mark.compiled
-@pytest.mark.parametrize(
-    ("envs", "source", "message"),
-    [
-        ([4], [0], "envs has indices"),
-        ([0], [-1], "source has indices"),
-        ([0, 1], [0], "envs has 2 indices, source has 1"),
-    ],
-)
-def test_wrong_rows_are_refused(envs, source, message):
-    env = SETUPS["scan"](num_envs=4, seed=1)
-    env.reset()
-    with pytest.raises(IndexError, match=message):
-        env.restore(env, torch.tensor(envs), torch.tensor(source))
-
-
-@pytest.mark.compiled
-def test_damaged_states_are_refused():
-    env = SETUPS["scan"](num_envs=4, seed=1)
-    env.reset()
-    state = env.get_state()
-    with pytest.raises(ValueError, match=r"satellites_0.mode. of the saved state is 99 in episodes .*must lie in \[0, 8\]"):
-        env.restore(state.clone().set(("satellites_0", "mode"), torch.full((4,), 99)))
-    with pytest.raises(ValueError, match=r"release 0\.1 cannot be restored"):
-        env.restore(state.clone().exclude("made_by"))
-    with pytest.raises(KeyError, match=r"lacks \['returns'\]"):
-        env.restore(state.clone().exclude("returns"))
-
-
 # -- the way of an action -----------------------------------------------------------------------------------------------------
 
 
@@ -349,12 +319,3 @@ def test_at_most_seven_frames_lie_between_a_step_and_its_kernel(setup):
     flown = [way for way in ways if "Simulator.run" in way and "LookAhead.reach" not in way]
     assert flown
     assert all(len(way) <= 7 for way in flown), flown
-
-
-def test_scenarios_that_draw_an_argument_are_refused():
-    class Draws(scene.Scenario):
-        def draw(self, key):
-            return {"mass": torch.zeros(len(key), dtype=torch.float64)}
-
-    with pytest.raises(ValueError, match=r"the scenario draws \['mass'\], which are arguments"):
-        bsk_torch.SatelliteTasking(make("scan", 1).builder.satellites[0], Draws())

@@ -14,6 +14,7 @@ from tensordict import TensorDict
 import bsk_torch
 from bsk_torch.env.base import ResetNeededError
 from bsk_torch.wrappers import GymEnv, GymJointEnv, GymVectorEnv, PettingZooEnv
+from tests.support.refusals import check_refusals, refusal
 
 pytestmark = pytest.mark.compiled
 
@@ -39,38 +40,24 @@ def acting(env, td=None):
 
 # -- before the first reset -----------------------------------------------------------------------------------------------------
 
-CALLS = {
-    "step": lambda env: env.step(acting(env)),
-    "partial step": lambda env: env.step(acting(env).set("_step", torch.tensor([True, False, False]))),
-    "rand_step": lambda env: env.rand_step(),
-    "rollout": lambda env: env.rollout(2, auto_reset=False, tensordict=acting(env)),
-    "get_state": lambda env: env.get_state(),
-    "render": lambda env: env.render(rows=0),
-    "restore from it": lambda env: make("scan").restore(env),
-}
 
+def test_calls_before_the_first_reset():
+    def unstarted(call, *names):
+        return refusal(call, ResetNeededError, *names, "reset()")
 
-@pytest.fixture(scope="module", params=SETUPS)
-def fresh(request):
-    """An environment that is never reset."""
-    return make(request.param)
-
-
-@pytest.mark.parametrize("call", [name for name in CALLS if name != "restore from it"])
-def test_calls_before_the_first_reset(fresh, call):
-    with pytest.raises(ResetNeededError, match=r"needs running episodes.*call reset\(\) first"):
-        CALLS[call](fresh)
-
-
-def test_episodes_that_have_not_begun_are_not_copied():
-    with pytest.raises(ResetNeededError, match=r"restore\(state\) needs running episodes.* have not begun"):
-        CALLS["restore from it"](make("scan"))
-
-
-def test_the_first_reset_starts_all(fresh):
-    """Observations of the others would be those of no satellite."""
-    with pytest.raises(ResetNeededError, match=r"reset\(\) of some environments needs .* \[1, 2\] .*call reset\(\) first"):
-        fresh.reset(TensorDict({"_reset": torch.tensor([[True], [False], [False]])}, [N]))
+    some, table = torch.tensor([True, False, False]), []
+    for env in map(make, SETUPS):
+        table += [
+            unstarted(lambda env=env: env.step(acting(env)), "step()"),
+            unstarted(lambda env=env: env.step(acting(env).set("_step", some)), "step()"),
+            unstarted(lambda env=env: env.rand_step(), "step()"),
+            unstarted(lambda env=env: env.rollout(2, auto_reset=False, tensordict=acting(env)), "step()"),
+            unstarted(lambda env=env: env.get_state(), "get_state()"),
+            unstarted(lambda env=env: env.render(rows=0), "render()", [0]),
+            unstarted(lambda env=env: env.reset(TensorDict({"_reset": some.unsqueeze(-1)}, [N])), "reset()", [1, 2]),
+        ]
+    scan, other = make("scan"), make("scan")
+    check_refusals([*table, unstarted(lambda: scan.restore(other), "restore(state)")])
 
 
 def test_a_new_seed_does_not_end_the_present_episodes():
@@ -109,24 +96,24 @@ VIEWS = {
 }
 
 
-def test_views_before_the_first_reset():
-    for name, build in VIEWS.items():
-        env = build()
-        action = {} if name == "pettingzoo" else env.action_space.sample()
-        calls = [lambda env=env, action=action: env.step(action)]
-        if name in ("gymnasium", "vector"):
-            calls.append(env.action_masks)
-        for call in calls:
-            with pytest.raises(ResetNeeded, match=r"call reset\(\) first"):
-                call()
+def test_rejects_calls_of_views_before_the_first_reset():
+    views = {name: build() for name, build in VIEWS.items()}
+    simple = [view for name, view in views.items() if name != "pettingzoo"]
+    table = [
+        *(refusal(lambda v=v: v.step(v.action_space.sample()), ResetNeeded, "step()", "reset()") for v in simple),
+        refusal(lambda: views["pettingzoo"].step({}), ResetNeeded, "step()", "reset()"),
+        *(refusal(lambda v=v: v.action_masks(), ResetNeeded, "action_masks()", "reset()") for v in simple[:2]),
+    ]
+    check_refusals(table)
 
 
-def test_stable_baselines_before_the_first_reset():
-    sb3 = pytest.importorskip("bsk_torch.wrappers.stable_baselines3")
-    env = sb3.SB3VecEnv(make("scan"))
-    for call in (lambda: env.step(np.zeros(N, dtype=np.int64)), env.action_masks):
-        with pytest.raises(ResetNeeded, match=r"call reset\(\) first"):
-            call()
+def test_rejects_calls_of_stable_baselines_before_the_first_reset():
+    env = pytest.importorskip("bsk_torch.wrappers.stable_baselines3").SB3VecEnv(make("scan"))
+    table = [
+        refusal(lambda: env.step(np.zeros(N, dtype=np.int64)), ResetNeeded, "step()", "reset()"),
+        refusal(lambda: env.action_masks(), ResetNeeded, "action_masks()", "reset()"),
+    ]
+    check_refusals(table)
 
 
 # -- actions --------------------------------------------------------------------------------------------------------------------

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import pytest
 import torch
 
 from bsk_torch import ConstellationTasking, SatelliteTasking, act, data, obs, rand, sats, scene
+from tests.support.refusals import check_refusals, refusal
 
 
 def satellite(name: str = "A", args=None, **members) -> sats.Satellite:
@@ -26,43 +26,86 @@ def late(sat) -> bool:
     return bool((sat.simulator.sim_time > 5.0).any())
 
 
-@pytest.mark.parametrize(
-    ("function", "error", "words"),
-    [
-        (
-            lambda sat: torch.full_like(sat.simulator.sim_time, torch.nan),
-            FloatingPointError,
-            r"'sat_props\.x' in the observation of",
-        ),
-        (lambda sat: sat.dynamics.r_BN_N[:, : 2 if late(sat) else 3], TypeError, "has 2 numbers, but had 3 before"),
-        (lambda sat: sat.dynamics.r_BN_N.to(torch.complex128), TypeError, "is complex; it must be real"),
-    ],
-)
-def test_observations(function, error, words):
-    with pytest.raises(error, match=words):
-        environment(observation_spec=observing(function)).rollout(2)
+def test_rejects_wrong_members_of_satellites():
+    observed = lambda function: environment(observation_spec=observing(function)).rollout(2)
+    nan = lambda sat: torch.full_like(sat.simulator.sim_time, torch.nan)
+    growing = lambda sat: sat.dynamics.r_BN_N[:, : 2 if late(sat) else 3]
+    table = [
+        refusal(lambda: observed(nan), FloatingPointError, "'sat_props.x'", "environment 0", "NaN"),
+        refusal(lambda: observed(growing), TypeError, "observation of A", 2, 3),
+        refusal(lambda: observed(lambda sat: sat.dynamics.r_BN_N.to(torch.complex128)), TypeError, "'x'", "complex", "real"),
+        refusal(lambda: environment(observation_spec=obs.Time()), ValueError, "Mine.observation_spec", "Time", "list"),
+        refusal(lambda: environment(action_spec=act.Drift(duration=1.0)), ValueError, "Mine.action_spec", "Drift", "list"),
+        refusal(lambda: environment(counts=lambda self: {"a": 3}).reset(), TypeError, "Mine.counts()['a']", 3, "torch.int64"),
+        refusal(lambda: environment(is_alive=lambda self: True).reset(), TypeError, "Mine.is_alive()", True, "torch.bool"),
+        refusal(lambda: obs.SatProperties(), ValueError, "obs.SatProperties", "properties"),
+        refusal(lambda: obs.OpportunityProperties(n_ahead_observe=2), ValueError, "obs.OpportunityProperties", "properties"),
+        refusal(lambda: obs.SatProperties(dict(prop=3)), ValueError, "obs.SatProperties", "prop=3"),
+        refusal(lambda: environment(args=dict(mass=rand.Uniform)), ValueError, "mass", "Uniform", "parentheses"),
+    ]
+    check_refusals(table)
 
 
-@pytest.mark.parametrize(
-    ("members", "words"),
-    [
-        (dict(observation_spec=obs.Time()), r"Mine\.observation_spec = .*; it must be a list"),
-        (dict(action_spec=act.Drift(duration=1.0)), r"Mine\.action_spec = .*; it must be a list"),
-        (dict(counts=lambda self: {"a": 3}), r"Mine\.counts\(\)\['a'\] is 3; it must be a tensor"),
-        (dict(is_alive=lambda self: True), r"Mine\.is_alive\(\) is True; it must be a tensor"),
-    ],
-)
-def test_members_of_satellites(members, words):
-    with pytest.raises((TypeError, ValueError), match=words):
-        environment(**members).reset()
+def test_rejects_wrong_rewarders():
+    def growing(self, before, after):
+        self.paid = getattr(self, "paid", 0.0) + torch.ones(self.fleet.shape, dtype=torch.float64)
+        return self.paid
+
+    def played(**hooks):
+        return environment(rewarder=rewarder(**hooks)).rollout(3)
+
+    def declared(*args, value=None):
+        def link(self, scenario, fleet):
+            data.GlobalReward.link(self, scenario, fleet)
+            fleet.memory.declare("p", *args)
+            if value is not None:
+                fleet.memory["p"] = value
+
+        return environment(rewarder=rewarder(link=link))
+
+    nan = lambda self, before, after: torch.full(self.fleet.shape, torch.nan)
+    table = [
+        refusal(lambda: played(calculate_reward=nan), FloatingPointError, "Paid.calculate_reward()", "NaN", [0, 1]),
+        refusal(lambda: played(calculate_reward=growing), TypeError, "Paid.paid", "self.fleet.memory"),
+        refusal(lambda: played(counts=lambda self: [3]), TypeError, "Paid.counts()", [3], "dictionary"),
+        refusal(lambda: declared("a"), ValueError, "initial", "'a'"),
+        refusal(lambda: declared(0.0, (2, 3)), ValueError, "shape", (2, 3)),
+        refusal(lambda: declared(0.0, value=1.0), TypeError, "'p'", 1.0),
+    ]
+    check_refusals(table)
 
 
-def test_entries_without_properties():
-    for make in (obs.SatProperties, lambda: obs.OpportunityProperties(n_ahead_observe=2)):
-        with pytest.raises(ValueError, match="has no properties; give a dictionary for each"):
-            make()
-    with pytest.raises(ValueError, match="prop=3 must be the name of a property"):
-        obs.SatProperties(dict(prop=3))
+def test_rejects_wrong_scenarios():
+    def drawing(draw):
+        return environment(scenario=type("Drawn", (scene.Scenario,), dict(draw=lambda self, key: draw(key)))())
+
+    clouds, name = scene.CloudyTargets(scene.UniformTargets(5)), "Drawn.draw(key)"
+    uncertain = scene.UncertainTargets(clouds, sigma=10.0)
+    table = [
+        refusal(lambda: drawing(lambda key: None), TypeError, name, None, "dictionary"),
+        refusal(lambda: drawing(lambda key: {"q": 1.0}), TypeError, name, "'q'", 1.0, "tensor"),
+        refusal(lambda: drawing(lambda key: {"q": torch.ones(7, 1)}), ValueError, name, "'q'", [7, 1], "row"),
+        refusal(lambda: drawing(lambda key: {"q": torch.tensor(1.0)}), ValueError, name, "'q'", [], "row"),
+        refusal(lambda: drawing(lambda key: {"q": torch.full((len(key), 1), torch.nan)}), ValueError, name, "'q'", "NaN"),
+        refusal(lambda: drawing(lambda key: {"q": torch.rand(len(key), 1)}), TypeError, name, "torch's global generator"),
+        refusal(lambda: drawing(lambda key: {"q": key.named(3).uniform(1)}), ValueError, "key.named", 3),
+        refusal(lambda: drawing(lambda key: {"q": key.named("q").uniform(1.5)}), ValueError, "count", 1.5),
+        *(refusal(lambda t=t: scene.CloudyTargets(t), ValueError, "targets", "CloudyTargets") for t in (clouds, uncertain)),
+    ]
+    check_refusals(table)
+
+
+def test_rejects_wrong_groups():
+    def build(**options):
+        return ConstellationTasking([satellite("A"), satellite("B")], num_envs=2, time_limit=60.0, backend="eager", **options)
+
+    table = [
+        refusal(lambda: build(group_map={"next": ["A", "B"]}), ValueError, "group_map['next']", "'observation'"),
+        refusal(lambda: build(group_map={"_reset": ["A", "B"]}), ValueError, "group_map['_reset']", "underscore"),
+        refusal(lambda: build(group_map={1: ["A", "B"]}), ValueError, "group_map", {1: ["A", "B"]}, "dictionary"),
+        refusal(lambda: build(meta_agent_groupings=[["A", "B"]]), ValueError, "meta_agent_groupings", [["A", "B"]], "dictionary"),
+    ]
+    check_refusals(table)
 
 
 def rewarder(**hooks) -> data.GlobalReward:
@@ -73,82 +116,3 @@ def rewarder(**hooks) -> data.GlobalReward:
 def growing(self, before, after):
     self.paid = getattr(self, "paid", 0.0) + torch.ones(self.fleet.shape, dtype=torch.float64)
     return self.paid
-
-
-@pytest.mark.parametrize(
-    ("hooks", "error", "words"),
-    [
-        (
-            dict(calculate_reward=lambda self, before, after: torch.full(self.fleet.shape, torch.nan)),
-            FloatingPointError,
-            r"Paid\.calculate_reward\(\) is NaN or infinite for environments \[0, 1\]",
-        ),
-        (dict(calculate_reward=growing), TypeError, r"Paid\.paid is a tensor that has changed during an episode"),
-        (dict(counts=lambda self: [3]), TypeError, r"Paid\.counts\(\) returns \[3\]"),
-    ],
-)
-def test_rewarders(hooks, error, words):
-    with pytest.raises(error, match=words):
-        environment(rewarder=rewarder(**hooks)).rollout(3)
-
-
-@pytest.mark.parametrize(
-    ("draw", "words"),
-    [
-        (lambda self, key: None, "returns None; it must return a dictionary of tensors"),
-        (lambda self, key: {"q": 1.0}, r"draw\(key\)\['q'\] is 1\.0; it must be a tensor"),
-        (lambda self, key: {"q": torch.ones(7, 1)}, r"is of shape \[7, 1\]; it needs a row for each environment"),
-        (lambda self, key: {"q": torch.tensor(1.0)}, r"is of shape \[\]; it needs a row for each environment"),
-        (lambda self, key: {"q": torch.full((len(key), 1), torch.nan)}, "is NaN in 1 of 1 numbers"),
-        (lambda self, key: {"q": torch.rand(len(key), 1)}, "used torch's global generator"),
-        (lambda self, key: {"q": key.named(3).uniform(1)}, r"name of key\.named=3 must be a string"),
-        (lambda self, key: {"q": key.named("q").uniform(1.5)}, r"count=1\.5 must be a whole number"),
-    ],
-)
-def test_draws_of_scenarios(draw, words):
-    with pytest.raises((TypeError, ValueError), match=words):
-        environment(scenario=type("Drawn", (scene.Scenario,), dict(draw=draw))())
-
-
-def test_the_same_values_laid_over_targets_twice():
-    clouds = scene.CloudyTargets(scene.UniformTargets(5))
-    for targets in (clouds, scene.UncertainTargets(clouds, sigma=10.0)):
-        with pytest.raises(ValueError, match="has a CloudyTargets already"):
-            scene.CloudyTargets(targets)
-    scene.UncertainTargets(clouds, sigma=10.0)
-
-
-@pytest.mark.parametrize(
-    ("declare", "words"),
-    [
-        (lambda memory: memory.declare("p", "a"), "initial must be a number"),
-        (lambda memory: memory.declare("p", 0.0, (2, 3)), r"a size in shape=\(2, 3\) must be a whole number"),
-        (lambda memory: memory.declare("p", 0.0) or memory.__setitem__("p", 1.0), r"'p' of the state cannot become 1\.0"),
-    ],
-)
-def test_memory(declare, words):
-    def link(self, scenario, fleet):
-        data.GlobalReward.link(self, scenario, fleet)
-        declare(fleet.memory)
-
-    with pytest.raises((TypeError, ValueError), match=words):
-        environment(rewarder=rewarder(link=link))
-
-
-def test_a_class_of_distributions_in_place_of_a_distribution():
-    with pytest.raises(ValueError, match="mass=Uniform is a class; write an object of it, with parentheses"):
-        satellite(args=dict(mass=rand.Uniform)) and environment(args=dict(mass=rand.Uniform))
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (dict(group_map={"next": ["A", "B"]}), r"group_map\['next'\].*its name is one of"),
-        (dict(group_map={"_reset": ["A", "B"]}), "begins with an underscore"),
-        (dict(group_map={1: ["A", "B"]}), "must be a dictionary, such as"),
-        (dict(meta_agent_groupings=[["A", "B"]]), "must be a dictionary, such as"),
-    ],
-)
-def test_names_of_groups(options, words):
-    with pytest.raises(ValueError, match=words):
-        ConstellationTasking([satellite("A"), satellite("B")], num_envs=2, time_limit=60.0, backend="eager", **options)

@@ -1,6 +1,6 @@
 """Recordings of the examples of bsk_rl's documentation, and how to replay them in ours.
 
-Files ``example_*.npz`` come from ``tests/basilisk/recorders/record_examples.py``; see ``tests/basilisk/README.md``.
+Files ``example_*.npz`` come from ``scripts/recorders/record_examples.py``; see ``tests/basilisk/README.md``.
 """
 
 from __future__ import annotations

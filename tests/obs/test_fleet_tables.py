@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from bsk_torch import ConstellationTasking, act, comm, data, obs, per_environment, sats
+from tests.support.refusals import check_refusals, refusal
 
 
 class Numbered(data.GlobalReward):
@@ -96,8 +97,11 @@ class Number(obs.Observation):
         return float(self.satellite.fleet.memory["known"].numel())
 
 
-@pytest.mark.parametrize("entry", [Whole("whole"), Number("number")])
-def test_tables_of_all_satellites_are_told(entry):
-    satellite = type("Sees", (Short,), dict(observation_spec=(entry,)))("a")
-    with pytest.raises(TypeError, match=r"satellite\.rows_of\(table\) takes the satellite's rows from a table of all satellites"):
-        make(satellite)
+def test_rejects_tables_of_all_satellites():
+    def sees(entry):
+        return make(type("Sees", (Short,), dict(observation_spec=(entry,)))("a"))
+
+    check_refusals(
+        refusal(lambda entry=entry: sees(entry), TypeError, f"{type(entry).__name__}.get_obs()", "satellite.rows_of(table)")
+        for entry in (Whole("whole"), Number("number"))
+    )

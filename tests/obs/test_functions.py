@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from bsk_torch import SatelliteTasking, act, dyn, obs, per_environment, sats, scene
+from tests.support.refusals import check_refusals, refusal
 
 
 def unit(sat):
@@ -127,19 +128,19 @@ class Constant(obs.Observation):
         return 42
 
 
-@pytest.mark.parametrize("num_envs", [1, 3])
-@pytest.mark.parametrize(
-    ("entry", "words"),
-    [
+def test_what_works_for_one_satellite_only_needs_the_adapter():
+    kind = dict(fn=lambda sat, opp: opp["type"] == "target")
+    table = [
         (obs.SatProperties(dict(prop="unit", fn=lambda sat: np.linalg.norm(sat.dynamics.r_BN_N))), "'unit' of 'sat_props'"),
-        (obs.SatProperties(dict(prop="altitude")), r"'altitude' of 'sat_props', Unmarked\.altitude"),
-        (obs.OpportunityProperties(dict(fn=lambda sat, opp: opp["type"] == "target"), n_ahead_observe=2), "'prop_0' of 'target'"),
-        (Constant("constant"), r"Constant\.get_obs\(\)"),
-    ],
-)
-def test_what_works_for_one_satellite_only_needs_the_adapter(entry, words, num_envs):
-    with pytest.raises(TypeError, match=rf"{words},? works for one satellite.*\[N\b.*per_environment\(function\)"):
-        make(num_envs, (entry,), dyn_type=Unmarked)
+        (obs.SatProperties(dict(prop="altitude")), "'altitude' of 'sat_props', Unmarked.altitude"),
+        (obs.OpportunityProperties(kind, n_ahead_observe=2), "'prop_0' of 'target'"),
+        (Constant("constant"), "Constant.get_obs()"),
+    ]
+    check_refusals(
+        refusal(lambda n=n, entry=entry: make(n, (entry,), dyn_type=Unmarked), TypeError, name, "[N", "per_environment(function)")
+        for entry, name in table
+        for n in (1, 3)
+    )
 
 
 def test_functions_that_take_no_marks_are_wrapped():
@@ -158,40 +159,6 @@ def test_an_environment_alone_observes_the_same(three):
     alone = make(1).reset()["observation"]
     for name in ("speed", "unit", "speeds", "pair"):
         assert torch.equal(alone["sat_props", name][0], three[1]["sat_props", name][0])
-
-
-@pytest.mark.parametrize(
-    ("entry", "error", "words"),
-    [
-        (
-            dict(fn=per_environment(lambda sat: np.random.normal()), name="x"),
-            TypeError,
-            r"'x' of 'sat_props' gives different values .* obs\.Noisy",
-        ),
-        (dict(fn=lambda sat: sat.dynamics.r_BN_N - sat.dynamics.r_BN_N.mean(dim=0), name="x"), TypeError, "mixes environments"),
-        (dict(fn=lambda sat: "far", name="x"), TypeError, "'x' of 'sat_props' .* 'far'; it must be"),
-        (dict(fn=lambda sat: sat.dynamics.speedy, name="x"), AttributeError, "no attribute 'speedy'"),
-    ],
-)
-def test_what_is_no_observation_is_refused_when_an_environment_is_built(entry, error, words):
-    with pytest.raises(error, match=words):
-        make(2, (obs.SatProperties(entry),))
-
-
-@pytest.mark.parametrize(
-    ("entry", "error", "words"),
-    [
-        (dict(norm=2.0), ValueError, "needs 'prop' or 'fn'"),
-        (dict(prop="r_BN_N", norms=2.0), ValueError, r"unknown keys \['norms'\]"),
-        (dict(prop="r_BN_N", norm=0.0), ValueError, "must not be zero"),
-        (dict(prop="r_BN_N", norm="far"), ValueError, "must be a number"),
-        (dict(fn="r_BN_N"), TypeError, "fn='r_BN_N' must be a function"),
-        ("r_BN_N", TypeError, r"must be a dictionary, such as dict\(prop='r_BN_N'\)"),
-    ],
-)
-def test_wrong_entries_are_refused(entry, error, words):
-    with pytest.raises(error, match=words):
-        obs.SatProperties(entry)
 
 
 def test_names_are_those_of_bsk_rl():

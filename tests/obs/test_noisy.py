@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 import torch
 from tensordict import TensorDict
@@ -126,19 +124,3 @@ def test_noise_by_name_leaves_the_rest():
     assert seen["target", "mask"].tolist() == [[1.0, 1.0]] * 2
     assert (seen["target", "rows"] != entries[1].observation.get_obs()["rows"]).all()
     assert seen["time"].tolist() == [0.0, 0.0]
-
-
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        (lambda: obs.Noisy(obs.Time, 0.1), "write obs.Time"),
-        (lambda: obs.Noisy(obs.Noisy(obs.Time(), 0.1), 0.1), "which has noise already"),
-        (lambda: obs.Noisy(obs.Time(), -0.1), "noise=-0.1 must be a standard deviation from 0 on"),
-        (lambda: obs.Noisy(obs.Time(), bias={"time": math.inf}), "bias=inf of 'time' must be"),
-        (lambda: make(1, (obs.Noisy(obs.SatProperties(dict(prop="r_BN_N")), {"r_BN": 1.0}),)), "'r_BN' is not .* 'r_BN_N'"),
-        (lambda: make(1, (obs.Noisy(obs.Eclipse(), rand.Normal(0.0, 1.0, 3)),)), "2 numbers are observed"),
-    ],
-)
-def test_wrong_noise_is_refused(call, words):
-    with pytest.raises(ValueError, match=words):
-        call()

@@ -17,6 +17,7 @@ from bsk_torch.rl.policies.shared_policy import rule
 from bsk_torch.rl.rules.baselines import LOT
 from tests.offline.conftest import LIMIT, recipe
 from tests.plan.conftest import always, scanning
+from tests.support.refusals import check_refusals, refusal
 
 pytestmark = pytest.mark.compiled
 
@@ -181,40 +182,38 @@ def test_buffers_of_torchrl(written):
     assert written.transitions()["episode"].unique().tolist() == list(range(9))
 
 
-def test_unknown_names_and_folders(written, tmp_path):
-    with pytest.raises(ValueError, match="there is no behavior 'randm'; did you mean 'random'"):
-        written.transitions("randm")
-    with pytest.raises(FileNotFoundError, match=r"is not a dataset: it has no file 'dataset.json'"):
-        open_dataset(tmp_path)
-    (tmp_path / "dataset.json").write_text("[1]")
-    with pytest.raises(ValueError, match="is not the card of a dataset"):
-        open_dataset(tmp_path)
-    (tmp_path / "dataset.json").write_text('{"format": 2}')
-    with pytest.raises(ValueError, match=r"has format 2; this version of bsk_torch reads format 1"):
+def test_rejects_unknown_behaviors_and_folders(written, tmp_path):
+    def holding(text):
+        (tmp_path / "dataset.json").write_text(text)
         open_dataset(tmp_path)
 
+    table = [
+        refusal(lambda: written.transitions("randm"), ValueError, "behavior", "'randm'", "'random'"),
+        refusal(lambda: open_dataset(tmp_path), FileNotFoundError, tmp_path, "'dataset.json'"),
+        refusal(lambda: holding("[1]"), ValueError, "dataset.json", "card"),
+        refusal(lambda: holding('{"format": 2}'), ValueError, "dataset.json", "format 2", "format 1"),
+    ]
+    check_refusals(table)
 
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"seeds": []}, "one behavior and one seed at least"),
-        ({"behaviors": []}, "one behavior and one seed at least"),
-        ({"share": 1.5}, "share=1.5"),
-        ({"gamma": 0.0}, "gamma=0"),
-        ({"futures": 0}, "futures=0"),
-        ({"seeds": [SUITE_SEEDS[3]]}, "are those of suites"),
-        ({"behaviors": [Behavior("a,b", None, 1.0), Behavior("a b", None, 1.0)]}, "need different names"),
-        ({"behaviors": [Behavior("starts", None, 1.0)]}, "need different names"),
-        ({"targets": {"a/b": always(0)}}, "such as 'a-b'"),
-        (
-            {"targets": {"random": TensorDictModule(lambda lot: lot.long(), in_keys=[LOT], out_keys=["action"])}},
-            "draws its actions",
-        ),
-    ],
-)
-def test_wrong_recipes_are_named(changed, message):
-    with pytest.raises(ValueError, match=message):
-        recipe(scanning(1, LIMIT), **changed)
+
+def test_rejects_wrong_recipes():
+    env = scanning(1, LIMIT)
+    wrong = lambda **changed: recipe(env, **changed)
+    named = lambda *names: [Behavior(name, None, 1.0) for name in names]
+    drawing = TensorDictModule(lambda lot: lot.long(), in_keys=[LOT], out_keys=["action"])
+    table = [
+        refusal(lambda: wrong(seeds=[]), ValueError, "one behavior", "one seed"),
+        refusal(lambda: wrong(behaviors=[]), ValueError, "one behavior", "one seed"),
+        refusal(lambda: wrong(share=1.5), ValueError, "share", 1.5),
+        refusal(lambda: wrong(gamma=0.0), ValueError, "gamma", 0.0),
+        refusal(lambda: wrong(futures=0), ValueError, "futures=0"),
+        refusal(lambda: wrong(seeds=[SUITE_SEEDS[3]]), ValueError, "seeds", SUITE_SEEDS[0], SUITE_SEEDS[-1], "suites"),
+        refusal(lambda: wrong(behaviors=named("a,b", "a b")), ValueError, "behaviors", ["a-b", "a-b"], "names"),
+        refusal(lambda: wrong(behaviors=named("starts")), ValueError, "behaviors", ["starts"], "names"),
+        refusal(lambda: wrong(targets={"a/b": always(0)}), ValueError, "target", "'a/b'", "'a-b'"),
+        refusal(lambda: wrong(targets={"random": drawing}), ValueError, "target", "'random'", "actions"),
+    ]
+    check_refusals(table)
 
 
 def test_wrong_behaviors_and_targets_are_named():

@@ -101,12 +101,3 @@ def test_agents_of_a_team_have_their_own_decisions():
     assert set(found.agent.tolist()) == {0, 1, 2}
     assert len(found.kinds) == 3
     assert not bool(found.situation["battery"].isnan().any())
-
-
-def test_what_cannot_be_audited_is_named(env):
-    with pytest.raises(ValueError, match="names no episode"):
-        audit(env, "rule", seeds=[])
-    with pytest.raises(ValueError, match="futures=1: an audit chooses by one half"):
-        audit(env, "rule", seeds=[0], futures=1)
-    with pytest.raises(ValueError, match="did you mean 'rule'"):
-        audit(env, "ruel", seeds=[0])

@@ -1,4 +1,4 @@
-"""Bounds: never below what policies reach, around the optimum where that can be counted out, refused where they do not hold."""
+"""Bounds: never below what policies reach, and around the optimum where that can be counted out."""
 
 from __future__ import annotations
 
@@ -11,13 +11,11 @@ import torch
 from torch import Tensor
 
 import bsk_torch
-from bsk_torch import data, dyn, presets, rand
+from bsk_torch import presets
 from bsk_torch.astro.frames import angle_between
-from bsk_torch.env.base import ResetNeededError
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.plan.bounds import (
     Envelope,
-    Schedule,
     ScheduledPolicy,
     carried_over,
     imaging_bound,
@@ -66,12 +64,6 @@ def test_an_envelope_is_saved_and_read(tmp_path):
     made = envelope([2, 5], [2, 3])
     made.save(tmp_path / "made.json")
     assert Envelope.load(tmp_path / "made.json") == made
-
-
-def test_an_envelope_needs_transitions():
-    none = torch.zeros(0)
-    with pytest.raises(ValueError, match="0 transitions, 0 in one step: no bin"):
-        Envelope.below(none, none.long(), none.bool(), step=0.5, arguments={})
 
 
 def test_images_of_the_step_before_last_a_single_tick():
@@ -168,14 +160,17 @@ class Tiny:
         return best
 
 
-@pytest.mark.parametrize("seed", range(12))
-@pytest.mark.parametrize("ticks", [1, 2])
-@pytest.mark.parametrize("bits", [0, 4])
-def test_the_relaxation_is_no_lower_than_the_best_schedule(seed, ticks, bits):
-    tiny = Tiny(seed)
-    paths = best_paths(tiny.graph(ticks), tiny.priority, iterations=200, bits=bits)
-    assert float(paths.upper) >= tiny.optimum() - 1e-9
-    assert float(paths.lower) <= float(paths.upper) + 1e-9
+def test_the_relaxation_is_no_lower_than_the_best_schedule():
+    failures = []
+    for seed in range(12):
+        tiny = Tiny(seed)
+        optimum = tiny.optimum()
+        for ticks, bits in itertools.product([1, 2], [0, 4]):
+            paths = best_paths(tiny.graph(ticks), tiny.priority, iterations=200, bits=bits)
+            upper, lower = float(paths.upper), float(paths.lower)
+            if not (upper >= optimum - 1e-9 and lower <= upper + 1e-9):
+                failures.append(f"seed={seed}, ticks={ticks}, bits={bits}: {lower} to {upper}, optimum {optimum}")
+    assert not failures, "\n".join(failures)
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -300,17 +295,6 @@ def test_schedules_are_flown_and_pay_what_they_can():
         env.reset()
 
 
-def test_schedules_are_refused_where_they_do_not_fit():
-    env = begun(n_targets=100)
-    with pytest.raises(ValueError, match="seconds=0"):
-        milp_schedule(env, seconds=0.0)
-    none = torch.full((2, 1), -1)
-    with pytest.raises(ValueError, match="the schedule has 2 episodes, the environment 1"):
-        ScheduledPolicy(env, Schedule(none, none), None)
-    with pytest.raises(ValueError, match="no typical times"):
-        relaxed_schedule(env, envelope=replace(Envelope.load(), typical=()))
-
-
 def scanning(**args: Any) -> Tensor:
     env = presets.nadir_scan(num_envs=1, time_limit=5700.0, backend="eager", sat_args=args)
     env.set_seed(SEED)
@@ -326,60 +310,3 @@ def test_less_of_a_resource_lowers_the_bound_of_scanning():
     assert float(full) == pytest.approx(600.0 / 28_500.0, rel=1e-6)  # the room that is left, in seconds of the instrument
     poor = scanning(storedCharge_Init=0.02 * battery, storageInit=0.0, panelEfficiency=0.02)
     assert float(poor) < 0.5 * float(plenty)
-
-
-# -- tasks that are not covered -----------------------------------------------------------------------------------------------
-
-
-def begun(preset: str = "aeos", **options: Any) -> Any:
-    env = getattr(presets, preset)(num_envs=1, time_limit=300.0, **options)
-    env.reset()
-    return env
-
-
-def test_tasks_that_are_not_covered_are_refused():
-    with pytest.raises(ValueError, match="ScanningTimeReward; the bound of imaging covers UniqueImageReward"):
-        imaging_bound(begun("nadir_scan"))
-    with pytest.raises(ValueError, match="the bound of scanning covers one satellite with ScanningTimeReward"):
-        scanning_bound(begun())
-    with pytest.raises(ValueError, match=r"u_max=0.2: the envelope of least times between images was fitted with u_max=0.4"):
-        imaging_bound(begun(sat_args={"u_max": 0.2}))
-    with pytest.raises(ValueError, match="sim_rate=1: the envelope"):
-        imaging_bound(begun(sim_rate=1.0))
-    with pytest.raises(ValueError, match=r"a=7\.171e"):
-        imaging_bound(begun(sat_args={"oe": rand.random_orbit(a=8000.0)}))
-    with pytest.raises(ValueError, match="failure_penalty=1 pays for dying"):
-        imaging_bound(begun(failure_penalty=1.0))
-    with pytest.raises(ValueError, match="needs ScanningTimeReward without reward_fn"):
-        scanning_bound(begun("nadir_scan", rewarder=data.ScanningTimeReward(lambda seconds: seconds**2)))
-    with pytest.raises(ValueError, match="covers one solar panel"):
-        scanning_bound(begun("nadir_scan", sat_args={"panels": [dyn.Panel([0, 0, -1], 1.0, 0.2)]}))
-
-
-def test_bounds_need_episodes_that_have_begun():
-    for bound, preset in ((imaging_bound, presets.aeos), (scanning_bound, presets.nadir_scan)):
-        with pytest.raises(ResetNeededError, match=r"call reset\(\) first"):
-            bound(preset(num_envs=1, time_limit=300.0))
-
-
-def test_orbits_must_be_given_as_elements():
-    with pytest.raises(ValueError, match="needs orbits given as elements"):
-        imaging_bound(begun(n_targets=100, sat_args={"oe": None, "rN": [7e6, 0.0, 0.0], "vN": [0.0, 7.5e3, 0.0]}))
-
-
-def test_bounds_are_those_of_whole_episodes():
-    env = begun(n_targets=100)
-    env.step(env.rand_action(env.reset()))
-    with pytest.raises(ValueError, match=r"call it after env.reset\(\), before the first step"):
-        imaging_bound(env)
-
-
-@pytest.mark.parametrize("wrong", [{"cell": 3}, {"cell": 0}, {"bits": 9}, {"iterations": 0}])
-def test_numbers_out_of_range_are_refused(wrong):
-    with pytest.raises(ValueError, match=next(iter(wrong))):
-        imaging_bound(begun(n_targets=100), **wrong)
-
-
-def test_transitions_need_a_satellite_that_images():
-    with pytest.raises(ValueError, match=r"transitions need a sats\.ImagingSatellite"):
-        record_transitions(begun("nadir_scan"), lambda tensordict: tensordict, 0)

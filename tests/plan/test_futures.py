@@ -165,10 +165,3 @@ def test_without_faults_futures_change_no_decision():
     one, several = Rollout(env, "rule", **options)(now.clone()), Rollout(env, "rule", futures=2, **options)(now.clone())
     assert torch.equal(one["action"], several["action"])
     assert torch.equal(2.0 * one["simulated_seconds"], several["simulated_seconds"])
-
-
-def test_only_clouds_can_be_drawn_again():
-    env = scanning(1)
-    env.reset()
-    with pytest.raises(ValueError, match=r"redraw=redraw_clouds needs scene.CloudyTargets; the scenario is Uniform"):
-        Rollout(env, "rule", horizon=100.0, futures=1, redraw=redraw_clouds)(env.observe())

@@ -65,7 +65,6 @@ def test_a_base_that_draws_lots_has_the_same_ones_in_every_batch(env):
     assert torch.equal(few.simulated, many.simulated)
 
 
-@pytest.mark.nightly
 def test_the_eager_back_end_decides_alike():
     for e in (scanning(2, 300.0), scanning(2, 300.0, backend="eager")):
         e.set_seed(0)

@@ -1,8 +1,7 @@
-"""Risks: agreement with independent episodes, episodes that can be flown again, and errors."""
+"""Risks: agreement with independent episodes, and episodes that can be flown again."""
 
 import json
 
-import numpy as np
 import pytest
 import torch
 
@@ -11,7 +10,6 @@ from bsk_torch.plan.base_policies import base_of
 from bsk_torch.plan.rare_events import rare_event
 from bsk_torch.plan.rare_flights import DRAWN, RETURNS, Flights, play_again, read_paths, save_paths
 from bsk_torch.plan.risk import risk
-from bsk_torch.plan.rollout import Rollout
 from bsk_torch.rand import blended
 from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.evaluation.statistics import wilson
@@ -127,39 +125,6 @@ def test_satellites_of_a_team_are_named_and_own_functions_are_events():
     found = risk(env, "random", event=late, level=lambda env: env.fleet.sim_time, episodes=20, repetitions=4)
     assert (found.event, found.probability.mean) == ("late", 1.0)
     assert f"{env.names[0]}: sigma_init[0]" in found.columns
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        (dict(event="deaht"), "must be 'death', or a property with a limit such as .*; did you mean 'death'"),
-        (dict(event="x"), "must be 'death', or a property with a limit such as 'battery_charge_fraction<0.05'$"),
-        (dict(event="batery_charge_fraction<0.1"), "did you mean 'battery_charge_fraction'"),
-        (dict(level="batery"), "did you mean 'battery'"),
-        (dict(level="buffer"), "level='buffer' is not a limit of the satellites"),
-        (dict(event=lambda env: torch.zeros(3, dtype=torch.bool)), "needs level="),
-        (dict(level=lambda env: 1.0), "level= must return a tensor \\[3\\] of numbers; it returned 1.0"),
-        (dict(level=lambda env: torch.full((3,), torch.nan)), "it returned NaN"),
-        (dict(episodes=25), "episodes=25 must be a multiple of 10"),
-        (dict(repetitions=1), "repetitions=1"),
-        (dict(smallest=0.0), "smallest=0"),
-        (dict(method="sreen"), "method='sreen' must be one of"),
-        (dict(method="screen", pool=30), "pool=30"),
-        (dict(policy="ruel"), "did you mean 'rule'"),
-    ],
-)
-def test_wrong_arguments_are_named(env, given, message):
-    with pytest.raises(ValueError, match=message):
-        risk(env, **(dict(policy="rule", episodes=20) | given))
-
-
-def test_environments_and_policies_that_do_not_repeat_episodes_are_rejected(env):
-    with pytest.raises(ValueError, match="plans in its own environment"):
-        risk(env, Rollout(env, "rule", horizon=60.0))
-    stream = np.random.default_rng(0)
-    wild = scanning(2, sat_args={"storedCharge_Init": lambda: float(stream.uniform(3e5, 6e5))})
-    with pytest.raises(ValueError, match="the environment cannot be copied"):
-        risk(wild, "rule")
 
 
 def test_faults_are_followed_too():

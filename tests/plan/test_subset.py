@@ -157,19 +157,3 @@ def test_rows_of_a_blend_do_not_depend_on_the_others():
         whole = key_of(SEEDS[:50]).normal(5)
         alone = torch.cat([key_of(seed).normal(5) for seed in SEEDS[:50].split(1)])
     assert torch.equal(whole, alone)
-
-
-@pytest.mark.parametrize(
-    ("seeds", "parts", "steps", "message"),
-    [
-        ([1, 1], [[1], [2]], [[1.0], [1.0]], "seeds are repeated"),
-        ([1, 2], [[1], [2]], [[1.0], [0.5]], "steps must be from 0 to 1, and 1 for the first part"),
-        ([1], [[1, 2]], [[1.0, 1.5]], "steps must be from 0 to 1"),
-        ([1], [[1, 2]], [[1.0]], "they must be \\[M, J\\] of M seeds"),
-        ([], [], [], "0 seeds have shapes"),
-    ],
-)
-def test_wrong_blends_are_named(seeds, parts, steps, message):
-    given = torch.tensor(steps, dtype=torch.float64)
-    with pytest.raises(ValueError, match=message):
-        Blend(torch.tensor(seeds, dtype=torch.int64), torch.tensor(parts, dtype=torch.int64), given, torch.ones_like(given))

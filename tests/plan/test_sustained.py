@@ -34,6 +34,9 @@ from bsk_torch.rl.policies import pretrained
 from bsk_torch.rl.rules.baselines import BASELINES
 from tests.plan.test_bounds import HALF_ORBIT, SEED, Tiny, envelope
 
+SLOW = (3, 6, 6, 9, 10, 10, 12, 12, 13, 13)
+"""Longer times than those of the tiny tasks."""
+
 
 def flights(seed: int, rows: int = 6, images: int = 40) -> ImageSequences:
     """Images of satellites at rest; times are those of the angle, and luck that does not last."""
@@ -102,14 +105,6 @@ def test_flights_are_joined_with_their_images():
     assert torch.equal(leads(both, times).lead[2:], leads(other, times).lead)
 
 
-def test_what_cannot_be_fitted_is_refused():
-    images = flights(6)
-    with pytest.raises(ValueError, match=r"214 transitions: no bin of the angle has 500 of them"):
-        sustained_envelope(images, reserve=10, step=0.5, arguments={})
-    with pytest.raises(ValueError, match="reserve=118, margin=6: leads can be followed up to 120 ticks"):
-        fitted(images, 118)
-
-
 # -- the relaxation -----------------------------------------------------------------------------------------------------------
 
 
@@ -142,25 +137,24 @@ def bound_of(tiny: Tiny, times: Envelope, ticks: int) -> float:
     return float(best_paths(graph, tiny.priority, budget=times.most_late(tiny.cells), iterations=300, bits=4, gap=0.0).upper)
 
 
-@pytest.mark.parametrize("seed", range(12))
-@pytest.mark.parametrize("ticks", [1, 2])
-@pytest.mark.parametrize("reserve", [0, 2, 5])
-@pytest.mark.parametrize("lateness", [None, 0.0, 0.02])
-def test_no_schedule_within_the_reserve_exceeds_the_bound(seed, ticks, reserve, lateness):
-    tiny = Tiny(seed)
-    slow = (3, 6, 6, 9, 10, 10, 12, 12, 13, 13)
-    times = replace(tiny.envelope, direct=slow, any=slow, reserve=reserve, lateness=lateness)
-    best = optimum(tiny, times)
-    assert best <= bound_of(tiny, times, ticks) + 1e-9
-    if reserve == 0 and ticks == 1:
-        assert bound_of(tiny, times, 1) <= 1.2 * best
+def test_no_schedule_within_the_reserve_exceeds_the_bound():
+    failures = []
+    for seed, reserve, late in itertools.product(range(12), [0, 2, 5], [None, 0.0, 0.02]):
+        tiny = Tiny(seed)
+        times = replace(tiny.envelope, direct=SLOW, any=SLOW, reserve=reserve, lateness=late)
+        best = optimum(tiny, times)
+        for ticks in (1, 2):
+            bound = bound_of(tiny, times, ticks)
+            if not best <= bound + 1e-9 or (reserve == 0 and ticks == 1 and not bound <= 1.2 * best):
+                case = f"seed={seed}, ticks={ticks}, reserve={reserve}, lateness={late}"
+                failures.append(f"{case}: a bound of {bound}, and a schedule of {best}")
+    assert not failures, "\n".join(failures)
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_longer_times_and_less_reserve_lower_the_bound(seed):
     tiny = Tiny(seed)
-    slow = (3, 6, 6, 9, 10, 10, 12, 12, 13, 13)
-    times = replace(tiny.envelope, direct=slow, any=slow, reserve=4)
+    times = replace(tiny.envelope, direct=SLOW, any=SLOW, reserve=4)
     upper = bound_of(tiny, times, 1)
     assert bound_of(tiny, replace(times, reserve=0), 1) <= upper + 1e-3
     assert upper <= bound_of(tiny, replace(times, direct=(2,) * 10, any=(2,) * 10), 1) + 1e-3
@@ -173,8 +167,7 @@ def test_a_schedule_of_the_relaxation_keeps_to_the_lateness():
     priced = 0
     for seed in range(6):
         tiny = Tiny(seed)
-        slow = (3, 6, 6, 9, 10, 10, 12, 12, 13, 13)
-        times = replace(tiny.envelope, direct=slow, any=slow, reserve=5, lateness=0.0)
+        times = replace(tiny.envelope, direct=SLOW, any=SLOW, reserve=5, lateness=0.0)
         windows = tiny.openings._replace(last=tiny.openings.last + 5)
         cells = tiny.cells + 7
         graph = image_graph(windows, torch.zeros(1, cells, 3).double(), tiny.places.unsqueeze(0), times, 1, cells)
@@ -348,13 +341,8 @@ def plane(seed: int) -> tuple[Tiny, torch.Tensor]:
     return tiny, torch.cat([side, torch.ones(count, 1, dtype=torch.float64)], 1)
 
 
-@pytest.mark.parametrize("seed", range(10))
-@pytest.mark.parametrize("ticks", [1, 2])
-@pytest.mark.parametrize("reserve", [0, 3])
-def test_no_schedule_with_a_lag_exceeds_the_bound(seed, ticks, reserve):
-    tiny, places = plane(seed)
-    slow = (3, 6, 6, 9, 10, 10, 12, 12, 13, 13)
-    times = lagging(replace(tiny.envelope, direct=slow, any=slow, reserve=reserve))
+def lagging_optimum(tiny: Tiny, places: torch.Tensor, times: Envelope) -> float:
+    """The best schedule of satellites that point beside their targets."""
     spans = {int(t): (int(a), int(b)) for t, a, b in zip(*tiny.openings[1:], strict=True)}
     here, best = torch.zeros(3).double(), 0.0
     for count in range(1, len(spans) + 1):
@@ -366,32 +354,31 @@ def test_no_schedule_with_a_lag_exceeds_the_bound(seed, ticks, reserve):
                 due = clock + int(times.least(angle_between(start, places[target]).unsqueeze(0), direct=True))
                 if float((places[target] - places[before]).norm()) >= times.near:
                     sector = int(sector_from(places[before], places[target], 4))
-                tick = max(spans[target][0], tick + 2, due - reserve)
+                tick = max(spans[target][0], tick + 2, due - times.reserve)
                 clock = max(tick, due)
                 if tick > spans[target][1]:
                     break
             else:
                 best = max(best, float(tiny.priority[0, list(order)].sum()))
-    cells = (tiny.cells + reserve) // ticks + 2
-    windows = tiny.openings._replace(last=tiny.openings.last + reserve)
-    graph = image_graph(windows, torch.zeros(1, cells, 3).double(), places.unsqueeze(0), times, ticks, cells)
-    upper = float(best_paths(graph, tiny.priority, iterations=300, bits=4, gap=0.0).upper)
-    assert best <= upper + 1e-9
-    ahead = tuple(times.least(torch.arange(10).double() * 0.1 - times.lag + 1e-9, direct=True).tolist())
-    plain = replace(times, direct=ahead, any=ahead, lag=0.0, sectors=0, near=0.0)  # satellites that always point ahead
-    graph = image_graph(windows, torch.zeros(1, cells, 3).double(), places.unsqueeze(0), plain, ticks, cells)
-    assert upper <= float(best_paths(graph, tiny.priority, iterations=300, bits=4, gap=0.0).upper) + 1e-3
+    return best
 
 
-@pytest.mark.parametrize("wrong", [dict(lag=0.04), dict(sectors=8), dict(lag=-0.1, sectors=8)])
-def test_a_lag_and_sectors_go_together(wrong):
-    with pytest.raises(ValueError, match="a lag has one sector or more, and no lag has none"):
-        replace(envelope([2], [2]), **wrong)
-
-
-def test_the_share_of_the_longest_times_is_checked():
-    with pytest.raises(ValueError, match="share=1: a share of the transitions lies between 0 and 1"):
-        fitted(flights(6), 10, share=1.0)
+def test_no_schedule_with_a_lag_exceeds_the_bound():
+    failures = []
+    for seed, reserve in itertools.product(range(10), [0, 3]):
+        tiny, places = plane(seed)
+        times = lagging(replace(tiny.envelope, direct=SLOW, any=SLOW, reserve=reserve))
+        ahead = tuple(times.least(torch.arange(10).double() * 0.1 - times.lag + 1e-9, direct=True).tolist())
+        plain = replace(times, direct=ahead, any=ahead, lag=0.0, sectors=0, near=0.0)  # satellites that always point ahead
+        best, windows = lagging_optimum(tiny, places, times), tiny.openings._replace(last=tiny.openings.last + reserve)
+        for ticks in (1, 2):
+            cells = (tiny.cells + reserve) // ticks + 2
+            here = torch.zeros(1, cells, 3).double()
+            graphs = [image_graph(windows, here, places.unsqueeze(0), one, ticks, cells) for one in (times, plain)]
+            upper, looser = (float(best_paths(graph, tiny.priority, iterations=300, bits=4, gap=0.0).upper) for graph in graphs)
+            if not best - 1e-9 <= upper <= looser + 1e-3:
+                failures.append(f"seed={seed}, ticks={ticks}, reserve={reserve}: {best}, {upper} and {looser} do not ascend")
+    assert not failures, "\n".join(failures)
 
 
 def test_a_lag_admits_longer_times_where_satellites_have_one():

@@ -24,6 +24,7 @@ from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.policies.shared_policy import rule
 from bsk_torch.scene import CaseError, read_cases
 from tests.scene.aeos_cases import constellation, tasks, write
+from tests.support.refusals import check_refusals, refusal
 
 SECONDS = 400
 
@@ -119,35 +120,34 @@ def test_runs_of_each_satellite_are_read(folder, tmp_path):
     assert found[1].mT.tolist() == [[-1] * 3 + [k + 1] * 4 for k in range(3)]
 
 
-def test_errors(flown, folder, tmp_path):
-    cases = read_cases(folder)
-    with pytest.raises(FileNotFoundError, match=r"no 00007.pth and no 00007/assignment_runs.json"):
+def test_rejects_wrong_assignments(folder, tmp_path):
+    cases, place = read_cases(folder), tmp_path / "00007"
+
+    def runs(of):
+        place.mkdir(exist_ok=True)
+        (place / "assignment_runs.json").write_text(json.dumps(of))
         read_assignments(tmp_path, cases)
-    place = tmp_path / "00007"
-    place.mkdir()
-    for runs, message in (
-        ({"0": [[-1, 3]]}, r"assignments of 1 satellites, but case '00007' has 2"),
-        ({"0": [[120, 3]], "1": [[0, 3]]}, r"tasks from 0 to 120, but case '00007' has 120"),
-        ({"0": [[1, 3]], "1": [[0, 4]]}, r"runs of \[3, 4\] s; all satellites need the same"),
-        ({"0": [3], "1": [4]}, r"runs are lists of \[task, seconds\]"),
-        ({"a": [[1, 3]]}, r"runs are lists of"),
-    ):
-        (place / "assignment_runs.json").write_text(json.dumps(runs))
-        with pytest.raises(CaseError, match=message):
-            read_assignments(tmp_path, cases)
-    (place / "assignment_runs.json").unlink()
-    for content, message in ((b"none", r"00007.pth: no trajectory"), (None, r"needs whole numbers 'actions.task_id'")):
-        torch.save({"actions": 1}, tmp_path / "00007.pth")
-        if content is not None:
-            (tmp_path / "00007.pth").write_bytes(content)
-        with pytest.raises(CaseError, match=message):
-            read_assignments(tmp_path, cases)
-    with pytest.raises(ValueError, match=r"case 'one': the benchmark names cases by numbers below 100,000"):
-        export_annotations([Trajectory("one", {}, {})], tmp_path)
-    env = made(folder, backend="eager")
-    with pytest.raises(ValueError, match=r"assignments=\[1, 5, 3\] must be \[C, t, S\] of C=2 cases with S=3"):
-        AssignedTasks(env, torch.zeros(1, 5, 3, dtype=torch.int64))
-    with pytest.raises(ValueError, match=r"annotations are of listed cases"):
-        AssignedTasks(made(folder, order="random", backend="eager"), torch.zeros(2, 5, 3, dtype=torch.int64))
-    with pytest.raises(ValueError, match=r"without step_duration and candidates"):
-        AssignedTasks(made(folder, step_duration=30.0, backend="eager"), torch.zeros(2, 5, 3, dtype=torch.int64))
+
+    def trajectory(write):
+        (place / "assignment_runs.json").unlink(missing_ok=True)
+        write(tmp_path / "00007.pth")
+        read_assignments(tmp_path, cases)
+
+    def assigned(count, **options):
+        AssignedTasks(made(folder, backend="eager", **options), torch.zeros(count, 5, 3, dtype=torch.int64))
+
+    table = [
+        refusal(lambda: read_assignments(tmp_path, cases), FileNotFoundError, "00007.pth", "00007/assignment_runs.json"),
+        refusal(lambda: runs({"0": [[-1, 3]]}), CaseError, "assignment_runs.json", "'00007'", "1 satellites", 2),
+        refusal(lambda: runs({"0": [[120, 3]], "1": [[0, 3]]}), CaseError, "assignment_runs.json", "'00007'", "0 to 120"),
+        refusal(lambda: runs({"0": [[1, 3]], "1": [[0, 4]]}), CaseError, "assignment_runs.json", "[3, 4] s"),
+        refusal(lambda: runs({"0": [3], "1": [4]}), CaseError, "assignment_runs.json", "[task, seconds]"),
+        refusal(lambda: runs({"a": [[1, 3]]}), CaseError, "assignment_runs.json", "[task, seconds]"),
+        refusal(lambda: trajectory(lambda path: path.write_bytes(b"none")), CaseError, "00007.pth", "trajectory"),
+        refusal(lambda: trajectory(lambda path: torch.save({"actions": 1}, path)), CaseError, "00007.pth", "'actions.task_id'"),
+        refusal(lambda: export_annotations([Trajectory("one", {}, {})], tmp_path), ValueError, "'one'", "100,000"),
+        refusal(lambda: assigned(1), ValueError, "assignments", [1, 5, 3], "C=2", "S=3"),
+        refusal(lambda: assigned(2, order="random"), ValueError, "annotations", "order='listed'"),
+        refusal(lambda: assigned(2, step_duration=30.0), ValueError, "annotations", "step_duration", "candidates"),
+    ]
+    check_refusals(table)

@@ -82,19 +82,5 @@ def test_replicates_do_not_depend_on_other_methods():
     assert alone.shape == (10, 5, 4)
 
 
-@pytest.mark.parametrize(
-    ("methods", "message"),
-    [
-        ({}, "at least one method"),
-        ({"a": {"x": torch.ones(2, 3), "y": torch.ones(1, 3)}}, "as many runs in each task, and has {'x': 2, 'y': 1}"),
-        ({"a": {"x": torch.ones(2, 3)}, "b": {"x": torch.ones(2, 4)}}, "b has tasks and episodes {'x': 4}, a has {'x': 3}"),
-        ({"a": {"x": torch.tensor([[float("nan")]])}}, "the scores of a must be finite"),
-    ],
-)
-def test_methods_that_cannot_be_compared_raise(methods, message):
-    with pytest.raises(ValueError, match=message.replace("{", r"\{").replace("}", r"\}")):
-        bootstrap(methods)
-
-
 def test_scores_of_runs_are_means_over_episodes():
     assert run_scores({"x": torch.tensor([[1.0, 3.0]]), "y": torch.tensor([[5.0]])}).tolist() == [[2.0, 5.0]]

@@ -53,8 +53,3 @@ def test_batches_are_by_the_policy_one_update_before_and_resume_bit_for_bit(tmp_
     Training(half, tmp_path / "parts").run()
     again = Training(dataclasses.replace(half, frames=4 * 32), tmp_path / "parts", resume=True).run()
     assert torch.equal(weights(again), expected)
-
-
-def test_it_needs_other_processes():
-    with pytest.raises(ValueError, match=r"ahead=True .* needs collector='multi' or 'ray'"):
-        PPOConfig(ahead=True)

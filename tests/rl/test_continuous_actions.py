@@ -21,6 +21,7 @@ from bsk_torch.rl.training.config import PPOConfig
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.viz.episodes import draw, record
 from tests.act.test_continuous import START, Choose, kind
+from tests.support.refusals import check_refusals, refusal
 
 TARGET = torch.tensor([0.3, -0.2, 0.1], dtype=torch.float64)
 
@@ -156,7 +157,7 @@ class TestMAPPO:
         extra = dict(learning_rate=1e-2, checkpoint_every=0, epochs=4, options={}, seed=1)
         return MAPPOConfig("Crew-v0", **(common | extra | changes))
 
-    @pytest.mark.parametrize("algorithm", ["mappo", pytest.param("ippo", marks=pytest.mark.nightly)])
+    @pytest.mark.parametrize("algorithm", ["mappo", "ippo"])
     def test_types_of_real_and_numbered_actions_learn_side_by_side(self, algorithm, tmp_path):
         training = MAPPOTraining(self.settings(algorithm=algorithm), tmp_path / "run")
         policy = training.run()
@@ -180,6 +181,5 @@ class TestMAPPO:
         assert env.step(decided)["next", "duration"].flatten().tolist() == [1.0] * 4
 
 
-def test_the_safe_rule_is_refused():
-    with pytest.raises((KeyError, ValueError)):
-        shield(SafeRule(), turner())
+def test_rejects_the_safe_rule():
+    check_refusals([refusal(lambda: shield(SafeRule(), turner()), ValueError, "shield", "actions", "A", "real numbers")])

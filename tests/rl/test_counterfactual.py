@@ -5,7 +5,7 @@ import torch
 from tensordict.nn import TensorDictModule
 
 import bsk_torch
-from bsk_torch import dyn, rand
+from bsk_torch import rand
 from bsk_torch.rl.evaluation.charge_bound import least_charge, longest_action, most_power, sunlight
 from bsk_torch.rl.evaluation.counterfactual import LEAST_DEMANDING, LOST, OPEN, SAVED, candidate_plans, exhaust, spliced
 from bsk_torch.rl.evaluation.evaluate import start_episodes
@@ -82,22 +82,6 @@ def test_whoever_has_less_than_the_bound_dies_whatever_he_does():
     assert 5 < int(doomed.sum()) < 60
     for plan in candidate_plans(env, n_random=4):
         assert not bool((fly(env, seeds, plan.expand(64, -1)).survived & doomed).any())
-
-
-@pytest.mark.compiled
-def test_the_bound_refuses_wheels_that_give_power_back():
-    env = build(1, rwMechToElecEfficiency=0.5, storedCharge_Init=1e5)
-    start_episodes(env, [DARK])
-    with pytest.raises(ValueError, match="rwMechToElecEfficiency"):
-        most_power(env, torch.tensor([0]))
-
-
-@pytest.mark.compiled
-def test_the_bound_refuses_several_panels():
-    env = build(1, panels=[dyn.Panel([0, 0, -1], 0.5, 0.2)] * 2, storedCharge_Init=1e5)
-    start_episodes(env, [DARK])
-    with pytest.raises(ValueError, match="covers one solar panel"):
-        most_power(env, torch.tensor([0]))
 
 
 # -- searches -----------------------------------------------------------------------------------------------------------
@@ -180,8 +164,3 @@ def test_what_a_policy_did_is_what_its_list_of_actions_does_in_any_batch():
     assert torch.equal(again.returns, flown.returns)
     assert torch.equal(again.actions, flown.actions)
     assert again.series["wheel_speeds"].shape == (5, flown.actions.shape[1] + 1, 3)
-
-
-def test_seeds_need_rows_that_play_environment_0():
-    with pytest.raises(ValueError, match="env_ids"):
-        start_episodes(bsk_torch.make("NadirScan-v1", num_envs=2, backend="eager"), range(2))

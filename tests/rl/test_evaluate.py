@@ -8,8 +8,6 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 
 import bsk_torch
 from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
-from bsk_torch.rl.policies import pretrained
-from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.rl.rules.baselines import BASELINES, LOT, random_policy
 
 pytestmark = pytest.mark.compiled
@@ -118,18 +116,6 @@ def test_the_cause_of_death_is_named():
     assert float(result.seconds.max()) < LIMIT
 
 
-@pytest.mark.parametrize("given", [{}, {"seed": 0, "seeds": [0]}, {"seeds": []}])
-def test_seeds_are_needed(env, given):
-    with pytest.raises(ValueError, match="evaluation needs one of them"):
-        evaluate(random_policy(env, 0), env, **given)
-
-
-def test_seeds_need_episodes_that_gymnasium_knows():
-    env = bsk_torch.make("NadirScan-v1", num_envs=2, time_limit=LIMIT)
-    with pytest.raises(ValueError, match=r"env_ids=\[0\] \* num_envs"):
-        evaluate(random_policy(env, 0), env, seeds=[0, 1])
-
-
 # -- policies ---------------------------------------------------------------------------------------------------------
 
 
@@ -170,19 +156,3 @@ def test_policies_see_nothing_else_that_is_old(env):
     evaluate(policy, env, seeds=[0])
     assert len(seen) > 1
     assert all("action" not in keys for keys in seen)
-
-
-@pytest.mark.parametrize(
-    ("preset", "wrap", "advice"),
-    [
-        ("AEOS-v1", lambda policy, env: policy, r"read_card\(file\)\['options'\]"),
-        ("AEOS-v1", shared, r"read_card\(file\)\['options'\]"),
-        ("Constellation-v1", shared, r"read_card\(file\)\['options'\]"),
-        ("Constellation-v1", lambda policy, env: policy, r"shared\(policy, env\)"),
-    ],
-)
-def test_policies_that_read_what_there_is_not_are_answered_with_what_to_do(preset, wrap, advice):
-    """Those of the package read sets, which these environments do not show."""
-    env = bsk_torch.make(preset, num_envs=1, backend="eager", time_limit=20.0)
-    with pytest.raises(ValueError, match=rf"the policy reads observation\.sat_props\..*does not have; .*{advice}"):
-        evaluate(wrap(pretrained(preset), env), env, seed=1)

@@ -14,6 +14,7 @@ from bsk_torch.rl.policies import check_fits, load_policy, read_card
 from bsk_torch.rl.policies.shared_policy import GroupPolicies, for_each_group, member_views, shared
 from bsk_torch.rl.rules.baselines import RandomPolicy
 from bsk_torch.rl.training.collect import make_collector
+from tests.support.refusals import check_refusals, refusal
 
 pytestmark = pytest.mark.compiled
 
@@ -50,11 +51,6 @@ def test_each_group_is_asked_for_what_its_satellites_can_do():
     assert told["b", "action"].tolist() == [[4, 5]]
 
 
-def test_policies_of_other_groups_are_refused(env):
-    with pytest.raises(ValueError, match="for groups a, b; the environment has broadcasting_set_imager, relay"):
-        shared(GroupPolicies({"a": always(0), "b": always(0)}), env)
-
-
 def test_every_group_is_seen_as_its_satellites_see_it(env):
     views = member_views(env)
     assert list(views) == [IMAGER, RELAY]
@@ -68,11 +64,6 @@ def test_groups_that_a_rule_does_not_fit_act_at_random(env):
     assert isinstance(policies[RELAY], RandomPolicy)
 
 
-def test_a_rule_that_fits_no_group_is_refused(env):
-    with pytest.raises(KeyError, match="storage_level_fraction"):
-        bsk_torch.rule("rule", env)
-
-
 def test_each_group_is_changed_with_its_own_view(env):
     seen = []
     changed = for_each_group(
@@ -80,13 +71,6 @@ def test_each_group_is_changed_with_its_own_view(env):
     )
     assert seen == [17, 3]
     assert list(changed.policies) == [IMAGER, RELAY]
-
-
-@pytest.mark.parametrize("options", [{"joint": True}, {"meta_agent_groupings": {"pair": ["EO1", "EO2"]}}])
-def test_agents_of_several_satellites_are_refused(options):
-    env = bsk_torch.make("RelayConstellation-v1", num_envs=1, backend="eager", **CREW, **options)
-    with pytest.raises(ValueError, match="each satellite must be a separate agent"):
-        member_views(env)
 
 
 # -- critics ----------------------------------------------------------------------------------------------------------
@@ -136,14 +120,16 @@ def test_the_file_of_several_groups_holds_each_of_them(trained):
         assert torch.equal(first[group, "action"], second[group, "action"])
 
 
-def test_policies_of_other_groups_and_sizes_name_both(trained):
-    card = read_card(trained[2])
-    crew = CREW | {"backend": "eager", "num_envs": 1}
-    with pytest.raises(ValueError, match="with groups broadcasting_set_imager, relay; RelayConstellation-v1 has broadcasting_im"):
-        check_fits(card, bsk_torch.make("RelayConstellation-v1", **crew), "RelayConstellation-v1")
-    card["groups"][RELAY]["plan"]["n_observed"] = 6
-    with pytest.raises(ValueError, match="n_observed=6 in group relay; this environment has n_observed=7"):
-        check_fits(card, bsk_torch.make("RelayConstellation-v1", as_set=True, **crew))
+def test_rejects_policies_of_other_groups_and_sizes(trained):
+    card, name = read_card(trained[2]), "RelayConstellation-v1"
+    groups = card["groups"] | {RELAY: card["groups"][RELAY] | {"plan": card["groups"][RELAY]["plan"] | {"n_observed": 6}}}
+    made = lambda **options: bsk_torch.make(name, num_envs=1, backend="eager", **CREW, **options)
+    smaller = lambda: check_fits(card | {"groups": groups}, made(as_set=True))
+    table = [
+        refusal(lambda: check_fits(card, made(), name), ValueError, f"{IMAGER}, {RELAY}", f"broadcasting_imager, {RELAY}"),
+        refusal(smaller, ValueError, "n_observed=6", RELAY, "n_observed=7"),
+    ]
+    check_refusals(table)
 
 
 @pytest.fixture(scope="module", params=["mappo", "ippo"])

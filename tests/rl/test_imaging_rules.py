@@ -22,6 +22,7 @@ from bsk_torch.rl.rules.imaging import (
     by_tour,
 )
 from bsk_torch.rl.rules.targets import TargetReader, image_actions, read
+from tests.support.refusals import check_refusals, refusal
 
 # priority, position (3 columns), angle / rad, opening and closing / 300 s
 TARGETS = [
@@ -128,15 +129,6 @@ def test_satellites_without_downlink_only_image():
     assert decide(by_priority, set(IMAGES), actions=tuple(IMAGES), level=0.99, opens=-0.1) == "action_image_1"
 
 
-def test_what_is_not_observed_is_named():
-    values, description, entry = described(0.5, 1.0, False)
-    observation = ObservationBuilder.vector(values, torch.float32)
-    with pytest.raises(KeyError, match=r"target_angle_rate.*did you mean 'target_angle'"):
-        TargetReader(entry, description).read(observation, "target_angle_rate")
-    with pytest.raises(KeyError, match=r"sat_props.storage_level.*not observed"):
-        read(observation, description, "sat_props.storage_level")
-
-
 def test_properties_come_in_their_own_units():
     values, description, entry = described(0.5, 1.0, True)
     seen = TargetReader(entry, description).read(TensorDict(values, [1]), "opportunity_close")
@@ -207,16 +199,19 @@ def test_rules_earn_in_the_order_that_is_expected():
     assert all(float(result.counts["imaged"].double().mean()) > 1.0 for result in results)
 
 
-def test_rules_do_not_fit_what_has_no_targets():
+def test_rejects_what_is_not_observed():
+    values, description, entry = described(0.5, 1.0, False)
+    seen = ObservationBuilder.vector(values, torch.float32)
     env = bsk_torch.make("NadirScan-v1", num_envs=1, backend="eager")
-    for name in ("greedy", "nearest", "hasty", "farsighted"):
-        with pytest.raises(ValueError, match="observes no targets"):
-            BASELINES[name](env, 0)
-    with pytest.raises(ValueError, match="images no targets"):
-        image_actions(env)
-
-
-def test_columns_of_functions_that_give_several_are_refused():
-    entry = obs.OpportunityProperties(dict(fn=by_priority), n_ahead_observe=2, as_set=True)
-    with pytest.raises(ValueError, match="has 2 columns, not 1"):
-        TargetReader(entry, [f"target.rows[{k}]" for k in range(4)])
+    several = obs.OpportunityProperties(dict(fn=by_priority), n_ahead_observe=2, as_set=True)
+    columns = lambda: TargetReader(several, [f"target.rows[{k}]" for k in range(4)])
+    angle = lambda: TargetReader(entry, description).read(seen, "target_angle_rate")
+    level, rules = "sat_props.storage_level", ("greedy", "nearest", "hasty", "farsighted")
+    table = [
+        refusal(angle, KeyError, "'target_angle_rate'", "'target_angle'"),
+        refusal(lambda: read(seen, description, level), KeyError, level),
+        *(refusal(lambda name=name: BASELINES[name](env, 0), ValueError, "Scanner1", "targets") for name in rules),
+        refusal(lambda: image_actions(env), ValueError, "Scanner1", "targets", "action_nadir_scan"),
+        refusal(columns, ValueError, "'target'", "2 columns", 1),
+    ]
+    check_refusals(table)

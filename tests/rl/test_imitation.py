@@ -6,10 +6,9 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-import bsk_torch
 from bsk_torch.rl.marl import MAPPOConfig
 from bsk_torch.rl.marl.mappo import DECIDES, MAPPOLearner
-from bsk_torch.rl.policies.shared_policy import member_views, shared
+from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.rl.rules.baselines import BASELINES
 from bsk_torch.rl.rules.imaging import IMAGING_RULES, URGENCY, ImagingRule
 from bsk_torch.rl.training.config import PPOConfig
@@ -219,40 +218,6 @@ def test_satellites_of_a_constellation_imitate_what_the_rule_fits(caplog):
     legal = seen["mask"].gather(-1, seen["taught"].unsqueeze(-1)).squeeze(-1)
     assert seen["decides"].any()
     assert legal[seen["decides"]].all()
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        (dict(imitate="hasy"), r"imitate='hasy' must be one of .*did you mean 'hasty'"),
-        (dict(imitate="random"), r"imitate='random' must be one of"),
-        (dict(imitation=0.0), r"imitation=0.0 must lie in \(0, 1\]"),
-        (dict(imitation=float("nan")), r"imitation=nan must lie in"),
-        (dict(imitation_temperature=-0.1), r"imitation_temperature=-0.1 must lie in \[0, inf\)"),
-        (dict(imitate="survey", imitation_temperature=0.1), r"=0.1 needs a rule .*, one of \['greedy', .*\]"),
-        (
-            dict(imitate="nearest", imitation_temperature=0.1),
-            r"one of \['greedy', 'hasty', 'farsighted', 'cooperative'\]; .*imitate='nearest'",
-        ),
-    ],
-)
-def test_settings_that_do_not_work(changes, message):
-    with pytest.raises(ValueError, match=message):
-        config(**changes)
-
-
-def test_rules_that_do_not_fit():
-    env = bsk_torch.make("NadirScan-v1", num_envs=1, backend="eager")
-    with pytest.raises(ValueError, match=r"imitate='hasty' does not fit"):
-        find_teacher("hasty", env)
-    flying = bsk_torch.make("RSOInspection-v1", num_envs=1, backend="eager")
-    views = member_views(flying)
-    view = next(view for name, view in views.items() if "inspector" in name)
-    with pytest.raises(ValueError, match=r"rules are imitated in choices only"):
-        find_teacher("survey", view)
-    options = MAPPOConfig("RSOInspection-v1", imitate="hasty", options={"backend": "eager"}, num_envs=1, frames=8)
-    with pytest.raises(ValueError, match=r"imitate='hasty' fits no satellite of RSOInspection-v1 .*; imitate=null"):
-        MAPPOLearner(options, options.make_env())
 
 
 def test_both_types_of_a_cluster_learn_how_its_rule_ranks_actions():

@@ -13,7 +13,7 @@ from bsk_torch import comm
 from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.marl.mappo import ALIVE, ConstellationCritic, MAPPOConfig, MAPPOTraining, team_advantages, team_batch
 from bsk_torch.rl.networks.normaliser import MASK, OWN, ROWS
-from bsk_torch.rl.policies.shared_policy import SharedPolicy, member_view, shared
+from bsk_torch.rl.policies.shared_policy import SharedPolicy
 from bsk_torch.rl.rules.baselines import BASELINES
 from bsk_torch.rl.training.advantages import FINAL
 from bsk_torch.rl.training.collect import make_collector
@@ -56,14 +56,6 @@ def test_steps_after_which_nobody_needs_a_task(name):
     going_on = now["agents", "action_mask"].shape[-1] - 1
     now["agents", "action_mask"] = (torch.arange(going_on + 1) == going_on).expand(2, 3, -1)
     assert bool((bsk_torch.rule(name, env)(now)["agents", "action"] == going_on).all())
-
-
-def test_one_policy_for_unlike_satellites_is_refused():
-    env = bsk_torch.make("RelayConstellation-v1", num_envs=1, backend="eager")
-    with pytest.raises(ValueError, match="broadcasting_imager, relay"):
-        member_view(env)
-    with pytest.raises(ValueError, match="must be alike"):
-        shared(TensorDictModule(last_legal, in_keys=["action_mask"], out_keys=["action"]), env)
 
 
 @pytest.mark.compiled
@@ -232,14 +224,6 @@ def test_the_loss_is_that_of_decisions_alone(learned):
     advantage = team["advantage"].reshape(-1, 3)
     gain = torch.minimum(ratio * advantage, ratio.clamp(0.8, 1.2) * advantage)[team["decides"].reshape(-1, 3)]
     torch.testing.assert_close(losses(learner, team)[0], -gain.mean(), **FLOAT32_SUMS)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"), [({"algorithm": "mapo"}, "did you mean 'mappo'"), ({"network": "mlp"}, "learn with 'attention'")]
-)
-def test_configurations_that_do_not_work(changes, message):
-    with pytest.raises(ValueError, match=message):
-        MAPPOConfig(**changes)
 
 
 # -- from end to end --------------------------------------------------------------------------------------------------

@@ -75,11 +75,6 @@ def test_a_processor_without_bfloat16_is_named(monkeypatch, tmp_path):
     assert not (tmp_path / "run").exists()
 
 
-def test_names_of_precisions_are_checked():
-    with pytest.raises(ValueError, match=r"precision='bfloat8' must be one of .*did you mean 'bfloat16'"):
-        small("mlp", precision="bfloat8")
-
-
 def test_capabilities_are_those_of_the_system():
     try:
         flags = Path("/proc/cpuinfo").read_text().split()

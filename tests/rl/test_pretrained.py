@@ -14,12 +14,9 @@ SAME = 0.02
 """Relative: where two actions are equally good to rounding, another processor may take the other one."""
 
 
-LONG = ("Constellation-v1", "AEOSConstellation-v1")
-"""Presets of so many satellites that four episodes take half a minute."""
-
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("preset", [pytest.param(name, marks=pytest.mark.nightly if name in LONG else ()) for name in makings()])
+@pytest.mark.parametrize("preset", makings())
 def test_a_pretrained_policy_has_its_score(preset):
     noted, card = makings()[preset], read_card(pretrained_file(preset))
     assert card["preset"] == preset
@@ -56,8 +53,3 @@ def test_what_made_them_is_noted():
         assert noted["seconds"] > 0
         assert noted["score"]["episodes"] >= 256
     assert sum(path.stat().st_size for path in FOLDER.iterdir()) < 5e6
-
-
-def test_presets_without_one_are_answered_with_the_nearest():
-    with pytest.raises(ValueError, match="did you mean 'NadirScan-v1'"):
-        pretrained("NadirScan-v2")

@@ -75,8 +75,3 @@ def test_a_recurrent_policy_learns_loads_and_flies(tmp_path):
         for _ in range(3):
             now = step_mdp(env.step(kept(now)))
     assert float(now[MEMORY].abs().min()) > 0.0
-
-
-def test_a_unit_needs_a_layer_before_it():
-    with pytest.raises(ValueError, match=r"\(64, 64\)"):
-        GRUPlan(12, 4, (64,))

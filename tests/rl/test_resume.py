@@ -16,9 +16,6 @@ from tests.support.choices import legal_actions
 
 pytestmark = pytest.mark.compiled
 
-QUICK = ("NadirScan-v1", "Constellation-v1")
-"""Presets of the tests that are run always; the others are run at night."""
-
 OPTIONS = {
     "Constellation-v1": {"n_satellites": 3, "n_targets": 120},
     "AEOS-v1": {"n_targets": 120},
@@ -27,12 +24,10 @@ OPTIONS = {
 
 needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="needs pip install 'bsk_torch[ray]'")
 
-NIGHTLY = [pytest.param(name, marks=() if name in QUICK else pytest.mark.nightly) for name in PRESETS]
-
 COLLECTORS = (
     "single",
-    pytest.param("multi", marks=pytest.mark.nightly),
-    pytest.param("ray", marks=[needs_ray, pytest.mark.nightly]),
+    "multi",
+    pytest.param("ray", marks=needs_ray),
 )
 
 
@@ -57,7 +52,7 @@ FORMS = {
 }
 
 
-@pytest.mark.parametrize("name", NIGHTLY)
+@pytest.mark.parametrize("name", PRESETS)
 def test_states_come_back_from_files(name, tmp_path):
     """``torch.save(state.to_dict())``, read without trust, in all forms that a tensordict has: bit for bit."""
     env = make(name, seed=5)
@@ -92,7 +87,7 @@ def weights(policy):
 
 
 @pytest.mark.parametrize("collector", COLLECTORS)
-@pytest.mark.parametrize("name", NIGHTLY)
+@pytest.mark.parametrize("name", PRESETS)
 def test_resumed_trainings_are_the_uninterrupted_ones(name, collector, tmp_path):
     whole, half = config_of(name, collector, 64), config_of(name, collector, 32)
     expected = training_of(whole, tmp_path / "whole").run()

@@ -129,27 +129,6 @@ def test_entrants_that_have_no_policy_get_no_score():
     assert play(NADIR, lambda preset, make: None, 2) is None
 
 
-@pytest.mark.parametrize(
-    ("entrant", "error", "message"),
-    [
-        (lambda preset, make: 3, TypeError, r"returned 3; it must return \(env, policy\), or None"),
-        (lambda preset, make: (make(backend="eager"),), TypeError, "must return"),
-        (lambda preset, make: (NADIR.environment(1, backend="eager"), len), ValueError, "an environment that make"),
-        (lambda preset, make: make(time_limit=60.0), ValueError, "time_limit=60.0 would change the task NadirScan-v1"),
-        (lambda preset, make: make(as_set=True), TypeError, "as_set"),
-    ],
-)
-def test_wrong_entrants_are_refused(entrant, error, message):
-    with pytest.raises(error, match=message):
-        play(NADIR, entrant, 1)
-
-
-@pytest.mark.parametrize("episodes", [0, EPISODES + 1])
-def test_numbers_of_episodes(episodes):
-    with pytest.raises(ValueError, match=rf"episodes={episodes} must lie in \[1, 1024\]"):
-        play(NADIR, idle, episodes)
-
-
 def test_unknown_suites_and_presets_name_the_nearest():
     with pytest.raises(ValueError, match="suite='v3' is not a suite; did you mean 'v"):
         tasks_of("v3")

@@ -21,6 +21,7 @@ from bsk_torch.rl.training.config import CONFIG, PPOConfig, load_config
 from bsk_torch.rl.training.episodes import RecentEpisodes
 from bsk_torch.rl.training.log import COLUMNS, EVALUATED, EVALUATIONS, LOG, read_log
 from bsk_torch.rl.training.trainer import CHECKPOINT, RESTARTS, Training
+from tests.support.refusals import check_refusals, refusal
 
 pytestmark = pytest.mark.compiled
 
@@ -211,9 +212,9 @@ class Failing(Losing):
         self.collector.pipes[0].send((None, "nonsense"))
 
 
-def test_code_that_fails_in_a_process_is_not_tried_again(tmp_path):
-    with pytest.raises(RuntimeError, match=r"a process that collects experience has failed \(.*\); resume from"):
-        Failing(SEVERAL, tmp_path / "run").run()
+def test_rejects_code_that_fails_in_a_process(tmp_path):
+    out = tmp_path / "run"
+    check_refusals([refusal(lambda: Failing(SEVERAL, out).run(), RuntimeError, "process", "experience", out)])
 
 
 class LosingActor(Losing):
@@ -279,20 +280,20 @@ def test_processes_share_out_the_episodes_of_one(tmp_path):
         assert torch.cat([part[key] for part in found]).equal(expected[key])
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"preset": "AEOS-v1"}, "preset='AEOS-v1'"),
-        ({"bsk_torch": "0.0.1"}, r"'0\.0\.1'"),
-        ({"num_envs": 8}, "num_envs=8, .* as 4"),
-    ],
-)
-def test_checkpoints_of_something_else_are_refused(run, tmp_path, change, message):
+def test_rejects_checkpoints_of_something_else(run, tmp_path):
+    def resumed(**change):
+        torch.save(saved | change, tmp_path / CHECKPOINT)
+        resume(tmp_path, episodes=0)
+
     out, _ = run
     (tmp_path / CONFIG).write_text((out / CONFIG).read_text())
-    torch.save(torch.load(out / CHECKPOINT, weights_only=True) | change, tmp_path / CHECKPOINT)
-    with pytest.raises(ValueError, match=message):
-        resume(tmp_path, episodes=0)
+    saved = torch.load(out / CHECKPOINT, weights_only=True)
+    table = [
+        refusal(lambda: resumed(preset="AEOS-v1"), ValueError, "preset", "'AEOS-v1'", "'NadirScan-v1'"),
+        refusal(lambda: resumed(bsk_torch="0.0.1"), ValueError, "bsk_torch", "'0.0.1'", bsk_torch.__version__),
+        refusal(lambda: resumed(num_envs=8), ValueError, "num_envs=8", 4),
+    ]
+    check_refusals(table)
 
 
 def test_resuming_needs_a_checkpoint(tmp_path):

@@ -1,4 +1,4 @@
-"""Several deputies against recordings of AFRL's programs, see recorders/record_crews.py."""
+"""Several deputies against recordings of AFRL's programs, see scripts/recorders/record_afrl_crews.py."""
 
 from operator import attrgetter
 
@@ -141,13 +141,6 @@ def test_deputies_know_each_other():
     assert len(angle.unique()) == 4
     with pytest.raises(ValueError, match="needs the other deputy 2, counted from 0; there are 2 others"):
         Barriers(crew_inspection(4))(x, wish, 10.0)
-
-
-@pytest.mark.parametrize("preset", ["CWDocking-v1", "CWInspection-v1"])
-@pytest.mark.parametrize("deputies", [0, 1.5, "2"])
-def test_numbers_of_deputies(preset, deputies):
-    with pytest.raises(ValueError, match=r"deputies=.* must be a whole number from 1 on"):
-        bsk_torch.make(preset, deputies=deputies)
 
 
 class Facing(formations.Formation):

@@ -1,4 +1,4 @@
-"""CWDocking-v1 against recorded episodes of ``docking_v0`` of AFRL's safe-autonomy-sims, see recorders/record_docking.py."""
+"""CWDocking-v1 against episodes of AFRL's ``docking_v0``, recorded by scripts/recorders/record_afrl_docking.py."""
 
 import numpy as np
 import pytest

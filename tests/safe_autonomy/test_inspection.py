@@ -1,4 +1,4 @@
-"""CWInspection-v1 against recorded episodes of ``inspection_v0`` of safe-autonomy-sims, see recorders/record_inspection.py."""
+"""CWInspection-v1 against episodes of AFRL's ``inspection_v0``, recorded by scripts/recorders/record_afrl_inspection.py."""
 
 import math
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import pytest
 import torch
 
 from bsk_torch import ConstellationTasking, SatelliteTasking, act, data, obs, sats, scene
 from bsk_torch.presets.aeos import agile_args
+from tests.support.refusals import check_refusals, refusal
 
 LIMIT, BINS, WIDTH = 600.0, 20, 180.0
 
@@ -100,14 +100,19 @@ def test_density_of_targets():
     assert expected[-5:].sum() > 0.0  # far beyond the time limit
 
 
-@pytest.mark.parametrize("until", [torch.zeros(3), float("inf"), torch.tensor([1.0, float("nan")])])
-def test_times_that_cannot_be_used(until):
-    env = make()
+def test_rejects_wrong_times_and_rewarders_without_a_store():
+    env, without = make(), make(rewarder=data.NoReward())
     env.reset()
-    with pytest.raises(ValueError, match=r"until=.* must be finite seconds since reset: .* shape \[2\]"):
-        env.satellite.find_windows(until)
-    with pytest.raises(ValueError, match="type='targets' is not a type of opportunity; did you mean 'target'"):
-        env.satellite.find_windows(100.0, "targets")
+    check_refusals(
+        [
+            *(
+                refusal(lambda until=until: env.satellite.find_windows(until), ValueError, "until", until, "[2]")
+                for until in (torch.zeros(3), float("inf"), torch.tensor([1.0, float("nan")]))
+            ),
+            refusal(lambda: env.satellite.find_windows(100.0, "targets"), ValueError, "type", "'targets'", "'target'"),
+            refusal(lambda: without.satellite.data_store, AttributeError, "NoReward", "data.UniqueImageReward"),
+        ]
+    )
 
 
 def pair():
@@ -140,9 +145,3 @@ def test_data_of_one_environment_are_sets_of_targets():
     assert one.imaged == {env.scenario.target_object(0, 5), env.scenario.target_object(0, 6)}
     assert len(other.imaged) == 1
     assert len(one.known) == 30
-
-
-def test_rewarders_without_a_store_say_so():
-    env = make(rewarder=data.NoReward())
-    with pytest.raises(AttributeError, match="NoReward keeps no data of satellites"):
-        _ = env.satellite.data_store

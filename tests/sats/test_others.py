@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from bsk_torch import ConstellationTasking, act, dyn, fsw, obs, sats
+from tests.support.refusals import check_refusals, refusal
 
 
 class Small(sats.Satellite):
@@ -82,19 +83,6 @@ def test_one_satellite_sees_one(env):
     assert len(one.others) == len(env.satellites[0].others) == 5
 
 
-@pytest.mark.parametrize("look", ["satellites[0].others", "satellites[1].one(0).others"])
-def test_an_unknown_name_is_answered_with_the_nearest(env, look):
-    with pytest.raises(KeyError, match="'RS0' is not a satellite of the environment; did you mean 'RSO'"):
-        eval(f"env.{look}", {"env": env})["RS0"]
-    with pytest.raises(KeyError, match="did you mean 'RSO'"):
-        env.fleet.satellite("rs0")
-
-
-def test_others_are_read_not_written(env):
-    with pytest.raises(AttributeError, match="shown to be read"):
-        env.satellites[0].others["RSO"].name = "other"
-
-
 class Nearest(obs.Observation):
     """Distance to the second satellite of the same type, as an observation of a user's own would read it."""
 
@@ -123,7 +111,15 @@ def of_pair(env, number):
     return env.satellites[0].dynamics.r_BN_N.view(2, 2, 3)[:, number]
 
 
-def test_others_are_not_there_while_satellites_are_linked():
+def test_rejects_wrong_names_changes_and_looks_that_come_too_early(env):
     early = type("Early", (Small,), {"observation_spec": (TooEarly("distance"),)})
-    with pytest.raises(RuntimeError, match="others are seen in get_obs"):
-        ConstellationTasking([early("A"), early("C")], backend="eager")
+    first, one = env.satellites[0].others, env.satellites[1].one(0).others
+    check_refusals(
+        [
+            refusal(lambda: first["RS0"], KeyError, "'RS0'", "'RSO'"),
+            refusal(lambda: one["RS0"], KeyError, "'RS0'", "'RSO'"),
+            refusal(lambda: env.fleet.satellite("rs0"), KeyError, "'rs0'", "'RSO'"),
+            refusal(lambda: setattr(first["RSO"], "name", "other"), AttributeError, "'name'", "another satellite"),
+            refusal(lambda: ConstellationTasking([early("A"), early("C")], backend="eager"), RuntimeError, "'C'", "get_obs()"),
+        ]
+    )

@@ -1,15 +1,14 @@
-"""Files of AEOS-Bench: what they mean, in all forms, and errors that name the file and the entry."""
+"""Files of AEOS-Bench: what they mean, in all forms."""
 
 from __future__ import annotations
 
-import json
 import math
 import shutil
 
 import pytest
 import torch
 
-from bsk_torch.scene import CaseError, read_cases
+from bsk_torch.scene import read_cases
 from bsk_torch.scene.aeos_files import EARTH_RADIUS, on_sphere
 from tests.scene.aeos_cases import constellation, tasks, write
 
@@ -69,66 +68,13 @@ def test_places_are_on_the_sphere_of_the_benchmark():
     assert found[1].tolist() == pytest.approx([0.0, 0.0, EARTH_RADIUS], abs=1e-9)
 
 
-def broken(change) -> tuple[dict, list]:
-    orbits, jobs = constellation(2), tasks(2)
-    change(orbits, jobs)
-    return orbits, jobs
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda c, t: c["satellites"][1].pop("mass"), r"constellation.json.satellites\[1\] lacks 'mass'"),
-        (lambda c, t: c["satellites"][0].update(mas=1.0, mass="x"), r"satellites\[0\]: mass='x' must be a number"),
-        (lambda c, t: c["satellites"][0].update(orbit=7), r"orbit=7 is not among the ids of orbits, \[0\]"),
-        (lambda c, t: c["satellites"][1].update(id=0), r"satellites have the ids \[0, 0\]"),
-        (lambda c, t: c["satellites"][0]["sensor"].update(type=3), r"satellites\[0\].sensor: type=3 must be one of"),
-        (lambda c, t: c["satellites"][0]["reaction_wheels"].pop(), r"reaction_wheels must be a list of 3 objects"),
-        (lambda c, t: c["satellites"][0].update(inertia=[1.0, 2.0, 3.0]), r"must be a list of 9 numbers"),
-        (lambda c, t: c["satellites"][0]["battery"].update(percentage=1.5), r"percentage=1.5 must be a number in \[0, 1\]"),
-        (lambda c, t: c["orbits"][0].update(eccentricity=float("nan")), r"eccentricity=nan must be a number"),
-        (lambda c, t: t[1].update(due_time=-5), r"taskset.json.tasks\[1\]: due_time=-5 s is before release_time=0 s"),
-        (lambda c, t: t[0].update(sensor_type=9), r"tasks\[0\]: sensor_type=9 must be one of"),
-        (lambda c, t: t[0].update(coordinate=[137.0, 2.0]), r"must be latitude and longitude"),
-        (lambda c, t: t[0].update(duration=300), r"duration=300 must be a number in \[1, 255\]"),
-        (lambda c, t: t.clear(), r"no tasks"),
-    ],
-)
-def test_a_wrong_entry_is_named(tmp_path, change, message):
-    folder = write(tmp_path / "bad", *broken(change))
-    with pytest.raises(CaseError, match=message):
-        read_cases(folder)
-
-
 def test_impossible_inertias_are_told(tmp_path, caplog):
     read_cases(write(tmp_path / "usual", constellation(2), tasks(1)))
     assert not caplog.records
-    orbits, jobs = broken(lambda c, t: c["satellites"][1].update(inertia=[50.0, 0, 0, 0, 60.0, 0, 0, 0, 190.0]))
-    cases = read_cases(write(tmp_path / "odd", orbits, jobs))
+    odd = constellation(2)
+    odd["satellites"][1].update(inertia=[50.0, 0, 0, 0, 60.0, 0, 0, 0, 190.0])
+    cases = read_cases(write(tmp_path / "odd", odd, tasks(2)))
     assert [record.getMessage() for record in caplog.records] == [
         f"{tmp_path / 'odd'}: 1 of 2 satellites have an inertia that no body has; they fly with it, as in the benchmark"
     ]
     assert cases.satellites["inertia"][0, 1, 8] == 190.0
-
-
-def test_missing_and_unreadable_files(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"no constellation.json"):
-        read_cases(tmp_path)
-    folder = write(tmp_path / "one", constellation(1), tasks(1))
-    (folder / "taskset.json").write_text("[{")
-    with pytest.raises(CaseError, match=r"taskset.json: no JSON"):
-        read_cases(folder)
-    (folder / "taskset.json").write_text(json.dumps("tasks"))
-    with pytest.raises(CaseError, match="must be an object"):
-        read_cases(folder)
-    (folder / "taskset.json").unlink()
-    with pytest.raises(FileNotFoundError, match=r"taskset.json: the tasks of .*constellation.json are missing"):
-        read_cases(folder)
-
-
-def test_more_than_the_padding(tmp_path):
-    folder = write(tmp_path / "one", constellation(3), tasks(4))
-    with pytest.raises(CaseError, match=r"case 'one' has 3 satellites, more than satellites=2"):
-        read_cases(folder, satellites=2)
-    with pytest.raises(CaseError, match=r"case 'one' has 4 tasks, more than tasks=1"):
-        read_cases(folder, tasks=1)

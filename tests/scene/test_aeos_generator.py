@@ -204,22 +204,3 @@ def test_a_generator_takes_the_place_of_a_folder(tmp_path):
     ):
         with pytest.raises((ValueError, FileNotFoundError), match=message):
             bsk_torch.make("AEOSBench-v1", num_envs=1, **arguments)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((0,), r"satellites=0"),
-        (((5, 2),), r"satellites=\(5, 2\) must be the smallest number and the largest one"),
-        (((1, 2, 3),), r"must be a number, or the smallest and the largest one"),
-        ((2, 1001), r"tasks=1001"),
-        ((3, 10, [[7e6, 0.0, 1.0, 0.0, 0.0]]), r"satellites=3 exceeds the 1 of orbits"),
-        ((1, 10, [[7e6, 1.0, 1.0, 0.0, 0.0]]), r"needs a > 0 m and 0 <= e < 1"),
-        ((1, 10, "reel"), r"orbits='reel' must be one of \['random', 'real'\], or a list; did you mean 'real'"),
-        ((1, 10, [[7e6, 0.0, 1.0]]), r"shape \[1, 3\]"),
-        ((1, 10, [[7e6, 0.0, float("nan"), 0.0, 0.0]]), r"must have finite elements"),
-    ],
-)
-def test_errors(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        AEOSBenchGenerator(*arguments)

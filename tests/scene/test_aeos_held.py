@@ -6,10 +6,9 @@ import pytest
 import torch
 
 import bsk_torch
-from bsk_torch import SatelliteTasking, act, data, scene
+from bsk_torch import data
 from bsk_torch.data.task_reward import NEVER, progress
 from bsk_torch.env.rollout import play_episodes
-from bsk_torch.presets.aeos_bench import BenchSatellite
 from bsk_torch.scene import aeos_bench
 from tests.scene.aeos_cases import constellation, tasks, write
 
@@ -163,18 +162,3 @@ def test_an_episode_depends_on_no_other_and_on_no_piece(monkeypatch):
         returns += td["agents", "reward"][2].squeeze(-1).double()
     assert torch.equal(returns, one[0])
     assert all(torch.equal(value[2], counted(alone)[name][0]) for name, value in counted(many).items())
-
-
-def test_errors():
-    with pytest.raises(ValueError, match=r"until_done=True needs a longer step_duration than 1 s"):
-        bsk_torch.make("AEOSBench-v1", num_envs=1, until_done=True)
-    with pytest.raises(ValueError, match=r"step_duration=0.5 must be a number"):
-        bsk_torch.make("AEOSBench-v1", num_envs=1, step_duration=0.5)
-    with pytest.raises(ValueError, match=r"duration=0 must be a number"):
-        act.PointAtTask(duration=0)
-    with pytest.raises(ValueError, match=r"until_done=2 must be True or False"):
-        act.PointAtTask(until_done=2)
-    generator = scene.AEOSBenchGenerator(1, 5)
-    slow = BenchSatellite("A", action=act.PointAtTask(duration=2.0))
-    with pytest.raises(ValueError, match=r"duration=2 s is longer than a tick of 1 s; .*dyn.AEOSBenchTracedDynModel"):
-        SatelliteTasking(slow, scene.AEOSBench(generator), sim_rate=1.0)

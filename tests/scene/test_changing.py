@@ -74,33 +74,6 @@ def test_what_is_present_can_be_read_before_the_first_reset(begin):
     assert scenario.priority.tolist() == [[2, 2]]
 
 
-@pytest.mark.parametrize(
-    ("result", "message"),
-    [
-        (
-            lambda t: (t, torch.ones(3, 2).bool()),
-            r"\[3\] and availability of shape \[3, 2\], torch.bool; both",
-        ),
-        (lambda t: (torch.ones(3, 2), torch.ones(3, 2)), r"availability of shape \[3, 2\], torch.float32; both must be \[3, 2\]"),
-    ],
-)
-def test_wrong_results_of_at(begin, result, message):
-    class Wrong(scene.ChangingTargets, scene.UniformTargets):
-        def at(self, time):
-            return result(time)
-
-    with pytest.raises(ValueError, match=r"Wrong.at\(time\) gives priorities of shape .*" + message):
-        begin(Wrong(2), 3)
-
-
-def test_at_must_be_written(begin):
-    class Lazy(scene.ChangingTargets, scene.UniformTargets):
-        pass
-
-    with pytest.raises(NotImplementedError, match=r"Lazy must implement at\(time\)"):
-        begin(Lazy(2))
-
-
 # -- wildfires --------------------------------------------------------------------------------------------------------
 
 
@@ -187,23 +160,3 @@ def test_regions_get_fires_by_their_area():
 def test_callables_are_known():
     assert one_fire(ignition=lambda: 5.0).calls_user
     assert not one_fire().calls_user
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"ignition": math.nan}, r"ignition is nan s for target 0 of environment 0; it must be a finite number"),
-        ({"rate_of_spread": -1.0}, r"rate_of_spread is -1 m/s for target 0 of environment 0; .* finite number in \[0, inf\]"),
-        ({"burning_time": -5.0}, r"burning_time is -5 s for target 0 of environment 0"),
-        ({"length_to_breadth": 0.5}, r"length_to_breadth=0.5 must be a number in \[1, 1e\+06\]"),
-        ({"full_area": 0.0}, r"full_area=0.0 must be a number in \[1e-06, 1e\+18\] m\^2"),
-        ({"regions": []}, r"regions is empty; give at least one \(south, north, west, east\)"),
-        ({"regions": [(10, 0, 0, 5)]}, r"regions\[0\]=\(10, 0, 0, 5\) must be \(south, north, west, east\) in degrees"),
-        ({"regions": [(0, 10, 0, 5), (0, 10, 0, 200)]}, r"regions\[1\]=\(0, 10, 0, 200\) must be"),
-        ({"regions": [(0, 10, 5, 5)]}, r"regions\[0\]=\(0, 10, 5, 5\) must be"),
-        ({"regions": (0, 10, 0, 5)}, r"regions\[0\]=0 must be"),
-    ],
-)
-def test_wrong_fires(options, message):
-    with pytest.raises(ValueError, match=message):
-        one_fire(**options)

@@ -9,6 +9,7 @@ from bsk_torch import scene
 from bsk_torch.astro.frames import angle_between, fixed_to_lla
 from bsk_torch.constants import R_EARTH
 from bsk_torch.scene.cities import city_table
+from tests.support.refusals import check_refusals, refusal
 
 from .conftest import MANY, key, rows_of
 
@@ -100,13 +101,14 @@ def test_more_cities_than_there_are_stand_for_all():
     assert scene.CityTargets(10, 10**6).n_select_from == len(city_table()[0])
 
 
-@pytest.mark.parametrize("wrong", [9, 12.5, "most", True])
-def test_wrong_numbers_of_cities(wrong):
-    with pytest.raises(ValueError, match=r"n_select_from=.* must be an integer from 10, the largest number of targets, or 'all'"):
-        scene.CityTargets(10, wrong)
+def test_rejects_wrong_numbers_and_offsets():
+    def cities(*numbers, **options):
+        return scene.CityTargets(10, *numbers, **options)
 
-
-@pytest.mark.parametrize("wrong", [-1.0, math.nan, 7e6])
-def test_wrong_offsets(wrong):
-    with pytest.raises(ValueError, match=r"location_offset=.* must be a number in \[0, 6.37814e\+06\] m"):
-        scene.CityTargets(10, location_offset=wrong)
+    offset, largest = "location_offset", "[0, 6.37814e+06] m"
+    check_refusals(
+        [
+            *(refusal(lambda n=n: cities(n), ValueError, "n_select_from", repr(n), 10, "'all'") for n in (9, 12.5, "most", True)),
+            *(refusal(lambda x=x: cities(location_offset=x), ValueError, offset, x, largest) for x in (-1.0, math.nan, 7e6)),
+        ]
+    )

@@ -114,17 +114,3 @@ def test_callables_are_known():
     assert scene.CloudyTargets(plain, lambda: 0.5).calls_user
     assert scene.CloudyTargets(scene.UniformTargets(2, lambda: 0.5)).calls_user
     assert not scene.CloudyTargets(plain).calls_user
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((3,), r"targets=3 must be a scenario of point targets, such as scene.UniformTargets\(300\)"),
-        ((scene.UniformTargets(2), math.nan), r"cover is nan for target 0 of environment 0"),
-        ((scene.UniformTargets(2), 0.5, -0.1), r"forecast_sigma is -0.1 for target 0 of environment 0; .* in \[0, inf\]"),
-        ((scene.UniformTargets(2), 0.5, 0.1, 1.5), r"largest_forecast=1.5 must lie in \[0, 1\], or be None for no limit"),
-    ],
-)
-def test_wrong_clouds(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        scene.CloudyTargets(*arguments)

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 import torch
@@ -69,41 +67,3 @@ def test_callables_are_asked_for_each_target():
     scenario = scene.Targets([X, Y], lambda: next(calls))
     assert scenario.calls_user
     assert scenario.draw(key(2))["target_priority"].tolist() == [[0, 1], [2, 3]]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (([],), r"r_LP_P is empty; there must be at least one target"),
-        ((rand.per_env([]),), r"r_LP_P=rand.per_env\(\[\]\) is empty; it needs a list of targets for each environment"),
-        ((rand.per_env([[X], []]),), r"r_LP_P of environment 1 is empty"),
-        ((X,), r"r_LP_P has shape \[3\]; it must be \[T, 3\], Earth-fixed positions in m"),
-        (([[1, 2], [3, 4]],), r"r_LP_P has shape \[2, 2\]; it must be \[T, 3\]"),
-        (([[X], [Y]],), r"r_LP_P has shape \[2, 1, 3\]; use rand.per_env to give each environment its own targets"),
-        ((rand.per_env([X, Y]),), r"r_LP_P of environment 0 has shape \[3\]; it must be \[T, 3\]"),
-        (([[X], [Y, Z]],), r"r_LP_P must be numeric, in rows of equal length: .*inhomogeneous"),
-        ((["here"],), r"r_LP_P must be numeric, in rows of equal length: could not convert string"),
-        ((rand.Uniform(),), r"r_LP_P=Uniform\(.*\) must be positions \[T, 3\] or rand.per_env; scene.UniformTargets draws"),
-        (
-            ([X, [6378.1366, 0, 0]],),
-            r"r_LP_P of target 1 is \[6378.1366, 0.0, 0.0\]: its distance from the Earth's center is 6378.14 m \(km\? then "
-            r"multiply by 1000\); positions are Earth-fixed, in meters, at least 6.3e\+06 m",
-        ),
-        ((rand.per_env([[X], [X, [0, 0, 1e6]]]),), r"r_LP_P of target 1 of environment 1 is .* is 1e\+06 m; positions"),
-        (([X, [math.nan, 0, 7e6]],), r"r_LP_P of target 1 is \[nan, 0.0, 7000000.0\]: .* is nan m; positions"),
-        (([X, [math.inf, 0, 7e6]],), r"r_LP_P of target 1 is \[inf,"),
-        (([X, Y], [1, 2, 3]), r"priority=\[1, 2, 3\] does not give one number for each of 2 targets; allowed are"),
-        (([X, Y], [1, math.nan]), r"priority is nan for target 1 of environment 0; it must be a finite number"),
-        (([X, Y], rand.per_env([[1, 2], [3]])), r"priority of environment 1 has shape \[1\]; its r_LP_P has 2 targets"),
-        ((rand.per_env([[X], [Y]]), rand.per_env([[1]])), r"priority has rows for 1 environments, but r_LP_P for 2"),
-        (([X, Y], 1.0, ["A"]), r"names has 1 entries; r_LP_P has 2 targets"),
-    ],
-)
-def test_wrong_arguments(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        scene.Targets(*arguments)
-
-
-def test_too_few_rows():
-    with pytest.raises(ValueError, match=r"per_env has 2 rows, but environment 2 needs one"):
-        scene.Targets(rand.per_env([[X], [Y]])).draw(key(3))

@@ -22,6 +22,7 @@ from bsk_torch.sim.places import (
     OrbitingPlaces,
     WithinRange,
 )
+from tests.support.refusals import check_refusals, refusal
 
 PLACES = 30
 
@@ -121,12 +122,6 @@ def test_objects_of_other_kinds_are_names(env):
     assert {opportunity["type"] for opportunity in both} <= {"ship", "buoy"}
 
 
-def test_the_advice_belongs_to_the_kind(env):
-    env.reset()
-    with pytest.raises(RuntimeError, match=r"no never comes into view .* give debris a larger range"):
-        env.satellite.find_next_opportunities(1, types="never")
-
-
 def test_episodes_do_not_depend_on_the_batch():
     wide, narrow = make().reset()["observation"], make(num_envs=1).reset()["observation"]
     assert torch.equal(wide[:1], narrow)
@@ -169,30 +164,26 @@ def test_components_bring_places_too():
     assert made.satellite.find_next_opportunities(1, types="lighthouse")["object"][0, 0] in "XYZ"
 
 
-@pytest.mark.parametrize(
-    ("kinds", "error", "words"),
-    [
-        (lambda tables: {"ship": [1.0]}, TypeError, "places 'ship'.*must be a sim.places.Places"),
-        (
-            lambda tables: {"ground_station": OrbitingPlaces(tables, "debris", [Lit()])},
-            ValueError,
-            "'ground_station', a name already in use",
-        ),
-        (lambda tables: {"debris": OrbitingPlaces(tables, "debris", [])}, ValueError, "'debris' without clearances"),
-    ],
-)
-def test_wrong_kinds_are_refused_by_name(kinds, error, words):
-    class Wrong(Traffic):
-        def place_kinds(self, tables):
-            return kinds(tables)
-
-    with pytest.raises(error, match=words):
-        make(scenario=Wrong)
-
-
-def test_tracking_rates_of_places_that_move_are_refused():
+def test_rejects_wrong_kinds(env):
     class Tracking(Watcher):
         observation_spec: ClassVar = [obs.OpportunityProperties({"prop": "target_angle_rate"}, type="ship", n_ahead_observe=1)]
 
-    with pytest.raises(ValueError, match=r"target_angle_rate.*type 'ship' move"):
-        make(satellite=Tracking)
+    def kinds(**given):
+        return make(
+            scenario=type("Wrong", (Traffic,), {"place_kinds": lambda self, tables: {k: f(tables) for k, f in given.items()}})
+        )
+
+    def debris(*clearances):
+        return lambda tables: OrbitingPlaces(tables, "debris", clearances)
+
+    env.reset()
+    check_refusals(
+        [
+            refusal(lambda: kinds(ship=lambda tables: [1.0]), TypeError, "'ship'", [1.0], "sim.places.Places"),
+            refusal(lambda: kinds(ground_station=debris(Lit())), ValueError, "'ground_station'", "name"),
+            refusal(lambda: kinds(debris=debris()), ValueError, "'debris'", "clearances"),
+            refusal(lambda: make(satellite=Tracking), ValueError, "target_angle_rate", "'ship'"),
+            # with the advice that belongs to the kind
+            refusal(lambda: env.satellite.find_next_opportunities(1, types="never"), RuntimeError, "never", "a larger range"),
+        ]
+    )

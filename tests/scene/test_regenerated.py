@@ -11,6 +11,7 @@ import torch
 from bsk_torch import rand, scene
 from bsk_torch.scene.targets import Target
 from bsk_torch.sim import hooks
+from tests.support.refusals import check_refusals, refusal
 
 from .conftest import key, rows_of
 
@@ -124,23 +125,17 @@ class Uneven(scene.UniformTargets):
         self.targets[0].cover = 0.5
 
 
-@pytest.mark.parametrize(
-    ("scenario", "error", "words"),
-    [
-        (Words(1), TypeError, "makes 'Boulder'; it must make scene.Target objects"),
-        (Uneven(2), TypeError, r"Target\(tgt-1\) lacks 'cover', which other targets have"),
-    ],
-)
-def test_what_cannot_be_used_is_refused(scenario, error, words):
-    with pytest.raises(error, match=words):
-        scenario.draw(key(2))
-
-
-def test_later_episodes_must_not_have_more_targets():
-    scenario = Growing(1)
-    scenario.draw(key(1))
-    with pytest.raises(ValueError, match=r"makes 3 targets in environment 0, where there is room for 1; .* n_targets=\(1, 4\)"):
-        scenario.draw(key(1, episode=2))
+def test_rejects_targets_that_cannot_be_used():
+    growing = Growing(1)
+    growing.draw(key(1))
+    check_refusals(
+        [
+            refusal(lambda: Words(1).draw(key(2)), TypeError, "Words.regenerate_targets()", "'Boulder'", "scene.Target"),
+            refusal(lambda: Uneven(2).draw(key(2)), TypeError, "Target(tgt-1)", "'cover'"),
+            refusal(lambda: growing.draw(key(1, episode=2)), ValueError, "3 targets", "environment 0", "n_targets=(1, 4)"),
+            refusal(lambda: CloudTargets(2).regenerate_targets(), RuntimeError, "regenerate_targets()", "environments"),
+        ]
+    )
 
 
 def test_one_note_says_that_it_is_slow(caplog):
@@ -151,13 +146,3 @@ def test_one_note_says_that_it_is_slow(caplog):
         scenario.draw(key(2, episode=1))
     assert [r.message for r in caplog.records if "CloudTargets.regenerate_targets()" in r.message] == [caplog.records[0].message]
     assert "places(key)" in caplog.records[0].message
-
-
-def test_only_environments_call_it():
-    with pytest.raises(RuntimeError, match="called by environments only"):
-        CloudTargets(2).regenerate_targets()
-
-
-def test_other_scenarios_have_no_such_hook():
-    with pytest.raises(TypeError, match="regenerate_targets is never used; define it in a subclass of UniformTargets"):
-        type("Mine", (scene.Scenario,), {"regenerate_targets": lambda self: None})

@@ -82,19 +82,3 @@ def test_priorities_are_scaled_to_their_sum():
     torch.testing.assert_close(priority, plain * 33.0 / plain.sum(1, keepdim=True))
     with pytest.raises(ValueError, match="priority_sum=5: all priorities of an episode are zero"):
         scaled_to(torch.zeros(2, 3, dtype=torch.float64), 5.0)
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: scene.RSOMixture((0.5, 0.3)), "must be three numbers"),
-        (lambda: scene.RSOMixture((0.5, 0.3, 0.3)), "sum up to 1.1; they must sum up to 1"),
-        (lambda: scene.RSOMixture((1.5, -0.5, 0.0)), "shares=1.5"),
-        (lambda: scene.RSOMixture("leo"), "did you mean 'LEO'"),
-        (lambda: scene.RSOMixture(exact=2), "exact=2"),
-        (lambda: scene.RandomRSOCatalog(3, priority_sum=-1.0), "priority_sum=-1.0"),
-    ],
-)
-def test_wrong_arguments_are_named(make, message):
-    with pytest.raises(ValueError, match=message):
-        make()

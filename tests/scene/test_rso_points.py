@@ -11,6 +11,7 @@ import torch
 from bsk_torch import data, scene
 from bsk_torch.sim import fsw
 from tests.support.inspecting import RSO, Inspector, act_all, chief_args, inspection, inspector_args
+from tests.support.refusals import check_refusals, refusal
 
 
 class TwoPoints(scene.RSOPoints):
@@ -62,21 +63,6 @@ def test_a_sphere_has_points_along_a_spiral_with_normals_outwards():
     assert [point.n_B[2] for point in points[:2]] == pytest.approx([-0.98, -0.94])
 
 
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        (dict(n_points=0), "n_points=0 must be a whole number from 1"),
-        (dict(radius=0.0), "radius=0.0 must be a number in"),
-        (dict(theta_max=45.0), "theta_max=45.0 must be a number in"),
-        (dict(range_max=math.nan), "range_max=nan must be"),
-        (dict(min_illumination_factor=1.5), "min_illumination_factor=1.5 must be"),
-    ],
-)
-def test_wrong_spheres_are_refused(given, message):
-    with pytest.raises(ValueError, match=message):
-        scene.SphericalRSO(**given)
-
-
 def test_points_of_a_users_own_are_made_for_each_episode():
     """Each environment and episode has its own, whatever the batch; those of one class that says so are made once."""
     env = build(TwoPoints())
@@ -118,46 +104,47 @@ def test_own_points_are_inspected_and_saved_with_their_episodes():
     assert torch.equal(env.rewarder.inspected, after)
 
 
-class NoPoints(scene.RSOPoints):
-    def generate_points(self):
-        return []
+def test_rejects_wrong_points():
+    limits = dict(theta_max=1.0, range_max=1.0, theta_solar_max=1.0, min_illumination_factor=0.0)
+    point = scene.RSOPoint([1.0, 0.0, 0.0], [1.0, 0.0, 0.0], **limits)
+
+    def made(generate):
+        return build(type("Given", (scene.RSOPoints,), {"generate_points": lambda self: generate()})())
+
+    def one(position, normal):
+        return made(lambda: [scene.RSOPoint(position, normal, **limits)])
+
+    name = "Given.generate_points()"
+    check_refusals(
+        [
+            refusal(lambda: made(list), ValueError, name, "no points"),
+            refusal(lambda: made(lambda: [(0.0, 0.0, 1.0)]), TypeError, name, (0.0, 0.0, 1.0), "scene.RSOPoint"),
+            refusal(lambda: one([1.0, 0.0, 0.0], [0.0, 0.0, 0.0]), ValueError, f"{name}[0].n_B", "zero"),
+            refusal(lambda: one([1.0, 0.0], [0.0, 0.0, 1.0]), ValueError, f"{name}[0].r_PB_B", [1.0, 0.0]),
+            refusal(lambda: made(lambda: [point] * int(np.random.randint(1, 30))), ValueError, name, "points", "episodes"),
+            refusal(lambda: build(scene.RSOPoints()), NotImplementedError, "RSOPoints", "generate_points()"),
+        ]
+    )
 
 
-class OtherThings(scene.RSOPoints):
-    def generate_points(self):
-        return [(0.0, 0.0, 1.0)]
+def test_rejects_satellites_and_scenarios_that_do_not_fit():
+    rso, one = "dyn.RSODynModel", [Plain("A", inspector_args(100.0, 0.0, 0.0))]
 
+    def sphere(satellites):
+        return build(scene.SphericalRSO(), satellites)
 
-class NoNormal(scene.RSOPoints):
-    def generate_points(self):
-        return [scene.RSOPoint([1.0, 0.0, 0.0], [0.0, 0.0, 0.0], 1.0, 1.0, 1.0, 0.0)]
-
-
-class FlatPosition(scene.RSOPoints):
-    def generate_points(self):
-        return [scene.RSOPoint([1.0, 0.0], [0.0, 0.0, 1.0], 1.0, 1.0, 1.0, 0.0)]
-
-
-class Growing(scene.RSOPoints):
-    def generate_points(self):
-        n = int(np.random.randint(1, 30))
-        return [scene.RSOPoint([1.0, 0.0, 0.0], [1.0, 0.0, 0.0], 1.0, 1.0, 1.0, 0.0)] * n
-
-
-@pytest.mark.parametrize(
-    ("scenario", "error", "message"),
-    [
-        (NoPoints(), ValueError, "returns no points"),
-        (OtherThings(), TypeError, "must return scene.RSOPoint objects"),
-        (NoNormal(), ValueError, r"\[0\].n_B is zero"),
-        (FlatPosition(), ValueError, r"r_PB_B=\[1.0, 0.0\] must be three numbers"),
-        (Growing(), ValueError, "equally many in all"),
-        (scene.RSOPoints(), NotImplementedError, "must implement generate_points"),
-    ],
-)
-def test_wrong_points_are_refused_when_the_environment_is_built(scenario, error, message):
-    with pytest.raises(error, match=message):
-        build(scenario)
+    two = [*pair(inspector=Plain), RSO("Second", chief_args())]
+    blind = pair(inspector=Blind)
+    check_refusals(
+        [
+            refusal(lambda: sphere(two), ValueError, "scene.SphericalRSO", rso, ["RSO", "Second"]),
+            refusal(lambda: sphere(one), ValueError, "scene.SphericalRSO", rso, ["A"]),
+            refusal(lambda: sphere([RSO("RSO", chief_args())]), ValueError, "dyn.RSOInspectorDynModel", ["RSO"]),
+            refusal(lambda: sphere(blind), ValueError, ["A"], "dyn.RSOInspectorDynModel", "fsw.RSOInspectorFSWModel"),
+            refusal(lambda: inspection(one, scene.Scenario(), rewarder=None), ValueError, "slot 'rso'"),
+            refusal(lambda: build(scene.Scenario()), ValueError, "RSOInspectionReward", "points", "scene.SphericalRSO"),
+        ]
+    )
 
 
 def test_a_subclass_of_the_sphere_with_points_of_its_own_makes_them_anew():
@@ -173,30 +160,3 @@ def test_a_subclass_of_the_sphere_with_points_of_its_own_makes_them_anew():
         class Wrong(scene.RSOPoints):
             def generate_points(self, n):
                 return []
-
-
-@pytest.mark.parametrize(
-    ("satellites", "message"),
-    [
-        (
-            [*pair(inspector=Plain), RSO("Second", chief_args())],
-            r"exactly one satellite with dyn.RSODynModel; \['RSO', 'Second'\]",
-        ),
-        ([Plain("A", inspector_args(100.0, 0.0, 0.0))], "exactly one satellite with dyn.RSODynModel; none of"),
-        ([RSO("RSO", chief_args())], "at least one satellite with dyn.RSOInspectorDynModel"),
-        (pair(inspector=Blind), r"\['A'\] have dyn.RSOInspectorDynModel, but not fsw.RSOInspectorFSWModel"),
-    ],
-)
-def test_satellites_that_do_not_fit_are_refused(satellites, message):
-    with pytest.raises(ValueError, match=message):
-        build(scene.SphericalRSO(), satellites)
-
-
-def test_inspectors_need_an_rso_whatever_the_scenario():
-    with pytest.raises(ValueError, match="slot 'rso'; none have it"):
-        inspection([Plain("A", inspector_args(100.0, 0.0, 0.0))], scene.Scenario(), rewarder=None)
-
-
-def test_the_reward_needs_points():
-    with pytest.raises(ValueError, match="RSOInspectionReward needs a scenario with points"):
-        build(scene.Scenario(), pair(inspector=Plain))

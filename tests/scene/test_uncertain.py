@@ -64,23 +64,3 @@ def test_clouds_and_errors_add_up(begin):
 def test_callables_are_known():
     assert scene.UncertainTargets(scene.UniformTargets(2), lambda: 10.0).calls_user
     assert not scene.UncertainTargets(scene.UniformTargets(2)).calls_user
-
-
-@pytest.mark.parametrize(
-    ("sigma", "message"),
-    [
-        (-1.0, r"sigma is -1 m for target 0 of environment 0; it must be a finite number in \[0, 100000\]"),
-        (math.nan, "sigma is nan m for target 0"),
-        (2e5, "sigma is 200000 m for target 0"),
-        ([1.0, 2.0, 3.0], "does not give one number for each of 2 targets"),
-        ("far", "does not give one number for each of 2 targets"),
-    ],
-)
-def test_wrong_errors(sigma, message):
-    with pytest.raises(ValueError, match=message):
-        scene.UncertainTargets(scene.UniformTargets(2), sigma)
-
-
-def test_the_targets_are_a_scenario():
-    with pytest.raises(ValueError, match=r"targets=3 must be a scenario of point targets, such as scene.UniformTargets\(300\)"):
-        scene.UncertainTargets(3)

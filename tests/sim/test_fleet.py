@@ -14,6 +14,7 @@ from bsk_torch.sim.draw_table import DrawTable
 from bsk_torch.sim.fleet import Fleet, share
 from bsk_torch.sim.state import StateTable
 from tests.sim.simulators import make_simulator
+from tests.support.refusals import check_refusals, refusal
 
 N = 3
 
@@ -76,14 +77,14 @@ def test_reading_what_only_some_have():
     assert flags.tolist() == [[False, False, False, True]] * N
 
 
-def test_reading_what_nobody_has():
-    with pytest.raises(AttributeError, match="no attribute 'altitude'"):
-        fleet_of((0, 2), (1, 3)).each(lambda part: part.altitude)
-
-
-def test_other_errors_are_not_hidden():
-    with pytest.raises(ZeroDivisionError):
-        fleet_of((0, 2), (1, 3)).each(lambda part: 1 / 0)
+def test_rejects_reading_what_nobody_has_and_hides_no_other_error():
+    fleet = fleet_of((0, 2), (1, 3))
+    check_refusals(
+        [
+            refusal(lambda: fleet.each(lambda part: part.altitude), AttributeError, "'altitude'"),
+            refusal(lambda: fleet.each(lambda part: 1 / 0), ZeroDivisionError),
+        ]
+    )
 
 
 # -- drawing ----------------------------------------------------------------------------------------------------------

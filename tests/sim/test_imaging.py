@@ -25,7 +25,7 @@ from tests.sim.buses import plane, write
 from tests.sim.simulators import make_simulator
 
 CONTROLLER = np.load(Path(__file__).with_name("data") / "controller.npz")
-"""Recorded by tests/basilisk/recorders/record_modules.py: simpleInstrumentController under random errors, access and tasks."""
+"""Recorded by scripts/recorders/record_modules.py: simpleInstrumentController under random errors, access and tasks."""
 
 
 # -- controllers ---------------------------------------------------------------------------------------------------------------
@@ -132,21 +132,6 @@ def test_without_pointing_there_is_no_target():
     bus = aimed(places, places * 1.1, 0.5, -1.0, location=0.0)
     assert bus.target_access.item() == 0.0
     assert (bus.r_LN_N.stack() == 0.0).all()
-
-
-@pytest.mark.parametrize(
-    ("elevation", "message"),
-    [
-        (45.0, r"=45 rad must lie in \[0, pi/2\); for 45 degrees write math\.radians\(45\)"),
-        (0.5 * math.pi, "=1.5708 rad must lie in \\[0, pi/2\\)$"),
-        (-0.1, r"=-0.1 rad must lie in \[0, pi/2\)$"),
-        (-0.3, "=-0.3 rad must lie"),
-    ],
-)
-def test_elevations_in_degrees_are_refused(elevation, message):
-    values = {"imageTargetMinimumElevation": torch.tensor([0.7, elevation], dtype=torch.float64)}
-    with pytest.raises(ValueError, match="imageTargetMinimumElevation" + message):
-        target.IMAGE_TARGET.check(values)
 
 
 def test_the_first_target_lies_on_the_equator():

@@ -77,24 +77,6 @@ def test_own_components_run_after_and_before_slots():
     assert names == ["instrument", "b", "a", "battery", "c", "d", "transmitter", "eclipse"]
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"slot": "batery"}, r"slot='batery' is not in the schedule .* did you mean 'battery'"),
-        ({"slot": "heater", "after": "batery"}, r"slot='heater' has after='batery', .* did you mean 'battery'"),
-        ({"slot": "heater", "before": "heater"}, r"slot='heater' has before='heater', which is not a slot"),
-        ({"slot": "heater", "after": "battery", "before": "hub"}, r"after='battery' and before='hub'; give one"),
-    ],
-)
-@pytest.mark.parametrize("attribute", ["components", "world_components"])
-def test_a_component_without_a_place_is_refused_where_the_model_is_written(options, message, attribute):
-    wrong = component(**options)
-    with pytest.raises(ValueError, match=message):
-        type("WrongDynModel", (dyn.DynamicsModel,), {attribute: (wrong,)})
-    with pytest.raises(ValueError, match=message):
-        SCHEDULE.place(wrong)
-
-
 def test_replacing_a_slot_keeps_its_place():
     class Replaced(dyn.BasicDynamicsModel):
         components = (component("battery"),)
@@ -148,11 +130,6 @@ def test_a_dynamics_model_has_another_order():
     other = type("Other", (ScanningSatellite,), {"fsw_type": (RadiatorFSWModel, FSW)})
     with pytest.raises(ValueError, match="slot='watch' has after='radiator', which is not a slot of a tick"):
         SatelliteTasking(other("A"), backend="eager", time_limit=300.0)
-
-
-def test_a_schedule_of_names_is_refused():
-    with pytest.raises(TypeError, match=r"Wrong.schedule=\('hub',\) is no Schedule, from bsk_torch.sim.schedule"):
-        type("Wrong", (dyn.DynamicsModel,), {"schedule": ("hub",)})
 
 
 # -- the tick at time zero -----------------------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ from bsk_torch.rand import first_key
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.simulator import Simulator
 from tests.sim.simulators import make_simulator
+from tests.support.refusals import check_refusals, refusal
 
 OPTIONS = dict(num_envs=2, dtype=torch.float64, sim_rate=1.0, horizon=0.0, backend="eager")
 ALL = torch.tensor([True, True])
@@ -30,14 +31,15 @@ def test_position_and_velocity_on_an_arc_cannot_be_written(name):
     assert torch.equal(sim.state.planes, before)
 
 
-def test_what_a_tick_computes_anew_cannot_be_written():
-    sim = simulator(dyn.EclipseDynModel, fsw.FSWModel)
-    with pytest.raises(ValueError, match="it follows from orbit and Sun"):
-        sim.write("illumination", ALL, torch.zeros(2))
-    with pytest.raises(ValueError, match="write sigma_RN and omega_RN_N"):
-        sim.write("sigma_BN", ALL, torch.zeros(2, 3))
-    with pytest.raises(KeyError, match=r"no field 'sigma_RM'; did you mean 'sigma_RN'"):
-        sim.write("sigma_RM", ALL, torch.zeros(2, 3))
+def test_rejects_fields_that_a_tick_computes_anew():
+    sim, two, rotation = simulator(dyn.EclipseDynModel, fsw.FSWModel), torch.zeros(2), torch.zeros(2, 3)
+    check_refusals(
+        [
+            refusal(lambda: sim.write("illumination", ALL, two), ValueError, "'illumination'", "orbit", "Sun"),
+            refusal(lambda: sim.write("sigma_BN", ALL, rotation), ValueError, "'sigma_BN'", "sigma_RN", "omega_RN_N"),
+            refusal(lambda: sim.write("sigma_RM", ALL, rotation), KeyError, "'sigma_RM'", "'sigma_RN'"),
+        ]
+    )
 
 
 def test_a_reference_that_is_written_is_imposed():

@@ -9,12 +9,16 @@ import os
 import runpy
 import subprocess
 import sys
+import time
 from collections.abc import Mapping
 from multiprocessing import get_context
 from pathlib import Path
 
 LIBRARIES = ["torchrl.collectors", "torchrl.objectives", "matplotlib.pyplot", "bsk_torch", "bsk_torch.cli", "bsk_torch.rl"]
 """What the fork server imports: modules that scripts import, and that start no threads and read no changing settings."""
+
+WALL: list[float] = []
+"""Seconds that each script has taken; the CPU time of the fork server's processes is not that of the tests."""
 
 SERVER = get_context("forkserver")
 SERVER.set_forkserver_preload(LIBRARIES)
@@ -23,9 +27,11 @@ SERVER.set_forkserver_preload(LIBRARIES)
 def run_script(script: Path, *arguments: str, folder: Path, environment: Mapping[str, str]) -> subprocess.CompletedProcess[str]:
     """Run a script of Python in a folder, with additions to the environment; returns its exit status and what it wrote."""
     files = folder / "stdout.txt", folder / "stderr.txt"
+    begin = time.perf_counter()
     process = SERVER.Process(target=_play, args=(script, arguments, folder, dict(environment), *files))
     process.start()
     process.join()
+    WALL.append(time.perf_counter() - begin)
     written = [file.read_text() if file.exists() else "" for file in files]
     for file in files:
         file.unlink(missing_ok=True)

@@ -90,12 +90,3 @@ def test_it_follows_the_schema(targets):
     packets[-1]["polyLine"] = {}
     with pytest.raises(ValueError, match="polyLine"):
         czml3.Document(packets=packets)
-
-
-def test_errors():
-    recording = synthetic_recording()
-    with pytest.raises(IndexError, match="track=9"):
-        czml(recording, 9)
-    recording.scenes[0].PN0.clear()
-    with pytest.raises(ValueError, match="has no Earth"):
-        czml(recording)

@@ -7,8 +7,7 @@ import bsk_torch
 from bsk_torch.rl.policies.shared_policy import rule
 from bsk_torch.viewer.futures import Futures
 from bsk_torch.viewer.recording import decode
-
-PAST = ("decision_time", "decision_action", "key_times", "r_N", "sigma")
+from tests.support.refusals import check_refusals, refusal
 
 
 @pytest.fixture(scope="module")
@@ -56,21 +55,17 @@ def test_recording_holds_all_flights(futures, forked):
     assert "rule, seed 5" in read.title
 
 
-@pytest.mark.parametrize(
-    ("track", "decision", "action", "message"),
-    [(9, 0, 0, "track=9"), (0, 999, 0, "decision=999"), (0, 0, 99, "action=99 is not legal at decision 0")],
-)
-def test_impossible_branches_are_errors(futures, track, decision, action, message):
-    with pytest.raises((IndexError, ValueError), match=message):
-        futures.branch(track, decision, action)
-
-
-def test_real_numbers_cannot_be_exchanged():
+def test_rejects_impossible_branches(futures):
     env = bsk_torch.make("CWDocking-v1", num_envs=1, env_ids=[0], time_limit=20.0)
-    futures = Futures(env, rule("glide", env))
-    futures.episode(0)
-    with pytest.raises(ValueError, match="real numbers"):
-        futures.values(0, 0)
+    thrust = Futures(env, rule("glide", env))
+    thrust.episode(0)
+    table = [
+        refusal(lambda: futures.branch(9, 0, 0), IndexError, "track=9"),
+        refusal(lambda: futures.branch(0, 999, 0), IndexError, "decision=999"),
+        refusal(lambda: futures.branch(0, 0, 99), ValueError, "action=99", "decision 0", [0, 1, 2, 3]),
+        refusal(lambda: thrust.values(0, 0), ValueError, "decision 0", "real numbers"),
+    ]
+    check_refusals(table)
 
 
 def test_branch_of_one_satellite_of_a_constellation():

@@ -231,9 +231,3 @@ def test_every_kind_of_preset_is_recorded(preset, name, places):
     assert np.isfinite(track.arrays["r_N"][:, : len(read.satellites)]).any()
     total = track.arrays["decision_reward"].astype("f8").sum()
     assert total == pytest.approx(track.total, abs=1e-4)
-
-
-def test_joint_agents_are_errors():
-    env = bsk_torch.make("Constellation-v1", num_envs=1, joint=True)
-    with pytest.raises(ValueError, match="one agent for each satellite"):
-        record(env, lambda td: td)

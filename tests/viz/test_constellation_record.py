@@ -54,9 +54,3 @@ def test_contacts_are_those_of_the_communicator():
     assert all(torch.equal(links, everybody) for links in episode.links[1:])
     env = constellation(communicator=comm.NoCommunication())
     assert record_constellation(first_legal(env), env, seed=2).links is None
-
-
-def test_one_agent_for_all_is_refused():
-    env = make("AEOSConstellation-v1", joint=True, backend="eager")
-    with pytest.raises(ValueError, match="joint=True"):
-        record_constellation(lambda td: td, env, seed=0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import re
 
 import pytest
 import torch
@@ -17,6 +16,7 @@ from bsk_torch.formations import walker_delta
 from bsk_torch.viz.figures import constellation as pictures
 from bsk_torch.viz.figures.style import PALETTE
 from tests.support.figures import check_column
+from tests.support.refusals import check_refusals, refusal
 
 PNG = b"\x89PNG"
 
@@ -160,23 +160,17 @@ def test_great_circles():
     assert (longitude.abs() >= 170.0 - 1e-12).all()  # over the date line
 
 
-@pytest.mark.parametrize(
-    ("change", "text"),
-    [
-        (dict(longitude=torch.zeros(6, 5)), "longitude has shape [6, 5]; it must be [6, 91]"),
-        (dict(links=torch.zeros(6, 6, dtype=torch.bool)), "links has shape [6, 6]; it must be [91, 6, 6]"),
-        (dict(image_satellite=torch.full((18,), 6)), "image_satellite has numbers from 6 to 6; allowed is 0 to 5"),
-        (dict(task_kind=torch.full((12,), -1)), "task_kind has numbers from -1 to -1; allowed is 0 to 1"),
-        (dict(group_names=["a", "b"]), "groups has numbers from 0 to 2; allowed is 0 to 1"),
-        (dict(task_spans=torch.zeros(12)), "task_spans has shape [12]; it must be [12, 2]"),
-    ],
-)
-def test_tensors_that_do_not_fit_are_refused(episode, change, text):
-    with pytest.raises(ValueError, match=re.escape(text)):
-        dataclasses.replace(episode, **change)
-
-
-def test_a_track_needs_two_samples():
-    one = torch.zeros(1, 1)
-    with pytest.raises(ValueError, match=r"times has 1 entries; a track needs at least 2"):
-        pictures.ConstellationEpisode(names=["A"], times=one[0], latitude=one, longitude=one)
+def test_rejects_tensors_that_do_not_fit(episode):
+    changed = lambda **tensors: dataclasses.replace(episode, **tensors)
+    links, one = torch.zeros(6, 6, dtype=torch.bool), torch.zeros(1, 1)
+    single = lambda: pictures.ConstellationEpisode(names=["A"], times=one[0], latitude=one, longitude=one)
+    table = [
+        refusal(lambda: changed(longitude=torch.zeros(6, 5)), ValueError, "longitude", [6, 5], [6, 91]),
+        refusal(lambda: changed(links=links), ValueError, "links", [6, 6], [91, 6, 6]),
+        refusal(lambda: changed(image_satellite=torch.full((18,), 6)), ValueError, "image_satellite", "6 to 6", "0 to 5"),
+        refusal(lambda: changed(task_kind=torch.full((12,), -1)), ValueError, "task_kind", "-1 to -1", "0 to 1"),
+        refusal(lambda: changed(group_names=["a", "b"]), ValueError, "groups", "0 to 2", "0 to 1"),
+        refusal(lambda: changed(task_spans=torch.zeros(12)), ValueError, "task_spans", [12], [12, 2]),
+        refusal(single, ValueError, "times", "1 entries", 2),
+    ]
+    check_refusals(table)

@@ -41,9 +41,3 @@ def test_a_satellite_that_could_image_is_recorded_as_one_whatever_it_does():
     env = bsk_torch.make("AEOSPower-v1", n_targets=300, **SHORT)
     charge = TensorDictModule(lambda mask: torch.zeros(mask.shape[0], dtype=torch.int64), ["action_mask"], ["action"])
     assert isinstance(record(charge, env, seed=1), ImagingEpisode)
-
-
-def test_one_agent_for_all_satellites_is_refused():
-    env = bsk_torch.make("Constellation-v1", n_satellites=3, n_targets=300, joint=True, **SHORT)
-    with pytest.raises(ValueError, match="joint=True"):
-        record(lambda td: td, env, seed=1)

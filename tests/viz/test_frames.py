@@ -20,6 +20,7 @@ from bsk_torch.viz.render.frames import MOST, picture
 from bsk_torch.viz.render.globe import LAND, NIGHT, SEA, Camera, camera, globe
 from bsk_torch.viz.render.marks import DONE, NEW, color_of
 from bsk_torch.viz.render.moment import DEAD, look, revolution
+from tests.support.refusals import check_refusals, refusal
 from tests.wrappers.constellations import EMPTY, FULL, trio
 
 pytestmark = pytest.mark.compiled
@@ -90,14 +91,13 @@ def test_wrong_arguments_are_named():
     assert many.render(rows=MOST, height=120).shape == (120, 160, 3)
 
 
-def test_a_missing_extra_is_named(monkeypatch):
+def test_rejects_a_missing_extra(monkeypatch):
     env = scanner()
     env.reset()
     for name in [name for name in sys.modules if name.startswith("bsk_torch.viz.render.frames")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "PIL", None)
-    with pytest.raises(ModuleNotFoundError, match=r"needs PIL.*pip install 'bsk_torch\[viz\]'"):
-        env.render()
+    check_refusals([refusal(env.render, ModuleNotFoundError, "render()", "PIL", "pip install 'bsk_torch[viz]'")])
 
 
 @pytest.mark.parametrize("make", [scanner, constellation])

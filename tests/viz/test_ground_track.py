@@ -163,9 +163,3 @@ def test_other_modes_deaths_and_a_track_over_the_date_line_are_drawn(episode, tm
     longitudes = ground(turned)[0]
     assert float(longitudes.diff().abs().max()) > 180.0
     assert pictures.ground_track(drawn, tmp_path / "died.png", "AEOSPower-v1").stat().st_size > 10_000
-
-
-def test_environments_without_targets_are_refused():
-    env = bsk_torch.make("NadirScan-v1", num_envs=1, backend="eager")
-    with pytest.raises(ValueError, match=r"scene\.UniformTargets.*sats\.ImagingSatellite"):
-        record_imaging_episode(sixth, env, seed=0)

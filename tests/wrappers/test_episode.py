@@ -6,6 +6,7 @@ import pytest
 
 from bsk_torch.wrappers.general import GymJointEnv
 from bsk_torch.wrappers.pettingzoo import PettingZooEnv
+from tests.support.refusals import check_refusals, refusal
 
 from .constellations import trio
 
@@ -44,8 +45,7 @@ def test_methods_and_arguments(single):
 
 
 def test_what_is_set_would_be_lost_and_is_refused(single):
-    with pytest.raises(AttributeError, match="'name' cannot be set: the view of one environment is read-only"):
-        single.satellite.name = "other"
+    check_refusals([refusal(lambda: setattr(single.satellite, "name", "other"), AttributeError, "'name'", "read-only")])
 
 
 def test_satellites_of_one_type_are_told_apart(crew):
@@ -54,11 +54,6 @@ def test_satellites_of_one_type_are_told_apart(crew):
     np.testing.assert_array_equal(positions, crew.core.satellites[0].dynamics.r_BN_N.numpy())
     last = crew.get_satellite(crew.core.names[-1])
     np.testing.assert_array_equal(last.dynamics.r_BN_N, positions[-1])
-
-
-def test_an_unknown_satellite_is_answered_with_the_nearest(crew):
-    with pytest.raises(ValueError, match=r"no satellite is called 'S10'; did you mean 'S0' or 'S1'\?"):
-        crew.get_satellite("S10")
 
 
 def test_scenario_and_communicator(crew):

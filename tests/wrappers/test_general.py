@@ -11,7 +11,6 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import SyncVectorEnv
 
-import bsk_torch
 from bsk_torch import NO_ACTION
 from bsk_torch.wrappers.general import GymJointEnv
 
@@ -89,17 +88,6 @@ def test_a_wrong_action_is_named_and_changes_nothing(action, error, text):
     with pytest.raises(error, match=text):
         env.step(action)
     assert int(env.core.simulator.ticks[0]) == 0
-
-
-def test_only_joint_constellations_of_one_episode_fit():
-    with pytest.raises(ResetNeeded, match="call reset"):
-        single().step((0, 0, 0))
-    with pytest.raises(ValueError, match="num_envs=2"):
-        single(num_envs=2)
-    with pytest.raises(ValueError, match="PettingZooEnv"):
-        GymJointEnv(mixed)
-    with pytest.raises(TypeError, match="this view needs a ConstellationTasking"):
-        GymJointEnv(bsk_torch.make("NadirScan-v1", backend="eager"))
 
 
 def test_an_episode_can_start_from_a_state():

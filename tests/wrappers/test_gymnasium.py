@@ -147,29 +147,11 @@ def test_a_wrong_action_is_named_and_changes_nothing():
     assert int(env.core.simulator.ticks) == 0
 
 
-def test_wrong_arguments_are_named():
-    batch = quick(num_envs=2)
-    with pytest.raises(ValueError, match="num_envs=2; GymEnv needs 1"):
-        GymEnv(batch)
-    with pytest.raises(TypeError, match=r"\['time_limit'\]"):
-        GymVectorEnv(batch, time_limit=3.0)
-    with pytest.raises(ValueError, match="num_envs=3, but core has 2"):
-        GymVectorEnv(batch, 3)
-    with pytest.raises(TypeError, match="makes a dict"):
-        GymEnv(dict)
-    with pytest.raises(ValueError, match="'jax' must be one of"):
-        GymVectorEnv(batch, output="jax")
-    with pytest.raises(ValueError, match="'Later' must be"):
-        GymVectorEnv(batch, autoreset_mode="Later")
-    with pytest.raises(ValueError, match=r"unknown keys \['mask'\]; allowed are \['reset_mask', 'state'\]"):
-        GymVectorEnv(batch).reset(options={"mask": None})
-
-
 # -- many episodes ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("mode", "obs_type"), [(NEXT, torch.Tensor), pytest.param(SAME, torch.Tensor, marks=pytest.mark.nightly), (SAME, dict)]
+    ("mode", "obs_type"), [(NEXT, torch.Tensor), SAME, torch.Tensor, (SAME, dict)]
 )
 def test_a_batch_plays_what_single_environments_play(mode, obs_type):
     count, seed = 3, 1

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 from gymnasium import spaces
-from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import data_equivalence
 from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
 from pettingzoo.utils import parallel_to_aec
@@ -273,21 +272,6 @@ def test_a_wrong_action_is_named_and_changes_nothing(actions, error, text):
     assert int(env.core.simulator.ticks[0]) == 0
     with pytest.raises(ValueError, match="'S9'"):
         env.action_space("S9")
-
-
-def test_only_constellations_of_one_episode_fit():
-    with pytest.raises(ResetNeeded, match="call reset"):
-        PettingZooEnv(trio).step({})
-    with pytest.raises(ResetNeeded, match="call reset"):
-        PettingZooEnv(trio).state()
-    with pytest.raises(ValueError, match="num_envs=2"):
-        PettingZooEnv(trio, num_envs=2)
-    with pytest.raises(ValueError, match="GymJointEnv"):
-        PettingZooEnv(trio, joint=True)
-    with pytest.raises(TypeError, match=r"'NadirScan-v1' makes a SatelliteTasking; this view needs a ConstellationTasking"):
-        PettingZooEnv("NadirScan-v1")
-    with pytest.raises(TypeError, match="time_limit"):
-        PettingZooEnv(trio(), time_limit=3.0)
 
 
 # -- episodes ---------------------------------------------------------------------------------------------------------

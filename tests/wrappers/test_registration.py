@@ -11,6 +11,7 @@ from bsk_torch import ConstellationTasking, GeneralSatelliteTasking, SatelliteTa
 from bsk_torch._listed import MANY
 from bsk_torch.presets import PRESETS
 from bsk_torch.wrappers.registration import OWN, register
+from tests.support.refusals import check_refusals, refusal
 
 
 class Imager(sats.ImagingSatellite):
@@ -48,10 +49,18 @@ def test_all_satellites_under_one_agent():
     assert [info["A"]["requires_retasking"], info["B"]["requires_retasking"], info["d_ts"]] == [True, False, 30.0]
 
 
-@pytest.mark.parametrize("make", [gymnasium.make, lambda name, **options: gymnasium.make_vec(name, num_envs=2, **options)])
-def test_separate_agents_are_refused_with_the_view_that_has_them(make):
-    with pytest.raises(gymnasium.error.Error, match=r"pettingzoo\.parallel_env.*GeneralSatelliteTasking-v1"):
-        make("bsk_torch/ConstellationTasking-v1", satellites=[Imager("A"), Imager("B")])
+def test_separate_agents_are_refused_with_the_view_that_has_them(monkeypatch):
+    monkeypatch.setitem(PRESETS, "Own-v1", lambda **options: None)
+    name, views = "bsk_torch/ConstellationTasking-v1", ("pettingzoo.parallel_env", "GeneralSatelliteTasking-v1")
+    pair = dict(satellites=[Imager("A"), Imager("B")])
+    docking = lambda: gymnasium.make("bsk_torch/CWDocking-v1", deputies=2, backend="eager")
+    table = [
+        refusal(lambda: gymnasium.make(name, **pair), gymnasium.error.Error, "ConstellationTasking", *views),
+        refusal(lambda: gymnasium.make_vec(name, num_envs=2, **pair), gymnasium.error.Error, "ConstellationTasking", *views),
+        refusal(docking, TypeError, "'CWDocking-v1'", "ConstellationTasking", "SatelliteTasking", "parallel_env", "GymJointEnv"),
+        refusal(lambda: register(), TypeError, "'Own-v1'", "return annotation", "SatelliteTasking"),
+    ]
+    check_refusals(table)
 
 
 def test_general_satellite_tasking_is_a_batched_constellation_with_one_agent():
@@ -82,14 +91,3 @@ def test_a_preset_of_two_classes_is_registered_as_the_first(monkeypatch):
     monkeypatch.delitem(gymnasium.registry, "bsk_torch/Own-v1", raising=False)
     register()
     assert gymnasium.registry.pop("bsk_torch/Own-v1").entry_point == MANY["entry_point"]
-
-
-def test_options_that_change_the_class_are_refused_with_the_views_that_fit():
-    with pytest.raises(TypeError, match=r"makes a ConstellationTasking; this view needs a SatelliteTasking; use .*parallel_env"):
-        gymnasium.make("bsk_torch/CWDocking-v1", deputies=2, backend="eager")
-
-
-def test_presets_must_say_what_they_return(monkeypatch):
-    monkeypatch.setitem(PRESETS, "Own-v1", lambda **options: None)
-    with pytest.raises(TypeError, match=r"preset 'Own-v1' has no return annotation; write def .* -> SatelliteTasking"):
-        register()

@@ -17,7 +17,6 @@ from bsk_torch.sim.access.line_of_sight_search import SatellitePairs, pole_direc
 from bsk_torch.sim.environment.ephemeris import pole_matrix
 from bsk_torch.vec3 import Vec3
 from tests.comm.fleets import drawn_elements, make_fleet, recorded, states, step, with_ranges
-from tests.support.nightly import by_night
 
 EXACT = 1e-7  # m; rounding of squared distances of 1e14 m^2, over twice the Earth's radius: measured 4e-9
 FILES = ("los_unlimited", "los_ranges", "los_two_seconds")
@@ -158,7 +157,7 @@ def test_every_tick_against_basilisk(name, recording, backend):
     assert torch.equal((found > 0.0) & apart, access)
 
 
-@pytest.mark.parametrize("backend", by_night(["eager", "compiled"], ["eager"]))
+@pytest.mark.parametrize("backend", ["eager", "compiled"])
 @pytest.mark.parametrize("name", FILES)
 def test_every_step_against_basilisk(name, recording, backend):
     """bsk_rl's pairs after steps of 1 to 150 ticks."""

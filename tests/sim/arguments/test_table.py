@@ -1,4 +1,4 @@
-"""Names, units and values of all arguments equal bsk_rl's, as ``tests/basilisk/recorders/record_arguments.py`` recorded them."""
+"""Names, units and values of all arguments equal bsk_rl's, as ``scripts/recorders/record_arguments.py`` recorded them."""
 
 from __future__ import annotations
 

@@ -2,12 +2,12 @@
 
 import math
 
-import pytest
 import torch
 
 from bsk_torch import SatelliteTasking, act, dyn, fsw, obs, sats
 from bsk_torch.sim.component import Arg, Component, Field
 from tests.support.manoeuvring import MU, RADIUS, START
+from tests.support.refusals import check_refusals, refusal
 
 MASS, THRUST = 330.0, 0.5
 """kg and N: 1.5 mm/s^2, thousands of times as much as electric propulsion, so that minutes show it."""
@@ -90,12 +90,11 @@ def test_without_thrust_nothing_changes():
     assert torch.equal(axes(make(thrust=0.0), 1), axes(make(dyn.DynamicsModel, orbit="integrated"), 1))
 
 
-@pytest.mark.parametrize("backend", ["eager", "compiled"])
-def test_a_force_on_an_orbit_that_was_solved_in_advance_is_refused(backend):
-    with pytest.raises(TypeError, match=r"external_force_N.*solved in advance.*orbit='integrated'"):
-        make(orbit="arc", backend=backend)
-
-
-def test_a_force_that_the_hub_would_not_feel_is_refused():
-    with pytest.raises(TypeError, match=r"after the hub.*before='hub'"):
-        make(LateDynModel)
+def test_rejects_forces_that_the_orbit_would_not_feel():
+    check_refusals(
+        [
+            refusal(lambda: make(orbit="arc", backend="eager"), TypeError, "external_force_N", "orbit='integrated'"),
+            refusal(lambda: make(orbit="arc", backend="compiled"), TypeError, "external_force_N", "orbit='integrated'"),
+            refusal(lambda: make(LateDynModel), TypeError, "external_force_N", "hub", "before='hub'"),
+        ]
+    )

@@ -2,27 +2,13 @@
 
 from __future__ import annotations
 
-import re
-
-import pytest
 import torch
 
-from bsk_torch import SatelliteTasking, act, dyn, fsw, obs, sats
 from bsk_torch.sim.component import Bus, Effector
 from bsk_torch.sim.dyn.torque_bars import magnetic_torque
 from bsk_torch.sim.fsw.unloading import unload
 from bsk_torch.vec3 import Mat3, Vec3
 from tests.sim.buses import N, vectors, write
-
-
-class Loaded(sats.Satellite):
-    observation_spec = (obs.Time(),)
-    action_spec = (act.Drift(duration=60.0),)
-    dyn_type = (dyn.SolarPressureDynModel, dyn.TorqueBarsDynModel, dyn.BasicDynamicsModel)
-    fsw_type = (fsw.MagneticUnloadingFSWModel, fsw.BasicFSWModel)
-
-
-BARS = [dyn.TorqueBar(axis, 30.0) for axis in ([1, 0, 0], [0, 1, 0], [0, 0, 1])]
 
 
 def test_bars_take_momentum_across_the_field():
@@ -40,22 +26,3 @@ def test_bars_take_momentum_across_the_field():
     assert torch.stack(bus.bar_command).abs().max() > 29.9
     across = h - B * (h.dot(B) / B.dot(B))
     torch.testing.assert_close(torque.unit().stack(), (-across.unit()).stack(), rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("args", "message"),
-    [
-        ({"torqueBars": BARS}, "facets=None, but sunlight pushes facets"),
-        ({"facets": dyn.box_facets([1, 1, 1])}, "torqueBars=None must be a list of bars"),
-        ({"torqueBars": BARS, "facets": [1.0]}, "must be a list of facets"),
-    ],
-)
-def test_missing_parts_are_rejected(args, message):
-    with pytest.raises(ValueError, match=re.escape(message)):
-        SatelliteTasking(Loaded("A", args), num_envs=1, backend="eager")
-
-
-def test_impossible_facets_are_rejected():
-    for wrong, message in (({"normal": [0, 0, 0]}, "normal"), ({"diffuseCoeff": 0.6, "specularCoeff": 0.6}, "same light")):
-        with pytest.raises(ValueError, match=message):
-            dyn.Facet(**({"area": 1.0, "normal": [1, 0, 0], "position": [0, 0, 0]} | wrong))

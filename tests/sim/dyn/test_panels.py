@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import re
 
 import pytest
 import torch
@@ -195,58 +194,3 @@ def test_drag_on_the_box_has_the_area_of_all_panels():
         for component, area in ((part, [[0.5, 0.25]]), (DRAG, [0.75]))
     ]
     torch.testing.assert_close(*found, rtol=0, atol=0)
-
-
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        (dict(area=-1.0), "Panel: area=-1.0 must be a number in [0, 1e+06] m^2"),
-        (dict(efficiency=1.2), "Panel: efficiency=1.2"),
-        (dict(normal=[0, 0, 0]), "Panel: normal=[0, 0, 0] must be three numbers, not all zero"),
-        (dict(axis=[0, 0, 0], rate=0.1), "Panel: axis=[0, 0, 0] must be three numbers"),
-        (dict(axis=[1, 0, 1], rate=0.1), "is 135 degrees from normal=(0.0, 0.0, -1.0); it must be perpendicular"),
-        (dict(axis=[1, 0, 0]), "axis is given without rate"),
-        (dict(axis=[1, 0, 0], rate=-0.1), "Panel: rate=-0.1"),
-        (dict(axis=[1, 0, 0], rate=0.1, stops=[1.0, 2.0]), "angle=0 must lie within stops=(1.0, 2.0), rad"),
-        (dict(axis=[1, 0, 0], rate=0.1, stops=[1.0, -1.0]), "must be the smallest and the largest angle"),
-        (dict(axis=[1, 0, 0], rate=0.1, stops=[-4.0, 4.0]), "at most 2 pi apart"),
-        (dict(rate=0.1), "rate=0.1 is given without axis"),
-    ],
-)
-def test_impossible_panels_are_rejected(wrong, message):
-    with pytest.raises(ValueError, match=re.escape(message)):
-        dyn.Panel(**({"normal": [0, 0, -1], "area": 1.0, "efficiency": 0.3} | wrong))
-
-
-FIXED = dyn.Panel([0, 0, -1], 1.0, 0.3)
-
-
-@pytest.mark.parametrize(
-    ("args", "message"),
-    [
-        ({"panels": 3}, "panels=3 must be a list of panels, such as"),
-        ({"panels": []}, "must be a list of panels"),
-        ({"panelNormals_B": [[0, 0, 1]]}, "panelNormals_B is given without panels"),
-        ({"panels": PAIR, "panelNormals_B": [[0, 0, 0], [0, 0, 1]]}, "a normal of length zero"),
-        ({"panels": PAIR, "panelNormals_B": [[0, 0, 1], [0, 1, 1]]}, "the normal of panel 1 is not perpendicular"),
-        ({"panels": PAIR, "panelAngles": [0.0, 3.0]}, "panel 1 must start between its stops, -1 and 2 rad"),
-        ({"panels": [FIXED, PAIR[0]], "panelRates": [0.1, 0.1]}, "must be 0 for panel 0, which is fixed"),
-        ({"panels": [FIXED], "panelArea": -1.0}, "panelArea=-1 m^2 is not allowed"),
-        ({"panels": [FIXED], "nHat_B": [0, 0, 0]}, "nHat_B=[0, 0, 0] has no direction"),
-        ({"panels": PAIR, "faults": [faults.panel(0.5, 2)]}, "index=2 does not exist: the satellite has 2 such parts"),
-        ({"panels": PAIR, "faults": [faults.stuck_panel([1, 0, 0])]}, "faults.stuck_panel(normal, panel=0)"),
-        ({"panels": PAIR, "faults": [faults.stuck_panel([1, 0, 0], 0)]}, "faults.stuck_panel(panel=k) stops panel k"),
-        ({"panels": [FIXED], "faults": [faults.stuck_panel(panel=0)]}, "changes nothing in ['panel']"),
-        ({"faults": [faults.panel(0.5, 0)]}, "which is one number of a satellite; leave index out"),
-    ],
-)
-def test_wrong_numbers_and_faults_are_rejected(args, message):
-    with pytest.raises(ValueError, match=re.escape(message)):
-        fly(args, ())
-
-
-def test_stuck_panels_need_a_normal_or_a_number():
-    with pytest.raises(ValueError, match="needs a normal in B, or the number panel="):
-        faults.stuck_panel()
-    with pytest.raises(ValueError, match="must be three numbers, not all zero"):
-        faults.stuck_panel([0, 0, 0])

@@ -251,26 +251,6 @@ def test_partition_names(given, names):
     assert ("packet_partition" in sender) == (len(names) > 1)
 
 
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"transmitterNumBuffers": 0}, "transmitterNumBuffers=0 must be a whole number from 1 to 1000"),
-        ({"transmitterNumBuffers": 2.5}, r"transmitterNumBuffers=2\.5 must be a whole number"),
-        ({"transmitterNumBuffers": float("nan")}, "transmitterNumBuffers=nan must be a whole number"),
-        ({"transmitterNumBuffers": lambda: 3}, "the same for all environments"),
-        ({"transmitterNumBuffers": 2, "bufferNames": ["a"]}, r"transmitterNumBuffers=2 differs .*=\['a'\]"),
-        ({"bufferNames": "ab"}, "bufferNames='ab' must be a list of different names"),
-        ({"bufferNames": []}, "at least one"),
-        ({"bufferNames": ["a", "a"]}, "different names"),
-        ({"bufferNames": ["a", "STORED DATA"]}, "none of them 'STORED DATA'"),
-        ({"bufferNames": [1, 2]}, "must be a list of different names"),
-    ],
-)
-def test_partitions_that_cannot_be(given, message):
-    with pytest.raises(ValueError, match=message):
-        partitions.partition_names(GIVEN | given)
-
-
 def test_initial_store():
     """Whole bits in the last partition; more than the capacity is left out."""
     args = {"storageInit": torch.tensor([99.9, 101.0, 0.0]).double(), "dataStorageCapacity": torch.tensor([100.7]).double()}

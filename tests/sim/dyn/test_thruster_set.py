@@ -1,9 +1,8 @@
-"""Any set of thrusters: forces, torques, desaturation, and what is rejected."""
+"""Any set of thrusters: forces, torques, and desaturation."""
 
 from __future__ import annotations
 
 import functools
-import re
 
 import pytest
 import torch
@@ -117,40 +116,6 @@ def test_drawn_thrusters_fly_alike_compiled():
     for name, bound in (("wheel_speeds", 1e-8), ("sigma_BN", 1e-9), ("r_BN_N", 1e-6)):
         a, b = (getattr(env.satellite.dynamics, name) for env in (eager, compiled))
         torch.testing.assert_close(a, b, rtol=0, atol=bound)
-
-
-FLAT = [dyn.Thruster([x, 0.0, 0.0], [0.0, y, 0.0], 1.0) for x in (-1.0, 1.0) for y in (-1.0, 1.0)]
-
-
-@pytest.mark.parametrize(
-    ("args", "message"),
-    [
-        ({"thrusters": []}, "thrusters=[] must be a list of thrusters"),
-        ({"thrusters": [1.0]}, "thrusters=[1.0] must be a list of thrusters"),
-        ({"thrusters": FLAT}, "exert torques about 1 of 3 axes, so desaturation would do nothing"),
-        ({"thrusterMaxThrust": [1.0] * 8}, "thrusterMaxThrust is given without thrusters"),
-        ({"thrusters": OCTET, "thrusterMaxThrust": [1.0] * 7}, "thrusterMaxThrust needs 8 numbers"),
-        ({"thrusters": OCTET, "thrusterMaxThrust": 0.0}, "thrusterMaxThrust=0 N is not allowed"),
-        ({"thrusters": OCTET, "thrusterDirections_B": [[0.0, 0.0, 0.0]] * 8}, "has a direction of length zero"),
-    ],
-)
-def test_impossible_thrusters_are_rejected(args, message):
-    with pytest.raises(ValueError, match=re.escape(message)):
-        fly(args, actions=(), orbit="integrated")
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: dyn.Thruster([0, 0, 1], [1, 0, 0], 0.0), "Thruster: thrust=0"),
-        (lambda: dyn.Thruster([0, 0, 1], [0, 0, 0], 1.0), "direction=[0, 0, 0] must be three numbers, not all zero"),
-        (lambda: dyn.Thruster([0, 1], [1, 0, 0], 1.0), "position=[0, 1] must be three numbers"),
-        (lambda: dyn.Thruster([0, 0, 1], [1, 0, 0], "MOOG_Monarc_2"), "did you mean 'MOOG_Monarc_"),
-    ],
-)
-def test_thrusters_that_do_not_exist_are_rejected(make, message):
-    with pytest.raises(ValueError, match=re.escape(message)):
-        make()
 
 
 def test_types_have_the_thrust_of_basilisks_factory():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import pickle
-import re
 
 import pytest
 import torch
@@ -12,6 +11,7 @@ import torch
 from bsk_torch import SatelliteTasking, act, dyn, faults, fsw, obs, rand, sats
 from bsk_torch.sim.component import Arg, Component, Field
 from tests.sim.dyn.flights import CHARGE, SCAN, fly
+from tests.support.refusals import check_refusals, refusal
 
 
 def clicks(bus):
@@ -197,35 +197,28 @@ def test_without_faults_nothing_is_compiled_for_them():
 # -- errors -------------------------------------------------------------------------------------------------------------------
 
 
-REJECTED = {
-    "has value=None and factor=None; give one of them": lambda: faults.Fault("u_max"),
-    "changes the unknown argument 'u_maximum'": lambda: clicking(faults.Fault("u_maximum", value=1.0)),
-    "index=9 does not exist": lambda: clicking(faults.wheel_torque(9, at=1.0)),
-    "must be a list of faults": lambda: SatelliteTasking(Clicking("A", {"faults": "wheel"}), num_envs=1),
-    "2 faults are named 'clickSize'": lambda: clicking(*(faults.Fault("clickSize", value=1.0 + k) for k in range(2))),
-    "at=inf": lambda: faults.Fault("u_max", value=1.0, at=math.inf),
-    "u_max=0 means that there is no limit": lambda: clicking(faults.wheel_torque(0, 0.0, at=1.0)),
-    "rate=-1": lambda: faults.Hazard(-1.0),
-    "chance=1.5": lambda: faults.Sometimes(1.5, 10.0),
-    "used only when": lambda: clicking(faults.Fault("wheels", value=1.0)),
-    "must be the number of a part": lambda: faults.Fault("u_max", value=1.0, index=-1),
-}
-
-
-@pytest.mark.parametrize("words", REJECTED)
-def test_errors(words):
-    with pytest.raises(ValueError, match=re.escape(words)):
-        REJECTED[words]()
-
-
-def test_faults_that_were_not_declared_cannot_be_injected():
-    env = clicking(faults.Fault("clickSize", value=5.0, name="loud"), n=2)
-    env.reset()
-    with pytest.raises(ValueError, match=r"fault 'lout' is not declared.*did you mean 'loud'"):
-        env.inject("lout")
-    with pytest.raises(IndexError):
-        env.inject("loud", envs=[2])
-    sound = SatelliteTasking(PlainClicking("A"), num_envs=1, backend="eager")
-    sound.reset()
-    with pytest.raises(ValueError, match="this satellite has none"):
-        sound.inject("loud")
+def test_rejects_wrong_faults():
+    loud = clicking(faults.Fault("clickSize", value=5.0, name="loud"), n=2)
+    sound = SatelliteTasking(PlainClicking("A"), num_envs=1, backend="eager", time_limit=1000.0)
+    wrong = Clicking("A", {"faults": "wheel"})
+    for env in (loud, sound):
+        env.reset()
+    twice = [faults.Fault("clickSize", value=1.0 + k) for k in range(2)]
+    check_refusals(
+        [
+            refusal(lambda: faults.Fault("u_max"), ValueError, "'u_max'", "value=None", "factor=None"),
+            refusal(lambda: clicking(faults.Fault("u_maximum", value=1.0)), ValueError, "'u_maximum'", "'u_max'"),
+            refusal(lambda: clicking(faults.wheel_torque(9, at=1.0)), ValueError, "wheel_torque9", "index=9", "3"),
+            refusal(lambda: SatelliteTasking(wrong, backend="eager"), ValueError, "sat_args", "faults='wheel'"),
+            refusal(lambda: clicking(*twice), ValueError, "sat_args", "2 faults", "'clickSize'"),
+            refusal(lambda: faults.Fault("u_max", value=1.0, at=math.inf), ValueError, "'u_max'", "at=inf", "[0, inf)"),
+            refusal(lambda: clicking(faults.wheel_torque(0, 0.0, at=1.0)), ValueError, "'wheel_torque0'", "u_max=0", "limit"),
+            refusal(lambda: faults.Hazard(-1.0), ValueError, "Hazard", "rate=-1.0", "(0, inf)"),
+            refusal(lambda: faults.Sometimes(1.5, 10.0), ValueError, "Sometimes", "chance=1.5", "[0, 1]"),
+            refusal(lambda: clicking(faults.Fault("wheels", value=1.0)), ValueError, "fault 'wheels'", "environment", "episode"),
+            refusal(lambda: faults.Fault("u_max", value=1.0, index=-1), ValueError, "'u_max-1'", "index=-1", "part"),
+            refusal(lambda: loud.inject("lout"), ValueError, "'lout'", "'loud'"),
+            refusal(lambda: loud.inject("loud", envs=[2]), IndexError, "envs=[2]"),
+            refusal(lambda: sound.inject("loud"), ValueError, "'loud'", "none"),
+        ]
+    )

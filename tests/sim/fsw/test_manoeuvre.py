@@ -5,9 +5,8 @@ import logging
 import pytest
 import torch
 
-from bsk_torch.sim import fsw
 from bsk_torch.sim.fsw.manoeuvre import burn
-from tests.support.manoeuvring import R_N, V_N, Imager, Kick, Mover, every, make, push, step
+from tests.support.manoeuvring import R_N, V_N, Imager, Kick, every, make, push, step
 
 
 @pytest.fixture(params=["integrated", "arc"])
@@ -114,17 +113,6 @@ def test_manoeuvres_touch_no_other_rows(orbit):
         step(env, td, 0)
     assert torch.equal(many.simulator.read("r_BN_N")[1:2], alone.simulator.read("r_BN_N"))
     assert many.satellite.fsw.dv_available.tolist() == [99.0, 100.0, 99.0]
-
-
-def test_thrust_without_a_tank_is_refused_when_the_action_is_linked():
-    class NoTank(Mover):
-        fsw_type = fsw.FSWModel
-        observation_spec = Mover.observation_spec[1:]
-
-    with pytest.raises(
-        ValueError, match=r"act.Kick\(\) changes the velocity of a satellite without a tank.*MagicOrbitalManeuver"
-    ):
-        make(kind=NoTank)
 
 
 def test_bad_manoeuvres_are_refused():

@@ -138,12 +138,6 @@ def test_wheels_of_a_passive_satellite_keep_turning_and_stiffen_it():
     assert torch.allclose(BN, BN[0].expand_as(BN), atol=1e-14)
 
 
-def test_it_can_only_drift():
-    pointing = type("Pointing", (Debris,), {"action_spec": (act.NadirPoint(),)})
-    with pytest.raises(ValueError, match="nadir_point"):
-        SatelliteTasking(pointing("Debris", BODY))
-
-
 def test_it_flies_beside_others():
     """A tumbling chief observed by a satellite that is imposed the Hill frame."""
     looking = type(

@@ -129,11 +129,6 @@ def test_steering_replaces_feedback(model):
     assert ("image" in model.all_modes()) == (model is SteeringImagerFSWModel)
 
 
-def test_axes_are_checked():
-    with pytest.raises(ValueError, match="controlAxes_B"):
-        steering.MRP_STEERING.check({"controlAxes_B": torch.zeros(1, 9)})
-
-
 def test_batch_of_one():
     """Rows do not depend on each other."""
     together = vectors(0.3, N)

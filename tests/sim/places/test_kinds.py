@@ -169,11 +169,6 @@ def test_light_clips_passes_as_a_search_of_all_samples_does(world, light):
         assert torch.allclose(torch.tensor(found[pair]), torch.tensor(windows), rtol=0, atol=1e-5)
 
 
-def test_light_needs_the_tables_that_have_the_time():
-    with pytest.raises(ValueError, match=r"light=.*needs tables="):
-        FixedPlaces(torch.eye(3, dtype=torch.float64).unsqueeze(0) * R_EARTH, 0.1, light=[SunElevation(0.1)])
-
-
 def test_passes_over_ships_and_aircraft_are_those_of_dense_samples(world):
     limit = math.sin(math.radians(12.0))
     moving = GreatCirclePlaces(world.tables, "start", "fast", [AboveElevation(limit)], exists="exists")

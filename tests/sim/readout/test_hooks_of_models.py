@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import pytest
-
 from bsk_torch.sim import dyn, fsw, world
 from bsk_torch.sim.component import Component
+from tests.support.refusals import check_refusals, refusal
 
 
 def nothing(self: Any, *args: Any, **kwargs: Any) -> None:
@@ -23,61 +22,51 @@ with_defaults.defaults = {"heaterPowerDraw": -5.0}
 HEATER = Component("heater", after="base_power")
 
 
-@pytest.mark.parametrize(
-    ("base", "members", "words"),
-    [
-        (dyn.ImagingDynModel, dict(setup_heater=nothing), r"Mine.setup_heater is never used; write a Component"),
-        (dyn.ImagingDynModel, dict(_setup_dynamics_objects=nothing), "write a Component"),
-        (dyn.ImagingDynModel, dict(heater=with_defaults), r"default arguments that are never used; arguments are Arg\(name"),
-        (dyn.ImagingDynModel, dict(reset_for_action=nothing), r"resets= of an fsw.Mode"),
-        (dyn.ImagingDynModel, dict(_requires_world=classmethod(nothing)), r"requires_world = \(world.EclipseWorldModel,\)"),
-        (dyn.ImagingDynModel, dict(is_alive=nothing), "dyn.aliveness_checker"),
-        (dyn.ImagingDynModel, dict(reset_post_sim_init=nothing), "Field in state= of a Component"),
-        (dyn.ImagingDynModel, dict(_create_process=nothing), "write a Component"),
-        (dyn.ImagingDynModel, dict(component=(HEATER,)), "Mine.component is never used; did you mean 'components'"),
-        (dyn.ImagingDynModel, dict(world_component=(HEATER,)), "did you mean 'world_components'"),
-        (dyn.ImagingDynModel, dict(components=HEATER), "is no tuple of Components; it must be written like"),
-        (dyn.ImagingDynModel, dict(components=("heater",)), "is no tuple of Components"),
-        (dyn.ImagingDynModel, dict(modes={}), "Mine.modes is never used; it belongs to flight-software models"),
-        (dyn.ImagingDynModel, dict(requires_world=world.WorldModel), "is no tuple of models"),
-        (dyn.ImagingDynModel, dict(requires_world=classmethod(nothing)), "is no tuple of models"),
-        (fsw.ImagingFSWModel, dict(action_safe=nothing), r"act.DiscreteFSWAction\('safe'\) enters: modes = {'safe': fsw.Mode"),
-        (fsw.ImagingFSWModel, dict(SafeTask=type("SafeTask", (), {})), "tasks of bsk_rl are components and modes here"),
-        (fsw.ImagingFSWModel, dict(_make_task_list=nothing), "write a Component"),
-        (fsw.ImagingFSWModel, dict(_set_gateway_msgs=nothing), "attributes of the bus"),
-        (fsw.ImagingFSWModel, dict(_requires_dyn=classmethod(nothing)), r"requires_dyn = \(dyn.BasicDynamicsModel,\)"),
-        (fsw.ImagingFSWModel, dict(world_components=(HEATER,)), "it belongs to dynamics models"),
-        (fsw.ImagingFSWModel, dict(mode={}), "did you mean 'modes'"),
-        (fsw.ImagingFSWModel, dict(modes=("safe",)), "is no dictionary"),
-        (
-            world.EclipseWorldModel,
-            dict(setup_eclipse_object=nothing),
-            r"Mine.setup_eclipse_object is never used",
-        ),
-        (world.EclipseWorldModel, dict(_setup_world_objects=nothing), "write a Component"),
-        (world.EclipseWorldModel, dict(default_world_args=classmethod(nothing)), "Arg"),
-        (world.EclipseWorldModel, dict(orbit="arc"), "it belongs to dynamics models"),
-    ],
-)
-def test_what_would_not_run_is_refused_at_the_definition(base, members, words):
-    with pytest.raises(TypeError, match=words):
-        type("Mine", (base,), members)
+def test_rejects_members_that_would_never_run():
+    def dynamics(**members):
+        return type("Mine", (dyn.ImagingDynModel,), members)
 
+    def flight(**members):
+        return type("Mine", (fsw.ImagingFSWModel,), members)
 
-def test_hooks_of_classes_that_are_mixed_in_are_refused_too():
-    mixin = type("Mixin", (), {"setup_heater": nothing})
-    with pytest.raises(TypeError, match=r"Mine.setup_heater is never used"):
-        type("Mine", (mixin, dyn.ImagingDynModel), {})
+    def environment(**members):
+        return type("Mine", (world.EclipseWorldModel,), members)
 
-
-def test_tasks_and_decorators_of_bsk_rl_say_what_to_write():
-    with pytest.raises(TypeError, match=r"SafeTask is a task of bsk_rl, .* Component .* table modes"):
-
-        class SafeTask(fsw.Task):
-            name = "safeTask"
-
-    with pytest.raises(TypeError, match=r"@action nothing is a command of bsk_rl"):
-        fsw.action(nothing)
+    mixin, hook, task = type("Mixin", (), {"setup_heater": nothing}), classmethod(nothing), type("SafeTask", (), {})
+    check_refusals(
+        [
+            refusal(lambda: dynamics(setup_heater=nothing), TypeError, "Mine.setup_heater", "Component"),
+            refusal(lambda: dynamics(_setup_dynamics_objects=nothing), TypeError, "Mine._setup_dynamics_objects", "Component"),
+            refusal(lambda: dynamics(heater=with_defaults), TypeError, "Mine.heater", "Arg(name", "args="),
+            refusal(lambda: dynamics(reset_for_action=nothing), TypeError, "Mine.reset_for_action", "resets=", "fsw.Mode"),
+            refusal(lambda: dynamics(_requires_world=hook), TypeError, "requires_world = (world.EclipseWorldModel,)"),
+            refusal(lambda: dynamics(is_alive=nothing), TypeError, "Mine.is_alive", "dyn.aliveness_checker"),
+            refusal(lambda: dynamics(reset_post_sim_init=nothing), TypeError, "Mine.reset_post_sim_init", "Field", "state="),
+            refusal(lambda: dynamics(_create_process=nothing), TypeError, "Mine._create_process", "Component"),
+            refusal(lambda: dynamics(component=(HEATER,)), TypeError, "Mine.component", "'components'"),
+            refusal(lambda: dynamics(world_component=(HEATER,)), TypeError, "Mine.world_component", "'world_components'"),
+            refusal(lambda: dynamics(components=HEATER), TypeError, "Mine.components=Component(slot='heater'", "tuple"),
+            refusal(lambda: dynamics(components=("heater",)), TypeError, "Mine.components=('heater',)", "tuple", "Components"),
+            refusal(lambda: dynamics(modes={}), TypeError, "Mine.modes", "flight-software models"),
+            refusal(lambda: dynamics(requires_world=world.WorldModel), TypeError, "Mine.requires_world=<class ", "tuple"),
+            refusal(lambda: dynamics(requires_world=hook), TypeError, "Mine.requires_world=<classmethod", "tuple"),
+            refusal(lambda: type("Mine", (mixin, dyn.ImagingDynModel), {}), TypeError, "Mine.setup_heater"),
+            refusal(lambda: flight(action_safe=nothing), TypeError, "act.DiscreteFSWAction('safe')", "modes = {'safe': fsw.Mode"),
+            refusal(lambda: flight(SafeTask=task), TypeError, "Mine.SafeTask", "bsk_rl", "components", "modes"),
+            refusal(lambda: flight(_make_task_list=nothing), TypeError, "Mine._make_task_list", "Component"),
+            refusal(lambda: flight(_set_gateway_msgs=nothing), TypeError, "Mine._set_gateway_msgs", "bus"),
+            refusal(lambda: flight(_requires_dyn=hook), TypeError, "requires_dyn = (dyn.BasicDynamicsModel,)"),
+            refusal(lambda: flight(world_components=(HEATER,)), TypeError, "Mine.world_components", "dynamics models"),
+            refusal(lambda: flight(mode={}), TypeError, "Mine.mode", "'modes'"),
+            refusal(lambda: flight(modes=("safe",)), TypeError, "Mine.modes=('safe',)", "dictionary"),
+            refusal(lambda: type("SafeTask", (fsw.Task,), {}), TypeError, "SafeTask", "bsk_rl", "Component", "modes"),
+            refusal(lambda: fsw.action(nothing), TypeError, "@action nothing", "bsk_rl"),
+            refusal(lambda: environment(setup_eclipse_object=nothing), TypeError, "Mine.setup_eclipse_object"),
+            refusal(lambda: environment(_setup_world_objects=nothing), TypeError, "Mine._setup_world_objects", "Component"),
+            refusal(lambda: environment(default_world_args=hook), TypeError, "Mine.default_world_args", "Arg(name"),
+            refusal(lambda: environment(orbit="arc"), TypeError, "Mine.orbit", "dynamics models"),
+        ]
+    )
 
 
 def test_models_may_have_helpers_values_and_readouts_of_their_own():

@@ -8,6 +8,7 @@ import torch
 from bsk_torch.sim import dyn
 from bsk_torch.sim.run.encounters import NEVER, EncounterPairs, Limits, find_pairs, first_ticks, reached
 from bsk_torch.vec3 import Vec3
+from tests.support.refusals import check_refusals, refusal
 
 N, C, K = 7, 4, 60
 
@@ -128,18 +129,17 @@ def test_nobody_watches_where_no_model_asks_for_it():
     )
 
 
-def test_an_unknown_chief_is_refused():
-    with pytest.raises(ValueError, match=r"sat_args of D: chief_name='BB' is not a satellite of the .*; did you mean 'B'"):
-        find_pairs(NAMES, (Both,) * 4, ("A", "A", "A", "BB"), False)
-
-
 def test_a_satellite_without_chief_is_not_looked_at(caplog):
     assert find_pairs(("A",), (Both,), (None,), False) == EncounterPairs((), ())
     assert "A has dyn.MaxRangeDynModel and chief_name=None" in caplog.text
 
 
-def test_an_order_in_which_bsk_rl_raises_is_refused_where_it_is_repeated():
-    models = (Both, dyn.DynamicsModel, Both, Both)
-    find_pairs(NAMES, models, ("A",) * 4, False)
-    with pytest.raises(ValueError, match=r"conjunctions of 'C' on the satellite before it, and 'B' has no dyn\.Conjunction"):
-        find_pairs(NAMES, models, ("A",) * 4, True)
+def test_rejects_unknown_chiefs_and_orders_in_which_bsk_rl_raises():
+    models, chiefs, unknown = (Both, dyn.DynamicsModel, Both, Both), ("A",) * 4, ("A", "A", "A", "BB")
+    find_pairs(NAMES, models, chiefs, False)
+    check_refusals(
+        [
+            refusal(lambda: find_pairs(NAMES, (Both,) * 4, unknown, False), ValueError, "of D", "chief_name='BB'", "'B'"),
+            refusal(lambda: find_pairs(NAMES, models, chiefs, True), ValueError, "'C'", "'B'", "dyn.ConjunctionDynModel"),
+        ]
+    )

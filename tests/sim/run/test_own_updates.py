@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import pytest
 import torch
 
 from bsk_torch import SatelliteTasking, act, dyn, fsw, obs, sats
 from bsk_torch.sim.component import Arg, Component, Field
+from tests.support.refusals import check_refusals, refusal
 
 ARGS = (Arg("heaterPowerDraw", -20.0, "W", "power", high=0.0),)
 
@@ -46,29 +46,24 @@ def written(name: str, value):
     return lambda bus: setattr(bus, name, value(bus))
 
 
-@pytest.mark.parametrize("num_envs", [1, 2])
-@pytest.mark.parametrize(
-    ("update", "words"),
-    [
-        (written("power", lambda bus: bus.power + torch.mean(bus.power)), r"another bus\.power next to a second environment"),
-        (
-            written("power", lambda bus: bus.power + torch.rand_like(bus.power)),
-            r"another bus\.power next to a second environment",
-        ),
-        (lambda bus: bus.power.add_(1.0) and None, r"fails|changes bus\.power in place"),
-        (
-            written("powr", lambda bus: bus.power + bus.heater_power),
-            r"writes bus\.powr, which no component reads; did you mean 'power'",
-        ),
-        (written("power", lambda bus: bus.r_BN_N), r"writes bus\.power = a Vec3; it must be a number"),
-        (written("power", lambda bus: None), r"writes bus\.power = None; it must be a number"),
-        (written("power", lambda bus: bus.power if bus.power > 0 else bus.power * 2.0), r"slot 'heater' fails: .*torch\.where"),
-        (lambda bus: 3.0, r"returns 3\.0; it must return None"),
-    ],
-)
-def test_updates_that_cannot_be_used(update, words, num_envs):
-    with pytest.raises(TypeError, match=words):
-        environment(heater(update=update), num_envs)
+def test_rejects_updates_that_cannot_be_used():
+    power = "bus.power", "number"
+    second = "bus.power", "environment", "random numbers"
+    updates = [
+        (written("power", lambda bus: bus.power + torch.mean(bus.power)), *second),
+        (written("power", lambda bus: bus.power + torch.rand_like(bus.power)), *second),
+        (lambda bus: bus.power.add_(1.0) and None, "torch.where"),
+        (written("powr", lambda bus: bus.power + bus.heater_power), "bus.powr", "'power'"),
+        (written("power", lambda bus: bus.r_BN_N), "Vec3", *power),
+        (written("power", lambda bus: None), "None", *power),
+        (written("power", lambda bus: bus.power if bus.power > 0 else bus.power * 2.0), "torch.where"),
+        (lambda bus: 3.0, "3.0", "None"),
+    ]
+    check_refusals(
+        refusal(lambda update=update, n=n: environment(heater(update=update), n), TypeError, "slot 'heater'", *names)
+        for update, *names in updates
+        for n in (1, 2)
+    )
 
 
 def test_updates_that_can_be_used():
@@ -84,65 +79,62 @@ def test_updates_that_can_be_used():
         assert torch.isfinite(played["next", "observation"]).all()
 
 
-@pytest.mark.parametrize(
-    ("entries", "words"),
-    [
-        (dict(prepare=lambda args: None), r"prepare\(args\) of the component in slot 'heater' returns None"),
-        (dict(prepare=lambda args: {}), "lacks 'heater_power'"),
-        (dict(prepare=lambda args: {"heater_power": 1.0}), r"is 1\.0; it must be a float64 tensor"),
-        (dict(prepare=lambda args: {"heater_power": torch.ones(7)}), r"is of shape \[7\]"),
-        (dict(prepare=lambda args: {"heater_power": args["heaterPowerDraw"] * torch.nan}), "is NaN in row 0"),
-        (
-            dict(prepare=lambda args: dict.fromkeys(("heater_power", "z"), args["heaterPowerDraw"])),
-            "returns 'z', which is not in",
-        ),
-        (dict(initial=lambda args: {"e": torch.zeros(1)}), "returns 'e', which is not in state="),
-        (dict(state=(Field("e"),)), "no component gives 'e' a value when episodes start"),
-        (
-            dict(state=(Field("charge"),), initial=lambda args: {"charge": torch.zeros(1)}),
-            "'charge', which another component returns",
-        ),
-        (dict(check=lambda args: False), "returns False; it must raise ValueError"),
-    ],
-)
-def test_what_components_compute_at_reset(entries, words):
-    with pytest.raises((TypeError, ValueError), match=words):
-        environment(heater(**entries))
+def test_rejects_what_components_compute_at_reset():
+    def returning(value):
+        return environment(heater(prepare=lambda args: value))
+
+    def build(**entries):
+        return environment(heater(**entries))
+
+    charge = dict(state=(Field("charge"),), initial=lambda args: {"charge": torch.zeros(1)})
+    one = torch.ones(1, dtype=torch.float64)
+    check_refusals(
+        [
+            refusal(lambda: returning(None), TypeError, "prepare(args)", "slot 'heater'", "None"),
+            refusal(lambda: returning({}), ValueError, "prepare(args)", "'heater_power'", "params="),
+            refusal(lambda: returning({"heater_power": 1.0}), TypeError, "'heater_power'", "1.0", "float64", "[1]", "[2]"),
+            refusal(lambda: returning({"heater_power": torch.ones(7)}), TypeError, "'heater_power'", "[7]", "[1]", "[2]"),
+            refusal(lambda: returning({"heater_power": one * torch.nan}), ValueError, "'heater_power'", "NaN", "row 0"),
+            refusal(lambda: returning({"heater_power": one, "z": one}), ValueError, "'z'", "params=", "heater_power"),
+            refusal(lambda: build(initial=lambda args: {"e": torch.zeros(1)}), ValueError, "initial(args)", "'e'", "state="),
+            refusal(lambda: build(state=(Field("e"),)), ValueError, "'e'", "initial=", "prepare="),
+            refusal(lambda: build(**charge), ValueError, "initial(args)", "slot 'heater'", "'charge'"),
+            refusal(lambda: build(check=lambda args: False), TypeError, "check(args)", "slot 'heater'", "False", "ValueError"),
+        ]
+    )
 
 
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda: heater(args=ARGS[0]), "has args=.*must be a tuple of Arg"),
-        (lambda: heater(slot=None), "slot of a Component=None"),
-        (lambda: heater(prepare=None), "has prepare=None; it must be a function"),
-        (lambda: Field("e", 0), "width=0 must be a whole number from 1 on"),
-        (lambda: fsw.Mode(resets={"sun_fresh": [1.0, 2.0]}), r"resets\['sun_fresh'\]=\[1\.0, 2\.0\]"),
-        (lambda: fsw.Command(("charge", "drift")), "has several modes; name the argument that chooses one"),
-    ],
-)
-def test_entries_of_wrong_kinds(make, words):
-    with pytest.raises((TypeError, ValueError), match=words):
-        make()
+def test_rejects_entries_of_wrong_kinds():
+    def flight(**members):
+        return environment(heater(), flight=type("Flight", (fsw.BasicFSWModel,), members))
+
+    unknown, chosen = {"charge": fsw.Command(("nope",))}, {"charge": fsw.Command(("drift", "charge"), choice="mass")}
+    two = {"sun_fresh": [1.0, 2.0]}
+    check_refusals(
+        [
+            refusal(lambda: heater(args=ARGS[0]), TypeError, "slot 'heater'", "args=Arg(name='heaterPowerDraw'", "tuple"),
+            refusal(lambda: heater(slot=None), ValueError, "slot", "Component=None", "string"),
+            refusal(lambda: heater(prepare=None), TypeError, "slot 'heater'", "prepare=None", "function"),
+            refusal(lambda: Field("e", 0), ValueError, "'e'", "width=0", "whole number"),
+            refusal(lambda: fsw.Mode(resets=two), ValueError, "resets['sun_fresh']=[1.0, 2.0]"),
+            refusal(lambda: fsw.Command(("charge", "drift")), ValueError, "modes=('charge', 'drift')", "choice="),
+            refusal(lambda: flight(modes={"nope": None}), ValueError, "Flight.modes", "'nope'", "nadir_point"),
+            refusal(lambda: flight(modes={"m": ("control_on",)}), TypeError, "Flight.modes['m']=('control_on',)", "fsw.Mode"),
+            refusal(lambda: flight(commands=unknown), ValueError, "'charge'", "'nope'", "nadir_point"),
+            refusal(lambda: flight(commands=chosen), ValueError, "'charge'", "choice='mass'", "'choice'", "2"),
+        ]
+    )
 
 
-@pytest.mark.parametrize(
-    ("members", "words"),
-    [
-        (dict(modes={"nope": None}), "removes 'nope', which no base class has"),
-        (dict(modes={"m": ("control_on",)}), "must be an fsw.Mode"),
-        (dict(commands={"charge": fsw.Command(("nope",))}), "enters the unknown mode 'nope'"),
-        (dict(commands={"charge": fsw.Command(("drift", "charge"), choice="mass")}), "must be an argument of kind 'choice'"),
-    ],
-)
-def test_modes_and_commands(members, words):
-    with pytest.raises((TypeError, ValueError), match=words):
-        environment(heater(), flight=type("Flight", (fsw.BasicFSWModel,), members))
+def test_an_aliveness_check_of_all_environments_together():
+    def lives(check):
+        return environment(heater(), lives=dyn.aliveness_checker(check))
 
-
-@pytest.mark.parametrize(
-    "check", [lambda self: (self.battery_charge > 0.0).all(), lambda self: self.battery_charge, lambda self: 1]
-)
-def test_an_aliveness_check_of_all_environments_together(check):
-    with pytest.raises(TypeError, match=r"Model\.lives\(\) is .* must be a tensor of shape"):
-        environment(heater(), lives=dyn.aliveness_checker(check))
+    wanted = "Model.lives()", "shape [1]", "torch.bool"
+    check_refusals(
+        [
+            refusal(lambda: lives(lambda self: (self.battery_charge > 0.0).all()), TypeError, "shape []", *wanted),
+            refusal(lambda: lives(lambda self: self.battery_charge), TypeError, "torch.float64", *wanted),
+            refusal(lambda: lives(lambda self: 1), TypeError, "is 1;", *wanted),
+        ]
+    )

@@ -84,7 +84,7 @@ def test_records_are_the_states_after_each_tick(backend, every):
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("population", [None, pytest.param((1, 2), marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("population", [None, (1, 2)])
 def test_satellites_whose_events_end_steps(population):
     """In a constellation the image of one ends the run of all, in lockstep."""
     options = dict(num_envs=3, n_satellites=3, n_targets=120, seed=3, time_limit=2400.0)

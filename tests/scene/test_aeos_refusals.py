@@ -1,0 +1,140 @@
+"""AEOS-Bench: wrong arguments, and files of cases with wrong entries."""
+
+from __future__ import annotations
+
+import math
+
+import bsk_torch
+from bsk_torch import ConstellationTasking, SatelliteTasking, act, data, obs, scene
+from bsk_torch.plan.bounds import sight_bound
+from bsk_torch.presets.aeos_bench import BenchSatellite, CaseSatellites
+from bsk_torch.presets.nadir_scan import ScanningSatellite
+from bsk_torch.rl.rules.nearest_task import NearestTask
+from bsk_torch.scene import AEOSBenchGenerator, CaseError, read_cases
+from tests.scene.aeos_cases import constellation, tasks, write
+from tests.support.refusals import check_refusals, refusal
+
+
+def test_rejects_wrong_arguments_of_benches(tmp_path):
+    def make(**options):
+        return bsk_torch.make("AEOSBench-v1", num_envs=1, backend="eager", **options)
+
+    def alone(satellite, *given):
+        return SatelliteTasking(satellite, *given, sim_rate=1.0, backend="eager")
+
+    def scanning(*given):
+        return alone(ScanningSatellite("A"), *given)
+
+    nadir, reward = scene.UniformNadirScanning(), data.TaskReward()
+    slow = BenchSatellite("A", action=act.PointAtTask(duration=2.0))
+    drawn, folder = scene.AEOSBench(AEOSBenchGenerator(1, 5)), tmp_path / "cases"
+    write(folder / "a", constellation(2), tasks(40))
+    write(folder / "b", constellation(3), tasks(60))
+    cases = scene.AEOSBench(folder)
+    several = dict(sat_arg_randomizer=CaseSatellites(cases), sim_rate=1.0)
+    check_refusals(
+        [
+            refusal(lambda: scene.AEOSBench(folder, order="list"), ValueError, "order", "'list'", "'listed'"),
+            refusal(lambda: scene.AEOSBench(folder, horizon=0), ValueError, "horizon=0"),
+            refusal(lambda: data.TaskReward(2), ValueError, "progress_share=2"),
+            refusal(lambda: act.PointAtTask("of"), ValueError, "sensor", "'of'"),
+            refusal(lambda: act.PointAtTask(duration=0), ValueError, "duration=0"),
+            refusal(lambda: act.PointAtTask(duration=-1.0), ValueError, "duration", -1.0),
+            refusal(lambda: act.PointAtTask(until_done=2), ValueError, "until_done=2", True, False),
+            refusal(lambda: act.PointAtTask(n_candidates=0), ValueError, "n_candidates=0"),
+            refusal(lambda: obs.TaskProperties(dict(prop="slac")), ValueError, "prop", "'slac'", "'slack'"),
+            refusal(lambda: make(until_done=True), ValueError, "until_done", True, "step_duration", "1 s"),
+            refusal(lambda: make(step_duration=0.5), ValueError, "step_duration", 0.5),
+            refusal(lambda: make(candidates=True, haste=2.0), ValueError, "haste", 2.0),
+            refusal(lambda: make(as_set=True), ValueError, "as_set", True, "candidates"),
+            refusal(lambda: make(candidates=True, sensor="on"), ValueError, "sensor", "'on'", "'assigned'"),
+            refusal(lambda: alone(BenchSatellite("A")), ValueError, "act.PointAtTask", "'point'", "scene.AEOSBench"),
+            refusal(lambda: scanning(nadir, reward), ValueError, "data.TaskReward", "scene.AEOSBench", "UniformNadirScanning"),
+            refusal(lambda: scanning(cases), ValueError, "scene.AEOSBench", "dyn.AEOSBenchDynModel"),
+            refusal(lambda: alone(slow, drawn), ValueError, "duration=2 s", "1 s", "dyn.AEOSBenchTracedDynModel"),
+            refusal(lambda: ConstellationTasking([BenchSatellite("A")], cases, **several), ValueError, "3 satellites", "has 1"),
+            refusal(lambda: NearestTask(scanning()), ValueError, "scene.AEOSBench"),
+            refusal(lambda: sight_bound(scanning()), ValueError, "scene.AEOSBench"),
+            refusal(lambda: sight_bound(make(satellites=1, tasks=1), interval=20.0), ValueError, "interval", 20.0),
+        ]
+    )
+
+
+def test_rejects_wrong_arguments_of_random_cases():
+    def orbits(value, satellites=1):
+        return AEOSBenchGenerator(satellites, 10, value)
+
+    check_refusals(
+        [
+            refusal(lambda: AEOSBenchGenerator(0), ValueError, "satellites=0"),
+            refusal(lambda: AEOSBenchGenerator((5, 2)), ValueError, "satellites", (5, 2)),
+            refusal(lambda: AEOSBenchGenerator((1, 2, 3)), ValueError, "satellites", (1, 2, 3)),
+            refusal(lambda: AEOSBenchGenerator(2, 1001), ValueError, "tasks", 1001),
+            refusal(lambda: orbits([[7e6, 0.0, 1.0, 0.0, 0.0]], 3), ValueError, "satellites=3", "1 of orbits"),
+            refusal(lambda: orbits([[7e6, 1.0, 1.0, 0.0, 0.0]]), ValueError, "orbits", "a > 0 m", "0 <= e < 1"),
+            refusal(lambda: orbits("reel"), ValueError, "orbits", "'reel'", ["random", "real"]),
+            refusal(lambda: orbits([[7e6, 0.0, 1.0]]), ValueError, "orbits", [1, 3]),
+            refusal(lambda: orbits([[7e6, 0.0, math.nan, 0.0, 0.0]]), ValueError, "orbits", "finite"),
+        ]
+    )
+
+
+def test_rejects_wrong_case_files(tmp_path):
+    def read(change):
+        satellites, jobs = constellation(2), tasks(2)
+        change(satellites, jobs)
+        return read_cases(write(tmp_path / "bad", satellites, jobs))
+
+    def satellite(part=None, k=0, **entries):
+        """Read a case where entries of a satellite, or of a part of it, are others, or are missing if they are None."""
+
+        def change(c, t):
+            changed = c["satellites"][k] if part is None else c["satellites"][k][part]
+            for name, value in entries.items():
+                changed[name] = value
+                if value is None:
+                    del changed[name]
+
+        return read(change)
+
+    def task(k=0, **entries):
+        return read(lambda c, t: t[k].update(entries))
+
+    def orbit(**entries):
+        return read(lambda c, t: c["orbits"][0].update(entries))
+
+    def with_text(text):
+        folder = write(tmp_path / "text", constellation(1), tasks(1))
+        (folder / "taskset.json").write_text(text)
+        return read_cases(folder)
+
+    (tmp_path / "empty").mkdir()
+    folder = write(tmp_path / "one", constellation(3), tasks(4))
+    alone = write(tmp_path / "alone", constellation(1), tasks(1))
+    (alone / "taskset.json").unlink()
+    wheels = constellation(1)["satellites"][0]["reaction_wheels"][:2]
+    first, task_0 = "constellation.json.satellites[0]", "taskset.json.tasks[0]"
+    check_refusals(
+        [
+            refusal(lambda: satellite(k=1, mass=None), CaseError, "constellation.json.satellites[1]", "'mass'"),
+            refusal(lambda: satellite(mas=1.0, mass="x"), CaseError, first, "mass", "'x'"),
+            refusal(lambda: satellite(orbit=7), CaseError, first, "orbit=7", [0]),
+            refusal(lambda: satellite(k=1, id=0), CaseError, "constellation.json", "satellites", [0, 0]),
+            refusal(lambda: satellite("sensor", type=3), CaseError, f"{first}.sensor", "type=3"),
+            refusal(lambda: satellite(reaction_wheels=wheels), CaseError, first, "reaction_wheels", "3 objects"),
+            refusal(lambda: satellite(inertia=[1.0, 2.0, 3.0]), CaseError, first, "inertia", [1.0, 2.0, 3.0], "9 numbers"),
+            refusal(lambda: satellite("battery", percentage=1.5), CaseError, f"{first}.battery", "percentage", 1.5, [0, 1]),
+            refusal(lambda: orbit(eccentricity=math.nan), CaseError, "constellation.json.orbits[0]", "eccentricity", "nan"),
+            refusal(lambda: task(1, due_time=-5), CaseError, "taskset.json.tasks[1]", "due_time", "-5 s", "release_time"),
+            refusal(lambda: task(sensor_type=9), CaseError, task_0, "sensor_type=9"),
+            refusal(lambda: task(coordinate=[137.0, 2.0]), CaseError, task_0, "coordinate", [137.0, 2.0], "latitude"),
+            refusal(lambda: task(duration=300), CaseError, task_0, "duration", 300, [1, 255]),
+            refusal(lambda: read(lambda c, t: t.clear()), CaseError, "taskset.json", "no tasks"),
+            refusal(lambda: read_cases(tmp_path / "empty"), FileNotFoundError, tmp_path / "empty", "constellation.json"),
+            refusal(lambda: with_text("[{"), CaseError, "taskset.json", "JSON"),
+            refusal(lambda: with_text('"tasks"'), CaseError, "taskset.json", "'tasks'", "object"),
+            refusal(lambda: read_cases(alone), FileNotFoundError, alone / "taskset.json", alone / "constellation.json"),
+            refusal(lambda: read_cases(folder, satellites=2), CaseError, "'one'", "3 satellites", "satellites=2"),
+            refusal(lambda: read_cases(folder, tasks=1), CaseError, "'one'", "4 tasks", "tasks=1"),
+        ]
+    )

@@ -1,0 +1,92 @@
+"""Levels, shards and measured costs of the tests: nothing is lost between the levels, and nothing runs twice."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from tests.support import levels
+from tests.support.levels import LEVELS, LONG, PROMISES, SLOW, Results, in_shard, level, parse_shard, read_durations
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_a_level_follows_from_the_duration():
+    durations = {"slow": 2 * SLOW, "long": 2 * LONG, "fast": SLOW, "unmeasured": None}
+    assert [level(name, durations) for name in ("new", "fast", "slow")] == ["default", "default", "full"]
+    assert [level(name, durations) for name in ("long", "unmeasured")] == ["nightly", "nightly"]
+
+
+def test_promises_are_slow_tests_of_the_default():
+    durations = read_durations()
+    assert PROMISES
+    for name in PROMISES.values():
+        assert name in durations
+        assert level(name, durations) == "default"
+
+
+def test_durations_are_of_tests_that_exist():
+    durations = read_durations()
+    assert durations
+    for name, seconds in durations.items():
+        file, _, test = name.partition("::")
+        function = re.sub(r"\[.*", "", test, flags=re.DOTALL).rpartition("::")[2]
+        assert re.search(rf"\bdef {function}\b", (ROOT / file).read_text()), f"{name} is no test"
+        assert seconds is None or seconds > SLOW
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_shards_are_a_partition_into_equal_parts(count):
+    seconds = {f"file{k}": 1.0 + k % 7 for k in range(60)}
+    shards = [in_shard(seconds, number, count) for number in range(1, count + 1)]
+    assert sorted(name for shard in shards for name in shard) == sorted(seconds)
+    loads = [sum(seconds[name] for name in shard) for shard in shards]
+    assert max(loads) - min(loads) <= max(seconds.values())
+
+
+@pytest.mark.parametrize("text", ["0/2", "3/2", "1", "a/b", "1/0"])
+def test_rejects_wrong_shards(text):
+    with pytest.raises(pytest.UsageError, match=re.escape(text)):
+        parse_shard(text)
+
+
+def report(test, seconds, fixtures=(), loaded=(), built=()):
+    cost = (seconds, [list(key) for key in fixtures], list(loaded))  # as it comes from another process
+    properties = [("cost", (test, cost, [[list(key), value] for key, value in dict(fixtures).items()], dict(built)))]
+    return SimpleNamespace(when="teardown", skipped=False, user_properties=properties)
+
+
+@pytest.fixture
+def results(monkeypatch, tmp_path):
+    monkeypatch.setattr(levels, "DURATIONS", tmp_path / "durations.json")
+    monkeypatch.setattr(levels.kernels, "listed", lambda: frozenset({"listed"}))
+    (tmp_path / "durations.json").write_text(json.dumps({"t.py::gone": 2 * SLOW, "t.py::long": 2 * LONG, "other.py::slow": 1.0}))
+    return Results(SimpleNamespace(getoption={"measure": True, "levels": "default,full"}.get))
+
+
+def test_fixtures_are_shared_and_kernels_are_not(results):
+    for name in ("a", "b"):
+        results.pytest_runtest_logreport(report(name, 0.25, {("here", "env", 0): 4.0}, ["listed", "own"], {"own": 1.0}))
+    assert results.seconds() == {"a": 0.25 + 2.0 + 1.0, "b": 0.25 + 2.0 + 1.0}
+
+
+def test_what_became_slow_is_named_and_noted(results, tmp_path):
+    results.pytest_runtest_logreport(report("t.py::fast", 0.5 * SLOW))
+    results.pytest_runtest_logreport(report("t.py::slow", 3 * SLOW))
+    lines = []
+    results.pytest_terminal_summary(SimpleNamespace(write_line=lines.append))
+    assert len(lines) == 1
+    assert lines[0].endswith(": t.py::slow")
+    noted = json.loads((tmp_path / "durations.json").read_text())
+    assert noted == {"t.py::long": 2 * LONG, "t.py::slow": 3 * SLOW, "other.py::slow": 1.0}
+
+
+def test_every_level_is_one_of_the_script():
+    text = (ROOT / "scripts" / "test.sh").read_text()
+    for name in LEVELS[1:]:
+        assert f"--{name}" in text
+    assert f"for part in {' '.join(LEVELS)}" in text
