@@ -18,6 +18,7 @@ import pytest
 import torch
 
 from bsk_torch.astro.ephemeris import parse_utc
+from bsk_torch.codegen import build
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits
 from bsk_torch.sim.orbit.arcs import Arcs
@@ -48,13 +49,23 @@ PROGRAMS = {"browser": ("chromium", "Chromium: scripts/test.sh --browser install
 """By marker: a program that a test needs, and how to install it."""
 
 STRICT = "BSK_TORCH_STRICT_TESTS"
-"""Environment variable under which a test with unmet needs fails, so that scripts/test.sh --all skips none in silence."""
+"""Environment variable under which a test with unmet needs fails, so that scripts/test.sh --nightly skips none in silence."""
 
 RECORDINGS = Path(__file__).with_name("basilisk") / "recordings"
 
 
+@cache
+def _can_compile() -> bool:
+    try:
+        return bool(build._command("kernel"))
+    except RuntimeError:
+        return False
+
+
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Skip tests whose marker in ``NEEDS`` or ``PROGRAMS`` names what is not installed."""
+    """Skip tests whose marker in ``NEEDS`` or ``PROGRAMS`` names what is not installed, and tests that lack a compiler."""
+    if item.get_closest_marker("compiled") and not _can_compile():
+        pytest.skip("needs a C++ compiler")
     for marker, (modules, install) in NEEDS.items():
         if item.get_closest_marker(marker) and any(find_spec(module) is None for module in modules):
             (pytest.fail if os.environ.get(STRICT) else pytest.skip)(f"needs {install}")

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import shutil
+import subprocess
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -90,3 +93,35 @@ def test_every_level_is_one_of_the_script():
     for name in LEVELS[1:]:
         assert f"--{name}" in text
     assert f"for part in {' '.join(LEVELS)}" in text
+
+
+PYTHON = """#!/bin/sh
+case "$*" in
+    *"-m venv"*) mkdir -p "$3/bin" && cp "$0" "$3/bin/python" ;;
+    *"-m pip"*) echo "no index" >&2 && exit 1 ;;
+    *) exit INSTALLED ;;
+esac
+"""
+"""A Python whose package index does not answer; its exit status for anything else says whether packages are installed."""
+
+
+@pytest.mark.parametrize(
+    ("installed", "said"), [(1, "without it, nothing can be tested"), (0, "testing with what .venv has")], ids=["new", "old"]
+)
+def test_an_index_that_does_not_answer_is_one_line(installed, said, tmp_path):
+    for name in ("scripts/test.sh", "pyproject.toml", "constraints.txt"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        shutil.copy(ROOT / name, tmp_path / name)
+    python = tmp_path / "python"
+    python.write_text(PYTHON.replace("INSTALLED", str(installed)))
+    python.chmod(0o755)
+    done = subprocess.run(
+        ["bash", str(tmp_path / "scripts/test.sh")],
+        env={"PATH": os.environ["PATH"], "PYTHON": str(python)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode != 0
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr

@@ -335,7 +335,7 @@ STARTS: dict[str, list[Start]] = {
     "scripts/tools/make_coastlines.py": [Start("{countries} --out land.geojson", "2 pieces of land", "coastlines")],
     "scripts/tools/make_tables.py": [Start("--samples --out .", "largest position error 0.49", "basilisk")],
     "scripts/tools/update_golden.py": [
-        Start("--folder golden", "4 files in golden; written or changed: AEOS-v1.cpp, RSOInspection-v1.cpp, RSOInspection-v1.1.cpp")
+        Start("--folder golden", "4 files in golden; written or changed: AEOS-v1.cpp, RSOInspection-v1.cpp")
     ],
     "scripts/validation/truth.py": [
         Start("--only spinning --out truth.json", r"spinning \(models\): .* equal: True; beyond their bounds: \[\]"),

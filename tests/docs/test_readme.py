@@ -13,7 +13,7 @@ PYTHON, SHELL = blocks(README, "python"), blocks(README, "bash")
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("block", PYTHON, ids=[f"line{block.line}" for block in PYTHON])
+@pytest.mark.parametrize("block", PYTHON, ids=[f"python{k}" for k in range(len(PYTHON))])
 def test_python(block, tmp_path, monkeypatch):
     """Results that comments behind a print quote are those that are printed."""
     monkeypatch.chdir(tmp_path)
@@ -21,7 +21,7 @@ def test_python(block, tmp_path, monkeypatch):
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("block", SHELL, ids=[f"line{block.line}" for block in SHELL])
+@pytest.mark.parametrize("block", SHELL, ids=[block.commands[0][-1] for block in SHELL])
 def test_commands(block, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run_commands(block)

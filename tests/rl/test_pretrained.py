@@ -14,7 +14,6 @@ SAME = 0.02
 """Relative: where two actions are equally good to rounding, another processor may take the other one."""
 
 
-
 @pytest.mark.compiled
 @pytest.mark.parametrize("preset", makings())
 def test_a_pretrained_policy_has_its_score(preset):

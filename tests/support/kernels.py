@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -42,8 +43,11 @@ def main() -> None:
     from bsk_torch.presets import PRESETS
 
     presets = [*FIRST, *(name for name in PRESETS if name not in FIRST)]
-    with get_context("spawn").Pool(os.cpu_count()) as pool:
-        names = {name for kernels in pool.imap_unordered(build, presets) for name in kernels}
+    try:
+        with get_context("spawn").Pool(os.cpu_count()) as pool:
+            names = {name for kernels in pool.imap_unordered(build, presets) for name in kernels}
+    except RuntimeError as error:
+        sys.exit(str(error))
     _file().write_text(json.dumps(sorted(names)))
 
 

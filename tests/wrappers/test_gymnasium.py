@@ -150,9 +150,7 @@ def test_a_wrong_action_is_named_and_changes_nothing():
 # -- many episodes ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("mode", "obs_type"), [(NEXT, torch.Tensor), SAME, torch.Tensor, (SAME, dict)]
-)
+@pytest.mark.parametrize(("mode", "obs_type"), [(NEXT, torch.Tensor), (SAME, torch.Tensor), (SAME, dict)])
 def test_a_batch_plays_what_single_environments_play(mode, obs_type):
     count, seed = 3, 1
     batch = GymVectorEnv(quick, count, autoreset_mode=mode, obs_type=obs_type)
