@@ -67,7 +67,7 @@ class Member:
         phase: [deg] How far it flies ahead of the first, along the orbit.
         node: [deg] How far its node lies east of the first's.
         waits: [s] Until when it is given no task.
-        fixed: Satellite arguments of its own.
+        fixed: Fixed satellite arguments.
         options: Options of the satellite.
     """
 
@@ -177,7 +177,7 @@ def hungry(power: float) -> dict[str, Any]:
 
 FIXED_INTERVAL = {"options": {"variable_interval": False}}
 
-# Numbers of episodes and phases were searched for: see what test_constellation_parity.py says that each file contains.
+# Numbers of episodes and phases were searched for: test_constellation_parity.py lists the content of each file.
 VARIANTS: dict[str, Variant] = {
     "constellation_los": Variant(
         1,

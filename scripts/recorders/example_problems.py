@@ -433,7 +433,7 @@ class DwellFSWModel(fsw.SteeringImagerFSWModel):
 
 
 class UncertainTasking(SatelliteTasking):
-    """Areas grow with time; ``dwell`` is the image time of the target that was chosen in the last step."""
+    """Areas grow with time; ``dwell`` is the image time of the target chosen in the last step."""
 
     dwell = -1.0
 

@@ -109,7 +109,7 @@ def minimum_elevation(degrees: float) -> dict[str, float]:
     return {"imageTargetMinimumElevation": float(np.radians(degrees))}
 
 
-# Numbers of episodes, limits and openings were searched for: see what test_imaging_parity.py says that each file contains.
+# Numbers of episodes, limits and openings were searched for: test_imaging_parity.py lists the content of each file.
 VARIANTS: dict[str, Variant] = {
     "imaging_feedback": Variant(1, (5, 9), time_limit=2 * ORBIT_PERIOD, stations=2),
     "imaging_steering": Variant(2, (6, 10), time_limit=2 * ORBIT_PERIOD, stations=2, steering=True),

@@ -12,7 +12,7 @@ Needs the extra ``basilisk`` and its support data; see ``recording.py``.
     function.
 ``epochs.json``
     ET, s past J2000 TDB, of every form of epochs in ``EPOCHS``, as ``str2et`` of the Basilisk module pyswice returns it; null
-    where SPICE refuses. SPICE ends the process then, so each epoch is read in one of its own.
+    where SPICE raises an error, which ends the process, so that a new process reads each epoch.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from recording import COLUMNS as STATE_COLUMNS
 from recording import Array, boundary_state, orbit_state, random_utc, record_files, sensitivity, streams, versions
 
-ORBIT_PERIOD = 5700.0  # [s] the paper's normalisation
+ORBIT_PERIOD = 5700.0  # [s] the paper's normalization
 EPISODE = 5 * ORBIT_PERIOD
 STORAGE = 5000 * 8e6  # [bit]
 BATTERY = 200 * 3600.0  # [W s]
@@ -126,7 +126,7 @@ class ScannerDyn(dyn.ContinuousImagingDynModel, dyn.GroundStationDynModel):
 
     @property
     def instrument_pointing_error(self) -> float:
-        """Angle between the instrument and the direction to the Earth's centre."""
+        """Angle between the instrument and the direction to the Earth's center."""
         nadir_P = -self.r_BN_P / np.linalg.norm(self.r_BN_P)
         return float(np.arccos(np.clip(nadir_P @ self.satellite.fsw.c_hat_P, -1.0, 1.0)))
 
@@ -172,7 +172,7 @@ def sun_position(world: Any) -> Array:
 
 
 def draw_initial(rng: np.random.Generator, variant: Variant) -> dict[str, Any]:
-    """Everything that bsk_rl would otherwise randomise at reset, as JSON-ready satellite and world arguments."""
+    """Everything that bsk_rl would otherwise randomize at reset, as JSON-ready satellite and world arguments."""
     angles = rng.uniform(0.0, (np.pi, 2 * np.pi, 2 * np.pi, 2 * np.pi))
     return {
         "utc_init": random_utc(rng),
@@ -258,7 +258,7 @@ class Flight:
     arguments: dict[str, Any]
 
     def saturated(self) -> int:
-        """Ticks at which at least one wheel was at its speed limit and refused torque."""
+        """Ticks at which at least one wheel was at its speed limit and rejected torque."""
         at_limit = np.abs(self.ticks["Omega"]) >= WHEEL_LIMIT * 2 * np.pi / 60
         return int(((self.ticks["u"] == 0) & at_limit).any(1).sum())
 

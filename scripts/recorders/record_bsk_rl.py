@@ -144,7 +144,7 @@ def formation() -> list[Any]:
 
 
 def trajectory() -> dict[str, Any]:
-    """Return positions along an orbit, and eclipses that are asked for one after another."""
+    """Return positions along an orbit, and eclipses, one after another."""
     elements = orbital.random_orbit(i=45.0, a=6871.0, e=0.01, Omega=20.0, omega=30.0, f=40.0)
     flown = orbital.TrajectorySimulator(EPOCH, oe=elements, mu=orbital.orbitalMotion.MU_EARTH * 1e9)
     asked = [0.0, 10.0, 3000.0, 6000.0, 30000.0]

@@ -46,7 +46,7 @@ class Example:
         steps: Number of steps, fewer where the episode ends.
         seed: Of the reset.
         drawn: Arguments that were drawn although they are constants when the environment reads them.
-        attributes: Of targets, as they are at the end, beside their priority.
+        attributes: Of targets, as they are at the end, in addition to their priority.
         before: Called with environment and number of the step before each step.
         notes: Further arrays of a step, read after it.
         every: Observations are kept of every so manieth decision.
@@ -254,7 +254,7 @@ def soon(images: int, *others: float) -> list[float]:
 
 
 def idle_only(seed: int, probability: Sequence[float]) -> Actions:
-    """Independent ones for satellites that need a task; the others go on."""
+    """Independent ones for satellites that need a task; the others continue."""
     rng = np.random.default_rng(seed)
 
     def choose(env: Any, k: int, seen: Any) -> Sequence[int]:

@@ -7,7 +7,7 @@ Usage::
     python scripts/recorders/record_los.py --list
 
 See ``recording.py`` for what it needs. Five satellites drift; steps last a random number of ticks, mostly one. Elements and
-ranges were tuned by hand until some ticks lay within millimetres of a limit, see ``nearest`` in the files.
+ranges were tuned by hand until some ticks lay within millimeters of a limit, see ``nearest`` in the files.
 """
 
 from __future__ import annotations

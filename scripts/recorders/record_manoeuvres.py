@@ -1,4 +1,4 @@
-"""Record episodes with impulsive manoeuvres again: imagers and scanners, on Basilisk through bsk_rl.
+"""Record episodes with impulsive maneuvers again: imagers and scanners, on Basilisk through bsk_rl.
 
 Usage::
 

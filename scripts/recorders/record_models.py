@@ -6,7 +6,7 @@ Usage::
     python scripts/recorders/record_models.py models_pointing    # only this one
     python scripts/recorders/record_models.py --list
 
-See ``recording.py`` for what it needs. Spacecraft without actuators, whose attitude is imposed, alone and beside one with wheels;
+See ``recording.py`` for what it needs. Spacecraft without actuators, whose attitude is imposed, alone and with one with wheels;
 a scanner without ground stations; and the default arguments of models.
 """
 
@@ -42,7 +42,7 @@ class Kind:
 
 @dataclass
 class Variant:
-    """A file: its satellites, their arguments beside those that are drawn, and the length of its episodes."""
+    """A file: its satellites, their arguments in addition to those that are drawn, and the length of its episodes."""
 
     satellites: tuple[Kind, ...]
     seed: int
@@ -90,7 +90,7 @@ def satellite_class(kind: Kind) -> type[sats.Satellite]:
 
 
 def draw_initial(rng: np.random.Generator, kind: Kind) -> dict[str, Any]:
-    """Arguments of a satellite that bsk_rl would randomise, as far as its models have them."""
+    """Arguments of a satellite that bsk_rl would randomize, as far as its models have them."""
     drawn = {
         **orbit_state(6871.0, 1e-3, rng.uniform(0.0, (np.pi, 2 * np.pi, 2 * np.pi, 2 * np.pi))),
         "sigma_init": rng.uniform(0.0, 0.5, 3).tolist(),

@@ -6,7 +6,7 @@ Usage::
     python scripts/recorders/record_modules.py store           # only this one
 
 Needs the extra ``basilisk`` (bsk==2.12.1), but none of its support data. Inputs are drawn from the seeds below, written as
-messages before every tick, and stored beside what the modules answered; a repetition gives the same arrays.
+messages before every tick, and stored next to what the modules answered; a repetition gives the same arrays.
 
 ``store.npz``
     simpleInstrument, spaceToGroundTransmitter and partitionedStorageUnit in the order in which bsk_rl runs them. For each group

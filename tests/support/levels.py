@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[2]
 
 DURATIONS = ROOT / "tests" / "durations.json"
 
-SLOW, LONG = 0.5, 25.0
+SLOW, LONG = 0.5, 12.0
 """CPU seconds above which a test runs with --full, and above which it runs at night only."""
 
 USUAL = 0.04
@@ -37,9 +37,23 @@ SHOWN = 20
 LEVELS = ("default", "full", "nightly")
 
 PROMISES = {
-    "the same physics as Basilisk": "tests/basilisk/test_parity.py::test_arc[nominal]",
+    "ticks of Basilisk": "tests/basilisk/test_parity.py::test_ticks[arc]",
+    "one of many episodes equals one alone": "tests/env/test_contract.py::test_one_alone_equals_one_of_many_bit_for_bit[eager]",
+    "a script trains, compares and draws": "tests/test_scripts.py::test_runs[demo.sh-0]",
+    "commands of the README": "tests/docs/test_readme.py::test_commands[runs/scan]",
+    "training learns": "tests/rl/test_rl.py::test_a_short_training_beats_random_choice_of_targets[mlp]",
+    "explain": "tests/cli/test_explain.py::test_deaths_are_explained_and_starts_tested",
+    "risk": "tests/cli/test_risk.py::test_a_risk_is_estimated_and_its_ways_are_shown_saved_and_drawn",
+    "bench": "tests/cli/test_bench.py::test_policies_are_compared_in_the_same_episodes",
+    "programs of BSK-RL": "tests/examples/test_bsk_rl.py::test_runs[simple_environment]",
+    "Stable-Baselines3": "tests/test_clients.py::test_stable_baselines3",
+    "installation": "tests/docs/test_pages.py::test_blocks[start/installation.md]",
+    "first policy": "tests/docs/test_pages.py::test_blocks[start/first_policy.md]",
 }
 """A slow test of each promise of the README, which the default runs as well."""
+
+DOCUMENTATION = "tests/docs/"
+"""Tests that never wait for the night, however long they take."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -62,9 +76,11 @@ def levels_of(config: pytest.Config) -> tuple[str, ...]:
 def level(name: str, durations: dict[str, float | None]) -> str:
     """Level of a test by its id."""
     seconds = durations.get(name, 0.0)
-    if seconds is None or seconds > LONG:
+    if name in PROMISES.values():
+        return "default"
+    if seconds is None or (seconds > LONG and not name.startswith(DOCUMENTATION)):
         return "nightly"
-    return "default" if seconds <= SLOW or name in PROMISES.values() else "full"
+    return "default" if seconds <= SLOW else "full"
 
 
 def read_durations() -> dict[str, float | None]:
