@@ -104,7 +104,7 @@ check > .venv/checks.txt 2>&1 &  # beside the tests
 checks=$!
 .venv/bin/python -W ignore -m tests.support.kernels ||
     echo "test.sh: without kernels, the tests that need them are left out" >&2
-cores=$(nproc)
+cores=$(env -u OMP_NUM_THREADS nproc)
 pytest=(.venv/bin/python -m pytest)
 # files in their order, each by one worker (tests/support/levels.py)
 [ "$cores" = 1 ] || pytest+=(-n "$cores" --dist loadgroup --no-loadscope-reorder)

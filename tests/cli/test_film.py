@@ -31,6 +31,7 @@ def test_films_end_early_where_asked(run, tmp_path):
 
 
 def test_constellations_are_filmed_between_their_decisions(run, tmp_path):
+    pytest.importorskip("moviepy", reason="needs the extra video")
     out = tmp_path / "film.mp4"
     frames = ("--preset", "RelayConstellation-v1", "--every", 10, "--until", 40, "--height", "120")
     result = run("film", "random", *frames, "--out", out)

@@ -93,7 +93,10 @@ def test_all_extras_that_fit_together_are_in_all():
 
 
 def test_the_image_is_described_as_the_linter_wants_it():
-    run(str(Path(sys.executable).with_name("hadolint")), "Dockerfile", cwd=ROOT)
+    linter = Path(sys.executable).with_name("hadolint")
+    if not linter.exists():
+        pytest.skip("needs the extra dev")
+    run(str(linter), "Dockerfile", cwd=ROOT)
 
 
 def test_the_newest_versions_are_tried_by_a_script(tmp_path):

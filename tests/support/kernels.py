@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import sys
 from multiprocessing import get_context
@@ -33,6 +34,7 @@ def build(preset: str) -> list[str]:
     from bsk_torch.codegen import build
 
     torch.set_num_threads(1)
+    logging.disable()  # random actions have much to log
     build.LOADED.clear()  # of the preset that this process has built before
     play(bsk_torch.make(preset, num_envs=2, seed=0))
     return [Path(name).stem for name in build.LOADED]
