@@ -277,7 +277,7 @@ class Results:
             for test in durations.copy():
                 if _file(test) in files and level(test, durations) in wanted:  # measured anew, or there is no such test any more
                     del durations[test]
-            durations |= {test: round(value, 2) for test, value in seconds.items() if value > SLOW}
+            durations |= {test: noted for test, value in seconds.items() if (noted := round(value, 2)) > SLOW}
             DURATIONS.write_text(json.dumps(durations, indent=0, sort_keys=True) + "\n")
 
 
