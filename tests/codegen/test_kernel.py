@@ -193,6 +193,14 @@ def names(folder):
     return sorted(path.suffix or path.name for path in folder.iterdir())
 
 
+@pytest.mark.parametrize("options", ["FLAGS", "GCC_FLAGS"])
+def test_other_options_of_the_compiler_build_another_library(folder, monkeypatch, options):
+    build.load(SOURCE, "test kernel")
+    monkeypatch.setattr(build, options, (*getattr(build, options), "-DOTHER"))
+    build.load(SOURCE, "test kernel")
+    assert names(folder) == [".so", ".so"]
+
+
 def test_libraries_are_kept(folder, monkeypatch, caplog):
     caplog.set_level(logging.INFO, logger="bsk_torch")
     assert build.load(SOURCE, "test kernel").lanes_width() == 42
