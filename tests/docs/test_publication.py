@@ -348,7 +348,7 @@ def test_the_citation_is_that_of_the_package_and_of_the_paper(entries):
 def test_entries_of_lists_have_the_versions_that_tests_use():
     text = (ROOT / "docs" / "contributing" / "listings.md").read_text()
     badges = re.findall(r"badge/(\w+)-v([\d.]+)-blue", text)
-    pins = dict(re.findall(r"^([\w-]+)==(\S+)$", (ROOT / "constraints.txt").read_text(), re.MULTILINE))
+    pins = dict(re.findall(r"^([\w-]+)==([^\s;]+)", (ROOT / "constraints.txt").read_text(), re.MULTILINE))
     assert [name for name, _ in badges] == ["Gymnasium", "PettingZoo"]
     assert all(pins[name.lower()] == version for name, version in badges)
     entries = re.findall(r"^```markdown\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
