@@ -1,6 +1,6 @@
 """Reading of epochs, in the forms that SPICE's ``str2et`` reads: ISO 8601, calendar dates, days of the year, Julian dates.
 
-The rules follow NAIF's Time Required Reading; ``tests/astro/epochs.json`` holds what SPICE itself says to each of the forms.
+The rules follow NAIF's Time Required Reading; ``tests/sim/data/epochs.json`` holds what SPICE itself says to each of the forms.
 """
 
 from __future__ import annotations
