@@ -10,7 +10,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 FIRST = ("NadirScan-v1", "RSOInspection-v1", "Services-v1", "HeteroCluster-v1", "ThreeSensors-v1", "AEOSBench-v1")
-"""Presets with the most kernels of their own; the other presets come after them. A test with other kernels runs with --full."""
+"""Presets that share the fewest kernels with others, built first, so that two processes do not compile the same kernel."""
 
 
 def listed() -> frozenset[str]:

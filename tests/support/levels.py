@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[2]
 
 DURATIONS = ROOT / "tests" / "durations.json"
 
-SLOW, LONG = 0.5, 12.0
+SLOW, LONG = 0.5, 60.0
 """CPU seconds above which a test runs with --full, and above which it runs at night only."""
 
 USUAL = 0.04
@@ -52,9 +52,6 @@ PROMISES = {
 }
 """A slow test of each promise of the README, which the default runs as well."""
 
-DOCUMENTATION = "tests/docs/"
-"""Tests that never wait for the night, however long they take."""
-
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("levels")
@@ -78,7 +75,7 @@ def level(name: str, durations: dict[str, float | None]) -> str:
     seconds = durations.get(name, 0.0)
     if name in PROMISES.values():
         return "default"
-    if seconds is None or (seconds > LONG and not name.startswith(DOCUMENTATION)):
+    if seconds is None or seconds > LONG:
         return "nightly"
     return "default" if seconds <= SLOW else "full"
 
@@ -154,7 +151,7 @@ Fixture = tuple[str, str, int]
 
 
 class Cost(NamedTuple):
-    """What a test has cost: CPU seconds of its own, shared fixtures, and the kernels that it needs, fixtures included."""
+    """What a test has cost: CPU seconds of its own, shared fixtures, and the kernels that it and the fixtures load."""
 
     seconds: float
     fixtures: list[Fixture]
@@ -275,7 +272,7 @@ class Results:
         if self.config.getoption("measure"):
             files, wanted = {_file(test) for test in seconds}, levels_of(self.config)
             for test in durations.copy():
-                if _file(test) in files and level(test, durations) in wanted:  # measured anew, or there is no such test any more
+                if _file(test) in files and level(test, durations) in wanted:  # measured again, or deleted
                     del durations[test]
             durations |= {test: noted for test, value in seconds.items() if (noted := round(value, 2)) > SLOW}
             DURATIONS.write_text(json.dumps(durations, indent=0, sort_keys=True) + "\n")
