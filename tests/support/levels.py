@@ -264,7 +264,7 @@ class Results:
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         seconds, durations = self.seconds(), read_durations()
         if self.skipped:
-            reasons = "; ".join(f"{count} {reason}" for reason, count in self.skipped.most_common())
+            reasons = "; ".join(f"{count} ({reason})" for reason, count in self.skipped.most_common())
             terminalreporter.write_line(f"left out: {reasons}")
         slow = {test: value for test, value in seconds.items() if value > 2 * SLOW and test not in durations}
         for test, value in sorted(slow.items(), key=lambda item: -item[1])[:SHOWN]:
