@@ -9,7 +9,7 @@ import time
 import pytest
 
 from bsk_torch.rl.training import PPOConfig
-from bsk_torch.rl.training.cluster import PATIENCE, check_ray, lost_actor, share_of_core
+from bsk_torch.rl.training.cluster import PATIENCE, check_ray, share_of_core
 from bsk_torch.rl.training.trainer import Training
 from bsk_torch.rl.training.workers import Cores, available_cores, warn_of_few_cores, with_workers
 
@@ -58,31 +58,6 @@ def test_more_processes_than_cores_are_warned_of(monkeypatch, caplog):
     assert "workers=8 is more than 6 available cores: the processes share them; workers=4 is as fast" in caplog.text
 
 
-GROUPS = "3:memory:/elsewhere\n2:cpu,cpuacct:/jobs/one\n0::/jobs/one\n"
-
-
-@pytest.mark.parametrize(
-    ("files", "expected"),
-    [
-        ({}, 16),
-        ({"sys/fs/cgroup/jobs/one/cpu.max": "max 100000"}, 16),
-        ({"sys/fs/cgroup/jobs/one/cpu.max": "250000 100000"}, 2),
-        ({"sys/fs/cgroup/jobs/one/cpu.max": "max 100000", "sys/fs/cgroup/jobs/cpu.max": "400000 100000"}, 4),
-        ({"sys/fs/cgroup/cpu.max": "50000 100000"}, 1),
-        ({"sys/fs/cgroup/cpu/jobs/one/cpu.cfs_quota_us": "-1", "sys/fs/cgroup/cpu/jobs/one/cpu.cfs_period_us": "100000"}, 16),
-        ({"sys/fs/cgroup/cpu/cpu.cfs_quota_us": "300000", "sys/fs/cgroup/cpu/cpu.cfs_period_us": "100000"}, 3),
-    ],
-)
-def test_quotas_of_control_groups_count(tmp_path, monkeypatch, files, expected):
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(16)), raising=False)
-    for name, text in ({"proc/self/cgroup": GROUPS} | files).items():
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text(text)
-    cores = available_cores(tmp_path)
-    assert cores.number == expected
-    assert ("quota" in cores.told) == (expected < 16)
-
-
 def test_this_machine_has_cores():
     assert 1 <= available_cores().number <= (os.cpu_count() or 1)
 
@@ -128,12 +103,3 @@ def test_addresses_are_read_as_ray_reads_them_and_waited_for_a_bounded_time(monk
     monkeypatch.setattr(socket, "create_connection", silent)
     with pytest.raises(ConnectionError, match=r"does not answer \(timed out\)"):
         check_ray()
-
-
-@pytest.mark.ray
-def test_errors_of_ray_are_told_apart():
-    from ray import exceptions
-
-    assert "was lost" in lost_actor(exceptions.ActorDiedError())
-    assert lost_actor(exceptions.RayTaskError("next", "trace", ValueError("wrong"))) is None
-    assert lost_actor(RuntimeError("wrong")) is None

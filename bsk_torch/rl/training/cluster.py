@@ -1,16 +1,13 @@
-"""A Ray cluster: connection, cores, and errors that mean a lost process. Ray is imported only where a training uses it."""
+"""A Ray cluster: connection and cores. Ray is imported only where a training uses it."""
 
 from __future__ import annotations
 
 import math
 import os
 import socket
-import textwrap
-import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
-from typing import Any
 from urllib.parse import urlsplit
 
 ADDRESS = "RAY_ADDRESS"
@@ -21,12 +18,6 @@ PORT = 6379
 
 PATIENCE = 10.0
 """Time within which the head node must answer, s; Ray waits for two minutes, and then ends the program."""
-
-NOTICED = 120.0
-"""Time in which Ray notices that a node was lost, s; by default after five missing signs of life, 3 s apart."""
-
-LONGEST = 200
-"""Most characters that messages quote of Ray's."""
 
 
 def check_ray() -> None:
@@ -71,28 +62,10 @@ def connected() -> Iterator[None]:
 
 
 def cluster_cores() -> list[int]:
-    """Return the cores of every node, as many as it offers to Ray, after Ray has noticed which nodes were lost.
-
-    That takes it about half a minute, in which it would start processes there; at most :data:`NOTICED` passes.
-    """
+    """Return the cores of every node, as many as it offers to Ray."""
     import ray
 
-    end = time.monotonic() + NOTICED
-    while True:
-        alive = [node for node in ray.nodes() if node["Alive"]]
-        answering = [node for node in alive if _answers(node)]
-        if len(answering) == len(alive) or time.monotonic() > end:
-            return [int(node["Resources"].get("CPU", 0)) for node in answering]
-        time.sleep(1.0)
-
-
-def _answers(node: Mapping[str, Any]) -> bool:
-    """Return whether Ray's process on a node accepts connections."""
-    try:
-        socket.create_connection((node["NodeManagerAddress"], node["NodeManagerPort"]), PATIENCE).close()
-    except OSError:
-        return False
-    return True
+    return [int(node["Resources"].get("CPU", 0)) for node in ray.nodes() if node["Alive"]]
 
 
 def share_of_core(workers: int, cores: Sequence[int]) -> float:
@@ -103,15 +76,3 @@ def share_of_core(workers: int, cores: Sequence[int]) -> float:
     if not any(cores):
         return 0.0
     return int(1e4 / math.ceil(workers / sum(cores))) / 1e4
-
-
-def lost_actor(error: BaseException) -> str | None:
-    """Return why Ray lost a process or its node; None for an error of another kind, such as one of the code in it."""
-    if find_spec("ray") is None:
-        return None
-    import ray.exceptions as errors
-
-    lost = errors.RayActorError, errors.ObjectLostError, errors.NodeDiedError, errors.WorkerCrashedError, errors.OutOfMemoryError
-    if not isinstance(error, lost) or getattr(error, "actor_init_failed", False):
-        return None
-    return f"a process of the Ray cluster was lost ({textwrap.shorten(str(error), LONGEST)})"

@@ -34,7 +34,7 @@ from bsk_torch.rl.training.lock import LOCK, FolderLock
 from bsk_torch.rl.training.log import RunLog, check_loggers
 from bsk_torch.rl.training.ppo import REPORTED, Learner
 from bsk_torch.rl.training.progress import Progress, TrainingBar, interruptible, unbroken
-from bsk_torch.rl.training.workers import WorkerLostError, lost_worker, warn_of_few_cores, with_workers
+from bsk_torch.rl.training.workers import lost_process, warn_of_few_cores, with_workers
 
 logger = logging.getLogger(__name__)
 
@@ -43,9 +43,6 @@ CHECKPOINT = "checkpoint.pt"
 
 FIXED = ("preset", "algorithm", "network", "hidden", "num_envs", "collector", "workers", "ahead", "seed", "options")
 """Settings that must not change when a run is resumed, because its checkpoint depends on them."""
-
-RESTARTS = 3
-"""Losses of processes since the last checkpoint after which a run ends: what kills them once may do so always."""
 
 VALIDATION = 2_000_003
 """Added to the seed of training to get that of the evaluations by which the best policy is chosen."""
@@ -159,31 +156,16 @@ class Training:
                 returns True. Random numbers drawn in it do not change the training.
 
         Raises:
-            RuntimeError: If the training diverges, or processes that collect fail or are lost repeatedly. The run can be resumed.
+            RuntimeError: If the training diverges, or a process that collects fails or is lost. The run can be resumed.
             OSError: If the last checkpoint or the policy cannot be written, or the Ray cluster is not reached; likewise.
         """
         self.enough = enough
         try:
             with connected() if self.config.collector == "ray" else nullcontext():
-                self._train_despite_losses(bar)
+                self._train(bar)
             return self._finish()
         finally:
             self.lock.release()
-
-    def _train_despite_losses(self, bar: bool) -> None:
-        """Train; if a process that collects is lost, resume from the last checkpoint with new processes, with the same result."""
-        losses, checkpoint = 0, -1
-        while True:
-            try:
-                return self._train(bar)
-            except WorkerLostError as loss:
-                saved = read_checkpoint(self.out, self.config)
-                before, checkpoint = checkpoint, 0 if saved is None else saved["progress"][0]
-                losses = losses + 1 if checkpoint == before else 1
-                if losses > RESTARTS:
-                    raise RuntimeError(f"{loss}, the {losses}th loss since the last checkpoint; {resumption(self.out)}") from loss
-                self._build(saved)
-                logger.warning("%s; new processes continue from the last checkpoint, at %d decisions", loss, checkpoint)
 
     def _train(self, shown: bool) -> None:
         self._warm_up()
@@ -209,16 +191,13 @@ class Training:
 
     @contextmanager
     def _collecting(self, collector: BaseCollector | None = None) -> Iterator[None]:
-        """Add to errors in collecting processes how to resume; WorkerLostError if one was lost."""
+        """Add to errors in collecting processes which process was lost, if one was, and how to resume."""
         try:
             yield
         except Exception as error:
             if self.config.collector == "single":
                 raise
-            loss = lost_worker(collector, error)
-            if loss is not None:
-                raise WorkerLostError(loss) from error
-            reason = [type(error).__name__, *str(error).strip().splitlines()[:1]][-1]
+            reason = lost_process(collector) or [type(error).__name__, *str(error).strip().splitlines()[:1]][-1]
             raise RuntimeError(f"a process that collects experience has failed ({reason}); {resumption(self.out)}") from error
 
     def _loop(self, batches: Batches, log: RunLog, bar: TrainingBar, stop: threading.Event) -> None:

@@ -1,29 +1,23 @@
-"""Processes that collect experience: how many there should be, and which of them were lost."""
+"""Processes that collect experience: how many there should be, and which of them was killed."""
 
 from __future__ import annotations
 
 import dataclasses
 import logging
-import math
 import os
 import signal
-from collections.abc import Iterator
 from multiprocessing.connection import wait
-from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 from torchrl.collectors import BaseCollector
 
-from bsk_torch.rl.training.cluster import cluster_cores, connected, lost_actor
+from bsk_torch.rl.training.cluster import cluster_cores, connected
 from bsk_torch.rl.training.config import AUTO, Config, PPOConfig
 
 logger = logging.getLogger(__name__)
 
 SMALLEST_SHARE = 32
 """Least number of episodes of a process that ``workers="auto"`` chooses: with fewer, a step takes nearly as long."""
-
-QUOTAS = (("", "cpu.max"), ("cpu", "cpu.cfs_quota_us"), ("cpu,cpuacct", "cpu.cfs_quota_us"))
-"""Folders in ``/sys/fs/cgroup`` and files with the CPU quota: control groups of version 2, then of version 1."""
 
 DYING = 0.5
 """Time to wait for the end of a process whose connection is broken, s."""
@@ -42,41 +36,10 @@ class Cores(NamedTuple):
     told: str
 
 
-def available_cores(root: Path = Path("/")) -> Cores:
-    """Return the cores that this process may use: those of its affinity, fewer with a CPU quota of its control groups.
-
-    Args:
-        root: Folder with ``proc`` and ``sys``.
-    """
-    allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    quota = min(_quotas(root), default=math.inf)
-    if quota < allowed:
-        return Cores(max(1, int(quota)), f"a CPU quota of {quota:g} cores (control group)")
-    return Cores(allowed, f"{allowed} available core{'s' * (allowed > 1)}")
-
-
-def _quotas(root: Path) -> Iterator[float]:
-    """Yield the quotas, in cores, of the control groups of this process and of those that contain them."""
-    try:
-        lines = (root / "proc/self/cgroup").read_text().splitlines()
-    except OSError:  # not Linux
-        return
-    groups = {name: group for _, names, group in (line.split(":", 2) for line in lines) for name in {names, *names.split(",")}}
-    for controller, file in QUOTAS:
-        group = PurePosixPath(groups.get(controller, "/").lstrip("/"))
-        for folder in (group, *group.parents):
-            yield from _quota(root / "sys/fs/cgroup" / controller / folder / file)
-
-
-def _quota(path: Path) -> Iterator[float]:
-    """Yield the quota in a file, in cores, if there is one."""
-    try:
-        words = path.read_text().split()
-        period = words[1] if len(words) > 1 else path.with_name("cpu.cfs_period_us").read_text()
-    except OSError:
-        return
-    if words[0] not in ("max", "-1"):
-        yield int(words[0]) / int(period)
+def available_cores() -> Cores:
+    """Return the cores that this process may use: those of its affinity, or all where the system knows no affinity."""
+    number = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return Cores(number, f"{number} available core{'s' * (number > 1)}")
 
 
 def with_workers(config: Config) -> Config:
@@ -130,25 +93,19 @@ def warn_of_few_cores(config: PPOConfig) -> None:
         )
 
 
-class WorkerLostError(RuntimeError):
-    """A process that collects was killed, or its machine is gone; the code in it did not fail."""
+def lost_process(collector: BaseCollector | None) -> str | None:
+    """Return which process of this machine was killed and by what, None if none was.
 
-
-def lost_worker(collector: BaseCollector | None, error: Exception) -> str | None:
-    """Return which process was lost and why; None if an ``error`` has another cause, such as code that failed.
-
-    Without a collector, because it could not start, only the processes of a Ray cluster are known.
+    Args:
+        collector: Of several processes or not; None if it could not start.
     """
-    processes = getattr(collector, "procs", None)
-    if processes is None:
-        return lost_actor(error)
-    left = {k: process for k, process in enumerate(processes) if not process._closed}  # TorchRL closes those that it ended
-    wait([process.sentinel for process in left.values()], DYING)
-    codes = {k: process.exitcode or 0 for k, process in left.items()}
-    killed = [k for k, code in codes.items() if code < 0]
-    if not killed:
+    processes = getattr(collector, "procs", ())
+    running = {k: process for k, process in enumerate(processes) if not process._closed}  # TorchRL closes those that it ended
+    wait([process.sentinel for process in running.values()], DYING)
+    codes = {k: process.exitcode for k, process in running.items() if (process.exitcode or 0) < 0}
+    if not codes:
         return None
-    k = min(killed, key=lambda k: codes[k] == -signal.SIGTERM)  # by which TorchRL ends the others
+    k = min(codes, key=lambda k: codes[k] == -signal.SIGTERM)  # by which TorchRL ends the others
     by = signal.Signals(-codes[k])
     hint = f" (usually: {HINTS[by]})" if by in HINTS else ""
-    return f"process {k} of {len(processes)} that collects was ended by {by.name}{hint}"
+    return f"process {k} of {len(processes)} was ended by {by.name}{hint}"
