@@ -7,7 +7,6 @@ from importlib import import_module as _import_module
 from importlib.util import find_spec as _find_spec
 from typing import TYPE_CHECKING
 
-from bsk_torch._bsk_rl import install as _install_bsk_rl
 from bsk_torch._listed import register_listed as _register_listed
 
 if TYPE_CHECKING:
@@ -73,5 +72,4 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-_install_bsk_rl()
 _register_listed()

@@ -1,6 +1,6 @@
 """RLlib's configurations of bsk_rl's programs: ``env_config``, registered names, callbacks.
 
-Importing this module, also as ``bsk_torch.utils.rllib``, registers ``"SatelliteTasking-RLlib"`` and
+Importing this module registers ``"SatelliteTasking-RLlib"`` and
 ``"ConstellationTasking-RLlib"`` with RLlib where it is installed. Their ``env_config`` has the arguments of the environment, and
 ``episode_data_callback`` and ``satellite_data_callback`` of :mod:`bsk_torch.wrappers.metrics`.
 """

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from bsk_torch.utils.orbital import fibonacci_sphere
 from torch import Tensor
 
 from bsk_torch import ConstellationTasking, act, data, obs, rand, sats, scene
+from bsk_torch.astro.relative import fibonacci_sphere
 from bsk_torch.env.no_action import NO_ACTION
 from bsk_torch.obs.relative_observations import rso_imaged_regions
 from bsk_torch.sim import dyn, fsw

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import torch
-from bsk_torch.utils.orbital import hill2cd
 
 from bsk_torch import ConstellationTasking, act, data, obs, sats, scene
+from bsk_torch.astro.relative import hill2cd
 from bsk_torch.sim import dyn, fsw
 
 EPOCH = "2021 JUN 05 09:12:05.830 (UTC)"

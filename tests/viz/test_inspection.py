@@ -7,11 +7,11 @@ import math
 
 import pytest
 import torch
-from bsk_torch.utils.orbital import cd2hill
 from matplotlib.figure import Figure
 from tensordict.nn import TensorDictModule, TensorDictSequential
 
 import bsk_torch
+from bsk_torch.astro.relative import cd2hill
 from bsk_torch.viz.episodes import draw, record
 from bsk_torch.viz.figures import inspection as pictures
 from bsk_torch.viz.figures.constellation import ConstellationEpisode

@@ -139,7 +139,7 @@ def test_torchrl_finds_them_beside_done():
 
 @pytest.mark.parametrize("name", ["SatelliteTasking", "GeneralSatelliteTasking", "ConstellationTasking"])
 def test_rllib_makes_environments_with_a_dictionary(name):
-    from bsk_torch.utils.rllib import unpack_config
+    from bsk_torch.wrappers.rllib import unpack_config
 
     from .test_registration import Imager, problem
 

@@ -9,9 +9,10 @@ pytestmark = pytest.mark.rllib
 
 
 def test_registered_names_make_environments_and_callbacks_log():
-    from bsk_torch.utils.rllib.callbacks import WrappedEpisodeDataCallbacks
     from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
     from ray.tune.registry import ENV_CREATOR, _global_registry
+
+    from bsk_torch.wrappers.rllib import WrappedEpisodeDataCallbacks
 
     logged = {}
 
@@ -31,9 +32,9 @@ def test_registered_names_make_environments_and_callbacks_log():
 
 
 def test_ppo_trains_with_env_config_and_reports_metrics():
-    import bsk_torch.utils.rllib  # noqa: F401  - registers the name
-    from bsk_torch.utils.rllib.callbacks import WrappedEpisodeDataCallbacks
     from ray.rllib.algorithms.ppo import PPOConfig
+
+    from bsk_torch.wrappers.rllib import WrappedEpisodeDataCallbacks
 
     config = PPOConfig().environment(
         "SatelliteTasking-RLlib", env_config=problem(satellite=Imager("A"), episode_data_callback=total)
