@@ -22,10 +22,10 @@ class Slow(Quick):
     action_spec = (act.Charge(duration=12.0), act.Scan(duration=15.0))
 
 
-def make(kinds, charges, obs_type, rewarder, **options):
+def make(kinds, charges, obs_type, rewarder, names=("S0", "S1", "S2"), **options):
     satellites = [
-        kind(f"S{k}", scanning_args() | {"storedCharge_Init": charge}, obs_type=obs_type)
-        for k, (kind, charge) in enumerate(zip(kinds, charges, strict=True))
+        kind(name, scanning_args() | {"storedCharge_Init": charge}, obs_type=obs_type)
+        for kind, name, charge in zip(kinds, names, charges, strict=True)
     ]
     nadir = scene.UniformNadirScanning(value_per_second=0.1)
     defaults = dict(time_limit=15.0, dtype=torch.float64)

@@ -74,6 +74,11 @@ def test_agents_can_take_turns():
 # -- names and spaces -------------------------------------------------------------------------------------------------
 
 
+def test_agents_have_the_order_of_the_satellites():
+    env, observations, _ = view(trio, names=("Zeta", "Alpha", "Mu"))
+    assert env.possible_agents == env.agents == ["Zeta", "Alpha", "Mu"] == list(observations)
+
+
 def test_agents_and_spaces_are_those_of_the_satellites():
     env, observations, infos = view(mixed)
     assert env.possible_agents == env.agents == ["S0", "S1", "S2"] == list(observations) == list(infos)
