@@ -6,6 +6,7 @@ import re
 import webbrowser
 from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import torch
 import typer
@@ -56,14 +57,22 @@ def view(
     if server.port != port:
         typer.echo(f"port {port} is in use; this is port {server.port}")
     typer.echo(f"{server.url}\nstop with Ctrl-C")
-    if browser and not webbrowser.open(server.url):
-        typer.echo("no browser was found; open the address in one")
-    try:
-        server.serve_forever()
-    except KeyboardInterrupt:
-        typer.echo("stopped")
-    finally:
-        server.server_close()
+    with TemporaryDirectory(prefix="bsk_torch-") as private:
+        if browser and not webbrowser.open(_forwarding(server.url, Path(private))):
+            typer.echo("no browser was found; open the address in one")
+        try:
+            server.serve_forever()
+        except KeyboardInterrupt:
+            typer.echo("stopped")
+        finally:
+            server.server_close()
+
+
+def _forwarding(url: str, folder: Path) -> str:
+    """Return the address of a private page that leads to ``url``: all users of a machine see the arguments of its programs."""
+    page = folder / "open.html"
+    page.write_text(f'<!doctype html><meta http-equiv="refresh" content="0; url={url}"><a href="{url}">the viewer</a>\n')
+    return page.as_uri()
 
 
 def export(

@@ -209,7 +209,7 @@ def _build(source: str, path: Path, name: str, command: list[str]) -> None:
         with library.open("ab") as file:
             file.write(_seal(path.name, library.read_bytes()))
         library.chmod(PRIVATE if shipped.BUILDING.get() is None else shipped.READABLE)  # whatever the umask is
-        if path.is_dir():  # a file does not replace a folder, which is deleted with the folder of the build
+        if path.is_dir():  # a file does not replace a folder; it goes with the folder of the build
             with suppress(FileNotFoundError):  # another process was faster
                 os.replace(path, folder / "replaced")
         os.replace(library, path)

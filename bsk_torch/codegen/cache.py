@@ -1,8 +1,8 @@
 """The folder in which compiled kernels are kept: where it is, whom it may belong to, and what a killed build leaves in it.
 
 A library from the folder runs with all rights of the user, and the hash at its end only tells whether it is complete and has its
-own name: whoever can write a library can write the hash, too. So folder and libraries must belong to the user, or to root, and must not be writable by
-others; links are not followed. New folders are open to their owner only.
+own name: whoever can write a library can write the hash, too. So folder and libraries must belong to the user, or to root, and
+must not be writable by others; links are not followed. New folders are open to their owner only.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The first frame that every view draws, by the page's own modules in Node: places of satellites, and nothing that a second frame moves."""
+"""The first and the second frame of every view, drawn by the modules of the page in Node."""
 
 import json
 import shutil
