@@ -41,6 +41,9 @@ TRIED = 50
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 """Hosts that only the own machine reaches."""
 
+LOCAL = re.compile(r"(127\.0\.0\.1|localhost|\[::1\])(:\d+)?")
+"""How browsers name them, with the port."""
+
 MOST = 10_000
 """Longest body of a request, bytes."""
 
@@ -227,7 +230,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _check(self) -> None:
         """Reject requests that do not come from the page."""
         host = self.headers.get("Host", "")
-        if self.server.local and urlsplit(f"//{host}").hostname not in LOOPBACK:
+        if self.server.local and not LOCAL.fullmatch(host):
             raise _RejectedError(HTTPStatus.FORBIDDEN, f"Host {host!r} is not this machine")
         origin = self.headers.get("Origin")
         if origin is not None and urlsplit(origin).netloc != host:

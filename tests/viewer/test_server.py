@@ -76,7 +76,12 @@ def test_values_branch_and_episode(live):
 
 @pytest.mark.parametrize(
     ("headers", "part"),
-    [({"Host": "evil.example"}, "is not this machine"), ({"Origin": "http://evil.example"}, "is another page")],
+    [
+        ({"Host": "evil.example"}, "is not this machine"),
+        ({"Host": "evil\\@127.0.0.1"}, "is not this machine"),
+        ({"Host": "[::1"}, "is not this machine"),
+        ({"Origin": "http://evil.example"}, "is another page"),
+    ],
 )
 def test_other_pages_are_refused(live, headers, part):
     status, content = ask(live, "GET", "/api/recording", **headers)
