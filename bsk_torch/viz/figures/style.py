@@ -78,7 +78,7 @@ def _shrink(artist: Artist, width: float) -> None:
 
 
 def _literal(artist: Artist) -> None:
-    """Draw texts as they are: a name with dollar signs is no formula, and hidden characters are shown."""
+    """Draw texts unchanged: a name with dollar signs is no formula, and hidden characters are shown."""
     for text in artist.findobj(Text):
         assert isinstance(text, Text)
         text.set_parse_math(False)
