@@ -10,6 +10,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from bsk_torch._text import visible
+
 WIDE = 240
 """Characters in a line of files and pipes, which have no width."""
 
@@ -47,18 +49,23 @@ def print_table(
         columns.remove(dropped[-1])
     console.print(_table(rows, columns, title, left, whole))
     if dropped:
-        console.print(Text(f"not shown in {console.width} columns: {', '.join(dropped)}"))
+        console.print(_cell(f"not shown in {console.width} columns: {', '.join(dropped)}"))
 
 
 def _table(
     rows: Sequence[Mapping[str, str]], columns: Sequence[str], title: str, left: Sequence[str], whole: Sequence[str]
 ) -> Table:
-    table = Table(title=Text(title) if title else None, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table = Table(title=_cell(title) if title else None, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     for name in columns:
-        table.add_column(name, justify="left" if name in left else "right", overflow="fold", no_wrap=name in whole)
+        table.add_column(_cell(name), justify="left" if name in left else "right", overflow="fold", no_wrap=name in whole)
     for row in rows:
-        table.add_row(*(Text(row.get(name, "")) for name in columns))
+        table.add_row(*(_cell(row.get(name, "")) for name in columns))
     return table
+
+
+def _cell(text: str) -> Text:
+    """Return text without markup and hidden characters; line feeds stay, which the table's lines surround."""
+    return Text(visible(text))
 
 
 def _needed(console: Console, table: Table) -> int:

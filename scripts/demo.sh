@@ -19,3 +19,4 @@ SECONDS=0
 echo "2/2 training for 75 seconds, after compiling the simulation once per machine (about 15 s on an idle core)"
 .venv/bin/bsk-torch train NadirScan-v1 --minutes 1.25 --workers auto ahead=true "$@"
 echo "compiled, trained, compared and drawn in $((SECONDS / 60)) min $((SECONDS % 60)) s"
+echo "first of all, in each new shell: . .venv/bin/activate"

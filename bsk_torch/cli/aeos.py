@@ -8,7 +8,7 @@ import torch
 
 from bsk_torch.cli.policies import named_policy
 from bsk_torch.cli.shared import check_writable, environment, environment_options, preset_options
-from bsk_torch.cli.terminal import activity, fail, working
+from bsk_torch.cli.terminal import activity, echo, fail, working
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.rl.evaluation.aeos_annotations import AssignedTasks, check_names, export_annotations, fly_cases, read_assignments
 from bsk_torch.rl.evaluation.evaluate import evaluate
@@ -69,7 +69,7 @@ def export_aeosbench(
             fail(str(error))
         written = export_annotations(flown, out, split, turn)
     activity.report()
-    print(f"{written[-1]}: {(len(written) - 1) // 2} cases")
+    echo(f"{written[-1]}: {(len(written) - 1) // 2} cases")
 
 
 def import_aeosbench(

@@ -6,11 +6,10 @@ import json
 from pathlib import Path
 
 import torch
-import typer
 
 from bsk_torch.cli.policies import named_policy
 from bsk_torch.cli.shared import check_picture, check_writable, environment_options, extra, preset_options, seed_range
-from bsk_torch.cli.terminal import fail, working
+from bsk_torch.cli.terminal import echo, fail, working
 from bsk_torch.files import write_file
 from bsk_torch.plan.audit import WORST, Audit, OfSituation, audit
 from bsk_torch.rl.evaluation.statistics import confidence
@@ -68,14 +67,14 @@ def audit_policy(
 def print_audit(found: Audit, title: str) -> None:
     """Print the summary of an audit: by kind of action, by situation, and the worst decisions."""
     regret, lost = found.regret, found.regret > 0.0
-    typer.echo(title)
-    typer.echo(
+    echo(title)
+    echo(
         f"return {confidence(found.returns)}; regret of an episode, summed over its decisions: {found.regret_of_episodes}\n"
         f"{len(regret)} decisions, of which {int(lost.sum())} have a regret"
     )
     if not bool(lost.any()):
         return
-    typer.echo(f"the worst {WORST:.0%} of the decisions have {found.share_of_worst():.0%} of the regret\n")
+    echo(f"the worst {WORST:.0%} of the decisions have {found.share_of_worst():.0%} of the regret\n")
     print_table(
         [
             {

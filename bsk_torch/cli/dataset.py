@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import torch
-import typer
 from tensordict.nn import TensorDictModuleBase
 
 from bsk_torch.cli.planned import PREFIX, NamedPlanner, named_planner
 from bsk_torch.cli.policies import PRETRAINED, NamedPolicy, named_policy
 from bsk_torch.cli.shared import environment, environment_options, preset_options, seed_range
-from bsk_torch.cli.terminal import activity, fail, for_shell, working
+from bsk_torch.cli.terminal import activity, echo, fail, for_shell, working
 from bsk_torch.env import Tasking
 from bsk_torch.offline import Behavior, Recipe, write_dataset
 from bsk_torch.offline.behaviors import slug
@@ -162,7 +161,7 @@ def print_dataset(card: dict[str, Any], folder: Path, minari: bool) -> None:
     ]
     print_table(rows, f"{card['preset']}; targets: {', '.join(card['targets']) or 'none'}", left=("behavior",))
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-    typer.echo(f"{for_shell(folder)}: {size / 1e6:,.1f} MB; read it by bsk_torch.offline.open_dataset({str(folder)!r})")
+    echo(f"{for_shell(folder)}: {size / 1e6:,.1f} MB; read it by bsk_torch.offline.open_dataset({str(folder)!r})")
     if minari:
         names = ", ".join(minari_id(card["preset"], name) for name in card["behaviors"])
-        typer.echo(f"in Minari, with MINARI_DATASETS_PATH={for_shell(folder / MINARI)}: {names}")
+        echo(f"in Minari, with MINARI_DATASETS_PATH={for_shell(folder / MINARI)}: {names}")

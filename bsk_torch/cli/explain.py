@@ -11,12 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import torch
-import typer
 from torch import Tensor
 
 from bsk_torch.cli.policies import named_policy
 from bsk_torch.cli.shared import check_picture, check_writable, environment_options, extra, made, seed_range
-from bsk_torch.cli.terminal import activity, fail, working
+from bsk_torch.cli.terminal import activity, echo, fail, working
 from bsk_torch.env import SatelliteTasking, Tasking
 from bsk_torch.files import write_file
 from bsk_torch.rl.evaluation.counterfactual import LOST, OPEN, SAVED, check_searchable
@@ -76,7 +75,7 @@ def explain_failures(
     activity.report()
     if failures:
         print_table([cells(failure) for failure in failures], expendable=EXPENDABLE, left=("cause", "action then"))
-    typer.echo("\n".join(told(figures)))
+    echo("\n".join(told(figures)))
     if out is not None:
         about = {"policy": Path(policy).name, "seeds": [episodes.start, episodes.stop]}
         save(out, about | figures | {"seconds": round(time.perf_counter() - begin, 1)}, failures)
@@ -84,9 +83,9 @@ def explain_failures(
         with working("drawing"):
             one = made(named.preset, 1, named.options(options) | {"env_ids": [0]})
             draw_failure(one, failures[0], flown.actions[episodes.index(failures[0].seed)], draw)
-        typer.echo(f"{draw}: the death in the episode of seed {failures[0].seed}")
+        echo(f"{draw}: the death in the episode of seed {failures[0].seed}")
     elif draw is not None:
-        typer.echo(f"{draw} was not drawn: no satellite died")
+        echo(f"{draw} was not drawn: no satellite died")
 
 
 def summary(flown: Flown, failures: Sequence[Failure]) -> dict[str, Any]:

@@ -11,14 +11,13 @@ from typing import Any
 
 import numpy as np
 import torch
-import typer
 from tensordict.nn import TensorDictModuleBase
 
 from bsk_torch.cli.pictures import EPISODES
 from bsk_torch.cli.planned import PREFIX, NamedPlanner, named_planner
 from bsk_torch.cli.policies import NamedPolicy, named_policy
 from bsk_torch.cli.shared import PICTURES, check_picture, check_writable, environment_options, extra
-from bsk_torch.cli.terminal import fail, working
+from bsk_torch.cli.terminal import echo, fail, working
 from bsk_torch.env import ConstellationTasking, Tasking
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.files import write_file
@@ -72,7 +71,7 @@ def film(
         shots = frames(env, player, seed, until, height)
         told = f"{save_mp4(shots, out, fps) if out.suffix == '.mp4' else save_animation(shots, out, fps)} frames"
     seconds, earned, lost = float(env.fleet.sim_time[0]), float(env.returns[0]), int(env.dead[0].sum())
-    typer.echo(f"{out}: {told}, {seconds:,.0f} s of {named.preset}, return {earned:.3f}, satellites lost: {lost}")
+    echo(f"{out}: {told}, {seconds:,.0f} s of {named.preset}, return {earned:.3f}, satellites lost: {lost}")
 
 
 def frames(env: Tasking, policy: TensorDictModuleBase, seed: int, until: float | None, height: int) -> Iterator[Frame]:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import torch
-import typer
 from tensordict import TensorDict
 
 from bsk_torch.cli.shared import made
-from bsk_torch.cli.terminal import fail, working
+from bsk_torch.cli.terminal import echo, fail, working
 from bsk_torch.codegen import shipped
 from bsk_torch.env import Tasking
 from bsk_torch.presets import PRESETS
@@ -32,11 +31,11 @@ def build_kernels(presets: list[str] | None, out: Path, isa: str | None, mixed: 
                     with working(f"compiling and playing {preset}, {target.isa}, {dtype}"):
                         for batch in BATCHES:
                             play(made(preset, batch, {"sim_dtype": dtype, "seed": 0}))
-                typer.echo(f"{preset}: built for {target.isa}")
+                echo(f"{preset}: built for {target.isa}")
     except ValueError as error:
         fail(str(error))
     libraries = list(target.folder.glob("*.so"))
-    typer.echo(f"{target.folder}: {len(libraries)} kernels, {sum(path.stat().st_size for path in libraries) / 1e6:.1f} MB")
+    echo(f"{target.folder}: {len(libraries)} kernels, {sum(path.stat().st_size for path in libraries) / 1e6:.1f} MB")
 
 
 def play(env: Tasking) -> None:

@@ -34,7 +34,7 @@ from bsk_torch.cli.declaration import (
     WithPolicy,
     command,
 )
-from bsk_torch.cli.terminal import activity, fail, print_message
+from bsk_torch.cli.terminal import activity, echo, fail, print_message
 
 logger = logging.getLogger(__name__)
 
@@ -75,7 +75,7 @@ app = typer.Typer(cls=Commands, no_args_is_help=True, add_completion=False, rich
 def show_version(asked: bool) -> None:
     """Print the version and end the program."""
     if asked:
-        typer.echo(f"bsk_torch {__version__}")
+        echo(f"bsk_torch {__version__}")
         raise typer.Exit
 
 

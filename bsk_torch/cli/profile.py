@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import typer
-
 from bsk_torch.cli.shared import environment_options
-from bsk_torch.cli.terminal import activity, fail, working
+from bsk_torch.cli.terminal import activity, echo, fail, working
 from bsk_torch.cli.train import configured
 from bsk_torch.rl.marl.runs import training_of
 from bsk_torch.rl.training.profile import advice, measure
@@ -36,6 +34,6 @@ def profile(
         {"phase": phase, "us per decision": f"{us:,.2f}", "%": f"{100.0 * us / found.total:.1f}"} for phase, us in spent.items()
     ]
     print_table(rows, f"{preset}: CPU time of a training in one process and one thread", left=("phase",))
-    typer.echo(f"{1e6 / found.total:,.0f} decisions per CPU-second")
+    echo(f"{1e6 / found.total:,.0f} decisions per CPU-second")
     for line in advice(found):
-        typer.echo(line)
+        echo(line)

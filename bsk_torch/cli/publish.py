@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import torch
-import typer
 
 from bsk_torch import __version__
 from bsk_torch.cli.report import command_of, run_card, run_config
 from bsk_torch.cli.shared import check_writable, environment, environment_options
-from bsk_torch.cli.terminal import fail, working
+from bsk_torch.cli.terminal import echo, fail, working
 from bsk_torch.files import write_file
 from bsk_torch.rl.evaluation.evaluate import FRESH, Evaluation, evaluate
 from bsk_torch.rl.policies.checksummed import save_checksummed
@@ -64,7 +63,7 @@ def publish(
         "first": result.returns[:FIRST].tolist(),
     }
     write_file(folder / INDEX, json.dumps(dict(sorted((listed | {preset: notes}).items())), indent=2) + "\n")
-    typer.echo(f"{preset}: {result.mean_return}, survival {result.survival:.1%}; {folder / f'{preset}.pt'}")
+    echo(f"{preset}: {result.mean_return}, survival {result.survival:.1%}; {folder / f'{preset}.pt'}")
 
 
 def _log(path: Path) -> dict[str, list[float]]:

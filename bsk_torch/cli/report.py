@@ -13,11 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
-import typer
 
 from bsk_torch.cli.pictures import record
 from bsk_torch.cli.shared import check_writable, environment, environment_options, extra
-from bsk_torch.cli.terminal import fail, working
+from bsk_torch.cli.terminal import echo, fail, working
 from bsk_torch.rl.evaluation.evaluate import FRESH, evaluate
 from bsk_torch.rl.evaluation.results import EVALUATION
 from bsk_torch.rl.marl.runs import PPO, algorithm_of, configure, read_config
@@ -62,7 +61,7 @@ def report(run: Path, episodes: int, threads: int, backend: str, device: str) ->
         command=command_of(config),
     )
     path = pages.write_report(data, run / REPORT)
-    typer.echo(f"{path} ({path.stat().st_size / 1e6:.1f} MB)\nopen it in a browser: {path.resolve().as_uri()}")
+    echo(f"{path} ({path.stat().st_size / 1e6:.1f} MB)\nopen it in a browser: {path.resolve().as_uri()}")
 
 
 def _pages() -> Any:

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import torch
-import typer
 
 from bsk_torch.cli.policies import NamedPolicy, named_policy
 from bsk_torch.cli.shared import check_picture, check_writable, environment_options, extra, made, preset_options
-from bsk_torch.cli.terminal import activity, fail, working
+from bsk_torch.cli.terminal import activity, echo, fail, working
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.files import write_file
 from bsk_torch.plan.rare_flights import save_paths
@@ -73,20 +72,20 @@ def estimate_risk(
     except ValueError as error:
         fail(f"the risk in {named.preset} cannot be estimated: {error}")
     activity.report()
-    typer.echo("\n".join(told(found, f"{named.preset}, {named.label}")))
+    echo("\n".join(told(found, f"{named.preset}, {named.label}")))
     print_ways(found)
     kept = {name: value for name, value in named.options(options).items() if name not in ("backend", "device")}
     about = {"preset": named.preset, "policy": Path(policy).name, "options": kept}
     if save is not None and found.ways:
         save_paths(save, about | {"event": found.event}, found.paths(), found.actions)
-        typer.echo(f"{save}: a typical episode of each way")
+        echo(f"{save}: a typical episode of each way")
     if out is not None:
         write_file(out, json.dumps(about | found.to_dict(), indent=1, allow_nan=False, default=str) + "\n")
     if draw is not None and found.ways:
         draw_way(found, named, options, draw)
     for path in (save, draw):
         if path is not None and not found.ways:
-            typer.echo(f"{path} was not written: the event was not seen")
+            echo(f"{path} was not written: the event was not seen")
 
 
 def told(found: Risk, title: str) -> Iterator[str]:
@@ -118,7 +117,7 @@ def print_ways(found: Risk) -> None:
     """Print the ways to the event, and the drawn quantities that differ most."""
     if not found.ways:
         return
-    typer.echo("")
+    echo("")
     print_table([of_way(way) for way in found.ways], "Ways to the event", left=("checks that fail",))
     print_table(
         [of_shift(shift) for shift in found.shifts[:SHOWN]],
@@ -160,4 +159,4 @@ def draw_way(found: Risk, named: NamedPolicy, options: Mapping[str, Any], path: 
         episode = recorder.record_track(script(torch.tensor(found.actions[0])[None, :, 0]), one, seed=seed)
     moment = float(typical.flown.notes["time"][0])
     figure.timeline(episode, path, f"{named.preset}, {named.label}: {found.event}", [(moment, found.event)])
-    typer.echo(f"{path}: an episode with the event after {moment:,.0f} s; half of them are before {time[1]:,.0f} s")
+    echo(f"{path}: an episode with the event after {moment:,.0f} s; half of them are before {time[1]:,.0f} s")

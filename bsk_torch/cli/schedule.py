@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import typer
-
 from bsk_torch.cli.shared import made
+from bsk_torch.cli.terminal import echo
 from bsk_torch.sim.component import Component
 from bsk_torch.sim.run.tick import Tick
 from bsk_torch.sim.schedule import SCHEDULE, Schedule, Slot
@@ -15,12 +14,12 @@ from bsk_torch.sim.schedule import SCHEDULE, Schedule, Slot
 def show_schedule(preset: str | None) -> None:
     """Print the order of a tick: all slots, or the components that run in a preset."""
     if preset is None:
-        typer.echo("\n".join(slot_lines(SCHEDULE)))
+        echo("\n".join(slot_lines(SCHEDULE)))
         return
     env = made(preset, 1, {"backend": "eager"})
     for simulator in env.fleet.simulators:
         names = ", ".join(env.fleet.names[k] for k in simulator.columns)
-        typer.echo("\n".join([f"{names}:", *(f"  {line}" for line in tick_lines(simulator.tick, simulator.type.schedule))]))
+        echo("\n".join([f"{names}:", *(f"  {line}" for line in tick_lines(simulator.tick, simulator.type.schedule))]))
 
 
 def described(component: Component, schedule: Schedule = SCHEDULE) -> Slot:

@@ -19,6 +19,8 @@ from rich.file_proxy import FileProxy
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
+from bsk_torch._text import visible
+
 screen = Console(stderr=True)
 """Where messages and activities are shown."""
 
@@ -38,7 +40,7 @@ class Failure(typer.Exit):
 
 def fail(message: str) -> NoReturn:
     """Print an error and end the program."""
-    screen.print(Text(message, style="red"), soft_wrap=not screen.is_terminal)
+    screen.print(Text(visible(message), style="red"), soft_wrap=not screen.is_terminal)
     raise Failure(message)
 
 
@@ -47,8 +49,14 @@ def for_shell(path: Path | str) -> str:
     return shlex.quote(str(path))
 
 
+def echo(text: str) -> None:
+    """Print results."""
+    typer.echo(visible(text))
+
+
 def print_message(text: str) -> None:
     """Print a message above the activity or the training; the terminal's width breaks it, and files get it in one line."""
+    text = visible(text)
     if isinstance(sys.stderr, FileProxy):  # a bar is shown, of this console or of the training's, which prints above it
         print(text, file=sys.stderr)
     else:
@@ -78,13 +86,13 @@ class Activity:
     @property
     def line(self) -> str:
         """What is shown: the kernel that is compiled, or the activity."""
-        return self._kernel or self.text
+        return visible(self._kernel or self.text, keep="")
 
     def show(self, text: str) -> None:
         """Show an activity, or none if ``text`` is empty."""
         self.text = text
         if text and self._bar is None and screen.is_terminal and not self.quiet:
-            columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+            columns = SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn()
             self._bar = Progress(*columns, console=screen, transient=True)
             self._bar.add_task(self.line)
             self._bar.start()

@@ -14,7 +14,7 @@ import typer
 
 from bsk_torch.cli.pictures import draw_episode, record
 from bsk_torch.cli.shared import environment, environment_options
-from bsk_torch.cli.terminal import activity, fail, for_shell, working
+from bsk_torch.cli.terminal import activity, echo, fail, for_shell, working
 from bsk_torch.env import Tasking
 from bsk_torch.presets import make
 from bsk_torch.rl.evaluation.evaluate import FRESH, Evaluation, evaluate
@@ -174,11 +174,11 @@ def _run(
         print_results(results, f"{config.preset}, {env.batch_size[0]} unseen episodes", TRAINED)
         save_results(results, folder / EVALUATION, TRAINED)
     if find_spec("matplotlib") is None:
-        typer.echo("no pictures were drawn: they need matplotlib; pip install 'bsk_torch[viz]'")
+        echo("no pictures were drawn: they need matplotlib; pip install 'bsk_torch[viz]'")
     else:
         with working("drawing"):
             _draw(policy, results, config, folder)
-    typer.echo(told(run))
+    echo(told(run))
     return results.get(TRAINED), run.interrupted
 
 

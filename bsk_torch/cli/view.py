@@ -6,16 +6,16 @@ import re
 import webbrowser
 from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import torch
-import typer
 
 from bsk_torch.cli.film import FILMS
 from bsk_torch.cli.film import film as write_film
 from bsk_torch.cli.planned import PREFIX, NamedPlanner, named_planner
 from bsk_torch.cli.policies import PRETRAINED, NamedPolicy, named_policy
 from bsk_torch.cli.shared import check_writable, environment_options, extra
-from bsk_torch.cli.terminal import fail, working
+from bsk_torch.cli.terminal import echo, fail, working
 from bsk_torch.files import write_file
 from bsk_torch.presets import PRESETS
 from bsk_torch.rl.policies.shared_policy import shared
@@ -54,16 +54,24 @@ def view(
     except OSError as error:
         fail(f"--host {host} --port {port}: {error}")
     if server.port != port:
-        typer.echo(f"port {port} is in use; this is port {server.port}")
-    typer.echo(f"{server.url}\nstop with Ctrl-C")
-    if browser and not webbrowser.open(server.url):
-        typer.echo("no browser was found; open the address in one")
-    try:
-        server.serve_forever()
-    except KeyboardInterrupt:
-        typer.echo("stopped")
-    finally:
-        server.server_close()
+        echo(f"port {port} is in use; this is port {server.port}")
+    echo(f"{server.url}\nstop with Ctrl-C")
+    with TemporaryDirectory(prefix="bsk_torch-") as private:
+        if browser and not webbrowser.open(_forwarding(server.url, Path(private))):
+            echo("no browser was found; open the address in one")
+        try:
+            server.serve_forever()
+        except KeyboardInterrupt:
+            echo("stopped")
+        finally:
+            server.server_close()
+
+
+def _forwarding(url: str, folder: Path) -> str:
+    """Return the address of a private page that leads to ``url``: all users of a machine see the arguments of its programs."""
+    page = folder / "open.html"
+    page.write_text(f'<!doctype html><meta http-equiv="refresh" content="0; url={url}"><a href="{url}">the viewer</a>\n')
+    return page.as_uri()
 
 
 def export(
@@ -168,4 +176,4 @@ def _write(source: object, out: Path) -> None:
         content = recording.encode()
     write_file(out, content)
     tracks = [f"{track.label}: return {track.total:.3f}, {track.duration:,.0f} s" for track in recording.tracks]
-    typer.echo("\n".join([f"{out}: {out.stat().st_size / 1e6:.2f} MB", *tracks]))
+    echo("\n".join([f"{out}: {out.stat().st_size / 1e6:.2f} MB", *tracks]))

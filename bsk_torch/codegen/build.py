@@ -2,8 +2,8 @@
 
 A kernel is a shared library in the user's cache folder, or in ``BSK_TORCH_CACHE``; :mod:`bsk_torch.codegen.cache` says to whom it
 may belong. Its name is a hash of its source, of torch's version, of the compiler's options and of the processor: a change of any
-of these builds another library. The file ends with a hash of the library, so that a truncated file is built again instead of
-loaded.
+of these builds another library. The file ends with a hash of its name and of the library, so that a truncated file, or a library
+under the name of another one, is built again instead of loaded.
 
 The vector instructions are those that torch uses on this machine. ``BSK_TORCH_ISA`` names others: ``avx512``,
 ``avx2``, or ``default``, which means plain C++. It is meant for tests; the machine must have the named instructions.
@@ -22,6 +22,7 @@ import shlex
 import subprocess
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -56,6 +57,9 @@ ISAS = ("avx512", "avx2", "default")
 
 IN_USE = {"AVX512": "avx512", "AVX2": "avx2"}
 """Instructions by what torch calls its own; on other processors torch's inductor chooses."""
+
+SEALED = "name and code"
+"""What the hash at the end of a library covers; part of its name, so that libraries sealed otherwise are not looked at."""
 
 LOADED: dict[str, ctypes.CDLL] = {}
 """Libraries that this process has loaded, by the names of their files."""
@@ -109,7 +113,7 @@ def load(source: str, name: str) -> ctypes.CDLL:
         RuntimeError: Without a compiler, or a cache folder that can be written to.
     """
     headers, target = (header.read_text() for header in HEADERS), shipped.BUILDING.get()
-    parts = [source, *headers, *FLAGS, *GCC_FLAGS, torch.__version__]
+    parts = [source, *headers, *FLAGS, *GCC_FLAGS, torch.__version__, SEALED]
     if target is not None:
         path = target.folder / shipped.library_name(parts, target.isa)
     else:
@@ -140,7 +144,7 @@ def _kept(path: Path) -> ctypes.CDLL | None:
     if content is None:
         return None
     code, seal = content[:-32], content[-32:]
-    if _seal(code) != seal:
+    if _seal(path.name, code) != seal:
         logger.warning("%s is damaged and will be built again", path)
         return None
     try:
@@ -150,8 +154,8 @@ def _kept(path: Path) -> ctypes.CDLL | None:
         return None
 
 
-def _seal(code: bytes) -> bytes:
-    return hashlib.sha256(code).digest()
+def _seal(name: str, code: bytes) -> bytes:
+    return hashlib.sha256(name.encode() + code).digest()
 
 
 @cache
@@ -203,8 +207,11 @@ def _build(source: str, path: Path, name: str, command: list[str]) -> None:
                 f"{command[0]} cannot compile the {name}:\n{complaint}{advice}\nThe source is kept in {kept}. {WITHOUT}"
             )
         with library.open("ab") as file:
-            file.write(_seal(library.read_bytes()))
+            file.write(_seal(path.name, library.read_bytes()))
         library.chmod(PRIVATE if shipped.BUILDING.get() is None else shipped.READABLE)  # whatever the umask is
+        if path.is_dir():  # a file does not replace a folder; it goes with the folder of the build
+            with suppress(FileNotFoundError):  # another process was faster
+                os.replace(path, folder / "replaced")
         os.replace(library, path)
 
 

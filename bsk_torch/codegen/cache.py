@@ -1,8 +1,8 @@
 """The folder in which compiled kernels are kept: where it is, whom it may belong to, and what a killed build leaves in it.
 
-A library from the folder runs with all rights of the user, and the hash at its end only tells whether it is complete: whoever can
-write a library can write the hash, too. So folder and libraries must belong to the user, or to root, and must not be writable by
-others; links are not followed. New folders are open to their owner only.
+A library from the folder runs with all rights of the user, and the hash at its end only tells whether it is complete and has its
+own name: whoever can write a library can write the hash, too. So folder and libraries must belong to the user, or to root, and
+must not be writable by others; links are not followed. New folders are open to their owner only.
 """
 
 from __future__ import annotations
@@ -76,12 +76,15 @@ def read_trusted(path: Path) -> bytes | None:
     except OSError as error:  # a link, for example
         logger.warning("%s is not used and will be built again: %s", path, error)
         return None
-    with open(file, "rb") as stream:
-        status = os.fstat(stream.fileno())
-        if complaint := _complaint(status):
+    try:
+        status = os.fstat(file)
+        if complaint := "is no ordinary file" if not stat.S_ISREG(status.st_mode) else _complaint(status):
             logger.warning("%s %s; it is not used and will be built again", path, complaint)
             return None
-        return stream.read()
+        with open(file, "rb", closefd=False) as stream:
+            return stream.read()
+    finally:
+        os.close(file)
 
 
 def _foreign(status: os.stat_result) -> bool:

@@ -314,7 +314,7 @@ class Tasking(Present, MadeOfArguments):
     def _cast(self, values: Values, shape: Sequence[int]) -> TensorDict:
         """Named observations of rows, [*shape, ...] each."""
         parts = {
-            name: self._cast(v, shape) if isinstance(v, dict) else v.to(self.dtype).view(*shape, *v.shape[1:])
+            name: self._cast(v, shape) if isinstance(v, dict) else v.to(self.dtype, copy=True).view(*shape, *v.shape[1:])
             for name, v in values.items()
         }
         return TensorDict(parts, shape, device=self.device)

@@ -17,6 +17,7 @@ from typing import Any, cast
 
 from torch import Tensor
 
+from bsk_torch._text import visible
 from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sats.imaging import BoundImagingSatellite
@@ -44,7 +45,7 @@ class SimulationFormatter(logging.Formatter):
         line = (
             f"{self.formatTime(record)} {title:<24} {record.levelname:<8} {where}{f'{who}: ' if who else ''}{record.getMessage()}"
         )
-        return f"{line}\n{self.formatException(record.exc_info)}" if record.exc_info else line
+        return visible(f"{line}\n{self.formatException(record.exc_info)}" if record.exc_info else line)
 
 
 def configure(level: int | str | None, file: str | Path | None) -> None:

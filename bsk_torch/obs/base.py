@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from math import isnan
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -107,6 +108,9 @@ class Observation:
 
     def get_obs(self) -> Tensor | Values:
         """Return the current observation: a tensor [N] or [N, ...], or a (possibly nested) dictionary of them by name.
+
+        Numbers must be finite: an environment raises FloatingPointError for NaN and infinity in what users' classes and functions
+        return. Write absent values as a finite number, such as 0, next to a flag.
 
         NumPy arrays may replace tensors. A subclass of this class may also be written for one satellite, as in bsk_rl. It is then
         called once per environment, which is slow, with arrays and numbers of that environment.
@@ -256,12 +260,18 @@ class ObservationBuilder:
         return [function for entry in self.entries for function in entry.observables()]
 
     def get_dict(self) -> Values:
-        """Return all observations by name; repeated names get a number, as in ``target_2``."""
+        """Return all observations by name; repeated names get a number, as in ``target_2``.
+
+        Raises:
+            TypeError: For a leaf of a wrong shape.
+            FloatingPointError: For NaN or infinity, where functions or classes of users take part.
+        """
         values: Values = {}
         for reader in self._readers:
             values[reader.entry.unique_name] = reader.values()
-        for _ in flatten(values, len(self.satellite.simulator.ticks)):
-            pass  # raises for leaves of a wrong shape
+        leaves = [leaf for _, leaf in flatten(values, len(self.satellite.simulator.ticks))]
+        if self._calls_user:
+            self._check_numbers(torch.cat(leaves, -1), lambda: values)
         return values
 
     def get_vector(self, dtype: torch.dtype) -> Tensor:
@@ -269,7 +279,7 @@ class ObservationBuilder:
 
         Raises:
             TypeError: For another width than at the first call.
-            FloatingPointError: For NaN, where functions or classes of users take part.
+            FloatingPointError: For NaN or infinity, where functions or classes of users take part.
         """
         vector = torch.cat([reader.vector() for reader in self._readers], -1)
         if vector.shape[-1] != self._width:
@@ -280,17 +290,18 @@ class ObservationBuilder:
                 )
             self._width = vector.shape[-1]
         if self._calls_user:
-            self._check_numbers(vector)
+            self._check_numbers(vector, self.get_dict)
         return vector.to(dtype)
 
-    def _check_numbers(self, vector: Tensor) -> None:
-        """Raise FloatingPointError for a vector [N, width] with NaN."""
-        wrong = torch.isnan(vector)
+    def _check_numbers(self, vector: Tensor, named: Callable[[], Values]) -> None:
+        """Raise FloatingPointError for a vector [N, width] with NaN or infinity, from which no network learns."""
+        wrong = ~torch.isfinite(vector)
         if bool(wrong.any()):
             rows, columns = torch.nonzero(wrong).unbind(1)
-            name = self.describe(self.get_dict())[int(columns[0])]
+            name, value = self.describe(named())[int(columns[0])], float(vector[rows[0], columns[0]])
             raise FloatingPointError(
-                f"{name!r} in the observation of {self.satellite.title(int(rows[0]))} is NaN ({len(rows.unique())} rows in all)"
+                f"{name!r} in the observation of {self.satellite.title(int(rows[0]))} is {'NaN' if isnan(value) else value} "
+                f"({len(rows.unique())} rows in all); it must be a finite number"
             )
 
     @staticmethod

@@ -32,6 +32,7 @@ import inspect
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from bsk_torch.env.assembly.devices import check_default_device
 from bsk_torch.presets.aeos import aeos, aeos_city, cloudy_aeos
 from bsk_torch.presets.aeos_bench import aeos_bench
 from bsk_torch.presets.aeos_power import aeos_power
@@ -84,8 +85,9 @@ def make(name: str, **options: object) -> Any:
     Raises:
         TypeError: For an unknown option; the message contains the nearest one.
         ValueError: For an unknown name, with the nearest one; for ``sat_args`` that are not a dictionary; for switches that are
-            not booleans.
+            not booleans; if torch's default device is "meta".
     """
+    check_default_device()
     if name not in PRESETS:
         raise ValueError(f"name={name!r} is not a preset; {nearest(name, PRESETS)}")
     parameters = [p for p in inspect.signature(PRESETS[name]).parameters.values() if p.kind is not p.VAR_KEYWORD]

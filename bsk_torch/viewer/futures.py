@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterable
 
 import torch
 from tensordict import TensorDictBase
@@ -30,7 +31,8 @@ class Futures:
     leaves all later decisions to the policy. Its track contains the common past.
 
     Attributes:
-        flown: The flights so far, in the order of the tracks.
+        flown: The flights by number, in the order of the tracks.
+        scenes: Their surroundings by number.
     """
 
     def __init__(
@@ -38,21 +40,22 @@ class Futures:
     ) -> None:
         """Fly ``env`` with ``policy``, each time for ``until`` seconds; see also :func:`bsk_torch.viewer.record`."""
         self.env, self.policy, self.preset, self.label, self.until = env, policy, preset, label, until
-        self.flown: list[Flown] = []
-        self.scenes: list[Scene] = []
+        self.flown: dict[int, Flown] = {}
+        self.scenes: dict[int, Scene] = {}
 
     def episode(self, seed: int) -> int:
-        """Record the first episode of ``seed``; return the index of its track."""
+        """Record the first episode of ``seed``; return the number of the flight."""
         flight = Flight(self.env, self.policy)
         flown = flight.fly(seed, self.until)
-        self.scenes.append(flight.scene)
-        return self._add(flown, scene=len(self.scenes) - 1)
+        scene = _following(self.scenes)
+        self.scenes[scene] = flight.scene
+        return self._add(flown, scene=scene)
 
     def branch(self, track: int, decision: int, action: int) -> int:
-        """Record the future in which another action is taken; return the index of its track.
+        """Record the future in which another action is taken; return the number of the flight.
 
         Args:
-            track: The flight to leave.
+            track: Number of the flight to leave.
             decision: Which of its decisions.
             action: The action taken there instead.
 
@@ -107,19 +110,39 @@ class Futures:
         return f"The rest of the return of the episode, if this action is taken and the {follows} decides afterwards."
 
     def recording(self) -> Recording:
-        """Return all flights so far as a recording."""
-        seeds = ", ".join(str(scene.seed) for scene in self.scenes)
+        """Return the flights as a recording; a branch of a flight that was dropped has no parent."""
+        place: dict[int | None, int] = {number: k for k, number in enumerate(self.flown)}
+        scenes = {number: k for k, number in enumerate(self.scenes)}
+        tracks = [
+            dataclasses.replace(flown.track, scene=scenes[flown.track.scene], parent=place.get(flown.track.parent))
+            for flown in self.flown.values()
+        ]
+        seeds = ", ".join(str(scene.seed) for scene in self.scenes.values())
         title = f"{self.preset or 'An episode'}, {self.label}, seed{'s' * (len(self.scenes) > 1)} {seeds}"
-        return recording_of(self.env, self.scenes, [flown.track for flown in self.flown], title, self.preset, self.label)
+        return recording_of(self.env, list(self.scenes.values()), tracks, title, self.preset, self.label)
+
+    def drop_old(self, most: int) -> None:
+        """Drop the oldest flights until ``most`` are left; the first one, the newest one and its parent are kept."""
+        first, *_, newest = self.flown if len(self.flown) > 1 else [0, 0]
+        kept = {first, newest, self.flown[newest].track.parent}
+        for number in [number for number in self.flown if number not in kept][: max(len(self.flown) - most, 0)]:
+            del self.flown[number]
+        seen = {flown.track.scene for flown in self.flown.values()}
+        self.scenes = {number: scene for number, scene in self.scenes.items() if number in seen}
 
     def _add(self, flown: Flown, **changes: object) -> int:
-        self.flown.append(dataclasses.replace(flown, track=dataclasses.replace(flown.track, **changes)))  # type: ignore[arg-type]
-        return len(self.flown) - 1
+        number = _following(self.flown)
+        self.flown[number] = dataclasses.replace(flown, track=dataclasses.replace(flown.track, **changes))  # type: ignore[arg-type]
+        return number
 
     def _known(self, track: int) -> Flown:
-        if not 0 <= track < len(self.flown):
-            raise IndexError(f"track={track} must lie from 0 to {len(self.flown) - 1}")
+        if track not in self.flown:
+            raise IndexError(f"track={track} must be one of the flights {', '.join(map(str, self.flown))}; others were dropped")
         return self.flown[track]
+
+
+def _following(numbers: Iterable[int]) -> int:
+    return max(numbers, default=-1) + 1
 
 
 def finite(values: list[float]) -> list[float | None]:

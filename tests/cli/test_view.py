@@ -1,12 +1,19 @@
 """bsk-torch view and bsk-torch export."""
 
 import json
+import re
+import stat
+import webbrowser
+from pathlib import Path
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 import pytest
 from typer.testing import CliRunner
 
 from bsk_torch.cli import app
 from bsk_torch.viewer.recording import load
+from bsk_torch.viewer.server import Server
 from tests.support.recordings import synthetic_recording
 
 
@@ -47,3 +54,23 @@ def test_bad_input(arguments, message, tmp_path, monkeypatch):
     assert result.exit_code == 1
     assert message in " ".join(result.output.split())
     assert not (tmp_path / "x.html").exists()
+
+
+def test_the_browser_is_opened_by_a_private_page(tmp_path, monkeypatch):
+    """The address has the token, and all users of a machine see the arguments of its programs."""
+    opened = []
+
+    def browse(address):
+        page = Path(url2pathname(urlsplit(address).path))
+        opened.append((address, page.read_text(), stat.S_IMODE(page.parent.stat().st_mode)))
+
+    monkeypatch.setattr(webbrowser, "open", browse)
+    monkeypatch.setattr(Server, "serve_forever", lambda server: None)
+    (tmp_path / "flight.bskview").write_bytes(synthetic_recording().encode())
+    output = run("view", tmp_path / "flight.bskview", "--port", 18965).output
+    ((address, page, mode),) = opened
+    (url,) = re.findall(r"http://127\.0\.0\.1:\d+/\?token=\S{32}", output)
+    assert url in page
+    assert "token" not in address
+    assert mode == 0o700
+    assert "no browser was found" in output

@@ -52,7 +52,10 @@ def planted(folder, monkeypatch, tmp_path):
         made += (tmp_path / name).iterdir()
     monkeypatch.setenv("BSK_TORCH_CACHE", str(folder))
     folder.mkdir(mode=0o700)
-    return made[1].rename(made[1].with_name(made[0].name))
+    code, library = made[1].read_bytes()[:-32], tmp_path / "wrong" / made[0].name  # another file: that one is loaded
+    library.write_bytes(code + build._seal(library.name, code))
+    library.chmod(0o700)
+    return library
 
 
 def mode(path):
@@ -132,6 +135,13 @@ def test_things_that_are_no_files_are_not_read(planted, folder, monkeypatch):
     """A pipe would keep the reader waiting for ever."""
     os.mkfifo(folder / planted.name)
     assert load(monkeypatch) == 42
+
+
+def test_a_folder_in_the_place_of_a_library_is_replaced(planted, folder, monkeypatch, caplog):
+    (folder / planted.name / "within").mkdir(parents=True)
+    assert load(monkeypatch) == 42
+    assert "is no ordinary file" in caplog.text
+    assert [path.name for path in folder.iterdir()] == [planted.name]
 
 
 def test_the_user_s_own_cache_is_closed(planted, folder, monkeypatch):

@@ -223,12 +223,13 @@ def test_instructions_are_part_of_the_name(folder, monkeypatch):
 @pytest.mark.parametrize(
     ("damage", "warning"),
     [
-        (lambda content: content[: len(content) // 2], "damaged"),
-        (lambda content: b"", "damaged"),
-        (lambda content: content[:100] + b"?" + content[101:], "damaged"),
-        (lambda content: b"no library" + build._seal(b"no library"), "cannot be loaded"),
+        (lambda name, content: content[: len(content) // 2], "damaged"),
+        (lambda name, content: b"", "damaged"),
+        (lambda name, content: content[:100] + b"?" + content[101:], "damaged"),
+        (lambda name, content: content[:-32] + build._seal("other.so", content[:-32]), "damaged"),
+        (lambda name, content: b"no library" + build._seal(name, b"no library"), "cannot be loaded"),
     ],
-    ids=["cut", "empty", "changed", "sealed"],
+    ids=["cut", "empty", "changed", "of another name", "sealed"],
 )
 def test_damaged_libraries_are_built_again(folder, monkeypatch, caplog, damage, warning):
     caplog.set_level("WARNING")
@@ -237,7 +238,7 @@ def test_damaged_libraries_are_built_again(folder, monkeypatch, caplog, damage, 
     elsewhere = folder.with_name("elsewhere")  # what this process has loaded must not change
     elsewhere.mkdir()
     damaged = elsewhere / library.name
-    damaged.write_bytes(damage(library.read_bytes()))
+    damaged.write_bytes(damage(library.name, library.read_bytes()))
     monkeypatch.setenv("BSK_TORCH_CACHE", str(elsewhere))
     for _ in range(2):
         monkeypatch.setattr(build, "LOADED", {})

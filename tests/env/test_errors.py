@@ -116,6 +116,20 @@ def test_rejects_wrong_options():
     check_refusals(table)
 
 
+def test_rejects_tensors_without_values():
+    satellite = Base("A")
+    torch.set_default_device("meta")
+    try:
+        check_refusals(
+            [
+                refusal(lambda: bsk_torch.make("NadirScan-v1"), ValueError, "torch.set_default_device('meta')", "'cpu'"),
+                refusal(lambda: SatelliteTasking(satellite), ValueError, "torch.set_default_device('meta')", "'cpu'"),
+            ]
+        )
+    finally:
+        torch.set_default_device(None)
+
+
 def test_rejects_steps_without_an_action():
     env = make()
     check_refusals([refusal(lambda: env.step(env.reset()), KeyError, "td['action']")])

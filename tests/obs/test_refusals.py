@@ -5,15 +5,18 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 import torch
 
 from bsk_torch import SatelliteTasking, act, obs, per_environment, rand, sats, scene
 from tests.support.refusals import check_refusals, refusal
 
 
-def make(*spec):
-    satellite = type("Imager", (sats.ImagingSatellite,), dict(observation_spec=spec, action_spec=(act.Image(2),)))("A")
-    options = dict(num_envs=2, time_limit=600.0, seed=1, backend="eager", dtype=torch.float64)
+def make(*spec, obs_type=np.ndarray, **more):
+    satellite = type("Imager", (sats.ImagingSatellite,), dict(observation_spec=spec, action_spec=(act.Image(2),)))(
+        "A", obs_type=obs_type
+    )
+    options = dict(num_envs=2, time_limit=600.0, seed=1, backend="eager", dtype=torch.float64) | more
     return SatelliteTasking(satellite, scene.UniformTargets(100), **options)
 
 
@@ -114,3 +117,68 @@ def test_rejects_wrong_noise():
             refusal(lambda: make(three), ValueError, "obs.Noisy", "Normal(", [3], "2 numbers"),
         ]
     )
+
+
+@pytest.mark.parametrize("named", [False, True])
+def test_rejects_observations_that_are_not_finite(named):
+    def after(value):
+        """Make a step after which a function gives a value for the second environment."""
+        wrong = torch.zeros(1, dtype=torch.bool)
+
+        def own(satellite):
+            charge = satellite.dynamics.battery_charge_fraction
+            return torch.where(wrong & (torch.arange(len(charge)) == 1), value, charge)
+
+        env = make(obs.SatProperties(dict(prop="own", fn=own)), obs_type=dict if named else np.ndarray, max_step_duration=5.0)
+        td = env.reset().set("action", torch.zeros(2, dtype=torch.int64))
+        wrong.fill_(True)
+        return env.step(td)
+
+    names = ["'sat_props.own'", "environment 1"]
+    table = [refusal(lambda value=value: after(value), FloatingPointError, *names, word) for value, word in BAD.items()]
+    check_refusals(table)
+
+
+BAD = {math.nan: "NaN", math.inf: "is inf", -math.inf: "is -inf"}
+
+
+def changed(tensor, how):
+    """Change a tensor in place, by torch or by NumPy."""
+    if how == "torch":
+        tensor.mul_(0.0)
+    else:
+        np.asarray(tensor)[:] = 0.0
+    return tensor
+
+
+@pytest.mark.parametrize("how", ["torch", "numpy"])
+@pytest.mark.parametrize("kept", [True, False])
+def test_functions_change_nothing_in_place(how, kept):
+    """A property is read by rewards and other observations in the same step."""
+
+    def played(function):
+        own = obs.SatProperties(dict(prop="own", fn=function))
+        env = make(
+            own,
+            obs.SatProperties(dict(prop="battery_charge_fraction"), dict(prop="r_BN_N")),
+            obs_type=dict,
+            max_step_duration=5.0,
+        )
+        td, found = env.reset(), []
+        for _ in range(3):
+            td = env.step(td.set("action", torch.ones(2, dtype=torch.int64)))["next"]
+            found.append(
+                {name: value.clone() for name, value in td["observation", "sat_props_2"].items()} | {"reward": td["reward"]}
+            )
+            if kept:  # what the step has returned belongs to the user
+                for value in td["observation", "sat_props_2"].values():
+                    changed(value, how)
+            td = td.exclude("reward")
+        return found
+
+    first = played(lambda sat: sat.dynamics.battery_charge_fraction)
+    second = played(
+        lambda sat: changed(sat.dynamics.battery_charge_fraction, how) + 0.0 * changed(sat.dynamics.r_BN_N, how)[:, 0]
+    )
+    for a, b in zip(first, second, strict=True):
+        assert all(torch.equal(a[name], b[name]) for name in a)

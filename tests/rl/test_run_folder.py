@@ -216,6 +216,28 @@ def test_a_folder_in_use_is_refused_and_the_other_process_named(half, other):
     assert contents(half) == before
 
 
+@pytest.mark.parametrize("make", [Path.symlink_to, Path.hardlink_to], ids=["symbolic", "hard"])
+def test_a_lock_that_is_a_link_is_refused_and_its_file_kept(half, tmp_path, make):
+    """A run folder of others may contain a link to any file of the user."""
+    mine = tmp_path / "thesis.tex"
+    mine.write_text("years of work")
+    make(half / LOCK, mine)
+    before = contents(half)
+    kind = "symbolic link" if (half / LOCK).is_symlink() else "hard link"
+    starts = resume, lambda out: train(SMALL, out, episodes=0)
+    check_refusals([refusal(lambda start=start: start(half), PermissionError, LOCK, kind, "delete it") for start in starts])
+    assert contents(half) == before
+    assert mine.read_text() == "years of work"
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to others")
+def test_a_lock_of_another_user_is_refused(tmp_path):
+    (tmp_path / LOCK).write_text("another user's")
+    os.chown(tmp_path / LOCK, 1234, 1234)
+    check_refusals([refusal(lambda: FolderLock(tmp_path), PermissionError, LOCK, "a file of user 1234")])
+    assert (tmp_path / LOCK).read_text() == "another user's"
+
+
 def test_the_lock_of_a_dead_process_is_taken_over_and_its_leftovers_swept(half, other):
     end(other(half))
     assert {LOCK, f".{POLICY}.0123456789abcdef.part"} <= set(contents(half))
@@ -235,14 +257,6 @@ def test_one_process_may_not_train_twice_in_a_folder(tmp_path):
         resume(tmp_path / "run", episodes=0)
     first.run()
     assert LOCK not in contents(tmp_path / "run")
-
-
-def test_a_link_for_a_lock_is_not_followed(half, tmp_path):
-    (tmp_path / "precious").write_text("precious")
-    (half / LOCK).symlink_to(tmp_path / "precious")
-    with pytest.raises(OSError, match="symbolic link"):
-        resume(half, episodes=0)
-    assert (tmp_path / "precious").read_text() == "precious"
 
 
 # -- logs -------------------------------------------------------------------------------------------------------------

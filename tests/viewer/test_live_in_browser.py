@@ -28,6 +28,7 @@ class Answers(BaseHTTPRequestHandler):
 
     def send(self, status, kind, content):
         self.send_response(status)
+        self.send_header("X-Flights", ",".join(map(str, range(type(self).flights))))
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(len(content)))
         self.end_headers()
@@ -37,7 +38,7 @@ class Answers(BaseHTTPRequestHandler):
         self.send(200, "application/octet-stream", synthetic_recording(tracks=type(self).flights).encode())
 
     def do_GET(self):
-        if self.path.startswith("/api/recording?token=secret"):
+        if self.path == "/api/recording" and self.headers["Authorization"] == "Bearer secret":
             self.recording()
         elif self.path.startswith("/?"):
             self.send(200, "text/html; charset=utf-8", build_page(live="/api").encode())
@@ -45,7 +46,8 @@ class Answers(BaseHTTPRequestHandler):
             self.send(404, "application/json", b'{"error": "nothing here"}')
 
     def do_POST(self):
-        name = self.path.removeprefix("/api/").removesuffix("?token=secret")
+        assert self.headers["Authorization"] == "Bearer secret"
+        name = self.path.removeprefix("/api/")
         wanted = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
         self.asked.append((name, wanted))
         if name == "values":

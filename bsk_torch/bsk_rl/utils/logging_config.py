@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 from typing import Any
 
+from bsk_torch._text import visible
+
 NAMES = ("GRAY", "RED", "GREEN", "YELLOW", "BLUE", "MAGENTA", "CYAN", "WHITE")
 
 colors = {name: 90 + k for k, name in enumerate(NAMES)} | {f"DARK_{name}": 30 + k for k, name in enumerate(NAMES)}
@@ -49,7 +51,7 @@ class SimFormatter(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
         """Return the line of a record."""
         plain = not self.color_output
-        title = record.name.partition("bsk_rl.")[2] or record.name
+        title = visible(record.name.partition("bsk_rl.")[2] or record.name)
         parents = title.split(".")  # such as sats.satellite.EO1
         satellite = parents[2] if parents[0] == "sats" and len(parents) > 2 else None
         color = None if satellite is None else self._color_of(satellite)
@@ -63,7 +65,7 @@ class SimFormatter(logging.Formatter):
             parts.append(style_string(f"<{record.sim_time:.2f}>", plain, color="DARK_YELLOW"))
         if satellite is not None:
             parts.append(style_string(f"{satellite}:", plain, color=color))
-        message = record.getMessage()
+        message = visible(record.getMessage())
         headline: dict[str, Any] = {"color": "YELLOW", "bold": True} if message.startswith("=== ") else level
         parts.append(style_string(message, plain, **headline))
         line = " ".join(parts)

@@ -12,7 +12,8 @@ ROOM = 1.5
 
 
 def existing_device(device: torch.device | str) -> torch.device:
-    """Return the device of that name; ValueError if this machine does not have it."""
+    """Return the device of that name; ValueError if this machine does not have it, or torch makes tensors without values."""
+    check_default_device()
     cuda = torch.cuda.device_count() if torch.cuda.is_available() else 0
     there = ["cpu", *(f"cuda:{k}" for k in range(cuda))]
     try:
@@ -22,6 +23,12 @@ def existing_device(device: torch.device | str) -> torch.device:
     if found is None or (found.type != "cpu" and (found.type != "cuda" or (found.index or 0) >= cuda)):
         raise ValueError(f"device={str(device)!r} is not available (available: {', '.join(there)})")
     return found
+
+
+def check_default_device() -> None:
+    """Raise ValueError if torch makes tensors without values."""
+    if torch.get_default_device().type == "meta":
+        raise ValueError("torch.set_default_device('meta') makes tensors without values; set it to 'cpu' for environments")
 
 
 def available_memory(device: torch.device) -> int | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+import stat
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
@@ -34,9 +35,11 @@ class FolderLock:
 
         Raises:
             FolderInUseError: If another process has it; the message names the process.
-            OSError: If the folder cannot be written to.
+            OSError: If the folder cannot be written to, or the file of the lock leads elsewhere or belongs to someone else.
         """
         self.path = folder / LOCK
+        with suppress(FileNotFoundError):
+            _check(self.path, self.path.lstat())
         self._lock = FileLock(self.path, timeout=WAIT, thread_local=False)
         try:
             self._lock.acquire()
@@ -57,8 +60,22 @@ class FolderLock:
             self._lock.release()
 
 
+def _check(path: Path, status: os.stat_result) -> None:
+    """Raise PermissionError for a file whose content may be someone's work: a link, or a file of another user."""
+    kind = "a symbolic link" if stat.S_ISLNK(status.st_mode) else "no ordinary file"
+    if stat.S_ISREG(status.st_mode):
+        others = hasattr(os, "geteuid") and status.st_uid != os.geteuid()
+        if status.st_nlink == 1 and not others:
+            return
+        kind = f"a file of user {status.st_uid}" if others else f"a hard link, one of {status.st_nlink} names of a file"
+    raise PermissionError(f"{str(path)!r} is {kind}, and is not overwritten; delete it if no process works in the folder")
+
+
 def _write(path: Path, text: str) -> None:
-    with open(os.open(path, os.O_WRONLY | os.O_TRUNC | getattr(os, "O_NOFOLLOW", 0)), "w", encoding="utf-8") as file:
+    """Replace the content of the file; what it is, is checked on the opened one, which no one can exchange."""
+    with open(os.open(path, os.O_WRONLY | getattr(os, "O_NOFOLLOW", 0)), "w", encoding="utf-8") as file:
+        _check(path, os.fstat(file.fileno()))
+        file.truncate()
         file.write(text)
 
 

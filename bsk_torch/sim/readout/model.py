@@ -58,8 +58,11 @@ class Model:
         return collect(reversed(cls.__mro__))
 
     def observed(self, function: Function) -> Tensor:
-        """Return what the function of an :class:`~bsk_torch.sim.readout.observables.observable` is now, [N] or [N, 3] float64."""
-        return self.simulator.observer.read(function)
+        """Return what the function of an :class:`~bsk_torch.sim.readout.observables.observable` is now, [N] or [N, 3] float64.
+
+        It is a copy: other readers of the same step get the same values if it is changed in place.
+        """
+        return self.simulator.observer.read(function).clone()
 
     def state(self, name: str) -> Tensor:
         """Return a field of the state, [N] or [N, width]."""

@@ -27,7 +27,7 @@ export async function decode(bytes) {
     );
   }
   if (buffer.byteLength < PREAMBLE + length) throw cutOff();
-  const header = JSON.parse(text.decode(new Uint8Array(buffer, PREAMBLE, length)));
+  const header = JSON.parse(text.decode(new Uint8Array(buffer, PREAMBLE, length)), (_, value) => (typeof value === "string" ? visible(value) : value));
   const payload = PREAMBLE + length;
   if (buffer.byteLength < payload + header.payload_bytes) throw cutOff();
   const arrays = {};
@@ -36,6 +36,11 @@ export async function decode(bytes) {
     arrays[name] = { data: new VIEWS[dtype](buffer, payload + offset, size), shape, scale: scale ?? 1 };
   }
   return { header, arrays };
+}
+
+/** A text with hidden characters, such as those that change its direction, as escapes. */
+function visible(text) {
+  return text.replace(/[\p{Cc}\p{Cf}\p{Cs}\p{Zl}\p{Zp}]/gu, (c) => `\\u{${c.codePointAt(0).toString(16)}}`);
 }
 
 /** Bytes of the base64 text that page.py puts into the page. */

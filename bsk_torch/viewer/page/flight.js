@@ -1,6 +1,6 @@
 // A track of a recording: what it holds at a time, looked up without a pass over the flight.
 
-import { countUntil, earthAttitude, hermite, interval, linear, mixMrp, quaternionOfMrp } from "viewer/interpolate";
+import { countUntil, earthAttitude, hermite, interval, linear, mixMrp, quaternionOfMrp, sized } from "viewer/interpolate";
 import { GRAY, actionColor } from "viewer/palette";
 import { Quaternion } from "three";
 
@@ -39,12 +39,11 @@ export class Scene {
     this.count = own("targets_P").shape[0];
     this.priority = own("priority").data;
     this.cloud = own("cloud")?.data ?? null;
-    this.attitude = [1, 0, 0, 0, 1, 0, 0, 0, 1];
   }
 
   /** Direction cosines of P relative to N at t, row-major. */
   earthAt(t) {
-    return this.hasEarth ? earthAttitude(this.PN0, this.rate, t, this.attitude) : this.attitude;
+    return this.hasEarth ? earthAttitude(this.PN0, this.rate, t) : [1, 0, 0, 0, 1, 0, 0, 0, 1];
   }
 }
 
@@ -143,7 +142,7 @@ export class Track {
 
   /** Positions of objects in orbit at t, m, written to out, [T, 3]. */
   objectsAt(t, out) {
-    this.scratch ??= new Float64Array(out.length);
+    this.scratch = sized(this.scratch, out.length);
     hermite(this.objects.times, this.objects.r, this.objects.v, out.length / 3, t, out, this.scratch);
   }
 

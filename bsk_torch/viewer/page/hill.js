@@ -2,7 +2,7 @@
 
 import { Quaternion, Vector3 } from "three";
 import { EVENT, activityColor, hillAxes } from "viewer/flight";
-import { hermite } from "viewer/interpolate";
+import { hermite, sized } from "viewer/interpolate";
 import { Labels, shorten } from "viewer/labels";
 import { GREEN, ORANGE, SKY, TRACKS, VERMILION } from "viewer/palette";
 
@@ -224,10 +224,6 @@ function bodyToHill(track, s) {
     const inN = new Vector3(...place).applyQuaternion(rotation);
     return axes ? axes.map((axis) => axis[0] * inN.x + axis[1] * inN.y + axis[2] * inN.z) : inN.toArray();
   };
-}
-
-function sized(array, length) {
-  return array?.length === length ? array : new Float64Array(length);
 }
 
 function niceStep(value) {

@@ -90,13 +90,13 @@ export function mixMrp(a, b, s, out) {
 }
 
 /** Direction cosines of P relative to N at t, row-major: the Earth turns about P's third axis at a constant rate, rad/s. */
-export function earthAttitude(PN0, rate, t, out) {
-  const c = Math.cos(rate * t);
-  const s = Math.sin(rate * t);
-  for (let j = 0; j < 3; j++) {
-    out[j] = c * PN0[j] + s * PN0[3 + j];
-    out[3 + j] = -s * PN0[j] + c * PN0[3 + j];
-    out[6 + j] = PN0[6 + j];
-  }
-  return out;
+export function earthAttitude(PN0, rate, t) {
+  const [a, b, c, d, e, f, ...axis] = PN0;
+  const [cos, sin] = [Math.cos(rate * t), Math.sin(rate * t)];
+  return [cos * a + sin * d, cos * b + sin * e, cos * c + sin * f, cos * d - sin * a, cos * e - sin * b, cos * f - sin * c, ...axis];
+}
+
+/** `array` if it has this length, otherwise a new one. */
+export function sized(array, length) {
+  return array?.length === length ? array : new Float64Array(length);
 }

@@ -275,10 +275,9 @@ class Viewer {
   /** Let the server fly on with another action from decision d, and show both flights. */
   branch(d, action) {
     return this.#ask("The other future is flown …", async () => {
-      const origin = this.track.index;
       const time = this.track.decisions.time[d];
-      await this.load(await this.live.branch(origin, d, action), Infinity);
-      this.ghosts = [this.recording.tracks[origin]];
+      await this.load(await this.live.branch(this.track.index, d, action), Infinity);
+      this.ghosts = [this.recording.tracks[this.track.parent]];
       this.#trackMenu();
       this.seek(time);
     });

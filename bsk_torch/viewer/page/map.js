@@ -2,7 +2,7 @@
 
 import { EVENT, activityColor } from "viewer/flight";
 import { landPath } from "viewer/globe";
-import { hermite } from "viewer/interpolate";
+import { hermite, sized } from "viewer/interpolate";
 import { Labels, shorten } from "viewer/labels";
 import { GREEN, ORANGE, SKY, TRACKS } from "viewer/palette";
 
@@ -124,7 +124,7 @@ export class WorldMap {
     track.eventTimes ??= [EVENT.PAID, EVENT.UNPAID, EVENT.DELIVERED].map((kind) => track.firstEvents(kind));
     const [paid, unpaid, delivered] = track.eventTimes;
     const inOrbit = state.recording.places === "orbit";
-    const places = inOrbit ? (this.scratch ??= new Float64Array(scene.count * 3)) : scene.targets;
+    const places = inOrbit ? (this.scratch = sized(this.scratch, scene.count * 3)) : scene.targets;
     if (inOrbit) track.objectsAt(t, places);
     const size = scene.count > 2500 ? 1.6 : 2.4;
     for (let j = 0; j < scene.count; j++) {
@@ -142,12 +142,12 @@ export class WorldMap {
     if (this.tracks.has(track)) return this.tracks.get(track);
     const count = Math.floor(track.duration / EVERY) + 1;
     const path = { x: new Float32Array(count * track.count), y: new Float32Array(count * track.count), count };
-    const [place, speed, PN] = [new Float64Array(3 * track.count), new Float64Array(3 * track.count), []];
+    const [place, speed] = [new Float64Array(3 * track.count), new Float64Array(3 * track.count)];
     const home = { left: this.left, top: this.top, width: this.width, height: this.height };
     Object.assign(this, { left: 0, top: 0, width: 1, height: 1 });
     for (let k = 0; k < count; k++) {
       hermite(track.keys, track.r, track.v, track.count, k * EVERY, place, speed);
-      const attitude = track.scene.earthAt(k * EVERY, PN);
+      const attitude = track.scene.earthAt(k * EVERY);
       for (let s = 0; s < track.count; s++) {
         [path.x[k * track.count + s], path.y[k * track.count + s]] = this.project(turn(attitude, place.subarray(3 * s, 3 * s + 3)));
       }

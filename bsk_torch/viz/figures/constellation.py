@@ -20,6 +20,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from torch import Tensor
 
+from bsk_torch._text import visible
 from bsk_torch.viz.figures.style import FAINT, INK, PALETTE, SMALLER, WIDTH, caption, dot, fit, headline, legend, save, tidy
 from bsk_torch.viz.figures.timeline import HOUR, hour_ticks, plain
 from bsk_torch.viz.figures.world import pieces, world_map
@@ -343,7 +344,7 @@ def _rows(panel: Axes, episode: ConstellationEpisode) -> list[Artist]:
     hours = (episode.times / HOUR).tolist()
     panel.set(xlim=(hours[0], hours[-1]), ylim=(episode.size - 0.5, -0.5))
     panel.grid(False)
-    panel.set_yticks(range(episode.size), episode.names, fontsize=8.5 if episode.size <= 24 else 6.5)
+    panel.set_yticks(range(episode.size), [visible(name) for name in episode.names], fontsize=8.5 if episode.size <= 24 else 6.5)
     panel.tick_params(axis="y", length=0)
     for text, color in zip(panel.get_yticklabels(), episode.colors, strict=True):
         text.set_color(color)

@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
 
+from bsk_torch._text import visible
 from bsk_torch.files import write_file
 
 PALETTE = ("#2f6db3", "#e8a628", "#0fa783", "#a52b5b", "#797ae3", "#6ea8bf", "#9a7750", "#6b7280")
@@ -76,8 +77,17 @@ def _shrink(artist: Artist, width: float) -> None:
         marks.set_linewidth((np.atleast_1d(marks.get_linewidth()) * SMALLER).tolist())
 
 
+def _literal(artist: Artist) -> None:
+    """Draw texts unchanged: a name with dollar signs is no formula, and hidden characters are shown."""
+    for text in artist.findobj(Text):
+        assert isinstance(text, Text)
+        text.set_parse_math(False)
+        text.set_text(visible(text.get_text()))
+
+
 def _heighten(figure: Figure, added: Sequence[Artist]) -> None:
     """Make a figure higher by the heights of artists above or below its panels."""
+    _literal(figure)
     height = sum(artist.get_window_extent().height for artist in added) / figure.dpi
     figure.set_figheight(figure.get_figheight() + height)
 
@@ -97,6 +107,7 @@ def legend(owner: Figure | Axes, handles: Sequence[Artist], width: float, column
         look["columnspacing"] = 1.2
     for count in range(max(1, min(columns, len(handles))), 0, -1):
         entries = owner.legend(handles=handles, ncols=count, **(look | place))
+        _literal(entries)
         if count == 1 or entries.get_window_extent().width <= 0.95 * figure.bbox.width:
             break
         entries.remove()
@@ -134,7 +145,7 @@ def label(panel: Axes, text: str) -> None:
 
 def caption(panel: Axes, text: str) -> None:
     """Write the title of a panel above it."""
-    panel.set_title(text, loc="left", color=INK, fontsize=9.5, wrap=True)
+    panel.set_title(text, loc="left", color=INK, fontsize=9.5, wrap=True, parse_math=False)
 
 
 def name_lines(panel: Axes, lines: Mapping[str, tuple[float, str]], height: float) -> None:
@@ -164,7 +175,7 @@ def dot(marker: str, face: str, edge: str, name: str) -> Line2D:
 
 def headline(figure: Figure, text: str) -> None:
     """Write the title of the figure, aligned left."""
-    figure.suptitle(text, x=0.01, ha="left", color=INK, fontsize=12.5, fontweight="bold", wrap=True)
+    figure.suptitle(text, x=0.01, ha="left", color=INK, fontsize=12.5, fontweight="bold", wrap=True, parse_math=False)
 
 
 def save(figure: Figure, path: Path) -> Path:
@@ -173,7 +184,8 @@ def save(figure: Figure, path: Path) -> Path:
     Equal figures give equal files: SVG and PDF have no date, and an SVG has ids derived from its content. A PDF embeds its fonts
     as TrueType, since publishers reject Type 3.
     """
-    with rc_context({"svg.hashsalt": "bsk_torch", "pdf.fonttype": 42}):
+    _literal(figure)
+    with rc_context({"svg.hashsalt": "bsk_torch", "pdf.fonttype": 42, "text.parse_math": False}):
         drawn, kind = BytesIO(), path.suffix.removeprefix(".")
         figure.savefig(drawn, format=kind, dpi=figure.dpi, metadata=UNDATED.get(kind))
     write_file(path, drawn.getvalue())

@@ -10,6 +10,7 @@ import numpy as np
 from PIL import ImageColor, ImageFont
 from PIL.ImageDraw import ImageDraw
 
+from bsk_torch._text import visible
 from bsk_torch.viz.figures.style import INK, PALETTE
 from bsk_torch.viz.render.globe import Camera
 from bsk_torch.viz.render.moment import DEAD, Array, Moment
@@ -78,7 +79,7 @@ class Pen(NamedTuple):
 
     def text(self, at: tuple[float, float], text: str, size: float, color: str = INK, **look: Any) -> None:
         """A text of a size in units."""
-        self.draw.text(at, text, fill=color, font=font(size * self.unit), **look)
+        self.draw.text(at, visible(text), fill=color, font=font(size * self.unit), **look)
 
 
 @lru_cache(maxsize=32)

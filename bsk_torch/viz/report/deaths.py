@@ -8,6 +8,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from bsk_torch._text import visible
 from bsk_torch.viz.figures.style import INK, PALETTE, save, tidy
 
 BAR = 0.34
@@ -38,7 +39,7 @@ def deaths_chart(deaths: Mapping[str, Mapping[str, int]], path: Path) -> Path:
             bars, [str(n) if n > MODEST * longest else "" for n in counts], label_type="center", color="white", fontsize=9
         )
         ends = [end + n for end, n in zip(ends, counts, strict=True)]
-    panel.set_yticks(range(len(ends)), list(deaths))
+    panel.set_yticks(range(len(ends)), [visible(name) for name in deaths])
     panel.invert_yaxis()
     panel.xaxis.set_major_locator(MaxNLocator(integer=True))
     panel.set_xlabel("episodes", color=INK, fontsize=9.5)

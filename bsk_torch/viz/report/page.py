@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from bsk_torch._text import visible
 from bsk_torch.files import write_file
 from bsk_torch.viz.figures.constellation import ConstellationEpisode, constellation_figure
 from bsk_torch.viz.figures.ground_track import ground_track
@@ -101,6 +102,7 @@ def write_report(run: RunData, path: Path) -> Path:
     page = Environment(
         loader=PackageLoader("bsk_torch.viz.report", "."),
         autoescape=True,
+        finalize=lambda value: visible(value) if type(value) is str else value,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
