@@ -93,7 +93,7 @@ def shield(satellite: BoundSatellite) -> Tensor:
     where the second term covers an eclipse that begins before the battery can be charged for it, at one capacity per orbit.
     Otherwise, only desaturation is allowed while a wheel is faster than :data:`FAST`.
     """
-    start, end = (time - satellite.simulator.sim_time for time in satellite.next_eclipse())
+    start, end = (time - satellite.simulator.sim_time for time in satellite.next_eclipse(as_bsk_rl=True))
     dark = end < start
     needed = RESERVE + torch.clamp((end - start) - start, min=0.0) / ORBIT
     low = ~dark & (satellite.dynamics.battery_charge_fraction < needed)
@@ -110,7 +110,7 @@ class PowerSatellite(AgileSatellite):
         targets_ahead(),
         TargetDensity(),
         next_station(),
-        obs.Eclipse(norm=ORBIT),
+        obs.Eclipse(norm=ORBIT, as_bsk_rl=True),
         obs.Time(),
     )
     action_spec = (

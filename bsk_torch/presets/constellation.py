@@ -94,7 +94,7 @@ class Relay(sats.Satellite):
 
     observation_spec: ClassVar[Sequence[obs.Observation]] = (
         obs.SatProperties(dict(prop="battery_charge_fraction"), dict(prop="r_BN_P", norm=R_EARTH)),
-        obs.Eclipse(norm=ORBIT),
+        obs.Eclipse(norm=ORBIT, as_bsk_rl=True),
         obs.Time(),
     )
     action_spec: ClassVar[Sequence[act.Action]] = (

@@ -106,7 +106,7 @@ def observed(as_set: bool) -> tuple[obs.Observation, ...]:
         obs.SatProperties(*SATELLITE, *RESOURCES),
         obs.OpportunityProperties(*TARGET, CLOUDS, claims, type="target", n_ahead_observe=CHOICES, as_set=as_set),
         next_station(),
-        obs.Eclipse(norm=ORBIT),
+        obs.Eclipse(norm=ORBIT, as_bsk_rl=True),
         obs.Time(),
     )
 
@@ -156,6 +156,7 @@ def optical_args() -> dict[str, Any]:
 def radar_args() -> dict[str, Any]:
     """Return the arguments of a radar on an agile spacecraft of the library."""
     return craft.agile_imager(h=1.0, law="steering") | dict(
+        inst_pHat_B=[0.0, 0.0, 1.0],
         imageTargetMinimumElevation=math.radians(45.0),
         imageAttErrorRequirement=0.01,
         imageRateErrorRequirement=0.01,

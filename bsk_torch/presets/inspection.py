@@ -200,7 +200,7 @@ class Inspector(sats.Satellite):
             dict(prop="r_Hs", norm=7e6),
             chief_name=CHIEF,
         ),
-        obs.Eclipse(norm=ORBIT),
+        obs.Eclipse(norm=ORBIT, as_bsk_rl=True),
         obs.Time(),
     )
     action_spec: ClassVar[Sequence[act.ContinuousAction]] = (

@@ -66,7 +66,7 @@ class ScanningDownlinkDynModel(dyn.ContinuousImagingDynModel, dyn.GroundStationD
 
     @observable
     def solar_pointing_error(now: Now) -> Tensor:
-        """Angle between panel normal and Sun direction, [N] rad."""
+        """Angle between panel normal and the direction from the Earth to the Sun, [N] rad."""
         return angle_between(now.BN.mT @ now.args.nHat_B, now.r_SN_N)
 
 
@@ -82,7 +82,7 @@ class ScanningSatellite(sats.AccessSatellite):
             dict(prop="solar_pointing_error", norm=torch.pi),
         ),
         next_station(),
-        obs.Eclipse(norm=ORBIT),
+        obs.Eclipse(norm=ORBIT, as_bsk_rl=True),
         obs.Time(),
     )
     action_spec = (

@@ -47,7 +47,7 @@ class ScienceSatellite(ScanningSatellite):
             dict(prop="wheel_speeds_fraction"),
         ),
         next_station(),
-        obs.Eclipse(norm=ORBIT),
+        obs.Eclipse(norm=ORBIT, as_bsk_rl=True),
         obs.Time(),
     )
 

@@ -128,7 +128,7 @@ def own_properties() -> tuple[obs.Observation, ...]:
             dict(prop="wheel_speeds_fraction"),
             dict(prop="sun_hat_H"),
         ),
-        obs.Eclipse(norm=ORBIT),
+        obs.Eclipse(norm=ORBIT, as_bsk_rl=True),
         obs.OpportunityProperties(*times, type="ground_station", n_ahead_observe=2),
     )
 
