@@ -117,7 +117,7 @@ class PowerSatellite(AgileSatellite):
         act.Charge(duration=60.0),
         act.Downlink(duration=60.0),
         act.Desat(duration=60.0),
-        act.Image(n_ahead_image=AHEAD),
+        act.Image(n_ahead_image=AHEAD, mask_late=False),
     )
     dyn_type = dyn.GroundStationDynModel
     shielded = True

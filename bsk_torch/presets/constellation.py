@@ -66,7 +66,7 @@ class LinkedImager(sats.ImagingSatellite):
     """Images one of the next 16 targets."""
 
     observation_spec: ClassVar[Sequence[obs.Observation]] = (obs.SatProperties(*SATELLITE), choices(), obs.Time())
-    action_spec: ClassVar[Sequence[act.Action]] = (act.Image(n_ahead_image=CHOICES),)
+    action_spec: ClassVar[Sequence[act.Action]] = (act.Image(n_ahead_image=CHOICES, mask_late=False),)
     dyn_type = LinkedDynModel
     fsw_type = fsw.SteeringImagerFSWModel
 
@@ -80,7 +80,7 @@ class LinkedSetImager(LinkedImager):
 class BroadcastingImager(LinkedImager):
     """Can also broadcast its knowledge of images."""
 
-    action_spec = (act.Image(n_ahead_image=CHOICES), act.Broadcast(duration=1.0))
+    action_spec = (act.Image(n_ahead_image=CHOICES, mask_late=False), act.Broadcast(duration=1.0))
 
 
 class BroadcastingSetImager(BroadcastingImager):
