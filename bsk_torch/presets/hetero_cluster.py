@@ -119,7 +119,7 @@ class OpticalImager(sats.ImagingSatellite):
         act.Charge(duration=60.0),
         act.Downlink(duration=60.0),
         act.Desat(duration=60.0),
-        act.Image(n_ahead_image=CHOICES),
+        act.Image(n_ahead_image=CHOICES, mask_late=False),
     )
     dyn_type = dyn.GroundStationDynModel
     fsw_type = fsw.SteeringImagerFSWModel
