@@ -183,7 +183,7 @@ class Eclipse(Observation):
         Args:
             norm: Divisor, s, or None for the period of the satellite's current orbit.
             name: Name of the observation.
-            as_bsk_rl: Whether to observe what bsk_rl does, for policies that have been trained with it: times on a grid of 30 s,
+            as_bsk_rl: Whether to observe what bsk_rl does, for policies trained with it: times on a grid of 30 s,
                 and those of one second after reset, negative later, if its search of 6,000 s fails. It fails where there is no
                 eclipse, and often on orbits with longer periods.
         """

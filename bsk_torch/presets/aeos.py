@@ -31,6 +31,8 @@ Reward: the priority of a target for its first image; none in CloudyAEOS-v1 if t
 
 Termination: at the time limit of 17,100 s (three orbits).
 
+Windows that open after the time limit are legal, as in bsk_rl: ``act.Image(mask_late=False)``.
+
 Random at reset: orbit (800 km, 45 degrees); number (100 to 9,999 in AEOS-v1), positions and priorities of targets; clouds.
 """
 

@@ -26,6 +26,10 @@ Reward: the priority of a target for its first image, shared by satellites that 
 
 Termination: at the time limit of 17,100 s (three orbits of AEOS-v1). A satellite with an empty battery dies and leaves.
 
+Eclipses of relays are observed as bsk_rl gives them, ``obs.Eclipse(as_bsk_rl=True)``: up to 30 s late, and, where none comes, at
+one second after reset.
+Windows that open after the time limit are legal, as in bsk_rl: ``act.Image(mask_late=False)``.
+
 Random at reset: common node and phase of the orbits; number, positions and priorities of targets.
 """
 

@@ -1,6 +1,6 @@
 """Record eclipses of ten orbits as Skyfield and SGP4 see them, as a file that ``tests/sim/access/test_eclipses.py`` reads.
 
-Usage, in an environment of its own with ``pip install skyfield==1.55 skyfield-data==7.0.0``::
+Usage, in a separate environment with ``pip install skyfield==1.55 skyfield-data==7.0.0``::
 
     python scripts/recorders/record_skyfield.py
 
