@@ -23,6 +23,9 @@ __all__ = ["aeos_bench", "agile_imager", "cubesat", "imager", "octet"]
 PYRAMID = pyramid(0.8)
 """Axes of the four wheels of the first three spacecraft."""
 
+DOWN = [-1.0, 0.0, 0.0]
+"""Axis of their instruments in B, which looks at nadir while ``act.NadirPoint`` aligns B with the Hill frame."""
+
 
 def octet(near: float, far: float, high: float, thrust: float | str) -> list[Thruster]:
     """Return eight thrusters in the arrangement of bsk_rl's: opposite pairs, which exert torques and no force.
@@ -167,6 +170,7 @@ def aeos_bench(h: float = 1.0, law: str = "feedback", max_momentum: float = 50.0
         "panelArea": Uniform(0.1, 0.5),
         "panelEfficiency": Uniform(0.1, 0.5),
         "nHat_B": BenchPanel(),
+        "inst_pHat_B": DOWN,
         "batteryStorageCapacity": 3e6,
         "storedCharge_Init": 3e6,
         "rwBasePower": Uniform(5.0, 7.0, 3),
@@ -220,6 +224,7 @@ def _spacecraft(
         "batteryStorageCapacity": capacity,
         "storedCharge_Init": Uniform(0.5 * capacity, 0.9 * capacity),
         "panelEfficiency": 0.28,
+        "inst_pHat_B": DOWN,
         **further,
         **propose_gains(inertia, wheels, h, law, thrusters=thrusters),
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from typing import TYPE_CHECKING
 
@@ -10,13 +11,19 @@ from torch import Tensor
 
 from bsk_torch._checks import switch, text
 from bsk_torch.act.base import LONGEST, Action, ActionTable, Decision, positive_duration
+from bsk_torch.astro.frames import angle_between
 from bsk_torch.sim.dyn.events import DISARMED, DOWNLINK_TICK, EMPTY_DOWNLINKS, LEFT_OVER
-from bsk_torch.sim.fsw.models import EndedDownlinkFSWModel
-from bsk_torch.sim.instruments import INDEX, number_of
+from bsk_torch.sim.fsw.models import EndedDownlinkFSWModel, ImagingFSWModel
+from bsk_torch.sim.instruments import INDEX, each_value, number_of
 
 if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite
 
+
+logger = logging.getLogger(__name__)
+
+MISALIGNED = math.radians(1.0)
+"""Angle, rad, by which an instrument may miss nadir without a warning."""
 
 LEAST_DOWNLINK = 10.0
 """Shortest downlink, s."""
@@ -28,6 +35,23 @@ def choose_instrument(satellite: BoundSatellite, number: int, mask: Tensor) -> N
     changed = mask & (index != number)
     satellite.simulator.write("instrument_command", changed, torch.zeros_like(index))
     satellite.simulator.write(INDEX, changed, torch.full_like(index, number))
+
+
+def _warn_of_axis(satellite: BoundSatellite, title: str) -> None:
+    """Log once that the instrument does not look at nadir while B is aligned with the Hill frame."""
+    kind = satellite.simulator.type
+    if not isinstance(satellite.fsw, ImagingFSWModel) or kind.as_bsk_rl:
+        return
+    down = torch.tensor([-1.0, 0.0, 0.0], dtype=torch.float64)
+    off = min(float(angle_between(axis, down).max()) for axis in each_value(kind.trial, "inst_pHat_B"))
+    if off > MISALIGNED and kind.arguments.is_new("nadir_point"):
+        logger.warning(
+            "%r of %s aligns B with the Hill frame, which leaves the instrument %.0f degrees off nadir; with "
+            "inst_pHat_B=[-1, 0, 0] in sat_args it looks at nadir",
+            title,
+            satellite.name,
+            math.degrees(off),
+        )
 
 
 class DiscreteFSWAction(Action):
@@ -61,6 +85,8 @@ class DiscreteFSWAction(Action):
         if self.fsw_action not in satellite.simulator.type.commands:
             self.fsw_action = self.fsw_action.removeprefix("action_")
         satellite.simulator.check_command(self.fsw_action)
+        if self.fsw_action == "nadir_point":
+            _warn_of_axis(satellite, self.name)
 
     def table(self) -> ActionTable:
         """See :meth:`Action.table`."""
@@ -86,7 +112,12 @@ class Drift(DiscreteFSWAction):
 
 
 class NadirPoint(DiscreteFSWAction):
-    """Align the body frame with the Hill frame."""
+    """Align the body frame B with the Hill frame H, as in bsk_rl: x of B points away from the Earth, z along the orbit normal.
+
+    The instrument looks at nadir if its axis is ``inst_pHat_B=[-1, 0, 0]``, which the spacecraft of :mod:`bsk_torch.craft` have.
+    With bsk_rl's default, ``[0, 0, 1]``, it looks along the orbit normal, 90 degrees off, and a warning is logged. The property
+    ``nadir_pointing_error`` of the flight software is the angle.
+    """
 
     def __init__(self, name: str = "action_nadir_point", duration: float | None = None) -> None:
         """See :class:`DiscreteFSWAction`."""

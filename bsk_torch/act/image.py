@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING
 
 import torch
@@ -16,6 +17,8 @@ from bsk_torch.sim.places import instrument_kind
 if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite
     from bsk_torch.sats.imaging import BoundImagingSatellite
+
+logger = logging.getLogger(__name__)
 
 SLEW = 40.0
 """Typical duration of a slew to a target, s; used only for the expected durations that sort rows."""
@@ -50,6 +53,7 @@ class Image(Action):
         max_duration: float | None = None,
         name: str = "action_image",
         mask_repeated: bool = False,
+        mask_late: bool = True,
         instrument: str | int | None = None,
     ) -> None:
         """Provide ``n_ahead_image`` actions.
@@ -60,6 +64,8 @@ class Image(Action):
             name: Name in ``action_description``, followed by the instrument where one is given.
             mask_repeated: Whether ``action_mask`` excludes actions that repeat the last target because fewer than
                 ``n_ahead_image`` windows are known.
+            mask_late: Whether ``action_mask`` excludes windows that open at the time limit of the episode or later. A satellite
+                that chooses one is busy until the end, and images nothing. Without effect under ``compat="bsk_rl"``.
             instrument: Name or number of the instrument, of a satellite with several.
 
         Raises:
@@ -69,12 +75,14 @@ class Image(Action):
         self.instrument = instrument
         self._number: int | None = None
         self.n_actions, self.mask_repeated = whole("n_ahead_image", n_ahead_image, 1), switch("mask_repeated", mask_repeated)
+        self.mask_late = switch("mask_late", mask_late)
         self.max_duration = positive_duration("max_duration", max_duration, name, float("inf"))
 
     def link_satellite(self, satellite: BoundSatellite) -> None:
         """See :meth:`Action.link_satellite`; ValueError for one that cannot image, has no targets, or lacks the instrument."""
         super().link_satellite(satellite)
         satellite.simulator.check_command(self.flight_mode)
+        self.mask_late = self.mask_late and not satellite.simulator.type.as_bsk_rl
         kinds, listed = getattr(satellite, "opportunity_types", ()), satellite.simulator.type.instruments
         wanted: str | None = getattr(satellite, "target_types", None)
         if listed or self.instrument is not None:
@@ -95,9 +103,29 @@ class Image(Action):
 
     def mask(self) -> Tensor:
         """See :meth:`Action.mask`."""
-        if not self.mask_repeated:
+        simulator = self.satellite.simulator
+        first = not simulator.type.as_bsk_rl and simulator.type.arguments.is_new(f"late windows of {self.name}")
+        if not (self.mask_repeated or self.mask_late or first):
             return super().mask()
-        return self.satellite.find_next_opportunities(self.n_actions, self.kind).mask
+        known = self.satellite.find_next_opportunities(self.n_actions, self.kind)
+        early = known.open < self.satellite.time_limit.unsqueeze(-1)
+        if first:
+            self._warn_of_late(known.mask & ~early, known.mask)
+        mask = known.mask if self.mask_repeated else super().mask()
+        return mask & early if self.mask_late else mask
+
+    def _warn_of_late(self, late: Tensor, offered: Tensor) -> None:
+        """Log that most of the ``offered`` windows [N, n_actions] open too ``late``."""
+        share = float(late.sum()) / max(1, int(offered.sum()))
+        if share > 0.5:
+            logger.warning(
+                "%.0f %% of the windows that %r of %s offers at the first reset open after the time limit, so their images are "
+                "never taken; add targets, extend time_limit or reduce n_ahead_image: %s",
+                100.0 * share,
+                self.name,
+                self.satellite.name,
+                "action_mask excludes these windows" if self.mask_late else "action_mask allows these windows (mask_late=False)",
+            )
 
     def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
         """See :meth:`Action.decide`."""

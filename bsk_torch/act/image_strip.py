@@ -34,6 +34,7 @@ class ImageStrip(Image):
         pre_imaging_time: float = 60.0,
         name: str = "action_image_strip",
         mask_repeated: bool = False,
+        mask_late: bool = True,
     ) -> None:
         """Provide ``n_ahead_image`` actions.
 
@@ -42,11 +43,12 @@ class ImageStrip(Image):
             pre_imaging_time: Time before a strip is recorded at the earliest, s.
             name: Name in ``action_description``.
             mask_repeated: See :class:`Image`.
+            mask_late: See :class:`Image`.
 
         Raises:
             ValueError: For fewer than one target or a negative time.
         """
-        super().__init__(n_ahead_image, None, name, mask_repeated)
+        super().__init__(n_ahead_image, None, name, mask_repeated, mask_late)
         self.pre_imaging_time = number("pre_imaging_time", pre_imaging_time, 0.0, 1e5, unit="s")
 
     def link_satellite(self, satellite: BoundSatellite) -> None:

@@ -14,7 +14,7 @@ from torch import Tensor
 from bsk_torch.constants import R_EARTH, R_SUN
 from bsk_torch.vec3 import Vec3, only
 
-__all__ = ["illumination", "in_umbra", "sunlight_margin", "visible_fraction"]
+__all__ = ["illumination", "in_umbra", "sunlight_margin", "umbra_depth", "visible_fraction"]
 
 EDGE = 1e-3
 """Margin, as part of the square of its radius, around the edge of a shadow cone in which illumination is computed."""
@@ -69,6 +69,18 @@ def in_umbra(r: Vec3, r_sun: Vec3) -> Tensor:
     """Return whether the Earth hides the whole Sun at r, so that :func:`illumination` is zero."""
     to_sun = r_sun - r
     return (to_sun.dot(to_sun) >= r_sun.dot(r_sun)) & _hidden(r, to_sun)[0]
+
+
+def umbra_depth(r: Vec3, r_sun: Vec3) -> Tensor:
+    """Return a number that is positive :func:`in_umbra`, and smooth where its sign changes: ``cos c - cos(b - a)``.
+
+    The angles are those of :func:`visible_fraction`; positions as for :func:`illumination`.
+    """
+    to_sun = r_sun - r
+    covers, sin_sun, sin_planet, cosine = _hidden(r, to_sun)
+    cos_sun, cos_planet = torch.sqrt(1.0 - sin_sun * sin_sun), torch.sqrt(1.0 - sin_planet * sin_planet)
+    depth = torch.abs(cosine - (cos_sun * cos_planet + sin_sun * sin_planet))
+    return torch.where((to_sun.dot(to_sun) >= r_sun.dot(r_sun)) & covers, depth, -depth)
 
 
 def _hidden(r: Vec3, to_sun: Vec3) -> tuple[Tensor, Tensor, Tensor, Tensor]:

@@ -27,7 +27,12 @@ SMALL = 1e-11
 
 
 class Elements(NamedTuple):
-    """Classical orbital elements: a in m, e, and i, Omega, omega, f in rad; numbers or tensors of one shape."""
+    """Classical orbital elements: a in m, e, and i, Omega, omega, f in rad; numbers or tensors of one shape.
+
+    They are osculating: those of the Kepler orbit with the position and velocity of one time, here in the inertial axes N (J2000,
+    to which GCRF is parallel). The numbers of a two-line set (TLE) are mean elements in other axes (TEME), which only SGP4 turns
+    into positions.
+    """
 
     a: Tensor
     e: Tensor

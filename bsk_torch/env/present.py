@@ -18,6 +18,7 @@ from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.env.snapshots import rows_of
 from bsk_torch.sim.arguments.table import ArgumentTable
 from bsk_torch.sim.hooks import check_tensor
+from bsk_torch.sim.readout.observables import Function
 from bsk_torch.sim.run.recording import Recording
 
 
@@ -70,7 +71,8 @@ class Present(Episodes):
         :mod:`bsk_torch.sim.run.recording`. Episodes that begin later are also recorded.
 
         Args:
-            fields: Names of fields, such as ``("sigma_BN", "omega_BN_B")``, listed by ``env.simulator.state.layout.fields``.
+            fields: Names of fields, such as ``("sigma_BN", "omega_BN_B")``, listed by ``env.simulator.state.layout.fields``,
+                or of properties of the models, such as ``"nadir_pointing_error"``, written as an ``observable``.
             rows: Environments, or one environment (default: all).
             every: Ticks from one record to the next, counted from the start of an episode.
             satellites: Names of satellites, or one name (default: all).
@@ -90,7 +92,7 @@ class Present(Episodes):
         names = self.names if satellites is None else (satellites,) if isinstance(satellites, str) else tuple(satellites)
         with self.guard:
             self.guard.check_begun("record()", torch.zeros_like(self.state.begun).index_fill(0, envs, True))
-            return Recording(self.fleet, fields, envs, every, names)
+            return Recording(self.fleet, fields, envs, every, names, [_observables(satellite) for satellite in self.satellites])
 
     def render(self, rows: int | Sequence[int] | None = None, height: int = 480) -> Tensor:
         """Draw the current state: the Earth, the satellites and their tasks. Rendering does not change the episodes.
@@ -159,3 +161,8 @@ def _counted(name: str, satellite: SatelliteGroup) -> Tensor:
         raise AttributeError(f"{satellite.name} does not count {name!r}")
     check_tensor(f"{type(satellite).__name__}.counts()[{name!r}]", counts[name], satellite.simulator.ticks.shape, torch.int64)
     return counts[name]
+
+
+def _observables(satellite: SatelliteGroup) -> dict[str, Function]:
+    """Return the properties of a satellite's models that are observables, by name; those of dynamics take precedence."""
+    return type(satellite.fsw).observables() | type(satellite.dynamics).observables()

@@ -172,18 +172,28 @@ class Time(Observation):
 class Eclipse(Observation):
     """Time until the next start and until the next end of an eclipse, divided by ``norm`` seconds, or the period; [N, 2].
 
-    They need not belong to the same eclipse. As in bsk_rl, times are on a grid of 30 s, and both are one second after the epoch
-    if no eclipse starts or ends in the searched time.
+    They need not belong to the same eclipse: within one, the start is that of the next one. Where none starts, or ends, within
+    1.1 revolutions, but at least 12,000 s and at most two days, that time is observed. See
+    :meth:`~bsk_torch.sats.bound.BoundSatellite.next_eclipse`.
     """
 
-    def __init__(self, norm: float | None = 1.0, name: str = "eclipse") -> None:
-        """Observe eclipses; ``norm`` is the divisor, s, or None for the period of the satellite's current orbit."""
+    def __init__(self, norm: float | None = 1.0, name: str = "eclipse", as_bsk_rl: bool = False) -> None:
+        """Observe eclipses.
+
+        Args:
+            norm: Divisor, s, or None for the period of the satellite's current orbit.
+            name: Name of the observation.
+            as_bsk_rl: Whether to observe what bsk_rl does, for policies trained with it: times on a grid of 30 s,
+                and those of one second after reset, negative later, if its search of 6,000 s fails. It fails where there is no
+                eclipse, and often on orbits with longer periods.
+        """
         super().__init__(name)
         self.norm = None if norm is None else parse_norm(norm, "obs.Eclipse: norm")
+        self.as_bsk_rl = switch("as_bsk_rl", as_bsk_rl)
 
     def get_obs(self) -> Tensor:
         """See :meth:`Observation.get_obs`."""
-        start, end = self.satellite.next_eclipse()
+        start, end = self.satellite.next_eclipse(self.as_bsk_rl)
         return (torch.stack([start, end], -1) - self.simulator.sim_time.unsqueeze(-1)) / self._divisor()
 
     def _divisor(self) -> Any:

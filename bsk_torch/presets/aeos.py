@@ -31,6 +31,8 @@ Reward: the priority of a target for its first image; none in CloudyAEOS-v1 if t
 
 Termination: at the time limit of 17,100 s (three orbits).
 
+Windows that open after the time limit are legal, as in bsk_rl: ``act.Image(mask_late=False)``.
+
 Random at reset: orbit (800 km, 45 degrees); number (100 to 9,999 in AEOS-v1), positions and priorities of targets; clouds.
 """
 
@@ -99,7 +101,7 @@ class AgileSatellite(sats.ImagingSatellite):
     """Observes the next 32 targets and images one of them."""
 
     observation_spec: ClassVar[Sequence[obs.Observation]] = (obs.SatProperties(*SATELLITE), targets_ahead(), obs.Time())
-    action_spec: ClassVar[Sequence[act.Action]] = (act.Image(n_ahead_image=AHEAD),)
+    action_spec: ClassVar[Sequence[act.Action]] = (act.Image(n_ahead_image=AHEAD, mask_late=False),)
     dyn_type = dyn.ImagingDynModel
     fsw_type = fsw.SteeringImagerFSWModel
 
@@ -150,7 +152,7 @@ def _listing(name: str, n_ahead: int) -> type[AgileSatellite]:
     shorter = obs.OpportunityProperties(*listed.entries, type="target", n_ahead_observe=n_ahead, as_set=listed.as_set)
     members = {
         "observation_spec": (body, shorter, *more),
-        "action_spec": (act.Image(n_ahead_image=n_ahead),),
+        "action_spec": (act.Image(n_ahead_image=n_ahead, mask_late=False),),
         "__doc__": kind.__doc__,
         "__module__": __name__,
     }

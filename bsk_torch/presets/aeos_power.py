@@ -22,6 +22,10 @@ Reward: the priority of a target for its first image; -10 if the satellite dies.
 Termination: at the end of a step with an empty battery, a wheel at its maximum speed, or an altitude below 200 km; and at the
 time limit of 17,100 s.
 
+Eclipses are observed as bsk_rl gives them, ``obs.Eclipse(as_bsk_rl=True)``: up to 30 s late, and, where none comes, at one second
+after reset.
+Windows that open after the time limit are legal, as in bsk_rl: ``act.Image(mask_late=False)``.
+
 Random at reset: as in AEOS-v1 with 1,000 targets; initial charge and wheel speeds, disturbance torque.
 """
 
@@ -93,7 +97,7 @@ def shield(satellite: BoundSatellite) -> Tensor:
     where the second term covers an eclipse that begins before the battery can be charged for it, at one capacity per orbit.
     Otherwise, only desaturation is allowed while a wheel is faster than :data:`FAST`.
     """
-    start, end = (time - satellite.simulator.sim_time for time in satellite.next_eclipse())
+    start, end = (time - satellite.simulator.sim_time for time in satellite.next_eclipse(as_bsk_rl=True))
     dark = end < start
     needed = RESERVE + torch.clamp((end - start) - start, min=0.0) / ORBIT
     low = ~dark & (satellite.dynamics.battery_charge_fraction < needed)
@@ -110,14 +114,14 @@ class PowerSatellite(AgileSatellite):
         targets_ahead(),
         TargetDensity(),
         next_station(),
-        obs.Eclipse(norm=ORBIT),
+        obs.Eclipse(norm=ORBIT, as_bsk_rl=True),
         obs.Time(),
     )
     action_spec = (
         act.Charge(duration=60.0),
         act.Downlink(duration=60.0),
         act.Desat(duration=60.0),
-        act.Image(n_ahead_image=AHEAD),
+        act.Image(n_ahead_image=AHEAD, mask_late=False),
     )
     dyn_type = dyn.GroundStationDynModel
     shielded = True

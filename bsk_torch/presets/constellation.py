@@ -26,6 +26,10 @@ Reward: the priority of a target for its first image, shared by satellites that 
 
 Termination: at the time limit of 17,100 s (three orbits of AEOS-v1). A satellite with an empty battery dies and leaves.
 
+Eclipses of relays are observed as bsk_rl gives them, ``obs.Eclipse(as_bsk_rl=True)``: up to 30 s late, and, where none comes, at
+one second after reset.
+Windows that open after the time limit are legal, as in bsk_rl: ``act.Image(mask_late=False)``.
+
 Random at reset: common node and phase of the orbits; number, positions and priorities of targets.
 """
 
@@ -66,7 +70,7 @@ class LinkedImager(sats.ImagingSatellite):
     """Images one of the next 16 targets."""
 
     observation_spec: ClassVar[Sequence[obs.Observation]] = (obs.SatProperties(*SATELLITE), choices(), obs.Time())
-    action_spec: ClassVar[Sequence[act.Action]] = (act.Image(n_ahead_image=CHOICES),)
+    action_spec: ClassVar[Sequence[act.Action]] = (act.Image(n_ahead_image=CHOICES, mask_late=False),)
     dyn_type = LinkedDynModel
     fsw_type = fsw.SteeringImagerFSWModel
 
@@ -80,7 +84,7 @@ class LinkedSetImager(LinkedImager):
 class BroadcastingImager(LinkedImager):
     """Can also broadcast its knowledge of images."""
 
-    action_spec = (act.Image(n_ahead_image=CHOICES), act.Broadcast(duration=1.0))
+    action_spec = (act.Image(n_ahead_image=CHOICES, mask_late=False), act.Broadcast(duration=1.0))
 
 
 class BroadcastingSetImager(BroadcastingImager):
@@ -94,7 +98,7 @@ class Relay(sats.Satellite):
 
     observation_spec: ClassVar[Sequence[obs.Observation]] = (
         obs.SatProperties(dict(prop="battery_charge_fraction"), dict(prop="r_BN_P", norm=R_EARTH)),
-        obs.Eclipse(norm=ORBIT),
+        obs.Eclipse(norm=ORBIT, as_bsk_rl=True),
         obs.Time(),
     )
     action_spec: ClassVar[Sequence[act.Action]] = (

@@ -57,6 +57,10 @@ dies.
 Termination: at the time limit of 11,400 s (two orbits). A satellite with an empty battery or a wheel at its maximum speed dies
 and leaves.
 
+Eclipses are observed as bsk_rl gives them, ``obs.Eclipse(as_bsk_rl=True)``: up to 30 s late, and, where none comes, at one second
+after reset.
+Windows that open after the time limit are legal, as in bsk_rl: ``act.Image(mask_late=False)``.
+
 Random at reset: node and phase of the orbit; positions and priorities of 5,000 targets, their clouds and forecasts; initial
 charge and wheel speeds, disturbance torque of the optical satellites.
 """
@@ -106,7 +110,7 @@ def observed(as_set: bool) -> tuple[obs.Observation, ...]:
         obs.SatProperties(*SATELLITE, *RESOURCES),
         obs.OpportunityProperties(*TARGET, CLOUDS, claims, type="target", n_ahead_observe=CHOICES, as_set=as_set),
         next_station(),
-        obs.Eclipse(norm=ORBIT),
+        obs.Eclipse(norm=ORBIT, as_bsk_rl=True),
         obs.Time(),
     )
 
@@ -119,7 +123,7 @@ class OpticalImager(sats.ImagingSatellite):
         act.Charge(duration=60.0),
         act.Downlink(duration=60.0),
         act.Desat(duration=60.0),
-        act.Image(n_ahead_image=CHOICES),
+        act.Image(n_ahead_image=CHOICES, mask_late=False),
     )
     dyn_type = dyn.GroundStationDynModel
     fsw_type = fsw.SteeringImagerFSWModel
@@ -156,6 +160,7 @@ def optical_args() -> dict[str, Any]:
 def radar_args() -> dict[str, Any]:
     """Return the arguments of a radar on an agile spacecraft of the library."""
     return craft.agile_imager(h=1.0, law="steering") | dict(
+        inst_pHat_B=[0.0, 0.0, 1.0],
         imageTargetMinimumElevation=math.radians(45.0),
         imageAttErrorRequirement=0.01,
         imageRateErrorRequirement=0.01,

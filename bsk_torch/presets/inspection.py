@@ -43,6 +43,9 @@ have been inspected, all satellites including the RSO receive 1; this requires t
 Termination: when the inspection is complete, or all agents have died. Inspectors die at 1,000 m from the RSO (which then also
 dies), with an empty tank, and within 4 m of another spacecraft (which also dies). The time limit of 57,000 s truncates.
 
+Eclipses are observed as bsk_rl gives them, ``obs.Eclipse(as_bsk_rl=True)``: up to 30 s late, and, where none comes, at one second
+after reset.
+
 Random at reset: orbit of the RSO (500 to 1,100 km above a sphere of 6,371 km, eccentric), positions and velocities (up to 1 m/s)
 of inspectors, epoch, attitudes and wheel speeds of inspectors.
 
@@ -200,7 +203,7 @@ class Inspector(sats.Satellite):
             dict(prop="r_Hs", norm=7e6),
             chief_name=CHIEF,
         ),
-        obs.Eclipse(norm=ORBIT),
+        obs.Eclipse(norm=ORBIT, as_bsk_rl=True),
         obs.Time(),
     )
     action_spec: ClassVar[Sequence[act.ContinuousAction]] = (

@@ -23,6 +23,9 @@ Reward: seconds of recorded data divided by the episode's 28,500 s; -1 if the sa
 Termination: at the end of a step with an empty battery, a wheel at its maximum speed, or an altitude below 200 km; and at the
 time limit of 28,500 s.
 
+Eclipses are observed as bsk_rl gives them, ``obs.Eclipse(as_bsk_rl=True)``: up to 30 s late, and, where none comes, at one second
+after reset.
+
 Random at reset: orbit, attitude, initial storage, charge and wheel speeds, disturbance torque; see :func:`scanning_args`.
 """
 
@@ -66,7 +69,7 @@ class ScanningDownlinkDynModel(dyn.ContinuousImagingDynModel, dyn.GroundStationD
 
     @observable
     def solar_pointing_error(now: Now) -> Tensor:
-        """Angle between panel normal and Sun direction, [N] rad."""
+        """Angle between panel normal and the direction from the Earth to the Sun, [N] rad."""
         return angle_between(now.BN.mT @ now.args.nHat_B, now.r_SN_N)
 
 
@@ -82,7 +85,7 @@ class ScanningSatellite(sats.AccessSatellite):
             dict(prop="solar_pointing_error", norm=torch.pi),
         ),
         next_station(),
-        obs.Eclipse(norm=ORBIT),
+        obs.Eclipse(norm=ORBIT, as_bsk_rl=True),
         obs.Time(),
     )
     action_spec = (

@@ -20,6 +20,9 @@ Reward: seconds of recorded data divided by the episode's 28,500 s; -1 if the sa
 
 Termination: as in NadirScan-v1.
 
+Eclipses are observed as bsk_rl gives them, ``obs.Eclipse(as_bsk_rl=True)``: up to 30 s late, and, where none comes, at one second
+after reset.
+
 Random at reset: as in NadirScan-v1, with the charge of the larger battery and the larger disturbance.
 """
 
@@ -47,7 +50,7 @@ class ScienceSatellite(ScanningSatellite):
             dict(prop="wheel_speeds_fraction"),
         ),
         next_station(),
-        obs.Eclipse(norm=ORBIT),
+        obs.Eclipse(norm=ORBIT, as_bsk_rl=True),
         obs.Time(),
     )
 

@@ -36,6 +36,9 @@ in the two orbits after a good image was taken, as soon as this has been downlin
 
 Termination: as in NadirScan-v1 (:mod:`bsk_torch.presets.nadir_scan`); and at the time limit of 45,000 s, which truncates.
 
+Eclipses are observed as bsk_rl gives them, ``obs.Eclipse(as_bsk_rl=True)``: up to 30 s late, and, where none comes, at one second
+after reset.
+
 Random at reset: orbit, attitude, charge and wheel speeds; orbits of the objects, half of which are low, 30 percent medium and 20
 percent geosynchronous on average, see :class:`~bsk_torch.scene.RSOMixture`; and their priorities, uniform and scaled to a sum of
 100. From the first decision after half of the episode on, five objects have the priority 5, and three others 10.
@@ -128,7 +131,7 @@ def own_properties() -> tuple[obs.Observation, ...]:
             dict(prop="wheel_speeds_fraction"),
             dict(prop="sun_hat_H"),
         ),
-        obs.Eclipse(norm=ORBIT),
+        obs.Eclipse(norm=ORBIT, as_bsk_rl=True),
         obs.OpportunityProperties(*times, type="ground_station", n_ahead_observe=2),
     )
 

@@ -160,9 +160,18 @@ class BoundSatellite(Satellite):
         """Return the rows [N, ...] of these satellites from a table of the environments, [environments, ...]."""
         return self.simulator.state.of_env(table)
 
-    def next_eclipse(self) -> tuple[Tensor, Tensor]:
-        """Return the next start and the next end of an eclipse, [N] s since reset."""
-        return self.simulator.lookahead.next_eclipse(self.simulator.state.sim_time)
+    def next_eclipse(self, as_bsk_rl: bool = False) -> tuple[Tensor, Tensor]:
+        """Return the next start and the next end of an eclipse, [N] s since reset.
+
+        An eclipse is the time in the Earth's umbra. Within one, the end is that of the present one and the start that of the next
+        one. The search looks ahead for 1.1 revolutions, 12,000 s at least and two days at most; without a start, or an end, the
+        time at which the search ends is returned. Eclipses shorter than 30 s may be missed.
+
+        Args:
+            as_bsk_rl: Whether to return bsk_rl's answers, as always under ``compat="bsk_rl"``: later by up to 30 s, and one
+                second after reset if its search, of 6,000 s, fails, though an eclipse may come, and a later query may find it.
+        """
+        return self.simulator.lookahead.next_eclipse(self.simulator.state.sim_time, as_bsk_rl)
 
     def aliveness(self) -> dict[str, Tensor]:
         """Return the result [N] of every aliveness check of dynamics and flight software, by name."""

@@ -209,7 +209,8 @@ def test_equal_intervals():
 
 
 def test_mask_of_repeated_targets():
-    env = imager(3, satellite=varied(action_spec=(act.Charge(duration=60.0), act.Image(SEARCH_AHEAD, mask_repeated=True))),
+    spec = act.Charge(duration=60.0), act.Image(SEARCH_AHEAD, mask_repeated=True, mask_late=False)
+    env = imager(3, satellite=varied(action_spec=spec),
                  targets=scene.UniformTargets(20), time_limit=600.0,
                  options=dict(max_generation_duration_beyond_initial=6000.0))  # fmt: skip
     td = env.reset()
@@ -485,6 +486,35 @@ def test_satellites_that_may_see_nothing_wait():
     assert env.satellite.latest_target.tolist() == [-1] * 3
     assert env.satellite.missed.tolist() == [0] * 3
     assert env.simulator.arcs.length <= length + 3600.0
+
+
+FEW = scene.Targets([[6378136.6, 0.0, 0.0], [0.0, 6378136.6, 0.0], [-6378136.6, 0.0, 0.0]], 1.0)
+"""Places on the equator, of which most windows come after half an orbit."""
+
+
+@pytest.mark.parametrize("settings", [{}, {"mask_late": False}, {"compat": "bsk_rl"}], ids=str)
+def test_windows_after_the_time_limit_are_masked(settings, caplog):
+    """Unless that is switched off; one warning for all environments of a kind says that most are late."""
+    spec = (act.Charge(duration=60.0), act.Image(4, mask_late=settings.get("mask_late", True)))
+    kind = varied(action_spec=spec, observation_spec=(obs.Time(),))
+    env = imager(8, kind, targets=FEW, backend="eager", compat=settings.get("compat"))
+    mask = env.reset()["action_mask"]
+    late = env.satellite.find_next_opportunities(4).open >= 2850.0
+    assert late.double().mean() > 0.5
+    assert mask[:, 0].all()
+    assert torch.equal(mask[:, 1:], torch.ones_like(late) if settings else ~late)
+    env.reset()
+    env.like(2, torch.arange(2)).reset()
+    said = [record.getMessage() for record in caplog.records if "open after the time limit" in record.getMessage()]
+    assert len(said) == ("compat" not in settings)
+    assert all(("excludes" in words) == (not settings) for words in said)
+
+
+def test_windows_before_the_time_limit_are_all_offered(caplog):
+    assert imager(8, backend="eager").reset()["action_mask"].all()
+    endless = imager(8, varied(observation_spec=(obs.Time(),)), targets=FEW, time_limit=math.inf, backend="eager")
+    assert endless.reset()["action_mask"].all()
+    assert not [record for record in caplog.records if "open after the time limit" in record.getMessage()]
 
 
 def test_shield_forbids_what_is_dangerous():

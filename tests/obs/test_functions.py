@@ -183,3 +183,32 @@ def test_the_norm_of_an_eclipse_may_be_the_period():
     seen = env.reset()["observation"]
     a, mu = env.satellite.dynamics.semi_major_axis, env.satellite.sat_args["mu"]
     assert torch.allclose(seen["orbits"], seen["eclipse"] / (2 * torch.pi * (a**3 / mu).sqrt()).unsqueeze(-1))
+
+
+def test_eclipses_of_a_high_orbit():
+    """1,070 km high: right by default, as Skyfield has them; bsk_rl's search fails, and names the first second after reset."""
+
+    class High(sats.Satellite):
+        observation_spec = (obs.Eclipse(), obs.Eclipse(name="theirs", as_bsk_rl=True))
+        action_spec = (act.Drift(duration=6300.0),)
+
+    args = dict(oe=None, rN=[3050019.655, -2957948.288, 6118860.057], vN=[-4133.239051, 4357.33309, 4168.573976])
+
+    def seen(seconds=None, **options):
+        world = dict(utc_init="2025-07-17T12:00:00Z")
+        env = SatelliteTasking(High("A", args, obs_type=dict), world_args=world, time_limit=600.0, backend="eager", **options)
+        td = env.reset()
+        if seconds is not None:
+            env.simulator.state.ticks = env.simulator.state.ticks + seconds
+            env.simulator.state.touch()
+            td = env.observe()
+        return [td["observation", name][0].tolist() for name in ("eclipse", "theirs")]
+
+    mine, theirs = seen()
+    assert mine == pytest.approx([4002.0, 6037.0], abs=1.0)  # the umbra, seconds within Skyfield's 3998 and 6042
+    assert theirs == [1.0, 1.0]
+    assert seen(compat="bsk_rl") == [[1.0, 1.0], [4020.0, 6060.0]]  # the second query sees what the first has searched
+    mine, theirs = seen(6300)
+    assert mine[0] == pytest.approx(4100.0, abs=20.0)
+    assert mine[1] > mine[0]
+    assert theirs == [-6299.0, -6299.0]

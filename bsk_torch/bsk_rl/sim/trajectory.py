@@ -202,7 +202,7 @@ class TrajectorySimulator:
             arcs, zero = self.arcs, torch.zeros(1, dtype=torch.float64)
             orbits = PlannedOrbits(Samples(arcs.planned, zero - 0.5 * PLAN_STEP), Samples(arcs.ephemeris, zero))
             start = zero + len(self._dark) * PLAN_STEP
-            self._dark += self._visibility.umbra(orbits, start, missing)[0].tolist()
+            self._dark += (self._visibility.umbra(orbits, start, missing)[0] > 0.0).tolist()
         first = math.floor(self._until / self.dt + 1e-9) + 1
         for k in range(first, self._samples - 1):  # a sample's shadow is that of the position one step before
             if self._dark[k] != self._dark[k - 1]:

@@ -1,4 +1,4 @@
-"""Times at which the next eclipse starts and ends, as bsk_rl's look-ahead gives them."""
+"""Times at which the next eclipse starts and ends, and what bsk_rl's look-ahead gives for them."""
 
 from __future__ import annotations
 
@@ -7,13 +7,24 @@ import math
 import torch
 from torch import Tensor
 
+from bsk_torch.astro.roots import find_root
+from bsk_torch.constants import MU_EARTH
 from bsk_torch.sim.access.next_eclipses import next_eclipses
 from bsk_torch.sim.access.padded import tabulate
 from bsk_torch.sim.access.visibility.backend import Visibility
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits
 from bsk_torch.sim.orbit.arcs import Arcs
-from bsk_torch.sim.orbit.grid import ARC_SEGMENT, PLAN_STEP
+from bsk_torch.sim.orbit.grid import ARC_SEGMENT, PLAN_STEP, SAMPLES_PER_SEGMENT
 from bsk_torch.sim.state import StateTable
+
+SHORTEST_SEARCH, LONGEST_SEARCH, REVOLUTIONS = 12_000.0, 172_800.0, 1.1
+"""A search looks ahead for more than a revolution, as the Sun and the node move meanwhile; these are its bounds, s."""
+
+ITERATIONS = 8
+"""Iterations of regula falsi that find a transition between two samples, to a microsecond."""
+
+INSIDE = 1e-6
+"""Distance, in steps of the grid, that transitions keep from its samples, so that rounding does not put them before or behind."""
 
 SEARCH_STEP, SEARCHES = 6000.0, 3
 """bsk_rl searches up to 0, 6000 and 12000 s after the query, and ignores what the third search finds."""
@@ -22,26 +33,35 @@ ROUNDING = 1e-9
 """Error of times by rounding, in steps of the grid."""
 
 NOT_FOUND = 1.0
-"""Answer to a query whose searches all fail: one second after the epoch, as bsk_rl gives it."""
+"""bsk_rl's answer to a query whose searches all fail: one second after the epoch."""
 
 CONSTANTS = torch.tensor([PLAN_STEP, SEARCH_STEP, SEARCHES, ROUNDING, NOT_FOUND], dtype=torch.float64)
-"""What the kernel of queries has to know."""
+"""What the kernel of bsk_rl's queries has to know."""
+
+
+def search_range(r_N: Tensor, v_N: Tensor) -> Tensor:
+    """Return how far queries look ahead on orbits through positions, [n, 3] m, with velocities, [n, 3] m/s: [n] s."""
+    per_a = (2.0 / r_N.norm(dim=-1) - (v_N * v_N).sum(-1) / MU_EARTH).clamp(min=1e-12)
+    period = 2.0 * math.pi / torch.sqrt(MU_EARTH * per_a**3)
+    return (REVOLUTIONS * period).clamp(SHORTEST_SEARCH, LONGEST_SEARCH)
 
 
 class EclipseTable(StateTable):
-    """Transitions into and out of the umbra on the 30 s grid of the planned arcs.
+    """Transitions into and out of the umbra on the planned arcs; an eclipse between two samples 30 s apart has none.
 
-    bsk_rl's trajectory is propagated only as far as queries need, and its answer depends on how far that is. So the table also
-    keeps the progress that bsk_rl would have made.
+    bsk_rl's transitions are the samples behind these. Its trajectory is propagated only as far as queries need, and its answer
+    depends on how far that is. So the table also keeps the progress that bsk_rl would have made.
 
     Attributes:
         starts: Times of transitions into the umbra, [N, W] s since reset, padded with infinity.
         ends: Times of transitions out of it, likewise.
+        ahead: How far queries look ahead, [N] s; see :func:`search_range`.
         sampled: Time up to which bsk_rl would have propagated its trajectory, [N] s.
         known: Time up to which bsk_rl would have recorded transitions, [N] s.
     """
 
     searched: Tensor
+    ahead: Tensor
     sampled: Tensor
     known: Tensor
     starts: Tensor
@@ -52,14 +72,22 @@ class EclipseTable(StateTable):
         super().__init__(arcs.num_envs, arcs.count, arcs.device)
         self.arcs, self.visibility = arcs, visibility
         self.__dict__["searched"] = SEARCH_STEP * torch.arange(SEARCHES, dtype=torch.float64, device=arcs.device).unsqueeze(-1)
+        self.declare("ahead", SHORTEST_SEARCH, low=SHORTEST_SEARCH, high=LONGEST_SEARCH)
         self.declare("sampled", 0.0, low=0.0)
         self.declare("known", 0.0, low=0.0)
         self.declare("starts", math.inf, 1, grows=True, low=0.0)
         self.declare("ends", math.inf, 1, grows=True, low=0.0)
 
-    def search(self, rows: Tensor, orbits: PlannedOrbits, duration: Tensor) -> None:
-        """Find the transitions of new arcs of ``rows`` [n]; windows have been generated for ``duration`` [n] s."""
-        self.sampled[rows], self.known[rows] = duration, 0.0
+    def search(self, rows: Tensor, orbits: PlannedOrbits, ahead: Tensor, duration: Tensor) -> None:
+        """Find the transitions of new arcs of ``rows`` [n].
+
+        Args:
+            rows: The rows.
+            orbits: Their planned arcs.
+            ahead: How far queries look ahead, [n] s.
+            duration: Seconds for which windows have been generated, [n].
+        """
+        self.ahead[rows], self.sampled[rows], self.known[rows] = ahead, duration, 0.0
         starts, ends = self._transitions(orbits, torch.zeros_like(duration), round(self.arcs.length / PLAN_STEP))
         self.write_rows("starts", rows, starts)
         self.write_rows("ends", rows, ends)
@@ -79,24 +107,44 @@ class EclipseTable(StateTable):
         self.write_rows(name, rows, both[:, :width])
 
     def _transitions(self, orbits: PlannedOrbits, start: Tensor, steps: int) -> tuple[Tensor, Tensor]:
-        """Return the times of transitions into and out of the umbra after ``start`` [n] s, within so many steps, [n, W] each."""
-        dark = self.visibility.umbra(orbits, start, steps + 1)
-        before, after = dark[:, :-1], dark[:, 1:]
+        """Return the times of transitions into and out of the umbra after ``start`` [n] s, within whole hours, [n, W] each."""
+        depth = self.visibility.umbra(orbits, start, steps + 1)
+        dark = depth > 0.0
+        row, sample = torch.nonzero(dark[:, 1:] != dark[:, :-1], as_tuple=True)
+        time = start[row] + PLAN_STEP * (sample.to(start.dtype) + _crossing(depth, row, sample))
+        enters = dark[row, sample + 1]
+        starts, ends = (tabulate(row[chosen], time[chosen], len(start))[0] for chosen in (enters, ~enters))
+        return starts, ends
 
-        def times(flags: Tensor) -> Tensor:
-            row, sample = torch.nonzero(flags, as_tuple=True)
-            return tabulate(row, start[row] + PLAN_STEP * (sample + 1).to(start.dtype), len(start))[0]
+    def restart(self, rows: Tensor, ahead: Tensor) -> None:
+        """Forget the transitions of ``rows`` [n], whose arcs have just restarted, and find those in their first hour.
 
-        return times(after & ~before), times(before & ~after)
-
-    def restart(self, rows: Tensor) -> None:
-        """Forget the transitions of ``rows`` [n], whose arcs have just restarted, and find those in their first hour."""
+        Queries look ahead for ``ahead`` [n] s from now on.
+        """
         begun = self.arcs.start[rows]
-        self.sampled[rows], self.known[rows] = begun, begun
+        self.ahead[rows], self.sampled[rows], self.known[rows] = ahead, begun, begun
         orbits = PlannedOrbits(self.arcs.planned_samples, self.arcs.ephemeris_samples).take(rows)
         starts, ends = self._transitions(orbits, begun, round(ARC_SEGMENT / PLAN_STEP))
         self.write_rows("starts", rows, starts)
         self.write_rows("ends", rows, ends)
+
+    def missing(self, time: Tensor) -> Tensor:
+        """Return whether an answer of :meth:`next` after ``time`` [N] s may lie beyond the end of the arcs, [N]."""
+        limit = time + self.ahead
+        start, end = self.next(time)
+        return (torch.maximum(start, end) >= limit) & (self.arcs.end < limit)
+
+    def next(self, time: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the next start and the next end of an eclipse after ``time`` [N] s, [N] s each.
+
+        Within an eclipse, the end is that of the present one and the start that of the following one. Neither is later than
+        ``ahead`` seconds from ``time``, which stands for "not within that time", too.
+        """
+        now, limit = time.unsqueeze(-1), time + self.ahead
+        start, end = (torch.where(table > now, table, torch.inf).amin(1) for table in (self.starts, self.ends))
+        return torch.minimum(start, limit), torch.minimum(end, limit)
+
+    # -- as bsk_rl ----------------------------------------------------------------------------------------------------
 
     def sample_to(self, time: Tensor) -> None:
         """Note that bsk_rl would have propagated its trajectory to ``time`` [N] s, but for orbits that have restarted."""
@@ -104,14 +152,16 @@ class EclipseTable(StateTable):
         self.sampled = torch.where(begun > 0.0, self.sampled, later) if isinstance(begun, Tensor) else later
 
     def _next(self, time: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the next start and the next end, [N] s each, after the sample of the grid at or before ``time`` [N] s."""
+        """Return the samples behind the next start and the next end, [N] s each, after that at or before ``time`` [N] s."""
         if self.arcs.restarts:
             begun, slack = self.arcs.begun, ROUNDING
             soonest = (torch.floor((time - begun) * (1.0 / PLAN_STEP) + slack) + 1.0 - slack) * PLAN_STEP + begun
         else:
             soonest = (torch.floor(time * (1.0 / PLAN_STEP)) + 1.0) * PLAN_STEP
         soonest = soonest.unsqueeze(-1)
-        start, end = (torch.where(table >= soonest, table, torch.inf).amin(1) for table in (self.starts, self.ends))
+        begun = self.arcs.begun.unsqueeze(-1) if isinstance(self.arcs.begun, Tensor) else 0.0
+        tables = (torch.ceil((table - begun) / PLAN_STEP) * PLAN_STEP + begun for table in (self.starts, self.ends))
+        start, end = (torch.where(table >= soonest, table, torch.inf).amin(1) for table in tables)
         return start, end
 
     def needs(self, time: Tensor) -> Tensor:
@@ -134,10 +184,7 @@ class EclipseTable(StateTable):
         return next_eclipses(CONSTANTS, self.starts, self.ends, time, begun, reached, self.sampled, self.known)
 
     def query(self, time: Tensor) -> tuple[Tensor, Tensor]:
-        """Return start and end of the next eclipse after ``time`` [N] s, [N] s each.
-
-        Within an eclipse, the end is that of the present one and the start that of the following one.
-        """
+        """Return what bsk_rl answers to a query after ``time`` [N] s: times of its samples, [N] s each."""
         if self.visibility.kernels:
             answer = self._by_kernel(time, None)
             assert answer is not None
@@ -156,3 +203,23 @@ class EclipseTable(StateTable):
         self.sampled, self.known = torch.where(known, self.sampled, searched), torch.where(known, self.known, searched)
         found = known | early | late
         return torch.where(found, start, NOT_FOUND), torch.where(found, end, NOT_FOUND)
+
+
+def _crossing(depth: Tensor, row: Tensor, sample: Tensor) -> Tensor:
+    """Return where the depth of rows [m] is zero between two samples, as a fraction of the step behind the first, [m].
+
+    The cubic polynomial through four samples of the same hour is used, so that it does not matter how many hours are searched.
+    """
+    hour = sample // SAMPLES_PER_SEGMENT * SAMPLES_PER_SEGMENT
+    first = torch.minimum(torch.maximum(sample - 1, hour), hour + SAMPLES_PER_SEGMENT - 3)
+    a, b, c, d = (depth[row, first + k] for k in range(4))
+    p, q = c - 2.0 * b + a, d - 3.0 * c + 3.0 * b - a
+    before = (sample - first).to(depth.dtype)
+
+    def polynomial(fraction: Tensor) -> Tensor:  # by Newton's forward differences
+        s = before + fraction
+        return a + s * (b - a + (s - 1.0) * (0.5 * p + (s - 2.0) * q / 6.0))
+
+    zero, one = torch.zeros_like(before), torch.ones_like(before)
+    root = find_root(polynomial, zero, one, depth[row, sample], depth[row, sample + 1], ITERATIONS)
+    return root.clamp(INSIDE, 1.0 - INSIDE)

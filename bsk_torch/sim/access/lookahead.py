@@ -11,7 +11,7 @@ from torch import Tensor
 
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.constants import MU_EARTH
-from bsk_torch.sim.access.eclipses import SEARCH_STEP, SEARCHES, EclipseTable
+from bsk_torch.sim.access.eclipses import SEARCH_STEP, SEARCHES, EclipseTable, search_range
 from bsk_torch.sim.access.visibility.backend import Visibility
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits
 from bsk_torch.sim.access.window_table import Windows
@@ -86,12 +86,13 @@ class LookAhead(StateTable):
             places: Places by kind.
             horizon: Seconds for which windows are generated at reset.
             segment: Seconds by which windows are extended.
-            as_bsk_rl: See :class:`~bsk_torch.sim.access.windows.AccessWindows`.
+            as_bsk_rl: Whether eclipses are those that bsk_rl finds, and windows, see
+                :class:`~bsk_torch.sim.access.windows.AccessWindows`.
             manoeuvres: Objects that follow maneuvers.
             blind: Whether the satellites may be on no orbit, so that queries raise a RuntimeError.
         """
         super().__init__(num_envs, count, solver.device)
-        self.blind = blind
+        self.blind, self.as_bsk_rl = blind, as_bsk_rl
         kept = max(PLANNED_SEGMENTS, segments_for(segment) + PLANNED_SEGMENTS - 1)
         spans = max(segments_for(horizon + MARGIN), segments_for(segment + BEFORE_SEARCH + BEHIND_SEARCH) + 1)
         size = num_envs, spans, solver, kept, count
@@ -131,7 +132,7 @@ class LookAhead(StateTable):
             epoch = torch.zeros(len(part), dtype=torch.float64, device=self.device)
             ephemeris = Samples(self.arcs.ephemeris[rows[part]], epoch)
             orbits = PlannedOrbits(Samples(fine, epoch), ephemeris)
-            self.eclipses.search(rows[part], orbits, duration[part])
+            self.eclipses.search(rows[part], orbits, search_range(r_N[part], v_N[part]), duration[part])
             if self.access is not None:
                 self.access.generate(rows[part], orbits, duration[part])
 
@@ -258,7 +259,7 @@ class LookAhead(StateTable):
             some = rows[part]
             flight.restart(some, now[some], r_N[part], v_N[part])
         if self.arcs.restarts:
-            self.eclipses.restart(rows)
+            self.eclipses.restart(rows, search_range(r_N, v_N))
 
     def _search_to(self, rows: Tensor, time: Tensor, now: Tensor) -> None:
         """Search windows of ``rows`` [n] up to ``time`` [n] s at least; ``now`` [N] s is the present."""
@@ -284,9 +285,17 @@ class LookAhead(StateTable):
     # -- queries ------------------------------------------------------------------------------------------------------
 
     @outside_inference
-    def next_eclipse(self, time: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the next start and end of an eclipse after ``time`` [N], [N] s since reset; see :meth:`EclipseTable.query`."""
+    def next_eclipse(self, time: Tensor, as_bsk_rl: bool = False) -> tuple[Tensor, Tensor]:
+        """Return the next start and end of an eclipse after ``time`` [N], [N] s since reset.
+
+        See :meth:`EclipseTable.next`, or, for what bsk_rl answers, which depends on what was asked before,
+        :meth:`EclipseTable.query`.
+        """
         self._check_sight()
+        if not (as_bsk_rl or self.as_bsk_rl):
+            while bool((short := self.eclipses.missing(time)).any()):
+                self.reach(torch.where(short, self.arcs.end + ARC_SEGMENT, 0.0), time)  # an hour after the other
+            return self.eclipses.next(time)
         if not self.arcs.restarts:
             found = self.eclipses.query_if_covered(time)
             if found is not None:

@@ -16,10 +16,13 @@ double rounded(double product) {
     return kept;
 }
 
-double next(const double* times, int64_t columns, double soonest) {
+// The first sample of the grid from `soonest` on that follows one of the times.
+double next(const double* times, int64_t columns, double soonest, double step, double origin) {
     double found = INFINITY;
-    for (int64_t k = 0; k < columns; ++k)
-        if (times[k] >= soonest) found = std::min(found, times[k]);
+    for (int64_t k = 0; k < columns; ++k) {
+        const double sample = rounded(std::ceil((times[k] - origin) / step) * step) + origin;
+        if (sample >= soonest) found = std::min(found, sample);
+    }
     return found;
 }
 
@@ -37,8 +40,9 @@ extern "C" void run(
         const double now = time[row], origin = begun ? begun[row] : 0.0, slack = begun ? rounding : 0.0;
         const double elapsed = now - origin, grid = std::floor(rounded(elapsed * (1.0 / step)) + slack) + 1.0 - slack;
         const double soonest = rounded(grid * step) + origin;
-        const double start = next(starts + row * start_columns, start_columns, soonest);
-        const double end = next(ends + row * end_columns, end_columns, soonest), last = std::max(start, end) + step;
+        const double start = next(starts + row * start_columns, start_columns, soonest, step, origin);
+        const double end = next(ends + row * end_columns, end_columns, soonest, step, origin);
+        const double last = std::max(start, end) + step;
         if (last <= known[row]) {
             found_start[row] = start;
             found_end[row] = end;

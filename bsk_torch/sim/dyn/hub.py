@@ -160,7 +160,10 @@ def _check_elements(oe: Tensor) -> None:
     bad = (oe[:, 1] < 0.0) | (oe[:, 1] >= 1.0) | (oe[:, 0] <= 0.0) | ~torch.isfinite(oe).all(-1)
     if bool(bad.any()):
         a, e = oe[bad][0, :2].tolist()
-        raise ValueError(f"oe has a={a:g} m and e={e:g}; an orbit around the Earth needs a > 0 and 0 <= e < 1")
+        raise ValueError(
+            f"oe has a={a:g} m and e={e:g}; an orbit around the Earth needs a > 0 and 0 <= e < 1. oe are osculating elements "
+            "(m, -, rad) in J2000 axes at utc_init; of a two-line set, give SGP4's state in GCRS as rN and vN"
+        )
 
 
 def _initial(args: Values) -> dict[str, Tensor]:
@@ -405,7 +408,13 @@ ARGS = (
     Arg("r_CB_B", (0.0, 0.0, 0.0), "m", "center of mass relative to the origin of B, in B", "vector", -1e3, 1e3),
     Arg("sigma_init", Uniform(0.0, 1.0, 3), "-", "initial attitude, MRP of B relative to N", "vector", -1e6, 1e6),
     Arg("omega_init", Uniform(-1e-4, 1e-4, 3), "rad/s", "initial body rate in B", "vector", -1e3, 1e3),
-    Arg("oe", random_orbit(), "m, -, rad", "initial orbit as elements a, e, i, Omega, omega, f", kind="orbit"),
+    Arg(
+        "oe",
+        random_orbit(),
+        "m, -, rad",
+        "initial orbit: osculating elements a, e, i, Omega, omega, f in N; a TLE has others",
+        kind="orbit",
+    ),
     Arg("rN", None, "m", "initial position, instead of oe", "vector", -1e12, 1e12),
     Arg("vN", None, "m/s", "initial velocity, instead of oe", "vector", -1e6, 1e6),
     Arg("mu", MU_EARTH, "m^3/s^2", "gravitational parameter that converts oe", low=1.0, high=1e20),

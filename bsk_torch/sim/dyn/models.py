@@ -10,6 +10,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from bsk_torch.astro.frames import angle_between
 from bsk_torch.astro.gravity import DEGREE
 from bsk_torch.astro.orbit import Elements
 from bsk_torch.constants import RPM
@@ -310,6 +311,14 @@ class BasicDynamicsModel(EclipseDynModel, DisturbanceTorqueDynModel, Atmospheric
         """Wheel speeds ``Omega / Omega_max``, [N, 3] or [N, W], where ``Omega_max`` is ``maxWheelSpeed`` (rpm) in rad/s."""
         limit = now.args.maxWheelSpeed * RPM
         return now.Omega_WB_B / limit if isinstance(now.Omega_WB_B, Vec3) else tuple(speed / limit for speed in now.Omega_WB_B)
+
+    @observable
+    def solar_pointing_error(now: Now) -> Tensor:
+        """Angle between ``nHat_B``, the normal of the panel, and the direction of the Sun, [N] rad.
+
+        Of several ``panels``, ``nHat_B`` is the axis that the mode ``"charge"`` points at the Sun.
+        """
+        return angle_between(now.BN.mT @ now.args.nHat_B, now.r_SN_N - now.r_BN_N)
 
     @observable
     def panel_angles(now: Now) -> tuple[Tensor, ...]:

@@ -100,6 +100,11 @@ def point_at_location(bus: Bus) -> None:
     point_at(bus, bus.instrument_axis_B, bus.r_LN_N, "location")
 
 
+def guided_angle(now: Any) -> Tensor:
+    """Return the angle between axis and target in the last tick of :func:`point_at_location`, [N] rad: ``4 atan |sigma_BR|``."""
+    return 4.0 * torch.atan(now.location_sigma_BR.norm())
+
+
 class HillMotion(NamedTuple):
     """The Hill frame [HN], its rate about the orbit normal, rad/s, and the acceleration, rad/s^2."""
 
@@ -176,12 +181,23 @@ AXIS_TO_SUN = dataclasses.replace(
 )
 """Points the axis that the flight software knows: of several panels, or of one that a fault may turn."""
 
-NADIR_POINTING = Component(slot="nadir_pointing", update=point_along_hill, flags=("nadir_on",))
+INSTRUMENT_AXIS = Arg(
+    "inst_pHat_B", (0.0, 0.0, 1.0), "-", "instrument axis in B; nadir is -x of B when B = H", "vector", *AXIS_BOUNDS
+)
+
+NADIR_POINTING = Component(
+    slot="nadir_pointing",
+    update=point_along_hill,
+    args=(INSTRUMENT_AXIS,),
+    check=check_axis("inst_pHat_B"),
+    flags=("nadir_on",),
+)
+"""Points B along H, whatever the axis of the instrument is, as Basilisk does; the axis tells how far that is from nadir."""
 
 LOCATION_POINTING = Component(
     slot="location_pointing",
     update=point_at_location,
-    args=(Arg("inst_pHat_B", (0.0, 0.0, 1.0), "-", "instrument axis in B", "vector", *AXIS_BOUNDS),),
+    args=(INSTRUMENT_AXIS,),
     state=_memory("location"),
     params=(vec("instrument_axis_B"),),
     initial=lambda args: _forget("location"),

@@ -5,12 +5,15 @@ from __future__ import annotations
 from typing import ClassVar
 
 import torch
+from torch import Tensor
 
 from bsk_torch.sim.component import Bus, Component
 from bsk_torch.sim.dyn.inspection import RSOInspectorDynModel
 from bsk_torch.sim.dyn.models import DynamicsModel
+from bsk_torch.sim.fsw.guidance import guided_angle
 from bsk_torch.sim.fsw.models import ContinuousImagingFSWModel
 from bsk_torch.sim.fsw.modes import Mode
+from bsk_torch.sim.readout.observables import Now, observable
 
 
 def aim_at_rso(bus: Bus) -> None:
@@ -34,3 +37,8 @@ class RSOInspectorFSWModel(ContinuousImagingFSWModel):
     modes: ClassVar[dict[str, Mode | None]] = {
         "inspect_rso": Mode(("control_on", "location_on", "controller_on", "instrument_linked", "instrument_power")),
     }
+
+    @observable
+    def target_pointing_error(now: Now) -> Tensor:
+        """Angle between the instrument axis and the direction of the RSO, [N] rad, when last pointed there."""
+        return guided_angle(now)

@@ -6,6 +6,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
+from bsk_torch.astro.frames import angle_between
 from bsk_torch.sim.component import Component
 from bsk_torch.sim.dyn.events import EMPTY_STORE_EVENT
 from bsk_torch.sim.dyn.models import BasicDynamicsModel, DynamicsModel, ImagingDynModel, TorqueBarsDynModel
@@ -91,7 +92,11 @@ class FSWModel(Model):
 
 
 class BasicFSWModel(FSWModel):
-    """MRP feedback with reaction wheels: drift, charge, nadir pointing, desaturation."""
+    """MRP feedback with reaction wheels: drift, charge, nadir pointing, desaturation.
+
+    The mode ``"nadir_point"`` aligns B with the Hill frame H: x points away from the Earth, z along the orbit normal. So an
+    instrument looks down with ``inst_pHat_B=[-1, 0, 0]``, and along the horizon with bsk_rl's default, ``[0, 0, 1]``.
+    """
 
     components: ClassVar[tuple[Component, ...]] = (
         imposed.ACTUATORS,
@@ -112,6 +117,14 @@ class BasicFSWModel(FSWModel):
     commands: ClassVar[dict[str, Command]] = {
         "desat": Command(("desat_sun", "desat_nadir", "desat_none"), choice="desatAttitude")
     }
+
+    @observable
+    def nadir_pointing_error(now: Now) -> Tensor:
+        """Angle between the instrument axis ``inst_pHat_B`` and the direction of the Earth's center, [N] rad.
+
+        Of several ``instruments``, that of the one chosen last.
+        """
+        return angle_between(now.BN.mT @ axis_now(now), -now.r_BN_N)
 
 
 class SteeringFSWModel(BasicFSWModel):
@@ -141,6 +154,14 @@ class ImagingFSWModel(BasicFSWModel):
     }
 
     @observable
+    def target_pointing_error(now: Now) -> Tensor:
+        """Angle between the instrument axis and the direction of the target chosen last, [N] rad.
+
+        Before the first target is chosen, it is the place at zero latitude and longitude, as in bsk_rl.
+        """
+        return angle_between(now.BN.mT @ axis_now(now), now.PN.mT @ now.r_LP_P - now.r_BN_N)
+
+    @observable
     def c_hat_P(now: Now) -> Vec3:
         """Instrument axis in the Earth-fixed frame, [N, 3]; of several ``instruments``, that of the one chosen last."""
         return now.PN @ (now.BN.mT @ axis_now(now))
@@ -159,6 +180,11 @@ class ContinuousImagingFSWModel(ImagingFSWModel):
         "image": None,
         "nadir_scan": Mode(("control_on", "location_on", "controller_on", "instrument_linked", "instrument_power")),
     }
+
+    @observable
+    def target_pointing_error(now: Now) -> Tensor:
+        """Angle between the instrument axis and the direction of the Earth's center, the target of scans, [N] rad."""
+        return angle_between(now.BN.mT @ axis_now(now), -now.r_BN_N)
 
 
 class EndedDownlinkFSWModel(FSWModel):

@@ -6,14 +6,17 @@ import dataclasses
 from typing import ClassVar
 
 import torch
+from torch import Tensor
 
 from bsk_torch.sim.component import Bus, Component
 from bsk_torch.sim.dyn.catalog_radio import CatalogRadioDynModel
 from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.dyn.rso_imaging import SpaceToSpaceImagingDynModel, check_hold
+from bsk_torch.sim.fsw.guidance import guided_angle
 from bsk_torch.sim.fsw.instrument import SCANNING_CONTROLLER
 from bsk_torch.sim.fsw.models import ImagingFSWModel
 from bsk_torch.sim.fsw.modes import Mode
+from bsk_torch.sim.readout.observables import Now, observable
 
 
 def aim_at_rso(bus: Bus) -> None:
@@ -49,6 +52,11 @@ class SpaceToSpaceImagingFSWModel(ImagingFSWModel):
         "image": None,
         "image_rso": Mode(("control_on", "location_on", "instrument_power"), {"rso_armed": 1.0}),
     }
+
+    @observable
+    def target_pointing_error(now: Now) -> Tensor:
+        """Angle between the instrument axis and the direction of the target, [N] rad, when last pointed there."""
+        return guided_angle(now)
 
 
 class CatalogRadioFSWModel(SpaceToSpaceImagingFSWModel):

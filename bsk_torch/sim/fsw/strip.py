@@ -12,11 +12,13 @@ from torch import Tensor
 
 from bsk_torch.sim.component import Bus, Component, Field, Values, vec
 from bsk_torch.sim.dyn.models import DynamicsModel, StripImagingDynModel
+from bsk_torch.sim.fsw.guidance import guided_angle
 from bsk_torch.sim.fsw.instrument import SCANNING_CONTROLLER
 from bsk_torch.sim.fsw.models import ImagingFSWModel
 from bsk_torch.sim.fsw.modes import Mode
 from bsk_torch.sim.fsw.target import IMAGE_TARGET, SUN_LIMITS, aim_at_place, lit_target
 from bsk_torch.sim.instruments import differs
+from bsk_torch.sim.readout.observables import Now, observable
 from bsk_torch.vec3 import select
 
 STRIP_MODE = "image_strip"
@@ -99,3 +101,8 @@ class StripImagingFSWModel(ImagingFSWModel):
         "image": None,
         STRIP_MODE: Mode(("control_on", "location_on", "controller_on", "instrument_linked", "instrument_power")),
     }
+
+    @observable
+    def target_pointing_error(now: Now) -> Tensor:
+        """Angle between the instrument axis and the direction of the strip's place, [N] rad, when last pointed there."""
+        return guided_angle(now)

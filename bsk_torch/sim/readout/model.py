@@ -12,7 +12,7 @@ from torch import Tensor
 from bsk_torch.sim.component import Component, collect
 from bsk_torch.sim.hooks import check_tensor
 from bsk_torch.sim.readout.hooks import check_model
-from bsk_torch.sim.readout.observables import Function, Observer
+from bsk_torch.sim.readout.observables import Function, Observer, observable, vital
 from bsk_torch.sim.readout.surroundings import World
 from bsk_torch.sim.satellite_state import SatelliteState
 
@@ -90,6 +90,13 @@ class Model:
     def checks(cls) -> tuple[str, ...]:
         """Return the names of the aliveness checkers."""
         return tuple(name for name in dir(cls) if getattr(getattr(cls, name), "is_aliveness_checker", False))
+
+    @classmethod
+    @functools.cache
+    def observables(cls) -> dict[str, Function]:
+        """Return the functions of the properties that are observables, by name, without aliveness checks."""
+        members = {name: getattr(cls, name) for name in dir(cls)}
+        return {name: own.function for name, own in members.items() if isinstance(own, observable) and not isinstance(own, vital)}
 
     @classmethod
     @functools.cache

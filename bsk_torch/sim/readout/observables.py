@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import logging
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 from weakref import WeakSet
 
 import torch
@@ -138,7 +138,7 @@ class vital(observable):  # noqa: N801  - a decorator
         self.__doc__ = function.__doc__
 
 
-def _tensor(value: Any) -> Tensor:
+def as_tensor(value: Any) -> Tensor:
     """Return an observable as users get it: never a view of the state, which the next step changes."""
     if isinstance(value, Mat3):
         return value.stack()
@@ -194,7 +194,7 @@ class Observer:
             kernel = self._built() if self.kernels and function in self.wanted else None
             if kernel is None or function not in kernel.layout:
                 self.missed[function] = None
-                value = _tensor(function(self.now))
+                value = as_tensor(function(self.now))
             else:
                 value = kernel.column(self._read_all(kernel), function)
             self._values[function] = value
@@ -259,7 +259,7 @@ class Observer:
         table = kernel(self.state, self.arcs)
         same = []
         for function in kernel.layout:
-            exact = None if of_package([function]) else _tensor(function(self.now))
+            exact = None if of_package([function]) else as_tensor(function(self.now))
             if exact is None or _alike(exact, kernel.column(table, function)):
                 same.append(function)
             else:
@@ -283,20 +283,40 @@ def _tell(function: Function, why: str) -> None:
         logger.warning("observable %r is computed on tensors, which is slower: %s", name, why)
 
 
-def now_on_tensors(state: SatelliteState, arcs: Arcs) -> Now:
-    """Return the present of satellites on tensors [N]."""
+class Moments(NamedTuple):
+    """Satellites at times of the current episodes.
+
+    Attributes:
+        rows: The satellites, [M], which may repeat.
+        time: Seconds since reset, [M].
+        planes: Fields of the state then, [C, M].
+    """
+
+    rows: Tensor
+    time: Tensor
+    planes: Tensor
+
+
+def now_on_tensors(state: SatelliteState, arcs: Arcs, moments: Moments | None = None) -> Now:
+    """Return the present of satellites, or what was at some ``moments``, on tensors [N]."""
 
     def read(name: str) -> Any:
         value = state.argument(name)
-        return Vec3.of(value) if isinstance(value, Tensor) and value.ndim == 2 and value.shape[1] == 3 else value
+        if not isinstance(value, Tensor):
+            return value
+        value = value if moments is None else value[moments.rows]
+        return Vec3.of(value) if value.ndim == 2 and value.shape[1] == 3 else value
 
     def sky() -> Bus:
         samples, rows = arcs.ephemeris_samples, torch.arange(state.rows, device=state.device)
-        records, tau = neighbours(EPHEMERIS_TRACK, samples.table, rows, state.sim_time - samples.start)
+        time = state.sim_time
+        if moments is not None:
+            rows, time = moments.rows, moments.time
+        records, tau = neighbours(EPHEMERIS_TRACK, samples.table, rows, time - samples.start[rows])
         return ephemeris_at(records.flatten(1).unbind(-1), tau)
 
     now = Now(Arguments(read), sky)
-    state.layout.put(now, state.planes.unbind(0))
+    state.layout.put(now, (state.planes if moments is None else moments.planes).unbind(0))
     return now
 
 

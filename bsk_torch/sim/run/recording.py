@@ -17,6 +17,7 @@ from torch import Tensor
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.constants import NANO
 from bsk_torch.sim.names import nearest
+from bsk_torch.sim.readout.observables import Function, Moments, as_tensor, now_on_tensors
 from bsk_torch.sim.simulator import Checkpoint
 
 if TYPE_CHECKING:
@@ -54,6 +55,7 @@ class _Type(NamedTuple):
         places: Their places among all recorded satellites, [s, 1].
         planes: Planes of the type's state, [w].
         columns: Places of these planes among the recorded numbers of a satellite, [w].
+        properties: Observables that are computed from the state, with their places among these numbers.
     """
 
     k: int
@@ -61,6 +63,7 @@ class _Type(NamedTuple):
     places: Tensor
     planes: Tensor
     columns: Tensor
+    properties: tuple[tuple[Function, slice], ...]
 
 
 class Recording:
@@ -76,8 +79,24 @@ class Recording:
         every: Ticks from one record to the next.
     """
 
-    def __init__(self, fleet: Fleet, fields: Sequence[str], envs: Tensor, every: int, satellites: Sequence[str]) -> None:
+    def __init__(
+        self,
+        fleet: Fleet,
+        fields: Sequence[str],
+        envs: Tensor,
+        every: int,
+        satellites: Sequence[str],
+        properties: Sequence[Mapping[str, Function]],
+    ) -> None:
         """Record from now on; see :meth:`bsk_torch.env.base.Tasking.record`.
+
+        Args:
+            fleet: All satellites.
+            fields: Names of fields of the state, or of observables.
+            envs: Environments to record, [n].
+            every: Ticks from one record to the next.
+            satellites: Names of satellites to record.
+            properties: Observables of each type of satellites, by name.
 
         Raises:
             ValueError: For a field that none of the satellites has.
@@ -92,10 +111,19 @@ class Recording:
         known = dict[str, int]()  # types of satellites may have different numbers of wheels
         for layout in layouts.values():
             known |= {name: max(part.width, known.get(name, 0)) for name, part in layout.fields.items()}
+        own = {
+            k: {name: properties[k][name] for name in self.fields if name in properties[k] and name not in known} for k in of_type
+        }
+        for k, functions in own.items():
+            read = fleet.simulators[k].observer.read
+            widths = {name: read(function)[:1].numel() for name, function in functions.items()}
+            known |= {name: max(width, known.get(name, 0)) for name, width in widths.items()}
         for name in self.fields:
             if name not in known:
-                those = ", ".join(self.satellites)
-                raise ValueError(f"fields has {name!r}, which is not a field of the state of {those}; {nearest(name, known)}")
+                those, names = ", ".join(self.satellites), (*known, *(name for k in of_type for name in properties[k]))
+                raise ValueError(
+                    f"fields has {name!r}, neither a field of the state nor a property of {those}; {nearest(name, names)}"
+                )
         ends = torch.tensor([known[name] for name in self.fields]).cumsum(0).tolist()
         self._slices = {name: slice(end - known[name], end) for name, end in zip(self.fields, ends, strict=True)}
         self._columns = [fleet.names.index(name) for name in self.satellites]
@@ -106,7 +134,8 @@ class Recording:
             columns = [column for name in having for column in _range(self._slices[name])[: layouts[k].fields[name].width]]
             numbers, places = zip(*pairs, strict=True)
             index = [torch.tensor(part, dtype=torch.int64, device=fleet.device) for part in (numbers, places, planes, columns)]
-            self._types.append(_Type(k, index[0], index[1].unsqueeze(-1), index[2], index[3]))
+            placed = tuple((function, self._slices[name]) for name, function in own[k].items())
+            self._types.append(_Type(k, index[0], index[1].unsqueeze(-1), index[2], index[3], placed))
         self._chunks: list[_Chunk] = []
         self._data: TensorDict | None = None
         self._starts: dict[int, Checkpoint] = {}
@@ -119,11 +148,12 @@ class Recording:
         """Record the present of the episodes ``envs`` [n], which have begun or been restored, where they are recorded."""
         envs = envs[torch.isin(envs, self.envs)]
         if len(envs):
-            values = self._blank(len(envs), 1)
+            values, number = self._blank(len(envs), 1), self._recorded(self.fleet.ticks[envs]).unsqueeze(1)
             for kind in self._types:
-                simulator = self.fleet.simulators[kind.k]
-                self._fill(values, kind, simulator.state.planes[:, simulator.state.rows_of(envs)][kind.planes].mT.unsqueeze(1))
-            self._add(envs, self._recorded(self.fleet.ticks[envs]).unsqueeze(1), values)
+                state = self.fleet.simulators[kind.k].state
+                rows = state.rows_of(envs)
+                self._fill(values, kind, rows, number, state.planes[:, rows][self._needed(kind)].mT.unsqueeze(1))
+            self._add(envs, number, values)
 
     def prepare(self, envs: Tensor | None) -> Tensor:
         """Note where a run of the episodes ``envs`` [n], or of all (None), begins.
@@ -163,22 +193,48 @@ class Recording:
         for kind in self._types:
             simulator = self.fleet.simulators[kind.k]
             of_env = simulator.state.of_env
-            found = simulator.replay(self._starts[kind.k], of_env(since), of_env(number), kind.planes, followed[kind.k])
-            self._fill(values, kind, found)
+            found = simulator.replay(self._starts[kind.k], of_env(since), of_env(number), self._needed(kind), followed[kind.k])
+            self._fill(values, kind, simulator.state.rows_of(envs), number, found)
         self._add(envs, number, values)
 
     def _recorded(self, ticks: Tensor) -> Tensor:
         """Return the recorded ticks; for others :data:`NO_TICK`."""
         return torch.where(ticks % self.every == 0, ticks, NO_TICK)
 
+    def _needed(self, kind: _Type) -> Tensor:
+        """Return the planes from which records of a type are made: those of the fields, or all for properties."""
+        state = self.fleet.simulators[kind.k].state
+        return torch.arange(len(state.planes), device=state.device) if kind.properties else kind.planes
+
     def _blank(self, n: int, ticks: int) -> Tensor:
         shape = n, ticks, len(self.satellites), self._width
         return torch.full(shape, torch.nan, dtype=torch.float64, device=self.fleet.device)
 
-    def _fill(self, values: Tensor, kind: _Type, planes: Tensor) -> None:
-        """Write the planes [n * count, P, w] of a type into values [n, P, S, W]."""
-        each = planes.view(len(values), -1, *planes.shape[1:])[:, kind.numbers]
-        values[:, :, kind.places, kind.columns] = each.transpose(1, 2)
+    def _fill(self, values: Tensor, kind: _Type, rows: Tensor, ticks: Tensor, planes: Tensor) -> None:
+        """Write the fields and properties of a type into values [n, P, S, W].
+
+        Args:
+            values: Where they go.
+            kind: The type.
+            rows: Its satellites, [n * count].
+            ticks: Ticks since reset, [n, P].
+            planes: Their planes then, [n * count, P, w]; all of the state, for types with properties.
+        """
+
+        def put(table: Tensor, columns: Tensor) -> None:
+            each = table.view(len(values), -1, *table.shape[1:])[:, kind.numbers]
+            values[:, :, kind.places, columns] = each.transpose(1, 2)
+
+        put(planes[..., kind.planes] if kind.properties else planes, kind.columns)
+        if not kind.properties:
+            return
+        simulator, (n, count) = self.fleet.simulators[kind.k], planes.shape[:2]
+        time = simulator.state.of_env(ticks).clamp(min=0).flatten() * simulator.h
+        moments = Moments(rows.repeat_interleave(count), time, planes.flatten(0, 1).mT)
+        now = now_on_tensors(simulator.state, simulator.lookahead.flight, moments)
+        for function, where in kind.properties:
+            table = as_tensor(function(now)).reshape(n, count, -1)
+            put(table, torch.arange(where.start, where.stop, device=table.device)[: table.shape[-1]])
 
     def _add(self, envs: Tensor, ticks: Tensor, values: Tensor) -> None:
         present = self.fleet.present

@@ -119,7 +119,7 @@ def test_windows_after_manoeuvres_against_brute_force(orbit):
 
 
 def test_eclipses_after_manoeuvres_against_brute_force():
-    """They are the first samples in (and out of) the umbra, every 30 s from the manoeuvre on."""
+    """They are the times at which it is entered and left, between samples of the flight."""
     env = imagers(2)
     env.reset()
     found = 0
@@ -129,8 +129,7 @@ def test_eclipses_after_manoeuvres_against_brute_force():
         dark = in_umbra(Vec3.of(r_N), Vec3.of(sun_position(env.simulator.arcs.et[0] + time))).double() - 0.5
         for answer, wanted in zip((start[0], end[0]), crossings(time, dark), strict=True):
             if len(wanted):
-                assert -1.0 < float(answer - wanted[0]) < 31.0
-                assert abs(float((answer - now) / 30.0) % 1.0) < 1e-9 or now == 0.0
+                assert abs(float(answer - wanted[0])) < 1.0
                 found += 1
     assert found >= 6
 

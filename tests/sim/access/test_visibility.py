@@ -118,15 +118,16 @@ def test_samples_lie_on_the_planned_arcs(view, sky_full_of_satellites):
 def test_both_see_the_same_umbra(start, view):
     count = SAMPLES - 11
     tensor, kernel = (sight.umbra(view, start(view), count) for sight in BOTH)
-    assert torch.equal(tensor, kernel)
-    assert 0.1 < tensor.double().mean() < 0.5
+    assert torch.equal(tensor > 0.0, kernel > 0.0)
+    torch.testing.assert_close(tensor, kernel, rtol=0, atol=1e-14)
+    assert 0.1 < (tensor > 0.0).double().mean() < 0.5
 
 
 def test_umbra_by_definition(view, sky_full_of_satellites):
     arcs, _ = sky_full_of_satellites
     et = (arcs.et.unsqueeze(-1) + PLAN_STEP * torch.arange(SAMPLES)).flatten()
     expected = illumination(Vec3.of(view.samples.table.flatten(0, 1)), Vec3.of(sun_position(et))) <= 0.0
-    assert torch.equal(TensorVisibility().umbra(view, epoch(view), SAMPLES).flatten(), expected)
+    assert torch.equal(TensorVisibility().umbra(view, epoch(view), SAMPLES).flatten() > 0.0, expected)
 
 
 @pytest.mark.compiled

@@ -21,6 +21,9 @@ RECORDED = json.loads((Path(__file__).parents[1] / "data" / "default_args.json")
 POINTING = {"groundLocationPlanetRadius", "imageTargetMinimumElevation", "imageTargetMaximumRange"}
 """Arguments of bsk_rl's dynamics that the flight software has here; every imaging satellite has both."""
 
+AXIS = {"inst_pHat_B"}
+"""Argument that every flight software which points at nadir has here."""
+
 
 def equal(mine: Any, recorded: Any) -> bool:
     """Whether a default is what bsk_rl has."""
@@ -56,7 +59,7 @@ def test_dynamics_have_the_defaults_of_bsk_rl(model, recorded):
 
 @pytest.mark.parametrize(("model", "recorded"), models(fsw, "fsw"))
 def test_flight_software_has_the_defaults_of_bsk_rl(model, recorded):
-    check({arg.name: arg.default for part in model.all_components() for arg in part.args}, recorded, POINTING | SPACECRAFT)
+    check({arg.name: arg.default for part in model.all_components() for arg in part.args}, recorded, POINTING | SPACECRAFT | AXIS)
 
 
 def test_where_an_image_is_taken_has_the_defaults_of_bsk_rl():

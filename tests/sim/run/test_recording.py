@@ -147,7 +147,9 @@ def test_what_cannot_be_recorded():
     with pytest.raises(ResetNeededError, match="record\\(\\) needs running episodes"):
         env.record("sigma_BN")
     env.reset()
-    with pytest.raises(ValueError, match="'sigma_B', which is not a field of the state of Scanner1; did you mean 'sigma_BN'"):
+    with pytest.raises(
+        ValueError, match="'sigma_B', neither a field of the state nor a property of Scanner1; did you mean 'sigma_BN'"
+    ):
         env.record("sigma_B")
     with pytest.raises(ValueError, match="fields=\\(\\)"):
         env.record(())
@@ -158,3 +160,28 @@ def test_what_cannot_be_recorded():
     with pytest.raises(KeyError, match="'Scanner' is not a satellite of the environment; did you mean 'Scanner1'"):
         env.record("sigma_BN", satellites="Scanner")
     assert not env.fleet.recordings
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("name", ["NadirScan-v1", "RelayConstellation-v1"])
+def test_properties_are_those_of_the_ends_of_steps(name, backend):
+    """Of three numbers and of one, beside fields; NaN for satellites whose models do not have them."""
+    env = bsk_torch.make(name, backend=backend, num_envs=3, seed=3, time_limit=900.0, max_step_duration=60.0)
+    td, read = env.reset(), ("omega_BN_B", "nadir_pointing_error", "solar_pointing_error", "v_BN_P", "storage_level")
+    recording = env.record(read)
+    for seed in range(4):
+        td = act(env, td, seed)
+        each, last = env.satellites, [recording.of(env_id)[-1:] for env_id in range(3)]
+        for prop in read[1:]:
+            shown = torch.cat([data[prop].reshape(1, len(env.names), -1) for data in last])
+            column = 0
+            for satellite in each:
+                model = next((m for m in (satellite.dynamics, satellite.fsw) if hasattr(type(m), prop)), None)
+                count = satellite.simulator.count
+                mine = shown[:, column : column + count]
+                column += count
+                if model is None:
+                    assert mine.isnan().all()
+                    continue
+                assert all(int(data["tick"]) == int(ticks) for data, ticks in zip(last, env.fleet.ticks, strict=True))
+                torch.testing.assert_close(mine, getattr(model, prop).reshape(3, count, -1), rtol=1e-12, atol=1e-12)

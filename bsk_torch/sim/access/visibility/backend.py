@@ -21,7 +21,7 @@ class Visibility(Protocol):
     """Whether kernels compute it, and queries of windows and eclipses too."""
 
     def umbra(self, orbits: PlannedOrbits, start: Tensor, count: int) -> Tensor:
-        """Return whether satellites are in the Earth's umbra at ``count`` samples from ``start`` [n] s on, [n, count]."""
+        """Return :func:`~bsk_torch.astro.eclipse.umbra_depth` at ``count`` samples from ``start`` [n] s on, [n, count]."""
 
     def ground_track(self, orbits: PlannedOrbits, start: Tensor, count: int) -> Tensor:
         """Return Earth-fixed positions at ``count`` samples from ``start`` [n] s on, [n, count, 3] m."""

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from bsk_torch.astro.eclipse import in_umbra
+from bsk_torch.astro.eclipse import umbra_depth
 from bsk_torch.astro.interpolate import coefficients, position
 from bsk_torch.astro.roots import halved, narrowed, next_guess, placed, refined, sections
 from bsk_torch.astro.sight import elevation_clearance
@@ -39,7 +39,7 @@ class KernelVisibility:
 
     def umbra(self, orbits: PlannedOrbits, start: Tensor, count: int) -> Tensor:
         """See :meth:`Visibility.umbra`."""
-        return _run_samples(umbra_kernel(), orbits, start, count, 1).squeeze(-1) > 0.5
+        return _run_samples(umbra_kernel(), orbits, start, count, 1).squeeze(-1)
 
     def ground_track(self, orbits: PlannedOrbits, start: Tensor, count: int) -> Tensor:
         """See :meth:`Visibility.ground_track`."""
@@ -109,8 +109,8 @@ def _sample_kernel(name: str, function: Callable[[Any, Bus], list[Any]]) -> Kern
 
 @cache
 def umbra_kernel() -> Kernel:
-    """Return the kernel that writes whether a satellite is in the umbra."""
-    return _sample_kernel("eclipse search", lambda r_BN_N, ephemeris: [in_umbra(r_BN_N, ephemeris.r_SN_N)])
+    """Return the kernel that writes how deep a satellite is in the umbra."""
+    return _sample_kernel("eclipse search", lambda r_BN_N, ephemeris: [umbra_depth(r_BN_N, ephemeris.r_SN_N)])
 
 
 @cache

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from bsk_torch.astro.eclipse import in_umbra
+from bsk_torch.astro.eclipse import umbra_depth
 from bsk_torch.astro.interpolate import positions
 from bsk_torch.astro.roots import find_maximum, find_root
 from bsk_torch.astro.sight import elevation_clearance
@@ -33,7 +33,7 @@ class TensorVisibility:
     def umbra(self, orbits: PlannedOrbits, start: Tensor, count: int) -> Tensor:
         """See :meth:`Visibility.umbra`."""
         r_BN_N, ephemeris = sample_planned(orbits, start, count)
-        return in_umbra(r_BN_N, ephemeris.r_SN_N).view(-1, count)
+        return umbra_depth(r_BN_N, ephemeris.r_SN_N).view(-1, count)
 
     def ground_track(self, orbits: PlannedOrbits, start: Tensor, count: int) -> Tensor:
         """See :meth:`Visibility.ground_track`."""
