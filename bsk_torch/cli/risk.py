@@ -20,7 +20,6 @@ from bsk_torch.plan.risk import Risk, Shift, Way, risk
 from bsk_torch.plan.subset import RARER
 from bsk_torch.rand import blended
 from bsk_torch.rl.evaluation.replay import script
-from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.tables import print_table
 
 SHOWN = 6
@@ -63,7 +62,7 @@ def estimate_risk(
     env = named.environment(num_envs, options)
     if draw is not None and not isinstance(env, SatelliteTasking):
         fail(f"--draw shows the episode of one satellite; {named.preset} has many")
-    actor = shared(named.build(env, device), env)
+    actor = named.actor(env, device)
     try:
         with working(f"estimating the risk of {named.label}") as show:
             found = risk(

@@ -148,13 +148,6 @@ def as_numpy(value: Tensor) -> np.ndarray:
     return value.cpu().numpy().copy()
 
 
-def map_leaves(value: Any, function: Callable[[Tensor], Any]) -> Any:
-    """Return ``function`` of an observation, or of every part of a named one, as nested dictionaries."""
-    if isinstance(value, Tensor):
-        return function(value)
-    return {name: map_leaves(part, function) for name, part in value.items()}
-
-
 def counts(seen: Mapping[str, Any] | TensorDictBase) -> dict[str, Tensor]:
     """Return the counters of an environment, such as images, by name; [N, S] int64 each."""
     return dict(seen["counts"].items()) if "counts" in seen.keys() else {}  # noqa: SIM118  - a tensordict

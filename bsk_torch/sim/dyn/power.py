@@ -21,7 +21,7 @@ def _check_battery(args: Values) -> None:
     if bool((args["storedCharge_Init"] > args["batteryStorageCapacity"]).any()):
         raise ValueError(
             f"storedCharge_Init={args['storedCharge_Init'].max().item():g} W s is above "
-            f"batteryStorageCapacity={args['batteryStorageCapacity'].min().item():g} W s"
+            f"batteryStorageCapacity={args['batteryStorageCapacity'].min().item():g} W s; set sat_args['storedCharge_Init'], too"
         )
 
 
