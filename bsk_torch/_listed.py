@@ -21,6 +21,9 @@ MODULE = "bsk_torch.wrappers"
 ONE = {"entry_point": f"{MODULE}.gymnasium:GymEnv", "vector_entry_point": f"{MODULE}.gymnasium:GymVectorEnv"}
 """Entry points of presets with one satellite."""
 
+SOLO = dict(ONE)
+"""Entry points of presets with many satellites, of which one alone has a choice."""
+
 MANY = {"entry_point": f"{MODULE}.general:GymJointEnv"}
 """Entry point of constellations, which have one agent under Gymnasium."""
 
@@ -60,7 +63,7 @@ LISTED: dict[str, Listed] = {
     "HeteroCluster-v1": Listed(
         MANY, "two optical satellites and a radar, to which clouds and night do not matter", (*IMAGING, "cooperative")
     ),
-    "RSOInspection-v1": Listed(MANY, "fly around a spacecraft until its surface is inspected", INSPECTION),
+    "RSOInspection-v1": Listed(SOLO, "fly around a spacecraft until its surface is inspected", INSPECTION),
     "MultiInspection-v1": Listed(MANY, "the same with three inspectors that must not collide", INSPECTION),
     "Services-v1": Listed(
         ONE,

@@ -11,7 +11,7 @@ import torch
 import typer
 
 from bsk_torch.cli.names import PREFIX, PRETRAINED
-from bsk_torch.cli.planned import NamedActor, named_planner
+from bsk_torch.cli.planned import NamedActor, NamedPlanner, named_planner
 from bsk_torch.cli.policies import named_policy
 from bsk_torch.cli.shared import environment, environment_options, preset_options, seed_range
 from bsk_torch.cli.terminal import activity, fail, for_shell, working

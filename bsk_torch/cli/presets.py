@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from bsk_torch._listed import LISTED, MANY, makings
+from bsk_torch._listed import LISTED, ONE, makings
 from bsk_torch.tables import line_width, print_table
 
 
@@ -30,7 +30,7 @@ EXPLAINED = "Pretrained policies: mean return of unseen episodes with its 95 % i
 
 def described(name: str, note: dict[str, Any] | None) -> dict[str, str]:
     """Return the cells of a preset: how many satellites, and the notes on its pretrained policy, if it has one."""
-    satellites = {"preset": name, "satellites": "several" if LISTED[name].views is MANY else "one"}
+    satellites = {"preset": name, "satellites": "one" if LISTED[name].views is ONE else "several"}
     if note is None:
         return satellites | dict.fromkeys(("return", "survival", "decisions", "minutes"), "")
     score = note["score"]

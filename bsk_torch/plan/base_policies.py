@@ -16,7 +16,8 @@ from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.wrappers.policies import Actor
 
 Base: TypeAlias = "Actor | str | Path | None"
-"""What :func:`~bsk_torch.rl.policies.as_policy` takes, the name or the file of a policy; None for the first applicable rule of :data:`USUAL`."""
+"""What :func:`~bsk_torch.rl.policies.as_policy` takes, the name or the file of a policy, or None for
+the first applicable rule of :data:`USUAL`."""
 
 USUAL = ("cooperative", "hasty", "rule", "survey", "drift", "random")
 """Rules, the best first."""
