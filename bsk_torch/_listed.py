@@ -36,7 +36,7 @@ INSPECTION = ("drift", "circumnavigate", "survey", "hurried_survey")
 
 SERVICES = ("angle", "priority_angle", "distance", "rate", "rate_ahead", "candidate_priority", "candidate_rate")
 
-SENSORS = ("candidate_priority", "candidate_rate", "prompt", "prompt_ahead", "local", "centralized")
+SENSORS = ("candidate_priority", "candidate_rate", "candidate_rate_ahead", "prompt", "prompt_ahead", "local", "centralized")
 
 
 class Listed(NamedTuple):
@@ -75,7 +75,9 @@ LISTED: dict[str, Listed] = {
     "CWDocking-v1": Listed(ONE, "dock by thrusters, slowly enough at every distance; linear motion", ("glide",)),
     "CWInspection-v1": Listed(ONE, "inspect lit points of a spacecraft by thrusters; linear motion", ("seek",)),
     "AEOSBench-v1": Listed(
-        MANY, "AEOS-Bench: point up to 50 satellites at tasks on the ground, second by second", ("nearest_task", "soonest_task")
+        MANY,
+        "AEOS-Bench: point up to 50 satellites at tasks on the ground, second by second",
+        ("nearest", "nearest_task", "soonest_task"),
     ),
 }
 """The presets of the package, in the order of :data:`bsk_torch.presets.PRESETS`."""

@@ -54,7 +54,7 @@ BATTERY = Component(
         Arg("batteryStorageCapacity", 288000.0, "W s", "battery capacity", low=1e-6, high=1e18),
         Arg("storedCharge_Init", Uniform(108000.0, 252000.0), "W s", "initial charge", low=0.0),
     ),
-    state=(Field("charge", 1, "W s", exact=True),),
+    state=(Field("charge", 1, "W s", "energy in the battery", exact=True),),
     params=(Field("battery_capacity", 1, "W s", exact=True),),
     initial=lambda args: {"charge": args["storedCharge_Init"]},
     prepare=lambda args: {"battery_capacity": args["batteryStorageCapacity"]},
