@@ -59,7 +59,7 @@ NamedActor: TypeAlias = NamedPolicy | NamedFunction | NamedPlanner
 
 
 def named_actor(name: str, preset: str | None, plan: Sequence[str]) -> NamedActor:
-    """Return the planner or policy of that name; ends the program for options ``plan`` of a policy that is no planner."""
+    """Return the planner or policy of that name; ends the program for options ``plan`` of what is not a planner."""
     if name.startswith(PREFIX):
         return named_planner(name, preset, plan)
     if plan:

@@ -128,7 +128,7 @@ def evaluate(policy: Actor, env: Tasking, *, seed: int | None = None, seeds: Seq
         Results of the episodes. In a constellation, they are sums over its satellites; ``survived`` is True if all survived.
 
     Raises:
-        TypeError: For something that is no policy, with what to write.
+        TypeError: For anything else, with what to write.
         ValueError: For no seeds, both ``seed`` and ``seeds``, ``seeds`` in an environment with other ``env_ids``, or a policy
             that reads observations missing in the environment.
     """

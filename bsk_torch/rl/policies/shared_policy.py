@@ -164,7 +164,7 @@ def of_groups(policies: Mapping[str, TensorDictModuleBase]) -> TensorDictModuleB
 def as_policy(actor: Actor, env: Tasking) -> TensorDictModuleBase:
     """Return what chooses actions as a policy for all satellites of ``env``.
 
-    A module of tensordicts stays as it is. In a constellation with one group, others act for each satellite; see
+    A module of tensordicts is returned unchanged. In a constellation with one group, others act for each satellite; see
     :func:`~bsk_torch.wrappers.policies.policy_of_one` for what they may be, and :func:`shared` for errors.
     """
     return actor if isinstance(actor, TensorDictModuleBase) else shared(actor, env)

@@ -77,9 +77,11 @@ def _lowest_periapsis(values: Mapping[str, Any], r: Vec3, v: Vec3) -> float:
     a = 1.0 / (2.0 / radius - speed2 / mu)
     bound = (radius > 0.0) & (a > 0.0)
     if not bool(bound.all()):
+        other = float(values["mu"].max())
+        converted = f" (oe is converted with sat_args['mu']={other:g})" if values["oe"] is not None and other != MU_EARTH else ""
         raise ValueError(
             f"sat_args: {given} no orbit around the Earth: {_first(radius, ~bound) / 1e3:g} km from its center at "
-            f"{_first(speed2.sqrt(), ~bound):g} m/s, with mu={_first(mu, ~bound):g} m^3/s^2; an orbit's energy is negative"
+            f"{_first(speed2.sqrt(), ~bound):g} m/s, with mu={_first(mu, ~bound):g} m^3/s^2; an orbit's energy is negative{converted}"
         )
     periapsis = periapsis_radius(r, v)
     wrong = ~((periapsis >= LOWEST_PERIAPSIS) & (2.0 * a - periapsis <= HIGHEST_APOAPSIS))
