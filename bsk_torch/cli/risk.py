@@ -10,7 +10,7 @@ from typing import Any
 import torch
 import typer
 
-from bsk_torch.cli.policies import NamedPolicy, named_policy
+from bsk_torch.cli.policies import NamedFunction, NamedPolicy, named_policy
 from bsk_torch.cli.shared import check_picture, check_writable, environment_options, extra, made, preset_options
 from bsk_torch.cli.terminal import activity, fail, working
 from bsk_torch.env import SatelliteTasking
@@ -148,7 +148,7 @@ def of_shift(shift: Shift) -> dict[str, str]:
     }
 
 
-def draw_way(found: Risk, named: NamedPolicy, options: Mapping[str, Any], path: Path) -> None:
+def draw_way(found: Risk, named: NamedPolicy | NamedFunction, options: Mapping[str, Any], path: Path) -> None:
     """Draw the most typical episode over time, with the moment of the event."""
     recorder, figure = extra("bsk_torch.viz.recorders.track"), extra("bsk_torch.viz.figures.timeline")
     typical = found.paths().take(torch.tensor([0]))

@@ -95,7 +95,9 @@ class WholePolicy(TensorDictModuleBase):
     def __init__(self, function: Callable[[TensorDictBase], TensorDictBase]) -> None:
         """Call ``function``."""
         super().__init__()
-        self.function, self.in_keys, self.out_keys = function, [], ["action"]
+        self.function = function
+        self.in_keys: list[str] = []
+        self.out_keys = ["action"]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the actions."""
