@@ -8,6 +8,7 @@ from importlib.util import find_spec as _find_spec
 from typing import TYPE_CHECKING
 
 from bsk_torch._listed import register_listed as _register_listed
+from bsk_torch.sim.names import nearest as _nearest
 
 if TYPE_CHECKING:
     from bsk_torch import act, comm, craft, data, formations, obs, rand, sats, scene
@@ -63,7 +64,7 @@ def __getattr__(name: str) -> object:
     elif not name.startswith("__") and _find_spec(f"{__name__}.{name}") is not None:
         found = _import_module(f"{__name__}.{name}")
     else:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; {_nearest(name, __all__)}")
     globals()[name] = found
     return found
 

@@ -1,53 +1,117 @@
-"""The presets, each with one line about its task and its Gymnasium entry points; read without torch.
+"""Names of presets, rules, planners and pretrained policies; read without torch.
 
-``import bsk_torch`` registers these environments, and ``bsk-torch list`` and ``--help`` read them, before torch is imported.
+``import bsk_torch`` registers the presets, and the command line checks names and prints help, before torch is imported. A test
+compares the names with the tables of the functions that they stand for.
 """
 
 from __future__ import annotations
 
+import json
 import sys
+from functools import cache
+from importlib.resources import files
 from typing import Any, NamedTuple, NoReturn
 
 import gymnasium
+
+from bsk_torch.sim.names import nearest
 
 MODULE = "bsk_torch.wrappers"
 
 ONE = {"entry_point": f"{MODULE}.gymnasium:GymEnv", "vector_entry_point": f"{MODULE}.gymnasium:GymVectorEnv"}
 """Entry points of presets with one satellite."""
 
+SOLO = dict(ONE)
+"""Entry points of presets with many satellites, of which one alone has a choice."""
+
 MANY = {"entry_point": f"{MODULE}.general:GymJointEnv"}
 """Entry point of constellations, which have one agent under Gymnasium."""
 
 
+SCANNING = ("rule", "cautious")
+
+IMAGING = ("greedy", "nearest", "hasty", "farsighted")
+
+INSPECTION = ("drift", "circumnavigate", "survey", "hurried_survey")
+
+SERVICES = ("angle", "priority_angle", "distance", "rate", "rate_ahead", "candidate_priority", "candidate_rate")
+
+SENSORS = ("candidate_priority", "candidate_rate", "candidate_rate_ahead", "prompt", "prompt_ahead", "local", "centralized")
+
+
 class Listed(NamedTuple):
-    """Gymnasium's entry points of a preset, and its task in one line."""
+    """Gymnasium's entry points of a preset, its task in one line, and its rules, some of which need an option of the preset."""
 
     views: dict[str, str]
     task: str
+    rules: tuple[str, ...]
 
 
 LISTED: dict[str, Listed] = {
-    "NadirScan-v1": Listed(ONE, "record the ground below; keep battery, wheels and data buffer within limits"),
-    "NadirScience-v1": Listed(ONE, "the same with ten observations, a large battery and a strong disturbance, of bsk_rl's suite"),
-    "FaultyScan-v1": Listed(ONE, "NadirScan-v1 while wheels, panel, battery and transmitter fail at random times"),
-    "AEOS-v1": Listed(ONE, "choose which of the next 32 targets to image, of 100 to 9,999"),
-    "AEOSPower-v1": Listed(ONE, "AEOS-v1 with a small battery and data buffer, and weak wheels"),
-    "AEOSCity-v1": Listed(ONE, "AEOS-v1 with cities as targets (extra: cities)"),
-    "CloudyAEOS-v1": Listed(ONE, "AEOS-v1 under clouds, observed only as a forecast"),
-    "Constellation-v1": Listed(MANY, "12 imagers that communicate along lines of sight"),
-    "AEOSConstellation-v1": Listed(MANY, "three imagers in one plane that share all knowledge once a minute"),
-    "RelayConstellation-v1": Listed(MANY, "four low imagers, two high relays; broadcasting is an action"),
-    "HeteroCluster-v1": Listed(MANY, "two optical satellites and a radar, to which clouds and night do not matter"),
-    "RSOInspection-v1": Listed(MANY, "fly around a spacecraft until its surface is inspected"),
-    "MultiInspection-v1": Listed(MANY, "the same with three inspectors that must not collide"),
-    "Services-v1": Listed(ONE, "image 200 satellites and debris again and again; quality is verified on the ground"),
-    "ThreeSensors-v1": Listed(MANY, "three imagers of objects in orbit, each of which knows only its images"),
-    "Walker4-v1": Listed(MANY, "four imagers of objects in orbit that tell each other of images by radio"),
-    "CWDocking-v1": Listed(ONE, "dock by thrusters, slowly enough at every distance; linear motion"),
-    "CWInspection-v1": Listed(ONE, "inspect lit points of a spacecraft by thrusters; linear motion"),
-    "AEOSBench-v1": Listed(MANY, "AEOS-Bench: point up to 50 satellites at tasks on the ground, second by second"),
+    "NadirScan-v1": Listed(ONE, "record the ground below; keep battery, wheels and data buffer within limits", SCANNING),
+    "NadirScience-v1": Listed(
+        ONE, "the same with ten observations, a large battery and a strong disturbance, of bsk_rl's suite", ("science",)
+    ),
+    "FaultyScan-v1": Listed(ONE, "NadirScan-v1 while wheels, panel, battery and transmitter fail at random times", SCANNING),
+    "AEOS-v1": Listed(ONE, "choose which of the next 32 targets to image, of 100 to 9,999", IMAGING),
+    "AEOSPower-v1": Listed(ONE, "AEOS-v1 with a small battery and data buffer, and weak wheels", IMAGING),
+    "AEOSCity-v1": Listed(ONE, "AEOS-v1 with cities as targets (extra: cities)", IMAGING),
+    "CloudyAEOS-v1": Listed(ONE, "AEOS-v1 under clouds, observed only as a forecast", IMAGING),
+    "Constellation-v1": Listed(MANY, "12 imagers that communicate along lines of sight", IMAGING),
+    "AEOSConstellation-v1": Listed(MANY, "three imagers in one plane that share all knowledge once a minute", IMAGING),
+    "RelayConstellation-v1": Listed(MANY, "four low imagers, two high relays; broadcasting is an action", IMAGING),
+    "HeteroCluster-v1": Listed(
+        MANY, "two optical satellites and a radar, to which clouds and night do not matter", (*IMAGING, "cooperative")
+    ),
+    "RSOInspection-v1": Listed(SOLO, "fly around a spacecraft until its surface is inspected", INSPECTION),
+    "MultiInspection-v1": Listed(MANY, "the same with three inspectors that must not collide", INSPECTION),
+    "Services-v1": Listed(
+        ONE,
+        "image 200 satellites and debris again and again; quality is verified on the ground",
+        (*SERVICES, "candidate_rate_ahead"),
+    ),
+    "ThreeSensors-v1": Listed(MANY, "three imagers of objects in orbit, each of which knows only its images", SENSORS),
+    "Walker4-v1": Listed(MANY, "four imagers of objects in orbit that tell each other of images by radio", SENSORS),
+    "CWDocking-v1": Listed(ONE, "dock by thrusters, slowly enough at every distance; linear motion", ("glide",)),
+    "CWInspection-v1": Listed(ONE, "inspect lit points of a spacecraft by thrusters; linear motion", ("seek",)),
+    "AEOSBench-v1": Listed(
+        MANY,
+        "AEOS-Bench: point up to 50 satellites at tasks on the ground, second by second",
+        ("nearest", "nearest_task", "soonest_task"),
+    ),
 }
 """The presets of the package, in the order of :data:`bsk_torch.presets.PRESETS`."""
+
+RULES = tuple(dict.fromkeys(("random", *(rule for preset in LISTED.values() for rule in preset.rules))))
+"""Names of :data:`bsk_torch.rl.policies.shared_policy.RULES`."""
+
+PLANNERS = ("rollout", "beam", "mcts", "cem")
+"""Names of :data:`bsk_torch.plan.names.PLANNERS`."""
+
+
+@cache
+def makings() -> dict[str, dict[str, Any]]:
+    """Return the training and the score of each pretrained policy, by preset, as ``bsk-torch publish`` has written them.
+
+    Entries are ``command``, ``seed``, ``frames``, ``seconds`` and ``machine`` of the training; ``score`` with the mean
+    ``return``, the half width of its 95 % interval and the ``survival`` in ``episodes`` unseen episodes; and ``first``, the
+    returns of the first few episodes.
+    """
+    path = files("bsk_torch").joinpath("rl/policies/policies.json")  # of a package that would import torch
+    return dict(json.loads(path.read_text()))
+
+
+def unlisted(preset: str) -> str:
+    """Return what is wrong with a name that is not one of the presets."""
+    return f"{preset!r} is not a preset; {nearest(preset, LISTED)}"
+
+
+def no_policy(preset: str) -> str:
+    """Return what to do for a preset without a pretrained policy, or what is wrong with the name."""
+    if preset not in LISTED:
+        return f"there is no pretrained policy for {preset!r}: it {unlisted(preset).partition(' ')[2]}"
+    rules = ", ".join(("random", *LISTED[preset].rules))
+    return f"there is no pretrained policy for {preset!r}: train one (bsk-torch train {preset}), or choose a rule: {rules}"
 
 
 def satellite_tasking(**options: Any) -> Any:

@@ -425,6 +425,8 @@ class Uniform(Distribution):
         """Check the numbers."""
         _check_numbers(low=self.low, high=self.high)
         _check_size(self.size)
+        if bool((torch.as_tensor(self.low) > torch.as_tensor(self.high)).any()):
+            raise ValueError(f"low={self.low!r} must not be above high={self.high!r}")
 
     def draw(self, key: Key) -> Tensor:
         """See :meth:`Distribution.draw`."""

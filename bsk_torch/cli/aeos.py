@@ -13,7 +13,6 @@ from bsk_torch.env import ConstellationTasking
 from bsk_torch.rl.evaluation.aeos_annotations import AssignedTasks, check_names, export_annotations, fly_cases, read_assignments
 from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.evaluation.results import print_results, save_episodes, save_results
-from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.scene import Cases, read_cases
 
 PRESET = "AEOSBench-v1"
@@ -61,7 +60,7 @@ def export_aeosbench(
         fail(str(error))
     options = preset_options(option) | environment_options(backend, device, time_limit)
     env = bench(given, sensor, named.options(options))
-    actor = shared(named.build(env, device), env)
+    actor = named.actor(env, device)
     with working(f"flying {policy}"):
         try:
             flown = list(fly_cases(actor, env))

@@ -13,7 +13,6 @@ from bsk_torch.cli.terminal import echo, fail, working
 from bsk_torch.files import write_file
 from bsk_torch.plan.audit import WORST, Audit, OfSituation, audit
 from bsk_torch.rl.evaluation.statistics import confidence
-from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.tables import print_table
 
 SHOWN = 5
@@ -49,7 +48,7 @@ def audit_policy(
     env = named.environment(
         min(len(episodes), num_envs), preset_options(option) | environment_options(backend, device, time_limit)
     )
-    actor = shared(named.build(env, device), env)
+    actor = named.actor(env, device)
     try:
         with working(f"valuing all actions of {named.label}"):
             found = audit(env, actor, seeds=episodes, horizon=horizon, gamma=gamma, futures=futures, budget=budget)

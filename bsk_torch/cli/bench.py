@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import inspect
 import json
 import logging
 import os
 import platform
-import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from datetime import datetime, timezone
-from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -22,8 +19,10 @@ import torch
 from bsk_torch.basilisk import FLOWN, absent_data, lacking
 from bsk_torch.basilisk import certify as certified
 from bsk_torch.basilisk.aeos_certificate import BENCH, certify_bench
-from bsk_torch.cli.planned import PREFIX, named_planner
-from bsk_torch.cli.policies import PRETRAINED, NamedPolicy, named_policy
+from bsk_torch.cli.functions import described, entrant_of_user
+from bsk_torch.cli.names import PREFIX, PRETRAINED
+from bsk_torch.cli.planned import named_planner
+from bsk_torch.cli.policies import NamedFunction, NamedPolicy, named_policy
 from bsk_torch.cli.shared import check_writable, preset_options
 from bsk_torch.cli.terminal import Failure, fail, print_message, working
 from bsk_torch.codegen.inductor import BACKENDS
@@ -57,13 +56,6 @@ CERTIFIERS = {**dict.fromkeys(FLOWN, certified), BENCH: certify_bench}
 
 FORMAT = 1
 """Version of the layout of the JSON file."""
-
-
-def described(error: BaseException) -> str:
-    """Return the message of an error; its type precedes it unless the message is this package's, or tells what is wrong."""
-    return (
-        str(error) if isinstance(error, (TypeError, ValueError, Failure)) and str(error) else f"{type(error).__name__}: {error}"
-    )
 
 
 class Failures(dict[str, dict[str, str]]):
@@ -184,25 +176,22 @@ def entrant_of(name: str, tasks: Sequence[Task] = ()) -> Entrant:
         usual = {view: value for task in tasks for view, value in task.rules.get(plain, {}).items()}
         given = usual | dict(view_of(view, allowed) for view in views)
         return lambda preset, make: rule(plain, given, make)
-    module, colon, function = plain.partition(":")
-    if colon and not Path(name).exists():
-        found = imported(module, function)
-        check_takes(found, plain, views)
-        return lambda preset, make: found(preset, make, *views)
+    if ":" in plain and not Path(name).exists():
+        return entrant_of_user(plain, views)
     policy = named_policy(name, None)
     return lambda preset, make: entered(policy, make, drawn) if preset == policy.preset else None
 
 
-def entered(policy: NamedPolicy, make: Callable[..., Tasking], drawn: Sequence[str]) -> tuple[Tasking, Policy]:
+def entered(policy: NamedPolicy | NamedFunction, make: Callable[..., Tasking], drawn: Sequence[str]) -> tuple[Tasking, Policy]:
     """Enter a policy of a file, in an environment with the views that it was trained with; see :func:`views_of`.
 
     The program ends in tasks with other observations or actions than those of its training.
     """
     env = make(**views_of(policy, drawn))
-    return env, shared(policy.build(env, str(env.device)), env)
+    return env, policy.actor(env, str(env.device))
 
 
-def views_of(policy: NamedPolicy, drawn: Sequence[str] = ("time_limit",)) -> dict[str, Any]:
+def views_of(policy: NamedPolicy | NamedFunction, drawn: Sequence[str] = ("time_limit",)) -> dict[str, Any]:
     """Return the options of a policy's training, without those named in ``drawn``, such as the length of its episodes."""
     return {name: value for name, value in policy.card.get("options", {}).items() if name not in drawn}
 
@@ -226,7 +215,7 @@ def planned(
     chosen = named_planner(name, preset, options)
     of_base = {} if chosen.base is None else views_of(chosen.base)
     env = make(**(of_base | dict(views)))
-    return env, chosen.build(env, str(env.device))
+    return env, chosen.actor(env, str(env.device))
 
 
 def view_of(text: str, allowed: Sequence[str]) -> tuple[str, Any]:
@@ -235,37 +224,6 @@ def view_of(text: str, allowed: Sequence[str]) -> tuple[str, Any]:
     if not sign or name not in allowed:
         fail(f"{text!r} must be NAME=VALUE with a NAME among {', '.join(allowed)}; {nearest(name, allowed)}")
     return name, preset_options([text])[name]
-
-
-def imported(module: str, function: str) -> Callable[..., tuple[Tasking, Policy] | None]:
-    """Return a function of the user's; ends the program if it cannot be imported."""
-    if str(Path.cwd()) not in sys.path:
-        sys.path.insert(0, str(Path.cwd()))  # where a user's module is, as python -m would find it
-    try:
-        found = getattr(loaded := import_module(module), function, None)
-    except Exception as error:  # a user's module may raise anything
-        logger.debug("%s cannot be imported", module, exc_info=error)
-        hint = f"; write {module.removesuffix('.py')}:{function}" if module.endswith(".py") else ""
-        fail(f"{module}:{function} cannot be imported: {described(error)}{hint}")
-    if found is None:
-        own = [name for name, value in vars(loaded).items() if callable(value) and not name.startswith("_")]
-        fail(f"{module}:{function} cannot be imported: {module} has no {function!r}; {nearest(function, own)}")
-    if not callable(found):
-        fail(f"{module}:{function} is no function of a preset's name and make")
-    return found
-
-
-def check_takes(function: Callable[..., object], title: str, texts: Sequence[str]) -> None:
-    """End the program for a function that cannot be called with the name of a preset, ``make`` and further ``texts``."""
-    try:
-        taken = inspect.signature(function)
-    except ValueError:  # of a function that is not written in Python
-        return
-    try:
-        taken.bind("preset", "make", *texts)
-    except TypeError as error:
-        further = f", and the {len(texts)} texts after its commas" if texts else ""
-        fail(f"{title} takes {taken}; it must take the name of a preset and make, (preset, make){further}: {error}")
 
 
 def told(score: Score, reference: Mapping[str, object] | None) -> dict[str, Any]:

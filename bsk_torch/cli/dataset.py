@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from tensordict.nn import TensorDictModuleBase
 
-from bsk_torch.cli.planned import PREFIX, NamedPlanner, named_planner
-from bsk_torch.cli.policies import PRETRAINED, NamedPolicy, named_policy
+from bsk_torch.cli.names import PREFIX, PRETRAINED
+from bsk_torch.cli.planned import NamedActor, NamedPlanner, named_planner
+from bsk_torch.cli.policies import named_policy
 from bsk_torch.cli.shared import environment, environment_options, preset_options, seed_range
 from bsk_torch.cli.terminal import activity, echo, fail, for_shell, working
 from bsk_torch.env import Tasking
@@ -21,10 +21,8 @@ from bsk_torch.offline.layout import MINARI
 from bsk_torch.offline.minari_format import check_minari, minari_id
 from bsk_torch.offline.writing import check_folder
 from bsk_torch.plan.base_policies import USUAL
-from bsk_torch.presets import PRESETS
 from bsk_torch.rl.policies.pretrained import makings
-from bsk_torch.rl.policies.shared_policy import shared, shared_baselines
-from bsk_torch.sim.names import nearest
+from bsk_torch.rl.policies.shared_policy import shared_baselines
 from bsk_torch.tables import print_table
 
 RANDOM, SHARE = "random", "random="
@@ -36,12 +34,12 @@ class Named:
     """A behavior on the command line: its text, the policy (None for random actions), and the probability of random actions."""
 
     text: str
-    policy: NamedPolicy | NamedPlanner | None
+    policy: NamedActor | None
     share: float
 
     def behavior(self, env: Tasking, device: str) -> Behavior:
         """Return the behavior in an environment; ends the program if the policy does not fit."""
-        return Behavior(self.text, None if self.policy is None else built(self.policy, env, device), self.share)
+        return Behavior(self.text, None if self.policy is None else self.policy.actor(env, device), self.share)
 
 
 def dataset(
@@ -64,8 +62,6 @@ def dataset(
     """Write a dataset, and print what it contains; see :mod:`bsk_torch.cli.main`."""
     torch.set_num_threads(threads)
     episodes, given = seed_range(seeds), preset_options(option)
-    if preset not in PRESETS:
-        fail(f"there is no preset {preset!r}; {nearest(preset, PRESETS)}")
     try:
         check_folder(out)
         if minari:
@@ -89,7 +85,7 @@ def dataset(
             preset=preset,
             behaviors=[one.behavior(env, device) for one in acting],
             seeds=episodes,
-            targets={name: built(one, env, device) for name, one in judged.items()},
+            targets={name: one.actor(env, device) for name, one in judged.items()},
             share=share,
             gamma=gamma,
             futures=futures,
@@ -124,7 +120,7 @@ def named_behavior(text: str, preset: str) -> Named:
     return Named(text, named_policy(name, preset), share)
 
 
-def trained_options(policies: Sequence[NamedPolicy | NamedPlanner | None]) -> dict[str, Any]:
+def trained_options(policies: Sequence[NamedActor | None]) -> dict[str, Any]:
     """Return the options of the environment with which the policies were trained; ends the program if they contradict."""
     found: dict[str, Any] = {}
     for policy in policies:
@@ -133,12 +129,6 @@ def trained_options(policies: Sequence[NamedPolicy | NamedPlanner | None]) -> di
             if found.setdefault(name, value) != value:
                 fail(f"the policies were trained with different options: {name}={found[name]!r} and {name}={value!r}")
     return found
-
-
-def built(policy: NamedPolicy | NamedPlanner, env: Tasking, device: str) -> TensorDictModuleBase:
-    """Return a policy for all agents of an environment; ends the program if it does not fit."""
-    made = policy.build(env, device)
-    return made if isinstance(policy, NamedPlanner) else shared(made, env)
 
 
 def usual_rule(env: Tasking) -> list[str]:

@@ -17,7 +17,9 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
+from bsk_torch._listed import PLANNERS, RULES
 from bsk_torch.cli import terminal
+from bsk_torch.cli.names import check_names
 
 Parameters = list[inspect.Parameter]
 
@@ -25,27 +27,21 @@ MACHINE = "Machine"
 """Panel of the help with options that do not change what a command does."""
 
 Preset = Annotated[str, typer.Argument(help="Environment; 'bsk-torch list' names them.", show_default=False)]
+BASELINES = ", ".join(RULES)
+
 Policy = Annotated[
     str,
     typer.Argument(
-        help="Run folder, policy file, 'pretrained', or a baseline: random, rule, cautious, science, greedy, nearest, hasty, "
-        "farsighted, cooperative, drift, circumnavigate, survey, hurried_survey, glide, seek, angle, priority_angle, distance, "
-        "candidate_priority, rate, candidate_rate, rate_ahead, candidate_rate_ahead, prompt, prompt_ahead, local, centralized, "
-        "nearest_task, soonest_task.",
+        help=f"Run folder, policy file, 'pretrained', your own function (package.module:function), or a baseline: {BASELINES}.",
         show_default=False,
     ),
 ]
-PolicyOrPlanner = Annotated[
-    str,
-    typer.Argument(
-        help="Run folder, policy file, 'pretrained', a baseline (random, rule, cautious, science, greedy, nearest, hasty, "
-        "farsighted, cooperative, drift, circumnavigate, survey, hurried_survey, glide, seek, angle, priority_angle, distance, "
-        "candidate_priority, rate, candidate_rate, rate_ahead, candidate_rate_ahead, prompt, prompt_ahead, local, centralized, "
-        "nearest_task, soonest_task), "
-        "or a planner (plan:rollout, plan:beam, plan:mcts, plan:cem).",
-        show_default=False,
-    ),
-]
+PLANNED = (
+    f"Run folder, policy file, 'pretrained', your own function (package.module:function), a baseline ({BASELINES}), or a planner "
+    f"({', '.join(f'plan:{name}' for name in PLANNERS)})."
+)
+PolicyOrPlanner = Annotated[str, typer.Argument(help=PLANNED, show_default=False)]
+PoliciesOrPlanners = Annotated[list[str], typer.Argument(help=PLANNED, show_default=False)]
 Changes = Annotated[
     list[str] | None,
     typer.Argument(
@@ -147,6 +143,7 @@ def command(app: typer.Typer, module: str, examples: str, name: str | None = Non
         @functools.wraps(declared)
         def start(*, verbose: bool, quiet: bool, **arguments: Any) -> None:
             terminal.set_verbosity(verbose, quiet)
+            check_names(arguments)
             with terminal.working("starting"):  # importing torch takes seconds
                 work = getattr(import_module(f"bsk_torch.cli.{module}"), declared.__name__)
             work(**arguments)

@@ -8,8 +8,9 @@ from pathlib import Path
 import torch
 from tensordict.nn import TensorDictModuleBase
 
-from bsk_torch.cli.planned import PREFIX, NamedPlanner, named_planner
-from bsk_torch.cli.policies import NamedPolicy, named_policy
+from bsk_torch.cli.names import PREFIX
+from bsk_torch.cli.planned import NamedPlanner, named_actor
+from bsk_torch.cli.policies import TRAINED
 from bsk_torch.cli.shared import check_writable, environment_options, preset_options, seed_range
 from bsk_torch.cli.terminal import activity, fail, working
 from bsk_torch.env import Tasking
@@ -30,7 +31,7 @@ MOST_PLANNED = 64
 
 
 def evaluate_policy(
-    policy: str,
+    policies: list[str],
     preset: str | None,
     option: list[str] | None,
     seeds: str,
@@ -51,30 +52,35 @@ def evaluate_policy(
         check_writable(path)
     if out is not None and episodes_out is not None and out.absolute() == episodes_out.absolute():
         fail(f"--out and --episodes-out are the same file, {str(out)!r}")
-    named: NamedPolicy | NamedPlanner
-    if policy.startswith(PREFIX):
-        if shield is not None:
-            fail(f"--shield cannot stand before {policy!r}: the branches would not know of it")
-        named, most = named_planner(policy, preset, plan or ()), MOST_PLANNED
-    else:
-        if plan:
-            fail(f"--plan {plan[0]!r} is for planners, such as plan:rollout; the policy is {policy!r}")
-        named = named_policy(policy, preset)
-        most = MOST_TEAMS if is_constellation(named.preset) else MOST
-    size = min(len(episodes), most)
-    env = named.environment(size, preset_options(option) | environment_options(backend, device, time_limit))
-    label, actor = named.label, named.build(env, device)
-    guarded = {} if shield is None else {f"{label} + {shield}": _guarded(actor, shield, env)}
-    planned = isinstance(named, NamedPlanner)
-    actors = {name: one if planned else shared(one, env) for name, one in (guarded | {label: actor}).items()}
-    chosen = next(iter(actors))
-    actors |= {name: rule for name, rule in shared_baselines(env).items() if baselines and name != policy}
+    if shield is not None and (planner := next((name for name in policies if name.startswith(PREFIX)), None)):
+        fail(f"--shield cannot stand before {planner!r}: the branches would not know of it")
+    if len(set(policies)) < len(policies):
+        fail(f"policies {' '.join(policies)}: name each once")
+    named = [
+        named_actor(name, preset, (plan or ()) if name.startswith(PREFIX) or len(policies) == 1 else ()) for name in policies
+    ]
+    of_presets = {one.name: one.preset for one in named}
+    if len(set(of_presets.values())) > 1:
+        fail(f"the policies are for different presets: {', '.join(f'{k}: {v}' for k, v in of_presets.items())}; give --preset")
+    title, most = named[0].preset, MOST_TEAMS if is_constellation(named[0].preset) else MOST
+    size = min(len(episodes), MOST_PLANNED if any(isinstance(one, NamedPlanner) for one in named) else most)
+    options = preset_options(option) | environment_options(backend, device, time_limit)
+    actors: dict[str, tuple[TensorDictModuleBase, Tasking]] = {}
+    for one in named:
+        env = one.environment(size, options)
+        label = one.label if len(named) == 1 or one.label != TRAINED else one.name
+        if shield is not None and not isinstance(one, NamedPlanner):
+            actors[f"{label} + {shield}"] = shared(_guarded(one.build(env, device), shield, env), env), env
+        actors[label] = one.actor(env, device), env
+    chosen, (_, env) = next(iter(actors.items()))
+    if baselines:
+        actors |= {name: (rule, env) for name, rule in shared_baselines(env).items() if name not in policies}
     results = {}
-    for k, (other, one) in enumerate(actors.items(), 1):
+    for k, (other, (actor, env)) in enumerate(actors.items(), 1):
         with working(f"evaluating {other}, policy {k} of {len(actors)}"):
-            results[other] = evaluate(one, env, seeds=episodes)
+            results[other] = evaluate(actor, env, seeds=episodes)
     activity.report()
-    print_results(results, f"{named.preset}, {len(episodes)} episodes, seeds {seeds}", chosen if len(results) > 1 else None)
+    print_results(results, f"{title}, {len(episodes)} episodes, seeds {seeds}", chosen if len(results) > 1 else None)
     if out is not None:
         save_results(results, out, chosen)
     if episodes_out is not None:

@@ -60,7 +60,7 @@ def explain_failures(
     env = named.environment(num_envs, options)
     if not isinstance(env, SatelliteTasking):
         fail(f"{named.preset} has many satellites; failures are explained of one")
-    actor = named.build(env, device)
+    actor = named.actor(env, device)
     begin = time.perf_counter()
     try:
         check_searchable(env)

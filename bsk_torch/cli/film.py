@@ -14,15 +14,13 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 
 from bsk_torch.cli.pictures import EPISODES
-from bsk_torch.cli.planned import PREFIX, NamedPlanner, named_planner
-from bsk_torch.cli.policies import NamedPolicy, named_policy
+from bsk_torch.cli.planned import named_actor
 from bsk_torch.cli.shared import PICTURES, check_picture, check_writable, environment_options, extra
 from bsk_torch.cli.terminal import echo, fail, working
 from bsk_torch.env import ConstellationTasking, Tasking
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.files import write_file
 from bsk_torch.rl.evaluation.evaluate import LOT, with_lots
-from bsk_torch.rl.policies.shared_policy import shared
 
 FILMS = (".gif", ".webp", ".mp4")
 """What the names of films end with."""
@@ -51,16 +49,14 @@ def film(
     check_picture("--out", out, (*FILMS, *PICTURES))
     check_writable(out)
     extra("bsk_torch.viz.render.frames", "viz")
-    named: NamedPolicy | NamedPlanner
-    named = named_planner(policy, preset, plan or ()) if policy.startswith(PREFIX) else named_policy(policy, preset)
+    named = named_actor(policy, preset, plan or ())
     options: dict[str, object] = environment_options(backend, device, time_limit)
     if every is not None:
         options["max_step_duration"] = every
     env = named.environment(1, options)
     if every is not None and not isinstance(env, ConstellationTasking):
         fail(f"--every {every:g} is for constellations, which continue their tasks; {named.preset} would decide more often")
-    built = named.build(env, device)
-    actor = built if isinstance(named, NamedPlanner) else shared(built, env)
+    actor = named.actor(env, device)
     player = with_lots(actor, env) if LOT in actor.in_keys else actor
     if out.suffix in PICTURES:
         with working("playing the episode"):

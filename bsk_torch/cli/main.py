@@ -21,6 +21,7 @@ from bsk_torch.cli.declaration import (
     OfPreset,
     Options,
     Plan,
+    PoliciesOrPlanners,
     Policy,
     PolicyOrPlanner,
     Preset,
@@ -34,7 +35,7 @@ from bsk_torch.cli.declaration import (
     WithPolicy,
     command,
 )
-from bsk_torch.cli.terminal import activity, echo, fail, print_message
+from bsk_torch.cli.terminal import activity, described, echo, fail, of_arguments, print_message
 
 logger = logging.getLogger(__name__)
 
@@ -58,15 +59,13 @@ class Commands(WithoutTypes, TyperGroup):
         except (OSError, RuntimeError, MemoryError) as error:
             logger.debug("the command failed", exc_info=error)
             fail(described(error))
+        except (KeyError, TypeError, ValueError) as error:
+            if not of_arguments(error):
+                raise
+            logger.debug("no episode could begin", exc_info=error)
+            fail(described(error))  # --verbose shows where
         finally:
             activity.report()
-
-
-def described(error: BaseException) -> str:
-    """Return the message of an error; system errors start with the file."""
-    if isinstance(error, OSError) and error.strerror and error.filename:
-        return f"{str(error.filename)!r}: {error.strerror}"
-    return str(error) or type(error).__name__
 
 
 app = typer.Typer(cls=Commands, no_args_is_help=True, add_completion=False, rich_markup_mode="rich")
@@ -178,6 +177,7 @@ def profile(
     "evaluate",
     """
     bsk-torch eval runs/scan
+    bsk-torch eval runs/a runs/b my_package.policies:mine --seeds 0:256
     bsk-torch eval pretrained --preset AEOS-v1 --seeds 0:256
     bsk-torch eval runs/scan --shield safe --out results.json
     bsk-torch eval plan:rollout --plan base=rule --plan horizon=1500 --seeds 0:8
@@ -186,7 +186,7 @@ def profile(
     name="eval",
 )
 def evaluate_policy(
-    policy: PolicyOrPlanner,
+    policies: PoliciesOrPlanners,
     preset: OfPreset = None,
     option: Options = None,
     seeds: Annotated[str, typer.Option(metavar="A:B", help="Episodes of the seeds A to B - 1, or of a single seed.")] = "0:1000",

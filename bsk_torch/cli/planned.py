@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 from tensordict.nn import TensorDictModuleBase
 
-from bsk_torch.cli.policies import FIRST, PRETRAINED, NamedPolicy, named_policy
+from bsk_torch.cli.names import FIRST, PREFIX, PRETRAINED, check_policy
+from bsk_torch.cli.policies import NamedFunction, NamedPolicy, named_policy
 from bsk_torch.cli.terminal import fail
 from bsk_torch.env import Tasking
-from bsk_torch.plan.names import PLANNERS, find_planner, options_of, planner
-from bsk_torch.rl.policies.shared_policy import shared
+from bsk_torch.plan.names import options_of, planner
 from bsk_torch.rl.rules.baselines import BASELINES
 from bsk_torch.sim.arguments.values import nearest
-
-PREFIX = "plan:"
-"""What the names of planners begin with."""
 
 BY_HAND = ("value", "redraw", "prior")
 """Options that are modules or functions, which the command line cannot name."""
@@ -36,7 +33,7 @@ class NamedPlanner:
 
     name: str
     options: Mapping[str, Any]
-    base: NamedPolicy | None
+    base: NamedPolicy | NamedFunction | None
     preset: str
 
     @property
@@ -48,22 +45,32 @@ class NamedPlanner:
         """Return environments as :meth:`NamedPolicy.environment` does."""
         return (self.base or NamedPolicy("random", self.preset)).environment(num_envs, options)
 
-    def build(self, env: Tasking, device: str = "cpu") -> TensorDictModuleBase:
+    def actor(self, env: Tasking, device: str = "cpu") -> TensorDictModuleBase:
         """Return the planner, which acts for all agents of ``env``; ends the program if it does not fit."""
-        base = {} if self.base is None else {"base": shared(self.base.build(env, device), env)}
+        base = {} if self.base is None else {"base": self.base.actor(env, device)}
         try:
             return planner(self.name.removeprefix(PREFIX), env, **self.options, **base)
         except (KeyError, TypeError, ValueError) as error:
             fail(str(error.args[0]))
 
 
+NamedActor: TypeAlias = NamedPolicy | NamedFunction | NamedPlanner
+"""A policy or planner of the command line."""
+
+
+def named_actor(name: str, preset: str | None, plan: Sequence[str]) -> NamedActor:
+    """Return the planner or policy of that name; ends the program for options ``plan`` of what is not a planner."""
+    if name.startswith(PREFIX):
+        return named_planner(name, preset, plan)
+    if plan:
+        fail(f"--plan {plan[0]!r} is for planners, such as plan:rollout; the policy is {name!r}")
+    return named_policy(name, preset)
+
+
 def named_planner(name: str, preset: str | None, given: Sequence[str]) -> NamedPlanner:
     """Return the planner ``plan:NAME`` with the options NAME=VALUE; ends the program for wrong ones."""
+    check_policy(name, preset)
     short = name.removeprefix(PREFIX)
-    try:
-        find_planner(short)
-    except ValueError:
-        fail(f"{name!r} is not a planner; {nearest(name, [PREFIX + known for known in PLANNERS])}")
     options = dict(_pair(text, short) for text in given)
     base = options.pop("base", None)
     if base is None:

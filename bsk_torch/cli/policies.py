@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
 
-from bsk_torch.cli.shared import environment
+from bsk_torch.cli.functions import entrant_of_user
+from bsk_torch.cli.names import FIRST, PRETRAINED, check_policy
+from bsk_torch.cli.shared import environment, made
 from bsk_torch.cli.terminal import fail
 from bsk_torch.env import Tasking
-from bsk_torch.presets import PRESETS
+from bsk_torch.rl.evaluation.suite import Entrant
 from bsk_torch.rl.policies.files import build_policy, check_fits, read_card
 from bsk_torch.rl.policies.pretrained import pretrained_file
-from bsk_torch.rl.policies.shared_policy import RULES, baseline, shared_baselines
-from bsk_torch.sim.arguments.values import nearest
+from bsk_torch.rl.policies.shared_policy import RULES, as_policy, baseline, shared, shared_baselines
+from bsk_torch.wrappers.policies import Actor
 
-TRAINED, PRETRAINED = "trained", "pretrained"
-"""Names, in results, of the policy of a file, and of the one that comes with the package."""
-
-FIRST = next(iter(PRESETS))
-"""The environment unless the command line or a run names another."""
+TRAINED = "trained"
+"""Name, in results, of the policy of a file."""
 
 
 @dataclass(frozen=True)
@@ -71,17 +71,73 @@ class NamedPolicy:
         except ValueError as error:
             fail(str(error))
 
+    def actor(self, env: Tasking, device: str = "cpu") -> TensorDictModuleBase:
+        """Return the policy for all agents of ``env``; ends the program if it does not fit."""
+        return shared(self.build(env, device), env)
 
-def named_policy(name: str, preset: str | None) -> NamedPolicy:
+
+@dataclass
+class NamedFunction:
+    """A policy of the user's, ``package.module:name``; see :func:`~bsk_torch.cli.functions.entrant_of_user`.
+
+    Attributes:
+        name: As given on the command line.
+        preset: Name of the environment.
+        entrant: Enters the policy.
+        entered: The environment that was made last, and the policy for it.
+    """
+
+    name: str
+    preset: str
+    entrant: Entrant
+    entered: tuple[Tasking, Actor] | None = None
+    card: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def label(self) -> str:
+        """Name in results."""
+        return self.name.rpartition(":")[2]
+
+    def options(self, given: Mapping[str, object]) -> dict[str, object]:
+        """Return the arguments of the environment."""
+        return dict(given)
+
+    def environment(self, num_envs: int, options: Mapping[str, object]) -> Tasking:
+        """Return the environments that the user's function has made; ends the program if that fails."""
+        usual = {**options, "env_ids": [0] * num_envs}
+        self.entered = self._enter(lambda **views: made(self.preset, num_envs, usual | views))
+        return self.entered[0]
+
+    def _enter(self, make: Callable[..., Tasking]) -> tuple[Tasking, Actor]:
+        """Return what the user's function returns; ends the program for anything else."""
+        entered = self.entrant(self.preset, make)
+        if not isinstance(entered, tuple) or len(entered) != 2 or not isinstance(entered[0], Tasking):
+            what = "nothing" if entered is None else f"a {type(entered).__name__}"
+            fail(f"{self.name} returns {what} for {self.preset}; it must return (env, policy)")
+        return entered
+
+    def build(self, env: Tasking, device: str = "cpu") -> TensorDictModuleBase:
+        """Return the policy for all agents of ``env``; ends the program if it is none."""
+        if self.entered is None or self.entered[0] is not env:
+            self.entered = self._enter(lambda **views: env)
+        try:
+            return as_policy(self.entered[1], env)
+        except (TypeError, ValueError) as error:
+            fail(f"{self.name}: {error}")
+
+    actor = build
+
+
+def named_policy(name: str, preset: str | None) -> NamedPolicy | NamedFunction:
     """Return the policy of that name, for ``preset`` if that is given; ends the program if there is none."""
-    if name in RULES:
-        return NamedPolicy(name, preset or FIRST)
+    check_policy(name, preset)
+    plain, *texts = name.split(",")
+    if plain in RULES:
+        return NamedPolicy(plain, preset or FIRST)
+    if ":" in plain and not Path(name).exists():
+        return NamedFunction(name, preset or FIRST, entrant_of_user(plain, texts))
     try:
         card = read_card(pretrained_file(preset or FIRST) if name == PRETRAINED else name)
-    except FileNotFoundError:
-        preset_hint = "it is a preset: name a policy first, such as pretrained"
-        hint = preset_hint if name in PRESETS else nearest(name, (*RULES, PRETRAINED))
-        fail(f"{name!r} is not a run folder, policy file or baseline; {hint}")
-    except ValueError as error:
+    except (FileNotFoundError, ValueError) as error:
         fail(str(error))
     return NamedPolicy(name, preset or card["preset"], card)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
-from importlib.resources import files
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from bsk_torch._listed import LISTED, MANY
+from bsk_torch._listed import LISTED, ONE, makings
 from bsk_torch.tables import line_width, print_table
 
 
@@ -22,10 +20,8 @@ def list_presets(long: bool) -> None:
             table.add_row(Text(name, style="bold"), Text(preset.task))
         Console(width=line_width()).print(table)
         return
-    path = files("bsk_torch").joinpath("rl/policies/policies.json")  # of a package that would import torch
-    notes: dict[str, dict[str, Any]] = json.loads(path.read_text())
     print_table(
-        [described(name, notes.get(name)) for name in LISTED], EXPLAINED, ("survival", "satellites"), ("preset", "satellites")
+        [described(name, makings().get(name)) for name in LISTED], EXPLAINED, ("survival", "satellites"), ("preset", "satellites")
     )
 
 
@@ -34,7 +30,7 @@ EXPLAINED = "Pretrained policies: mean return of unseen episodes with its 95 % i
 
 def described(name: str, note: dict[str, Any] | None) -> dict[str, str]:
     """Return the cells of a preset: how many satellites, and the notes on its pretrained policy, if it has one."""
-    satellites = {"preset": name, "satellites": "several" if LISTED[name].views is MANY else "one"}
+    satellites = {"preset": name, "satellites": "one" if LISTED[name].views is ONE else "several"}
     if note is None:
         return satellites | dict.fromkeys(("return", "survival", "decisions", "minutes"), "")
     score = note["score"]

@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from bsk_torch.cli.policies import NamedPolicy, named_policy
+from bsk_torch.cli.policies import NamedFunction, NamedPolicy, named_policy
 from bsk_torch.cli.shared import check_picture, check_writable, environment_options, extra, made, preset_options
 from bsk_torch.cli.terminal import activity, echo, fail, working
 from bsk_torch.env import SatelliteTasking
@@ -19,7 +19,6 @@ from bsk_torch.plan.risk import Risk, Shift, Way, risk
 from bsk_torch.plan.subset import RARER
 from bsk_torch.rand import blended
 from bsk_torch.rl.evaluation.replay import script
-from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.tables import print_table
 
 SHOWN = 6
@@ -62,7 +61,7 @@ def estimate_risk(
     env = named.environment(num_envs, options)
     if draw is not None and not isinstance(env, SatelliteTasking):
         fail(f"--draw shows the episode of one satellite; {named.preset} has many")
-    actor = shared(named.build(env, device), env)
+    actor = named.actor(env, device)
     try:
         with working(f"estimating the risk of {named.label}") as show:
             found = risk(
@@ -148,7 +147,7 @@ def of_shift(shift: Shift) -> dict[str, str]:
     }
 
 
-def draw_way(found: Risk, named: NamedPolicy, options: Mapping[str, Any], path: Path) -> None:
+def draw_way(found: Risk, named: NamedPolicy | NamedFunction, options: Mapping[str, Any], path: Path) -> None:
     """Draw the most typical episode over time, with the moment of the event."""
     recorder, figure = extra("bsk_torch.viz.recorders.track"), extra("bsk_torch.viz.figures.timeline")
     typical = found.paths().take(torch.tensor([0]))

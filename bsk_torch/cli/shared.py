@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Mapping, Sequence
+import logging
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from bsk_torch.cli.terminal import fail, working
+from bsk_torch.cli.terminal import described, fail, working
 from bsk_torch.env import Tasking
 from bsk_torch.files import unwritable
 from bsk_torch.presets import make
 from bsk_torch.rl.policies.shared_policy import member_views
+
+logger = logging.getLogger(__name__)
 
 LARGEST_SEED, MOST_SEEDS = 2**62, 10_000_000
 """Bounds of the seeds of episodes, and of their number, that a command plays."""
@@ -49,17 +53,23 @@ def preset_options(given: Sequence[str] | None) -> dict[str, Any]:
     return found
 
 
-def made(preset: str, num_envs: int, options: Mapping[str, object], why: str = "") -> Tasking:
-    """Return an environment of a preset; ends the program if its arguments are wrong. ``why`` introduces unknown ones."""
+@contextmanager
+def building(why: str = "") -> Iterator[None]:
+    """End the program for wrong arguments of an environment or a training that is built; ``why`` introduces unknown ones."""
     try:
-        with working(f"building {preset}"):
-            return make(preset, num_envs=num_envs, **options)
-    except KeyError as error:
-        fail(str(error.args[0]))
-    except TypeError as error:
-        fail(f"{why}{error}")
-    except (ValueError, ImportError) as error:
-        fail(str(error))
+        yield
+    except (KeyError, ImportError, TypeError, ValueError) as error:
+        logger.debug("building failed", exc_info=error)
+        fail(f"{why if isinstance(error, TypeError) else ''}{described(error)}")
+
+
+def made(preset: str, num_envs: int, options: Mapping[str, object], why: str = "") -> Tasking:
+    """Return an environment of a preset; ends the program if its arguments are wrong. ``why`` introduces unknown ones.
+
+    Some arguments are known to be wrong only when the first episodes draw them; see :func:`~bsk_torch.cli.terminal.of_arguments`.
+    """
+    with working(f"building {preset}"), building(why):
+        return make(preset, num_envs=num_envs, **options)
 
 
 def environment(preset: str, num_envs: int, options: Mapping[str, object], why: str = "") -> Tasking:

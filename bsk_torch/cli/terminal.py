@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import shlex
 import sys
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -42,6 +43,27 @@ def fail(message: str) -> NoReturn:
     """Print an error and end the program."""
     screen.print(Text(visible(message), style="red"), soft_wrap=not screen.is_terminal)
     raise Failure(message)
+
+
+def described(error: BaseException) -> str:
+    """Return the message of an error; system errors start with the file."""
+    if isinstance(error, OSError) and error.strerror and error.filename:
+        return f"{str(error.filename)!r}: {error.strerror}"
+    if isinstance(error, KeyError) and error.args:  # which would be quoted
+        return str(error.args[0])
+    return str(error) or type(error).__name__
+
+
+def of_arguments(error: BaseException) -> bool:
+    """Return whether an error ended the start of episodes, where the values of arguments are drawn and checked.
+
+    All other errors of these types are faults of this package or the user's functions, and keep their traceback.
+    """
+    if "torch" not in sys.modules:
+        return False
+    from bsk_torch.env.episodes import Episodes
+
+    return any(frame.f_code is Episodes._begin.__code__ for frame, _ in traceback.walk_tb(error.__traceback__))
 
 
 def for_shell(path: Path | str) -> str:

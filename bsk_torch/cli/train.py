@@ -13,7 +13,7 @@ import torch
 import typer
 
 from bsk_torch.cli.pictures import draw_episode, record
-from bsk_torch.cli.shared import environment, environment_options
+from bsk_torch.cli.shared import building, environment, environment_options
 from bsk_torch.cli.terminal import activity, echo, fail, for_shell, working
 from bsk_torch.env import Tasking
 from bsk_torch.presets import make
@@ -29,10 +29,7 @@ from bsk_torch.rl.training.trainer import CHECKPOINT, check_folder, read_checkpo
 if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
 
-MINUTES = 3.0
-"""Training time unless a limit is given."""
-
-OF_NEW_RUNS = ("algorithm", "network", "minutes", "frames", "seed", "seeds", "workers", "out", "backend", "device", "time_limit")
+OF_NEW_RUNS = ("algorithm", "network", "seed", "seeds", "workers", "out", "backend", "device", "time_limit")
 """Parameters of the command that new runs take; one that is resumed takes changes as NAME=VALUE."""
 
 
@@ -57,26 +54,25 @@ def train(
 ) -> None:
     """Train policies and compare them with the baselines that fit; see :mod:`bsk_torch.cli.main`."""
     torch.set_num_threads(threads)
+    limits = {"frames": frames, "seconds": minutes and 60.0 * minutes}
+    changes = [*(f"{name}={value}" for name, value in limits.items() if value is not None), *(changes or [])]
     if resume:
         folder = Path(preset)
-        config = _read(folder, changes or [])
+        config = _read(folder, changes)
         given = [name for name in OF_NEW_RUNS if _is_given(context, name)]
         if given:
             fail(
-                f"--{given[0].replace('_', '-')} is for new runs; with --resume, changes are written as NAME=VALUE: frames=100000"
+                f"--{given[0].replace('_', '-')} is for new runs; with --resume, changes are written as NAME=VALUE: "
+                "learning_rate=1e-4"
             )
         _check_resumable(folder, config)
         runs, seed = {folder: config}, config.seed
     else:
         for name, said in (("preset", "the first argument"), ("network", "--network"), ("algorithm", "--algorithm")):
-            if any(change.startswith(f"{name}=") for change in changes or []):
+            if any(change.startswith(f"{name}=") for change in changes):
                 fail(f"{name}= is not a setting; give it as {said}")
-        minutes = MINUTES if minutes is None and frames is None else minutes
-        limit = {"frames": frames, "seconds": None if minutes is None else 60.0 * minutes}
         options = environment_options(backend, device, time_limit)
-        config = configured(
-            preset, algorithm, network, [*_several(workers, changes or []), *(changes or [])], seed=seed, options=options, **limit
-        )
+        config = configured(preset, algorithm, network, [*_several(workers, changes), *changes], seed=seed, options=options)
         folder = out or Path("runs") / f"{preset}_{datetime.now():%Y%m%d-%H%M%S}"
         runs = {folder / f"seed_{seed + k}" if seeds > 1 else folder: replace(config, seed=seed + k) for k in range(seeds)}
         _check(runs)
@@ -129,10 +125,8 @@ def _check_resumable(folder: Path, config: PPOConfig) -> None:
 
 def configured(preset: str, algorithm: str | None, network: str | None, changes: list[str], **settings: object) -> PPOConfig:
     """Return the configuration that the command line describes; ends the program if it is wrong."""
-    try:
+    with building():
         return override(configure(preset, network, algorithm, **settings), changes)
-    except ValueError as error:
-        fail(str(error))
 
 
 def _read(folder: Path, changes: list[str]) -> PPOConfig:

@@ -12,13 +12,12 @@ import torch
 
 from bsk_torch.cli.film import FILMS
 from bsk_torch.cli.film import film as write_film
-from bsk_torch.cli.planned import PREFIX, NamedPlanner, named_planner
-from bsk_torch.cli.policies import PRETRAINED, NamedPolicy, named_policy
+from bsk_torch.cli.names import PRETRAINED
+from bsk_torch.cli.planned import named_actor
 from bsk_torch.cli.shared import check_writable, environment_options, extra
 from bsk_torch.cli.terminal import echo, fail, working
 from bsk_torch.files import write_file
 from bsk_torch.presets import PRESETS
-from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.sim.arguments.values import nearest
 
 FILES = (".html", ".bskview", ".czml")
@@ -111,8 +110,6 @@ def _named(what: str, policy: str | None) -> tuple[str, str | None]:
         return policy or PRETRAINED, what
     if policy is not None:
         fail(f"{what!r} is not a preset, for which --policy {policy} could fly; {nearest(what, PRESETS)}")
-    if not Path(what).exists():
-        fail(f"{what!r} is neither a preset, nor the folder of a run, nor a recording; {nearest(what, PRESETS)}")
     return what, None
 
 
@@ -136,11 +133,9 @@ def _source(
             fail(str(error))
     pairs = [_branch(text) for text in branch or ()]
     name, preset = _named(what, policy)
-    named: NamedPolicy | NamedPlanner
-    named = named_planner(name, preset, plan or ()) if name.startswith(PREFIX) else named_policy(name, preset)
+    named = named_actor(name, preset, plan or ())
     env = named.environment(1, options)
-    built = named.build(env, str(options["device"]))
-    actor = built if isinstance(named, NamedPlanner) else shared(built, env)
+    actor = named.actor(env, str(options["device"]))
     futures = extra("bsk_torch.viewer.futures", "viz").Futures(env, actor, preset=named.preset, label=named.label, until=until)
     with working("flying the episode"):
         futures.episode(seed)

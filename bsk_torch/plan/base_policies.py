@@ -10,12 +10,14 @@ from tensordict.nn import TensorDictModuleBase
 
 from bsk_torch.env import Tasking
 from bsk_torch.rl.policies.files import build_policy, check_fits, read_card
-from bsk_torch.rl.policies.shared_policy import rule, shared
+from bsk_torch.rl.policies.shared_policy import as_policy, rule, shared
 from bsk_torch.rl.rules.baselines import BASELINES
 from bsk_torch.sim.arguments.values import nearest
+from bsk_torch.wrappers.policies import Actor
 
-Base: TypeAlias = "TensorDictModuleBase | str | Path | None"
-"""A policy for all agents, its name, or its file; None for the first applicable rule of :data:`USUAL`."""
+Base: TypeAlias = "Actor | str | Path | None"
+"""What :func:`~bsk_torch.rl.policies.as_policy` takes, the name or the file of a policy, or None for
+the first applicable rule of :data:`USUAL`."""
 
 USUAL = ("cooperative", "hasty", "rule", "survey", "drift", "random")
 """Rules, the best first."""
@@ -25,23 +27,21 @@ def base_of(base: Base, env: Tasking) -> TensorDictModuleBase:
     """Return the base policy of a planner for all agents of ``env``.
 
     Args:
-        base: One of the ``BASELINES``, such as ``"hasty"``; a run folder or policy file for this environment; a module that
-            writes the actions of all agents; or None for the first applicable rule of :data:`USUAL`.
+        base: One of the ``BASELINES``, such as ``"hasty"``; a run folder or policy file for this environment; what
+            :func:`~bsk_torch.rl.policies.as_policy` takes; or None for the first applicable rule of :data:`USUAL`.
         env: The environment.
 
     Raises:
         TypeError: For anything else.
         ValueError: For an unknown name, or a policy for another environment.
     """
-    if isinstance(base, TensorDictModuleBase):
-        return base
     if base is None:
         for name in USUAL:
             with suppress(KeyError, ValueError):
                 return rule(name, env)
         raise ValueError("base=None: none of the rules fits the environment; give a policy")
     if not isinstance(base, str | Path):
-        raise TypeError(f"base={base!r} must be a policy, the name of a rule, or the file of a policy")
+        return as_policy(base, env)
     if base in BASELINES:
         try:
             return rule(str(base), env)

@@ -151,4 +151,5 @@ def _takes_one(function: Callable[..., object]) -> bool:
         except TypeError:
             continue
         return count == 1
-    raise TypeError(f"access filter {function!r}{signature} must take an opportunity, or nothing")
+    name = getattr(function, "__qualname__", type(function).__name__)
+    raise TypeError(f"access filter {name}{signature} must take an opportunity, or nothing")

@@ -10,9 +10,29 @@ CLOSE, NEAR = 0.5, 0.1
 """Least similarity of names that are suggested, 1 for equal ones, and how much less than that of the closest it may be."""
 
 
+SAME = (
+    ("charge", "storedCharge_Init", "battery_charge", "battery_charge_fraction"),
+    ("storage", "storageInit", "storage_level", "storage_level_fraction"),
+    ("Omega_WB_B", "wheelSpeeds", "wheel_speeds", "wheel_speeds_fraction"),
+    ("sigma_BN", "sigma_init"),
+    ("omega_BN_B", "omega_init"),
+    ("r_BN_N", "rN", "oe", "orbit"),
+    ("v_BN_N", "vN"),
+)
+"""Names of one quantity: field of the state, argument of its start, properties."""
+
+
+def same(name: str) -> tuple[str, ...]:
+    """Return the other names of a quantity."""
+    return tuple(other for names in SAME if name in names for other in names if other != name)
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Return a hint: the valid names that are about as close to a wrong one as the closest, or all if none is close."""
-    by_lower = {str(k).lower(): str(k) for k in known}
+    """Return a hint: other names of the quantity, the closest names, or all if none is close; ``known`` are valid."""
+    known = list(map(str, known))
+    if alike := [other for other in same(name) if other in known]:
+        return f"did you mean {' or '.join(map(repr, alike))}?"
+    by_lower = {k.lower(): k for k in known}
     ratios = {k: difflib.SequenceMatcher(None, name.lower(), k).ratio() for k in by_lower}
     least = max(CLOSE, max(ratios.values(), default=0.0) - NEAR)
     close = [by_lower[k] for k in sorted(ratios, key=lambda k: -ratios[k]) if ratios[k] >= least][:3]

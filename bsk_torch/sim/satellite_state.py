@@ -12,9 +12,9 @@ from torch import Tensor
 from bsk_torch._checks import no_gradient
 from bsk_torch.constants import NANO
 from bsk_torch.sim.access.lookahead import LookAhead
-from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.sim.component import Layout
-from bsk_torch.sim.state import StateTable, look_up
+from bsk_torch.sim.names import nearest, same
+from bsk_torch.sim.state import StateTable, described, look_up
 
 LAST_TICK = 2**53
 """Largest number of a tick: the tick counts in float64."""
@@ -143,6 +143,20 @@ class SatelliteState(StateTable):
         return clock.time
 
     # -- fields of the components --------------------------------------------------------------------------------------
+
+    def described(self, title: str) -> Iterator[str]:
+        """See :meth:`StateTable.described`: the fields of the components; arguments and results of searches are left out."""
+        yield title
+        for name, field in self.layout.fields.items():
+            others = same(name)
+            starts = [other for other in others if other in self.arguments]
+            read = [other for other in others if other not in self.arguments and other not in ("rN", "vN", "oe")]
+            links = [*(f"argument: {start}" for start in starts), *([f"properties: {', '.join(read)}"] if read else [])]
+            unit = "" if field.unit == "-" else field.unit
+            yield described(
+                name, unit, self.layout.view(self.planes, name), "; ".join([*([field.doc] if field.doc else []), *links])
+            )
+        yield from self.memory.described(f"{title}.memory")
 
     def read(self, name: str) -> Tensor:
         """Return a field of the components, [rows] or [rows, width]; KeyError for a name that none declares."""

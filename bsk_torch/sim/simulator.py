@@ -39,6 +39,13 @@ from bsk_torch.sim.state import StateTable
 
 logger = logging.getLogger(__name__)
 
+MANY_TICKS = 5000
+"""Ticks with ``backend="eager"`` after which a warning tells what they cost."""
+
+EAGER = (
+    "more than %d ticks with backend='eager', which is for debugging: compiled kernels, the default, are about 300 times as fast"
+)
+
 
 class Checkpoint(NamedTuple):
     """A state of rows of a simulation to which they can be rewound.
@@ -91,6 +98,7 @@ class Simulator:
         self.orbit, self.has_tank, self.h_ns = satellite_type.orbit, satellite_type.has_tank, satellite_type.h_ns
         self.mode_names, self.flag_table = satellite_type.mode_names, satellite_type.flag_table
         self.scenario_state = DrawTable(num_envs, 1, self.device) if scenario_state is None else scenario_state
+        self.debugged = 0
         self.type, self.tick, self.runners = satellite_type, satellite_type.tick, satellite_type.runners
         self.uniform = satellite_type.uniform
         self.state = SatelliteState(
@@ -132,6 +140,7 @@ class Simulator:
     def change(self, satellite_type: SatelliteType) -> None:
         """Take another type of the same satellites, from :meth:`SatelliteType.changed`; present episodes continue."""
         old, uniform, parameters = self.tick, self.uniform, self.state.parameters
+        self.debugged = 0
         self.type, self.tick, self.runners = satellite_type, satellite_type.tick, satellite_type.runners
         self.uniform = satellite_type.uniform
         if self.tick is not old:
@@ -453,6 +462,10 @@ class Simulator:
             if may_rewind:
                 self._reach(ticks, rows)
             return self._run_in_pieces(ticks, most, trace, followed, rows)
+        if self.type.options.backend == "eager" and self.debugged <= MANY_TICKS:
+            self.debugged += int(ticks.max())
+            if self.debugged > MANY_TICKS:
+                logger.warning(EAGER, MANY_TICKS)
         self._reach(ticks, rows)
         planes = state.planes if rows is None else state.planes[:, rows]
         written = None if trace is None else trace.table[:, 1:]

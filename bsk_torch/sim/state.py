@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import copy
 import functools
+import textwrap
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ParamSpec, TypeVar
@@ -222,6 +223,22 @@ class StateTable:
         """Bytes of all tensors of the tree."""
         return sum(getattr(self, name).nbytes for name in self.fields) + sum(table.nbytes for table in self.tables.values())
 
+    def describe(self) -> str:
+        """Return a list of the state in lines of 80 characters: name, unit, smallest and largest value now, and meaning.
+
+        Satellites list the fields of their components, with the argument of the start and the properties of the same quantity.
+        """
+        return "\n".join(line for name, table in self.tables.items() for line in table.described(name))
+
+    def described(self, title: str) -> Iterator[str]:
+        """Yield the lines of :meth:`describe` about this table, called ``title``, and those within."""
+        if self.fields:
+            yield title
+        for name in self.fields:
+            yield described(name, "", getattr(self, name), "")
+        for name, table in self.tables.items():
+            yield from table.described(f"{title}.{name}")
+
     # -- rows ---------------------------------------------------------------------------------------------------------
 
     def rows_of(self, envs: Tensor) -> Tensor:
@@ -390,6 +407,13 @@ class StateTable:
             envs = (torch.nonzero(rows).squeeze(-1) // self.count).unique().tolist()
             worst = value[wrong].flatten()[0].item()
             raise ValueError(f"{name!r} of the saved state is {worst} in episodes {envs[:SHOWN]} ({len(envs)} in all); {why}")
+
+
+def described(name: str, unit: str, value: Tensor, meaning: str) -> str:
+    """Return lines of 80 characters about a tensor of the state."""
+    ends = (value.min().item(), value.max().item()) if value.numel() else ()
+    line = f"  {name:<22} {unit:<5} {' to '.join(f'{end:.4g}' for end in dict.fromkeys(ends)):<22}"
+    return textwrap.fill(f"{line} {meaning}", 80, subsequent_indent=" " * 54, break_on_hyphens=False, replace_whitespace=False)
 
 
 def widened(table: Tensor, width: int, value: float) -> Tensor:

@@ -26,7 +26,7 @@ from bsk_torch.env.action_forms import acts, form, read
 from bsk_torch.env.rollout import ACTION_VALUE, Policy, decide, play_episodes
 from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.rl.evaluation.evaluate import LOT, with_lots
-from bsk_torch.rl.policies.shared_policy import GroupPolicies, SharedPolicy
+from bsk_torch.rl.policies.shared_policy import GroupPolicies, SharedPolicy, as_policy
 from bsk_torch.scene import AEOSBench, RSOPoints, RSOTargets
 from bsk_torch.sim.catalog.aim import AIM
 from bsk_torch.viewer.recording import Array, Branch, Death, Recording, Scene, Series, Track
@@ -36,6 +36,7 @@ from bsk_torch.viz.recorders.episode import QUANTITIES, first_row
 from bsk_torch.viz.recorders.rso_imaging import images_on_board
 from bsk_torch.viz.recorders.rso_imaging import rewarder_of as imaging_of
 from bsk_torch.viz.render.moment import causes_of
+from bsk_torch.wrappers.policies import Actor
 
 __all__ = ["Flight", "Flown", "record"]
 
@@ -117,13 +118,13 @@ class _Noted:
 class Flight:
     """Records episode 0 of an environment for the viewer, once, without changing the episode."""
 
-    def __init__(self, env: Tasking, policy: TensorDictModuleBase) -> None:
-        """Record ``env`` under ``policy``, which acts for all satellites.
+    def __init__(self, env: Tasking, policy: Actor) -> None:
+        """Record ``env`` under ``policy``; see :func:`~bsk_torch.rl.policies.as_policy`.
 
         Raises:
             ValueError: If satellites of a constellation are not separate agents.
         """
-        self.env, self.policy, self.slots = env, policy, _slots(env)
+        self.env, self.policy, self.slots = env, as_policy(policy, env), _slots(env)
         self.noted, self.choices, self.actions = _Noted(), list[Choice](), list[TensorDictBase]()
         self.latest: dict[int, Choice] = {}
         self.types = {column: satellite for satellite in env.satellites for column in satellite.simulator.columns}
@@ -407,7 +408,7 @@ class Flight:
 
 def record(
     env: Tasking,
-    policy: TensorDictModuleBase,
+    policy: Actor,
     *,
     seed: int = 0,
     until: float | None = None,
@@ -419,7 +420,7 @@ def record(
 
     Args:
         env: The environment, with one satellite or several.
-        policy: Acts for all satellites, such as ``shared(pretrained(...), env)``.
+        policy: Acts for all satellites, such as ``shared(pretrained(...), env)``; see :func:`~bsk_torch.rl.policies.as_policy`.
         seed: Seed of the episode.
         until: Time after which no step begins, s; None for the end of the episode.
         title: Headline (default: the preset, policy and seed).

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import gymnasium
 import numpy as np
@@ -18,6 +18,7 @@ from bsk_torch.env.base import ResetNeededError, Tasking
 from bsk_torch.env.no_action import is_no_action
 from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.presets import make
+from bsk_torch.wrappers.solo import SoloTasking, deciding
 
 Kind = TypeVar("Kind", bound=Tasking)
 
@@ -40,7 +41,8 @@ def build(core: Kind | str | Callable[..., Kind], options: dict[str, Any], kind:
     Args:
         core: An environment, the name of a preset, or a function that returns an environment.
         options: Arguments of the preset or function.
-        kind: Class that the wrapper needs.
+        kind: Class that the wrapper needs. For views of one satellite, a constellation in which one satellite alone has a choice
+            is a :class:`~bsk_torch.wrappers.solo.SoloTasking`; one that has been built needs ``joint=True``.
 
     Raises:
         TypeError: For an environment of another class, or options that come with an environment that has been built.
@@ -51,6 +53,10 @@ def build(core: Kind | str | Callable[..., Kind], options: dict[str, Any], kind:
         env: Any = core
     else:
         env = make(core, **options) if isinstance(core, str) else core(**options)
+        if isinstance(core, str) and kind is SatelliteTasking and isinstance(env, ConstellationTasking) and not env.joint:
+            env = make(core, **options, joint=True)
+    if kind is SatelliteTasking and isinstance(env, ConstellationTasking) and len(deciding(env)) == 1:
+        return cast(Kind, SoloTasking(env))
     if not isinstance(env, kind):
         named = f"core={core!r} makes" if isinstance(core, str) else "core is or makes"
         needs = f"this view needs a {kind.__name__}"
@@ -128,14 +134,14 @@ def as_action(core: Tasking, action: object) -> Tensor:
         raise TypeError(f"action={action!r} must be numeric: {error}") from error
 
 
-def read_actions(core: Tasking, action: object) -> Tensor:
+def read_actions(core: SatelliteTasking, action: object) -> Tensor:
     """Return actions [N, ...] on the core's device, which checks their dtype and range.
 
     Raises:
         TypeError: If they are not numbers.
         ValueError: For another shape.
     """
-    if isinstance(core, SatelliteTasking) and form(core.satellite) is not None:
+    if form(core.satellite) is not None:
         return read_values("action", action, core.satellite, tuple(core.batch_size)).to(core.device)
     tensor = as_action(core, action)
     if tensor.shape != core.batch_size:
@@ -146,13 +152,6 @@ def read_actions(core: Tasking, action: object) -> Tensor:
 def as_numpy(value: Tensor) -> np.ndarray:
     """Return a copy as an array."""
     return value.cpu().numpy().copy()
-
-
-def map_leaves(value: Any, function: Callable[[Tensor], Any]) -> Any:
-    """Return ``function`` of an observation, or of every part of a named one, as nested dictionaries."""
-    if isinstance(value, Tensor):
-        return function(value)
-    return {name: map_leaves(part, function) for name, part in value.items()}
 
 
 def counts(seen: Mapping[str, Any] | TensorDictBase) -> dict[str, Tensor]:

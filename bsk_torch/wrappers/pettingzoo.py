@@ -27,12 +27,11 @@ from bsk_torch.wrappers.core import (
     as_numpy,
     begin,
     build,
-    map_leaves,
     parse_render_mode,
     snapshots,
 )
 from bsk_torch.wrappers.episode import EpisodeView
-from bsk_torch.wrappers.spaces import action_space, observation_space, unbounded
+from bsk_torch.wrappers.spaces import action_space, map_leaves, observation_space, unbounded
 from bsk_torch.wrappers.tasks import legal_tasks, read_one, read_task, satellite_infos
 
 __all__ = ["PettingZooEnv", "parallel_env"]

@@ -2,14 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 import torch
 from gymnasium import spaces
+from torch import Tensor
 
 from bsk_torch.env.action_forms import CHOICE, VALUES, form
 from bsk_torch.env.satellite_group import SatelliteGroup
+
+SEPARATOR = "/"
+"""Between the names of a nested observation; Stable-Baselines3 supports one level, and torch does not allow dots in module
+names."""
+
+
+def flat(tree: Mapping[str, object]) -> dict[str, Any]:
+    """Return the leaves of nested dictionaries or Dict spaces, by their joined names."""
+    leaves: dict[str, Any] = {}
+    for name, part in tree.items():
+        inner = flat(part) if isinstance(part, Mapping) else None
+        leaves |= {name: part} if inner is None else {f"{name}{SEPARATOR}{key}": leaf for key, leaf in inner.items()}
+    return leaves
+
+
+def map_leaves(value: Any, function: Callable[[Tensor], Any]) -> Any:
+    """Return ``function`` of an observation, or of every part of a named one, as nested dictionaries."""
+    if isinstance(value, Tensor):
+        return function(value)
+    return {name: map_leaves(part, function) for name, part in value.items()}
 
 
 def observation_space(spec: Any, batch_dims: int = 1) -> spaces.Space[Any]:

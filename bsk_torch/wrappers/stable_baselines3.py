@@ -16,6 +16,7 @@ from bsk_torch.wrappers.core import check_options
 from bsk_torch.wrappers.gymnasium.single import Core
 from bsk_torch.wrappers.gymnasium.vector import GymVectorEnv
 from bsk_torch.wrappers.metrics import METRICS, BatchCallback
+from bsk_torch.wrappers.spaces import flat
 
 __all__ = ["MetricsCallback", "SB3VecEnv"]
 
@@ -25,25 +26,12 @@ try:
 except ImportError as error:
     raise ImportError("SB3VecEnv is an environment of Stable-Baselines3: pip install 'bsk_torch[sb3]'") from error
 
-SEPARATOR = "/"
-"""Between the names of a nested observation; Stable-Baselines3 supports one level, and torch does not allow dots in module
-names."""
-
 
 def flat_space(space: spaces.Space[Any]) -> spaces.Space[Any]:
     """Return a Box unchanged, and for nested observations a Dict of one level, such as ``sat_props/storage_level_fraction``."""
     if not isinstance(space, spaces.Dict):
         return space
     return spaces.Dict({name: _at_least_1d(box) for name, box in flat(space.spaces).items()})
-
-
-def flat(tree: Mapping[str, object]) -> dict[str, Any]:
-    """Return the leaves of nested dictionaries or Dict spaces, by their joined names."""
-    leaves: dict[str, Any] = {}
-    for name, part in tree.items():
-        inner = flat(part) if isinstance(part, Mapping) else None
-        leaves |= {name: part} if inner is None else {f"{name}{SEPARATOR}{key}": leaf for key, leaf in inner.items()}
-    return leaves
 
 
 def _at_least_1d(box: Any) -> spaces.Box:

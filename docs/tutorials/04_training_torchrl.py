@@ -38,7 +38,6 @@ folder = Path(tempfile.mkdtemp()) / "scan"
 config = configure(
     "NadirScan-v1",
     frames=FRAMES,
-    seconds=None,
     num_envs=NUM_ENVS,
     rollout=ROLLOUT,
     evaluate_every=0,

@@ -114,7 +114,6 @@ from bsk_torch.rl.training import Training, configure
 folder = Path(tempfile.mkdtemp()) / "scan"
 short = dict(
     frames=FRAMES,
-    seconds=None,
     num_envs=128,
     rollout=16,
     evaluate_every=0,

@@ -136,7 +136,6 @@ folder = Path(tempfile.mkdtemp()) / "inspection"
 config = configure(
     "RSOInspection-v1",
     frames=FRAMES,
-    seconds=None,
     evaluate_every=0,
     options=options,
     **settings,

@@ -158,11 +158,11 @@ def test_names_of_tasks_may_follow_a_space(run):
     [
         (["random", "--suite", "v0"], "suite='v0' is not a suite; did you mean 'v1'"),
         (["random", "--presets", "NadirScan"], "preset 'NadirScan' is not in the suite v1; did you mean 'NadirScan-v1'"),
-        (["randon"], "'randon' is not a run folder, policy file or baseline; did you mean 'random'?"),
+        (["randon"], "did you mean 'random'?"),
         (["survey,action=waypoints"], "NAME=VALUE with a NAME among as_set, shielded, actions; did you mean 'actions'"),
         (["nobody:enter"], "nobody:enter cannot be imported"),
         (["json:nothing"], "json:nothing cannot be imported"),
-        (["json:__doc__"], "json:__doc__ is no function"),
+        (["json:__doc__"], "json:__doc__ is neither a policy nor a function"),
         (["textwrap:dedent"], "textwrap:dedent takes (text); it must take the name of a preset and make"),
         (["textwrap:indent,a,b"], "and the 2 texts after its commas: too many positional arguments"),
         (["random", "--with", "pyproject.toml"], "'pyproject.toml' is no result of bsk-torch bench"),

@@ -22,7 +22,8 @@ from stable_baselines3.common.vec_env import VecCheckNan, VecMonitor, VecNormali
 from bsk_torch import SatelliteTasking, data, rand, scene
 from bsk_torch.presets.nadir_scan import BATTERY, ScanningSatellite, scanning_args
 from bsk_torch.wrappers import GymEnv, GymVectorEnv
-from bsk_torch.wrappers.stable_baselines3 import SB3VecEnv, by_row, flat
+from bsk_torch.wrappers.spaces import flat
+from bsk_torch.wrappers.stable_baselines3 import SB3VecEnv, by_row
 from tests.support.refusals import check_refusals, refusal
 
 pytestmark = pytest.mark.compiled

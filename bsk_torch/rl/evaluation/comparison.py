@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from tensordict.nn import TensorDictModuleBase
-
 from bsk_torch.env import Tasking
 from bsk_torch.rl.evaluation.evaluate import FRESH, Evaluation, evaluate
 from bsk_torch.rl.policies.shared_policy import shared_baselines
+from bsk_torch.wrappers.policies import Actor
 
 
-def compare(policies: Mapping[str, TensorDictModuleBase], env: Tasking, seed: int) -> dict[str, Evaluation]:
+def compare(policies: Mapping[str, Actor], env: Tasking, seed: int) -> dict[str, Evaluation]:
     """Evaluate policies trained with ``seed``, and every applicable baseline, in the same unseen episodes.
 
     Args:

@@ -17,8 +17,9 @@ from bsk_torch.env import ConstellationTasking, SatelliteTasking, Tasking
 from bsk_torch.env.rollout import Policy, play_episodes
 from bsk_torch.rand import Key
 from bsk_torch.rl.evaluation.statistics import Estimate, confidence, known, mean, wilson
-from bsk_torch.rl.policies.shared_policy import TRAINED_WITH, check_reads
+from bsk_torch.rl.policies.shared_policy import TRAINED_WITH, as_policy, check_reads
 from bsk_torch.rl.rules.baselines import LOT
+from bsk_torch.wrappers.policies import Actor
 
 FRESH = 1_000_003
 """Added to the training seed to obtain the evaluation seed, whose episodes the policy has not seen."""
@@ -108,16 +109,16 @@ class Evaluation:
         }
 
 
-def evaluate(
-    policy: TensorDictModuleBase, env: Tasking, *, seed: int | None = None, seeds: Sequence[int] | None = None
-) -> Evaluation:
+def evaluate(policy: Actor, env: Tasking, *, seed: int | None = None, seeds: Sequence[int] | None = None) -> Evaluation:
     """Play whole episodes with the most probable actions, and return the results of each.
 
     Pass either ``seed`` or ``seeds``. With the same seeds, every policy plays the same episodes.
 
     Args:
-        policy: Writes the actions of one satellite, or of all agents of a constellation, into the environment's tensordict.
-            Entries written under ``next``, such as a recurrent state, are passed to the policy at the next decision.
+        policy: A module that writes the actions of one satellite, or of all agents of a constellation, into the environment's
+            tensordict; or a torch module or function of the observation, or a model of Stable-Baselines3, as
+            :func:`~bsk_torch.wrappers.policies.policy_of_one` describes. Entries written under ``next``, such as a recurrent
+            state, are passed to the policy at the next decision.
         env: The environment, with one satellite or several; its episodes are reset.
         seed: Play one episode in each of the environment's N rows: the episodes started after ``env.set_seed(seed)``.
         seeds: Play one episode for each seed, N at a time: the episodes started by ``gymnasium.make(...).reset(seed=...)``. The
@@ -127,9 +128,11 @@ def evaluate(
         Results of the episodes. In a constellation, they are sums over its satellites; ``survived`` is True if all survived.
 
     Raises:
+        TypeError: For anything else, with what to write.
         ValueError: For no seeds, both ``seed`` and ``seeds``, ``seeds`` in an environment with other ``env_ids``, or a policy
             that reads observations missing in the environment.
     """
+    policy = as_policy(policy, env)
     check_reads(policy, env.observation_spec, TRAINED_WITH if isinstance(env, SatelliteTasking) else SHARE)
     if (seed is None) == (seeds is None) or (seeds is not None and len(seeds) == 0):
         raise ValueError(f"seed={seed} and seeds={seeds}: evaluation needs one of them, and an episode at least")

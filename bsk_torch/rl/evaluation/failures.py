@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
-from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from bsk_torch.constants import RPM
@@ -25,6 +24,8 @@ from bsk_torch.rl.evaluation.counterfactual import (
     try_plans,
 )
 from bsk_torch.rl.evaluation.replay import OVER, Flown, fly
+from bsk_torch.rl.policies.shared_policy import as_policy
+from bsk_torch.wrappers.policies import Actor
 
 logger = logging.getLogger(__name__)
 
@@ -72,12 +73,12 @@ class Failure:
 
 
 def explain(
-    policy: TensorDictModuleBase, env: SatelliteTasking, seeds: Tensor, tell: Callable[[str], object] = logger.info
+    policy: Actor, env: SatelliteTasking, seeds: Tensor, tell: Callable[[str], object] = logger.info
 ) -> tuple[Flown, list[Failure]]:
     """Play the episodes of ``seeds`` [n] with a policy, and search for actions that would have avoided its failures.
 
     Args:
-        policy: Chooses actions.
+        policy: Chooses actions; see :func:`~bsk_torch.rl.policies.as_policy`.
         env: The environment.
         seeds: Seeds of the episodes.
         tell: Called with a description of each stage of the search.
@@ -90,7 +91,7 @@ def explain(
     """
     if form(env.satellite) is not None:
         raise ValueError(f"failures are explained by other numbered actions; those of {env.satellite.name} are real numbers")
-    flown = fly(env, seeds, policy)
+    flown = fly(env, seeds, as_policy(policy, env))
     failed = torch.nonzero(~flown.survived).squeeze(-1)
     n = len(failed)
     if not n:

@@ -25,6 +25,7 @@ from bsk_torch.env.rollout import Policy
 from bsk_torch.presets import make
 from bsk_torch.rl.evaluation.evaluate import SUITE_SEEDS, Evaluation, evaluate
 from bsk_torch.rl.evaluation.statistics import Estimate, confidence
+from bsk_torch.rl.policies.shared_policy import as_policy
 from bsk_torch.scene import read_cases
 from bsk_torch.sim.arguments.values import nearest
 
@@ -328,7 +329,7 @@ def enter(task: Task, entrant: Entrant, episodes: int | None = None, **options: 
     env, policy = entered
     if not any(env is one for one in made):
         raise ValueError(f"for {task.preset}, the entrant returned an environment that make() has not returned to it")
-    return env, policy
+    return env, as_policy(policy, env)
 
 
 def play(task: Task, entrant: Entrant, episodes: int | None = None, **options: object) -> Score | None:

@@ -21,7 +21,7 @@ from bsk_torch.rl.marl.mappo import CRITICS, MAPPOConfig, MAPPOTraining
 from bsk_torch.rl.networks.plans import check_network
 from bsk_torch.rl.policies.files import LOGS, plain
 from bsk_torch.rl.policies.shared_policy import shared
-from bsk_torch.rl.training.config import CONFIG, PPOConfig, load_config, read_settings
+from bsk_torch.rl.training.config import CONFIG, PPOConfig, check_setting, load_config, read_settings
 from bsk_torch.rl.training.recipes import recipe_of
 from bsk_torch.rl.training.trainer import Training
 from bsk_torch.sim.arguments.values import nearest
@@ -63,7 +63,7 @@ def configure(preset: str, network: str | None = None, algorithm: str | None = N
         **changes: Fields of :class:`PPOConfig` or :class:`MAPPOConfig` that differ from the recipe.
 
     Raises:
-        ValueError: For an unknown algorithm or network, or one that does not fit the environment.
+        ValueError: For an unknown algorithm, network or setting, or one that does not fit the environment.
     """
     many = is_constellation(preset, changes.get("options"))
     algorithm, network = algorithm or ("mappo" if many else PPO), network or ("attention" if many else "mlp")
@@ -79,8 +79,11 @@ def configure(preset: str, network: str | None = None, algorithm: str | None = N
         raise ValueError(f"network='attention' does not fit {preset}, which observes no set of targets; use network='mlp'")
     if network == "attention" and has_sets:
         options = {"as_set": True} | options
-    settings = {"network": network, "options": options} | recipe | changes
-    return MAPPOConfig(preset, algorithm=algorithm, **settings) if many else PPOConfig(preset, **settings)
+    kind = MAPPOConfig if many else PPOConfig
+    for name in changes:
+        check_setting(name, kind)
+    settings = {"network": network, "options": options} | recipe | changes | ({"algorithm": algorithm} if many else {})
+    return kind(preset, **settings)
 
 
 def algorithm_of(config: PPOConfig) -> str:
@@ -88,13 +91,13 @@ def algorithm_of(config: PPOConfig) -> str:
     return config.algorithm if isinstance(config, MAPPOConfig) else PPO
 
 
-def read_config(folder: Path) -> PPOConfig:
+def read_config(folder: Path | str) -> PPOConfig:
     """Return the configuration of the run in a folder; ValueError if it is not one of this version."""
-    path = folder / CONFIG
+    path = Path(folder) / CONFIG
     return load_config(path, MAPPOConfig if "algorithm" in read_settings(path) else PPOConfig)
 
 
-def training_of(config: PPOConfig, out: Path, resume: bool = False) -> Training:
+def training_of(config: PPOConfig, out: Path | str, resume: bool = False) -> Training:
     """Return the training of a configuration; see :class:`~bsk_torch.rl.training.trainer.Training` for arguments and errors.
 
     Raises:
@@ -105,10 +108,10 @@ def training_of(config: PPOConfig, out: Path, resume: bool = False) -> Training:
         has, kind = ("many satellites", "MAPPOConfig") if many else ("one satellite", "PPOConfig")
         call = f"configure({config.preset!r}, options={config.options})"
         raise ValueError(f"{config.preset} has {has}, and is trained by a {kind}; {call} makes it")
-    return (MAPPOTraining if isinstance(config, MAPPOConfig) else Training)(config, out, resume)
+    return (MAPPOTraining if isinstance(config, MAPPOConfig) else Training)(config, Path(out), resume)
 
 
-def train(config: PPOConfig, out: Path, *, episodes: int = COMPARED, quiet: bool = False) -> TensorDictModuleBase:
+def train(config: PPOConfig, out: Path | str, *, episodes: int = COMPARED, quiet: bool = False) -> TensorDictModuleBase:
     """Train a policy, compare it with random actions, rules and the untrained policy, and leave all of it in folder ``out``.
 
     Training ends with a table of unseen episodes, the folder and the next command on the standard output; ``evaluation.json`` in
@@ -131,7 +134,7 @@ def train(config: PPOConfig, out: Path, *, episodes: int = COMPARED, quiet: bool
     return _completed(training_of(config, out), episodes, quiet, ("untrained",))
 
 
-def resume(out: Path, *, episodes: int = COMPARED, quiet: bool = False) -> TensorDictModuleBase:
+def resume(out: Path | str, *, episodes: int = COMPARED, quiet: bool = False) -> TensorDictModuleBase:
     """Resume the run in folder ``out``, which an interruption or the end of its budget has left; see :func:`train`."""
     _check_episodes(episodes)
     return _completed(training_of(read_config(out), out, resume=True), episodes, quiet)

@@ -2,5 +2,16 @@
 
 from bsk_torch.rl.policies.files import build_policy, check_fits, load_policy, read_card, save_policy
 from bsk_torch.rl.policies.pretrained import makings, pretrained, pretrained_file
+from bsk_torch.rl.policies.shared_policy import as_policy
 
-__all__ = ["build_policy", "check_fits", "load_policy", "makings", "pretrained", "pretrained_file", "read_card", "save_policy"]
+__all__ = [
+    "as_policy",
+    "build_policy",
+    "check_fits",
+    "load_policy",
+    "makings",
+    "pretrained",
+    "pretrained_file",
+    "read_card",
+    "save_policy",
+]

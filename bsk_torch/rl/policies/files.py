@@ -16,6 +16,7 @@ from bsk_torch.env import Tasking
 from bsk_torch.env.agents import AGENTS
 from bsk_torch.rl.networks.plans import ACTOR, NORMALISER, PLANS, AttentionPlan, Networks, Plan, check_network
 from bsk_torch.rl.policies.checksummed import load_checksummed, save_checksummed
+from bsk_torch.rl.policies.origin import Origin
 from bsk_torch.rl.policies.shared_policy import member_views, of_groups
 
 logger = logging.getLogger(__name__)
@@ -138,13 +139,18 @@ def _is_weight(value: object) -> bool:
     return isinstance(value, torch.Tensor) and bool(value.isfinite().all())
 
 
+def origin_of(card: Mapping[str, Any]) -> str:
+    """Return preset and options of the training of a policy."""
+    return " ".join([card["preset"], *(f"{name}={value!r}" for name, value in card["options"].items())])
+
+
 def check_fits(card: Mapping[str, Any], env: Tasking, preset: str | None = None) -> None:
     """Raise ValueError, naming both sides, unless the observations and actions of ``card`` fit ``env``, a ``preset``.
 
     The number of targets to choose from may differ for attention networks.
     """
     parts, views, where = networks_of(card), member_views(env), preset or "this environment"
-    trained = " ".join([card["preset"], *(f"{name}={value!r}" for name, value in card["options"].items())])
+    trained = origin_of(card)
     if len(parts) == len(views) == 1:
         views = dict(zip(parts, views.values(), strict=True))  # one group may have any name
     if parts.keys() != views.keys():
@@ -176,7 +182,7 @@ def load_policy(path: Path | str, device: torch.device | str = "cpu") -> TensorD
     return build_policy(read_card(path, device), device)
 
 
-def build_policy(card: Mapping[str, object], device: torch.device | str = "cpu") -> TensorDictModuleBase:
+def build_policy(card: Mapping[str, Any], device: torch.device | str = "cpu") -> TensorDictModuleBase:
     """Return the policy of a card; ValueError if its weights do not fit its plan.
 
     The result is a policy for one satellite, or :class:`~bsk_torch.rl.policies.shared_policy.GroupPolicies` for several groups.
@@ -189,17 +195,22 @@ def build_policy(card: Mapping[str, object], device: torch.device | str = "cpu")
         except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:  # a plan of others
             raise ValueError(f"the policy of {card['preset']} does not fit this version of bsk_torch: {error}") from error
         policies[group] = networks.policy
+        policies[group].register_forward_pre_hook(Origin(origin_of(card), _plan(part)))
     return of_groups(policies)
+
+
+def _plan(part: Mapping[str, Any]) -> Plan:
+    return PLANS[part["network"]](**part["plan"])
 
 
 def _built(part: Mapping[str, Any]) -> Networks:
     """Return new networks by the plan of a file; ValueError before they are built if its weights have other shapes."""
-    plan = PLANS[part["network"]](**part["plan"])
+    plan = _plan(part)
     with torch.device("meta"):  # takes no memory, whatever the plan asks for
         planned = plan.build().policy_state()
     for name in (NORMALISER, ACTOR):
         wanted, found = ({key: tuple(value.shape) for key, value in state[name].items()} for state in (planned, part))
-        for key in wanted.keys() | found.keys():
+        for key in dict.fromkeys((*wanted, *found)):
             if wanted.get(key) != found.get(key):
                 raise ValueError(f"{name}.{key} has shape {found.get(key)}, its plan {wanted.get(key)}")
     return plan.build()

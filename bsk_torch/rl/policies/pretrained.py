@@ -2,40 +2,25 @@
 
 from __future__ import annotations
 
-import json
-from functools import cache
 from pathlib import Path
-from typing import Any
 
 import torch
 from tensordict.nn import TensorDictModuleBase
 
+from bsk_torch._listed import makings, no_policy
 from bsk_torch.rl.policies.files import load_policy
-from bsk_torch.sim.arguments.values import nearest
 
 FOLDER = Path(__file__).parent
 """Folder of the policies, ``PRESET.pt``, and their metadata."""
 
 INDEX = "policies.json"
-"""Metadata file, written by ``bsk-torch publish``."""
-
-
-@cache
-def makings() -> dict[str, dict[str, Any]]:
-    """Return the training and the score of each policy, by preset.
-
-    Entries are ``command``, ``seed``, ``frames``, ``seconds`` and ``machine`` of the training; ``score`` with the mean
-    ``return``, the half width of its 95 % interval and the ``survival`` in ``episodes`` unseen episodes; and ``first``, the
-    returns of the first few episodes.
-    """
-    return json.loads((FOLDER / INDEX).read_text())
+"""Metadata file, written by ``bsk-torch publish``; :func:`~bsk_torch._listed.makings` reads it."""
 
 
 def pretrained_file(preset: str) -> Path:
-    """Return the path of the policy for ``preset``; ValueError, with the nearest name, if there is none."""
+    """Return the path of the policy for ``preset``; ValueError, with what to do, if there is none."""
     if preset not in makings():
-        names = sorted(makings())
-        raise ValueError(f"there is no pretrained policy for {preset!r}; there are {', '.join(names)}; {nearest(preset, names)}")
+        raise ValueError(no_policy(preset))
     return FOLDER / f"{preset}.pt"
 
 

@@ -20,6 +20,7 @@ from bsk_torch.rl.rules.baselines import BASELINES, random_policy
 from bsk_torch.rl.rules.nearest_task import NearestTask
 from bsk_torch.rl.rules.team import TEAM_RULES, TeamPolicy, TeamRule
 from bsk_torch.sim.arguments.values import nearest
+from bsk_torch.wrappers.policies import Actor, WholePolicy, policy_of_one
 
 TRAINED_WITH = "make it with the options that the policy was trained with, which read_card(file)['options'] lists"
 """Advice for a policy that reads observations missing in the environment."""
@@ -160,8 +161,17 @@ def of_groups(policies: Mapping[str, TensorDictModuleBase]) -> TensorDictModuleB
     return next(iter(policies.values())) if len(policies) == 1 else GroupPolicies(policies)
 
 
-def shared(policy: TensorDictModuleBase, env: Tasking) -> TensorDictModuleBase:
-    """Return a policy for all satellites of ``env``.
+def as_policy(actor: Actor, env: Tasking) -> TensorDictModuleBase:
+    """Return what chooses actions as a policy for all satellites of ``env``.
+
+    A module of tensordicts is returned unchanged. In a constellation with one group, others act for each satellite; see
+    :func:`~bsk_torch.wrappers.policies.policy_of_one` for what they may be, and :func:`shared` for errors.
+    """
+    return actor if isinstance(actor, TensorDictModuleBase) else shared(actor, env)
+
+
+def shared(policy: Actor, env: Tasking) -> TensorDictModuleBase:
+    """Return a policy of one satellite, see :func:`~bsk_torch.wrappers.policies.policy_of_one`, for all satellites of ``env``.
 
     The result is the policy itself for one satellite, for a :class:`GroupPolicies` or a
     :class:`~bsk_torch.rl.rules.team.TeamPolicy`, and a :class:`SharedPolicy` in a
@@ -171,6 +181,10 @@ def shared(policy: TensorDictModuleBase, env: Tasking) -> TensorDictModuleBase:
     if isinstance(policy, TeamPolicy):
         return policy
     views = member_views(env)
+    if not isinstance(policy, TensorDictModuleBase):
+        policy = policy_of_one(policy, member_view(env).satellite)
+    if isinstance(policy, WholePolicy):
+        return policy
     if isinstance(policy, GroupPolicies):
         if policy.policies.keys() != views.keys():
             raise ValueError(f"the policies are for groups {', '.join(policy.policies)}; the environment has {', '.join(views)}")
@@ -282,7 +296,9 @@ def rule(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
         ValueError: For an unknown name, or unsuitable actions.
     """
     if name not in RULES:
-        raise ValueError(f"name={name!r} is not a rule; {nearest(name, RULES)}")
+        hint = nearest(name, RULES)
+        fitting = f"those of this environment: {', '.join(shared_baselines(env))}"
+        raise ValueError(f"name={name!r} is not a rule; {hint if hint.startswith('did you mean') else fitting}")
     return shared(baseline(name, env, seed), env)
 
 

@@ -26,6 +26,12 @@ from bsk_torch.sim.arguments.values import nearest
 
 logger = logging.getLogger(__name__)
 
+TIMES = {"minutes": "60 * minutes", "hours": "3600 * hours"}
+"""Units of time that settings are not in."""
+
+SECONDS = 180.0
+"""Training time of a training without a limit, s."""
+
 LEAST = 0.05
 """Fraction of learning rate and entropy weight left at the end of a schedule."""
 
@@ -97,8 +103,9 @@ class PPOConfig:
         preset: Name of the environment; see :func:`bsk_torch.make`.
         network: ``"mlp"`` for observation vectors, ``"gru"`` for the same with a memory, ``"attention"`` for targets observed as
             a set.
-        seconds: Training time after compilation, s; None for no limit.
-        frames: Number of decisions; None for no limit. One of the two limits is needed.
+        seconds: Training time after compilation, s; None for no limit if there are ``frames``, else :data:`SECONDS`. Such a
+            training depends on the clock: learning rate and entropy fall with the time used.
+        frames: Number of decisions; None for no limit. The limit reached first counts.
         num_envs: Episodes at once.
         rollout: Decisions of each between two updates.
         seed: Seed of networks, actions and episodes.
@@ -144,7 +151,7 @@ class PPOConfig:
 
     preset: str = "NadirScan-v1"
     network: str = "mlp"
-    seconds: float | None = 180.0
+    seconds: float | None = None
     frames: int | None = None
     num_envs: int = 1024
     rollout: int = 16
@@ -187,8 +194,6 @@ class PPOConfig:
         if self.evaluate_every is None:
             object.__setattr__(self, "evaluate_every", self._default_interval())
         check_network(str(self.network))
-        if self.seconds is None and self.frames is None:
-            raise ValueError("seconds=None and frames=None: training needs a limit")
         for name, least in LEAST_NUMBERS.items():
             _check_whole(name, getattr(self, name), least, MOST, optional=name in ("frames", "patience"))
         for name, interval in INTERVALS.items():
@@ -259,6 +264,11 @@ class PPOConfig:
         return 1 if self.collector == "single" else self.workers
 
     @property
+    def clock(self) -> float | None:
+        """Training time after which the training ends, s; None where decisions alone limit it."""
+        return SECONDS if self.seconds is None and self.frames is None else self.seconds
+
+    @property
     def batch(self) -> int:
         """Decisions between two updates."""
         return self.num_envs * self.rollout
@@ -296,8 +306,23 @@ def _check_within(name: str, value: object, interval: str, optional: bool = Fals
         raise ValueError(f"{name}={value} must lie in {interval}")
 
 
+def check_setting(name: str, kind: type[PPOConfig]) -> None:
+    """Raise ValueError, with the nearest name, unless ``name`` is a field of ``kind``; options of environments are named so."""
+    known = [field.name for field in dataclasses.fields(kind)]
+    if name in known:
+        return
+    hint = nearest(name, known)
+    if name in TIMES:
+        hint = f"seconds={TIMES[name]} limits the training"
+    elif not hint.startswith("did you mean"):
+        hint = f"an option of the environment is written as options.{name}, in Python options={{{name!r}: ...}}"
+    raise ValueError(f"unknown setting {name!r}; {hint}")
+
+
 def override(config: Config, changes: Iterable[str]) -> Config:
     """The configuration with ``changes`` such as ``"learning_rate=1e-3"``, ``"hidden=[128,128]"`` or ``"options.as_set=true"``.
+
+    With ``frames`` but not ``seconds`` among them, decisions alone limit the training, as in :class:`PPOConfig`.
 
     Raises:
         ValueError: For a field that does not exist, a value of the wrong type, an interpolation (``${...}``), or a value that
@@ -307,12 +332,14 @@ def override(config: Config, changes: Iterable[str]) -> Config:
     for change in changes:
         setting, _, value = change.partition("=")
         name = setting.split(".")[0]
-        known = [field.name for field in dataclasses.fields(config)]
         if "=" not in change:
+            known = [field.name for field in dataclasses.fields(config)]
             raise ValueError(f"{change!r} must read name=value, such as learning_rate=1e-3; {nearest(name, known)}")
-        if name not in known:
-            raise ValueError(f"unknown setting {name!r}; {nearest(name, known)}")
+        check_setting(name, type(config))
         _check_literal(setting, value)
+    named = {change.partition("=")[0] for change in changes}
+    if "frames" in named and "seconds" not in named:
+        changes.append("seconds=null")
     try:
         return _to_object(OmegaConf.merge(OmegaConf.structured(config), OmegaConf.from_dotlist(changes)))
     except (OmegaConfBaseException, yaml.YAMLError) as error:

@@ -45,7 +45,7 @@ class Progress:
     @property
     def fraction(self) -> float:
         """Used part of the budget, 1 at the end."""
-        used = (self.seconds, self.config.seconds), (self.frames, self.config.frames)
+        used = (self.seconds, self.config.clock), (self.frames, self.config.frames)
         return min(1.0, max(amount / limit for amount, limit in used if limit is not None))
 
     @property

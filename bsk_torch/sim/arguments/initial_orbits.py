@@ -77,9 +77,12 @@ def _lowest_periapsis(values: Mapping[str, Any], r: Vec3, v: Vec3) -> float:
     a = 1.0 / (2.0 / radius - speed2 / mu)
     bound = (radius > 0.0) & (a > 0.0)
     if not bool(bound.all()):
+        given_mu, from_oe = float(values["mu"].max()), values["oe"] is not None
+        converted = f" (sat_args['mu']={given_mu:g} has converted oe)" if from_oe and given_mu != MU_EARTH else ""
         raise ValueError(
             f"sat_args: {given} no orbit around the Earth: {_first(radius, ~bound) / 1e3:g} km from its center at "
             f"{_first(speed2.sqrt(), ~bound):g} m/s, with mu={_first(mu, ~bound):g} m^3/s^2; an orbit's energy is negative"
+            f"{converted}"
         )
     periapsis = periapsis_radius(r, v)
     wrong = ~((periapsis >= LOWEST_PERIAPSIS) & (2.0 * a - periapsis <= HIGHEST_APOAPSIS))

@@ -89,12 +89,20 @@ def hint(name: str, known: Iterable[str]) -> str:
     return nearest(name, known)
 
 
+GAINS = {"feedback": ("K", "P"), "steering": ("K1", "K3")}
+"""Arguments that only the control laws have, by the names of the laws in :mod:`bsk_torch.craft`."""
+
+
 def unknown(title: str, name: str, known: Iterable[str]) -> str:
     """Return the message about a name of an argument that does not exist."""
     if name == "utc_init":
         return (
             f"{title}['utc_init'] is unknown; give it in world_args: bsk_rl, too, takes the epoch of the world for all satellites"
         )
+    for law, gains in GAINS.items():
+        if name in gains and not {*gains} & {*known} and any({*others} & {*known} for others in GAINS.values()):
+            other = next(other for other in GAINS if other != law)
+            return f"{title}[{name!r}] is unknown: a gain of law={law!r}; functions of craft take law={other!r} for this fsw_type"
     return f"{title}[{name!r}] is unknown; {hint(str(name), known)}"
 
 
@@ -106,7 +114,7 @@ def is_function(value: object) -> bool:
 def _called(function: Callable[[], object], title: str) -> dict[str, Any]:
     answer = function()
     if not isinstance(answer, Mapping):
-        raise TypeError(f"{title}={function!r} returned {answer!r}; it must return a dictionary of arguments, {{name: value}}")
+        raise TypeError(f"the function {title} returned {answer!r}; it must return a dictionary of arguments, {{name: value}}")
     values = {name: value() if is_function(value) else value for name, value in answer.items()}
     return no_gradient(title, values)
 

@@ -21,7 +21,7 @@ def _check_battery(args: Values) -> None:
     if bool((args["storedCharge_Init"] > args["batteryStorageCapacity"]).any()):
         raise ValueError(
             f"storedCharge_Init={args['storedCharge_Init'].max().item():g} W s is above "
-            f"batteryStorageCapacity={args['batteryStorageCapacity'].min().item():g} W s"
+            f"batteryStorageCapacity={args['batteryStorageCapacity'].min().item():g} W s; set sat_args['storedCharge_Init'], too"
         )
 
 
@@ -54,7 +54,7 @@ BATTERY = Component(
         Arg("batteryStorageCapacity", 288000.0, "W s", "battery capacity", low=1e-6, high=1e18),
         Arg("storedCharge_Init", Uniform(108000.0, 252000.0), "W s", "initial charge", low=0.0),
     ),
-    state=(Field("charge", 1, "W s", exact=True),),
+    state=(Field("charge", 1, "W s", "energy in the battery", exact=True),),
     params=(Field("battery_capacity", 1, "W s", exact=True),),
     initial=lambda args: {"charge": args["storedCharge_Init"]},
     prepare=lambda args: {"battery_capacity": args["batteryStorageCapacity"]},

@@ -139,7 +139,11 @@ WHEELS = Component(
     slot="wheels",
     update=latch_motor_torque,
     args=ARGS,
-    state=(vec("Omega_WB_B", "rad/s"), vec("motor_torque_B", "N m"), vec("motor_torque_command_B", "N m")),
+    state=(
+        vec("Omega_WB_B", "rad/s", "wheel speeds"),
+        vec("motor_torque_B", "N m", "torques of the wheels' motors"),
+        vec("motor_torque_command_B", "N m", "torques commanded by the flight software"),
+    ),
     params=(Field("max_motor_torque", 1, "N m"),),
     initial=_initial,
     prepare=lambda args: {"max_motor_torque": args["u_max"]},

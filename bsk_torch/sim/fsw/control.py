@@ -106,7 +106,10 @@ def check_feedback(args: Values, h: float) -> str | None:
 
 CONTROL_AXES = Arg("controlAxes_B", (1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), "-", "controlled axes in B, one after another", "matrix")
 
-CONTROL_STATE = (vec("control_integral_B"), Field("control_idle", 1, "s", "since the last call; negative: never called"))
+CONTROL_STATE = (
+    vec("control_integral_B", "", "integral of the control error"),
+    Field("control_idle", 1, "s", "since the last call; negative: never called"),
+)
 """State of every control law: its integral, and the time since it was called."""
 
 LAW_ARGS = (

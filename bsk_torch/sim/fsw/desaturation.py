@@ -153,7 +153,7 @@ def desaturation(count: int, rows: Rows, thrusts: Callable[[Bus], Sequence[Any]]
         update=update,
         args=DESATURATION_ARGS,
         state=(
-            vec("dump_momentum_B", "N m s"),
+            vec("dump_momentum_B", "N m s", "momentum to remove"),
             Field("dump_remaining", count, "s", "on-time left for each thruster or pair", many=True),
             Field("dump_counter", 1, "-", "ticks to wait"),
             Field("dump_calls", 1, "-", "ticks since the mode was entered"),

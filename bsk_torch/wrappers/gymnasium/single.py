@@ -22,14 +22,13 @@ from bsk_torch.wrappers.core import (
     check_begun,
     check_options,
     counts,
-    map_leaves,
     parse_render_mode,
     read_actions,
     read_values,
     snapshots,
 )
 from bsk_torch.wrappers.episode import EpisodeView
-from bsk_torch.wrappers.spaces import action_space, observation_space
+from bsk_torch.wrappers.spaces import action_space, map_leaves, observation_space
 
 Core = SatelliteTasking | str | Callable[..., SatelliteTasking]
 """An environment, the name of a preset, or a function that returns an environment."""

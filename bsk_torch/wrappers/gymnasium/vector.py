@@ -26,14 +26,13 @@ from bsk_torch.wrappers.core import (
     check_begun,
     check_options,
     counts,
-    map_leaves,
     parse_render_mode,
     read_actions,
     snapshots,
 )
 from bsk_torch.wrappers.gymnasium.single import Core
 from bsk_torch.wrappers.metrics import METRICS, BatchCallback, read_metrics
-from bsk_torch.wrappers.spaces import action_space, observation_space
+from bsk_torch.wrappers.spaces import action_space, map_leaves, observation_space
 
 OUTPUTS = ("numpy", "torch")
 

@@ -1,0 +1,83 @@
+"""Policies of the user's own modules, named as ``package.module:name``."""
+
+from __future__ import annotations
+
+import inspect
+import logging
+import sys
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from torch import nn
+
+from bsk_torch.cli.terminal import Failure, fail
+from bsk_torch.rl.evaluation.suite import Entrant
+from bsk_torch.sim.arguments.values import nearest
+from bsk_torch.wrappers.policies import Model
+
+logger = logging.getLogger(__name__)
+
+OBSERVED = ("observation", "obs")
+"""Names of the first argument of functions that are policies themselves."""
+
+
+def entrant_of_user(name: str, texts: Sequence[str] = ()) -> Entrant:
+    """Return what enters the object ``package.module:name`` of the user's; ends the program if there is none.
+
+    A torch module, a model of Stable-Baselines3, and a function whose first argument is called ``observation`` or ``obs`` are
+    policies. Any other function is called with the name of the preset, a function that makes its environment, and ``texts``, and
+    returns this environment and a policy; see :data:`~bsk_torch.rl.evaluation.suite.Entrant`.
+    """
+    found = imported(*name.split(":", 1))
+    if isinstance(found, nn.Module | Model) or first_argument(found) in OBSERVED:
+        return lambda preset, make: (make(), found)
+    check_takes(found, name, texts)
+    return lambda preset, make: found(preset, make, *texts)
+
+
+def first_argument(function: Callable[..., object]) -> str | None:
+    """Return the name of the first argument of a function; None if there is none, or no signature."""
+    try:
+        return next(iter(inspect.signature(function).parameters), None)
+    except ValueError:  # of a function that is not written in Python
+        return None
+
+
+def described(error: BaseException) -> str:
+    """Return the message of an error; its type precedes it unless the message is this package's, or tells what is wrong."""
+    return (
+        str(error) if isinstance(error, (TypeError, ValueError, Failure)) and str(error) else f"{type(error).__name__}: {error}"
+    )
+
+
+def imported(module: str, function: str) -> Any:
+    """Return a function, module or model of the user's; ends the program if it cannot be imported."""
+    if str(Path.cwd()) not in sys.path:
+        sys.path.insert(0, str(Path.cwd()))  # where a user's module is, as python -m would find it
+    try:
+        found = getattr(loaded := import_module(module), function, None)
+    except Exception as error:  # a user's module may raise anything
+        logger.debug("%s cannot be imported", module, exc_info=error)
+        hint = f"; write {module.removesuffix('.py')}:{function}" if module.endswith(".py") else ""
+        fail(f"{module}:{function} cannot be imported: {described(error)}{hint}")
+    if found is None:
+        own = [name for name, value in vars(loaded).items() if getattr(value, "__module__", None) == loaded.__name__]
+        fail(f"{module}:{function} cannot be imported: {module} has no {function!r}; {nearest(function, own)}")
+    if not callable(found) and not isinstance(found, Model):
+        fail(f"{module}:{function} is neither a policy nor a function of a preset's name and make")
+    return found
+
+
+def check_takes(function: Callable[..., object], title: str, texts: Sequence[str]) -> None:
+    """End the program for a function that cannot be called with the name of a preset, ``make`` and further ``texts``."""
+    try:
+        taken = inspect.signature(function)
+    except ValueError:  # of a function that is not written in Python
+        return
+    try:
+        taken.bind("preset", "make", *texts)
+    except TypeError as error:
+        further = f", and the {len(texts)} texts after its commas" if texts else ""
+        fail(f"{title} takes {taken}; it must take the name of a preset and make, (preset, make){further}: {error}")

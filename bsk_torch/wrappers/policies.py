@@ -1,0 +1,178 @@
+"""Policies of other libraries as TorchRL policies: torch modules, functions, and models of Stable-Baselines3."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol, TypeAlias, runtime_checkable
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor, nn
+from torchrl.envs.utils import ExplorationType, exploration_type
+
+from bsk_torch.env.action_forms import form
+from bsk_torch.env.satellite_group import SatelliteGroup
+from bsk_torch.wrappers.spaces import flat, map_leaves
+
+
+@runtime_checkable
+class Model(Protocol):
+    """A model of Stable-Baselines3."""
+
+    observation_space: Any
+
+    def predict(self, observation: Any, *args: Any, **kwargs: Any) -> tuple[Any, Any]:
+        """Return actions, and the state of a recurrent model."""
+
+
+Actor: TypeAlias = "TensorDictModuleBase | nn.Module | Model | Callable[..., Any]"
+"""What chooses actions; see :func:`policy_of_one`."""
+
+WHOLE = ("tensordict", "td")
+"""Names of the argument of functions that write actions into a tensordict, as :data:`bsk_torch.env.rollout.Policy` does."""
+
+WRITE = (
+    "write, for example:\n"
+    "    from tensordict.nn import TensorDictModule\n"
+    '    policy = TensorDictModule(network, in_keys=["observation"], out_keys=["action"])'
+)
+"""Advice for what is not a policy."""
+
+
+def policy_of_one(actor: Actor, satellite: SatelliteGroup) -> TensorDictModuleBase:
+    """Return what chooses actions as a policy for one satellite, a module of tensordicts.
+
+    Args:
+        actor: A module of tensordicts, which is returned unchanged; a torch module or function of the observation [B, F], which
+            may take the action mask [B, A] second; a model of Stable-Baselines3 or sb3-contrib; or a function of a tensordict,
+            whose argument is called ``tensordict`` or ``td``. Modules and functions return the numbers of the actions, [B], or a
+            score of each action, [B, A], of which the highest legal one counts; or real actions, [B, A]. They observe named
+            observations as nested dictionaries.
+        satellite: The satellite that acts.
+
+    Raises:
+        TypeError: For anything else, with what to write.
+    """
+    if isinstance(actor, TensorDictModuleBase):
+        return actor
+    if isinstance(actor, str):
+        raise TypeError(f"policy={actor!r} is a name; bsk_torch.rule({actor!r}, env) makes the policy of a rule")
+    if isinstance(actor, Model):
+        return ModelPolicy(actor, satellite)
+    parameters = None if isinstance(actor, type) or not callable(actor) else positional(actor)
+    if parameters is None or not 1 <= len(parameters) <= 2:
+        raise TypeError(
+            f"policy is {described(actor)}; it must be a module of tensordicts, a torch module or function of the observation "
+            f"(and the action mask), or a model of Stable-Baselines3; {WRITE}"
+        )
+    return WholePolicy(actor) if parameters[0] in WHOLE else FunctionPolicy(actor, satellite, len(parameters) == 2)
+
+
+def positional(actor: Callable[..., Any]) -> list[str]:
+    """Return the names of the arguments that a call must give by position; one for functions without a signature."""
+    function = actor.forward if isinstance(actor, nn.Module) else actor
+    try:
+        parameters = inspect.signature(function).parameters.values()
+    except ValueError:  # of a function that is not written in Python
+        return ["observation"]
+    kinds = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    needed = [p.name for p in parameters if p.kind in kinds and (p.default is p.empty or p.name == "action_mask")]
+    return needed or [p.name for p in parameters if p.kind is p.VAR_POSITIONAL]
+
+
+def described(actor: object) -> str:
+    """Return what an object is, without its address."""
+    name = getattr(actor, "__qualname__", None)
+    return f"the {'class' if isinstance(actor, type) else 'function'} {name}" if name else f"a {type(actor).__name__}"
+
+
+class WholePolicy(TensorDictModuleBase):
+    """A function of a tensordict as a module."""
+
+    def __init__(self, function: Callable[[TensorDictBase], TensorDictBase]) -> None:
+        """Call ``function``."""
+        super().__init__()
+        self.function = function
+        self.in_keys: list[str] = []
+        self.out_keys = ["action"]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the actions."""
+        return self.function(tensordict)
+
+
+class FunctionPolicy(TensorDictModuleBase):
+    """A torch module or function of the observation as a module of tensordicts."""
+
+    def __init__(self, function: Callable[..., Any], satellite: SatelliteGroup, with_mask: bool) -> None:
+        """Call ``function`` for ``satellite``, ``with_mask`` as its second argument or not."""
+        super().__init__()
+        self.function, self.title, self.is_real = function, described(function), form(satellite) is not None
+        if with_mask and self.is_real:
+            raise TypeError(f"{self.title} takes two arguments; real actions of {satellite.name} have no action mask")
+        self.n_actions = int(form(satellite).width) if self.is_real else satellite.actions.n_actions  # type: ignore[union-attr]
+        self.with_mask = with_mask
+        self.in_keys, self.out_keys = ["observation", *([] if self.is_real else ["action_mask"])], ["action"]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write ``action``, [B] or [B, A]; ValueError for results of another shape."""
+        seen = self._seen(tensordict["observation"])
+        mask = [tensordict["action_mask"]] if self.with_mask else []
+        return tensordict.set("action", self._action(self._chosen(seen, *mask), tensordict))
+
+    def _chosen(self, seen: Any, *mask: Tensor) -> Any:
+        return self.function(seen, *mask)
+
+    def _seen(self, observation: Any) -> Any:
+        """Return the observation in the type of a module's weights."""
+        weights = next(self.function.parameters(), None) if isinstance(self.function, nn.Module) else None
+        return map_leaves(observation, lambda part: part if weights is None else part.to(weights))
+
+    def _action(self, result: object, tensordict: TensorDictBase) -> Tensor:
+        """Return the result of the function as actions."""
+        shape, device = tuple(tensordict.batch_size), tensordict.device
+        try:
+            chosen = torch.as_tensor(result, device=device)
+        except (TypeError, ValueError, RuntimeError) as error:
+            raise TypeError(f"{self.title} returns {described(result)}; it must return a tensor of actions") from error
+        scores = (*shape, self.n_actions)
+        if self.is_real and chosen.shape == scores:
+            return chosen.to(torch.float32)
+        if not self.is_real and chosen.is_floating_point() and chosen.shape == scores:
+            return chosen.masked_fill(~tensordict["action_mask"], -torch.inf).argmax(-1)
+        if not self.is_real and not chosen.is_floating_point() and chosen.shape in (shape, (*shape, 1)):
+            return chosen.reshape(shape).long()
+        wanted = f"real numbers {list(scores)}" if self.is_real else f"numbers of actions {list(shape)}, or scores {list(scores)}"
+        raise ValueError(f"{self.title} returns {chosen.dtype} {list(chosen.shape)}; it must return {wanted}")
+
+
+class ModelPolicy(FunctionPolicy):
+    """A model of Stable-Baselines3 as a module of tensordicts; models of sb3-contrib that take masks get them."""
+
+    def __init__(self, model: Model, satellite: SatelliteGroup) -> None:
+        """Let ``model`` predict the actions of ``satellite``."""
+        masked = "action_masks" in inspect.signature(model.predict).parameters
+        super().__init__(model.predict, satellite, masked and form(satellite) is None)
+        self.title = f"the model {type(model).__name__}"
+
+    def _seen(self, observation: Any) -> Any:
+        """Return the observation as :class:`~bsk_torch.wrappers.stable_baselines3.SB3VecEnv` does."""
+        if isinstance(observation, Tensor):
+            return observation.cpu().numpy()
+        dims = len(observation.batch_size)
+        return {name: leaf if leaf.ndim > dims else leaf[..., np.newaxis] for name, leaf in numpy_leaves(observation).items()}
+
+    def _chosen(self, seen: Any, *mask: Tensor) -> Any:
+        masks = {"action_masks": mask[0].cpu().numpy()} if mask else {}
+        action, state = self.function(seen, deterministic=exploration_type() is not ExplorationType.RANDOM, **masks)
+        if state is not None:
+            raise TypeError(f"{self.title} has a memory, which is not passed on between decisions; {WRITE}")
+        return action
+
+
+def numpy_leaves(observation: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the parts of a named observation as arrays, by their joined names."""
+    return flat(map_leaves(observation, lambda part: part.cpu().numpy()))
