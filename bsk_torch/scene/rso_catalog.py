@@ -25,6 +25,7 @@ from bsk_torch.scene.draws import calls_user, check_numbers, draw_numbers
 from bsk_torch.scene.rso_mixture import RSOMixture
 from bsk_torch.sim.dyn.models import BasicDynamicsModel
 from bsk_torch.sim.names import nearest
+from bsk_torch.untrusted import MOST_JSON, Json, parse_json, read_bytes
 from bsk_torch.vec3 import Vec3
 
 Saved = TypeVar("Saved")
@@ -272,7 +273,7 @@ class RSOTargetCatalog:
     def load(cls, path: str | Path) -> RSOTargetCatalog:
         """Return the catalog of a JSON file; see :meth:`from_dict`, whose errors name the file."""
         try:
-            return cls.from_dict(json.loads(Path(path).read_text(encoding="utf-8")))
+            return cls.from_dict(parse_json(read_bytes(path, MOST_JSON), Json))
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
 

@@ -17,6 +17,7 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from bsk_torch._checks import whole
+from bsk_torch.untrusted import Json, parse_json
 from bsk_torch.viewer.futures import Futures, finite
 from bsk_torch.viewer.page import build_page
 from bsk_torch.viewer.recording import Recording
@@ -139,12 +140,9 @@ class _Handler(BaseHTTPRequestHandler):
             self.close_connection = True
             raise _RejectedError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"the request has {length} bytes; the most are {MOST}")
         try:
-            body = json.loads(self.rfile.read(int(length)))
+            return parse_json(self.rfile.read(int(length)), dict[str, Json])
         except ValueError as error:
-            raise ValueError(f"the request is not JSON: {error}") from None
-        if not isinstance(body, dict):
-            raise ValueError("the request must be a JSON object")
-        return body
+            raise ValueError(f"the request must be a JSON object: {error}") from None
 
     def _check(self) -> None:
         """Reject requests that do not come from the page."""
