@@ -1,7 +1,8 @@
 """Files that others may have made: the one door for JSON, compressed bytes, archives of torch, and memory-mapped tensordicts.
 
-Nothing in such a file is executed. Sizes, shapes and depths are compared with bounds before anything is allocated, so that a small
-file costs little memory and time. Whatever is wrong with a file is a ValueError with the reason; readers add the name of the file.
+Nothing in such a file is executed. Sizes, shapes and depths are compared with bounds before anything is allocated, so that a
+small file costs little memory and time. Whatever is wrong with a file is a ValueError with the reason, to which readers add the
+name of the file.
 """
 
 from __future__ import annotations
@@ -140,7 +141,7 @@ def _reason(error: Any) -> str:
 
 def _place(parts: tuple[int | str, ...]) -> str:
     """Return a path such as ``satellites[1].mass``."""
-    names = (f"[{part}]" if isinstance(part, int) else f".{part}" if part.isidentifier() else f"[{part!r}]" for part in parts)
+    names = (f".{part}" if isinstance(part, str) and part.isidentifier() else f"[{part!r}]" for part in parts)
     return "".join(names).removeprefix(".")
 
 

@@ -17,11 +17,15 @@ Maybe = Annotated[float, AllowInfNan(True)]
 
 
 class Estimate(TypedDict):
+    """A mean and the half width of its interval."""
+
     mean: Amount
     half_width: Maybe
 
 
 class Measure(TypedDict):
+    """The same of a measure, which may be unknown."""
+
     mean: Maybe
     half_width: Maybe
 

@@ -89,10 +89,6 @@ class Cases:
         )
 
 
-class CaseError(ValueError):
-    """A file of a case that cannot be flown; the message names the file, the entry, and the field."""
-
-
 def read_cases(folder: str | Path, satellites: int | None = None, tasks: int | None = None) -> Cases:
     """Return the cases in a folder and its subfolders, in the order of their names.
 
@@ -106,8 +102,8 @@ def read_cases(folder: str | Path, satellites: int | None = None, tasks: int | N
 
     Raises:
         FileNotFoundError: For a folder without cases, and a constellation without tasks.
-        CaseError: For a file that is not one of the benchmark, and a case with more satellites or tasks than the padding.
-        ValueError: For a padding that is not a whole number.
+        ValueError: For a file that is not one of the benchmark, with file, entry and field; a case with more satellites or tasks
+            than the padding; and a padding that is not a whole number.
     """
     pairs = list(_pairs(Path(folder)))
     if not pairs:
@@ -275,7 +271,7 @@ def _read(path: Path, schema: Any) -> Any:
         content = read_bytes(path, MOST_JSON)
         return parse_json(content, TaskList if schema is TaskSet and content.lstrip().startswith(b"[") else schema)
     except ValueError as error:
-        raise CaseError(f"{path}: {error}") from None
+        raise ValueError(f"{path}: {error}") from None
 
 
 # -- constellations -----------------------------------------------------------------------------------------------------------
@@ -290,10 +286,10 @@ def _constellation(path: Path) -> Satellites:
     orbits = {orbit.id: orbit for orbit in content.orbits}
     ids = [entry.id for entry in content.satellites]
     if len(set(ids)) < len(ids):
-        raise CaseError(f"{path}: satellites have the ids {ids}; give each satellite its id")
+        raise ValueError(f"{path}: satellites have the ids {ids}; give each satellite its id")
     for k, entry in enumerate(content.satellites):
         if entry.orbit not in orbits:
-            raise CaseError(f"{path}: satellites[{k}].orbit={entry.orbit} is not among the ids of orbits, {sorted(orbits)}")
+            raise ValueError(f"{path}: satellites[{k}].orbit={entry.orbit} is not among the ids of orbits, {sorted(orbits)}")
     return [_satellite(entry, orbits[entry.orbit]) for entry in sorted(content.satellites, key=lambda entry: entry.id)]
 
 
@@ -367,7 +363,7 @@ def stacked(cases: Sequence[tuple[str, Satellites, Tasks]], satellites: int | No
     for name, *parts in cases:
         for title, part, size in zip(wanted, parts, sizes, strict=True):
             if len(part) > size:
-                raise CaseError(f"case {name!r} has {len(part)} {title}, more than {title}={size}")
+                raise ValueError(f"case {name!r} has {len(part)} {title}, more than {title}={size}")
 
     def table(rows: Sequence[Sequence[Any]], size: int) -> Tensor:
         return torch.tensor([[*row, *[row[0]] * (size - len(row))] for row in rows], dtype=torch.float64)

@@ -365,10 +365,8 @@ def decode(content: bytes) -> Recording:
         arrays = {name: _unpacked(entry, payload) for name, entry in header.arrays.items()}
         scenes = [replace(scene, arrays=_own_arrays(f"s{k}/", arrays)) for k, scene in enumerate(header.scenes)]
         tracks = [replace(track, arrays=_own_arrays(f"t{k}/", arrays)) for k, track in enumerate(header.tracks)]
-        whole = {
-            name: getattr(header, name) for name in ("title", "preset", "policy", "package", "places", "station_min_elevation")
-        }
-        recording = Recording(**whole, satellites=header.satellites, scenes=scenes, tracks=tracks)
+        whole = {part.name: getattr(header, part.name) for part in fields(Recording)} | {"scenes": scenes, "tracks": tracks}
+        recording = Recording(**whole)
         check(recording)
     except ValueError as error:
         raise ValueError(f"a damaged recording: {error}") from error

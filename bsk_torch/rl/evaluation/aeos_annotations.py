@@ -29,7 +29,7 @@ from bsk_torch.rl.evaluation.evaluate import start_episodes, with_lots
 from bsk_torch.rl.rules.baselines import LOT
 from bsk_torch.rl.rules.nearest_task import TaskTeam, task_team
 from bsk_torch.rl.rules.team import TeamPolicy
-from bsk_torch.scene import CaseError, Cases
+from bsk_torch.scene import Cases
 from bsk_torch.scene.aeos_bench import NO_TASK
 from bsk_torch.untrusted import MOST_JSON, parse_json, read_bytes, read_tensors
 
@@ -240,7 +240,7 @@ def read_assignments(folder: str | Path, cases: Cases) -> Tensor:
 
     Raises:
         FileNotFoundError: For a case without assignments.
-        CaseError: For assignments that do not fit the case: other satellites, or tasks that it does not have.
+        ValueError: For assignments that do not fit the case: other satellites, or tasks that it does not have.
     """
     files = {path.stem: path for path in sorted(Path(folder).rglob("*.pth"))}
     files |= {path.parent.name: path for path in sorted(Path(folder).rglob(RUNS))}
@@ -252,11 +252,11 @@ def read_assignments(folder: str | Path, cases: Cases) -> Tensor:
         runs = [] if files[name].suffix == ".pth" else _runs(files[name])
         table = torch.empty(0, len(runs)) if runs else _trajectory(files[name])
         if table.shape[1] != crew:
-            raise CaseError(f"{files[name]}: assignments of {table.shape[1]} satellites, but case {name!r} has {crew}")
+            raise ValueError(f"{files[name]}: assignments of {table.shape[1]} satellites, but case {name!r} has {crew}")
         if runs:
             table = torch.stack([tasks.repeat_interleave(seconds) for tasks, seconds in (run.unbind(1) for run in runs)], 1)
         if bool(((table < NO_TASK) | (table >= jobs)).any()):
-            raise CaseError(f"{files[name]}: tasks from {int(table.min())} to {int(table.max())}, but case {name!r} has {jobs}")
+            raise ValueError(f"{files[name]}: tasks from {int(table.min())} to {int(table.max())}, but case {name!r} has {jobs}")
         tables.append(table)
     longest = max(len(table) for table in tables)
     found = torch.full((len(tables), longest, cases.n_satellites), NO_TASK)
@@ -270,10 +270,10 @@ def _trajectory(path: Path) -> Tensor:
     try:
         values, _ = read_tensors(path.read_bytes())
     except ValueError as error:
-        raise CaseError(f"{path}: no trajectory: {error}") from None
+        raise ValueError(f"{path}: no trajectory: {error}") from None
     table = values.get(TASK_ID) if isinstance(values, dict) else None
     if not isinstance(table, Tensor) or table.ndim != 2 or table.is_floating_point() or table.is_complex() or not len(table):
-        raise CaseError(f"{path}: a trajectory needs whole numbers {TASK_ID!r}, [t, S]")
+        raise ValueError(f"{path}: a trajectory needs whole numbers {TASK_ID!r}, [t, S]")
     return table.long()
 
 
@@ -287,10 +287,10 @@ def _runs(path: Path) -> list[Tensor]:
         content = parse_json(read_bytes(path, MOST_JSON), Runs)
         rows = [torch.tensor(content[str(k)]).view(-1, 2) for k in range(len(content))]
     except (KeyError, ValueError) as error:
-        raise CaseError(f"{path}: runs are lists of [task, seconds] by the number of the satellite: {error}") from None
+        raise ValueError(f"{path}: runs are lists of [task, seconds] by the number of the satellite: {error}") from None
     seconds = sorted({int(row[:, 1].sum()) for row in rows})
     if len(seconds) != 1 or not 0 < seconds[0] <= LONGEST:
-        raise CaseError(f"{path}: runs of {seconds} s; all satellites need the same, at most {LONGEST:,} s")
+        raise ValueError(f"{path}: runs of {seconds} s; all satellites need the same, at most {LONGEST:,} s")
     return rows
 
 

@@ -83,8 +83,8 @@ INTERVALS = {
 WIDEST = 65_536
 """Maximum width of a hidden layer."""
 
-LONGEST, DEEPEST = 1_000_000, 20
-"""Maximum number of bytes and of nesting levels in settings files."""
+LONGEST, DEEPEST, MOST_VALUES = 1_000_000, 20, 10_000
+"""Maximum number of bytes, of nesting levels and of values in settings files."""
 
 RESERVED = {"num_envs": "num_envs", "seed": "seed", "env_ids": "num_envs"}
 """Arguments of the environment that are not options, and the settings that determine them."""
@@ -371,8 +371,11 @@ def read_settings(path: Path) -> dict[str, Any]:
 
 def _check_plain(text: str) -> None:
     """ValueError for YAML that is larger, when read, than it looks."""
-    depth = 0
+    depth = values = 0
     for event in yaml.parse(text, Loader=yaml.SafeLoader):
+        values += isinstance(event, yaml.NodeEvent)
+        if values > MOST_VALUES:
+            raise ValueError(f"it has more than {MOST_VALUES:,} values")
         if isinstance(event, yaml.AliasEvent):
             raise ValueError("it has aliases of YAML")
         if getattr(event, "tag", None) is not None:
