@@ -170,13 +170,14 @@ def read_paths(path: Path | str) -> tuple[dict[str, Any], Blend]:
         width = max(len(episode.parts) for episode in episodes)
         if width * len(episodes) > LARGEST:  # one long blend would widen those of all episodes
             raise ValueError(f"its {len(episodes):,} episodes are blends of up to {width:,} parts")
+        tables = [
+            torch.tensor([[*row, *[0] * (width - len(row))] for row in (getattr(one, name) for one in episodes)], dtype=dtype)
+            for name, dtype in TABLES.items()
+        ]
+        blend = Blend(torch.tensor([episode.seed for episode in episodes], dtype=torch.int64), *tables)
     except ValueError as error:
         raise ValueError(f"{str(path)!r} is not a file of episodes written by 'bsk-torch risk': {error}") from None
-    tables = [
-        torch.tensor([[*row, *[0] * (width - len(row))] for row in (getattr(one, name) for one in episodes)], dtype=dtype)
-        for name, dtype in TABLES.items()
-    ]
-    return content, Blend(torch.tensor([episode.seed for episode in episodes], dtype=torch.int64), *tables)
+    return content, blend
 
 
 def play_again(env: Tasking, path: Path | str) -> Tensor:

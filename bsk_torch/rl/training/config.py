@@ -374,6 +374,8 @@ def _check_plain(text: str) -> None:
     depth = values = 0
     for event in yaml.parse(text, Loader=yaml.SafeLoader):
         values += isinstance(event, yaml.NodeEvent)
+        if values == 1 and depth == 0 and not isinstance(event, yaml.MappingStartEvent):
+            raise ValueError("it holds no settings by name")
         if values > MOST_VALUES:
             raise ValueError(f"it has more than {MOST_VALUES:,} values")
         if isinstance(event, yaml.AliasEvent):
