@@ -112,7 +112,7 @@ def parse_json(content: bytes, schema: type[Schema]) -> Schema:
     try:
         return _root(schema).model_validate_json(content).root
     except ValidationError as error:
-        raise ValueError(_reason(error)) from None
+        raise ValueError(one_line(_reason(error))) from None
 
 
 @functools.cache
@@ -137,6 +137,11 @@ def _reason(error: Any) -> str:
     if first["type"] in ("value_error", "json_invalid"):
         return f"{_place(place)}: {said}" if place else said
     return f"{_place(place) or 'its content'}={_short(value)}: {said}"
+
+
+def one_line(text: str) -> str:
+    """Return a message with parts of a file on one line, without characters that control a terminal."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text.partition("\n")[0])
 
 
 def _place(parts: tuple[int | str, ...]) -> str:
@@ -206,7 +211,7 @@ def read_tensors(content: bytes, entry: str | None = None, device: torch.device 
         if total > len(content):
             raise ValueError(f"its tensors have {total:,} bytes, and it has {len(content):,}")
     except Exception as error:  # bytes of others may raise any exception within zipfile, torch and pickle
-        reason = str(error).partition("\n")[0].partition(". ")[0]  # torch says much more
+        reason = one_line(str(error)).partition(". ")[0]  # torch says much more
         raise ValueError(reason or type(error).__name__) from error
     return values, other
 
@@ -246,7 +251,7 @@ def read_memmap(folder: Path) -> TensorDict:
         _check_memmap(folder, ())
         return TensorDict.load_memmap(folder, allow_pickle=False)
     except Exception as error:  # files of others may raise any exception within tensordict
-        reason = str(error).partition("\n")[0]
+        reason = one_line(str(error))
         raise ValueError(f"{str(folder)!r} is no folder of tensors: {reason or type(error).__name__}") from error
 
 

@@ -22,7 +22,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bsk_torch.untrusted import TORCH_TYPES, Json, parse_json
+from bsk_torch.untrusted import TORCH_TYPES, Json, one_line, parse_json
 
 
 def _text(content: bytes | bytearray) -> str:
@@ -192,7 +192,9 @@ class Unpickler:
         try:
             return self._part(root)
         except Exception as error:  # also of comparisons of the user's objects, whose attributes may be any
-            raise ValueError(f"the state holds objects that cannot be made: {str(error) or type(error).__name__}") from error
+            raise ValueError(
+                f"the state holds objects that cannot be made: {one_line(str(error)) or type(error).__name__}"
+            ) from error
 
     def check(self) -> None:
         """Raise ValueError for what :meth:`load` would not read, without making any object."""
@@ -215,7 +217,7 @@ class Unpickler:
         kind = self.classes.get(name) if isinstance(name, str) else None
         if kind is None:
             raise ValueError(
-                f"the state holds an object of {str(name)[:80]}, neither plain data nor of a class of {sorted(self.classes)}"
+                f"the state holds an object of {str(name)[:80]!r}, neither plain data nor of a class of {sorted(self.classes)}"
             )
         return kind
 

@@ -18,6 +18,7 @@ from bsk_torch.env.agents import AGENTS
 from bsk_torch.rl.networks.plans import ACTOR, NORMALISER, PLANS, AttentionPlan, Networks, Plan, check_network
 from bsk_torch.rl.policies.checksummed import load_checksummed, save_checksummed
 from bsk_torch.rl.policies.shared_policy import member_views, of_groups
+from bsk_torch.untrusted import one_line
 
 logger = logging.getLogger(__name__)
 
@@ -126,7 +127,9 @@ def read_card(path: Path | str, device: torch.device | str = "cpu") -> dict[str,
         try:
             _check_weights(part)
         except UNFIT as error:
-            raise ValueError(f"{str(path)!r} is no policy of this version of bsk_torch ({__version__}): {error}") from error
+            raise ValueError(
+                f"{str(path)!r} is no policy of this version of bsk_torch ({__version__}): {one_line(str(error))}"
+            ) from error
     return card
 
 
