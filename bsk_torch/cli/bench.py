@@ -23,6 +23,7 @@ from bsk_torch.cli.functions import described, entrant_of_user
 from bsk_torch.cli.names import PREFIX, PRETRAINED
 from bsk_torch.cli.planned import named_planner
 from bsk_torch.cli.policies import NamedFunction, NamedPolicy, named_policy
+from bsk_torch.cli.results import PlayedResults
 from bsk_torch.cli.shared import check_writable, preset_options
 from bsk_torch.cli.terminal import Failure, fail, print_message, working
 from bsk_torch.codegen.inductor import BACKENDS
@@ -47,6 +48,7 @@ from bsk_torch.rl.policies.pretrained import makings
 from bsk_torch.rl.policies.shared_policy import RULES, baseline, shared
 from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.tables import print_table
+from bsk_torch.untrusted import read_json
 
 logger = logging.getLogger(__name__)
 
@@ -103,7 +105,12 @@ def bench(
     counts = {task.title: min(episodes or most, task.episodes) for task in tasks}
     check_certifiable(tasks, certify, min(counts.values()))
     entrants = {name: entrant_of(name, tasks) for name in policies}
-    results = read_earlier(earlier or [], suite)
+    results = read_earlier(earlier or [], suite, PlayedResults)
+    for name, rows in results.items():
+        for task in tasks:
+            unknown = set(task.measures) - set(rows[task.title].get("measures", ())) if task.title in rows else set()
+            if unknown:
+                fail(f"the results of {name!r} in {task.title} lack the measures {', '.join(sorted(unknown))}")
     for name in entrants:
         if again := [task.title for task in tasks if task.title in results.get(name, {})]:
             fail(f"{name!r} is also in the results of `--with`, for {', '.join(again)}; a task has one row for each policy")
@@ -234,14 +241,14 @@ def told(score: Score, reference: Mapping[str, object] | None) -> dict[str, Any]
     return rated | summary | {"seconds_per_decision": score.seconds, "returns": evaluation.returns.tolist()}
 
 
-def read_earlier(files: Iterable[Path], suite: str) -> dict[str, dict[str, Any]]:
+def read_earlier(files: Iterable[Path], suite: str, schema: Any) -> dict[str, dict[str, Any]]:
     """Return the results of earlier runs, by policy and task; ends the program for those of another suite.
 
     Where a policy has played a task more than once, the result of the most episodes counts, and then that of the last file.
     """
     results: dict[str, dict[str, Any]] = {}
     for path in files:
-        made, policies = read_result(path)
+        made, policies = read_result(path, schema)
         if made != (FORMAT, suite):
             fail(f"{str(path)!r} has format and suite {made}; this run has {(FORMAT, suite)}")
         add_results(results, policies)
@@ -257,13 +264,16 @@ def add_results(results: dict[str, dict[str, Any]], policies: Mapping[str, Mappi
         }
 
 
-def read_result(path: Path) -> tuple[tuple[int, str], dict[str, dict[str, Any]]]:
-    """Return format and suite of a file of an earlier run, and its results by policy; ends the program for other files."""
+def read_result(path: Path, schema: Any) -> tuple[tuple[int, str], dict[str, dict[str, Any]]]:
+    """Return format and suite of a file of an earlier run, and its results by policy; ends the program for other files.
+
+    The ``schema`` is one of :mod:`bsk_torch.cli.results`.
+    """
     try:
-        kept = json.loads(path.read_text())
-        return (kept["format"], kept["suite"]), kept["policies"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        fail(f"{str(path)!r} is no result of bsk-torch bench: {type(error).__name__}: {error}")
+        kept = read_json(path, schema, "is no result of bsk-torch bench")
+    except (OSError, ValueError) as error:
+        fail(str(error))
+    return (kept["format"], kept["suite"]), kept["policies"]
 
 
 def document(suite: str, tasks: Sequence[Task], episodes: int, results: Mapping[str, object]) -> dict[str, Any]:

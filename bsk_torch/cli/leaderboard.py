@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.cli.bench import add_results, read_earlier, read_result
+from bsk_torch.cli.results import Results
 from bsk_torch.cli.shared import check_picture, check_writable, extra
 from bsk_torch.cli.terminal import fail, print_message
 from bsk_torch.files import write_file
@@ -88,7 +89,7 @@ def leaderboard(
     files = files or []
     if published_suite is None and not files:
         fail("no results: name a file of bsk-torch bench, or a suite with --published")
-    suite = published_suite or read_result(files[0])[0][1]
+    suite = published_suite or read_result(files[0], Results)[0][1]
     try:
         tasks = [task.title for task in tasks_of(suite, presets)]
         known = published(suite) if published_suite else {"policies": {}, "methods": {}}
@@ -96,7 +97,7 @@ def leaderboard(
         fail(str(error))
     if not references(suite):
         fail(f"the tasks of the suite {suite} have measures, not scores, and cannot be aggregated")
-    mine, results = read_earlier(files, suite), dict[str, dict[str, Any]]()
+    mine, results = read_earlier(files, suite, Results), dict[str, dict[str, Any]]()
     if files and not mine:
         fail(f"{', '.join(map(str, files))} has no policies")
     add_results(results, known["policies"])

@@ -21,6 +21,7 @@ from bsk_torch.rl.policies.pretrained import FOLDER, INDEX
 from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.rl.training.log import LOG, read_log
 from bsk_torch.sim.names import nearest
+from bsk_torch.untrusted import Json, read_json
 
 FIRST = 4
 """Episodes whose returns are noted one by one, to be tested."""
@@ -83,12 +84,9 @@ def _listed(folder: Path) -> dict[str, Any]:
         fail(f"{str(folder)!r} is not a folder; name one for the policies")
     index = folder / INDEX
     try:
-        listed = json.loads(index.read_text(encoding="utf-8")) if index.exists() else {}
+        return read_json(index, dict[str, Json], "holds no notes by preset") if index.exists() else {}
     except ValueError as error:
-        fail(f"{str(index)!r} is damaged: {error}")
-    if not isinstance(listed, dict):
-        fail(f"{str(index)!r} holds no notes by preset")
-    return listed
+        fail(str(error))
 
 
 def score(result: Evaluation, seed: int) -> dict[str, float]:

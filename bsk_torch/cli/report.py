@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from bsk_torch.cli.pictures import record
+from bsk_torch.cli.results import Summary
 from bsk_torch.cli.shared import check_writable, environment, environment_options, extra
 from bsk_torch.cli.terminal import echo, fail, working
 from bsk_torch.rl.evaluation.evaluate import FRESH, evaluate
@@ -24,6 +25,7 @@ from bsk_torch.rl.policies.files import POLICY, build_policy, check_fits, read_c
 from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.rl.training.config import CONFIG, PPOConfig
 from bsk_torch.rl.training.log import EVALUATIONS, LOG, read_log
+from bsk_torch.untrusted import Word, read_json
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -108,12 +110,9 @@ def _columns(path: Path) -> dict[str, list[float]]:
 def _results(path: Path) -> dict[str, Any]:
     """Final evaluation; nothing where training was stopped before. Ends the program if the file is damaged."""
     try:
-        results = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-    except ValueError as error:  # of JSON, or of text
-        fail(f"{str(path)!r} is damaged: {error}")
-    if not isinstance(results, dict) or not all(isinstance(v, dict) and "return" in v for v in results.values()):
-        fail(f"{str(path)!r} holds no results of an evaluation by policy")
-    return results
+        return read_json(path, dict[Word, Summary], "holds no results of an evaluation by policy") if path.is_file() else {}
+    except ValueError as error:
+        fail(str(error))
 
 
 def _facts(card: dict[str, Any]) -> dict[str, str]:

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.data.base import GlobalReward, Log
-from bsk_torch.data.record import OneReward, Record, SingleScenario, StoringSatellite
+from bsk_torch.data.record import OneReward, Record, SingleScenario, StoringSatellite, check_record, classes_of
 from bsk_torch.sats.bound_access import BoundAccessSatellite
 from bsk_torch.sim.object_table import ObjectTable
 
@@ -37,8 +37,10 @@ class PerEnvironmentReward(GlobalReward):
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
         """See :meth:`GlobalReward.link`."""
         super().link(scenario, fleet)
-        dump = functools.partial(Record.dump, given=self.given)
-        self.records = ObjectTable(fleet.num_envs, fleet.device, self._begin, dump, self._load)
+        self._classes = classes_of(self.given)
+        dump = functools.partial(Record.dump, given=self.given, classes=self._classes)
+        check = functools.partial(check_record, classes=self._classes)
+        self.records = ObjectTable(fleet.num_envs, fleet.device, self._begin, dump, self._load, check)
         number = sum(name.startswith("records_") for name in self.memory.tables)
         self.memory.add(f"records_{number}", self.records)
         for part in fleet.satellites:
@@ -63,7 +65,7 @@ class PerEnvironmentReward(GlobalReward):
 
     def _load(self, env: int, saved: bytes) -> Record:
         record = self._record(env)
-        record.load(self.given, saved)
+        record.load(saved, self.given, self._classes)
         return record
 
     def _collecting(self) -> list[int]:

@@ -4,19 +4,26 @@ from __future__ import annotations
 
 import copy
 import io
-import pickle
-from collections.abc import Callable, Mapping, Sequence
-from types import FunctionType
+import sys
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import is_dataclass
+from types import BuiltinFunctionType, FunctionType
 from typing import Any, Protocol
 
+import numpy as np
 from torch import Tensor
 
-from bsk_torch.data.pickled import Pickler, Unpickler, modules_of
+from bsk_torch.data.pickled import Pickler, Unpickler
 from bsk_torch.sats.one import OneSatellite, OneScenario, OneView
 from bsk_torch.sats.one_access import OneAccessSatellite
+from bsk_torch.scene.target import Target
 from bsk_torch.sim.places import is_target
 
 Filter = Callable[[Mapping[str, Any]], Any]
+
+SHARED: tuple[type, ...] = (FunctionType, BuiltinFunctionType, np.ufunc, type)
+"""What copies of a rewarder share with it: functions and classes among its attributes are found again by these."""
 
 
 class OneReward(Protocol):
@@ -191,27 +198,32 @@ class Record:
 
     # -- saving -------------------------------------------------------------------------------------------------------
 
-    def dump(self, given: OneReward) -> bytes:
+    def dump(self, given: OneReward, classes: Collection[type]) -> bytes:
         """Return all that may have changed since :meth:`begin`, as bytes; none before the first step.
 
+        Args:
+            given: The user's rewarder.
+            classes: Classes of objects that are saved; see :func:`classes_of`.
+
         Raises:
-            TypeError: For values that cannot be pickled.
+            TypeError: For values that are no plain data.
         """
         if not self.steps:
             return b""
         file = io.BytesIO()
         own = [{name: value for name, value in vars(satellite).items() if name != "_one"} for satellite in self.satellites]
         try:
-            Pickler(file, _modules(given), self._name_of(given)).dump((vars(self.rewarder), own, self.steps))
-        except (pickle.PicklingError, TypeError, AttributeError) as error:
+            Pickler(file, classes, self._name_of(given)).dump((vars(self.rewarder), own, self.steps))
+        except (TypeError, RecursionError) as error:
             raise TypeError(
                 f"{type(self.rewarder).__name__} or its stores keep values that cannot be saved or copied with an episode: "
-                f"{error}. Keep numbers, arrays, targets and satellites, and filters that are objects of a class, not functions"
+                f"{error}. Keep numbers, texts, arrays, targets, satellites and containers of these, in objects of classes of "
+                "the rewarder's module; filters may be objects of such a class, not functions"
             ) from error
         return file.getvalue()
 
-    def load(self, given: OneReward, saved: bytes) -> None:
-        """Take over what :meth:`dump` returned; UnpicklingError for bytes that hold more than plain data and own classes."""
+    def load(self, saved: bytes, given: OneReward, classes: Collection[type]) -> None:
+        """Take over what :meth:`dump` returned; ValueError for bytes that hold more than plain data and own classes."""
         objects = {name: value for value, name in self._named(given)}
 
         def find(name: Any) -> Any:
@@ -219,16 +231,22 @@ class Record:
                 return self.scenario._whole.target_object(self.scenario._row, name)
             return objects[name]
 
-        rewarder, own, self.steps = Unpickler(io.BytesIO(saved), _modules(given), find).load()
-        self.rewarder.__dict__ = rewarder
+        match Unpickler(io.BytesIO(saved), classes, find).load():
+            case dict() as rewarder, list() as own, int() as steps if steps > 0 and len(own) == len(self.satellites):
+                parts = [rewarder, *own]
+            case _:
+                parts = []
+        if not parts or not all(isinstance(part, dict) and all(isinstance(name, str) for name in part) for part in parts):
+            raise ValueError(f"the state holds no {type(given).__name__} with stores of {len(self.satellites)} satellites")
+        self.rewarder.__dict__, self.steps = rewarder, steps
         for satellite, attributes in zip(self.satellites, own, strict=True):
-            satellite.__dict__.update(attributes)
+            satellite.__dict__.update(attributes | {"_one": satellite._one})
 
     def _named(self, given: OneReward) -> list[tuple[Any, str]]:
         """Return the objects that are not saved but found again, with their names."""
         named: list[tuple[Any, str]] = [(self.rewarder, "rewarder"), (self.scenario, "scenario")]
         named += [(satellite, f"satellite {k}") for k, satellite in enumerate(self.satellites)]
-        return named + [(value, f"argument {name}") for name, value in vars(given).items() if isinstance(value, FunctionType)]
+        return named + [(value, f"argument {name}") for name, value in vars(given).items() if isinstance(value, SHARED)]
 
     def _name_of(self, given: OneReward) -> Callable[[Any], Any]:
         """Return the function that names objects which are not saved; targets have their numbers."""
@@ -246,6 +264,48 @@ class Record:
         return name_of
 
 
-def _modules(given: OneReward) -> set[str]:
-    """Return the modules whose classes a rewarder's data may be made of: its own, and those of its stores and data."""
-    return modules_of(type(given), given.data_store_type, given.data_type)
+def check_record(saved: bytes, classes: Collection[type]) -> None:
+    """Raise ValueError for bytes that :meth:`Record.load` would not read, before anything changes."""
+    if saved:
+        Unpickler(io.BytesIO(saved), classes, str).check()
+
+
+def classes_of(given: OneReward) -> set[type]:
+    """Return the classes whose objects a rewarder's data may be: those that it consists of.
+
+    They are the classes of the rewarder, of rewarders that it combines, of their stores and data, and the bases of these; what is
+    defined in the modules of all of these, and dataclasses that are imported there; and what this package adds to satellites.
+    Nothing is imported.
+    """
+    kinds = set[Any]()
+    for part in _rewarders(given):
+        store = getattr(part, "data_store_type", None)
+        kinds |= {type(part), store, getattr(part, "data_type", None), getattr(store, "data_type", None)} - {None}
+    bases = {base for kind in kinds for base in kind.__mro__}
+    for module in {base.__module__ for base in bases} - {"builtins", "abc", "typing"}:
+        members = vars(sys.modules[module]).values() if module in sys.modules else ()
+        bases |= {kind for kind in members if isinstance(kind, type) and (kind.__module__ == module or is_dataclass(kind))}
+    return {kind for kind in bases | {HideImaged, Only, Target} if _is_plain(kind)}
+
+
+def _is_plain(kind: type) -> bool:
+    """Whether objects of a class may be made of data: nothing runs when they are made or dropped."""
+    return kind.__module__ != "builtins" and not hasattr(kind, "__del__") and not issubclass(kind, defaultdict | type)
+
+
+def _rewarders(given: OneReward) -> Iterator[Any]:
+    """Yield a rewarder, and those that it combines, which it keeps as attributes or in containers."""
+    waiting: list[Any] = [given]
+    seen = set[int]()
+    while waiting:
+        part = waiting.pop()
+        if id(part) in seen:
+            continue
+        seen.add(id(part))
+        if isinstance(part, Mapping):
+            waiting += part.values()
+        elif isinstance(part, list | tuple):
+            waiting += part
+        elif hasattr(part, "data_store_type") and not isinstance(part, type):
+            yield part
+            waiting += vars(part).values()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,8 +12,33 @@ from tensordict import TensorDict
 from torchrl.data import TensorDictReplayBuffer, TensorStorage
 from torchrl.data.replay_buffers.writers import ImmutableDatasetWriter
 
-from bsk_torch.offline.layout import CARD, COUNTERFACTUALS, EPISODE, FORMAT, STARTS, TRANSITIONS
+from bsk_torch.offline.layout import CARD, COUNTERFACTUALS, EPISODE, FORMAT, SEED, STARTS, TRANSITIONS
 from bsk_torch.sim.names import nearest
+from bsk_torch.untrusted import MOST_JSON, Count, Json, Word, parse_json, read_bytes, read_memmap
+
+
+@dataclass
+class BehaviorCard:
+    """What a card must say of a behavior."""
+
+    folder: str
+    episodes: Count
+
+
+@dataclass
+class Card:
+    """What the file :data:`~bsk_torch.offline.layout.CARD` must say."""
+
+    behaviors: dict[Word, BehaviorCard]
+    targets: list[Word]
+    share: float
+
+
+@dataclass
+class Format:
+    """What the card of any version says."""
+
+    format: int
 
 
 @dataclass(frozen=True)
@@ -46,7 +70,7 @@ class OfflineDataset:
             ValueError: For an unknown behavior, with the nearest name.
         """
         names = self._chosen(behaviors)
-        parts = [TensorDict.load_memmap(self._path(name) / TRANSITIONS) for name in names]
+        parts = [_loaded(self._path(name) / TRANSITIONS, EPISODE) for name in names]
         return parts[0] if len(parts) == 1 else _joined(parts, [self.card["behaviors"][name]["episodes"] for name in names])
 
     def counterfactuals(self, *behaviors: str) -> TensorDict:
@@ -63,12 +87,12 @@ class OfflineDataset:
         """
         names = self._chosen(behaviors)
         folders = [self._path(name) / COUNTERFACTUALS for name in names]
-        parts = [TensorDict.load_memmap(folder) for folder in folders if folder.is_dir()]
+        parts = [_loaded(folder, EPISODE) for folder in folders if folder.is_dir()]
         if not parts:
             raise ValueError(
                 f"{str(self.folder)!r} has no sampled decisions of {', '.join(names)}; see share={self.card['share']}"
             )
-        return parts[0] if len(parts) == 1 else torch.cat(parts)
+        return parts[0] if len(parts) == 1 else _together(parts)
 
     def starts(self) -> TensorDict:
         """Return the first observations of the episodes, [E].
@@ -81,7 +105,7 @@ class OfflineDataset:
         """
         if not self.card["targets"]:
             raise ValueError(f"{str(self.folder)!r} was written without targets, and has no returns of other policies")
-        return TensorDict.load_memmap(self.folder / STARTS)
+        return _loaded(self.folder / STARTS, SEED)
 
     def replay_buffer(self, *behaviors: str, batch_size: int, **options: Any) -> TensorDictReplayBuffer:
         """Return a replay buffer of TorchRL with the transitions of the ``behaviors`` (default: all), which cannot be extended.
@@ -107,7 +131,11 @@ class OfflineDataset:
         return list(behaviors) or self.behaviors
 
     def _path(self, name: str) -> Path:
-        return self.folder / self.card["behaviors"][name]["folder"]
+        folder = self.card["behaviors"][name]["folder"]
+        path = self.folder / folder
+        if path.name != folder or path.resolve().parent != self.folder.resolve():  # absolute paths, "..", links
+            raise ValueError(f"{str(self.folder / CARD)!r}: folder={folder!r} of {name!r} must be a folder next to it")
+        return path
 
 
 def open_dataset(folder: Path | str) -> OfflineDataset:
@@ -121,18 +149,38 @@ def open_dataset(folder: Path | str) -> OfflineDataset:
     if not path.is_file():
         raise FileNotFoundError(f"{str(folder)!r} is not a dataset: it has no file {CARD!r}")
     try:
-        card = json.loads(path.read_text(encoding="utf-8"))
-        found = card["format"]
-    except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{str(path)!r} is not the card of a dataset") from error
-    if found != FORMAT:
-        raise ValueError(f"{str(path)!r} has format {found}; this version of bsk_torch reads format {FORMAT}")
+        content = read_bytes(path, MOST_JSON)
+        version = parse_json(content, Format).format
+        if version == FORMAT:
+            parse_json(content, Card)
+        card = parse_json(content, dict[str, Json])
+    except ValueError as error:
+        raise ValueError(f"{str(path)!r} is not the card of a dataset: {error}") from None
+    if version != FORMAT:
+        raise ValueError(f"{str(path)!r} has format {version}; this version of bsk_torch reads format {FORMAT}")
     return OfflineDataset(Path(folder), card)
+
+
+def _loaded(folder: Path, number: str) -> TensorDict:
+    """Return the tensordict of a folder; ValueError for other content than tensors, or without the ``number`` of every row."""
+    found = read_memmap(folder)
+    numbers = found.get(number, None)
+    if found.ndim != 1 or numbers is None or numbers.shape != found.shape or numbers.dtype != torch.int64:
+        raise ValueError(f"{str(folder)!r} is no folder of a dataset: it has no {number!r} of every row")
+    return found
+
+
+def _together(parts: list[TensorDict]) -> TensorDict:
+    """Return the rows of several behaviors; ValueError where they have different entries."""
+    try:
+        return torch.cat(parts)
+    except (KeyError, RuntimeError) as error:
+        raise ValueError(f"the behaviors have different entries: {str(error).splitlines()[0]}") from error
 
 
 def _joined(parts: list[TensorDict], episodes: list[int]) -> TensorDict:
     """Return transitions of several behaviors with numbers of ``episodes``, so that no two have the same number."""
-    whole: Any = torch.cat(parts)
+    whole: Any = _together(parts)
     first = torch.tensor(episodes).cumsum(0) - torch.tensor(episodes)
     sizes = torch.tensor([len(part) for part in parts])
     whole[EPISODE] = whole[EPISODE] + first.repeat_interleave(sizes)

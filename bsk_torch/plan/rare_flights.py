@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from math import isnan
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import torch
+from annotated_types import Interval, MinLen
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
@@ -23,6 +25,7 @@ from bsk_torch.plan.subset import Flown, Sample
 from bsk_torch.rand import Blend, blended
 from bsk_torch.rl.evaluation.evaluate import failed_checks, of_team, start_episodes, with_lots
 from bsk_torch.rl.rules.baselines import LOT
+from bsk_torch.untrusted import Json, parse_json, read_bytes
 
 FAILED, TIME, DRAWN, RETURNS = "failed", "time", "drawn", "returns"
 """Notes: failed aliveness checks [m, C], time of the event [m] s (NaN without), drawn arguments [m, D], returns [m]."""
@@ -105,6 +108,34 @@ TABLES = {"parts": torch.int64, "steps": torch.float64, "shares": torch.float64}
 """Tables of a blend in a file, and their types."""
 
 
+LARGEST = 2**26
+"""Largest file, bytes, and most numbers in one of its tables."""
+
+
+@dataclass
+class SavedEpisode:
+    """An episode of a file: its seed, its blend, and the actions of all agents at each decision."""
+
+    seed: Annotated[int, Interval(ge=-(2**63), lt=2**63)]
+    parts: list[Annotated[int, Interval(ge=-(2**63), lt=2**63)]]
+    steps: list[float]
+    shares: list[float]
+    actions: Annotated[list[Annotated[list[float | list[float]], MinLen(1)]], MinLen(1)]
+
+    def __post_init__(self) -> None:
+        """ValueError for a blend whose tables have different lengths."""
+        if not len(self.parts) == len(self.steps) == len(self.shares):
+            raise ValueError(f"seed {self.seed}: parts, steps and shares have different lengths")
+
+
+@dataclass
+class Paths:
+    """A file of :func:`save_paths`, apart from what it tells of the flights."""
+
+    kind: Literal["episodes with a rare event"]
+    episodes: Annotated[list[SavedEpisode], MinLen(1)]
+
+
 def save_paths(path: Path | str, about: Mapping[str, Any], sample: Sample, actions: Sequence[Any]) -> None:
     """Write episodes into a JSON file, from which :func:`read_paths` plays them again.
 
@@ -118,7 +149,8 @@ def save_paths(path: Path | str, about: Mapping[str, Any], sample: Sample, actio
     for k, seed in enumerate(sample.seeds.tolist()):
         used = sample.steps[k] != 0.0
         blend = {name: getattr(sample, name)[k, used].tolist() for name in TABLES}
-        flown = {"time": float(sample.flown.notes[TIME][k]), "return": float(sample.flown.notes[RETURNS][k])}
+        time = float(sample.flown.notes[TIME][k])
+        flown = {"time": None if isnan(time) else time, "return": float(sample.flown.notes[RETURNS][k])}
         lines.append({"seed": seed, **blend, **flown, "actions": actions[k]})
     head = ",\n ".join(f"{json.dumps(name)}: {json.dumps(value)}" for name, value in {"kind": KIND, **about}.items())
     listed = ",\n  ".join(json.dumps(line) for line in lines)
@@ -133,18 +165,18 @@ def read_paths(path: Path | str) -> tuple[dict[str, Any], Blend]:
         ValueError: For another file.
     """
     try:
-        content = json.loads(Path(path).read_text())
-        if content["kind"] != KIND:
-            raise KeyError(KIND)
-        episodes = content["episodes"]
-        width = max(len(episode["parts"]) for episode in episodes)
+        raw = read_bytes(path, LARGEST)
+        episodes, content = parse_json(raw, Paths).episodes, parse_json(raw, dict[str, Json])
+        width = max(len(episode.parts) for episode in episodes)
+        if width * len(episodes) > LARGEST:  # one long blend would widen those of all episodes
+            raise ValueError(f"its {len(episodes):,} episodes are blends of up to {width:,} parts")
         tables = [
-            torch.tensor([episode[name] + [0] * (width - len(episode[name])) for episode in episodes], dtype=dtype)
+            torch.tensor([[*row, *[0] * (width - len(row))] for row in (getattr(one, name) for one in episodes)], dtype=dtype)
             for name, dtype in TABLES.items()
         ]
-        blend = Blend(torch.tensor([episode["seed"] for episode in episodes], dtype=torch.int64), *tables)
-    except (KeyError, TypeError, ValueError, UnicodeDecodeError) as error:
-        raise ValueError(f"{str(path)!r} is not a file of episodes written by 'bsk-torch risk'") from error
+        blend = Blend(torch.tensor([episode.seed for episode in episodes], dtype=torch.int64), *tables)
+    except ValueError as error:
+        raise ValueError(f"{str(path)!r} is not a file of episodes written by 'bsk-torch risk': {error}") from None
     return content, blend
 
 
@@ -177,6 +209,8 @@ def _repeated(env: Tasking, start: TensorDictBase, actions: Sequence[Sequence[An
         step = next(steps)
         wanted = [list(taken[min(step, len(taken) - 1)]) for taken in actions]
         table = torch.tensor(wanted + wanted[-1:] * (env.num_envs - len(wanted)), device=env.device)
+        if table.shape[1] != slots.size:
+            raise ValueError(f"the episodes have actions of {table.shape[1]} agents; this environment has {slots.size}")
         slots.neutral(td)
         for slot in range(slots.size):
             slots.put(td, torch.full_like(rows, slot, dtype=torch.int64), table[:, slot], torch.ones_like(rows))

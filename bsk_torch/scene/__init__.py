@@ -1,7 +1,7 @@
 """Scenarios: the tasks of the satellites."""
 
 from bsk_torch.scene.aeos_bench import AEOSBench
-from bsk_torch.scene.aeos_files import CaseError, Cases, read_cases
+from bsk_torch.scene.aeos_files import Cases, read_cases
 from bsk_torch.scene.aeos_generator import AEOSBenchGenerator
 from bsk_torch.scene.aeos_writing import write_cases
 from bsk_torch.scene.base import Scenario
@@ -25,7 +25,6 @@ from bsk_torch.scene.wildfires import Wildfires
 __all__ = [
     "AEOSBench",
     "AEOSBenchGenerator",
-    "CaseError",
     "Cases",
     "ChangingTargets",
     "CityTargets",

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import torch
+from annotated_types import Interval, Len
 from torch import Tensor
 
 from bsk_torch._checks import whole
-from bsk_torch.sim.names import nearest
+from bsk_torch.untrusted import MOST_JSON, Count, parse_json, read_bytes
 
 logger = logging.getLogger(__name__)
 
@@ -30,6 +30,9 @@ TOP_SPEED, MOST_TORQUE = 6000.0, 0.2
 SENSORS = {1: "visible", 2: "near infrared"}
 
 CONSTELLATION, TASKS = "constellation", "taskset"
+
+MOST_SATELLITES, MOST_TASKS = 1000, 10_000
+"""Most satellites and tasks of a case in a file."""
 
 HORIZON = 3600.0
 """Length of an episode of the benchmark, s."""
@@ -86,10 +89,6 @@ class Cases:
         )
 
 
-class CaseError(ValueError):
-    """A file of a case that cannot be flown; the message names the file, the entry, and the field."""
-
-
 def read_cases(folder: str | Path, satellites: int | None = None, tasks: int | None = None) -> Cases:
     """Return the cases in a folder and its subfolders, in the order of their names.
 
@@ -103,8 +102,8 @@ def read_cases(folder: str | Path, satellites: int | None = None, tasks: int | N
 
     Raises:
         FileNotFoundError: For a folder without cases, and a constellation without tasks.
-        CaseError: For a file that is not one of the benchmark, and a case with more satellites or tasks than the padding.
-        ValueError: For a padding that is not a whole number.
+        ValueError: For a file that is not one of the benchmark, with file, entry and field; a case with more satellites or tasks
+            than the padding; and a padding that is not a whole number.
     """
     pairs = list(_pairs(Path(folder)))
     if not pairs:
@@ -144,65 +143,135 @@ def _there(path: Path, partner: Path) -> Path:
     return path
 
 
-# -- fields -------------------------------------------------------------------------------------------------------------------
+# -- content of files -----------------------------------------------------------------------------------------------------------
+
+Real = Annotated[float, Interval(ge=-1e15, le=1e15)]
+Positive = Annotated[float, Interval(ge=0.0, le=1e15)]
+Three = Annotated[list[Real], Len(3, 3)]
+SensorType = Literal[1, 2]
 
 
-@dataclass(frozen=True)
-class Entry:
-    """An object of a file, whose fields are read with messages that tell where they are."""
+@dataclass
+class OrbitEntry:
+    """An orbit: elements in meters and degrees."""
 
-    values: Any
-    where: str
+    id: Count
+    semi_major_axis: Annotated[float, Interval(ge=1.0, le=1e15)]
+    eccentricity: Annotated[float, Interval(ge=0.0, le=0.999)]
+    inclination: Real
+    right_ascension_of_the_ascending_node: Real
+    argument_of_perigee: Real
+
+
+@dataclass
+class PanelEntry:
+    """A solar panel."""
+
+    direction: Three
+    area: Positive
+    efficiency: Positive
+
+
+@dataclass
+class SensorEntry:
+    """A sensor; the half of its field of view is in degrees."""
+
+    type: SensorType
+    enabled: bool
+    half_field_of_view: Annotated[float, Interval(ge=1e-6, le=85.0)]
+    power: Real
+
+
+@dataclass
+class BatteryEntry:
+    """A battery, and the fraction of its charge."""
+
+    capacity: Annotated[float, Interval(ge=1e-6, le=1e15)]
+    percentage: Annotated[float, Interval(ge=0.0, le=1.0)]
+
+
+@dataclass
+class ControlEntry:
+    """Gains of the control of the attitude."""
+
+    k: Positive
+    ki: Real
+    p: Positive
+    integral_limit: Positive
+
+
+@dataclass
+class WheelEntry:
+    """A reaction wheel; its speed is in rpm."""
+
+    rw_direction: Three
+    max_momentum: Annotated[float, Interval(ge=1e-9, le=1e15)]
+    rw_speed_init: Real
+    power: Real
+    efficiency: Real
+
+
+@dataclass
+class SatelliteEntry:
+    """A satellite."""
+
+    id: Count
+    orbit: Count
+    true_anomaly: Real
+    mass: Annotated[float, Interval(ge=1e-6, le=1e15)]
+    inertia: Annotated[list[Real], Len(9, 9)]
+    center_of_mass: Three
+    solar_panel: PanelEntry
+    sensor: SensorEntry
+    battery: BatteryEntry
+    mrp_control: ControlEntry
+    reaction_wheels: Annotated[list[WheelEntry], Len(3, 3)]
+    mrp_attitude_bn: Three = field(default_factory=lambda: [0.0] * 3)
+
+
+@dataclass
+class TaskEntry:
+    """A task: its place, degrees, and times, s."""
+
+    id: Count
+    coordinate: Annotated[list[Real], Len(2, 2)]
+    release_time: Positive
+    due_time: Real
+    duration: Annotated[float, Interval(ge=1.0, le=255.0)]
+    sensor_type: SensorType
 
     def __post_init__(self) -> None:
-        """Raise a CaseError for anything but an object."""
-        if not isinstance(self.values, dict):
-            raise CaseError(f"{self.where} is {str(self.values)[:60]!r}; it must be an object")
-
-    def get(self, name: str) -> Any:
-        """Return a field."""
-        if name not in self.values:
-            raise CaseError(f"{self.where} lacks {name!r}; {nearest(name, self.values)}")
-        return self.values[name]
-
-    def number(self, name: str, low: float = -math.inf, high: float = math.inf) -> float:
-        """Return a number."""
-        value = self.get(name)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high or not math.isfinite(value):
-            raise CaseError(f"{self.where}: {name}={value!r} must be a number in [{low:g}, {high:g}]")
-        return float(value)
-
-    def vector(self, name: str, size: int = 3) -> list[float]:
-        """Return a list of numbers."""
-        value = self.get(name)
-        if not isinstance(value, list) or len(value) != size:
-            raise CaseError(f"{self.where}: {name}={value!r} must be a list of {size} numbers")
-        return [Entry({name: x}, self.where).number(name) for x in value]
-
-    def entry(self, name: str) -> Entry:
-        """Return an object."""
-        return Entry(self.get(name), f"{self.where}.{name}")
-
-    def entries(self, name: str, size: int | None = None) -> list[Entry]:
-        """Return a list of objects."""
-        value = self.get(name)
-        if not isinstance(value, list) or (size is not None and len(value) != size):
-            raise CaseError(f"{self.where}: {name} must be a list of {'' if size is None else f'{size} '}objects")
-        return [Entry(part, f"{self.where}.{name}[{k}]") for k, part in enumerate(value)]
+        """ValueError for a latitude that is none, and a due time before the release."""
+        if not -90.0 <= self.coordinate[0] <= 90.0:
+            raise ValueError(f"coordinate={self.coordinate} must be latitude and longitude, degrees")
+        if self.due_time < self.release_time:
+            raise ValueError(f"due_time={self.due_time:g} s is before release_time={self.release_time:g} s")
 
 
-def _read(path: Path) -> Any:
+TaskList = Annotated[list[TaskEntry], Len(1, MOST_TASKS)]
+
+
+@dataclass
+class Constellation:
+    """Content of a file of satellites."""
+
+    orbits: list[OrbitEntry]
+    satellites: Annotated[list[SatelliteEntry], Len(1, MOST_SATELLITES)]
+
+
+@dataclass
+class TaskSet:
+    """Content of a file of tasks; it may also be their list alone."""
+
+    tasks: TaskList
+
+
+def _read(path: Path, schema: Any) -> Any:
     try:
-        return json.loads(path.read_text())
+        content = read_bytes(path, MOST_JSON)
+        return parse_json(content, TaskList if schema is TaskSet and content.lstrip().startswith(b"[") else schema)
     except ValueError as error:
-        raise CaseError(f"{path}: no JSON: {error}") from None
-
-
-def _sensor_type(entry: Entry, name: str) -> float:
-    value = entry.number(name)
-    if value not in SENSORS:
-        raise CaseError(f"{entry.where}: {name}={value:g} must be one of {SENSORS}")
-    return value
+        raise ValueError(f"{path}: {error}") from None
 
 
 # -- constellations -----------------------------------------------------------------------------------------------------------
@@ -213,49 +282,45 @@ Satellites = list[dict[str, Any]]
 
 def _constellation(path: Path) -> Satellites:
     """Return the arguments of the satellites of a file, sorted by their ids."""
-    content = Entry(_read(path), path.as_posix())
-    orbits = {int(orbit.number("id")): orbit for orbit in content.entries("orbits")}
-    listed = sorted(content.entries("satellites"), key=lambda entry: entry.number("id"))
-    ids = [int(entry.number("id")) for entry in listed]
-    if not listed or len(set(ids)) < len(ids):
-        raise CaseError(f"{path}: satellites have the ids {ids}; give each satellite its id, at least one")
-    return [_satellite(entry, orbits) for entry in listed]
+    content: Constellation = _read(path, Constellation)
+    orbits = {orbit.id: orbit for orbit in content.orbits}
+    ids = [entry.id for entry in content.satellites]
+    if len(set(ids)) < len(ids):
+        raise ValueError(f"{path}: satellites have the ids {ids}; give each satellite its id")
+    for k, entry in enumerate(content.satellites):
+        if entry.orbit not in orbits:
+            raise ValueError(f"{path}: satellites[{k}].orbit={entry.orbit} is not among the ids of orbits, {sorted(orbits)}")
+    return [_satellite(entry, orbits[entry.orbit]) for entry in sorted(content.satellites, key=lambda entry: entry.id)]
 
 
-def _satellite(entry: Entry, orbits: Mapping[int, Entry]) -> dict[str, Any]:
+def _satellite(entry: SatelliteEntry, orbit: OrbitEntry) -> dict[str, Any]:
     """Return the arguments of a satellite."""
-    number = int(entry.number("orbit"))
-    if number not in orbits:
-        raise CaseError(f"{entry.where}: orbit={number} is not among the ids of orbits, {sorted(orbits)}")
-    orbit, panel, sensor = orbits[number], entry.entry("solar_panel"), entry.entry("sensor")
-    battery, control, wheels = entry.entry("battery"), entry.entry("mrp_control"), entry.entries("reaction_wheels", 3)
-    direction, capacity = panel.vector("direction"), battery.number("capacity", 1e-6)
-    angles = ("inclination", "right_ascension_of_the_ascending_node", "argument_of_perigee")
-    degrees = [*(orbit.number(name) for name in angles), entry.number("true_anomaly")]
+    panel, sensor, control, wheels = entry.solar_panel, entry.sensor, entry.mrp_control, entry.reaction_wheels
+    degrees = [orbit.inclination, orbit.right_ascension_of_the_ascending_node, orbit.argument_of_perigee, entry.true_anomaly]
     return {
-        "mass": entry.number("mass", 1e-6),
-        "inertia": entry.vector("inertia", 9),
-        "r_CB_B": entry.vector("center_of_mass"),
-        "sigma_init": entry.vector("mrp_attitude_bn") if "mrp_attitude_bn" in entry.values else [0.0] * 3,
-        "oe": [orbit.number("semi_major_axis", 1.0), orbit.number("eccentricity", 0.0, 0.999), *map(math.radians, degrees)],
-        "rwAxes_B": [wheel.vector("rw_direction") for wheel in wheels],
-        "rwJs": [wheel.number("max_momentum", 1e-9) / (TOP_SPEED * math.pi / 30.0) for wheel in wheels],
-        "wheelSpeeds": [wheel.number("rw_speed_init") for wheel in wheels],
-        "rwBasePower": [wheel.number("power") for wheel in wheels],
-        "rwMechToElecEfficiency": [wheel.number("efficiency") for wheel in wheels],
-        "nHat_B": direction,
-        "panelArea": panel.number("area", 0.0) * math.hypot(*direction),  # Basilisk takes the normal as it is given
-        "panelEfficiency": panel.number("efficiency", 0.0),
-        "sensorPower": -sensor.number("power"),
-        "sensorFieldOfView": math.radians(sensor.number("half_field_of_view", 1e-6, 85.0)),
-        "batteryStorageCapacity": capacity,
-        "storedCharge_Init": capacity * battery.number("percentage", 0.0, 1.0),
-        "K": control.number("k", 0.0),
-        "Ki": control.number("ki"),
-        "P": control.number("p", 0.0),
-        "integralLimit": control.number("integral_limit", 0.0),
-        "sensor_type": _sensor_type(sensor, "type"),
-        "sensor_enabled": float(sensor.get("enabled") is True),
+        "mass": entry.mass,
+        "inertia": entry.inertia,
+        "r_CB_B": entry.center_of_mass,
+        "sigma_init": entry.mrp_attitude_bn,
+        "oe": [orbit.semi_major_axis, orbit.eccentricity, *map(math.radians, degrees)],
+        "rwAxes_B": [wheel.rw_direction for wheel in wheels],
+        "rwJs": [wheel.max_momentum / (TOP_SPEED * math.pi / 30.0) for wheel in wheels],
+        "wheelSpeeds": [wheel.rw_speed_init for wheel in wheels],
+        "rwBasePower": [wheel.power for wheel in wheels],
+        "rwMechToElecEfficiency": [wheel.efficiency for wheel in wheels],
+        "nHat_B": panel.direction,
+        "panelArea": panel.area * math.hypot(*panel.direction),  # Basilisk takes the normal as it is given
+        "panelEfficiency": panel.efficiency,
+        "sensorPower": -sensor.power,
+        "sensorFieldOfView": math.radians(sensor.half_field_of_view),
+        "batteryStorageCapacity": entry.battery.capacity,
+        "storedCharge_Init": entry.battery.capacity * entry.battery.percentage,
+        "K": control.k,
+        "Ki": control.ki,
+        "P": control.p,
+        "integralLimit": control.integral_limit,
+        "sensor_type": float(sensor.type),
+        "sensor_enabled": float(sensor.enabled),
     }
 
 
@@ -266,30 +331,22 @@ Tasks = list[dict[str, float]]
 
 
 def _tasks(path: Path) -> Tasks:
-    """Return the tasks of a file, a list or an object with the key ``tasks``, sorted by their ids."""
-    values = _read(path)
-    content = Entry({"tasks": values} if isinstance(values, list) else values, path.as_posix())
-    listed = sorted(content.entries("tasks"), key=lambda entry: entry.number("id"))
-    if not listed:
-        raise CaseError(f"{path}: no tasks; a case needs at least one")
-    return [_task(entry) for entry in listed]
+    """Return the tasks of a file, sorted by their ids."""
+    content: TaskSet | list[TaskEntry] = _read(path, TaskSet)
+    listed = content.tasks if isinstance(content, TaskSet) else content
+    return [_task(entry) for entry in sorted(listed, key=lambda entry: entry.id)]
 
 
-def _task(entry: Entry) -> dict[str, float]:
+def _task(entry: TaskEntry) -> dict[str, float]:
     """Return a task."""
-    latitude, longitude = entry.vector("coordinate", 2)
-    if not -90.0 <= latitude <= 90.0:
-        raise CaseError(f"{entry.where}: coordinate={[latitude, longitude]} must be latitude and longitude, degrees")
-    release, due = entry.number("release_time", 0.0), entry.number("due_time")
-    if due < release:
-        raise CaseError(f"{entry.where}: due_time={due:g} s is before release_time={release:g} s")
+    latitude, longitude = entry.coordinate
     return {
         "latitude": latitude,
         "longitude": longitude,
-        "release": release,
-        "due": due,
-        "duration": entry.number("duration", 1.0, 255.0),
-        "type": _sensor_type(entry, "sensor_type"),
+        "release": entry.release_time,
+        "due": entry.due_time,
+        "duration": entry.duration,
+        "type": float(entry.sensor_type),
     }
 
 
@@ -306,7 +363,7 @@ def stacked(cases: Sequence[tuple[str, Satellites, Tasks]], satellites: int | No
     for name, *parts in cases:
         for title, part, size in zip(wanted, parts, sizes, strict=True):
             if len(part) > size:
-                raise CaseError(f"case {name!r} has {len(part)} {title}, more than {title}={size}")
+                raise ValueError(f"case {name!r} has {len(part)} {title}, more than {title}={size}")
 
     def table(rows: Sequence[Sequence[Any]], size: int) -> Tensor:
         return torch.tensor([[*row, *[row[0]] * (size - len(row))] for row in rows], dtype=torch.float64)

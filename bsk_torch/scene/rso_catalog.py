@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, field, fields
 from pathlib import Path
@@ -25,6 +26,7 @@ from bsk_torch.scene.draws import calls_user, check_numbers, draw_numbers
 from bsk_torch.scene.rso_mixture import RSOMixture
 from bsk_torch.sim.dyn.models import BasicDynamicsModel
 from bsk_torch.sim.names import nearest
+from bsk_torch.untrusted import MOST_JSON, Json, parse_json, read_bytes
 from bsk_torch.vec3 import Vec3
 
 Saved = TypeVar("Saved")
@@ -74,7 +76,7 @@ def _pairs(title: str, given: object) -> tuple[tuple[Any, Any], ...]:
         listed = [tuple(pair) for pair in items]  # type: ignore[attr-defined]
     except TypeError:
         listed = [()]
-    if isinstance(given, str | Tensor) or not all(len(pair) == 2 for pair in listed):
+    if isinstance(given, str | Tensor) or not all(len(pair) == 2 and isinstance(pair[0], str) for pair in listed):
         raise ValueError(f"{title}={given!r} must be a list of pairs of a name and a number")
     return tuple((name, value) for name, value in listed)
 
@@ -89,7 +91,7 @@ def _events(title: str, given: object) -> tuple[RSOPriorityEvent, ...]:
 
 def _unique(names: Sequence[str], what: str) -> None:
     """Raise ValueError if some of the ``names``, ``what`` in the message, are equal."""
-    twice = sorted({name for name in names if names.count(name) > 1})
+    twice = sorted(name for name, count in Counter(names).items() if count > 1)
     if twice:
         raise ValueError(f"{what} must be unique; {twice} occur more than once")
 
@@ -272,7 +274,7 @@ class RSOTargetCatalog:
     def load(cls, path: str | Path) -> RSOTargetCatalog:
         """Return the catalog of a JSON file; see :meth:`from_dict`, whose errors name the file."""
         try:
-            return cls.from_dict(json.loads(Path(path).read_text(encoding="utf-8")))
+            return cls.from_dict(parse_json(read_bytes(path, MOST_JSON), Json))
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
 

@@ -29,6 +29,7 @@ class ObjectTable(StateTable):
         make: Callable[[int], Any],
         dump: Callable[[Any], bytes],
         load: Callable[[int, bytes], Any],
+        check: Callable[[bytes], None],
     ) -> None:
         """Prepare for ``num_envs`` objects.
 
@@ -38,9 +39,10 @@ class ObjectTable(StateTable):
             make: Returns the object of an episode that begins, by its number.
             dump: Returns an object as bytes; none if it is as at the start.
             load: Returns the object of an episode from bytes.
+            check: Raises ValueError for bytes that ``load`` would not read.
         """
         super().__init__(num_envs, 1, device)
-        self.make, self.dump, self.load = make, dump, load
+        self.make, self.dump, self.load, self.check_bytes = make, dump, load, check
         self.entries: list[Any] = [b""] * num_envs
 
     def of(self, env: int) -> Any:
@@ -81,10 +83,12 @@ class ObjectTable(StateTable):
         return {LENGTH: length.to(self.device), BYTES: table.to(self.device)}
 
     def over(self, saved: Mapping[str, Any] | TensorDictBase) -> ObjectTable:
-        """See :meth:`StateTable.over`; KeyError for what is no saved table of objects."""
+        """See :meth:`StateTable.over`; KeyError for what is no saved table of objects, ValueError for bytes of others."""
         if set(saved.keys()) != {LENGTH, BYTES}:
             raise KeyError(f"the saved state has {sorted(saved.keys())} instead of objects; it was saved by another environment")
         lengths, table = saved[LENGTH].tolist(), saved[BYTES].cpu().numpy()
-        other = ObjectTable(len(lengths), self.device, self.make, self.dump, self.load)
+        other = ObjectTable(len(lengths), self.device, self.make, self.dump, self.load, self.check_bytes)
         other.entries = [row[:length].tobytes() for row, length in zip(table, lengths, strict=True)]
+        for entry in set(other.entries):
+            self.check_bytes(entry)
         return other

@@ -13,16 +13,18 @@ from __future__ import annotations
 import gzip
 import json
 import struct
-import zlib
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from html import escape
+from math import prod
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
+from annotated_types import MaxLen
 
 from bsk_torch.files import write_file
+from bsk_torch.untrusted import MOST_JSON, Count, NotRead, Word, gunzip, parse_json
 from bsk_torch.viewer.page import build_page
 
 __all__ = [
@@ -53,6 +55,9 @@ VERSION = 1
 SUFFIX = ".bskview"
 """What the names of files end with."""
 
+LARGEST = 2**29
+"""Largest content of a file, bytes unpacked."""
+
 SIGMA_SCALE = 1.0 / 32767.0
 """Step of modified Rodrigues parameters, which are stored as 16-bit numbers; their norm is at most 1."""
 
@@ -60,6 +65,8 @@ NOT_A_NUMBER = -32768
 """Stored number that stands for NaN where values are stored as 16-bit numbers."""
 
 Array = np.ndarray[Any, Any]
+
+Arrays = Annotated[dict[str, Array], NotRead]
 
 Places = Literal["ground", "orbit", "points", "none"]
 """What the targets of a scene are: places on the Earth, objects in orbit, points of a spacecraft, or nothing."""
@@ -190,7 +197,7 @@ class Scene:
     rate: float
     station_names: list[str] = field(default_factory=list)
     points_of: int | None = None
-    arrays: dict[str, Array]
+    arrays: Arrays = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -253,7 +260,7 @@ class Track:
     counts: dict[str, int]
     attitude_start: float
     attitude_step: float
-    arrays: dict[str, Array]
+    arrays: Arrays = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -283,13 +290,16 @@ class Recording:
     tracks: list[Track]
 
     def encode(self) -> bytes:
-        """Return the content of a file; ValueError for a recording that contradicts itself."""
+        """Return the content of a file; ValueError for a recording that contradicts itself, or is too large."""
         check(self)
         listed, payload = _packed(_all_arrays(self))
         header = {"version": VERSION, "payload_bytes": len(payload), **_plain(self), "arrays": listed}
         text = json.dumps(header, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
         text += b" " * (-(len(MAGIC) + 8 + len(text)) % 8)
-        return gzip.compress(MAGIC + struct.pack("<II", VERSION, len(text)) + text + payload, mtime=0)
+        content = MAGIC + struct.pack("<II", VERSION, len(text)) + text + payload
+        if len(content) > LARGEST:
+            raise ValueError(f"the recording has {len(content):,} bytes; at most {LARGEST:,} are read again: record less")
+        return gzip.compress(content, mtime=0)
 
     def html(self) -> str:
         """Return a page that plays the recording: one file of HTML, without a server or a network."""
@@ -321,30 +331,57 @@ def load(path: Path | str) -> Recording:
         raise ValueError(f"{path}: {error}") from None
 
 
+@dataclass
+class ArrayEntry:
+    """Where an array is: type, shape, first byte, and the step of numbers that are stored as whole ones."""
+
+    dtype: Literal["f4", "f8", "i2", "i4", "u1"]
+    shape: Annotated[list[Count], MaxLen(4)]
+    offset: Count
+    scale: float | None = None
+
+
+@dataclass(kw_only=True)
+class Header:
+    """The header of a file. Scenes and tracks get their arrays afterwards."""
+
+    payload_bytes: Count
+    title: Word
+    preset: Word
+    policy: Word
+    package: Word
+    places: Places
+    station_min_elevation: float
+    satellites: list[Craft]
+    scenes: list[Scene]
+    tracks: list[Track]
+    arrays: dict[str, ArrayEntry]
+
+
 def decode(content: bytes) -> Recording:
     """Return the recording in the content of a file; ValueError as for :func:`load`."""
     header, payload = _opened(content)
     try:
-        arrays = {name: _unpacked(entry, payload) for name, entry in header["arrays"].items()}
-        scenes = [_scene(k, entry, arrays) for k, entry in enumerate(header["scenes"])]
-        tracks = [_track(k, entry, arrays) for k, entry in enumerate(header["tracks"])]
-        crafts = [_craft(entry) for entry in header["satellites"]]
-        whole = {name: header[name] for name in ("title", "preset", "policy", "package", "places", "station_min_elevation")}
-        recording = Recording(**whole, satellites=crafts, scenes=scenes, tracks=tracks)
+        arrays = {name: _unpacked(entry, payload) for name, entry in header.arrays.items()}
+        scenes = [replace(scene, arrays=_own_arrays(f"s{k}/", arrays)) for k, scene in enumerate(header.scenes)]
+        tracks = [replace(track, arrays=_own_arrays(f"t{k}/", arrays)) for k, track in enumerate(header.tracks)]
+        whole = {part.name: getattr(header, part.name) for part in fields(Recording)} | {"scenes": scenes, "tracks": tracks}
+        recording = Recording(**whole)
         check(recording)
-    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+    except ValueError as error:
         raise ValueError(f"a damaged recording: {error}") from error
     return recording
 
 
-def _opened(content: bytes) -> tuple[dict[str, Any], bytes]:
+def _opened(content: bytes) -> tuple[Header, bytes]:
     """Header and payload of the content of a file."""
+    foreign = f"not a recording of the viewer: those are written by 'bsk-torch view' as *{SUFFIX}"
     try:
-        raw = gzip.decompress(content)
+        raw = gunzip(content, LARGEST)
     except EOFError:
-        raise ValueError("the recording is cut off; copy or download it again") from None
-    except (OSError, zlib.error):
-        raise ValueError(f"not a recording of the viewer: those are written by 'bsk-torch view' as *{SUFFIX}") from None
+        raise ValueError("the recording is cut off; copy or download it again" if content else foreign) from None
+    except ValueError as error:
+        raise ValueError(f"{foreign} ({error})") from None
     if not raw.startswith(MAGIC):
         raise ValueError(f"not a recording of the viewer: its content does not begin with {MAGIC!r}")
     if len(raw) < len(MAGIC) + 8:
@@ -358,10 +395,12 @@ def _opened(content: bytes) -> tuple[dict[str, Any], bytes]:
     if len(raw) < start + length:
         raise ValueError("the recording is cut off; copy or download it again")
     try:
-        header = json.loads(raw[start : start + length])
-        missing = header["payload_bytes"] - (len(raw) - start - length)
-    except (KeyError, TypeError, ValueError) as error:
+        if length > MOST_JSON:
+            raise ValueError(f"it has {length:,} bytes")
+        header = parse_json(raw[start : start + length], Header)
+    except ValueError as error:
         raise ValueError(f"a damaged recording: its header cannot be read ({error})") from None
+    missing = header.payload_bytes - (len(raw) - start - length)
     if missing > 0:
         raise ValueError(f"the recording is cut off: {missing:,} bytes are missing; copy or download it again")
     return header, raw[start + length :]
@@ -413,35 +452,19 @@ def stored_as(form: Form, value: Array) -> str:
     return own if own in form.dtypes else form.dtypes[0]
 
 
-def _unpacked(entry: Mapping[str, Any], payload: bytes) -> Array:
-    count = int(np.prod(entry["shape"], dtype=np.int64))
-    dtype = np.dtype(f"<{entry['dtype']}" if entry["dtype"] != "u1" else "u1")
-    value = np.frombuffer(payload, dtype, count, entry["offset"]).reshape(entry["shape"])
-    if "scale" not in entry:
+def _unpacked(entry: ArrayEntry, payload: bytes) -> Array:
+    dtype = np.dtype(f"<{entry.dtype}" if entry.dtype != "u1" else "u1")
+    count = prod(entry.shape)
+    if count * dtype.itemsize + entry.offset > len(payload):
+        raise ValueError(f"an array of the shape {entry.shape} ends behind the file")
+    value = np.frombuffer(payload, dtype, count, entry.offset).reshape(entry.shape)
+    if entry.scale is None:
         return value
-    return np.where(value == NOT_A_NUMBER, np.nan, value * entry["scale"]).astype("f4")
+    return np.where(value == NOT_A_NUMBER, np.nan, value * entry.scale).astype("f4")
 
 
 def _own_arrays(prefix: str, arrays: Mapping[str, Array]) -> dict[str, Array]:
     return {name.removeprefix(prefix): value for name, value in arrays.items() if name.startswith(prefix)}
-
-
-def _scene(k: int, entry: Mapping[str, Any], arrays: Mapping[str, Array]) -> Scene:
-    return Scene(**entry, arrays=_own_arrays(f"s{k}/", arrays))
-
-
-def _craft(entry: Mapping[str, Any]) -> Craft:
-    instrument = entry["instrument"]
-    return Craft(**{**entry, "instrument": None if instrument is None else Instrument(**instrument)})
-
-
-def _track(k: int, entry: Mapping[str, Any], arrays: Mapping[str, Array]) -> Track:
-    parts = {
-        "branch": None if entry["branch"] is None else Branch(**entry["branch"]),
-        "deaths": [Death(**death) for death in entry["deaths"]],
-        "series": [Series(**series) for series in entry["series"]],
-    }
-    return Track(**{**entry, **parts}, arrays=_own_arrays(f"t{k}/", arrays))
 
 
 def check(recording: Recording) -> None:

@@ -24,6 +24,7 @@ from typing import Any, NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
 from bsk_torch._checks import whole
+from bsk_torch.untrusted import Json, parse_json
 from bsk_torch.viewer.futures import Futures, finite
 from bsk_torch.viewer.page import build_page
 from bsk_torch.viewer.recording import Recording
@@ -219,12 +220,10 @@ class _Handler(BaseHTTPRequestHandler):
             self.close_connection = True
             raise _RejectedError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"the request has {length} bytes; the most are {MOST}")
         try:
-            body = json.loads(self.rfile.read(int(length)))
-        except (RecursionError, ValueError) as error:
-            raise ValueError(f"the request is not JSON: {error}") from None
+            body = parse_json(self.rfile.read(int(length)), dict[str, Json])
+        except ValueError as error:
+            raise ValueError(f"the request must be a JSON object: {error}") from None
         self._has_come()
-        if not isinstance(body, dict):
-            raise ValueError("the request must be a JSON object")
         return body
 
     def _check(self) -> None:

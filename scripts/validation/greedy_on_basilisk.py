@@ -28,7 +28,7 @@ from bsk_torch.files import write_file
 from bsk_torch.rl.evaluation.aeos_annotations import fly_cases
 from bsk_torch.rl.evaluation.statistics import Estimate, known
 from bsk_torch.rl.policies.shared_policy import rule
-from bsk_torch.scene import CaseError, Cases, read_cases
+from bsk_torch.scene import Cases, read_cases
 from bsk_torch.scene.aeos_writing import case_content
 from bsk_torch.tables import print_table
 
@@ -121,7 +121,7 @@ def main() -> None:
     torch.set_num_threads(1)
     try:
         cases = read_cases(options.folder)
-    except (OSError, CaseError) as error:
+    except (OSError, ValueError) as error:
         sys.exit(str(error))
     if options.cases is not None:
         cases = cases.take(torch.arange(min(options.cases, len(cases))))

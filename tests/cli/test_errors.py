@@ -153,13 +153,13 @@ def test_logs_and_results_that_are_none_are_named(run, damaged, monkeypatch):
     assert refused(run("report", damaged), "log.csv' is no log of a training")
     assert refused(run("publish", damaged), "log.csv' is no log of a training")
     (damaged / "log.csv").write_text("frames,seconds\n")
-    assert refused(run("report", damaged), "evaluation.json' is damaged")
+    assert refused(run("report", damaged), "evaluation.json' holds no results of an evaluation by policy: Invalid JSON")
     assert refused(run("publish", damaged), "log.csv' has no rows")
     (damaged / "evaluation.json").write_text("[1]")
     assert refused(run("report", damaged), "evaluation.json' holds no results")
     (damaged / "log.csv").write_text("frames,seconds\n20,1\n")
     (damaged / "policies.json").write_text("[1")
-    assert refused(run("publish", damaged, "--folder", damaged), "policies.json' is damaged")
+    assert refused(run("publish", damaged, "--folder", damaged), "policies.json' holds no notes by preset: Invalid JSON")
     assert refused(run("publish", damaged, "--folder", damaged / "file"), "file' is not a folder")
 
 

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import io
+import json
 import math
 import pickle
-from collections import deque
+from collections import Counter, OrderedDict, defaultdict, deque
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -21,7 +26,7 @@ from bsk_torch.bsk_rl.comm import CommunicationMethod
 from bsk_torch.bsk_rl.data.base import Data, DataStore
 from bsk_torch.bsk_rl.data.unique_image_data import UniqueImageData, UniqueImageStore
 from bsk_torch.bsk_rl.scene.targets import Target
-from bsk_torch.data.pickled import Pickler, Unpickler, modules_of
+from bsk_torch.data.pickled import Pickler, Unpickler
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
 from tests.support.refusals import check_refusals, refusal
 
@@ -322,6 +327,19 @@ def test_targets_of_one_episode_are_made_for_each_environment():
     assert torch.equal(alone.scenario.r_LP_P[0], env.scenario.r_LP_P[5])
 
 
+# -- objects in states ---------------------------------------------------------------------------------------------------------
+
+
+def written(value, classes=()):
+    file = io.BytesIO()
+    Pickler(file, classes, lambda value: None).dump(value)
+    return file.getvalue()
+
+
+def read(content, classes=()):
+    return Unpickler(io.BytesIO(content), classes, str).load()
+
+
 class Evil:
     """Runs a function where it is unpickled."""
 
@@ -330,20 +348,164 @@ class Evil:
 
 
 @pytest.mark.parametrize("payload", [Evil(), [Evil()], pickle.PickleBuffer, math.sin])
-def test_saved_bytes_cannot_run_other_code(payload, capsys):
-    crafted = pickle.dumps(payload)
-    with pytest.raises(pickle.UnpicklingError, match="neither plain data nor a class of"):
-        Unpickler(io.BytesIO(crafted), modules_of(Evil) - {__name__}, str).load()
+def test_pickles_are_not_read(payload, capsys):
+    with pytest.raises(ValueError, match="Invalid JSON"):
+        read(pickle.dumps(payload), {Evil})
     assert capsys.readouterr().out == ""
 
 
-def test_plain_data_come_back():
-    given = {"a": np.arange(3.0), "b": {1, 2}, "c": torch.ones(2), "d": [np.float64(1.5), None, "x"], "e": deque([1])}
+class Color(Enum):
+    RED = 1
+
+
+class Point(NamedTuple):
+    x: int
+    of: object
+
+
+@dataclass(frozen=True)
+class Frozen:
+    a: float
+    b: object
+
+
+class Slotted:
+    __slots__ = ("value",)
+
+
+class Many(list):
+    pass
+
+
+class Loud:
+    """Its constructor, and the setter of its property, must never be called."""
+
+    def __init__(self):
+        raise AssertionError("the constructor was called")
+
+    path = property(lambda self: None, lambda self, value: pytest.fail("the setter was called"))
+
+
+def test_plain_data_and_objects_of_listed_classes_come_back():
+    loud, slotted, many = object.__new__(Loud), Slotted(), Many([1, 2])
+    slotted.value, many.more = {1, (2, 3)}, 5
+    vars(loud).update(path="x", me=loud, slotted=slotted, many=many, color=Color.RED, point=Point(1, [loud]))
+    array, numbers = np.arange(3.0), [math.inf, -0.0, 10**50, 0.1, 5e-324, 1j, True, None]
+    values = {
+        "containers": (deque([1, 2], 5), defaultdict(list, a=[1]), OrderedDict(b=1, a=2), Counter("aab"), frozenset({4})),
+        "arrays": (array, array, np.float64(0.1), np.array(["x", "yy"]), np.zeros((0, 3))),
+        "frozen": Frozen(math.pi, loud),
+        "times": datetime(2020, 1, 1, tzinfo=timezone.utc),
+        "numbers": numbers,
+    }
+    kinds = {Loud, Slotted, Many, Color, Point, Frozen}
+    found = read(written(values, kinds), kinds)
+    assert found["containers"] == values["containers"]
+    assert (found["containers"][0].maxlen, found["containers"][1]["z"], list(found["containers"][2])) == (5, [], ["b", "a"])
+    first, again, scalar, texts, empty = found["arrays"]
+    assert first is again
+    assert (first.tolist(), type(scalar), texts.tolist(), empty.shape) == ([0, 1, 2], np.float64, ["x", "yy"], (0, 3))
+    assert (found["numbers"], math.copysign(1, found["numbers"][1]), found["times"]) == (numbers, -1.0, values["times"])
+    one = found["frozen"].b
+    assert vars(one)["path"] == "x"
+    assert one.me is one
+    assert one.point == Point(1, [one])
+    assert (one.slotted.value, one.many, one.many.more, one.color) == ({1, (2, 3)}, [1, 2], 5, Color.RED)
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.bfloat16, torch.bool, torch.int64])
+def test_tensors_come_back(dtype):
+    value = torch.arange(6).view(2, 3).to(dtype)
+    assert torch.equal(read(written(value)), value)
+    assert read(written(value[:0])).shape == (0, 3)
+
+
+class Attack:
+    """A class that no state of these tests may use."""
+
+    def __init__(self):
+        raise AssertionError("the constructor was called")
+
+
+PARTS = {
+    "import": ["object", "subprocess.Popen", None, []],
+    "class of the package": ["object", "bsk_torch.bsk_rl.gym.GeneralSatelliteTasking", None, []],
+    "class of another module": ["object", f"{__name__}.Attack", None, []],
+    "its class": ["object", f"{__name__}.Frozen", None, [["__class__", 1]]],
+    "memory": ["array", "<f8", [10**12], ""],
+    "pointers": ["array", "|O", [1], "AAAAAAAAAAA="],
+    "itself": ["tuple", [[0]]],
+    "unhashable": ["set", [[1]]],
+    "missing": ["list", [[7]]],
+    "kind": ["os.system", "x"],
+    "call": ["defaultdict", [], "system"],
+}
+
+
+@pytest.mark.parametrize("part", PARTS.values(), ids=PARTS)
+def test_crafted_objects_are_rejected(part):
+    with pytest.raises(ValueError, match="state holds"):
+        read(json.dumps([[0], [part, ["list", []]]]).encode(), {Frozen})
+
+
+def test_deep_objects_are_rejected():
+    parts = [["list", [[k + 1]]] for k in range(5000)] + [["list", []]]
+    with pytest.raises(ValueError, match="recursion"):
+        read(json.dumps([[0], parts]).encode())
+
+
+class Model(VisitReward):
+    """Keeps objects of classes of this module, and one that is no data."""
+
+    def __init__(self, kept):
+        super().__init__()
+        self.kept, self.named = kept, {"point": Point(1, Color.RED), "many": Many([1])}
+
+    def calculate_reward(self, new_data_dict):
+        self.named["point"] = self.named["point"]._replace(x=self.named["point"].x + 1)
+        return super().calculate_reward(new_data_dict)
+
+
+def saved_by(rewarder):
+    env = crew(per_environment(rewarder), num_envs=1)
+    env.reset()
+    step(env)
+    return env, env.get_state()
+
+
+def test_objects_of_the_module_of_a_rewarder_are_saved():
+    env, state = saved_by(Model({"a": Frozen(1.0, ())}))
+    other = crew(per_environment(Model({"a": Frozen(1.0, ())})), num_envs=1)
+    other.reset()
+    other.restore(torch.load(io.BytesIO(_bytes(state.to_dict())), weights_only=True))
+    mine = other.rewarder.rewarder_of(0)
+    assert (mine.named, mine.kept) == ({"point": Point(2, Color.RED), "many": [1]}, {"a": Frozen(1.0, ())})
+    assert isinstance(mine.named["many"], Many)
+    assert torch.equal(step(other)["agents", "reward"], step(env)["agents", "reward"])
+
+
+def _bytes(value):
     file = io.BytesIO()
-    Pickler(file, set(), lambda value: None).dump(given)
-    found = Unpickler(io.BytesIO(file.getvalue()), set(), str).load()
-    assert (found["a"].tolist(), found["b"], found["d"], list(found["e"])) == ([0.0, 1.0, 2.0], {1, 2}, [1.5, None, "x"], [1])
-    assert torch.equal(found["c"], given["c"])
+    torch.save(value, file)
+    return file.getvalue()
+
+
+def test_what_is_no_data_is_named():
+    with pytest.raises(TypeError, match=r"Model or its stores keep .*kept\.scorer is Linear.*Keep numbers"):
+        saved_by(Model({"scorer": torch.nn.Linear(2, 1)}))
+
+
+def test_a_state_with_other_objects_changes_nothing():
+    """A state in which an object is of a class that the environment does not list is refused before anything is restored."""
+    env, state = saved_by(VisitReward())
+    (table,) = [key[:-1] for key in state.keys(True, True) if key[-1] == "bytes"]
+    for payload in (json.dumps([[0], [PARTS["class of the package"]]]).encode(), pickle.dumps(Evil())):
+        crafted = state.clone()
+        row = torch.frombuffer(bytearray(payload), dtype=torch.uint8)
+        crafted[table] = TensorDict({"length": torch.tensor([len(row)]), "bytes": row.unsqueeze(0)}, [1])
+        with pytest.raises(ValueError, match=r"state holds|Invalid JSON"):
+            env.restore(crafted)
+    assert torch.equal(env.get_state()[(*table, "bytes")], state[(*table, "bytes")])
 
 
 # -- what cannot run -----------------------------------------------------------------------------------------------------------
@@ -391,7 +553,8 @@ def test_rejects_what_needs_the_adapter_and_what_it_does_not_take():
         refusal(lambda: per_environment(data.NoReward()), TypeError, "NoReward"),
         refusal(lambda: per_environment(VisitReward), TypeError, "VisitReward", "parentheses"),
         refusal(lambda: per_environment(3.0), TypeError, "per_environment(3.0)"),
-        refusal(lambda: Pickler(io.BytesIO(), set(), lambda value: None).dump({"loop": math.sin}), TypeError, "sin", "class"),
+        refusal(lambda: written({"loop": {"run": math.sin}}), TypeError, "loop.run", "sin"),
+        refusal(lambda: written({"table": defaultdict(lambda: 1)}), TypeError, "table", "defaultdict", "list, dict"),
     ]
     check_refusals(table)
 

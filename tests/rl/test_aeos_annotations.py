@@ -22,7 +22,7 @@ from bsk_torch.rl.evaluation.aeos_annotations import (
 )
 from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.policies.shared_policy import rule
-from bsk_torch.scene import CaseError, read_cases
+from bsk_torch.scene import read_cases
 from tests.scene.aeos_cases import constellation, tasks, write
 from tests.support.refusals import check_refusals, refusal
 
@@ -138,13 +138,13 @@ def test_rejects_wrong_assignments(folder, tmp_path):
 
     table = [
         refusal(lambda: read_assignments(tmp_path, cases), FileNotFoundError, "00007.pth", "00007/assignment_runs.json"),
-        refusal(lambda: runs({"0": [[-1, 3]]}), CaseError, "assignment_runs.json", "'00007'", "1 satellites", 2),
-        refusal(lambda: runs({"0": [[120, 3]], "1": [[0, 3]]}), CaseError, "assignment_runs.json", "'00007'", "0 to 120"),
-        refusal(lambda: runs({"0": [[1, 3]], "1": [[0, 4]]}), CaseError, "assignment_runs.json", "[3, 4] s"),
-        refusal(lambda: runs({"0": [3], "1": [4]}), CaseError, "assignment_runs.json", "[task, seconds]"),
-        refusal(lambda: runs({"a": [[1, 3]]}), CaseError, "assignment_runs.json", "[task, seconds]"),
-        refusal(lambda: trajectory(lambda path: path.write_bytes(b"none")), CaseError, "00007.pth", "trajectory"),
-        refusal(lambda: trajectory(lambda path: torch.save({"actions": 1}, path)), CaseError, "00007.pth", "'actions.task_id'"),
+        refusal(lambda: runs({"0": [[-1, 3]]}), ValueError, "assignment_runs.json", "'00007'", "1 satellites", 2),
+        refusal(lambda: runs({"0": [[120, 3]], "1": [[0, 3]]}), ValueError, "assignment_runs.json", "'00007'", "0 to 120"),
+        refusal(lambda: runs({"0": [[1, 3]], "1": [[0, 4]]}), ValueError, "assignment_runs.json", "[3, 4] s"),
+        refusal(lambda: runs({"0": [3], "1": [4]}), ValueError, "assignment_runs.json", "[task, seconds]"),
+        refusal(lambda: runs({"a": [[1, 3]]}), ValueError, "assignment_runs.json", "[task, seconds]"),
+        refusal(lambda: trajectory(lambda path: path.write_bytes(b"none")), ValueError, "00007.pth", "trajectory"),
+        refusal(lambda: trajectory(lambda path: torch.save({"actions": 1}, path)), ValueError, "00007.pth", "'actions.task_id'"),
         refusal(lambda: export_annotations([Trajectory("one", {}, {})], tmp_path), ValueError, "'one'", "100,000"),
         refusal(lambda: assigned(1), ValueError, "assignments", [1, 5, 3], "C=2", "S=3"),
         refusal(lambda: assigned(2, order="random"), ValueError, "annotations", "order='listed'"),

@@ -87,6 +87,9 @@ def test_rejects_files_of_others(path, tmp_path):
         save_checksummed(path, card | entries)
         load_policy(path)
 
+    def weight(value):
+        saved(actor=card["actor"] | {next(iter(card["actor"])): value})
+
     planned = lambda n_observed, hidden: saved(plan={"n_observed": n_observed, "n_actions": 4, "hidden": hidden})
     card, version = read_card(path), bsk_torch.__version__
     narrow = card | {"actor": {name: value[..., :-1] for name, value in card["actor"].items()}}
@@ -98,8 +101,8 @@ def test_rejects_files_of_others(path, tmp_path):
         refusal(lambda: holding(b"no policy"), ValueError, "policy.pt", "file of a policy"),
         refusal(lambda: holding(b""), ValueError, "policy.pt", "file of a policy"),
         refusal(lambda: without_checksum({"weights": torch.zeros(2)}), ValueError, "policy.pt", version),
-        refusal(lambda: without_checksum(narrow), ValueError, "NadirScan-v1", "plan", "shape"),
-        refusal(lambda: saved(actor=infinite), ValueError, "policy.pt", version),
+        refusal(lambda: without_checksum(narrow), ValueError, "policy.pt", "plan", "shape"),
+        refusal(lambda: saved(actor=infinite), ValueError, "policy.pt", version, "not finite"),
         refusal(lambda: saved(preset=5), ValueError, "policy.pt", version),
         refusal(lambda: saved(options=[1]), ValueError, "policy.pt", version),
         refusal(lambda: saved(options={"log_dir": "somewhere"}), ValueError, "policy.pt", "'log_dir'"),
@@ -109,10 +112,16 @@ def test_rejects_files_of_others(path, tmp_path):
         refusal(lambda: saved(groups={}), ValueError, "policy.pt", version),
         refusal(lambda: saved(groups={"a": 5}), ValueError, "policy.pt", version),
         refusal(lambda: saved(actor={"x": "y"}), ValueError, "policy.pt", version),
-        refusal(lambda: saved(plan={}), ValueError, "NadirScan-v1", "MLPPlan", "'n_observed'"),
-        refusal(lambda: planned(12, "wide"), ValueError, "NadirScan-v1", "'size'", "str"),
-        refusal(lambda: planned(12, (10**9, 10**9)), ValueError, "NadirScan-v1", "plan", "shape"),
-        refusal(lambda: planned(-1, (8,)), ValueError, "NadirScan-v1", -1),
+        refusal(lambda: saved(plan={}), ValueError, "policy.pt", "MLPPlan", "'n_observed'"),
+        refusal(lambda: planned(12, "wide"), ValueError, "policy.pt", "'size'", "str"),
+        refusal(lambda: planned(12, (10**6, 10**6)), ValueError, "policy.pt", "plan", "shape"),
+        refusal(lambda: planned(12, (8,) * 65), ValueError, "policy.pt", "65 layers", "64"),
+        refusal(lambda: planned(12, (8,) * 10**5), ValueError, "policy.pt", version),
+        refusal(lambda: planned(-1, (8,)), ValueError, "policy.pt", version),
+        refusal(lambda: saved(options={"a": [[1]]}), ValueError, "policy.pt", version),
+        refusal(lambda: weight(torch.zeros(1).expand(10**6, 10**5)), ValueError, "policy.pt", "tensors have 400,000,000"),
+        refusal(lambda: weight(torch.zeros(2, 2).to_sparse()), ValueError, "policy.pt", "plain"),
+        refusal(lambda: weight(torch.zeros(2, 2, device="meta")), ValueError, "policy.pt"),
     ]
     check_refusals(table)
 

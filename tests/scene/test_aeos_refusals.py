@@ -10,7 +10,7 @@ from bsk_torch.plan.bounds import sight_bound
 from bsk_torch.presets.aeos_bench import BenchSatellite, CaseSatellites
 from bsk_torch.presets.nadir_scan import ScanningSatellite
 from bsk_torch.rl.rules.nearest_task import NearestTask
-from bsk_torch.scene import AEOSBenchGenerator, CaseError, read_cases
+from bsk_torch.scene import AEOSBenchGenerator, read_cases
 from tests.scene.aeos_cases import constellation, tasks, write
 from tests.support.refusals import check_refusals, refusal
 
@@ -113,28 +113,37 @@ def test_rejects_wrong_case_files(tmp_path):
     alone = write(tmp_path / "alone", constellation(1), tasks(1))
     (alone / "taskset.json").unlink()
     wheels = constellation(1)["satellites"][0]["reaction_wheels"][:2]
-    first, task_0 = "constellation.json.satellites[0]", "taskset.json.tasks[0]"
+    first, task_0 = "constellation.json: satellites[0]", "taskset.json: [0]"
     check_refusals(
         [
-            refusal(lambda: satellite(k=1, mass=None), CaseError, "constellation.json.satellites[1]", "'mass'"),
-            refusal(lambda: satellite(mas=1.0, mass="x"), CaseError, first, "mass", "'x'"),
-            refusal(lambda: satellite(orbit=7), CaseError, first, "orbit=7", [0]),
-            refusal(lambda: satellite(k=1, id=0), CaseError, "constellation.json", "satellites", [0, 0]),
-            refusal(lambda: satellite("sensor", type=3), CaseError, f"{first}.sensor", "type=3"),
-            refusal(lambda: satellite(reaction_wheels=wheels), CaseError, first, "reaction_wheels", "3 objects"),
-            refusal(lambda: satellite(inertia=[1.0, 2.0, 3.0]), CaseError, first, "inertia", [1.0, 2.0, 3.0], "9 numbers"),
-            refusal(lambda: satellite("battery", percentage=1.5), CaseError, f"{first}.battery", "percentage", 1.5, [0, 1]),
-            refusal(lambda: orbit(eccentricity=math.nan), CaseError, "constellation.json.orbits[0]", "eccentricity", "nan"),
-            refusal(lambda: task(1, due_time=-5), CaseError, "taskset.json.tasks[1]", "due_time", "-5 s", "release_time"),
-            refusal(lambda: task(sensor_type=9), CaseError, task_0, "sensor_type=9"),
-            refusal(lambda: task(coordinate=[137.0, 2.0]), CaseError, task_0, "coordinate", [137.0, 2.0], "latitude"),
-            refusal(lambda: task(duration=300), CaseError, task_0, "duration", 300, [1, 255]),
-            refusal(lambda: read(lambda c, t: t.clear()), CaseError, "taskset.json", "no tasks"),
+            refusal(lambda: satellite(k=1, mass=None), ValueError, "constellation.json: satellites[1] lacks", "'mass'"),
+            refusal(lambda: satellite(mas=1.0, mass="x"), ValueError, first, "mass", "'x'"),
+            refusal(lambda: satellite(orbit=7), ValueError, first, "orbit=7", [0]),
+            refusal(lambda: satellite(k=1, id=0), ValueError, "constellation.json", "satellites", [0, 0]),
+            refusal(lambda: satellite("sensor", type=3), ValueError, f"{first}.sensor", "type=3"),
+            refusal(lambda: satellite(reaction_wheels=wheels), ValueError, first, "reaction_wheels", "3 items"),
+            refusal(
+                lambda: satellite(inertia=[1.0, 2.0, 3.0]), ValueError, first, "inertia", [1.0, 2.0, 3.0], "at least 9 items"
+            ),
+            refusal(
+                lambda: satellite("battery", percentage=1.5),
+                ValueError,
+                f"{first}.battery",
+                "percentage",
+                1.5,
+                "less than or equal to 1",
+            ),
+            refusal(lambda: orbit(eccentricity=math.nan), ValueError, "constellation.json: orbits[0]", "eccentricity", "nan"),
+            refusal(lambda: task(1, due_time=-5), ValueError, "taskset.json: [1]", "due_time", "-5 s", "release_time"),
+            refusal(lambda: task(sensor_type=9), ValueError, task_0, "sensor_type=9"),
+            refusal(lambda: task(coordinate=[137.0, 2.0]), ValueError, task_0, "coordinate", [137.0, 2.0], "latitude"),
+            refusal(lambda: task(duration=300), ValueError, task_0, "duration", 300, "less than or equal to 255"),
+            refusal(lambda: read(lambda c, t: t.clear()), ValueError, "taskset.json", "at least 1 item"),
             refusal(lambda: read_cases(tmp_path / "empty"), FileNotFoundError, tmp_path / "empty", "constellation.json"),
-            refusal(lambda: with_text("[{"), CaseError, "taskset.json", "JSON"),
-            refusal(lambda: with_text('"tasks"'), CaseError, "taskset.json", "'tasks'", "object"),
+            refusal(lambda: with_text("[{"), ValueError, "taskset.json", "JSON"),
+            refusal(lambda: with_text('"tasks"'), ValueError, "taskset.json", "'tasks'", "object"),
             refusal(lambda: read_cases(alone), FileNotFoundError, alone / "taskset.json", alone / "constellation.json"),
-            refusal(lambda: read_cases(folder, satellites=2), CaseError, "'one'", "3 satellites", "satellites=2"),
-            refusal(lambda: read_cases(folder, tasks=1), CaseError, "'one'", "4 tasks", "tasks=1"),
+            refusal(lambda: read_cases(folder, satellites=2), ValueError, "'one'", "3 satellites", "satellites=2"),
+            refusal(lambda: read_cases(folder, tasks=1), ValueError, "'one'", "4 tasks", "tasks=1"),
         ]
     )

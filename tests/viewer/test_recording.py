@@ -107,7 +107,7 @@ def test_rejects_files_of_others(recording, tmp_path):
         refusal(lambda: header(tracks=[]), ValueError, damaged, "tracks=[]"),
         refusal(lambda: header(satellites="none"), ValueError, damaged),
         refusal(lambda: header(arrays={}), ValueError, damaged, "'targets_P'"),
-        refusal(lambda: header(scenes=[{"seed": 0}]), ValueError, damaged, "'PN0'"),
+        refusal(lambda: header(scenes=[{"seed": 0}]), ValueError, damaged, "scenes[0] lacks", "'et'"),
     ]
     check_refusals(table)
 

@@ -92,8 +92,8 @@ def test_other_pages_are_refused(live, headers, part):
 @pytest.mark.parametrize(
     ("body", "status", "part"),
     [
-        (b"{", 400, "is not JSON"),
-        (b"[" * 9000, 400, "is not JSON"),
+        (b"{", 400, "Invalid JSON"),
+        (b"[" * 9000, 400, "must be a JSON object"),
         (b"[]", 400, "must be a JSON object"),
         ({"track": 0}, 400, "decision=None must be a whole number"),
         ({"track": 0, "decision": "<script>"}, 400, "must be a whole number"),

@@ -13,12 +13,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from bsk_torch.files import write_file
+from bsk_torch.untrusted import read_json
 
 FILE = Path(__file__).with_name("agile.json")
 """Envelope of the agile satellite of AEOS-v1, which ``benchmarks/envelope.py`` fits and checks."""
@@ -100,7 +100,9 @@ class Envelope:
     near: float = 0.0
 
     def __post_init__(self) -> None:
-        """ValueError for a lag without sectors, or the reverse."""
+        """ValueError for tables without times or of bins without width, and for a lag without sectors, or the reverse."""
+        if not self.width > 0.0 or not self.step > 0.0 or not self.direct or not self.any:
+            raise ValueError(f"width={self.width:g} and step={self.step:g} must be positive, and the tables must have times")
         if self.lag < 0.0 or self.sectors < 0 or (self.lag > 0.0) != (self.sectors > 0):
             raise ValueError(f"lag={self.lag:g}, sectors={self.sectors}: a lag has one sector or more, and no lag has none")
 
@@ -184,6 +186,5 @@ class Envelope:
 
     @classmethod
     def load(cls, path: Path = FILE) -> Envelope:
-        """Read the envelope of a file (default: that of the agile satellites of the presets)."""
-        saved: dict[str, Any] = json.loads(path.read_text())
-        return cls(**saved | {name: tuple(saved.get(name, ())) for name in ("direct", "any", "typical")})
+        """Read the envelope of a file (default: that of the agile satellites of the presets); ValueError for another file."""
+        return read_json(path, cls, "is no envelope of imaging times")

@@ -11,9 +11,10 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import torch
+from annotated_types import Interval
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
@@ -28,8 +29,9 @@ from bsk_torch.rl.evaluation.evaluate import start_episodes, with_lots
 from bsk_torch.rl.rules.baselines import LOT
 from bsk_torch.rl.rules.nearest_task import TaskTeam, task_team
 from bsk_torch.rl.rules.team import TeamPolicy
-from bsk_torch.scene import CaseError, Cases
+from bsk_torch.scene import Cases
 from bsk_torch.scene.aeos_bench import NO_TASK
+from bsk_torch.untrusted import MOST_JSON, parse_json, read_bytes, read_tensors
 
 __all__ = [
     "AssignedTasks",
@@ -57,6 +59,9 @@ RUNS = "assignment_runs.json"
 
 LARGEST = 100_000
 """Numbers of cases are below."""
+
+LONGEST = 1_000_000
+"""Longest assignments in a file of runs, s."""
 
 
 class Trajectory(NamedTuple):
@@ -235,7 +240,7 @@ def read_assignments(folder: str | Path, cases: Cases) -> Tensor:
 
     Raises:
         FileNotFoundError: For a case without assignments.
-        CaseError: For assignments that do not fit the case: other satellites, or tasks that it does not have.
+        ValueError: For assignments that do not fit the case: other satellites, or tasks that it does not have.
     """
     files = {path.stem: path for path in sorted(Path(folder).rglob("*.pth"))}
     files |= {path.parent.name: path for path in sorted(Path(folder).rglob(RUNS))}
@@ -243,12 +248,15 @@ def read_assignments(folder: str | Path, cases: Cases) -> Tensor:
     for k, name in enumerate(cases.names):
         if name not in files:
             raise FileNotFoundError(f"{folder}: no {name}.pth and no {name}/{RUNS}")
-        table = _trajectory(files[name]) if files[name].suffix == ".pth" else _runs(files[name])
         crew, jobs = int(cases.present[k].sum()), int((cases.tasks["duration"][k] > 0.0).sum())
+        runs = [] if files[name].suffix == ".pth" else _runs(files[name])
+        table = torch.empty(0, len(runs)) if runs else _trajectory(files[name])
         if table.shape[1] != crew:
-            raise CaseError(f"{files[name]}: assignments of {table.shape[1]} satellites, but case {name!r} has {crew}")
+            raise ValueError(f"{files[name]}: assignments of {table.shape[1]} satellites, but case {name!r} has {crew}")
+        if runs:
+            table = torch.stack([tasks.repeat_interleave(seconds) for tasks, seconds in (run.unbind(1) for run in runs)], 1)
         if bool(((table < NO_TASK) | (table >= jobs)).any()):
-            raise CaseError(f"{files[name]}: tasks from {int(table.min())} to {int(table.max())}, but case {name!r} has {jobs}")
+            raise ValueError(f"{files[name]}: tasks from {int(table.min())} to {int(table.max())}, but case {name!r} has {jobs}")
         tables.append(table)
     longest = max(len(table) for table in tables)
     found = torch.full((len(tables), longest, cases.n_satellites), NO_TASK)
@@ -260,25 +268,30 @@ def read_assignments(folder: str | Path, cases: Cases) -> Tensor:
 def _trajectory(path: Path) -> Tensor:
     """Return the assigned tasks of a trajectory, [t, S]."""
     try:
-        values: Any = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:
-        raise CaseError(f"{path}: no trajectory: {error}") from None
+        values, _ = read_tensors(path.read_bytes())
+    except ValueError as error:
+        raise ValueError(f"{path}: no trajectory: {error}") from None
     table = values.get(TASK_ID) if isinstance(values, dict) else None
-    if not isinstance(table, Tensor) or table.ndim != 2 or table.is_floating_point():
-        raise CaseError(f"{path}: a trajectory needs whole numbers {TASK_ID!r}, [t, S]")
+    if not isinstance(table, Tensor) or table.ndim != 2 or table.is_floating_point() or table.is_complex() or not len(table):
+        raise ValueError(f"{path}: a trajectory needs whole numbers {TASK_ID!r}, [t, S]")
     return table.long()
 
 
-def _runs(path: Path) -> Tensor:
-    """Return the assigned tasks of a file of runs, [t, S]."""
+Runs = dict[str, list[tuple[Annotated[int, Interval(ge=NO_TASK, lt=2**31)], Annotated[int, Interval(ge=1, le=LONGEST)]]]]
+"""Content of :data:`RUNS`: runs ``[task, seconds]`` by the number of the satellite."""
+
+
+def _runs(path: Path) -> list[Tensor]:
+    """Return the runs of each satellite of a file, [runs, 2]: tasks and their seconds."""
     try:
-        values = json.loads(path.read_text())
-        rows = [[int(task) for task, seconds in values[str(k)] for _ in range(int(seconds))] for k in range(len(values))]
-    except (ValueError, TypeError, KeyError) as error:
-        raise CaseError(f"{path}: runs are lists of [task, seconds] by the number of the satellite: {error!r}") from None
-    if len({len(row) for row in rows}) != 1:
-        raise CaseError(f"{path}: runs of {sorted({len(row) for row in rows})} s; all satellites need the same")
-    return torch.tensor(rows).mT
+        content = parse_json(read_bytes(path, MOST_JSON), Runs)
+        rows = [torch.tensor(content[str(k)]).view(-1, 2) for k in range(len(content))]
+    except (KeyError, ValueError) as error:
+        raise ValueError(f"{path}: runs are lists of [task, seconds] by the number of the satellite: {error}") from None
+    seconds = sorted({int(row[:, 1].sum()) for row in rows})
+    if len(seconds) != 1 or not 0 < seconds[0] <= LONGEST:
+        raise ValueError(f"{path}: runs of {seconds} s; all satellites need the same, at most {LONGEST:,} s")
+    return rows
 
 
 class AssignedTasks:

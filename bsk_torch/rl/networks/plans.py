@@ -36,6 +36,9 @@ INITIAL_LOGITS = 0.01
 HEAD = 32
 """Width of an attention head."""
 
+MOST_LAYERS = 64
+"""Largest number of hidden layers or blocks."""
+
 CLOCKS = 2
 """Number of values of the clock observed by critics."""
 
@@ -89,6 +92,10 @@ class MLPPlan:
     hidden: tuple[int, ...]
     bounds: Bounds = ()
 
+    def __post_init__(self) -> None:
+        """Raise ValueError for too many layers."""
+        check_layers(self.hidden)
+
     @classmethod
     def of(cls, env: SatelliteTasking, hidden: Sequence[int]) -> MLPPlan:
         """Return the plan for an environment; ValueError unless it observes one vector, or for actions with infinite bounds."""
@@ -133,7 +140,8 @@ class GRUPlan(MLPPlan):
     """
 
     def __post_init__(self) -> None:
-        """Raise ValueError without a layer before the unit."""
+        """Raise ValueError without a layer before the unit, or for too many."""
+        super().__post_init__()
         if len(self.hidden) < 2:
             raise ValueError(f"hidden={self.hidden}: network='gru' needs a layer before its unit, such as (64, 64)")
 
@@ -223,7 +231,8 @@ class AttentionPlan:
         return cls(sets[0], tuple(own), sum(own.values()), n_features, n_actions, (images.start, images.stop), tuple(hidden))
 
     def __post_init__(self) -> None:
-        """Raise ValueError for widths that cannot be divided among heads."""
+        """Raise ValueError for widths that cannot be divided among heads, and too many blocks."""
+        check_layers(self.hidden)
         if not self.hidden or len(set(self.hidden)) > 1 or self.hidden[0] % HEAD:
             raise ValueError(f"hidden={self.hidden}: blocks of attention need equal widths, multiples of {HEAD}")
 
@@ -254,6 +263,12 @@ PLANS: dict[str, type[MLPPlan] | type[GRUPlan] | type[AttentionPlan]] = {
     "attention": AttentionPlan,
 }
 """Kinds of networks by name."""
+
+
+def check_layers(hidden: Sequence[int]) -> None:
+    """Raise ValueError for more hidden layers than :data:`MOST_LAYERS`, each of which takes time when networks are made."""
+    if len(hidden) > MOST_LAYERS:
+        raise ValueError(f"hidden has {len(hidden):,} layers; at most {MOST_LAYERS} are allowed")
 
 
 def check_network(network: str) -> None:

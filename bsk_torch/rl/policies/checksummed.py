@@ -17,6 +17,7 @@ from typing import Any
 import torch
 
 from bsk_torch.files import write_file
+from bsk_torch.untrusted import read_tensors
 
 logger = logging.getLogger(__name__)
 
@@ -53,7 +54,10 @@ def load_checksummed(path: Path, what: str, device: torch.device | str = "cpu") 
     has_checksum = body > 0 and content[body:].startswith(CHECKSUM_MARK)
     if has_checksum and hashlib.sha256(content[:body]).digest() != content[body + len(CHECKSUM_MARK) :]:
         raise ValueError(f"{str(path)!r} is a damaged {what}: its checksum does not fit its content")
-    version, entries = _loaded(path, content[:body] if has_checksum else content, what, device)
+    try:
+        entries, version = read_tensors(content[:body] if has_checksum else content, RECORD, device)
+    except ValueError as error:
+        raise ValueError(f"{str(path)!r} is no file of a {what}: {error}") from error
     if not has_checksum and version is not None:
         raise ValueError(f"{str(path)!r} is a damaged {what}: the checksum at its end is missing")
     if version not in (None, VERSION):
@@ -63,17 +67,3 @@ def load_checksummed(path: Path, what: str, device: torch.device | str = "cpu") 
     if not has_checksum:
         logger.warning("%s has no checksum, as in release 0.1: damage may go unnoticed", path)
     return entries
-
-
-def _loaded(path: Path, content: bytes, what: str, device: torch.device | str) -> tuple[bytes | None, Any]:
-    """Return the :data:`RECORD` of a file, None without one, and its entries."""
-    try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:  # torch does not check the checksums of archive entries
-            damaged = archive.testzip()
-            version = archive.read(RECORD) if RECORD in archive.namelist() else None
-        if damaged is not None:
-            raise zipfile.BadZipFile(f"{damaged} is damaged")
-        return version, torch.load(io.BytesIO(content), weights_only=True, map_location=device)
-    except Exception as error:  # untrusted bytes may raise any exception within the reader
-        reason = str(error).partition("\n")[0].partition(". ")[0]  # torch says much more
-        raise ValueError(f"{str(path)!r} is no file of a {what}: {reason}") from error

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 from collections.abc import Mapping
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from bsk_torch.rl.networks.plans import ACTOR, NORMALISER, PLANS, AttentionPlan,
 from bsk_torch.rl.policies.checksummed import load_checksummed, save_checksummed
 from bsk_torch.rl.policies.origin import Origin
 from bsk_torch.rl.policies.shared_policy import member_views, of_groups
+from bsk_torch.untrusted import one_line
 
 logger = logging.getLogger(__name__)
 
@@ -35,6 +37,15 @@ SAME_EPISODES = ("0.1.0", "0.2.0")
 
 LOGS = ("log_level", "log_dir", "log_envs")
 """Options neither written to files nor read from them, so that a file cannot choose where its reader writes."""
+
+MACHINE = ("backend", "device")
+"""Options that belong to a machine, and are not written to files."""
+
+UNFIT = (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError)
+"""What a plan of others may raise."""
+
+LARGEST, MOST_PARTS = 2**20, 2**12
+"""Largest size in the plan of a file, and the most numbers and names in one of its lists."""
 
 GROUPS = "groups"
 """Entry with a dictionary like :data:`NETWORK` for each of several groups, by name."""
@@ -86,7 +97,7 @@ def plain(options: Mapping[str, object]) -> dict[str, Any]:
     return {
         name: value
         for name, value in options.items()
-        if name not in ("backend", "device", *LOGS)
+        if name not in (*MACHINE, *LOGS)
         and (isinstance(value, simple) or (isinstance(value, list | tuple) and all(isinstance(v, simple) for v in value)))
     }
 
@@ -109,34 +120,55 @@ def read_card(path: Path | str, device: torch.device | str = "cpu") -> dict[str,
     card = load_checksummed(path, "policy", device)
     if not _is_card(card):
         raise ValueError(f"{str(path)!r} is no policy of this version of bsk_torch ({__version__}); train it again")
-    for part in networks_of(card).values():
-        check_network(part["network"])
     for name in LOGS:
         if name in card["options"]:
             raise ValueError(f"{str(path)!r} has the option {name!r}, which is not taken from files")
+    for part in networks_of(card).values():
+        check_network(part["network"])
+        try:
+            _check_weights(part)
+        except UNFIT as error:
+            raise ValueError(
+                f"{str(path)!r} is no policy of this version of bsk_torch ({__version__}): {one_line(str(error))}"
+            ) from error
     return card
 
 
 def _is_card(card: Mapping[str, object]) -> bool:
-    """Return whether a dictionary has the entries of a policy's file, of the right types."""
+    """Return whether a dictionary has the entries of a policy's file, of the right types and sizes."""
     parts = networks_of(card)
     if CARD - card.keys() or not isinstance(parts, dict) or not isinstance(card["preset"], str):
         return False
-    return isinstance(card["options"], dict) and bool(parts) and all(_is_network(part) for part in parts.values())
+    options = card["options"]
+    if (
+        not isinstance(options, dict)
+        or not isinstance(card["bsk_torch"], str)
+        or not all(isinstance(key, str) for key in options)
+    ):
+        return False
+    if options.keys() - plain(options).keys() - set(LOGS) - {name for name in MACHINE if isinstance(options.get(name), str)}:
+        return False  # options of other types than those written
+    return bool(parts) and all(isinstance(name, str) and _is_network(part) for name, part in parts.items())
 
 
 def _is_network(part: object) -> bool:
-    """Return whether an object has the entries :data:`NETWORK` with finite weights."""
+    """Return whether an object has the entries :data:`NETWORK`; weights are looked at once their shapes are right."""
     if not isinstance(part, dict) or NETWORK - part.keys() or not isinstance(part["network"], str):
         return False
     states = [part[NORMALISER], part[ACTOR]]
-    return isinstance(part["plan"], dict) and all(
-        isinstance(state, dict) and all(map(_is_weight, state.values())) for state in states
+    return _is_plan(part["plan"]) and all(
+        isinstance(state, dict) and all(isinstance(value, torch.Tensor) for value in state.values()) for state in states
     )
 
 
-def _is_weight(value: object) -> bool:
-    return isinstance(value, torch.Tensor) and bool(value.isfinite().all())
+def _is_plan(value: object, levels: int = 3) -> bool:
+    """Return whether an object may be the arguments of a plan: sizes within bounds, names, numbers, and lists of these."""
+    if isinstance(value, list | tuple | dict):
+        parts = list(value.values()) if isinstance(value, dict) else value
+        return levels > 0 and len(parts) <= MOST_PARTS and all(_is_plan(part, levels - 1) for part in parts)
+    if isinstance(value, int):
+        return 0 <= value <= LARGEST
+    return isinstance(value, str) or (isinstance(value, float) and isfinite(value))
 
 
 def origin_of(card: Mapping[str, Any]) -> str:
@@ -192,7 +224,7 @@ def build_policy(card: Mapping[str, Any], device: torch.device | str = "cpu") ->
         try:
             networks = _built(part).to(device)
             networks.load_policy_state(part)
-        except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:  # a plan of others
+        except UNFIT as error:
             raise ValueError(f"the policy of {card['preset']} does not fit this version of bsk_torch: {error}") from error
         policies[group] = networks.policy
         policies[group].register_forward_pre_hook(Origin(origin_of(card), _plan(part)))
@@ -204,13 +236,23 @@ def _plan(part: Mapping[str, Any]) -> Plan:
 
 
 def _built(part: Mapping[str, Any]) -> Networks:
-    """Return new networks by the plan of a file; ValueError before they are built if its weights have other shapes."""
+    """Return new networks by the plan of a file; ValueError before they are built if its weights do not fit."""
+    return _check_weights(part).build()
+
+
+def _check_weights(part: Mapping[str, Any]) -> Plan:
+    """Return the plan of a file; ValueError if its weights have other shapes or types, or are not finite."""
     plan = _plan(part)
     with torch.device("meta"):  # takes no memory, whatever the plan asks for
         planned = plan.build().policy_state()
     for name in (NORMALISER, ACTOR):
-        wanted, found = ({key: tuple(value.shape) for key, value in state[name].items()} for state in (planned, part))
+        wanted, found = (
+            {key: (tuple(value.shape), value.dtype) for key, value in state[name].items()} for state in (planned, part)
+        )
         for key in dict.fromkeys((*wanted, *found)):
             if wanted.get(key) != found.get(key):
-                raise ValueError(f"{name}.{key} has shape {found.get(key)}, its plan {wanted.get(key)}")
-    return plan.build()
+                raise ValueError(f"{name}.{key} has shape and type {found.get(key)}, its plan {wanted.get(key)}")
+        for key, value in part[name].items():
+            if not bool(value.isfinite().all()):
+                raise ValueError(f"{name}.{key} has numbers that are not finite")
+    return plan

@@ -18,11 +18,12 @@ from bsk_torch.env import SatelliteTasking
 from bsk_torch.files import write_file
 from bsk_torch.presets import make
 from bsk_torch.rl.evaluation.evaluate import FRESH, SUITE_SEEDS
-from bsk_torch.rl.networks.plans import check_network
+from bsk_torch.rl.networks.plans import check_layers, check_network
 from bsk_torch.rl.networks.precision import FLOAT32, PRECISIONS
 from bsk_torch.rl.policies.files import LOGS
 from bsk_torch.rl.training.imitation import check_teacher
 from bsk_torch.sim.arguments.values import nearest
+from bsk_torch.untrusted import read_bytes
 
 logger = logging.getLogger(__name__)
 
@@ -88,8 +89,8 @@ INTERVALS = {
 WIDEST = 65_536
 """Maximum width of a hidden layer."""
 
-LONGEST, DEEPEST = 1_000_000, 20
-"""Maximum number of characters and of nesting levels in settings files."""
+LONGEST, DEEPEST, MOST_VALUES = 1_000_000, 20, 10_000
+"""Maximum number of bytes, of nesting levels and of values in settings files."""
 
 RESERVED = {"num_envs": "num_envs", "seed": "seed", "env_ids": "num_envs"}
 """Arguments of the environment that are not options, and the settings that determine them."""
@@ -200,6 +201,7 @@ class PPOConfig:
             _check_within(name, getattr(self, name), interval, optional=name == "seconds")
         if self.imitate is not None:
             check_teacher(self.imitate, self.imitation_temperature)
+        check_layers(self.hidden)
         for width in self.hidden:
             _check_whole("hidden", width, 1, WIDEST)
         for name in ("stagger", "beyond_limit", "ahead"):
@@ -383,7 +385,7 @@ def read_settings(path: Path) -> dict[str, Any]:
         ValueError: For a file without settings, or with additional content; the message names it.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_bytes(path, LONGEST).decode()
         _check_plain(text)
         read = OmegaConf.to_container(OmegaConf.create(text), resolve=False)
         if not isinstance(read, dict) or not read:
@@ -396,12 +398,17 @@ def read_settings(path: Path) -> dict[str, Any]:
 
 def _check_plain(text: str) -> None:
     """ValueError for YAML that is larger, when read, than it looks."""
-    if len(text) > LONGEST:
-        raise ValueError(f"it has more than {LONGEST} characters")
-    depth = 0
+    depth = values = 0
     for event in yaml.parse(text, Loader=yaml.SafeLoader):
+        values += isinstance(event, yaml.NodeEvent)
+        if values == 1 and depth == 0 and not isinstance(event, yaml.MappingStartEvent):
+            raise ValueError("it holds no settings by name")
+        if values > MOST_VALUES:
+            raise ValueError(f"it has more than {MOST_VALUES:,} values")
         if isinstance(event, yaml.AliasEvent):
             raise ValueError("it has aliases of YAML")
+        if getattr(event, "tag", None) is not None:
+            raise ValueError(f"it has the tag {event.tag!r} of YAML; settings are literal values")
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         if depth > DEEPEST:
             raise ValueError(f"it is nested more than {DEEPEST} levels deep")

@@ -9,6 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import whole
+
 MEASURES = ("return", "survival", "collected", "fill")
 """The four measures that the BSK-RL paper follows over training."""
 
@@ -69,4 +71,8 @@ class RecentEpisodes:
                 raise ValueError(f"{name!r} has shape {tuple(state[name].shape)}, not {tuple(self.returns.shape)}")
         for name in ("returns", "decisions", "first", "count"):
             setattr(self, name, state[name])
-        self.ended.extend(tuple(row) for row in state["ended"])
+        whole("count", self.count, 0)
+        for row in state["ended"]:
+            if len(row) != len(MEANS):
+                raise ValueError(f"an ended episode has {len(row)} numbers, not {len(MEANS)}")
+            self.ended.append(tuple(map(float, row)))

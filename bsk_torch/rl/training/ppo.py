@@ -129,10 +129,17 @@ class Learner:
         """Networks, normalizers and optimizer."""
         return {name: getattr(self, name).state_dict() for name in LEARNED} | {NORMALISER: self.networks.normaliser.state_dict()}
 
+    def _settings(self) -> list[dict[str, Any]]:
+        """Return the settings of the optimizer, but for the learning rate, which follows a schedule."""
+        return [{k: v for k, v in group.items() if k not in ("lr", "params")} for group in self.optimiser.param_groups]
+
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Restore what :meth:`state_dict` returned; RuntimeError, ValueError or KeyError if it does not fit."""
+        groups = self._settings()
         for name in LEARNED:
             getattr(self, name).load_state_dict(state[name])
+        if self._settings() != groups:
+            raise ValueError(f"the optimizer has the settings {self._settings()!s:.200}, not {groups!s:.200}")
         for weight, moments in self.optimiser.state.items():  # the optimizer itself does not look at shapes
             for name, value in moments.items():
                 if isinstance(value, Tensor) and value.ndim and value.shape != weight.shape:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import copy
 import logging
+import reprlib
 import shlex
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from torch import Tensor
 from torchrl.collectors import BaseCollector
 
 from bsk_torch import __version__
+from bsk_torch._checks import number, whole
 from bsk_torch.constants import DAY
 from bsk_torch.files import PART, unwritable
 from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
@@ -354,17 +356,39 @@ class Training:
         try:
             self.learner.load_state_dict(saved["learner"])
             self.recent.load_state_dict(saved["recent"])
-            self.progress.frames, self.progress.before, self.days, self.iteration = saved["progress"]
-            self.marks, self.generator, self.best = saved["collected"], saved["generator"], saved["best"]
-            torch.Generator().set_state(self.generator)
+            frames, seconds, days, iteration = saved["progress"]
+            self.progress.frames, self.iteration = (whole("progress", part, 0, 2**62) for part in (frames, iteration))
+            self.progress.before, self.days = (number("progress", part, 0.0) for part in (seconds, days))
+            self.marks, self.generator, self.best = saved["collected"], saved["generator"], self._checked_best(saved["best"])
+            for generator in (self.generator, *(mark["generator"] for mark in self.marks)):
+                torch.Generator().set_state(generator.cpu())
+            if len(self.marks) != self.config.processes:
+                raise ValueError(f"it was collected by {len(self.marks)} processes instead of {self.config.processes}")
             if self.config.ahead:
                 self.begun = TensorDict().load_state_dict(saved["begun"], strict=False).refine_names(..., "time")
-            first = torch.zeros(1, dtype=torch.long)
-            for mark in self.marks:  # which the collector restores in full
-                self.env.restore(mark["state"], first, first)
-        except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:
+            rows = torch.arange(self.config.num_envs // self.config.processes)
+            for mark in self.marks:
+                self.env.restore(mark["state"], rows, rows)
+                for name in ("seen", "carried"):
+                    TensorDict(mark[name], [len(rows)])
+        except (AttributeError, IndexError, KeyError, RecursionError, RuntimeError, TypeError, ValueError) as error:
             reason = str(error).partition("\n")[0] if isinstance(error, ValueError | RuntimeError) else repr(error)
             raise ValueError(f"{str(self.out / CHECKPOINT)!r} does not fit this training: {reason}") from error
+
+    def _checked_best(self, best: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what is known of the best policy; ValueError for other weights than those of these networks."""
+        networks = best["networks"]
+        if networks is not None and not (_alike(networks, self._networks()) and _finite(networks)):
+            raise ValueError("the best policy has other weights, or weights that are not finite")
+        value = number("best return", best["return"], finite=False)
+        return {"return": value, "waited": whole("best waited", best["waited"], 0), "networks": networks}
+
+
+def _alike(state: Any, other: Any) -> bool:
+    """Whether nested dictionaries have the same keys, and tensors of the same shapes and types."""
+    if isinstance(other, dict):
+        return isinstance(state, dict) and state.keys() == other.keys() and all(_alike(state[key], other[key]) for key in other)
+    return isinstance(state, torch.Tensor) and (state.shape, state.dtype) == (other.shape, other.dtype)
 
 
 def _finite(state: Any) -> bool:
@@ -429,6 +453,11 @@ def read_checkpoint(out: Path, config: PPOConfig) -> dict[str, Any] | None:
         return None
     saved = load_checksummed(path, "checkpoint")
     for name, here in {"bsk_torch": __version__, **fixed(config)}.items():
-        if saved.get(name) != here:
-            raise ValueError(f"the checkpoint in {str(out)!r} has {name}={saved.get(name)!r}, and cannot be resumed as {here!r}")
+        try:
+            differs = bool(saved.get(name) != here)
+        except (RecursionError, RuntimeError):  # of tensors, or deep lists, in the place of settings
+            differs = True
+        if differs:
+            theirs = reprlib.repr(saved.get(name))
+            raise ValueError(f"the checkpoint in {str(out)!r} has {name}={theirs}, and cannot be resumed as {here!r}")
     return saved

@@ -1,0 +1,293 @@
+"""Files that others may have made: the one door for JSON, compressed bytes, archives of torch, and memory-mapped tensordicts.
+
+Nothing in such a file is executed. Sizes, shapes and depths are compared with bounds before anything is allocated, so that a
+small file costs little memory and time. Whatever is wrong with a file is a ValueError with the reason, to which readers add the
+name of the file.
+"""
+
+from __future__ import annotations
+
+import functools
+import io
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from math import isfinite
+from pathlib import Path
+from reprlib import repr as _short
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+import torch
+from annotated_types import Interval, Predicate
+from tensordict import TensorDict
+from tensordict._utils_key_json import _encode_key_for_filesystem  # how tensordict names its files
+from torch import Tensor
+
+from bsk_torch.sim.names import nearest
+
+Schema = TypeVar("Schema")
+
+MOST_JSON = 2**24
+"""Largest JSON file, bytes."""
+
+MOST_ERRORS = 1000
+"""Wrong entries from which on a message names none."""
+
+Word = Annotated[str, Predicate(str.isprintable)]
+"""Text that is shown: nothing in it moves the cursor or changes the colors of a terminal."""
+
+Count = Annotated[int, Interval(ge=0, le=2**62)]
+"""A number of things, or a seed."""
+
+if TYPE_CHECKING:
+    Json = Any
+else:
+
+    class Json:
+        """Any content of a JSON file: finite numbers, whole ones of 64 bits."""
+
+        @classmethod
+        def __get_pydantic_core_schema__(cls, source: object, handler: Any) -> Any:
+            from pydantic import AfterValidator, JsonValue
+
+            return handler(Annotated[JsonValue, AfterValidator(_checked_numbers)])
+
+
+class NotRead:
+    """Annotation of a dataclass's field that no file has."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: object, handler: object) -> Any:
+        from pydantic_core import core_schema
+
+        return core_schema.none_schema()
+
+
+TORCH_TYPES = {str(kind): kind for kind in vars(torch).values() if isinstance(kind, torch.dtype)}
+
+
+def _checked_numbers(value: object) -> object:
+    """Return what JSON holds; ValueError for a number that is not finite, or a whole one of more than 64 bits."""
+    waiting = [value]
+    while waiting:
+        part = waiting.pop()
+        if isinstance(part, dict):
+            waiting += part.values()
+        elif isinstance(part, list):
+            waiting += part
+        elif isinstance(part, int | float) and not -(2**63) <= part < 2**63 and (isinstance(part, int) or not isfinite(part)):
+            raise ValueError(f"it holds the number {_short(part)}, which is not finite, or has more than 64 bits")
+    return value
+
+
+# -- JSON ---------------------------------------------------------------------------------------------------------------------
+
+
+def read_json(path: Path | str, schema: type[Schema], wrong: str, most: int = MOST_JSON) -> Schema:
+    """Return the content of a JSON file.
+
+    Args:
+        path: The file.
+        schema: Type of the content: a dataclass, a TypedDict, :data:`Json`, or a container of these, as Pydantic reads it.
+        wrong: What a file is that does not fit, for the message, such as ``"is no catalog"``.
+        most: Largest size, bytes.
+
+    Raises:
+        OSError: If it cannot be read.
+        ValueError: For any other content; the message names the file and the first wrong entry.
+    """
+    try:
+        return parse_json(read_bytes(path, most), schema)
+    except ValueError as error:
+        raise ValueError(f"{str(path)!r} {wrong}: {error}") from None
+
+
+def parse_json(content: bytes, schema: type[Schema]) -> Schema:
+    """Return JSON as a ``schema``; ValueError for other content, for numbers that are not finite, and for deep nesting.
+
+    Values are not converted, except whole numbers to real ones. Pydantic nests 200 levels deep at most.
+    """
+    from pydantic import ValidationError
+
+    try:
+        return _root(schema).model_validate_json(content).root
+    except ValidationError as error:
+        raise ValueError(one_line(_reason(error))) from None
+
+
+@functools.cache
+def _root(schema: Any) -> Any:
+    """Return the model of a file; its configuration applies to the dataclasses in it, too."""
+    from pydantic import ConfigDict, RootModel
+
+    settings = {"model_config": ConfigDict(strict=True, allow_inf_nan=False), "__module__": __name__}
+    return type("File", (RootModel[schema],), settings)
+
+
+def _reason(error: Any) -> str:
+    """Return the first error of a validation in one line: entry, value, and what is allowed."""
+    if error.error_count() > MOST_ERRORS:
+        return f"{error.error_count():,} of its entries are wrong"  # details of so many would need much memory
+    first = error.errors(include_url=False)[0]
+    place, value = first["loc"], first["input"]
+    if first["type"] == "missing":
+        where = f"{_place(place[:-1])} lacks" if place[:-1] else "it lacks"
+        return f"{where} {place[-1]!r}; {nearest(str(place[-1]), value if isinstance(value, Mapping) else ())}"
+    said = first["msg"].removeprefix("Value error, ")
+    if first["type"] in ("value_error", "json_invalid"):
+        return f"{_place(place)}: {said}" if place else said
+    return f"{_place(place) or 'its content'}={_short(value)}: {said}"
+
+
+def one_line(text: str) -> str:
+    """Return a message with parts of a file on one line, without characters that control a terminal."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text.partition("\n")[0])
+
+
+def _place(parts: tuple[int | str, ...]) -> str:
+    """Return a path such as ``satellites[1].mass``."""
+    names = (f".{part}" if isinstance(part, str) and part.isidentifier() else f"[{part!r}]" for part in parts)
+    return "".join(names).removeprefix(".")
+
+
+# -- bytes --------------------------------------------------------------------------------------------------------------------
+
+
+def read_bytes(path: Path | str, most: int) -> bytes:
+    """Return the content of a file; ValueError if it has more than ``most`` bytes."""
+    with open(path, "rb") as file:
+        content = file.read(most + 1)
+    if len(content) > most:
+        raise ValueError(f"it has more than {most:,} bytes")
+    return content
+
+
+def gunzip(content: bytes, most: int) -> bytes:
+    """Return unpacked bytes, ``most`` of them at most.
+
+    Raises:
+        EOFError: If the content is cut off.
+        ValueError: If it is no gzip stream, damaged, or longer.
+    """
+    stream = zlib.decompressobj(zlib.MAX_WBITS | 16)
+    try:
+        raw = stream.decompress(content, most + 1)
+    except zlib.error as error:
+        raise ValueError(str(error)) from None
+    if len(raw) > most:
+        raise ValueError(f"it unpacks to more than {most:,} bytes")
+    if not stream.eof:
+        raise EOFError
+    if stream.unused_data:
+        raise ValueError("something follows its end")
+    return raw
+
+
+# -- tensors ------------------------------------------------------------------------------------------------------------------
+
+
+def read_tensors(content: bytes, entry: str | None = None, device: torch.device | str = "cpu") -> tuple[Any, bytes | None]:
+    """Return what ``torch.save`` has put into an archive, and the bytes of another ``entry`` of it, None without one.
+
+    Tensors are plain ones, and together not larger than the archive.
+
+    Raises:
+        ValueError: For anything else; nothing is executed.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            if sum(part.file_size for part in archive.infolist()) > len(content):
+                raise ValueError("its archive unpacks to more than its own size")
+            damaged = archive.testzip()  # torch does not check the checksums of entries
+            if damaged is not None:
+                raise ValueError(f"{damaged} is damaged")
+            other = archive.read(entry) if entry in archive.namelist() else None
+        values = torch.load(io.BytesIO(content), weights_only=True, map_location=device)
+        total = 0
+        for tensor in _tensors(values):
+            if type(tensor) not in (Tensor, torch.nn.Parameter) or tensor.layout != torch.strided or tensor.is_quantized:
+                raise ValueError("it holds a tensor that is not a plain one")
+            total += tensor.numel() * tensor.element_size()
+        if total > len(content):
+            raise ValueError(f"its tensors have {total:,} bytes, and it has {len(content):,}")
+    except Exception as error:  # bytes of others may raise any exception within zipfile, torch and pickle
+        reason = one_line(str(error)).partition(". ")[0]  # torch says much more
+        raise ValueError(reason or type(error).__name__) from error
+    return values, other
+
+
+def _tensors(values: object) -> Iterator[Tensor]:
+    """Yield the tensors in nested dictionaries, lists, tuples and sets; parts that are there twice are walked once."""
+    waiting, seen = [values], set[int]()
+    while waiting:
+        part = waiting.pop()
+        if id(part) in seen and not isinstance(part, Tensor):
+            continue
+        seen.add(id(part))
+        if isinstance(part, Tensor):
+            yield part
+        elif isinstance(part, Mapping):
+            waiting += [*part.keys(), *part.values()]
+        elif isinstance(part, list | tuple | set | frozenset):
+            waiting += part
+
+
+# -- memory-mapped tensordicts ------------------------------------------------------------------------------------------------
+
+META, TENSORDICT = "meta.json", "<class 'tensordict._td.TensorDict'>"
+"""File that lists the entries in each folder of a tensordict, and the only class that is read."""
+
+
+def read_memmap(folder: Path) -> TensorDict:
+    """Return a memory-mapped tensordict of tensors.
+
+    Its lists of entries are checked before tensordict reads them: nothing is unpickled, and every file is as large as its shape
+    says, so that none is extended.
+
+    Raises:
+        ValueError: For anything else; the message names the folder.
+    """
+    try:
+        _check_memmap(folder, ())
+        return TensorDict.load_memmap(folder, allow_pickle=False)
+    except Exception as error:  # files of others may raise any exception within tensordict
+        reason = one_line(str(error))
+        raise ValueError(f"{str(folder)!r} is no folder of tensors: {reason or type(error).__name__}") from error
+
+
+def _check_memmap(folder: Path, batch: tuple[int, ...]) -> None:
+    """ValueError unless a folder holds a tensordict of tensors, all of whose shapes begin with ``batch``."""
+    meta = parse_json(read_bytes(folder / META, MOST_JSON), dict[str, Json])
+    kind, device, shape = meta.pop("_type", None), meta.pop("device", None), _shape(meta.pop("shape", None), batch)
+    if kind != TENSORDICT or device not in ("cpu", "None", None):
+        raise ValueError(f"it holds a {kind!r:.80} on {device!r:.80}; only tensordicts on the CPU are read")
+    nested = []
+    for name, entry in meta.items():
+        path = folder / _encode_key_for_filesystem(name)
+        if entry == {"type": "TensorDict"}:
+            nested.append(path)
+            continue
+        if not isinstance(entry, dict) or entry.get("dtype") not in TORCH_TYPES or entry.get("is_nested"):
+            raise ValueError(f"its entry {name!r:.80} is no tensor")
+        whole = _shape(entry.get("shape"), shape)
+        size = TORCH_TYPES[str(entry["dtype"])].itemsize
+        for length in whole:
+            size *= length
+        file = path.with_name(f"{path.name}.memmap")
+        found = file.stat().st_size if file.is_file() else 0
+        if size != found:
+            raise ValueError(f"its entry {name!r:.80} of shape {_short(whole)} has {found:,} bytes instead of {_short(size)}")
+        if not size and all(shape):
+            raise ValueError(f"its entry {name!r:.80} of shape {_short(whole)} is empty")
+    for path in nested:
+        _check_memmap(path, shape)
+    if not meta:
+        raise ValueError("it has no entries")
+
+
+def _shape(value: object, first: tuple[int, ...]) -> tuple[int, ...]:
+    """Return a shape that begins with ``first``; ValueError for anything else."""
+    good = isinstance(value, list) and all(isinstance(length, int) and length >= 0 for length in value)
+    if not good or tuple(value[: len(first)]) != first:  # type: ignore[index]
+        raise ValueError(f"the shape {_short(value)} is no list of lengths that begins with {list(first)}")
+    return tuple(value)  # type: ignore[arg-type]

@@ -1,0 +1,217 @@
+"""Every reader of files that others may have made, with a right file: for tests with planted and with mutated files."""
+
+from __future__ import annotations
+
+import functools
+import gzip
+import io
+import json
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import torch
+from tensordict import TensorDict
+
+from bsk_torch.cli.results import PlayedResults, Results, Summary
+from bsk_torch.data.pickled import Pickler, Unpickler
+from bsk_torch.files import write_file
+from bsk_torch.offline import open_dataset
+from bsk_torch.plan.bounds.envelope import FILE, Envelope
+from bsk_torch.plan.rare_flights import KIND, read_paths
+from bsk_torch.rl.evaluation.aeos_annotations import TASK_ID, read_assignments
+from bsk_torch.rl.marl.runs import read_config
+from bsk_torch.rl.policies.checksummed import load_checksummed, save_checksummed
+from bsk_torch.rl.policies.files import load_policy
+from bsk_torch.rl.policies.pretrained import pretrained_file
+from bsk_torch.rl.training.config import PPOConfig, save_config
+from bsk_torch.rl.training.log import read_log
+from bsk_torch.scene import RSOTarget, RSOTargetCatalog, read_cases
+from bsk_torch.untrusted import Word, parse_json, read_json
+from bsk_torch.viewer.recording import MAGIC, decode
+from tests.scene import aeos_cases
+from tests.support.recordings import synthetic_recording
+
+Change = Callable[[Any], Any]
+"""Changes nested dictionaries and lists."""
+
+
+class Reader(NamedTuple):
+    """A reader.
+
+    ``content`` is that of a right file, ``place`` its name, and ``read`` reads the folder in which it is, after ``others`` has
+    written the further files. ``changed`` returns the content with a changed structure, None where it has none.
+    """
+
+    place: str
+    content: bytes
+    read: Callable[[Path], object]
+    changed: Callable[[bytes, Change], bytes] | None = None
+    others: Callable[[Path], object] = lambda folder: None
+
+    def of(self, folder: Path, content: bytes) -> object:
+        """Read a folder with this content."""
+        self.others(folder)
+        path = folder / self.place
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+        return self.read(folder)
+
+
+# -- structures ---------------------------------------------------------------------------------------------------------------
+
+
+def of_json(content: bytes, change: Change) -> bytes:
+    return json.dumps(change(json.loads(content))).encode()
+
+
+def of_checksummed(content: bytes, change: Change) -> bytes:
+    entries = torch.load(io.BytesIO(content), weights_only=True)
+    buffer = io.BytesIO()
+    torch.save(change(entries), buffer)
+    return buffer.getvalue()  # as those of release 0.1: without a checksum
+
+
+def of_header(content: bytes, change: Change) -> bytes:
+    raw = gzip.decompress(content)
+    version, length = struct.unpack_from("<II", raw, len(MAGIC))
+    start = len(MAGIC) + 8
+    text = json.dumps(change(json.loads(raw[start : start + length]))).encode()
+    return gzip.compress(MAGIC + struct.pack("<II", version, len(text)) + text + raw[start + length :], 1)
+
+
+# -- right files --------------------------------------------------------------------------------------------------------------
+
+
+def json_bytes(value: object) -> bytes:
+    return json.dumps(value).encode()
+
+
+def catalog() -> bytes:
+    target = RSOTarget("a", "A", rN=(7e6, 0.0, 0.0), vN=(0.0, 7500.0, 0.0))
+    return json_bytes(RSOTargetCatalog((target,)).to_dict())
+
+
+def checkpoint(folder: Path) -> None:
+    save_checksummed(folder / "checkpoint.pt", {"best": {"return": 1.0, "networks": {"w": torch.zeros(3)}}, "n": (1, 2.0)})
+
+
+def written(write: Callable[[Path], object], name: str) -> bytes:
+    """The content of a file that the package writes."""
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        write(Path(folder))
+        return (Path(folder) / name).read_bytes()
+
+
+def write_dataset_rows(folder: Path) -> None:
+    """The rows of a dataset."""
+    rows = {"episode": torch.zeros(3, dtype=torch.int64), "observation": torch.zeros(3, 2), "next": {"reward": torch.ones(3, 1)}}
+    TensorDict(rows, [3]).memmap(folder / "a" / "transitions")
+    TensorDict({"seed": torch.arange(2)}, [2]).memmap(folder / "starts")
+
+
+CARD = {"format": 1, "behaviors": {"a": {"folder": "a", "episodes": 1}}, "targets": ["t"], "share": 1.0, "preset": "x"}
+
+CASE = SimpleNamespace(
+    names=("00001",),
+    present=torch.ones(1, 2, dtype=torch.bool),
+    tasks={"duration": torch.ones(1, 3)},
+    n_satellites=2,
+)
+"""A case of two satellites and three tasks."""
+
+PATHS = {
+    "kind": KIND,
+    "preset": "x",
+    "episodes": [{"seed": 3, "parts": [1, 2], "steps": [1.0, 0.5], "shares": [1.0, 0.2], "time": None, "actions": [[1], [2]]}],
+}
+
+ESTIMATE = {"mean": 0.5, "half_width": 0.1}
+SUMMARY = {
+    "return": ESTIMATE,
+    "survival": 1.0,
+    "survival_interval": [0.9, 1.0],
+    "deaths": {"battery_valid": 2},
+    "gain": {"x": ESTIMATE},
+}
+PLAYED = SUMMARY | {"returns": [0.1, 0.2], "seconds_per_decision": 0.1, "score": ESTIMATE}
+RESULTS = {"format": 1, "suite": "v2", "policies": {"random": {"dim_scan": PLAYED}}}
+
+
+class Kept:
+    """An object of a state."""
+
+
+def objects() -> bytes:
+    kept, file = Kept(), io.BytesIO()
+    vars(kept).update(numbers=[1, 2.5, None], table={"a": torch.zeros(2)}, me=kept, done={1, (2, 3)})
+    Pickler(file, {Kept}, lambda value: None).dump(kept)
+    return file.getvalue()
+
+
+def other_file_of_case(name: str) -> Callable[[Path], object]:
+    whole = {"constellation.json": aeos_cases.constellation(2), "taskset.json": aeos_cases.tasks(3)}
+    return lambda folder: write_file(folder / name, json_bytes(whole[name]))
+
+
+@functools.cache
+def readers() -> dict[str, Reader]:
+    """Readers by name."""
+    buffer = io.BytesIO()
+    torch.save({TASK_ID: torch.zeros(4, 2, dtype=torch.int64)}, buffer)
+    card = lambda folder: write_file(folder / "dataset.json", json_bytes(CARD))
+    rows = lambda folder: (write_dataset_rows(folder), card(folder))
+    meta = written(write_dataset_rows, "a/transitions/meta.json")
+    results = lambda schema: lambda folder: read_json(folder / "x.json", schema, "is no result")
+    cases = [json_bytes(part) for part in (aeos_cases.constellation(2), aeos_cases.tasks(3))]
+    assignments = lambda folder: read_assignments(folder, CASE)
+    return {
+        "policy": Reader("policy.pt", pretrained_file("NadirScan-v1").read_bytes(), load_policy, of_checksummed),
+        "checkpoint": Reader(
+            "checkpoint.pt",
+            written(checkpoint, "checkpoint.pt"),
+            lambda folder: load_checksummed(folder / "checkpoint.pt", "checkpoint"),
+            of_checksummed,
+        ),
+        "configuration": Reader(
+            "config.yaml", written(lambda folder: save_config(PPOConfig(), folder / "config.yaml"), "config.yaml"), read_config
+        ),
+        "log": Reader("log.csv", b"frames,seconds,return\n20,1.5,0.1\n40,3.0,nan\n", lambda folder: read_log(folder / "log.csv")),
+        "catalog": Reader("x.json", catalog(), lambda folder: RSOTargetCatalog.load(folder / "x.json"), of_json),
+        "constellation": Reader("constellation.json", cases[0], read_cases, of_json, other_file_of_case("taskset.json")),
+        "tasks": Reader("taskset.json", cases[1], read_cases, of_json, other_file_of_case("constellation.json")),
+        "runs": Reader("00001/assignment_runs.json", b'{"0": [[0, 3], [-1, 2]], "1": [[2, 5]]}', assignments, of_json),
+        "trajectory": Reader("00001.pth", buffer.getvalue(), assignments, of_checksummed),
+        "paths": Reader("x.json", json_bytes(PATHS), lambda folder: read_paths(folder / "x.json"), of_json),
+        "envelope": Reader("x.json", FILE.read_bytes(), lambda folder: Envelope.load(folder / "x.json"), of_json),
+        "card": Reader("dataset.json", json_bytes(CARD), lambda folder: read_dataset(folder), of_json, write_dataset_rows),
+        "rows": Reader("a/transitions/meta.json", meta, lambda folder: read_dataset(folder), of_json, rows),
+        "recording": Reader(
+            "x.bskview", synthetic_recording().encode(), lambda folder: decode((folder / "x.bskview").read_bytes()), of_header
+        ),
+        "bench": Reader("x.json", json_bytes(RESULTS), results(PlayedResults), of_json),
+        "leaderboard": Reader("x.json", json_bytes(RESULTS), results(Results), of_json),
+        "evaluation": Reader("x.json", json_bytes({"trained": SUMMARY}), results(dict[Word, Summary]), of_json),
+        "objects": Reader(
+            "x.json",
+            objects(),
+            lambda folder: Unpickler(io.BytesIO((folder / "x.json").read_bytes()), {Kept}, str).load(),
+            of_json,
+        ),
+        "request": Reader(
+            "x.json",
+            b'{"track": 1, "decision": 2}',
+            lambda folder: parse_json((folder / "x.json").read_bytes(), dict[str, int]),
+            of_json,
+        ),
+    }
+
+
+def read_dataset(folder: Path) -> object:
+    """All that a dataset holds."""
+    data = open_dataset(folder)
+    return data.card, data.transitions().clone(), data.replay_buffer(batch_size=2).sample(), data.starts().clone()
