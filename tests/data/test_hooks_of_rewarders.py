@@ -194,7 +194,7 @@ def test_rejects_choices_and_counters_that_do_not_fit():
         def counts(self):
             return super().counts() | {"imaged": self.memory["duplicates"]}
 
-    made = lambda rewarder: bsk_torch.make("AEOS-v1", n_targets=300, time_limit=600.0, backend="eager", rewarder=rewarder)
+    made = lambda rewarder: bsk_torch.make("AEOS-v1", n_targets=300, time_limit=600.0, rewarder=rewarder)
     table = [
         refusal(lambda: made(All()), TypeError, "All.selectable()", [1, 300], [1, 1, 300]),
         refusal(lambda: made(Twice()), ValueError, "counts()", "'imaged'"),

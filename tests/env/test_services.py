@@ -38,7 +38,7 @@ def everything(env) -> Candidates:
 
 
 def test_the_task_is_that_of_the_study():
-    env = bsk_torch.make("Services-v1", num_envs=64, seed=1, backend="eager")
+    env = bsk_torch.make("Services-v1", num_envs=64, seed=1)
     td = env.reset()
     assert td["observation"].shape == (64, 124)
     assert env.satellite.action_description == [

@@ -23,7 +23,7 @@ from bsk_torch.rl.training.log import COLUMNS, EVALUATED, EVALUATIONS, LOG, read
 from bsk_torch.rl.training.trainer import CHECKPOINT, RESTARTS, Training
 from tests.support.refusals import check_refusals, refusal
 
-pytestmark = pytest.mark.compiled
+pytestmark = [pytest.mark.compiled, pytest.mark.usefixtures("forked")]
 
 SHORT = {"time_limit": 1200.0}
 

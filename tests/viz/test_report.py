@@ -179,12 +179,13 @@ def folder(env, tmp_path):
     return tmp_path
 
 
+@pytest.mark.compiled
 def test_the_command_plays_and_shows_three_episodes(call, folder):
     (folder / "report.html").write_text("old")
     results = {"trained": {"return": {"mean": 0.5, "half_width": 0.1}}}
     (folder / "evaluation.json").write_text(json.dumps(results))
     (folder / "log.csv").write_text("frames,seconds,simulated_days,return\n10,1,2,0.25\n20,2,4,0.5\n")
-    result = call(folder, "--episodes", 3, "--backend", "eager")
+    result = call(folder, "--episodes", 3)
     assert result.exit_code == 0, result.output
     assert "report.html (" in " ".join(result.output.split())
     assert (folder / "report.html").resolve().as_uri() in result.output
