@@ -8,6 +8,7 @@ import pytest
 from bsk_torch.rl.training.config import PPOConfig, load_config
 from bsk_torch.rl.training.log import read_log
 from bsk_torch.rl.training.workers import Cores
+from tests.support.programs import forked_processes
 
 pytestmark = pytest.mark.compiled
 

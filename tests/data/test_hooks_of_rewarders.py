@@ -161,7 +161,7 @@ class Measured(data.NoReward):
 
 def test_measures_of_parts_are_numbered_and_shown_in_evaluations():
     half = torch.full((N,), 0.5, dtype=torch.float64)
-    env = make([Measured(half), Measured(2.0 * half), data.NoReward()], env_ids=[0] * N, backend="eager")
+    env = make([Measured(half), Measured(2.0 * half), data.NoReward()], env_ids=[0] * N)
     result = evaluate(rule("random", env), env, seeds=[0, 1, 2, 3])
     assert {name: value.tolist() for name, value in result.measures.items()} == {"share": [0.5] * 4, "share_2": [1.0] * 4}
     assert result.summary()["measures"]["share_2"]["mean"] == 1.0

@@ -441,7 +441,7 @@ def test_the_outlook_is_observed_and_ranks_candidates():
 def test_the_shield_leaves_actions_that_can_bring_something(images):
     """Images that promise something while the store has room, and downlinks while there is something in it."""
     stored = dict(storageInit=images * IMAGE)
-    env = make(16, as_set=True, outlook=True, shielded=True, sat_args=stored, backend="eager")
+    env = make(16, as_set=True, outlook=True, shielded=True, sat_args=stored)
     td = env.reset()
     rows, legal = td["observation", "rso_targets", "rows"], td["action_mask"]
     promising = rows[..., -1] > 0.0

@@ -20,7 +20,7 @@ from bsk_torch.rl.training.collect import make_collector, prepared, start_worker
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, load_config
 from bsk_torch.rl.training.episodes import RecentEpisodes
 from bsk_torch.rl.training.log import COLUMNS, EVALUATED, EVALUATIONS, LOG, read_log
-from bsk_torch.rl.training.trainer import CHECKPOINT, RESTARTS, Training
+from bsk_torch.rl.training.trainer import CHECKPOINT, Training
 from tests.support.refusals import check_refusals, refusal
 
 pytestmark = [pytest.mark.compiled, pytest.mark.usefixtures("forked")]
@@ -182,24 +182,32 @@ def test_a_lost_process_is_replaced_and_changes_nothing(by_several, tmp_path, ca
     assert not multiprocessing.active_children()
 
 
+AHEAD = dataclasses.replace(SEVERAL, workers=1, ahead=True)
+
+
+@pytest.fixture(scope="module")
+def by_one_ahead(tmp_path_factory):
+    """Policy of a run whose batches are collected ahead."""
+    return train(AHEAD, tmp_path_factory.mktemp("ahead") / "whole", episodes=0)
+
+
 @pytest.mark.parametrize("enough", [None, lambda: False])  # what is asked waits for the next batch
-def test_lost_processes_are_replaced_while_batches_are_collected_ahead(tmp_path, enough):
-    config = dataclasses.replace(SEVERAL, ahead=True)
-    whole = Training(config, tmp_path / "whole").run()
-    assert weights(Losing(config, tmp_path / "run").run(enough=enough)).equal(weights(whole))
+def test_lost_processes_are_replaced_while_batches_are_collected_ahead(by_one_ahead, tmp_path, enough):
+    assert weights(Losing(AHEAD, tmp_path / "run").run(enough=enough)).equal(weights(by_one_ahead))
 
 
-def test_processes_that_are_always_lost_stop_a_run_that_can_be_resumed(by_several, tmp_path):
+def test_processes_that_are_always_lost_stop_a_run_that_can_be_resumed(by_several, tmp_path, monkeypatch):
+    monkeypatch.setattr("bsk_torch.rl.training.trainer.RESTARTS", 1)
     whole, policy = by_several
     out = tmp_path / "run"
     training = Losing(SEVERAL, out)
     training.often = 99
     with pytest.raises(
         RuntimeError,
-        match=r"ended by SIGKILL .*, the 4th loss since .*; resume from the last checkpoint with: bsk-torch train .*run --resume",
+        match=r"ended by SIGKILL .*, the .* loss since .*; resume from the last checkpoint with: bsk-torch train .*run --resume",
     ):
         training.run()
-    assert training.often == 99 - RESTARTS - 1
+    assert training.often == 99 - 2
     assert not multiprocessing.active_children()
     assert weights(resume(out, episodes=0)).equal(weights(policy))
     assert same_logs(out, whole)
@@ -214,7 +222,9 @@ class Failing(Losing):
 
 def test_rejects_code_that_fails_in_a_process(tmp_path):
     out = tmp_path / "run"
-    check_refusals([refusal(lambda: Failing(SEVERAL, out).run(), RuntimeError, "process", "experience", out)])
+    check_refusals(
+        [refusal(lambda: Failing(dataclasses.replace(SEVERAL, workers=1), out).run(), RuntimeError, "process", "experience", out)]
+    )
 
 
 class LosingActor(Losing):

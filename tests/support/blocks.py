@@ -25,7 +25,7 @@ SHORT = {
     "view": "--time-limit 300",
     "schedule": "",
     "explain": "--seeds 0:1",
-    "bench": "--episodes 2",
+    "bench": "--episodes 1",
     "leaderboard": "",
     "dataset": "--seeds 0:4 --time-limit 1200",
     "args": "",

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from multiprocessing import forkserver, get_context
 from pathlib import Path
 
-LIBRARIES = ["torchrl.collectors", "torchrl.objectives", "matplotlib.pyplot", "bsk_torch", "bsk_torch.cli", "bsk_torch.rl"]
+LIBRARIES = ["torchrl.collectors", "torchrl.objectives", "matplotlib.pyplot", "bsk_torch.cli", "bsk_torch.rl.training.collect"]
 """What the fork server imports: modules that scripts import, and that start no threads and read no changing settings."""
 
 SERVER = get_context("forkserver")

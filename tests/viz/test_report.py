@@ -141,8 +141,9 @@ class Counting(TensorDictModuleBase):
         return now.update({"action": torch.ones_like(count), "next": {"count": count}})
 
 
+@pytest.mark.compiled
 def test_a_policy_remembers_while_it_is_recorded():
-    env = bsk_torch.make("NadirScan-v1", num_envs=1, time_limit=300.0, backend="eager")
+    env = bsk_torch.make("NadirScan-v1", num_envs=1, time_limit=300.0)
     seen = []
     policy = Counting()
     policy.register_forward_hook(lambda module, given, told: seen.append(int(told["next", "count"])))
