@@ -48,13 +48,10 @@ def test_stable_baselines3(tmp_path):
     assert {path.name for path in (tmp_path / "model").iterdir()} == {"model.zip", "normalize.pkl"}
     from examples.ppo_sb3 import entrant  # here, where its packages are installed
 
-    env, policy = entrant("AEOSPower-v1", partial(make, "AEOSPower-v1", num_envs=2, backend="eager"), str(tmp_path / "model"))
+    env, policy = entrant("AEOSPower-v1", partial(make, "AEOSPower-v1", num_envs=2), str(tmp_path / "model"))
     assert policy(env.reset())["action"].shape == (2,)
-    assert entrant("NadirScan-v1", partial(make, "NadirScan-v1", num_envs=2, backend="eager"), str(tmp_path / "model")) is None
-    assert (
-        entrant("MultiInspection-v1", partial(make, "MultiInspection-v1", num_envs=2, backend="eager"), str(tmp_path / "model"))
-        is None
-    )
+    assert entrant("NadirScan-v1", partial(make, "NadirScan-v1", num_envs=2), str(tmp_path / "model")) is None
+    assert entrant("MultiInspection-v1", partial(make, "MultiInspection-v1", num_envs=2), str(tmp_path / "model")) is None
 
 
 def test_cleanrl(tmp_path):
@@ -88,7 +85,7 @@ def test_benchmarl(tmp_path):
     assert any((tmp_path / "logs").iterdir())
     from examples.mappo_benchmarl import entrant  # here, where its packages are installed
 
-    small = partial(make, "Constellation-v1", num_envs=2, n_satellites=4, n_planes=2, n_targets=200, backend="eager")
+    small = partial(make, "Constellation-v1", num_envs=2, n_satellites=4, n_planes=2, n_targets=200)
     env, policy = entrant("Constellation-v1", small, str(tmp_path / "policy.pt"))
     assert policy(env.reset())["agents", "action"].shape == (2, 4)
     assert entrant("AEOSConstellation-v1", small, str(tmp_path / "policy.pt")) is None

@@ -229,7 +229,7 @@ def test_clouds_and_night_matter_to_optical_satellites_only():
 
 
 def test_claims_and_the_numbers_of_the_rule():
-    env = make("HeteroCluster-v1", backend="eager")
+    env = make("HeteroCluster-v1")
     env.reset()
     optical, radar = env.satellites
     place = radar.find_next_opportunities(CHOICES, "target").place
@@ -247,7 +247,7 @@ def test_claims_and_the_numbers_of_the_rule():
 @pytest.mark.parametrize("name", ["AEOS-v1", "AEOSCity-v1", "CloudyAEOS-v1"])
 @pytest.mark.parametrize("as_set", [False, True])
 def test_few_choices_are_the_first_of_the_preset(name, as_set):
-    few, many = (make(name, as_set=as_set, num_envs=2, backend="eager", **more) for more in ({"n_ahead": 3}, {}))
+    few, many = (make(name, as_set=as_set, num_envs=2, **more) for more in ({"n_ahead": 3}, {}))
     seen, all_seen = (env.reset()["observation"] for env in (few, many))
     assert few.satellite.action_description == ["action_image_0", "action_image_1", "action_image_2"]
     if as_set:
@@ -262,9 +262,7 @@ def test_few_choices_are_the_first_of_the_preset(name, as_set):
 
 @pytest.mark.parametrize("as_set", [False, True])
 def test_a_constellation_chooses_among_few_targets(as_set):
-    few, many = (
-        make("AEOSConstellation-v1", as_set=as_set, num_envs=2, backend="eager", **more) for more in ({"n_ahead": 3}, {})
-    )
+    few, many = (make("AEOSConstellation-v1", as_set=as_set, num_envs=2, **more) for more in ({"n_ahead": 3}, {}))
     assert few.satellites[0].action_description == ["action_image_0", "action_image_1", "action_image_2"]
     seen, all_seen = (env.reset()[env.groups[0].name, "observation"] for env in (few, many))
     if as_set:
@@ -279,7 +277,7 @@ def test_a_constellation_chooses_among_few_targets(as_set):
 @pytest.mark.parametrize("name", ["AEOS-v1", "AEOSConstellation-v1"])
 @pytest.mark.parametrize("as_set", [False, True])
 def test_the_benchmark_divides_angles_by_a_quarter_turn_and_has_a_larger_buffer(name, as_set):
-    envs = [make(name, as_set=as_set, benchmark=flag, num_envs=1, dtype=torch.float64, backend="eager") for flag in (False, True)]
+    envs = [make(name, as_set=as_set, benchmark=flag, num_envs=1, dtype=torch.float64) for flag in (False, True)]
     views = []
     for env in envs:
         td = env.reset()

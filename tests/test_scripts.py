@@ -97,7 +97,7 @@ STARTS: dict[str, list[Start]] = {
     ],
     "benchmarks/inspection_rules.py": [
         Start(
-            "--episodes 2 --time-limit 700 --backend eager",
+            "--episodes 2 --time-limit 700",
             r"\| RSOInspection-v1 \| survey \| waypoints \| 0.0% \| nan \|",
         ),
     ],
@@ -133,7 +133,7 @@ STARTS: dict[str, list[Start]] = {
     ],
     "benchmarks/services.py": [
         Start(
-            "--episodes 2 --time-limit 300 --targets 12 --rules rate angle --backend eager",
+            "--episodes 2 --time-limit 300 --targets 12 --rules rate angle",
             r"(?s)\| rate \| [\d.]+ \+- [\d.]+ \| \+0.0 .*\| angle \| ",
         ),
     ],
@@ -151,19 +151,19 @@ STARTS: dict[str, list[Start]] = {
     ],
     "benchmarks/aeos_bench.py": [
         Start(
-            "--cases 2 --batch 2 --time-limit 60 --satellites 2 3 --tasks 50 60 --backend eager",
+            "--cases 2 --batch 2 --time-limit 60 --satellites 2 3 --tasks 50 60",
             r"(?s)\| nearest_task \| [\d.]+ \+- [\d.]+ \| \+0.0 .*\| soonest_task \| .*\| bound \| ",
         ),
     ],
     "benchmarks/teams.py": [
         Start(
-            "--episodes 2 --time-limit 300 --targets 12 --only three-local walker-centralized --backend eager",
+            "--episodes 2 --time-limit 300 --targets 12 --only three-local walker-centralized",
             r"(?s)\| three-local \| [\d.]+ \+- [\d.]+ \| .*\| walker-centralized \| ",
         ),
     ],
     "benchmarks/crews.py": [
         Start(
-            "--episodes 2 --time-limit 300 --targets 12 --rules prompt --backend eager",
+            "--episodes 2 --time-limit 300 --targets 12 --rules prompt",
             r"(?s)\| prompt \| [\d.]+ \+- [\d.]+ \| .*\| \+0.0 \+- 0.0 \|",
         ),
     ],
@@ -192,7 +192,7 @@ STARTS: dict[str, list[Start]] = {
             r"(?s)\| rule \|  \| 2 \| .*\| tree search \| budget=12 \| 1 \| [\d.]+ \+- \w+ \|",
         ),
         Start(
-            "--presets AEOS-v1 --lines multipliers MILP --limit 600 --episodes 2 --least 2 --core-seconds 0 --timing-seconds 0 "
+            "--presets AEOS-v1 --lines multipliers MILP --limit 300 --episodes 2 --least 2 --core-seconds 0 --timing-seconds 0 "
             "--dearest 0",
             r"(?s)\| MILP \| seconds=\d+ \| 2 \| .*\| multipliers \| iterations=3 \| 2 \| ",
         ),

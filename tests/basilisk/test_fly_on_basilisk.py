@@ -68,8 +68,9 @@ def test_a_start_leaves_nothing_to_draw_and_is_plain(flown):
     assert len({start.world_args["utc_init"] for start in starts}) == len(SEEDS)
 
 
+@pytest.mark.compiled
 def test_a_start_of_targets_has_them_in_their_order():
-    env = Flyer("random", "AEOS-v1", {}).environment(2, n_targets=(4, 9), backend="eager", time_limit=30.0)
+    env = Flyer("random", "AEOS-v1", {}).environment(2, n_targets=(4, 9), time_limit=30.0)
     starts, _ = fly_here(env, random_action, range(2))
     assert len(starts) == 2
     for row, start in enumerate(starts):

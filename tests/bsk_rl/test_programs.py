@@ -128,11 +128,12 @@ def test_arguments_that_models_keep_can_be_read(env):
         model.maxWheelSpeed = 3.0
 
 
+@pytest.mark.compiled
 def test_the_shadow_factor_is_read_from_its_message():
     class Long(Drifter):
         action_spec = [act.Drift(duration=600.0)]
 
-    night = SatelliteTasking(Long("D"), time_limit=12000.0, backend="eager")
+    night = SatelliteTasking(Long("D"), time_limit=12000.0)
     night.reset(seed=3)
     factors, expected = [], []
     for _ in range(10):

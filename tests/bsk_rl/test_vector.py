@@ -31,7 +31,7 @@ class Noisy(sats.Satellite):
         obs.SatProperties(dict(prop="r_BN_N"), dict(prop="noise", fn=lambda satellite: np.random.rand())),
         obs.Time(),
     ]
-    action_spec = [act.Drift(duration=60.0), act.Charge(duration=30.0)]
+    action_spec = [act.Drift(duration=20.0), act.Charge(duration=10.0)]
     dyn_type = dyn.BasicDynamicsModel
     fsw_type = fsw.BasicFSWModel
 
@@ -39,7 +39,7 @@ class Noisy(sats.Satellite):
 def single(**options):
     if "num_envs" in options:
         options = {"vectorize": "episodes", **options}
-    return SatelliteTasking(Noisy("Noisy"), time_limit=lambda: np.random.uniform(90.0, 200.0), backend="eager", **options)
+    return SatelliteTasking(Noisy("Noisy"), time_limit=lambda: np.random.uniform(30.0, 66.0), backend="eager", **options)
 
 
 @pytest.fixture(scope="module")
@@ -131,9 +131,9 @@ def test_attributes_and_methods_of_the_environments(vector):
     vector.reset(seed=SEED)
     assert [found.name for found in vector.call("get_satellite", "Noisy")] == ["Noisy"] * N
     assert len({id(found) for found in vector.get_attr("satellite")}) == N
-    vector.set_attr("max_step_duration", [10.0, 20.0, 30.0])
+    vector.set_attr("max_step_duration", [4.0, 8.0, 12.0])
     vector.reset(seed=SEED)
-    np.testing.assert_allclose(vector.step(np.zeros(N, dtype=int))[4]["d_ts"], [10.0, 20.0, 30.0])
+    np.testing.assert_allclose(vector.step(np.zeros(N, dtype=int))[4]["d_ts"], [4.0, 8.0, 12.0])
     vector.set_attr("max_step_duration", 1e9)
 
 
@@ -151,7 +151,7 @@ def test_one_environment_of_the_vector_form_has_its_dimension_too():
 
 def test_several_satellites_of_one_agent():
     def make(**options):
-        return GeneralSatelliteTasking([Noisy("A"), Noisy("B")], time_limit=100.0, backend="eager", **options)
+        return GeneralSatelliteTasking([Noisy("A"), Noisy("B")], time_limit=35.0, backend="eager", **options)
 
     vector = make(num_envs=2)
     observations, infos = vector.reset(seed=SEED)
@@ -182,14 +182,14 @@ class Spent(data.ResourceReward):
 
 def constellation(**options):
     args = dict(
-        batteryStorageCapacity=1000.0, storedCharge_Init=lambda: np.random.uniform(100.0, 900.0), basePowerDraw=-2.0, oe=None,
+        batteryStorageCapacity=1000.0, storedCharge_Init=lambda: np.random.uniform(100.0, 900.0), basePowerDraw=-6.0, oe=None,
         rN=[7e6, 0.0, 0.0], vN=[0.0, 7.5e3, 0.0],
     )  # fmt: skip
     return ConstellationTasking(
         [Weak("A", args), Weak("B", args)],
         rewarder=Spent(resource_fn=lambda satellite: satellite.dynamics.battery_charge),
         communicator=comm.FreeCommunication(),
-        time_limit=300.0,
+        time_limit=100.0,
         backend="eager",
         **options,
     )

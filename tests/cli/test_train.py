@@ -8,6 +8,7 @@ import pytest
 from bsk_torch.rl.training.config import PPOConfig, load_config
 from bsk_torch.rl.training.log import read_log
 from bsk_torch.rl.training.workers import Cores
+from tests.support.programs import forked_processes
 
 pytestmark = pytest.mark.compiled
 
@@ -95,7 +96,8 @@ def test_the_number_of_processes_is_chosen_and_kept(run, tmp_path, monkeypatch, 
     config = load_config(tmp_path / "config.yaml", PPOConfig)
     assert (config.collector, config.workers) == ("multi", 2)
     monkeypatch.setattr("bsk_torch.rl.training.workers.available_cores", lambda: Cores(1, "1 available core"))
-    again = run("train", tmp_path, "--resume", "frames=256", *SHORT[4:])
+    with forked_processes():
+        again = run("train", tmp_path, "--resume", "frames=256", *SHORT[4:])
     assert again.exit_code == 0, again.output
     assert "workers=2 is more than 1 available core: the processes share them; workers=1 is as fast" in caplog.text
     assert read_log(tmp_path / "log.csv")["frames"] == [128, 256]

@@ -161,7 +161,7 @@ class Measured(data.NoReward):
 
 def test_measures_of_parts_are_numbered_and_shown_in_evaluations():
     half = torch.full((N,), 0.5, dtype=torch.float64)
-    env = make([Measured(half), Measured(2.0 * half), data.NoReward()], env_ids=[0] * N, backend="eager")
+    env = make([Measured(half), Measured(2.0 * half), data.NoReward()], env_ids=[0] * N)
     result = evaluate(rule("random", env), env, seeds=[0, 1, 2, 3])
     assert {name: value.tolist() for name, value in result.measures.items()} == {"share": [0.5] * 4, "share_2": [1.0] * 4}
     assert result.summary()["measures"]["share_2"]["mean"] == 1.0
@@ -194,7 +194,7 @@ def test_rejects_choices_and_counters_that_do_not_fit():
         def counts(self):
             return super().counts() | {"imaged": self.memory["duplicates"]}
 
-    made = lambda rewarder: bsk_torch.make("AEOS-v1", n_targets=300, time_limit=600.0, backend="eager", rewarder=rewarder)
+    made = lambda rewarder: bsk_torch.make("AEOS-v1", n_targets=300, time_limit=600.0, rewarder=rewarder)
     table = [
         refusal(lambda: made(All()), TypeError, "All.selectable()", [1, 300], [1, 1, 300]),
         refusal(lambda: made(Twice()), ValueError, "counts()", "'imaged'"),

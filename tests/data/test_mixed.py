@@ -206,11 +206,12 @@ class LimitedTeam(Team):
     limited = True
 
 
+@pytest.mark.compiled
 def test_rewards_outside_of_a_channel_are_errors():
     def first_step(rewarder: data.GlobalReward) -> torch.Tensor:
         channels = {"none": data.NoReward(), "team": rewarder}
         reward = data.MixedReward(channels, {"none": ["EO", "Scout"], "team": ["Scout"]})
-        env = environment([imager("EO"), imager("Scout")], scenario=targets(), rewarder=reward, backend="eager")
+        env = environment([imager("EO"), imager("Scout")], scenario=targets(), rewarder=reward)
         return torch.cat([value[0] for value in fly(env, 1).values()], 1)
 
     message = (

@@ -149,10 +149,11 @@ def test_the_interval_of_a_share_shrinks_with_what_the_gains_have_in_common(dist
     assert abs(noisy.mean - 0.3) < noisy.half_width == pytest.approx(1.96 * 0.1 / 400**0.5 / 1.5, rel=0.15)
 
 
+@pytest.mark.compiled
 def test_the_nominal_box_is_the_preset(adversary):
-    preset = bsk_torch.make("NadirScan-v1", num_envs=512, backend="eager", seed=SEED)
+    preset = bsk_torch.make("NadirScan-v1", num_envs=512, seed=SEED)
     boxed = adversary.arguments(adversary.uniform(adversary.NOMINAL))
-    same = bsk_torch.make("NadirScan-v1", num_envs=512, sat_args=boxed, backend="eager", seed=SEED)
+    same = bsk_torch.make("NadirScan-v1", num_envs=512, sat_args=boxed, seed=SEED)
     for env in (preset, same):
         env.reset()
     for name in (*boxed, "oe"):

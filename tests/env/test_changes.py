@@ -343,10 +343,11 @@ WRONG = {
 """Arguments of satellites and of the world that fit the first two environments of four, not all, and the errors."""
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("case", WRONG)
 def test_wrong_rows_are_rejected_when_they_are_given(case):
     sat_args, world_args, message = WRONG[case]
-    options = {"num_envs": ROWS, "seed": 0, "backend": "eager", "time_limit": 600.0}
+    options = {"num_envs": ROWS, "seed": 0, "time_limit": 600.0}
     with pytest.raises(ValueError, match=message):
         bsk_torch.make("NadirScan-v1", sat_args=sat_args, world_args=world_args, **options)
     env, other = (bsk_torch.make("NadirScan-v1", **options) for _ in range(2))

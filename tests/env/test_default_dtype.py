@@ -3,6 +3,9 @@
 import ast
 import dataclasses
 import hashlib
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -14,13 +17,14 @@ from bsk_torch.rl.policies import pretrained
 from bsk_torch.rl.training import train
 from tests.env.default_dtype import CASES, Made
 from tests.rl.test_training import TINY, weights
-from tests.support.programs import run_script
 
 PROGRAM = Path(__file__).with_name("default_dtype.py")
 
 TYPES = "bfloat16", "float16", "float64"
 
 PACKAGE = Path(bsk_torch.__file__).parent
+
+ROOT = Path(__file__).parents[2]
 
 SOME, FEW = ["scanning", "scanning, eager", "imaging", "constellation", "inspection"], ["imaging"]
 
@@ -48,7 +52,9 @@ def played(tmp_path_factory):
         missing = [case for case in cases if (dtype, case) not in known]
         if missing:
             folder = tmp_path_factory.mktemp(dtype)
-            done = run_script(PROGRAM, dtype, "found.pt", *missing, folder=folder, environment={"OMP_NUM_THREADS": "1"})
+            command = [sys.executable, str(PROGRAM), dtype, "found.pt", *missing]  # imports the package under the type
+            surroundings = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+            done = subprocess.run(command, cwd=folder, env=surroundings, capture_output=True, text=True, check=False)
             assert done.returncode == 0, done.stderr[-2000:]
             known.update({(dtype, case): found for case, found in torch.load(folder / "found.pt").items()})
         return {case: known[dtype, case] for case in cases}

@@ -130,12 +130,13 @@ def of_satellites(env: ConstellationTasking, td: TensorDict, row: int) -> dict[s
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("satellites", [imagers, mixed])
 def test_satellites_that_are_present_are_as_if_the_others_did_not_exist(satellites, backend) -> None:
+    steps = 8 if backend == "compiled" else 4  # the eager back end is slow, and decides alike: see below
     env = build(satellites(5), backend=backend)
-    whole = history(env, 8)
+    whole = history(env, steps)
     assert whole
     for row, number in enumerate(NUMBERS):
         alone = build(satellites(number), scene.UniformTargets, num_envs=1, env_ids=[row], backend=backend)
-        for one, many in zip(history(alone, 8), whole, strict=True):
+        for one, many in zip(history(alone, steps), whole, strict=True):
             theirs, mine = of_satellites(alone, one, 0), of_satellites(env, many, row)
             for name, leaves in theirs.items():
                 for leaf, value in leaves.items():
@@ -519,7 +520,7 @@ def masks(before: list[list[int]], after: list[list[int]]) -> TensorDict:
 
 class Collider(sats.Satellite):
     observation_spec = (obs.SatProperties(dict(prop="r_BN_P", norm=7e6)),)
-    action_spec = (act.Drift(duration=300.0),)
+    action_spec = (act.Drift(duration=100.0),)
     dyn_type = (dyn.ConjunctionDynModel, dyn.BasicDynamicsModel)
     fsw_type = fsw.BasicFSWModel
 
@@ -530,17 +531,19 @@ class Watcher(Collider):
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_nothing_meets_an_absent_satellite_or_sees_it(backend) -> None:
-    """The third satellite would be at the first one's place; the first two meet."""
+    """The third satellite would be at the first one's place; the first two meet after four minutes, in the third step."""
 
     class WithoutThird(scene.UniformNadirScanning):
         def present(self, key: Key, names: Sequence[str]) -> Tensor:
             return torch.tensor([True, True, False]).expand(len(key), -1)
 
     radius, speed = 7e6, (3.986004418e14 / 7e6) ** 0.5
+    far, near = radius * 0.75**0.5, radius * 0.5
+    fast, slow = speed * 0.75**0.5, speed * 0.5
     places = [
-        ([radius, 0.0, 0.0], [0.0, speed, 0.0]),
-        ([0.0, radius, 0.0], [speed, 0.0, 0.0]),
-        ([radius, 0.0, 0.0], [0.0, speed, 0.0]),
+        ([far, near, 0.0], [-slow, fast, 0.0]),
+        ([near, far, 0.0], [fast, -slow, 0.0]),
+        ([far, near, 0.0], [-slow, fast, 0.0]),
     ]
     steady = dict(conjunction_radius=2e4, sigma_init=[0.1, 0.0, 0.0], omega_init=[0.0, 0.0, 0.01], wheelSpeeds=[0.0, 1.0, 2.0])
     steady |= dict(storedCharge_Init=2e5, disturbance_vector=[0.0, 0.0, 1e-4])

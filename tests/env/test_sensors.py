@@ -50,7 +50,7 @@ def fly(env, steps, rule="local"):
 @pytest.mark.parametrize(("name", "peers"), [("ThreeSensors-v1", 2), ("Walker4-v1", 3)])
 def test_candidates_are_observed_as_a_set(name, peers):
     """The same numbers as in one vector, by which the same rule decides alike."""
-    options = dict(information="radio", order="priority_per_second", backend="eager")
+    options = dict(information="radio", order="priority_per_second")
     sets, vectors = sensors(name, as_set=True, **options), sensors(name, **options)
     (group,) = sets.group_map
     td, other = sets.reset(), vectors.reset()
@@ -87,7 +87,7 @@ def test_the_prompt_rule_images_what_pays_most_per_second():
 @pytest.mark.parametrize(("name", "peers"), [("ThreeSensors-v1", 2), ("Walker4-v1", 3)])
 def test_the_outlook_is_added_to_the_set(name, peers):
     """With the time, and what the scenario expects of images."""
-    options = dict(information="radio", as_set=True, backend="eager", time_limit=1800.0)
+    options = dict(information="radio", as_set=True, time_limit=1800.0)
     plain, ahead = sensors(name, **options), sensors(name, outlook=True, **options)
     (group,) = ahead.group_map
     seen, other = (fly(env, 3, "prompt")[group, "observation"] for env in (ahead, plain))

@@ -38,7 +38,7 @@ def everything(env) -> Candidates:
 
 
 def test_the_task_is_that_of_the_study():
-    env = bsk_torch.make("Services-v1", num_envs=64, seed=1, backend="eager")
+    env = bsk_torch.make("Services-v1", num_envs=64, seed=1)
     td = env.reset()
     assert td["observation"].shape == (64, 124)
     assert env.satellite.action_description == [
@@ -441,7 +441,7 @@ def test_the_outlook_is_observed_and_ranks_candidates():
 def test_the_shield_leaves_actions_that_can_bring_something(images):
     """Images that promise something while the store has room, and downlinks while there is something in it."""
     stored = dict(storageInit=images * IMAGE)
-    env = make(16, as_set=True, outlook=True, shielded=True, sat_args=stored, backend="eager")
+    env = make(16, as_set=True, outlook=True, shielded=True, sat_args=stored)
     td = env.reset()
     rows, legal = td["observation", "rso_targets", "rows"], td["action_mask"]
     promising = rows[..., -1] > 0.0

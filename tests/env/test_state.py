@@ -190,9 +190,10 @@ def test_a_tensor_that_is_not_declared_is_found():
     assert {name.split(".")[-1] for name in strays(env)} == {"stray"}
 
 
+@pytest.mark.compiled
 def test_nested_observations_after_a_restored_state_are_looked_through_for_nan():
     """Leaves of a set have the batch alone as their shape, too; the first step after a restored state looks at all of them."""
-    env = bsk_torch.make("AEOS-v1", num_envs=2, n_targets=100, as_set=True, time_limit=600.0, backend="eager")
+    env = bsk_torch.make("AEOS-v1", num_envs=2, n_targets=100, as_set=True, time_limit=600.0)
     env.reset()
     env.restore(env.get_state().to_dict(), torch.arange(2))
     following = env.play(torch.zeros(2, dtype=torch.int64), torch.ones(2, dtype=torch.bool))

@@ -10,9 +10,10 @@ from bsk_torch.rl.evaluation.evaluate import start_episodes
 SEEDS = torch.tensor([0, 7, 2**33 + 1, 2**52 + 5, 7])
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("preset", ["NadirScan-v1", "FaultyScan-v1", "AEOSPower-v1", "Constellation-v1"])
 def test_draws_without_a_reset_are_those_of_a_reset(preset):
-    env = bsk_torch.make(preset, num_envs=len(SEEDS), env_ids=[0] * len(SEEDS), time_limit=300.0, backend="eager")
+    env = bsk_torch.make(preset, num_envs=len(SEEDS), env_ids=[0] * len(SEEDS), time_limit=300.0)
     env.reset()
     before = drawn_arguments(env)[1].clone()
     names, drawn = drawn_of_seeds(env, SEEDS)

@@ -11,7 +11,7 @@ import torch
 from bsk_torch.rl.training import PPOConfig
 from bsk_torch.rl.training.trainer import Training
 
-pytestmark = pytest.mark.compiled
+pytestmark = [pytest.mark.compiled, pytest.mark.usefixtures("forked")]
 
 SMALL = dict(num_envs=4, rollout=8, minibatch=16, epochs=2, hidden=(16,), seconds=None, evaluate_every=0)
 

@@ -164,9 +164,10 @@ def test_normaliser_is_bounded_and_survives_constants():
 # -- from environments, and files -------------------------------------------------------------------------------------
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize(("preset", "first"), [("AEOS-v1", 0), ("AEOSPower-v1", 3)])
 def test_a_plan_finds_the_set_and_the_images(preset, first):
-    env = bsk_torch.make(preset, num_envs=2, seed=0, backend="eager", n_targets=50, as_set=True)
+    env = bsk_torch.make(preset, num_envs=2, seed=0, n_targets=50, as_set=True)
     plan = AttentionPlan.of(env, (32,))
     assert plan.set_key == ("observation", "target")
     assert plan.images == (first, first + 32)

@@ -178,9 +178,10 @@ def test_tours_are_worth_what_their_images_are():
 # -- in environments --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("preset", ["AEOS-v1", "AEOSPower-v1"])
 def test_rules_act_the_same_on_vectors_and_sets(preset):
-    options = {"num_envs": 16, "seed": 0, "backend": "eager", "n_targets": 200}
+    options = {"num_envs": 16, "seed": 0, "n_targets": 200}
     vector, nested = (bsk_torch.make(preset, as_set=as_set, **options) for as_set in (False, True))
     one, other = vector.reset(), nested.reset()
     for name in ("greedy", "nearest", "hasty", "farsighted"):

@@ -69,8 +69,9 @@ def test_imager_rule_leaves_what_is_urgent(level, charge, allowed):
     assert names(mask[0]) == allowed
 
 
+@pytest.mark.compiled
 def test_imager_rule_fits_the_observations_of_services():
-    env = bsk_torch.make("Services-v1", num_envs=2, backend="eager")
+    env = bsk_torch.make("Services-v1", num_envs=2)
     td = shield(RULES["imager"], env)(env.reset())
     assert td["action_mask"].all()
 

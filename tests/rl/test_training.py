@@ -20,7 +20,7 @@ from bsk_torch.rl.training.log import COLUMNS, EVALUATED, EVALUATIONS, LOG, read
 from bsk_torch.rl.training.trainer import CHECKPOINT, Training, read_checkpoint
 from tests.support.refusals import check_refusals, refusal
 
-pytestmark = pytest.mark.compiled
+pytestmark = [pytest.mark.compiled, pytest.mark.usefixtures("forked")]
 
 SHORT = {"time_limit": 1200.0}
 
@@ -180,7 +180,9 @@ class Failing(Losing):
 
 def test_rejects_code_that_fails_in_a_process(tmp_path):
     out = tmp_path / "run"
-    check_refusals([refusal(lambda: Failing(SEVERAL, out).run(), RuntimeError, "process", "experience", out)])
+    check_refusals(
+        [refusal(lambda: Failing(dataclasses.replace(SEVERAL, workers=1), out).run(), RuntimeError, "process", "experience", out)]
+    )
 
 
 @pytest.mark.ray

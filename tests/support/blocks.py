@@ -15,7 +15,7 @@ from bsk_torch.cli import app
 ROOT = Path(__file__).parents[2]
 
 SHORT = {
-    "train": "--frames 32 num_envs=2 rollout=8 evaluate_every=16 evaluate_episodes=2 --episodes 2 --time-limit 300",
+    "train": "--frames 32 num_envs=2 rollout=8 evaluate_every=32 evaluate_episodes=2 --episodes 2 --time-limit 120",
     "eval": "--seeds 0:2 --time-limit 300",
     "report": "--episodes 3",
     "export-aeosbench": "--time-limit 60",
@@ -25,7 +25,7 @@ SHORT = {
     "view": "--time-limit 300",
     "schedule": "",
     "explain": "--seeds 0:1",
-    "bench": "--episodes 2",
+    "bench": "--episodes 1",
     "leaderboard": "",
     "dataset": "--seeds 0:4 --time-limit 1200",
     "args": "",

@@ -186,9 +186,9 @@ class Meter:
         return noting
 
     def cpu(self) -> float:
-        """CPU seconds of this process, of its processes that have ended and of scripts, but for compilations."""
+        """CPU seconds of this process, of its processes that have ended and of the fork server, but for compilations."""
         used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-        return sum(use.ru_utime + use.ru_stime for use in used) + sum(programs.WALL) - sum(self.compiled.values())
+        return sum(use.ru_utime + use.ru_stime for use in used) + programs.server_seconds() - sum(self.compiled.values())
 
     @pytest.hookimpl(wrapper=True)
     def pytest_fixture_setup(self, fixturedef: pytest.FixtureDef, request: pytest.FixtureRequest) -> Iterator[None]:

@@ -1,42 +1,58 @@
-"""Starts scripts as programs of their own, without the seconds in which each would import torch.
+"""Starts scripts and processes that collect without the seconds in which each would import torch.
 
 The fork server of the standard library imports the libraries once; each script runs in a fork of it, as ``__main__``.
 """
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import runpy
 import subprocess
 import sys
-import time
-from collections.abc import Mapping
-from multiprocessing import get_context
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from multiprocessing import forkserver, get_context
 from pathlib import Path
 
-LIBRARIES = ["torchrl.collectors", "torchrl.objectives", "matplotlib.pyplot", "bsk_torch", "bsk_torch.cli", "bsk_torch.rl"]
+LIBRARIES = ["torchrl.collectors", "torchrl.objectives", "matplotlib.pyplot", "bsk_torch.cli", "bsk_torch.rl.training.collect"]
 """What the fork server imports: modules that scripts import, and that start no threads and read no changing settings."""
-
-WALL: list[float] = []
-"""Seconds that each script has taken; the CPU time of the fork server's processes is not that of the tests."""
 
 SERVER = get_context("forkserver")
 SERVER.set_forkserver_preload(LIBRARIES)
 
 
+def server_seconds() -> float:
+    """CPU seconds of the fork server and of its processes that have ended, which are no children of the tests' process."""
+    server = forkserver._forkserver._forkserver_pid
+    if server is None or not Path(f"/proc/{server}/stat").exists():
+        return 0.0
+    times = Path(f"/proc/{server}/stat").read_text().rpartition(")")[2].split()[11:15]
+    return sum(map(int, times)) / os.sysconf("SC_CLK_TCK")
+
+
 def run_script(script: Path, *arguments: str, folder: Path, environment: Mapping[str, str]) -> subprocess.CompletedProcess[str]:
     """Run a script of Python in a folder, with additions to the environment; returns its exit status and what it wrote."""
     files = folder / "stdout.txt", folder / "stderr.txt"
-    begin = time.perf_counter()
     process = SERVER.Process(target=_play, args=(script, arguments, folder, dict(environment), *files))
     process.start()
     process.join()
-    WALL.append(time.perf_counter() - begin)
     written = [file.read_text() if file.exists() else "" for file in files]
     for file in files:
         file.unlink(missing_ok=True)
     assert process.exitcode is not None
     return subprocess.CompletedProcess([str(script), *arguments], process.exitcode, *written)
+
+
+@contextmanager
+def forked_processes() -> Iterator[None]:
+    """Let TorchRL start its processes as forks of the server, in place of new interpreters."""
+    method = multiprocessing.get_start_method(allow_none=True)
+    multiprocessing.set_start_method("forkserver", force=True)
+    try:
+        yield
+    finally:
+        multiprocessing.set_start_method(method, force=True)
 
 
 def _play(script: Path, arguments: tuple[str, ...], folder: Path, environment: dict[str, str], *files: Path) -> None:
@@ -47,4 +63,5 @@ def _play(script: Path, arguments: tuple[str, ...], folder: Path, environment: d
     os.environ.update(environment)
     sys.path[:0] = [str(script.parent), *environment.get("PYTHONPATH", "").split(os.pathsep)]
     sys.argv = [str(script), *arguments]
+    multiprocessing.set_start_method("forkserver", force=True)  # for the script's own processes
     runpy.run_path(str(script), run_name="__main__")

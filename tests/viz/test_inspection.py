@@ -200,7 +200,7 @@ def test_recording_changes_nothing():
 
 def test_rules_of_the_preset_are_recorded_and_drawn(tmp_path):
     """Manoeuvres are those of the rule; the tank of ten metres per second shows them."""
-    env = bsk_torch.make("RSOInspection-v1", num_envs=1, time_limit=1300.0, backend="eager")
+    env = bsk_torch.make("RSOInspection-v1", num_envs=1, time_limit=1300.0)
     episode = record(bsk_torch.rule("circumnavigate", env), env, seed=1)
     assert type(episode) is pictures.InspectionEpisode
     assert episode.decisions.tolist()[:2] == [0.0, 600.0]

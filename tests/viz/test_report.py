@@ -141,8 +141,9 @@ class Counting(TensorDictModuleBase):
         return now.update({"action": torch.ones_like(count), "next": {"count": count}})
 
 
+@pytest.mark.compiled
 def test_a_policy_remembers_while_it_is_recorded():
-    env = bsk_torch.make("NadirScan-v1", num_envs=1, time_limit=300.0, backend="eager")
+    env = bsk_torch.make("NadirScan-v1", num_envs=1, time_limit=300.0)
     seen = []
     policy = Counting()
     policy.register_forward_hook(lambda module, given, told: seen.append(int(told["next", "count"])))
@@ -179,12 +180,13 @@ def folder(env, tmp_path):
     return tmp_path
 
 
+@pytest.mark.compiled
 def test_the_command_plays_and_shows_three_episodes(call, folder):
     (folder / "report.html").write_text("old")
     results = {"trained": {"return": {"mean": 0.5, "half_width": 0.1}}}
     (folder / "evaluation.json").write_text(json.dumps(results))
     (folder / "log.csv").write_text("frames,seconds,simulated_days,return\n10,1,2,0.25\n20,2,4,0.5\n")
-    result = call(folder, "--episodes", 3, "--backend", "eager")
+    result = call(folder, "--episodes", 3)
     assert result.exit_code == 0, result.output
     assert "report.html (" in " ".join(result.output.split())
     assert (folder / "report.html").resolve().as_uri() in result.output

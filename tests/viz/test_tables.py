@@ -13,8 +13,9 @@ from bsk_torch.viz.episodes import record
 from bsk_torch.viz.table import Tasks, satellite_columns
 
 
+@pytest.mark.compiled
 def test_an_episode_is_a_table(tmp_path):
-    env = bsk_torch.make("NadirScan-v1", num_envs=1, time_limit=900.0, backend="eager")
+    env = bsk_torch.make("NadirScan-v1", num_envs=1, time_limit=900.0)
     episode = record(bsk_torch.rule("rule", env), env, seed=3)
     table = episode.to_numpy()
     rows = len(episode.times)
@@ -33,8 +34,9 @@ def test_an_episode_is_a_table(tmp_path):
     assert read[-1]["action"] == ""
 
 
+@pytest.mark.compiled
 def test_an_episode_of_a_constellation_is_a_table(tmp_path):
-    env = bsk_torch.make("RelayConstellation-v1", num_envs=2, time_limit=600.0, backend="eager")
+    env = bsk_torch.make("RelayConstellation-v1", num_envs=2, time_limit=600.0)
     episode = record(bsk_torch.rule("random", env), env, seed=3)
     table = episode.to_numpy()
     names, steps = env.fleet.names, len(episode.times)
@@ -72,9 +74,10 @@ def test_satellites_without_a_quantity_have_nan():
     assert np.isnan(table["reward"][3:]).all()
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("actions", ["thrust", "waypoints"])
 def test_an_inspection_is_a_table(actions):
-    env = bsk_torch.make("MultiInspection-v1", num_envs=1, time_limit=3000.0, backend="eager", actions=actions)
+    env = bsk_torch.make("MultiInspection-v1", num_envs=1, time_limit=3000.0, actions=actions)
     episode = record(bsk_torch.rule("random", env), env, seed=1)
     table, rows = episode.to_numpy(), len(episode.decisions) * len(episode.names)
     assert {len(column) for column in table.values()} == {rows}

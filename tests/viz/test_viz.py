@@ -24,7 +24,7 @@ PNG = b"\x89PNG"
 
 @pytest.fixture(scope="module")
 def episode():
-    env = bsk_torch.make("NadirScan-v1", num_envs=1, seed=0, backend="eager", time_limit=700.0)
+    env = bsk_torch.make("NadirScan-v1", num_envs=1, seed=0, time_limit=700.0)
     return record_episode(scan_rule(env), env, seed=1)
 
 
@@ -63,7 +63,7 @@ def regrets():
 
 @pytest.mark.parametrize("title", ["", "A title of a policy, a preset and some seeds"])
 def test_figures_fit_a_column_of_a_paper(tmp_path, episode, title):
-    env = bsk_torch.make("NadirScan-v1", num_envs=1, seed=0, backend="eager", time_limit=700.0)
+    env = bsk_torch.make("NadirScan-v1", num_envs=1, seed=0, time_limit=700.0)
     thresholds = torch.linspace(0.0, 1.5, 7)
     fraction = (1.0 - thresholds / 1.5).clamp(0.0, 1.0)
     profiles = dict.fromkeys(("the pretrained policy", "the rule", "random actions"), (fraction, 0.9 * fraction, fraction))

@@ -166,6 +166,12 @@ def test_a_wheel_without_torque_keeps_its_momentum():
     assert float(turned[1][:, 0].abs().max()) > 1e-6
 
 
+@pytest.fixture(scope="module")
+def sound():
+    """A satellite without faults, after the same action."""
+    return fly({}, actions=(CHARGE,)).satellite.dynamics
+
+
 @pytest.mark.parametrize(
     ("fault", "quantity"),
     [
@@ -178,8 +184,9 @@ def test_a_wheel_without_torque_keeps_its_momentum():
     ],
     ids=lambda given: getattr(given, "name", given),
 )
-def test_ready_faults_change_what_they_name(fault, quantity):
-    read = [getattr(fly(args, actions=(CHARGE,)).satellite.dynamics, quantity) for args in ({"faults": [fault]}, {})]
+def test_ready_faults_change_what_they_name(fault, quantity, sound):
+    faulty = fly({"faults": [fault]}, actions=(CHARGE,)).satellite.dynamics
+    read = [getattr(dynamics, quantity) for dynamics in (faulty, sound)]
     as_tensors = [torch.stack(value, -1) if isinstance(value, tuple) else value for value in read]
     assert not torch.allclose(*(torch.as_tensor(value) for value in as_tensors), rtol=1e-6, atol=0.0)
 

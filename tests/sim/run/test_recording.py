@@ -37,7 +37,8 @@ def played(env, steps):
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_recording_changes_nothing_and_shows_what_satellites_are_at_the_ends_of_steps(backend):
     """Across steps and resets; rows that are not recorded are not in it."""
-    plain, env = scan(backend), scan(backend)
+    short = {"time_limit": 50.0, "max_step_duration": 30.0} if backend == "eager" else {}  # whose ticks take milliseconds each
+    plain, env = (scan(backend, **short) for _ in range(2))
     ends, recording = [], None
     for one, other in zip(played(plain, 6), played(env, 6), strict=True):
         for a, b in zip(one, other, strict=True):
@@ -49,7 +50,9 @@ def test_recording_changes_nothing_and_shows_what_satellites_are_at_the_ends_of_
             ends.append(other)
     assert torch.equal(plain.simulator.state.planes, env.simulator.state.planes)
     assert recording["env"].unique().tolist() == [0, 2]
-    assert recording["episode"].unique().tolist() == [0, 1, 2]
+    episodes = recording["episode"].unique().tolist()
+    assert episodes == list(range(len(episodes)))
+    assert len(episodes) > 2
     for ticks, episode, sigma in ends:
         for row in (0, 2):
             data = recording.of(row, int(episode[row]))
