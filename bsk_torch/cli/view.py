@@ -69,7 +69,7 @@ def view(
 def _forwarding(url: str, folder: Path) -> str:
     """Return the address of a private page that leads to ``url``: all users of a machine see the arguments of its programs."""
     page = folder / "open.html"
-    page.write_text(f'<!doctype html><meta http-equiv="refresh" content="0; url={url}"><a href="{url}">the viewer</a>\n')
+    write_file(page, f'<!doctype html><meta http-equiv="refresh" content="0; url={url}"><a href="{url}">the viewer</a>\n')
     return page.as_uri()
 
 

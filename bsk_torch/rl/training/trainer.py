@@ -366,11 +366,11 @@ class Training:
                 raise ValueError(f"it was collected by {len(self.marks)} processes instead of {self.config.processes}")
             if self.config.ahead:
                 self.begun = TensorDict().load_state_dict(saved["begun"], strict=False).refine_names(..., "time")
-            rows = torch.arange(self.config.num_envs // self.config.processes)
+            rows = torch.arange(self.env.num_envs)  # one where processes collect, which restore their rows themselves
             for mark in self.marks:
                 self.env.restore(mark["state"], rows, rows)
                 for name in ("seen", "carried"):
-                    TensorDict(mark[name], [len(rows)])
+                    TensorDict(mark[name], [self.config.num_envs // self.config.processes])
         except (AttributeError, IndexError, KeyError, RecursionError, RuntimeError, TypeError, ValueError) as error:
             reason = str(error).partition("\n")[0] if isinstance(error, ValueError | RuntimeError) else repr(error)
             raise ValueError(f"{str(self.out / CHECKPOINT)!r} does not fit this training: {reason}") from error
