@@ -11,11 +11,11 @@ import functools
 import io
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from math import isfinite
 from pathlib import Path
 from reprlib import repr as _short
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, cast
 
 import torch
 from annotated_types import Interval, Predicate
@@ -110,7 +110,7 @@ def parse_json(content: bytes, schema: type[Schema]) -> Schema:
     from pydantic import ValidationError
 
     try:
-        return _root(schema).model_validate_json(content).root
+        return _root(cast(Hashable, schema)).model_validate_json(content).root
     except ValidationError as error:
         raise ValueError(one_line(_reason(error))) from None
 

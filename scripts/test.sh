@@ -110,6 +110,7 @@ pytest=(.venv/bin/python -m pytest)
 [ "$cores" = 1 ] || pytest+=(-n "$cores" --dist loadgroup --no-loadscope-reorder)
 failed=0
 if [ "$level" = nightly ]; then
+    BSK_TORCH_FUZZ_SECONDS=60 .venv/bin/python -m pytest tests/fuzz/test_files.py || failed=1
     for part in default full nightly; do "${pytest[@]}" --levels "$part" --measure "$@" || failed=1; done
     test_browser || failed=1
     test_basilisk || failed=1

@@ -209,7 +209,7 @@ class Unpickler:
             raise ValueError("the state holds no objects of this version")
         for part in content[1]:
             if not isinstance(part, list) or len(part) < 2 or not isinstance(part[0], str) or part[0] not in READERS:
-                raise ValueError(f"the state holds {str(part)[:80]!r}, which is no kind of object")
+                raise ValueError(f"the state holds {str(part)[:80]!r}, which is not a kind of object")
         return content[0], content[1]
 
     def _class(self, name: object) -> Any:

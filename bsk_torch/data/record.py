@@ -206,7 +206,7 @@ class Record:
             classes: Classes of objects that are saved; see :func:`classes_of`.
 
         Raises:
-            TypeError: For values that are no plain data.
+            TypeError: For values that are not plain data.
         """
         if not self.steps:
             return b""

@@ -129,6 +129,13 @@ def test_damaged_files_are_named_and_left(half, name, damage):
         {"collected": 5},
         {"options": {"time_limit": 9.0}},
         {"hidden": None},
+        {"seed": torch.zeros(3)},
+        {"collected": []},
+        {"progress": (10**30, 0.0, 0.0, 0)},
+        {"progress": (0, float("nan"), 0.0, 0)},
+        {"best": {"return": "x"}},
+        {"best": {"return": 0.0, "waited": "a", "networks": None}},
+        {"best": {"return": 0.0, "waited": 0, "networks": {}}},
     ],
 )
 def test_checkpoints_of_others_are_refused(whole, tmp_path, crafted):
@@ -139,6 +146,15 @@ def test_checkpoints_of_others_are_refused(whole, tmp_path, crafted):
     with pytest.raises(ValueError, match="checkpoint"):
         resume(tmp_path, episodes=0)
     assert contents(tmp_path) == before
+
+
+@pytest.mark.parametrize(("name", "value"), [("betas", "x"), ("eps", float("nan")), ("weight_decay", torch.zeros(3))])
+def test_rejects_other_settings_of_the_optimizer(whole, tmp_path, name, value):
+    saved = load_checksummed(whole / CHECKPOINT, "checkpoint")
+    saved["learner"]["optimiser"]["param_groups"][0][name] = value
+    (tmp_path / CONFIG).write_bytes((whole / CONFIG).read_bytes())
+    save_checksummed(tmp_path / CHECKPOINT, saved)
+    check_refusals([refusal(lambda: resume(tmp_path, episodes=0), ValueError, CHECKPOINT)])
 
 
 def test_rejects_moments_of_another_shape(whole, tmp_path):
