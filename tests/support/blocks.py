@@ -80,7 +80,8 @@ def _run(program: str, *arguments: str) -> None:
     if program == "python":
         assert Path(arguments[0]).name in (ROOT / "tests" / ELSEWHERE[arguments[0]]).read_text()
     elif program == "bsk-torch":
-        result = CliRunner().invoke(app, [*arguments, *SHORT[arguments[0]].split()])
+        seed = ["--seeds", "1"] if arguments[0] == "train" and "--seeds" in arguments else []  # several: tests/cli/test_train.py
+        result = CliRunner().invoke(app, [*arguments, *SHORT[arguments[0]].split(), *seed])
         assert result.exit_code == 0, result.output
     else:
         assert shutil.which(str(ROOT / program)), f"{program} is missing or not executable"
