@@ -50,29 +50,34 @@ Summary = TypedDict(
 """What an evaluation says of a policy; see :meth:`bsk_torch.rl.evaluation.evaluate.Evaluation.summary`."""
 
 
-class Flown(TypedDict):
-    """Episodes that Basilisk has repeated."""
+class Repeated(TypedDict):
+    """Episodes that Basilisk has repeated, and how many are the same."""
 
     same: Count
-    decided: Word
     returns: list[Amount]
+
+
+class Flown(Repeated):
+    """The same with what ``bsk-torch bench`` prints."""
+
+    decided: Word
     largest_difference: Maybe
 
 
 class Returns(TypedDict):
     """A policy in a task, as the leaderboard reads it."""
 
+    returns: Annotated[list[Amount], MinLen(1)]
+    basilisk: NotRequired[Repeated]
+
+
+class Played(Summary):
+    """A policy in a task, as ``bsk-torch bench`` writes it, prints it again, and passes it on."""
+
     __pydantic_config__ = ConfigDict(extra="allow")  # type: ignore[misc]
 
     returns: Annotated[list[Amount], MinLen(1)]
     basilisk: NotRequired[Flown]
-
-
-class Played(Summary, Returns):
-    """A policy in a task, as ``bsk-torch bench`` writes it and prints it again."""
-
-    __pydantic_config__ = ConfigDict(extra="allow")  # type: ignore[misc]
-
     score: NotRequired[Estimate]
     seconds_per_decision: Annotated[float, Interval(ge=0.0)]
 
