@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[1]
 
 FOLDERS = ("benchmarks", "examples", "scripts")
 
-TRAIN = "--frames 32 num_envs=2 rollout=8 evaluate_every=16 evaluate_episodes=2 --episodes 2 --time-limit 300"
+TRAIN = "--frames 32 num_envs=2 rollout=8 evaluate_every=32 evaluate_episodes=2 --episodes 2 --time-limit 120"
 """What makes a training of ``bsk-torch`` short."""
 
 
