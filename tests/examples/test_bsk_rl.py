@@ -9,13 +9,21 @@ import sys
 import pytest
 import torch
 
-from bsk_torch import data, scene
+from bsk_torch import data, obs, scene
 from tests.basilisk import inspection as inspections
 from tests.basilisk import test_manoeuvres as manoeuvres
 from tests.examples.recorded import BY_NAME, FOLDER, Replay, example, load, start
 from tests.examples.scenarios import areas, beliefs, clouds, find_after
 
 pytestmark = pytest.mark.compiled
+
+
+@pytest.fixture(autouse=True)
+def eclipses_as_recorded(monkeypatch):
+    """The examples observe true eclipses, the recordings bsk_rl's, which are on a grid of 30 s."""
+    init = obs.Eclipse.__init__
+    monkeypatch.setattr(obs.Eclipse, "__init__", lambda self, norm=1.0: init(self, norm, as_bsk_rl=True))
+
 
 STEERING = 1e-5
 """Bound of observations with the steering law, whose loop amplifies rounding; 1e-6 without."""
