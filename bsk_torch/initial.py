@@ -38,7 +38,7 @@ def random_tumble(maxSpinRate: float = 0.001) -> tuple[Uniform, Uniform]:
     Args:
         maxSpinRate: Each component of the rate is uniform within this, rad/s.
     """
-    rate = number("maxSpinRate", maxSpinRate, -1e3, 1e3, unit="rad/s")
+    rate = number("maxSpinRate", maxSpinRate, 0.0, 1e3, unit="rad/s")
     return Uniform(0.0, 1.0, 3), Uniform(-rate, rate, 3)
 
 

@@ -422,12 +422,13 @@ ELSEWHERE = {
 """Scripts that other tests start, and where."""
 
 REPLAYED_ONLY = {
+    "scripts/recorders/record_skyfield.py": "tests/sim/access/test_eclipses.py",
     "scripts/recorders/record_afrl_crews.py": "tests/safe_autonomy/test_crews.py",
     "scripts/recorders/record_afrl_docking.py": "tests/safe_autonomy/test_docking.py",
     "scripts/recorders/record_afrl_filters.py": "tests/safe_autonomy/test_filters.py",
     "scripts/recorders/record_afrl_inspection.py": "tests/safe_autonomy/test_inspection.py",
 }
-"""Scripts that no test starts, because they need AFRL's programs and Python 3.10, and what replays their recordings."""
+"""Scripts that no test starts, because they need Skyfield or AFRL's programs, and what replays their recordings."""
 
 STARTED_BY_OTHERS = {
     "benchmarks/basilisk_side.py": "benchmarks/harness.py",

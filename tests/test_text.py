@@ -88,7 +88,9 @@ def test_figures_show_names_as_they_are(tmp_path, name, width):
         performance_profiles(t, {name: (t, t, t), "other": (t, t, t)}, tmp_path / "profiles.svg", name, width)
         deaths_chart({name: {"battery_valid": 3}, "b": {"battery_valid": 4}}, tmp_path / "deaths.svg")
     escaped = escape(visible(name), quote=False)
-    for path in tmp_path.iterdir():
+    pictures = list(tmp_path.iterdir())
+    assert len(pictures) == 2
+    for path in pictures:
         assert escaped in path.read_text()
 
 

@@ -107,7 +107,10 @@ class Image(Action):
         first = not simulator.type.as_bsk_rl and simulator.type.arguments.is_new(f"late windows of {self.name}")
         if not (self.mask_repeated or self.mask_late or first):
             return super().mask()
-        known = self.satellite.find_next_opportunities(self.n_actions, self.kind)
+        if self.mask_repeated:
+            known = self.satellite.find_next_opportunities(self.n_actions, self.kind)
+        else:  # whether there must be any is for observations and decisions to say
+            known = self.satellite.find_next_opportunities(self.n_actions, self.kind, may_see_nothing=True)
         early = known.open < self.satellite.time_limit.unsqueeze(-1)
         if first:
             self._warn_of_late(known.mask & ~early, known.mask)

@@ -106,8 +106,9 @@ FIXED: dict[str, Any] = {
     "groundLocationPlanetRadius": R_EARTH,
     "imageTargetMinimumElevation": math.radians(45.0),
     "imageTargetMaximumRange": -1.0,
+    "inst_pHat_B": [0.0, 0.0, 1.0],
 }
-"""Arguments of satellites that their components may lack, since others replace what reads them."""
+"""Arguments of satellites that only some models of bsk_rl declare, or that components lack because others replace them."""
 
 
 ARRAYS = ("nHat_B",)

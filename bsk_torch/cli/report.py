@@ -177,7 +177,7 @@ def extremes(returns: Tensor) -> dict[str, int]:
 
 def command_of(config: PPOConfig) -> str:
     """The shell command that trains with such a configuration."""
-    limit = ["--minutes", f"{config.seconds / 60.0:g}"] if config.seconds is not None else []
+    limit = ["--minutes", f"{config.clock / 60.0:g}"] if config.clock is not None else []
     limit = limit if config.frames is None else ["--frames", str(config.frames)]
     algorithm = [] if algorithm_of(config) == PPO else ["--algorithm", algorithm_of(config)]
     flags = [*algorithm, "--network", config.network, *limit, "--seed", str(config.seed)]

@@ -83,6 +83,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         max_lookahead: int = MAX_SEGMENTS,
         types: str | Collection[str] | None = None,
         filter: Filter | Collection[int] | None = None,
+        may_see_nothing: bool | None = None,
     ) -> Opportunities:
         """Return the ``n`` opportunities that close next, including those in progress; the last repeated if fewer.
 
@@ -97,6 +98,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
             max_lookahead: Maximum number of segments by which look-ahead is extended, up to 100.
             types: The same as ``type``; one type at a time.
             filter: Filter to use instead of the satellite's, as for :meth:`add_access_filter`; or indices of excluded places.
+            may_see_nothing: Whether there may be none (default: as for the satellite).
 
         Raises:
             RuntimeError: If none is found within a hundred segments, without ``may_see_nothing``; or fewer than ``n``, without
@@ -106,7 +108,8 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         kind = self._kind(type, types)
         if n < 1:
             raise ValueError(f"n={n} opportunities: there must be at least 1")
-        plain = filter is None and max_lookahead == MAX_SEGMENTS
+        plain = filter is None and max_lookahead == MAX_SEGMENTS and may_see_nothing is None
+        may_see_nothing = self.may_see_nothing if may_see_nothing is None else may_see_nothing
         now = self.simulator.state.version, self.simulator.memory.version
         known = self._cache.get((kind, n)) if plain else None
         if known is not None and known[0] == now and (count is None or bool((known[1].found >= count).all())):
@@ -122,9 +125,9 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
             self.allowed(kind) if filter is None else self._accepted(filter, kind),
             wanted,
             self._last_generation(max_lookahead),
-            self.may_see_nothing,
+            may_see_nothing,
         )
-        if self.may_see_nothing:
+        if may_see_nothing:
             windows = self._or_nothing(windows, found)
         opportunities = Opportunities(*windows, self.positions(kind, windows.place), found).of(self, kind)
         if count is None and plain:

@@ -31,7 +31,7 @@ from bsk_torch.sim.fsw.models import IDLE
 from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.orbit.solvers import make_solver
 from bsk_torch.sim.readout.observables import Observer
-from bsk_torch.sim.run.runners import RunInputs, ticks_at_once
+from bsk_torch.sim.run.runners import RunInputs, TickLoop, ticks_at_once
 from bsk_torch.sim.run.trace import Trace
 from bsk_torch.sim.run.tracks import TrackSource, no_samples
 from bsk_torch.sim.satellite_state import SatelliteState
@@ -98,7 +98,6 @@ class Simulator:
         self.orbit, self.has_tank, self.h_ns = satellite_type.orbit, satellite_type.has_tank, satellite_type.h_ns
         self.mode_names, self.flag_table = satellite_type.mode_names, satellite_type.flag_table
         self.scenario_state = DrawTable(num_envs, 1, self.device) if scenario_state is None else scenario_state
-        self.debugged = 0
         self.type, self.tick, self.runners = satellite_type, satellite_type.tick, satellite_type.runners
         self.uniform = satellite_type.uniform
         self.state = SatelliteState(
@@ -140,7 +139,6 @@ class Simulator:
     def change(self, satellite_type: SatelliteType) -> None:
         """Take another type of the same satellites, from :meth:`SatelliteType.changed`; present episodes continue."""
         old, uniform, parameters = self.tick, self.uniform, self.state.parameters
-        self.debugged = 0
         self.type, self.tick, self.runners = satellite_type, satellite_type.tick, satellite_type.runners
         self.uniform = satellite_type.uniform
         if self.tick is not old:
@@ -462,14 +460,13 @@ class Simulator:
             if may_rewind:
                 self._reach(ticks, rows)
             return self._run_in_pieces(ticks, most, trace, followed, rows)
-        if self.type.options.backend == "eager" and self.debugged <= MANY_TICKS:
-            self.debugged += int(ticks.max())
-            if self.debugged > MANY_TICKS:
-                logger.warning(EAGER, MANY_TICKS)
         self._reach(ticks, rows)
         planes = state.planes if rows is None else state.planes[:, rows]
         written = None if trace is None else trace.table[:, 1:]
         flown = self.runners.run(planes, ticks, expected_ticks=expected, written=written, **self._inputs(followed, rows))
+        many = isinstance(self.runners.run, TickLoop) and self.runners.run.ticks_run > MANY_TICKS
+        if many and self.type.options.backend == "eager" and self.type.arguments.is_new("eager"):
+            logger.warning(EAGER, MANY_TICKS)
         if rows is None:
             state.ticks = state.ticks + self._of_present(flown, None)
         else:

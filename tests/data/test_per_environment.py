@@ -535,17 +535,11 @@ def test_rejects_what_needs_the_adapter_and_what_it_does_not_take():
         def after_step(self, sim_time):
             pass
 
-    def read():
-        from bsk_torch.data.base import DataStore
-
-        return DataStore
-
     hooks = "link_satellites", "reset_post_sim_init", "comm.LOSCommunication"
     table = [
         refusal(lambda: crew(data.NoReward(), Ring()), TypeError, "communicator=", "per_environment(communicator)"),
         refusal(lambda: crew(VisitReward()), TypeError, "rewarder=", "bsk_torch.per_environment(rewarder)"),
         refusal(lambda: imaging(data.NoReward(), Bands(40)), TypeError, "scenario=", "bsk_torch.per_environment(scenario)"),
-        refusal(lambda: read(), ImportError, "bsk_torch.bsk_rl.data", "bsk_torch.per_environment"),
         refusal(lambda: per_environment(Counting()), TypeError, "Counting()", "reset_post_sim_init"),
         refusal(lambda: per_environment(one_comm.LOSCommunication()), TypeError, *hooks),
         refusal(lambda: per_environment(Moving(40)), TypeError, "after_step", "regenerate_targets()"),

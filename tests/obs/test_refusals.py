@@ -180,5 +180,6 @@ def test_functions_change_nothing_in_place(how, kept):
     second = played(
         lambda sat: changed(sat.dynamics.battery_charge_fraction, how) + 0.0 * changed(sat.dynamics.r_BN_N, how)[:, 0]
     )
+    assert len(first) == 3
     for a, b in zip(first, second, strict=True):
         assert all(torch.equal(a[name], b[name]) for name in a)

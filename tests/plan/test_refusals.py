@@ -63,7 +63,7 @@ def test_rejects_wrong_options_of_planners(eager):
             refusal(lambda: Rollout(eager, base="hastey"), ValueError, "base", "'hastey'", "'hasty'"),
             refusal(lambda: Rollout(eager, base="hasty"), ValueError, "base", "'hasty'", "environment"),
             refusal(lambda: Rollout("NadirScan-v1"), TypeError, "env", "'NadirScan-v1'", "environment"),
-            refusal(lambda: Rollout(eager, 3), TypeError, "base", "3", "policy"),
+            refusal(lambda: Rollout(eager, 3), TypeError, "policy", "int", "TensorDictModule"),
             refusal(lambda: planner("rolout", eager), ValueError, "planner", "'rolout'", "'rollout'"),
             refusal(lambda: planner("rollout", eager, horizn=3.0), TypeError, "'rollout'", "'horizn'", "'horizon'"),
         ]

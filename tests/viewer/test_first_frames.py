@@ -34,7 +34,9 @@ def test_a_second_frame_shows_what_the_first_has_shown(frames):
 
 @pytest.mark.parametrize("time", TIMES)
 def test_the_map_shows_satellites_where_they_are(frames, time):
-    for satellite, shown in enumerate(frames[f"map {time:g}"][0]["circles"]):
+    circles = frames[f"map {time:g}"][0]["circles"]
+    assert len(circles) == 2
+    for satellite, shown in enumerate(circles):
         x, y, z = states(satellite, np.array([time]))[0][0]
         longitude = np.degrees(np.arctan2(y, x) - ANGLE0 - RATE * time)
         assert shown == pytest.approx([(longitude + 180.0) % 360.0 - 180.0, np.degrees(np.arctan2(z, np.hypot(x, y)))], abs=0.01)

@@ -14,6 +14,6 @@ def test_rejects_what_cannot_be_recorded_or_exported():
     table = [
         refusal(lambda: czml(whole, 9), IndexError, "track=9", "0 to 1"),
         refusal(lambda: czml(earthless), ValueError, "Synthetic-v1", "Earth", ".html"),
-        refusal(lambda: record(joint, lambda td: td), ValueError, "env", "one agent", "satellite"),
+        refusal(lambda: record(joint, lambda td: td), ValueError, "separate agent", "groups"),
     ]
     check_refusals(table)

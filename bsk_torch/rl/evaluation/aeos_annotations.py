@@ -250,7 +250,7 @@ def read_assignments(folder: str | Path, cases: Cases) -> Tensor:
             raise FileNotFoundError(f"{folder}: no {name}.pth and no {name}/{RUNS}")
         crew, jobs = int(cases.present[k].sum()), int((cases.tasks["duration"][k] > 0.0).sum())
         runs = [] if files[name].suffix == ".pth" else _runs(files[name])
-        table = torch.empty(0, len(runs)) if runs else _trajectory(files[name])
+        table = torch.empty(0, len(runs), dtype=torch.float64) if runs else _trajectory(files[name])
         if table.shape[1] != crew:
             raise ValueError(f"{files[name]}: assignments of {table.shape[1]} satellites, but case {name!r} has {crew}")
         if runs:

@@ -316,7 +316,7 @@ def check_setting(name: str, kind: type[PPOConfig]) -> None:
     hint = nearest(name, known)
     if name in TIMES:
         hint = f"seconds={TIMES[name]} limits the training"
-    elif not hint.startswith("did you mean"):
+    elif name.isidentifier() and not hint.startswith("did you mean"):
         hint = f"an option of the environment is written as options.{name}, in Python options={{{name!r}: ...}}"
     raise ValueError(f"unknown setting {name!r}; {hint}")
 

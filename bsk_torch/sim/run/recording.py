@@ -222,7 +222,7 @@ class Recording:
         """
 
         def put(table: Tensor, columns: Tensor) -> None:
-            each = table.view(len(values), -1, *table.shape[1:])[:, kind.numbers]
+            each = table.view(len(values), len(table) // len(values), *table.shape[1:])[:, kind.numbers]
             values[:, :, kind.places, columns] = each.transpose(1, 2)
 
         put(planes[..., kind.planes] if kind.properties else planes, kind.columns)

@@ -164,7 +164,7 @@ class TickLoop:
 
         Planes that are ``recorded`` are written in every tick.
         """
-        self.step, self.stops, self.recorded = step, stops, list(recorded)
+        self.step, self.stops, self.recorded, self.ticks_run = step, stops, list(recorded), 0
 
     def __call__(
         self,
@@ -187,7 +187,9 @@ class TickLoop:
         flags, end, now = flags[:, mode], (ticks + runs).double(), ticks.double()
         samples = *_of_rows([t.table for t in tracks], tracks), *_of_rows([t.start for t in tracks], tracks)
         planes = state
-        for k in range(int(runs.max())):
+        longest = int(runs.max())
+        self.ticks_run += longest
+        for k in range(longest):
             if self.stops and k and k % CHECK_EVERY == 0 and not bool((now < end).any()):
                 break
             now = now + 1.0

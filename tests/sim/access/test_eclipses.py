@@ -131,6 +131,7 @@ def test_next_eclipses_are_those_of_skyfield(solve_arcs):
     """SGP4's orbits from 400 km to the geostationary ring, on which Skyfield looks for the center of the Sun.
 
     Its center is hidden seconds before the umbra begins, and a minute before on high orbits; both are computed on the arcs.
+    The file is from scripts/recorders/record_skyfield.py.
     """
     with Path(__file__).with_name("skyfield_eclipses.csv").open(encoding="utf-8") as file:
         recorded = list(csv.DictReader(line for line in file if not line.startswith("#")))

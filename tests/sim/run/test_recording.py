@@ -174,6 +174,7 @@ def test_properties_are_those_of_the_ends_of_steps(name, backend):
     recording = env.record(read)
     for seed in range(4):
         td = act(env, td, seed)
+        assert env.satellites
         each, last = env.satellites, [recording.of(env_id)[-1:] for env_id in range(3)]
         for prop in read[1:]:
             shown = torch.cat([data[prop].reshape(1, len(env.names), -1) for data in last])
