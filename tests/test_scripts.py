@@ -103,7 +103,7 @@ STARTS: dict[str, list[Start]] = {
     ],
     "benchmarks/manoeuvres.py": [
         Start(
-            "--batches 2 --targets 20 --rounds 1 --drift 2 --backend eager",
+            "--batches 2 --targets 20 --rounds 1 --drift 2",
             r"(?s)\| 2 \| arc \| on \| [\d.]+ \|.*\| 2 \| integrated \| off \| [\d.]+ \|",
         ),
     ],
