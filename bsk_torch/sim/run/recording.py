@@ -55,7 +55,7 @@ class _Type(NamedTuple):
         places: Their places among all recorded satellites, [s, 1].
         planes: Planes of the type's state, [w].
         columns: Places of these planes among the recorded numbers of a satellite, [w].
-        properties: Observables that are computed from the state, with their places among these numbers.
+        properties: Observables, computed from the state, with their places among these numbers.
     """
 
     k: int
