@@ -427,6 +427,7 @@ REPLAYED_ONLY = {
     "scripts/recorders/record_afrl_docking.py": "tests/safe_autonomy/test_docking.py",
     "scripts/recorders/record_afrl_filters.py": "tests/safe_autonomy/test_filters.py",
     "scripts/recorders/record_afrl_inspection.py": "tests/safe_autonomy/test_inspection.py",
+    "scripts/recorders/record_skyfield.py": "tests/sim/access/test_eclipses.py",
 }
 """Scripts that no test starts, because they need Skyfield or AFRL's programs, and what replays their recordings."""
 

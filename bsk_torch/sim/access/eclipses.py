@@ -128,10 +128,9 @@ class EclipseTable(StateTable):
         self.write_rows("starts", rows, starts)
         self.write_rows("ends", rows, ends)
 
-    def missing(self, time: Tensor) -> Tensor:
-        """Return whether an answer of :meth:`next` after ``time`` [N] s may lie beyond the end of the arcs, [N]."""
+    def missing(self, time: Tensor, start: Tensor, end: Tensor) -> Tensor:
+        """Return whether what :meth:`next` has answered, [N] s each, may lie beyond the end of the arcs, [N]."""
         limit = time + self.ahead
-        start, end = self.next(time)
         return (torch.maximum(start, end) >= limit) & (self.arcs.end < limit)
 
     def next(self, time: Tensor) -> tuple[Tensor, Tensor]:

@@ -293,9 +293,11 @@ class LookAhead(StateTable):
         """
         self._check_sight()
         if not (as_bsk_rl or self.as_bsk_rl):
-            while bool((short := self.eclipses.missing(time)).any()):
+            start, end = self.eclipses.next(time)
+            while bool((short := self.eclipses.missing(time, start, end)).any()):
                 self.reach(torch.where(short, self.arcs.end + ARC_SEGMENT, 0.0), time)  # an hour after the other
-            return self.eclipses.next(time)
+                start, end = self.eclipses.next(time)
+            return start, end
         if not self.arcs.restarts:
             found = self.eclipses.query_if_covered(time)
             if found is not None:

@@ -128,7 +128,7 @@ def test_next_eclipses_of_random_orbits_against_brute_force(part, backend):
 
 
 def test_next_eclipses_are_those_of_skyfield(solve_arcs):
-    """SGP4's orbits from 400 km to the geostationary ring, on which Skyfield looks for the center of the Sun.
+    """SGP4's orbits from 400 km to the geostationary ring, on which record_skyfield.py has looked for the center of the Sun.
 
     Its center is hidden seconds before the umbra begins, and a minute before on high orbits; both are computed on the arcs.
     The file is from scripts/recorders/record_skyfield.py.
