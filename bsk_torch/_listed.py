@@ -68,7 +68,7 @@ LISTED: dict[str, Listed] = {
     "Services-v1": Listed(
         ONE,
         "image 200 satellites and debris again and again; quality is verified on the ground",
-        (*SERVICES, "candidate_rate_ahead"),
+        (*SERVICES, "candidate_rate_ahead", "prompt_ahead"),
     ),
     "ThreeSensors-v1": Listed(MANY, "three imagers of objects in orbit, each of which knows only its images", SENSORS),
     "Walker4-v1": Listed(MANY, "four imagers of objects in orbit that tell each other of images by radio", SENSORS),
