@@ -9,6 +9,7 @@ from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.policies.files import SAME_EPISODES, read_card
 from bsk_torch.rl.policies.pretrained import FOLDER, makings, pretrained, pretrained_file
 from bsk_torch.rl.policies.shared_policy import shared
+from tests.support.refusals import check_refusals, refusal
 
 SAME = 0.02
 """Relative: where two actions are equally good to rounding, another processor may take the other one."""
@@ -52,3 +53,15 @@ def test_what_made_them_is_noted():
         assert noted["seconds"] > 0
         assert noted["score"]["episodes"] >= 256
     assert sum(path.stat().st_size for path in FOLDER.iterdir()) < 5e6
+
+
+def test_a_policy_of_another_preset_says_where_it_was_trained():
+    env = bsk_torch.make("NadirScan-v1", num_envs=2, backend="eager")
+    check_refusals(
+        [
+            refusal(lambda: env.rollout(1, pretrained("AEOS-v1")), ValueError, "trained for AEOS-v1 as_set=True"),
+            refusal(lambda: env.rollout(1, pretrained("NadirScience-v1")), ValueError, "NadirScience-v1", "12 numbers"),
+            refusal(lambda: pretrained("HeteroCluster-v1"), ValueError, "'HeteroCluster-v1'", "cooperative"),
+            refusal(lambda: pretrained("AEOS-v2"), ValueError, "is not a preset", "'AEOS-v1'"),
+        ]
+    )
