@@ -422,7 +422,6 @@ ELSEWHERE = {
 """Scripts that other tests start, and where."""
 
 REPLAYED_ONLY = {
-    "scripts/recorders/record_skyfield.py": "tests/sim/access/test_eclipses.py",
     "scripts/recorders/record_afrl_crews.py": "tests/safe_autonomy/test_crews.py",
     "scripts/recorders/record_afrl_docking.py": "tests/safe_autonomy/test_docking.py",
     "scripts/recorders/record_afrl_filters.py": "tests/safe_autonomy/test_filters.py",
