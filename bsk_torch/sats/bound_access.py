@@ -108,7 +108,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         kind = self._kind(type, types)
         if n < 1:
             raise ValueError(f"n={n} opportunities: there must be at least 1")
-        plain = filter is None and max_lookahead == MAX_SEGMENTS and may_see_nothing is None
+        plain = filter is None and max_lookahead == MAX_SEGMENTS
         may_see_nothing = self.may_see_nothing if may_see_nothing is None else may_see_nothing
         now = self.simulator.state.version, self.simulator.memory.version
         known = self._cache.get((kind, n)) if plain else None
@@ -130,7 +130,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         if may_see_nothing:
             windows = self._or_nothing(windows, found)
         opportunities = Opportunities(*windows, self.positions(kind, windows.place), found).of(self, kind)
-        if count is None and plain:
+        if count is None and plain and may_see_nothing == self.may_see_nothing:
             self._cache[(kind, n)] = now, opportunities
         return self._complete(opportunities, pad)
 
