@@ -45,7 +45,13 @@ class SoloTasking:
 
     def __getattr__(self, name: str) -> Any:
         """Return an attribute of the constellation."""
+        if name.startswith("__"):  # methods with which Python copies and pickles are not those of the constellation
+            raise AttributeError(name)
         return getattr(self.team, name)
+
+    def __reduce__(self) -> tuple[type[SoloTasking], tuple[ConstellationTasking]]:
+        """Copy and pickle the constellation alone, which builds its satellites again."""
+        return SoloTasking, (self.team,)
 
     @property
     def observation_spec(self) -> Composite:

@@ -1,5 +1,8 @@
 """The view of a constellation in which one satellite decides, against the constellation itself."""
 
+import copy
+import pickle
+
 import gymnasium
 import numpy as np
 import pytest
@@ -62,3 +65,13 @@ def test_stable_baselines3_trains_the_inspector():
 def test_several_deciding_satellites_have_no_such_view():
     with pytest.raises(TypeError, match="needs a SatelliteTasking"):
         GymEnv("MultiInspection-v1")
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["deepcopy", "pickle"])
+def test_copies_continue_the_same_episode(copied):
+    env = GymEnv(PRESET, **SHORT)
+    env.reset(seed=0)
+    thrust = np.array([0.1, -0.2, 0.3, 400.0], dtype=np.float32)
+    env.step(thrust)
+    other = copied(env)
+    assert env.step(thrust)[0].tolist() == other.step(thrust)[0].tolist()
