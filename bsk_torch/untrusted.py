@@ -23,6 +23,7 @@ from tensordict import TensorDict
 from tensordict._utils_key_json import _encode_key_for_filesystem  # how tensordict names its files
 from torch import Tensor
 
+from bsk_torch._text import visible
 from bsk_torch.sim.names import nearest
 
 Schema = TypeVar("Schema")
@@ -141,7 +142,7 @@ def _reason(error: Any) -> str:
 
 def one_line(text: str) -> str:
     """Return a message with parts of a file on one line, without characters that control a terminal."""
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text.partition("\n")[0])
+    return visible(text.partition("\n")[0], keep="")
 
 
 def _place(parts: tuple[int | str, ...]) -> str:
@@ -274,9 +275,9 @@ def _check_memmap(folder: Path, batch: tuple[int, ...]) -> None:
         for length in whole:
             size *= length
         file = path.with_name(f"{path.name}.memmap")
-        found = file.stat().st_size if file.is_file() else 0
-        if size != found:
-            raise ValueError(f"its entry {name!r:.80} of shape {_short(whole)} has {found:,} bytes instead of {_short(size)}")
+        stored = file.stat().st_size if file.is_file() else 0
+        if size != stored:
+            raise ValueError(f"its entry {name!r:.80} of shape {_short(whole)} has {stored:,} bytes instead of {_short(size)}")
         if not size and all(shape):
             raise ValueError(f"its entry {name!r:.80} of shape {_short(whole)} is empty")
     for path in nested:

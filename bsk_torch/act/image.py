@@ -108,13 +108,13 @@ class Image(Action):
         if not (self.mask_repeated or self.mask_late or first):
             return super().mask()
         if self.mask_repeated:
-            known = self.satellite.find_next_opportunities(self.n_actions, self.kind)
+            offered = self.satellite.find_next_opportunities(self.n_actions, self.kind)
         else:  # whether there must be any is for observations and decisions to say
-            known = self.satellite.find_next_opportunities(self.n_actions, self.kind, may_see_nothing=True)
-        early = known.open < self.satellite.time_limit.unsqueeze(-1)
+            offered = self.satellite.find_next_opportunities(self.n_actions, self.kind, may_see_nothing=True)
+        early = offered.open < self.satellite.time_limit.unsqueeze(-1)
         if first:
-            self._warn_of_late(known.mask & ~early, known.mask)
-        mask = known.mask if self.mask_repeated else super().mask()
+            self._warn_of_late(offered.mask & ~early, offered.mask)
+        mask = offered.mask if self.mask_repeated else super().mask()
         return mask & early if self.mask_late else mask
 
     def _warn_of_late(self, late: Tensor, offered: Tensor) -> None:

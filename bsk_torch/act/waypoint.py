@@ -131,8 +131,8 @@ class HillWaypoint(Action):
             return torch.as_tensor(fibonacci_sphere(waypoints)) * self.distance
         positions = torch.as_tensor(no_gradient(f"{title}waypoints", waypoints), dtype=torch.float64)
         if positions.ndim != 2 or positions.shape[1] != 3 or not len(positions) or not bool(torch.isfinite(positions).all()):
-            given = f"shape {list(positions.shape)}" if bool(torch.isfinite(positions).all()) else "values that are not finite"
-            raise ValueError(f"{title}waypoints must be a number, or finite positions [D, 3] m; they have {given}")
+            fault = f"shape {list(positions.shape)}" if bool(torch.isfinite(positions).all()) else "values that are not finite"
+            raise ValueError(f"{title}waypoints must be a number, or finite positions [D, 3] m; they have {fault}")
         return positions
 
     def link_satellite(self, satellite: BoundSatellite) -> None:

@@ -30,11 +30,11 @@ def entrant_of_user(name: str, texts: Sequence[str] = ()) -> Entrant:
     policies. Any other function is called with the name of the preset, a function that makes its environment, and ``texts``, and
     returns this environment and a policy; see :data:`~bsk_torch.rl.evaluation.suite.Entrant`.
     """
-    found = imported(*name.split(":", 1))
-    if isinstance(found, nn.Module | Model) or first_argument(found) in OBSERVED:
-        return lambda preset, make: (make(), found)
-    check_takes(found, name, texts)
-    return lambda preset, make: found(preset, make, *texts)
+    named = imported(*name.split(":", 1))
+    if isinstance(named, nn.Module | Model) or first_argument(named) in OBSERVED:
+        return lambda preset, make: (make(), named)
+    check_takes(named, name, texts)
+    return lambda preset, make: named(preset, make, *texts)
 
 
 def first_argument(function: Callable[..., object]) -> str | None:
@@ -57,17 +57,17 @@ def imported(module: str, function: str) -> Any:
     if str(Path.cwd()) not in sys.path:
         sys.path.insert(0, str(Path.cwd()))  # where a user's module is, as python -m would find it
     try:
-        found = getattr(loaded := import_module(module), function, None)
+        named = getattr(loaded := import_module(module), function, None)
     except Exception as error:  # a user's module may raise anything
         logger.debug("%s cannot be imported", module, exc_info=error)
         hint = f"; write {module.removesuffix('.py')}:{function}" if module.endswith(".py") else ""
         fail(f"{module}:{function} cannot be imported: {described(error)}{hint}")
-    if found is None:
+    if named is None:
         own = [name for name, value in vars(loaded).items() if getattr(value, "__module__", None) == loaded.__name__]
         fail(f"{module}:{function} cannot be imported: {module} has no {function!r}; {nearest(function, own)}")
-    if not callable(found) and not isinstance(found, Model):
+    if not callable(named) and not isinstance(named, Model):
         fail(f"{module}:{function} is neither a policy nor a function of a preset's name and make")
-    return found
+    return named
 
 
 def check_takes(function: Callable[..., object], title: str, texts: Sequence[str]) -> None:

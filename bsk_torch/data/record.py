@@ -296,12 +296,12 @@ def _is_plain(kind: type) -> bool:
 def _rewarders(given: OneReward) -> Iterator[Any]:
     """Yield a rewarder, and those that it combines, which it keeps as attributes or in containers."""
     waiting: list[Any] = [given]
-    seen = set[int]()
+    walked = set[int]()
     while waiting:
         part = waiting.pop()
-        if id(part) in seen:
+        if id(part) in walked:
             continue
-        seen.add(id(part))
+        walked.add(id(part))
         if isinstance(part, Mapping):
             waiting += part.values()
         elif isinstance(part, list | tuple):

@@ -163,11 +163,11 @@ def open_dataset(folder: Path | str) -> OfflineDataset:
 
 def _loaded(folder: Path, number: str) -> TensorDict:
     """Return the tensordict of a folder; ValueError for other content than tensors, or without the ``number`` of every row."""
-    found = read_memmap(folder)
-    numbers = found.get(number, None)
-    if found.ndim != 1 or numbers is None or numbers.shape != found.shape or numbers.dtype != torch.int64:
+    rows = read_memmap(folder)
+    numbers = rows.get(number, None)
+    if rows.ndim != 1 or numbers is None or numbers.shape != rows.shape or numbers.dtype != torch.int64:
         raise ValueError(f"{str(folder)!r} is no folder of a dataset: it has no {number!r} of every row")
-    return found
+    return rows
 
 
 def _together(parts: list[TensorDict]) -> TensorDict:
