@@ -19,7 +19,7 @@ import torch
 from bsk_torch.basilisk import FLOWN, absent_data, lacking
 from bsk_torch.basilisk import certify as certified
 from bsk_torch.basilisk.aeos_certificate import BENCH, certify_bench
-from bsk_torch.cli.functions import described, entrant_of_user
+from bsk_torch.cli.functions import entrant_of_user, message_of
 from bsk_torch.cli.names import PREFIX, PRETRAINED
 from bsk_torch.cli.planned import named_planner
 from bsk_torch.cli.policies import NamedFunction, NamedPolicy, named_policy
@@ -70,7 +70,7 @@ class Failures(dict[str, dict[str, str]]):
             yield
         except (Exception, SystemExit) as error:
             logger.debug("%s failed", name, exc_info=error)
-            message = described(error)
+            message = message_of(error)
             if not isinstance(error, Failure):  # whose message has been printed
                 print_message(f"{name} failed in {task.title}: {message}")
             self.setdefault(name, {})[task.title] = message

@@ -45,7 +45,7 @@ def first_argument(function: Callable[..., object]) -> str | None:
         return None
 
 
-def described(error: BaseException) -> str:
+def message_of(error: BaseException) -> str:
     """Return the message of an error; its type precedes it unless the message is this package's, or tells what is wrong."""
     return (
         str(error) if isinstance(error, (TypeError, ValueError, Failure)) and str(error) else f"{type(error).__name__}: {error}"
@@ -61,7 +61,7 @@ def imported(module: str, function: str) -> Any:
     except Exception as error:  # a user's module may raise anything
         logger.debug("%s cannot be imported", module, exc_info=error)
         hint = f"; write {module.removesuffix('.py')}:{function}" if module.endswith(".py") else ""
-        fail(f"{module}:{function} cannot be imported: {described(error)}{hint}")
+        fail(f"{module}:{function} cannot be imported: {message_of(error)}{hint}")
     if named is None:
         own = [name for name, value in vars(loaded).items() if getattr(value, "__module__", None) == loaded.__name__]
         fail(f"{module}:{function} cannot be imported: {module} has no {function!r}; {nearest(function, own)}")

@@ -160,7 +160,7 @@ def optical_args() -> dict[str, Any]:
 def radar_args() -> dict[str, Any]:
     """Return the arguments of a radar on an agile spacecraft of the library."""
     return craft.agile_imager(h=1.0, law="steering") | dict(
-        inst_pHat_B=[0.0, 0.0, 1.0],
+        inst_pHat_B=[0.0, 0.0, 1.0],  # not craft's: episodes of this version stay the same
         imageTargetMinimumElevation=math.radians(45.0),
         imageAttErrorRequirement=0.01,
         imageRateErrorRequirement=0.01,
