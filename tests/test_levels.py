@@ -92,6 +92,14 @@ def test_what_became_slow_is_named_and_noted(results, tmp_path):
     assert noted == {"t.py::long": 2 * LONG, "t.py::slow": 3 * SLOW, "other.py::slow": 1.0}
 
 
+def test_kernels_of_earlier_runs_make_no_test_fast(results, tmp_path):
+    for name, kernels in (("gone", ["own"]), ("again", ["listed"])):
+        results.pytest_runtest_logreport(report(f"t.py::{name}", 0.5 * SLOW, loaded=kernels))
+    results.pytest_terminal_summary(SimpleNamespace(write_line=print))
+    noted = json.loads((tmp_path / "durations.json").read_text())
+    assert noted == {"t.py::gone": 2 * SLOW, "t.py::long": 2 * LONG, "other.py::slow": 1.0}
+
+
 def test_every_level_is_one_of_the_script():
     text = (ROOT / "scripts" / "test.sh").read_text()
     for name in LEVELS[1:]:
