@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number
 from bsk_torch.rand import Key, Uniform
@@ -58,8 +59,8 @@ class CloudyTargets(OverlaidTargets):
         clouds = {"cloud_cover": cover, "cloud_forecast": forecast, "cloud_forecast_sigma": sigma}
         return super().draw(key) | clouds
 
+    @override
     def _bounds(self) -> dict[str, tuple[float, float]]:
-        """See :meth:`Scenario._bounds`."""
         share = (0.0, 1.0)
         clouds = {"cloud_cover": share, "cloud_forecast": share, "cloud_forecast_sigma": (0.0, FINITE)}
         return super()._bounds() | clouds

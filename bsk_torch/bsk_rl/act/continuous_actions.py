@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from typing_extensions import override
 
 from bsk_torch.bsk_rl.act.actions import Action, ActionBuilder
 
@@ -32,8 +33,8 @@ class ContinuousActionBuilder(ActionBuilder):
         found = self.action_spec[0].action_description
         return found() if callable(found) else found  # a method in programs of bsk_rl, which calls it
 
+    @override
     def set_action(self, action: Any) -> None:
-        """See :meth:`ActionBuilder.set_action`."""
         self.action_spec[0].set_action(action)
 
 
@@ -125,8 +126,8 @@ class ImpulsiveThrustHill(ImpulsiveThrust):
         """Find the chief."""
         self.chief = self.satellite.simulator.get_satellite(self.chief_name)
 
+    @override
     def set_action(self, action: Any) -> None:
-        """See :meth:`ImpulsiveThrust.set_action`."""
         dv_N = self.chief.dynamics.HN.T @ action[0:3]
         super().set_action(np.concatenate((dv_N, [action[3]])))
 
@@ -154,8 +155,8 @@ class AttitudeSetpoint(ContinuousAction):
         """See :attr:`ContinuousAction.action_description`."""
         return ["mrp_1", "mrp_2", "mrp_3"]
 
+    @override
     def set_action(self, action: Any) -> None:
-        """See :meth:`ContinuousAction.set_action`."""
         assert len(action) == 3, "Action must have 3 elements."
         self.satellite.logger.info("Setting attitude command to %s for %s seconds.", action, self.control_period)
         self.satellite.fsw.action_attitude_mrp(action)
