@@ -80,8 +80,8 @@ class Noisy(Observation):
             satellite.fleet.beginnings.append(self._own)
 
     @property
+    @override
     def functions(self) -> list[UserFunction]:
-        """See :attr:`Observation.functions`."""
         return self._reader.functions
 
     @override

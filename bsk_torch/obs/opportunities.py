@@ -155,8 +155,8 @@ class OpportunityProperties(Observation):
         ]
 
     @property
+    @override
     def functions(self) -> list[UserFunction]:
-        """See :attr:`Observation.functions`."""
         return [function for function in self._functions if function is not None]
 
     def link_satellite(self, satellite: BoundSatellite) -> None:

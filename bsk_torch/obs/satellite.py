@@ -54,8 +54,8 @@ class SatProperties(Observation):
         self._norms: dict[tuple[Function, ...], Tensor] = {}
 
     @property
+    @override
     def functions(self) -> list[UserFunction]:
-        """See :attr:`Observation.functions`."""
         return [function for function in self._functions if function is not None]
 
     def _function(self, entry: dict[str, Any], module: object) -> UserFunction | None:

@@ -74,8 +74,8 @@ class AccessSatellite(Satellite):
         self.access_filters: list[AccessFilter] = []
 
     @property
+    @override
     def segment(self) -> float:
-        """See :attr:`Satellite.segment`."""
         return self.generation_duration
 
     @override

@@ -46,8 +46,8 @@ class CloudyTargets(OverlaidTargets):
         self.cover, self.forecast_sigma, self.largest_forecast = cover, forecast_sigma, largest_forecast
 
     @property
+    @override
     def calls_user(self) -> bool:
-        """See :attr:`Scenario.calls_user`."""
         return super().calls_user or calls_user(self.cover, self.forecast_sigma)
 
     def draw(self, key: Key) -> dict[str, Tensor]:
@@ -81,8 +81,8 @@ class CloudyTargets(OverlaidTargets):
         return self.drawn("cloud_forecast_sigma")
 
     @property
+    @override
     def available(self) -> Tensor:
-        """See :attr:`TargetScenario.available`."""
         targets = super().available
         if self.largest_forecast is None:
             return targets

@@ -36,13 +36,13 @@ class OverlaidTargets(TargetScenario):
         self.targets, self.most_targets = targets, targets.most_targets
 
     @property
+    @override
     def calls_user(self) -> bool:
-        """See :attr:`Scenario.calls_user`."""
         return self.targets.calls_user
 
     @property
+    @override
     def varies_population(self) -> bool:
-        """See :attr:`Scenario.varies_population`."""
         return self.targets.varies_population
 
     @override
@@ -50,8 +50,8 @@ class OverlaidTargets(TargetScenario):
         return self.targets.present(key, names)
 
     @property
+    @override
     def target_names(self) -> list[str]:
-        """See :attr:`TargetScenario.target_names`."""
         return self.targets.target_names
 
     @override
@@ -79,13 +79,13 @@ class OverlaidTargets(TargetScenario):
         super().link(fleet)
 
     @property
+    @override
     def priority(self) -> Tensor:
-        """See :attr:`TargetScenario.priority`."""
         return self.targets.priority
 
     @property
+    @override
     def available(self) -> Tensor:
-        """See :attr:`TargetScenario.available`."""
         return self.targets.available
 
     @override

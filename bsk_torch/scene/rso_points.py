@@ -129,8 +129,8 @@ class RSOPoints(Scenario):
         return [point.numbers(f"{title}[{k}]") for k, point in enumerate(points)]
 
     @property
+    @override
     def calls_user(self) -> bool:
-        """See :attr:`Scenario.calls_user`."""
         return not self.points_are_fixed
 
     def draw(self, key: Key) -> dict[str, Tensor]:

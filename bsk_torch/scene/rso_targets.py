@@ -154,8 +154,8 @@ class RSOTargets(Scenario):
     # -- draws --------------------------------------------------------------------------------------------------------
 
     @property
+    @override
     def calls_user(self) -> bool:
-        """See :attr:`Scenario.calls_user`."""
         return isinstance(self.given[0], RandomRSOCatalog) and self.given[0].calls_user
 
     def draw(self, key: Key) -> dict[str, Tensor]:

@@ -44,8 +44,8 @@ class StripTargets(OverlaidTargets):
         self.length, self.acquisition_speed = length, number("acquisition_speed", acquisition_speed, 0.0, unit="m/s", above=True)
 
     @property
+    @override
     def calls_user(self) -> bool:
-        """See :attr:`Scenario.calls_user`."""
         return super().calls_user or calls_user(self.length)
 
     def draw(self, key: Key) -> dict[str, Tensor]:

@@ -233,13 +233,13 @@ class ChangingTargets(TargetScenario):
         return self._update(self.fleet.sim_time) if self._present is None else self._present
 
     @property
+    @override
     def priority(self) -> Tensor:
-        """See :attr:`TargetScenario.priority`."""
         return self._at_decision()[0]
 
     @property
+    @override
     def available(self) -> Tensor:
-        """See :attr:`TargetScenario.available`."""
         return self._at_decision()[1]
 
     @override

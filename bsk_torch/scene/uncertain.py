@@ -37,8 +37,8 @@ class UncertainTargets(OverlaidTargets):
         self.sigma = sigma
 
     @property
+    @override
     def calls_user(self) -> bool:
-        """See :attr:`Scenario.calls_user`."""
         return super().calls_user or calls_user(self.sigma)
 
     def draw(self, key: Key) -> dict[str, Tensor]:

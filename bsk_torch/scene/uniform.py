@@ -65,8 +65,8 @@ class UniformTargets(TargetScenario):
         self.radius = check_radius("radius", radius)
 
     @property
+    @override
     def calls_user(self) -> bool:
-        """See :attr:`Scenario.calls_user`."""
         return self._regenerates or calls_user(self.priority_distribution)
 
     @property

@@ -77,8 +77,8 @@ class Wildfires(ChangingTargets, UniformTargets):
         self.regions = _region_table([WORLD] if regions is None else regions)
 
     @property
+    @override
     def calls_user(self) -> bool:
-        """See :attr:`Scenario.calls_user`."""
         return super().calls_user or calls_user(*self.fire_args.values())
 
     def draw(self, key: Key) -> dict[str, Tensor]:

@@ -23,13 +23,13 @@ class ContinuousActionBuilder(ActionBuilder):
         assert len(self.action_spec) == 1, "Only one continuous action is supported."
 
     @property
+    @override
     def action_space(self) -> spaces.Box:
-        """See :attr:`ActionBuilder.action_space`."""
         return self.action_spec[0].space
 
     @property
+    @override
     def action_description(self) -> list[str]:
-        """See :attr:`ActionBuilder.action_description`."""
         found = self.action_spec[0].action_description
         return found() if callable(found) else found  # a method in programs of bsk_rl, which calls it
 
@@ -84,15 +84,15 @@ class ImpulsiveThrust(ContinuousAction):
         self.max_dv, self.max_drift_duration, self.fsw_action = max_dv, max_drift_duration, fsw_action
 
     @property
+    @override
     def space(self) -> spaces.Box:
-        """See :attr:`ContinuousAction.space`."""
         high = np.array([self.max_dv] * 3 + [self.max_drift_duration])
         low = np.array([-self.max_dv] * 3 + [2 * self.simulator.sim_rate])
         return spaces.Box(low=low, high=high, shape=(4,), dtype=np.float32)
 
     @property
+    @override
     def action_description(self) -> list[str]:
-        """See :attr:`ContinuousAction.action_description`."""
         return ["dV_N_x", "dV_N_y", "dV_N_z", "duration"]
 
     def set_action(self, action: Any) -> None:
@@ -141,18 +141,18 @@ class AttitudeSetpoint(ContinuousAction):
         self.control_period = control_period
 
     @property
+    @override
     def may_hold_attitude(self) -> bool:
-        """See :attr:`Action.may_hold_attitude`."""
         return True
 
     @property
+    @override
     def space(self) -> spaces.Box:
-        """See :attr:`ContinuousAction.space`."""
         return spaces.Box(low=-np.ones(3), high=np.ones(3), shape=(3,), dtype=np.float32)
 
     @property
+    @override
     def action_description(self) -> list[str]:
-        """See :attr:`ContinuousAction.action_description`."""
         return ["mrp_1", "mrp_2", "mrp_3"]
 
     @override

@@ -50,13 +50,13 @@ class DiscreteActionBuilder(ActionBuilder):
         self.prev_action_key = None
 
     @property
+    @override
     def action_space(self) -> spaces.Discrete:
-        """See :attr:`ActionBuilder.action_space`."""
         return spaces.Discrete(sum(entry.n_actions for entry in self.action_spec))
 
     @property
+    @override
     def action_description(self) -> list[str]:
-        """See :attr:`ActionBuilder.action_description`."""
         return [
             entry.name if entry.n_actions == 1 else f"{entry.name}_{k}"
             for entry in self.action_spec

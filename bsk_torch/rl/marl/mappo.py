@@ -404,8 +404,8 @@ class MAPPOTraining(Training):
         return MAPPOLearner(self.config, self.env)
 
     @property
+    @override
     def actor(self) -> TensorDictModuleBase:
-        """See :attr:`Training.actor`."""
         return shared(self.policy, self.env)
 
     @override

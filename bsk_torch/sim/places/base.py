@@ -249,8 +249,8 @@ class FixedPlaces(Places):
         return self._table if isinstance(self._table, Tensor) else self._table()
 
     @property
+    @override
     def count(self) -> int:
-        """See :attr:`Places.count`."""
         return self._stored()[0].shape[1]
 
     def _stored(self) -> tuple[Tensor, Tensor | None]:

@@ -44,8 +44,8 @@ class GreatCirclePlaces(DrawnPlaces):
         self._start, self._velocity = start, velocity
 
     @property
+    @override
     def count(self) -> int:
-        """See :attr:`Places.count`."""
         return self.tables.drawn[self._start].shape[1]
 
     @override

@@ -50,8 +50,8 @@ class OrbitingPlaces(DrawnPlaces):
         self._orbits = orbits
 
     @property
+    @override
     def count(self) -> int:
-        """See :attr:`Places.count`."""
         return self.tables.drawn[self._orbits].shape[1]
 
     @override

@@ -62,8 +62,8 @@ class ImagingEpisode(TrackEpisode):
         return float(torch.acos(R_EARTH / self.track.norm(dim=-1).mean() * torch.cos(e)) - e)
 
     @property
+    @override
     def outcome(self) -> str:
-        """See :attr:`Episode.outcome`."""
         images = int(self.imaged.sum())
         return f"{images} image{'s' * (images != 1)}, {super().outcome}"
 
