@@ -13,6 +13,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.rand import Distribution, Key, Uniform
 from bsk_torch.sim.dyn import Thruster, Wheel, pyramid
@@ -186,8 +187,8 @@ def aeos_bench(h: float = 1.0, law: str = "feedback", max_momentum: float = 50.0
 class BenchInertia(Distribution):
     """Inertia of AEOS-Bench's satellites, diagonal, [n, 9] kg m^2: uniform moments, drawn again until a body can have them."""
 
+    @override
     def draw(self, key: Key) -> Tensor:
-        """See :meth:`Distribution.draw`."""
         low, high = BENCH_MOMENTS
         moments = low + (high - low) * key.uniform(3 * DRAWS).unflatten(-1, (DRAWS, 3))
         possible = moments.sum(-1) >= 2.0 * moments.amax(-1)
@@ -199,8 +200,8 @@ class BenchInertia(Distribution):
 class BenchPanel(Distribution):
     """Normal of AEOS-Bench's solar panels, [n, 3] in B: ``(cos t cos p, cos t sin p, sin t)``, t in +-pi/2, p in 0 to pi."""
 
+    @override
     def draw(self, key: Key) -> Tensor:
-        """See :meth:`Distribution.draw`."""
         u = key.uniform(2)
         p, t = math.pi * u[:, 0], math.pi * (u[:, 1] - 0.5)
         return torch.stack([torch.cos(t) * torch.cos(p), torch.cos(t) * torch.sin(p), torch.sin(t)], -1)

@@ -13,6 +13,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number, switch, text, whole
 from bsk_torch.astro.orbit import Elements, elements_to_rv, hill_to_inertial, rv_to_elements
@@ -352,8 +353,8 @@ class _Walker(Formation):
             raise ValueError(f"phasing={self.phasing!r} must be an integer from 0 to n_planes - 1 = {self.n_planes - 1}")
         self.args = _arguments(self.title, ORBIT_ARGS, {"altitude": self.altitude, "inc": self.inc})
 
+    @override
     def draw(self, key: Key, names: Sequence[str]) -> Settings:
-        """See :meth:`Formation.draw`."""
         counts, drawn = _filled(len(names), self.n_planes, self.clustersize), self.args.draw(key)
         fraction = self.n_planes * self.clustersize / len(names)
         ahead = self.rel_phasing if self.phasing is None else self.phasing * fraction
@@ -409,8 +410,8 @@ class _Train(Formation):
         given = {name: getattr(self, name) for name in ("altitude", "inc", "Omega", "f")}
         self.args = _arguments("train_args", (*ORBIT_ARGS, *angles), given)
 
+    @override
     def draw(self, key: Key, names: Sequence[str]) -> Settings:
-        """See :meth:`Formation.draw`."""
         drawn, gaps = self.args.draw(key), self._gaps(key, len(names) - 1)
         Omega, f = (self._angle(drawn[name], key.named(f"formation {name}")) for name in ("Omega", "f"))
         behind = torch.cat([torch.zeros_like(f), gaps.cumsum(-1).expand(len(f), -1)], -1)
@@ -496,8 +497,8 @@ class _Relative(Formation):
                 raise ValueError(f"relative_to_chief: {name}=None is not allowed; give six numbers ({units[name]})")
         self.args = _arguments("relative_to_chief", args, given)
 
+    @override
     def check(self, names: Sequence[str]) -> None:
-        """See :meth:`Formation.check`."""
         for what, name in (
             ("chief_name", self.chief_name),
             *(("deputy_relative_state", name) for name in self.deputy_relative_state),
@@ -506,8 +507,8 @@ class _Relative(Formation):
                 raise ValueError(f"relative_to_chief: {what} has {name!r}, which is not a satellite; {nearest(name, names)}")
         super().check(names)
 
+    @override
     def draw(self, key: Key, names: Sequence[str]) -> Settings:
-        """See :meth:`Formation.draw`."""
         drawn = self.args.draw(key)
         columns = [names.index(name) for name in (self.chief_name, *self.deputy_relative_state)]
         chief = drawn["chief_orbit"].expand(len(key), 6).unsqueeze(1)
@@ -549,8 +550,8 @@ def together(formations: Mapping[Sequence[str], Formation]) -> Formation:
 class _Together(Formation):
     formations: dict[Sequence[str], Formation]
 
+    @override
     def check(self, names: Sequence[str]) -> None:
-        """See :meth:`Formation.check`."""
         listed = [name for members in self.formations for name in members]
         for name in listed:
             if name not in names:
@@ -560,8 +561,8 @@ class _Together(Formation):
         for members, formation in self.formations.items():
             formation.check(members)
 
+    @override
     def draw(self, key: Key, names: Sequence[str]) -> Settings:
-        """See :meth:`Formation.draw`."""
         parts: dict[str, list[tuple[list[int], Tensor]]] = {}
         for members, formation in self.formations.items():
             columns = [names.index(name) for name in members]

@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 import numpy as np
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number, switch
 from bsk_torch.astro.relative import Numeric, aligned_with_hill, like
@@ -58,8 +59,8 @@ class HillSpin(Distribution):
     high: float
     axis: tuple[float, ...] | None
 
+    @override
     def draw(self, key: Key) -> Tensor:
-        """See :meth:`Distribution.draw`."""
         rate = self.low + (self.high - self.low) * key.uniform(1)
         if self.axis is None:
             axis = key.named(f"{key.name} axis").normal(3)

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import no_gradient, number, text, whole
 from bsk_torch.astro.elements import ClassicElements
@@ -428,8 +429,8 @@ class Uniform(Distribution):
         if bool((torch.as_tensor(self.low) > torch.as_tensor(self.high)).any()):
             raise ValueError(f"low={self.low!r} must not be above high={self.high!r}")
 
+    @override
     def draw(self, key: Key) -> Tensor:
-        """See :meth:`Distribution.draw`."""
         low, high = (torch.as_tensor(x, dtype=torch.float64, device=key.env_id.device) for x in (self.low, self.high))
         size = self.size or max((len(bound) for bound in (low, high) if bound.ndim), default=None)
         u = key.uniform(size or 1)
@@ -454,8 +455,8 @@ class Normal(Distribution):
             raise ValueError(f"std={self.std!r} must not be negative")
         _check_size(self.size)
 
+    @override
     def draw(self, key: Key) -> Tensor:
-        """See :meth:`Distribution.draw`."""
         return _sized(self.mean + self.std * key.normal(self.size or 1), self.size)
 
 
@@ -522,8 +523,8 @@ class RandomOrbit(Distribution):
     omega: float | None
     f: float | None
 
+    @override
     def draw(self, key: Key) -> Tensor:
-        """See :meth:`Distribution.draw`."""
         u = key.uniform(4)
         columns = [torch.full_like(u[:, 0], x) for x in (self.a, self.e)]
         for k, angle in enumerate((self.i, self.Omega, self.omega, self.f)):
@@ -604,8 +605,8 @@ def _elements(orbit: RandomOrbit) -> ClassicElements:
 class UnitVector(Distribution):
     """Directions that are uniform over the sphere, [n, 3]."""
 
+    @override
     def draw(self, key: Key) -> Tensor:
-        """See :meth:`Distribution.draw`."""
         vector = key.normal(3)
         return vector / torch.linalg.vector_norm(vector, dim=-1, keepdim=True)
 
@@ -628,8 +629,8 @@ class RandomEpoch(Distribution):
     start: int
     end: int
 
+    @override
     def draw(self, key: Key) -> list[str]:
-        """See :meth:`Distribution.draw`."""
         return self.at(key.uniform(7))
 
     def at(self, u: Tensor | np.ndarray[Any, Any]) -> list[str]:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.act.base import LONGEST, Action, Decision, positive_duration
 
@@ -29,18 +30,18 @@ class Broadcast(Action):
         super().__init__(name)
         self.duration = positive_duration("duration", duration, name, LONGEST)
 
+    @override
     def link_satellite(self, satellite: BoundSatellite) -> None:
-        """See :meth:`Action.link_satellite`."""
         super().link_satellite(satellite)
         if PENDING not in satellite.simulator.memory:
             satellite.simulator.memory.declare(PENDING, False, dtype=torch.bool)
 
+    @override
     def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
-        """See :meth:`Action.decide`."""
         seconds = torch.full_like(action, self.duration, dtype=torch.float64)
         return Decision(self.satellite.simulator.mode, torch.zeros_like(mask), seconds, action, seconds)
 
+    @override
     def begin(self, mask: Tensor, decision: Decision) -> None:
-        """See :meth:`Action.begin`."""
         memory = self.satellite.simulator.memory
         memory[PENDING] = memory[PENDING] | mask

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import switch, text
 from bsk_torch.act.base import LONGEST, Action, ActionTable, Decision, positive_duration
@@ -88,8 +89,8 @@ class DiscreteFSWAction(Action):
         if self.fsw_action == "nadir_point":
             _warn_of_axis(satellite, self.name)
 
+    @override
     def table(self) -> ActionTable:
-        """See :meth:`Action.table`."""
         mode = self.satellite.simulator.mode_index(self.fsw_action).unsqueeze(1)
         reset = torch.tensor([self.reset_task], device=mode.device)
         return ActionTable(mode, reset, torch.full((1,), self.duration, dtype=torch.float64, device=mode.device))
@@ -152,8 +153,8 @@ class Downlink(DiscreteFSWAction):
         self.until_empty = switch("until_empty", until_empty)
         self.fsw_type = EndedDownlinkFSWModel if self.until_empty else None
 
+    @override
     def link_satellite(self, satellite: BoundSatellite) -> None:
-        """See :meth:`Action.link_satellite`."""
         super().link_satellite(satellite)
         if self.until_empty and EMPTY_DOWNLINKS not in satellite.memory:
             satellite.memory.declare(EMPTY_DOWNLINKS, 0, low=0)

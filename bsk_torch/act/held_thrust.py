@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, cast
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import function, number
 from bsk_torch.act.assurance import Assurance, Deputies
@@ -63,17 +64,17 @@ class HeldThrust(ContinuousAction):
         if self.assurance is not None:
             satellite.simulator.memory.declare("interventions", 0, low=0)
 
+    @override
     def bounds(self) -> tuple[Tensor, Tensor]:
-        """See :meth:`ContinuousAction.bounds`."""
         high = torch.full((3,), self.max_thrust, dtype=torch.float64)
         return -high, high
 
+    @override
     def names(self) -> list[str]:
-        """See :meth:`ContinuousAction.names`."""
         return ["force_H_x", "force_H_y", "force_H_z"]
 
+    @override
     def decide(self, action: Tensor, mask: Tensor) -> Decision:
-        """See :meth:`ContinuousAction.decide`."""
         duration = self.satellite.simulator.h if self.duration is None else self.duration
         force_H = wish = action.clamp(-self.max_thrust, self.max_thrust)
         if self.assurance is not None:

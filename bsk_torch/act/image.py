@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import switch, whole
 from bsk_torch.act.base import Action, Decision, positive_duration
@@ -101,8 +102,8 @@ class Image(Action):
         """See :attr:`Action.n_negative_actions`; the number of targets."""
         return self.satellite.simulator.scenario_state["target_exists"].shape[1]
 
+    @override
     def mask(self) -> Tensor:
-        """See :meth:`Action.mask`."""
         simulator = self.satellite.simulator
         first = not simulator.type.as_bsk_rl and simulator.type.arguments.is_new(f"late windows of {self.name}")
         if not (self.mask_repeated or self.mask_late or first):
@@ -130,8 +131,8 @@ class Image(Action):
                 "action_mask excludes these windows" if self.mask_late else "action_mask allows these windows (mask_late=False)",
             )
 
+    @override
     def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
-        """See :meth:`Action.decide`."""
         simulator = self.satellite.simulator
         known = self.satellite.find_next_opportunities(self.n_actions, self.kind, torch.where(mask & (action >= 0), index + 1, 0))
         target = known.place.gather(1, index.unsqueeze(-1)).squeeze(-1)

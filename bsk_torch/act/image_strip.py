@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number
 from bsk_torch.act.base import Decision
@@ -57,8 +58,8 @@ class ImageStrip(Image):
         if "strip_length" not in satellite.simulator.scenario_state:
             raise ValueError(f"{self.name!r} needs strips, such as scenario=scene.StripTargets(scene.UniformTargets(300))")
 
+    @override
     def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
-        """See :meth:`Image.decide`."""
         now = self.satellite.simulator.sim_time
         chosen = super().decide(index, mask, action, previous)
         waits = chosen.key == NO_TARGET
@@ -109,25 +110,25 @@ class HybridImageStrip(HybridAction):
         self.max_duration = number("max_duration", max_duration, 0.0, 1e5, unit="s", above=True)
         self.strips = ImageStrip(n_ahead_image, name=name)
 
+    @override
     def link_satellite(self, satellite: BoundSatellite) -> None:
-        """See :meth:`ImageStrip.link_satellite`."""
         super().link_satellite(satellite)
         self.strips.link_satellite(satellite)
 
+    @override
     def bounds(self) -> tuple[Sequence[float], Sequence[float]]:
-        """See :meth:`ContinuousAction.bounds`."""
         return [0.0], [1.0]
 
+    @override
     def names(self) -> list[str]:
-        """See :meth:`ContinuousAction.names`."""
         return ["pre_imaging_time"]
 
+    @override
     def choices(self) -> list[str]:
-        """See :meth:`HybridAction.choices`."""
         return self.strips.names()
 
+    @override
     def decide(self, action: Tensor, mask: Tensor) -> Decision:
-        """See :meth:`ContinuousAction.decide`."""
         choice = action[:, 1].long()
         chosen = self.strips.decide(choice, mask, choice, torch.full_like(choice, NO_TARGET))
         waits = chosen.key == NO_TARGET
@@ -136,6 +137,6 @@ class HybridImageStrip(HybridAction):
         duration = torch.where(waits, chosen.duration, before + seconds)
         return chosen._replace(duration=duration, expected=duration, command=before)
 
+    @override
     def begin(self, mask: Tensor, decision: Decision) -> None:
-        """See :meth:`ImageStrip.begin`."""
         self.strips.begin(mask, decision)

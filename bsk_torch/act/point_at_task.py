@@ -7,6 +7,7 @@ from typing import Literal
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import switch, whole
 from bsk_torch.act.base import Action, Decision, positive_duration
@@ -87,8 +88,8 @@ class PointAtTask(Action):
         """Which tasks can be chosen, [N, T]: the ongoing ones, and for choices of one tick those that have just succeeded."""
         return self._scenario.task_offered if self.duration is None else self._scenario.task_ongoing
 
+    @override
     def names(self) -> list[str]:
-        """See :meth:`Action.names`."""
         names = [f"{self.name}_none", *(f"{self.name}_{k}" for k in range(self._choices - 1))]
         return names if self.sensor != "chosen" else [*(f"{name}_off" for name in names), *(f"{name}_on" for name in names)]
 
@@ -98,15 +99,15 @@ class PointAtTask(Action):
         task, exists = (fleet.rows_of(self.satellite.type_index, part) for part in (found.task, found.exists))
         return task, exists
 
+    @override
     def mask(self) -> Tensor:
-        """See :meth:`Action.mask`."""
         offered = self.offered if self.n_candidates is None else self._candidates()[1]
         legal = torch.cat([torch.ones_like(offered[:, :1]), offered], 1)
         legal = self.satellite.of_env(legal) if self.n_candidates is None else legal
         return torch.cat([legal, legal], 1) if self.sensor == "chosen" else legal
 
+    @override
     def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
-        """See :meth:`Action.decide`."""
         simulator, choice = self.satellite.simulator, index % self._choices - 1
         task = choice
         if self.n_candidates is not None:

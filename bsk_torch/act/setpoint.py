@@ -6,6 +6,7 @@ from typing import cast
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number
 from bsk_torch.act.base import Decision
@@ -33,12 +34,12 @@ class AttitudeSetpoint(ContinuousAction):
         one = torch.ones(3, dtype=torch.float64)
         return -one, one
 
+    @override
     def names(self) -> list[str]:
-        """See :meth:`ContinuousAction.names`."""
         return ["mrp_1", "mrp_2", "mrp_3"]
 
+    @override
     def decide(self, action: Tensor, mask: Tensor) -> Decision:
-        """See :meth:`ContinuousAction.decide`."""
         return self.enter(ATTITUDE_MRP, torch.full_like(action[:, 0], self.control_period), action)
 
     def begin(self, mask: Tensor, decision: Decision) -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number, text
 from bsk_torch.act.base import Decision
@@ -104,8 +105,8 @@ class ImpulsiveThrust(ContinuousAction):
         low[3] = self.min_drift_duration
         return low, high
 
+    @override
     def names(self) -> list[str]:
-        """See :meth:`ContinuousAction.names`."""
         return ["dV_N_x", "dV_N_y", "dV_N_z", "duration"]
 
     def change_of_velocity(self, dv: Tensor) -> Tensor:
@@ -117,8 +118,8 @@ class ImpulsiveThrust(ContinuousAction):
         """Whether the actions of the current step are executed in float32."""
         return self.given_dtype == torch.float32 and self.satellite.simulator.type.as_bsk_rl
 
+    @override
     def decide(self, action: Tensor, mask: Tensor) -> Decision:
-        """See :meth:`ContinuousAction.decide`."""
         action = action.float() if self.is_single else action
         dv_N = shortened(self.change_of_velocity(action[:, :3]), self.max_dv)
         drift = action[:, 3].clamp(self.min_drift_duration, self.max_drift_duration)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number, text, whole
 from bsk_torch.act.base import LONGEST, Action, Decision, positive_duration
@@ -100,14 +101,14 @@ class TransmitCatalog(Action):
         peers = self._scenario.peers.expand(len(table), -1, -1)
         return self._scenario.of_imagers(self.satellite, table.gather(2, peers))
 
+    @override
     def mask(self) -> Tensor:
-        """See :meth:`Action.mask`."""
         scenario = self._scenario
         open_ = (self._records.news() > 0).any(1) & scenario.imagers_alive.unsqueeze(1)
         return self._of_mine(open_ & scenario.linked if self.link_mode == "los" else open_)
 
+    @override
     def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
-        """See :meth:`Action.decide`."""
         simulator, scenario = self.satellite.simulator, self._scenario
         peers = scenario.peers.expand(scenario.fleet.num_envs, -1, -1)
         peer = scenario.of_imagers(self.satellite, peers).gather(1, index.unsqueeze(1)).squeeze(1)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import no_gradient, number
 from bsk_torch.act.base import Action, Decision
@@ -142,8 +143,8 @@ class HillWaypoint(Action):
         if satellite.fleet.place_of(self.chief_name)[0] == satellite.type_index:
             raise ValueError(f"action {self.name!r}: chief_name={self.chief_name!r} has the same type as its deputies")
 
+    @override
     def names(self) -> list[str]:
-        """See :meth:`Action.names`."""
         return [f"{self.name}_{d}_{time:g}s" for d in range(len(self.waypoints)) for time in self.durations.tolist()]
 
     @property
@@ -214,8 +215,8 @@ class HillWaypoint(Action):
         own = [self.satellite.simulator.read(name) for name in ("r_BN_N", "v_BN_N")]
         return cd2hill(*self._thrust.chief_state(), *own)
 
+    @override
     def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
-        """See :meth:`Action.decide`."""
         ahead = self.options.ahead
         flown, apart = self.shielded(index.clamp(0, self.n_actions - 1), mask)
         dv_N = self._thrust.change_of_velocity(ahead.manoeuvre(flown))
@@ -228,8 +229,8 @@ class HillWaypoint(Action):
         """See :meth:`Action.begin`: thrust."""
         self._thrust.begin(mask, decision)
 
+    @override
     def mask(self) -> Tensor:
-        """See :meth:`Action.mask`."""
         return self.options.legal
 
     def legal(self, ahead: Transfers, rows: Tensor) -> tuple[Tensor, Tensor]:

@@ -18,6 +18,7 @@ import torch
 from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch import act, comm, data, obs, rand, scene
 from bsk_torch import sats as core_sats
@@ -111,8 +112,8 @@ def of_each(function: Callable[[float], float], values: Tensor) -> Tensor:
 class NothingHidden(data.UniqueImageReward):
     """Pays for first images, and hides no targets: in bsk_rl, several rewarders together hide none."""
 
+    @override
     def selectable(self) -> Tensor:
-        """See :meth:`bsk_torch.data.ImageReward.selectable`."""
         return self.scenario.available.unsqueeze(1).expand_as(self.known)
 
 

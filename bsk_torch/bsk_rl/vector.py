@@ -19,6 +19,7 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array, iterate
+from typing_extensions import override
 
 from bsk_torch._checks import whole
 from bsk_torch.bsk_rl.batch import BatchedVectorEnv, NotBatchedError, batched_core
@@ -157,8 +158,8 @@ class Alone(gymnasium.Wrapper[Any, Any, Any, Any]):
         with self.alone() as env:
             return env.reset(seed=drawn, options=options)
 
+    @override
     def step(self, action: Any) -> Any:
-        """See :meth:`GeneralSatelliteTasking.step`."""
         with self.alone() as env:
             return env.step(action)
 

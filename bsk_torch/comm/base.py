@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, ClassVar, NoReturn
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number
 from bsk_torch.sim.catalog.aim import PEER
@@ -177,8 +178,8 @@ class NoCommunication(CommunicationMethod):
         """See :attr:`CommunicationMethod.is_silent`; False for subclasses that define one of the hooks."""
         return not any(overrides(self, NoCommunication, name) for name in ("communicate", "communication_pairs"))
 
+    @override
     def communication_pairs(self) -> Tensor:
-        """See :meth:`CommunicationMethod.communication_pairs`."""
         n, s = self.fleet.num_envs, self.fleet.size
         return torch.zeros(n, s, s, dtype=torch.bool, device=self.fleet.device)
 
@@ -186,6 +187,6 @@ class NoCommunication(CommunicationMethod):
 class FreeCommunication(CommunicationMethod):
     """All satellites communicate with all others after every step."""
 
+    @override
     def communication_pairs(self) -> Tensor:
-        """See :meth:`CommunicationMethod.communication_pairs`."""
         return ~torch.eye(self.fleet.size, dtype=torch.bool, device=self.fleet.device).expand(self.fleet.num_envs, -1, -1)

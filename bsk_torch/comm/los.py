@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.comm.base import CommunicationMethod
 from bsk_torch.comm.multi import MultiDegreeCommunication
@@ -57,8 +58,8 @@ class LOSCommunication(CommunicationMethod):
                     "felt also world_args={'baseDensity': 0.0}, which leaves drag out"
                 )
 
+    @override
     def communication_pairs(self) -> Tensor:
-        """See :meth:`CommunicationMethod.communication_pairs`."""
         return visible_pairs(self.fleet, self.due)
 
 

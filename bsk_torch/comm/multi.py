@@ -6,6 +6,7 @@ from typing import ClassVar
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.comm.base import CommunicationMethod
 
@@ -31,7 +32,7 @@ class MultiDegreeCommunication(CommunicationMethod):
 
     refines: ClassVar[bool] = True
 
+    @override
     def communication_pairs(self) -> Tensor:
-        """See :meth:`CommunicationMethod.communication_pairs`."""
         own = torch.eye(self.fleet.size, dtype=torch.bool, device=self.fleet.device)
         return connected(self.of_present(super().communication_pairs())) & ~own

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.sim.hooks import check_class, check_tensor
 
@@ -188,6 +189,6 @@ class GlobalReward:
 class NoReward(GlobalReward):
     """Zero for every step."""
 
+    @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        """See :meth:`GlobalReward.calculate_reward`."""
         return torch.zeros(self.fleet.shape, dtype=torch.float64, device=self.fleet.device)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number, switch
 from bsk_torch.data.images import UniqueImageReward, identity, spread
@@ -58,17 +59,17 @@ class CloudFreeImageReward(UniqueImageReward):
         if self._mixed:
             self.memory.declare("known_clouds", 0, fleet.size, self.scenario.most_targets, dtype=torch.bool)
 
+    @override
     def counts(self) -> dict[str, Tensor]:
-        """See :meth:`GlobalReward.counts`."""
         return super().counts() | {"covered": self.memory["covered"]}
 
+    @override
     def selectable(self) -> Tensor:
-        """See :meth:`ImageReward.selectable`."""
         free = super().selectable()
         return free & (self._through.view(1, -1, 1) | ~self.memory["known_clouds"]) if self._mixed else free
 
+    @override
     def value(self, target: Tensor, taken: Tensor) -> Tensor:
-        """See :meth:`ImageReward.value`."""
         clouded = taken & (self.scenario.cloud_cover.gather(1, target) > self.threshold) & ~self._through
         self.memory["covered"] = self.memory["covered"] + clouded
         if self._mixed:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward, Log
@@ -67,8 +68,8 @@ class ComposedReward(GlobalReward):
         """Name of each term: its class, numbered if there are several."""
         return _numbered(type(rewarder).__name__ for rewarder in self.rewarders)
 
+    @override
     def group_of(self, name: str) -> Hashable:
-        """See :meth:`GlobalReward.group_of`."""
         return tuple(rewarder.group_of(name) for rewarder in self.rewarders)
 
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
@@ -87,8 +88,8 @@ class ComposedReward(GlobalReward):
         """See :meth:`GlobalReward.read_log`; the logs of all parts, under names such as ``0.storage_level``."""
         return {f"{k}.{name}": value for k, part in enumerate(self.rewarders) for name, value in checked.log(part).items()}
 
+    @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        """See :meth:`GlobalReward.calculate_reward`."""
         for k, (name, part) in enumerate(zip(self.names, self.rewarders, strict=True)):
             own = f"{k}."
             logs = ({key[len(own) :]: value for key, value in log.items() if key.startswith(own)} for log in (before, after))
@@ -100,8 +101,8 @@ class ComposedReward(GlobalReward):
         """Current weights of the resource rewards among the parts, [N] each."""
         return tuple(weight for part in self.rewarders for weight in getattr(part, "resource_weights", ()))
 
+    @override
     def share(self, links: Tensor) -> None:
-        """See :meth:`GlobalReward.share`."""
         for part in self.rewarders:
             checked.share(part, links)
 
@@ -115,12 +116,12 @@ class ComposedReward(GlobalReward):
         pairs = [pair for part in self.rewarders for pair in checked.measures(part).items()]
         return dict(zip(_numbered(name for name, _ in pairs), (value for _, value in pairs), strict=True))
 
+    @override
     def is_terminated(self) -> Tensor:
-        """See :meth:`GlobalReward.is_terminated`."""
         return torch.stack([checked.terminated(part) for part in self.rewarders]).any(0)
 
+    @override
     def is_truncated(self) -> Tensor:
-        """See :meth:`GlobalReward.is_truncated`."""
         return torch.stack([checked.truncated(part) for part in self.rewarders]).any(0)
 
 

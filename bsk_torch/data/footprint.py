@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number, switch
 from bsk_torch.data.images import UniqueImageReward, identity
@@ -51,8 +52,8 @@ class FootprintImageReward(UniqueImageReward):
         super().link(scenario, fleet)
         self.memory.declare("off_target", 0, fleet.size, low=0)
 
+    @override
     def counts(self) -> dict[str, Tensor]:
-        """See :meth:`GlobalReward.counts`."""
         return super().counts() | {"off_target": self.memory["off_target"]}
 
     def shows(self, target: Tensor) -> Tensor:
@@ -66,8 +67,8 @@ class FootprintImageReward(UniqueImageReward):
         faces = (ray * place).sum(-1) < 0.0
         return (torch.atan2(across, along) <= self.half_angle) & faces
 
+    @override
     def value(self, target: Tensor, taken: Tensor) -> Tensor:
-        """See :meth:`ImageReward.value`."""
         off = taken & ~self.shows(target)
         self.memory["off_target"] = self.memory["off_target"] + off
         reward = super().value(target, taken if self.hide_missed else taken & ~off)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.data.unique_images import Known, UniqueImageData, UniqueImages
@@ -28,8 +29,8 @@ class ImageReward(GlobalReward):
 
     scenario: TargetScenario
 
+    @override
     def __init_subclass__(cls, **options: object) -> None:
-        """See :meth:`GlobalReward.__init_subclass__`."""
         super().__init_subclass__(**options)
         check_class(cls, ImageReward, ("selectable", "value"), {})
 
@@ -76,8 +77,8 @@ class ImageReward(GlobalReward):
         """See :meth:`GlobalReward.read_log`; data in the partition of images, bit."""
         return {"partition": self.fleet.each(lambda satellite: satellite.dynamics.partition_levels[:, 0])}
 
+    @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        """See :meth:`GlobalReward.calculate_reward`."""
         target = self.fleet.each(lambda satellite: satellite.latest_target, missing=-1)
         taken = (after["partition"] > before["partition"]) & (target >= 0)
         return self.value(target.clamp(min=0), taken)
@@ -108,8 +109,8 @@ class UniqueImageReward(ImageReward):
             raise TypeError(f"reward_fn={reward_fn!r} must be a function of priorities")
         self.reward_fn = reward_fn
 
+    @override
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
-        """See :meth:`ImageReward.link`."""
         super().link(scenario, fleet)
         self.memory.declare("imaged_targets", 0, self.scenario.most_targets, dtype=torch.bool)
         if fleet.size > 1:  # a single satellite knows of all images
@@ -149,16 +150,16 @@ class UniqueImageReward(ImageReward):
         tables = self.known, exists, self.memory["duplicates"]
         return Known(UniqueImages(*(self.fleet.rows_of(part, table) for table in tables)))
 
+    @override
     def counts(self) -> dict[str, Tensor]:
-        """See :meth:`GlobalReward.counts`."""
         return {"duplicates": self.memory["duplicates"]}
 
+    @override
     def selectable(self) -> Tensor:
-        """See :meth:`ImageReward.selectable`."""
         return self.scenario.available.unsqueeze(1) & ~self.known
 
+    @override
     def value(self, target: Tensor, taken: Tensor) -> Tensor:
-        """See :meth:`ImageReward.value`."""
         again = taken & self.imaged.gather(1, target)
         pays = taken & ~again
         reward = self.reward_fn(self.scenario.priority_of(target))

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number, switch
 from bsk_torch.constants import NANO
@@ -214,8 +215,8 @@ class RSOInspectionReward(GlobalReward):
         """See :meth:`GlobalReward.read_log`; empty, because the records of a run are used instead."""
         return {}
 
+    @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        """See :meth:`GlobalReward.calculate_reward`."""
         found, self._found = self._found, None
         fleet, memory = self.fleet, self.memory
         if found is None:  # a trial, without a run

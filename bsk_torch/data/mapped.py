@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.data.record import OneReward, Record, SingleScenario, StoringSatellite, check_record, classes_of
@@ -34,8 +35,8 @@ class PerEnvironmentReward(GlobalReward):
         """Run copies of ``given``."""
         self.given = given
 
+    @override
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
-        """See :meth:`GlobalReward.link`."""
         super().link(scenario, fleet)
         self._classes = classes_of(self.given)
         dump = functools.partial(Record.dump, given=self.given, classes=self._classes)
@@ -109,17 +110,17 @@ class PerEnvironmentReward(GlobalReward):
                     ) from error
         return reward.to(self.fleet.device)
 
+    @override
     def share(self, links: Tensor) -> None:
-        """See :meth:`GlobalReward.share`."""
         for env in torch.nonzero(links.flatten(1).any(1)).squeeze(-1).tolist():
             self.records.of(env).share(links[env].tolist())
 
+    @override
     def is_terminated(self) -> Tensor:
-        """See :meth:`GlobalReward.is_terminated`."""
         return self._flags("is_terminated")
 
+    @override
     def is_truncated(self) -> Tensor:
-        """See :meth:`GlobalReward.is_truncated`."""
         return self._flags("is_truncated")
 
     def _flags(self, hook: str) -> Tensor:

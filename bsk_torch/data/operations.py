@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number
 from bsk_torch.data.base import GlobalReward, Log
@@ -77,8 +78,8 @@ class OperationsPenalty(GlobalReward):
         missing = {"low_battery": 1.0}
         return {name: self.fleet.each(read, missing.get(name, 0.0)) for name, read in self._reads.items()}
 
+    @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        """See :meth:`GlobalReward.calculate_reward`."""
         reward = torch.zeros(self.fleet.shape, dtype=torch.float64, device=self.fleet.device)
         for name, value in after.items():
             if name == "empty_downlink":

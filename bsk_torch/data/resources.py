@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import no_gradient, number
 from bsk_torch.data.base import GlobalReward, Log
@@ -55,8 +56,8 @@ class ResourceReward(GlobalReward):
             reward_weight = number("reward_weight", reward_weight)
         self.resource_fn, self.weight = resource_fn, reward_weight
 
+    @override
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
-        """See :meth:`GlobalReward.link`."""
         super().link(scenario, fleet)
         self._functions: dict[int, UserFunction] = {}
         self._name: str | None = None
@@ -105,8 +106,8 @@ class ResourceReward(GlobalReward):
             raise TypeError(f"{function.title} gives shape {list(found.shape)}; it must give one number for each satellite")
         return found.double().clone()
 
+    @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        """See :meth:`GlobalReward.calculate_reward`."""
         return self.reward_weight.unsqueeze(-1) * (after["resource"] - before["resource"])
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import function, number
 from bsk_torch.constants import NANO
@@ -235,8 +236,8 @@ class RSOImageReward(GlobalReward):
         """Targets imaged in the episode, [N, G]."""
         return self.memory["rso_service"] > 0
 
+    @override
     def counts(self) -> dict[str, Tensor]:
-        """See :meth:`GlobalReward.counts`."""
         return {name: self.memory[f"rso_{name}"] for name in ("captured", "delivered")}
 
     # -- images -------------------------------------------------------------------------------------------------------

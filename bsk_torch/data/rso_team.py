@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number
 from bsk_torch.data.base import Log
@@ -114,8 +115,8 @@ class RSOTeamReward(RSOImageReward):
 
     # -- what is read -------------------------------------------------------------------------------------------------
 
+    @override
     def counts(self) -> dict[str, Tensor]:
-        """See :meth:`GlobalReward.counts`."""
         return super().counts() | {name: self.memory[f"rso_{name}"] for name in COUNTED}
 
     @property
@@ -135,20 +136,20 @@ class RSOTeamReward(RSOImageReward):
 
     # -- steps --------------------------------------------------------------------------------------------------------
 
+    @override
     def read_log(self) -> Log:
-        """See :meth:`GlobalReward.read_log`."""
         return super().read_log() | {"deadline": self.fleet.each(_deadline, missing=NO_ATTEMPT)}
 
+    @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        """See :meth:`GlobalReward.calculate_reward`."""
         attempts = self._attempts(after)
         reward = super().calculate_reward(before, after)
         taken = (after["rso_images"] > before["rso_images"])[:, self._columns]
         self._count_waste(attempts, taken)
         return reward
 
+    @override
     def _recorded(self, captured: _Images) -> _Images:
-        """See :meth:`RSOImageReward._recorded`."""
         good = captured.there & (captured.quality >= self.quality_threshold)
         now = self.fleet.sim_time
         ended = now.unsqueeze(1).expand_as(captured.time)

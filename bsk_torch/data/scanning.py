@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import function
 from bsk_torch.data.base import GlobalReward, Log
@@ -57,8 +58,8 @@ class ScanningTimeReward(GlobalReward):
         """See :meth:`GlobalReward.read_log`; data in the buffer, bit."""
         return {"storage_level": self.fleet.each(lambda satellite: satellite.dynamics.storage_level)}
 
+    @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        """See :meth:`GlobalReward.calculate_reward`."""
         gained = torch.clamp(after["storage_level"] - before["storage_level"], min=0.0)
         rate = self.fleet.each(lambda satellite: satellite.dynamics.instrument_baud, missing=1.0)
         seconds = gained / torch.where(rate > 0.0, rate, torch.ones_like(rate))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number
 from bsk_torch.data.base import Log
@@ -48,8 +49,8 @@ class StripImageReward(UniqueImageReward):
         if not any("strip_angle" in part.simulator.state.layout.fields for part in fleet.satellites):
             raise ValueError("StripImageReward needs a satellite with fsw.StripImagingFSWModel and act.ImageStrip")
 
+    @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        """See :meth:`GlobalReward.calculate_reward`."""
         target = self.fleet.each(lambda satellite: satellite.latest_target, missing=-1)
         rate = self.fleet.each(lambda satellite: satellite.dynamics.instrument_baud, missing=1.0)
         seconds = (after["partition"] - before["partition"]) / rate.clamp(min=1e-300)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number
 from bsk_torch.data.base import GlobalReward, Log
@@ -22,7 +23,7 @@ class TimePenalty(GlobalReward):
         """Charge ``weight`` for each second, from 0 to 1e30; ValueError for anything else."""
         self.weight = number("weight", weight, 0.0, MOST_WEIGHT)
 
+    @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        """See :meth:`GlobalReward.calculate_reward`."""
         price = -self.weight * self.step_duration
         return self.of_channel(price.unsqueeze(1).expand(self.fleet.shape).to(torch.float64))

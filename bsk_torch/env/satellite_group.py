@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.act.base import ActionBuilder, Decision
 from bsk_torch.act.builders import ContinuousBuilder, action_builder
@@ -51,8 +52,8 @@ class SatelliteGroup(BoundSatellite):
         """Return the user functions called by observations and satellites."""
         return [*self.observations.functions, *self.functions]
 
+    @override
     def action_mask(self) -> Tensor:
-        """See :meth:`Satellite.action_mask`."""
         mask, legal = self.actions.mask(), self.legal_actions()
         if legal is not None:
             check_tensor(f"{type(self).__name__}.legal_actions()", legal, mask.shape, torch.bool)

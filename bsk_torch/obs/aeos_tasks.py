@@ -6,6 +6,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.obs.candidates import CandidateProperties
 from bsk_torch.sats.bound import BoundSatellite
@@ -80,8 +81,8 @@ class TaskProperties(CandidateProperties):
         if PLACES not in satellite.simulator.scenario_state:
             raise ValueError(f"{self.title} {self.name!r} needs scene.AEOSBench as the scenario of the environment")
 
+    @override
     def read_candidates(self, wanted: frozenset[str]) -> tuple[dict[str, Tensor], Tensor]:
-        """See :meth:`CandidateProperties.read_candidates`."""
         scenario: AEOSBench = self.satellite.scenario
         outlook, candidates, held = scenario.outlook(), scenario.candidates(self.n_ahead_observe), scenario.held_task
         task, fleet = candidates.task, scenario.fleet

@@ -7,6 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number, switch, text, whole
 from bsk_torch.obs.base import Observation, Values, joined
@@ -70,8 +71,8 @@ class CandidateProperties(Observation):
         known, exists = self.read_candidates(frozenset(entry.prop for entry in self.entries))
         return {entry.name: _blank(known[entry.prop] / entry.norm, exists) for entry in self.entries}, exists
 
+    @override
     def get_obs(self) -> Values:
-        """See :meth:`Observation.get_obs`."""
         columns, exists = self._columns()
         if self.as_set:
             return {"rows": joined(columns), "mask": exists.double()}

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.obs.base import Observation, Reader, Values, flatten, link
 from bsk_torch.rand import Choice, Distribution, Key, Normal
@@ -69,8 +70,8 @@ class Noisy(Observation):
         made.observation = copy.deepcopy(self.observation, memo)
         return made
 
+    @override
     def link_satellite(self, satellite: BoundSatellite) -> None:
-        """See :meth:`Observation.link_satellite`."""
         super().link_satellite(satellite)
         link(self.observation, satellite)
         self._reader = Reader(self.observation)
@@ -79,23 +80,23 @@ class Noisy(Observation):
             satellite.fleet.beginnings.append(self._own)
 
     @property
+    @override
     def functions(self) -> list[UserFunction]:
-        """See :attr:`Observation.functions`."""
         return self._reader.functions
 
+    @override
     def observables(self) -> list[Any]:
-        """See :meth:`Observation.observables`."""
         return self.observation.observables()
 
+    @override
     def get_obs(self) -> Tensor | Values:
-        """See :meth:`Observation.get_obs`."""
         values = self._reader.values()
         leaves = list(flatten({self.name: values}, len(self.simulator.ticks)))
         noise = self._noise(leaves).split([leaf.shape[-1] for _, leaf in leaves], -1)
         return _with_noise(values, iter(noise))
 
+    @override
     def get_vector(self) -> Tensor:
-        """See :meth:`Observation.get_vector`."""
         vector = self._reader.vector()
         if self._plans is None:
             self.get_obs()

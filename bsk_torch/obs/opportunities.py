@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import switch, text, whole
 from bsk_torch.astro.ephemeris import earth_fixed_sun
@@ -154,8 +155,8 @@ class OpportunityProperties(Observation):
         ]
 
     @property
+    @override
     def functions(self) -> list[UserFunction]:
-        """See :attr:`Observation.functions`."""
         return [function for function in self._functions if function is not None]
 
     def link_satellite(self, satellite: BoundSatellite) -> None:
@@ -189,8 +190,8 @@ class OpportunityProperties(Observation):
         props = (entry["prop"] for entry in self.entries if "fn" not in entry)
         return [name for prop in props for name in NEEDS.get(prop, ())]
 
+    @override
     def observables(self) -> list[Any]:
-        """See :meth:`Observation.observables`."""
         models = [type_of(self.satellite.dynamics), type_of(self.satellite.fsw)]
         known = [getattr(model, name) for name in self._needs() for model in models if hasattr(model, name)]
         return [prop.function for prop in known if isinstance(prop, observable)]
@@ -222,8 +223,8 @@ class OpportunityProperties(Observation):
         shape = tuple(opportunities.open.shape)
         return function(shape, self.simulator.device, lambda: given(self.satellite, opportunities), one)
 
+    @override
     def get_obs(self) -> Values:
-        """See :meth:`Observation.get_obs`."""
         columns, opportunities = self._columns()
         if self.as_set:
             return {"rows": joined(columns), "mask": opportunities.mask.double()}

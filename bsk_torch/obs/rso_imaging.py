@@ -6,6 +6,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.obs.candidates import CandidateProperties
 from bsk_torch.sats.bound import BoundSatellite
@@ -77,8 +78,8 @@ class RSOTargetProperties(CandidateProperties):
         super().link_satellite(satellite)
         check_imager(satellite, f"obs.RSOTargetProperties {self.name!r}")
 
+    @override
     def read_candidates(self, wanted: frozenset[str]) -> tuple[dict[str, Tensor], Tensor]:
-        """See :meth:`CandidateProperties.read_candidates`."""
         scenario: RSOTargets = self.satellite.scenario
         candidates = scenario.candidates(self.satellite, self.n_ahead_observe)
         seen = scenario.views(self.satellite, candidates)

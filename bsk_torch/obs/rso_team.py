@@ -6,6 +6,7 @@ import functools
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number, whole
 from bsk_torch.astro.orbit import hill_frame
@@ -85,8 +86,8 @@ class RSOTaskStatus(Observation):
         super().link_satellite(satellite)
         check_imager(satellite, f"obs.RSOTaskStatus {self.name!r}")
 
+    @override
     def get_obs(self) -> Values:
-        """See :meth:`Observation.get_obs`."""
         satellite, simulator, task = self.satellite, self.simulator, self.satellite.task
         scenario: RSOTargets = satellite.scenario
         records = scenario.known_records
@@ -149,8 +150,8 @@ class RSOPeers(Observation):
         super().link_satellite(satellite)
         check_imager(satellite, f"obs.RSOPeers {self.name!r}")
 
+    @override
     def get_obs(self) -> Values:
-        """See :meth:`Observation.get_obs`."""
         satellite = self.satellite
         scenario: RSOTargets = satellite.scenario
         records = scenario.known_records

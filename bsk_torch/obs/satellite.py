@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number, switch
 from bsk_torch.obs.base import ADVICE, Observation, Values, side_by_side
@@ -53,8 +54,8 @@ class SatProperties(Observation):
         self._norms: dict[tuple[Function, ...], Tensor] = {}
 
     @property
+    @override
     def functions(self) -> list[UserFunction]:
-        """See :attr:`Observation.functions`."""
         return [function for function in self._functions if function is not None]
 
     def _function(self, entry: dict[str, Any], module: object) -> UserFunction | None:
@@ -72,8 +73,8 @@ class SatProperties(Observation):
         known = None if self.modules[k] is None else getattr(type(self.modules[k]), self.entries[k]["prop"])
         return known.function if isinstance(known, observable) and not isinstance(known, vital) else None
 
+    @override
     def observables(self) -> list[Any]:
-        """See :meth:`Observation.observables`."""
         pairs = zip(self.entries, self.modules, strict=True)
         properties = [getattr(type(module), entry["prop"]) for entry, module in pairs if module is not None]
         return [known.function for known in properties if isinstance(known, observable)]
@@ -103,8 +104,8 @@ class SatProperties(Observation):
             return partial(self.simulator.observer.read, known.function)
         return partial(getattr, module, entry["prop"])
 
+    @override
     def get_obs(self) -> Values:
-        """See :meth:`Observation.get_obs`."""
         return {entry["name"]: scaled(read(), entry["norm"]) for entry, read in zip(self.entries, self._reads, strict=True)}
 
     def get_vector(self) -> Tensor:
@@ -191,8 +192,8 @@ class Eclipse(Observation):
         self.norm = None if norm is None else parse_norm(norm, "obs.Eclipse: norm")
         self.as_bsk_rl = switch("as_bsk_rl", as_bsk_rl)
 
+    @override
     def get_obs(self) -> Tensor:
-        """See :meth:`Observation.get_obs`."""
         start, end = self.satellite.next_eclipse(self.as_bsk_rl)
         return (torch.stack([start, end], -1) - self.simulator.sim_time.unsqueeze(-1)) / self._divisor()
 

@@ -13,6 +13,7 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import whole
 from bsk_torch.env import Tasking
@@ -148,8 +149,8 @@ class BeamSearch(Planner):
     def _branching(self) -> int:
         return self.budget // self.depth
 
+    @override
     def _improved(self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor) -> tuple[Tensor, Tensor]:
-        """See :meth:`Planner._improved`."""
         share, w, real = self._branching(), self.width, rows.repeat_interleave(self._copies)
         store = self._store(len(real) * (w + share))
         now = td[real].clone()

@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number, whole
 from bsk_torch.env import Tasking
@@ -80,8 +81,8 @@ class CrossEntropy(Planner):
     def _branching(self) -> int:
         return self.samples
 
+    @override
     def _improved(self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor) -> tuple[Tensor, Tensor]:
-        """See :meth:`Planner._improved`."""
         env, n, p = self.env, len(rows), self.samples
         low, high = self._low[slot].unsqueeze(1), self._high[slot].unsqueeze(1)  # [n, 1, W]
         half = 0.5 * (high - low)

@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import whole
 from bsk_torch.env import Tasking
@@ -46,8 +47,8 @@ class Rollout(Planner):
     def _branching(self) -> int:
         return min(self.budget or self.slots.most_actions, self.slots.most_actions)
 
+    @override
     def _improved(self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor) -> tuple[Tensor, Tensor]:
-        """See :meth:`Planner._improved`."""
         mine = self.slots.at(self.slots.chosen(td)[rows], slot)
         tried = self._tried(td, rows, slot, mine)
         totals, simulated = self._returns(td, memory, rows, slot, tried & (tried.sum(1, keepdim=True) > 1))

@@ -8,6 +8,7 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number, whole
 from bsk_torch.env import Tasking
@@ -74,8 +75,8 @@ class TreeSearch(Planner):
         """See :meth:`Planner._judged`; immediately."""
         return None if self._value is None else torch.zeros_like(elapsed)
 
+    @override
     def _improved(self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor) -> tuple[Tensor, Tensor]:
-        """See :meth:`Planner._improved`."""
         real, most = rows.repeat_interleave(self._copies), self.budget + 1
         roots = torch.arange(len(real), device=rows.device)
         store = self._store(len(roots) * most)

@@ -38,6 +38,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal, cast
 
 import torch
+from typing_extensions import override
 
 from bsk_torch import act, data, obs, sats, scene
 from bsk_torch._checks import number, switch
@@ -85,8 +86,8 @@ class CaseSatellites(Formation):
         if len(names) != count:
             raise ValueError(f"the cases are padded to {count} satellites, but the environment has {len(names)}")
 
+    @override
     def draw(self, key: Key, names: Sequence[str]) -> Settings:
-        """See :meth:`Formation.draw`."""
         return {name: (range(len(names)), values) for name, values in self.scenario.cases_of(key).satellites.items()}
 
 

@@ -35,6 +35,7 @@ from typing import Any, cast
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch import act, obs, rand, scene
 from bsk_torch.env import SatelliteTasking
@@ -78,8 +79,8 @@ class TargetDensity(obs.Observation):
         """Set the name of the observation."""
         super().__init__(name)
 
+    @override
     def get_obs(self) -> Tensor:
-        """See :meth:`Observation.get_obs`."""
         simulator, scenario = self.satellite.simulator, self.satellite.scenario
         close = self.satellite.next_opportunities("target")[1] - simulator.sim_time.unsqueeze(-1)
         number = torch.clamp(close / BIN, 0.0, float(BINS)).long()
@@ -126,8 +127,8 @@ class PowerSatellite(AgileSatellite):
     dyn_type = dyn.GroundStationDynModel
     shielded = True
 
+    @override
     def legal_actions(self) -> Tensor | None:
-        """See :meth:`Satellite.legal_actions`."""
         return shield(cast(BoundSatellite, self)) if self.shielded else None
 
 

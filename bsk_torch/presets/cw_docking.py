@@ -43,6 +43,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch import act, data, obs, rand, sats
 from bsk_torch._checks import whole
@@ -91,8 +92,8 @@ class Polar(rand.Distribution):
         """Draw lengths in [``low``, ``high``)."""
         self.low, self.high = low, high
 
+    @override
     def draw(self, key: rand.Key) -> Tensor:
-        """See :meth:`bsk_torch.rand.Distribution.draw`."""
         r, phi, theta = key.uniform(3).unbind(-1)
         r, phi, theta = self.low + (self.high - self.low) * r, math.pi * (phi - 0.5), 2.0 * math.pi * theta
         across = r * torch.sin(phi)
@@ -112,20 +113,20 @@ class DockingReward(data.GlobalReward):
     farthest = 10e3
     most_excess = 5.0
 
+    @override
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
-        """See :meth:`bsk_torch.data.GlobalReward.link`."""
         super().link(scenario, fleet)
         self.memory.declare("excess_speed", 0.0, fleet.size, low=0.0, high=FINITE)
         self.memory.declare("speeding", 0, fleet.size, low=0)
         self.memory.declare("docked", False, fleet.size)
 
+    @override
     def read_log(self) -> Log:
-        """See :meth:`bsk_torch.data.GlobalReward.read_log`."""
         names = ("distance", "relative_speed", "speed_limit", "docked", "force_H")
         return {name: self.fleet.each(attrgetter(f"dynamics.{name}")) for name in names}
 
+    @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        """See :meth:`bsk_torch.data.GlobalReward.calculate_reward`."""
         rate = math.log(2.0) / self.half_distance
         near, was = torch.exp(-rate * after["distance"]), torch.exp(-rate * before["distance"])
         excess = (after["relative_speed"] - after["speed_limit"]).clamp(min=0.0)
@@ -141,16 +142,16 @@ class DockingReward(data.GlobalReward):
         reward = reward + torch.where(docked, 2.0 - time / LIMIT, 0.0)
         return reward - late.double() - (after["distance"] > self.farthest).double()
 
+    @override
     def counts(self) -> dict[str, Tensor]:
-        """See :meth:`bsk_torch.data.GlobalReward.counts`."""
         return {"docked": self.memory["docked"].long(), "speeding": self.memory["speeding"], **interventions(self.fleet)}
 
     def is_terminated(self) -> Tensor:
         """See :meth:`bsk_torch.data.GlobalReward.is_terminated`: docked deputies."""
         return self.memory["docked"]
 
+    @override
     def is_truncated(self) -> Tensor:
-        """See :meth:`bsk_torch.data.GlobalReward.is_truncated`."""
         distance = self.fleet.each(attrgetter("dynamics.distance"))
         return (distance > self.farthest) | (self.memory["excess_speed"] > self.most_excess)
 
@@ -162,19 +163,19 @@ class CrewDockingReward(DockingReward):
     grace = -0.5
     least = 0.5
 
+    @override
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
-        """See :meth:`bsk_torch.data.GlobalReward.link`."""
         super().link(scenario, fleet)
         self.memory.declare("collided", False, fleet.size)
 
+    @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        """See :meth:`bsk_torch.data.GlobalReward.calculate_reward`."""
         met = collided(self.fleet.each(attrgetter("dynamics.rho_H")), self.least)
         self.memory["collided"] = self.memory["collided"] | (met & (self.step_duration > 0.0).unsqueeze(1))
         return super().calculate_reward(before, after)
 
+    @override
     def counts(self) -> dict[str, Tensor]:
-        """See :meth:`bsk_torch.data.GlobalReward.counts`."""
         return super().counts() | {"collided": self.memory["collided"].long()}
 
     def is_terminated(self) -> Tensor:

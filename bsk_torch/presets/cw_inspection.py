@@ -47,6 +47,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch import act, data, formations, obs, rand, sats
 from bsk_torch._checks import whole
@@ -80,8 +81,8 @@ class LitPointsReward(data.GlobalReward):
 
     point, success, price = 0.01, 1.0, 0.01
 
+    @override
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
-        """See :meth:`bsk_torch.data.GlobalReward.link`."""
         super().link(scenario, fleet)
         self.points = sphere_points(POINTS, RADIUS).to(fleet.device)
         count, most = len(self.points), -(-len(self.points) // PER_CLUSTER)
@@ -99,8 +100,8 @@ class LitPointsReward(data.GlobalReward):
         """Inspected points, [N, P] bool."""
         return self.memory["inspected"]
 
+    @override
     def read_log(self) -> Log:
-        """See :meth:`bsk_torch.data.GlobalReward.read_log`."""
         names = ("rho_H", "sun_hat_H", "distance", "relative_speed", "speed_limit", "force_H")
         return {name: self.fleet.each(attrgetter(f"dynamics.{name}")) for name in names}
 
@@ -126,8 +127,8 @@ class LitPointsReward(data.GlobalReward):
         nearest = after.nearest(rho)
         memory["nearest_cluster"] = torch.where(where.view(-1, 1, 1), nearest, memory["nearest_cluster"])
 
+    @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        """See :meth:`bsk_torch.data.GlobalReward.calculate_reward`."""
         memory, moved = self.memory, self.step_duration > 0.0
         self._inspect(after, moved)
         total = memory["inspected"].sum(1)
@@ -142,8 +143,8 @@ class LitPointsReward(data.GlobalReward):
         shared = self.point * new + self.success * (total == len(self.points))
         return shared.double().unsqueeze(1) - self.price * after["force_H"].abs().sum(-1) / mass
 
+    @override
     def counts(self) -> dict[str, Tensor]:
-        """See :meth:`bsk_torch.data.GlobalReward.counts`."""
         return {
             "inspected": self.memory["found"],
             **{name: self.memory[name] for name in ("speeding", "blinded")},
@@ -154,8 +155,8 @@ class LitPointsReward(data.GlobalReward):
         """See :meth:`bsk_torch.data.GlobalReward.is_terminated`: all points are inspected."""
         return self.memory["inspected"].all(1, keepdim=True).expand(-1, self.fleet.size)
 
+    @override
     def is_truncated(self) -> Tensor:
-        """See :meth:`bsk_torch.data.GlobalReward.is_truncated`."""
         return self.fleet.each(attrgetter("dynamics.distance")) > EDGE
 
 
@@ -164,19 +165,19 @@ class CrewLitPointsReward(LitPointsReward):
 
     least = 10.0
 
+    @override
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
-        """See :meth:`bsk_torch.data.GlobalReward.link`."""
         super().link(scenario, fleet)
         self.memory.declare("collided", False, fleet.size)
 
+    @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        """See :meth:`bsk_torch.data.GlobalReward.calculate_reward`."""
         met = collided(after["rho_H"], self.least)
         self.memory["collided"] = self.memory["collided"] | (met & (self.step_duration > 0.0).unsqueeze(1))
         return super().calculate_reward(before, after)
 
+    @override
     def counts(self) -> dict[str, Tensor]:
-        """See :meth:`bsk_torch.data.GlobalReward.counts`."""
         return super().counts() | {"collided": self.memory["collided"].long()}
 
     def is_terminated(self) -> Tensor:
@@ -192,8 +193,8 @@ class SharedSun(formations.Formation):
         """Draw, or use, ``angle``, rad."""
         self.angle = angle if isinstance(angle, rand.Distribution) else rand.Uniform(angle, angle)
 
+    @override
     def draw(self, key: rand.Key, names: Sequence[str]) -> formations.Settings:
-        """See :meth:`bsk_torch.formations.Formation.draw`."""
         drawn = torch.as_tensor(self.angle.draw(key.named("sunAngle")), dtype=torch.float64)
         return {"sunAngle": (range(len(names)), drawn.unsqueeze(1).expand(-1, len(names)))}
 

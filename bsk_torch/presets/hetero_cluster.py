@@ -73,6 +73,7 @@ from typing import Any, ClassVar, cast
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch import act, comm, craft, data, formations, obs, sats, scene
 from bsk_torch.env import ConstellationTasking
@@ -128,8 +129,8 @@ class OpticalImager(sats.ImagingSatellite):
     dyn_type = dyn.GroundStationDynModel
     fsw_type = fsw.SteeringImagerFSWModel
 
+    @override
     def legal_actions(self) -> Tensor | None:
-        """See :meth:`Satellite.legal_actions`."""
         return shield(cast(sats.BoundSatellite, self))
 
 

@@ -64,6 +64,7 @@ from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch import act, data, formations, obs, rand, sats, scene
 from bsk_torch._checks import number, whole
@@ -104,8 +105,8 @@ class EccentricOrbit(rand.Distribution):
     The perigee lies above 500 km and the apogee below 1100 km.
     """
 
+    @override
     def draw(self, key: rand.Key) -> Tensor:
-        """See :meth:`bsk_torch.rand.Distribution.draw`."""
         oe = rand.random_orbit().draw(key)
         u = key.named(f"{key.name} shape").uniform(2)
         a = BODY_RADIUS + LOWEST + (HIGHEST - LOWEST) * u[:, 0]
@@ -120,8 +121,8 @@ class RelativeState(rand.Distribution):
         """Set the bounds of the distance, m, and of the speed, m/s."""
         self.bounds = (nearest, farthest), (0.0, fastest)
 
+    @override
     def draw(self, key: rand.Key) -> Tensor:
-        """See :meth:`bsk_torch.rand.Distribution.draw`."""
         parts = []
         for what, (low, high) in zip(("position", "velocity"), self.bounds, strict=True):
             direction = rand.UnitVector().draw(key.named(f"{key.name} {what}"))

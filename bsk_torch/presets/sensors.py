@@ -67,6 +67,7 @@ from typing import Any, ClassVar, cast
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch import act, comm, data, formations, obs, sats, scene
 from bsk_torch._checks import switch
@@ -153,8 +154,8 @@ class Sensor(sats.AccessSatellite):
     shielded = False
     """Whether ``action_mask`` excludes downlinks with an empty store."""
 
+    @override
     def legal_actions(self) -> Tensor | None:
-        """See :meth:`Satellite.legal_actions`."""
         if not self.shielded:
             return None
         satellite = cast(sats.BoundSatellite, self)

@@ -51,6 +51,7 @@ from typing import Any, ClassVar, cast
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch import act, data, obs, rand, sats, scene
 from bsk_torch._checks import number, switch, whole
@@ -153,8 +154,8 @@ class ServicingImager(sats.AccessSatellite):
         act.ImageRSO(CANDIDATES, exposure="first", require_illumination_during_hold=False),
     )
 
+    @override
     def legal_actions(self) -> Tensor | None:
-        """See :meth:`Satellite.legal_actions`."""
         return shield(cast(BoundSatellite, self)) if self.shielded else None
 
 

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number, switch
 from bsk_torch.sats.access_filter import AccessFilter, Filter, make_filter
@@ -73,12 +74,12 @@ class AccessSatellite(Satellite):
         self.access_filters: list[AccessFilter] = []
 
     @property
+    @override
     def segment(self) -> float:
-        """See :attr:`Satellite.segment`."""
         return self.generation_duration
 
+    @override
     def generation(self, limit: Tensor) -> Tensor:
-        """See :meth:`Satellite.generation`."""
         wanted = limit if self.initial_generation_duration is None else torch.full_like(limit, self.initial_generation_duration)
         wanted = torch.where(torch.isfinite(wanted), wanted.clamp(max=LONGEST_AT_RESET), torch.zeros_like(wanted))
         least = max(2.0 * PLAN_STEP, self.generation_duration)

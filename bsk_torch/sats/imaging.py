@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.sats.access import AccessSatellite
 from bsk_torch.sats.bound_access import BoundAccessSatellite
@@ -86,12 +87,12 @@ class BoundImagingSatellite(BoundAccessSatellite, ImagingSatellite):
         """Number of chosen targets whose windows closed without an image, [N]."""
         return self.memory["missed"]
 
+    @override
     def note_events(self, event: Tensor) -> None:
-        """See :meth:`Satellite.note_events`."""
         self.memory["imaged"] = self.imaged + event
 
+    @override
     def counts(self) -> dict[str, Tensor]:
-        """See :meth:`Satellite.counts`."""
         return {"imaged": self.imaged, "missed": self.missed}
 
     def window_of(self, target: Tensor, type: str | None = None) -> tuple[Tensor, Tensor]:

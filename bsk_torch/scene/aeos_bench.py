@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number
 from bsk_torch.rand import Key
@@ -113,15 +114,15 @@ class AEOSBench(Scenario):
         """Return the cases of the episodes that begin in the n environments of a key."""
         return self.cases.draw(key) if isinstance(self.cases, AEOSBenchGenerator) else self.cases.take(self.case_of(key))
 
+    @override
     def draw(self, key: Key) -> dict[str, Tensor]:
-        """See :meth:`Scenario.draw`."""
         cases = self.cases_of(key)
         tasks = {f"task_{name}": values for name, values in cases.tasks.items()}
         sensors = {"sensor_type": cases.sensors, "sensor_enabled": cases.enabled.double()}
         return tasks | sensors | {PLACES: cases.places, "case": self.case_of(key).double()}
 
+    @override
     def present(self, key: Key, names: Sequence[str]) -> Tensor:
-        """See :meth:`Scenario.present`."""
         return self.cases_of(key).present
 
     def link(self, fleet: SatelliteFleet) -> None:

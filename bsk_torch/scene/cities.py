@@ -8,6 +8,7 @@ from typing import Literal
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number
 from bsk_torch.astro.frames import lla_to_fixed
@@ -85,8 +86,8 @@ class CityTargets(UniformTargets):
             r_LP_P = shifted * (self.radius / shifted.norm(dim=-1, keepdim=True))
         return {"target_r_LP_P": r_LP_P, "target_city": city.double()}
 
+    @override
     def _bounds(self) -> dict[str, tuple[float, float]]:
-        """See :meth:`Scenario._bounds`."""
         return super()._bounds() | {"target_city": (0.0, self.n_select_from - 1.0)}
 
     def offset(self, key: Key) -> Tensor:
@@ -99,7 +100,7 @@ class CityTargets(UniformTargets):
             return super().names(row)
         return self._names_of({"target_city": self.drawn("target_city")[row : row + 1]})
 
+    @override
     def _names_of(self, values: dict[str, Tensor]) -> list[str]:
-        """See :meth:`UniformTargets._names_of`."""
         table = city_table()[0]
         return [table[k] for k in values["target_city"][0].long().tolist()]

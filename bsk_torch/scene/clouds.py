@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number
 from bsk_torch.rand import Key, Uniform
@@ -45,8 +46,8 @@ class CloudyTargets(OverlaidTargets):
         self.cover, self.forecast_sigma, self.largest_forecast = cover, forecast_sigma, largest_forecast
 
     @property
+    @override
     def calls_user(self) -> bool:
-        """See :attr:`Scenario.calls_user`."""
         return super().calls_user or calls_user(self.cover, self.forecast_sigma)
 
     def draw(self, key: Key) -> dict[str, Tensor]:
@@ -58,8 +59,8 @@ class CloudyTargets(OverlaidTargets):
         clouds = {"cloud_cover": cover, "cloud_forecast": forecast, "cloud_forecast_sigma": sigma}
         return super().draw(key) | clouds
 
+    @override
     def _bounds(self) -> dict[str, tuple[float, float]]:
-        """See :meth:`Scenario._bounds`."""
         share = (0.0, 1.0)
         clouds = {"cloud_cover": share, "cloud_forecast": share, "cloud_forecast_sigma": (0.0, FINITE)}
         return super()._bounds() | clouds
@@ -80,8 +81,8 @@ class CloudyTargets(OverlaidTargets):
         return self.drawn("cloud_forecast_sigma")
 
     @property
+    @override
     def available(self) -> Tensor:
-        """See :attr:`TargetScenario.available`."""
         targets = super().available
         if self.largest_forecast is None:
             return targets

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import text
 from bsk_torch.rand import Distribution, Key, PerEnv
@@ -41,8 +42,8 @@ class Targets(TargetScenario):
             raise ValueError(f"names has {len(self.given_names)} entries; r_LP_P has {self.most_targets} targets")
 
     @property
+    @override
     def calls_user(self) -> bool:
-        """See :attr:`Scenario.calls_user`."""
         return calls_user(self.priorities)
 
     @property

@@ -7,6 +7,7 @@ from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.rand import Key
 from bsk_torch.scene.base import Scenario
@@ -159,14 +160,14 @@ class MixedScenario(Scenario):
             members = self.members(part)
             part.validate_satellite_names([satellite for satellite in satellites if satellite.name in members])
 
+    @override
     def link(self, fleet: SatelliteFleet) -> None:
-        """See :meth:`Scenario.link`."""
         super().link(fleet)
         for part in self._parts():
             part.attach(fleet)
 
+    @override
     def _bounds(self) -> dict[str, tuple[float, float]]:
-        """See :meth:`Scenario._bounds`."""
         return {name: bound for part in self._parts() for name, bound in part._bounds().items()}
 
     def reset(self, rows: Tensor) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.rand import Key
 from bsk_torch.scene.targets import TargetScenario
@@ -35,26 +36,26 @@ class OverlaidTargets(TargetScenario):
         self.targets, self.most_targets = targets, targets.most_targets
 
     @property
+    @override
     def calls_user(self) -> bool:
-        """See :attr:`Scenario.calls_user`."""
         return self.targets.calls_user
 
     @property
+    @override
     def varies_population(self) -> bool:
-        """See :attr:`Scenario.varies_population`."""
         return self.targets.varies_population
 
+    @override
     def present(self, key: Key, names: Sequence[str]) -> Tensor:
-        """See :meth:`Scenario.present`."""
         return self.targets.present(key, names)
 
     @property
+    @override
     def target_names(self) -> list[str]:
-        """See :attr:`TargetScenario.target_names`."""
         return self.targets.target_names
 
+    @override
     def names(self, row: int) -> list[str]:
-        """See :meth:`TargetScenario.names`."""
         return self.targets.names(row)
 
     def place_kinds(self, tables: PlaceTables) -> Mapping[str, Places]:
@@ -65,49 +66,49 @@ class OverlaidTargets(TargetScenario):
         """See :class:`TargetScenario`; the values of the other scenario."""
         return self.targets.draw(key)
 
+    @override
     def _bounds(self) -> dict[str, tuple[float, float]]:
-        """See :meth:`Scenario._bounds`."""
         return self.targets._bounds()
 
     # -- in an environment --------------------------------------------------------------------------------------------
 
+    @override
     def link(self, fleet: SatelliteFleet) -> None:
-        """See :meth:`TargetScenario.link`."""
         self.targets = copy.copy(self.targets)  # environments that share this scenario each link their own
         self.targets.link(fleet)
         super().link(fleet)
 
     @property
+    @override
     def priority(self) -> Tensor:
-        """See :attr:`TargetScenario.priority`."""
         return self.targets.priority
 
     @property
+    @override
     def available(self) -> Tensor:
-        """See :attr:`TargetScenario.available`."""
         return self.targets.available
 
+    @override
     def reset(self, rows: Tensor) -> None:
-        """See :meth:`Scenario.reset`."""
         super().reset(rows)
         self.targets.reset(rows)
 
+    @override
     def after_step(self, sim_time: Tensor) -> None:
-        """See :meth:`Scenario.after_step`."""
         super().after_step(sim_time)
         self.targets.after_step(sim_time)
 
+    @override
     def _forget_draws(self) -> None:
-        """See :meth:`Scenario._forget_draws`."""
         super()._forget_draws()
         self.targets._forget_draws()
 
+    @override
     def _forget_time(self) -> None:
-        """See :meth:`Scenario._forget_time`."""
         super()._forget_time()
         self.targets._forget_time()
 
+    @override
     def _keep_time(self) -> None:
-        """See :meth:`Scenario._keep_time`."""
         super()._keep_time()
         self.targets._keep_time()

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import no_gradient, number, whole
 from bsk_torch.astro.relative import fibonacci_sphere
@@ -128,8 +129,8 @@ class RSOPoints(Scenario):
         return [point.numbers(f"{title}[{k}]") for k, point in enumerate(points)]
 
     @property
+    @override
     def calls_user(self) -> bool:
-        """See :attr:`Scenario.calls_user`."""
         return not self.points_are_fixed
 
     def draw(self, key: Key) -> dict[str, Tensor]:
@@ -214,8 +215,8 @@ class RSOPoints(Scenario):
         if both := sorted(set(rsos) & set(inspectors)):
             raise ValueError(f"{title}: {both} would inspect itself; give the RSO and its inspectors separate models")
 
+    @override
     def link(self, fleet: SatelliteFleet) -> None:
-        """See :meth:`Scenario.link`."""
         super().link(fleet)
         kinds = [part.dyn_type for part in fleet.satellites]
         self.rso_type = next(k for k, kind in enumerate(kinds) if issubclass(kind, RSODynModel))
@@ -233,8 +234,8 @@ class RSOPoints(Scenario):
         """The inspectors of each type."""
         return [self.fleet.satellites[k] for k in self.inspector_types]
 
+    @override
     def _bounds(self) -> dict[str, tuple[float, float]]:
-        """See :meth:`Scenario._bounds`."""
         return {} if self.points_are_fixed else {DRAWN: (-1e200, 1e200)}
 
 
@@ -274,7 +275,7 @@ class SphericalRSO(RSOPoints):
         self.theta_solar_max = number("theta_solar_max", theta_solar_max, -math.pi, math.pi, unit=angle)
         self.min_illumination_factor = number("min_illumination_factor", min_illumination_factor, -math.inf, 1.0)
 
+    @override
     def generate_points(self) -> list[RSOPoint]:
-        """See :meth:`RSOPoints.generate_points`."""
         limits = self.theta_max, self.range_max, self.theta_solar_max, self.min_illumination_factor
         return [RSOPoint(self.radius * n_B, n_B, *limits) for n_B in fibonacci_sphere(self.number_of_points)]

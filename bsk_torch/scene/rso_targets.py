@@ -11,6 +11,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import function, switch, text
 from bsk_torch.astro.eclipse import illumination
@@ -153,8 +154,8 @@ class RSOTargets(Scenario):
     # -- draws --------------------------------------------------------------------------------------------------------
 
     @property
+    @override
     def calls_user(self) -> bool:
-        """See :attr:`Scenario.calls_user`."""
         return isinstance(self.given[0], RandomRSOCatalog) and self.given[0].calls_user
 
     def draw(self, key: Key) -> dict[str, Tensor]:
@@ -167,8 +168,8 @@ class RSOTargets(Scenario):
             values = tuple(torch.as_tensor(PerEnv(part).draw(key)) if self.per_env else part for part in stacked)
         return dict(zip((POSITIONS, VELOCITIES, PRIORITIES), values, strict=True))
 
+    @override
     def _bounds(self) -> dict[str, tuple[float, float]]:
-        """See :meth:`Scenario._bounds`."""
         return {POSITIONS: (-1e9, 1e9), VELOCITIES: (-1e6, 1e6), PRIORITIES: (0.0, FINITE)}
 
     @property

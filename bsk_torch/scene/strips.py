@@ -6,6 +6,7 @@ import math
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number
 from bsk_torch.rand import Key, Uniform
@@ -43,8 +44,8 @@ class StripTargets(OverlaidTargets):
         self.length, self.acquisition_speed = length, number("acquisition_speed", acquisition_speed, 0.0, unit="m/s", above=True)
 
     @property
+    @override
     def calls_user(self) -> bool:
-        """See :attr:`Scenario.calls_user`."""
         return super().calls_user or calls_user(self.length)
 
     def draw(self, key: Key) -> dict[str, Tensor]:
@@ -60,8 +61,8 @@ class StripTargets(OverlaidTargets):
         along = (azimuth.cos() * one + azimuth.sin() * other) * middle.norm(dim=-1, keepdim=True)
         return drawn | {"strip_length": length, "strip_along": along}
 
+    @override
     def _bounds(self) -> dict[str, tuple[float, float]]:
-        """See :meth:`Scenario._bounds`."""
         return super()._bounds() | {"strip_length": (SHORTEST, LONGEST), "strip_along": (-FARTHEST, FARTHEST)}
 
     @property

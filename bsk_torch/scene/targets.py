@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.rand import first_key
 from bsk_torch.scene.base import Scenario
@@ -40,8 +41,8 @@ class TargetScenario(Scenario):
     _available: Tensor | None = None
     _link_needs_super = True
 
+    @override
     def __init_subclass__(cls, **options: object) -> None:
-        """See :meth:`Scenario.__init_subclass__`."""
         super().__init_subclass__(**options)
         check_class(cls, TargetScenario, TARGET_HOOKS, {})
 
@@ -105,8 +106,8 @@ class TargetScenario(Scenario):
             self._available = exists.bool() if owner is None else exists.bool()[owner]
         return self._available
 
+    @override
     def _bounds(self) -> dict[str, tuple[float, float]]:
-        """See :meth:`Scenario._bounds`."""
         return {"target_r_LP_P": (-FARTHEST, FARTHEST), "target_priority": (-FINITE, FINITE), "target_exists": (0.0, 1.0)}
 
     # -- reading ------------------------------------------------------------------------------------------------------
@@ -169,19 +170,19 @@ class TargetScenario(Scenario):
                 setattr(target, name.removeprefix("target_"), value.item() if value.ndim == 0 else value)
         return ((k, target) for k, target in enumerate(made) if exists[k])
 
+    @override
     def _forget_objects(self, rows: Tensor) -> None:
-        """See :meth:`Scenario._forget_objects`."""
         if self._objects:
             for row in rows.tolist():
                 self._objects.pop(row, None)
 
+    @override
     def reset(self, rows: Tensor) -> None:
-        """See :meth:`Scenario.reset`."""
         super().reset(rows)
         self._forget_draws()
 
+    @override
     def _forget_draws(self) -> None:
-        """See :meth:`Scenario._forget_draws`."""
         super()._forget_draws()
         self._available = None
 
@@ -203,8 +204,8 @@ class ChangingTargets(TargetScenario):
 
     _present: tuple[Tensor, Tensor] | None = None
 
+    @override
     def __init_subclass__(cls, **options: object) -> None:
-        """See :meth:`Scenario.__init_subclass__`."""
         super().__init_subclass__(**options)
         check_class(cls, ChangingTargets, ("at",), {})
 
@@ -232,31 +233,31 @@ class ChangingTargets(TargetScenario):
         return self._update(self.fleet.sim_time) if self._present is None else self._present
 
     @property
+    @override
     def priority(self) -> Tensor:
-        """See :attr:`TargetScenario.priority`."""
         return self._at_decision()[0]
 
     @property
+    @override
     def available(self) -> Tensor:
-        """See :attr:`TargetScenario.available`."""
         return self._at_decision()[1]
 
+    @override
     def reset(self, rows: Tensor) -> None:
-        """See :meth:`Scenario.reset`."""
         super().reset(rows)
         self._update(self.fleet.sim_time)
 
+    @override
     def after_step(self, sim_time: Tensor) -> None:
-        """See :meth:`Scenario.after_step`."""
         super().after_step(sim_time)
         self._update(sim_time)
 
+    @override
     def _forget_time(self) -> None:
-        """See :meth:`Scenario._forget_time`."""
         super()._forget_time()
         self._present = None
 
+    @override
     def _keep_time(self) -> None:
-        """See :meth:`Scenario._keep_time`."""
         super()._keep_time()
         self._at_decision()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.rand import Key
 from bsk_torch.scene.draws import Numbers, calls_user, check_numbers, draw_numbers, horizontal
@@ -36,8 +37,8 @@ class UncertainTargets(OverlaidTargets):
         self.sigma = sigma
 
     @property
+    @override
     def calls_user(self) -> bool:
-        """See :attr:`Scenario.calls_user`."""
         return super().calls_user or calls_user(self.sigma)
 
     def draw(self, key: Key) -> dict[str, Tensor]:
@@ -47,8 +48,8 @@ class UncertainTargets(OverlaidTargets):
         error = sigma.unsqueeze(-1) * key.named("location_error").normal(2 * t).view(-1, t, 2)
         return drawn | {"location_sigma": sigma, "true_r_LP_P": displaced(drawn["target_r_LP_P"], error)}
 
+    @override
     def _bounds(self) -> dict[str, tuple[float, float]]:
-        """See :meth:`Scenario._bounds`."""
         return super()._bounds() | {"location_sigma": (0.0, LARGEST), "true_r_LP_P": (-FARTHEST, FARTHEST)}
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.constants import R_EARTH
 from bsk_torch.rand import Key, Uniform
@@ -41,8 +42,8 @@ class UniformTargets(TargetScenario):
     n_targets: int
     regenerated_key: Key | None = None
 
+    @override
     def __init_subclass__(cls, **options: object) -> None:
-        """See :meth:`Scenario.__init_subclass__`."""
         super().__init_subclass__(**options)
         check_class(cls, UniformTargets, ("places", "regenerate_targets"), {})
 
@@ -64,8 +65,8 @@ class UniformTargets(TargetScenario):
         self.radius = check_radius("radius", radius)
 
     @property
+    @override
     def calls_user(self) -> bool:
-        """See :attr:`Scenario.calls_user`."""
         return self._regenerates or calls_user(self.priority_distribution)
 
     @property
@@ -111,13 +112,13 @@ class UniformTargets(TargetScenario):
         """Return the names of targets drawn for one environment."""
         return [f"tgt-{k}" for k in range(values["target_priority"].shape[1])]
 
+    @override
     def names(self, row: int) -> list[str]:
-        """See :meth:`TargetScenario.names`."""
         if not self._regenerates:
             return super().names(row)
         given = [target.name for target in self.target_objects(row)]
         return given + self.target_names[len(given) :]
 
+    @override
     def _make_objects(self, row: int) -> Iterable[tuple[int, Target]]:
-        """See :meth:`TargetScenario._make_objects`."""
         return enumerate(made_again(self, row)) if self._regenerates else super()._make_objects(row)

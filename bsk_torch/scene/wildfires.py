@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number
 from bsk_torch.constants import R_EARTH
@@ -76,8 +77,8 @@ class Wildfires(ChangingTargets, UniformTargets):
         self.regions = _region_table([WORLD] if regions is None else regions)
 
     @property
+    @override
     def calls_user(self) -> bool:
-        """See :attr:`Scenario.calls_user`."""
         return super().calls_user or calls_user(*self.fire_args.values())
 
     def draw(self, key: Key) -> dict[str, Tensor]:
@@ -87,13 +88,13 @@ class Wildfires(ChangingTargets, UniformTargets):
             values[f"fire_{name}"] = draw_numbers(name, value, key.named(f"fire_{name}"), self.most_targets, **FIRE_BOUNDS[name])
         return values
 
+    @override
     def _bounds(self) -> dict[str, tuple[float, float]]:
-        """See :meth:`Scenario._bounds`."""
         fires = {f"fire_{name}": (given.get("low", -FINITE), FINITE) for name, given in FIRE_BOUNDS.items()}
         return super()._bounds() | fires
 
+    @override
     def places(self, key: Key) -> dict[str, Tensor]:
-        """See :meth:`UniformTargets.places`."""
         u = key.named("target_r_LP_P").uniform(3 * self.most_targets).view(len(key), -1, 3)
         share, low, high, west, width = self.regions
         region = torch.searchsorted(share.cumsum(0)[:-1] / share.sum(), u[..., 2].contiguous(), right=True)
@@ -108,8 +109,8 @@ class Wildfires(ChangingTargets, UniformTargets):
         a = self.drawn("fire_rate_of_spread") * age / (1.0 + eccentricity)
         return math.pi * a**2 / self.length_to_breadth
 
+    @override
     def at(self, time: Tensor) -> tuple[Tensor, Tensor]:
-        """See :meth:`ChangingTargets.at`."""
         age = time.unsqueeze(-1) - self.drawn("fire_ignition")
         burning = (age >= 0.0) & (age < self.drawn("fire_burning_time"))
         grown = torch.clamp(self.burnt_area(time) / self.full_area, max=1.0)

@@ -6,6 +6,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.sim.state import StateTable, owned
 
@@ -50,8 +51,8 @@ class DrawTable(StateTable):
         self.__dict__["_once"] = {other: once[other] for other in once if other != name}
         return value
 
+    @override
     def copy_rows(self, envs: Tensor, other: StateTable, source: Tensor) -> None:
-        """See :meth:`StateTable.copy_rows`."""
         few, owner = source.unique(return_inverse=True)
         if not isinstance(other, DrawTable) or len(envs) < self.num_envs or SHARED_FROM * len(few) > self.num_envs:
             super().copy_rows(envs, other, source)

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.sim.state import StateTable
 
@@ -57,21 +58,21 @@ class ObjectTable(StateTable):
         entry = self.entries[env]
         return entry if isinstance(entry, bytes) else self.dump(entry)
 
+    @override
     def reset(self, envs: Tensor) -> None:
-        """See :meth:`StateTable.reset`."""
         for env in envs.tolist():
             self.entries[env] = b""
         self.touch()
 
+    @override
     def copy_rows(self, envs: Tensor, other: StateTable, source: Tensor) -> None:
-        """See :meth:`StateTable.copy_rows`."""
         assert isinstance(other, ObjectTable)
         for env, entry in zip(envs.tolist(), [other.saved(env) for env in source.tolist()], strict=True):
             self.entries[env] = entry
         self.touch()
 
+    @override
     def to_tensordict(self) -> TensorDict:
-        """See :meth:`StateTable.to_tensordict`."""
         values = self._gathered(torch.arange(self.num_envs))
         return TensorDict(values, [self.num_envs], device=self.device)
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from typing_extensions import override
 
 from bsk_torch.bsk_rl.act.actions import Action, ActionBuilder
 
@@ -22,18 +23,18 @@ class ContinuousActionBuilder(ActionBuilder):
         assert len(self.action_spec) == 1, "Only one continuous action is supported."
 
     @property
+    @override
     def action_space(self) -> spaces.Box:
-        """See :attr:`ActionBuilder.action_space`."""
         return self.action_spec[0].space
 
     @property
+    @override
     def action_description(self) -> list[str]:
-        """See :attr:`ActionBuilder.action_description`."""
         found = self.action_spec[0].action_description
         return found() if callable(found) else found  # a method in programs of bsk_rl, which calls it
 
+    @override
     def set_action(self, action: Any) -> None:
-        """See :meth:`ActionBuilder.set_action`."""
         self.action_spec[0].set_action(action)
 
 
@@ -83,15 +84,15 @@ class ImpulsiveThrust(ContinuousAction):
         self.max_dv, self.max_drift_duration, self.fsw_action = max_dv, max_drift_duration, fsw_action
 
     @property
+    @override
     def space(self) -> spaces.Box:
-        """See :attr:`ContinuousAction.space`."""
         high = np.array([self.max_dv] * 3 + [self.max_drift_duration])
         low = np.array([-self.max_dv] * 3 + [2 * self.simulator.sim_rate])
         return spaces.Box(low=low, high=high, shape=(4,), dtype=np.float32)
 
     @property
+    @override
     def action_description(self) -> list[str]:
-        """See :attr:`ContinuousAction.action_description`."""
         return ["dV_N_x", "dV_N_y", "dV_N_z", "duration"]
 
     def set_action(self, action: Any) -> None:
@@ -125,8 +126,8 @@ class ImpulsiveThrustHill(ImpulsiveThrust):
         """Find the chief."""
         self.chief = self.satellite.simulator.get_satellite(self.chief_name)
 
+    @override
     def set_action(self, action: Any) -> None:
-        """See :meth:`ImpulsiveThrust.set_action`."""
         dv_N = self.chief.dynamics.HN.T @ action[0:3]
         super().set_action(np.concatenate((dv_N, [action[3]])))
 
@@ -140,22 +141,22 @@ class AttitudeSetpoint(ContinuousAction):
         self.control_period = control_period
 
     @property
+    @override
     def may_hold_attitude(self) -> bool:
-        """See :attr:`Action.may_hold_attitude`."""
         return True
 
     @property
+    @override
     def space(self) -> spaces.Box:
-        """See :attr:`ContinuousAction.space`."""
         return spaces.Box(low=-np.ones(3), high=np.ones(3), shape=(3,), dtype=np.float32)
 
     @property
+    @override
     def action_description(self) -> list[str]:
-        """See :attr:`ContinuousAction.action_description`."""
         return ["mrp_1", "mrp_2", "mrp_3"]
 
+    @override
     def set_action(self, action: Any) -> None:
-        """See :meth:`ContinuousAction.set_action`."""
         assert len(action) == 3, "Action must have 3 elements."
         self.satellite.logger.info("Setting attitude command to %s for %s seconds.", action, self.control_period)
         self.satellite.fsw.action_attitude_mrp(action)

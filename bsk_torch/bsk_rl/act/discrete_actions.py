@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from typing_extensions import override
 
 from bsk_torch.bsk_rl.act.actions import Action, ActionBuilder
 
@@ -49,13 +50,13 @@ class DiscreteActionBuilder(ActionBuilder):
         self.prev_action_key = None
 
     @property
+    @override
     def action_space(self) -> spaces.Discrete:
-        """See :attr:`ActionBuilder.action_space`."""
         return spaces.Discrete(sum(entry.n_actions for entry in self.action_spec))
 
     @property
+    @override
     def action_description(self) -> list[str]:
-        """See :attr:`ActionBuilder.action_description`."""
         return [
             entry.name if entry.n_actions == 1 else f"{entry.name}_{k}"
             for entry in self.action_spec
@@ -121,8 +122,8 @@ class DiscreteFSWAction(DiscreteAction):
         self.fsw_action, self.reset_task = fsw_action, reset_task
         self.duration = LONGEST if duration is None else duration
 
+    @override
     def set_action(self, action: int, prev_action_key: Any = None) -> Any:
-        """See :meth:`DiscreteAction.set_action`."""
         assert action == 0
         self.satellite.logger.info("%s tasked for %s seconds", self.name, self.duration)
         self.satellite.update_timed_terminal_event(self.simulator.sim_time + self.duration, info=f"for {self.fsw_action}")
@@ -194,8 +195,8 @@ class Image(DiscreteAction):
         begin(found, max_duration=self.max_duration)
         return found.id
 
+    @override
     def set_action(self, action: int, prev_action_key: Any = None) -> Any:
-        """See :meth:`DiscreteAction.set_action`."""
         self.satellite.logger.info("target index %s tasked", action)
         return self.image(action, prev_action_key)
 
@@ -219,8 +220,8 @@ class Broadcast(DiscreteAction):
         super().reset_post_sim_init()
         self.broadcast_pending = False
 
+    @override
     def set_action(self, action: int, prev_action_key: Any = None) -> Any:
-        """See :meth:`DiscreteAction.set_action`."""
         assert action == 0
         self.broadcast_pending = True
         self.satellite.update_timed_terminal_event(self.simulator.sim_time + self.duration, info="for broadcast")

@@ -9,6 +9,7 @@ from itertools import permutations
 from typing import Any, NamedTuple
 
 import numpy as np
+from typing_extensions import override
 
 from bsk_torch.bsk_rl.utils.functional import Resetable
 from bsk_torch.sim.dyn import LOSCommDynModel
@@ -96,16 +97,16 @@ class CommunicationMethod(ABC, Resetable):
 class NoCommunication(CommunicationMethod):
     """Satellites do not communicate."""
 
+    @override
     def communication_pairs(self) -> Pairs:
-        """See :meth:`CommunicationMethod.communication_pairs`."""
         return []
 
 
 class FreeCommunication(CommunicationMethod):
     """All satellites exchange data with all others."""
 
+    @override
     def communication_pairs(self) -> Pairs:
-        """See :meth:`CommunicationMethod.communication_pairs`."""
         return list(permutations(self.satellites, 2))
 
 
@@ -165,8 +166,8 @@ class LOSCommunication(CommunicationMethod):
 class MultiDegreeCommunication(CommunicationMethod):
     """Composed with another method, whose pairs are links of chains: satellites that a chain joins tell one another."""
 
+    @override
     def communication_pairs(self) -> Pairs:
-        """See :meth:`CommunicationMethod.communication_pairs`."""
         groups = {satellite.name: {satellite.name} for satellite in self.satellites}
         for one, other in super().communication_pairs():  # type: ignore[safe-super]
             joined = groups[one.name] | groups[other.name]
@@ -184,8 +185,8 @@ class LOSMultiCommunication(MultiDegreeCommunication, LOSCommunication):
 class BroadcastCommunication(CommunicationMethod):
     """Composed with another method: of its pairs, those communicate whose sender has chosen ``act.Broadcast``."""
 
+    @override
     def communication_pairs(self) -> Pairs:
-        """See :meth:`CommunicationMethod.communication_pairs`."""
         actions = {
             satellite.name: [act for act in satellite.action_builder.action_spec if hasattr(act, "broadcast_pending")]
             for satellite in self.satellites

@@ -10,6 +10,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from typing import Any
 
+from typing_extensions import override
+
 from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
 from bsk_torch.bsk_rl.scene.composition import MixedScenario
 from bsk_torch.bsk_rl.scene.scenario import Scenario
@@ -61,14 +63,14 @@ class PassingStore(DataStore):
     def pass_data(self) -> None:
         """Pass each store its data."""
 
+    @override
     def update_from_logs(self) -> Any:
-        """See :meth:`DataStore.update_from_logs`."""
         new_data = super().update_from_logs()
         self.pass_data()
         return new_data
 
+    @override
     def update_with_communicated_data(self) -> None:
-        """See :meth:`DataStore.update_with_communicated_data`."""
         super().update_with_communicated_data()
         self.pass_data()
 
@@ -159,14 +161,14 @@ class ComposedReward(GlobalReward):
         for rewarder in self.rewarders:
             rewarder.reset_post_sim_init()
 
+    @override
     def link_scenario(self, scenario: Scenario) -> None:
-        """See :meth:`GlobalReward.link_scenario`."""
         super().link_scenario(scenario)
         for rewarder in self.rewarders:
             rewarder.link_scenario(scenario)
 
+    @override
     def initial_data(self, satellite: Any) -> ComposedData:
-        """See :meth:`GlobalReward.initial_data`."""
         return ComposedData(*(rewarder.initial_data(satellite) for rewarder in self.rewarders))
 
     def create_data_store(self, satellite: Any) -> None:
@@ -197,8 +199,8 @@ class ComposedReward(GlobalReward):
                 rewarder.cum_reward[name] += value
         return reward
 
+    @override
     def reward(self, new_data_dict: dict[str, ComposedData]) -> dict[str, float]:
-        """See :meth:`GlobalReward.reward`."""
         reward = super().reward(new_data_dict)
         self.pass_data()
         return reward
@@ -425,8 +427,8 @@ class MixedReward(GlobalReward):
                 rewarder.cum_reward[name] += value
         return reward
 
+    @override
     def reward(self, new_data_dict: dict[str, MixedData]) -> dict[str, float]:
-        """See :meth:`GlobalReward.reward`."""
         reward = super().reward(new_data_dict)
         self.pass_data()
         return reward

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from typing_extensions import override
+
 from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
 
 __all__ = ["ScanningTime", "ScanningTimeReward", "ScanningTimeStore"]
@@ -56,6 +58,6 @@ class ScanningTimeReward(GlobalReward):
         """Reward as a function of the time, s."""
         return self._reward_fn or (lambda time: time * self.scenario.value_per_second)
 
+    @override
     def calculate_reward(self, new_data_dict: dict[str, ScanningTime]) -> dict[str, float]:
-        """See :meth:`GlobalReward.calculate_reward`."""
         return {name: self.reward_fn(data.scanning_time) for name, data in new_data_dict.items()}

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from typing_extensions import override
+
 from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
 
 __all__ = ["NoData", "NoDataStore", "NoReward"]
@@ -32,6 +34,6 @@ class NoReward(GlobalReward):
 
     data_store_type = NoDataStore
 
+    @override
     def calculate_reward(self, new_data_dict: dict[str, NoData]) -> dict[str, float]:
-        """See :meth:`GlobalReward.calculate_reward`."""
         return dict.fromkeys(new_data_dict, 0.0)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from typing_extensions import override
+
 from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
 
 __all__ = ["ResourceData", "ResourceDataStore", "ResourceReward"]
@@ -86,6 +88,6 @@ class ResourceReward(GlobalReward):
                     observation.weight_vector.append(self.reward_weight)
         super().reset_post_sim_init()
 
+    @override
     def calculate_reward(self, new_data_dict: dict[str, ResourceData]) -> dict[str, float]:
-        """See :meth:`GlobalReward.calculate_reward`."""
         return {name: self.reward_weight * data.resource_accumulated for name, data in new_data_dict.items()}

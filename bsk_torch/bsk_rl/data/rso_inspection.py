@@ -6,6 +6,8 @@ import logging
 from collections.abc import Mapping
 from typing import Any
 
+from typing_extensions import override
+
 from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
 from bsk_torch.bsk_rl.scene.rso_points import RSOPoint
 from bsk_torch.bsk_rl.sim.inspection import Found
@@ -171,8 +173,8 @@ class RSOInspectionReward(GlobalReward):
     def update_point_colors(self, rso_points: list[RSOPoint], colors: Any, alpha: float = 0.5) -> None:
         """Color points in Vizard."""
 
+    @override
     def calculate_reward(self, new_data_dict: dict[str, RSOInspectionData]) -> dict[str, float]:
-        """See :meth:`GlobalReward.calculate_reward`."""
         known, total, reward = self.data.point_inspect_status, self.data_type() + self.data, {}
         for name, data in new_data_dict.items():
             new = sum(inspected and not known.get(point, False) for point, inspected in data.point_inspect_status.items())

@@ -6,6 +6,8 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from typing_extensions import override
+
 from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
 from bsk_torch.bsk_rl.scene.targets import Target
 from bsk_torch.bsk_rl.utils import vizard
@@ -96,8 +98,8 @@ class UniqueImageReward(GlobalReward):
         super().create_data_store(satellite)
         satellite.add_access_filter(HideImaged(satellite.data_store))
 
+    @override
     def calculate_reward(self, new_data_dict: dict[str, UniqueImageData]) -> dict[str, float]:
-        """See :meth:`GlobalReward.calculate_reward`."""
         takers = Counter(target for data in new_data_dict.values() for target in data.imaged)
         reward = {}
         for name, data in new_data_dict.items():

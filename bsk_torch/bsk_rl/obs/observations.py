@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
+from typing_extensions import override
 
 from bsk_torch.bsk_rl.utils.functional import Resetable, vectorize_nested_dict
 from bsk_torch.bsk_rl.utils.orbital import rv2HN
@@ -212,8 +213,8 @@ class SatProperties(Observation):
                 else:
                     raise AttributeError(f"Property {entry['prop']} not found")
 
+    @override
     def get_obs(self) -> dict[str, Any]:
-        """See :meth:`Observation.get_obs`."""
         found = {}
         for entry in self.obs_properties:
             if "fn" in entry:
@@ -236,8 +237,8 @@ class Time(Observation):
         """Find the unit."""
         self._norm = self.simulator.time_limit if self.norm is None else self.norm
 
+    @override
     def get_obs(self) -> float:
-        """See :meth:`Observation.get_obs`."""
         now = self.simulator.sim_time
         return (self.simulator.time_limit - now if self.return_time_remaining else now) / self._norm
 
@@ -298,8 +299,8 @@ class OpportunityProperties(Observation):
                 logger.warning("Ignoring default function for `%s` when `fn` is provided.", entry["prop"])
             name_entry(entry, entry.get("prop", f"prop_{k}"))
 
+    @override
     def get_obs(self) -> dict[str, Any]:
-        """See :meth:`Observation.get_obs`."""
         found = self.satellite.find_next_opportunities(n=self.n_ahead_observe, types=self.type, pad=True)
         return {
             f"{self.name}_{k}": {
@@ -317,8 +318,8 @@ class Eclipse(Observation):
         super().__init__(name=name)
         self.norm = norm
 
+    @override
     def get_obs(self) -> list[float]:
-        """See :meth:`Observation.get_obs`."""
         now = self.simulator.sim_time
         return [(time - now) / self.norm for time in self.satellite.trajectory.next_eclipse(now)]
 
@@ -337,6 +338,6 @@ class ResourceRewardWeight(Observation):
         """Forget the weights of the last episode; rewarders append theirs."""
         self.weight_vector = []
 
+    @override
     def get_obs(self) -> Any:
-        """See :meth:`Observation.get_obs`."""
         return np.array(self.weight_vector) / self.norm

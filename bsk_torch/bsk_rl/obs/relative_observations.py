@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from typing_extensions import override
 
 from bsk_torch.astro.attitude import dcm_to_mrp
 from bsk_torch.bsk_rl.obs.observations import Entry, Observation, checked_entries, name_entry
@@ -193,8 +194,8 @@ class RelativeProperties(Observation):
             raise ValueError(f"Chief satellite {self.chief_name} not found")
         self.chief = found[0]
 
+    @override
     def get_obs(self) -> dict[str, Any]:
-        """See :meth:`Observation.get_obs`."""
         found = {}
         for entry in self.rel_properties:
             value = entry["fn"](self.satellite, self.chief)

@@ -8,6 +8,7 @@ from dataclasses import astuple, dataclass
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from bsk_torch.bsk_rl.scene.scenario import Scenario
 from bsk_torch.bsk_rl.sim.inspection import Inspection
@@ -157,7 +158,7 @@ class SphericalRSO(RSOPoints):
         self.theta_solar_max = theta_solar_max
         self.min_illumination_factor = min_illumination_factor
 
+    @override
     def generate_points(self) -> list[RSOPoint]:
-        """See :meth:`RSOPoints.generate_points`."""
         limits = self.theta_max, self.range_max, self.theta_solar_max, self.min_illumination_factor
         return [RSOPoint(self.radius * n_B, n_B, *limits) for n_B in fibonacci_sphere(self.n_points)]

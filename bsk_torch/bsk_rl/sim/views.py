@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from typing_extensions import override
 
 from bsk_torch.bsk_rl.sim import messages
 from bsk_torch.bsk_rl.sim.engine import row_mask
@@ -211,8 +212,8 @@ class SatelliteModelView(ModelView):
         self.__dict__["satellite"] = satellite
 
     @staticmethod
+    @override
     def _model(satellite: Any, whole: Any, row: int) -> Any:  # type: ignore[override]
-        """See :meth:`ModelView._model`."""
         return whole
 
     satellite: Any
@@ -511,8 +512,8 @@ class WorldView(ModelView):
         self.__dict__["_simulator"] = simulator
 
     @staticmethod
+    @override
     def _model(simulator: Simulator) -> Any:  # type: ignore[override]
-        """See :meth:`ModelView._model`."""
         return simulator.fleet.simulators[0].world
 
     @property

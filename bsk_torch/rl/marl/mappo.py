@@ -25,6 +25,7 @@ from torch import Tensor
 from torchrl.modules import MaskedCategorical, ProbabilisticActor, ValueOperator
 from torchrl.modules.value_norm import ValueNorm
 from torchrl.objectives.value import MultiAgentGAE
+from typing_extensions import override
 
 from bsk_torch.env import ConstellationTasking, SatelliteTasking
 from bsk_torch.env.agents import AGENTS
@@ -235,8 +236,8 @@ class GroupLearner(Learner):
             )
         self._learn_by(actor, critic)
 
+    @override
     def make_plan(self, env: SatelliteTasking) -> Plan:
-        """See :meth:`Learner.make_plan`."""
         return group_plan(self.config, env)
 
     def make_teacher(self, env: SatelliteTasking) -> TensorDictModuleBase | None:
@@ -398,21 +399,21 @@ class MAPPOTraining(Training):
     _lost: Tensor | bool = False
     """Present episodes that have lost a satellite, [N]."""
 
+    @override
     def make_learner(self) -> MAPPOLearner:
-        """See :meth:`Training.make_learner`."""
         return MAPPOLearner(self.config, self.env)
 
     @property
+    @override
     def actor(self) -> TensorDictModuleBase:
-        """See :attr:`Training.actor`."""
         return shared(self.policy, self.env)
 
+    @override
     def evaluate(self) -> Evaluation:
-        """See :meth:`Training.evaluate`."""
         return evaluate(self.actor, self.judge, seed=self.config.seed + VALIDATION)
 
+    @override
     def rewards(self, batch: TensorDictBase) -> Tensor:
-        """See :meth:`Training.rewards`."""
         return torch.stack([batch["next", group, "reward"].sum((-2, -1)) for group in self.learner.groups]).sum(0)
 
     def survived(self, batch: TensorDictBase) -> Tensor:

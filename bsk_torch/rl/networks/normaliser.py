@@ -9,6 +9,7 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
+from typing_extensions import override
 
 OWN, ROWS, MASK = ("seen", "own"), ("seen", "rows"), ("seen", "mask")
 """Keys of normalized observations: the satellite [..., D], rows of targets [..., K, F], and a mask of rows [..., K]."""
@@ -82,8 +83,8 @@ class VectorNormaliser(ObservationNormaliser):
         self.in_keys, self.out_keys = ["observation"], [OWN]
         self.own = FeatureNormaliser(n_observed)
 
+    @override
     def update(self, tensordict: TensorDictBase) -> None:
-        """See :meth:`ObservationNormaliser.update`."""
         self.own.update(tensordict["observation"])
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -107,8 +108,8 @@ class SetNormaliser(ObservationNormaliser):
         batch = tensordict.batch_size
         return torch.cat([tensordict[key].reshape(*batch, -1) for key in self.own_keys], -1)
 
+    @override
     def update(self, tensordict: TensorDictBase) -> None:
-        """See :meth:`ObservationNormaliser.update`."""
         self.own.update(self._join(tensordict))
         self.rows.update(tensordict[self.rows_key], tensordict[self.mask_key])
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, NoReturn
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.constants import MU_EARTH
@@ -158,8 +159,8 @@ class LookAhead(StateTable):
         for table, name, value, bound in searched:
             self.refuse(f"{path}lookahead.{table}.{name}", value, value > bound, "it must lie before the end of the arcs")
 
+    @override
     def over(self, saved: Mapping[str, Any] | TensorDictBase) -> LookAhead:
-        """See :meth:`StateTable.over`."""
         other = super().over(saved)
         tables: Mapping[str, Any] = other.tables
         other.arcs, other.eclipses, other.access = tables["arcs"], tables["eclipses"], tables.get("windows")

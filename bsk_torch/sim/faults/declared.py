@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number
 from bsk_torch.rand import Distribution, Key
@@ -28,8 +29,8 @@ class Hazard(Distribution):
         """Check the rate."""
         object.__setattr__(self, "rate", number("Hazard: rate", self.rate, 0.0, unit="1/s", above=True))
 
+    @override
     def draw(self, key: Key) -> Tensor:
-        """See :meth:`bsk_torch.rand.Distribution.draw`."""
         return -torch.log1p(-key.uniform(1).squeeze(-1)) / self.rate
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.astro.interpolate import BEFORE, COUNT, coefficients
 from bsk_torch.codegen.kernel import Samples
@@ -58,8 +59,8 @@ class RestartableArcs(Arcs):
         """Hours that can be solved before an arc has to move on, [N]."""
         return torch.round((self.start + self.length - self.solved) / ARC_SEGMENT)
 
+    @override
     def solve(self, rows: Tensor, et: Tensor, r: Tensor, v: Tensor) -> Tensor:
-        """See :meth:`Arcs.solve`."""
         planned = super().solve(rows, et, r, v)
         self.epoch[rows], self.solved[rows] = 0.0, self.length
         return planned

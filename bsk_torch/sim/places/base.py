@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.astro.ephemeris import earth_fixed_sun, earth_orientation
 from bsk_torch.sim.component import Values
@@ -179,8 +180,8 @@ class DrawnPlaces(Places):
         self.tables, self.clearances, self.advice, self.names = tables, tuple(clearances), advice, tuple(names)
         self._exists = exists
 
+    @override
     def exists(self, rows: Tensor) -> Tensor:
-        """See :meth:`Places.exists`."""
         return super().exists(rows) if self._exists is None else self.tables.of_envs(self._exists, rows) > 0.5
 
 
@@ -248,8 +249,8 @@ class FixedPlaces(Places):
         return self._table if isinstance(self._table, Tensor) else self._table()
 
     @property
+    @override
     def count(self) -> int:
-        """See :attr:`Places.count`."""
         return self._stored()[0].shape[1]
 
     def _stored(self) -> tuple[Tensor, Tensor | None]:
@@ -264,8 +265,8 @@ class FixedPlaces(Places):
         envs = rows // self.satellites
         return entries(table, (envs if row is None else row[envs]).view(-1, *[1] * (place.ndim - 1)), place)
 
+    @override
     def exists(self, rows: Tensor) -> Tensor:
-        """See :meth:`Places.exists`."""
         return super().exists(rows) if self._exists is None else self._exists()[rows // self.satellites] > 0.5
 
     @property
@@ -323,6 +324,6 @@ class DrawnTargets(FixedPlaces):
     def _may_lack(self) -> bool:
         return True
 
+    @override
     def exists(self, rows: Tensor) -> Tensor:
-        """See :meth:`Places.exists`."""
         return self._drawn.of_envs("target_exists", rows // self.satellites) > 0.5

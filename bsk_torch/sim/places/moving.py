@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.sim.places.base import Clearance, DrawnPlaces, Places, PlaceTables
 
@@ -43,12 +44,12 @@ class GreatCirclePlaces(DrawnPlaces):
         self._start, self._velocity = start, velocity
 
     @property
+    @override
     def count(self) -> int:
-        """See :attr:`Places.count`."""
         return self.tables.drawn[self._start].shape[1]
 
+    @override
     def position(self, rows: Tensor, place: Tensor, time: Tensor) -> Tensor:
-        """See :meth:`Places.position`."""
         r, v = (self.tables.of_rows(name, rows, place) for name in (self._start, self._velocity))
         radius = r.norm(dim=-1, keepdim=True)
         v = v - r * ((v * r).sum(-1, keepdim=True) / (radius * radius))
@@ -57,6 +58,6 @@ class GreatCirclePlaces(DrawnPlaces):
         course = v / torch.where(speed > 0.0, speed, torch.ones_like(speed))
         return r * torch.cos(angle) + course * (radius * torch.sin(angle))
 
+    @override
     def max_speed(self, rows: Tensor) -> Tensor:
-        """See :meth:`Places.max_speed`."""
         return self.tables.of_envs(self._velocity, rows).norm(dim=-1)

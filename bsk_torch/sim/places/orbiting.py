@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE
 from bsk_torch.astro.mean_orbit import mean_position
@@ -49,12 +50,12 @@ class OrbitingPlaces(DrawnPlaces):
         self._orbits = orbits
 
     @property
+    @override
     def count(self) -> int:
-        """See :attr:`Places.count`."""
         return self.tables.drawn[self._orbits].shape[1]
 
+    @override
     def position(self, rows: Tensor, place: Tensor, time: Tensor) -> Tensor:
-        """See :meth:`Places.position`."""
         r_LN_N = mean_position(self.tables.of_rows(self._orbits, rows, place), time)
         return (Mat3.of(self.tables.orientation(rows, time)) @ r_LN_N).stack()
 

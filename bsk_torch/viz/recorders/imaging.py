@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, cast
 import torch
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.act import Image
 from bsk_torch.constants import R_EARTH
@@ -61,8 +62,8 @@ class ImagingEpisode(TrackEpisode):
         return float(torch.acos(R_EARTH / self.track.norm(dim=-1).mean() * torch.cos(e)) - e)
 
     @property
+    @override
     def outcome(self) -> str:
-        """See :attr:`Episode.outcome`."""
         images = int(self.imaged.sum())
         return f"{images} image{'s' * (images != 1)}, {super().outcome}"
 
@@ -89,14 +90,14 @@ class ImagingEpisode(TrackEpisode):
 class ImagingRecorder(TrackRecorder):
     """Also notes targets and counters."""
 
+    @override
     def look(self) -> dict[str, Tensor]:
-        """See :meth:`Recorder.look`."""
         satellite = cast("BoundImagingSatellite", self.satellite)
         seen = {name: getattr(satellite, name)[0] for name in ("latest_target", "imaged", "missed")}
         return super().look() | seen | {"priority": satellite.scenario.priority[0]}
 
+    @override
     def episode(self) -> ImagingEpisode:
-        """See :meth:`Recorder.episode`."""
         scenario, priority = cast("TargetScenario", self.env.scenario), self.noted("priority")
         entries = self.satellite.actions.entries
         images = torch.tensor([isinstance(entries[k], Image) for k in self.actions], dtype=torch.bool)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.astro.frames import fixed_to_lla
 from bsk_torch.env import SatelliteTasking
@@ -51,13 +52,13 @@ def ground(r_P: Tensor) -> tuple[Tensor, Tensor]:
 class TrackRecorder(Recorder):
     """Also notes the orbit."""
 
+    @override
     def look(self) -> dict[str, Tensor]:
-        """See :meth:`Recorder.look`."""
         dynamics = self.satellite.dynamics
         return super().look() | {name: getattr(dynamics, name)[0] for name in ("r_BN_N", "v_BN_N", "r_BN_P")}
 
+    @override
     def episode(self) -> TrackEpisode:
-        """See :meth:`Recorder.episode`."""
         track_times, track = self._track()
         return TrackEpisode(
             **vars(super().episode()),
