@@ -1,6 +1,6 @@
-"""Rooms of the package that an installation may lack, and functions in them by name.
+"""Rooms of the package that an installation may lack, and entries of tables that live in them.
 
-This module imports neither torch nor a room. The core names what rooms contribute, presets and rules, by ``"module:function"``,
+This module imports neither torch nor a room. The core names what rooms contribute (presets, rules, recipes) by ``"module:name"``,
 and imports it when it is asked for.
 """
 
@@ -36,8 +36,8 @@ def resolve(path: str) -> Any:
     return getattr(import_module(module), name)
 
 
-class Functions(MutableMapping[str, T], Generic[T]):
-    """Functions by name, some of which are given as "module:name" and imported when they are read.
+class Entries(MutableMapping[str, T], Generic[T]):
+    """Entries by name, some of which are given as "module:name" and imported when they are read.
 
     Names whose room is not installed are left out; :attr:`absent` has their folders.
     """
@@ -54,8 +54,8 @@ class Functions(MutableMapping[str, T], Generic[T]):
             entry = self._entries[name] = resolve(entry)
         return entry
 
-    def __setitem__(self, name: str, function: T) -> None:
-        self._entries[name] = function
+    def __setitem__(self, name: str, entry: T) -> None:
+        self._entries[name] = entry
 
     def __delitem__(self, name: str) -> None:
         del self._entries[name]

@@ -33,13 +33,13 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from bsk_torch._listed import LISTED
-from bsk_torch._rooms import Functions
+from bsk_torch._rooms import Entries
 from bsk_torch.env.assembly.devices import check_default_device
 from bsk_torch.sim.arguments.values import nearest
 
 __all__ = ["PRESETS", "make"]
 
-PRESETS: Functions[Callable[..., Any]] = Functions({name: preset.function for name, preset in LISTED.items()})
+PRESETS: Entries[Callable[..., Any]] = Entries({name: preset.function for name, preset in LISTED.items()})
 """Presets by name: functions of the arguments of the environment to override."""
 
 

@@ -12,7 +12,7 @@ from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.data import Binary, Composite
 
-from bsk_torch._rooms import Functions
+from bsk_torch._rooms import Entries
 from bsk_torch.env import NO_ACTION, ConstellationTasking, SatelliteTasking, Tasking
 from bsk_torch.env.agents import AGENTS, Group
 from bsk_torch.env.satellite_group import SatelliteGroup
@@ -24,7 +24,7 @@ TRAINED_WITH = "make it with the options that the policy was trained with, which
 """Advice for a policy that reads observations missing in the environment."""
 
 
-TOGETHER: Functions[Callable[[Tasking], TeamPolicy]] = Functions(
+TOGETHER: Entries[Callable[[Tasking], TeamPolicy]] = Entries(
     {
         "local": "bsk_torch.tasks.objects.team_rules:local",
         "centralized": "bsk_torch.tasks.objects.team_rules:centralized",

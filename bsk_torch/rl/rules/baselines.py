@@ -12,7 +12,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor
 
-from bsk_torch._rooms import Functions
+from bsk_torch._rooms import Entries
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.rl.rules.continuous import Bounds, bounds_of, spread
 from bsk_torch.rl.rules.cooperative import CooperativeRule
@@ -179,7 +179,7 @@ SERVICING = (
 )
 """Names of the rules of :mod:`bsk_torch.tasks.objects.rules`."""
 
-BASELINES: Functions[Callable[[SatelliteTasking, int], TensorDictModuleBase]] = Functions(
+BASELINES: Entries[Callable[[SatelliteTasking, int], TensorDictModuleBase]] = Entries(
     {
         "random": random_policy,
         "rule": scan_rule,
