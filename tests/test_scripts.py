@@ -334,6 +334,12 @@ STARTS: dict[str, list[Start]] = {
     "scripts/tools/make_aeos_orbits.py": [Start("{orbits} --out orbits.npz", r"orbits.npz: 2 orbits, [\d,]+ bytes")],
     "scripts/tools/make_coastlines.py": [Start("{countries} --out land.geojson", "2 pieces of land", "coastlines")],
     "scripts/tools/make_tables.py": [Start("--samples --out .", "largest position error 0.49", "basilisk")],
+    "scripts/tools/without_room.py": [
+        Start(
+            "tasks/safe_autonomy -- tests/test_vec3.py -p no:cacheprovider",
+            r"tasks/safe_autonomy: left out are \d+ files .* tests",
+        ),
+    ],
     "scripts/tools/update_golden.py": [
         Start("--folder golden", "4 files in golden; written or changed: AEOS-v1.cpp, RSOInspection-v1.cpp")
     ],
