@@ -336,7 +336,7 @@ STARTS: dict[str, list[Start]] = {
     "scripts/tools/make_tables.py": [Start("--samples --out .", "largest position error 0.49", "basilisk")],
     "scripts/tools/without_room.py": [
         Start(
-            "tasks/safe_autonomy -- tests/test_vec3.py -p no:cacheprovider",
+            "tasks/safe_autonomy --pytest tests/test_vec3.py",
             r"tasks/safe_autonomy: left out are \d+ files .* tests",
         ),
     ],
