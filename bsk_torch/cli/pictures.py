@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bsk_torch.cli.shared import extra
-from bsk_torch.env import Tasking
 
 if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
+
+    from bsk_torch.env import Tasking
 
 EPISODES = "bsk_torch.viz.episodes"
 

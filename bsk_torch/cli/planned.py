@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
 
 from bsk_torch.cli.names import FIRST, PREFIX, PRETRAINED, check_policy
 from bsk_torch.cli.policies import NamedFunction, NamedPolicy, named_policy
-from bsk_torch.cli.terminal import fail
+from bsk_torch.cli.terminal import fail, refusing
 from bsk_torch.env import Tasking
 from bsk_torch.plan.names import options_of, planner
 from bsk_torch.rl.rules.baselines import BASELINES
@@ -48,23 +48,8 @@ class NamedPlanner:
     def actor(self, env: Tasking, device: str = "cpu") -> TensorDictModuleBase:
         """Return the planner, which acts for all agents of ``env``; ends the program if it does not fit."""
         base = {} if self.base is None else {"base": self.base.actor(env, device)}
-        try:
+        with refusing(KeyError, TypeError, ValueError):
             return planner(self.name.removeprefix(PREFIX), env, **self.options, **base)
-        except (KeyError, TypeError, ValueError) as error:
-            fail(str(error.args[0]))
-
-
-NamedActor: TypeAlias = NamedPolicy | NamedFunction | NamedPlanner
-"""A policy or planner of the command line."""
-
-
-def named_actor(name: str, preset: str | None, plan: Sequence[str]) -> NamedActor:
-    """Return the planner or policy of that name; ends the program for options ``plan`` of what is not a planner."""
-    if name.startswith(PREFIX):
-        return named_planner(name, preset, plan)
-    if plan:
-        fail(f"--plan {plan[0]!r} is for planners, such as plan:rollout; the policy is {name!r}")
-    return named_policy(name, preset)
 
 
 def named_planner(name: str, preset: str | None, given: Sequence[str]) -> NamedPlanner:

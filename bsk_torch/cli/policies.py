@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from tensordict.nn import TensorDictModuleBase
 
-from bsk_torch.cli.functions import entrant_of_user
-from bsk_torch.cli.names import FIRST, PRETRAINED, check_policy
+from bsk_torch._listed import PLANNERS
+from bsk_torch.cli.functions import Enter, entrant_of_user
+from bsk_torch.cli.names import FIRST, PREFIX, PRETRAINED, check_policy, resolved
 from bsk_torch.cli.shared import environment, made
-from bsk_torch.cli.terminal import fail
+from bsk_torch.cli.terminal import fail, refusing
 from bsk_torch.env import Tasking
-from bsk_torch.rl.evaluation.suite import Entrant
 from bsk_torch.rl.policies.files import build_policy, check_fits, read_card
 from bsk_torch.rl.policies.pretrained import pretrained_file
 from bsk_torch.rl.policies.shared_policy import RULES, as_policy, baseline, shared, shared_baselines
@@ -22,6 +22,28 @@ from bsk_torch.wrappers.policies import Actor
 
 TRAINED = "trained"
 """Name, in results, of the policy of a file."""
+
+
+class NamedActor(Protocol):
+    """A policy or planner of the command line, and the environment that it is meant for."""
+
+    @property
+    def name(self) -> str:
+        """As given on the command line."""
+
+    @property
+    def preset(self) -> str:
+        """Name of the environment."""
+
+    @property
+    def label(self) -> str:
+        """Name in results."""
+
+    def environment(self, num_envs: int, options: Mapping[str, object]) -> Tasking:
+        """Return environments that play the episodes of seeds; ends the program if that fails."""
+
+    def actor(self, env: Tasking, device: str = "cpu") -> TensorDictModuleBase:
+        """Return the policy for all agents of ``env``; ends the program if it does not fit."""
 
 
 @dataclass(frozen=True)
@@ -65,11 +87,9 @@ class NamedPolicy:
             except (KeyError, ValueError) as error:
                 fitting = ", ".join(shared_baselines(env))
                 fail(f"the policy {self.name!r} does not fit {self.preset}: {error.args[0]}. Baselines that fit: {fitting}")
-        try:
+        with refusing():
             check_fits(self.card, env, self.preset)
             return build_policy(self.card, device)
-        except ValueError as error:
-            fail(str(error))
 
     def actor(self, env: Tasking, device: str = "cpu") -> TensorDictModuleBase:
         """Return the policy for all agents of ``env``; ends the program if it does not fit."""
@@ -89,7 +109,7 @@ class NamedFunction:
 
     name: str
     preset: str
-    entrant: Entrant
+    entrant: Enter
     entered: tuple[Tasking, Actor] | None = None
     card: Mapping[str, Any] = field(default_factory=dict)
 
@@ -120,10 +140,8 @@ class NamedFunction:
         """Return the policy for all agents of ``env``; ends the program if it is none."""
         if self.entered is None or self.entered[0] is not env:
             self.entered = self._enter(lambda **views: env)
-        try:
+        with refusing(TypeError, ValueError, why=f"{self.name}: "):
             return as_policy(self.entered[1], env)
-        except (TypeError, ValueError) as error:
-            fail(f"{self.name}: {error}")
 
     actor = build
 
@@ -132,12 +150,32 @@ def named_policy(name: str, preset: str | None) -> NamedPolicy | NamedFunction:
     """Return the policy of that name, for ``preset`` if that is given; ends the program if there is none."""
     check_policy(name, preset)
     plain, *texts = name.split(",")
+    if plain.startswith(PREFIX):
+        fail(f"{name!r} is a planner; this is for policies")
     if plain in RULES:
         return NamedPolicy(plain, preset or FIRST)
     if ":" in plain and not Path(name).exists():
         return NamedFunction(name, preset or FIRST, entrant_of_user(plain, texts))
-    try:
+    with refusing(FileNotFoundError, ValueError):
         card = read_card(pretrained_file(preset or FIRST) if name == PRETRAINED else name)
-    except (FileNotFoundError, ValueError) as error:
-        fail(str(error))
     return NamedPolicy(name, preset or card["preset"], card)
+
+
+def flown(
+    name: str, preset: str | None, num_envs: int, options: Mapping[str, object]
+) -> tuple[NamedPolicy | NamedFunction, Tasking, TensorDictModuleBase]:
+    """Return a policy, environments for it, and the policy for all of their agents; ends the program if that fails."""
+    named = named_policy(name, preset)
+    env = named.environment(num_envs, options)
+    return named, env, named.actor(env, str(env.device))
+
+
+def named_actor(name: str, preset: str | None, plan: Sequence[str] | None) -> NamedActor:
+    """Return the planner or policy of that name; ends the program for options ``plan`` of what is not a planner."""
+    if name.startswith(PREFIX):
+        check_policy(name, preset)
+        planner: NamedActor = resolved(name, PLANNERS[name.removeprefix(PREFIX)])(name, preset, plan or ())
+        return planner
+    if plan:
+        fail(f"--plan {plan[0]!r} is for planners, such as plan:rollout; the policy is {name!r}")
+    return named_policy(name, preset)

@@ -5,21 +5,22 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import torch
+import typer
 
-from bsk_torch.cli.policies import NamedFunction, NamedPolicy, named_policy
-from bsk_torch.cli.shared import check_picture, check_writable, environment_options, extra, made, preset_options
-from bsk_torch.cli.terminal import activity, echo, fail, working
-from bsk_torch.env import SatelliteTasking
+from bsk_torch.cli.declaration import AtOnce, EnvironmentOptions, JsonFile, OfPreset, Options, Policy
+from bsk_torch.cli.shared import check_drawing, check_writable, extra, made, preset_options
+from bsk_torch.cli.terminal import activity, echo, fail, refusing, working
 from bsk_torch.files import write_file
-from bsk_torch.plan.rare_flights import save_paths
-from bsk_torch.plan.risk import Risk, Shift, Way, risk
-from bsk_torch.plan.subset import RARER
-from bsk_torch.rand import blended
-from bsk_torch.rl.evaluation.replay import script
 from bsk_torch.tables import print_table
+
+if TYPE_CHECKING:
+    from bsk_torch.cli.policies import NamedFunction, NamedPolicy
+    from bsk_torch.plan.risk import Risk, Shift, Way
+
+FIGURE = "bsk_torch.viz.figures.timeline"
+"""Module that draws an episode over time."""
 
 SHOWN = 6
 """Number of drawn quantities in the table."""
@@ -29,47 +30,75 @@ CARRIED = 0.3
 
 
 def estimate_risk(
-    policy: str,
-    preset: str | None,
-    option: list[str] | None,
-    event: str,
-    level: list[str] | None,
-    method: str,
-    episodes: int,
-    repetitions: int,
-    smallest: float,
-    pool: int,
-    seed: int,
-    num_envs: int,
-    save: Path | None,
-    draw: Path | None,
-    out: Path | None,
-    threads: int,
-    backend: str,
-    device: str,
-    time_limit: float | None,
+    policy: Policy,
+    preset: OfPreset = None,
+    option: Options = None,
+    event: Annotated[
+        str,
+        typer.Option(metavar="EVENT", help="'death', or a property with a limit such as 'battery_charge_fraction<0.05'."),
+    ] = "death",
+    level: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="What is followed toward a death: battery, wheels, buffer or distance; repeatable. Default: the nearest limit.",
+        ),
+    ] = None,
+    method: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="subset: small steps of everything random. screen: flies the seeds whose draws at reset are most dangerous.",
+        ),
+    ] = "subset",
+    episodes: Annotated[int, typer.Option(metavar="N", min=20, help="Episodes of a repetition, a multiple of 10.")] = 1000,
+    repetitions: Annotated[int, typer.Option(metavar="R", min=4, help="Independent repetitions.")] = 8,
+    smallest: Annotated[
+        float, typer.Option(metavar="P", help="Probability at which subset simulation ends its search for the event.")
+    ] = 1e-9,
+    pool: Annotated[int, typer.Option(metavar="N", min=40, help="Seeds that each repetition screens.")] = 1_000_000,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the estimate.")] = 0,
+    num_envs: AtOnce = 512,
+    save: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="JSON file for a typical episode of each way, to fly it again.")
+    ] = None,
+    draw: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Picture (.png, .svg, .pdf) of the most typical episode.")
+    ] = None,
+    out: JsonFile = None,
+    *,
+    options: EnvironmentOptions,
 ) -> None:
-    """Estimate the probability of an event, and print the ways to it; see :mod:`bsk_torch.cli.main`."""
-    torch.set_num_threads(threads)
-    for path in (save, draw, out):
-        check_writable(path)
-    if draw is not None:
-        check_picture("--draw", draw)
-        extra("bsk_torch.viz.figures.timeline")
-    named = named_policy(policy, preset)
-    options = preset_options(option) | environment_options(backend, device, time_limit)
-    env = named.environment(num_envs, options)
+    """Estimate the probability of a loss, down to 1e-6 and below, and show the ways to it.
+
+    Initial states, scenarios, faults and noise are followed in small steps toward the event (subset simulation). Where draws at
+    reset decide about the event, --method screen needs fewer simulated seconds. An event that never happens has an upper limit.
+
+    Examples:
+        bsk-torch risk pretrained --preset NadirScan-v1 --save deaths.json
+        bsk-torch risk rule --event 'battery_charge_fraction<0.05' --draw low.png
+        bsk-torch risk rule --time-limit 900 --method screen
+        bsk-torch risk runs/scan --level battery --episodes 1000 --out risk.json
+    """
+    from bsk_torch.cli.policies import flown
+    from bsk_torch.env import SatelliteTasking
+    from bsk_torch.plan.rare_flights import save_paths
+    from bsk_torch.plan.risk import risk
+
+    check_drawing(draw, FIGURE)
+    check_writable(save, out)
+    options = preset_options(option) | options
+    named, env, actor = flown(policy, preset, num_envs, options)
     if draw is not None and not isinstance(env, SatelliteTasking):
         fail(f"--draw shows the episode of one satellite; {named.preset} has many")
-    actor = named.actor(env, device)
-    try:
-        with working(f"estimating the risk of {named.label}") as show:
-            found = risk(
-                env, actor, event=event, level=level or None, method=method, episodes=episodes, repetitions=repetitions,
-                smallest=smallest, pool=pool, seed=seed, tell=show,
-            )  # fmt: skip
-    except ValueError as error:
-        fail(f"the risk in {named.preset} cannot be estimated: {error}")
+    with (
+        refusing(why=f"the risk in {named.preset} cannot be estimated: "),
+        working(f"estimating the risk of {named.label}") as show,
+    ):
+        found = risk(
+            env, actor, event=event, level=level or None, method=method, episodes=episodes, repetitions=repetitions,
+            smallest=smallest, pool=pool, seed=seed, tell=show,
+        )  # fmt: skip
     activity.report()
     echo("\n".join(told(found, f"{named.preset}, {named.label}")))
     print_ways(found)
@@ -89,6 +118,8 @@ def estimate_risk(
 
 def told(found: Risk, title: str) -> Iterator[str]:
     """Yield the estimate in lines of at most 80 characters."""
+    from bsk_torch.plan.subset import RARER
+
     mean, low, high = found.probability
     screening, several = found.screening, f"{found.tally.episodes:,} episodes of {found.seconds:,.0f} s on average"
     yield f"{title}: {found.event}"
@@ -149,7 +180,12 @@ def of_shift(shift: Shift) -> dict[str, str]:
 
 def draw_way(found: Risk, named: NamedPolicy | NamedFunction, options: Mapping[str, Any], path: Path) -> None:
     """Draw the most typical episode over time, with the moment of the event."""
-    recorder, figure = extra("bsk_torch.viz.recorders.track"), extra("bsk_torch.viz.figures.timeline")
+    import torch
+
+    from bsk_torch.rand import blended
+    from bsk_torch.rl.evaluation.replay import script
+
+    recorder, figure = extra("bsk_torch.viz.recorders.track"), extra(FIGURE)
     typical = found.paths().take(torch.tensor([0]))
     time = found.ways[0].time
     seed = int(typical.seeds[0])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bsk_torch.basilisk.aeos_certificate import CLOSE, Flown, certify_bench, comparison
-from bsk_torch.cli.bench import entrant_of
+from bsk_torch.cli.entrants import entrant_of
 from bsk_torch.rl.evaluation.suite import SUITES, bench_folder
 from tests.scene.aeos_cases import constellation, tasks, write
 

@@ -22,7 +22,7 @@ from bsk_torch.basilisk.certificate import (
     sighted,
 )
 from bsk_torch.basilisk.flight import fly_here, problem_of
-from bsk_torch.cli.bench import entrant_of
+from bsk_torch.cli.entrants import entrant_of
 from bsk_torch.rl.evaluation.suite import SUITES, enter, tasks_of
 
 

@@ -78,7 +78,7 @@ def test_what_cannot_be_trained_is_refused(run, arguments, message):
 
 
 def test_without_matplotlib_pictures_are_left_out(run, tmp_path, monkeypatch):
-    monkeypatch.setattr("bsk_torch.cli.train.find_spec", lambda name: None)
+    monkeypatch.setattr("bsk_torch.cli.training.find_spec", lambda name: None)
     result = run("train", "NadirScan-v1", "--frames", 20, *SIZES, "--out", tmp_path, *SHORT)
     assert result.exit_code == 0, result.output
     assert result.output.count("no pictures were drawn: they need matplotlib; pip install 'bsk_torch[viz]'") == 1

@@ -15,7 +15,8 @@ from typer.testing import CliRunner
 
 import bsk_torch
 from bsk_torch.cli import app
-from bsk_torch.cli.report import command_of, extremes
+from bsk_torch.cli.report import extremes
+from bsk_torch.cli.run_folder import command_of
 from bsk_torch.rl.networks.plans import MLPPlan
 from bsk_torch.rl.policies.files import save_policy
 from bsk_torch.rl.training import configure
@@ -218,7 +219,7 @@ def test_what_is_no_run_is_refused(call, folder, monkeypatch):
     def missing(name):
         raise ModuleNotFoundError(name="matplotlib")
 
-    monkeypatch.setattr("bsk_torch.cli.report.import_module", missing)
+    monkeypatch.setattr("bsk_torch.cli.shared.import_module", missing)
     assert "pip install 'bsk_torch[viz]'" in said(folder)
 
 
