@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -61,6 +62,7 @@ def evaluate_policy(
 
     episodes = seed_range(seeds)
     check_writable(out, episodes_out)
+    guard = None if shield is None else _guard(shield)
     if out is not None and episodes_out is not None and out.absolute() == episodes_out.absolute():
         fail(f"--out and --episodes-out are the same file, {str(out)!r}")
     if shield is not None and (planner := next((name for name in policies if name.startswith(PREFIX)), None)):
@@ -78,8 +80,8 @@ def evaluate_policy(
     for one in named:
         env = one.environment(size, options)
         label = one.label if len(named) == 1 or one.label != TRAINED else one.name
-        if shield is not None and isinstance(one, NamedPolicy | NamedFunction):
-            actors[f"{label} + {shield}"] = shared(_guarded(one.build(env, device), shield, env), env), env
+        if guard is not None and isinstance(one, NamedPolicy | NamedFunction):
+            actors[f"{label} + {shield}"] = shared(guard(one.build(env, device), env), env), env
         actors[label] = one.actor(env, device), env
     chosen, (_, env) = next(iter(actors.items()))
     if baselines:
@@ -96,13 +98,21 @@ def evaluate_policy(
         save_episodes(results, episodes, episodes_out)
 
 
-def _guarded(policy: TensorDictModuleBase, shield: str, env: Tasking) -> TensorDictModuleBase:
-    """Return a policy for one satellite, or for one of each group, behind a shield; ends the program if that fails."""
+def _guard(shield: str) -> Callable[[TensorDictModuleBase, Tasking], TensorDictModuleBase]:
+    """Return a function that puts a policy for one satellite, or for one of each group, behind a shield.
+
+    Ends the program if there is no such shield; so does the function if the shield does not fit the environment.
+    """
     from bsk_torch.rl.policies.shared_policy import for_each_group
     from bsk_torch.rl.rules.shield import find_rule, shielded
 
     if str(Path.cwd()) not in sys.path:
         sys.path.insert(0, str(Path.cwd()))  # where a user's module is, as python -m would find it
-    with refusing(KeyError, why=f"the shield {shield!r} does not fit: "), refusing():
+    with refusing():
         rule = find_rule(shield)
-        return for_each_group(lambda one, view: shielded(one, rule, view), policy, env)
+
+    def guarded(policy: TensorDictModuleBase, env: Tasking) -> TensorDictModuleBase:
+        with refusing(KeyError, why=f"the shield {shield!r} does not fit: "), refusing():
+            return for_each_group(lambda one, view: shielded(one, rule, view), policy, env)
+
+    return guarded

@@ -45,10 +45,11 @@ def report(
     from bsk_torch.rl.evaluation.results import EVALUATION
     from bsk_torch.rl.training.log import EVALUATIONS, LOG
 
-    pages, config = extra("bsk_torch.viz.report.page"), run_config(run)
+    config = run_config(run)
     card, log, evaluations = run_card(run, options["device"]), columns(run / LOG), columns(run / EVALUATIONS)
     comparison = results(run / EVALUATION)
     check_writable(run / REPORT)
+    pages = extra("bsk_torch.viz.report.page")
     shown, flights = _episodes(config, card, config.options | options, episodes)
     data = pages.RunData(
         name=run.resolve().name,

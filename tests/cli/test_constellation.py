@@ -149,22 +149,3 @@ def test_a_run_with_several_types_goes_on(run, crew):
     again = run("train", crew, "--resume", "frames=32", "--episodes", 2)
     assert again.exit_code == 0, again.output
     assert read_log(crew / "log.csv")["frames"][-1] == 32
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (
-            ("Constellation-v1", "--algorithm", "ppo"),
-            "does not train Constellation-v1, which has many satellites; use mappo or ippo",
-        ),
-        (("NadirScan-v1", "--algorithm", "mappo"), "does not train NadirScan-v1, which has one satellite; use ppo"),
-        (("Constellation-v1", "--algorithm", "mapo"), "did you mean 'mappo'"),
-        (("Constellation-v1", "--network", "mlp"), "constellations learn with 'attention'"),
-    ],
-)
-def test_what_cannot_be_trained_is_refused(run, arguments, message):
-    result = run("train", *arguments, *SHORT)
-    assert result.exit_code == 1
-    assert message in result.output
-    assert len(result.output.splitlines()) == 1
