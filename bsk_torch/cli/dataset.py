@@ -154,12 +154,9 @@ def named_behavior(text: str, preset: str) -> Named:
 
 def trained_options(policies: Sequence[NamedActor | None]) -> dict[str, Any]:
     """Return the options of the environment with which the policies were trained; ends the program if they contradict."""
-    from bsk_torch.cli.planned import NamedPlanner
-
     found: dict[str, Any] = {}
     for policy in policies:
-        known = policy.base if isinstance(policy, NamedPlanner) else policy
-        for name, value in ({} if known is None else known.options({})).items():
+        for name, value in ({} if policy is None else policy.card.get("options", {})).items():
             if found.setdefault(name, value) != value:
                 fail(f"the policies were trained with different options: {name}={found[name]!r} and {name}={value!r}")
     return found

@@ -112,8 +112,8 @@ def command(name: str, function: Callable[..., None]) -> Any:
     """Return the command ``name``, which calls a function.
 
     Its arguments and options are the parameters of the function, as their annotations declare them, those that its parameter
-    ``options`` stands for (:data:`EnvironmentOptions`), and ``--verbose`` and ``--quiet``. Its help is the docstring, of which
-    the section *Examples* stands at the end.
+    ``options`` stands for (:data:`EnvironmentOptions`), and ``--verbose`` and ``--quiet``. Its help is the docstring, which
+    ends with its section *Examples*.
     """
     help_text, _, examples = inspect.cleandoc(function.__doc__ or "").partition("\n\nExamples:\n")
     signature = inspect.signature(function, eval_str=True)

@@ -37,6 +37,11 @@ class NamedPlanner:
     preset: str
 
     @property
+    def card(self) -> Mapping[str, Any]:
+        """Contents of the file of the base policy."""
+        return {} if self.base is None else self.base.card
+
+    @property
     def label(self) -> str:
         """Name in results."""
         return self.name

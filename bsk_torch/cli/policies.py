@@ -36,6 +36,10 @@ class NamedActor(Protocol):
         """Name of the environment."""
 
     @property
+    def card(self) -> Mapping[str, Any]:
+        """Contents of the policy's file; empty for what has none."""
+
+    @property
     def label(self) -> str:
         """Name in results."""
 

@@ -4,7 +4,7 @@
     python scripts/tools/publish_policy.py runs/team --drop n_satellites --drop n_planes
 
 The evaluation uses the episodes of seed 1,000,003 + the training seed, in the training environment without the dropped options,
-which were only for training, such as n_satellites for a policy that was trained with one satellite.
+which were only for training, such as n_satellites for a policy of one satellite.
 """
 
 from __future__ import annotations
