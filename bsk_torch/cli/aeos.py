@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bsk_torch.cli.declaration import EnvironmentOptions, JsonFile, Options, Policy
+from bsk_torch.cli.declaration import EnvironmentOptions, JsonFile, Options, Policy, flag
 from bsk_torch.cli.shared import check_writable, environment, preset_options
 from bsk_torch.cli.terminal import activity, echo, refusing, working
 
@@ -15,23 +15,13 @@ if TYPE_CHECKING:
     from bsk_torch.env import ConstellationTasking
     from bsk_torch.scene import Cases
 
-CasesFolder = Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of the cases: constellations and tasks.")]
-Sensor = Annotated[
-    str, typer.Option(metavar="NAME", help="When sensors are on: 'assigned', while a task is assigned, or 'on', always.")
-]
+CasesFolder = Annotated[Path, flag("FOLDER", "Folder of the cases: constellations and tasks.")]
+Sensor = Annotated[str, flag("NAME", "When sensors are on: 'assigned', while a task is assigned, or 'on', always.")]
 
 PRESET = "AEOSBench-v1"
 
 AT_ONCE = 16
 """Cases in flight at once."""
-
-
-def cases_of(folder: Path) -> Cases:
-    """Return the cases of a folder; ends the program if it has none, or one that is wrong."""
-    from bsk_torch.scene import read_cases
-
-    with refusing():
-        return read_cases(folder)
 
 
 def bench(cases: Cases, sensor: str, options: dict[str, object]) -> ConstellationTasking:
@@ -48,11 +38,9 @@ def bench(cases: Cases, sensor: str, options: dict[str, object]) -> Constellatio
 def export_aeosbench(
     policy: Policy,
     cases: CasesFolder,
-    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for the files.")],
-    split: Annotated[str, typer.Option(metavar="NAME", help="Part of the data set that the files are named after.")] = "test",
-    turn: Annotated[
-        int, typer.Option("--round", metavar="E", min=0, help="Round of annotation that the files are named after.")
-    ] = 0,
+    out: Annotated[Path, flag("FOLDER", "Folder for the files.")],
+    split: Annotated[str, flag("NAME", "Part of the data set that the files are named after.")] = "test",
+    turn: Annotated[int, flag("E", "Round of annotation that the files are named after.", "--round", min=0)] = 0,
     sensor: Sensor = "assigned",
     option: Options = None,
     *,
@@ -66,9 +54,11 @@ def export_aeosbench(
     """
     from bsk_torch.cli.policies import named_policy
     from bsk_torch.rl.evaluation.aeos_annotations import check_names, export_annotations, fly_cases
+    from bsk_torch.scene import read_cases
 
-    named, given = named_policy(policy, PRESET), cases_of(cases)
+    named = named_policy(policy, PRESET)
     with refusing():
+        given = read_cases(cases)
         check_names(given)  # before hours are spent
     env = bench(given, sensor, named.options(preset_options(option) | options))
     actor = named.actor(env, options["device"])
@@ -90,7 +80,7 @@ def import_aeosbench(
     cases: CasesFolder,
     sensor: Sensor = "assigned",
     out: JsonFile = None,
-    episodes_out: Annotated[Path | None, typer.Option(metavar="FILE", help="CSV file with a row for each case.")] = None,
+    episodes_out: Annotated[Path | None, flag("FILE", "CSV file with a row for each case.")] = None,
     *,
     options: EnvironmentOptions,
 ) -> None:
@@ -103,10 +93,11 @@ def import_aeosbench(
     from bsk_torch.rl.evaluation.aeos_annotations import AssignedTasks, read_assignments
     from bsk_torch.rl.evaluation.evaluate import evaluate
     from bsk_torch.rl.evaluation.results import print_results, save_episodes, save_results
+    from bsk_torch.scene import read_cases
 
     check_writable(out, episodes_out)
-    given = cases_of(cases)
     with refusing():
+        given = read_cases(cases)
         table = read_assignments(assignments, given)
     env, name = bench(given, sensor, options), assignments.as_posix()
     seeds = range(len(given))

@@ -6,19 +6,14 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from bsk_torch.cli.declaration import AtOnce, EnvironmentOptions, OfPreset, Options, Policy, Seeds
-from bsk_torch.cli.shared import check_drawing, check_writable, extra, preset_options, seed_range
+from bsk_torch.cli.declaration import AtOnce, EnvironmentOptions, OfPreset, Options, Policy, Seeds, flag
+from bsk_torch.cli.shared import check_writable, drawing, preset_options, seed_range
 from bsk_torch.cli.terminal import echo, refusing, working
 from bsk_torch.files import write_file
 from bsk_torch.tables import print_table
 
 if TYPE_CHECKING:
     from bsk_torch.plan.audit import Audit, OfSituation
-
-FIGURE = "bsk_torch.viz.figures.regret"
-"""Module that draws an audit."""
 
 SHOWN = 5
 """Number of decisions in the list of the worst."""
@@ -29,19 +24,13 @@ def audit_policy(
     preset: OfPreset = None,
     option: Options = None,
     seeds: Seeds = "0:8",
-    horizon: Annotated[
-        float, typer.Option(metavar="S", help="Length of branches in seconds; default: to the end of the episode.")
-    ] = float("inf"),
-    gamma: Annotated[float, typer.Option(metavar="G", min=0.0, max=1.0, help="Discount per second.")] = 1.0,
-    futures: Annotated[
-        int | None, typer.Option(metavar="N", min=2, help="Futures drawn for each decision; default: the true one.")
-    ] = None,
-    budget: Annotated[
-        int | None, typer.Option(metavar="N", min=1, help="Number of actions to value, those that the policy prefers.")
-    ] = None,
+    horizon: Annotated[float, flag("S", "Length of branches in seconds; default: to the end of the episode.")] = float("inf"),
+    gamma: Annotated[float, flag("G", "Discount per second.", min=0.0, max=1.0)] = 1.0,
+    futures: Annotated[int | None, flag("N", "Futures drawn for each decision; default: the true one.", min=2)] = None,
+    budget: Annotated[int | None, flag("N", "Number of actions to value, those that the policy prefers.", min=1)] = None,
     num_envs: AtOnce = 16,
-    draw: Annotated[Path | None, typer.Option(metavar="FILE", help="Picture (.png, .svg, .pdf) of the regrets.")] = None,
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for all decisions.")] = None,
+    draw: Annotated[Path | None, flag("FILE", "Picture (.png, .svg, .pdf) of the regrets.")] = None,
+    out: Annotated[Path | None, flag("FILE", "JSON file for all decisions.")] = None,
     *,
     options: EnvironmentOptions,
 ) -> None:
@@ -58,7 +47,7 @@ def audit_policy(
     from bsk_torch.plan.audit import audit
 
     episodes = seed_range(seeds)
-    check_drawing(draw, FIGURE)
+    figure = drawing(draw, "regret")
     check_writable(out)
     named, env, actor = flown(policy, preset, min(len(episodes), num_envs), preset_options(option) | options)
     with refusing(), working(f"valuing all actions of {named.label}"):
@@ -66,7 +55,7 @@ def audit_policy(
     title = f"{named.preset}, {named.label}, {len(episodes)} episodes, seeds {seeds}"
     print_audit(found, title)
     if draw is not None:
-        extra(FIGURE).regret_figure(found, draw, title)
+        figure.regret_figure(found, draw, title)
     if out is not None:
         content = {"preset": named.preset, "policy": named.label, "horizon": str(horizon), "gamma": gamma} | found.to_dict()
         write_file(out, json.dumps(content, indent=1, allow_nan=False) + "\n")

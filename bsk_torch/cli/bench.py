@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bsk_torch.cli.declaration import MachineOptions
+from bsk_torch.cli.declaration import MachineOptions, flag
 from bsk_torch.cli.shared import check_writable
 from bsk_torch.cli.terminal import Failure, fail, print_message, refusing, working
 from bsk_torch.files import write_file
@@ -59,25 +59,17 @@ def bench(
             show_default=False,
         ),
     ],
-    suite: Annotated[str, typer.Option(metavar="NAME", help="Suite of fixed episodes.")] = "v1",
-    presets: Annotated[
-        str | None, typer.Option(metavar="NAMES", help="Only some of its presets or other tasks, separated by commas.")
-    ] = None,
-    folder: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Cases of AEOS-Bench, as another task of the suite aeosbench.")
-    ] = None,
+    suite: Annotated[str, flag("NAME", "Suite of fixed episodes.")] = "v1",
+    presets: Annotated[str | None, flag("NAMES", "Only some of its presets or other tasks, separated by commas.")] = None,
+    folder: Annotated[Path | None, flag("FOLDER", "Cases of AEOS-Bench, as another task of the suite aeosbench.")] = None,
     episodes: Annotated[
-        int | None,
-        typer.Option(metavar="N", min=1, help="Number of episodes per task, the first N; default: all.", show_default=False),
+        int | None, flag("N", "Number of episodes per task, the first N; default: all.", min=1, show_default=False)
     ] = None,
     earlier: Annotated[
-        list[Path] | None,
-        typer.Option("--with", metavar="FILE", help="JSON file of an earlier run, whose policies are also shown; repeatable."),
+        list[Path] | None, flag("FILE", "JSON file of an earlier run, whose policies are also shown; repeatable.", "--with")
     ] = None,
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for results and returns of all episodes.")] = None,
-    certify: Annotated[
-        int, typer.Option(metavar="N", min=0, help="Repeat the first N episodes of each task on Basilisk, if it is installed.")
-    ] = 0,
+    out: Annotated[Path | None, flag("FILE", "JSON file for results and returns of all episodes.")] = None,
+    certify: Annotated[int, flag("N", "Repeat the first N episodes of each task on Basilisk, if it is installed.", min=0)] = 0,
     *,
     options: MachineOptions,
 ) -> None:
@@ -98,11 +90,13 @@ def bench(
     from bsk_torch.cli.results import PlayedResults
     from bsk_torch.codegen.inductor import BACKENDS
     from bsk_torch.env.assembly.devices import existing_device
-    from bsk_torch.rl.evaluation.suite import play, references
+    from bsk_torch.rl.evaluation.suite import bench_folder, play, references, tasks_of
 
     check_writable(out)
+    if folder is not None and suite != "aeosbench":
+        fail(f"--folder {folder} has cases of AEOS-Bench, but the suite is {suite}; choose --suite aeosbench")
     with refusing(ValueError, FileNotFoundError):
-        tasks = chosen_tasks(suite, presets, folder)
+        tasks = tasks_of(suite, presets) + (() if folder is None else (bench_folder(folder),))
         existing_device(options["device"])
     if options["backend"] not in BACKENDS:
         fail(f"backend={options['backend']!r} must be one of {', '.join(BACKENDS)}")
@@ -142,18 +136,6 @@ def bench(
         fail(f"no preset among {', '.join(task.title for task in tasks)} fits {', '.join(idle)}")
     if failed:
         fail("failed: " + "; ".join(f"{name} in {', '.join(errors)}" for name, errors in failed.items()))
-
-
-def chosen_tasks(suite: str, presets: str | None, folder: Path | None) -> tuple[Task, ...]:
-    """Return the tasks of a suite that are played, and that of a folder; ValueError where the suite has no folders."""
-    from bsk_torch.rl.evaluation.suite import bench_folder, tasks_of
-
-    tasks = tasks_of(suite, presets)
-    if folder is None:
-        return tasks
-    if suite != "aeosbench":
-        raise ValueError(f"--folder {folder} has cases of AEOS-Bench, but the suite is {suite}; choose --suite aeosbench")
-    return (*tasks, bench_folder(folder))
 
 
 def certifiers_of(tasks: Sequence[Task], certify: int, episodes: int) -> dict[str, Callable[..., Any]]:

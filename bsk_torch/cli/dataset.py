@@ -3,46 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
 from bsk_torch._listed import makings
-from bsk_torch.cli.declaration import AtOnce, EnvironmentOptions, Options, Preset
+from bsk_torch.cli.declaration import AtOnce, EnvironmentOptions, Options, Preset, flag
 from bsk_torch.cli.names import PREFIX, PRETRAINED
 from bsk_torch.cli.shared import environment, preset_options, seed_range
 from bsk_torch.cli.terminal import activity, echo, fail, for_shell, refusing, working
 from bsk_torch.tables import print_table
 
 if TYPE_CHECKING:
-    from bsk_torch.cli.policies import NamedActor
+    from bsk_torch.cli.policies import NamedPolicy
     from bsk_torch.env import Tasking
-    from bsk_torch.offline import Behavior
 
 RANDOM, SHARE = "random", "random="
 """Name of the random policy, and the option of a behavior with the probability of random actions."""
 
 
-@dataclass(frozen=True)
-class Named:
+class Named(NamedTuple):
     """A behavior on the command line: its text, the policy (None for random actions), and the probability of random actions."""
 
     text: str
-    policy: NamedActor | None
+    policy: NamedPolicy | None
     share: float
-
-    def behavior(self, env: Tasking, device: str) -> Behavior:
-        """Return the behavior in an environment; ends the program if the policy does not fit."""
-        from bsk_torch.offline import Behavior
-
-        return Behavior(self.text, None if self.policy is None else self.policy.actor(env, device), self.share)
 
 
 def dataset(
     preset: Preset,
-    out: Annotated[Path, typer.Option(metavar="FOLDER", help="New folder for the dataset.")],
+    out: Annotated[Path, flag("FOLDER", "New folder for the dataset.")],
     behavior: Annotated[
         list[str] | None,
         typer.Option(
@@ -54,25 +45,13 @@ def dataset(
     ] = None,
     target: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="Policy that follows the tried actions: a baseline, 'pretrained' (default) or a run folder; repeatable.",
-        ),
+        flag("NAME", "Policy that follows the tried actions: a baseline, 'pretrained' (default) or a run folder; repeatable."),
     ] = None,
     option: Options = None,
-    seeds: Annotated[
-        str, typer.Option(metavar="A:B", help="Episodes of the seeds A to B - 1, or of a single seed, for each behavior.")
-    ] = "0:64",
-    share: Annotated[
-        float,
-        typer.Option(metavar="P", min=0.0, max=1.0, help="Probability that all actions are tried at a decision."),
-    ] = 0.01,
-    gamma: Annotated[
-        float, typer.Option(metavar="G", min=0.0, max=1.0, help="Discount per second of the returns of actions.")
-    ] = 1.0,
-    futures: Annotated[
-        int | None, typer.Option(metavar="N", min=1, help="Futures drawn for each tried action; default: the true one.")
-    ] = None,
+    seeds: Annotated[str, flag("A:B", "Episodes of the seeds A to B - 1, or of a single seed, for each behavior.")] = "0:64",
+    share: Annotated[float, flag("P", "Probability that all actions are tried at a decision.", min=0.0, max=1.0)] = 0.01,
+    gamma: Annotated[float, flag("G", "Discount per second of the returns of actions.", min=0.0, max=1.0)] = 1.0,
+    futures: Annotated[int | None, flag("N", "Futures drawn for each tried action; default: the true one.", min=1)] = None,
     minari: Annotated[
         bool, typer.Option("--minari", help="Write the episodes in Minari's format as well. Needs the extra minari.")
     ] = False,
@@ -92,7 +71,7 @@ def dataset(
         bsk-torch dataset NadirScan-v1 --out data/plan --behavior plan:rollout
     """
     from bsk_torch.cli.policies import named_policy
-    from bsk_torch.offline import Recipe, write_dataset
+    from bsk_torch.offline import Behavior, Recipe, write_dataset
     from bsk_torch.offline.behaviors import slug
     from bsk_torch.offline.minari_format import check_minari
     from bsk_torch.offline.writing import check_folder
@@ -108,17 +87,17 @@ def dataset(
     every = [one.policy for one in acting or ()] + [*judged.values()]
     if acting is None:
         every += [named_policy(name, preset) for name in usual]
-    machine = {name: options.pop(name) for name in ("backend", "device")}
-    options, size = trained_options(every) | preset_options(option) | options, min(len(episodes), num_envs)
-    env = environment(preset, size, options | machine | {"env_ids": [0] * size})
+    backend, device, size = options.pop("backend"), options.pop("device"), min(len(episodes), num_envs)
+    options = trained_options(every) | preset_options(option) | options
+    env = environment(preset, size, options | {"backend": backend, "device": device, "env_ids": [0] * size})
     if acting is None:
         acting = [named_behavior(text, preset) for text in (RANDOM, *usual_rule(env), *usual)]
     with refusing(ValueError, ImportError), working("checking the recipe") as show:
         recipe = Recipe(
             preset=preset,
-            behaviors=[one.behavior(env, machine["device"]) for one in acting],
+            behaviors=[Behavior(text, acts and acts.actor(env, device), random) for text, acts, random in acting],
             seeds=episodes,
-            targets={name: one.actor(env, machine["device"]) for name, one in judged.items()},
+            targets={name: one.actor(env, device) for name, one in judged.items()},
             share=share,
             gamma=gamma,
             futures=futures,
@@ -152,11 +131,11 @@ def named_behavior(text: str, preset: str) -> Named:
     return Named(text, named_policy(name, preset), share)
 
 
-def trained_options(policies: Sequence[NamedActor | None]) -> dict[str, Any]:
+def trained_options(policies: Sequence[NamedPolicy | None]) -> dict[str, Any]:
     """Return the options of the environment with which the policies were trained; ends the program if they contradict."""
     found: dict[str, Any] = {}
     for policy in policies:
-        for name, value in ({} if policy is None else policy.card.get("options", {})).items():
+        for name, value in ({} if policy is None else policy.options({})).items():
             if found.setdefault(name, value) != value:
                 fail(f"the policies were trained with different options: {name}={found[name]!r} and {name}={value!r}")
     return found

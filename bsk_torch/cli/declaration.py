@@ -20,56 +20,43 @@ from bsk_torch.cli.names import check_names
 MACHINE = "Machine"
 """Panel of the help with options that do not change what a command does."""
 
+
+def flag(metavar: str, text: str, *names: str, **settings: Any) -> Any:
+    """Return an option of the command line with its placeholder and help, and perhaps other names than its parameter's."""
+    return typer.Option(*names, metavar=metavar, help=text, **settings)
+
+
 # -- arguments and options of several commands -----------------------------------------------------------------------------------
 
 Preset = Annotated[str, typer.Argument(help="Environment; 'bsk-torch list' names them.", show_default=False)]
 BASELINES = ", ".join(RULES)
-Policy = Annotated[
-    str,
-    typer.Argument(
-        help=f"Run folder, policy file, 'pretrained', your own function (package.module:function), or a baseline: {BASELINES}.",
-        show_default=False,
-    ),
-]
-PLANNED = (
-    f"Run folder, policy file, 'pretrained', your own function (package.module:function), a baseline ({BASELINES}), or a planner "
-    f"({', '.join(f'plan:{name}' for name in PLANNERS)})."
-)
+ANY = "Run folder, policy file, 'pretrained', your own function (package.module:function),"
+PLANNED = f"{ANY} a baseline ({BASELINES}), or a planner ({', '.join(f'plan:{name}' for name in PLANNERS)})."
+Policy = Annotated[str, typer.Argument(help=f"{ANY} or a baseline: {BASELINES}.", show_default=False)]
 PolicyOrPlanner = Annotated[str, typer.Argument(help=PLANNED, show_default=False)]
 PoliciesOrPlanners = Annotated[list[str], typer.Argument(help=PLANNED, show_default=False)]
-OfPreset = Annotated[str | None, typer.Option(metavar="NAME", help="Environment; default: that of the run, or NadirScan-v1.")]
+OfPreset = Annotated[str | None, flag("NAME", "Environment; default: that of the run, or NadirScan-v1.")]
 Plan = Annotated[
-    list[str] | None,
-    typer.Option(metavar="NAME=VALUE", help="Option of a planner, such as base=hasty, horizon=240 or budget=64; repeatable."),
+    list[str] | None, flag("NAME=VALUE", "Option of a planner, such as base=hasty, horizon=240 or budget=64; repeatable.")
 ]
 Options = Annotated[
     list[str] | None,
-    typer.Option(
-        "--option", metavar="NAME=VALUE", help="Option of the environment, such as n_targets=1000 or folder=cases; repeatable."
-    ),
+    flag("NAME=VALUE", "Option of the environment, such as n_targets=1000 or folder=cases; repeatable.", "--option"),
 ]
-Seed = Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the episode.")]
-Seeds = Annotated[str, typer.Option(metavar="A:B", help="Episodes of the seeds A to B - 1, or of a single seed.")]
-Until = Annotated[float | None, typer.Option(metavar="S", help="Stop after S seconds of the episode.")]
-AtOnce = Annotated[int, typer.Option(metavar="N", min=1, help="Episodes at once.")]
-JsonFile = Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for the results.")]
+Seed = Annotated[int, flag("N", "Seed of the episode.", min=0)]
+Seeds = Annotated[str, flag("A:B", "Episodes of the seeds A to B - 1, or of a single seed.")]
+Until = Annotated[float | None, flag("S", "Stop after S seconds of the episode.")]
+AtOnce = Annotated[int, flag("N", "Episodes at once.", min=1)]
+JsonFile = Annotated[Path | None, flag("FILE", "JSON file for the results.")]
 
 SETTINGS: dict[str, tuple[object, object]] = {
-    "threads": (Annotated[int, typer.Option(metavar="N", min=1, help="Threads of torch.", rich_help_panel=MACHINE)], 1),
+    "threads": (Annotated[int, flag("N", "Threads of torch.", min=1, rich_help_panel=MACHINE)], 1),
     "backend": (
-        Annotated[
-            str, typer.Option(metavar="NAME", help="'compiled', or 'eager', which needs no compiler.", rich_help_panel=MACHINE)
-        ],
+        Annotated[str, flag("NAME", "'compiled', or 'eager', which needs no compiler.", rich_help_panel=MACHINE)],
         "compiled",
     ),
-    "device": (
-        Annotated[str, typer.Option(metavar="NAME", help="Device of torch, such as 'cuda'.", rich_help_panel=MACHINE)],
-        "cpu",
-    ),
-    "time_limit": (
-        Annotated[float | None, typer.Option(metavar="S", help="Length of an episode in seconds; default: the preset's.")],
-        None,
-    ),
+    "device": (Annotated[str, flag("NAME", "Device of torch, such as 'cuda'.", rich_help_panel=MACHINE)], "cpu"),
+    "time_limit": (Annotated[float | None, flag("S", "Length of an episode in seconds; default: the preset's.")], None),
     "verbose": (Annotated[bool, typer.Option("--verbose", "-v", help="Show debug messages.", rich_help_panel=MACHINE)], False),
     "quiet": (
         Annotated[bool, typer.Option("--quiet", "-q", help="Show results, warnings and errors only.", rich_help_panel=MACHINE)],

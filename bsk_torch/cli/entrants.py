@@ -10,7 +10,7 @@ from bsk_torch._listed import makings
 from bsk_torch.cli.functions import entrant_of_user
 from bsk_torch.cli.names import PREFIX, PRETRAINED
 from bsk_torch.cli.planned import named_planner
-from bsk_torch.cli.policies import NamedActor, named_policy
+from bsk_torch.cli.policies import NamedPolicy, named_policy
 from bsk_torch.cli.shared import preset_options
 from bsk_torch.cli.terminal import fail
 from bsk_torch.env import Tasking
@@ -43,7 +43,7 @@ def entrant_of(name: str, tasks: Sequence[Task] = ()) -> Entrant:
     return lambda preset, make: entered(policy, make, drawn) if preset == policy.preset else None
 
 
-def entered(policy: NamedActor, make: Callable[..., Tasking], drawn: Sequence[str]) -> tuple[Tasking, Policy]:
+def entered(policy: NamedPolicy, make: Callable[..., Tasking], drawn: Sequence[str]) -> tuple[Tasking, Policy]:
     """Enter a policy of a file, in an environment with the views that it was trained with; see :func:`views_of`.
 
     The program ends in tasks with other observations or actions than those of its training.
@@ -52,7 +52,7 @@ def entered(policy: NamedActor, make: Callable[..., Tasking], drawn: Sequence[st
     return env, policy.actor(env, str(env.device))
 
 
-def views_of(policy: NamedActor, drawn: Sequence[str] = ("time_limit",)) -> dict[str, Any]:
+def views_of(policy: NamedPolicy, drawn: Sequence[str] = ("time_limit",)) -> dict[str, Any]:
     """Return the options of a policy's training, without those named in ``drawn``, such as the length of its episodes."""
     return {name: value for name, value in policy.card.get("options", {}).items() if name not in drawn}
 

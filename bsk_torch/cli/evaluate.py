@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bsk_torch.cli.declaration import EnvironmentOptions, JsonFile, OfPreset, Options, Plan, PoliciesOrPlanners, Seeds
+from bsk_torch.cli.declaration import EnvironmentOptions, JsonFile, OfPreset, Options, Plan, PoliciesOrPlanners, Seeds, flag
 from bsk_torch.cli.names import PREFIX
 from bsk_torch.cli.shared import check_writable, preset_options, seed_range
 from bsk_torch.cli.terminal import activity, fail, refusing, working
@@ -34,11 +34,11 @@ def evaluate_policy(
     preset: OfPreset = None,
     option: Options = None,
     seeds: Seeds = "0:1000",
-    shield: Annotated[str | None, typer.Option(metavar="NAME", help="'safe', 'imager', or package.module:function.")] = None,
+    shield: Annotated[str | None, flag("NAME", "'safe', 'imager', or package.module:function.")] = None,
     plan: Plan = None,
     baselines: Annotated[bool, typer.Option(help="Compare with all applicable baselines.")] = True,
     out: JsonFile = None,
-    episodes_out: Annotated[Path | None, typer.Option(metavar="FILE", help="CSV file with a row for each episode.")] = None,
+    episodes_out: Annotated[Path | None, flag("FILE", "CSV file with a row for each episode.")] = None,
     *,
     options: EnvironmentOptions,
 ) -> None:
@@ -54,7 +54,7 @@ def evaluate_policy(
         bsk-torch eval plan:rollout --plan base=rule --plan horizon=1500 --seeds 0:8
         bsk-torch eval nearest_task --preset AEOSBench-v1 --option sensor=on
     """
-    from bsk_torch.cli.policies import TRAINED, NamedFunction, NamedPolicy, named_actor
+    from bsk_torch.cli.policies import TRAINED, named_actor
     from bsk_torch.rl.evaluation.evaluate import evaluate
     from bsk_torch.rl.evaluation.results import print_results, save_episodes, save_results
     from bsk_torch.rl.marl.runs import is_constellation
@@ -80,7 +80,7 @@ def evaluate_policy(
     for one in named:
         env = one.environment(size, options)
         label = one.label if len(named) == 1 or one.label != TRAINED else one.name
-        if guard is not None and isinstance(one, NamedPolicy | NamedFunction):
+        if guard is not None:
             actors[f"{label} + {shield}"] = shared(guard(one.build(env, device), env), env), env
         actors[label] = one.actor(env, device), env
     chosen, (_, env) = next(iter(actors.items()))

@@ -10,10 +10,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from bsk_torch.cli.declaration import EnvironmentOptions, JsonFile, OfPreset, Policy
-from bsk_torch.cli.shared import check_drawing, check_writable, extra, made, seed_range
+from bsk_torch.cli.declaration import EnvironmentOptions, JsonFile, OfPreset, Policy, flag
+from bsk_torch.cli.shared import check_writable, drawing, extra, made, seed_range
 from bsk_torch.cli.terminal import activity, echo, fail, refusing, working
 from bsk_torch.files import write_file
 from bsk_torch.tables import print_table
@@ -31,24 +29,17 @@ LOST_AFTER = "lost after"
 EXPENDABLE = ("dark (s)", "wheels (rpm)", LOST_AFTER, "charge", "outcome")
 """Columns to leave out where the terminal is narrow, the first one first."""
 
-FIGURE = "bsk_torch.viz.figures.timeline"
-"""Module that draws an episode over time."""
-
 
 def explain_failures(
     policy: Policy,
     preset: OfPreset = None,
-    seeds: Annotated[
-        str, typer.Option("--seeds", "--seed", metavar="A:B", help="Episodes of the seeds A to B - 1, or of a single seed.")
-    ] = "0:2000",
+    seeds: Annotated[str, flag("A:B", "Episodes of the seeds A to B - 1, or of a single seed.", "--seeds", "--seed")] = "0:2000",
     starts: Annotated[
-        str | None,
-        typer.Option(metavar="A:B", help="Seeds of episodes in which to search for surviving actions, regardless of the policy."),
+        str | None, flag("A:B", "Seeds of episodes in which to search for surviving actions, regardless of the policy.")
     ] = None,
-    num_envs: Annotated[int, typer.Option(metavar="N", min=1, help="Episodes, or states of a search, at once.")] = 1024,
+    num_envs: Annotated[int, flag("N", "Episodes, or states of a search, at once.", min=1)] = 1024,
     draw: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Picture (.png, .svg, .pdf) of the first death, with its cause and last chance."),
+        Path | None, flag("FILE", "Picture (.png, .svg, .pdf) of the first death, with its cause and last chance.")
     ] = None,
     out: JsonFile = None,
     *,
@@ -72,7 +63,7 @@ def explain_failures(
     from bsk_torch.rl.evaluation.failures import explain
 
     episodes, begun = seed_range(seeds), None if starts is None else seed_range(starts, "--starts")
-    check_drawing(draw, FIGURE)
+    figure = drawing(draw, "timeline")
     check_writable(out)
     named, env, actor = flown_by(policy, preset, num_envs, options)
     if not isinstance(env, SatelliteTasking):
@@ -96,7 +87,7 @@ def explain_failures(
     if draw is not None and failures:
         with working("drawing"):
             one = made(named.preset, 1, named.options(options) | {"env_ids": [0]})
-            draw_failure(one, failures[0], flown.actions[episodes.index(failures[0].seed)], draw)
+            draw_failure(one, failures[0], flown.actions[episodes.index(failures[0].seed)], draw, figure)
         echo(f"{draw}: the death in the episode of seed {failures[0].seed}")
     elif draw is not None:
         echo(f"{draw} was not drawn: no satellite died")
@@ -182,13 +173,13 @@ def cells(failure: Failure) -> dict[str, str]:
     }
 
 
-def draw_failure(env: Tasking, failure: Failure, actions: Tensor, path: Path) -> None:
+def draw_failure(env: Tasking, failure: Failure, actions: Tensor, path: Path, figure: Any) -> None:
     """Draw the episode of a failure over time, with its cause and its last chance, as a replay of ``actions`` [T] in ``env``."""
     from bsk_torch.rl.evaluation.counterfactual import LOST, OPEN, SAVED
     from bsk_torch.rl.evaluation.replay import script
 
     fates = {SAVED: "could be saved", LOST: "could not be saved", OPEN: "unknown whether it could be saved"}
-    recorder, figure = extra("bsk_torch.viz.recorders.track"), extra(FIGURE)
+    recorder = extra("bsk_torch.viz.recorders.track")
     episode = recorder.record_track(script(actions.clamp(min=0).unsqueeze(0)), env, seed=failure.seed)
     cause = failure.cause.replace("_valid", "")
     marks = [(failure.died, f"died: {cause}")]

@@ -10,11 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-import typer
 
-from bsk_torch.cli.declaration import EnvironmentOptions, OfPreset, Plan, PolicyOrPlanner, Seed, Until
-from bsk_torch.cli.pictures import EPISODES
-from bsk_torch.cli.shared import PICTURES, check_picture, check_writable, extra
+from bsk_torch.cli.declaration import EnvironmentOptions, OfPreset, Plan, PolicyOrPlanner, Seed, Until, flag
+from bsk_torch.cli.shared import PICTURES, check_file, extra
 from bsk_torch.cli.terminal import echo, fail, refusing, working
 from bsk_torch.files import write_file
 
@@ -35,18 +33,12 @@ def film(
     preset: OfPreset = None,
     seed: Seed = 0,
     out: Annotated[
-        Path,
-        typer.Option(
-            metavar="FILE",
-            help="A film (.gif, .webp, .mp4), or a picture of the whole episode (.png, .svg, .pdf).",
-        ),
+        Path, flag("FILE", "A film (.gif, .webp, .mp4), or a picture of the whole episode (.png, .svg, .pdf).")
     ] = Path("film.gif"),
     until: Until = None,
-    every: Annotated[
-        float | None, typer.Option(metavar="S", help="A frame at least every S seconds; default: one for each decision.")
-    ] = None,
-    fps: Annotated[float, typer.Option(metavar="N", min=0.1, max=50.0, help="Frames per second.")] = 5.0,
-    height: Annotated[int, typer.Option(metavar="N", help="Height of a frame in pixels; the width is 4/3 of it.")] = 480,
+    every: Annotated[float | None, flag("S", "A frame at least every S seconds; default: one for each decision.")] = None,
+    fps: Annotated[float, flag("N", "Frames per second.", min=0.1, max=50.0)] = 5.0,
+    height: Annotated[int, flag("N", "Height of a frame in pixels; the width is 4/3 of it.")] = 480,
     plan: Plan = None,
     *,
     options: EnvironmentOptions,
@@ -63,9 +55,8 @@ def film(
     from bsk_torch.env import ConstellationTasking
     from bsk_torch.rl.evaluation.evaluate import LOT, with_lots
 
-    check_picture("--out", out, (*FILMS, *PICTURES))
-    check_writable(out)
-    extra("bsk_torch.viz.render.frames", "viz")
+    check_file("--out", out, (*FILMS, *PICTURES))
+    extra("bsk_torch.viz.render.frames")
     named = named_actor(policy, preset, plan)
     env = named.environment(1, options | ({} if every is None else {"max_step_duration": every}))
     if every is not None and not isinstance(env, ConstellationTasking):
@@ -74,7 +65,7 @@ def film(
     player = with_lots(actor, env) if LOT in actor.in_keys else actor
     if out.suffix in PICTURES:
         with working("playing the episode"):
-            pictures = extra(EPISODES, "viz")
+            pictures = extra("bsk_torch.viz.episodes")
             pictures.draw(pictures.record(player, env, seed=seed), out, f"{named.preset}, seed {seed}, {named.label}")
         told = "the whole episode"
     else:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bsk_torch._listed import LISTED
+from bsk_torch.cli.declaration import flag
 from bsk_torch.cli.names import check_preset
 from bsk_torch.cli.shared import made
 from bsk_torch.cli.terminal import echo, refusing, working
@@ -24,11 +25,11 @@ STEPS = 3
 def build_kernels(
     presets: Annotated[list[str] | None, typer.Argument(help="Environments; default: all.", show_default=False)] = None,
     out: Annotated[
-        Path, typer.Option(metavar="FOLDER", help="Output folder; set BSK_TORCH_KERNELS to its path on the other machines.")
+        Path,
+        flag("FOLDER", "Output folder; set BSK_TORCH_KERNELS to its path on the other machines."),
     ] = Path("kernels"),
     isa: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="'avx512', 'avx2', or 'default' (plain C++); default: the best of this machine."),
+        str | None, flag("NAME", "'avx512', 'avx2', or 'default' (plain C++); default: the best of this machine.")
     ] = None,
     mixed: Annotated[bool, typer.Option("--mixed", help="Also for mixed precision (sim_dtype=float32).")] = False,
 ) -> None:

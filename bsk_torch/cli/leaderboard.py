@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from bsk_torch.cli.bench import add_results, read_earlier, read_result
-from bsk_torch.cli.declaration import JsonFile
-from bsk_torch.cli.shared import check_drawing, check_writable, extra
+from bsk_torch.cli.declaration import JsonFile, flag
+from bsk_torch.cli.shared import check_writable, drawing
 from bsk_torch.cli.terminal import fail, print_message, refusing, working
 from bsk_torch.files import write_file
 from bsk_torch.sim.names import nearest
@@ -21,9 +21,6 @@ from bsk_torch.tables import print_table
 if TYPE_CHECKING:
     from bsk_torch.cli.board import Board
     from bsk_torch.rl.evaluation.aggregates import Interval
-
-FIGURE = "bsk_torch.viz.figures.profiles"
-"""Module that draws performance profiles."""
 
 MATCHING = "*?["
 """Characters of patterns, which a policy may have in its name."""
@@ -48,19 +45,12 @@ def leaderboard(
             show_default=False,
         ),
     ] = None,
-    presets: Annotated[
-        str | None, typer.Option(metavar="NAMES", help="Only some presets or other tasks of the suite, separated by commas.")
-    ] = None,
-    against: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Method with which the others are compared; default: the best.")
-    ] = None,
+    presets: Annotated[str | None, flag("NAMES", "Only some presets or other tasks of the suite, separated by commas.")] = None,
+    against: Annotated[str | None, flag("NAME", "Method with which the others are compared; default: the best.")] = None,
     published_suite: Annotated[
-        str | None,
-        typer.Option("--published", metavar="SUITE", help="Also compare with the methods published for the suite, such as v2."),
+        str | None, flag("SUITE", "Also compare with the methods published for the suite, such as v2.", "--published")
     ] = None,
-    draw: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Picture (.png, .svg, .pdf) of the performance profiles.")
-    ] = None,
+    draw: Annotated[Path | None, flag("FILE", "Picture (.png, .svg, .pdf) of the performance profiles.")] = None,
     out: JsonFile = None,
 ) -> None:
     """Compare methods in all tasks of a suite, with the aggregates of Agarwal et al. (2021).
@@ -78,7 +68,7 @@ def leaderboard(
         from bsk_torch.cli.results import Results
         from bsk_torch.rl.evaluation.suite import published, references, tasks_of
 
-    check_drawing(draw, FIGURE)
+    figure = drawing(draw, "profiles")
     check_writable(out)
     files = files or []
     if published_suite is None and not files:
@@ -100,8 +90,7 @@ def leaderboard(
     board = board_of(results, known["methods"] | methods, suite, tasks, against)
     print_board(board)
     if draw is not None:
-        figure = extra(FIGURE).performance_profiles
-        figure(*board.profiles(), draw, f"Performance profiles, suite {suite}, {len(board.tasks)} tasks")
+        figure.performance_profiles(*board.profiles(), draw, f"Performance profiles, suite {suite}, {len(board.tasks)} tasks")
     if out is not None:
         write_file(out, json.dumps(document(board), indent=1) + "\n")
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-import typer
-
-from bsk_torch.cli.declaration import Preset
+from bsk_torch.cli.declaration import Preset, flag
 from bsk_torch.cli.terminal import activity, echo, refusing, working
 from bsk_torch.cli.train import Algorithm, Changes, Network
 from bsk_torch.tables import print_table
@@ -17,7 +15,7 @@ def profile(
     changes: Changes = None,
     algorithm: Algorithm = None,
     network: Network = None,
-    seconds: Annotated[float, typer.Option(metavar="S", min=0.01, help="CPU time to measure, without compilation.")] = 10.0,
+    seconds: Annotated[float, flag("S", "CPU time to measure, without compilation.", min=0.01)] = 10.0,
     *,
     options: Annotated[dict[str, Any], ("backend", "device", "time_limit")],
 ) -> None:

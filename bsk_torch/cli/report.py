@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bsk_torch.cli.declaration import MachineOptions
-from bsk_torch.cli.pictures import record
+from bsk_torch.cli.declaration import MachineOptions, flag
 from bsk_torch.cli.shared import check_writable, environment, extra
 from bsk_torch.cli.terminal import echo, refusing, working
 
@@ -29,9 +28,7 @@ VERSIONS = ("bsk_torch", "torch", "torchrl", "matplotlib")
 
 def report(
     run: Annotated[Path, typer.Argument(help="Run folder.", show_default=False)],
-    episodes: Annotated[
-        int, typer.Option(metavar="N", min=1, help="Unseen episodes, of which the best, the median and the worst are shown.")
-    ] = 64,
+    episodes: Annotated[int, flag("N", "Unseen episodes, of which the best, the median and the worst are shown.", min=1)] = 64,
     *,
     options: MachineOptions,
 ) -> None:
@@ -61,19 +58,15 @@ def report(
         flights=flights,
         played=episodes,
         config=asdict(config),
-        facts=_facts(card),
+        facts={
+            "policy trained with": f"bsk_torch {card['bsk_torch']}",
+            "report made with": ", ".join(f"{name} {version(name)}" for name in VERSIONS),
+            "Python": platform.python_version(),
+        },
         command=command_of(config),
     )
     path = pages.write_report(data, run / REPORT)
     echo(f"{path} ({path.stat().st_size / 1e6:.1f} MB)\nopen it in a browser: {path.resolve().as_uri()}")
-
-
-def _facts(card: dict[str, Any]) -> dict[str, str]:
-    made = {"policy trained with": f"bsk_torch {card['bsk_torch']}"}
-    return made | {
-        "report made with": ", ".join(f"{name} {version(name)}" for name in VERSIONS),
-        "Python": platform.python_version(),
-    }
 
 
 def _episodes(
@@ -96,7 +89,7 @@ def _episodes(
     shown = []
     for why, number in chosen.items():
         with working(f"playing the {why} episode again"):
-            shown.append((why, number, record(policy, made[why], seed)))
+            shown.append((why, number, extra("bsk_torch.viz.episodes").record(policy, made[why], seed=seed)))
     with working("recording these episodes for the viewer"):
         labels = {f"{why} episode (no. {number})": made[why] for why, number in chosen.items()}
         return shown, _viewer(labels, policy, seed, config.preset)

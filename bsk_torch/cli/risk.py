@@ -7,20 +7,15 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from bsk_torch.cli.declaration import AtOnce, EnvironmentOptions, JsonFile, OfPreset, Options, Policy
-from bsk_torch.cli.shared import check_drawing, check_writable, extra, made, preset_options
+from bsk_torch.cli.declaration import AtOnce, EnvironmentOptions, JsonFile, OfPreset, Options, Policy, flag
+from bsk_torch.cli.shared import check_writable, drawing, extra, made, preset_options
 from bsk_torch.cli.terminal import activity, echo, fail, refusing, working
 from bsk_torch.files import write_file
 from bsk_torch.tables import print_table
 
 if TYPE_CHECKING:
-    from bsk_torch.cli.policies import NamedFunction, NamedPolicy
+    from bsk_torch.cli.policies import NamedPolicy
     from bsk_torch.plan.risk import Risk, Shift, Way
-
-FIGURE = "bsk_torch.viz.figures.timeline"
-"""Module that draws an episode over time."""
 
 SHOWN = 6
 """Number of drawn quantities in the table."""
@@ -33,38 +28,28 @@ def estimate_risk(
     policy: Policy,
     preset: OfPreset = None,
     option: Options = None,
-    event: Annotated[
-        str,
-        typer.Option(metavar="EVENT", help="'death', or a property with a limit such as 'battery_charge_fraction<0.05'."),
-    ] = "death",
+    event: Annotated[str, flag("EVENT", "'death', or a property with a limit such as 'battery_charge_fraction<0.05'.")] = "death",
     level: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="What is followed toward a death: battery, wheels, buffer or distance; repeatable. Default: the nearest limit.",
+        flag(
+            "NAME",
+            "What is followed toward a death: battery, wheels, buffer or distance; repeatable. Default: the nearest limit.",
         ),
     ] = None,
     method: Annotated[
         str,
-        typer.Option(
-            metavar="NAME",
-            help="subset: small steps of everything random. screen: flies the seeds whose draws at reset are most dangerous.",
+        flag(
+            "NAME", "subset: small steps of everything random. screen: flies the seeds whose draws at reset are most dangerous."
         ),
     ] = "subset",
-    episodes: Annotated[int, typer.Option(metavar="N", min=20, help="Episodes of a repetition, a multiple of 10.")] = 1000,
-    repetitions: Annotated[int, typer.Option(metavar="R", min=4, help="Independent repetitions.")] = 8,
-    smallest: Annotated[
-        float, typer.Option(metavar="P", help="Probability at which subset simulation ends its search for the event.")
-    ] = 1e-9,
-    pool: Annotated[int, typer.Option(metavar="N", min=40, help="Seeds that each repetition screens.")] = 1_000_000,
-    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the estimate.")] = 0,
+    episodes: Annotated[int, flag("N", "Episodes of a repetition, a multiple of 10.", min=20)] = 1000,
+    repetitions: Annotated[int, flag("R", "Independent repetitions.", min=4)] = 8,
+    smallest: Annotated[float, flag("P", "Probability at which subset simulation ends its search for the event.")] = 1e-9,
+    pool: Annotated[int, flag("N", "Seeds that each repetition screens.", min=40)] = 1_000_000,
+    seed: Annotated[int, flag("N", "Seed of the estimate.", min=0)] = 0,
     num_envs: AtOnce = 512,
-    save: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="JSON file for a typical episode of each way, to fly it again.")
-    ] = None,
-    draw: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Picture (.png, .svg, .pdf) of the most typical episode.")
-    ] = None,
+    save: Annotated[Path | None, flag("FILE", "JSON file for a typical episode of each way, to fly it again.")] = None,
+    draw: Annotated[Path | None, flag("FILE", "Picture (.png, .svg, .pdf) of the most typical episode.")] = None,
     out: JsonFile = None,
     *,
     options: EnvironmentOptions,
@@ -85,7 +70,7 @@ def estimate_risk(
     from bsk_torch.plan.rare_flights import save_paths
     from bsk_torch.plan.risk import risk
 
-    check_drawing(draw, FIGURE)
+    figure = drawing(draw, "timeline")
     check_writable(save, out)
     options = preset_options(option) | options
     named, env, actor = flown(policy, preset, num_envs, options)
@@ -110,7 +95,7 @@ def estimate_risk(
     if out is not None:
         write_file(out, json.dumps(about | found.to_dict(), indent=1, allow_nan=False, default=str) + "\n")
     if draw is not None and found.ways:
-        draw_way(found, named, options, draw)
+        draw_way(found, named, options, draw, figure)
     for path in (save, draw):
         if path is not None and not found.ways:
             echo(f"{path} was not written: the event was not seen")
@@ -178,14 +163,14 @@ def of_shift(shift: Shift) -> dict[str, str]:
     }
 
 
-def draw_way(found: Risk, named: NamedPolicy | NamedFunction, options: Mapping[str, Any], path: Path) -> None:
+def draw_way(found: Risk, named: NamedPolicy, options: Mapping[str, Any], path: Path, figure: Any) -> None:
     """Draw the most typical episode over time, with the moment of the event."""
     import torch
 
     from bsk_torch.rand import blended
     from bsk_torch.rl.evaluation.replay import script
 
-    recorder, figure = extra("bsk_torch.viz.recorders.track"), extra(FIGURE)
+    recorder = extra("bsk_torch.viz.recorders.track")
     typical = found.paths().take(torch.tensor([0]))
     time = found.ways[0].time
     seed = int(typical.seeds[0])

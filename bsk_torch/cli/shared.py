@@ -99,18 +99,19 @@ PICTURES = (".png", ".svg", ".pdf")
 """What the names of pictures end with."""
 
 
-def check_picture(option: str, path: Path, kinds: Sequence[str] = PICTURES) -> None:
-    """End the program if a picture's name does not end with one of ``kinds``."""
+def check_file(option: str, path: Path, kinds: Sequence[str]) -> None:
+    """End the program if a file's name does not end with one of ``kinds``, or the file could not be written."""
     if path.suffix not in kinds:
         fail(f"{option} {str(path)!r} must end with {', '.join(kinds[:-1])} or {kinds[-1]}")
+    check_writable(path)
 
 
-def check_drawing(path: Path | None, figure: str) -> None:
-    """End the program if the picture ``--draw`` could not be written, or drawn by the module ``figure``."""
-    if path is not None:
-        check_writable(path)
-        check_picture("--draw", path)
-        extra(figure)
+def drawing(path: Path | None, figure: str) -> Any:
+    """Return the module ``figure``, which draws the picture ``--draw``, if any; ends the program if it could not be written."""
+    if path is None:
+        return None
+    check_file("--draw", path, PICTURES)
+    return extra(f"bsk_torch.viz.figures.{figure}")
 
 
 def extra(module: str, extras: str = "viz") -> Any:

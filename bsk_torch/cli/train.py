@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bsk_torch.cli.declaration import MACHINE, EnvironmentOptions
+from bsk_torch.cli.declaration import MACHINE, EnvironmentOptions, flag
 from bsk_torch.cli.shared import environment
 from bsk_torch.cli.terminal import fail
 
@@ -29,9 +29,7 @@ Changes = Annotated[
         show_default=False,
     ),
 ]
-Algorithm = Annotated[
-    str | None, typer.Option(metavar="NAME", help="'ppo' for one satellite; 'mappo' (default) or 'ippo' for constellations.")
-]
+Algorithm = Annotated[str | None, flag("NAME", "'ppo' for one satellite; 'mappo' (default) or 'ippo' for constellations.")]
 Network = Annotated[
     str | None,
     typer.Option(
@@ -51,16 +49,11 @@ def train(
     algorithm: Algorithm = None,
     network: Network = None,
     minutes: Annotated[
-        float | None,
-        typer.Option(metavar="M", min=0.01, help="Training time, without compilation; default: 3, or no limit with --frames."),
+        float | None, flag("M", "Training time, without compilation; default: 3, or no limit with --frames.", min=0.01)
     ] = None,
-    frames: Annotated[
-        int | None, typer.Option(metavar="N", help="Number of decisions. With --minutes, the limit reached first counts.")
-    ] = None,
-    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of networks, actions and episodes.")] = 0,
-    seeds: Annotated[
-        int, typer.Option(metavar="N", min=1, help="Number of runs, one after the other, with seeds starting at --seed.")
-    ] = 1,
+    frames: Annotated[int | None, flag("N", "Number of decisions. With --minutes, the limit reached first counts.")] = None,
+    seed: Annotated[int, flag("N", "Seed of networks, actions and episodes.", min=0)] = 0,
+    seeds: Annotated[int, flag("N", "Number of runs, one after the other, with seeds starting at --seed.", min=1)] = 1,
     workers: Annotated[
         str | None,
         typer.Option(
@@ -71,12 +64,8 @@ def train(
         ),
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Resume the run in the given folder.")] = False,
-    out: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Folder for the results; default: a new one in runs/.")
-    ] = None,
-    episodes: Annotated[
-        int, typer.Option(metavar="N", min=0, help="Unseen episodes of the final comparison; with 0, there is none.")
-    ] = 256,
+    out: Annotated[Path | None, flag("FOLDER", "Folder for the results; default: a new one in runs/.")] = None,
+    episodes: Annotated[int, flag("N", "Unseen episodes of the final comparison; with 0, there is none.", min=0)] = 256,
     *,
     options: EnvironmentOptions,
 ) -> None:
@@ -98,12 +87,10 @@ def train(
     if resume:
         folder = Path(preset)
         config = read(folder, changes)
-        given = [name for name in OF_NEW_RUNS if _is_given(context, name)]
+        given = [name for name in OF_NEW_RUNS if getattr(context.get_parameter_source(name), "name", None) == "COMMANDLINE"]
         if given:
-            fail(
-                f"--{given[0].replace('_', '-')} is for new runs; with --resume, changes are written as NAME=VALUE: "
-                "learning_rate=1e-4"
-            )
+            name = given[0].replace("_", "-")
+            fail(f"--{name} is for new runs; with --resume, changes are written as NAME=VALUE: learning_rate=1e-4")
         check_resumable(folder, config)
         runs, seed = {folder: config}, config.seed
     else:
@@ -125,9 +112,3 @@ def train(
             break
     if len(trained) > 1:
         print_results(results | trained, f"{config.preset}, {episodes} unseen episodes")
-
-
-def _is_given(context: typer.Context, name: str) -> bool:
-    """Return whether a parameter was given on the command line."""
-    source = context.get_parameter_source(name)
-    return source is not None and source.name == "COMMANDLINE"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import webbrowser
-from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any
@@ -12,11 +11,11 @@ from typing import Annotated, Any
 import typer
 
 from bsk_torch._listed import LISTED
-from bsk_torch.cli.declaration import EnvironmentOptions, Plan, Seed, Until
+from bsk_torch.cli.declaration import EnvironmentOptions, Plan, Seed, Until, flag
 from bsk_torch.cli.film import FILMS
 from bsk_torch.cli.film import film as write_film
 from bsk_torch.cli.names import PRETRAINED
-from bsk_torch.cli.shared import check_writable, extra
+from bsk_torch.cli.shared import check_file, extra
 from bsk_torch.cli.terminal import echo, fail, refusing, working
 from bsk_torch.files import write_file
 from bsk_torch.sim.names import nearest
@@ -27,15 +26,14 @@ FILES = (".html", ".bskview", ".czml")
 What = Annotated[str, typer.Argument(help="Preset, run folder, or recording (.bskview).", show_default=False)]
 WithPolicy = Annotated[
     str | None,
-    typer.Option(
+    flag(
+        "NAME",
+        "Policy of a preset: 'pretrained' (default), a baseline, a run folder, or a planner such as plan:rollout.",
         "--policy",
-        metavar="NAME",
-        help="Policy of a preset: 'pretrained' (default), a baseline, a run folder, or a planner such as plan:rollout.",
     ),
 ]
 Branches = Annotated[
-    list[str] | None,
-    typer.Option("--branch", metavar="DECISION:ACTION", help="Another future: take this action at that decision; repeatable."),
+    list[str] | None, flag("DECISION:ACTION", "Another future: take this action at that decision; repeatable.", "--branch")
 ]
 
 
@@ -45,11 +43,9 @@ def view(
     seed: Seed = 0,
     until: Until = None,
     branch: Branches = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a file (.html, .bskview, .czml) instead of starting a server.")
-    ] = None,
-    host: Annotated[str, typer.Option(metavar="NAME", help="Address of the server; others need a token.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(metavar="N", min=1, max=65535, help="Port of the server, or the next free one.")] = 8765,
+    out: Annotated[Path | None, flag("FILE", "Write a file (.html, .bskview, .czml) instead of starting a server.")] = None,
+    host: Annotated[str, flag("NAME", "Address of the server; others need a token.")] = "127.0.0.1",
+    port: Annotated[int, flag("N", "Port of the server, or the next free one.", min=1, max=65535)] = 8765,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
     plan: Plan = None,
     *,
@@ -68,7 +64,7 @@ def view(
         bsk-torch view flight.bskview
     """
     if out is not None:
-        _check_name(out, FILES)
+        check_file("--out", out, FILES)
     source = _source(what, policy, seed, until, branch, plan, options)
     if out is not None:
         _write(source, out)
@@ -100,10 +96,7 @@ def _forwarding(url: str, folder: Path) -> str:
 
 def export(
     what: What,
-    out: Annotated[
-        Path,
-        typer.Option(metavar="FILE", help="A page (.html), recording (.bskview), CZML (.czml) or film (.mp4, .gif, .webp)."),
-    ],
+    out: Annotated[Path, flag("FILE", "A page (.html), recording (.bskview), CZML (.czml) or film (.mp4, .gif, .webp).")],
     policy: WithPolicy = None,
     seed: Seed = 0,
     until: Until = None,
@@ -119,7 +112,7 @@ def export(
         bsk-torch export flight.bskview --out flight.czml
         bsk-torch export runs/scan --seed 7 --out flight.mp4
     """
-    _check_name(out, (*FILES, *FILMS))
+    check_file("--out", out, (*FILES, *FILMS))
     if out.suffix in FILMS:
         if what.endswith(".bskview") or branch:
             fail(f"--out {str(out)!r}: films show a preset or a run without branches; recordings become {', '.join(FILES)}")
@@ -127,12 +120,6 @@ def export(
         write_film(name, preset, seed, out, until, plan=plan, options=options)
         return
     _write(_source(what, policy, seed, until, branch, plan, options), out)
-
-
-def _check_name(out: Path, known: Sequence[str]) -> None:
-    if out.suffix not in known:
-        fail(f"--out {str(out)!r} must end with one of {', '.join(known)}; {nearest(out.suffix, known)}")
-    check_writable(out)
 
 
 def _named(what: str, policy: str | None) -> tuple[str, str | None]:
