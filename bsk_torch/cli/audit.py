@@ -13,7 +13,7 @@ from bsk_torch.files import write_file
 from bsk_torch.tables import print_table
 
 if TYPE_CHECKING:
-    from bsk_torch.plan.audit import Audit, OfSituation
+    from bsk_torch.lab.audit.audit import Audit, OfSituation
 
 SHOWN = 5
 """Number of decisions in the list of the worst."""
@@ -44,10 +44,10 @@ def audit_policy(
         bsk-torch audit hasty --preset CloudyAEOS-v1 --horizon 300 --futures 8
     """
     from bsk_torch.cli.policies import flown
-    from bsk_torch.plan.audit import audit
+    from bsk_torch.lab.audit.audit import audit
 
     episodes = seed_range(seeds)
-    figure = drawing(draw, "regret")
+    figure = drawing(draw, "bsk_torch.lab.audit.figure")
     check_writable(out)
     named, env, actor = flown(policy, preset, min(len(episodes), num_envs), preset_options(option) | options)
     with refusing(), working(f"valuing all actions of {named.label}"):
@@ -63,7 +63,7 @@ def audit_policy(
 
 def print_audit(found: Audit, title: str) -> None:
     """Print the summary of an audit: by kind of action, by situation, and the worst decisions."""
-    from bsk_torch.plan.audit import WORST
+    from bsk_torch.lab.audit.audit import WORST
     from bsk_torch.rl.evaluation.statistics import confidence
 
     regret, lost = found.regret, found.regret > 0.0

@@ -23,7 +23,7 @@ from bsk_torch.files import write_file
 from bsk_torch.tables import print_table
 
 if TYPE_CHECKING:
-    from bsk_torch.rl.evaluation.suite import Score, Task
+    from bsk_torch.lab.suites.suite import Score, Task
 
 logger = logging.getLogger(__name__)
 
@@ -90,7 +90,7 @@ def bench(
     from bsk_torch.cli.results import PlayedResults
     from bsk_torch.codegen.inductor import BACKENDS
     from bsk_torch.env.assembly.devices import existing_device
-    from bsk_torch.rl.evaluation.suite import bench_folder, play, references, tasks_of
+    from bsk_torch.lab.suites.suite import bench_folder, play, references, tasks_of
 
     check_writable(out)
     if folder is not None and suite != "aeosbench":
@@ -145,8 +145,8 @@ def certifiers_of(tasks: Sequence[Task], certify: int, episodes: int) -> dict[st
     """
     if not certify:
         return {}
-    from bsk_torch import basilisk
-    from bsk_torch.basilisk.aeos_certificate import BENCH, certify_bench
+    from bsk_torch.lab import basilisk
+    from bsk_torch.lab.basilisk.aeos_certificate import BENCH, certify_bench
 
     certifiers = {**dict.fromkeys(basilisk.FLOWN, basilisk.certify), BENCH: certify_bench}
     flown = [task for task in tasks if task.preset in certifiers]
@@ -167,7 +167,7 @@ def certifiers_of(tasks: Sequence[Task], certify: int, episodes: int) -> dict[st
 
 def told(score: Score, reference: Mapping[str, object] | None) -> dict[str, Any]:
     """Return what a file says about a score; the score proper where the suite has a reference for the task."""
-    from bsk_torch.rl.evaluation.suite import normalised
+    from bsk_torch.lab.suites.suite import normalised
 
     evaluation = score.evaluation
     rated = {} if reference is None else {"score": asdict(normalised(evaluation, reference))}
@@ -214,7 +214,7 @@ def document(suite: str, tasks: Sequence[Task], episodes: int, results: Mapping[
     """Return the content of the JSON file."""
     import torch
 
-    from bsk_torch.rl.evaluation.suite import REMARKS
+    from bsk_torch.lab.suites.suite import REMARKS
 
     about = {task.title: task.about for task in tasks if task.about}
     remarks = {"tasks": about, "remarks": REMARKS[suite]} if suite in REMARKS else {}
@@ -239,7 +239,7 @@ def print_suite(
     failed: Mapping[str, Mapping[str, str]],
 ) -> None:
     """Print a table for each task: policies, the paired gain of the best over each, survival or measures, and computation."""
-    from bsk_torch.rl.evaluation.suite import REMARKS
+    from bsk_torch.lab.suites.suite import REMARKS
 
     for task in tasks:
         rows = {name: result[task.title] for name, result in results.items() if task.title in result}
@@ -261,7 +261,7 @@ def print_suite(
 
 def played(rows: Mapping[str, Mapping[str, Any]], task: Task) -> list[dict[str, str]]:
     """Return the cells of the policies that have played a task by column, the best policy last but for planners ahead of it."""
-    from bsk_torch.rl.evaluation.suite import ranking
+    from bsk_torch.lab.suites.suite import ranking
 
     if not rows:
         return []

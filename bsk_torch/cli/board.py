@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from bsk_torch.cli.terminal import fail, print_message, refusing
-from bsk_torch.rl.evaluation.aggregates import AGGREGATES, Interval, bootstrap, improvement, interval, profile, run_scores
-from bsk_torch.rl.evaluation.suite import references
+from bsk_torch.lab.suites.aggregates import AGGREGATES, Interval, bootstrap, improvement, interval, profile, run_scores
+from bsk_torch.lab.suites.suite import references
 from bsk_torch.sim.names import nearest
 
 THRESHOLDS, MARGIN = 201, 0.05

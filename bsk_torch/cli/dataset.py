@@ -71,10 +71,10 @@ def dataset(
         bsk-torch dataset NadirScan-v1 --out data/plan --behavior plan:rollout
     """
     from bsk_torch.cli.policies import named_policy
-    from bsk_torch.offline import Behavior, Recipe, write_dataset
-    from bsk_torch.offline.behaviors import slug
-    from bsk_torch.offline.minari_format import check_minari
-    from bsk_torch.offline.writing import check_folder
+    from bsk_torch.lab.offline import Behavior, Recipe, write_dataset
+    from bsk_torch.lab.offline.behaviors import slug
+    from bsk_torch.lab.offline.minari_format import check_minari
+    from bsk_torch.lab.offline.writing import check_folder
 
     episodes = seed_range(seeds)
     with refusing(ValueError, ImportError):
@@ -143,7 +143,7 @@ def trained_options(policies: Sequence[NamedPolicy | None]) -> dict[str, Any]:
 
 def usual_rule(env: Tasking) -> list[str]:
     """Return the name of the best rule that fits, if there is one."""
-    from bsk_torch.plan.base_policies import USUAL
+    from bsk_torch.lab.planners.base_policies import USUAL
     from bsk_torch.rl.policies.shared_policy import shared_baselines
 
     fitting = shared_baselines(env)
@@ -164,10 +164,10 @@ def print_dataset(card: dict[str, Any], folder: Path, minari: bool) -> None:
     ]
     print_table(rows, f"{card['preset']}; targets: {', '.join(card['targets']) or 'none'}", left=("behavior",))
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-    echo(f"{for_shell(folder)}: {size / 1e6:,.1f} MB; read it by bsk_torch.offline.open_dataset({str(folder)!r})")
+    echo(f"{for_shell(folder)}: {size / 1e6:,.1f} MB; read it by bsk_torch.lab.offline.open_dataset({str(folder)!r})")
     if minari:
-        from bsk_torch.offline.layout import MINARI
-        from bsk_torch.offline.minari_format import minari_id
+        from bsk_torch.lab.offline.layout import MINARI
+        from bsk_torch.lab.offline.minari_format import minari_id
 
         names = ", ".join(minari_id(card["preset"], name) for name in card["behaviors"])
         echo(f"in Minari, with MINARI_DATASETS_PATH={for_shell(folder / MINARI)}: {names}")

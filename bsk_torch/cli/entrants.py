@@ -15,7 +15,7 @@ from bsk_torch.cli.shared import preset_options
 from bsk_torch.cli.terminal import fail
 from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import Policy
-from bsk_torch.rl.evaluation.suite import VIEWS, Entrant, Task
+from bsk_torch.lab.suites.suite import VIEWS, Entrant, Task
 from bsk_torch.rl.policies.shared_policy import RULES, baseline, shared
 from bsk_torch.sim.names import nearest
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from bsk_torch.env import SatelliteTasking, Tasking
-    from bsk_torch.rl.evaluation.failures import Failure, Moment
+    from bsk_torch.lab.audit.failures import Failure, Moment
     from bsk_torch.rl.evaluation.replay import Flown
 
 LOST_AFTER = "lost after"
@@ -59,11 +59,11 @@ def explain_failures(
 
     from bsk_torch.cli.policies import flown as flown_by
     from bsk_torch.env import SatelliteTasking
-    from bsk_torch.rl.evaluation.counterfactual import check_searchable
-    from bsk_torch.rl.evaluation.failures import explain
+    from bsk_torch.lab.audit.counterfactual import check_searchable
+    from bsk_torch.lab.audit.failures import explain
 
     episodes, begun = seed_range(seeds), None if starts is None else seed_range(starts, "--starts")
-    figure = drawing(draw, "timeline")
+    figure = drawing(draw, "bsk_torch.viz.figures.timeline")
     check_writable(out)
     named, env, actor = flown_by(policy, preset, num_envs, options)
     if not isinstance(env, SatelliteTasking):
@@ -95,7 +95,7 @@ def explain_failures(
 
 def summary(flown: Flown, failures: Sequence[Failure]) -> dict[str, Any]:
     """Return figures of all episodes: returns, deaths by cause and outcome, and bounds on the survival of the best policy."""
-    from bsk_torch.rl.evaluation.counterfactual import LOST, OPEN, SAVED
+    from bsk_torch.lab.audit.counterfactual import LOST, OPEN, SAVED
     from bsk_torch.rl.evaluation.statistics import confidence
 
     outcomes, n = Counter(failure.outcome for failure in failures), len(flown.survived)
@@ -120,7 +120,7 @@ def survivable(env: SatelliteTasking, seeds: range) -> dict[str, Any]:
     """
     import torch
 
-    from bsk_torch.rl.evaluation.failures import can_be_saved
+    from bsk_torch.lab.audit.failures import can_be_saved
 
     saved, n = int(can_be_saved(env, torch.tensor(seeds)).sum()), len(seeds)
     figures: dict[str, Any] = {"seeds": [seeds.start, seeds.stop], "survived": saved}
@@ -143,7 +143,7 @@ def statistics(moments: Sequence[Moment]) -> dict[str, Any]:
 
 def told(figures: Mapping[str, Any]) -> Iterator[str]:
     """Yield what :func:`summary` has found, in lines of at most 80 characters."""
-    from bsk_torch.rl.evaluation.counterfactual import LOST, OPEN, SAVED
+    from bsk_torch.lab.audit.counterfactual import LOST, OPEN, SAVED
 
     died, n, best = figures["died"], figures["episodes"], figures["survival_of_the_best"]
     yield f"{died} of {n} episodes end in death: survival {figures['survival']:.1%}"
@@ -175,7 +175,7 @@ def cells(failure: Failure) -> dict[str, str]:
 
 def draw_failure(env: Tasking, failure: Failure, actions: Tensor, path: Path, figure: Any) -> None:
     """Draw the episode of a failure over time, with its cause and its last chance, as a replay of ``actions`` [T] in ``env``."""
-    from bsk_torch.rl.evaluation.counterfactual import LOST, OPEN, SAVED
+    from bsk_torch.lab.audit.counterfactual import LOST, OPEN, SAVED
     from bsk_torch.rl.evaluation.replay import script
 
     fates = {SAVED: "could be saved", LOST: "could not be saved", OPEN: "unknown whether it could be saved"}

@@ -20,7 +20,7 @@ from bsk_torch.tables import print_table
 
 if TYPE_CHECKING:
     from bsk_torch.cli.board import Board
-    from bsk_torch.rl.evaluation.aggregates import Interval
+    from bsk_torch.lab.suites.aggregates import Interval
 
 MATCHING = "*?["
 """Characters of patterns, which a policy may have in its name."""
@@ -66,9 +66,9 @@ def leaderboard(
     with working("starting"):
         from bsk_torch.cli.board import board_of
         from bsk_torch.cli.results import Results
-        from bsk_torch.rl.evaluation.suite import published, references, tasks_of
+        from bsk_torch.lab.suites.suite import published, references, tasks_of
 
-    figure = drawing(draw, "profiles")
+    figure = drawing(draw, "bsk_torch.viz.figures.profiles")
     check_writable(out)
     files = files or []
     if published_suite is None and not files:
@@ -122,7 +122,7 @@ def methods_of(results: Mapping[str, Mapping[str, object]], given: Sequence[str]
 
 def print_board(board: Board) -> None:
     """Print a row for each method, the best interquartile mean first."""
-    from bsk_torch.rl.evaluation.aggregates import AGGREGATES
+    from bsk_torch.lab.suites.aggregates import AGGREGATES
 
     measures = {name: board.measures(name) for name in board.scores}
     table, better = [], f"better than {board.against}"

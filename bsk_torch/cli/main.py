@@ -10,8 +10,9 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from bsk_torch import __version__
+from bsk_torch._rooms import absent_room
 from bsk_torch.cli.declaration import WithoutTypes, command
-from bsk_torch.cli.names import installed, resolved
+from bsk_torch.cli.names import resolved
 from bsk_torch.cli.terminal import activity, described, echo, fail, of_arguments, print_message
 
 logger = logging.getLogger(__name__)
@@ -97,7 +98,7 @@ class Commands(WithoutTypes, TyperGroup):
     def __init__(self, **attributes: Any) -> None:
         """Have the installed commands, each with a line of help until it is asked for."""
         super().__init__(**attributes)
-        self.commands = {name: TyperCommand(name, help=line) for name, (of, line) in COMMANDS.items() if installed(of)}
+        self.commands = {name: TyperCommand(name, help=line) for name, (path, line) in COMMANDS.items() if not absent_room(path)}
         if absent := [name for name in COMMANDS if name not in self.commands]:
             self.epilog = f"{self.epilog}\n\nNot installed: {', '.join(absent)}."
 

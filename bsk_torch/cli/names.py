@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from bsk_torch._listed import LISTED, PLANNERS, RULES, makings, no_policy, unlisted
+from bsk_torch._rooms import absent_room, resolve
 from bsk_torch.cli.terminal import fail
 from bsk_torch.sim.names import nearest
 
@@ -21,21 +21,11 @@ FIRST = next(iter(LISTED))
 """The environment unless the command line or a run names another."""
 
 
-HOME = Path(__file__).parents[2]
-"""Folder of the package."""
-
-
-def installed(target: str) -> bool:
-    """Return whether there is the module of ``module:function``; an installation may lack rooms of the package."""
-    return (HOME / target.partition(":")[0].replace(".", "/")).with_suffix(".py").is_file()
-
-
-def resolved(name: str, target: str) -> Any:
-    """Return the function ``module:function`` that ``name`` stands for; ends the program if its room is not installed."""
-    module, _, function = target.partition(":")
-    if not installed(target):
-        fail(f"{name!r} is not installed: there is no module {module}")
-    return getattr(import_module(module), function)
+def resolved(name: str, path: str) -> Any:
+    """Return the object at "module:function" that ``name`` stands for; ends the program if its room is not installed."""
+    if folder := absent_room(path):
+        fail(f"{name!r} is not installed: this copy of bsk_torch has no folder {folder}")
+    return resolve(path)
 
 
 def check_names(arguments: Mapping[str, Any]) -> None:

@@ -15,7 +15,7 @@ from bsk_torch.tables import print_table
 
 if TYPE_CHECKING:
     from bsk_torch.cli.policies import NamedPolicy
-    from bsk_torch.plan.risk import Risk, Shift, Way
+    from bsk_torch.lab.risk.estimate import Risk, Shift, Way
 
 SHOWN = 6
 """Number of drawn quantities in the table."""
@@ -67,10 +67,10 @@ def estimate_risk(
     """
     from bsk_torch.cli.policies import flown
     from bsk_torch.env import SatelliteTasking
-    from bsk_torch.plan.rare_flights import save_paths
-    from bsk_torch.plan.risk import risk
+    from bsk_torch.lab.risk.estimate import risk
+    from bsk_torch.lab.risk.rare_flights import save_paths
 
-    figure = drawing(draw, "timeline")
+    figure = drawing(draw, "bsk_torch.viz.figures.timeline")
     check_writable(save, out)
     options = preset_options(option) | options
     named, env, actor = flown(policy, preset, num_envs, options)
@@ -103,7 +103,7 @@ def estimate_risk(
 
 def told(found: Risk, title: str) -> Iterator[str]:
     """Yield the estimate in lines of at most 80 characters."""
-    from bsk_torch.plan.subset import RARER
+    from bsk_torch.lab.risk.subset import RARER
 
     mean, low, high = found.probability
     screening, several = found.screening, f"{found.tally.episodes:,} episodes of {found.seconds:,.0f} s on average"

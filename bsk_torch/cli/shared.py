@@ -111,7 +111,7 @@ def drawing(path: Path | None, figure: str) -> Any:
     if path is None:
         return None
     check_file("--draw", path, PICTURES)
-    return extra(f"bsk_torch.viz.figures.{figure}")
+    return extra(figure)
 
 
 def extra(module: str, extras: str = "viz") -> Any:

@@ -85,14 +85,14 @@ def test_commands_of_rooms_that_are_not_installed_are_named(run, monkeypatch):
     assert "Dream." not in overview
     result = run("dream", "rule")
     assert result.exit_code == 1
-    assert result.output == "'dream' is not installed: there is no module bsk_torch.lab.dreams.command\n"
+    assert result.output == "'dream' is not installed: this copy of bsk_torch has no folder bsk_torch/lab/dreams\n"
 
 
 def test_planners_that_are_not_installed_are_named(run, monkeypatch):
     monkeypatch.setitem(PLANNERS, "beam", "bsk_torch.lab.dreams.planned:named_planner")
     result = run("eval", "plan:beam")
     assert result.exit_code == 1
-    assert result.output == "'plan:beam' is not installed: there is no module bsk_torch.lab.dreams.planned\n"
+    assert result.output == "'plan:beam' is not installed: this copy of bsk_torch has no folder bsk_torch/lab/dreams\n"
 
 
 def test_help_names_all_baselines():
