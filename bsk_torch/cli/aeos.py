@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import torch
+import typer
 
-from bsk_torch.cli.policies import named_policy
-from bsk_torch.cli.shared import check_writable, environment, environment_options, preset_options
-from bsk_torch.cli.terminal import activity, echo, fail, working
-from bsk_torch.env import ConstellationTasking
-from bsk_torch.rl.evaluation.evaluate import evaluate
-from bsk_torch.rl.evaluation.results import print_results, save_episodes, save_results
-from bsk_torch.tasks.aeos_bench import Cases, read_cases
-from bsk_torch.tasks.aeos_bench.annotations import AssignedTasks, check_names, export_annotations, fly_cases, read_assignments
+from bsk_torch.cli.declaration import EnvironmentOptions, JsonFile, Options, Policy, flag
+from bsk_torch.cli.shared import check_writable, environment, preset_options
+from bsk_torch.cli.terminal import activity, echo, refusing, working
+
+if TYPE_CHECKING:
+    from bsk_torch.env import ConstellationTasking
+    from bsk_torch.tasks.aeos_bench import Cases
+
+CasesFolder = Annotated[Path, flag("FOLDER", "Folder of the cases: constellations and tasks.")]
+Sensor = Annotated[str, flag("NAME", "When sensors are on: 'assigned', while a task is assigned, or 'on', always.")]
 
 PRESET = "AEOSBench-v1"
 
@@ -21,16 +24,10 @@ AT_ONCE = 16
 """Cases in flight at once."""
 
 
-def cases_of(folder: Path) -> Cases:
-    """Return the cases of a folder; ends the program if it has none, or one that is wrong."""
-    try:
-        return read_cases(folder)
-    except ValueError as error:
-        fail(str(error))
-
-
 def bench(cases: Cases, sensor: str, options: dict[str, object]) -> ConstellationTasking:
     """Return an environment for the cases in their order; ends the program for a wrong option."""
+    from bsk_torch.env import ConstellationTasking
+
     size = min(len(cases), AT_ONCE)
     given = {"folder": cases, "order": "listed", "sensor": sensor, "env_ids": [0] * size} | options
     env = environment(PRESET, size, given)
@@ -39,59 +36,70 @@ def bench(cases: Cases, sensor: str, options: dict[str, object]) -> Constellatio
 
 
 def export_aeosbench(
-    policy: str,
-    cases: Path,
-    out: Path,
-    split: str,
-    turn: int,
-    sensor: str,
-    option: list[str] | None,
-    threads: int,
-    backend: str,
-    device: str,
-    time_limit: float | None,
+    policy: Policy,
+    cases: CasesFolder,
+    out: Annotated[Path, flag("FOLDER", "Folder for the files.")],
+    split: Annotated[str, flag("NAME", "Part of the data set that the files are named after.")] = "test",
+    turn: Annotated[int, flag("E", "Round of annotation that the files are named after.", "--round", min=0)] = 0,
+    sensor: Sensor = "assigned",
+    option: Options = None,
+    *,
+    options: EnvironmentOptions,
 ) -> None:
-    """Fly cases by a policy, and write the files; see :mod:`bsk_torch.cli.main`."""
-    torch.set_num_threads(threads)
-    named, given = named_policy(policy, PRESET), cases_of(cases)
-    try:
+    """Fly cases of AEOS-Bench, and write trajectories and annotations for its own evaluator.
+
+    Examples:
+        bsk-torch export-aeosbench runs/bench --cases cases --out data
+        bsk-torch export-aeosbench nearest_task --cases cases --out o --sensor on
+    """
+    from bsk_torch.cli.policies import named_policy
+    from bsk_torch.tasks.aeos_bench import read_cases
+    from bsk_torch.tasks.aeos_bench.annotations import check_names, export_annotations, fly_cases
+
+    named = named_policy(policy, PRESET)
+    with refusing():
+        given = read_cases(cases)
         check_names(given)  # before hours are spent
-    except ValueError as error:
-        fail(str(error))
-    options = preset_options(option) | environment_options(backend, device, time_limit)
-    env = bench(given, sensor, named.options(options))
-    actor = named.actor(env, device)
+    env = bench(given, sensor, named.options(preset_options(option) | options))
+    actor = named.actor(env, options["device"])
     with working(f"flying {policy}"):
-        try:
+        with refusing():
             flown = list(fly_cases(actor, env))
-        except ValueError as error:
-            fail(str(error))
         written = export_annotations(flown, out, split, turn)
     activity.report()
     echo(f"{written[-1]}: {(len(written) - 1) // 2} cases")
 
 
 def import_aeosbench(
-    assignments: Path,
-    cases: Path,
-    sensor: str,
-    out: Path | None,
-    episodes_out: Path | None,
-    threads: int,
-    backend: str,
-    device: str,
-    time_limit: float | None,
+    assignments: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FOLDER", help="Folder of trajectories (.pth) or assignment_runs.json of all cases.", show_default=False
+        ),
+    ],
+    cases: CasesFolder,
+    sensor: Sensor = "assigned",
+    out: JsonFile = None,
+    episodes_out: Annotated[Path | None, flag("FILE", "CSV file with a row for each case.")] = None,
+    *,
+    options: EnvironmentOptions,
 ) -> None:
-    """Fly assigned tasks, and print measures; see :mod:`bsk_torch.cli.main`."""
-    torch.set_num_threads(threads)
-    for path in (out, episodes_out):
-        check_writable(path)
-    given = cases_of(cases)
-    try:
+    """Fly the assigned tasks in files of AEOS-Bench, and show the measures of the benchmark.
+
+    Examples:
+        bsk-torch import-aeosbench data --cases cases
+        bsk-torch import-aeosbench flown --cases flown --sensor on
+    """
+    from bsk_torch.rl.evaluation.evaluate import evaluate
+    from bsk_torch.rl.evaluation.results import print_results, save_episodes, save_results
+    from bsk_torch.tasks.aeos_bench import read_cases
+    from bsk_torch.tasks.aeos_bench.annotations import AssignedTasks, read_assignments
+
+    check_writable(out, episodes_out)
+    with refusing():
+        given = read_cases(cases)
         table = read_assignments(assignments, given)
-    except ValueError as error:
-        fail(str(error))
-    env, name = bench(given, sensor, environment_options(backend, device, time_limit)), assignments.as_posix()
+    env, name = bench(given, sensor, options), assignments.as_posix()
     seeds = range(len(given))
     with working(f"flying {name}"):
         results = {name: evaluate(AssignedTasks(env, table).module(), env, seeds=seeds)}

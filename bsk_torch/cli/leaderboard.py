@@ -4,97 +4,79 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import torch
-from torch import Tensor
+import typer
 
 from bsk_torch.cli.bench import add_results, read_earlier, read_result
-from bsk_torch.cli.results import Results
-from bsk_torch.cli.shared import check_picture, check_writable, extra
-from bsk_torch.cli.terminal import fail, print_message
+from bsk_torch.cli.declaration import JsonFile, flag
+from bsk_torch.cli.shared import check_writable, drawing
+from bsk_torch.cli.terminal import fail, print_message, refusing, working
 from bsk_torch.files import write_file
-from bsk_torch.lab.suites.aggregates import AGGREGATES, Interval, bootstrap, improvement, interval, profile, run_scores
-from bsk_torch.lab.suites.suite import published, references, tasks_of
-from bsk_torch.sim.arguments.values import nearest
+from bsk_torch.sim.names import nearest
 from bsk_torch.tables import print_table
+
+if TYPE_CHECKING:
+    from bsk_torch.cli.board import Board
+    from bsk_torch.lab.suites.aggregates import Interval
 
 MATCHING = "*?["
 """Characters of patterns, which a policy may have in its name."""
 
 
-THRESHOLDS, MARGIN = 201, 0.05
-"""Number of scores at which performance profiles are computed, and how far these lie outside of all scores."""
-
-
-@dataclass(frozen=True)
-class Board:
-    """Methods of a suite.
-
-    Attributes:
-        suite: Name of the suite.
-        scores: Scores of each method, [R, T].
-        replicates: Resampled scores of each method, [B, R, T].
-        tasks: Names of the tasks.
-        against: Method with which the others are compared.
-        flights: Episodes repeated on Basilisk by method: those that are the same, and all.
-    """
-
-    suite: str
-    scores: Mapping[str, Tensor]
-    replicates: Mapping[str, Tensor]
-    tasks: Sequence[str]
-    against: str
-    flights: Mapping[str, tuple[int, int]]
-
-    def measures(self, method: str) -> dict[str, Interval]:
-        """Return the aggregates of a method, and the probability that it is better than ``against``, with their intervals."""
-        value, drawn = self.scores[method], self.replicates[method]
-        found = {name: interval(measure(value), measure(drawn)) for name, measure in AGGREGATES.items()}
-        if method != self.against:
-            better = improvement(value, self.scores[self.against])
-            found["better"] = interval(better, improvement(drawn, self.replicates[self.against]))
-        return found
-
-    def profiles(self) -> tuple[Tensor, dict[str, tuple[Tensor, Tensor, Tensor]]]:
-        """Return thresholds [K], and for each method its performance profile with the ends of the interval, [K] each."""
-        every = torch.cat([one.flatten() for one in self.scores.values()])
-        first, last = float(every.min().clamp(max=0.0)), float(every.max().clamp(min=1.0))
-        thresholds = torch.linspace(first - MARGIN, last + MARGIN, THRESHOLDS, dtype=every.dtype)
-        ends = {
-            name: profile(drawn, thresholds).quantile(every.new_tensor([0.025, 0.975]), dim=0)
-            for name, drawn in self.replicates.items()
-        }
-        return thresholds, {name: (profile(self.scores[name], thresholds), *both) for name, both in ends.items()}
-
-
 def leaderboard(
-    files: Sequence[Path] | None,
-    method: Sequence[str] | None,
-    presets: str | None,
-    against: str | None,
-    published_suite: str | None,
-    draw: Path | None,
-    out: Path | None,
+    files: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="FILE...",
+            help="JSON files of bsk-torch bench. Of a policy that played a task more than "
+            "once, the result of the most episodes counts, then that of the last file.",
+            show_default=False,
+        ),
+    ] = None,
+    method: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=PATTERN",
+            help="The policies whose names match PATTERN are runs of the method NAME, as many in each task; repeatable, also for "
+            "the same method. Default: each policy is a method.",
+            show_default=False,
+        ),
+    ] = None,
+    presets: Annotated[str | None, flag("NAMES", "Only some presets or other tasks of the suite, separated by commas.")] = None,
+    against: Annotated[str | None, flag("NAME", "Method with which the others are compared; default: the best.")] = None,
+    published_suite: Annotated[
+        str | None, flag("SUITE", "Also compare with the methods published for the suite, such as v2.", "--published")
+    ] = None,
+    draw: Annotated[Path | None, flag("FILE", "Picture (.png, .svg, .pdf) of the performance profiles.")] = None,
+    out: JsonFile = None,
 ) -> None:
-    """Aggregate the scores of methods over tasks; see :mod:`bsk_torch.cli.main`."""
-    for path in (draw, out):
-        check_writable(path)
-    if draw is not None:
-        check_picture("--draw", draw)
-        extra("bsk_torch.viz.figures.profiles")
+    """Compare methods in all tasks of a suite, with the aggregates of Agarwal et al. (2021).
+
+    The interquartile mean (IQM) is the mean of the middle half of the scores of all runs and tasks, the optimality gap is how far
+    scores are below 1 on average. "better than" is the probability that a run has a higher score than one of the other method.
+
+    Examples:
+        bsk-torch leaderboard bench.json --draw profiles.png
+        bsk-torch leaderboard bench.json --published v2
+        bsk-torch leaderboard a.json b.json --method 'ppo=runs/ppo*/seed_*'
+    """
+    with working("starting"):
+        from bsk_torch.cli.board import board_of
+        from bsk_torch.cli.results import Results
+        from bsk_torch.lab.suites.suite import published, references, tasks_of
+
+    figure = drawing(draw, "bsk_torch.viz.figures.profiles")
+    check_writable(out)
     files = files or []
     if published_suite is None and not files:
         fail("no results: name a file of bsk-torch bench, or a suite with --published")
     suite = published_suite or read_result(files[0], Results)[0][1]
-    try:
+    with refusing():
         tasks = [task.title for task in tasks_of(suite, presets)]
         known = published(suite) if published_suite else {"policies": {}, "methods": {}}
-    except ValueError as error:
-        fail(str(error))
     if not references(suite):
         fail(f"the tasks of the suite {suite} have measures, not scores, and cannot be aggregated")
     mine, results = read_earlier(files, suite, Results), dict[str, dict[str, Any]]()
@@ -108,8 +90,7 @@ def leaderboard(
     board = board_of(results, known["methods"] | methods, suite, tasks, against)
     print_board(board)
     if draw is not None:
-        figure = extra("bsk_torch.viz.figures.profiles").performance_profiles
-        figure(*board.profiles(), draw, f"Performance profiles, suite {suite}, {len(board.tasks)} tasks")
+        figure.performance_profiles(*board.profiles(), draw, f"Performance profiles, suite {suite}, {len(board.tasks)} tasks")
     if out is not None:
         write_file(out, json.dumps(document(board), indent=1) + "\n")
 
@@ -139,58 +120,10 @@ def methods_of(results: Mapping[str, Mapping[str, object]], given: Sequence[str]
     return methods
 
 
-def board_of(
-    results: Mapping[str, Mapping[str, Any]],
-    methods: Mapping[str, Sequence[str]],
-    suite: str,
-    wanted: Sequence[str],
-    against: str | None,
-) -> Board:
-    """Return the methods in the ``wanted`` tasks that all of them play; ends the program without one, or for another ``against``.
-
-    In each task, policies that played fewer episodes than another policy of a method, such as planners, are left out.
-    """
-    known = {policy for policies in methods.values() for policy in policies}
-    rows = {task: {policy: results[policy][task] for policy in known if task in results[policy]} for task in wanted}
-    for task, played in rows.items():
-        most = max((len(row["returns"]) for row in played.values()), default=0)
-        for policy in [policy for policy, row in played.items() if len(row["returns"]) < most]:
-            print_message(f"{task}: {policy} played {len(played.pop(policy)['returns'])} of {most} episodes, and is left out")
-    tasks = [task for task in wanted if all(any(policy in rows[task] for policy in mine) for mine in methods.values())]
-    if not tasks:
-        fail(f"no task is played by all of {', '.join(methods)}; combine policies of several presets with --method NAME=PATTERN")
-    if left := [task for task in wanted if rows[task] and task not in tasks]:
-        print_message(f"left out, as not all methods play them: {', '.join(left)}")
-    if against is not None and against not in methods:
-        fail(f"--against {against!r} is not a method; {nearest(against, methods)}")
-    runs = {name: {task: scored(rows[task], mine, suite, task) for task in tasks} for name, mine in methods.items()}
-    try:
-        replicates = bootstrap(runs)
-    except ValueError as error:
-        fail(str(error))
-    scores = {name: run_scores(one) for name, one in runs.items()}
-    best = max(scores, key=lambda name: float(AGGREGATES["IQM"](scores[name])))
-    flights = {
-        name: flown([rows[task][one] for task in tasks for one in mine if one in rows[task]]) for name, mine in methods.items()
-    }
-    return Board(suite, scores, replicates, tasks, against or best, flights)
-
-
-def scored(rows: Mapping[str, Mapping[str, Any]], policies: Sequence[str], suite: str, task: str) -> Tensor:
-    """Return the scores of the episodes of those ``policies`` that play a task, [R, E]."""
-    low, high = (references(suite)[task][end]["return"] for end in ("low", "high"))
-    returns = torch.tensor([rows[policy]["returns"] for policy in policies if policy in rows], dtype=torch.float64)
-    return (returns - low) / (high - low)
-
-
-def flown(rows: Sequence[Mapping[str, Any]]) -> tuple[int, int]:
-    """Return how many episodes are the same on Basilisk, and how many were repeated there."""
-    certified = [row["basilisk"] for row in rows if "basilisk" in row]
-    return sum(one["same"] for one in certified), sum(len(one["returns"]) for one in certified)
-
-
 def print_board(board: Board) -> None:
     """Print a row for each method, the best interquartile mean first."""
+    from bsk_torch.lab.suites.aggregates import AGGREGATES
+
     measures = {name: board.measures(name) for name in board.scores}
     table, better = [], f"better than {board.against}"
     for name in sorted(measures, key=lambda name: -measures[name]["IQM"].value):

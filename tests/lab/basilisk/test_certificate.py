@@ -9,7 +9,7 @@ import pytest
 import torch
 from tensordict.nn import TensorDictModule
 
-from bsk_torch.cli.bench import entrant_of
+from bsk_torch.cli.entrants import entrant_of
 from bsk_torch.lab.basilisk import FLOWN, certify
 from bsk_torch.lab.basilisk.certificate import (
     TOLERANCE,
