@@ -160,7 +160,7 @@ LISTED: dict[str, Listed] = {
 RULES = tuple(dict.fromkeys(("random", *(rule for preset in LISTED.values() for rule in preset.rules))))
 """Names of :data:`bsk_torch.rl.policies.shared_policy.RULES`."""
 
-PLANNERS = dict.fromkeys(("rollout", "beam", "mcts", "cem"), "bsk_torch.cli.planned:named_planner")
+PLANNERS = dict.fromkeys(("rollout", "beam", "mcts", "cem"), "bsk_torch.lab.planners.named:named_planner")
 """Names of :data:`bsk_torch.lab.planners.names.PLANNERS`, and the function by which the command line makes each of them."""
 
 

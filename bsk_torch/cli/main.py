@@ -39,38 +39,38 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "Film an episode of a policy, or draw it as one picture. Needs the extra viz; .mp4 needs video.",
     ),
     "audit": (
-        "bsk_torch.cli.audit:audit_policy",
+        "bsk_torch.lab.commands.audit:audit_policy",
         "Find the decisions at which a policy loses, by flying all other actions as well.",
     ),
     "dataset": (
-        "bsk_torch.cli.dataset:dataset",
+        "bsk_torch.lab.commands.dataset:dataset",
         "Write episodes of several policies for offline learning, with the returns of all actions at a sample of decisions.",
     ),
     "risk": (
-        "bsk_torch.cli.risk:estimate_risk",
+        "bsk_torch.lab.commands.risk:estimate_risk",
         "Estimate the probability of a loss, down to 1e-6 and below, and show the ways to it.",
     ),
     "view": ("bsk_torch.cli.view:view", "Show an episode in the browser: a preset, a run or a recording."),
     "export": ("bsk_torch.cli.view:export", "Write an episode of a preset, a run or a recording to a file."),
     "explain": (
-        "bsk_torch.cli.explain:explain_failures",
+        "bsk_torch.lab.commands.explain:explain_failures",
         "Find actions that would have saved each lost satellite, or prove that none exist.",
     ),
     "report": (
         "bsk_torch.cli.report:report",
         "Write report.html into a run folder: learning curves, final comparison, episodes on maps. Needs the extra viz.",
     ),
-    "bench": ("bsk_torch.cli.bench:bench", "Compare policies from any library in the fixed episodes of a suite."),
+    "bench": ("bsk_torch.lab.commands.bench:bench", "Compare policies from any library in the fixed episodes of a suite."),
     "leaderboard": (
-        "bsk_torch.cli.leaderboard:leaderboard",
+        "bsk_torch.lab.commands.leaderboard:leaderboard",
         "Compare methods in all tasks of a suite, with the aggregates of Agarwal et al. (2021).",
     ),
     "export-aeosbench": (
-        "bsk_torch.cli.aeos:export_aeosbench",
+        "bsk_torch.tasks.aeos_bench.commands:export_aeosbench",
         "Fly cases of AEOS-Bench, and write trajectories and annotations for its own evaluator.",
     ),
     "import-aeosbench": (
-        "bsk_torch.cli.aeos:import_aeosbench",
+        "bsk_torch.tasks.aeos_bench.commands:import_aeosbench",
         "Fly the assigned tasks in files of AEOS-Bench, and show the measures of the benchmark.",
     ),
     "args": (

@@ -86,10 +86,10 @@ def bench(
         bsk-torch bench hasty farsighted --suite v2 --presets few_choices
         bsk-torch bench nearest_task soonest_task --suite aeosbench
     """
-    from bsk_torch.cli.entrants import entrant_of
     from bsk_torch.cli.results import PlayedResults
     from bsk_torch.codegen.inductor import BACKENDS
     from bsk_torch.env.assembly.devices import existing_device
+    from bsk_torch.lab.commands.entrants import entrant_of
     from bsk_torch.lab.suites.suite import bench_folder, play, references, tasks_of
 
     check_writable(out)

@@ -9,12 +9,12 @@ from typing import Any
 from bsk_torch._listed import makings
 from bsk_torch.cli.functions import entrant_of_user
 from bsk_torch.cli.names import PREFIX, PRETRAINED
-from bsk_torch.cli.planned import named_planner
 from bsk_torch.cli.policies import NamedPolicy, named_policy
 from bsk_torch.cli.shared import preset_options
 from bsk_torch.cli.terminal import fail
 from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import Policy
+from bsk_torch.lab.planners.named import named_planner
 from bsk_torch.lab.suites.suite import VIEWS, Entrant, Task
 from bsk_torch.rl.policies.shared_policy import RULES, baseline, shared
 from bsk_torch.sim.names import nearest

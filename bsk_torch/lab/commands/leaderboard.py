@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bsk_torch.cli.bench import add_results, read_earlier, read_result
 from bsk_torch.cli.declaration import JsonFile, flag
 from bsk_torch.cli.shared import check_writable, drawing
 from bsk_torch.cli.terminal import fail, print_message, refusing, working
 from bsk_torch.files import write_file
+from bsk_torch.lab.commands.bench import add_results, read_earlier, read_result
 from bsk_torch.sim.names import nearest
 from bsk_torch.tables import print_table
 
 if TYPE_CHECKING:
-    from bsk_torch.cli.board import Board
+    from bsk_torch.lab.commands.board import Board
     from bsk_torch.lab.suites.aggregates import Interval
 
 MATCHING = "*?["
@@ -64,8 +64,8 @@ def leaderboard(
         bsk-torch leaderboard a.json b.json --method 'ppo=runs/ppo*/seed_*'
     """
     with working("starting"):
-        from bsk_torch.cli.board import board_of
         from bsk_torch.cli.results import Results
+        from bsk_torch.lab.commands.board import board_of
         from bsk_torch.lab.suites.suite import published, references, tasks_of
 
     figure = drawing(draw, "bsk_torch.viz.figures.profiles")
