@@ -6,7 +6,6 @@ from bsk_torch.data.composed import ComposedReward
 from bsk_torch.data.footprint import FootprintImageReward
 from bsk_torch.data.images import ImageReward, UniqueImageReward
 from bsk_torch.data.inspection import RSOInspectionData, RSOInspectionReward
-from bsk_torch.data.mapped import PerEnvironmentReward
 from bsk_torch.data.mixed import MixedReward
 from bsk_torch.data.operations import OperationsPenalty
 from bsk_torch.data.resources import ResourceReward
@@ -16,7 +15,6 @@ from bsk_torch.data.scanning import ScanningTimeReward
 from bsk_torch.data.strips import StripImageReward
 from bsk_torch.data.task_reward import TaskReward
 from bsk_torch.data.time_penalty import TimePenalty
-from bsk_torch.data.unique_images import UniqueImageData
 
 __all__ = [
     "CloudFreeImageReward",
@@ -27,7 +25,6 @@ __all__ = [
     "MixedReward",
     "NoReward",
     "OperationsPenalty",
-    "PerEnvironmentReward",
     "RSOImageRecord",
     "RSOImageReward",
     "RSOInspectionData",
@@ -38,6 +35,5 @@ __all__ = [
     "StripImageReward",
     "TaskReward",
     "TimePenalty",
-    "UniqueImageData",
     "UniqueImageReward",
 ]

@@ -216,7 +216,7 @@ def rewarder(library: Library, part: Part) -> Any:
             return sat.fsw.dv_available if hasattr(sat.fsw, "dv_available") else 0.0
 
         return library.data.ResourceReward(
-            reward_weight=weight, resource_fn=library.root.per_environment(fuel) if library.name == CORE else fuel
+            reward_weight=weight, resource_fn=(lambda sat: sat.fsw.dv_available) if library.name == CORE else fuel
         )
     return library.data.ResourceReward(reward_weight=weight, resource_fn=lambda sat: getattr(sat.dynamics, name))
 
