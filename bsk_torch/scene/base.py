@@ -306,7 +306,7 @@ class Scenario:
     @final
     def begin_episodes(self, rows: Tensor) -> None:
         """Call :meth:`reset` and update values derived from drawn values; not to be overridden."""
-        self._forget_draws()
+        self._forget_draws(rows)
         self._forget_time()
         self.reset(rows)
         self._keep_time()
@@ -326,8 +326,8 @@ class Scenario:
     # The package's scenarios keep values derived from draws and time. Their hooks update them, but the two methods above do not
     # rely on this, because an override of a hook need not call super().
 
-    def _forget_draws(self) -> None:
-        """Drop values derived from drawn ones."""
+    def _forget_draws(self, rows: Tensor) -> None:
+        """Drop values derived from drawn ones; ``rows`` [n] have new ones."""
 
     def _forget_time(self) -> None:
         """Drop values that depend on time."""

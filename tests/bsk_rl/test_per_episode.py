@@ -250,6 +250,16 @@ class Photographer(sats.ImagingSatellite):
     dyn_type, fsw_type = dyn.ImagingDynModel, fsw.ImagingFSWModel
 
 
+def test_targets_of_a_rewarder_are_those_of_its_episode():
+    made = Photographer("A"), scene.UniformTargets(500), Chosen()
+    vector = SatelliteTasking(*made, time_limit=600.0, backend="eager", num_envs=2, vectorize="batched")
+    for _ in range(2):
+        vector.reset(options={"reset_mask": np.array([True, True])})
+        for row in range(2):
+            priority = [target.priority for target in vector.core.rewarder.records.of(row).scenario.targets]
+            assert priority == vector.core.scenario.priority[row].tolist()
+
+
 def test_filters_of_stores_hide_opportunities():
     made = Photographer("A"), scene.UniformTargets(500), Chosen()
     vector = SatelliteTasking(*made, time_limit=600.0, backend="eager", num_envs=2, vectorize="batched")
