@@ -13,7 +13,6 @@ from bsk_torch.sim.names import nearest as _nearest
 if TYPE_CHECKING:
     from bsk_torch import act, comm, craft, data, formations, obs, rand, sats, scene
     from bsk_torch.env import NO_ACTION, ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking
-    from bsk_torch.env.per_environment import per_environment
     from bsk_torch.presets import make
     from bsk_torch.rl.policies.shared_policy import rule
     from bsk_torch.sim import dyn, faults, fsw
@@ -35,7 +34,6 @@ __all__ = [
     "fsw",
     "make",
     "obs",
-    "per_environment",
     "rand",
     "rule",
     "sats",
@@ -51,7 +49,6 @@ _HOMES = {
     "faults": "bsk_torch.sim",
     "fsw": "bsk_torch.sim",
     "make": "bsk_torch.presets",
-    "per_environment": "bsk_torch.env.per_environment",
     "rule": "bsk_torch.rl.policies.shared_policy",
 }
 """Modules of the names that are not modules of the package."""

@@ -66,7 +66,7 @@ LISTED: dict[str, Listed] = {
     "NadirScience-v1": Listed(
         "bsk_torch.presets.nadir_science:nadir_science",
         ONE,
-        "the same with ten observations, a large battery and a strong disturbance, of bsk_rl's suite",
+        "the same with ten observations, a large battery and a strong disturbance, of BSK-RL's suite",
         ("science",),
     ),
     "FaultyScan-v1": Listed(
@@ -202,7 +202,7 @@ def general_satellite_tasking(**options: Any) -> Any:
 def refuse_constellation(**options: object) -> NoReturn:
     """Raise Error for ``gymnasium.make`` of agents that act on their own, which Gymnasium's interface does not have."""
     raise gymnasium.error.Error(
-        "ConstellationTasking has several agents, which gymnasium.make cannot return (nor can bsk_rl's). PettingZoo's view is "
+        "ConstellationTasking has several agents, which gymnasium.make cannot return. PettingZoo's view is "
         "bsk_torch.wrappers.pettingzoo.parallel_env(bsk_torch.ConstellationTasking, satellites=[...], ...); one agent for all "
         "satellites is gymnasium.make('bsk_torch/GeneralSatelliteTasking-v1', satellites=[...], ...)"
     )
@@ -219,7 +219,7 @@ OWN: dict[str, dict[str, Any]] = {
 def register_listed() -> None:
     """Register :data:`LISTED` and :data:`OWN` as ``bsk_torch/<name>`` with Gymnasium.
 
-    The names of :data:`OWN` are registered without ``bsk_torch/`` too, as bsk_rl does it, unless bsk_rl has been imported: then
+    The names of :data:`OWN` are registered without ``bsk_torch/`` too, unless bsk_rl has been imported: then
     they mean bsk_rl's environments, and they do from the moment on when bsk_rl is imported later. Repeated calls do nothing.
     """
     for name, preset in LISTED.items():

@@ -29,7 +29,7 @@ DOWN = [-1.0, 0.0, 0.0]
 
 
 def octet(near: float, far: float, high: float, thrust: float | str) -> list[Thruster]:
-    """Return eight thrusters in the arrangement of bsk_rl's: opposite pairs, which exert torques and no force.
+    """Return eight thrusters in the arrangement of the default ones: opposite pairs, which exert torques and no force.
 
     One thruster of each pair sits at ``(+-near, -far, +-high)``, m, and pushes along ``(-+1, 1, 0)``, the other one opposite.
     With the center of mass at the origin of B, all eight together exert no torque.
@@ -148,7 +148,7 @@ def aeos_bench(h: float = 1.0, law: str = "feedback", max_momentum: float = 50.0
     """Return a class of AEOS-Bench's satellites: random bodies of 50 to 200 kg with three wheels on the body axes.
 
     AEOS-Bench (arXiv 2510.26297) draws wheels of five momenta; mass, inertia, wheel speeds, panels and power are random. Its
-    gains, drawn too, oscillate with Basilisk's extra tick of delay in bsk_rl, so gains are proposed for the extreme bodies.
+    gains, drawn too, oscillate with Basilisk's extra tick of delay, so gains are proposed for the extreme bodies.
 
     Args:
         h: Length of a tick, s.

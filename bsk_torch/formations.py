@@ -1,7 +1,7 @@
 """Distributions of the orbits of several satellites: constellations and formations, drawn in every episode.
 
 Values of ``sat_args`` are drawn for each satellite on its own; a :class:`Formation` draws values of several satellites that
-belong together. ``walker_delta``, ``walker_delta_args`` and ``relative_to_chief`` have the meaning that they have in bsk_rl.
+belong together. ``walker_delta``, ``walker_delta_args`` and ``relative_to_chief`` are those of ``bsk_torch.bsk_rl.utils``.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from typing_extensions import override
+from typing_extensions import final, override
 
 from bsk_torch._checks import number, switch, text, whole
 from bsk_torch.astro.orbit import Elements, elements_to_rv, hill_to_inertial, rv_to_elements
@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 R_ALTITUDE = 6371.0e3
-"""Radius, m, above which altitudes are counted: the Earth's mean radius, as in bsk_rl."""
+"""Radius, m, above which altitudes are counted: the Earth's mean radius."""
 
 MOST_TURNS = 1e6
 """Bound of angles, and of shares of a turn."""
@@ -58,13 +58,6 @@ Settings = dict[str, tuple[Sequence[int], Tensor]]
 Number = float | Distribution
 """A number, or a distribution drawn once for all satellites of an environment."""
 
-UNUSED = {
-    "draw_checked": "define draw(key, names)",
-    "reset": "every episode is drawn: define draw(key, names)",
-    "__call__": "define draw(key, names)",
-}
-"""Names that are not hooks of formations, and what to write instead."""
-
 
 class Formation:
     """Arguments of several satellites drawn together at each reset, in place of their ``sat_args``.
@@ -75,7 +68,7 @@ class Formation:
     def __init_subclass__(cls, **options: object) -> None:
         """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
-        check_class(cls, Formation, ("check", "draw"), UNUSED)
+        check_class(cls, Formation, ("check", "draw"))
 
     def check(self, names: Sequence[str]) -> None:
         """Raise ValueError if satellites of these ``names`` cannot be arranged; called once, when an environment is built."""
@@ -96,6 +89,7 @@ class Formation:
         """
         raise TypeError(f"{type(self).__name__} must implement draw(key, names)")
 
+    @final
     def draw_checked(self, key: Key, names: Sequence[str]) -> Settings:
         """Call :meth:`draw` and check its result; not to be overridden.
 
@@ -143,7 +137,7 @@ def walker_delta(
         n_spacecraft: Number of satellites T, a multiple of ``n_planes``; those of the first plane come first.
         n_planes: Number of planes P.
         rel_phasing: Lead of the satellites of a plane over those of the plane before, in units of ``360 / P`` degrees.
-            Walker's i:T/P/F has ``rel_phasing = F P / T``. (bsk_rl's documentation says degrees, but it multiplies 360 / P, too.)
+            Walker's i:T/P/F has ``rel_phasing = F P / T``. (BSK-RL's documentation says degrees, but it multiplies 360 / P, too.)
         altitude: Altitude above 6371 km, m.
         inc: Inclination, degrees.
         clustersize: Number of satellites in a cluster, which takes the place of one satellite of the pattern.

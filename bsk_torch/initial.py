@@ -1,7 +1,7 @@
-"""Initial attitudes, spins and wheel speeds under the names of bsk_rl's utilities; what is random is a distribution.
+"""Initial attitudes, spins and wheel speeds under the names of ``bsk_torch.bsk_rl.utils``; what is random is a distribution.
 
 ``sat_args=dict(sigma_init=random_tumble()[0], omega_init=random_tumble()[1])`` draws values for each environment and episode, and
-so does the same in a function without arguments, as bsk_rl's programs write it.
+so does the same in a function without arguments.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ def _axis(axis: object, HN: Tensor, v_N: Numeric) -> Tensor | None:
 
 
 class WheelTriad(Sequence[Any]):
-    """Wheel speeds, rpm, as the third entry of what bsk_rl's ``balancedHR16Triad`` returns.
+    """Wheel speeds, rpm, as the third entry of what ``balancedHR16Triad`` returns.
 
     The first two entries are objects of Basilisk that bsk_torch does not have: reading them raises TypeError.
     """
@@ -140,7 +140,7 @@ class WheelTriad(Sequence[Any]):
         self.speeds = speeds
 
     def __len__(self) -> int:
-        """Three, as in bsk_rl."""
+        """Three."""
         return 3
 
     def __getitem__(self, index: int | slice) -> Any:

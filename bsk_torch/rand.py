@@ -543,7 +543,7 @@ def random_orbit(
     alt: float | None = None,
     r_body: float = 6371.0,
 ) -> Any:
-    """Return a distribution of orbital elements, as bsk_rl's.
+    """Return a distribution of orbital elements.
 
     Within a user function that draws a value, it returns drawn elements instead,
     :class:`~bsk_torch.astro.elements.ClassicElements`, from NumPy's global generator.
@@ -562,7 +562,7 @@ def random_orbit(
     if alt is not None:
         if (a, e, omega) != (6871.0, 0.0, None):
             given = f"a={a}, e={e} and omega={omega}"
-            logger.warning("random_orbit(alt=%g): %s do not count, the orbit is circular, as in bsk_rl", alt, given)
+            logger.warning("random_orbit(alt=%g): %s do not count, the orbit is circular", alt, given)
         return random_circular_orbit(i, alt, r_body, Omega, f)
     for name, angle in (("i", i), ("Omega", Omega), ("omega", omega), ("f", f)):
         if angle is not None:
@@ -593,7 +593,7 @@ def random_circular_orbit(
 
 
 def _elements(orbit: RandomOrbit) -> ClassicElements:
-    """Return elements that NumPy's global generator draws, in the order of bsk_rl's draws."""
+    """Return elements that NumPy's global generator draws, in a fixed order of draws."""
     angles = []
     for k, angle in enumerate((orbit.i, orbit.Omega, orbit.omega, orbit.f)):
         low, high = (-math.pi, math.pi) if k == 0 else (0.0, 2.0 * math.pi)
@@ -651,7 +651,7 @@ class RandomEpoch(Distribution):
 def random_epoch(start: int = 2000, end: int = 2022) -> Any:
     """Return a distribution of epochs in the years ``start`` to ``end - 1``.
 
-    As in bsk_rl, days are at most 27, hours 22, minutes and seconds 58 and milliseconds 998. Within a user function
+    Days are at most 27, hours 22, minutes and seconds 58 and milliseconds 998. Within a user function
     that draws a value, it returns a drawn epoch instead, from NumPy's global generator. ValueError for an empty range.
     """
     whole("start", start, 1)

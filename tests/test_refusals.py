@@ -65,7 +65,6 @@ def test_rejects_wrong_hooks():
 
     check_refusals(
         [
-            refusal(lambda: define(reset=lambda self: None), TypeError, "Mine.reset", "draw(key, names)"),
             refusal(lambda: define(draws=lambda self, key, names: {}), TypeError, "Mine.draws", "'draw'"),
             refusal(lambda: define(draw=lambda self, key: {}), TypeError, "Mine.draw(self, key)", "draw(key, names)"),
             refusal(lambda: Empty().draw(first_key(4)), TypeError, "Empty", "draw(key)"),

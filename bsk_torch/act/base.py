@@ -31,35 +31,6 @@ HOOKS = (
 )
 """Members of :class:`Action` that subclasses may define."""
 
-MEMORY = (
-    "keep values that are reset with every episode in satellite.simulator.memory; declare them in link_satellite(satellite): "
-    "memory.declare(name, initial_value)"
-)
-
-BSK_RL = {
-    "action_description": "define names()",
-    "link_simulator": "define link_satellite(satellite) and access the simulation through satellite.simulator",
-    "reset_overwrite_previous": MEMORY,
-    "reset_pre_sim_init": MEMORY,
-    "reset_during_sim_init": MEMORY,
-    "reset_post_sim_init": MEMORY,
-    "get_action_mask": "define mask()",
-}
-"""Names of bsk_rl that are not hooks of actions, and their replacements."""
-
-UNUSED = {
-    "set_action": "define decide(index, mask, action, previous), or begin(mask, decision) for what follows the command",
-    "set_action_override": "actions are integers; n_negative_actions reserves the numbers -1, -2, ... for an entry",
-    "space": "the action space is discrete; set n_actions, or derive from act.ContinuousAction",
-    "action_space": "the action space is discrete; set n_actions, or derive from act.ContinuousAction",
-    **BSK_RL,
-    "builder_type": "act.Action is discrete; real numbers are an act.ContinuousAction",
-    "action_mask": "define mask()",
-    "explicit": "it is called n_negative_actions",
-}
-"""Names that are not hooks of actions, including bsk_rl's, and their replacements."""
-
-
 LONGEST = 1e9
 """Duration of an action ended only by another event, s; longer durations are reduced to it."""
 
@@ -188,7 +159,7 @@ class Action:
         super().__init_subclass__(**options)
         if "table" in vars(cls) and "decide" in vars(cls):
             raise TypeError(f"{cls.__name__} defines both table() and decide(), but only one would be called; define one")
-        check_class(cls, Action, HOOKS, UNUSED)
+        check_class(cls, Action, HOOKS)
 
     def link_satellite(self, satellite: BoundSatellite) -> None:
         """Prepare for a satellite; called once when an environment is built.
@@ -289,8 +260,8 @@ class ActionBuilder:
     def _shared_keys(self) -> Tensor | None:
         """Return the key of each action, [n_actions], if several entries give one command; None if keys are action numbers.
 
-        An action that repeats the command of the last one continues it, regardless of their durations: as in bsk_rl, the
-        command is the key. Scans with different instruments do not continue one another.
+        An action that repeats the command of the last one continues it, regardless of their durations: the command
+        is the key. Scans with different instruments do not continue one another.
         """
         first: dict[tuple[str, int | None], int] = {}
         keys = list(range(self.n_actions))

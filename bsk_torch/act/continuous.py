@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import text
-from bsk_torch.act.base import BSK_RL, Action, Decision
+from bsk_torch.act.base import Action, Decision
 from bsk_torch.sim.hooks import check_class
 
 if TYPE_CHECKING:
@@ -18,24 +18,6 @@ if TYPE_CHECKING:
 
 HOOKS = ("link_satellite", "bounds", "names", "decide", "begin", "end", "choices", "mask")
 """Members of :class:`ContinuousAction` and :class:`HybridAction` that subclasses may define."""
-
-DECIDE = (
-    "define decide(action, mask), which returns the modes and durations of all satellites, and begin(mask, decision) for what "
-    "follows the commands; self.enter(command, duration) makes such a decision"
-)
-
-UNUSED = {
-    "set_action": DECIDE,
-    "set_action_override": DECIDE,
-    "space": "define bounds(), which returns the lower and upper bounds",
-    "action_space": "define bounds(), which returns the lower and upper bounds",
-    "builder_type": "an act.ContinuousAction must be the only entry of its action_spec",
-    "n_actions": "an act.ContinuousAction has as many numbers as names() returns; act.HybridAction has choices()",
-    "n_negative_actions": "an act.ContinuousAction has no numbers of actions",
-    "table": DECIDE,
-    **BSK_RL,
-}
-"""Names that are not hooks of continuous actions, including bsk_rl's, and their replacements."""
 
 
 class ContinuousAction:
@@ -65,7 +47,7 @@ class ContinuousAction:
     def __init_subclass__(cls, **options: object) -> None:
         """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
-        check_class(cls, ContinuousAction, [hook for hook in HOOKS if hook in vars(ContinuousAction)], UNUSED)
+        check_class(cls, ContinuousAction, [hook for hook in HOOKS if hook in vars(ContinuousAction)])
 
     def link_satellite(self, satellite: BoundSatellite) -> None:
         """Prepare for a satellite; called once when an environment is built.
@@ -130,7 +112,7 @@ class HybridAction(ContinuousAction):
     def __init_subclass__(cls, **options: object) -> None:
         """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
-        check_class(cls, HybridAction, HOOKS, UNUSED)
+        check_class(cls, HybridAction, HOOKS)
 
     def choices(self) -> list[str]:
         """Return the names of the K choices."""

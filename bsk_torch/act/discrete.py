@@ -1,4 +1,4 @@
-"""Actions that put the flight software into a mode for some time. Names and defaults match bsk_rl."""
+"""Actions that put the flight software into a mode for some time."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def choose_instrument(satellite: BoundSatellite, number: int, mask: Tensor) -> N
 def _warn_of_axis(satellite: BoundSatellite, title: str) -> None:
     """Log once that the instrument does not look at nadir while B is aligned with the Hill frame."""
     kind = satellite.simulator.type
-    if not isinstance(satellite.fsw, ImagingFSWModel) or kind.as_bsk_rl:
+    if not isinstance(satellite.fsw, ImagingFSWModel) or kind.compat:
         return
     down = torch.tensor([-1.0, 0.0, 0.0], dtype=torch.float64)
     off = min(float(angle_between(axis, down).max()) for axis in each_value(kind.trial, "inst_pHat_B"))
@@ -68,7 +68,7 @@ class DiscreteFSWAction(Action):
         """Command a mode of the flight software.
 
         Args:
-            fsw_action: Command of the flight-software model, such as ``"charge"``, or ``"action_charge"`` as bsk_rl writes it.
+            fsw_action: Command of the flight-software model, such as ``"charge"``, or ``"action_charge"``.
             name: Name in ``action_description`` (default: the name of the command).
             duration: Time until the action ends, s; None for 1e9 s.
             reset_task: Whether a repeated action enters the mode again.
@@ -113,10 +113,10 @@ class Drift(DiscreteFSWAction):
 
 
 class NadirPoint(DiscreteFSWAction):
-    """Align the body frame B with the Hill frame H, as in bsk_rl: x of B points away from the Earth, z along the orbit normal.
+    """Align the body frame B with the Hill frame H: x of B points away from the Earth, z along the orbit normal.
 
     The instrument looks at nadir if its axis is ``inst_pHat_B=[-1, 0, 0]``, which the spacecraft of :mod:`bsk_torch.craft` have.
-    With bsk_rl's default, ``[0, 0, 1]``, it looks along the orbit normal, 90 degrees off, and a warning is logged. The property
+    With the default, ``[0, 0, 1]``, it looks along the orbit normal, 90 degrees off, and a warning is logged. The property
     ``nadir_pointing_error`` of the flight software is the angle.
     """
 

@@ -88,7 +88,7 @@ class Image(Action):
         """See :meth:`Action.link_satellite`; ValueError for one that cannot image, has no targets, or lacks the instrument."""
         super().link_satellite(satellite)
         satellite.simulator.check_command(self.flight_mode)
-        self.mask_late = self.mask_late and not satellite.simulator.type.as_bsk_rl
+        self.mask_late = self.mask_late and not satellite.simulator.type.compat
         kinds, listed = getattr(satellite, "opportunity_types", ()), satellite.simulator.type.instruments
         wanted: str | None = getattr(satellite, "target_types", None)
         if listed or self.instrument is not None:
@@ -110,7 +110,7 @@ class Image(Action):
     @override
     def mask(self) -> Tensor:
         simulator = self.satellite.simulator
-        first = not simulator.type.as_bsk_rl and simulator.type.arguments.is_new(f"late windows of {self.name}")
+        first = not simulator.type.compat and simulator.type.arguments.is_new(f"late windows of {self.name}")
         if not (self.mask_repeated or self.mask_late or first):
             return super().mask()
         if self.mask_repeated:

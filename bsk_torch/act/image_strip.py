@@ -98,7 +98,7 @@ class ImageStrip(Image):
 
 
 class HybridImageStrip(HybridAction):
-    """Record one of the next strips after a chosen time, as in a branch of bsk_rl.
+    """Record one of the next strips after a chosen time, as in a branch of BSK-RL.
 
     The choice is a strip as in :class:`ImageStrip`. The number ``x`` in [0, 1] sets the time before the strip is recorded to
     ``x`` times ``max_duration``, whatever the window is.

@@ -65,8 +65,7 @@ class ImpulsiveThrust(ContinuousAction):
             name: Name of the entry.
             max_dv: Maximum velocity change, m/s.
             max_drift_duration: Maximum drift, s.
-            fsw_action: Flight-software command during the drift, such as ``"nadir_scan"``, or ``"action_nadir_scan"`` as in
-                bsk_rl.
+            fsw_action: Flight-software command during the drift, such as ``"nadir_scan"``, or ``"action_nadir_scan"``.
 
         Raises:
             ValueError: For a non-positive limit, or a name that is not a string.
@@ -116,7 +115,7 @@ class ImpulsiveThrust(ContinuousAction):
     @property
     def is_single(self) -> bool:
         """Whether the actions of the current step are executed in float32."""
-        return self.given_dtype == torch.float32 and self.satellite.simulator.type.as_bsk_rl
+        return self.given_dtype == torch.float32 and self.satellite.simulator.type.compat
 
     @override
     def decide(self, action: Tensor, mask: Tensor) -> Decision:

@@ -70,7 +70,7 @@ class HillWaypoint(Action):
     then the duration, closest to the chosen one. If there is none, it flies the legal transfer that stays farthest apart, for the
     shortest duration. The recorded action does not change.
 
-    bsk_rl has no such action; its maneuvers are :class:`ImpulsiveThrustHill`.
+    Maneuvers of BSK-RL are :class:`ImpulsiveThrustHill`.
     """
 
     fsw_type = ImpulsiveThrustHill.fsw_type

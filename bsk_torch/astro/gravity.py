@@ -23,7 +23,7 @@ from bsk_torch.vec3 import Vec3
 __all__ = ["Weights", "field", "field_weights", "third_body"]
 
 DEGREE = 10
-"""Degree and order of the Earth's field in bsk_rl."""
+"""Degree and order of the Earth's field."""
 
 
 class Weights(NamedTuple):

@@ -1,4 +1,4 @@
-"""Places, Hill frames and relative motion of NumPy arrays or tensors, under the names of ``bsk_rl.utils``.
+"""Places, Hill frames and relative motion of NumPy arrays or tensors, under the names of BSK-RL's utilities.
 
 Vectors are the last dimension, [..., 3]; the others broadcast. Results are tensors if an argument is one, else NumPy arrays, in
 float64.

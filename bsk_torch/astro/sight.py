@@ -20,7 +20,7 @@ __all__ = [
 ]
 
 POLAR_STRETCH = 1.0 / 0.98
-"""Factor for lengths along the Earth's axis; bsk_rl sets the polar radius to 0.98 of the equatorial one."""
+"""Factor for lengths along the Earth's axis: the polar radius is set to 0.98 of the equatorial one."""
 
 TINY_LENGTH = 1e-300
 """A positive number, far below the rounding error of positions, which keeps quotients finite and ranges inclusive."""

@@ -7,6 +7,7 @@ episode, unless they work on tensors. Anything without a counterpart raises :cla
 
 from __future__ import annotations
 
+import copy
 import inspect
 from abc import ABC
 from collections.abc import Callable, Mapping, Sequence
@@ -35,12 +36,15 @@ from bsk_torch.bsk_rl.defaults import world_defaults
 from bsk_torch.bsk_rl.gym import ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking
 from bsk_torch.bsk_rl.obs.observations import LARGEST
 from bsk_torch.bsk_rl.obs.relative_observations import PRESETS as RELATIVE
+from bsk_torch.bsk_rl.per_episode.functions import per_episode
+from bsk_torch.bsk_rl.per_episode.rewards import PerEpisodeReward
+from bsk_torch.bsk_rl.per_episode.targets import PerEpisodeTargets
+from bsk_torch.bsk_rl.per_episode.views import view_of
 from bsk_torch.bsk_rl.scene.targets import uniform_priority
 from bsk_torch.bsk_rl.utils import orbital
 from bsk_torch.env import ConstellationTasking as Constellation
 from bsk_torch.env import SatelliteTasking as Core
 from bsk_torch.env.base import Tasking
-from bsk_torch.env.per_environment import per_environment
 from bsk_torch.sim.places import TARGET_KIND
 from bsk_torch.wrappers.gymnasium import GymVectorEnv
 
@@ -136,7 +140,7 @@ LINKS = "satellite satellites scenario simulator n_actions data_type data_store_
 
 ADAPTERS: dict[str, Callable[[Any], Any]] = {
     "reward_fn": lambda function: partial(of_each, function),
-    "resource_fn": lambda function: per_environment(partial(function)),
+    "resource_fn": per_episode,
 }
 """Functions for one episode among the arguments, and what lets a batch call them."""
 
@@ -210,7 +214,7 @@ def counterpart(given: Any, table: Mapping[type, Stock], *entries: Any) -> Any:
 
 def _adapted(entry: dict[str, Any]) -> dict[str, Any]:
     """Return an observed quantity whose function, if it has one, may be called for each episode."""
-    return {**entry, "fn": per_environment(partial(entry["fn"]))} if "fn" in entry else entry
+    return {**entry, "fn": per_episode(entry["fn"])} if "fn" in entry else entry
 
 
 def _entries(given: Any) -> list[dict[str, Any]]:
@@ -290,8 +294,8 @@ def batched_core(env: Any, args: Sequence[Any], kwargs: Mapping[str, Any], num_e
         args: The arguments that it was made of.
         kwargs: The keyword arguments that it was made of.
         num_envs: Number of episodes N.
-        adapt: Whether :func:`~bsk_torch.per_environment` may run a custom rewarder, or a scenario with custom targets. Every
-            episode then begins with copies of them, so that what they keep from episode to episode is lost.
+        adapt: Whether a custom rewarder, or a scenario with custom targets, is run for each episode. Every episode then begins
+            with copies of them, so that what they keep from episode to episode is lost.
 
     Raises:
         NotBatchedError: For a program that cannot be batched.
@@ -305,7 +309,7 @@ def batched_core(env: Any, args: Sequence[Any], kwargs: Mapping[str, Any], num_e
     parts = env.rewarder.rewarders if several else [env.rewarder]
     try:
         rewarders = [
-            per_environment(arguments["rewarder"])
+            PerEpisodeReward(copy.copy(arguments["rewarder"]))
             if adapt and not several and type(part) not in REWARDERS
             else counterpart(part, SUMMED if several else REWARDERS)
             for part in parts
@@ -314,7 +318,7 @@ def batched_core(env: Any, args: Sequence[Any], kwargs: Mapping[str, Any], num_e
         custom = adapt and type(env.scenario) not in SCENARIOS and hasattr(env.scenario, "regenerate_targets")
         return make(
             satellites if make is Constellation else satellites[0],
-            per_environment(arguments["scenario"]) if custom else counterpart(env.scenario, SCENARIOS),
+            PerEpisodeTargets(copy.copy(arguments["scenario"])) if custom else counterpart(env.scenario, SCENARIOS),
             rewarders if several else rewarders[0],
             counterpart(env.communicator, COMMUNICATION),
             world_args=given_arguments(env.world_args_generator, world_defaults(env.world_type)),
@@ -346,7 +350,7 @@ class BatchedVectorEnv(GymVectorEnv):
 
         AttributeError for others.
         """
-        views = [self.core.satellite.one(row) for row in range(self.num_envs)]
+        views = [view_of(self.core.satellite, row) for row in range(self.num_envs)]
         if name == "satellite":
             return tuple(views)
         if name == "simulator":

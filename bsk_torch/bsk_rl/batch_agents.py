@@ -15,7 +15,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from bsk_torch.bsk_rl.obs.observations import LARGEST
-from bsk_torch.comm.mapped import satellites_of
+from bsk_torch.bsk_rl.per_episode.views import satellites_of
 from bsk_torch.data import checked
 from bsk_torch.env import NO_ACTION
 from bsk_torch.env import ConstellationTasking as Constellation

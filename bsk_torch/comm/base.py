@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, NoReturn
+from typing import TYPE_CHECKING, ClassVar
 
 import torch
 from torch import Tensor
-from typing_extensions import override
+from typing_extensions import final, override
 
 from bsk_torch._checks import number
 from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked, check_tensor, overrides
@@ -25,31 +25,11 @@ LAST = "last_communication"
 HOOKS = ("refines", "link", "communication_pairs", "communicate")
 """Members of :class:`CommunicationMethod` that subclasses may define."""
 
-FOR_ONE = (
-    "fleet.each(function) reads a property of all satellites, [N, S, ...]. A method of one episode, which lists pairs of "
-    "satellites, derives from bsk_torch.bsk_rl.comm.CommunicationMethod, and bsk_torch.per_environment(method) runs it for each "
-    "environment"
-)
-"""How to write a method for all environments, and how to run one of one episode."""
-
-UNUSED = {
-    "link_satellites": "define link(fleet)",
-    "reset_overwrite_previous": FLEET_MEMORY,
-    "reset_pre_sim_init": FLEET_MEMORY,
-    "reset_during_sim_init": FLEET_MEMORY,
-    "reset_post_sim_init": FLEET_MEMORY,
-    "reset": FLEET_MEMORY,
-    "after_step": "define communication_pairs(), called after every step",
-    "attach": "define link(fleet)",
-    "exchange": "define communication_pairs(), or communicate(moves)",
-}
-"""Names that are not hooks of communication methods, including bsk_rl's, and their replacements."""
-
 
 class CommunicationMethod:
     """Determines after each step which satellites share their knowledge with which others.
 
-    Subclasses define :meth:`communication_pairs`. Dead satellites continue to communicate, as in bsk_rl. Keep values of episodes
+    Subclasses define :meth:`communication_pairs`. Dead satellites continue to communicate. Keep values of episodes
     in ``self.fleet.memory``, a :class:`~bsk_torch.sim.state.StateTable`, which is reset, saved and restored with the episodes,
     and not in attributes. Public tensor attributes must not change between steps.
 
@@ -76,7 +56,7 @@ class CommunicationMethod:
     def __init_subclass__(cls, **options: object) -> None:
         """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
-        check_class(cls, CommunicationMethod, HOOKS, UNUSED)
+        check_class(cls, CommunicationMethod, HOOKS)
 
     # -- hooks --------------------------------------------------------------------------------------------------------
 
@@ -104,11 +84,6 @@ class CommunicationMethod:
         """Return the pairs that communicate, [N, S, S] booleans by episode, sender and receiver; the diagonal is ignored."""
         raise NotImplementedError(f"{type(self).__name__} must implement communication_pairs()")
 
-    @property
-    def satellites(self) -> NoReturn:
-        """Raise AttributeError: methods of one episode need an adapter."""
-        raise AttributeError(f"{type(self).__name__}.satellites: {FOR_ONE}")
-
     def communicate(self, moves: Tensor) -> Tensor:
         """Return the pairs that communicate after a step, in episodes whose last communication was at least ``min_period`` ago.
 
@@ -128,13 +103,14 @@ class CommunicationMethod:
             given = f"{pairs.dtype} {list(pairs.shape)}" if isinstance(pairs, Tensor) else repr(pairs)
             raise TypeError(
                 f"{type(self).__name__}.communication_pairs() gave {given}; "
-                f"it must give torch.bool {list(wanted)}: episode, sender, receiver. {FOR_ONE}"
+                f"it must give torch.bool {list(wanted)}: episode, sender, receiver"
             )
         memory[LAST] = torch.where(self.due, time, memory[LAST])
         return pairs & self.due.view(-1, 1, 1)
 
     # -- calls by the environment -------------------------------------------------------------------------------------
 
+    @final
     def attach(self, fleet: SatelliteFleet) -> None:
         """Call :meth:`link`; not to be overridden.
 
@@ -154,6 +130,7 @@ class CommunicationMethod:
         """Whether satellites never communicate, so that environments can skip the exchange."""
         return False
 
+    @final
     def exchange(self, moves: Tensor) -> Tensor:
         """Call :meth:`communicate` and check its result; not to be overridden.
 

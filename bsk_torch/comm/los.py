@@ -31,9 +31,7 @@ class LOSCommunication(CommunicationMethod):
     ``losMaximumRange`` of the first. All dynamics models must have :class:`~bsk_torch.sim.dyn.LOSCommDynModel` among their bases.
     Lines of sight in steps without communication because of ``min_period`` are dropped.
 
-    bsk_rl lists every direction of a link twice, and links all satellites with one another if the number of entries equals the
-    number of ordered pairs, as with three links among four satellites. Here, satellites without a line of sight never
-    communicate.
+    Satellites without a line of sight never communicate.
     """
 
     def link(self, fleet: SatelliteFleet) -> None:
@@ -70,7 +68,7 @@ class LOSMultiCommunication(MultiDegreeCommunication, LOSCommunication):
 def visible_pairs(fleet: SatelliteFleet, asked: Tensor, directed: bool = False) -> Tensor:
     """Return the pairs that had a line of sight since the current step began, [N, S, S] booleans.
 
-    As in bsk_rl, ticks count from the start of the step to the last but one, because Basilisk's recorders run before the modules.
+    Ticks count from the start of the step to the last but one, because Basilisk's recorders run before the modules.
 
     Args:
         fleet: The satellites.

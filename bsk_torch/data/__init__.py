@@ -5,14 +5,12 @@ from bsk_torch.data.clouds import CloudFreeImageReward
 from bsk_torch.data.composed import ComposedReward
 from bsk_torch.data.footprint import FootprintImageReward
 from bsk_torch.data.images import ImageReward, UniqueImageReward
-from bsk_torch.data.mapped import PerEnvironmentReward
 from bsk_torch.data.mixed import MixedReward
 from bsk_torch.data.operations import OperationsPenalty
 from bsk_torch.data.resources import ResourceReward
 from bsk_torch.data.scanning import ScanningTimeReward
 from bsk_torch.data.strips import StripImageReward
 from bsk_torch.data.time_penalty import TimePenalty
-from bsk_torch.data.unique_images import UniqueImageData
 
 __all__ = [
     "CloudFreeImageReward",
@@ -23,11 +21,9 @@ __all__ = [
     "MixedReward",
     "NoReward",
     "OperationsPenalty",
-    "PerEnvironmentReward",
     "ResourceReward",
     "ScanningTimeReward",
     "StripImageReward",
     "TimePenalty",
-    "UniqueImageData",
     "UniqueImageReward",
 ]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from typing import TYPE_CHECKING
 
 import torch
@@ -23,62 +22,6 @@ Log = dict[str, Tensor]
 HOOKS = ("link", "read_log", "calculate_reward", "share", "counts", "measures", "is_terminated", "is_truncated")
 """Members of :class:`GlobalReward` that subclasses may define."""
 
-LOGS = "define read_log(), and calculate_reward(before, after), which gets what it returned before and after a step"
-MEMORY = (
-    "keep values that are reset with every episode in fleet.memory, where link(scenario, fleet) declares them: "
-    "memory.declare(name, initial_value, *shape)"
-)
-
-UNUSED = {
-    "reward": "define calculate_reward(before, after)",
-    "get_log_state": LOGS,
-    "compare_log_states": LOGS,
-    "update_from_logs": LOGS,
-    "link_scenario": "define link(scenario, fleet)",
-    "link_satellite": "define link(scenario, fleet); fleet.each(function) reads a property of all satellites",
-    "link_simulator": "define link(scenario, fleet)",
-    "stage_communicated_data": "define share(links)",
-    "update_with_communicated_data": "define share(links)",
-    "reset_overwrite_previous": MEMORY,
-    "reset_pre_sim_init": MEMORY,
-    "reset_during_sim_init": MEMORY,
-    "reset_post_sim_init": MEMORY,
-}
-"""Names that are not hooks of rewarders, including bsk_rl's, and their replacements."""
-
-
-MARKS = ("data_store_type", "datastore_type", "data_type", "create_data_store", "initial_data")
-"""Names defined only by rewarders of one episode."""
-
-ONE_ARGUMENT = {"calculate_reward": 2, "is_terminated": 0, "is_truncated": 0}
-"""Methods that have one argument in rewarders of one episode, with their number of arguments here."""
-
-
-def reject_one_episode(cls: type) -> None:
-    """Raise TypeError for a class written for one episode, like bsk_rl's rewarders."""
-    body = vars(cls)
-    marks = [name for name in MARKS if name in body]
-    marks += [
-        name
-        for name, count in ONE_ARGUMENT.items()
-        if inspect.isfunction(body.get(name)) and takes(body[name], 1) and not takes(body[name], count)
-    ]
-    if marks:
-        raise TypeError(
-            f"{cls.__name__} defines {', '.join(marks)} for one episode, as bsk_rl's rewarders do. Derive it from a class of "
-            f"bsk_torch.bsk_rl.data and give environments bsk_torch.per_environment({cls.__name__}()), which calls it for each; "
-            "or, to be fast, define read_log() and calculate_reward(before, after) on tensors of all environments"
-        )
-
-
-def takes(function: Callable[..., object], count: int) -> bool:
-    """Return whether a method can be called with ``count`` arguments in addition to ``self``."""
-    try:
-        inspect.signature(function).bind(*[None] * (count + 1))
-    except TypeError:
-        return False
-    return True
-
 
 class GlobalReward:
     """Base class of rewarders, which compute rewards from logs read before and after a step.
@@ -86,8 +29,6 @@ class GlobalReward:
     Subclasses define :meth:`calculate_reward`, and :meth:`read_log` to read the values it needs; the other hooks are optional. N
     is the number of episodes, S the number of satellites in each. :meth:`bsk_torch.sim.fleet.Fleet.each` reads a property of all
     satellites.
-
-    Rewarders of one episode, such as bsk_rl's, need :func:`bsk_torch.per_environment`.
 
     Attributes:
         scenario: The scenario, once an environment has been built.
@@ -106,8 +47,7 @@ class GlobalReward:
     def __init_subclass__(cls, **options: object) -> None:
         """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
-        reject_one_episode(cls)
-        check_class(cls, GlobalReward, HOOKS, UNUSED)
+        check_class(cls, GlobalReward, HOOKS)
 
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
         """Prepare for a scenario and its satellites; called once when an environment is built.

@@ -80,7 +80,7 @@ class ComposedReward(GlobalReward):
         for rewarder in self.rewarders:
             rewarder._in_channel = self._in_channel
             checked.link(rewarder, scenario, fleet)
-        if fleet.simulators[0].type.as_bsk_rl:
+        if fleet.simulators[0].type.compat:
             for part, filters in zip(looking, before, strict=True):
                 part.access_filters = filters
 

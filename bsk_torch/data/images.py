@@ -11,7 +11,7 @@ from torch import Tensor
 from typing_extensions import override
 
 from bsk_torch.data.base import GlobalReward, Log
-from bsk_torch.data.unique_images import Known, UniqueImageData, UniqueImages
+from bsk_torch.data.unique_images import Known, UniqueImages
 from bsk_torch.sim.hooks import check_class, check_tensor
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ class ImageReward(GlobalReward):
     """Base class of rewards for images, which determines the imaged targets and hides targets that need no further image.
 
     Subclasses define :meth:`selectable` and :meth:`value`. A satellite has taken an image if the data in its buffer has grown
-    over a step; the image shows the target chosen last. A step therefore counts at most one image per satellite, as in bsk_rl.
+    over a step; the image shows the target chosen last. A step therefore counts at most one image per satellite.
     """
 
     scenario: TargetScenario
@@ -131,18 +131,6 @@ class UniqueImageReward(ImageReward):
     def data(self) -> UniqueImages:
         """Data collected by all satellites together, in readable form."""
         return UniqueImages(self.imaged, self.scenario.drawn("target_exists").bool(), self.memory["duplicates"].sum(1))
-
-    def data_of(self, row: int) -> UniqueImageData:
-        """Return the data collected in environment ``row``, with Python sets of targets as in bsk_rl's ``rewarder.data``."""
-        imaged = [self.scenario.target_object(row, k) for k in torch.nonzero(self.imaged[row]).squeeze(-1).tolist()]
-        return UniqueImageData(imaged, int(self.data.duplicates[row]), self.scenario.target_objects(row))
-
-    def store_of_one(self, part: int, row: int) -> Known:
-        """Return the knowledge of the satellite in a row [N * count] of type number ``part``, in the form of :meth:`data_of`."""
-        env = row // len(self.fleet.columns[part])
-        known, duplicates = (self.fleet.rows_of(part, table)[row] for table in (self.known, self.memory["duplicates"]))
-        imaged = [self.scenario.target_object(env, k) for k in torch.nonzero(known).squeeze(-1).tolist()]
-        return Known(UniqueImageData(imaged, int(duplicates), self.scenario.target_objects(env)))
 
     def store_of(self, part: int) -> Known:
         """Return the knowledge of the satellites of type number ``part``, [N * count, ...], their ``data_store``."""

@@ -34,9 +34,6 @@ class Keeper(Protocol):
     def store_of(self, part: int) -> object:
         """Return the knowledge of the satellites of a type."""
 
-    def store_of_one(self, part: int, row: int) -> object:
-        """Return the knowledge of one satellite."""
-
 
 def check_channels(
     rewarders: Mapping[str, object],
@@ -176,10 +173,6 @@ class MixedReward(ComposedReward):
     def store_of(self, part: int) -> object:
         """Return the knowledge of the satellites of type number ``part``, that of their only channel with any."""
         return self._keeper(part).store_of(part)
-
-    def store_of_one(self, part: int, row: int) -> object:
-        """Return the knowledge of the satellite in a row [N * count] of type number ``part``, likewise."""
-        return self._keeper(part).store_of_one(part, row)
 
     def _keeper(self, part: int) -> Keeper:
         """Return the rewarder that keeps the knowledge of a type of satellites; AttributeError unless one channel does."""

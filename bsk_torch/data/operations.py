@@ -34,7 +34,7 @@ class OperationsPenalty(GlobalReward):
     - ``full_storage`` if its store is above ``storage_above`` of the capacity,
     - ``empty_downlink`` for a downlink with ``until_empty`` that it has begun in the step with no more than a bit stored.
 
-    Satellites without battery, store or such an action get nothing. The terms are those of a branch of bsk_rl's authors. Add them
+    Satellites without battery, store or such an action get nothing. The terms are those of a branch of BSK-RL's authors. Add them
     to other rewarders, as in ``rewarder=(RSOImageReward(), data.OperationsPenalty(empty_downlink=-1.0))``.
     """
 

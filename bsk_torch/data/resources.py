@@ -42,8 +42,7 @@ class ResourceReward(GlobalReward):
                 distribution of :mod:`bsk_torch.rand` or by a function without arguments. NumPy's global generator is seeded
                 before each call of the function.
             resource_fn: Function that returns the resource of the satellites of a type, [N], such as
-                ``lambda sat: sat.dynamics.battery_charge_fraction``. A function that only works for a single satellite is called
-                once per satellite, which is slow.
+                ``lambda sat: sat.dynamics.battery_charge_fraction``.
 
         Raises:
             TypeError: If ``resource_fn`` is not a function.
@@ -95,13 +94,9 @@ class ResourceReward(GlobalReward):
     def _resource(self, satellite: BoundSatellite) -> Tensor:
         """Return the resource of the satellites of a type, [N]."""
         simulator = satellite.simulator
-        function = self._functions.setdefault(
-            id(satellite), UserFunction("resource_fn of data.ResourceReward", ADVICE, self.resource_fn)
-        )
+        function = self._functions.setdefault(id(satellite), UserFunction("resource_fn of data.ResourceReward", ADVICE))
         rows = len(simulator.ticks)
-        found = function(
-            (rows,), simulator.device, lambda: self.resource_fn(satellite), lambda row: self.resource_fn(satellite.one(row))
-        )
+        found = function((rows,), simulator.device, lambda: self.resource_fn(satellite))
         if found.shape != (rows,):
             raise TypeError(f"{function.title} gives shape {list(found.shape)}; it must give one number for each satellite")
         return found.double().clone()

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 class ScanningTimeReward(GlobalReward):
     """Reward for the time spent recording: the growth of the data buffer over a step, divided by the instrument's data rate.
 
-    The reward is reward_fn(max(0, level_after - level_before) / instrumentBaudRate), with levels in bit and the rate in bit/s. As
-    in bsk_rl, a step in which the level falls earns nothing. An instrument of rate 0 also earns nothing.
+    The reward is reward_fn(max(0, level_after - level_before) / instrumentBaudRate), with levels in bit and the rate in bit/s. A
+    step in which the level falls earns nothing. An instrument of rate 0 also earns nothing.
     """
 
     scenario: UniformNadirScanning

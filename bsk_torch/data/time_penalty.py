@@ -14,7 +14,7 @@ MOST_WEIGHT = 1e30
 
 
 class TimePenalty(GlobalReward):
-    """Pays every satellite ``-weight`` times the duration of the step, s, as a branch of bsk_rl's authors does.
+    """Pays every satellite ``-weight`` times the duration of the step, s, as a branch of BSK-RL's authors does.
 
     Add it to other rewarders for tasks that shall be done early: ``rewarder=(data.UniqueImageReward(), data.TimePenalty(1e-4))``.
     """

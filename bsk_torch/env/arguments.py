@@ -32,7 +32,7 @@ class MadeOfArguments(Snapshots):
     """Changes of arguments since then."""
 
     _trial: Trial | None
-    """Trial episodes; None if they determine how user functions are called."""
+    """Trial episodes; None if they have tried user functions, which depend on the number of environments."""
 
     def set_sat_args(self, args: object, envs: object = None) -> None:
         """Change arguments of satellites for episodes started after this call; current episodes keep their values.
@@ -81,7 +81,7 @@ class MadeOfArguments(Snapshots):
         self.fingerprint = fingerprint(self.fleet)
 
     def _show_arguments(self) -> None:
-        """Provide bsk_rl's dictionaries, in which users read and set arguments."""
+        """Provide dictionaries in which users read and set arguments."""
         for simulator, satellite in zip(self.fleet.simulators, self.satellites, strict=True):
             satellite.sat_args_generator = LiveArguments(  # type: ignore[assignment]  # of the description: Given
                 functools.partial(_sat_args_of, simulator),

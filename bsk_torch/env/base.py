@@ -87,8 +87,6 @@ class Tasking(Present, MadeOfArguments):
         EnvBase.__init__(self, device=existing_device(options.device), batch_size=(options.num_envs,))
         for name, value, kind in (("scenario", scenario, Scenario), ("communicator", communicator, CommunicationMethod)):
             if value is not None and not isinstance(value, kind):
-                if hasattr(value, "link_satellites") and not isinstance(value, type):
-                    raise TypeError(f"{name}={value!r} is for one episode; bsk_torch.per_environment({name}) runs it for each")
                 raise TypeError(f"{name}={value!r} must be a {kind.__name__}, made with parentheses")
         self.options = options
         configure(options.log_level, options.log_dir)
@@ -121,9 +119,10 @@ class Tasking(Present, MadeOfArguments):
         self.communicator.attach(self.fleet)
         recorded = options.log_level is not None or options.log_dir is not None
         self.log = StepLog(self.fleet, self.satellites, self.scenario, options.log_envs) if recorded else None
-        trial.decide(self.satellites)
+        for satellite, read in zip(self.satellites, trial.read, strict=True):
+            satellite.simulator.observer.want(read)
         self._make_specs(trial.values)
-        self._trial = None if any(trial.functions) else trial
+        self._trial = None if trial.calls_user else trial
         self.longest_ticks = math.ceil(whole_nanoseconds(min(self.max_step_duration, ENDLESS)) / self.simulator.h_ns)
         self.fingerprint = fingerprint(self.fleet)
         self._changes = []
@@ -340,7 +339,5 @@ def composed(rewarder: GlobalReward | Iterable[GlobalReward] | None) -> GlobalRe
     listed: list[Any] = list(rewarder) if several else [rewarder]  # type: ignore[arg-type]
     for part in listed:
         if not isinstance(part, GlobalReward):
-            if hasattr(part, "create_data_store") and not isinstance(part, type):
-                raise TypeError(f"rewarder={part!r} is for one episode; bsk_torch.per_environment(rewarder) runs it for each")
             raise TypeError(f"rewarder={part!r} must be a rewarder, made with parentheses, such as data.UniqueImageReward()")
     return ComposedReward(*map(copy.copy, listed)) if several else copy.copy(listed[0])

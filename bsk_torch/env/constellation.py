@@ -31,7 +31,7 @@ logger = logging.getLogger(__name__)
 
 @takes(ConstellationOptions)
 class ConstellationTasking(Tasking):
-    """N independent episodes with S satellites each, as bsk_rl's ``ConstellationTasking`` plays one.
+    """N independent episodes with S satellites each.
 
     A step lasts until the first satellite finishes its task; the others continue theirs. Agents with the same spaces form a
     group, called ``"agents"`` if there is only one; ``group_map`` names them. Each group holds ``observation``, ``action``,
@@ -212,7 +212,7 @@ class ConstellationTasking(Tasking):
 
     @property
     def agents_stay(self) -> bool:
-        """Whether agents terminated by the rewarder stay in the continuing episode, as in bsk_rl with ``compat="bsk_rl"``."""
+        """Whether agents terminated by the rewarder stay in the continuing episode."""
         return self.options.compat == "bsk_rl" and not self.joint
 
     def _all_agents_ended(self, ended: Tensor) -> Tensor:
@@ -232,7 +232,7 @@ class ConstellationTasking(Tasking):
     def _remove(self, duration: Tensor) -> None:
         """Remove the agents that have lost a satellite; their tasks no longer end steps.
 
-        bsk_rl lists its agents once for each time, so agents that die in a step of zero ``duration`` [N] s stay for another step.
+        Under ``compat``, agents that die in a step of zero ``duration`` [N] s stay for another step.
         """
         dead, removed = self.dead, self.state.removed.clone()
         if self.options.compat == "bsk_rl":
@@ -301,7 +301,7 @@ class ConstellationTasking(Tasking):
         return [read(what, action, members[0], shape)]
 
     def _warn_of_idle(self, acts: Sequence[Tensor], moves: Tensor) -> None:
-        """Log once that satellites without a task received no action, as in bsk_rl; their last mode continues."""
+        """Log once that satellites without a task received no action; their last mode continues."""
         if self._warned:
             return
         asked = moves.unsqueeze(-1) & ~self.state.removed
@@ -403,10 +403,10 @@ def _blank(leaf: Tensor, hidden: Tensor) -> Tensor:
 
 @takes(ConstellationOptions)
 class GeneralSatelliteTasking(ConstellationTasking):
-    """A :class:`ConstellationTasking` with one agent for all satellites (``joint=True``): bsk_rl's ``GeneralSatelliteTasking``.
+    """A :class:`ConstellationTasking` with one agent for all satellites (``joint=True``).
 
     This is the batched TorchRL environment. ``gymnasium.make("bsk_torch/GeneralSatelliteTasking-v1", satellites=...)`` gives one
-    episode with bsk_rl's tuples of observations and actions (:class:`bsk_torch.wrappers.GymJointEnv`).
+    episode with tuples of observations and actions (:class:`bsk_torch.wrappers.GymJointEnv`).
     """
 
     def __init__(

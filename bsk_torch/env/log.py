@@ -52,7 +52,7 @@ def configure(level: int | str | None, file: str | Path | None) -> None:
     """Set up the package's logger.
 
     With a level, records are also shown on standard error, unless the program has its own handlers. With a file, records are
-    appended to it. As in bsk_rl, the level is WARNING if only a file is given.
+    appended to it. The level is WARNING if only a file is given.
 
     Args:
         level: Level of the logger ``bsk_torch``, such as ``"INFO"``; None leaves it unchanged.
@@ -72,7 +72,7 @@ def configure(level: int | str | None, file: str | Path | None) -> None:
         raise ValueError(f"log_dir={file!r} must be the path of a file, such as 'runs/log.txt', or None")
     path = Path(file).absolute()
     if path.is_dir():
-        raise ValueError(f"log_dir={str(file)!r} is a folder; as in bsk_rl it is the path of a file, such as 'runs/log.txt'")
+        raise ValueError(f"log_dir={str(file)!r} is a folder; it must be the path of a file, such as 'runs/log.txt'")
     open_files = [handler.baseFilename for handler in logger.handlers if isinstance(handler, logging.FileHandler)]
     if str(path) not in open_files:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -23,7 +23,7 @@ ATTRIBUTES = {
     "sim_rate": "read env.options.sim_rate",
     "possible_agents": "env.agents names all agents; the PettingZoo view has possible_agents",
 }
-"""Gymnasium's and PettingZoo's attributes of bsk_rl's environments, and their replacements."""
+"""Attributes of Gymnasium's and PettingZoo's environments, and their replacements."""
 
 RESET = {
     "seed": "env.set_seed(seed), then env.reset(): the next episodes are then the first of that seed; GymEnv.reset takes a seed",

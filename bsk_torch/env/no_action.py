@@ -1,4 +1,4 @@
-"""The action that continues the current task, with bsk_rl's helpers for it."""
+"""The action that continues the current task, with helpers for it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 NO_ACTION = 2**31 - 1
-"""Action that continues a satellite's task, as in bsk_rl; the last action of every space does the same."""
+"""Action that continues a satellite's task; the last action of every space does the same."""
 
 CLOSE = 1.0
 """Distance from ``NO_ACTION`` within which a floating-point number is treated as equal, since float32 cannot represent it."""

@@ -32,9 +32,9 @@ MOST_PENALTY = 1e30
 ABSENT = {
     "vizard_dir": "there is no Vizard here; env.render() draws pictures, and 'bsk-torch film' makes films",
     "vizard_settings": "there is no Vizard here; env.render() draws pictures, and 'bsk-torch film' makes films",
-    "render_mode": "bsk_rl does not use it; env.render() returns pixels",
+    "render_mode": "env.render() returns pixels",
 }
-"""Options of bsk_rl's environments accepted only as None, and their replacements."""
+"""Options accepted only as None, and their replacements."""
 
 
 CONTINUOUS = "continuous"
@@ -59,7 +59,7 @@ class TaskingOptions:
         sim_rate: Length of a tick, 0.001 to 60 s.
         max_step_duration: Maximum length of a step, s; at least 1 ns.
         failure_penalty: Added to the reward of a step at the end of which the satellite is dead.
-        failures: ``"step"``, as in bsk_rl: satellites are checked at the end of each step only, and a battery may be empty before
+        failures: ``"step"``: satellites are checked at the end of each step only, and a battery may be empty before
             that. ``"continuous"``: the first tick at whose end a battery is empty, or a wheel has reached its largest speed, ends
             the step for all satellites. Other checks remain at the end of steps.
         time_limit: Seconds after which an episode is truncated, rounded up to whole ticks; a positive number, a distribution or a
@@ -86,7 +86,7 @@ class TaskingOptions:
             ``compat="bsk_rl"``, whose look-ahead uses the initial orbit of an episode.
         log_level: Level of the package's logger: ``"INFO"`` records satellite events, see :mod:`bsk_torch.env.log`; None leaves
             it unchanged.
-        log_dir: Path of a file (as in bsk_rl) for the records.
+        log_dir: Path of a file for the records.
         log_envs: Environments whose satellites are recorded (default: the first one).
     """
 
@@ -138,7 +138,7 @@ class TaskingOptions:
             )
         if self.replan and self.compat is not None:
             raise ValueError(
-                f"replan={self.replan!r} with compat={self.compat!r}: look-ahead of bsk_rl follows no maneuver; leave one out"
+                f"replan={self.replan!r} with compat={self.compat!r}: its look-ahead follows no maneuver; leave one out"
             )
         checked["replan"] = self.compat is None if self.replan is None else switch("replan", self.replan)
         for name, value in checked.items():
@@ -150,7 +150,7 @@ class ConstellationOptions(TaskingOptions):
     """Further options of :class:`bsk_torch.ConstellationTasking`.
 
     Attributes:
-        joint: Whether one agent commands all satellites and gets one reward, as in bsk_rl's ``GeneralSatelliteTasking``. Its keys
+        joint: Whether one agent commands all satellites and gets one reward. Its keys
             are at the root: ``observation`` [N, O], ``action`` [N, S], ``action_mask``, ``reward`` [N, 1],
             ``requires_retasking`` [N, S]. The episode ends when any satellite dies.
         meta_agent_groupings: Names of the satellites of agents that command several; their actions are [N, A, M].
@@ -195,7 +195,7 @@ def parse(kind: type[TaskingOptions], given: Mapping[str, Any]) -> Any:
     given = {name: value for name, value in given.items() if name not in ABSENT or value is not None}
     for name in given:
         if name in ABSENT:
-            raise TypeError(f"{name}={given[name]!r} is an option of bsk_rl's environments: {ABSENT[name]}")
+            raise TypeError(f"{name}={given[name]!r} is no option here: {ABSENT[name]}")
         if name not in known:
             raise TypeError(  # TorchRL's GymEnv tries arguments, and recognizes rejected ones by this wording
                 f"unexpected keyword argument {name!r}: {name}= is not an option of the environment; {nearest(name, known)}"

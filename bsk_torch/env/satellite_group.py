@@ -90,7 +90,7 @@ def command(
 ) -> None:
     """Begin ``action`` [N] where ``acts`` [N] is true (``all_act``: everywhere); other satellites continue their tasks.
 
-    As in bsk_rl, a dead satellite of ``moves`` [N] no longer requires a task, unless its new task ends.
+    A dead satellite of ``moves`` [N] no longer requires a task, unless its new task ends.
     """
     task, simulator = satellites.task, satellites.simulator
     simulator.command(decision.retask if all_act else decision.retask & acts, decision.mode)
@@ -165,7 +165,7 @@ def settle(satellites: SatelliteGroup, event: Tensor | None, moves: Tensor, last
 def cancel(satellites: SatelliteGroup, rows: Tensor) -> None:
     """Cancel the tasks of ``rows``, a mask [N]; their events no longer end steps.
 
-    As in bsk_rl, satellites whose task has ended by then still require a task.
+    Satellites whose task has ended by then still require a task.
     """
     task, state = satellites.task, satellites.simulator.state
     task.ends, task.expected = (torch.where(rows, NEVER, ticks) for ticks in (task.ends, task.expected))

@@ -145,7 +145,7 @@ def fingerprint(fleet: SatelliteFleet) -> Tensor:
         structure = [list(layout.fields) for layout in (tick.state, tick.shared, tick.own)], simulator.mode_names, simulator.count
         make.update(repr((structure, simulator.state.constants, lookahead.arcs.tail.shape[1])).encode())
         make.update(simulator.uniform.cpu().numpy().tobytes())
-        access = None if lookahead.access is None else (lookahead.access.segment, lookahead.access.as_bsk_rl)
+        access = None if lookahead.access is None else (lookahead.access.segment, lookahead.access.compat)
         used = [satellite.action_description, simulator.type.options.dtype, simulator.orbit, tick.stops, access]
         used += [lookahead.follows, lookahead.arcs.restarts] if simulator.has_tank else []
         use.update(repr(tuple(used)).encode())

@@ -28,7 +28,7 @@ from bsk_torch.scene.base import Scenario
 
 @takes(TaskingOptions)
 class SatelliteTasking(Tasking):
-    """N independent episodes of one satellite type, as bsk_rl's ``SatelliteTasking`` plays one.
+    """N independent episodes of one satellite type.
 
     Keys: ``observation``, ``action``, ``action_mask``, ``reward``, ``done``, ``terminated``, ``truncated`` and ``duration``, the
     length of a step in s. Continuous actions have no ``action_mask``.
@@ -52,7 +52,7 @@ class SatelliteTasking(Tasking):
             communicator: As in :class:`bsk_torch.ConstellationTasking`; one satellite has no partner.
             sat_arg_randomizer: Draws related arguments together: a formation of :mod:`bsk_torch.formations`, or a function of
                 the list of the one satellite, called for each episode, that returns ``{satellite: {argument: value}}``.
-            **options: ``generate_obs_retasking_only``, which has no effect with one satellite, as in bsk_rl; for the others see
+            **options: ``generate_obs_retasking_only``, which has no effect with one satellite; for the others see
                 :class:`bsk_torch.env.options.TaskingOptions`.
         """
         switch("generate_obs_retasking_only", options.get("generate_obs_retasking_only", False))

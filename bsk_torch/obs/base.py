@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Iterator, Sequence
 from math import isnan
 from typing import TYPE_CHECKING, Any
@@ -11,9 +10,8 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import text
-from bsk_torch.sats.one import is_ours
 from bsk_torch.sats.user_function import UserFunction
-from bsk_torch.sim.hooks import check_class, check_tensor, defined_first
+from bsk_torch.sim.hooks import check_class, check_tensor, defined_first, is_of_package
 from bsk_torch.sim.names import snake
 
 if TYPE_CHECKING:
@@ -28,24 +26,6 @@ ADVICE = (
     "self.satellite.dynamics.r_BN_N [N, 3], and torch.linalg.norm(r, dim=-1) takes the place of np.linalg.norm(r)"
 )
 """How to write an observation for all satellites."""
-
-MEMORY = (
-    "keep values that are reset with every episode in satellite.simulator.memory; declare them in link_satellite(satellite): "
-    "memory.declare(name, initial_value)"
-)
-
-UNUSED = {
-    "get_observation": "define get_obs()",
-    "observation_space": "shapes follow from a trial call of get_obs()",
-    "space": "shapes follow from a trial call of get_obs()",
-    "observation_description": "names follow from a trial call of get_obs(), which may return a dictionary",
-    "link_simulator": "define link_satellite(satellite), which finds the simulation in satellite.simulator",
-    "reset_overwrite_previous": MEMORY,
-    "reset_pre_sim_init": MEMORY,
-    "reset_during_sim_init": MEMORY,
-    "reset_post_sim_init": MEMORY,
-}
-"""Names that are not hooks of observations, including bsk_rl's, and their replacements."""
 
 Values = dict[str, Any]
 """Observed quantities by name: tensors [N] or [N, width], or dictionaries of them."""
@@ -79,7 +59,7 @@ class Observation:
     def __init_subclass__(cls, **options: object) -> None:
         """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
-        check_class(cls, Observation, HOOKS, UNUSED)
+        check_class(cls, Observation, HOOKS)
         if "get_vector" in vars(cls) and "get_obs" not in vars(cls):
             raise TypeError(
                 f"{cls.__name__} defines get_vector() without get_obs(), so named observations would not use it; define "
@@ -112,8 +92,7 @@ class Observation:
         Numbers must be finite: an environment raises FloatingPointError for NaN and infinity in what users' classes and functions
         return. Write absent values as a finite number, such as 0, next to a flag.
 
-        NumPy arrays may replace tensors. A subclass of this class may also be written for one satellite, as in bsk_rl. It is then
-        called once per environment, which is slow, with arrays and numbers of that environment.
+        NumPy arrays may replace tensors.
         """
         raise NotImplementedError(f"{type(self).__name__} must implement get_obs()")
 
@@ -166,7 +145,7 @@ def link(entry: object, satellite: BoundSatellite) -> None:
 
 
 class Reader:
-    """Reads an observation, by name or as a vector; a user's class is called for all satellites, or for each.
+    """Reads an observation, by name or as a vector; what a user's class returns is checked.
 
     Attributes:
         entry: The observation.
@@ -177,11 +156,9 @@ class Reader:
         self.entry = entry
         # get_vector() belongs to the get_obs() of the same class: a subclass that overrides only the latter does not use it
         self._has_vector = defined_first(entry, "get_vector", "get_obs") == "get_vector"
-        self._compared = is_ours(type(entry)) or not self._has_vector
-        # a class that overrides another get_obs() may call it for all satellites, so it is not mapped
-        owners = [cls for cls in type(entry).__mro__ if "get_obs" in vars(cls)]
-        mapped = not is_ours(owners[0]) and owners[1:] == [Observation]
-        self._function = UserFunction(f"{type(entry).__name__}.get_obs()", ADVICE, type(entry).get_obs) if mapped else None
+        self._compared = is_of_package(type(entry)) or not self._has_vector
+        owner = next(cls for cls in type(entry).__mro__ if "get_obs" in vars(cls))
+        self._function = None if is_of_package(owner) else UserFunction(f"{type(entry).__name__}.get_obs()", ADVICE)
 
     @property
     def functions(self) -> list[UserFunction]:
@@ -193,15 +170,8 @@ class Reader:
         entry = self.entry
         if self._function is None:
             return entry.get_obs()
-        satellite = entry.satellite
-
-        def one(row: int) -> Any:
-            view = copy.copy(entry)
-            view.satellite = seen = satellite.one(row)  # type: ignore[assignment]  # answers as one satellite
-            view.simulator = seen.simulator  # type: ignore[assignment]
-            return view.get_obs()
-
-        return self._function((len(satellite.simulator.ticks),), satellite.simulator.device, entry.get_obs, one)
+        simulator = entry.simulator
+        return self._function((len(simulator.ticks),), simulator.device, entry.get_obs)
 
     def vector(self) -> Tensor:
         """Return the observation as a vector, [N, width].

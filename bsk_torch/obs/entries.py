@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import no_gradient
-from bsk_torch.sats.one import OWN_PACKAGE
+from bsk_torch.sim.hooks import is_of_package
 
 Norm = float | Tensor
 """Divisor: a number, or one for each component of a property."""
@@ -19,7 +19,7 @@ Norm = float | Tensor
 def parse_entries(entries: Iterable[dict[str, Any]], allowed: set[str], title: str) -> tuple[dict[str, Any], ...]:
     """Return copies of a user's dictionaries, with ``norm`` and ``name`` set.
 
-    As in bsk_rl, ``fn`` takes precedence over ``prop``, which is then just the label. Names are ``name``; else ``prop``, or
+    ``fn`` takes precedence over ``prop``, which is then just the label. Names are ``name``; else ``prop``, or
     ``prop_0`` and so on for a function without one, with ``_normd`` where a norm divides it.
 
     Raises:
@@ -81,4 +81,4 @@ def is_own(function: Callable[..., object]) -> bool:
     """Return whether a function, or a partial of one, belongs to this package and so takes all satellites at once."""
     while isinstance(function, functools.partial):
         function = function.func
-    return str(getattr(function, "__module__", "")).startswith(OWN_PACKAGE)
+    return is_of_package(function)

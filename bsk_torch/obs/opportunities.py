@@ -100,8 +100,7 @@ class OpportunityProperties(Observation):
     :class:`~bsk_torch.sats.access.Opportunities` that returns [N, n] or [N, n, width]), and optionally ``norm`` (divisor; None
     for 1) and ``name``. With ``fn``, ``prop`` is just the label. If there are fewer opportunities, the last one is repeated.
 
-    bsk_rl's functions of a satellite and an opportunity work unchanged: ``opp["object"].priority``, ``opp["window"][0]``. A
-    function that cannot be called for all opportunities at once is called for each, which is slow and logged.
+    Functions are called for all opportunities of all satellites at once.
     """
 
     satellite: BoundAccessSatellite
@@ -151,7 +150,7 @@ class OpportunityProperties(Observation):
         self.exact = ("mask",) if as_set else ()  # not changed by obs.Noisy
         titles = (f"{entry['name']!r} of {self.name!r}" for entry in parsed)
         self._functions = [
-            UserFunction(title, ADVICE, entry["fn"]) if "fn" in entry and not is_own(entry["fn"]) else None
+            UserFunction(title, ADVICE) if "fn" in entry and not is_own(entry["fn"]) else None
             for entry, title in zip(parsed, titles, strict=True)
         ]
 
@@ -215,14 +214,9 @@ class OpportunityProperties(Observation):
         return columns, opportunities
 
     def _call(self, given: Callable[..., object], function: UserFunction, opportunities: Opportunities) -> Tensor:
-        """Call a user's function of the satellite and its opportunities, for all or for each; return [N, n] or [N, n, width]."""
-
-        def one(row: int) -> list[Any]:
-            view = self.satellite.one(row)
-            return [given(view, each) for each in view.of_windows(self.type, opportunities, padding=True)]
-
+        """Call a user's function of the satellite and its opportunities; return [N, n] or [N, n, width]."""
         shape = tuple(opportunities.open.shape)
-        return function(shape, self.simulator.device, lambda: given(self.satellite, opportunities), one)
+        return function(shape, self.simulator.device, lambda: given(self.satellite, opportunities))
 
     @override
     def get_obs(self) -> Values:

@@ -6,7 +6,7 @@ about the Sun. Velocities are relative to the named frame; in a rotating frame F
 ``[FN] (v_D - v_C - omega_FN x (r_D - r_C))`` (Schaub and Junkins, sections 1.3 and 14.2). Attitudes are MRPs with a length of at
 most one.
 
-All functions take satellites of batches, with tensors [N, ...], or views of one satellite, with arrays.
+All functions take satellites of batches, with tensors [N, ...].
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from torch import Tensor
 from bsk_torch._checks import text
 from bsk_torch.astro.attitude import dcm_to_mrp, mrp_to_dcm
 from bsk_torch.astro.orbit import hill_frame, hill_rate
-from bsk_torch.astro.relative import cd2hill, like, vectors
+from bsk_torch.astro.relative import cd2hill, vectors
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.obs.base import ADVICE, Observation, Values
 from bsk_torch.obs.entries import is_own, parse_entries, scaled
@@ -30,7 +30,6 @@ from bsk_torch.vec3 import Mat3, Vec3
 
 if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite
-    from bsk_torch.sats.one import Numbers
     from bsk_torch.sats.others import SatelliteLike
 
 __all__ = [
@@ -68,11 +67,6 @@ def _orbit(satellite: SatelliteLike) -> tuple[Any, Any]:
     return satellite.dynamics.r_BN_N, satellite.dynamics.v_BN_N
 
 
-def _as(result: Vec3, satellite: SatelliteLike) -> Numbers:
-    """Return a vector as a tensor [N, 3], or an array for a view of one satellite."""
-    return like(result.stack(), satellite.dynamics.r_BN_N)
-
-
 def _times(a: Mat3, b: Mat3) -> Mat3:
     """Return the product of two matrices."""
     columns = b.mT
@@ -89,34 +83,34 @@ def _hill(satellite: SatelliteLike) -> Mat3:
     return hill_frame(*states(satellite))
 
 
-def r_DC_N(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
+def r_DC_N(deputy: SatelliteLike, chief: SatelliteLike) -> Tensor:
     """Return the position of the deputy relative to the chief, ``r_D - r_C``, m in N, [N, 3]."""
     r_D, _, r_C, _ = states(deputy, chief)
-    return _as(r_D - r_C, deputy)
+    return (r_D - r_C).stack()
 
 
-def v_DC_N(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
+def v_DC_N(deputy: SatelliteLike, chief: SatelliteLike) -> Tensor:
     """Return the inertial velocity of the deputy relative to the chief, ``v_D - v_C``, m/s in N, [N, 3]."""
     _, v_D, _, v_C = states(deputy, chief)
-    return _as(v_D - v_C, deputy)
+    return (v_D - v_C).stack()
 
 
-def r_DC_Hc(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
+def r_DC_Hc(deputy: SatelliteLike, chief: SatelliteLike) -> Tensor:
     """Return the position of the deputy relative to the chief in the chief's Hill frame, m, [N, 3]."""
     return cd2hill(*_orbit(chief), *_orbit(deputy))[0]
 
 
-def v_DC_Hc(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
+def v_DC_Hc(deputy: SatelliteLike, chief: SatelliteLike) -> Tensor:
     """Return the velocity of the deputy relative to the chief as seen in the chief's Hill frame, m/s, [N, 3]."""
     return cd2hill(*_orbit(chief), *_orbit(deputy))[1]
 
 
-def r_DC_Hd(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
+def r_DC_Hd(deputy: SatelliteLike, chief: SatelliteLike) -> Tensor:
     """Return the position of the deputy relative to the chief in the deputy's Hill frame, m, [N, 3]."""
     return -cd2hill(*_orbit(deputy), *_orbit(chief))[0]
 
 
-def v_DC_Hd(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
+def v_DC_Hd(deputy: SatelliteLike, chief: SatelliteLike) -> Tensor:
     """Return the velocity of the deputy relative to the chief as seen in the deputy's Hill frame, m/s, [N, 3]."""
     return -cd2hill(*_orbit(deputy), *_orbit(chief))[1]
 
@@ -129,52 +123,52 @@ def _in_body(body: SatelliteLike, deputy: SatelliteLike, chief: SatelliteLike) -
     return r_DC_B, BN @ (v_D - v_C) - omega_BN_B.cross(r_DC_B)
 
 
-def r_DC_C(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
+def r_DC_C(deputy: SatelliteLike, chief: SatelliteLike) -> Tensor:
     """Return the position of the deputy relative to the chief in the chief's body axes, m, [N, 3]."""
-    return _as(_in_body(chief, deputy, chief)[0], deputy)
+    return _in_body(chief, deputy, chief)[0].stack()
 
 
-def v_DC_C(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
+def v_DC_C(deputy: SatelliteLike, chief: SatelliteLike) -> Tensor:
     """Return the velocity of the deputy relative to the chief as seen in the chief's body axes, m/s, [N, 3]."""
-    return _as(_in_body(chief, deputy, chief)[1], deputy)
+    return _in_body(chief, deputy, chief)[1].stack()
 
 
-def r_DC_D(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
+def r_DC_D(deputy: SatelliteLike, chief: SatelliteLike) -> Tensor:
     """Return the position of the deputy relative to the chief in the deputy's body axes, m, [N, 3]."""
-    return _as(_in_body(deputy, deputy, chief)[0], deputy)
+    return _in_body(deputy, deputy, chief)[0].stack()
 
 
-def v_DC_D(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
+def v_DC_D(deputy: SatelliteLike, chief: SatelliteLike) -> Tensor:
     """Return the velocity of the deputy relative to the chief as seen in the deputy's body axes, m/s, [N, 3]."""
-    return _as(_in_body(deputy, deputy, chief)[1], deputy)
+    return _in_body(deputy, deputy, chief)[1].stack()
 
 
-def sigma_DC(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
+def sigma_DC(deputy: SatelliteLike, chief: SatelliteLike) -> Tensor:
     """Return the attitude of the deputy's body relative to the chief's, the MRP of ``[DN] [CN]^T``, [N, 3]."""
-    return _as(dcm_to_mrp(_times(_body(deputy), _body(chief).mT)), deputy)
+    return dcm_to_mrp(_times(_body(deputy), _body(chief).mT)).stack()
 
 
-def sigma_DHc(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
+def sigma_DHc(deputy: SatelliteLike, chief: SatelliteLike) -> Tensor:
     """Return the attitude of the deputy's body relative to the chief's Hill frame, the MRP of ``[DN] [HcN]^T``, [N, 3]."""
-    return _as(dcm_to_mrp(_times(_body(deputy), _hill(chief).mT)), deputy)
+    return dcm_to_mrp(_times(_body(deputy), _hill(chief).mT)).stack()
 
 
-def sigma_HdC(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
+def sigma_HdC(deputy: SatelliteLike, chief: SatelliteLike) -> Tensor:
     """Return the attitude of the deputy's Hill frame relative to the chief's body, the MRP of ``[HdN] [CN]^T``, [N, 3]."""
-    return _as(dcm_to_mrp(_times(_hill(deputy), _body(chief).mT)), deputy)
+    return dcm_to_mrp(_times(_hill(deputy), _body(chief).mT)).stack()
 
 
-def sigma_HdHc(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
+def sigma_HdHc(deputy: SatelliteLike, chief: SatelliteLike) -> Tensor:
     """Return the attitude of the deputy's Hill frame relative to the chief's, the MRP of ``[HdN] [HcN]^T``, [N, 3]."""
-    return _as(dcm_to_mrp(_times(_hill(deputy), _hill(chief).mT)), deputy)
+    return dcm_to_mrp(_times(_hill(deputy), _hill(chief).mT)).stack()
 
 
-def rso_sigma_BH(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
+def rso_sigma_BH(deputy: SatelliteLike, chief: SatelliteLike) -> Tensor:
     """Return the attitude of the chief's body relative to its own Hill frame, the MRP of ``[CN] [HcN]^T``, [N, 3]."""
-    return _as(dcm_to_mrp(_times(_body(chief), _hill(chief).mT)), deputy)
+    return dcm_to_mrp(_times(_body(chief), _hill(chief).mT)).stack()
 
 
-def rso_omega_BH(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
+def rso_omega_BH(deputy: SatelliteLike, chief: SatelliteLike) -> Tensor:
     """Return the rate of the chief's body relative to its own Hill frame, rad/s in that frame, [N, 3].
 
     ``omega_BH_H = [HN] [BN]^T omega_BN_B - omega_HN_H`` with ``omega_HN_H = (0, 0, |r x v| / |r|^2)``.
@@ -182,16 +176,16 @@ def rso_omega_BH(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
     r_C, v_C = states(chief)
     (omega_BN_B,) = vectors(chief.dynamics.omega_BN_B)
     turning = _hill(chief) @ (_body(chief).mT @ omega_BN_B)
-    return _as(Vec3(turning.x, turning.y, turning.z - hill_rate(r_C, v_C)), deputy)
+    return Vec3(turning.x, turning.y, turning.z - hill_rate(r_C, v_C)).stack()
 
 
 # -- with the Sun ----------------------------------------------------------------------------------------------------------------
 
 
-def sun_hat_Hc(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
+def sun_hat_Hc(deputy: SatelliteLike, chief: SatelliteLike) -> Tensor:
     """Return the direction from the Earth to the Sun in the chief's Hill frame, ``[HcN] r_SN / |r_SN|``, [N, 3]."""
     (r_SN_N,) = vectors(deputy.simulator.world.r_SN_N)
-    return _as(_hill(chief) @ r_SN_N.unit(), deputy)
+    return (_hill(chief) @ r_SN_N.unit()).stack()
 
 
 def _sun_hill(satellite: SatelliteLike) -> Mat3:
@@ -201,24 +195,24 @@ def _sun_hill(satellite: SatelliteLike) -> Mat3:
     return hill_frame(-r_SN_N, -v_SN_N)
 
 
-def r_Hs(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
+def r_Hs(deputy: SatelliteLike, chief: SatelliteLike) -> Tensor:
     """Return the chief's position in the Hill frame of the Earth's motion about the Sun, ``[HsN] r_C``, m, [N, 3]."""
-    return _as(_sun_hill(deputy) @ states(chief)[0], deputy)
+    return (_sun_hill(deputy) @ states(chief)[0]).stack()
 
 
-def h_Hs(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
+def h_Hs(deputy: SatelliteLike, chief: SatelliteLike) -> Tensor:
     """Return the chief's angular momentum ``[HsN] (r_C x v_C)``, m^2/s, [N, 3]; for Hs see :func:`r_Hs`."""
     r_C, v_C = states(chief)
-    return _as(_sun_hill(deputy) @ r_C.cross(v_C), deputy)
+    return (_sun_hill(deputy) @ r_C.cross(v_C)).stack()
 
 
-def eccentricity_Hs(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
+def eccentricity_Hs(deputy: SatelliteLike, chief: SatelliteLike) -> Tensor:
     """Return the chief's eccentricity vector ``[HsN] (v_C x h_C / mu - r_C / |r_C|)``, [N, 3]; for Hs see :func:`r_Hs`.
 
     ``mu`` is the Earth's, regardless of the value used by ``sat_args`` to convert elements.
     """
     r_C, v_C = states(chief)
-    return _as(_sun_hill(deputy) @ (v_C.cross(r_C.cross(v_C)) / MU_EARTH - r_C.unit()), deputy)
+    return (_sun_hill(deputy) @ (v_C.cross(r_C.cross(v_C)) / MU_EARTH - r_C.unit())).stack()
 
 
 RelativeFunction = Callable[[Any, Any], Any]
@@ -242,8 +236,7 @@ class RelativeProperties(Observation):
     ``prop`` by default, with ``_normd`` where a norm divides. With ``fn``, ``prop`` is just the label.
 
     The chief may be any satellite, the deputy itself included. Functions see it as
-    :class:`~bsk_torch.sats.others.OtherSatellite`; they may also be written for one deputy and one chief, as in bsk_rl, and are
-    called for each environment then, which is slow. See :class:`bsk_torch.sats.user_function.UserFunction`.
+    :class:`~bsk_torch.sats.others.OtherSatellite`; see :class:`bsk_torch.sats.user_function.UserFunction`.
     """
 
     def __init__(self, *entries: dict[str, Any], chief_name: str, name: str = "rel_props") -> None:
@@ -275,7 +268,7 @@ class RelativeProperties(Observation):
                 f"{nearest(self.chief_name, places)}"
             )
         titles = (f"{entry['name']!r} of {self.name!r}" for entry in self.entries)
-        self._functions = [None if is_own(c) else UserFunction(t, ADVICE, c) for c, t in zip(self._calls, titles, strict=True)]
+        self._functions = [None if is_own(c) else UserFunction(t, ADVICE) for c, t in zip(self._calls, titles, strict=True)]
 
     @property
     def chief(self) -> Any:
@@ -305,10 +298,4 @@ class RelativeProperties(Observation):
 
     def _call(self, call: RelativeFunction, chief: SatelliteLike, function: UserFunction) -> Tensor:
         """Call a user's function."""
-        satellite = self.satellite
-
-        def one(row: int) -> Any:
-            view = satellite.one(row)
-            return call(view, view.others[self.chief_name])
-
-        return function((len(self.simulator.ticks),), self.simulator.device, lambda: call(satellite, chief), one)
+        return function((len(self.simulator.ticks),), self.simulator.device, lambda: call(self.satellite, chief))

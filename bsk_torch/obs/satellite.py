@@ -15,10 +15,10 @@ from typing_extensions import override
 from bsk_torch._checks import number, switch
 from bsk_torch.obs.base import ADVICE, Observation, Values, side_by_side
 from bsk_torch.obs.entries import is_own, parse_entries, parse_norm, scaled
-from bsk_torch.sats.one import is_ours
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.sim.assembly.composition import having
+from bsk_torch.sim.hooks import is_of_package
 from bsk_torch.sim.readout.observables import Function, observable, vital
 
 if TYPE_CHECKING:
@@ -32,9 +32,8 @@ class SatProperties(Observation):
     [N, width]), and optionally ``module`` (``"dynamics"`` or ``"fsw"``), ``norm`` (divisor; None for 1) and ``name``. With
     ``fn``, ``prop`` is just the label.
 
-    Functions, and properties added by a user's model, may be written for one satellite as in bsk_rl, with NumPy, returning a
-    number or an array. If they cannot be called for all satellites at once, they are called for each, which is slow and logged.
-    See :class:`bsk_torch.sats.user_function.UserFunction`.
+    Functions, and properties added by a user's model, are called for all satellites at once; see
+    :class:`bsk_torch.sats.user_function.UserFunction`.
     """
 
     def __init__(self, *entries: dict[str, Any], name: str = "sat_props") -> None:
@@ -62,11 +61,11 @@ class SatProperties(Observation):
         """Return the user's function or property called by an entry; None for those of the package."""
         title = f"{entry['name']!r} of {self.name!r}"
         if module is None:
-            return None if is_own(entry["fn"]) else UserFunction(title, ADVICE, entry["fn"])
+            return None if is_own(entry["fn"]) else UserFunction(title, ADVICE)
         owner = next(cls for cls in type(module).__mro__ if entry["prop"] in vars(cls))
         member = vars(owner)[entry["prop"]]
-        own = is_ours(owner) or isinstance(member, observable)
-        return None if own else UserFunction(f"{title}, {owner.__name__}.{entry['prop']},", ADVICE, member)
+        own = is_of_package(owner) or isinstance(member, observable)
+        return None if own else UserFunction(f"{title}, {owner.__name__}.{entry['prop']},", ADVICE)
 
     def _observed(self, k: int) -> Function | None:
         """Return the function of the k-th entry if it is an observable; vitals are read as methods."""
@@ -132,18 +131,8 @@ class SatProperties(Observation):
 
     def _call(self, entry: dict[str, Any], module: object, function: UserFunction) -> Tensor:
         """Call a user's function or property."""
-        satellite = self.satellite
-
-        def one(row: int) -> Any:
-            view = satellite.one(row)
-            if module is None:
-                return entry["fn"](view)
-            return getattr(view.dynamics if module is satellite.dynamics else view.fsw, entry["prop"])
-
-        def whole() -> Any:
-            return entry["fn"](satellite) if module is None else getattr(module, entry["prop"])
-
-        return function((len(self.simulator.ticks),), self.simulator.device, whole, one)
+        call = partial(entry["fn"], self.satellite) if module is None else partial(getattr, module, entry["prop"])
+        return function((len(self.simulator.ticks),), self.simulator.device, call)
 
 
 class Time(Observation):
@@ -178,23 +167,23 @@ class Eclipse(Observation):
     :meth:`~bsk_torch.sats.bound.BoundSatellite.next_eclipse`.
     """
 
-    def __init__(self, norm: float | None = 1.0, name: str = "eclipse", as_bsk_rl: bool = False) -> None:
+    def __init__(self, norm: float | None = 1.0, name: str = "eclipse", sampled: bool = False) -> None:
         """Observe eclipses.
 
         Args:
             norm: Divisor, s, or None for the period of the satellite's current orbit.
             name: Name of the observation.
-            as_bsk_rl: Whether to observe what bsk_rl does, for policies trained with it: times on a grid of 30 s,
+            sampled: Whether to observe samples, for policies trained with them: times on a grid of 30 s,
                 and those of one second after reset, negative later, if its search of 6,000 s fails. It fails where there is no
                 eclipse, and often on orbits with longer periods.
         """
         super().__init__(name)
         self.norm = None if norm is None else parse_norm(norm, "obs.Eclipse: norm")
-        self.as_bsk_rl = switch("as_bsk_rl", as_bsk_rl)
+        self.sampled = switch("sampled", sampled)
 
     @override
     def get_obs(self) -> Tensor:
-        start, end = self.satellite.next_eclipse(self.as_bsk_rl)
+        start, end = self.satellite.next_eclipse(self.sampled)
         return (torch.stack([start, end], -1) - self.simulator.sim_time.unsqueeze(-1)) / self._divisor()
 
     def _divisor(self) -> Any:

@@ -1,6 +1,6 @@
 """AEOS-v1, AEOSCity-v1 and CloudyAEOS-v1: agile Earth observation, choosing among the next 32 targets.
 
-AEOS-v1 is the task ``aeos_single`` of bsk_rl's benchmark suite: the satellite is limited by time, not by power or storage. With
+AEOS-v1 is the task ``aeos_single`` of BSK-RL's benchmark suite: the satellite is limited by time, not by power or storage. With
 ``benchmark=True``, angles of targets are divided by pi / 2, and the data buffer is ten times as large, exactly as there. The
 targets of AEOSCity-v1 are cities. In CloudyAEOS-v1, clouds cover targets and are observed only as a forecast.
 
@@ -31,7 +31,7 @@ Reward: the priority of a target for its first image; none in CloudyAEOS-v1 if t
 
 Termination: at the time limit of 17,100 s (three orbits).
 
-Windows that open after the time limit are legal, as in bsk_rl: ``act.Image(mask_late=False)``.
+Windows that open after the time limit are legal: ``act.Image(mask_late=False)``.
 
 Random at reset: orbit (800 km, 45 degrees); number (100 to 9,999 in AEOS-v1), positions and priorities of targets; clouds.
 """
@@ -87,7 +87,7 @@ TARGET = (
 
 
 SUITE_TARGET = tuple(entry | dict(norm=math.pi / 2) if entry["prop"] == "target_angle" else entry for entry in TARGET)
-"""The same as in bsk_rl's benchmark suite, whose angles are divided by pi / 2."""
+"""The same as in the benchmark suite, whose angles are divided by pi / 2."""
 
 
 def targets_ahead(
@@ -113,7 +113,7 @@ class AgileSetSatellite(AgileSatellite):
 
 
 class SuiteSatellite(AgileSatellite):
-    """The satellite of bsk_rl's benchmark suite."""
+    """The satellite of the benchmark suite."""
 
     observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(properties=SUITE_TARGET), obs.Time())
 
@@ -125,7 +125,7 @@ class SuiteSetSatellite(AgileSatellite):
 
 
 def agile_satellites(benchmark: bool) -> tuple[type[AgileSatellite], type[AgileSatellite]]:
-    """Return the satellite of the presets, or that of bsk_rl's benchmark suite, and the same with targets as a set."""
+    """Return the satellite of the presets, or that of the benchmark suite, and the same with targets as a set."""
     suite = switch("benchmark", benchmark)
     return (SuiteSatellite, SuiteSetSatellite) if suite else (AgileSatellite, AgileSetSatellite)
 
@@ -170,7 +170,7 @@ def __getattr__(name: str) -> type[AgileSatellite]:
 
 
 def agile_args(benchmark: bool = False) -> dict[str, Any]:
-    """Return orbit, agility and instrument of bsk_rl's benchmark, with a hundred times the power and storage of its defaults.
+    """Return orbit, agility and instrument of the benchmark suite, with a hundred times the power and storage of its defaults.
 
     With ``benchmark``, the storage is that of the suite, a thousand times the default; it never fills up in either case.
     """
@@ -225,7 +225,7 @@ def aeos(
         n_ahead: Number of observed targets to choose from, those whose windows close next.
         as_set: Whether targets are observed as ``rows`` [N, n_ahead, features] with a ``mask`` instead of in one vector.
         benchmark: Whether angles of targets are divided by pi / 2, and the data buffer holds 1.6e11 bit instead of 1.6e10, as in
-            bsk_rl's benchmark suite.
+            the benchmark suite.
         **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset, and ``obs_type`` and
             ``sat_args`` of the satellite.
     """

@@ -1,6 +1,6 @@
 """AEOSPower-v1: agile Earth observation with a small battery, weak wheels and a small data buffer.
 
-The satellite images, charges, downlinks and desaturates its wheels. As in bsk_rl's shield example, ``action_mask`` excludes
+The satellite images, charges, downlinks and desaturates its wheels. As in BSK-RL's shield example, ``action_mask`` excludes
 dangerous actions; see :func:`shield`.
 
 Observation, 298 numbers: those of AEOS-v1 (:mod:`bsk_torch.presets.aeos`), and
@@ -22,9 +22,9 @@ Reward: the priority of a target for its first image; -10 if the satellite dies.
 Termination: at the end of a step with an empty battery, a wheel at its maximum speed, or an altitude below 200 km; and at the
 time limit of 17,100 s.
 
-Eclipses are observed as bsk_rl gives them, ``obs.Eclipse(as_bsk_rl=True)``: up to 30 s late, and, where none comes, at one second
+Eclipses are observed with ``obs.Eclipse(sampled=True)``: up to 30 s late, and, where none comes, at one second
 after reset.
-Windows that open after the time limit are legal, as in bsk_rl: ``act.Image(mask_late=False)``.
+Windows that open after the time limit are legal: ``act.Image(mask_late=False)``.
 
 Random at reset: as in AEOS-v1 with 1,000 targets; initial charge and wheel speeds, disturbance torque.
 """
@@ -98,7 +98,7 @@ def shield(satellite: BoundSatellite) -> Tensor:
     where the second term covers an eclipse that begins before the battery can be charged for it, at one capacity per orbit.
     Otherwise, only desaturation is allowed while a wheel is faster than :data:`FAST`.
     """
-    start, end = (time - satellite.simulator.sim_time for time in satellite.next_eclipse(as_bsk_rl=True))
+    start, end = (time - satellite.simulator.sim_time for time in satellite.next_eclipse(sampled=True))
     dark = end < start
     needed = RESERVE + torch.clamp((end - start) - start, min=0.0) / ORBIT
     low = ~dark & (satellite.dynamics.battery_charge_fraction < needed)
@@ -115,7 +115,7 @@ class PowerSatellite(AgileSatellite):
         targets_ahead(),
         TargetDensity(),
         next_station(),
-        obs.Eclipse(norm=ORBIT, as_bsk_rl=True),
+        obs.Eclipse(norm=ORBIT, sampled=True),
         obs.Time(),
     )
     action_spec = (
@@ -155,7 +155,7 @@ class UnshieldedSetSatellite(PowerSetSatellite):
 
 
 def power_args() -> dict[str, Any]:
-    """Return the arguments of bsk_rl's shield example, with the power draws of its nadir task."""
+    """Return the arguments of the shield example, with the power draws of its nadir task."""
     battery = 160.0 * 3600.0
     return agile_args() | dict(
         batteryStorageCapacity=battery,

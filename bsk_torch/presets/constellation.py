@@ -1,6 +1,6 @@
 """Constellation-v1, AEOSConstellation-v1 and RelayConstellation-v1: constellations that image targets.
 
-AEOSConstellation-v1 is the task ``aeos_constellation`` of bsk_rl's benchmark suite. The other two exist only in this package.
+AEOSConstellation-v1 is the task ``aeos_constellation`` of BSK-RL's benchmark suite. The other two exist only in this package.
 
 ========================  =============================  ==========================  ==================================
 preset                    Constellation-v1               AEOSConstellation-v1        RelayConstellation-v1
@@ -26,9 +26,9 @@ Reward: the priority of a target for its first image, shared by satellites that 
 
 Termination: at the time limit of 17,100 s (three orbits of AEOS-v1). A satellite with an empty battery dies and leaves.
 
-Eclipses of relays are observed as bsk_rl gives them, ``obs.Eclipse(as_bsk_rl=True)``: up to 30 s late, and, where none comes, at
+Eclipses of relays are observed with ``obs.Eclipse(sampled=True)``: up to 30 s late, and, where none comes, at
 one second after reset.
-Windows that open after the time limit are legal, as in bsk_rl: ``act.Image(mask_late=False)``.
+Windows that open after the time limit are legal: ``act.Image(mask_late=False)``.
 
 Random at reset: common node and phase of the orbits; number, positions and priorities of targets.
 """
@@ -98,7 +98,7 @@ class Relay(sats.Satellite):
 
     observation_spec: ClassVar[Sequence[obs.Observation]] = (
         obs.SatProperties(dict(prop="battery_charge_fraction"), dict(prop="r_BN_P", norm=R_EARTH)),
-        obs.Eclipse(norm=ORBIT, as_bsk_rl=True),
+        obs.Eclipse(norm=ORBIT, sampled=True),
         obs.Time(),
     )
     action_spec: ClassVar[Sequence[act.Action]] = (

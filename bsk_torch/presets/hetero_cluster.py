@@ -57,9 +57,9 @@ dies.
 Termination: at the time limit of 11,400 s (two orbits). A satellite with an empty battery or a wheel at its maximum speed dies
 and leaves.
 
-Eclipses are observed as bsk_rl gives them, ``obs.Eclipse(as_bsk_rl=True)``: up to 30 s late, and, where none comes, at one second
+Eclipses are observed with ``obs.Eclipse(sampled=True)``: up to 30 s late, and, where none comes, at one second
 after reset.
-Windows that open after the time limit are legal, as in bsk_rl: ``act.Image(mask_late=False)``.
+Windows that open after the time limit are legal: ``act.Image(mask_late=False)``.
 
 Random at reset: node and phase of the orbit; positions and priorities of 5,000 targets, their clouds and forecasts; initial
 charge and wheel speeds, disturbance torque of the optical satellites.
@@ -111,7 +111,7 @@ def observed(as_set: bool) -> tuple[obs.Observation, ...]:
         obs.SatProperties(*SATELLITE, *RESOURCES),
         obs.OpportunityProperties(*TARGET, CLOUDS, claims, type="target", n_ahead_observe=CHOICES, as_set=as_set),
         next_station(),
-        obs.Eclipse(norm=ORBIT, as_bsk_rl=True),
+        obs.Eclipse(norm=ORBIT, sampled=True),
         obs.Time(),
     )
 

@@ -23,7 +23,7 @@ Reward: seconds of recorded data divided by the episode's 28,500 s; -1 if the sa
 Termination: at the end of a step with an empty battery, a wheel at its maximum speed, or an altitude below 200 km; and at the
 time limit of 28,500 s.
 
-Eclipses are observed as bsk_rl gives them, ``obs.Eclipse(as_bsk_rl=True)``: up to 30 s late, and, where none comes, at one second
+Eclipses are observed with ``obs.Eclipse(sampled=True)``: up to 30 s late, and, where none comes, at one second
 after reset.
 
 Random at reset: orbit, attitude, initial storage, charge and wheel speeds, disturbance torque; see :func:`scanning_args`.
@@ -85,7 +85,7 @@ class ScanningSatellite(sats.AccessSatellite):
             dict(prop="solar_pointing_error", norm=torch.pi),
         ),
         next_station(),
-        obs.Eclipse(norm=ORBIT, as_bsk_rl=True),
+        obs.Eclipse(norm=ORBIT, sampled=True),
         obs.Time(),
     )
     action_spec = (

@@ -1,4 +1,4 @@
-"""NadirScience-v1: the task ``nadir_science`` of bsk_rl's benchmark suite.
+"""NadirScience-v1: the task ``nadir_science`` of BSK-RL's benchmark suite.
 
 The satellite and actions are those of NadirScan-v1 (:mod:`bsk_torch.presets.nadir_scan`), with a battery twice as large and a
 disturbance torque twenty times as large, which saturates the wheels within an orbit or two. Pointing errors are not observed.
@@ -20,7 +20,7 @@ Reward: seconds of recorded data divided by the episode's 28,500 s; -1 if the sa
 
 Termination: as in NadirScan-v1.
 
-Eclipses are observed as bsk_rl gives them, ``obs.Eclipse(as_bsk_rl=True)``: up to 30 s late, and, where none comes, at one second
+Eclipses are observed with ``obs.Eclipse(sampled=True)``: up to 30 s late, and, where none comes, at one second
 after reset.
 
 Random at reset: as in NadirScan-v1, with the charge of the larger battery and the larger disturbance.
@@ -50,7 +50,7 @@ class ScienceSatellite(ScanningSatellite):
             dict(prop="wheel_speeds_fraction"),
         ),
         next_station(),
-        obs.Eclipse(norm=ORBIT, as_bsk_rl=True),
+        obs.Eclipse(norm=ORBIT, sampled=True),
         obs.Time(),
     )
 

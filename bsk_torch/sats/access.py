@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -11,8 +11,6 @@ from typing_extensions import override
 
 from bsk_torch._checks import number, switch
 from bsk_torch.sats.access_filter import AccessFilter, Filter, make_filter
-from bsk_torch.sats.one import OneSatellite
-from bsk_torch.sats.one_access import OneAccessSatellite
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sim.orbit.grid import PLAN_STEP
 
@@ -28,8 +26,6 @@ class AccessSatellite(Satellite):
 
     In an environment, it has the queries of :class:`bsk_torch.sats.bound_access.BoundAccessSatellite`.
     """
-
-    view_type: ClassVar[type[OneSatellite]] = OneAccessSatellite
 
     def __init__(
         self,
@@ -52,7 +48,7 @@ class AccessSatellite(Satellite):
                 where that is infinite). Of more than :data:`LONGEST_AT_RESET`, the rest is generated as queries need it.
             max_generation_duration_beyond_initial: Seconds beyond that after which queries end; they then repeat the last window.
             may_see_nothing: Whether queries without a window within a hundred segments yield observations of zeros, and images
-                that only wait for a segment; otherwise they raise as in bsk_rl.
+                that only wait for a segment; otherwise they raise RuntimeError.
             **options: Passed on.
         """
         super().__init__(name, sat_args, **options)
@@ -92,11 +88,10 @@ class AccessSatellite(Satellite):
         """Exclude places from all queries, of the satellite before an environment is built or of the one in an environment.
 
         Args:
-            access_filter_fn: Function without arguments that returns the places of a type that remain, [N, P] booleans; or
-                bsk_rl's function of an opportunity. The latter is called once with all places of a type, as an
-                :class:`~bsk_torch.sats.access_filter.AllPlaces`, or, where it insists on one, for each, which is slow.
+            access_filter_fn: Function that returns the places of a type that remain, [N, P] booleans: without arguments, or of
+                all places of a type, an :class:`~bsk_torch.sats.access_filter.AllPlaces`.
             types: Type or types of opportunities that are filtered; ``"target"`` unless given for functions without arguments,
-                and all of them for functions of an opportunity.
+                and all of them for functions of places.
             prepend: Whether the filter precedes the others; the result does not depend on it.
             type: The same as ``types``.
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Collection
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
-from bsk_torch.sats.one_access import OneAccessSatellite
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.names import nearest
 from bsk_torch.sim.places import TARGET_KIND, is_target
@@ -18,21 +17,18 @@ if TYPE_CHECKING:
     from bsk_torch.sats.bound_access import BoundAccessSatellite
 
 Filter = Callable[[], Tensor] | Callable[[Any], Any]
-"""Function that returns the places that remain, [N, P] booleans; or bsk_rl's function of an opportunity."""
+"""Function that returns the places that remain, [N, P] booleans: without arguments, or of :class:`AllPlaces`."""
 
 ADVICE = (
     "write a function without arguments that returns booleans [N, P], such as lambda: env.scenario.priority > 0.5, or keep to "
     "comparisons of opportunity['object'].priority, .id and the like, joined by & and |"
 )
 
-WINDOWS = (
-    "filters select places, regardless of the window; satellite.one(row).find_next_opportunities(n, filter=fn) filters "
-    "windows, and legal_actions() of the satellite forbids actions"
-)
+WINDOWS = "filters select places, regardless of the window; legal_actions() of the satellite forbids actions"
 
 
 class AllPlaces:
-    """All places of a type as an opportunity of a filter: ``["object"]``, ``["type"]`` and ``["r_LP_P"]`` [N, P, 3] m."""
+    """All places of a type, the argument of a filter: ``["object"]``, ``["type"]`` and ``["r_LP_P"]`` [N, P, 3] m."""
 
     def __init__(self, satellite: BoundAccessSatellite, kind: str) -> None:
         """Describe all places of type ``kind``."""
@@ -42,7 +38,7 @@ class AllPlaces:
         self.differs = False  # whether something has been read that differs between places
 
     def __getitem__(self, key: str) -> Any:
-        """Return an item of bsk_rl's opportunities; KeyError for windows."""
+        """Return an item of the places; KeyError for windows."""
         if key == "type":
             return self._kind
         self.differs = True
@@ -50,22 +46,9 @@ class AllPlaces:
             return self._satellite.objects(self._kind, self._place)
         if key == "r_LP_P":
             return self._satellite.positions(self._kind, self._place)
-        return raise_for(key)
-
-
-class OnePlace(dict[str, Any]):
-    """One place of one environment as an opportunity of a filter."""
-
-    def __missing__(self, key: str) -> NoReturn:
-        """Raise KeyError for windows."""
-        raise_for(key)
-
-
-def raise_for(key: str) -> NoReturn:
-    """Raise KeyError for an item that the opportunities of filters lack."""
-    if key == "window":
-        raise KeyError(f"opportunity['window'] is not known to a filter: {WINDOWS}")
-    raise KeyError(f"opportunities have no {key!r}; {nearest(key, ('object', 'type', 'r_LP_P'))}")
+        if key == "window":
+            raise KeyError(f"opportunity['window'] is not known to a filter: {WINDOWS}")
+        raise KeyError(f"opportunities have no {key!r}; {nearest(key, ('object', 'type', 'r_LP_P'))}")
 
 
 class AccessFilter:
@@ -90,7 +73,7 @@ class AccessFilter:
 
     def user_function(self) -> UserFunction:
         """Return the function for a type of opportunities."""
-        return UserFunction(f"the access filter {self.function!r}", ADVICE, self.function)
+        return UserFunction(f"the access filter {self.function!r}", ADVICE)
 
     def __eq__(self, other: object) -> bool:
         """Whether it is the same function for the same types: satellites with equal filters are of one type."""
@@ -112,28 +95,23 @@ class AccessFilter:
             self.functions[kind] = self.user_function()
         rows, places, device = len(satellite.simulator.ticks), satellite.places(kind), satellite.simulator.device
 
-        def whole() -> Any:
+        def call() -> Any:
             everywhere = AllPlaces(satellite, kind)
-            found = self.function(everywhere)
-            same = isinstance(found, bool) and not everywhere.differs
-            return torch.full((rows, places), found, device=device) if same else found
+            remain = self.function(everywhere)
+            same = isinstance(remain, bool) and not everywhere.differs
+            return torch.full((rows, places), remain, device=device) if same else remain
 
-        found = self.functions[kind]((rows, places), device, whole, lambda row: self._one(satellite, kind, row))
-        if found.shape != (rows, places):
-            raise TypeError(f"{self.functions[kind].title} gives shape {list(found.shape)}; it must be [{rows}, {places}]")
-        return found.bool()
-
-    def _one(self, satellite: BoundAccessSatellite, kind: str, row: int) -> list[bool]:
-        one = satellite.one(row)
-        assert isinstance(one, OneAccessSatellite)
-        return [bool(self.function(OnePlace(opportunity))) for opportunity in one.all_places(kind)]
+        remain = self.functions[kind]((rows, places), device, call)
+        if remain.shape != (rows, places):
+            raise TypeError(f"{self.functions[kind].title} gives shape {list(remain.shape)}; it must be [{rows}, {places}]")
+        return remain.bool()
 
 
 def make_filter(given: object, types: str | Collection[str] | None) -> AccessFilter:
     """Return a filter from a function; TypeError for anything else."""
     kinds = (types,) if isinstance(types, str) else None if types is None else tuple(types)
     if not callable(given):
-        raise TypeError(f"access filter {given!r} must be a function without arguments, or of an opportunity")
+        raise TypeError(f"access filter {given!r} must be a function without arguments, or of all places")
     if _takes_one(given):
         return AccessFilter(given, kinds, True)
     return AccessFilter(given, kinds or (TARGET_KIND,), False)
@@ -152,4 +130,4 @@ def _takes_one(function: Callable[..., object]) -> bool:
             continue
         return count == 1
     name = getattr(function, "__qualname__", type(function).__name__)
-    raise TypeError(f"access filter {name}{signature} must take an opportunity, or nothing")
+    raise TypeError(f"access filter {name}{signature} must take all places of a type, or nothing")

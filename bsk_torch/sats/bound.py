@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import torch
 from torch import Tensor
 
-from bsk_torch.sats.one import OneSatellite
 from bsk_torch.sats.others import Others, OtherSatellite
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sats.task_state import TaskState
@@ -91,10 +90,7 @@ class BoundSatellite(Satellite):
         """Knowledge of the satellites, stored by the rewarder, in ``data_store.data``; AttributeError if there is none."""
         store_of = getattr(self.rewarder, "store_of", None)
         if store_of is None:
-            raise AttributeError(
-                f"{type(self.rewarder).__name__} keeps no data of satellites; data.UniqueImageReward does, and "
-                "per_environment(...) of rewarders of one episode"
-            )
+            raise AttributeError(f"{type(self.rewarder).__name__} keeps no data of satellites; data.UniqueImageReward does")
         return store_of(self.type_index)
 
     @property
@@ -125,14 +121,6 @@ class BoundSatellite(Satellite):
 
     # -- views --------------------------------------------------------------------------------------------------------
 
-    def one(self, row: int) -> OneSatellite:
-        """Return a read-only view of the satellite of one row [N], with the interface of bsk_rl's satellites.
-
-        Its properties are NumPy arrays and Python numbers; see :mod:`bsk_torch.sats.one`. With one satellite of the type in each
-        environment, ``row`` is the number of the environment.
-        """
-        return self.view_type(self, row)
-
     def member(self, number: int, times: int = 1) -> OtherSatellite:
         """Return a read-only view of one satellite of each environment, whose tensors are [num_envs * times, ...].
 
@@ -160,7 +148,7 @@ class BoundSatellite(Satellite):
         """Return the rows [N, ...] of these satellites from a table of the environments, [environments, ...]."""
         return self.simulator.state.of_env(table)
 
-    def next_eclipse(self, as_bsk_rl: bool = False) -> tuple[Tensor, Tensor]:
+    def next_eclipse(self, sampled: bool = False) -> tuple[Tensor, Tensor]:
         """Return the next start and the next end of an eclipse, [N] s since reset.
 
         An eclipse is the time in the Earth's umbra. Within one, the end is that of the present one and the start that of the next
@@ -168,10 +156,11 @@ class BoundSatellite(Satellite):
         time at which the search ends is returned. Eclipses shorter than 30 s may be missed.
 
         Args:
-            as_bsk_rl: Whether to return bsk_rl's answers, as always under ``compat="bsk_rl"``: later by up to 30 s, and one
-                second after reset if its search, of 6,000 s, fails, though an eclipse may come, and a later query may find it.
+            sampled: Whether to return the answers of a search on samples, as always under ``compat="bsk_rl"``: later by up to
+                30 s, and one second after reset if its search, of 6,000 s, fails, though an eclipse may come, and a later query
+                may find it.
         """
-        return self.simulator.lookahead.next_eclipse(self.simulator.state.sim_time, as_bsk_rl)
+        return self.simulator.lookahead.next_eclipse(self.simulator.state.sim_time, sampled)
 
     def aliveness(self) -> dict[str, Tensor]:
         """Return the result [N] of every aliveness check of dynamics and flight software, by name."""

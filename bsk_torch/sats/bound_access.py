@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Any, NoReturn, cast
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -195,17 +195,14 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         return bool(access.until[row] >= end[row])
 
     def _kind(self, type: str | None, types: str | Collection[str] | None = None) -> str:
-        """Return the type that ``type``, or ``types`` as in bsk_rl, means; ValueError for none, several, or an unknown one."""
+        """Return the type that ``type``, or ``types``, means; ValueError for none, several, or an unknown one."""
         if type is not None and not isinstance(type, str):
             raise ValueError(f"type={type!r} must be one type of opportunity; write pad= and the like with their names")
         given = [type or TARGET_KIND] if types is None else [types] if isinstance(types, str) else list(types)
         if type is not None and given != [type]:
             raise ValueError(f"type={type!r} and types={types!r} contradict each other")
         if len(given) != 1:
-            raise ValueError(
-                f"types={types!r}: tensors hold one type of opportunities; satellite.one(row).find_next_opportunities() lists "
-                "several together"
-            )
+            raise ValueError(f"types={types!r}: tensors hold one type of opportunities; ask for each")
         if given[0] not in self.opportunity_types:
             raise ValueError(f"type={given[0]!r} is not a type of opportunity; {nearest(given[0], self.opportunity_types)}")
         return given[0]
@@ -273,8 +270,8 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
     def find_windows(self, until: float | Tensor, type: str = "target") -> Windows:
         """Return all windows of ``type`` that have not closed, open before ``until``, and pass the filters.
 
-        Look-ahead is first extended to ``until`` by whole segments, like bsk_rl's ``calculate_additional_windows``, also beyond
-        the time limit. Later queries also see these windows.
+        Look-ahead is first extended to ``until`` by whole segments, also beyond the time limit. Later queries also see these
+        windows.
 
         Args:
             until: Time, s since reset: one for all, or [N].
@@ -304,7 +301,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         return self.access_windows.until
 
     def calculate_additional_windows(self, duration: float | Tensor) -> None:
-        """Extend look-ahead by ``duration`` s, one for all or [N], to whole segments and at least one, as in bsk_rl.
+        """Extend look-ahead by ``duration`` s, one for all or [N], to whole segments and at least one.
 
         Non-positive durations have no effect. :meth:`find_windows` extends look-ahead to a given time instead.
         """
@@ -337,20 +334,13 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
 
     def opportunities_dict(
         self,
-        env: int | None = None,
+        env: int,
         type: str | None = None,
         upcoming: bool = False,
         *,
         types: str | Collection[str] | None = None,
-        filter: object = None,
     ) -> dict[int, list[tuple[float, float]]]:
-        """Return the windows (opening and closing time, s) of environment ``env`` by place, for reading.
-
-        Raises:
-            TypeError: For bsk_rl's dictionaries by object, which belong to one environment.
-        """
-        if env is None or filter is not None:
-            raise TypeError(_dictionaries("opportunities_dict"))
+        """Return the windows (opening and closing time, s) of environment ``env`` by place, for reading."""
         kind = self._kind(type, types)
         windows = self.upcoming_opportunities(kind) if upcoming else self.opportunities(kind)
         found: dict[int, list[tuple[float, float]]] = {}
@@ -359,20 +349,5 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
                 found.setdefault(place, []).append((opens, closes))
         return found
 
-    def upcoming_opportunities_dict(self, *_: object, **__: object) -> NoReturn:
-        """Raise TypeError with a replacement for bsk_rl's dictionary."""
-        raise TypeError(_dictionaries("upcoming_opportunities_dict"))
-
-    def next_opportunities_dict(self, *_: object, **__: object) -> NoReturn:
-        """Raise TypeError with a replacement for bsk_rl's dictionary."""
-        raise TypeError(_dictionaries("next_opportunities_dict"))
-
 
 AccessSatellite.bound_type = BoundAccessSatellite
-
-
-def _dictionaries(name: str) -> str:
-    return (
-        f"{name}() is a dictionary of one environment: write satellite.one(env).{name}(types=..., filter=...); the tensors of "
-        "all environments are opportunities(type), upcoming_opportunities(type) and next_opportunities(type)"
-    )

@@ -1,4 +1,4 @@
-"""Types of observations: torch's, or NumPy's as in bsk_rl."""
+"""Types of observations: torch's or NumPy's."""
 
 from __future__ import annotations
 

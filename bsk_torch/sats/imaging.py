@@ -12,8 +12,6 @@ from typing_extensions import override
 from bsk_torch.sats.access import AccessSatellite
 from bsk_torch.sats.bound_access import BoundAccessSatellite
 from bsk_torch.sats.fleet import SatelliteFleet
-from bsk_torch.sats.one import OneSatellite
-from bsk_torch.sats.one_access import OneImagingSatellite
 from bsk_torch.sim.dyn import DynamicsModel, ImagingDynModel
 from bsk_torch.sim.fsw import FSWModel, ImagingFSWModel
 from bsk_torch.sim.places import TARGETS
@@ -38,7 +36,6 @@ class ImagingSatellite(AccessSatellite):
 
     dyn_type: ClassVar[type[DynamicsModel]] = ImagingDynModel
     fsw_type: ClassVar[type[FSWModel]] = ImagingFSWModel
-    view_type: ClassVar[type[OneSatellite]] = OneImagingSatellite
     target_types: str = "target"
     sees_through_clouds: bool = False
 

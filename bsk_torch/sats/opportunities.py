@@ -24,7 +24,7 @@ class _Opportunities(NamedTuple):
 class Opportunities(_Opportunities):
     """The next opportunities, sorted by closing time.
 
-    If there are fewer than n, the last one is repeated. Items correspond to bsk_rl's opportunities, for all satellites:
+    If there are fewer than n, the last one is repeated. Items are also read by name:
     ``opportunities["object"]``, the targets with ``r_LP_P``, ``priority``, ``id``, ``name`` and values drawn by the scenario
     (:class:`~bsk_torch.sats.objects.TargetObjects`), or an array [N, n] of the names of stations; ``["window"]``, opening and
     closing time, s since reset, [N, n] each; ``["r_LP_P"]``, [N, n, 3] m; ``["type"]``.
@@ -48,7 +48,7 @@ class Opportunities(_Opportunities):
         return self
 
     def __getitem__(self, key: Any) -> Any:
-        """Return an item of bsk_rl's opportunities by name, or an entry of the tuple by number."""
+        """Return an item by name, or an entry of the tuple by number."""
         if not isinstance(key, str):
             return super().__getitem__(key)
         if key == "window":

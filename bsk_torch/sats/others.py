@@ -15,10 +15,9 @@ from torch import Tensor
 
 if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite
-    from bsk_torch.sats.one import OneSatellite
 
-SatelliteLike: TypeAlias = "BoundSatellite | OtherSatellite | OneSatellite"
-"""What functions of satellites get: all of a type, another one of each episode, or the one of a row."""
+SatelliteLike: TypeAlias = "BoundSatellite | OtherSatellite"
+"""What functions of satellites get: all of a type, or another one of each episode."""
 
 PLAIN = (int, float, str, bytes, type(None), type, np.ndarray, np.generic, torch.dtype, torch.device)
 """Values that are the same for all rows."""
@@ -107,27 +106,6 @@ class Others(Mapping[str, OtherSatellite]):
         """Return a satellite; KeyError for an unknown name, with the nearest one."""
         whole, number = self._fleet.found(name)
         return OtherSatellite(whole, number, self._satellite.simulator.count)
-
-    def __iter__(self) -> Iterator[str]:
-        """Names of the satellites, in their order."""
-        return iter(self._fleet.places)
-
-    def __len__(self) -> int:
-        """Number of satellites in an episode."""
-        return len(self._fleet.places)
-
-
-class OneOthers(Mapping[str, Any]):
-    """The satellites of one episode by name, each as a view of one row."""
-
-    def __init__(self, satellite: BoundSatellite, env: int) -> None:
-        """Show the satellites of environment number ``env``."""
-        self._fleet, self._env = satellite.fleet, env
-
-    def __getitem__(self, name: str) -> OneSatellite:
-        """Return a satellite; KeyError for an unknown name, with the nearest one."""
-        whole, number = self._fleet.found(name)
-        return whole.one(self._env * whole.simulator.count + number)
 
     def __iter__(self) -> Iterator[str]:
         """Names of the satellites, in their order."""

@@ -14,7 +14,6 @@ from torch import Tensor
 from bsk_torch._checks import switch, text
 from bsk_torch.sats.dtypes import as_dtype
 from bsk_torch.sats.hooks import check_satellite
-from bsk_torch.sats.one import OneSatellite
 from bsk_torch.sim.arguments.sources import Given, expand
 from bsk_torch.sim.arguments.table import ArgumentTable
 from bsk_torch.sim.assembly.composition import compose
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite
 
 VECTOR_TYPES = (torch.Tensor, np.ndarray, list)
-"""Values of ``obs_type`` that mean one vector; the latter two are bsk_rl's."""
+"""Values of ``obs_type`` that mean one vector."""
 
 
 class Satellite:
@@ -43,7 +42,6 @@ class Satellite:
     action_spec: ClassVar[Sequence[Any]] = ()
     dyn_type: ClassVar[Any] = BasicDynamicsModel
     fsw_type: ClassVar[Any] = BasicFSWModel
-    view_type: ClassVar[type[OneSatellite]] = OneSatellite
     bound_type: ClassVar[type[BoundSatellite]]
 
     def __init_subclass__(cls, **options: object) -> None:
@@ -68,8 +66,8 @@ class Satellite:
             sat_args: Arguments of the models that differ from :meth:`default_sat_args`: constants, distributions of
                 :mod:`bsk_torch.rand`, or callables without arguments; or one callable that returns a dictionary of them, for
                 values that depend on one another.
-            obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations; bsk_rl's ``np.ndarray`` and ``list`` mean
-                one vector, too.
+            obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations; ``np.ndarray`` and ``list`` mean one
+                vector, too.
             dtype: Type of observations, of torch or NumPy, unless the environment names one; all satellites of an environment
                 have the same.
             variable_interval: Whether the end of an action ends the step; else steps last ``max_step_duration``.

@@ -1,29 +1,19 @@
-"""User functions that observe satellites: called once for all of them, or for one after the other where they need that.
-
-Functions written for bsk_rl expect one satellite. Many work on tensors of all satellites without a change, which is
-fast. Some fail, and some give a wrong result without failing: ``np.linalg.norm(satellite.dynamics.r_BN_N)`` of positions [N, 3]
-is a single number. So a function is tried on all satellites, and compared with what it gives for one; see :class:`UserFunction`.
-"""
+"""User functions that observe satellites: batched, so called once for all satellites of a type."""
 
 from __future__ import annotations
 
-import functools
-import logging
-import warnings
 from collections.abc import Callable, Sequence
-from types import FunctionType
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import no_gradient
-
-logger = logging.getLogger(__name__)
-
 RELATIVE, ABSOLUTE = 1e-6, 1e-7
 """Differences of two results that count as rounding: relative to the largest number, and absolute."""
+
+DOOR = "Functions of one satellite run in bsk_torch.bsk_rl, whose environments take num_envs="
+"""Where code for one episode runs."""
 
 TABLES = (
     "satellite.rows_of(table) takes the satellite's rows from a table of all satellites, such as satellite.fleet.memory['name'], "
@@ -35,159 +25,79 @@ Tree = Any
 """A tensor, or a dictionary of tensors by name, which may be nested."""
 
 
-MARK = "called_per_environment"
-"""Attribute of functions that :func:`adapted` has marked."""
-
-
-def adapted(function: Any) -> Any:
-    """Return a function that may be called for each satellite; it is marked, or, where it takes no attributes, wrapped."""
-    marked = function if isinstance(function, FunctionType) else functools.partial(function)
-    setattr(marked, MARK, True)
-    return marked
-
-
-def is_adapted(function: Any) -> bool:
-    """Return whether a function, a property, or a partial of one has been marked by :func:`adapted`."""
-    if isinstance(function, property | functools.cached_property):
-        return is_adapted(function.fget if isinstance(function, property) else function.func)
-    return hasattr(function, MARK) or (isinstance(function, functools.partial) and is_adapted(function.func))
-
-
 class UserFunction:
-    """A user function, called for all N satellites at once if this gives the same result as separate calls.
+    """A user function, which returns tensors [N] or [N, ...] for all N satellites of a type.
 
-    The first call decides: it compares the result of all with that of the first satellite. If the function fails for a single
-    satellite, it was written for tensors, and only its shape is checked. If it fails for all, or differs, it is called for each
-    satellite if it is :func:`adapted`, else rejected with an error.
+    An environment tries it when it is built, alone and in a batch.
 
     Attributes:
         title: What the function is, for messages.
-        adapted: Whether it may be called for each satellite.
-        mapped: Whether it is called for each satellite; None before the first call.
-        why: Why it is mapped.
+        advice: How to write it for all satellites.
+        works: Whether it has returned a result.
         results: Results of a trial, kept if :meth:`begin_trial` was called.
     """
 
-    def __init__(self, title: str, advice: str, function: object) -> None:
-        """Describe a function; ``advice`` describes how to write it for all satellites."""
-        self.title, self.advice, self.adapted = title, advice, is_adapted(function)
-        self.mapped: bool | None = None
-        self.why = ""
+    def __init__(self, title: str, advice: str) -> None:
+        """Describe a function."""
+        self.title, self.advice, self.works = title, advice, False
         self.results: list[Tree] | None = None
 
-    def __call__(
-        self, lead: Sequence[int], device: torch.device, whole: Callable[[], object], one: Callable[[int], object]
-    ) -> Tree:
+    def __call__(self, lead: Sequence[int], device: torch.device, call: Callable[[], object]) -> Tree:
         """Return the result for all satellites, tensors [*lead, ...].
 
         Args:
             lead: Leading dimensions of the result: the number N of satellites, perhaps followed by others.
             device: Device of the result.
-            whole: The call for all satellites.
-            one: The call for the satellite of a row.
+            call: The call of the function.
 
         Raises:
-            TypeError: For a function that can be called neither way, or only for each satellite without being adapted, or whose
-                results do not fit.
+            AttributeError: For what the satellites lack.
+            TypeError: For a function whose first call fails otherwise, or whose result does not fit.
         """
-        if self.mapped is None:
-            found = self._decide(lead, device, whole, one)
-        elif self.mapped:
-            found = self._map(lead, device, one)
-        else:
-            found = as_batch(self.title, whole(), lead, device)
+        try:
+            value = call()
+        except Exception as error:
+            lacking = isinstance(error, AttributeError) and not isinstance(error.obj, Tensor)
+            if self.works or lacking:  # satellites of another type may have what this one lacks
+                raise
+            reason = f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
+            raise TypeError(f"{self.title} fails for all satellites at once ({reason}): {self.advice}. {DOOR}") from error
+        result = as_batch(self.title, value, lead, device)
+        self.works = True
         if self.results is not None:
-            self.results.append(found)
-        return found
-
-    def _decide(
-        self, lead: Sequence[int], device: torch.device, whole: Callable[[], object], one: Callable[[int], object]
-    ) -> Tree:
-        failure: Exception | None = None
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # NumPy and torch warn of what the comparison below finds
-                batched = as_batch(self.title, whole(), lead, device)
-        except Exception as error:
-            batched, failure = None, error
-        try:
-            first = self._map((1, *lead[1:]), device, one)
-        except Exception as error:
-            if isinstance(failure, AttributeError) and isinstance(error, AttributeError):
-                raise failure from None  # satellites of another type may have it
-            if failure is not None:
-                raise TypeError(
-                    f"{self.title} fails for all satellites at once ({_told(failure)}), and for one of them ({_told(error)}); "
-                    f"{self.advice}"
-                ) from error
-            self.mapped = False
-            return batched
-        if failure is None and alike(first_of(batched), first):
-            self.mapped = False
-            return batched
-        why = _told(failure) if failure else "it mixes environments if it is called for all of them"
-        if not self.adapted:
-            tables = "" if failure else f"; {TABLES}"
-            raise TypeError(
-                f"{self.title} works for one satellite, but not for all at once ({why.replace(self.title, 'it')}): {self.advice}"
-                f"{tables}. Or let bsk_torch.per_environment(function) call it for one environment after the other, which is slow"
-            ) from failure
-        self._map_because(why, lead[0])
-        return self._map(lead, device, one)
-
-    def _map(self, lead: Sequence[int], device: torch.device, one: Callable[[int], object]) -> Tree:
-        return as_batch(self.title, stacked(self.title, [one(row) for row in range(lead[0])]), lead, device)
-
-    def _map_because(self, why: str, rows: int) -> None:
-        """Map the function from now on; with a note in the log, except on a trial and of a single satellite."""
-        self.mapped, self.why = True, why
-        if self.results is None and rows > 1:
-            logger.warning("%s is called for one environment after the other, which is slow: %s. To call it once for all, %s",
-                           self.title, self.why, self.advice)  # fmt: skip
+            self.results.append(result)
+        return result
 
     # -- trials -------------------------------------------------------------------------------------------------------
 
     def begin_trial(self) -> None:
-        """Keep results from now on, and write nothing to the log."""
+        """Keep results from now on."""
         self.results = []
 
     def dimensions(self) -> set[int]:
         """Return the sizes of all dimensions of the results but the first."""
         return {size for tree in self.results or () for tensor in leaves_of(tree) for size in tensor.shape[1:]}
 
-    def adopt(self, alone: UserFunction, together: UserFunction, rows: int) -> None:
-        """Decide how ``rows`` satellites are observed, by trials with one environment and with several that begin with the same.
+    def compare(self, together: UserFunction) -> None:
+        """Compare trials with one environment and with several that begin with the same.
 
         Raises:
-            TypeError: If the result of an environment depends on the others.
+            TypeError: If the result of an environment depends on the others, or on anything but its state.
         """
-        if not alone.results or not together.results:
+        if not self.results or not together.results:
             return
-        tries = (alone, together)
-        agree = alike(first_of(alone.results[-1]), first_of(together.results[-1]))
-        shapes = [[list(leaf.shape[1:]) for leaf in leaves_of(each.results[-1])] for each in tries if each.results]
+        alone, batch = self.results[-1], together.results[-1]
+        shapes = [[list(leaf.shape[1:]) for leaf in leaves_of(result)] for result in (alone, batch)]
         if shapes[0] != shapes[1]:
             raise TypeError(
                 f"{self.title} has the shapes {shapes[0]} for a satellite of one environment alone, and {shapes[1]} for one of "
                 f"several; {TABLES}"
             )
-        if not agree and (alone.mapped or together.mapped):
+        if not alike(first_of(alone), first_of(batch)):
             raise TypeError(
-                f"{self.title} gives different values for the same state of a satellite, called alone and in a batch; it must "
-                f"follow from the state of the satellite alone. obs.Noisy(observation, ...) adds random numbers; {TABLES}"
+                f"{self.title} gives an environment other values alone than in a batch: it mixes environments, or does not "
+                f"follow from the satellite's state; obs.Noisy(observation, ...) adds random numbers. {self.advice}; {TABLES}"
             )
-        if not agree:
-            raise TypeError(f"{self.title} mixes environments: an environment gives other values in a batch; {self.advice}")
-        if why := next((each.why for each in tries if each.mapped), None):
-            self._map_because(why, rows)
-        else:
-            self.mapped = False
-
-
-def _told(error: Exception) -> str:
-    """Return the first line of an error."""
-    text = str(error).partition("\n")[0]
-    return f"{type(error).__name__}: {text}"
 
 
 def leaves_of(tree: Tree) -> list[Tensor]:
@@ -235,21 +145,4 @@ def as_batch(title: str, value: object, lead: Sequence[int], device: torch.devic
         return value.to(device)
     given = f"of shape {list(value.shape)}" if isinstance(value, Tensor | np.ndarray) else repr(value)
     wanted = ", ".join(map(str, lead))
-    raise TypeError(f"{title} is {given}; it must be of shape [{wanted}] or [{wanted}, ...]")
-
-
-def stacked(title: str, values: Sequence[Any]) -> Tree:
-    """Return the results of several satellites as one tensor [n, ...], float64 unless they are booleans.
-
-    Raises:
-        TypeError: For results that are not numbers, or of different shapes.
-    """
-    if isinstance(values[0], dict):
-        return {name: stacked(f"{title}[{name!r}]", [value[name] for value in values]) for name in values[0]}
-    parts = [no_gradient(title, value).cpu().numpy() if isinstance(value, Tensor) else np.asarray(value) for value in values]
-    if any(part.shape != parts[0].shape for part in parts):
-        raise TypeError(f"{title} has shapes {sorted({part.shape for part in parts})} in different environments; they must agree")
-    if any(part.dtype.kind not in "biuf" for part in parts):
-        raise TypeError(f"{title} is {values[0]!r}; it must be a number or an array of numbers")
-    table = np.stack(parts)
-    return torch.from_numpy(table if table.dtype.kind == "b" else table.astype(np.float64))
+    raise TypeError(f"{title} is {given}; it must be of shape [{wanted}] or [{wanted}, ...]. {DOOR}")

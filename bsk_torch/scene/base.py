@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 import numpy as np
 import torch
 from torch import Tensor
+from typing_extensions import final
 
 from bsk_torch._checks import no_gradient
 from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked, check_tensor, is_of_package, overrides
@@ -25,21 +26,6 @@ Drawn = TypeVar("Drawn")
 
 HOOKS = ("validate_satellite_names", "calls_user", "draw", "place_kinds", "present", "link", "reset", "after_step")
 """Members of :class:`Scenario` that subclasses may define."""
-
-UNUSED = {
-    "link_satellites": "define link(fleet)",
-    "reset_overwrite_previous": FLEET_MEMORY,
-    "reset_pre_sim_init": "define draw(key) for what differs between episodes",
-    "reset_during_sim_init": "define draw(key) for what differs between episodes",
-    "reset_post_sim_init": "define reset(rows)",
-    "regenerate_targets": "define it in a subclass of UniformTargets; or define draw(key)",
-    "attach": "define link(fleet)",
-    "draw_checked": "define draw(key)",
-    "present_checked": "define present(key, names)",
-    "begin_episodes": "define reset(rows)",
-    "finish_step": "define after_step(sim_time)",
-}
-"""Names that are not hooks of scenarios, including bsk_rl's, and their replacements."""
 
 
 def _same(one: Any, other: Any) -> bool:
@@ -106,14 +92,13 @@ class Scenario:
 
     fleet: SatelliteFleet
     _link_needs_super: ClassVar[bool] = False
-    _old_hooks: ClassVar[Sequence[str]] = ()
     _form: Mapping[str, torch.Size] | None = None
     _tried: frozenset[str] = frozenset()
 
     def __init_subclass__(cls, **options: object) -> None:
         """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
-        check_class(cls, Scenario, HOOKS, {name: advice for name, advice in UNUSED.items() if name not in cls._old_hooks})
+        check_class(cls, Scenario, HOOKS)
 
     # -- hooks --------------------------------------------------------------------------------------------------------
 
@@ -168,7 +153,7 @@ class Scenario:
         return torch.ones(len(key), len(names), dtype=torch.bool)
 
     def validate_satellite_names(self, satellites: Sequence[Satellite]) -> None:
-        """Raise ValueError for unsuitable names of satellites; called first when an environment is built, as in bsk_rl."""
+        """Raise ValueError for unsuitable names of satellites; called first when an environment is built."""
 
     def link(self, fleet: SatelliteFleet) -> None:
         """Prepare for the satellites of an environment; called once when it is built.
@@ -209,6 +194,7 @@ class Scenario:
 
     # -- calls by the environment -------------------------------------------------------------------------------------
 
+    @final
     def attach(self, fleet: SatelliteFleet) -> None:
         """Call :meth:`link`; not to be overridden.
 
@@ -232,6 +218,7 @@ class Scenario:
         """Return the scenario of the satellites of one type, by their names; not to be overridden."""
         return self
 
+    @final
     def draw_checked(self, key: Key) -> dict[str, Tensor]:
         """Call :meth:`draw`; not to be overridden.
 
@@ -271,6 +258,7 @@ class Scenario:
         """Whether :meth:`present` is defined by a subclass."""
         return overrides(self, Scenario, "present")
 
+    @final
     def present_checked(self, key: Key, names: Sequence[str]) -> Tensor:
         """Call :meth:`present`; not to be overridden.
 
@@ -315,13 +303,15 @@ class Scenario:
         self._tried |= {call}
         return values
 
+    @final
     def begin_episodes(self, rows: Tensor) -> None:
         """Call :meth:`reset` and update values derived from drawn values; not to be overridden."""
-        self._forget_draws()
+        self._forget_draws(rows)
         self._forget_time()
         self.reset(rows)
         self._keep_time()
 
+    @final
     def finish_step(self, sim_time: Tensor) -> None:
         """Call :meth:`after_step` and update values that depend on time; not to be overridden.
 
@@ -336,8 +326,8 @@ class Scenario:
     # The package's scenarios keep values derived from draws and time. Their hooks update them, but the two methods above do not
     # rely on this, because an override of a hook need not call super().
 
-    def _forget_draws(self) -> None:
-        """Drop values derived from drawn ones."""
+    def _forget_draws(self, rows: Tensor) -> None:
+        """Drop values derived from drawn ones; ``rows`` [n] have new ones."""
 
     def _forget_time(self) -> None:
         """Drop values that depend on time."""

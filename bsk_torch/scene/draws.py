@@ -50,7 +50,7 @@ def count_range(what: str, count: Count) -> tuple[int, int]:
     if end > MOST_TARGETS:
         raise ValueError(f"{what}={count!r} asks for too many targets; there may be up to {MOST_TARGETS}")
     if end <= low:
-        raise ValueError(f"{what}={count!r} is empty: high is exclusive, as in bsk_rl, so it must be at least {low + 1}")
+        raise ValueError(f"{what}={count!r} is empty: high is exclusive, so it must be at least {low + 1}")
     return low, end
 
 

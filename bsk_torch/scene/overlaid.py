@@ -99,9 +99,9 @@ class OverlaidTargets(TargetScenario):
         self.targets.after_step(sim_time)
 
     @override
-    def _forget_draws(self) -> None:
-        super()._forget_draws()
-        self.targets._forget_draws()
+    def _forget_draws(self, rows: Tensor) -> None:
+        super()._forget_draws(rows)
+        self.targets._forget_draws(rows)
 
     @override
     def _forget_time(self) -> None:

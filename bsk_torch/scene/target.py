@@ -1,4 +1,4 @@
-"""A target as an object, for bsk_rl's programs and for reading; environments store targets as tensors."""
+"""A target as an object, for reading; environments store targets as tensors."""
 
 from __future__ import annotations
 

@@ -170,20 +170,17 @@ class TargetScenario(Scenario):
                 setattr(target, name.removeprefix("target_"), value.item() if value.ndim == 0 else value)
         return ((k, target) for k, target in enumerate(made) if exists[k])
 
-    def _forget_objects(self, rows: Tensor) -> None:
-        if self._objects:
-            for row in rows.tolist():
-                self._objects.pop(row, None)
-
     @override
     def reset(self, rows: Tensor) -> None:
         super().reset(rows)
-        self._forget_draws()
+        self._forget_draws(rows)
 
     @override
-    def _forget_draws(self) -> None:
-        super()._forget_draws()
+    def _forget_draws(self, rows: Tensor) -> None:
+        super()._forget_draws(rows)
         self._available = None
+        for row in rows.tolist() if self._objects else ():
+            self._objects.pop(row, None)
 
 
 class ChangingTargets(TargetScenario):

@@ -291,7 +291,7 @@ class Component:
     whose last value the update does not read, so that what a user writes into them is lost, each with advice what to do instead.
     ``integrated_only`` components run only where the orbit is integrated in the tick. ``fit`` returns the component to use, from
     the arguments as users gave them, defaults included, where its structure depends on them: it is called once, when the
-    simulation is built. A component that ``mends`` an error of bsk_rl does not run under ``compat="bsk_rl"``.
+    simulation is built. A component that ``mends`` an error of recordings does not run under ``compat="bsk_rl"``.
 
     ``records`` names fields of the state kept at every tick of a run, see :mod:`bsk_torch.sim.run.trace`. ``follows``
     names a slot: the component reads, as ``bus.<slot>[0].<field>``, what the one satellite of the episode whose model has that

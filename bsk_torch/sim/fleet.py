@@ -90,7 +90,7 @@ class Fleet:
         draw_scenario: Callable[[Key], dict[str, Tensor]] = lambda key: {},
         places: Mapping[str, tuple[int, int]] | None = None,
         pairs: EncounterPairs = NO_PAIRS,
-        as_bsk_rl: bool = False,
+        compat: bool = False,
         varies: bool = False,
     ) -> None:
         """Put simulations of the same environments together.
@@ -101,7 +101,7 @@ class Fleet:
             draw_scenario: Draws for episodes to come; see :meth:`bsk_torch.scene.base.Scenario.draw`.
             places: See the attribute (default: those of ``names``).
             pairs: Satellites whose distance ends steps, by their numbers among ``names``; their hubs record positions.
-            as_bsk_rl: Whether conjunctions are booked with bsk_rl's errors.
+            compat: Whether conjunctions are booked with the errors of recordings.
             varies: Whether some satellites are not present in some episodes.
         """
         self.simulators, self.names, self.draw_scenario = tuple(simulators), list(names), draw_scenario
@@ -130,7 +130,7 @@ class Fleet:
             self.state.add(f"satellites_{k}", simulator.state)
             if varies:
                 simulator.state.declare("present", True)
-        self.encounters = Encounters(self, pairs, as_bsk_rl)
+        self.encounters = Encounters(self, pairs, compat)
 
     def place_of(self, name: str) -> tuple[int, int]:
         """Return the type of a satellite and its number within the type; KeyError for an unknown name, with the nearest one."""
@@ -190,7 +190,7 @@ class Fleet:
     # -- episodes -----------------------------------------------------------------------------------------------------
 
     def ask(self, env: int, answers: Answers, randomize: Callable[[], Any] | None = None) -> None:
-        """Call the user functions that give arguments of the environment ``env``, in bsk_rl's order; add their answers.
+        """Call the user functions that give arguments of the environment ``env``, in the order of draws; add their answers.
 
         World first, then ``randomize``, which gives arguments of all satellites, then the satellites in their order.
         """

@@ -26,16 +26,28 @@ FLEET_MEMORY = (
 """Advice for scenarios and communication methods that keep values of episodes themselves."""
 
 
+FOR_ONE_EPISODE = {
+    *("reset_overwrite_previous", "reset_pre_sim_init", "reset_during_sim_init", "reset_post_sim_init"),
+    *("link_simulator", "link_satellites", "link_scenario", "space", "action_space", "observation_space"),
+    *("set_action", "set_action_override", "get_action_mask", "get_obs", "get_observation", "regenerate_targets"),
+    *("get_log_state", "compare_log_states", "update_from_logs", "create_data_store", "initial_data", "data_type"),
+    *("data_store_type", "stage_communicated_data", "update_with_communicated_data", "update_timed_terminal_event"),
+    *("parse_target_selection", "enable_target_window"),
+}
+"""Names that classes written for one episode define, and no class of batches."""
+
+NOTHING: Mapping[str, str] = {}
+
 logger = logging.getLogger(__name__)
 
 _noted: set[str] = set()
 
 
 def note_slow(title: str, advice: str) -> None:
-    """Log, once for each ``title``, that a hook in bsk_rl's form is called environment by environment, and what is faster."""
+    """Log, once for each ``title``, that a hook is called environment by environment, and what is faster."""
     if title not in _noted:
         _noted.add(title)
-        logger.warning("%s is in bsk_rl's form: it is called for each environment, which is slow; to be fast, %s", title, advice)
+        logger.warning("%s is called for each environment, which is slow; to be fast, %s", title, advice)
 
 
 def is_of_package(function: object) -> bool:
@@ -43,17 +55,18 @@ def is_of_package(function: object) -> bool:
     return str(getattr(function, "__module__", "")).startswith(__name__.partition(".")[0] + ".")
 
 
-def check_class(cls: type, base: type, hooks: Sequence[str], unused: Mapping[str, str]) -> None:
+def check_class(cls: type, base: type, hooks: Sequence[str], unused: Mapping[str, str] = NOTHING) -> None:
     """Raise an error for definitions of a subclass that would never be used; call from ``base.__init_subclass__``.
 
     Args:
         cls: The class that is being defined. Its bases that do not derive from ``base`` are checked with it.
         base: Class that declares the hooks.
         hooks: Names of the hooks.
-        unused: Names that a user may expect to be hooks, such as those of bsk_rl, each with advice what to write instead.
+        unused: Names that a user may expect to be hooks, each with advice what to write instead.
 
     Raises:
-        TypeError: For a name in ``unused``; for a public method spelled almost like a hook and callable like it; for a hook of
+        TypeError: For a name in ``unused``; for a hook of classes for one episode; for a method of the base class that is final;
+            for a public method spelled almost like a hook and callable like it; for a hook of
             another kind than the base class's, or not callable with the arguments of the hook.
     """
     for owner in cls.__mro__:
@@ -64,6 +77,13 @@ def check_class(cls: type, base: type, hooks: Sequence[str], unused: Mapping[str
                 _check_hook(f"{cls.__name__}.{name}", value, inspect.getattr_static(base, name))
             elif name in unused:
                 raise TypeError(f"{cls.__name__}.{name} is never used; {unused[name]}")
+            elif name in FOR_ONE_EPISODE:
+                raise TypeError(
+                    f"{cls.__name__}.{name} is never used: it is a hook of classes for one episode, which bsk_torch.bsk_rl runs; "
+                    f"hooks of {base.__name__} are {', '.join(hooks)}"
+                )
+            elif getattr(declared := inspect.getattr_static(base, name, None), "__final__", False) and value is not declared:
+                raise TypeError(f"{cls.__name__}.{name} is called by environments; define one of {', '.join(hooks)} instead")
             elif (meant := _misspelled(cls, owner, name, value, base, hooks)) is not None:
                 raise TypeError(
                     f"{cls.__name__}.{name} is never used; did you mean {meant!r}? The name of a helper may begin with an "

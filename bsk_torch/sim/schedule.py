@@ -1,7 +1,7 @@
 """The order of a tick: a list of slots, in which components run one after another. It belongs to the dynamics model.
 
 The order of :data:`SCHEDULE`, the default of all dynamics models, is that of Basilisk's processes, tasks and modules under
-bsk_rl, and results depend on it: a component reads the messages that earlier ones wrote in this tick, and those of the tick
+BSK-RL, and results depend on it: a component reads the messages that earlier ones wrote in this tick, and those of the tick
 before of all others. So the world, which runs first, sees the spacecraft where it was one tick ago, and what the flight software,
 which runs last, commands at t is latched by wheels and thrusters at t + h and acts from there on. Within the environment,
 ``location_target`` and ``ground_stations`` precede ``ephemeris``, since they use the orientation of the Earth of the tick before.
@@ -178,10 +178,10 @@ SCHEDULE = Schedule(
             ("battery", "charge, by the power of the end of the tick", "simpleBattery"),
             ("transmitter", "data rate of the transmitter, by the store of one tick ago", "spaceToGroundTransmitter"),
             ("storage", "data in the store", "simpleStorageUnit, partitionedStorageUnit"),
-            ("image_event", "event that ends a step with its image", "an event of bsk_rl"),
+            ("image_event", "event that ends a step with its image", "an event"),
             ("los_comms", "range of sight between satellites", "spacecraftLocation"),
-            ("conjunction", "distance at which satellites collide", "an event of bsk_rl"),
-            ("max_range", "distance at which a satellite loses its chief", "an event of bsk_rl"),
+            ("conjunction", "distance at which satellites collide", "an event"),
+            ("max_range", "distance at which a satellite loses its chief", "an event"),
         ),
         *_group(
             "flight software",
@@ -199,4 +199,4 @@ SCHEDULE = Schedule(
         ),
     )
 )
-"""The slots of bsk_rl in the order of a tick, the default of dynamics models."""
+"""The slots in the order of a tick, the default of dynamics models."""

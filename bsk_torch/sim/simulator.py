@@ -126,7 +126,7 @@ class Simulator:
             ),
             horizon=horizon,
             segment=usage.segment,
-            as_bsk_rl=satellite_type.as_bsk_rl,
+            compat=satellite_type.compat,
             blind=self.orbit == "free",
             manoeuvres=Manoeuvres(self.has_tank and (options.replan or self.orbit == "arc"), self.has_tank and options.replan),
         )
@@ -332,7 +332,7 @@ class Simulator:
                 float(state.read("dv_available")[row]),
             )
         before = state.read("delta_v_N")
-        after = torch.where(rows.unsqueeze(-1), done.dv_N + (0.0 if self.type.as_bsk_rl else before), before)
+        after = torch.where(rows.unsqueeze(-1), done.dv_N + (0.0 if self.type.compat else before), before)
         state.write("dv_available", rows, done.left)
         state.write("thrust_count", rows, state.read("thrust_count") + 1.0)
         state.write("delta_v_N", rows, after)

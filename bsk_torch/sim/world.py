@@ -1,4 +1,4 @@
-"""World models: the components of the world around the satellites. Names are bsk_rl's.
+"""World models: the components of the world around the satellites.
 
 An environment infers the world from what the dynamics models of its satellites require; ``world_type=`` of an environment adds
 to it.
@@ -78,7 +78,7 @@ class MagneticFieldWorldModel(WorldModel):
 
 
 class GroundStationWorldModel(WorldModel):
-    """Adds ground stations. As in bsk_rl, satellites see them only if their dynamics model requires them."""
+    """Adds ground stations. Satellites see them only if their dynamics model requires them."""
 
     components: ClassVar[tuple[Component, ...]] = (environment.GROUND_STATIONS,)
     only_where_required: ClassVar[bool] = True

@@ -24,7 +24,7 @@ Core = ConstellationTasking | str | Callable[..., ConstellationTasking]
 
 
 class GymJointEnv(EpisodeView, gymnasium.Env[tuple[Any, ...], Sequence[Any]]):
-    """One episode at a time, as ``gymnasium.Env``, with the tuples of bsk_rl's ``GeneralSatelliteTasking``.
+    """One episode at a time, as ``gymnasium.Env``, with tuples of observations and actions.
 
     Observations and actions are tuples with an entry for each satellite; ``None`` or ``NO_ACTION`` continues the satellite's
     task. The reward is the sum over all satellites. ``info`` has, under the name of each satellite, ``requires_retasking`` and

@@ -1,6 +1,6 @@
 """Metrics of finished episodes: numbers that a function of the user's reads from the environment at the end of each.
 
-bsk_rl's wrappers for RLlib are here under their names; they need no Ray. For TorchRL there is :class:`EpisodeMetrics`, and
+The wrappers that collect them need no Ray. For TorchRL there is :class:`EpisodeMetrics`, and
 :class:`~bsk_torch.wrappers.stable_baselines3.SB3VecEnv` and :class:`~bsk_torch.wrappers.GymVectorEnv` take ``metrics=``.
 """
 
@@ -43,7 +43,7 @@ class EpisodeDataLogger:
 
     Metrics are those of ``episode_data_callback(env)``, those of ``satellite_data_callback(env, satellite)`` under names such as
     ``EO1/imaged``, and the means of these over the satellites, ``mean/imaged``. The last step of an episode returns them as
-    ``info["metrics"]``; the logger of :meth:`set_metrics_logger`, RLlib's, gets them then, too. (bsk_rl logs at the next reset.)
+    ``info["metrics"]``; the logger of :meth:`set_metrics_logger`, RLlib's, gets them then, too.
     """
 
     env: Any
@@ -64,7 +64,8 @@ class EpisodeDataLogger:
         view = self.env.unwrapped
         found = dict(self.episode_data_callback(view)) if self.episode_data_callback else {}
         if self.satellite_data_callback:
-            each = {satellite.name: dict(self.satellite_data_callback(view, satellite)) for satellite in view.satellites}
+            pairs = ((satellite.name, self.satellite_data_callback(view, satellite)) for satellite in view.satellites)
+            each = {name: {key: float(value) for key, value in values.items()} for name, values in pairs}
             found |= {f"{name}/{key}": value for name, values in each.items() for key, value in values.items()}
             keys = dict.fromkeys(key for values in each.values() for key in values)
             found |= {f"mean/{key}": float(np.mean([values[key] for values in each.values() if key in values])) for key in keys}

@@ -45,7 +45,7 @@ Steps = tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool]
 """Observations, rewards, terminations, truncations and infos by agent."""
 
 COMMON = "__common__"
-"""Key of the info shared by all agents, as in bsk_rl."""
+"""Key of the info shared by all agents."""
 
 
 class Seat(NamedTuple):
@@ -58,7 +58,7 @@ class Seat(NamedTuple):
 
 
 class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
-    """One episode at a time, as ``pettingzoo.ParallelEnv``, with the agents and spaces of bsk_rl's ``ConstellationTasking``.
+    """One episode at a time, as ``pettingzoo.ParallelEnv``, with an agent for each satellite.
 
     An agent that is missing in the actions, or whose action is ``None`` or ``NO_ACTION``, continues its task; an agent that
     commands several satellites acts with one such entry for each, or with one for all. Actions of real numbers are a Box, hybrid
@@ -97,7 +97,7 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
                 such an environment.
             continue_action: Whether spaces and masks have a last action that continues the task, and masks allow only that one to
                 agents with a task in progress, unless the core has ``mask_busy=False``; for policies that act in every step.
-            common_info: Whether infos have an entry ``"__common__"`` with ``d_ts``, as bsk_rl's.
+            common_info: Whether infos have an entry ``"__common__"`` with ``d_ts``.
             render_mode: ``"rgb_array"`` for pictures by :meth:`render`, which need the extra ``viz``.
             **options: Arguments for the preset or function, such as ``time_limit=600.0``.
         """

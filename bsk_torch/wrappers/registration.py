@@ -1,4 +1,4 @@
-"""Gymnasium's registry: presets by name, and environments of a user's own satellites under bsk_rl's names."""
+"""Gymnasium's registry: presets by name, and environments of a user's own satellites."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""RLlib's configurations of bsk_rl's programs: ``env_config``, registered names, callbacks.
+"""RLlib's configurations: ``env_config``, registered names, callbacks.
 
 Importing this module registers ``"SatelliteTasking-RLlib"`` and
 ``"ConstellationTasking-RLlib"`` with RLlib where it is installed. Their ``env_config`` has the arguments of the environment, and

@@ -19,6 +19,8 @@ from typing import Any
 import numpy as np
 from differential_draw import Case, Craft, Drawn, Part
 
+from bsk_torch.bsk_rl.per_episode.views import OneOthers
+
 REFERENCE = "bsk_rl"
 """The library on Basilisk."""
 
@@ -76,7 +78,8 @@ class Library:
         """Find a library by the name of its package."""
         self.name = name
         for part in ("act", "obs", "sats", "scene", "data", "comm", "sim.dyn", "sim.fsw", "scene.targets", "utils.orbital"):
-            setattr(self, part.replace(".", "_"), importlib.import_module(f"{name}.{part}"))
+            home = {"utils.orbital": "formations"}.get(part, part) if name == CORE else part
+            setattr(self, part.replace(".", "_"), importlib.import_module(f"{name}.{home}"))
         self.root = importlib.import_module(name)
 
     act: Any
@@ -193,6 +196,10 @@ def scenario(library: Library, case: Case) -> Any:
         (made,) = parts(library.scene, (case.scenario,))
         return made
 
+    if library.name == CORE:
+        rows = np.array(case.targets, dtype=float)
+        return library.scene.Targets(rows[:, :3], rows[:, 3], names=[f"tgt_{k}" for k in range(len(rows))])
+
     class Given(library.scene.UniformTargets):  # type: ignore[name-defined, misc]
         """The targets of the case."""
 
@@ -216,7 +223,7 @@ def rewarder(library: Library, part: Part) -> Any:
             return sat.fsw.dv_available if hasattr(sat.fsw, "dv_available") else 0.0
 
         return library.data.ResourceReward(
-            reward_weight=weight, resource_fn=library.root.per_environment(fuel) if library.name == CORE else fuel
+            reward_weight=weight, resource_fn=(lambda sat: sat.fsw.dv_available) if library.name == CORE else fuel
         )
     return library.data.ResourceReward(reward_weight=weight, resource_fn=lambda sat: getattr(sat.dynamics, name))
 
@@ -318,7 +325,7 @@ def member_actions(case: Case, env: Any, last: Record, k: int, members: list[int
         craft, chances = case.crafts[number], case.chances[k, number]
         alone = all(waits)  # no one has a task: without one for all the step would be as long as it may
         acts = case.view == "single" or alone or (case.follows[k, number] if waits[number] else chances[4] < 0.1)
-        one = env.unwrapped.get_satellite(craft.name) if case.program else None
+        one = satellite_of(env.unwrapped, craft.name) if case.program else None
         actions.append(action_of(craft, chances, one) if acts else None)
     return actions
 
@@ -355,6 +362,11 @@ def given(case: Case, actions: dict[str, list[Any]]) -> Any:
     }
 
 
+def satellite_of(raw: Any, name: str) -> Any:
+    """Return a satellite of an episode by its name, with numbers and arrays."""
+    return OneOthers(raw.core.fleet, 0)[name] if hasattr(raw, "core") else raw.get_satellite(name)
+
+
 def leaves(value: Any) -> Iterator[float]:
     """Yield the numbers of an observation in their order."""
     if isinstance(value, dict | list | tuple | np.ndarray):
@@ -386,7 +398,7 @@ def descriptions(case: Case, raw: Any, info: Any) -> dict[str, Any]:
     """Return names, spaces, counters and the info of a program, all of which must be equal."""
     found: dict[str, Any] = {"names": [one.name for one in raw.satellites], "info": dict(flags(info))}
     for craft in case.crafts:
-        one = raw.get_satellite(craft.name)
+        one = satellite_of(raw, craft.name)
         spaces = [one.action_space, one.observation_space]
         found[f"{craft.name} spaces"] = str(spaces)
         if craft.choices:  # that of real numbers raises in bsk_rl
@@ -403,9 +415,9 @@ def descriptions(case: Case, raw: Any, info: Any) -> dict[str, Any]:
 def seen(case: Case, env: Any, observation: Any, info: Any, outcome: list[Any] | None = None, whole: bool = False) -> Record:
     """Record what an environment shows now."""
     record, raw = Record(), env.unwrapped
-    record.numbers["time"] = np.array(raw.simulator.sim_time)
+    record.numbers["time"] = np.array(satellite_of(raw, case.crafts[0].name).simulator.sim_time)
     for craft in case.crafts:
-        one = raw.get_satellite(craft.name)
+        one = satellite_of(raw, craft.name)
         for name in STATES:
             owner = one.fsw if name == "dv_available" else one.dynamics
             with contextlib.suppress(AttributeError):
@@ -429,7 +441,7 @@ def seen(case: Case, env: Any, observation: Any, info: Any, outcome: list[Any] |
     for name, part in observations.items():
         key = f"observation {name}".strip()
         record.numbers[key] = np.array(list(leaves(part)), dtype=float)
-        record.lengths[key] = lengths(record.numbers[key], [raw.get_satellite(case.crafts[k].name) for k in owners[name]])
+        record.lengths[key] = lengths(record.numbers[key], [satellite_of(raw, case.crafts[k].name) for k in owners[name]])
     if case.program:
         record.facts |= descriptions(case, raw, info)
     infos = {case.crafts[0].name: info} if case.view == "single" else info

@@ -143,11 +143,8 @@ class TestHooks:
 
 def test_definitions_that_would_not_be_used():
     wrong = [
-        (dict(set_action=lambda self, action: None), "Mine.set_action", "decide("),
-        (dict(space=property(lambda self: None)), "Mine.space", "bounds()"),
-        (dict(action_description=property(lambda self: [])), "Mine.action_description", "names()"),
-        (dict(n_actions=3), "Mine.n_actions", "names()"),
-        (dict(reset_post_sim_init=lambda self: None), "Mine.reset_post_sim_init", "memory.declare"),
+        (dict(set_action=lambda self, action: None), "Mine.set_action", "decide", "bsk_torch.bsk_rl"),
+        (dict(space=property(lambda self: None)), "Mine.space", "bounds"),
         (dict(bounds=property(lambda self: None)), "Mine.bounds", "property", "method"),
         (dict(decide=lambda self, action: None), "Mine.decide", "decide(action, mask)"),
         (dict(decides=lambda self, action, mask: None), "Mine.decides", "'decide'"),

@@ -138,11 +138,9 @@ def test_what_would_not_run_is_refused_at_the_definition():
     decides = lambda self, index, mask, action, previous: None
     table = [
         refusal(lambda: define(set_action=lambda self, action, prev_action_key=None: None), TypeError, "set_action", "decide"),
-        refusal(lambda: define(set_action_override=lambda self, action: None), TypeError, "set_action_override", "integers"),
-        refusal(lambda: define(reset_post_sim_init=lambda self: None), TypeError, "reset_post_sim_init", "memory.declare"),
-        refusal(lambda: define(reset_pre_sim_init=lambda self: None), TypeError, "reset_pre_sim_init", "memory.declare"),
+        refusal(lambda: define(set_action_override=lambda self, action: None), TypeError, "set_action_override", "bsk_rl"),
+        refusal(lambda: define(reset_post_sim_init=lambda self: None), TypeError, "reset_post_sim_init", "bsk_torch.bsk_rl"),
         refusal(lambda: define(space=property(lambda self: None)), TypeError, "Mine.space", "n_actions"),
-        refusal(lambda: define(explicit=property(lambda self: 3)), TypeError, "Mine.explicit", "n_negative_actions"),
         refusal(lambda: define(decides=decides), TypeError, "Mine.decides", "'decide'"),
         refusal(lambda: define(ends=lambda self, mask, decision, event: None), TypeError, "Mine.ends", "'end'"),
         refusal(lambda: define(link_satelite=lambda self, satellite: None), TypeError, "link_satelite", "'link_satellite'"),

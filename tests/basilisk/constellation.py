@@ -108,7 +108,7 @@ def satellite_class(recording: ConstellationRecording, name: str) -> type[sats.S
         for what, count in (("target", "targets"), ("ground_station", "stations"))
         if kind[count]
     ]
-    eclipse = [obs.Eclipse(norm=recording.env["eclipse_norm"], as_bsk_rl=True)] if kind["eclipse"] else []
+    eclipse = [obs.Eclipse(norm=recording.env["eclipse_norm"], sampled=True)] if kind["eclipse"] else []
     actions = [getattr(act, mode)(duration=duration) for mode, duration in kind["modes"]]
     actions += [act.Image(n_ahead_image=kind["images"], max_duration=kind["max_duration"])] if kind["images"] else []
     actions += [act.Broadcast(duration=kind["broadcast"])] if kind["broadcast"] else []

@@ -93,7 +93,7 @@ def imager(env: dict[str, Any]) -> type[sats.ImagingSatellite]:
         obs.OpportunityProperties(*entries(kind), n_ahead_observe=env["ahead"], instrument=kind.removeprefix("target@"))
         for kind in kinds_of(env)[len(KINDS) :]
     ]
-    last = obs.Eclipse(norm=env["eclipse_norm"], as_bsk_rl=True), obs.Time()
+    last = obs.Eclipse(norm=env["eclipse_norm"], sampled=True), obs.Time()
     modes = [getattr(act, name)(duration=duration) for name, duration in env["modes"]]
     images = [
         act.Image(n_ahead_image=env["ahead"], max_duration=env["max_duration"], instrument=instrument)

@@ -93,8 +93,8 @@ def windows_here(orbit: dict, compat: str | None, intervals: int = 0) -> list[tu
     env.reset()
     if intervals:
         env.satellite.calculate_additional_windows(intervals * RECORDED["generation_duration"])
-    found = env.satellite.one(0).opportunities_dict(types="ground_station")
-    return [(str(station), *window) for station, windows in found.items() for window in windows]
+    found, names = env.satellite.opportunities_dict(0, "ground_station"), list(env.simulator.world.stations)
+    return [(names[place], *window) for place, windows in found.items() for window in windows]
 
 
 @pytest.mark.parametrize("name", RECORDED["orbits"])

@@ -43,7 +43,7 @@ class Kicker(sats.ImagingSatellite):
             n_ahead_observe=4,
         ),
         obs.OpportunityProperties(*STATION, type="ground_station", n_ahead_observe=1),
-        obs.Eclipse(norm=5700.0, as_bsk_rl=True),
+        obs.Eclipse(norm=5700.0, sampled=True),
         obs.Time(),
     )
 
@@ -59,7 +59,7 @@ class Scanner(sats.AccessSatellite):
             {"prop": "r_BN_P", "norm": EARTH_RADIUS}, {"prop": "v_BN_P", "norm": 7600.0}, {"prop": "storage_level_fraction"}
         ),
         obs.OpportunityProperties(*STATION, type="ground_station", n_ahead_observe=2),
-        obs.Eclipse(norm=5700.0, as_bsk_rl=True),
+        obs.Eclipse(norm=5700.0, sampled=True),
         obs.Time(),
     )
 

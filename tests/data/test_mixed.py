@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 import torch
 
-from bsk_torch import ConstellationTasking, act, comm, data, obs, per_environment, sats, scene
-from bsk_torch.bsk_rl import data as bsk_rl_data
+from bsk_torch import ConstellationTasking, act, comm, data, obs, sats, scene
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.tasks.inspection import RSOInspectionReward, SphericalRSO
 from bsk_torch.tasks.inspection.obs import rso_imaged_regions
@@ -227,18 +226,6 @@ def test_rewards_outside_of_a_channel_are_errors():
     assert first_step(data.ComposedReward(data.TimePenalty(), LimitedTeam())).tolist() == [[0.0, -59.0]] * N
     scans = data.ScanningTimeReward(lambda seconds: seconds + 2.0)
     assert first_step(scans).tolist() == [[0.0, 2.0]] * N
-
-
-@pytest.mark.compiled
-def test_channels_of_rewarders_of_one_episode():
-    found = []
-    for rewarder in (data.UniqueImageReward(), per_environment(bsk_rl_data.UniqueImageReward())):
-        reward = data.MixedReward({"a": rewarder}, {"a": ["Scout"]})
-        found.append(fly(environment([imager("EO"), imager("Scout")], scenario=targets(), rewarder=reward)))
-    assert sum(float(reward.sum()) for reward in found[0]["Scout"][::2]) > 0.5
-    for name in ("EO", "Scout"):
-        for batched, single in zip(found[0][name], found[1][name], strict=True):
-            assert torch.allclose(batched, single, rtol=0.0, atol=1e-12)
 
 
 def test_copies_have_scenarios_and_rewarders_of_their_own():

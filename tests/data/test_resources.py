@@ -1,4 +1,4 @@
-"""Rewards for resources: weights of their own for every episode, resources as bsk_rl's users write them."""
+"""Rewards for resources: weights of their own for every episode, resources as functions."""
 
 from __future__ import annotations
 
@@ -7,16 +7,15 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from bsk_torch import SatelliteTasking, act, data, obs, per_environment, rand, sats
+from bsk_torch import SatelliteTasking, act, data, obs, rand, sats
 
 
 def elapsed(sat):
     return sat.simulator.sim_time
 
 
-@per_environment
 def squared(sat):
-    return np.sum(sat.dynamics.r_BN_N**2)
+    return (sat.dynamics.r_BN_N**2).sum(-1)
 
 
 class Drifter(sats.Satellite):

@@ -1,12 +1,11 @@
-"""Observations that read tables of rewarders and communicators, for all satellites at once and for each."""
+"""Observations that read tables of rewarders and communicators."""
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 import torch
 
-from bsk_torch import ConstellationTasking, act, comm, data, obs, per_environment, sats
+from bsk_torch import ConstellationTasking, act, comm, data, obs, sats
 from tests.support.refusals import check_refusals, refusal
 
 
@@ -46,18 +45,8 @@ class Tables(obs.Observation):
         return {"known": known, "heard": heard, "steps": satellite.of_env(satellite.rewarder.memory["steps"])}
 
 
-class ForOne(obs.Observation):
-    """The same, written for one satellite."""
-
-    @per_environment
-    def get_obs(self):
-        satellite = self.satellite
-        known, heard = (satellite.rows_of(satellite.fleet.memory[name]) for name in ("known", "heard"))
-        return np.array([known, heard if known > 0.0 else 0.0, satellite.of_env(satellite.fleet.memory["steps"])])
-
-
 class Short(sats.Satellite):
-    observation_spec = (Tables("tables"), ForOne("one"))
+    observation_spec = (Tables("tables"),)
     action_spec = (act.Drift(duration=20.0),)
 
 
@@ -83,7 +72,7 @@ def test_each_satellite_observes_its_row(num_envs):
         seen = td[group, "observation"]
         for k, number in enumerate(numbers):
             expected = [10.0 * number + 3.0, 3.0 * (number > 0), 3.0]
-            assert seen[:, k].tolist() == [expected * 2] * num_envs
+            assert seen[:, k].tolist() == [expected] * num_envs
 
 
 class Whole(obs.Observation):
@@ -91,17 +80,8 @@ class Whole(obs.Observation):
         return self.satellite.fleet.memory["known"].flatten()
 
 
-class Number(obs.Observation):
-    @per_environment
-    def get_obs(self):
-        return float(self.satellite.fleet.memory["known"].numel())
-
-
 def test_rejects_tables_of_all_satellites():
     def sees(entry):
-        return make(type("Sees", (Short,), dict(observation_spec=(entry,)))("a"))
+        return make(type("Sees", (Short,), dict(observation_spec=(entry,)))("a"), Long("b"))
 
-    check_refusals(
-        refusal(lambda entry=entry: sees(entry), TypeError, f"{type(entry).__name__}.get_obs()", "satellite.rows_of(table)")
-        for entry in (Whole("whole"), Number("number"))
-    )
+    check_refusals([refusal(lambda: sees(Whole("whole")), TypeError, "Whole.get_obs()", [2], "[1]")])

@@ -1,4 +1,4 @@
-"""Functions and properties written for one satellite are observed for all environments, each with its own value."""
+"""Functions and properties of users are batched: observed for all environments, each with its own value."""
 
 from __future__ import annotations
 
@@ -6,43 +6,28 @@ import numpy as np
 import pytest
 import torch
 
-from bsk_torch import SatelliteTasking, act, dyn, obs, per_environment, sats, scene
+from bsk_torch import SatelliteTasking, act, dyn, obs, sats, scene
 from tests.support.refusals import check_refusals, refusal
 
 
-def unit(sat):
-    r = sat.dynamics.r_BN_N
-    return r / np.linalg.norm(r)
-
-
 class OwnDynModel(dyn.ImagingDynModel):
-    @property
-    @per_environment
-    def speed(self):
-        return np.linalg.norm(self.v_BN_N)
-
     @property
     def speed_of_all(self):
         return self.v_BN_N.norm(dim=-1)
 
     @property
-    @per_environment
-    def answer(self):
-        return 42
+    def altitude(self):
+        return np.linalg.norm(self.r_BN_N) - 6371e3
 
 
 class Own(obs.Observation):
-    @per_environment
     def get_obs(self):
-        return {"speed": np.linalg.norm(self.satellite.dynamics.v_BN_N), "list": [self.simulator.sim_time, 2.0]}
+        return {"speed": self.satellite.dynamics.v_BN_N.norm(dim=-1).numpy(), "list": self.simulator.sim_time}
 
 
 SPEC = (
     obs.SatProperties(
-        dict(prop="speed"),
         dict(prop="speed_of_all", norm=None),
-        dict(prop="answer"),
-        dict(prop="unit", fn=per_environment(unit)),
         dict(fn=lambda sat: sat.dynamics.wheel_speeds_fraction**2, norm=2.0),
         dict(fn=lambda sat: sat.sat_args["wheelSpeeds"], name="speeds", norm=[1.0, 2.0, 4.0]),
         dict(prop="pair", fn=lambda sat: [sat.dynamics.battery_charge_fraction, 1.0]),
@@ -50,17 +35,13 @@ SPEC = (
     ),
     obs.OpportunityProperties(
         dict(fn=lambda sat, opp: opp["object"].priority),
-        dict(prop="wait", fn=per_environment(lambda sat, opp: opp["window"][0] - sat.simulator.sim_time), norm=100.0),
-        dict(prop="r_LP_P", fn=per_environment(lambda sat, opp: np.linalg.norm(opp["object"].r_LP_P - sat.dynamics.r_BN_P))),
-        dict(prop="is_target", fn=per_environment(lambda sat, opp: opp["type"] == "target")),
+        dict(prop="wait", fn=lambda sat, opp: opp["window"][0] - sat.simulator.sim_time.unsqueeze(-1), norm=100.0),
         dict(prop="priority"),
         dict(prop="opportunity_open", norm=100.0),
         n_ahead_observe=2,
     ),
     Own("own"),
 )
-
-WRITTEN_FOR_ONE = {"speed", "answer", "unit", "wait_normd", "r_LP_P", "is_target", "Own.get_obs()"}
 
 
 def make(num_envs, spec=SPEC, dyn_type=OwnDynModel, **options):
@@ -81,46 +62,21 @@ def three():
 def test_every_environment_has_its_own_value(three):
     env, seen = three
     dynamics, own = env.satellite.dynamics, seen["sat_props"]
-    assert torch.allclose(own["speed"], dynamics.v_BN_N.norm(dim=-1))
     assert torch.equal(own["speed_of_all"], dynamics.v_BN_N.norm(dim=-1))
-    assert own["answer"].tolist() == [42.0] * 3
-    assert torch.allclose(own["unit"], dynamics.r_BN_N / dynamics.r_BN_N.norm(dim=-1, keepdim=True))
-    assert torch.equal(own["prop_4_normd"], dynamics.wheel_speeds_fraction**2 / 2.0)
+    assert torch.equal(own["prop_1_normd"], dynamics.wheel_speeds_fraction**2 / 2.0)
     assert torch.equal(own["speeds"], env.satellite.sat_args["wheelSpeeds"] / torch.tensor([1.0, 2.0, 4.0]))
     assert torch.equal(own["pair"], torch.stack([dynamics.battery_charge_fraction, torch.ones(3)], -1))
     assert torch.allclose(own["battery_charge"], torch.sin(dynamics.battery_charge))
     assert torch.allclose(seen["own", "speed"], own["speed_of_all"])
-    assert seen["own", "list"].tolist() == [[0.0, 2.0]] * 3
+    assert seen["own", "list"].tolist() == [0.0] * 3
 
 
 def test_every_opportunity_has_its_own_value(three):
-    env, seen = three
-    found = env.satellite.find_next_opportunities(2)
+    seen = three[1]
     for k in range(2):
         row = seen["target", f"target_{k}"]
         assert torch.equal(row["prop_0"], row["priority"])
         assert torch.allclose(row["wait_normd"], row["opportunity_open_normd"])
-        assert torch.allclose(row["r_LP_P"], (found.r_LP_P[:, k] - env.satellite.dynamics.r_BN_P).norm(dim=-1))
-        assert row["is_target"].tolist() == [1.0] * 3
-
-
-def test_one_note_says_what_is_slow_and_how_to_write_it(caplog):
-    env = make(2)
-    notes = [record.getMessage() for record in caplog.records if record.name == "bsk_torch.sats.user_function"]
-    env.reset()
-    env.reset()
-    assert len(notes) == len(WRITTEN_FOR_ONE)
-    for name in WRITTEN_FOR_ONE:
-        (note,) = (note for note in notes if note.startswith((f"'{name}' of", name)))
-        assert "called for one environment after the other, which is slow" in note
-        assert "torch.linalg.norm(r, dim=-1)" in note or "opp['r_LP_P'] [N, n, 3]" in note
-    assert "mixes environments" in next(note for note in notes if note.startswith("'unit'"))
-
-
-class Unmarked(OwnDynModel):
-    @property
-    def altitude(self):
-        return np.linalg.norm(self.r_BN_N) - 6371e3
 
 
 class Constant(obs.Observation):
@@ -128,40 +84,30 @@ class Constant(obs.Observation):
         return 42
 
 
-def test_what_works_for_one_satellite_only_needs_the_adapter():
+def test_rejects_functions_of_one_satellite():
     kind = dict(fn=lambda sat, opp: opp["type"] == "target")
     table = [
         (obs.SatProperties(dict(prop="unit", fn=lambda sat: np.linalg.norm(sat.dynamics.r_BN_N))), "'unit' of 'sat_props'"),
-        (obs.SatProperties(dict(prop="altitude")), "'altitude' of 'sat_props', Unmarked.altitude"),
+        (obs.SatProperties(dict(prop="both", fn=lambda sat: sat.dynamics.r_BN_N.astype(float))), "'both' of 'sat_props'"),
+        (obs.SatProperties(dict(prop="if", fn=lambda sat: 1 if float(sat.simulator.sim_time) else 0)), "'if' of 'sat_props'"),
+        (obs.SatProperties(dict(prop="altitude")), "'altitude' of 'sat_props', OwnDynModel.altitude"),
         (obs.OpportunityProperties(kind, n_ahead_observe=2), "'prop_0' of 'target'"),
         (Constant("constant"), "Constant.get_obs()"),
     ]
     check_refusals(
-        refusal(lambda n=n, entry=entry: make(n, (entry,), dyn_type=Unmarked), TypeError, name, "[N", "per_environment(function)")
+        refusal(lambda n=n, entry=entry: make(n, (entry,)), TypeError, name, "[", "bsk_torch.bsk_rl")
         for entry, name in table
         for n in (1, 3)
     )
 
 
-def test_functions_that_take_no_marks_are_wrapped():
-    wrapped = per_environment(np.linalg.norm)
-    assert wrapped([3.0, 4.0]) == 5.0
-    seen = make(2, (obs.SatProperties(dict(prop="x", fn=per_environment(Radius()))),)).reset()["observation", "sat_props", "x"]
-    assert (seen > 6.5e6).all()
-
-
-class Radius:
-    def __call__(self, sat):
-        return float(np.sqrt((sat.dynamics.r_BN_N**2).sum()))
-
-
 def test_an_environment_alone_observes_the_same(three):
     alone = make(1).reset()["observation"]
-    for name in ("speed", "unit", "speeds", "pair"):
+    for name in ("speed_of_all", "speeds", "pair"):
         assert torch.equal(alone["sat_props", name][0], three[1]["sat_props", name][0])
 
 
-def test_names_are_those_of_bsk_rl():
+def test_names_of_entries():
     def named(sat, opp):
         return opp["object"].priority
 
@@ -189,7 +135,7 @@ def test_eclipses_of_a_high_orbit():
     """1,070 km high: right by default, as Skyfield has them; bsk_rl's search fails, and names the first second after reset."""
 
     class High(sats.Satellite):
-        observation_spec = (obs.Eclipse(), obs.Eclipse(name="theirs", as_bsk_rl=True))
+        observation_spec = (obs.Eclipse(), obs.Eclipse(name="theirs", sampled=True))
         action_spec = (act.Drift(duration=6300.0),)
 
     args = dict(oe=None, rN=[3050019.655, -2957948.288, 6118860.057], vN=[-4133.239051, 4357.33309, 4168.573976])

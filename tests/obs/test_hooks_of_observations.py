@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 import torch
 
-from bsk_torch import SatelliteTasking, act, obs, per_environment, sats, scene
+from bsk_torch import SatelliteTasking, act, obs, sats, scene
 
 PLACES = dict(fn=lambda satellite, targets: targets.place.double(), name="place")
 
@@ -18,23 +17,11 @@ class Two(obs.OpportunityProperties):
         return {"target_0": super().get_obs()["target_0"], "two": torch.full((len(self.simulator.ticks),), 2.0)}
 
 
-class Constant(obs.Observation):
-    value = None
-
-    @per_environment
-    def get_obs(self):
-        return self.value
-
-
 def make(*spec, obs_type=torch.Tensor, num_envs=2):
     attributes = {"observation_spec": spec, "action_spec": (act.Image(2),)}
     satellite = type("Imager", (sats.ImagingSatellite,), attributes)("A", obs_type=obs_type)
     options = dict(num_envs=num_envs, time_limit=600.0, seed=1, backend="eager", dtype=torch.float64)
     return SatelliteTasking(satellite, scene.UniformTargets(400), **options)
-
-
-def constant(value):
-    return type("Mine", (Constant,), {"value": value})("mine")
 
 
 def test_a_subclass_that_overrides_only_get_obs_is_observed():
@@ -47,7 +34,7 @@ def test_a_subclass_that_overrides_only_get_obs_is_observed():
 
 
 def test_a_subclass_may_have_a_vector_of_its_own():
-    class Fast(Constant):
+    class Fast(obs.Observation):
         def get_obs(self):
             ones = torch.ones(len(self.simulator.ticks))
             return {"a": ones, "b": 2 * ones}
@@ -62,13 +49,6 @@ def test_a_subclass_may_have_a_vector_of_its_own():
         TypeError, match=r"Narrow.get_vector\(\) is a tensor of shape \[2, 1\] .* must be a tensor of shape \[2, 2\]"
     ):
         env.reset()
-
-
-@pytest.mark.parametrize("value", [1.0, torch.tensor(1.0), torch.ones(1), torch.ones(2), np.ones(3), [1.0, 2.0]])
-def test_observations_of_one_satellite_are_those_of_each(value):
-    """Shapes [1] and [2] fit trials of one environment, and batches of two."""
-    observation = make(constant(value)).reset()["observation"]
-    assert torch.equal(observation, torch.as_tensor(value).double().reshape(1, -1).expand(2, -1))
 
 
 def test_observations_are_named_after_their_class():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from bsk_torch import SatelliteTasking, act, obs, per_environment, rand, sats, scene
+from bsk_torch import SatelliteTasking, act, obs, rand, sats, scene
 from tests.support.refusals import check_refusals, refusal
 
 
@@ -65,9 +65,7 @@ def test_rejects_wrong_hooks():
     check_refusals(
         [
             refusal(lambda: define(get_vector=nothing), TypeError, "get_vector()", "get_obs()"),
-            refusal(lambda: define(get_observation=nothing), TypeError, "Mine.get_observation", "get_obs()"),
-            refusal(lambda: define(observation_space=property(nothing)), TypeError, "Mine.observation_space", "trial call"),
-            refusal(lambda: define(reset_post_sim_init=nothing), TypeError, "Mine.reset_post_sim_init", "memory.declare"),
+            refusal(lambda: define(get_observation=nothing), TypeError, "Mine.get_observation", "bsk_torch.bsk_rl", "get_obs"),
             refusal(lambda: define(getobs=nothing), TypeError, "Mine.getobs", "'get_obs'"),
             refusal(lambda: define(link_satelite=satellite), TypeError, "Mine.link_satelite", "'link_satellite'"),
             refusal(lambda: define(get_obs=satellite), TypeError, "Mine.get_obs(self, satellite)", "get_obs()"),
@@ -79,7 +77,7 @@ def test_rejects_wrong_hooks():
 
 def test_rejects_values_that_are_no_observations():
     def constant(value):
-        return make(type("Mine", (obs.Observation,), {"get_obs": per_environment(lambda self: value)})("mine"))
+        return make(type("Mine", (obs.Observation,), {"get_obs": lambda self: value})("mine"))
 
     def named(function):
         return make(obs.SatProperties(dict(fn=function, name="x")))
@@ -94,7 +92,7 @@ def test_rejects_values_that_are_no_observations():
             refusal(lambda: constant(None), TypeError, "Mine.get_obs()", None, "shape"),
             refusal(lambda: constant("far"), TypeError, "Mine.get_obs()", "'far'"),
             refusal(lambda: constant({"a": {"b": object()}}), TypeError, "Mine.get_obs()['a']['b']", "<object"),
-            refusal(lambda: named(per_environment(lambda sat: np.random.normal())), TypeError, name, "values", "obs.Noisy"),
+            refusal(lambda: named(lambda sat: torch.rand(len(sat.simulator.ticks))), TypeError, name, "values", "obs.Noisy"),
             refusal(lambda: named(mixed), TypeError, name, "environments"),
             refusal(lambda: named(lambda sat: "far"), TypeError, name, "'far'"),
             refusal(lambda: named(lambda sat: sat.dynamics.speedy), AttributeError, "'speedy'"),

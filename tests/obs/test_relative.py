@@ -6,12 +6,11 @@ import functools
 import math
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
 
-from bsk_torch import ConstellationTasking, act, dyn, fsw, obs, per_environment, sats
+from bsk_torch import ConstellationTasking, act, dyn, fsw, obs, sats
 from bsk_torch.astro.attitude import dcm_to_mrp, mrp_to_dcm
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.constants import MU_EARTH
@@ -117,11 +116,6 @@ class Chief(sats.Satellite):
     dyn_type, fsw_type = dyn.DynamicsModel, fsw.FSWModel
 
 
-@per_environment
-def distance_of_one(deputy, chief):
-    return np.linalg.norm(deputy.dynamics.r_BN_N - chief.dynamics.r_BN_N)
-
-
 def distance_of_all(deputy, chief):
     return (deputy.dynamics.r_BN_N - chief.dynamics.r_BN_N).norm(dim=-1)
 
@@ -154,8 +148,8 @@ def test_initial_states_are_observed_as_they_were_given(norm):
     assert torch.allclose(seen["v_DC_Hc"][:, 1], torch.tensor([0.1, 0.0, 0.0], dtype=torch.float64), atol=1e-10)
 
 
-def test_functions_for_one_and_for_all_give_the_same_and_arguments_can_be_filled_in():
-    entries = (dict(prop="one", fn=distance_of_one), dict(prop="all", fn=distance_of_all), dict(fn=FUNCTIONS["r_DC_C"]))
+def test_functions_of_deputy_and_chief_and_arguments_can_be_filled_in():
+    entries = (dict(prop="all", fn=distance_of_all), dict(fn=FUNCTIONS["r_DC_C"]))
     filled = functools.partial(FUNCTIONS["r_DC_N"])
     env = make(
         *entries, dict(prop="filled", fn=filled), dict(prop="names", fn=lambda d, c: [d.sat_args["mass"], c.sat_args["mass"]])
@@ -163,22 +157,18 @@ def test_functions_for_one_and_for_all_give_the_same_and_arguments_can_be_filled
     td = env.reset()
     for _ in range(2):
         seen = observed(env, td)
-        assert torch.allclose(seen["one"], seen["all"], rtol=1e-12)
         assert torch.allclose(seen["filled"].norm(dim=-1), seen["all"], rtol=1e-12)
-        assert torch.allclose(seen["prop_2"].norm(dim=-1), seen["all"], rtol=1e-12)
+        assert torch.allclose(seen["prop_1"].norm(dim=-1), seen["all"], rtol=1e-12)
         assert seen["names"].shape == (3, 2, 2)
         td = env.rand_step(td)["next"]
-    mapped = {function.title.split("'")[1]: function.mapped for function in env.satellites[0].user_functions()}
-    assert mapped == {"one": True, "all": False, "names": False}
 
 
-def test_a_chief_of_the_same_type_is_another_satellite_for_functions_of_one():
+def test_a_chief_of_the_same_type_is_another_satellite():
     """Functions are tried at the first reset, since a trial has one satellite of each type."""
-    env = make(dict(prop="one", fn=distance_of_one), dict(prop="all", fn=distance_of_all), chief_name="B")
+    env = make(dict(prop="all", fn=distance_of_all), chief_name="B")
     seen = observed(env, env.reset())
-    assert torch.allclose(seen["one"], seen["all"], rtol=1e-12)
-    assert (seen["one"][:, 0] > 200.0).all()
-    assert (seen["one"][:, 1] == 0.0).all()
+    assert (seen["all"][:, 0] > 200.0).all()
+    assert (seen["all"][:, 1] == 0.0).all()
 
 
 def test_rows_do_not_depend_on_the_batch():

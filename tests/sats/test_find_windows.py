@@ -135,13 +135,3 @@ def test_satellites_ask_the_rewarder():
     assert satellite.known_images.view(2, 2, 30)[1, 1, 7]
     assert torch.equal(env.rewarder.data.imaged, known[:, 0])
     assert env.rewarder.data.known.all()
-
-
-def test_data_of_one_environment_are_sets_of_targets():
-    env = pair()
-    env.reset()
-    env.rewarder.value(torch.tensor([[5, 6], [7, 7]]), torch.tensor([[True, True], [True, False]]))
-    one, other = (env.rewarder.data_of(row) for row in range(2))
-    assert one.imaged == {env.scenario.target_object(0, 5), env.scenario.target_object(0, 6)}
-    assert len(other.imaged) == 1
-    assert len(one.known) == 30

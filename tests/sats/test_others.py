@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 import torch
 
@@ -73,16 +72,6 @@ def test_everything_that_is_read_has_the_rows_of_the_satellite_that_asks(env):
     assert other.fsw.simulator.h == 1.0
 
 
-def test_one_satellite_sees_one(env):
-    one = env.satellites[0].one(7)  # the second of three of its type in the last environment
-    assert one.name == "B"
-    for name in NAMES:
-        np.testing.assert_array_equal(one.others[name].dynamics.r_BN_N, of_name(env, name)[2].numpy())
-        assert one.others[name].name == one.simulator.get_satellite(name).name == name
-    assert list(one.others) == list(env.satellites[0].others) == list(NAMES)
-    assert len(one.others) == len(env.satellites[0].others) == 5
-
-
 class Nearest(obs.Observation):
     """Distance to the second satellite of the same type, as an observation of a user's own would read it."""
 
@@ -113,11 +102,10 @@ def of_pair(env, number):
 
 def test_rejects_wrong_names_changes_and_looks_that_come_too_early(env):
     early = type("Early", (Small,), {"observation_spec": (TooEarly("distance"),)})
-    first, one = env.satellites[0].others, env.satellites[1].one(0).others
+    first = env.satellites[0].others
     check_refusals(
         [
             refusal(lambda: first["RS0"], KeyError, "'RS0'", "'RSO'"),
-            refusal(lambda: one["RS0"], KeyError, "'RS0'", "'RSO'"),
             refusal(lambda: env.fleet.satellite("rs0"), KeyError, "'rs0'", "'RSO'"),
             refusal(lambda: setattr(first["RSO"], "name", "other"), AttributeError, "'name'", "another satellite"),
             refusal(lambda: ConstellationTasking([early("A"), early("C")], backend="eager"), RuntimeError, "'C'", "get_obs()"),

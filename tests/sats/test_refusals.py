@@ -27,9 +27,8 @@ def test_rejects_wrong_hooks():
             refusal(lambda: define(dyn_types=int), TypeError, "dyn_types", "'dyn_type'"),
             refusal(lambda: define(legal_action=nothing), TypeError, "legal_action", "'legal_actions'"),
             refusal(lambda: define(legal_actions=argument), TypeError, "legal_actions(self, action)", "legal_actions()"),
-            refusal(lambda: define(get_obs=nothing), TypeError, "get_obs", "obs.Observation"),
-            refusal(lambda: define(set_action=argument), TypeError, "set_action", "act.Action"),
-            refusal(lambda: define(reset_post_sim_init=nothing), TypeError, "reset_post_sim_init", "simulator.memory"),
+            refusal(lambda: define(get_obs=nothing), TypeError, "get_obs", "bsk_torch.bsk_rl"),
+            refusal(lambda: define(set_action=argument), TypeError, "set_action", "bsk_torch.bsk_rl"),
         ]
     )
 

@@ -114,3 +114,12 @@ def test_callables_are_known():
     assert scene.CloudyTargets(plain, lambda: 0.5).calls_user
     assert scene.CloudyTargets(scene.UniformTargets(2, lambda: 0.5)).calls_user
     assert not scene.CloudyTargets(plain).calls_user
+
+
+def test_objects_of_targets(begin):
+    scenario = begin(scene.CloudyTargets(scene.UniformTargets((1, 5))), 3)
+    for row in range(3):
+        targets = scenario.target_objects(row)
+        assert len(targets) == int(scenario.drawn("target_exists")[row].sum())
+        assert [t.cloud_cover for t in targets] == scenario.cloud_cover[row, : len(targets)].tolist()
+        assert (targets[0].r_LP_P == scenario.r_LP_P[row, 0].numpy()).all()

@@ -116,10 +116,7 @@ def test_objects_of_other_kinds_are_names(env):
     env.reset()
     found = env.satellite.find_next_opportunities(2, types="buoy")
     assert (found["object"] == [[f"B{k}" for k in row] for row in found.place.tolist()]).all()
-    one = env.satellite.one(1)
-    assert one.find_next_opportunities(1, types="debris")[0]["object"].startswith("debris-")
-    both = one.find_next_opportunities(3, types=["ship", "buoy"])
-    assert {opportunity["type"] for opportunity in both} <= {"ship", "buoy"}
+    assert env.satellite.find_next_opportunities(1, types="debris")["object"][1, 0].startswith("debris-")
 
 
 def test_episodes_do_not_depend_on_the_batch():

@@ -157,13 +157,10 @@ def test_rejects_wrong_hooks(begin):
         pass
 
     never_called = dict(
-        link_satellites="link(fleet)",
-        reset_overwrite_previous="self.fleet.memory",
-        reset_pre_sim_init="draw(key)",
-        reset_during_sim_init="draw(key)",
-        reset_post_sim_init="reset(rows)",
-        begin_episodes="reset(rows)",
-        finish_step="after_step(sim_time)",
+        link_satellites="bsk_torch.bsk_rl",
+        regenerate_targets="bsk_torch.bsk_rl",
+        begin_episodes="reset",
+        finish_step="after_step",
     )
     at, base, uniform = ("Wrong.at(time)", [3, 2]), scene.Scenario, scene.UniformTargets
     check_refusals(
@@ -177,7 +174,6 @@ def test_rejects_wrong_hooks(begin):
             refusal(lambda: define(uniform, "place"), TypeError, "Mine.place", "'places'"),
             refusal(lambda: define(uniform, "name"), TypeError, "Mine.name", "'names'"),
             refusal(lambda: define(base, "after_step", nothing), TypeError, "Mine.after_step(self)", "after_step(sim_time)"),
-            refusal(lambda: define(base, "regenerate_targets", nothing), TypeError, "regenerate_targets", "UniformTargets"),
             refusal(lambda: changing(lambda t: (t, torch.ones(3, 2).bool())), ValueError, *at, [3], "torch.bool"),
             refusal(lambda: changing(lambda t: (torch.ones(3, 2), torch.ones(3, 2))), ValueError, *at, "torch.float32"),
             refusal(lambda: begin(Lazy(2)), NotImplementedError, "Lazy", "at(time)"),

@@ -16,7 +16,6 @@ import torch
 from tensordict import TensorDict
 
 from bsk_torch.cli.results import PlayedResults, Results, Summary
-from bsk_torch.data.pickled import Pickler, Unpickler
 from bsk_torch.files import write_file
 from bsk_torch.lab.bounds.envelope import FILE, Envelope
 from bsk_torch.lab.offline import open_dataset
@@ -143,17 +142,6 @@ PLAYED = SUMMARY | {"returns": [0.1, 0.2], "seconds_per_decision": 0.1, "score":
 RESULTS = {"format": 1, "suite": "v2", "policies": {"random": {"dim_scan": PLAYED}}}
 
 
-class Kept:
-    """An object of a state."""
-
-
-def objects() -> bytes:
-    kept, file = Kept(), io.BytesIO()
-    vars(kept).update(numbers=[1, 2.5, None], table={"a": torch.zeros(2)}, me=kept, done={1, (2, 3)})
-    Pickler(file, {Kept}, lambda value: None).dump(kept)
-    return file.getvalue()
-
-
 def other_file_of_case(name: str) -> Callable[[Path], object]:
     whole = {"constellation.json": aeos_cases.constellation(2), "taskset.json": aeos_cases.tasks(3)}
     return lambda folder: write_file(folder / name, json_bytes(whole[name]))
@@ -197,12 +185,6 @@ def readers() -> dict[str, Reader]:
         "bench": Reader("x.json", json_bytes(RESULTS), results(PlayedResults), of_json),
         "leaderboard": Reader("x.json", json_bytes(RESULTS), results(Results), of_json),
         "evaluation": Reader("x.json", json_bytes({"trained": SUMMARY}), results(dict[Word, Summary]), of_json),
-        "objects": Reader(
-            "x.json",
-            objects(),
-            lambda folder: Unpickler(io.BytesIO((folder / "x.json").read_bytes()), {Kept}, str).load(),
-            of_json,
-        ),
         "request": Reader(
             "x.json",
             b'{"track": 1, "decision": 2}',

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from typing_extensions import override
@@ -11,7 +11,7 @@ from typing_extensions import override
 from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
 from bsk_torch.bsk_rl.scene.targets import Target
 from bsk_torch.bsk_rl.utils import vizard
-from bsk_torch.data.record import HideImaged
+from bsk_torch.sim.places import is_target
 
 __all__ = ["UniqueImageData", "UniqueImageReward", "UniqueImageStore"]
 
@@ -64,6 +64,18 @@ class UniqueImageStore(DataStore):
     @vizard.visualize
     def update_target_colors(self, targets: list[Target], vizInstance: Any = None, vizSupport: Any = None) -> None:
         """Color targets in Vizard."""
+
+
+class HideImaged:
+    """Access filter that hides the targets that a store has imaged."""
+
+    def __init__(self, store: Any) -> None:
+        """Hide the targets in ``store.data.imaged``."""
+        self.store = store
+
+    def __call__(self, opportunity: Mapping[str, Any]) -> bool:
+        """Return whether an opportunity remains."""
+        return not is_target(opportunity["type"]) or opportunity["object"] not in self.store.data.imaged
 
 
 def whole_priority(priority: float) -> float:

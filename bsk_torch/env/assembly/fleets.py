@@ -139,9 +139,9 @@ class FleetBuilder:
         chosen = sorted(column for simulator in each for column in simulator.columns)
         members = {c: (k, 0 if trial else i) for k, columns in enumerate(self.types) for i, c in enumerate(columns)}
         places = {name: members[column] for column, name in enumerate(self.names)}
-        pairs, as_bsk_rl = self.pairs.among(chosen), self.options.compat == "bsk_rl"
+        pairs, compat = self.pairs.among(chosen), self.options.compat == "bsk_rl"
         names, varies = [self.names[k] for k in chosen], self.varies and not trial
-        return SatelliteFleet(each, names, self.scenario.draw_checked, places, pairs, as_bsk_rl, varies)
+        return SatelliteFleet(each, names, self.scenario.draw_checked, places, pairs, compat, varies)
 
     def _scenario_draw(self, n: int) -> dict[str, Tensor]:
         """Return trial draws of the scenario for ``n`` environments, which determine its names and shapes."""
@@ -250,7 +250,7 @@ class FleetBuilder:
     def ask(self, fleet: Fleet, key: Key) -> list[Answers]:
         """Return the results of the user functions for each of the key's environments; empty without such functions.
 
-        The functions share one stream of random numbers. They are called in bsk_rl's order: time limit, world, randomizer,
+        The functions share one stream of random numbers. They are called in this order: time limit, world, randomizer,
         satellites, scenario.
         """
         if not (fleet.calls_user or self._calls_others):

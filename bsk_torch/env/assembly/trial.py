@@ -1,4 +1,4 @@
-"""Trial episodes that determine the shapes of observations and how user functions are called, before an environment is built."""
+"""Trial episodes that determine the shapes of observations and check user functions, before an environment is built."""
 
 from __future__ import annotations
 
@@ -37,29 +37,15 @@ class Trial(NamedTuple):
 
     Attributes:
         values: Observations of one environment, for each type of satellite.
-        functions: User functions of each type, tried with one environment.
-        batched: The same functions, tried with several environments; empty without functions, or for a single environment.
+        calls_user: Whether user functions have been tried.
         nbytes: Size of an environment's state in bytes.
         read: Observables of each type that observations read and do not list; one kernel is to compute them, too.
     """
 
     values: list[Values]
-    functions: list[list[UserFunction]]
-    batched: list[list[UserFunction]]
+    calls_user: bool
     nbytes: int
     read: list[tuple[Function, ...]]
-
-    def decide(self, satellites: Sequence[SatelliteGroup]) -> None:
-        """Set how the user functions of an environment's satellites are called, and what one kernel reads for them.
-
-        Raises:
-            TypeError: For a function whose result for one environment depends on other environments.
-        """
-        for satellite, alone, together in zip(satellites, self.functions, self.batched or self.functions, strict=True):
-            for function, one, several in zip(satellite.user_functions(), alone, together, strict=True):
-                function.adopt(one, several, satellite.simulator.state.rows)
-        for satellite, read in zip(satellites, self.read, strict=True):
-            satellite.simulator.observer.want(read)
 
 
 class Made(NamedTuple):
@@ -67,7 +53,7 @@ class Made(NamedTuple):
 
     Attributes:
         types: Types of satellites.
-        trial: Trial episodes; None if they determine how user functions are called.
+        trial: Trial episodes; None if they have tried user functions.
     """
 
     types: Sequence[SatelliteType]
@@ -105,13 +91,13 @@ class TrialFleet:
         self.satellites = groups_of(builder.satellites, self.fleet)
         self.scenario: Scenario = copy.copy(builder.scenario)
 
-    def start(self, rewarder: GlobalReward, communicator: CommunicationMethod) -> list[list[UserFunction]]:
-        """Start the episodes; return the user functions of each type, which keep their results from now on."""
+    def start(self, rewarder: GlobalReward, communicator: CommunicationMethod) -> list[UserFunction]:
+        """Start the episodes; return the user functions, which keep their results from now on."""
         self.rewarder = copy.copy(rewarder)
         link(self.fleet, self.scenario, self.rewarder)
         copy.copy(communicator).attach(self.fleet)  # it may declare what satellites observe
-        functions = [satellite.user_functions() for satellite in self.satellites]
-        for function in (each for some in functions for each in some):
+        functions = [function for satellite in self.satellites for function in satellite.user_functions()]
+        for function in functions:
             function.begin_trial()
         self.builder.start(self.fleet, self.fleet.all_envs, *self.drawn)
         self.scenario.begin_episodes(self.fleet.all_envs)
@@ -165,7 +151,7 @@ def try_out(builder: FleetBuilder, rewarder: GlobalReward, communicator: Communi
 
     Raises:
         MemoryError: If the batch will not fit into memory.
-        TypeError: For an observation of a wrong shape.
+        TypeError: For an observation of a wrong shape, or a function whose result for one environment depends on others.
     """
     alone = TrialFleet(builder, 1)
     fleet, n = alone.fleet, builder.options.num_envs
@@ -179,13 +165,15 @@ def try_out(builder: FleetBuilder, rewarder: GlobalReward, communicator: Communi
     read = [tuple(simulator.observer.missed) for simulator in fleet.simulators]
     if n == 1 and fleet.size == len(builder.names):
         alone.score()  # with as many environments and satellites as there will be
-    if n == 1 or not any(functions):
-        return Trial(values, functions, [], each, read)
-    dimensions = {size for some in functions for function in some for size in function.dimensions()}
+    if n == 1 or not functions:
+        return Trial(values, bool(functions), each, read)
+    dimensions = {size for function in functions for size in function.dimensions()}
     together = TrialFleet(builder, next((size for size in BATCHES if size not in dimensions), BATCHES[-1]))
     batched = together.start(rewarder, communicator)
     together.spread()
     together.observe()
     alone.become(together.fleet)
     alone.observe()
-    return Trial(values, functions, batched, each, read)
+    for function, several in zip(functions, batched, strict=True):
+        function.compare(several)
+    return Trial(values, True, each, read)

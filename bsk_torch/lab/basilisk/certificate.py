@@ -91,7 +91,7 @@ class Certificate:
 def certify(task: Task, entrant: Entrant, episodes: int, **options: object) -> Certificate | None:
     """Fly the first ``episodes`` of a task with the policy that ``entrant`` enters here and on Basilisk; None if it has none.
 
-    Both fly by the rules of bsk_rl, ``compat="bsk_rl"``. On Basilisk the policy decides again by what is observed there. The
+    Both fly by the rules of ``compat="bsk_rl"``. On Basilisk the policy decides again by what is observed there. The
     actions of planners, recurrent or random policies, and functions without declared inputs are replayed.
 
     Args:
@@ -170,7 +170,7 @@ def flown_here(env: SatelliteTasking, policy: Policy, seeds: Sequence[int]) -> t
 
 
 def problem_and_form(task: Task, env: SatelliteTasking) -> tuple[Problem, Callable[[Tensor], Any]]:
-    """What bsk_rl is to build, which observes a vector, and the function of that vector that the policy has been made for."""
+    """What to build there, which observes a vector, and the function of that vector that the policy has been made for."""
     if not isinstance(env.observation_spec["observation"], Composite):
         return problem_of(env, task.preset), lambda vector: vector
     shielded = {"shielded": env.satellite.shielded} if hasattr(env.satellite, "shielded") else {}
@@ -214,7 +214,7 @@ def flown_there(problem: Problem, starts: Sequence[Start], pilot: Pilot) -> list
 
 @contextmanager
 def names_kept() -> Iterator[None]:
-    """Keep the environments of Gymnasium's registry, whose names bsk_rl gives to its own when it is imported."""
+    """Keep the environments of Gymnasium's registry, whose names it gives to its own when it is imported."""
     known = dict(gymnasium.registry)
     try:
         yield

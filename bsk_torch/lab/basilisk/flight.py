@@ -91,7 +91,7 @@ class Flight:
 
 @dataclass(frozen=True)
 class Start:
-    """Initial conditions of an episode, as arguments of bsk_rl; ``targets`` [T, 3] m Earth-fixed with priorities [T], if any."""
+    """Initial conditions of an episode, as arguments; ``targets`` [T, 3] m Earth-fixed with priorities [T], if any."""
 
     seed: int
     sat_args: dict[str, Any]
@@ -107,7 +107,7 @@ class Start:
 
 @dataclass(frozen=True)
 class Problem:
-    """Arguments of bsk_rl that all episodes of an environment share, and the names that must be the same on both sides."""
+    """Arguments that all episodes of an environment share, and the names that must be the same on both sides."""
 
     preset: str
     settings: dict[str, Any]
@@ -122,7 +122,7 @@ class Problem:
 
 
 def problem_of(env: SatelliteTasking, preset: str) -> Problem:
-    """Return the arguments by which bsk_rl builds an environment; ValueError for checks of failures that bsk_rl does not have."""
+    """Return the arguments by which an environment is built there; ValueError for checks of failures that it does not have."""
     if env.options.failures != "step":
         raise ValueError(f"failures={env.options.failures!r}: bsk_rl checks satellites at the end of steps; leave it out")
     satellite, scenario = env.satellite, env.scenario

@@ -1,4 +1,4 @@
-"""What bsk_rl observes, in the form in which a policy was trained. Nothing here needs Basilisk."""
+"""What is observed on Basilisk, in the form in which a policy was trained. Nothing here needs Basilisk."""
 
 from __future__ import annotations
 

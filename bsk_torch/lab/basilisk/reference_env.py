@@ -67,7 +67,7 @@ def nadir_scan(problem: Problem, start: Start) -> SatelliteTasking:
         "dyn_type": ScannerDyn,
         "fsw_type": fsw.ContinuousImagingFSWModel,
     }
-    # a new class for each episode, because bsk_rl keeps on the class what it composes
+    # a new class for each episode, because composed models are kept on the class
     satellite = type("Scanner", (sats.AccessSatellite,), attributes)("Scanner1", sat_args=bits(start.sat_args))
     return environment(problem, start, satellite, scene.UniformNadirScanning(**problem.scenario), data.ScanningTimeReward())
 
@@ -78,7 +78,7 @@ def bits(arguments: dict[str, Any]) -> dict[str, Any]:
 
 
 def environment(problem: Problem, start: Start, satellite: object, scenario: object, rewarder: object) -> SatelliteTasking:
-    """The environment with every initial condition pinned; ValueError if bsk_rl would still draw one."""
+    """The environment with every initial condition pinned; ValueError if one would still be drawn."""
     env = SatelliteTasking(
         satellite=satellite,
         scenario=scenario,
@@ -90,7 +90,7 @@ def environment(problem: Problem, start: Start, satellite: object, scenario: obj
     )
     given = env.satellite.sat_args_generator | env.world_args_generator
     if drawn := sorted(name for name, value in given.items() if callable(value) and name != "utc_init"):
-        raise ValueError(f"bsk_rl would draw {drawn}, which bsk_torch has not")
+        raise ValueError(f"{drawn} would be drawn, which bsk_torch has not")
     return env
 
 
@@ -103,7 +103,7 @@ class GivenTargets(scene.UniformTargets):
         self.rows = [Target(str(k), r_LP_P[k], float(priority[k])) for k in range(len(priority))]
 
     def regenerate_targets(self) -> None:
-        """Called by bsk_rl at reset."""
+        """Called at reset."""
         self.targets = self.rows
 
 
@@ -111,7 +111,7 @@ class TargetDensity(obs.Observation):
     """Sums of the priorities of the targets whose next window closes in each of the next intervals, as AEOSPower-v1 sees them."""
 
     def get_obs(self) -> Array:
-        """Called by bsk_rl."""
+        """Called after a step."""
         now, sums = self.simulator.sim_time, np.zeros(BINS + 1)
         for target, (_, close) in self.satellite.next_opportunities_dict(types="target").items():
             sums[min(int((close - now) / BIN), BINS)] += target.priority
@@ -119,7 +119,7 @@ class TargetDensity(obs.Observation):
 
 
 def entries(properties: tuple[dict[str, Any], ...]) -> list[dict[str, Any]]:
-    """Copies of properties: bsk_rl writes into them."""
+    """Copies of properties, which are written into."""
     return [dict(entry) for entry in properties]
 
 
@@ -160,7 +160,7 @@ BUILDERS: dict[str, Callable[[Problem, Start], SatelliteTasking]] = {
 
 
 def shield(satellite: Any, n_actions: int) -> NDArray[np.bool_]:
-    """Legal actions [A] by the rule of AEOSPower-v1, from what bsk_rl knows; see :func:`bsk_torch.presets.aeos_power.shield`."""
+    """Legal actions [A] by the rule of AEOSPower-v1, from what is known; see :func:`bsk_torch.presets.aeos_power.shield`."""
     now = satellite.simulator.sim_time
     start, end = (time - now for time in satellite.trajectory.next_eclipse(now))
     needed = RESERVE + max((end - start) - start, 0.0) / ORBIT
@@ -176,9 +176,9 @@ def shield(satellite: Any, n_actions: int) -> NDArray[np.bool_]:
 
 
 def fly_there(problem: Problem, start: Start, pilot: Pilot, watch: Callable[[Any], None] = lambda satellite: None) -> Flight:
-    """The episode in bsk_rl; ValueError if it observes, or may do, something else than bsk_torch.
+    """The episode on Basilisk; ValueError if it observes, or may do, something else than bsk_torch.
 
-    ``watch`` is called with bsk_rl's satellite at the start and after each decision.
+    ``watch`` is called with the satellite at the start and after each decision.
     """
     env = BUILDERS[problem.preset](problem, start)
     observation, _ = env.reset(seed=0)
@@ -205,7 +205,7 @@ def fly_there(problem: Problem, start: Start, pilot: Pilot, watch: Callable[[Any
 
 
 def check_names(what: str, here: tuple[str, ...], there: Any) -> None:
-    """ValueError for a difference between bsk_torch's names and bsk_rl's; the message has the first one."""
+    """ValueError for a difference between names on both sides; the message has the first one."""
     for k, (mine, other) in enumerate(zip_longest(here, map(str, there), fillvalue="none")):
         if mine != other:
             raise ValueError(f"{what} differ: number {k} is {mine!r} in bsk_torch, and {other!r} in bsk_rl")

@@ -41,7 +41,7 @@ def carried_over(imaged: Tensor, ticks: Tensor) -> Tensor:
     """Return which steps were credited with the image of the step before, as masks of any shape.
 
     A step that ends, because its window closes, in the very tick in which the instrument is told to record leaves the data to the
-    next step: bsk_rl and this package credit the image to the next action's target. Such a step lasts a single tick, and no step
+    next step: the image is credited to the next action's target. Such a step lasts a single tick, and no step
     can take an image in fewer than two.
 
     Args:

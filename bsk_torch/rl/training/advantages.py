@@ -4,7 +4,7 @@ With a discount gamma per second and a step of t seconds, the value of a state i
 
     V = E[gamma^t (r + V')],
 
-where r is the reward of the step and V' the value of the next state: the reward is discounted over its interval, as bsk_rl's
+where r is the reward of the step and V' the value of the next state: the reward is discounted over its interval, as BSK-RL's
 ``TimeDiscountedGAE`` does. If rewards come at the start of their steps, as in TorchRL, it is V = E[r + gamma^t V'].
 
 Where an episode ends at its time limit, V' is that of a state in which no decision is ever made, so that no reward corrects it.

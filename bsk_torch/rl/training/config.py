@@ -114,7 +114,7 @@ class PPOConfig:
         learning_rate: Adam's step at the start.
         learning_rate_schedule: How it falls: ``"constant"``, ``"linear"`` or ``"cosine"``, to :data:`LEAST` of that.
         gamma: Discount per second.
-        reward_time: ``"end"``: rewards are discounted over the interval that they were earned in, as bsk_rl does; ``"start"``:
+        reward_time: ``"end"``: rewards are discounted over the interval that they were earned in; ``"start"``:
             they count in full, as TorchRL does.
         lmbda: Decay of the advantage estimator, per decision.
         beyond_limit: Whether an episode that is truncated counts as one that continues: the value of its last state is added to

@@ -1,4 +1,4 @@
-"""Times at which the next eclipse starts and ends, and what bsk_rl's look-ahead gives for them."""
+"""Times at which the next eclipse starts and ends, and what a look-ahead on samples gives for them."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ INSIDE = 1e-6
 """Distance, in steps of the grid, that transitions keep from its samples, so that rounding does not put them before or behind."""
 
 SEARCH_STEP, SEARCHES = 6000.0, 3
-"""bsk_rl searches up to 0, 6000 and 12000 s after the query, and ignores what the third search finds."""
+"""Searches go up to 0, 6000 and 12000 s after the query; what the third one finds is ignored."""
 
 ROUNDING = 1e-9
 """Error of times by rounding, in steps of the grid."""
 
 NOT_FOUND = 1.0
-"""bsk_rl's answer to a query whose searches all fail: one second after the epoch."""
+"""The answer to a query whose searches all fail: one second after the epoch."""
 
 CONSTANTS = torch.tensor([PLAN_STEP, SEARCH_STEP, SEARCHES, ROUNDING, NOT_FOUND], dtype=torch.float64)
-"""What the kernel of bsk_rl's queries has to know."""
+"""What the kernel of such queries has to know."""
 
 
 def search_range(r_N: Tensor, v_N: Tensor) -> Tensor:
@@ -49,15 +49,15 @@ def search_range(r_N: Tensor, v_N: Tensor) -> Tensor:
 class EclipseTable(StateTable):
     """Transitions into and out of the umbra on the planned arcs; an eclipse between two samples 30 s apart has none.
 
-    bsk_rl's transitions are the samples behind these. Its trajectory is propagated only as far as queries need, and its answer
-    depends on how far that is. So the table also keeps the progress that bsk_rl would have made.
+    Transitions on samples are those behind these. Samples are propagated only as far as queries need, and answers depend on how
+    far that is. So the table also keeps the progress of that propagation.
 
     Attributes:
         starts: Times of transitions into the umbra, [N, W] s since reset, padded with infinity.
         ends: Times of transitions out of it, likewise.
         ahead: How far queries look ahead, [N] s; see :func:`search_range`.
-        sampled: Time up to which bsk_rl would have propagated its trajectory, [N] s.
-        known: Time up to which bsk_rl would have recorded transitions, [N] s.
+        sampled: Time up to which samples have been propagated, [N] s.
+        known: Time up to which their transitions have been recorded, [N] s.
     """
 
     searched: Tensor
@@ -143,10 +143,10 @@ class EclipseTable(StateTable):
         start, end = (torch.where(table > now, table, torch.inf).amin(1) for table in (self.starts, self.ends))
         return torch.minimum(start, limit), torch.minimum(end, limit)
 
-    # -- as bsk_rl ----------------------------------------------------------------------------------------------------
+    # -- on samples --------------------------------------------------------------------------------------------------
 
     def sample_to(self, time: Tensor) -> None:
-        """Note that bsk_rl would have propagated its trajectory to ``time`` [N] s, but for orbits that have restarted."""
+        """Note that samples have been propagated to ``time`` [N] s, but for orbits that have restarted."""
         later, begun = torch.maximum(self.sampled, time), self.arcs.begun
         self.sampled = torch.where(begun > 0.0, self.sampled, later) if isinstance(begun, Tensor) else later
 
@@ -183,7 +183,7 @@ class EclipseTable(StateTable):
         return next_eclipses(CONSTANTS, self.starts, self.ends, time, begun, reached, self.sampled, self.known)
 
     def query(self, time: Tensor) -> tuple[Tensor, Tensor]:
-        """Return what bsk_rl answers to a query after ``time`` [N] s: times of its samples, [N] s each."""
+        """Return the answer on samples to a query after ``time`` [N] s: times of samples, [N] s each."""
         if self.visibility.kernels:
             answer = self._by_kernel(time, None)
             assert answer is not None

@@ -1,6 +1,6 @@
-"""Windows of passes: the passes themselves, or what bsk_rl makes of them, interval after interval.
+"""Windows of passes: the passes themselves, or those of BSK-RL's search, interval after interval.
 
-bsk_rl propagates its trajectory by one interval at a time. In each interval it samples only the times at which the satellite is
+It propagates its trajectory by one interval at a time. In each interval it samples only the times at which the satellite is
 near the place, and takes the first and the last of these for the ends of a window or searches for a crossing next to them. That
 has consequences which agents see, and which ``compat="bsk_rl"`` reproduces: an interval that lies within a pass gives no window,
 a pass that rises in an interval and outlasts it can be taken for one that sets, and passes are lost where the satellite is near
@@ -20,7 +20,7 @@ from bsk_torch.sim.access.passes import SHORTEST_PASS, GroundTrack, Passes, Pass
 from bsk_torch.sim.orbit.grid import PLAN_STEP
 
 LONG_SPAN = 1.3
-"""Angle, rad, by which a satellite may turn about the Earth while it is near a place, at most, for bsk_rl to find its pass.
+"""Angle, rad, by which a satellite may turn about the Earth while it is near a place, at most, for the search to find its pass.
 
 Where both ends of a span of length L are below the limit, scipy's search for a bracket evaluates the elevation 1.618 L behind it.
 That point, 2.118 L from the middle, must lie within half a revolution of it: L < 1.48 rad.
@@ -53,7 +53,7 @@ class GenerationIntervals(NamedTuple):
 
 
 def close_from_start(search: PassSearch, row: Tensor, place: Tensor, start: Tensor, end: Tensor, rise: Tensor) -> Tensor:
-    """Return whether bsk_rl's close samples of an interval begin with the interval, [m].
+    """Return whether the close samples of an interval begin with the interval, [m].
 
     Close samples are those at a distance below ``1.1 (R - |r_LP|) / sin(e_min)``, 1.1 times the slant range at the minimum
     elevation over a flat Earth, where R is the largest distance from the Earth's center in the interval. The sample at the start
@@ -98,8 +98,8 @@ def true_windows(track: GroundTrack, passes: Passes, intervals: GenerationInterv
     return within(Passes(*(part[long] for part in passes)), intervals)
 
 
-def windows_of_bsk_rl(search: PassSearch, passes: Passes, intervals: GenerationIntervals) -> Passes:
-    """Return the windows that bsk_rl generates, joined where one closes as the next opens.
+def windows_by_interval(search: PassSearch, passes: Passes, intervals: GenerationIntervals) -> Passes:
+    """Return the windows that the search generates, joined where one closes as the next opens.
 
     Most follow from the passes; satellites and places that are near each other for long are searched one by one.
     """
@@ -151,7 +151,7 @@ def _searched(search: PassSearch, intervals: GenerationIntervals, chosen: Tensor
 
 
 def windows_of_short_spans(search: PassSearch, passes: Passes, intervals: GenerationIntervals) -> Passes:
-    """Return the windows that bsk_rl generates for passes, joined where one closes as the next opens.
+    """Return the windows that the search generates for passes, joined where one closes as the next opens.
 
     A pass within one interval is a window. A pass over several intervals gives a window in its first interval (the head) and one
     in its last (the tail), and none in those that it fills. The head ends with its interval, and is joined to the tail if that

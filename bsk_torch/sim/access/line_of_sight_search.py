@@ -1,4 +1,4 @@
-"""Search for lines of sight between the satellites of an episode, as Basilisk's SpacecraftLocation and bsk_rl's logs find them.
+"""Search for lines of sight between the satellites of an episode, as logs of Basilisk's SpacecraftLocation find them.
 
 In every tick, Basilisk's module of satellite i evaluates satellite j at its position after that tick if j comes first in the
 episode, and at its position a tick earlier otherwise.

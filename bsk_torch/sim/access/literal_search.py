@@ -1,6 +1,6 @@
-"""The search of bsk_rl for windows over one place after another: splines, Brent's methods, and what they lose.
+"""BSK-RL's search for windows over one place after another: splines, Brent's methods, and what they lose.
 
-Times at which a satellite is near a place are known from samples every 30 s. Between the ends of such a span bsk_rl looks for
+Times at which a satellite is near a place are known from samples every 30 s. Between the ends of such a span it looks for
 one crossing of the least elevation, or, where both ends are below it, for the highest elevation. A span that lasts longer than
 about a quarter of a revolution can make the search for the highest elevation end at another pass, or outside of the span: then
 the pass is lost, or another window is found. ``bsk_torch.bsk_rl`` finds all windows so; ``compat="bsk_rl"`` those of long spans.
@@ -131,7 +131,7 @@ def windows_in(error: Callable[[float], float], span: Window, bounds: Window, lo
 def searched_by_interval(
     samples: Vector, start: float, edges: Sequence[float], places: Vector, least: Vector
 ) -> list[tuple[int, float, float]]:
-    """Return the windows over places that bsk_rl finds in one interval after another: place, opening and closing, s.
+    """Return the windows found over places in one interval after another: place, opening and closing, s.
 
     Args:
         samples: Earth-fixed positions every 30 s, [K, 3] m.
@@ -143,7 +143,7 @@ def searched_by_interval(
     times, found = start + PLAN_STEP * np.arange(len(samples), dtype=np.float64), dict[int, list[Window]]()
     for begin, end in itertools.pairwise(edges):
         first, last = (round((edge - start) / PLAN_STEP) for edge in (begin, end))
-        track = Interpolator(times[: last + 1], samples[: last + 1])  # bsk_rl has propagated its orbit so far
+        track = Interpolator(times[: last + 1], samples[: last + 1])  # the orbit has been propagated so far
         within = slice(first, last + 1)
         for place, near in enumerate(near_samples(samples[within], places, least)):
             error = elevation_error(track, places[place], float(least[place]))

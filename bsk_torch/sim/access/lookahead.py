@@ -73,7 +73,7 @@ class LookAhead(StateTable):
         *,
         horizon: float,
         segment: float,
-        as_bsk_rl: bool,
+        compat: bool,
         manoeuvres: Manoeuvres = NONE,
         blind: bool = False,
     ) -> None:
@@ -87,13 +87,13 @@ class LookAhead(StateTable):
             places: Places by kind.
             horizon: Seconds for which windows are generated at reset.
             segment: Seconds by which windows are extended.
-            as_bsk_rl: Whether eclipses are those that bsk_rl finds, and windows, see
+            compat: Whether eclipses are those of samples, and windows, see
                 :class:`~bsk_torch.sim.access.windows.AccessWindows`.
             manoeuvres: Objects that follow maneuvers.
             blind: Whether the satellites may be on no orbit, so that queries raise a RuntimeError.
         """
         super().__init__(num_envs, count, solver.device)
-        self.blind, self.as_bsk_rl = blind, as_bsk_rl
+        self.blind, self.compat = blind, compat
         kept = max(PLANNED_SEGMENTS, segments_for(segment) + PLANNED_SEGMENTS - 1)
         spans = max(segments_for(horizon + MARGIN), segments_for(segment + BEFORE_SEARCH + BEHIND_SEARCH) + 1)
         size = num_envs, spans, solver, kept, count
@@ -101,7 +101,7 @@ class LookAhead(StateTable):
         separate = manoeuvres.flight and not manoeuvres.lookahead
         self.flight = RestartableArcs(*size) if separate else self.arcs
         self.eclipses = EclipseTable(self.arcs, visibility)
-        self.access = AccessWindows(self.arcs, visibility, places, segment, as_bsk_rl) if places else None
+        self.access = AccessWindows(self.arcs, visibility, places, segment, compat) if places else None
         self.add("arcs", self.arcs)
         self.add("eclipses", self.eclipses)
         if self.access is not None:
@@ -286,14 +286,14 @@ class LookAhead(StateTable):
     # -- queries ------------------------------------------------------------------------------------------------------
 
     @outside_inference
-    def next_eclipse(self, time: Tensor, as_bsk_rl: bool = False) -> tuple[Tensor, Tensor]:
+    def next_eclipse(self, time: Tensor, sampled: bool = False) -> tuple[Tensor, Tensor]:
         """Return the next start and end of an eclipse after ``time`` [N], [N] s since reset.
 
-        See :meth:`EclipseTable.next`, or, for what bsk_rl answers, which depends on what was asked before,
+        See :meth:`EclipseTable.next`, or, for answers on samples, which depend on what was asked before,
         :meth:`EclipseTable.query`.
         """
         self._check_sight()
-        if not (as_bsk_rl or self.as_bsk_rl):
+        if not (sampled or self.compat):
             start, end = self.eclipses.next(time)
             while bool((short := self.eclipses.missing(time, start, end)).any()):
                 self.reach(torch.where(short, self.arcs.end + ARC_SEGMENT, 0.0), time)  # an hour after the other
@@ -356,7 +356,7 @@ class LookAhead(StateTable):
         begin = time if may_see_nothing else torch.maximum(access.until, time)
         limit = begin + MAX_SEGMENTS * access.segment
         limit = limit if last is None else torch.minimum(limit, last)
-        # bsk_rl does not look at what the last segment of a query adds; the next query does
+        # what the last segment of a query adds is not looked at; the next query does
         looked = limit if may_see_nothing else torch.minimum(limit, begin + (MAX_SEGMENTS - 1) * access.segment)
         self._reveal(kind, short, time, wanted, looked, allowed)
         more, number = access.next(kind, time, width, allowed, short)

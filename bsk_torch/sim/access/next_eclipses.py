@@ -43,8 +43,8 @@ def next_eclipses(
         time: Time of the query, [N] s.
         begun: Time at which the current orbit began, [N] s; None for zero on orbits that never restart.
         reached: Time which the arcs reach, [N] s, compared with what the query needs; None if they are known to be long enough.
-        sampled: Time up to which bsk_rl would have propagated its trajectory, [N] s; changes.
-        known: Time up to which bsk_rl would have recorded transitions, [N] s; changes.
+        sampled: Time up to which samples have been propagated, [N] s; changes.
+        known: Time up to which their transitions have been recorded, [N] s; changes.
 
     Raises:
         TypeError: For times that are not float64, or of another shape: kernels read addresses.

@@ -86,7 +86,7 @@ def candidates(windows: Windows, time: Tensor, until: Tensor, allowed: Tensor | 
     valid = (windows.open < end) & (windows.close >= now) & (end >= now) & (windows.close < torch.inf)
     if allowed is not None:
         valid = valid & allowed.gather(1, windows.place)
-    is_cut = windows.close >= end  # those that bsk_rl ends there, too
+    is_cut = windows.close >= end  # those that a search by intervals ends there, too
     return Candidates(Windows(windows.open, torch.minimum(windows.close, end), windows.place), valid, is_cut)
 
 

@@ -1,6 +1,6 @@
 """Access windows, kept up to date: generated at reset, extended when a query runs out of them.
 
-Windows are found on the planned trajectory, and queries see them as bsk_rl's do, for an interval at a time: once at reset for the
+Windows are found on the planned trajectory, and queries see them for an interval at a time: once at reset for the
 whole episode, later in segments of ten minutes. A window that is open at the end of what is seen is closed there, until more is.
 """
 
@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.astro.interpolate import BEFORE, COUNT
-from bsk_torch.sim.access.generation import GenerationIntervals, true_windows, windows_of_bsk_rl
+from bsk_torch.sim.access.generation import GenerationIntervals, true_windows, windows_by_interval
 from bsk_torch.sim.access.light import in_light
 from bsk_torch.sim.access.next_windows import next_windows
 from bsk_torch.sim.access.padded import tabulate
@@ -72,7 +72,7 @@ class AccessWindows(StateTable):
     """Windows of N satellites over several kinds of places.
 
     Searching is batched: windows are searched far ahead, up to ``ready`` [N] s, but queries see only those up to ``until`` [N] s,
-    with windows in progress cut there, as if they had been generated only so far. That is what bsk_rl's agents see.
+    with windows in progress cut there, as if they had been generated only so far.
 
     Attributes:
         arcs: Orbits of the satellites.
@@ -81,19 +81,19 @@ class AccessWindows(StateTable):
         until: End of what queries see, [N] s.
         ready: End of what has been searched, [N] s.
         ahead: Segments searched at once.
-        as_bsk_rl: Whether the windows are those that bsk_rl makes of passes, with its errors, instead of the passes themselves.
+        compat: Whether the windows are those of a search by intervals, with its errors, instead of the passes themselves.
     """
 
     until: Tensor
     ready: Tensor
 
     def __init__(
-        self, arcs: Arcs, visibility: Visibility, kinds: Mapping[str, Places], segment: float, as_bsk_rl: bool = False
+        self, arcs: Arcs, visibility: Visibility, kinds: Mapping[str, Places], segment: float, compat: bool = False
     ) -> None:
         """Prepare empty tables."""
         super().__init__(arcs.num_envs, arcs.count, arcs.device)
         self.arcs, self.visibility, self.kinds, self.segment = arcs, visibility, dict(kinds), segment
-        self.as_bsk_rl = as_bsk_rl
+        self.compat = compat
         self.declare("until", 0.0, low=0.0)
         self.declare("ready", 0.0, low=0.0)
         for kind in kinds:
@@ -266,7 +266,7 @@ class AccessWindows(StateTable):
         self.ready[rows] = end
 
     def _generate(self, kind: str, rows: Tensor, track: GroundTrack, intervals: GenerationIntervals) -> Passes:
-        """Return the windows of ``rows`` [n] over one kind of places; bsk_rl knows fixed ones alone, in any light."""
+        """Return the windows of ``rows`` [n] over one kind of places; searches by intervals know fixed ones only."""
         places = self.kinds[kind]
         if not isinstance(places, FixedPlaces):
             return true_windows(track, find_passes(places, rows, track), intervals)
@@ -274,8 +274,8 @@ class AccessWindows(StateTable):
             return true_windows(track, in_light(places, rows, find_passes(places, rows, track)), intervals)
         search = PassSearch(self.visibility, track, places.sites(rows))
         passes = search.passes()
-        if self.as_bsk_rl and not places.light:
-            return windows_of_bsk_rl(search, passes, intervals)
+        if self.compat and not places.light:
+            return windows_by_interval(search, passes, intervals)
         return true_windows(track, in_light(places, rows, passes), intervals)
 
     def _store_passes(self, kind: str, rows: Tensor, found: Passes) -> None:

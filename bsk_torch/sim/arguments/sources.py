@@ -10,7 +10,7 @@ from bsk_torch._checks import no_gradient
 from bsk_torch.rand import Distribution, as_value, first_key, seeded
 from bsk_torch.sim.names import nearest
 
-BSK_RL_ORDER = (
+DRAW_ORDER = (
     "planetRadius baseDensity scaleHeight utc_init groundStationsData groundLocationPlanetRadius gsMinimumElevation "
     "gsMaximumRange hs_min maxCounterValue thrMinFireTime desatAttitude controlAxes_B thrForceSign K Ki P K1 K3 omega_max "
     "servo_Ki servo_P imageAttErrorRequirement imageRateErrorRequirement inst_pHat_B batteryStorageCapacity "
@@ -20,12 +20,12 @@ BSK_RL_ORDER = (
     "vN oe mu min_orbital_radius dataStorageCapacity bufferNames storageUnitValidCheck storageInit thrusterPowerDraw "
     "transmitterBaudRate transmitterNumBuffers transmitterPacketSize transmitterPowerDraw"
 )
-"""Arguments in the order in which bsk_rl draws them: of the world, of flight software, of dynamics.
+"""Arguments in the order in which they are drawn: of the world, of flight software, of dynamics.
 
 Functions that share state or NumPy's generator depend on it.
 """
 
-RANKS = {name: rank for rank, name in enumerate(BSK_RL_ORDER.split())}
+RANKS = {name: rank for rank, name in enumerate(DRAW_ORDER.split())}
 
 Answers = dict[Any, Any]
 """What the user functions returned for one episode: by owner ("world", or the number of the satellite) and argument."""
@@ -63,7 +63,7 @@ class Member:
 
 
 def in_order(names: Iterable[str]) -> list[str]:
-    """Return names of arguments in the order of bsk_rl's draws, followed by those that bsk_rl lacks."""
+    """Return names of arguments in the order of draws, followed by those that it does not list."""
     return sorted(names, key=lambda name: RANKS.get(name, len(RANKS)))
 
 
@@ -96,9 +96,7 @@ GAINS = {"feedback": ("K", "P"), "steering": ("K1", "K3")}
 def unknown(title: str, name: str, known: Iterable[str]) -> str:
     """Return the message about a name of an argument that does not exist."""
     if name == "utc_init":
-        return (
-            f"{title}['utc_init'] is unknown; give it in world_args: bsk_rl, too, takes the epoch of the world for all satellites"
-        )
+        return f"{title}['utc_init'] is unknown; give it in world_args: the epoch of the world is that of all satellites"
     for law, gains in GAINS.items():
         if name in gains and not {*gains} & {*known} and any({*others} & {*known} for others in GAINS.values()):
             other = next(other for other in GAINS if other != law)

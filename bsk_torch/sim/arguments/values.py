@@ -503,7 +503,7 @@ def _check_stations(stations: Any) -> None:
         for key, value in station.items():
             if key not in (*STATION_BOUNDS, "name"):
                 raise ValueError(f"groundStationsData has an unknown key {key!r}; {nearest(str(key), (*STATION_BOUNDS, 'name'))}")
-            if key in STATION_BOUNDS and key not in ("lat", "long") and value:  # bsk_rl takes a falsy value for an unset one
+            if key in STATION_BOUNDS and key not in ("lat", "long") and value:  # a falsy value is an unset one
                 number(f"groundStationsData: {key}", value, *STATION_BOUNDS[key], finite=key != "gsMaximumRange")
         for key in ("lat", "long"):
             bound = STATION_BOUNDS[key][1]

@@ -1,4 +1,4 @@
-"""Models from several classes, as bsk_rl composes them, and what the parts of a simulation require of one another."""
+"""Models from several classes, and what the parts of a simulation require of one another."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def world_components(dyn_type: type[DynamicsModel], world_type: type[WorldModel]
 
 
 def check_required_dyn(dyn_type: type[DynamicsModel], fsw_type: type[FSWModel]) -> None:
-    """Raise TypeError for a dynamics model without the devices that the flight software commands, as bsk_rl does."""
+    """Raise TypeError for a dynamics model without the devices that the flight software commands."""
     for model in fsw_type.all_required_dyn():
         if not issubclass(dyn_type, model):
             raise TypeError(

@@ -61,7 +61,7 @@ class SimulationOptions:
         sim_rate: Length of a tick, s.
         orbit: ``"arc"``, ``"integrated"``, ``"free"``, or None for the default of the dynamics model.
         backend: ``"compiled"`` or ``"eager"``.
-        compat: ``"bsk_rl"`` for bsk_rl's errors.
+        compat: ``"bsk_rl"`` for the errors of recordings.
         replan: Whether windows and eclipses follow maneuvers.
     """
 
@@ -148,8 +148,8 @@ class SatelliteType:
     resets: tuple[Tensor, Tensor, Tensor]
 
     @property
-    def as_bsk_rl(self) -> bool:
-        """Whether bsk_rl's errors are repeated."""
+    def compat(self) -> bool:
+        """Whether the errors of recordings are repeated."""
         return self.options.compat == "bsk_rl"
 
     @functools.cached_property

@@ -1,4 +1,4 @@
-"""Drag on bsk_rl's box, gravity gradient, and a constant disturbance torque.
+"""Drag on a box, gravity gradient, and a constant disturbance torque.
 
 Basilisk's facetDragDynamicEffector, GravityGradientEffector and extForceTorque.
 """
@@ -21,7 +21,7 @@ from bsk_torch.vec3 import Vec3, times
 
 
 def _facet_areas(args: Values) -> dict[str, Tensor]:
-    """Return areas A, m^2, and offsets l, m, of the facets of bsk_rl: six sides of the box and both faces of the panel.
+    """Return areas A, m^2, and offsets l, m, of the default facets: six sides of the box and both faces of the panel.
 
     With width w, depth d, height h and the panel's area S: ``A = w d, h w, h d, S / 2`` and ``l = h / 2, d / 2, w / 2, h`` for
     the sides normal to x, y and z and the faces of the panel, which are normal to y.
@@ -37,7 +37,7 @@ def drag(bus: Bus, v_BN_B: Vec3) -> tuple[Vec3, Vec3]:
 
     ``F = -1/2 rho v^2 Cd A (n . v^) v^`` at the location l of every facet whose normal n has ``n . v^ > 0``, and ``L = l x F``
     (Vallado, section 8.6.2; the atmosphere does not rotate). Of two opposite facets one faces the flow, so ``A |v^_i|`` serves
-    both, and the sign of v^_i tells on which side it sits. Both x facets sit at +height/2, as bsk_rl builds them.
+    both, and the sign of v^_i tells on which side it sits. Both x facets sit at +height/2, as in recordings.
     """
     speed2 = v_BN_B.dot(v_BN_B)
     flow = v_BN_B / torch.sqrt(torch.clamp(speed2, min=AT_REST))
@@ -60,7 +60,7 @@ def _latch_density(bus: Bus) -> None:
 
 
 def fitted_drag(given: Mapping[str, Any]) -> Component:
-    """Return the component of drag on the facets that the arguments as given describe, or on bsk_rl's box."""
+    """Return the component of drag on the facets that the arguments as given describe, or on the default box."""
     listed, several = described_facets(given), described_panels(given)
     box = DRAG if several is None else drag_with_panels(several)
     return box if listed is None else drag_of_facets(box, listed)
@@ -68,7 +68,7 @@ def fitted_drag(given: Mapping[str, Any]) -> Component:
 
 @functools.cache
 def drag_with_panels(several: tuple[Panel, ...]) -> Component:
-    """Return the component of drag on bsk_rl's box with a panel that has the area of ``several``."""
+    """Return the component of drag on the default box with a panel that has the area of ``several``."""
 
     def prepare(args: Values) -> dict[str, Tensor]:
         return _facet_areas({**args, "panelArea": args["panelArea"].sum(-1)})
@@ -95,7 +95,7 @@ DRAG = Component(
     fit=fitted_drag,
     effector=Effector(force=drag),
 )
-"""Drag on bsk_rl's box with a panel, unless the arguments describe facets."""
+"""Drag on the default box with a panel, unless the arguments describe facets."""
 
 
 def gravity_gradient(bus: Bus, r_CN_B: Vec3) -> Vec3:

@@ -84,7 +84,7 @@ def box_facets(size: Sequence[float], center: Sequence[float] = (0.0, 0.0, 0.0),
     return facets
 
 
-FACETS_ARG = Arg("facets", None, "-", "surfaces that drag and sunlight push, a list of dyn.Facet; None: bsk_rl's box", "constant")
+FACETS_ARG = Arg("facets", None, "-", "surfaces that drag and sunlight push, a list of dyn.Facet; None: a box", "constant")
 
 NUMBERS = (
     Arg("facetAreas", None, "m^2", "areas of the facets", low=0.0, high=1e6, shape=(None,)),
@@ -112,7 +112,7 @@ ATTRIBUTES = {
 
 
 def described_facets(given: Mapping[str, Any]) -> tuple[Facet, ...] | None:
-    """Return the facets that arguments as given describe; None for bsk_rl's box.
+    """Return the facets that arguments as given describe; None for the default box.
 
     Raises:
         ValueError: For entries that are not facets, and for numbers of facets without ``facets``.
@@ -181,7 +181,7 @@ def facet_drag(bus: Bus, v_BN_B: Vec3) -> tuple[Vec3, Vec3]:
 
 @functools.cache
 def drag_of_facets(box: Component, listed: tuple[Facet, ...]) -> Component:
-    """Return the component of drag on facets, in place of that on bsk_rl's ``box``."""
+    """Return the component of drag on facets, in place of that on the default ``box``."""
     count = len(listed)
     args = [_of_facets(arg, listed) if arg.name in ATTRIBUTES else arg for arg in box.args]
     return replace(

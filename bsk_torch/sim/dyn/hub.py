@@ -39,7 +39,7 @@ STABLE_TURN = 2.0 * math.sqrt(2.0)
 def box_inertia(mass: Tensor, width: Tensor, depth: Tensor, height: Tensor) -> Tensor:
     """Return the principal inertia [n, 3], kg m^2, about the center of a uniform box of the given mass, kg, and sides, m.
 
-    ``I = m / 12 (w^2 + d^2, d^2 + h^2, w^2 + h^2)``, with width w, depth d and height h, in the order in which bsk_rl sets it.
+    ``I = m / 12 (w^2 + d^2, d^2 + h^2, w^2 + h^2)``, with width w, depth d and height h, in that order.
     """
     sides = width**2 + depth**2, depth**2 + height**2, width**2 + height**2
     return torch.stack(torch.broadcast_tensors(*(mass / 12.0 * side for side in sides)), -1)

@@ -1,4 +1,4 @@
-"""Dynamics models: the components of a spacecraft, and its observables. Names are bsk_rl's."""
+"""Dynamics models: the components of a spacecraft, and its observables."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class DynamicsModel(Model):
 
     ``requires_world`` lists the required world models, in addition to those of the base classes. ``world_components`` are further
     components of the world, which replace those of world models in the same slots. ``orbit`` is the default computation of the
-    orbit: ``"arc"`` (in advance) or ``"integrated"`` (in every tick). ``schedule`` is the order of a tick (default: bsk_rl's);
+    orbit: ``"arc"`` (in advance) or ``"integrated"`` (in every tick). ``schedule`` is the order of a tick (``SCHEDULE``);
     see :mod:`bsk_torch.sim.schedule`. ``gravity_degree`` is the degree and order of the Earth's field, from 2 to 10, or 0 for a
     point mass, which orbits that are integrated can have.
 
@@ -173,7 +173,7 @@ class DynamicsModel(Model):
 
     @observable
     def beta_angle(now: Now) -> Tensor:
-        """Angle between orbit normal and Sun, ``beta = acos(h . s)``, [N] rad in [0, pi], as bsk_rl defines it.
+        """Angle between orbit normal and Sun, ``beta = acos(h . s)``, [N] rad in [0, pi].
 
         ``h`` is the unit vector along ``r x v``, ``s`` that from the Earth to the Sun; texts often define ``pi / 2 - beta``.
         """
@@ -219,13 +219,13 @@ class DisturbanceTorqueDynModel(DynamicsModel):
 
 
 class GravityGradientDynModel(DynamicsModel):
-    """Adds the torque of the gravity gradient, which bsk_rl leaves out; composed with other models."""
+    """Adds the torque of the gravity gradient; composed with other models."""
 
     components: ClassVar[tuple[Component, ...]] = (drag.GRAVITY_GRADIENT,)
 
 
 class SolarPressureDynModel(EclipseDynModel):
-    """Adds the pressure of sunlight on ``facets``, which bsk_rl leaves out; composed with other models.
+    """Adds the pressure of sunlight on ``facets``; composed with other models.
 
     Where the orbit is solved in advance, sunlight turns the body but does not push its orbit.
     """
@@ -234,7 +234,7 @@ class SolarPressureDynModel(EclipseDynModel):
 
 
 class TorqueBarsDynModel(DynamicsModel):
-    """Adds magnetic torque bars, which bsk_rl lacks, and the Earth's magnetic field; composed with other models.
+    """Adds magnetic torque bars, and the Earth's magnetic field; composed with other models.
 
     Flight software, such as :class:`bsk_torch.sim.fsw.MagneticUnloadingFSWModel`, writes dipoles to the state ``bar_command``.
     """
@@ -254,7 +254,7 @@ class TorqueBarsDynModel(DynamicsModel):
 
 
 class NavigationErrorsDynModel(DynamicsModel):
-    """Adds errors of the navigation, which bsk_rl leaves at zero; composed with other models.
+    """Adds errors of the navigation; composed with other models.
 
     Guidance laws read position, velocity, attitude and rate with errors; observations and all else remain true. What is known of
     other satellites is true, too.
@@ -383,7 +383,7 @@ class ImagingDynModel(BasicDynamicsModel):
     def data_storage_valid(now: Now) -> Tensor:
         """Whether the buffer is not full, [N]: ``level < C`` or ``|level - C| > 1e-8 + 1e-5 |C|``; True without the check.
 
-        ``C`` is ``dataStorageCapacity``, bit; ``storageUnitValidCheck`` switches the check on, as in bsk_rl.
+        ``C`` is ``dataStorageCapacity``, bit; ``storageUnitValidCheck`` switches the check on.
         """
         level, capacity = now.storage, now.args.dataStorageCapacity
         full = torch.abs(level - capacity) > 1e-8 + 1e-5 * torch.abs(capacity)  # as close as numpy's isclose
@@ -441,13 +441,12 @@ class LOSCommDynModel(DynamicsModel):
 
 
 class FullFeaturedDynModel(GroundStationDynModel, LOSCommDynModel):
-    """Ground stations and lines of sight; deprecated by bsk_rl in favor of a tuple of both models in ``dyn_type``."""
+    """Ground stations and lines of sight; deprecated in favor of a tuple of both models in ``dyn_type``."""
 
     def __init__(self, simulator: Simulation) -> None:
         """Warn of the deprecation, and bind the model to a simulation."""
         warnings.warn(
-            "dyn.FullFeaturedDynModel is deprecated, as in bsk_rl; "
-            "write dyn_type = (dyn.GroundStationDynModel, dyn.LOSCommDynModel)",
+            "dyn.FullFeaturedDynModel is deprecated; write dyn_type = (dyn.GroundStationDynModel, dyn.LOSCommDynModel)",
             DeprecationWarning,
             stacklevel=2,
         )

@@ -1,4 +1,4 @@
-"""Solar panels, Basilisk's simpleSolarPanel: the one of bsk_rl, or any number, fixed or turning about an axis.
+"""Solar panels, Basilisk's simpleSolarPanel: the default one, or any number, fixed or turning about an axis.
 
 Panels neither shade one another nor are shaded by the body. Turning panels have no mass: nothing acts on the body.
 """
@@ -142,7 +142,7 @@ SUN_AXIS = Arg("nHat_B", (0.0, 0.0, -1.0), "-", "panel normal in B", "vector", *
 
 
 def described_panels(given: Mapping[str, Any]) -> tuple[Panel, ...] | None:
-    """Return the panels that arguments as given describe; None for bsk_rl's single one.
+    """Return the panels that arguments as given describe; None for the default one.
 
     Raises:
         ValueError: For entries that are not panels, and for numbers of panels without ``panels``.
@@ -422,4 +422,4 @@ PANEL = Component(
     check=check_axis("nHat_B"),
     fit=fitted_panels,
 )
-"""bsk_rl's panel, unless the arguments describe others."""
+"""The default panel, unless the arguments describe others."""

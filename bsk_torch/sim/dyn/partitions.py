@@ -1,6 +1,6 @@
 """The instrument that takes images, a store of partitions, and the transmitter that empties them packet by packet.
 
-Basilisk's simpleInstrument, spaceToGroundTransmitter and partitionedStorageUnit as bsk_rl's point imaging connects them, bit by
+Basilisk's simpleInstrument, spaceToGroundTransmitter and partitionedStorageUnit connected for point imaging, bit by
 bit: these modules subtract times rounded to doubles of seconds, and whether a packet is complete after a tick may
 hang on the last digit. How many partitions there are depends on the arguments, so transmitter and store are made to fit.
 """

@@ -45,7 +45,7 @@ def transmit(bus: Bus) -> None:
         none or complete    L < -P      any         0       0
         any                 any         no          0       0
 
-    Where it is off, p stays and ``idle`` grows. Without ground stations there is never one: nothing is sent, as in bsk_rl.
+    Where it is off, p stays and ``idle`` grows. Without ground stations there is never one: nothing is sent.
     """
     level, rate, size = bus.storage, bus.transmitter_baud, bus.packet_size
     zero = torch.zeros_like(level)

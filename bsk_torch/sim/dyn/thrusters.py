@@ -1,11 +1,11 @@
-"""Attitude thrusters, Basilisk's thrusterDynamicEffector: the eight of bsk_rl, which are pairs, or any others.
+"""Attitude thrusters, Basilisk's thrusterDynamicEffector: the eight default ones, which are pairs, or any others.
 
 Basilisk's integrator feels a sixth of every full pulse and nothing of shorter ones: a command of time t is latched at t + h and
 acts over (t + h, t + 2 h], but a pulse of at most h ends by t + h, so only the first of the four stages, whose time is t + h, can
 find the thruster on, and its weight is 1/6.
 
 The members of a pair have the same torque and opposite forces. Commands follow from torques alone, so both members of a pair
-always fire alike and there is never a net force: the pair is the unit of bsk_rl's eight. The torque of a pair is the same about
+always fire alike and there is never a net force: the pair is the unit of the eight. The torque of a pair is the same about
 any point, so this holds wherever the center of mass is. Other thrusters, which the argument ``thrusters`` lists, fire one by one,
 and may push the orbit.
 """
@@ -80,8 +80,8 @@ class ThrusterPairs:
         return Vec3(*(functools.reduce(operator.add, parts) for parts in terms))
 
 
-BSK_RL_THRUSTERS = ThrusterPairs(POSITIONS, DIRECTIONS, THRUST)
-"""The eight thrusters of bsk_rl."""
+EIGHT_THRUSTERS = ThrusterPairs(POSITIONS, DIRECTIONS, THRUST)
+"""The eight default thrusters."""
 
 
 def latch_pulses(bus: Bus) -> None:
@@ -146,10 +146,10 @@ OCTET = tuple(
     for sign, order in ((1.0, (0, 1, 2, 3)), (-1.0, (1, 0, 3, 2)))
     for k in order
 )
-"""bsk_rl's eight thrusters, in its order."""
+"""The eight default thrusters, in Basilisk's order."""
 
 ARGS = (
-    Arg("thrusters", None, "-", "thrusters, a list of dyn.Thruster; None: bsk_rl's eight", "constant"),
+    Arg("thrusters", None, "-", "thrusters, a list of dyn.Thruster; None: the eight default ones", "constant"),
     Arg("thrusterPositions_B", None, "m", "places of the thrusters in B", low=-1e4, high=1e4, shape=(None, 3)),
     Arg("thrusterDirections_B", None, "-", "directions of their forces in B", low=-1e9, high=1e9, shape=(None, 3)),
     Arg("thrusterMaxThrust", None, "N", "their thrusts", low=1e-12, high=1e6, shape=(None,)),
@@ -170,7 +170,7 @@ class ThrusterForm(NamedTuple):
 
 
 def described_thrusters(given: Mapping[str, Any]) -> tuple[Thruster, ...] | None:
-    """Return the thrusters that arguments as given describe; None for bsk_rl's pairs, whose numbers are fixed.
+    """Return the thrusters that arguments as given describe; None for the default pairs, whose numbers are fixed.
 
     Raises:
         ValueError: For entries that are not thrusters, and for numbers of thrusters without ``thrusters``.
@@ -301,5 +301,5 @@ def thruster_pairs(pairs: ThrusterPairs) -> Component:
     return thrusters(len(pairs.positions), effector)
 
 
-THRUSTERS = thruster_pairs(BSK_RL_THRUSTERS)
-"""The eight thrusters of bsk_rl, unless the arguments describe others."""
+THRUSTERS = thruster_pairs(EIGHT_THRUSTERS)
+"""The eight default thrusters, unless the arguments describe others."""

@@ -43,7 +43,7 @@ NUMBERS = (
     Arg("rwBetaStatic", None, "rad/s", "Stribeck friction coefficient; none where negative", shape=(None,)),
     Arg("rwCViscous", None, "N m s", "viscous friction", low=0.0, high=1e6, shape=(None,)),
 )
-"""Numbers of wheels that replace those of ``wheels``; without ``wheels``, those of bsk_rl's three."""
+"""Numbers of wheels that replace those of ``wheels``; without ``wheels``, those of the three default ones."""
 
 WHEELS_ARG = Arg("wheels", None, "-", "reaction wheels, a list of dyn.Wheel; None: three HR16 on the axes of B", "constant")
 
@@ -61,11 +61,11 @@ ARGS = (
     ),
     Arg("u_max", 0.2, "N m", "largest motor torque; no limit where not positive", endless=True),
 )
-"""Arguments of bsk_rl's three wheels, and those that describe others."""
+"""Arguments of the three default wheels, and those that describe others."""
 
 
 EACH = ("u_max", "rwBasePower", "rwMechToElecEfficiency", "rwElecToMechEfficiency", "rwAvailable")
-"""Arguments of which bsk_rl's three wheels share one number; others have one for each wheel."""
+"""Arguments of which the three default wheels share one number; others have one for each wheel."""
 
 
 class WheelForm(NamedTuple):
@@ -87,7 +87,7 @@ class WheelForm(NamedTuple):
 
 
 def described_wheels(given: Mapping[str, Any]) -> tuple[Wheel, ...] | None:
-    """Return the wheels that arguments as given describe; None for bsk_rl's three, all of whose numbers are fixed.
+    """Return the wheels that arguments as given describe; None for the three default ones, all of whose numbers are fixed.
 
     Raises:
         ValueError: For entries that are not wheels.

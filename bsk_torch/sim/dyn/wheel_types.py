@@ -162,4 +162,4 @@ def pyramid(height: float, count: int = 4) -> list[tuple[float, float, float]]:
 
 
 TRIAD = tuple(Wheel("Honeywell_HR16", tuple(float(k == j) for j in range(3)), maxMomentum=50.0) for k in range(3))
-"""bsk_rl's three wheels."""
+"""The three default wheels."""

@@ -116,7 +116,7 @@ def _check_spin(args: Values, h: float) -> None:
 def free_moments(args: Values) -> Tensor:
     """Return the moments of inertia [n or 1, 3], kg m^2, of the body without the spin of its wheels.
 
-    Those of a box with bsk_rl's wheels are about the body axes, others principal moments.
+    Those of a box with the default wheels are about the body axes, others principal moments.
     """
     return body_inertia(args) - SPIN_INERTIA if args.get("rwJs") is None else free_tensor_moments(args)
 
@@ -158,7 +158,7 @@ WHEELS = Component(
         momentum=wheel_momentum,
     ),
 )
-"""bsk_rl's three wheels, unless the arguments describe others."""
+"""The three default wheels, unless the arguments describe others."""
 
 
 POWER_ARGS = (

@@ -36,7 +36,7 @@ DEFAULT_STATIONS: tuple[dict[str, Any], ...] = tuple(
         ("Hawaii", 19.8968, -155.5828, 9.0),
     )
 )
-"""Ground stations of bsk_rl: latitude and longitude in degrees, elevation in meters."""
+"""Default ground stations: latitude and longitude in degrees, elevation in meters."""
 
 
 def station_arrays(args: Values) -> dict[str, Tensor]:
@@ -44,7 +44,7 @@ def station_arrays(args: Values) -> dict[str, Tensor]:
     stations = args["groundStationsData"]
 
     def numbers(key: str, default: Tensor) -> Tensor:
-        # bsk_rl takes a falsy value of a station for an unset one
+        # a falsy value of a station is an unset one
         return torch.tensor([s.get(key) or default.item() for s in stations], dtype=torch.float64)
 
     radius = numbers("groundLocationPlanetRadius", args["groundLocationPlanetRadius"])
@@ -58,7 +58,7 @@ def station_arrays(args: Values) -> dict[str, Tensor]:
 
 
 def station_names(stations: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
-    """Return the names of ground stations as bsk_rl makes them, in the order of their indices."""
+    """Return the names of ground stations, in the order of their indices."""
     return tuple(f"GroundStation{station.get('name', k)}" for k, station in enumerate(stations))
 
 

@@ -45,7 +45,7 @@ def stuck_panel(normal: Sequence[float] | Any = None, panel: int | None = None, 
     """Return the fault of a panel that no longer points where the flight software expects it.
 
     Args:
-        normal: Normal in B of bsk_rl's single panel, or of a fixed one of several ``panels``, from then on; the flight software
+        normal: Normal in B of the default panel, or of a fixed one of several ``panels``, from then on; the flight software
             points the usual direction to the Sun. None for a panel that turns: it stays where it is.
         panel: Number of the panel among ``panels``; None for the single one.
         **given: Further arguments of Fault.

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
-from bsk_torch.sim.dyn.thrusters import BSK_RL_THRUSTERS, ThrusterPairs, arms_about_center, described_thrusters
+from bsk_torch.sim.dyn.thrusters import EIGHT_THRUSTERS, ThrusterPairs, arms_about_center, described_thrusters
 from bsk_torch.sim.dyn.wheels import largest_momentum
 from bsk_torch.vec3 import Vec3, only, select
 
@@ -235,5 +235,5 @@ def fitted_desaturation(given: Mapping[str, Any]) -> Component:
     return DESATURATION if listed is None else set_desaturation(len(listed))
 
 
-DESATURATION = pair_desaturation(BSK_RL_THRUSTERS)
-"""Desaturation by bsk_rl's eight thrusters, unless the arguments describe others."""
+DESATURATION = pair_desaturation(EIGHT_THRUSTERS)
+"""Desaturation by the eight default thrusters, unless the arguments describe others."""

@@ -32,7 +32,7 @@ PULSE_TORQUE_SHARE = 0.5
 """Part of the wheels' torque that takes up the pulses of the thrusters, on average."""
 
 LEAST_WAIT = 4
-"""Least proposed ticks between pulses, which is bsk_rl's default."""
+"""Least proposed ticks between pulses, the default."""
 
 
 def propose_gains(

@@ -1,4 +1,4 @@
-"""Flight-software models: tasks, mode tables and commands. Names are bsk_rl's."""
+"""Flight-software models: tasks, mode tables and commands."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class BasicFSWModel(FSWModel):
     """MRP feedback with reaction wheels: drift, charge, nadir pointing, desaturation.
 
     The mode ``"nadir_point"`` aligns B with the Hill frame H: x points away from the Earth, z along the orbit normal. So an
-    instrument looks down with ``inst_pHat_B=[-1, 0, 0]``, and along the horizon with bsk_rl's default, ``[0, 0, 1]``.
+    instrument looks down with ``inst_pHat_B=[-1, 0, 0]``, and along the horizon with the default, ``[0, 0, 1]``.
     """
 
     components: ClassVar[tuple[Component, ...]] = (
@@ -157,7 +157,7 @@ class ImagingFSWModel(BasicFSWModel):
     def target_pointing_error(now: Now) -> Tensor:
         """Angle between the instrument axis and the direction of the target chosen last, [N] rad.
 
-        Before the first target is chosen, it is the place at zero latitude and longitude, as in bsk_rl.
+        Before the first target is chosen, it is the place at zero latitude and longitude.
         """
         return angle_between(now.BN.mT @ axis_now(now), now.PN.mT @ now.r_LP_P - now.r_BN_N)
 

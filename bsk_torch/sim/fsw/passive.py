@@ -18,7 +18,7 @@ class TumblingFSWModel(FSWModel):
 
     Its attitude starts from ``sigma_init`` and ``omega_init`` and follows Euler's equation ``I omega' = L - omega x (I omega)``
     with the inertia ``I`` of a uniform box of ``mass``, ``width``, ``depth`` and ``height``, or ``inertia`` (Schaub and Junkins,
-    section 4.2). ``L`` is zero without disturbance or drag. Its only command is ``drift``. bsk_rl has no such model: it
+    section 4.2). ``L`` is zero without disturbance or drag. Its only command is ``drift``. BSK-RL has no such model: it
     imposes the attitudes of satellites without actuators, see :class:`FSWModel`.
     """
 

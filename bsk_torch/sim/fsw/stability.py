@@ -28,7 +28,7 @@ RATE_SHARE = 0.36
 """``P h / J`` of proposed gains with rate gain P and the smallest moment J: roots ``z^2 - z + 0.36`` of the rate loop are 0.6."""
 
 DAMPING = 1.2
-"""Damping ``P / sqrt(K J)`` of proposed gains for the largest moment of inertia J, and of those of bsk_rl's satellite."""
+"""Damping ``P / sqrt(K J)`` of proposed gains for the largest moment of inertia J, and of those of the default satellite."""
 
 NULL_SHARE = 0.2
 """``k h / J`` of a proposed gain k of null motion, with the smallest wheel inertia J; see ``SMOOTH`` of the allocation."""
@@ -63,7 +63,7 @@ GROWTH = 1.001
 UNBOUNDED = 7.0
 """Ratio ``50 N m s h / J`` above which a growing loop makes numbers overflow, in spite of the limit of the torque.
 
-Measured with bsk_rl's gains over 60 000 s: none of 16 satellites at 6.8, 4 at 10.2, 11 at 15.
+Measured with the default gains over 60 000 s: none of 16 satellites at 6.8, 4 at 10.2, 11 at 15.
 """
 
 Polynomial = Sequence[Tensor | float]

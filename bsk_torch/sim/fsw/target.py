@@ -64,7 +64,7 @@ def aim_at_place(minimum: bool, maximum: bool) -> Callable[[Bus], None]:
 
 
 def aim_at_earth_centre(bus: Bus) -> None:
-    """Write the target of a scan and its access: ``r_LN = 0.1 m`` along the Earth's axis, as in bsk_rl, always above its horizon.
+    """Write the target of a scan and its access: ``r_LN = 0.1 m`` along the Earth's axis, always above its horizon.
 
     It has access where ``|r_BN - r_LN| <= reach``, or where the maximum range is negative.
     """

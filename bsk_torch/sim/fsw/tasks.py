@@ -1,4 +1,4 @@
-"""Names in bsk_rl programs that define flight software, built here from components and modes; errors suggest replacements."""
+"""Names in programs of BSK-RL that define flight software, built here from components and modes; errors suggest replacements."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ ADVICE = (
 
 
 class Task:
-    """bsk_rl's base class of tasks; deriving from it raises TypeError."""
+    """Base class of tasks; deriving from it raises TypeError."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Raise TypeError."""
-        raise TypeError(f"{cls.__qualname__} is a task of bsk_rl, which is never run here; {ADVICE}")
+        raise TypeError(f"{cls.__qualname__} is a task, which is never run here; {ADVICE}")
 
 
 def action(function: Callable[..., Any]) -> Callable[..., Any]:
-    """bsk_rl's decorator of commands; raises TypeError."""
-    raise TypeError(f"@action {function.__name__} is a command of bsk_rl, which is never run here; {ADVICE}")
+    """Decorator of commands; raises TypeError."""
+    raise TypeError(f"@action {function.__name__} is a command, which is never run here; {ADVICE}")

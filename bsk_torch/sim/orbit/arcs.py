@@ -5,7 +5,7 @@ polynomial through positions a minute apart serves every tick. Of satellites tha
 :mod:`bsk_torch.sim.orbit.restartable`.
 
 Two arcs are kept for each satellite. The *flown* arc is the one that Basilisk integrates at the simulation's rate. The *planned*
-arc is the one that bsk_rl looks ahead on, a Runge-Kutta propagation in steps of 30 s; its truncation error, meters per orbit, is
+arc is that of BSK-RL's look-ahead, a Runge-Kutta propagation in steps of 30 s; its truncation error, meters per orbit, is
 reproduced by adding the error of one such step to the equations of motion. Of the planned arc only the end is kept, which is
 what look-ahead still has to search.
 """

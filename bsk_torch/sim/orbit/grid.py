@@ -16,7 +16,7 @@ LEAD_NODES = 4
 """Flown nodes before the beginning of an arc, so that interpolating polynomials are not one-sided there."""
 
 PLAN_STEP = 30.0
-"""Step, s, of bsk_rl's look-ahead propagation, whose samples are those of the planned arc."""
+"""Step, s, of the look-ahead propagation, whose samples are those of the planned arc."""
 
 RECORDS = 3
 """Records of the ephemeris in which a segment lies, with one more behind it."""

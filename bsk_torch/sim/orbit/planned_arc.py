@@ -1,6 +1,6 @@
-"""Kernels of the planned arc, on which bsk_rl looks ahead, each satellite by itself.
+"""Kernels of the planned arc, for looking ahead, each satellite by itself.
 
-It differs from the flown arc by meters: the difference is integrated with the error of bsk_rl's Runge-Kutta steps as its forcing.
+It differs from the flown arc by meters: the difference is integrated with the error of Runge-Kutta steps of 30 s as its forcing.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def planned_kernel() -> Kernel:
 
     With the flown arc r, the difference d of position and e of velocity follow ``d' = e + e_r`` and
     ``e' = a_z(r + d) - a_z(r) + e_v``, where a_z is the zonal field, each with the stretch of its arc, and e_r and e_v are the
-    errors per second of bsk_rl's step (:func:`bsk_torch.sim.orbit.step_error.step_defect`). Steps are of the Runge-Kutta kind, in
+    errors per second of a step (:func:`bsk_torch.sim.orbit.step_error.step_defect`). Steps are of the Runge-Kutta kind, in
     the axes E of the end of each; samples within are on the cubic through both ends.
     """
     builder = KernelBuilder()

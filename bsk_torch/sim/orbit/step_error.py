@@ -1,4 +1,4 @@
-"""Error of bsk_rl's look-ahead propagation, as a forcing of the equations of motion.
+"""Error of BSK-RL's look-ahead propagation, as a forcing of the equations of motion.
 
 The look-ahead is a Runge-Kutta propagation in steps of 30 s. Its truncation error, meters per orbit, moves windows by
 milliseconds, so it is reproduced: the error of one step, divided by the length of the step, is a rate of position and velocity,

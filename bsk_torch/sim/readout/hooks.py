@@ -56,7 +56,7 @@ UNUSED: dict[str, str] = {
     "default_world_args": DEFAULTS,
     "is_alive": "mark methods that return [N] booleans with dyn.aliveness_checker",
 }
-"""Names that are not hooks of models, those of bsk_rl among them, and what to write instead."""
+"""Names that are not hooks of models, and what to write instead."""
 
 LEAST_DEGREE = 2
 """Least degree of the Earth's field, apart from the point mass: solvers of arcs are built around its oblateness."""
@@ -76,7 +76,7 @@ def check_model(cls: type, base: type) -> None:
         base: Base class of the models.
 
     Raises:
-        TypeError: For hooks of bsk_rl that do not exist here, misspelled tables, and tables that are not made of what they hold.
+        TypeError: For hooks that do not exist here, misspelled tables, and tables that are not made of what they hold.
         ValueError: For a component that has no place in the tick.
     """
     check_class(cls, base, (), UNUSED)
@@ -107,7 +107,7 @@ def _check_member(cls: type, owner: type, base: type, name: str, value: object) 
         _check_table(title, name, value)
     elif inspect.isclass(value):
         if name.endswith("Task"):
-            raise TypeError(f"{title} is never used; tasks of bsk_rl are components and modes here: {COMPONENT}")
+            raise TypeError(f"{title} is never used; tasks are components and modes here: {COMPONENT}")
     elif callable(value) or isinstance(value, staticmethod | classmethod):
         _check_method(title, name, value, base)
     elif not name.startswith("_") and not isinstance(value, property) and (meant := _misspelled(cls, name)) is not None:

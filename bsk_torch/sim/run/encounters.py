@@ -73,12 +73,12 @@ NO_PAIRS = EncounterPairs((), ())
 
 
 def find_pairs(
-    names: Sequence[str], models: Sequence[type[DynamicsModel]], chiefs: Sequence[str | None], as_bsk_rl: bool
+    names: Sequence[str], models: Sequence[type[DynamicsModel]], chiefs: Sequence[str | None], compat: bool
 ) -> EncounterPairs:
     """Return the pairs of satellites of the given names, dynamics models and values of ``chief_name``.
 
     Raises:
-        ValueError: For a chief that is not a satellite, or an order of satellites in which bsk_rl's steps raise, if it is
+        ValueError: For a chief that is not a satellite, or an order of satellites in which its steps raise, if it is
             repeated.
     """
     for name, model, chief in zip(names, models, chiefs, strict=True):
@@ -91,12 +91,12 @@ def find_pairs(
                 f"sat_args of {name}: chief_name={chief!r} is not a satellite of the environment; {nearest(str(chief), names)}"
             )
     may_collide = [k for k, model in enumerate(models) if issubclass(model, ConjunctionDynModel)]
-    if as_bsk_rl:
+    if compat:
         for k in may_collide[1:]:
             if k - 1 not in may_collide:
                 raise ValueError(
                     f"compat='bsk_rl' books conjunctions of {names[k]!r} on the satellite before it, and {names[k - 1]!r} has no "
-                    "dyn.ConjunctionDynModel, so that bsk_rl raises; put those that may collide next to one another"
+                    "dyn.ConjunctionDynModel, which raises there; put those that may collide next to one another"
                 )
     deputies = [k for k, model in enumerate(models) if issubclass(model, MaxRangeDynModel) and chiefs[k] is not None]
     return EncounterPairs(
@@ -184,8 +184,8 @@ class Encounters:
         pairs: Pairs of satellites by their numbers in the fleet.
     """
 
-    def __init__(self, fleet: Fleet, pairs: EncounterPairs, as_bsk_rl: bool) -> None:
-        """Declare what the episodes remember, and end the steps of the fleet; ``as_bsk_rl`` repeats bsk_rl's bookings."""
+    def __init__(self, fleet: Fleet, pairs: EncounterPairs, compat: bool) -> None:
+        """Declare what the episodes remember, and end the steps of the fleet; ``compat`` repeats the bookings of recordings."""
         self.fleet, self.pairs = fleet, pairs
         every = (*pairs.conjunctions, *pairs.ranges)
         self._distances = list(dict.fromkeys(tuple(sorted(pair)) for pair in every))
@@ -194,7 +194,7 @@ class Encounters:
         self._places, size = [(k, i) for _, k, i in found], fleet.size
         booked = torch.zeros(len(pairs.conjunctions), size, size, dtype=torch.bool)
         for row, (later, earlier) in enumerate(pairs.conjunctions):
-            other = later - 1 if as_bsk_rl else earlier
+            other = later - 1 if compat else earlier
             booked[row, later, other] = booked[row, other, later] = True
         self._booked = booked.to(fleet.device)
         if pairs.conjunctions:

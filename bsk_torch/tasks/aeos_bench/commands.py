@@ -13,7 +13,7 @@ from bsk_torch.cli.terminal import activity, echo, refusing, working
 
 if TYPE_CHECKING:
     from bsk_torch.env import ConstellationTasking
-    from bsk_torch.tasks.aeos_bench import Cases
+    from bsk_torch.tasks.aeos_bench.files import Cases
 
 CasesFolder = Annotated[Path, flag("FOLDER", "Folder of the cases: constellations and tasks.")]
 Sensor = Annotated[str, flag("NAME", "When sensors are on: 'assigned', while a task is assigned, or 'on', always.")]
@@ -53,8 +53,8 @@ def export_aeosbench(
         bsk-torch export-aeosbench nearest_task --cases cases --out o --sensor on
     """
     from bsk_torch.cli.policies import named_policy
-    from bsk_torch.tasks.aeos_bench import read_cases
     from bsk_torch.tasks.aeos_bench.annotations import check_names, export_annotations, fly_cases
+    from bsk_torch.tasks.aeos_bench.files import read_cases
 
     named = named_policy(policy, PRESET)
     with refusing():
@@ -92,8 +92,8 @@ def import_aeosbench(
     """
     from bsk_torch.rl.evaluation.evaluate import evaluate
     from bsk_torch.rl.evaluation.results import print_results, save_episodes, save_results
-    from bsk_torch.tasks.aeos_bench import read_cases
     from bsk_torch.tasks.aeos_bench.annotations import AssignedTasks, read_assignments
+    from bsk_torch.tasks.aeos_bench.files import read_cases
 
     check_writable(out, episodes_out)
     with refusing():

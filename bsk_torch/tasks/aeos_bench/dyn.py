@@ -1,6 +1,6 @@
 """The spacecraft of AEOS-Bench: wheels with their own power, a panel, a battery and a sensor, in the benchmark's order of a tick.
 
-AEOS-Bench (NeurIPS 2025, arXiv 2510.26297) drives Basilisk's modules in another order than bsk_rl, in one task with a period of
+AEOS-Bench (NeurIPS 2025, arXiv 2510.26297) drives Basilisk's modules in another order than BSK-RL, in one task with a period of
 1 s: what the flight software commands at the end of a tick is latched by the wheels in the same tick, positions of targets and
 eclipses are those of the present, and the battery takes the power of the wheels one tick late, since their modules run after it.
 The Earth is a point mass.

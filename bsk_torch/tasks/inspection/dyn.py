@@ -1,4 +1,4 @@
-"""Dynamics of inspection: a resident space object (RSO), and the satellites that inspect it. Names are bsk_rl's."""
+"""Dynamics of inspection: a resident space object (RSO), and the satellites that inspect it."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 A run of n ticks from T on has the records j = 0 .. n - 1, as they were written at T + j h: positions, attitude, Sun, and the
 level of each inspector's store. An inspector inspects a point if it has access to it and the point is lit in a record after
 which its store changes: ``L(j + 1) - L(j)``, of whatever sign. The last record takes the change of the one before, so that a run
-of one tick inspects nothing. These are the rules of bsk_rl.
+of one tick inspects nothing.
 
 The same function of a record, :func:`_look`, is one tick of a kernel, and runs on tensors under the eager back end.
 """

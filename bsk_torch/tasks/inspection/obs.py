@@ -10,11 +10,10 @@ from torch import Tensor
 
 from bsk_torch.astro.attitude import mrp_to_dcm
 from bsk_torch.astro.orbit import hill_frame
-from bsk_torch.astro.relative import float64, like, vectors
+from bsk_torch.astro.relative import float64, vectors
 from bsk_torch.tasks.inspection.regions import known_regions
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.one import Numbers
     from bsk_torch.sats.others import SatelliteLike
 
 AXES = ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0))
@@ -25,7 +24,7 @@ FRAMES = ("chief_hill", "chief_body")
 
 def rso_imaged_regions(
     servicer: SatelliteLike, chief: SatelliteLike, region_centers: Any = AXES, frame: str = "chief_hill"
-) -> Numbers:
+) -> Tensor:
     """Return the fraction of points in each region of the chief known by the servicer to be inspected, [N, R].
 
     A point belongs to the region whose center is the nearest to its position in the chief's body axes, the first of several;
@@ -56,7 +55,7 @@ def rso_imaged_regions(
         BN = torch.stack([row.stack() for row in mrp_to_dcm(attitude)], -2)
         HN = torch.stack([row.stack() for row in hill_frame(position, velocity)], -2)
         centers = centers @ HN @ BN.mT  # rows are c_B = [BN] [HN]^T c_H
-    return like(known_regions(inspected, _points(servicer), centers, servicer.simulator.type.options.backend == "compiled"), r)
+    return known_regions(inspected, _points(servicer), centers, servicer.simulator.type.options.backend == "compiled")
 
 
 def _points(servicer: SatelliteLike) -> Tensor:

@@ -1,6 +1,6 @@
 """RSOInspection-v1 and MultiInspection-v1: fly around a spacecraft by velocity changes until its surface is inspected.
 
-RSOInspection-v1 is the task ``rso_inspection`` of bsk_rl's benchmark suite. MultiInspection-v1, which exists only in this
+RSOInspection-v1 is the task ``rso_inspection`` of BSK-RL's benchmark suite. MultiInspection-v1, which exists only in this
 package, is the same task with three inspectors that must not collide.
 
 A resident space object (RSO), a sphere of 1 m with 100 points, flies with its axes along its Hill frame. Inspectors start 250 to
@@ -27,7 +27,7 @@ Observation of an inspector, 61 numbers:
 In MultiInspection-v1, there are 7 more for each of the two other inspectors: position (divided by 500 m) and velocity (divided by
 5 m/s) relative to the inspector in the RSO's Hill frame, and whether it is alive.
 
-With ``actions="thrust"``, as in bsk_rl, the action of an inspector consists of a velocity change of at most 1 m/s in the RSO's
+With ``actions="thrust"``, the action of an inspector consists of a velocity change of at most 1 m/s in the RSO's
 Hill frame (radial, along-track, normal) and the time to drift, 10 to 11,400 s. With ``actions="waypoints"``, it is one of 96
 transfers: to the directions of the 32 regions, 60 m from the RSO, in 600, 1,200 or 2,000 s (:class:`bsk_torch.act.HillWaypoint`).
 The RSO is an agent with one action, 0: point along the Hill frame; its observation is 1.
@@ -43,7 +43,7 @@ have been inspected, all satellites including the RSO receive 1; this requires t
 Termination: when the inspection is complete, or all agents have died. Inspectors die at 1,000 m from the RSO (which then also
 dies), with an empty tank, and within 4 m of another spacecraft (which also dies). The time limit of 57,000 s truncates.
 
-Eclipses are observed as bsk_rl gives them, ``obs.Eclipse(as_bsk_rl=True)``: up to 30 s late, and, where none comes, at one second
+Eclipses are observed with ``obs.Eclipse(sampled=True)``: up to 30 s late, and, where none comes, at one second
 after reset.
 
 Random at reset: orbit of the RSO (500 to 1,100 km above a sphere of 6,371 km, eccentric), positions and velocities (up to 1 m/s)
@@ -51,7 +51,7 @@ of inspectors, epoch, attitudes and wheel speeds of inspectors.
 
 Ticks last 5 s. Orbits are solved in advance (``orbit="arc"``), which is nearly twice as fast as ``"integrated"``, the default of
 the models. After 24,000 s, positions relative to the RSO differ by half a millimeter, and the same points are inspected. The
-gains of the attitude control are stable with these ticks, unlike those of bsk_rl's benchmark; in both, the instrument records at
+gains of the attitude control are stable with these ticks, unlike those of the benchmark; in both, the instrument records at
 any attitude error.
 """
 
@@ -89,7 +89,7 @@ FUEL, LONGEST_THRUST = 10.0, 1.0
 """Velocity change in a full tank, and the maximum of a single maneuver, m/s."""
 
 REGIONS = 32
-"""Regions observed in addition to the six of bsk_rl, and directions of waypoints."""
+"""Regions observed in addition to the default six, and directions of waypoints."""
 
 NEAR, SLOW = 500.0, 5.0
 """Norms of relative positions, m, and velocities, m/s."""
@@ -208,7 +208,7 @@ class Inspector(sats.Satellite):
             dict(prop="r_Hs", norm=7e6),
             chief_name=CHIEF,
         ),
-        obs.Eclipse(norm=ORBIT, as_bsk_rl=True),
+        obs.Eclipse(norm=ORBIT, sampled=True),
         obs.Time(),
     )
     action_spec: ClassVar[Sequence[act.ContinuousAction]] = (

@@ -40,7 +40,7 @@ class RSOInspectionData(NamedTuple):
 
 
 class InspectionStore(NamedTuple):
-    """A data store, like bsk_rl's ``satellite.data_store``: ``data`` is its content."""
+    """The ``data_store`` of satellites; ``data`` is its content."""
 
     data: RSOInspectionData
 
@@ -57,7 +57,7 @@ class RSOInspectionReward(GlobalReward):
     """Reward for the first inspection of every point of an RSO, and for completing the inspection.
 
     A satellite that inspects k of the P points not inspected before the step receives ``inspection_reward_scale * k / P``. If two
-    satellites inspect the same point in one step, both are rewarded, as in bsk_rl. The scenario must be a
+    satellites inspect the same point in one step, both are rewarded. The scenario must be a
     :class:`RSOPoints`. For the conditions of an inspection, see :mod:`bsk_torch.tasks.inspection.flags`.
 
     The inspection is complete at the end of the first step in which enough points have been lit, and enough of these inspected::
@@ -67,14 +67,14 @@ class RSOInspectionReward(GlobalReward):
 
     where ``lit`` and ``inspected`` are the numbers of points lit and inspected at any time in the episode. Every satellite of the
     environment, including the RSO, then receives ``completion_bonus``, once; in a channel of a
-    :class:`~bsk_torch.data.MixedReward`, every satellite of the channel. At least one point must have been lit; bsk_rl also
-    gives the bonus for none, which ``compat="bsk_rl"`` reproduces.
+    :class:`~bsk_torch.data.MixedReward`, every satellite of the channel. At least one point must have been lit, except
+    under ``compat="bsk_rl"``.
 
-    Points in view or lit at time zero do not count, because the RSO has no attitude before the execution of its first command. In
-    bsk_rl, its attitude is zero in the first two records of an episode. Points seen then count as inspected and, depending on
-    rounding, also as lit; ``compat="bsk_rl"`` reproduces this.
+    Points in view or lit at time zero do not count, because the RSO has no attitude before the execution of its first command.
+    Under ``compat="bsk_rl"``, its attitude is zero in the first two records of an episode; points seen then count as inspected
+    and, depending on rounding, also as lit.
 
-    Dead satellites continue to inspect, as in bsk_rl: their points earn no reward, but count toward completion.
+    Dead satellites continue to inspect: their points earn no reward, but count toward completion.
     """
 
     def __init__(
@@ -166,10 +166,10 @@ class RSOInspectionReward(GlobalReward):
         """Return the first record in which points may be inspected, and the first in which they may be lit, [n] each."""
         begins, zero = flight.since == 0, torch.zeros_like(flight.since)
         simulator = self.fleet.simulators[0]
-        if not simulator.type.as_bsk_rl:
+        if not simulator.type.compat:
             first = torch.where(begins, 1, zero)
             return first, first
-        # bsk_rl recognizes the first step of an episode by this difference, which rounding sometimes makes fail
+        # BSK-RL recognizes the first step of an episode by this difference, which rounding sometimes makes fail
         time, n = (flight.ticks * simulator.h_ns).double() * NANO, flight.ticks.double()
         return zero, torch.where(begins & (time - simulator.h * n == 0.0), 2, zero)
 
@@ -203,10 +203,6 @@ class RSOInspectionReward(GlobalReward):
     def store_of(self, part: int) -> InspectionStore:
         """Return the knowledge of the satellites of type number ``part``, [N * count, P], their ``data_store``."""
         return InspectionStore(RSOInspectionData(*(self.fleet.rows_of(part, table) for table in self.known)))
-
-    def store_of_one(self, part: int, row: int) -> InspectionStore:
-        """Return the knowledge of the satellite in a row [N * count] of type number ``part``, [P] each."""
-        return InspectionStore(RSOInspectionData(*(table[row] for table in self.store_of(part).data)))
 
     def share(self, links: Tensor) -> None:
         """See :meth:`GlobalReward.share`; knowledge spreads along one link in a step."""
@@ -242,7 +238,7 @@ class RSOInspectionReward(GlobalReward):
         enough = (lit >= self.min_illuminated_for_completion * self._points.n_points) | (
             self.fleet.sim_time > self.min_time_for_completion
         )
-        something = torch.ones_like(enough) if self.fleet.simulators[0].type.as_bsk_rl else lit > 0.0
+        something = torch.ones_like(enough) if self.fleet.simulators[0].type.compat else lit > 0.0
         return enough & something & (inspected >= self.completion_threshold * lit)
 
     def is_terminated(self) -> Tensor:

@@ -108,7 +108,7 @@ class RSOPoints(Scenario):
     # -- points -------------------------------------------------------------------------------------------------------
 
     def generate_points(self) -> list[RSOPoint]:
-        """Return the points of an episode, with the same number in all episodes; bsk_rl's hook.
+        """Return the points of an episode, with the same number in all episodes.
 
         NumPy's global generator has a separate stream for each environment and episode.
         """

@@ -1,6 +1,6 @@
 """What imagers see of the objects of a catalog at a decision: their order as candidates, and properties of the first ones.
 
-The rules are those of bsk_rl's space-to-space imaging.
+The rules are those of space-to-space imaging on Basilisk.
 """
 
 from __future__ import annotations

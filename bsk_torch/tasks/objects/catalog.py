@@ -1,4 +1,4 @@
-"""Catalogs of resident space objects (RSO) as targets of imagers, in the form of bsk_rl's files."""
+"""Catalogs of resident space objects (RSO) as targets of imagers, and their files."""
 
 from __future__ import annotations
 
@@ -102,15 +102,15 @@ class RSOTarget:
 
     Attributes:
         id: Name by which catalogs, rewards and actions refer to it.
-        satellite_name: Name of bsk_rl's satellite in its place. Here no satellite flies in its place, and none may have the name.
+        satellite_name: Name of a satellite in its place. Here no satellite flies there, and none may have the name.
         rN: Position in N at the epoch, m.
         vN: Velocity in N at the epoch, m/s.
         priority: Priority, not negative.
-        sigma_init: Attitude; without effect, as in bsk_rl, like the three attributes that follow.
+        sigma_init: Attitude; without effect, like the three attributes that follow.
         omega_init: Rate, rad/s.
         wheel_speeds_rpm: Wheel speeds.
         disturbance_torque_Nm: Disturbance torque.
-        physical_parameters: Pairs of a name in :data:`PHYSICAL` and its value; defaults of bsk_rl's satellites are added. They do
+        physical_parameters: Pairs of a name in :data:`PHYSICAL` and its value; defaults of satellites are added. They do
             not affect the orbit, which has no drag.
     """
 
@@ -145,7 +145,7 @@ class RSOTarget:
         object.__setattr__(self, "physical_parameters", tuple((_physical_defaults() | dict(pairs)).items()))
 
     def sat_args(self) -> dict[str, Any]:
-        """Return the arguments that bsk_rl's scenario, and that of ``bsk_torch.bsk_rl``, give the satellite in its place."""
+        """Return the arguments that the scenario of ``bsk_torch.bsk_rl`` gives the satellite in its place."""
         given = {name: list(getattr(self, name)) for name in ("rN", "vN", "sigma_init", "omega_init")}
         still = dict.fromkeys(("basePowerDraw", "rwBasePower"), 0.0)
         full = dict.fromkeys(("batteryStorageCapacity", "storedCharge_Init"), FULL_CHARGE)
@@ -252,7 +252,7 @@ class RSOTargetCatalog:
         return table[:, :3], table[:, 3:6], table[:, 6]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the catalog as numbers, strings, lists and dictionaries, in bsk_rl's schema, version 1."""
+        """Return the catalog as numbers, strings, lists and dictionaries, in the schema of files, version 1."""
         return {**HEADER, **asdict(self)}
 
     def save(self, path: str | Path) -> None:

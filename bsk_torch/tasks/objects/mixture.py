@@ -42,7 +42,7 @@ SHARES = ("LEO", "random")
 
 @dataclass(frozen=True)
 class RSOMixture:
-    """Orbits of which some are low, some medium and some geosynchronous, as in a branch of bsk_rl's authors.
+    """Orbits of which some are low, some medium and some geosynchronous, as in a branch of BSK-RL's authors.
 
     All orbital elements are uniform in the ranges of :data:`REGIMES`, and the angles of the node, of perigee and of the object in
     [0, 360) degrees. Eccentricities are such that no perigee lies below 6,771 km: those of a given semi-major axis are uniform up

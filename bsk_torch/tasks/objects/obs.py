@@ -39,7 +39,7 @@ DEFAULT = (
     {"prop": "target_distance", "norm": 15960e3},
     {"prop": "target_illumination_factor"},
 )
-"""Entries where none are given, those of bsk_rl."""
+"""Entries where none are given."""
 
 
 class RSOTargetProperties(CandidateProperties):

@@ -1,6 +1,6 @@
-"""Services-v1: image satellites and debris again and again, and downlink the images, as in a branch of bsk_rl of 2026.
+"""Services-v1: image satellites and debris again and again, and downlink the images, as in a branch of BSK-RL of 2026.
 
-The task is that of the study of space-to-space imaging for AMOS 2026 in bsk_rl's public branches: a satellite in a circular orbit
+The task is that of the study of space-to-space imaging for AMOS 2026 in BSK-RL's public branches: a satellite in a circular orbit
 at 500 km images 200 objects in low, medium and geosynchronous orbits. It does not know whether an image is good: that is verified
 on the ground.
 
@@ -26,7 +26,7 @@ Observation, 124 numbers:
 Actions: 0 charge (300 s), 1 downlink (until the store is empty; 10 to 300 s), 2 desaturate the wheels (150 s), 3 to 12 image
 the candidates 0 to 9 (at most 300 s). An image is taken in the first tick in which pointing and line of sight are right, and
 the satellite must keep both for 10 s in all; see ``exposure="first"`` of :class:`~bsk_torch.tasks.objects.ImageRSO`. Slots
-without a candidate are masked; bsk_rl's branch repeats the last candidate there.
+without a candidate are masked; the branch repeats the last candidate there.
 
 Reward: a good image that has been downlinked pays the priority of its object. An image is good if at least half of the Sun was
 visible at the object, on average over the 10 s. With ``delivery_share`` below 1, the rest is paid when the image is taken. With
@@ -36,7 +36,7 @@ in the two orbits after a good image was taken, as soon as this has been downlin
 
 Termination: as in NadirScan-v1 (:mod:`bsk_torch.presets.nadir_scan`); and at the time limit of 45,000 s, which truncates.
 
-Eclipses are observed as bsk_rl gives them, ``obs.Eclipse(as_bsk_rl=True)``: up to 30 s late, and, where none comes, at one second
+Eclipses are observed with ``obs.Eclipse(sampled=True)``: up to 30 s late, and, where none comes, at one second
 after reset.
 
 Random at reset: orbit, attitude, charge and wheel speeds; orbits of the objects, half of which are low, 30 percent medium and
@@ -139,7 +139,7 @@ def own_properties() -> tuple[obs.Observation, ...]:
             dict(prop="wheel_speeds_fraction"),
             dict(prop="sun_hat_H"),
         ),
-        obs.Eclipse(norm=ORBIT, as_bsk_rl=True),
+        obs.Eclipse(norm=ORBIT, sampled=True),
         obs.OpportunityProperties(*times, type="ground_station", n_ahead_observe=2),
     )
 

@@ -111,7 +111,7 @@ class RSOImageReward(GlobalReward):
     """Reward for images of :class:`~bsk_torch.tasks.objects.RSOTargets`: when taken, and when downlinked completely.
 
     An image on board is a *product*. The downlink of a partition empties its products in the order of their capture; one is
-    *delivered* at the end of the step in which its last bit has gone. Rewards are those of bsk_rl:
+    *delivered* at the end of the step in which its last bit has gone. Rewards are:
 
     - The images of a target that are on board of any satellite at the same time belong to one *service* of the target. A new one
       begins with the first image while there is none.

@@ -1,6 +1,6 @@
 """Rules for imagers of objects in orbit, which rank the objects of the catalog, or those that are observed.
 
-A branch of bsk_rl's authors flies policies next to such rules. They use the observations and actions of
+A branch of BSK-RL's authors flies policies next to such rules. They use the observations and actions of
 :mod:`bsk_torch.tasks.objects.preset`.
 """
 

@@ -58,7 +58,7 @@ PREFIX = "rso_"
 
 
 def partition_name(target_id: str) -> str:
-    """Return the name of the partition of the store for images of a target, as in bsk_rl."""
+    """Return the name of the partition of the store for images of a target."""
     return PREFIX + hashlib.sha256(target_id.encode()).hexdigest()[:32]
 
 

@@ -202,7 +202,7 @@ class RSOTeamState(Observation):
     message; its end may have passed, and then no time remains. Distance, rate and link are present ones, which follow from the
     orbits. Without a capture, its age is the time since the episode began. All numbers are zero without a message.
 
-    A public branch of bsk_rl has a summary of as many numbers; the definitions above are those of this package.
+    A public branch of BSK-RL has a summary of as many numbers; the definitions above are those of this package.
     """
 
     def __init__(self, n_peers: int, norm: float = LONG, name: str = "team_state") -> None:

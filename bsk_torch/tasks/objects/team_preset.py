@@ -1,6 +1,6 @@
 """ThreeSensors-v1 and Walker4-v1: satellites image the same objects in orbit, each by what it knows of the others' images.
 
-The tasks are those of studies of multi-agent imaging in bsk_rl's public branches of 2026.
+The tasks are those of studies of multi-agent imaging in BSK-RL's public branches of 2026.
 
 =====================  ==========================================  =====================================================
 preset                 ThreeSensors-v1                             Walker4-v1

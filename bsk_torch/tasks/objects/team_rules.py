@@ -1,6 +1,6 @@
 """Rules for teams of imagers of objects in orbit: each by what it knows, or all by one plan.
 
-They are those of studies in bsk_rl's public branches, for :mod:`bsk_torch.tasks.objects.team_preset`. They look at the whole
+They are those of studies in BSK-RL's public branches, for :mod:`bsk_torch.tasks.objects.team_preset`. They look at the whole
 environment, so they decide in the environment that they were made for, for its present state only.
 """
 

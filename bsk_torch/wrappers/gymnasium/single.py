@@ -13,6 +13,7 @@ from tensordict import TensorDictBase
 
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.action_forms import form
+from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.wrappers.core import (
     RENDERING,
     as_action,
@@ -73,9 +74,9 @@ class GymEnv(EpisodeView, gymnasium.Env[Any, Any]):
     core: SatelliteTasking
 
     @property
-    def satellite(self) -> Any:
-        """The satellite, as :attr:`~bsk_torch.wrappers.episode.EpisodeView.satellites` has it."""
-        return self.satellites[0]
+    def satellite(self) -> BoundSatellite:
+        """The satellite, whose properties are tensors [1, ...]."""
+        return self.core.satellite
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start an episode.

@@ -97,7 +97,7 @@ def test_next_eclipses_of_random_orbits_against_brute_force(part, backend):
     torch.manual_seed(part)
     (r, v), et = random_orbits(PART), 7.8e8 * torch.rand(PART, dtype=torch.float64)
     solver, sight = make_solver(1.0, backend, CPU), make_visibility(backend, CPU)
-    options: dict = {"horizon": 600.0, "segment": 600.0, "as_bsk_rl": False}
+    options: dict = {"horizon": 600.0, "segment": 600.0, "compat": False}
     lookahead = LookAhead(PART, 1, solver, sight, {}, **options)
     rows = torch.arange(PART)
     lookahead.solve(rows, et, r, v, at(600.0, PART))

@@ -13,7 +13,7 @@ from bsk_torch.astro.orbit import Elements
 from bsk_torch.astro.sight import max_central_angle
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.access import passes as module
-from bsk_torch.sim.access.generation import GenerationIntervals, long_spans, windows_of_bsk_rl, windows_of_short_spans
+from bsk_torch.sim.access.generation import GenerationIntervals, long_spans, windows_by_interval, windows_of_short_spans
 from bsk_torch.sim.access.passes import SHORTEST_PASS, GroundTrack, Passes, PassSearch, coarse_screen
 from bsk_torch.sim.access.visibility.geometry import SAMPLES_PER_CELL
 from bsk_torch.sim.access.visibility.kernels import KernelVisibility
@@ -158,7 +158,7 @@ def test_nothing_in_sight(sight):
         search = PassSearch(sight(), ground, Sites(r_P, torch.full((3, 1), 0.1, dtype=torch.float64)))
         passes = search.passes()
         assert all(part.shape == (0,) for part in passes)
-        assert all(part.shape == (0,) for part in windows_of_bsk_rl(search, passes, segments(ground, 90.0)))
+        assert all(part.shape == (0,) for part in windows_by_interval(search, passes, segments(ground, 90.0)))
 
 
 def test_limit_angle():
@@ -352,7 +352,7 @@ def check_against_bsk_rl(ground: GroundTrack, low: float, high: float, intervals
     search = PassSearch(TensorVisibility(), ground, places)
     passes, expected = search.passes(), expected_windows(ground, places, intervals)
     assert_same(listed(windows_of_short_spans(search, passes, intervals)), expected, 1e-6)
-    long, whole = long_spans(search, intervals), listed(windows_of_bsk_rl(search, passes, intervals))
+    long, whole = long_spans(search, intervals), listed(windows_by_interval(search, passes, intervals))
     assert_same(*({pair: found for pair, found in some.items() if not long[pair]} for some in (whole, expected)), 1e-6)
     return quirks(expected, listed(passes))
 
@@ -430,5 +430,5 @@ def at_rest(near: bool) -> PassSearch:
 def test_windows_of_one_pass(near, one_pass, windows):
     search, zero = at_rest(near), torch.zeros(1, dtype=torch.long)
     intervals = GenerationIntervals(numbers(0.0), numbers(600.0), numbers(3000.0), 600.0)
-    found = windows_of_bsk_rl(search, Passes(zero, zero, *(numbers(t) for t in one_pass)), intervals)
+    found = windows_by_interval(search, Passes(zero, zero, *(numbers(t) for t in one_pass)), intervals)
     assert sorted(zip(found.open.tolist(), found.close.tolist(), strict=True)) == windows

@@ -47,10 +47,10 @@ def stations() -> Sites:
 
 
 def table(
-    flight: Solved, duration: float, places: Sites | None = None, segment: float = SEGMENT, as_bsk_rl: bool = False
+    flight: Solved, duration: float, places: Sites | None = None, segment: float = SEGMENT, compat: bool = False
 ) -> AccessWindows:
     sites = places or stations()
-    access = AccessWindows(flight.arcs, make_visibility(flight.backend, CPU), {KIND: places_of(sites)}, segment, as_bsk_rl)
+    access = AccessWindows(flight.arcs, make_visibility(flight.backend, CPU), {KIND: places_of(sites)}, segment, compat)
     rows = torch.arange(len(flight.arcs.start))
     access.generate(rows, flight.view, torch.full((len(rows),), duration, dtype=torch.float64))
     return access
@@ -106,7 +106,7 @@ def test_look_ahead_of_basilisk(recording, ahead):
 
     Orbit 3 has bsk_rl's quirk: a pass that rises in a segment and is still up at its end is taken for one that sets.
     """
-    recorded, access = recording("windows"), table(ahead, GENERATED, as_bsk_rl=True)
+    recorded, access = recording("windows"), table(ahead, GENERATED, compat=True)
     worst = 0.0
     for k, time in enumerate(recorded["ahead_time"]):
         found = look_ahead(access, torch.full((5,), time, dtype=torch.float64))

@@ -69,12 +69,12 @@ def looked_at(flight: Solved, places: Sites) -> tuple[torch.Tensor, torch.Tensor
 
 
 def compare(
-    flight: Solved, places: Sites, visible: tuple[torch.Tensor, torch.Tensor], generated: float, as_bsk_rl: bool
+    flight: Solved, places: Sites, visible: tuple[torch.Tensor, torch.Tensor], generated: float, compat: bool
 ) -> list[Counted]:
     """Count for each orbit what windows that were generated at reset and then segment by segment tell."""
     rows = torch.arange(len(flight.arcs.start))
     visibility = make_visibility(flight.backend, CPU)
-    access = AccessWindows(flight.arcs, visibility, {KIND: places_of(places)}, SEGMENT, as_bsk_rl)
+    access = AccessWindows(flight.arcs, visibility, {KIND: places_of(places)}, SEGMENT, compat)
     access.generate(rows, flight.view, torch.full((len(rows),), generated, dtype=torch.float64))
     while bool((access.ready < SPAN).any()):
         access.extend(rows, torch.zeros(len(rows), dtype=torch.float64))
@@ -96,7 +96,7 @@ def compare(
 @pytest.mark.parametrize("generated", GENERATED.values(), ids=GENERATED)
 def test_windows_are_those_of_brute_force(generated, eccentric, places, visible):
     """Every ten seconds of eight hours, for 12 orbits and 30 places."""
-    counted = compare(eccentric, places, visible, generated, as_bsk_rl=False)
+    counted = compare(eccentric, places, visible, generated, compat=False)
     assert all(some.visible > 100 for some in counted)
     assert all(some.missed == some.offered == 0 for some in counted), counted
 
@@ -107,14 +107,14 @@ def test_windows_of_high_circular_orbits_are_those_of_brute_force(solve_arcs, pl
     spread = torch.linspace(0.3, 2.8, len(altitude), dtype=torch.float64)
     oe = Elements(R_EARTH + altitude, 0.0 * spread, spread, 2.0 * spread, 0.0 * spread, spread)
     flight = Solved(*solve_arcs(initial(oe, "2024-03-01T00:00:00"), 1 + math.ceil(SPAN / 3600.0), backend="eager"), "eager")
-    counted = compare(flight, places, looked_at(flight, places), SPAN, as_bsk_rl=False)
+    counted = compare(flight, places, looked_at(flight, places), SPAN, compat=False)
     assert all(some.visible > 100 for some in counted)
     assert all(some.missed == some.offered == 0 for some in counted), counted
 
 
 def test_bsk_rl_misses_what_is_visible_and_offers_what_is_not(eccentric, places, visible):
     """Where it looks ahead by segments, which lie within passes over high apogees."""
-    counted = compare(eccentric, places, visible, SEGMENT, as_bsk_rl=True)
+    counted = compare(eccentric, places, visible, SEGMENT, compat=True)
     high = [some for some, e in zip(counted, 2 * ECCENTRICITIES, strict=True) if e >= 0.4]
     assert sum(some.missed for some in high) > 0.5 * sum(some.visible for some in high)
     assert sum(some.offered for some in high) > 1000
@@ -123,4 +123,4 @@ def test_bsk_rl_misses_what_is_visible_and_offers_what_is_not(eccentric, places,
 @pytest.mark.parametrize("compat", [None, "bsk_rl"])
 def test_environments_have_the_windows_that_are_asked_for(compat):
     env = bsk_torch.make("NadirScan-v1", num_envs=1, backend="eager", compat=compat)
-    assert env.satellite.simulator.access.as_bsk_rl == (compat == "bsk_rl")
+    assert env.satellite.simulator.access.compat == (compat == "bsk_rl")

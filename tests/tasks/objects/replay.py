@@ -71,7 +71,7 @@ class Imager(sats.AccessSatellite):
         obs.SatProperties(
             dict(prop="storage_level_fraction"), dict(prop="battery_charge_fraction"), dict(prop="wheel_speeds_fraction")
         ),
-        obs.Eclipse(norm=5700.0, as_bsk_rl=True),
+        obs.Eclipse(norm=5700.0, sampled=True),
         RSOTargetProperties(dict(prop="valid"), *DEFAULT, n_ahead_observe=3),  # as written out in the recorder
         RSOTargetProperties(n_ahead_observe=1, name="default_row"),
         obs.Time(),

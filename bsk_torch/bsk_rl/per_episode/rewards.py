@@ -1,4 +1,4 @@
-"""Rewarders of one episode, such as bsk_rl's, run for each environment of a batch."""
+"""Rewarders of one episode, run for each episode of a batch."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ import torch
 from torch import Tensor
 from typing_extensions import override
 
+from bsk_torch.bsk_rl.per_episode.records import OneReward, Record, RecordTable, SingleScenario, StoringSatellite
+from bsk_torch.bsk_rl.per_episode.views import satellites_of
 from bsk_torch.data.base import GlobalReward, Log
-from bsk_torch.data.record import OneReward, Record, SingleScenario, StoringSatellite, check_record, classes_of
 from bsk_torch.sats.bound_access import BoundAccessSatellite
-from bsk_torch.sim.object_table import ObjectTable
 
 if TYPE_CHECKING:
     from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.scene.base import Scenario
 
 
-class PerEnvironmentReward(GlobalReward):
-    """Runs a rewarder of one episode for each environment, with separate stores for each; see :func:`bsk_torch.per_environment`.
+class PerEpisodeReward(GlobalReward):
+    """Runs a rewarder of one episode for each episode, with separate stores for each.
 
     Attributes:
         given: The rewarder of one episode; every episode begins with a deep copy of it.
-        records: Rewarder and stores of each environment, part of the state.
+        records: Rewarder and stores of each episode, part of the state.
     """
 
     given: OneReward
-    records: ObjectTable
+    records: RecordTable
 
     def __init__(self, given: OneReward) -> None:
         """Run copies of ``given``."""
@@ -38,12 +38,8 @@ class PerEnvironmentReward(GlobalReward):
     @override
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
         super().link(scenario, fleet)
-        self._classes = classes_of(self.given)
-        dump = functools.partial(Record.dump, given=self.given, classes=self._classes)
-        check = functools.partial(check_record, classes=self._classes)
-        self.records = ObjectTable(fleet.num_envs, fleet.device, self._begin, dump, self._load, check)
-        number = sum(name.startswith("records_") for name in self.memory.tables)
-        self.memory.add(f"records_{number}", self.records)
+        self.records = RecordTable(fleet.num_envs, fleet.device, self._begin)
+        self.memory.add("records", self.records)
         for part in fleet.satellites:
             if isinstance(part, BoundAccessSatellite):
                 for kind in part.opportunity_types:
@@ -51,28 +47,11 @@ class PerEnvironmentReward(GlobalReward):
 
     # -- records ------------------------------------------------------------------------------------------------------
 
-    def _record(self, env: int) -> Record:
-        satellites: list[Any] = [None] * self.fleet.size
-        for part, columns in zip(self.fleet.satellites, self.fleet.columns, strict=True):
-            for number, column in enumerate(columns.tolist()):
-                satellites[column] = StoringSatellite(part.one(env * len(columns) + number))
-        scenario = SingleScenario(self.scenario, env, self.fleet.num_envs, satellites)
-        return Record(copy.deepcopy(self.given), satellites, scenario)
-
     def _begin(self, env: int) -> Record:
-        record = self._record(env)
+        satellites = [StoringSatellite(one) for one in satellites_of(self.fleet, env)]
+        record = Record(copy.deepcopy(self.given), satellites, SingleScenario(self.scenario, env, satellites))
         record.begin()
         return record
-
-    def _load(self, env: int, saved: bytes) -> Record:
-        record = self._record(env)
-        record.load(saved, self.given, self._classes)
-        return record
-
-    def _collecting(self) -> list[int]:
-        """Return the numbers of the satellites whose data count: those of the channel in a ``data.MixedReward``, else all."""
-        mine = self._in_channel
-        return list(range(self.fleet.size)) if mine is None else torch.nonzero(mine).squeeze(-1).tolist()
 
     def _all(self) -> list[Record]:
         return [self.records.of(env) for env in range(self.fleet.num_envs)]
@@ -94,13 +73,12 @@ class PerEnvironmentReward(GlobalReward):
         return {}
 
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        """See :meth:`GlobalReward.calculate_reward`; TypeError unless every satellite, of the channel if any, has a number."""
+        """See :meth:`GlobalReward.calculate_reward`; TypeError unless every satellite has a number."""
         reward = torch.zeros(self.fleet.num_envs, self.fleet.size, dtype=torch.float64)
-        collecting = self._collecting()
-        names = [self.fleet.names[k] for k in collecting]
+        names = self.fleet.names
         for env in torch.nonzero(self.fleet.ticks > self.fleet.since).squeeze(-1).tolist():
-            found = self.records.of(env).step(collecting)
-            for k, name in zip(collecting, names, strict=True):
+            found = self.records.of(env).step()
+            for k, name in enumerate(names):
                 try:
                     reward[env, k] = float(found[name])
                 except (KeyError, TypeError, ValueError) as error:
@@ -129,25 +107,7 @@ class PerEnvironmentReward(GlobalReward):
 
     # -- reading ------------------------------------------------------------------------------------------------------
 
-    def rewarder_of(self, row: int) -> Any:
-        """Return the rewarder of environment ``row``."""
-        return self.records.of(row).rewarder
-
-    def data_of(self, row: int) -> Any:
-        """Return all data collected in environment ``row``."""
-        return self.rewarder_of(row).data
-
-    @property
-    def data(self) -> list[Any]:
-        """All data that has been collected, of each environment."""
-        return [record.rewarder.data for record in self._all()]
-
     def store_of(self, part: int) -> list[Any]:
         """Return the stores of the satellites of type number ``part``, a list of N * count; it is their ``data_store``."""
         columns = self.fleet.columns[part].tolist()
         return [record.satellites[column].data_store for record in self._all() for column in columns]
-
-    def store_of_one(self, part: int, row: int) -> Any:
-        """Return the store of the satellite of a row [N * count]."""
-        env, number = divmod(row, len(self.fleet.columns[part]))
-        return self.records.of(env).satellites[int(self.fleet.columns[part][number])].data_store

@@ -1,0 +1,221 @@
+"""What a rewarder of one episode keeps of its episode, for every episode of a batch."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from typing_extensions import override
+
+from bsk_torch.bsk_rl.data.unique_image_data import HideImaged
+from bsk_torch.bsk_rl.per_episode.views import OneAccessSatellite, OneSatellite, OneView
+from bsk_torch.sim.places import is_target
+from bsk_torch.sim.state import StateTable
+
+Filter = Callable[[Mapping[str, Any]], Any]
+
+
+class OneReward(Protocol):
+    """A rewarder of one episode: its hooks are those of ``bsk_torch.bsk_rl.data.GlobalReward``."""
+
+    data: Any
+    data_type: Any
+    data_store_type: Any
+
+    def link_scenario(self, scenario: Any) -> None:
+        """Keep the scenario."""
+
+    def reset_overwrite_previous(self) -> None:
+        """Forget the last episode."""
+
+    def reset_pre_sim_init(self) -> None:
+        """Prepare for the episode."""
+
+    def reset_during_sim_init(self) -> None:
+        """Prepare for the episode, once satellites have their stores."""
+
+    def reset_post_sim_init(self) -> None:
+        """Prepare for the episode, last."""
+
+    def create_data_store(self, satellite: Any) -> None:
+        """Give a satellite its store."""
+
+    def reward(self, new_data_dict: dict[str, Any]) -> dict[str, float]:
+        """Return the reward of a step by name of satellite."""
+
+    def is_terminated(self, satellite: Any) -> bool:
+        """Return whether the episode terminates for a satellite."""
+
+    def is_truncated(self, satellite: Any) -> bool:
+        """Return whether the episode is truncated for a satellite."""
+
+
+class StoringSatellite:
+    """One satellite of one episode, read as :class:`OneSatellite`, to which attributes can be added.
+
+    ``data_store`` is one of them. Filters that are added hide opportunities of this satellite in this episode.
+    """
+
+    def __init__(self, one: OneSatellite) -> None:
+        """Add attributes to a view."""
+        own = self.__dict__
+        own["_one"], own["_filters"] = one, []
+
+    _one: OneSatellite
+    _filters: list[Filter]
+
+    def __getattr__(self, name: str) -> Any:
+        """Return an attribute of the view."""
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self.__dict__["_one"], name)
+
+    def __repr__(self) -> str:
+        """Return the name and the environment."""
+        return f"<{self._one.name} of environment {self._one.env}>"
+
+    def add_access_filter(self, access_filter: Filter, types: Any = None) -> None:
+        """Hide opportunities of this satellite for which ``access_filter(opportunity)`` is false."""
+        kinds = (types,) if isinstance(types, str) else types
+        self._filters.append(
+            access_filter if kinds is None else lambda opportunity: opportunity["type"] not in kinds or access_filter(opportunity)
+        )
+
+    def hide(self, kind: str, allowed: Tensor) -> None:
+        """Set the places of a type that a filter hides to False in ``allowed`` [P]."""
+        others = [keep for keep in self._filters if not isinstance(keep, HideImaged)]
+        if is_target(kind):
+            for keep in self._filters:
+                if isinstance(keep, HideImaged):
+                    for target in keep.store.data.imaged:
+                        allowed[target._place[1]] = False
+        if others:
+            assert isinstance(self._one, OneAccessSatellite)
+            for place, opportunity in enumerate(self._one.all_places(kind)):
+                if not all(keep(opportunity) for keep in others):
+                    allowed[place] = False
+
+
+class SingleScenario(OneView):
+    """The scenario in one episode, as rewarders of one episode read it."""
+
+    def __init__(self, whole: object, env: int, satellites: list[StoringSatellite]) -> None:
+        """View episode ``env`` of a scenario."""
+        super().__init__(whole, env)
+        self.__dict__["satellites"] = satellites
+
+    satellites: list[StoringSatellite]
+
+    @property
+    def targets(self) -> list[Any]:
+        """The targets."""
+        return self._whole.target_objects(self._row)
+
+
+class Record:
+    """A rewarder of one episode, and the satellites with their stores, of one episode.
+
+    Attributes:
+        rewarder: Copy of the user's rewarder.
+        satellites: Satellites by their number in the episode.
+        scenario: View of the scenario.
+        steps: Steps that have been scored.
+    """
+
+    def __init__(self, rewarder: OneReward, satellites: list[StoringSatellite], scenario: SingleScenario) -> None:
+        """Put the parts together; see :meth:`begin`."""
+        self.rewarder, self.satellites, self.scenario, self.steps = rewarder, satellites, scenario, 0
+
+    def begin(self) -> None:
+        """Start the episode, in the order of one environment."""
+        rewarder = self.rewarder
+        rewarder.link_scenario(self.scenario)
+        rewarder.reset_overwrite_previous()
+        rewarder.reset_pre_sim_init()
+        for satellite in self.satellites:
+            rewarder.create_data_store(satellite)
+            rewarder.data += satellite.data_store.data
+        rewarder.reset_during_sim_init()
+        rewarder.reset_post_sim_init()
+        for satellite in self.satellites:
+            satellite.data_store.update_from_logs()
+
+    def step(self) -> dict[str, float]:
+        """Let the stores of the satellites read their logs; return the rewards by name."""
+        self.steps += 1
+        return self.rewarder.reward({satellite.name: satellite.data_store.update_from_logs() for satellite in self.satellites})
+
+    def share(self, links: list[list[bool]]) -> None:
+        """Spread data along ``links`` by sender and receiver; where all are linked with all, they get the sum."""
+        stores = [satellite.data_store for satellite in self.satellites]
+        pairs = [(a, b) for a in range(len(stores)) for b in range(len(stores)) if a != b and links[a][b]]
+        if len(pairs) == len(stores) * (len(stores) - 1):
+            whole = type(stores[0].data)()
+            for store in stores:
+                whole += store.data
+            for store in stores:
+                store.data = copy.copy(whole)
+            return
+        for sender, receiver in pairs:
+            stores[receiver].stage_communicated_data(stores[sender].data)
+        for store in stores:
+            store.update_with_communicated_data()
+
+
+class RecordTable(StateTable):
+    """A record for each episode of a batch, as part of its state; made when it is first asked for.
+
+    Records that have scored a step are objects of the user's, which are neither copied nor saved.
+    """
+
+    def __init__(self, num_envs: int, device: torch.device, make: Callable[[int], Record]) -> None:
+        """Prepare for ``num_envs`` records; ``make`` returns that of an episode which begins, by its number."""
+        super().__init__(num_envs, 1, device)
+        self.make = make
+        self.entries: list[Record | None] = [None] * num_envs
+
+    def of(self, env: int) -> Record:
+        """Return the record of episode ``env``."""
+        entry = self.entries[env]
+        if entry is None:
+            entry = self.entries[env] = self.make(env)
+        return entry
+
+    def _check_unscored(self, envs: Tensor) -> None:
+        """Raise TypeError if one of the records has scored a step."""
+        if begun := [entry for env in envs.tolist() if (entry := self.entries[env]) is not None and entry.steps]:
+            raise TypeError(
+                f"{type(begun[0].rewarder).__name__} is a rewarder of one episode, which keeps objects: its episodes cannot be "
+                "copied and saved. A rewarder of bsk_torch.data, which keeps tensors in fleet.memory, has episodes that can"
+            )
+
+    @override
+    def reset(self, envs: Tensor) -> None:
+        for env in envs.tolist():
+            self.entries[env] = None
+        self.touch()
+
+    @override
+    def copy_rows(self, envs: Tensor, other: StateTable, source: Tensor) -> None:
+        assert isinstance(other, RecordTable)
+        other._check_unscored(source)
+        self.reset(envs)
+
+    @override
+    def _gathered(self, envs: Tensor) -> dict[str, Any]:
+        self._check_unscored(envs)
+        return {}
+
+    @override
+    def to_tensordict(self) -> TensorDict:
+        return TensorDict(self._gathered(torch.arange(self.num_envs)), [self.num_envs], device=self.device)
+
+    @override
+    def over(self, saved: Mapping[str, Any] | TensorDictBase) -> RecordTable:
+        other = super().over(saved)
+        other.entries = [None] * other.num_envs
+        return other

@@ -1,0 +1,525 @@
+"""One satellite of a batch, as a function for one episode reads it.
+
+In an environment of the core, a satellite stands for all satellites of its type in all episodes, and its properties are tensors
+[N, ...]. A :class:`OneSatellite` is a read-only view of one of those rows: properties of the package are NumPy arrays and Python
+numbers of that row, and properties and methods of a user's models run with the view as ``self``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping
+from functools import cached_property
+from types import SimpleNamespace
+from typing import Any, NoReturn
+
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from bsk_torch.bsk_rl.data.unique_image_data import UniqueImageData
+from bsk_torch.sats.access import AccessSatellite
+from bsk_torch.sats.bound import BoundSatellite
+from bsk_torch.sats.bound_access import BoundAccessSatellite
+from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sats.imaging import ImagingSatellite
+from bsk_torch.sats.objects import names_of, target_names
+from bsk_torch.sim.access.windows import MAX_SEGMENTS
+from bsk_torch.sim.hooks import is_of_package
+from bsk_torch.sim.names import nearest
+from bsk_torch.sim.places import is_target
+from bsk_torch.sim.readout.observables import observable
+
+READ_ONLY = "the view of one episode of a batch is read-only; vectorize='episodes' makes environments whose satellites are not"
+
+
+def of_row(value: object, row: int) -> Any:
+    """Return one row of a tensor [N, ...] as a Python number or a new NumPy array; likewise in tuples and dictionaries.
+
+    Anything else is the same for all rows.
+    """
+    if isinstance(value, Tensor):
+        mine = value[row]
+        return mine.item() if mine.ndim == 0 else mine.detach().cpu().numpy().copy()
+    if isinstance(value, tuple) and any(isinstance(part, Tensor) for part in value):
+        return tuple(of_row(part, row) for part in value)
+    if isinstance(value, dict):
+        return {name: of_row(part, row) for name, part in value.items()}
+    return value
+
+
+class OneView:
+    """Read-only view of what one row has of an object that stands for all rows.
+
+    Attributes of the package's classes are evaluated for all rows, and read at the row. Properties and methods of a user's class
+    run with the view as ``self``.
+    """
+
+    def __init__(self, whole: object, row: int) -> None:
+        """View row number ``row``."""
+        self.__dict__.update(_whole=whole, _row=row)
+
+    _whole: Any
+    _row: int
+
+    def __setattr__(self, name: str, value: object) -> None:
+        """Raise AttributeError: views are read-only."""
+        raise AttributeError(f"{name!r} cannot be set: {READ_ONLY}")
+
+    def __repr__(self) -> str:
+        """Name the class and the row."""
+        return f"<{type(self._whole).__name__} of row {self._row}>"
+
+    def __getattr__(self, name: str) -> Any:
+        """Return an attribute as the row has it; AttributeError if there is none."""
+        whole = self.__dict__["_whole"]
+        if name.startswith("__"):
+            raise AttributeError(name)
+        for owner in type(whole).__mro__:
+            if name in vars(owner):
+                return self._of_class(name, vars(owner)[name], owner)
+        if name in vars(whole):
+            return vars(whole)[name]
+        raise AttributeError(f"{type(whole).__name__} has no attribute {name!r}; {nearest(name, dir(whole))}")
+
+    def _of_class(self, name: str, member: Any, owner: type) -> Any:
+        batched = is_of_package(owner) or isinstance(member, observable)
+        if not batched and isinstance(member, property | cached_property):
+            return (member.fget if isinstance(member, property) else member.func)(self)  # type: ignore[misc]
+        if not batched and callable(member) and not isinstance(member, staticmethod | classmethod | type):
+            return member.__get__(self)
+        value = getattr(self._whole, name)
+        if callable(value) and not isinstance(value, type):  # methods of the package, and aliveness checks
+            return lambda *args, **options: of_row(value(*args, **options), self._row)
+        return of_row(value, self._row)
+
+
+class OneArguments(Mapping[str, Any]):
+    """Arguments of the current episode by name: numbers, NumPy arrays, and what is neither."""
+
+    def __init__(self, whole: Mapping[str, object], row: int) -> None:
+        """View row number ``row`` of the arguments [N, ...] of all rows."""
+        self._whole, self._row = whole, row
+
+    def __getitem__(self, name: str) -> Any:
+        """Return an argument of the row; KeyError for an unknown name."""
+        return of_row(self._whole[name], self._row)
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names."""
+        return iter(self._whole)
+
+    def __len__(self) -> int:
+        """Number of arguments."""
+        return len(self._whole)
+
+
+class OneSimulator(OneView):
+    """The simulation at one row: time, world, and declared memory."""
+
+    def __init__(self, satellite: BoundSatellite, row: int) -> None:
+        """View the simulation of a satellite."""
+        super().__init__(satellite.simulator, row)
+        self.__dict__["_satellite"] = satellite
+
+    _satellite: BoundSatellite
+
+    @property
+    def time_limit(self) -> float:
+        """Time limit of the episode, s."""
+        return of_row(self._satellite.time_limit, self._row)
+
+    @property
+    def sim_time_ns(self) -> int:
+        """Time since reset, ns."""
+        return of_row(self._whole.state.sim_time_ns, self._row)
+
+    @property
+    def sim_rate(self) -> float:
+        """Length of a tick, s."""
+        return self._whole.h
+
+    @property
+    def world(self) -> OneView:
+        """Sun, Earth and ground stations."""
+        return OneView(self._whole.world, self._row)
+
+    def get_satellite(self, name: str) -> OneSatellite:
+        """Return a satellite of the episode; KeyError for an unknown name."""
+        return OneOthers(self._satellite.fleet, self._row // self._satellite.simulator.count)[name]
+
+    @property
+    def memory(self) -> OneArguments:
+        """Declared values of the row by name."""
+        return OneArguments(self._whole.memory, self._row)
+
+
+class OneModel(OneView):
+    """A dynamics or flight-software model at one row."""
+
+    @property
+    def satellite(self) -> OneSatellite:
+        """The satellite."""
+        return view_of(self._whole.satellite, self._row)
+
+    @property
+    def storageUnit(self) -> SimpleNamespace:
+        """Basilisk's store, with ``storageUnitDataOutMsg.read()``, bit; AttributeError for models without one."""
+        total, levels, sat_args = self.storage_level, self.partition_levels, self.satellite.sat_args
+        names = sat_args.get("bufferNames")
+        message = SimpleNamespace(
+            storageLevel=total,
+            storageCapacity=sat_args["dataStorageCapacity"],
+            storedData=levels,
+            storedDataName=[str(k) for k in range(len(levels))] if names is None else list(names),
+        )
+        return SimpleNamespace(storageUnitDataOutMsg=SimpleNamespace(read=lambda: message))
+
+    @property
+    def instrument(self) -> SimpleNamespace:
+        """Basilisk's instrument, with ``nodeBaudRate``, bit/s; AttributeError for models without one."""
+        return SimpleNamespace(nodeBaudRate=self.instrument_baud)
+
+    @property
+    def dynamics(self) -> OneModel:
+        """The dynamics model of the satellite."""
+        return self.satellite.dynamics
+
+    @property
+    def fsw(self) -> OneModel:
+        """The flight-software model of the satellite."""
+        return self.satellite.fsw
+
+    @property
+    def simulator(self) -> OneSimulator:
+        """The simulation."""
+        return self.satellite.simulator
+
+    @property
+    def world(self) -> OneView:
+        """Sun, Earth and ground stations."""
+        return self.simulator.world
+
+
+class OneSatellite(OneView):
+    """One satellite of one episode; :func:`~bsk_torch.bsk_rl.per_episode.views.view_of` makes it.
+
+    ``satellite.dynamics.r_BN_N`` is an array [3], ``satellite.simulator.sim_time`` a number of seconds and
+    ``satellite.sat_args[name]`` the drawn argument.
+    """
+
+    def __init__(self, satellite: BoundSatellite, row: int) -> None:
+        """View the satellite of row ``row`` of all N of its type: number ``row % count`` of episode ``row // count``."""
+        super().__init__(satellite, row)
+        self.__dict__["_env"], self.__dict__["_number"] = divmod(row, satellite.simulator.state.count)
+
+    _env: int
+    _number: int
+
+    @property
+    def name(self) -> str:
+        """Name of the satellite."""
+        return self._whole.names[self._number]
+
+    @property
+    def id(self) -> str:
+        """The name, as in bsk_rl."""
+        return self.name
+
+    @property
+    def env(self) -> int:
+        """Number of the environment."""
+        return self._env
+
+    @property
+    def simulator(self) -> OneSimulator:
+        """The simulation of the satellite."""
+        return OneSimulator(self._whole, self._row)
+
+    @property
+    def dynamics(self) -> OneModel:
+        """The dynamics model."""
+        return OneModel(self._whole.dynamics, self._row)
+
+    @property
+    def fsw(self) -> OneModel:
+        """The flight-software model."""
+        return OneModel(self._whole.fsw, self._row)
+
+    @property
+    def sat_args(self) -> OneArguments:
+        """Arguments of the current episode."""
+        return OneArguments(self._whole.sat_args, self._row)
+
+    @property
+    def others(self) -> OneOthers:
+        """The satellites of the episode by name, itself included, as such views."""
+        return OneOthers(self._whole.fleet, self._env)
+
+    @property
+    def data_store(self) -> Any:
+        """Store of the satellite in the rewarder: ``data_store.data``; AttributeError for rewarders without stores."""
+        store = self._whole.data_store
+        if isinstance(store, list):
+            return store[self._row]
+        scenario, images = self._whole.scenario, store.data
+        imaged = [scenario.target_object(self._env, k) for k in torch.nonzero(images.imaged[self._row]).squeeze(-1).tolist()]
+        duplicates = int(images.duplicates[self._row])
+        return SimpleNamespace(data=UniqueImageData(imaged, duplicates, scenario.target_objects(self._env)))
+
+    @property
+    def scenario(self) -> OneView:
+        """The scenario in the episode of the satellite."""
+        return OneView(self._whole.scenario, self._env)
+
+
+class OneOthers(Mapping[str, OneSatellite]):
+    """The satellites of one episode by name, each as a view of one row."""
+
+    def __init__(self, fleet: SatelliteFleet, env: int) -> None:
+        """Show the satellites of episode number ``env``."""
+        self._fleet, self._env = fleet, env
+
+    def __getitem__(self, name: str) -> OneSatellite:
+        """Return a satellite; KeyError for an unknown name, with the nearest one."""
+        whole, number = self._fleet.found(name)
+        return view_of(whole, self._env * whole.simulator.count + number)
+
+    def __iter__(self) -> Iterator[str]:
+        """Names of the satellites, in their order."""
+        return iter(self._fleet.places)
+
+    def __len__(self) -> int:
+        """Number of satellites in an episode."""
+        return len(self._fleet.places)
+
+
+Types = str | Collection[str] | None
+"""Type of opportunities, several types, or None for all."""
+
+Window = tuple[float, float]
+"""Opening and closing time, s since reset."""
+
+
+class OneTarget:
+    """A target of one environment; equal to others of the same environment and index.
+
+    Attributes:
+        id: Index among the targets of the environment; ``act.image_target(id)`` is the action that images it.
+    """
+
+    def __init__(self, satellite: BoundAccessSatellite, env: int, index: int) -> None:
+        """Describe target number ``index`` of an environment."""
+        self._satellite, self._env, self.id = satellite, env, index
+
+    @property
+    def name(self) -> str:
+        """Name of the target."""
+        return target_names(self._satellite, self._env)[self.id]
+
+    def __getattr__(self, name: str) -> Any:
+        """Return a value of the target, a number or a NumPy array, or an attribute of the object that the scenario made for it.
+
+        AttributeError for an unknown name.
+        """
+        if name.startswith("_"):
+            raise AttributeError(name)
+        try:
+            return of_row(self._satellite.scenario.target_attribute(name)[self._env], self.id)
+        except AttributeError:
+            made = getattr(self._satellite.scenario, "target_object", None)
+            if made is None or not hasattr(target := made(self._env, self.id), name):
+                raise
+            return getattr(target, name)
+
+    @property
+    def _place(self) -> tuple[int, int]:
+        """Environment and index, by which targets are compared."""
+        return self._env, self.id
+
+    def __eq__(self, other: object) -> bool:
+        """Whether it is the same target of the same environment."""
+        return getattr(other, "_place", None) == self._place
+
+    def __hash__(self) -> int:
+        """Agree with equality."""
+        return hash(self._place)
+
+    def __repr__(self) -> str:
+        """Return the name as bsk_rl shows it."""
+        return f"Target({self.name})"
+
+
+class OneOpportunity(dict[str, Any]):
+    """An opportunity: ``object`` (a :class:`OneTarget`, or the name of a station), ``window`` (s), ``type``, ``r_LP_P`` (m)."""
+
+    place: int
+    """Index among the places of its type."""
+
+
+Filter = Callable[[OneOpportunity], Any] | list[Any] | None
+"""Function that selects opportunities, list of excluded objects, or None for the filters of the satellite."""
+
+
+class OneAccessSatellite(OneSatellite):
+    """An access satellite of one episode: opportunities are dictionaries, sorted by closing time."""
+
+    def _make(self, kind: str, place: int, r_LP_P: object, **window: Window) -> OneOpportunity:
+        if is_target(kind):
+            thing: Any = OneTarget(self._whole, self._env, place)
+        else:
+            thing = names_of(self._whole, kind)[place]
+        made = OneOpportunity(object=thing, type=kind, r_LP_P=r_LP_P, **window)
+        made.place = place
+        return made
+
+    def _positions(self, kind: str) -> NDArray[Any]:
+        """Return the Earth-fixed positions of all places of a type, [P, 3] m."""
+        if is_target(kind):
+            return self._whole.scenario.r_LP_P[self._env].cpu().numpy()
+        row, places = torch.tensor([self._row]), self._whole.simulator.access.kinds[kind]
+        place, now = torch.arange(places.count).unsqueeze(0), self._whole.simulator.sim_time[row].unsqueeze(-1)
+        return places.position(row.to(now.device), place.to(now.device), now)[0].cpu().numpy()
+
+    def of_windows(self, kind: str, windows: Any, padding: bool = False) -> list[OneOpportunity]:
+        """Return windows [N, W] of a type, with or without their ``padding``, as opportunities of this row."""
+        found, r_LP_P = [], self._positions(kind)
+        columns = (table[self._row].tolist() for table in (windows.place, windows.open, windows.close))
+        for place, opens, closes in zip(*columns, strict=True):
+            if padding or closes < float("inf"):
+                found.append(self._make(kind, place, r_LP_P[place].copy(), window=(opens, closes)))
+        return found
+
+    def all_places(self, kind: str) -> list[OneOpportunity]:
+        """Return all places of a type as opportunities without a window."""
+        return [self._make(kind, place, r_LP_P.copy()) for place, r_LP_P in enumerate(self._positions(kind))]
+
+    def _listed(self, upcoming: bool) -> list[OneOpportunity]:
+        kinds = self._whole.opportunity_types
+        found = [one for kind in kinds for one in self.of_windows(kind, self._whole.listed(kind, upcoming))]
+        return sorted(found, key=lambda opportunity: opportunity["window"][1])
+
+    @property
+    def opportunities(self) -> list[OneOpportunity]:
+        """All computed opportunities; those of past intervals are dropped as look-ahead advances."""
+        return self._listed(False)
+
+    @property
+    def upcoming_opportunities(self) -> list[OneOpportunity]:
+        """Opportunities that have not closed, whatever the filters say."""
+        return self._listed(True)
+
+    def default_access_filter(self, opportunity: OneOpportunity) -> bool:
+        """Return whether an opportunity passes all filters of the satellite."""
+        allowed = self._whole.allowed(opportunity["type"])
+        return allowed is None or bool(allowed[self._row, opportunity.place])
+
+    def _passes(self, types: Types, filter: Filter) -> Callable[[OneOpportunity], Any]:
+        kinds = self._kinds(types)
+        if isinstance(filter, list):
+            return lambda opportunity: opportunity["type"] in kinds and opportunity["object"] not in filter
+        accepts = self.default_access_filter if filter is None else filter
+        return lambda opportunity: opportunity["type"] in kinds and accepts(opportunity)
+
+    def _kinds(self, types: Types) -> tuple[str, ...]:
+        known = self._whole.opportunity_types
+        kinds = known if types is None else (types,) if isinstance(types, str) else tuple(types)
+        for kind in kinds:
+            if kind not in known:
+                raise ValueError(f"types={types!r}: {kind!r} is not a type of opportunity; {nearest(kind, known)}")
+        return kinds
+
+    def opportunities_dict(self, types: Types = None, filter: Filter = None) -> dict[Any, list[Window]]:
+        """Return all windows by object."""
+        return _by_object(self.opportunities, self._passes(types, filter))
+
+    def upcoming_opportunities_dict(self, types: Types = None, filter: Filter = None) -> dict[Any, list[Window]]:
+        """Return the windows that have not closed by object."""
+        return _by_object(self.upcoming_opportunities, self._passes(types, filter))
+
+    def next_opportunities_dict(
+        self, types: Types = None, filter: Filter = None, min_needed: int | None = None
+    ) -> dict[Any, Window]:
+        """Return the next window of each object, of at most ``min_needed`` objects if that is given."""
+        found: dict[Any, Window] = {}
+        for thing, windows in self.upcoming_opportunities_dict(types, filter).items():
+            if min_needed is not None and len(found) >= max(1, min_needed):
+                break
+            found[thing] = windows[0]
+        return found
+
+    def find_next_opportunities(
+        self, n: int, pad: bool = True, max_lookahead: int = MAX_SEGMENTS, types: Types = None, filter: Filter = None
+    ) -> list[OneOpportunity]:
+        """Return the ``n`` opportunities that close next; look-ahead is extended where fewer are known.
+
+        Args:
+            n: Number of opportunities.
+            pad: Whether to repeat the last one where there are fewer.
+            max_lookahead: Number of times that look-ahead is extended at most.
+            types: Type or types; all unless given.
+            filter: See :data:`Filter`.
+
+        Raises:
+            RuntimeError: If there is none, or fewer than ``n`` without ``pad``.
+            ValueError: For an unknown type.
+        """
+        passes, whole, found = self._passes(types, filter), self._whole, list[OneOpportunity]()
+        if n == 0:
+            return found
+        kinds = self._kinds(types)
+        if len(kinds) == 1 and filter is None and max_lookahead == MAX_SEGMENTS:
+            return self.of_windows(kinds[0], whole.find_next_opportunities(n, kinds[0], pad=pad))
+        for _ in range(max_lookahead):
+            found = [opportunity for opportunity in self.upcoming_opportunities if passes(opportunity)][:n]
+            if len(found) == n:
+                return found
+            if not whole.look_further(self._row):
+                break
+        if not pad or not found:
+            raise RuntimeError(f"{len(found)} of {n} opportunities of type {types or 'any'} found for {whole.title(self._row)}")
+        return found + [found[-1]] * (n - len(found))
+
+    def calculate_additional_windows(self, duration: float) -> None:
+        """Extend look-ahead of this satellite; see :meth:`bsk_torch.sats.BoundAccessSatellite.calculate_additional_windows`."""
+        seconds = torch.zeros_like(self._whole.simulator.sim_time)
+        seconds[self._row] = duration
+        self._whole.calculate_additional_windows(seconds)
+
+    def add_access_filter(self, *_: object, **__: object) -> NoReturn:
+        """Raise AttributeError: filters belong to the satellites of all environments."""
+        raise AttributeError("add_access_filter() belongs to all environments: call it before the environment is built")
+
+
+class OneImagingSatellite(OneAccessSatellite):
+    """An imaging satellite of one environment."""
+
+    @property
+    def latest_target(self) -> OneTarget | None:
+        """Target that was chosen last; None before the first."""
+        index = of_row(self._whole.latest_target, self._row)
+        return OneTarget(self._whole, self._env, index) if index >= 0 else None
+
+    @property
+    def known_targets(self) -> list[OneTarget]:
+        """All targets of the environment."""
+        exists = self._whole.simulator.scenario_state["target_exists"][self._env]
+        return [OneTarget(self._whole, self._env, index) for index, there in enumerate(exists.tolist()) if there]
+
+
+def _by_object(opportunities: list[OneOpportunity], passes: Callable[[OneOpportunity], object]) -> dict[Any, list[Window]]:
+    found: dict[Any, list[Window]] = {}
+    for opportunity in opportunities:
+        if passes(opportunity):
+            found.setdefault(opportunity["object"], []).append(opportunity["window"])
+    return found
+
+
+def view_of(satellite: BoundSatellite, row: int) -> OneSatellite:
+    """Return a read-only view of the satellite of one row [N]."""
+    kinds = ((ImagingSatellite, OneImagingSatellite), (AccessSatellite, OneAccessSatellite), (BoundSatellite, OneSatellite))
+    return next(view for kind, view in kinds if isinstance(satellite, kind))(satellite, row)
+
+
+def satellites_of(fleet: SatelliteFleet, env: int) -> list[OneSatellite]:
+    """Return the satellites of an episode, by their number."""
+    return list(OneOthers(fleet, env).values())
