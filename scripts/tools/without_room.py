@@ -2,7 +2,7 @@
 
     python scripts/tools/without_room.py [ROOM ...] [--pytest tests/rl -k rule]
 
-A room is a folder beside the core, such as ``tasks/objects``; all of them by default. Left out with it are its tests, and the
+A room is a folder outside the core, such as ``tasks/objects``; all of them by default. Left out with it are its tests, and the
 tests elsewhere that import it or name one of its presets or rules: these files and functions are printed. The fast tests of what
 remains must pass, the list of presets must name the folder that is missing, and making one of its presets must raise an error.
 """
