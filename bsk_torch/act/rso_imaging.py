@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number, switch, text, whole
 from bsk_torch.act.base import Action, Decision, positive_duration
@@ -106,6 +107,10 @@ class ImageRSO(Action):
     def n_negative_actions(self) -> int:
         """See :attr:`Action.n_negative_actions`; the number of targets."""
         return self.satellite.simulator.scenario_state[POSITIONS].shape[1]
+
+    @override
+    def aimed_at(self) -> Tensor:
+        return self.satellite.memory[AIM]
 
     def mask(self) -> Tensor:
         """See :meth:`Action.mask`; candidates that exist."""

@@ -159,8 +159,8 @@ def cells(failure: Failure) -> dict[str, str]:
 
 def draw_failure(env: Tasking, failure: Failure, actions: Tensor, path: Path) -> None:
     """Draw the episode of a failure over time, with its cause and its last chance, as a replay of ``actions`` [T] in ``env``."""
-    recorder, figure = extra("bsk_torch.viz.recorders.track"), extra("bsk_torch.viz.figures.timeline")
-    episode = recorder.record_track(script(actions.clamp(min=0).unsqueeze(0)), env, seed=failure.seed)
+    episodes, figure = extra("bsk_torch.viz.episodes"), extra("bsk_torch.viz.figures.timeline")
+    episode = episodes.record(script(actions.clamp(min=0).unsqueeze(0)), env, seed=failure.seed)
     cause = failure.cause.replace("_valid", "")
     marks = [(failure.died, f"died: {cause}")]
     if failure.last_chance is not None:

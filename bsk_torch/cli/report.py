@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from bsk_torch.cli.pictures import record
 from bsk_torch.cli.results import Summary
-from bsk_torch.cli.shared import check_writable, environment, environment_options, extra
+from bsk_torch.cli.shared import check_writable, environment, environment_options
 from bsk_torch.cli.terminal import echo, fail, working
+from bsk_torch.recording import record
 from bsk_torch.rl.evaluation.evaluate import FRESH, evaluate
 from bsk_torch.rl.evaluation.results import EVALUATION
 from bsk_torch.rl.marl.runs import PPO, algorithm_of, configure, read_config
@@ -29,6 +29,8 @@ from bsk_torch.untrusted import Word, read_json
 
 if TYPE_CHECKING:
     from torch import Tensor
+
+    from bsk_torch.recording import Recording
 
 REPORT = "report.html"
 """File of the report."""
@@ -48,15 +50,15 @@ def report(run: Path, episodes: int, threads: int, backend: str, device: str) ->
     results = _results(run / EVALUATION)
     check_writable(run / REPORT)
     options = config.options | environment_options(backend, device, None)
-    shown, flights = _episodes(config, card, options, episodes, device)
+    chosen, recording = _episodes(config, card, options, episodes, device)
     data = pages.RunData(
         name=run.resolve().name,
         preset=config.preset,
         log=log,
         evaluations=evaluations,
         results=results,
-        episodes=[pages.Chosen(*chosen) for chosen in shown],
-        flights=flights,
+        episodes=[pages.Chosen(why, number, pages.episode_of(recording, k)) for k, (why, number) in enumerate(chosen.items())],
+        flights=recording.html(),
         played=episodes,
         config=asdict(config),
         facts=_facts(card),
@@ -128,8 +130,8 @@ def _facts(card: dict[str, Any]) -> dict[str, str]:
 
 def _episodes(
     config: PPOConfig, card: dict[str, Any], options: dict[str, Any], episodes: int, device: str
-) -> tuple[list[tuple[str, int, Any]], str]:
-    """The reason, the number and the recording of the best, the median and the worst of unseen episodes; and their viewer."""
+) -> tuple[dict[str, int], Recording]:
+    """The numbers of the best, the median and the worst of unseen episodes, and their recording."""
     env = environment(config.preset, episodes, options)
     try:
         check_fits(card, env, config.preset)
@@ -140,29 +142,15 @@ def _episodes(
     with working(f"playing {episodes} unseen episodes"):
         returns = evaluate(policy, env, seed=seed).returns
     chosen = extremes(returns)
-    made = {why: environment(config.preset, 1, options | {"env_ids": [number]}) for why, number in chosen.items()}
-    shown = []
+    recordings = []
     for why, number in chosen.items():
         with working(f"playing the {why} episode again"):
-            shown.append((why, number, record(policy, made[why], seed)))
-    with working("recording these episodes for the viewer"):
-        labels = {f"{why} episode (no. {number})": made[why] for why, number in chosen.items()}
-        return shown, _viewer(labels, policy, seed, config.preset)
-
-
-def _viewer(episodes: dict[str, Any], policy: Any, seed: int, preset: str) -> str:
-    """Page of the viewer with the first episode of each environment; empty for teams with one agent, which it cannot show."""
-    recorder = extra("bsk_torch.viewer.recorder")
-    env = next(iter(episodes.values()))
-    if not recorder.has_agents(env):
-        return ""
-    scenes, tracks = [], []
-    for k, (label, one) in enumerate(episodes.items()):
-        flight = recorder.Flight(one, policy)
-        tracks.append(replace(flight.fly(seed).track, label=label, scene=k))
-        scenes.append(flight.scene)
-    page: str = recorder.recording_of(env, scenes, tracks, f"{preset}: episodes of the report", preset, "trained").html()
-    return page
+            one = environment(config.preset, 1, options | {"env_ids": [number]})
+            recordings.append(record(one, policy, seed=seed, preset=config.preset, label="trained"))
+    labels = (f"{why} episode (no. {number})" for why, number in chosen.items())
+    tracks = [replace(part.tracks[0], scene=k, label=label) for k, (part, label) in enumerate(zip(recordings, labels, strict=True))]
+    title, scenes = f"{config.preset}: episodes of the report", [part.scenes[0] for part in recordings]
+    return chosen, replace(recordings[0], title=title, scenes=scenes, tracks=tracks)
 
 
 def extremes(returns: Tensor) -> dict[str, int]:

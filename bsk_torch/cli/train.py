@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import torch
 import typer
 
-from bsk_torch.cli.pictures import draw_episode, record
 from bsk_torch.cli.shared import building, environment, environment_options
 from bsk_torch.cli.terminal import activity, echo, fail, for_shell, working
 from bsk_torch.env import Tasking
@@ -183,6 +182,9 @@ def _evaluated(name: str, policy: TensorDictModuleBase, env: Tasking, seed: int)
 
 def _draw(policy: TensorDictModuleBase, results: Mapping[str, Evaluation], config: PPOConfig, folder: Path) -> None:
     """Draw the learning curve and the first fresh episode."""
+    from bsk_torch.recording import record
+    from bsk_torch.viz.episodes import draw, episode_of
+
     levels = {name: (result.mean_return.mean, result.mean_return.half_width) for name, result in results.items()}
     log = read_log(folder / LOG) if (folder / LOG).is_file() else {}
     if log:  # a full disk may have kept it from being written
@@ -190,5 +192,6 @@ def _draw(policy: TensorDictModuleBase, results: Mapping[str, Evaluation], confi
 
         learning_curve(log, folder / "learning_curve.png", levels, f"{config.preset}: learning")
     env = make(config.preset, num_envs=1, **config.options)
-    recorded = record(shared(policy, env), env, config.seed + FRESH)
-    draw_episode(recorded, folder, f"{config.preset}: one episode of the trained policy")
+    recording = record(env, shared(policy, env), seed=config.seed + FRESH)
+    title = f"{config.preset}: one episode of the trained policy"
+    draw(episode_of(recording), folder / f"{recording.kind}.png", title)

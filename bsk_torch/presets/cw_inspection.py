@@ -55,6 +55,7 @@ from bsk_torch.act.assurance import BLIND, EDGE, INSPECTION, Barriers, crew_barr
 from bsk_torch.data.base import Log
 from bsk_torch.env import ConstellationTasking, SatelliteTasking
 from bsk_torch.presets.cw_docking import Polar, assured, collided, deputy_args, interventions, names_of
+from bsk_torch.scene.recorded import RecordedProgress, RecordedTargets
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.dyn.linear_motion import MEAN_MOTION
 from bsk_torch.sim.inspection.lit_points import PER_CLUSTER, Clusters, clustered, in_view, lit, sphere_points
@@ -99,6 +100,11 @@ class LitPointsReward(data.GlobalReward):
     def inspected(self) -> Tensor:
         """Inspected points, [N, P] bool."""
         return self.memory["inspected"]
+
+    @override
+    def recorded(self, env: int) -> RecordedProgress:
+        points = RecordedTargets(places="points", r=self.points.cpu(), priority=torch.ones(len(self.points), dtype=torch.float64))
+        return RecordedProgress(targets=points, marks={"done": self.inspected[env].cpu()})
 
     @override
     def read_log(self) -> Log:

@@ -30,7 +30,7 @@ from bsk_torch.rl.training.config import PPOConfig, save_config
 from bsk_torch.rl.training.log import read_log
 from bsk_torch.scene import RSOTarget, RSOTargetCatalog, read_cases
 from bsk_torch.untrusted import Word, parse_json, read_json
-from bsk_torch.viewer.recording import MAGIC, decode
+from bsk_torch.recording.recording import MAGIC, decode
 from tests.scene import aeos_cases
 from tests.support.recordings import synthetic_recording
 

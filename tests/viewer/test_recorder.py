@@ -9,9 +9,9 @@ from bsk_torch.plan import BeamSearch, Rollout, TreeSearch
 from bsk_torch.rl.policies.files import build_policy, read_card
 from bsk_torch.rl.policies.pretrained import pretrained_file
 from bsk_torch.rl.policies.shared_policy import rule, shared
-from bsk_torch.viewer.recorder import record
-from bsk_torch.viewer.recording import decode
-from bsk_torch.viz.recorders.constellation import quantities
+from bsk_torch.recording import record
+from bsk_torch.recording.recording import decode
+from bsk_torch.recording.scenes import quantities
 
 
 def player(env, preset):
