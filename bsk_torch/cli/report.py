@@ -148,7 +148,9 @@ def _episodes(
             one = environment(config.preset, 1, options | {"env_ids": [number]})
             recordings.append(record(one, policy, seed=seed, preset=config.preset, label="trained"))
     labels = (f"{why} episode (no. {number})" for why, number in chosen.items())
-    tracks = [replace(part.tracks[0], scene=k, label=label) for k, (part, label) in enumerate(zip(recordings, labels, strict=True))]
+    tracks = [
+        replace(part.tracks[0], scene=k, label=label) for k, (part, label) in enumerate(zip(recordings, labels, strict=True))
+    ]
     title, scenes = f"{config.preset}: episodes of the report", [part.scenes[0] for part in recordings]
     return chosen, replace(recordings[0], title=title, scenes=scenes, tracks=tracks)
 

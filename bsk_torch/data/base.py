@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from typing import TYPE_CHECKING
 
 import torch
@@ -121,6 +121,11 @@ class GlobalReward:
     def recorded(self, env: int) -> RecordedProgress:
         """Return what is known of the current episode of environment ``env``, for recordings (default: nothing)."""
         return RecordedProgress()
+
+    @property
+    def observed_columns(self) -> Sequence[int]:
+        """Indices of the satellites of an episode whose flights count for the reward, other than by their own logs."""
+        return ()
 
     @property
     def memory(self) -> StateTable:

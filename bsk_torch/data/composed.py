@@ -104,7 +104,7 @@ class ComposedReward(GlobalReward):
 
     @override
     def recorded(self, env: int) -> RecordedProgress:
-        """Return what the first part says that has something to record."""
+        """Return what the first part that has something to record knows."""
         told = [part.recorded(env) for part in self.rewarders]
         return next((progress for progress in told if progress.kind or progress.marks), told[0])
 

@@ -37,8 +37,8 @@ class Reading:
         self.scene, self.crafts = recording.scenes[self.track.scene], recording.satellites
         if "step_time" not in self.track.arrays:
             raise ValueError(f"track {track} has no steps, which figures show: record the episode again with this version")
-        present = np.isfinite(self.track.arrays["r_N"]).all((0, 2)).tolist()
-        there = [k for k, craft in enumerate(self.crafts) if present[k] and craft.kind != CHIEF]
+        r_N = self.track.arrays["r_N"]
+        there = [k for k, craft in enumerate(self.crafts) if np.isfinite(r_N[:, k]).all() and craft.kind != CHIEF]
         self.columns = [k for k in self.scene.viewers if k in there] if viewers else there
         self.names = [self.crafts[k].name for k in self.columns]
         self.times = self.array("step_time")
@@ -140,7 +140,7 @@ def _tensor(array: Array) -> Tensor:
 
 
 def hermite(keys: Tensor, r: Tensor, v: Tensor, times: Tensor) -> Tensor:
-    """Return positions [M, S, 3] at ``times`` [M] from positions and velocities [K, S, 3] at the times ``keys`` [K], ascending."""
+    """Return positions [M, S, 3] at ``times`` [M] from positions and velocities [K, S, 3] at ascending ``keys`` [K] s."""
     if len(keys) == 1:
         return r + v * (times - keys).view(-1, 1, 1)
     k = (torch.searchsorted(keys, times, right=True) - 1).clamp(0, len(keys) - 2)

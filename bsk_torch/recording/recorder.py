@@ -25,7 +25,7 @@ from bsk_torch.env import ConstellationTasking, Tasking
 from bsk_torch.env.action_forms import acts, form, read
 from bsk_torch.env.rollout import ACTION_VALUE, Policy, decide, play_episodes
 from bsk_torch.env.satellite_group import SatelliteGroup
-from bsk_torch.recording.recording import Array, Branch, Death, Recording, Series, Scene, Track
+from bsk_torch.recording.recording import Array, Branch, Death, Recording, Scene, Series, Track
 from bsk_torch.recording.scenes import (
     NONE,
     QUANTITIES,

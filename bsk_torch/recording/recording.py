@@ -16,7 +16,6 @@ import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from html import escape
-from importlib import import_module
 from math import prod
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
@@ -24,6 +23,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 from annotated_types import MaxLen
 
+from bsk_torch._rooms import resolve
 from bsk_torch.files import write_file
 from bsk_torch.scene.recorded import Places
 from bsk_torch.untrusted import MOST_JSON, Count, NotRead, Word, gunzip, parse_json
@@ -336,7 +336,7 @@ class Recording:
 
     def html(self) -> str:
         """Return a page that plays the recording: one file of HTML, without a server or a network."""
-        page: str = import_module("bsk_torch.viewer.page").build_page(self.encode(), title=self.title)
+        page: str = resolve("bsk_torch.viewer.page:build_page")(self.encode(), title=self.title)
         return page
 
     def _repr_html_(self) -> str:
@@ -560,7 +560,13 @@ def _check_values(title: str, arrays: Mapping[str, Array], satellites: int, acti
     for name in ASCENDING:
         if name in arrays and not (np.isfinite(arrays[name]).all() and (np.diff(arrays[name]) >= 0.0).all()):
             raise ValueError(f"{title}: {name} must be numbers that never decrease")
-    ends = {"satellite": (0, satellites), "action": (-1, actions), "target": (-1, targets), "kind": (0, len(EVENTS)), "task": (0, tasks)}
+    ends = {
+        "satellite": (0, satellites),
+        "action": (-1, actions),
+        "target": (-1, targets),
+        "kind": (0, len(EVENTS)),
+        "task": (0, tasks),
+    }
     for name, value in arrays.items():
         low, high = ends.get(name.rpartition("_")[2], (0, satellites)) if name not in ("link_a", "link_b") else (0, satellites)
         if TRACK_ARRAYS[name].dtypes == ("i4",) and value.size and not (low <= value.min() and value.max() < high):

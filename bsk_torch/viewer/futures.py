@@ -5,12 +5,12 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterable
-from importlib import import_module
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
+from bsk_torch._rooms import resolve
 from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import ACTION_VALUE
 from bsk_torch.recording.recorder import Flight, Flown, branched, recording_of
@@ -19,8 +19,8 @@ from bsk_torch.recording.scenes import crafts_of
 
 __all__ = ["Futures"]
 
-PLANNERS = "bsk_torch.plan"
-"""Package with the policy that plays a branch for each action; it is needed only by :meth:`Futures.values`."""
+VALUES = "bsk_torch.lab.planners:ActionValues"
+"""Policy that plays a branch for each action; it is needed only by :meth:`Futures.values`."""
 
 AFTER = 1e-6
 """Added to the time of a decision to fly its step, and no other, s."""
@@ -91,7 +91,7 @@ class Futures:
         flown = self._known(track)
         branched(flown, decision, None, track)
         choice = flown.choices[decision]
-        asked = import_module(PLANNERS).ActionValues(self.env, getattr(self.policy, "base", self.policy))
+        asked = resolve(VALUES)(self.env, getattr(self.policy, "base", self.policy))
         found: list[torch.Tensor] = []
 
         def ask(step: int, tensordict: TensorDictBase) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,6 +12,7 @@ from torch import Tensor
 from typing_extensions import Self
 
 from bsk_torch import recording as recordings
+from bsk_torch._rooms import resolve
 from bsk_torch.env import Tasking
 from bsk_torch.recording.reading import Reading
 from bsk_torch.recording.recording import Recording
@@ -25,8 +25,8 @@ KINDS = {
     "timeline": "bsk_torch.viz.figures.timeline:TrackEpisode",
     "ground_track": "bsk_torch.viz.figures.ground_track:ImagingEpisode",
     "constellation": "bsk_torch.viz.figures.constellation:ConstellationEpisode",
-    "inspection": "bsk_torch.viz.figures.inspection:InspectionEpisode",
-    "rso_imaging": "bsk_torch.viz.figures.rso_imaging:RSOImagingEpisode",
+    "inspection": "bsk_torch.tasks.inspection.figure:InspectionEpisode",
+    "rso_imaging": "bsk_torch.tasks.objects.figure:RSOImagingEpisode",
 }
 """Module and class of what figures show of a recording, by its kind."""
 
@@ -97,8 +97,7 @@ def episode_of(recording: Recording, track: int = 0) -> Episode:
     """Return what figures and tables show of a track; ValueError for a recording of an older version."""
     if recording.kind not in KINDS:
         raise ValueError(f"kind={recording.kind!r} is none of {list(KINDS)}: record the episode again with this version")
-    module, _, name = KINDS[recording.kind].partition(":")
-    kind: type[Episode] = getattr(import_module(module), name)
+    kind: type[Episode] = resolve(KINDS[recording.kind])
     return kind.of(recording, track)
 
 

@@ -1,8 +1,8 @@
 """What the viewer cannot record or export."""
 
 import bsk_torch
-from bsk_torch.viewer.czml import czml
 from bsk_torch.recording import record
+from bsk_torch.viewer.czml import czml
 from tests.support.recordings import synthetic_recording
 from tests.support.refusals import check_refusals, refusal
 

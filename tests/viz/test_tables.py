@@ -9,8 +9,8 @@ import pytest
 import torch
 
 import bsk_torch
-from bsk_torch.viz.episodes import record
 from bsk_torch.recording.table import Tasks, satellite_columns
+from bsk_torch.viz.episodes import record
 
 
 @pytest.mark.compiled
