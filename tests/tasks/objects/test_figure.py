@@ -245,7 +245,7 @@ def test_what_has_no_sky_is_named():
 
 def test_one_imager_has_a_sky_and_a_timeline():
     scenario = RSOTargets(catalog(), ["Imager0"])
-    env = SatelliteTasking(Imager("Imager0", KEPT), scenario, RSOImageReward(), num_envs=1, seed=0)
+    env = SatelliteTasking(Imager("Imager0", KEPT), scenario, RSOImageReward(), num_envs=1, seed=0, time_limit=600.0)
     assert isinstance(record(lambda observation, mask: mask.byte().argmax(-1), env, seed=1), TrackEpisode)
     env.reset()
     assert sky_of(env).imager == "Imager0"
