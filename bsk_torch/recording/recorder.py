@@ -497,7 +497,7 @@ def branched(flown: Flown, decision: int, action: int | None, parent: int) -> Br
         raise IndexError(f"decision={decision} must lie from 0 to {len(flown.choices) - 1}, the decisions of track {parent}")
     choice = flown.choices[decision]
     if not choice.mask:
-        raise ValueError(f"decision {decision} is not of one satellite and a numbered action; no other can be exchanged")
+        raise ValueError(f"decision {decision} is made of real numbers, or for several satellites; none can be exchanged")
     action = choice.action if action is None else action
     if not (0 <= action < len(choice.mask) and choice.mask[action]):
         legal = [k for k, allowed in enumerate(choice.mask) if allowed]
