@@ -22,9 +22,9 @@ import harness
 import torch
 
 from bsk_torch import make
+from bsk_torch.recording import record
 from bsk_torch.rl.policies import pretrained
 from bsk_torch.rl.policies.shared_policy import shared
-from bsk_torch.viewer import record
 
 COLUMNS = {
     "page": "{page}",

@@ -28,6 +28,7 @@ HOOKS = (
     "begin",
     "end",
     "mask",
+    "aimed_at",
 )
 """Members of :class:`Action` that subclasses may define."""
 
@@ -209,6 +210,10 @@ class Action:
             decision: Current mode, duration and key of the actions; ``retask`` equals the rows in which an action has ended.
             event: Whether an event ended the action, [N] bool, and not its duration.
         """
+
+    def aimed_at(self) -> Tensor | None:
+        """Return the target that each satellite has chosen last with the entry, [N] int64, -1 for none; None without targets."""
+        return None
 
     def mask(self) -> Tensor:
         """Return which of the entry's actions are legal now, [N, n_actions] bool (default: all)."""

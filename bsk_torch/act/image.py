@@ -108,6 +108,10 @@ class Image(Action):
         return self.satellite.simulator.scenario_state["target_exists"].shape[1]
 
     @override
+    def aimed_at(self) -> Tensor:
+        return self.satellite.latest_target
+
+    @override
     def mask(self) -> Tensor:
         simulator = self.satellite.simulator
         first = not simulator.type.compat and simulator.type.arguments.is_new(f"late windows of {self.name}")

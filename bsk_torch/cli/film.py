@@ -62,13 +62,13 @@ def film(
     if every is not None and not isinstance(env, ConstellationTasking):
         fail(f"--every {every:g} is for constellations, which continue their tasks; {named.preset} would decide more often")
     actor = named.actor(env, options["device"])
-    player = with_lots(actor, env) if LOT in actor.in_keys else actor
     if out.suffix in PICTURES:
         with working("playing the episode"):
             pictures = extra("bsk_torch.viz.episodes")
-            pictures.draw(pictures.record(player, env, seed=seed), out, f"{named.preset}, seed {seed}, {named.label}")
+            pictures.draw(pictures.record(actor, env, seed=seed), out, f"{named.preset}, seed {seed}, {named.label}")
         told = "the whole episode"
     else:
+        player = with_lots(actor, env) if LOT in actor.in_keys else actor
         shots = frames(env, player, seed, until, height)
         told = f"{save_mp4(shots, out, fps) if out.suffix == '.mp4' else save_animation(shots, out, fps)} frames"
     seconds, earned, lost = float(env.fleet.sim_time[0]), float(env.returns[0]), int(env.dead[0].sum())

@@ -17,6 +17,7 @@ from bsk_torch.cli.terminal import echo, refusing, working
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from bsk_torch.recording import Recording
     from bsk_torch.rl.training.config import PPOConfig
 
 REPORT = "report.html"
@@ -47,15 +48,15 @@ def report(
     comparison = results(run / EVALUATION)
     check_writable(run / REPORT)
     pages = extra("bsk_torch.viz.report.page")
-    shown, flights = _episodes(config, card, config.options | options, episodes)
+    chosen, recording = _episodes(config, card, config.options | options, episodes)
     data = pages.RunData(
         name=run.resolve().name,
         preset=config.preset,
         log=log,
         evaluations=evaluations,
         results=comparison,
-        episodes=[pages.Chosen(*chosen) for chosen in shown],
-        flights=flights,
+        episodes=[pages.Chosen(why, number, pages.episode_of(recording, k)) for k, (why, number) in enumerate(chosen.items())],
+        flights=recording.html(),
         played=episodes,
         config=asdict(config),
         facts={
@@ -71,8 +72,9 @@ def report(
 
 def _episodes(
     config: PPOConfig, card: dict[str, Any], options: dict[str, Any], episodes: int
-) -> tuple[list[tuple[str, int, Any]], str]:
-    """The reason, the number and the recording of the best, the median and the worst of unseen episodes; and their viewer."""
+) -> tuple[dict[str, int], Recording]:
+    """The numbers of the best, the median and the worst of unseen episodes, and their recording."""
+    from bsk_torch.recording import record
     from bsk_torch.rl.evaluation.evaluate import FRESH, evaluate
     from bsk_torch.rl.policies.files import build_policy, check_fits
     from bsk_torch.rl.policies.shared_policy import shared
@@ -85,29 +87,17 @@ def _episodes(
     with working(f"playing {episodes} unseen episodes"):
         returns = evaluate(policy, env, seed=seed).returns
     chosen = extremes(returns)
-    made = {why: environment(config.preset, 1, options | {"env_ids": [number]}) for why, number in chosen.items()}
-    shown = []
+    recordings = []
     for why, number in chosen.items():
         with working(f"playing the {why} episode again"):
-            shown.append((why, number, extra("bsk_torch.viz.episodes").record(policy, made[why], seed=seed)))
-    with working("recording these episodes for the viewer"):
-        labels = {f"{why} episode (no. {number})": made[why] for why, number in chosen.items()}
-        return shown, _viewer(labels, policy, seed, config.preset)
-
-
-def _viewer(episodes: dict[str, Any], policy: Any, seed: int, preset: str) -> str:
-    """Page of the viewer with the first episode of each environment; empty for teams with one agent, which it cannot show."""
-    recorder = extra("bsk_torch.viewer.recorder")
-    env = next(iter(episodes.values()))
-    if not recorder.has_agents(env):
-        return ""
-    scenes, tracks = [], []
-    for k, (label, one) in enumerate(episodes.items()):
-        flight = recorder.Flight(one, policy)
-        tracks.append(replace(flight.fly(seed).track, label=label, scene=k))
-        scenes.append(flight.scene)
-    page: str = recorder.recording_of(env, scenes, tracks, f"{preset}: episodes of the report", preset, "trained").html()
-    return page
+            one = environment(config.preset, 1, options | {"env_ids": [number]})
+            recordings.append(record(one, policy, seed=seed, preset=config.preset, label="trained"))
+    labels = (f"{why} episode (no. {number})" for why, number in chosen.items())
+    tracks = [
+        replace(part.tracks[0], scene=k, label=label) for k, (part, label) in enumerate(zip(recordings, labels, strict=True))
+    ]
+    title, scenes = f"{config.preset}: episodes of the report", [part.scenes[0] for part in recordings]
+    return chosen, replace(recordings[0], title=title, scenes=scenes, tracks=tracks)
 
 
 def extremes(returns: Tensor) -> dict[str, int]:

@@ -12,6 +12,7 @@ from bsk_torch.cli.shared import extra
 from bsk_torch.cli.terminal import activity, echo, fail, for_shell, refusing, working
 from bsk_torch.env import Tasking
 from bsk_torch.presets import make
+from bsk_torch.recording import record
 from bsk_torch.rl.evaluation.evaluate import FRESH, Evaluation, evaluate
 from bsk_torch.rl.evaluation.results import EVALUATION, print_results, save_results
 from bsk_torch.rl.marl.runs import TRAINED, configure, read_config, told, training_of
@@ -20,15 +21,6 @@ from bsk_torch.rl.training.config import AUTO, CONFIG, PPOConfig, override
 from bsk_torch.rl.training.lock import FolderLock
 from bsk_torch.rl.training.log import LOG, read_log
 from bsk_torch.rl.training.trainer import CHECKPOINT, check_folder, read_checkpoint
-
-PICTURES = {
-    "ConstellationEpisode": "constellation.png",
-    "InspectionEpisode": "inspection.png",
-    "RSOImagingEpisode": "rso_imaging.png",
-    "ImagingEpisode": "ground_track.png",
-    "TrackEpisode": "timeline.png",
-}
-"""Name of the picture in the folder of a run, by the kind of the recorded episode."""
 
 
 def several(workers: str | None, changes: list[str]) -> list[str]:
@@ -122,5 +114,6 @@ def draw(policy: TensorDictModuleBase, results: Mapping[str, Evaluation], config
         learning_curve(log, folder / "learning_curve.png", levels, f"{config.preset}: learning")
     env = make(config.preset, num_envs=1, **config.options)
     pictures = extra("bsk_torch.viz.episodes")
-    recorded = pictures.record(shared(policy, env), env, seed=config.seed + FRESH)
-    pictures.draw(recorded, folder / PICTURES[type(recorded).__name__], f"{config.preset}: one episode of the trained policy")
+    recording = record(env, shared(policy, env), seed=config.seed + FRESH)
+    title = f"{config.preset}: one episode of the trained policy"
+    pictures.draw(pictures.episode_of(recording), folder / f"{recording.kind}.png", title)

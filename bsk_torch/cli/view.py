@@ -143,7 +143,7 @@ def _source(
     """The flights to show: a recording, or flights with other futures."""
     from bsk_torch.cli.policies import named_actor
 
-    recordings = extra("bsk_torch.viewer.recording", "viz")
+    recordings = extra("bsk_torch.recording.recording", "viz")
     if what.endswith(recordings.SUFFIX):
         if policy is not None or branch:
             fail(f"{what!r} is a recording, in which nothing flies any more; --policy and --branch are for presets and runs")
@@ -174,7 +174,7 @@ def _branch(text: str) -> tuple[int, int]:
 
 def _write(source: object, out: Path) -> None:
     """Write flights in the form that the name of the file asks for."""
-    recordings = extra("bsk_torch.viewer.recording")
+    recordings = extra("bsk_torch.recording.recording")
     recording = source if isinstance(source, recordings.Recording) else source.recording()  # type: ignore[attr-defined]
     if out.suffix == ".html":
         content: bytes | str = recording.html()

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 from typing_extensions import override
 
+from bsk_torch.scene.recorded import RecordedProgress
 from bsk_torch.sim.hooks import check_class, check_tensor
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 Log = dict[str, Tensor]
 """Properties of the satellites at a decision boundary by name, [N, S, ...] each."""
 
-HOOKS = ("link", "read_log", "calculate_reward", "share", "counts", "measures", "is_terminated", "is_truncated")
+HOOKS = ("link", "read_log", "calculate_reward", "share", "counts", "measures", "is_terminated", "is_truncated", "recorded")
 """Members of :class:`GlobalReward` that subclasses may define."""
 
 
@@ -56,6 +57,10 @@ class GlobalReward:
         satellites.
         """
         self.scenario, self.fleet = scenario, fleet
+
+    def recorded(self, env: int) -> RecordedProgress:
+        """Return what is known of the current episode of environment ``env``, for recordings (default: nothing)."""
+        return RecordedProgress()
 
     @property
     def observed_columns(self) -> Sequence[int]:

@@ -12,6 +12,7 @@ from typing_extensions import override
 
 from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward, Log
+from bsk_torch.scene.recorded import RecordedProgress
 
 if TYPE_CHECKING:
     from bsk_torch.sats.fleet import SatelliteFleet
@@ -100,6 +101,12 @@ class ComposedReward(GlobalReward):
     def resource_weights(self) -> tuple[Tensor, ...]:
         """Current weights of the resource rewards among the parts, [N] each."""
         return tuple(weight for part in self.rewarders for weight in getattr(part, "resource_weights", ()))
+
+    @override
+    def recorded(self, env: int) -> RecordedProgress:
+        """Return what the first part that has something to record knows."""
+        told = [part.recorded(env) for part in self.rewarders]
+        return next((progress for progress in told if progress.kind or progress.marks), told[0])
 
     @override
     def share(self, links: Tensor) -> None:

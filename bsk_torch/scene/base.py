@@ -11,11 +11,13 @@ from torch import Tensor
 from typing_extensions import final
 
 from bsk_torch._checks import no_gradient
+from bsk_torch.scene.recorded import RecordedTargets
 from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked, check_tensor, is_of_package, overrides
 from bsk_torch.sim.places import TARGET_KIND, TARGETS, AboveElevation, DrawnTargets, SunElevation, WithinRange, instrument_kind
 
 if TYPE_CHECKING:
     from bsk_torch.rand import Key
+    from bsk_torch.sats.bound import BoundSatellite
     from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.sats.satellite import Satellite
     from bsk_torch.sim.instruments import Instrument
@@ -24,7 +26,18 @@ if TYPE_CHECKING:
 
 Drawn = TypeVar("Drawn")
 
-HOOKS = ("validate_satellite_names", "calls_user", "draw", "place_kinds", "present", "link", "reset", "after_step")
+HOOKS = (
+    "validate_satellite_names",
+    "calls_user",
+    "draw",
+    "place_kinds",
+    "present",
+    "link",
+    "reset",
+    "after_step",
+    "recorded_targets",
+    "sees",
+)
 """Members of :class:`Scenario` that subclasses may define."""
 
 
@@ -180,6 +193,20 @@ class Scenario:
             KeyError: If ``draw`` returns no value of this name.
         """
         return self.fleet.scenario_state[name]
+
+    def recorded_targets(self, env: int) -> RecordedTargets | None:
+        """Return the targets of the current episode of environment ``env``, for recordings and films; None without any."""
+        ground: Any = self
+        if not hasattr(ground, "most_targets"):
+            return None
+        r_P = torch.where(ground.drawn("target_exists")[env].unsqueeze(-1) > 0.5, ground.r_LP_P[env], torch.nan).cpu()
+        priority = ground.priority[env].cpu() if hasattr(ground, "priority") else torch.ones(len(r_P), dtype=torch.float64)
+        cloud = ground.cloud_cover[env].cpu() if hasattr(ground, "cloud_cover") else None
+        return RecordedTargets(places="ground", r=r_P, priority=priority, cloud=cloud)
+
+    def sees(self, satellite: BoundSatellite, target: Tensor) -> Tensor:
+        """Return whether satellites of a type can see the targets ``target`` [n] at which they look, [n] bool (default: all)."""
+        return torch.ones_like(target, dtype=torch.bool)
 
     def _own_arguments(self, satellite: Satellite) -> dict[str, Any]:
         """Return the ``sat_args`` of a satellite that follow from the scenario, whatever the user has given."""

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from bsk_torch.viewer.recording import Array, Recording, Scene, Track
+from bsk_torch.recording.recording import Array, Recording, Scene, Track
 
 __all__ = ["czml"]
 

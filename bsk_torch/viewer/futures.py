@@ -10,15 +10,17 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
+from bsk_torch._rooms import resolve
 from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import ACTION_VALUE
-from bsk_torch.lab.planners import ActionValues
-from bsk_torch.lab.planners.planner import Planner
-from bsk_torch.viewer.recorder import Flight, Flown, branched, recording_of
-from bsk_torch.viewer.recording import Recording, Scene
-from bsk_torch.viewer.scenes import crafts_of
+from bsk_torch.recording.recorder import Flight, Flown, branched, recording_of
+from bsk_torch.recording.recording import Recording, Scene
+from bsk_torch.recording.scenes import crafts_of
 
 __all__ = ["Futures"]
+
+VALUES = "bsk_torch.lab.planners:ActionValues"
+"""Policy that plays a branch for each action; it is needed only by :meth:`Futures.values`."""
 
 AFTER = 1e-6
 """Added to the time of a decision to fly its step, and no other, s."""
@@ -38,7 +40,7 @@ class Futures:
     def __init__(
         self, env: Tasking, policy: TensorDictModuleBase, *, preset: str = "", label: str = "policy", until: float | None = None
     ) -> None:
-        """Fly ``env`` with ``policy``, each time for ``until`` seconds; see also :func:`bsk_torch.viewer.record`."""
+        """Fly ``env`` with ``policy``, each time for ``until`` seconds; see also :func:`bsk_torch.recording.record`."""
         self.env, self.policy, self.preset, self.label, self.until = env, policy, preset, label, until
         self.flown: dict[int, Flown] = {}
         self.scenes: dict[int, Scene] = {}
@@ -67,7 +69,7 @@ class Futures:
         where = branched(parent, decision, action, track)
         choice = parent.choices[decision]
         flight = Flight(self.env, self.policy)
-        group, number, _ = flight.slots[choice.slot]
+        group, number, _, _ = flight.slots[choice.slot]
 
         def change(step: int, tensordict: TensorDictBase) -> None:
             if step == choice.step and group is None:
@@ -89,7 +91,7 @@ class Futures:
         flown = self._known(track)
         branched(flown, decision, None, track)
         choice = flown.choices[decision]
-        asked = ActionValues(self.env, self.policy.base if isinstance(self.policy, Planner) else self.policy)
+        asked = resolve(VALUES)(self.env, getattr(self.policy, "base", self.policy))
         found: list[torch.Tensor] = []
 
         def ask(step: int, tensordict: TensorDictBase) -> None:
@@ -106,7 +108,7 @@ class Futures:
     @property
     def meaning(self) -> str:
         """What :meth:`values` are, for readers of the page."""
-        follows = "base policy of the planner" if isinstance(self.policy, Planner) else "policy"
+        follows = "base policy of the planner" if hasattr(self.policy, "base") else "policy"
         return f"The rest of the return of the episode, if this action is taken and the {follows} decides afterwards."
 
     def recording(self) -> Recording:

@@ -24,7 +24,7 @@ def build_page(recording: bytes | None = None, live: str | None = None, title: s
     The page allows no scripts but its parts, and no requests but those to the server that it comes from.
 
     Args:
-        recording: Content of a recording, from :meth:`bsk_torch.viewer.recording.Recording.encode`; the page contains it.
+        recording: Content of a recording, from :meth:`bsk_torch.recording.recording.Recording.encode`; the page contains it.
         live: Address of a server that has the recording and computes other futures, such as ``/api``.
         title: Title of the window until the recording is loaded.
 

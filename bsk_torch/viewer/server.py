@@ -24,10 +24,10 @@ from typing import Any, NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
 from bsk_torch._checks import whole
+from bsk_torch.recording.recording import Recording
 from bsk_torch.untrusted import Json, parse_json
 from bsk_torch.viewer.futures import Futures, finite
 from bsk_torch.viewer.page import build_page
-from bsk_torch.viewer.recording import Recording
 
 __all__ = ["PORT", "serve"]
 

@@ -98,7 +98,7 @@ film(env, pretrained("NadirScan-v1"), "scanning.webp", seed=7, frames=FRAMES)
 # plays in a browser without a network:
 from pathlib import Path
 
-from bsk_torch.viewer import record
+from bsk_torch.recording import record
 
 flight = record(
     env,

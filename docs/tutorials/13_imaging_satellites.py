@@ -137,8 +137,7 @@ print(episode.outcome)
 # horizontal upwards, whether they are hidden or not.
 from pathlib import Path
 
-from bsk_torch.tasks.objects.figure import sky_figure
-from bsk_torch.viz.recorders.rso_imaging import sky_of
+from bsk_torch.tasks.objects.figure import sky_figure, sky_of
 
 env.set_seed(4)
 td = env.reset()

@@ -220,12 +220,9 @@ def main() -> None:
         return td.set((inspectors, "action"), torch.cat([dv_H, drift], -1).float())
 
     if options.figure is not None:
-        from bsk_torch.tasks.inspection.figure import inspection_figure
-        from bsk_torch.viz.recorders.inspection import record_inspection
+        from bsk_torch.viz.episodes import draw, record
 
-        inspection_figure(
-            record_inspection(visit, env, seed=0), options.figure, "random places"
-        )
+        draw(record(visit, env, seed=0), options.figure, "random places")
     td = env.rollout(1000, visit, break_when_any_done=True)
     known, lit = (
         env.rewarder.inspected.sum(1).tolist(),

@@ -34,13 +34,13 @@ from bsk_torch import make
 from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.presets import PRESETS
+from bsk_torch.recording import record
 from bsk_torch.rl.policies import pretrained, pretrained_file, read_card
 from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.tasks.inspection.figure import draw_paths
 from bsk_torch.viewer.page import build_page
-from bsk_torch.viewer.recorder import record
+from bsk_torch.viz import episodes
 from bsk_torch.viz.figures.style import save
-from bsk_torch.viz.recorders.inspection import record_inspection
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "docs" / "_static" / "readme"
@@ -186,7 +186,7 @@ def paths_thumbnail(preset: str, path: Path) -> Path:
 def inspection_paths(preset: str, panel: Axes) -> None:
     """Draw the paths of one inspection near the RSO."""
     env = make(preset, num_envs=1, actions="waypoints")
-    episode = record_inspection(bsk_torch.rule(INSPECTION, env), env, seed=INSPECTION_SEED)
+    episode = episodes.record(bsk_torch.rule(INSPECTION, env), env, seed=INSPECTION_SEED)
     draw_paths(panel, episode, 1, 0, near=True)
 
 

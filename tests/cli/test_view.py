@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from bsk_torch.cli import app
-from bsk_torch.viewer.recording import load
+from bsk_torch.recording.recording import load
 from bsk_torch.viewer.server import Server
 from tests.support.recordings import synthetic_recording
 

@@ -14,7 +14,6 @@ UNLISTED = {
     "bsk_torch.rl",
     "bsk_torch.viz",
     "bsk_torch.viz.figures",
-    "bsk_torch.viz.recorders",
     "bsk_torch.viz.report",
     "bsk_torch.astro",
 }

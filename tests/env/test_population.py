@@ -24,7 +24,7 @@ from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.access.lookahead import LookAhead
 from bsk_torch.tasks.inspection import SphericalRSO
-from bsk_torch.viz.recorders.constellation import record_constellation
+from bsk_torch.viz.episodes import record
 from bsk_torch.wrappers import PettingZooEnv
 from tests.env.test_constellation import Linked, Relay
 from tests.support.refusals import check_refusals, refusal
@@ -487,11 +487,11 @@ def test_a_constellation_is_recorded_without_the_absent() -> None:
     env = bsk_torch.make(
         "Constellation-v1", num_envs=1, n_satellites=4, n_planes=1, n_targets=300, time_limit=600.0, population=(2, 3)
     )
-    found = record_constellation(bsk_torch.rule("hasty", env), env, seed=1)
+    found = record(bsk_torch.rule("hasty", env), env, seed=1)
     count = int(env.present.sum())
     assert len(found.names) == len(found.latitude) == len(found.deaths) == count < 4
     assert found.links is None or found.links.shape[1:] == (count, count)
-    assert int(found.task_satellite.max()) < count
+    assert int(found.tasks.satellite.max()) < count
 
 
 def test_populations_are_trained_and_evaluated(tmp_path) -> None:

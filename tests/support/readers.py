@@ -20,6 +20,7 @@ from bsk_torch.files import write_file
 from bsk_torch.lab.bounds.envelope import FILE, Envelope
 from bsk_torch.lab.offline import open_dataset
 from bsk_torch.lab.risk.rare_flights import KIND, read_paths
+from bsk_torch.recording.recording import MAGIC, decode
 from bsk_torch.rl.marl.runs import read_config
 from bsk_torch.rl.policies.checksummed import load_checksummed, save_checksummed
 from bsk_torch.rl.policies.files import load_policy
@@ -30,7 +31,6 @@ from bsk_torch.tasks.aeos_bench import read_cases
 from bsk_torch.tasks.aeos_bench.annotations import TASK_ID, read_assignments
 from bsk_torch.tasks.objects import RSOTarget, RSOTargetCatalog
 from bsk_torch.untrusted import Word, parse_json, read_json
-from bsk_torch.viewer.recording import MAGIC, decode
 from tests.support.recordings import synthetic_recording
 from tests.tasks.aeos_bench import aeos_cases
 

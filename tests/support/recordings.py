@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bsk_torch.viewer.recording import Array, Branch, Craft, Death, Instrument, Recording, Scene, Series, Track
+from bsk_torch.recording.recording import Array, Branch, Craft, Death, Instrument, Recording, Scene, Series, Track
 
 MU = 3.986004418e14
 RADIUS = 7.0e6

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import bsk_torch
+from bsk_torch.recording.recording import decode
 from bsk_torch.rl.policies.shared_policy import rule
 from bsk_torch.viewer.futures import Futures
-from bsk_torch.viewer.recording import decode
 from tests.support.refusals import check_refusals, refusal
 
 

@@ -7,8 +7,8 @@ import torch
 
 import bsk_torch
 from bsk_torch.lab.planners import Rollout
+from bsk_torch.recording import record
 from bsk_torch.rl.policies.shared_policy import rule
-from bsk_torch.viewer import record
 from bsk_torch.viewer.futures import Futures
 from bsk_torch.viewer.server import serve
 from tests.support.browser import WIDE, Visitor, chromium

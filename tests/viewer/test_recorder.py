@@ -6,12 +6,12 @@ from tensordict.nn import TensorDictModule
 import bsk_torch
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.lab.planners import BeamSearch, Rollout, TreeSearch
+from bsk_torch.recording import record
+from bsk_torch.recording.recording import decode
+from bsk_torch.recording.scenes import quantities
 from bsk_torch.rl.policies.files import build_policy, read_card
 from bsk_torch.rl.policies.pretrained import pretrained_file
 from bsk_torch.rl.policies.shared_policy import rule, shared
-from bsk_torch.viewer.recorder import record
-from bsk_torch.viewer.recording import decode
-from bsk_torch.viz.recorders.constellation import quantities
 
 
 def player(env, preset):

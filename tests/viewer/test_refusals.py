@@ -1,8 +1,8 @@
 """What the viewer cannot record or export."""
 
 import bsk_torch
+from bsk_torch.recording import record
 from bsk_torch.viewer.czml import czml
-from bsk_torch.viewer.recorder import record
 from tests.support.recordings import synthetic_recording
 from tests.support.refusals import check_refusals, refusal
 
@@ -14,6 +14,6 @@ def test_rejects_what_cannot_be_recorded_or_exported():
     table = [
         refusal(lambda: czml(whole, 9), IndexError, "track=9", "0 to 1"),
         refusal(lambda: czml(earthless), ValueError, "Synthetic-v1", "Earth", ".html"),
-        refusal(lambda: record(joint, lambda td: td), ValueError, "separate agent", "groups"),
+        refusal(lambda: record(joint, lambda td: td), ValueError, "env", "joint=True"),
     ]
     check_refusals(table)

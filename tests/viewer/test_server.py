@@ -14,10 +14,10 @@ from urllib.parse import quote
 import pytest
 
 import bsk_torch
+from bsk_torch.recording.recording import decode
 from bsk_torch.rl.policies.shared_policy import rule
 from bsk_torch.viewer import server as module
 from bsk_torch.viewer.futures import Futures
-from bsk_torch.viewer.recording import decode
 from bsk_torch.viewer.server import CONNECTIONS, MOST, serve
 from tests.support.recordings import synthetic_recording
 

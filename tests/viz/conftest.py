@@ -4,7 +4,7 @@ import pytest
 
 import bsk_torch
 from bsk_torch.rl.rules.baselines import scan_rule
-from bsk_torch.viz.recorders.track import record_track
+from bsk_torch.viz.episodes import record
 from bsk_torch.viz.report.page import Chosen, RunData
 
 NAN = float("nan")
@@ -19,7 +19,7 @@ def env():
 
 @pytest.fixture(scope="module")
 def episode(env):
-    return record_track(scan_rule(env), env, seed=1)
+    return record(scan_rule(env), env, seed=1)
 
 
 @pytest.fixture

@@ -7,8 +7,8 @@ from tensordict.nn import TensorDictModule
 pytest.importorskip("matplotlib")
 
 from bsk_torch import comm, make
+from bsk_torch.viz.episodes import record
 from bsk_torch.viz.figures.constellation import constellation_figure
-from bsk_torch.viz.recorders.constellation import record_constellation
 
 pytestmark = pytest.mark.compiled
 
@@ -24,7 +24,7 @@ def constellation(**options):
 
 def test_an_episode_is_recorded_as_it_was(tmp_path):
     env = constellation(n_targets=2000)
-    episode = record_constellation(first_legal(env), env, seed=2)
+    episode = record(first_legal(env), env, seed=2)
     assert episode.times[0] == 0.0
     assert episode.times[-1] == 900.0
     assert len(episode.times) == len(episode.latitude[0]) > 10
@@ -33,11 +33,11 @@ def test_an_episode_is_recorded_as_it_was(tmp_path):
     assert torch.equal(images, env.counts()["imaged"][0])
     assert int((~episode.image_paid).sum()) == int(env.counts()["duplicates"][0].sum())
     for k in range(4):
-        spans = episode.task_spans[episode.task_satellite == k]
+        spans = episode.tasks.spans[episode.tasks.satellite == k]
         assert spans[0, 0] == 0.0
         assert torch.equal(spans[1:, 0], spans[:-1, 1])
         assert spans[-1, 1] == 900.0
-    assert episode.task_names == ["action_image"]
+    assert episode.tasks.names == ["action_image"]
     assert not episode.died.any()
     # the nadir is nowhere farther from the equator than the orbit is inclined
     assert episode.latitude.abs().max() < 45.1
@@ -48,9 +48,9 @@ def test_an_episode_is_recorded_as_it_was(tmp_path):
 
 def test_contacts_are_those_of_the_communicator():
     env = constellation(communicator=comm.FreeCommunication())
-    episode = record_constellation(first_legal(env), env, seed=2)
+    episode = record(first_legal(env), env, seed=2)
     everybody = ~torch.eye(4, dtype=torch.bool)
     assert not episode.links[0].any()
-    assert all(torch.equal(links, everybody) for links in episode.links[1:])
+    assert all(torch.equal(links | links.mT, everybody) for links in episode.links[1:])
     env = constellation(communicator=comm.NoCommunication())
-    assert record_constellation(first_legal(env), env, seed=2).links is None
+    assert record(first_legal(env), env, seed=2).links is None

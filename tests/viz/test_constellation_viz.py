@@ -13,10 +13,10 @@ from bsk_torch.astro.frames import fixed_to_lla, rotate_z
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.formations import walker_delta
+from bsk_torch.recording.table import Tasks
 from bsk_torch.viz.figures import constellation as pictures
 from bsk_torch.viz.figures.style import PALETTE
 from tests.support.figures import check_column
-from tests.support.refusals import check_refusals, refusal
 
 PNG = b"\x89PNG"
 
@@ -54,11 +54,15 @@ def episode():
         image_paid=torch.arange(18) % 5 > 0,
         target_latitude=torch.tensor([10.0, 20.0]),
         target_longitude=torch.tensor([0.0, -170.0]),
-        task_satellite=torch.arange(12) % 6,
-        task_spans=torch.tensor([[0.0, 2700.0]] * 6 + [[2700.0, 5400.0]] * 6),
-        task_kind=torch.arange(12) // 6,
-        task_names=["action_image", "action_charge"],
+        tasks=Tasks(
+            torch.arange(12) % 6,
+            torch.tensor([[0.0, 2700.0]] * 6 + [[2700.0, 5400.0]] * 6),
+            torch.arange(12) // 6,
+            ["action_image", "action_charge"],
+        ),
         deaths=torch.tensor([math.inf, math.inf, 4000.0, math.inf, math.inf, math.inf]),
+        rewards=torch.zeros(6, 90),
+        series={},
     )
 
 
@@ -106,15 +110,19 @@ def test_an_episode_is_drawn(episode, drawn):
 
 
 def test_an_episode_without_events_is_drawn(episode, drawn):
-    quiet = pictures.ConstellationEpisode(
-        names=episode.names, times=episode.times, latitude=episode.latitude, longitude=episode.longitude
-    )
+    none, rows = torch.empty(0), torch.empty(0, dtype=torch.int64)
+    events = dict.fromkeys(("image_times", "image_latitude", "image_longitude", "target_latitude", "target_longitude"), none)
+    events |= dict(image_satellite=rows, image_paid=rows.bool(), tasks=Tasks(rows, torch.empty(0, 2), rows, []))
+    quiet = dataclasses.replace(episode, groups=None, links=None, deaths=torch.full((6,), math.inf), **events)
     figure = drawn(quiet)
     assert figure.get_suptitle() == "Walker: 0 images by 6 satellites"
     assert legend(figure) == list(episode.names)  # each its own group
     assert "ticks" not in figure.axes[1].get_title(loc="left")
     crowd = dataclasses.replace(
-        quiet, names=[f"S{k}" for k in range(60)], **flown(walker_delta(60, 6, 0.0, 5e5, 53.0), quiet.times)
+        quiet,
+        names=[f"S{k}" for k in range(60)],
+        deaths=torch.full((60,), math.inf),
+        **flown(walker_delta(60, 6, 0.0, 5e5, 53.0), quiet.times),
     )
     figure = drawn(crowd)
     assert figure.legends[0].get_texts() == []  # more groups than colours
@@ -158,19 +166,3 @@ def test_great_circles():
     assert latitude.tolist() == pytest.approx([60.0, 90.0, 60.0])  # over the pole
     longitude, _ = pictures.great_circle(torch.tensor([20.0, 20.0]), torch.tensor([170.0, -170.0]), 5)
     assert (longitude.abs() >= 170.0 - 1e-12).all()  # over the date line
-
-
-def test_rejects_tensors_that_do_not_fit(episode):
-    changed = lambda **tensors: dataclasses.replace(episode, **tensors)
-    links, one = torch.zeros(6, 6, dtype=torch.bool), torch.zeros(1, 1)
-    single = lambda: pictures.ConstellationEpisode(names=["A"], times=one[0], latitude=one, longitude=one)
-    table = [
-        refusal(lambda: changed(longitude=torch.zeros(6, 5)), ValueError, "longitude", [6, 5], [6, 91]),
-        refusal(lambda: changed(links=links), ValueError, "links", [6, 6], [91, 6, 6]),
-        refusal(lambda: changed(image_satellite=torch.full((18,), 6)), ValueError, "image_satellite", "6 to 6", "0 to 5"),
-        refusal(lambda: changed(task_kind=torch.full((12,), -1)), ValueError, "task_kind", "-1 to -1", "0 to 1"),
-        refusal(lambda: changed(group_names=["a", "b"]), ValueError, "groups", "0 to 2", "0 to 1"),
-        refusal(lambda: changed(task_spans=torch.zeros(12)), ValueError, "task_spans", [12], [12, 2]),
-        refusal(single, ValueError, "times", "1 entries", 2),
-    ]
-    check_refusals(table)

@@ -8,8 +8,8 @@ import bsk_torch
 from bsk_torch.rl.rules import BASELINES
 from bsk_torch.viz.episodes import draw, record
 from bsk_torch.viz.figures.constellation import ConstellationEpisode
-from bsk_torch.viz.recorders.imaging import ImagingEpisode
-from bsk_torch.viz.recorders.track import TrackEpisode
+from bsk_torch.viz.figures.ground_track import ImagingEpisode
+from bsk_torch.viz.figures.timeline import TrackEpisode
 
 SHORT = dict(num_envs=1, time_limit=60.0, backend="eager")
 

@@ -14,7 +14,6 @@ from tensordict import TensorDict
 import bsk_torch
 from bsk_torch.astro.frames import lla_to_fixed
 from bsk_torch.constants import R_EARTH
-from bsk_torch.viz.recorders.inspection import rewarder_of
 from bsk_torch.viz.render.closeup import INSPECTED, LIT, look_closely
 from bsk_torch.viz.render.frames import MOST, picture
 from bsk_torch.viz.render.globe import LAND, NIGHT, SEA, Camera, camera, globe
@@ -351,7 +350,7 @@ def test_an_inspection_is_seen_from_nearby():
     close = look_closely(env, 1, moment)
     assert [moment.names[k] for k in close.inspectors] == ["Inspector1", "Inspector2", "Inspector3"]
     assert moment.names[close.rso] == "RSO"
-    reward = rewarder_of(env)
+    reward = env.rewarder
     assert (close.known == INSPECTED).sum() == int(reward.inspected[1].sum()) > 0
     assert (close.known >= LIT).sum() == int((reward.inspected | reward.illuminated)[1].sum())
     away = np.linalg.norm(moment.r_N[close.inspectors] - moment.r_N[close.rso], axis=-1)

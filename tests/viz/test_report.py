@@ -21,9 +21,9 @@ from bsk_torch.rl.networks.plans import MLPPlan
 from bsk_torch.rl.policies.files import save_policy
 from bsk_torch.rl.training import configure
 from bsk_torch.rl.training.config import PPOConfig, save_config
+from bsk_torch.viz.episodes import record
 from bsk_torch.viz.figures.track_map import decision_of, runs, track_map, within
 from bsk_torch.viz.figures.world import pieces
-from bsk_torch.viz.recorders.track import record_track
 from bsk_torch.viz.report.page import clock, table, write_report
 
 
@@ -148,7 +148,7 @@ def test_a_policy_remembers_while_it_is_recorded():
     seen = []
     policy = Counting()
     policy.register_forward_hook(lambda module, given, told: seen.append(int(told["next", "count"])))
-    assert len(record_track(policy, env, seed=0).actions) == 3  # 120 s each, the last one cut
+    assert len(record(policy, env, seed=0).actions) == 3  # 120 s each, the last one cut
     assert seen == [1, 2, 3]
 
 

@@ -9,8 +9,8 @@ import pytest
 import torch
 
 import bsk_torch
+from bsk_torch.recording.table import Tasks, satellite_columns
 from bsk_torch.viz.episodes import record
-from bsk_torch.viz.table import Tasks, satellite_columns
 
 
 @pytest.mark.compiled
@@ -48,7 +48,7 @@ def test_an_episode_of_a_constellation_is_a_table(tmp_path):
     actions = table["action"].reshape(steps, -1)
     assert (actions[:-1] != "").all()
     assert (actions[-1] == "").all()
-    assert table["decided"].sum() == len(episode.task_kind)
+    assert table["decided"].sum() == len(episode.tasks.kind)
     assert table["decided"].reshape(steps, -1)[0].all()
     battery = env.fleet.each(lambda part: part.dynamics.battery_charge_fraction)[0]
     assert torch.equal(torch.from_numpy(table["battery_charge_fraction"].reshape(steps, -1)[-1]), battery)
@@ -79,7 +79,7 @@ def test_satellites_without_a_quantity_have_nan():
 def test_an_inspection_is_a_table(actions):
     env = bsk_torch.make("MultiInspection-v1", num_envs=1, time_limit=3000.0, actions=actions)
     episode = record(bsk_torch.rule("random", env), env, seed=1)
-    table, rows = episode.to_numpy(), len(episode.decisions) * len(episode.names)
+    table, rows = episode.to_numpy(), len(episode.times) * len(episode.names)
     assert {len(column) for column in table.values()} == {rows}
     of_the_rso = env.failure_penalty * float(env.dead[0, env.scenario.rso_column])  # which is an agent, but no inspector
     assert np.nansum(table["reward"]) == pytest.approx(float(env.returns[0]) - of_the_rso)

@@ -10,13 +10,12 @@ from matplotlib.colors import to_rgb
 import bsk_torch
 from bsk_torch.lab.audit.figure import regret_figure
 from bsk_torch.rl.rules.baselines import scan_rule
+from bsk_torch.viz.episodes import record
 from bsk_torch.viz.figures.curves import learning_curve
 from bsk_torch.viz.figures.profiles import performance_profiles
 from bsk_torch.viz.figures.style import COLUMN, PALETTE, WIDTH, label, panels, save, spread
-from bsk_torch.viz.figures.timeline import record_episode, timeline
+from bsk_torch.viz.figures.timeline import timeline
 from bsk_torch.viz.figures.track_map import track_map
-from bsk_torch.viz.recorders.episode import union
-from bsk_torch.viz.recorders.track import record_track
 from tests.support.figures import check_column, media_width, unreadable
 
 PNG = b"\x89PNG"
@@ -25,7 +24,7 @@ PNG = b"\x89PNG"
 @pytest.fixture(scope="module")
 def episode():
     env = bsk_torch.make("NadirScan-v1", num_envs=1, seed=0, time_limit=700.0)
-    return record_episode(scan_rule(env), env, seed=1)
+    return record(scan_rule(env), env, seed=1)
 
 
 def test_a_recorded_episode_is_complete(episode):
@@ -63,12 +62,11 @@ def regrets():
 
 @pytest.mark.parametrize("title", ["", "A title of a policy, a preset and some seeds"])
 def test_figures_fit_a_column_of_a_paper(tmp_path, episode, title):
-    env = bsk_torch.make("NadirScan-v1", num_envs=1, seed=0, time_limit=700.0)
     thresholds = torch.linspace(0.0, 1.5, 7)
     fraction = (1.0 - thresholds / 1.5).clamp(0.0, 1.0)
     profiles = dict.fromkeys(("the pretrained policy", "the rule", "random actions"), (fraction, 0.9 * fraction, fraction))
     check_column(timeline, [episode], tmp_path, title)
-    check_column(track_map, [record_track(scan_rule(env), env, seed=1)], tmp_path, title)
+    check_column(track_map, [episode], tmp_path, title)
     check_column(performance_profiles, [thresholds, profiles], tmp_path, title)
     check_column(regret_figure, [regrets()], tmp_path, title)
 
@@ -120,12 +118,6 @@ def test_names_of_close_lines_are_kept_apart_in_their_order():
     assert moved[2] == -1.0
     assert moved[1] < moved[0] < moved[3]
     assert min(moved[0] - moved[1], moved[3] - moved[0]) == pytest.approx(0.1, abs=1e-6)
-
-
-def test_intervals_are_joined_and_cut_to_the_episode():
-    joined = union({(50.0, 60.0), (-5.0, 10.0), (8.0, 20.0), (9.0, 12.0), (90.0, float("inf")), (200.0, 300.0)}, 100.0)
-    assert joined.tolist() == [[0.0, 20.0], [50.0, 60.0], [90.0, 100.0]]
-    assert union(set(), 100.0).shape == (0, 2)
 
 
 @pytest.mark.parametrize("kind", ["png", "svg", "pdf"])

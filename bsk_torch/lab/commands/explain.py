@@ -179,8 +179,8 @@ def draw_failure(env: Tasking, failure: Failure, actions: Tensor, path: Path, fi
     from bsk_torch.rl.evaluation.replay import script
 
     fates = {SAVED: "could be saved", LOST: "could not be saved", OPEN: "unknown whether it could be saved"}
-    recorder = extra("bsk_torch.viz.recorders.track")
-    episode = recorder.record_track(script(actions.clamp(min=0).unsqueeze(0)), env, seed=failure.seed)
+    episodes = extra("bsk_torch.viz.episodes")
+    episode = episodes.record(script(actions.clamp(min=0).unsqueeze(0)), env, seed=failure.seed)
     cause = failure.cause.replace("_valid", "")
     marks = [(failure.died, f"died: {cause}")]
     if failure.last_chance is not None:

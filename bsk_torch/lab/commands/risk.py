@@ -170,13 +170,13 @@ def draw_way(found: Risk, named: NamedPolicy, options: Mapping[str, Any], path: 
     from bsk_torch.rand import blended
     from bsk_torch.rl.evaluation.replay import script
 
-    recorder = extra("bsk_torch.viz.recorders.track")
+    episodes = extra("bsk_torch.viz.episodes")
     typical = found.paths().take(torch.tensor([0]))
     time = found.ways[0].time
     seed = int(typical.seeds[0])
     with working("drawing"), blended(typical.blend()):
         one = made(named.preset, 1, named.options(options) | {"env_ids": [0]})
-        episode = recorder.record_track(script(torch.tensor(found.actions[0])[None, :, 0]), one, seed=seed)
+        episode = episodes.record(script(torch.tensor(found.actions[0])[None, :, 0]), one, seed=seed)
     moment = float(typical.flown.notes["time"][0])
     figure.timeline(episode, path, f"{named.preset}, {named.label}: {found.event}", [(moment, found.event)])
     echo(f"{path}: an episode with the event after {moment:,.0f} s; half of them are before {time[1]:,.0f} s")

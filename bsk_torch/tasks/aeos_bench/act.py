@@ -95,6 +95,10 @@ class PointAtTask(Action):
         return self._scenario.task_offered if self.duration is None else self._scenario.task_ongoing
 
     @override
+    def aimed_at(self) -> Tensor:
+        return self.satellite.simulator.memory[ASSIGNED]
+
+    @override
     def names(self) -> list[str]:
         names = [f"{self.name}_none", *(f"{self.name}_{k}" for k in range(self._choices - 1))]
         return names if self.sensor != "chosen" else [*(f"{name}_off" for name in names), *(f"{name}_on" for name in names)]

@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch._checks import number, switch
 from bsk_torch.data.base import GlobalReward, Log
+from bsk_torch.scene.recorded import RecordedProgress
 from bsk_torch.sim.fleet import NEVER
 from bsk_torch.tasks.aeos_bench.dyn import AEOSBenchTracedDynModel
 from bsk_torch.tasks.aeos_bench.scene import ASSIGNED, AWAITED, AEOSBench, Sights
@@ -128,6 +130,10 @@ class TaskReward(GlobalReward):
             fleet.flight_observers.append(self._look)
         if self._traced and any(AWAITED in satellite.simulator.memory for satellite in fleet.satellites):
             fleet.stop_conditions.append(self._first_success)
+
+    @override
+    def recorded(self, env: int) -> RecordedProgress:
+        return RecordedProgress(marks={"done": self.scenario.task_succeeded[env].cpu()})
 
     def is_terminated(self) -> Tensor:
         """See :meth:`GlobalReward.is_terminated`; all satellites, once all tasks are closed, with ``end_when_closed``."""

@@ -15,6 +15,7 @@ from bsk_torch._checks import number
 from bsk_torch.rand import Key
 from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.found import Found
+from bsk_torch.scene.recorded import RecordedTargets
 from bsk_torch.sim.names import nearest
 from bsk_torch.tasks.aeos_bench.dyn import VIEWS
 from bsk_torch.tasks.aeos_bench.files import EARTH_RADIUS, HORIZON, Cases, read_cases
@@ -143,6 +144,11 @@ class AEOSBench(Scenario):
     def n_tasks(self) -> int:
         """Number of tasks of an episode, those that pad included."""
         return self.cases.n_tasks
+
+    @override
+    def recorded_targets(self, env: int) -> RecordedTargets:
+        r_P = torch.where(self.task_exists[env].unsqueeze(-1), self.drawn(PLACES)[env], torch.nan).cpu()
+        return RecordedTargets(places="ground", r=r_P, priority=torch.ones(len(r_P), dtype=torch.float64))
 
     @property
     def task_time(self) -> Tensor:

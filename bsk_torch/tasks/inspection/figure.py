@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -16,10 +17,15 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 from torch import Tensor
+from typing_extensions import Self, override
 
+from bsk_torch.astro.relative import rv2HN
+from bsk_torch.recording.reading import Reading
+from bsk_torch.recording.recording import Recording
+from bsk_torch.recording.table import Columns
+from bsk_torch.viz.episodes import Picture, TeamEpisode
 from bsk_torch.viz.figures.style import FAINT, INK, PALETTE, WIDTH, caption, dot, fit, headline, label, legend, save, tidy
 from bsk_torch.viz.figures.timeline import HOUR, NIGHT, hour_ticks
-from bsk_torch.viz.table import Columns, Tabular, Tasks, satellite_columns
 
 __all__ = ["InspectionEpisode", "inspection_figure"]
 
@@ -50,60 +56,61 @@ COLORS = "viridis"
 LIT, BLANK = "#9aa3af", "#ffffff"
 """Colors of points that were lit but not inspected, and of those that were never lit."""
 
+ROUNDING = 1e-6
+"""Difference, s, of times that are the same."""
+
 DARK = 0.5
 """Visible fraction of the Sun below which the RSO is shown in the dark."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class InspectionEpisode(Tabular):
-    """One episode of I inspectors and an RSO with P points, as plain tensors on the CPU; times in seconds since the reset.
+class InspectionEpisode(TeamEpisode):
+    """One episode of I inspectors and an RSO with P points, as tensors on the CPU; times in seconds since the reset.
 
     Attributes:
-        names: Names of the inspectors.
-        times: Times of the paths' samples, ascending, [K].
+        path_times: Times of the paths' samples, ascending, [K].
         rho_H: Positions of the inspectors in the RSO's Hill frame then, m [I, K, 3]: radial, along the track, orbit normal.
         illumination: Fraction of the Sun that the RSO sees then, [K].
-        decisions: Times at which steps began and ended, ascending, [B].
-        fuel: Changes of velocity that the tanks were good for then, before any maneuver, m/s [I, B].
+        fuel: Changes of velocity that the tanks were good for at the boundaries, before any maneuver, m/s [I, B].
         points: Directions of the points in the RSO's axes, [P, 3].
         lit_at: End of the step in which each was first lit, infinite for never, [P].
         inspected_at: End of the step in which each was first inspected, infinite for never, [P].
-        deaths: When each inspector died, infinite for survivors, [I]. Paths are drawn until then.
         completed: When the inspection was complete, infinite for never.
         reach: Largest distance, m, from which points are inspected; infinite without a limit.
-        rewards: Reward of each inspector in the steps, [I, B - 1]; None if it was not noted.
-        actions: Actions of real numbers in the steps, [I, B - 1, A]; nan for none. None without such actions.
-        tasks: Tasks of the inspectors; None if they were not noted.
     """
 
-    names: Sequence[str]
-    times: Tensor
+    path_times: Tensor
     rho_H: Tensor
     illumination: Tensor
-    decisions: Tensor
     fuel: Tensor
     points: Tensor
     lit_at: Tensor
     inspected_at: Tensor
-    deaths: Tensor
     completed: float
     reach: float
-    rewards: Tensor | None = None
-    actions: Tensor | None = None
-    tasks: Tasks | None = None
 
-    def __post_init__(self) -> None:
-        """ValueError for tensors whose shapes do not fit each other."""
-        i, k, b, p = len(self.names), len(self.times), len(self.decisions), len(self.points)
-        needed = {"rho_H": (i, k, 3), "illumination": (k,), "fuel": (i, b), "points": (p, 3), "deaths": (i,)}
-        needed |= {"lit_at": (p,), "inspected_at": (p,)}
-        for name, shape in needed.items():
-            value = getattr(self, name)
-            if tuple(value.shape) != shape:
-                raise ValueError(f"{name} has shape {list(value.shape)}; it must be {list(shape)}")
-        for name, length, what in (("times", k, "a path"), ("decisions", b, "an episode")):
-            if length < 2:
-                raise ValueError(f"{name} has {length} entries; {what} needs at least 2")
+    @override
+    @classmethod
+    def of(cls, recording: Recording, track: int = 0) -> Self:
+        reading = Reading(recording, track, viewers=True)
+        flight, scene = reading.track, reading.scene
+        assert scene.points_of is not None, "an inspection has an RSO"
+        path_times = flight.attitude_start + flight.attitude_step * torch.arange(len(flight.arrays["sigma"])).double()
+        fuel, marks = reading.values("fuel"), dict(zip(flight.marks, reading.array("mark_time").mT, strict=True))
+        sunlit = [entry.name for entry in flight.series].index("sunlit")
+        light = reading.array("series")[:, scene.points_of, sunlit]
+        return cls(
+            **cls.flown(reading),
+            path_times=path_times,
+            rho_H=_paths(reading.r_N(path_times, [scene.points_of, *reading.columns])),
+            illumination=torch.from_numpy(np.interp(path_times, reading.array("series_times"), light)),
+            fuel=torch.zeros(len(reading.names), len(reading.times)) if fuel is None else fuel.squeeze(-1).nan_to_num(),
+            points=torch.nn.functional.normalize(reading.of_scene("targets_P"), dim=1),
+            lit_at=marks["lit"],
+            inspected_at=marks["done"],
+            completed=inf if flight.completed is None else flight.completed,
+            reach=inf if scene.reach is None else scene.reach,
+        )
 
     @property
     def colors(self) -> list[str]:
@@ -111,13 +118,18 @@ class InspectionEpisode(Tabular):
         return [PALETTE[k % len(PALETTE)] for k in range(len(self.names))]
 
     @property
+    def samples(self) -> Tensor:
+        """Sample of the paths at each of the decisions, [B]."""
+        return torch.searchsorted(self.path_times, self.times - ROUNDING).clamp(max=len(self.path_times) - 1)
+
+    @property
     def spent(self) -> Tensor:
         """Maneuver of each inspector at the beginning of each step, m/s [I, B - 1]."""
         return -self.fuel.diff()
 
     @property
+    @override
     def outcome(self) -> str:
-        """Summary of an inspection as text: points, completion, costs and deaths."""
         known, lit = (int(torch.isfinite(at).sum()) for at in (self.inspected_at, self.lit_at))
         done = f"{known} of {lit} lit points inspected"
         end = f", complete after {self.completed / HOUR:.1f} h" if isfinite(self.completed) else ""
@@ -134,27 +146,28 @@ class InspectionEpisode(Tabular):
         fraction of the Sun that the RSO sees, and ``lit`` and ``inspected`` count its points. Numbers that belong to a step are
         nan in the last rows.
         """
-        everyone = torch.ones(len(self.names), 1, dtype=torch.float64)
-        at = torch.searchsorted(self.times, self.decisions).clamp(max=len(self.times) - 1)
-        lit, inspected = ((when.unsqueeze(1) <= self.decisions).sum(0) for when in (self.lit_at, self.inspected_at))
-        numbers = {
-            "reward": self.rewards,
-            "action": self.actions,
-            "rho_H": self.rho_H[:, at],
-            "fuel": self.fuel,
-            "illumination": everyone * self.illumination[at],
-            "lit": everyone * lit,
-            "inspected": everyone * inspected,
-        }
-        there = {name: values for name, values in numbers.items() if values is not None}
-        nothing = torch.empty(0, dtype=torch.float64)
-        tasks = self.tasks or Tasks(nothing.long(), nothing.view(0, 2), nothing.long(), [])
-        return satellite_columns(self.names, self.decisions, self.deaths, tasks, there)
+        everyone, at = torch.ones(len(self.names), 1, dtype=torch.float64), self.samples
+        lit, inspected = ((when.unsqueeze(1) <= self.times).sum(0) for when in (self.lit_at, self.inspected_at))
+        numbers = {"rho_H": self.rho_H[:, at], "fuel": self.fuel, "illumination": everyone * self.illumination[at]}
+        return self.table(numbers | {"lit": everyone * lit, "inspected": everyone * inspected})
 
     def extent(self, near: bool) -> float:
         """Return the largest coordinate of the paths while inspectors lived, or for :data:`NEAR` of that time."""
-        alive = self.times <= self.deaths.unsqueeze(1)
+        alive = self.path_times <= self.deaths.unsqueeze(1)
         return float(torch.quantile(self.rho_H[alive].abs().amax(1), NEAR if near else 1.0))
+
+    @override
+    def pictures(self) -> list[Picture]:
+        text = "Paths about the RSO with maneuvers, its points and when they were inspected, and points and fuel over time."
+        return [Picture(partial(inspection_figure, self), text, "Paths about an RSO and a map of its points")]
+
+
+def _paths(r_N: Tensor) -> Tensor:
+    """Positions [I, K, 3] m relative to the first of I + 1 satellites at K times in N, [I + 1, K, 3] m, in its Hill frame."""
+    r_C = r_N[0]
+    # two positions span the plane of the orbit as position and velocity do
+    ahead = torch.cat([r_C[1:] - r_C[:-1], r_C[-1:] - r_C[-2:-1]])
+    return (rv2HN(r_C, ahead) @ (r_N[1:] - r_C).unsqueeze(-1)).squeeze(-1)
 
 
 def inspection_figure(episode: InspectionEpisode, path: Path, title: str = "", width: float = WIDTH) -> Path:
@@ -177,7 +190,7 @@ def inspection_figure(episode: InspectionEpisode, path: Path, title: str = "", w
         _night(panel, episode)
     _counts(counts, episode)
     _fuel(fuel, episode)
-    hour_ticks(fuel, float(episode.decisions[-1]) / HOUR, width)
+    hour_ticks(fuel, float(episode.times[-1]) / HOUR, width)
     if title:
         headline(figure, f"{title}: {episode.outcome}")
     fit(figure, width)
@@ -224,7 +237,7 @@ def draw_paths(panel: Axes, episode: InspectionEpisode, x: int, y: int, near: bo
     panel.plot(0.0, 0.0, "+", color=INK, markersize=9.0, zorder=6)
     largest = max(float(episode.spent.max()), 1e-12)
     for k, color in enumerate(episode.colors):
-        alive = episode.times <= episode.deaths[k]
+        alive = episode.path_times <= episode.deaths[k]
         rho = episode.rho_H[k, alive]
         panel.plot(rho[:, x], rho[:, y], color=color, linewidth=1.1, zorder=3)
         panel.plot(rho[0, x], rho[0, y], "o", color="white", markeredgecolor=color, markersize=6.0, zorder=5)
@@ -242,8 +255,7 @@ def _end(episode: InspectionEpisode, k: int) -> dict[str, Any]:
 def _maneuvers(episode: InspectionEpisode, k: int) -> tuple[Tensor, Tensor]:
     """Return changes of velocity [M], m/s, and where they were made, [M, 3]."""
     there = episode.spent[k] > 0.0
-    sample = torch.searchsorted(episode.times, episode.decisions[:-1][there]).clamp(max=len(episode.times) - 1)
-    return episode.spent[k, there], episode.rho_H[k, sample]
+    return episode.spent[k, there], episode.rho_H[k, episode.samples[:-1][there]]
 
 
 # -- points ----------------------------------------------------------------------------------------------------------------------
@@ -258,7 +270,7 @@ def _map(panel: Axes, episode: InspectionEpisode, colors: str) -> None:
     for rows, color in ((~inspected & ~lit, BLANK), (lit, LIT)):
         panel.scatter(longitude[rows], latitude[rows], 26.0, color=color, edgecolors=LIT, linewidths=0.7, zorder=3)
     hours = episode.inspected_at[inspected] / HOUR
-    last = float(episode.times[-1]) / HOUR
+    last = float(episode.path_times[-1]) / HOUR
     shown = panel.scatter(longitude[inspected], latitude[inspected], 34.0, c=hours, cmap=COLORS, vmin=0.0, vmax=last, zorder=4)
     panel.set_xticks([])
     panel.set_yticks([])
@@ -277,7 +289,7 @@ def _map(panel: Axes, episode: InspectionEpisode, colors: str) -> None:
 
 def _night(panel: Axes, episode: InspectionEpisode) -> None:
     """Shade the time in which the RSO is in the dark."""
-    hours = (episode.times / HOUR).tolist()
+    hours = (episode.path_times / HOUR).tolist()
     dark = (episode.illumination < DARK).tolist()
     edges = [0, *(k for k in range(1, len(dark)) if dark[k] != dark[k - 1]), len(dark) - 1]
     for begin, end in pairwise(edges):
@@ -287,9 +299,9 @@ def _night(panel: Axes, episode: InspectionEpisode) -> None:
 
 def _counts(panel: Axes, episode: InspectionEpisode) -> None:
     """Numbers of points that have been lit, and inspected."""
-    hours, last = (episode.decisions / HOUR).tolist(), len(episode.points)
+    hours, last = (episode.times / HOUR).tolist(), len(episode.points)
     for at, color, width in ((episode.lit_at, LIT, 1.5), (episode.inspected_at, INK, 1.8)):
-        known = (at <= episode.decisions.unsqueeze(1)).sum(1).tolist()
+        known = (at <= episode.times.unsqueeze(1)).sum(1).tolist()
         panel.step(hours, known, where="post", color=color, linewidth=width)
     if isfinite(episode.completed):
         panel.axvline(episode.completed / HOUR, color=PALETTE[2], linewidth=1.2, linestyle=(0, (2, 2)))
@@ -299,12 +311,12 @@ def _counts(panel: Axes, episode: InspectionEpisode) -> None:
 
 def _fuel(panel: Axes, episode: InspectionEpisode) -> None:
     """What the tanks are good for."""
-    hours = (episode.decisions / HOUR).tolist()
+    hours = (episode.times / HOUR).tolist()
     for k, color in enumerate(episode.colors):
         # maneuvers are made at the beginning of a step
         panel.step(hours, episode.fuel[k].tolist(), where="pre", color=color, linewidth=1.6)
         if isfinite(death := float(episode.deaths[k])):
-            where = int(torch.searchsorted(episode.decisions, episode.deaths[k]).clamp(max=len(hours) - 1))
+            where = int(torch.searchsorted(episode.times, episode.deaths[k]).clamp(max=len(hours) - 1))
             panel.plot(death / HOUR, float(episode.fuel[k, where]), "X", color=color, markeredgecolor="white", markersize=9.0)
     panel.set_ylim(0.0, 1.08 * max(float(episode.fuel.max()), 1e-9))
     panel.set_xlim(0.0, 1.01 * hours[-1])

@@ -11,6 +11,7 @@ from typing_extensions import override
 from bsk_torch._checks import number, switch
 from bsk_torch.constants import NANO
 from bsk_torch.data.base import GlobalReward, Log
+from bsk_torch.scene.recorded import RecordedProgress
 from bsk_torch.sim.run.trace import Flight
 from bsk_torch.sim.state import FINITE
 from bsk_torch.tasks.inspection.flags import Records, find_flags
@@ -209,6 +210,14 @@ class RSOInspectionReward(GlobalReward):
         for kind in KINDS:
             known = self.memory[f"known_{kind}"]
             self.memory[f"known_{kind}"] = known | (torch.bmm(links.mT.float(), known.float()) > 0.5)
+
+    @override
+    def recorded(self, env: int) -> RecordedProgress:
+        return RecordedProgress(
+            kind="inspection",
+            marks={"done": self.inspected[env].cpu(), "lit": self.illuminated[env].cpu()},
+            completed=float(self.bonus_reward_time[env]) if bool(self.bonus_reward_yielded[env]) else None,
+        )
 
     # -- reward -------------------------------------------------------------------------------------------------------
 

@@ -19,6 +19,7 @@ from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
+from bsk_torch.scene.recorded import RecordedTargets
 from bsk_torch.sim.hooks import check_class, note_slow
 from bsk_torch.tasks.inspection.dyn import RSODynModel, RSOInspectorDynModel
 from bsk_torch.tasks.inspection.fsw import RSOInspectorFSWModel
@@ -185,6 +186,19 @@ class RSOPoints(Scenario):
         """Return the points of the current episode of environment ``env``."""
         table = self._table if self.points_are_fixed else self._table[env]
         return [RSOPoint(np.array(row[:3]), np.array(row[3:6]), *row[6:]) for row in table.tolist()]
+
+    @override
+    def recorded_targets(self, env: int) -> RecordedTargets:
+        points = self.points_of(env)
+        reach = max(point.range_max if point.range_max > 0.0 else math.inf for point in points)
+        return RecordedTargets(
+            places="points",
+            r=torch.tensor([point.r_PB_B.tolist() for point in points], dtype=torch.float64),
+            priority=torch.ones(len(points), dtype=torch.float64),
+            owner=self.rso_column,
+            viewers=self.inspector_columns,
+            reach=reach if math.isfinite(reach) else None,
+        )
 
     # -- satellites ---------------------------------------------------------------------------------------------------
 

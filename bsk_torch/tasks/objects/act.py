@@ -114,6 +114,10 @@ class ImageRSO(Action):
         """See :attr:`Action.n_negative_actions`; the number of targets."""
         return self.satellite.simulator.scenario_state[POSITIONS].shape[1]
 
+    @override
+    def aimed_at(self) -> Tensor:
+        return self.satellite.memory[AIM]
+
     def mask(self) -> Tensor:
         """See :meth:`Action.mask`; candidates that exist."""
         return self._scenario.candidates(self.satellite, self.n_actions).exists

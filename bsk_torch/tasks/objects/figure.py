@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -18,7 +20,21 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from matplotlib.text import Annotation, Text
 from torch import Tensor
+from typing_extensions import Self, override
 
+from bsk_torch._checks import whole
+from bsk_torch.astro.eclipse import illumination
+from bsk_torch.constants import R_EARTH
+from bsk_torch.data import ComposedReward
+from bsk_torch.recording.reading import Reading, hermite
+from bsk_torch.recording.recording import Recording
+from bsk_torch.recording.table import Columns
+from bsk_torch.sim.names import nearest
+from bsk_torch.tasks.objects.candidates import Candidates
+from bsk_torch.tasks.objects.reward import RSOImageReward
+from bsk_torch.tasks.objects.scene import RSOTargets
+from bsk_torch.vec3 import Vec3
+from bsk_torch.viz.episodes import Picture, TeamEpisode
 from bsk_torch.viz.figures.style import (
     FAINT,
     INK,
@@ -36,9 +52,14 @@ from bsk_torch.viz.figures.style import (
     share,
 )
 from bsk_torch.viz.figures.timeline import HOUR, NIGHT, hour_ticks
-from bsk_torch.viz.table import Columns, Tabular, Tasks, satellite_columns
 
-__all__ = ["RSOImagingEpisode", "Sky", "services_figure", "sky_figure"]
+if TYPE_CHECKING:
+    from bsk_torch.env.base import Tasking
+
+__all__ = ["RSOImagingEpisode", "Sky", "services_figure", "sky_figure", "sky_of"]
+
+AU = 149_597_870_700.0
+"""Distance of the Sun, m, where only its direction was recorded."""
 
 MINUTE = 60.0
 
@@ -102,11 +123,6 @@ class Sky:
     imaged: Tensor
     candidates: Tensor
 
-    def __post_init__(self) -> None:
-        """ValueError for tensors whose shapes do not fit each other."""
-        for name in ("azimuth", "elevation", "light", "in_sight", "priority", "pending", "imaged"):
-            _check_shape(name, getattr(self, name), (len(self.ids),))
-
     @property
     def outcome(self) -> str:
         """Summary of the sky as text."""
@@ -115,54 +131,55 @@ class Sky:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RSOImagingEpisode(Tabular):
-    """One episode of I imagers and a catalog of G objects, as plain tensors on the CPU; times in seconds since the reset.
+class RSOImagingEpisode(TeamEpisode):
+    """One episode of I imagers and a catalog of G objects, as tensors on the CPU; times in seconds since the reset.
 
     Attributes:
-        names: Names of the imagers.
         ids: Ids of the objects.
-        decisions: Times at which steps began and ended, ascending, [B].
-        light: Visible fraction of the Sun at each object then, [G, B].
-        priority: Priorities of the objects then, [G, B].
+        light: Visible fraction of the Sun at each object at the boundaries, [G, B].
         taken: Times of the images, ascending, [M].
         delivered: End of the step in which the last bit of each was downlinked, infinite for never, [M].
         imager: Number of the imager of each, [M].
         target: Number of the object of each, [M].
-        quality: Quality of each, [M].
-        rewards: Reward of each imager in the steps, [I, B - 1].
-        deaths: When each imager died, infinite for survivors, [I].
-        tasks: Tasks of the imagers.
-        series: Other quantities of the imagers by name, [I, B, width] each.
     """
 
-    names: Sequence[str]
     ids: Sequence[str]
-    decisions: Tensor
     light: Tensor
-    priority: Tensor
     taken: Tensor
     delivered: Tensor
     imager: Tensor
     target: Tensor
-    quality: Tensor
-    rewards: Tensor
-    deaths: Tensor
-    tasks: Tasks
-    series: dict[str, Tensor]
 
-    def __post_init__(self) -> None:
-        """ValueError for tensors whose shapes do not fit each other."""
-        i, g, b, m = len(self.names), len(self.ids), len(self.decisions), len(self.taken)
-        needed: dict[str, tuple[int, ...]] = {"light": (g, b), "priority": (g, b), "rewards": (i, b - 1), "deaths": (i,)}
-        needed |= dict.fromkeys(("delivered", "imager", "target", "quality"), (m,))
-        for name, shape in needed.items():
-            _check_shape(name, getattr(self, name), shape)
-        if b < 2:
-            raise ValueError(f"decisions has {b} entries; an episode needs at least 2")
+    @override
+    @classmethod
+    def of(cls, recording: Recording, track: int = 0) -> Self:
+        reading = Reading(recording, track, viewers=True)
+        times = reading.times
+        time, who, target, kind = reading.events
+        images, arrivals = torch.nonzero(kind == 0).flatten().tolist(), torch.nonzero(kind == 2).flatten().tolist()
+        delivered = torch.full((len(images),), torch.inf, dtype=torch.float64)
+        for k, image in enumerate(images):  # the first downlink of each that belongs to no earlier image
+            same = (n for n in arrivals if (who[n], target[n]) == (who[image], target[image]) and time[n] > time[image])
+            if (arrival := next(same, None)) is not None:
+                delivered[k] = time[arrival]
+                arrivals.remove(arrival)
+        r, v = reading.array("object_r_N"), reading.array("object_v_N")
+        r_TN_N = hermite(reading.array("object_times"), r, v, times)
+        keys, sun_N = reading.array("key_times"), reading.array("sun_N")
+        sun_N = torch.stack([torch.from_numpy(np.interp(times, keys, axis)) for axis in sun_N.mT], -1)
+        return cls(
+            **cls.flown(reading),
+            ids=reading.scene.target_names,
+            light=illumination(Vec3.of(r_TN_N), Vec3.of(AU * sun_N.unsqueeze(1))).mT,
+            taken=time[images],
+            delivered=delivered,
+            imager=who[images],
+            target=target[images],
+        )
 
     @property
+    @override
     def outcome(self) -> str:
-        """Summary of an episode as text: images, deliveries, return and deaths."""
         images, arrived = len(self.taken), int(torch.isfinite(self.delivered).sum())
         different, dead = len(self.target.unique()), int(torch.isfinite(self.deaths).sum())
         died = "" if not dead else ", died" if len(self.names) == 1 else f", {dead} of {len(self.names)} died"
@@ -176,8 +193,8 @@ class RSOImagingEpisode(Tabular):
 
     def on_board(self) -> Tensor:
         """Return the number of images on board of each imager at each decision boundary, [I, B]."""
-        there = (self.taken.unsqueeze(1) <= self.decisions) & (self.decisions < self.delivered.unsqueeze(1))
-        return torch.zeros(len(self.names), len(self.decisions), dtype=torch.float64).index_add(0, self.imager, there.double())
+        there = (self.taken.unsqueeze(1) <= self.times) & (self.times < self.delivered.unsqueeze(1))
+        return torch.zeros(len(self.names), len(self.times), dtype=torch.float64).index_add(0, self.imager, there.double())
 
     def to_numpy(self) -> Columns:
         """Return the episode as a table: a row for each imager at each decision boundary, in the order of time.
@@ -187,18 +204,62 @@ class RSOImagingEpisode(Tabular):
         """
         counts = {}
         for name, when in (("images", self.taken), ("delivered", self.delivered)):
-            done = (when.unsqueeze(1) <= self.decisions).double()
-            counts[name] = torch.zeros(len(self.names), len(self.decisions), dtype=torch.float64).index_add(0, self.imager, done)
-        numbers = {"reward": self.rewards, **counts, **self.series}
-        return satellite_columns(self.names, self.decisions, self.deaths, self.tasks, numbers)
+            done = (when.unsqueeze(1) <= self.times).double()
+            counts[name] = torch.zeros(len(self.names), len(self.times), dtype=torch.float64).index_add(0, self.imager, done)
+        return self.table({**counts, **self.series})
 
-
-def _check_shape(name: str, value: Tensor, shape: tuple[int, ...]) -> None:
-    if tuple(value.shape) != shape:
-        raise ValueError(f"{name} has shape {list(value.shape)}; it must be {list(shape)}")
+    @override
+    def pictures(self) -> list[Picture]:
+        text = "Images of objects in orbit and their downlinks, eclipses of the objects, images on board and return over time."
+        return [Picture(partial(services_figure, self), text, "Images of objects in orbit over time")]
 
 
 # -- sky -------------------------------------------------------------------------------------------------------------------------
+
+
+def sky_of(env: Tasking, imager: str | None = None, env_row: int = 0) -> Sky:
+    """Return the current sky of an imager.
+
+    Args:
+        env: The environment, after a reset.
+        imager: Name of the imager (default: the first one).
+        env_row: Which of its episodes.
+
+    Raises:
+        ValueError: For an environment without imaging in orbit, an unknown imager, or an episode that does not exist.
+    """
+    scenario = env.scenario
+    parts = env.rewarder.rewarders if isinstance(env.rewarder, ComposedReward) else [env.rewarder]
+    rewarder = next((part for part in parts if isinstance(part, RSOImageReward)), None)
+    if rewarder is None or not isinstance(scenario, RSOTargets):
+        raise ValueError(f"env has the scenario {scenario!r}; imaging in orbit needs RSOTargets and an RSOImageReward")
+    name = scenario.imager_names[0] if imager is None else imager
+    if name not in scenario.imager_names:
+        raise ValueError(f"imager={name!r} is none of {list(scenario.imager_names)}; {nearest(str(name), scenario.imager_names)}")
+    whole("env_row", env_row, 0, env.batch_size[0] - 1)
+    kind, number = env.fleet.place_of(name)
+    satellite = env.fleet.satellites[kind]
+    row = env_row * satellite.simulator.count + number
+    place = torch.arange(scenario.n_targets, device=satellite.simulator.device).expand(satellite.simulator.state.rows, -1)
+    everything = Candidates(place, torch.ones_like(place, dtype=torch.bool))
+    seen = scenario.views(satellite, everything)
+    candidates = scenario.candidates(satellite, scenario.n_targets)
+    _, ahead, normal = seen.rel_pos_vector_r_BR_H[row].cpu().unbind(-1)
+    height = float(satellite.dynamics.r_BN_N[row].norm())
+    return Sky(
+        imager=name,
+        time=float(env.fleet.sim_time[env_row]),
+        ids=scenario.ids,
+        azimuth=torch.rad2deg(torch.atan2(-normal, ahead)),
+        elevation=seen.target_elevation_angle[row].cpu(),
+        limb=-float(torch.rad2deg(torch.acos(torch.tensor(R_EARTH / height)))),
+        light=seen.target_illumination_factor[row].cpu(),
+        in_sight=scenario.in_sight(satellite, everything)[row].cpu(),
+        priority=scenario.priority[env_row].cpu(),
+        pending=scenario.pending[env_row].cpu(),
+        imaged=rewarder.imaged[env_row].cpu(),
+        candidates=candidates.place[row][candidates.exists[row]].cpu(),
+    )
 
 
 def sky_figure(sky: Sky, path: Path, title: str = "", width: float = WIDTH) -> Path:
@@ -319,7 +380,7 @@ def services_figure(episode: RSOImagingEpisode, path: Path, title: str = "", wid
     above = max(1.0, 0.5 + (ROW if width >= WIDTH else SMALLER * ROW) * len(shown))
     figure, (rows, board, value) = panels((above, 0.9 * share(width), 0.9 * share(width)), width)
     _services(rows, episode, shown)
-    hours = (episode.decisions / HOUR).tolist()
+    hours = (episode.times / HOUR).tolist()
     for k, color in enumerate(episode.colors):
         board.step(hours, episode.on_board()[k].tolist(), where="post", color=color, linewidth=1.6)
         total = torch.cat([torch.zeros(1, dtype=torch.float64), episode.rewards[k].nan_to_num().double().cumsum(0)])
@@ -338,8 +399,8 @@ def services_figure(episode: RSOImagingEpisode, path: Path, title: str = "", wid
 
 def _services(panel: Axes, episode: RSOImagingEpisode, shown: Sequence[int]) -> None:
     """Draw the rows of the objects ``shown``, the first one on top."""
-    row, last = {target: k for k, target in enumerate(shown)}, float(episode.decisions[-1])
-    hours = (episode.decisions / HOUR).tolist()
+    row, last = {target: k for k, target in enumerate(shown)}, float(episode.times[-1])
+    hours = (episode.times / HOUR).tolist()
     for target, k in row.items():
         dark = (episode.light[target] < LIGHT).tolist()
         spans = [(a, b - a) for (a, b), night in zip(pairwise(hours), dark, strict=False) if night]

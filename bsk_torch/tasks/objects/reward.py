@@ -13,6 +13,7 @@ from typing_extensions import override
 from bsk_torch._checks import function, number
 from bsk_torch.constants import NANO
 from bsk_torch.data.base import GlobalReward, Log
+from bsk_torch.scene.recorded import RecordedProgress
 from bsk_torch.sim.hooks import check_tensor
 from bsk_torch.sim.state import FINITE, look_up
 from bsk_torch.tasks.objects.aim import AIM
@@ -244,6 +245,14 @@ class RSOImageReward(GlobalReward):
     @override
     def counts(self) -> dict[str, Tensor]:
         return {name: self.memory[f"rso_{name}"] for name in ("captured", "delivered")}
+
+    @override
+    def recorded(self, env: int) -> RecordedProgress:
+        target, time = (self.memory[f"rso_product_{name}"][env].cpu() for name in ("target", "time"))
+        held = target != NONE
+        columns = self._columns.cpu().expand_as(target)
+        images = list(zip(*(part[held].tolist() for part in (columns, target, time)), strict=True))
+        return RecordedProgress(kind="rso_imaging", images=images)
 
     # -- images -------------------------------------------------------------------------------------------------------
 

@@ -23,6 +23,7 @@ from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.found import Found, Value
+from bsk_torch.scene.recorded import RecordedTargets
 from bsk_torch.sim.dyn.hub import initial_orbit
 from bsk_torch.sim.hooks import check_tensor
 from bsk_torch.sim.names import nearest
@@ -497,6 +498,29 @@ class RSOTargets(Scenario):
         clear = line_clearance(stretch(r_TN_N, pole_N), stretch(r_BN_N, pole_N)) > 0.0
         reach = satellite.sat_args["imageTargetMaximumRange"].view(-1, 1)
         return clear & ((reach < 0.0) | ((r_TN_N - r_BN_N).norm() <= reach))
+
+    @override
+    def recorded_targets(self, env: int) -> RecordedTargets:
+        self._positions()  # which catch up
+        envs, place = (
+            torch.arange(first, last, device=self.fleet.device) for first, last in ((env, env + 1), (0, self.n_targets))
+        )
+        r_N, v_N = (part.stack()[0].cpu() for part in self.orbits.motion(envs, place.unsqueeze(0), self.fleet.sim_time))
+        return RecordedTargets(
+            places="orbit",
+            r=r_N,
+            priority=self.priority[env].cpu(),
+            v_N=v_N,
+            names=self.ids,
+            viewers=self.imager_columns,
+        )
+
+    @override
+    def sees(self, satellite: BoundSatellite, target: Tensor) -> Tensor:
+        if satellite.type_index not in self.imager_types:
+            return torch.zeros_like(target, dtype=torch.bool)
+        place = target.unsqueeze(1)
+        return self.in_sight(satellite, Candidates(place.clamp(min=0), place >= 0)).squeeze(1)
 
     def candidate_ids(self, satellite: BoundSatellite, row: int, count: int) -> list[str | None]:
         """Return the ids of the first ``count`` candidates of one satellite of a type; None for those that do not exist."""

@@ -53,6 +53,7 @@ from bsk_torch import act, data, formations, obs, rand, sats
 from bsk_torch._checks import whole
 from bsk_torch.data.base import Log
 from bsk_torch.env import ConstellationTasking, SatelliteTasking
+from bsk_torch.scene.recorded import RecordedProgress, RecordedTargets
 from bsk_torch.sim import fsw
 from bsk_torch.tasks.safe_autonomy.act import HeldThrust
 from bsk_torch.tasks.safe_autonomy.assurance import BLIND, EDGE, INSPECTION, Barriers, crew_barriers
@@ -100,6 +101,11 @@ class LitPointsReward(data.GlobalReward):
     def inspected(self) -> Tensor:
         """Inspected points, [N, P] bool."""
         return self.memory["inspected"]
+
+    @override
+    def recorded(self, env: int) -> RecordedProgress:
+        points = RecordedTargets(places="points", r=self.points.cpu(), priority=torch.ones(len(self.points), dtype=torch.float64))
+        return RecordedProgress(targets=points, marks={"done": self.inspected[env].cpu()})
 
     @override
     def read_log(self) -> Log:

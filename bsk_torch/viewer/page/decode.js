@@ -1,4 +1,4 @@
-// Reads the container that bsk_torch/viewer/recording.py writes: a JSON header and plain arrays behind one gzip stream.
+// Reads the container that bsk_torch/recording/recording.py writes: a JSON header and plain arrays behind one gzip stream.
 
 export const VERSION = 1;
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from itertools import cycle
 from pathlib import Path
@@ -19,12 +18,16 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from torch import Tensor
+from typing_extensions import Self, override
 
 from bsk_torch._text import visible
+from bsk_torch.recording.reading import Reading
+from bsk_torch.recording.recording import Recording
+from bsk_torch.recording.table import Columns
+from bsk_torch.viz.episodes import Picture, TeamEpisode
 from bsk_torch.viz.figures.style import FAINT, INK, PALETTE, SMALLER, WIDTH, caption, dot, fit, headline, legend, save, tidy
 from bsk_torch.viz.figures.timeline import HOUR, hour_ticks, plain
-from bsk_torch.viz.figures.world import pieces, world_map
-from bsk_torch.viz.table import Columns, Tabular, Tasks, satellite_columns
+from bsk_torch.viz.figures.world import ground, pieces, world_map
 
 __all__ = ["ConstellationEpisode", "constellation_figure"]
 
@@ -52,8 +55,6 @@ TASKS = {
 
 OTHER_TASKS = ("#cfe8ef", "#ecd9c6", "#f3cdd9", "#dfe3c4")
 
-NONE, NO_INDEX, NO_SPANS = partial(torch.empty, 0), partial(torch.empty, 0, dtype=torch.int64), partial(torch.empty, 0, 2)
-
 GREY = "#9aa3af"
 
 TARGET: dict[str, Any] = dict(color="white", markeredgecolor=GREY, markeredgewidth=0.5)
@@ -62,91 +63,57 @@ HALO = [patheffects.withStroke(linewidth=2.2, foreground="white")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ConstellationEpisode(Tabular):
-    """One episode of S satellites, as plain tensors on the CPU; angles in degrees, times in seconds since the reset.
+class ConstellationEpisode(TeamEpisode):
+    """One episode of S satellites, as tensors on the CPU; angles in degrees. Tracks, tasks and contacts end with a death.
 
     Attributes:
-        names: Names of the satellites.
-        times: Times of the tracks' samples, ascending, [K].
-        latitude: Latitudes of the subsatellite points at these times, [S, K].
-        longitude: Longitudes, within 180 degrees, [S, K].
-        groups: Index of the satellite's group, such as its orbital plane, [S] int64; None for separate groups.
-        group_names: Names of the groups; None for "plane 1" and so on, or the satellites' names.
-        links: Satellites in contact at the tracks' times, [K, S, S] bool; None if they never are.
-        image_times: Times of all images, [I].
+        latitude: Latitudes of the subsatellite points at the boundaries, [S, B].
+        longitude: Longitudes, within 180 degrees, [S, B].
+        groups: Index of the satellite's orbital plane, [S] int64; None for separate groups.
+        links: Satellites in contact at the boundaries, [B, S, S] bool; None if they never are.
+        image_times: Times of all I images, [I].
         image_satellite: Satellite of each image, [I] int64.
         image_latitude: Latitude of each image, [I].
         image_longitude: Longitude of each image, [I].
-        image_paid: Whether each image was rewarded, [I] bool; None for all.
-        target_latitude: Latitudes of all targets, [T].
+        image_paid: Whether each image was rewarded, [I] bool.
+        target_latitude: Latitudes of all T targets, [T].
         target_longitude: Longitudes of all targets, [T].
-        task_satellite: Satellite of each of M tasks, [M] int64.
-        task_spans: Start and end of each task, [M, 2].
-        task_kind: Kind of each task, an index into ``task_names``, [M] int64.
-        task_names: Names of tasks, such as "image", "charge" and "drift"; a prefix ``action_`` is dropped.
-        deaths: Time of each satellite's death, infinite for survivors, [S]; None if all survived. Tracks, tasks and contacts are
-            drawn until then.
-        rewards: Reward of each satellite's agent in the steps between ``times``, [S, K - 1]; nan for further satellites of the
-            same agent.
-        series: Quantities of the satellites at ``times`` by name, [S, K, width]; nan where a satellite has no such quantity.
-        actions: Continuous actions in the steps between ``times``, [S, K - 1, A]; nan for none. None without such actions.
     """
 
-    names: Sequence[str]
-    times: Tensor
     latitude: Tensor
     longitude: Tensor
-    groups: Tensor | None = None
-    group_names: Sequence[str] | None = None
-    links: Tensor | None = None
-    image_times: Tensor = field(default_factory=NONE)
-    image_satellite: Tensor = field(default_factory=NO_INDEX)
-    image_latitude: Tensor = field(default_factory=NONE)
-    image_longitude: Tensor = field(default_factory=NONE)
-    image_paid: Tensor | None = None
-    target_latitude: Tensor = field(default_factory=NONE)
-    target_longitude: Tensor = field(default_factory=NONE)
-    task_satellite: Tensor = field(default_factory=NO_INDEX)
-    task_spans: Tensor = field(default_factory=NO_SPANS)
-    task_kind: Tensor = field(default_factory=NO_INDEX)
-    task_names: Sequence[str] = ()
-    deaths: Tensor | None = None
-    rewards: Tensor | None = None
-    series: Mapping[str, Tensor] = field(default_factory=dict)
-    actions: Tensor | None = None
+    groups: Tensor | None
+    links: Tensor | None
+    image_times: Tensor
+    image_satellite: Tensor
+    image_latitude: Tensor
+    image_longitude: Tensor
+    image_paid: Tensor
+    target_latitude: Tensor
+    target_longitude: Tensor
 
-    def __post_init__(self) -> None:
-        """Raise ValueError for tensors with inconsistent shapes or indices."""
-        s, k, images, targets, tasks = (
-            self.size,
-            len(self.times),
-            len(self.image_times),
-            len(self.target_latitude),
-            len(self.task_kind),
+    @override
+    @classmethod
+    def of(cls, recording: Recording, track: int = 0) -> Self:
+        reading, on_ground = Reading(recording, track), recording.places == "ground"
+        longitude, latitude = ground(reading.array("step_r_P")[:, reading.columns].transpose(0, 1))
+        time, who, target, kind = reading.events
+        images = torch.nonzero((kind <= 1) & on_ground).flatten()
+        east, north = ground(reading.of_scene("targets_P"))
+        return cls(
+            **cls.flown(reading),
+            latitude=latitude,
+            longitude=longitude,
+            groups=torch.tensor(reading.scene.planes)[reading.columns] if reading.scene.planes else None,
+            links=reading.links,
+            image_times=time[images],
+            image_satellite=who[images],
+            image_latitude=north[target[images]],
+            image_longitude=east[target[images]],
+            image_paid=kind[images] == 0,
+            target_latitude=north[torch.isfinite(north) & on_ground],
+            target_longitude=east[torch.isfinite(east) & on_ground],
         )
-        needed = {
-            "latitude": (s, k),
-            "longitude": (s, k),
-            "groups": (s,),
-            "links": (k, s, s),
-            "deaths": (s,),
-            "rewards": (s, k - 1),
-        }
-        needed |= dict.fromkeys(("image_satellite", "image_latitude", "image_longitude", "image_paid"), (images,))
-        needed |= {"target_longitude": (targets,), "task_satellite": (tasks,), "task_spans": (tasks, 2), "rewards": (s, k - 1)}
-        for name, shape in needed.items():
-            value = getattr(self, name)
-            if value is not None and tuple(value.shape) != shape:
-                raise ValueError(f"{name} has shape {list(value.shape)}; it must be {list(shape)}")
-        if k < 2:
-            raise ValueError(f"times has {k} entries; a track needs at least 2")
-        below = {"image_satellite": s, "task_satellite": s, "task_kind": len(self.task_names)}
-        if self.group_names is not None:
-            below["groups"] = len(self.group_names)
-        for name, bound in below.items():
-            value = getattr(self, name)
-            if value is not None and bool(((value < 0) | (value >= bound)).any()):
-                raise ValueError(f"{name} has numbers from {int(value.min())} to {int(value.max())}; allowed is 0 to {bound - 1}")
 
     @property
     def size(self) -> int:
@@ -165,24 +132,21 @@ class ConstellationEpisode(Tabular):
 
     def group_name(self, group: int) -> str:
         """Return the name of a group."""
-        if self.group_names is not None:
-            return self.group_names[group]
         return self.names[group] if self.groups is None else f"plane {group + 1}"
 
     @property
     def ends(self) -> Tensor:
         """Time at which each satellite died or the episode ended, [S]."""
-        last = self.times[-1].expand(self.size)
-        return last if self.deaths is None else torch.minimum(self.deaths.to(last), last)
+        return self.deaths.clamp(max=float(self.times[-1]))
 
     @property
     def died(self) -> Tensor:
         """Mask of satellites that died within the episode, [S]."""
-        return torch.zeros(self.size, dtype=torch.bool) if self.deaths is None else self.deaths <= self.times[-1]
+        return self.deaths <= self.times[-1]
 
     @property
+    @override
     def outcome(self) -> str:
-        """Numbers of images and of dead satellites, as text."""
         images, dead = len(self.image_times), int(self.died.sum())
         survived = f", {dead} of {self.size} satellites died" if dead else ""
         return f"{images} image{'s' * (images != 1)} by {self.size} satellite{'s' * (self.size != 1)}{survived}"
@@ -194,17 +158,12 @@ class ConstellationEpisode(Tabular):
         then on, empty without one, and ``decided`` whether it began there. ``reward`` is that of the step that begins there, nan
         in the last one. ``latitude`` and ``longitude`` are in degrees. Quantities of several numbers have a column for each.
         """
-        numbers = {"reward": self.rewards, "action": self.actions, **self.series}
-        numbers |= {"latitude": self.latitude, "longitude": self.longitude}
-        there = {name: values for name, values in numbers.items() if values is not None}
-        deaths = torch.full((self.size,), torch.inf) if self.deaths is None else self.deaths
-        tasks = Tasks(self.task_satellite, self.task_spans, self.task_kind, self.task_names)
-        return satellite_columns(self.names, self.times, deaths, tasks, there)
+        return self.table({**self.series, "latitude": self.latitude, "longitude": self.longitude})
 
-    @property
-    def paid(self) -> Tensor:
-        """Mask of rewarded images, [I]."""
-        return torch.ones(len(self.image_times), dtype=torch.bool) if self.image_paid is None else self.image_paid
+    @override
+    def pictures(self) -> list[Picture]:
+        text = "Ground tracks and images of all satellites, contacts at the moment of most contacts, and tasks over time."
+        return [Picture(partial(constellation_figure, self), text, "World map with ground tracks", "constellation")]
 
     @property
     def contacts(self) -> Tensor:
@@ -282,7 +241,7 @@ def _track(panel: Axes, episode: ConstellationEpisode, k: int, color: str, now: 
 
 def _images_on_map(panel: Axes, episode: ConstellationEpisode) -> None:
     """Dots in the satellite's color, hollow for images without reward."""
-    for rows, paid in ((~episode.paid, False), (episode.paid, True)):
+    for rows, paid in ((~episode.image_paid, False), (episode.image_paid, True)):
         colors = [episode.colors[k] for k in episode.image_satellite[rows].tolist()]
         face, edge, width = (colors, "white", 0.5) if paid else ("white", colors, 1.0)
         where = episode.image_longitude[rows].tolist(), episode.image_latitude[rows].tolist()
@@ -328,8 +287,8 @@ def _world_legend(episode: ConstellationEpisode) -> list[Artist]:
     groups = sorted(set(episode.group))
     lines = [Line2D([], [], color=PALETTE[g % len(PALETTE)], linewidth=2.2, label=episode.group_name(g)) for g in groups]
     markers = [
-        (bool(episode.paid.any()), dot("o", INK, "white", "image taken")),
-        (bool((~episode.paid).any()), dot("o", "white", INK, "image without reward")),
+        (bool(episode.image_paid.any()), dot("o", INK, "white", "image taken")),
+        (bool((~episode.image_paid).any()), dot("o", "white", INK, "image without reward")),
         (len(episode.target_latitude) > 0, Line2D([], [], linestyle="", marker="o", markersize=2.5, label="target", **TARGET)),
         (bool(episode.contacts[episode.moment].any()), Line2D([], [], color=INK, linewidth=0.8, alpha=0.7, label="contact")),
     ]
@@ -357,15 +316,15 @@ def _rows(panel: Axes, episode: ConstellationEpisode) -> list[Artist]:
 def _ticks(episode: ConstellationEpisode) -> str:
     if not len(episode.image_times):
         return ""
-    return ", ticks are images" if bool(episode.paid.all()) else ", ticks are images (short ones without reward)"
+    return ", ticks are images" if bool(episode.image_paid.all()) else ", ticks are images (short ones without reward)"
 
 
 def _tasks(panel: Axes, episode: ConstellationEpisode) -> list[Artist]:
     others, handles = cycle(OTHER_TASKS), list[Artist]()
-    for kind, name in enumerate(episode.task_names):
-        color, done = TASKS.get(plain(name)) or next(others), episode.task_kind == kind
-        for s in episode.task_satellite[done].unique().tolist():
-            spans = episode.task_spans[done & (episode.task_satellite == s)].clamp(max=float(episode.ends[s])) / HOUR
+    for kind, name in enumerate(episode.tasks.names):
+        color, done = TASKS.get(plain(name)) or next(others), episode.tasks.kind == kind
+        for s in episode.tasks.satellite[done].unique().tolist():
+            spans = episode.tasks.spans[done & (episode.tasks.satellite == s)].clamp(max=float(episode.ends[s])) / HOUR
             bars = torch.stack([spans[:, 0], spans.diff().squeeze(-1)], -1).tolist()
             panel.broken_barh(bars, (s + BAR[0], BAR[1] - BAR[0]), facecolors=color, linewidth=0)
         if bool(done.any()):
@@ -375,7 +334,7 @@ def _tasks(panel: Axes, episode: ConstellationEpisode) -> list[Artist]:
 
 def _images_over_time(panel: Axes, episode: ConstellationEpisode) -> None:
     """A tick for every image, short and gray for those without reward."""
-    for rows, paid in ((~episode.paid, False), (episode.paid, True)):
+    for rows, paid in ((~episode.image_paid, False), (episode.image_paid, True)):
         who, hours = episode.image_satellite[rows].tolist(), (episode.image_times[rows] / HOUR).tolist()
         low = BAR[0] if paid else 0.5 * sum(BAR)
         ticks = [[(hour, s + low), (hour, s + BAR[1])] for s, hour in zip(who, hours, strict=True)]

@@ -11,9 +11,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, MultipleLocator, PercentFormatter
 
+from bsk_torch.viz.figures.ground_track import IMAGED, LOST, UNPAID, ImagingEpisode
 from bsk_torch.viz.figures.style import INK, PALETTE, WIDTH, caption, label, name_lines, share, tidy
 from bsk_torch.viz.figures.timeline import HOUR, bars, plain, shade, shade_legend
-from bsk_torch.viz.recorders.imaging import IMAGED, LOST, UNPAID, ImagingEpisode
 
 OUTCOMES = {
     IMAGED: (PALETTE[2], "imaged"),

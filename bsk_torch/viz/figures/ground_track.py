@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +15,23 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from torch import Tensor
+from typing_extensions import Self, override
 
 from bsk_torch.constants import R_EARTH
-from bsk_torch.viz.figures.decisions import decisions, resources
+from bsk_torch.recording.reading import Reading
+from bsk_torch.recording.recording import Recording
+from bsk_torch.viz.episodes import Picture
 from bsk_torch.viz.figures.style import INK, PALETTE, WIDTH, caption, dot, fit, headline, label, legend, save, share, tidy
-from bsk_torch.viz.figures.timeline import HOUR, time_axis
-from bsk_torch.viz.figures.world import pieces, world_map
-from bsk_torch.viz.recorders.imaging import IMAGED, LOST, OPEN, UNPAID, ImagingEpisode, record_imaging_episode
-from bsk_torch.viz.recorders.track import ground
+from bsk_torch.viz.figures.timeline import HOUR, TrackEpisode, time_axis
+from bsk_torch.viz.figures.world import ground, pieces, world_map
 
-__all__ = ["ground_track", "record_imaging_episode"]
+__all__ = ["ImagingEpisode", "ground_track"]
+
+NONE = -1
+"""Target of a decision that does something else."""
+
+OPEN, LOST, UNPAID, IMAGED = range(4)
+"""Outcomes of a target: not chosen; chosen, but not imaged; imaged without reward; imaged."""
 
 CLOSE_UP = 600.0
 """Seconds of flight drawn large."""
@@ -63,6 +72,92 @@ DAY = LinearSegmentedColormap.from_list("day", ("#b9d3ee", PALETTE[0], "#12305a"
 """Colors of the track from start to end."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class ImagingEpisode(TrackEpisode):
+    """A :class:`~bsk_torch.viz.figures.timeline.TrackEpisode` of T decisions with K targets; positions are Earth-fixed, m.
+
+    Images are counted at the ends of decisions, which are the times of the images unless ``variable_interval`` is off.
+
+    Attributes:
+        r_LP_P: Positions of the targets, including padding, [K, 3].
+        exists: Targets other than padding, [K].
+        priority: Highest priority of each target at any decision, [K].
+        chosen: Target of each decision, [T]; :data:`NONE` for other actions.
+        worth: Priority of the chosen target at its decision, [T].
+        imaged: Decisions that led to an image, [T].
+        least_elevation: Least elevation, rad, of a satellite that images a target.
+    """
+
+    r_LP_P: Tensor
+    exists: Tensor
+    priority: Tensor
+    chosen: Tensor
+    worth: Tensor
+    imaged: Tensor
+    least_elevation: float
+
+    @override
+    @classmethod
+    def of(cls, recording: Recording, track: int = 0) -> Self:
+        reading = Reading(recording, track)
+        flown, r_LP_P = TrackEpisode.of(recording, track), reading.of_scene("targets_P")
+        time, _, _, kind = reading.events
+        highest = "highest_priority" if "highest_priority" in reading.scene.arrays else "priority"
+        least = recording.satellites[0].least_elevation
+        assert least is not None, "an imager has a least elevation"
+        return cls(
+            **vars(flown),
+            r_LP_P=r_LP_P,
+            exists=torch.isfinite(r_LP_P).all(-1),
+            priority=reading.of_scene(highest),
+            chosen=reading.array("decision_target"),
+            worth=reading.array("decision_priority").nan_to_num(),
+            imaged=torch.isin(flown.times[1:], time[kind <= 1]),
+            least_elevation=least,
+        )
+
+    @property
+    def reach(self) -> float:
+        """Angle, rad, at the Earth's center between the satellite and the farthest target that it can image.
+
+        ``acos(q cos e) - e`` at elevation e, with q the Earth's radius over the satellite's.
+        """
+        e = torch.tensor(self.least_elevation, dtype=torch.float64)
+        return float(torch.acos(R_EARTH / self.track.norm(dim=-1).mean() * torch.cos(e)) - e)
+
+    @property
+    @override
+    def outcome(self) -> str:
+        images = int(self.imaged.sum())
+        return f"{images} image{'s' * (images != 1)}, {super().outcome}"
+
+    @property
+    def outcomes(self) -> Tensor:
+        """Outcome of the target of every decision, [T]; :data:`OPEN` for decisions without a target.
+
+        Decisions for the same target in a row are one: they have the outcome of the last one.
+        """
+        now = torch.where(self.imaged, torch.where(self.rewards > 0.0, IMAGED, UNPAID), LOST)
+        goes_on = (self.chosen[1:] == self.chosen[:-1]) & ~self.imaged[:-1]
+        number = torch.cat([torch.zeros(1, dtype=torch.int64), (~goes_on).cumsum(0)])
+        last = torch.bincount(number).cumsum(0) - 1
+        return torch.where(self.chosen >= 0, now[last[number]], OPEN)
+
+    @property
+    def fate(self) -> Tensor:
+        """Best outcome of every target, [K]."""
+        rows = self.chosen >= 0
+        none = torch.full((len(self.r_LP_P),), OPEN)
+        return none.scatter_reduce(0, self.chosen[rows], self.outcomes[rows], "amax")
+
+    @override
+    def pictures(self) -> list[Picture]:
+        text = (
+            "Where the satellite flew, what it imaged, ten minutes of that large, and decisions, reward and resources over time."
+        )
+        return [Picture(partial(ground_track, self), text, "World map with ground track and targets")]
+
+
 def ground_track(episode: ImagingEpisode, path: Path, title: str = "", width: float = WIDTH) -> Path:
     """Draw an episode to the file ``path``, .png, .svg or .pdf, with headline ``title`` unless that is empty.
 
@@ -70,6 +165,8 @@ def ground_track(episode: ImagingEpisode, path: Path, title: str = "", width: fl
     it imaged; decisions and reward over time; and battery, wheels and store where the satellite can do something for them.
     ``width`` is in inches, such as :data:`~bsk_torch.viz.figures.style.COLUMN`.
     """
+    from bsk_torch.viz.figures.decisions import decisions, resources  # which show the outcomes of this module
+
     world, close_up, lower = HEIGHTS
     heights = [
         world * width / WIDTH,

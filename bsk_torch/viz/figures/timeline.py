@@ -3,19 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 from matplotlib.ticker import MultipleLocator, PercentFormatter
 from torch import Tensor
+from typing_extensions import Self, override
 
+from bsk_torch.recording.reading import Reading
+from bsk_torch.recording.recording import Recording
+from bsk_torch.recording.scenes import QUANTITIES
+from bsk_torch.recording.table import Columns, number_columns
+from bsk_torch.viz.episodes import Episode, Picture
 from bsk_torch.viz.figures.style import INK, PALETTE, WIDTH, fit, headline, label, legend, panels, save, share
-from bsk_torch.viz.recorders.episode import QUANTITIES, Episode, record_episode
 
-__all__ = ["record_episode", "timeline"]
+__all__ = ["TrackEpisode", "timeline"]
+
+SAMPLE = 30.0
+"""Seconds between the samples of a ground track."""
 
 HOUR = 3600.0
 
@@ -25,8 +36,105 @@ GRAYS, DASHES = (INK, "#6b7280", "#9aa3af"), ("-", (0, (5, 1.5)), (0, (1.5, 1)))
 NIGHT, PASS = "#3b4252", PALETTE[2]
 
 
+@dataclass(frozen=True, kw_only=True)
+class TrackEpisode(Episode):
+    """One episode of T decisions of one satellite; times are seconds since reset, positions Earth-fixed, m.
+
+    Attributes:
+        names: Names of the entries of the satellite's ``action_spec``.
+        times: Times of the decisions, and of the end, [T + 1].
+        actions: Index into ``names`` of each decision, [T].
+        rewards: Reward of each decision, [T].
+        series: Quantities at these times by name, [T + 1, width] each; see :data:`bsk_torch.recording.scenes.QUANTITIES`.
+        eclipses: Start and end of every eclipse, [n, 2].
+        passes: Start and end of every period in view of a ground station, [n, 2].
+        died: Whether the satellite died.
+        r_BN_P: The satellite at the decision boundaries, [T + 1, 3].
+        track_times: Times of the track, [M] s: every :data:`SAMPLE` seconds from each decision on, and the end.
+        track: The satellite then, [M, 3].
+        stations: Ground stations, [K, 3].
+    """
+
+    names: list[str]
+    times: Tensor
+    actions: Tensor
+    rewards: Tensor
+    series: dict[str, Tensor]
+    eclipses: Tensor
+    passes: Tensor
+    died: bool
+    r_BN_P: Tensor
+    track_times: Tensor
+    track: Tensor
+    stations: Tensor
+
+    @override
+    @classmethod
+    def of(cls, recording: Recording, track: int = 0) -> Self:
+        reading = Reading(recording, track)
+        times, series = reading.times, {name: reading.values(name) for name in QUANTITIES}
+        counts = torch.ceil(times.diff() / SAMPLE).long()
+        row = torch.repeat_interleave(torch.arange(len(counts)), counts)
+        elapsed = SAMPLE * (torch.arange(len(row)) - (counts.cumsum(0) - counts)[row]).double()
+        track_times = torch.cat([times[row] + elapsed, times[-1:]])
+        return cls(
+            names=recording.satellites[0].tasks,
+            times=times,
+            actions=reading.array("decision_task"),
+            rewards=reading.rewards[0],
+            series={name: values[0] for name, values in series.items() if values is not None},
+            eclipses=reading.intervals("eclipses", 0),
+            passes=reading.intervals("passes", 0),
+            died=bool(reading.track.deaths),
+            r_BN_P=reading.array("step_r_P")[:, 0],
+            track_times=track_times,
+            track=reading.r_P(track_times)[0],
+            stations=reading.of_scene("stations_P"),
+        )
+
+    @property
+    def total(self) -> float:
+        """Return of the episode."""
+        return float(self.rewards.sum())
+
+    @property
+    @override
+    def outcome(self) -> str:
+        return f"return {self.total:.3f}, {'died' if self.died else 'survived'}"
+
+    def to_numpy(self) -> Columns:
+        """Return the episode as a table: columns by name, [T + 1] each, a row for each decision boundary.
+
+        ``time`` is in seconds since reset; ``action`` and ``reward`` belong to the decision that begins there, empty and nan in
+        the last row. Quantities of several numbers have a column for each, such as ``wheel_speeds_fraction_0``.
+        """
+        decisions: Columns = {
+            "time": self.times.double().numpy(),
+            "action": np.array([*(self.names[k] for k in self.actions.tolist()), ""]),
+            "reward": np.append(self.rewards.double().numpy(), np.nan),
+        }
+        return decisions | number_columns({**self.series, "r_BN_P": self.r_BN_P})
+
+    @override
+    def pictures(self) -> list[Picture]:
+        from bsk_torch.viz.figures.track_map import track_map  # which shows the modes of this module
+
+        return [
+            Picture(
+                partial(track_map, self),
+                "Where the satellite flew: colored by mode, thick where a reward was earned, shaded in eclipse.",
+                "World map with the ground track",
+            ),
+            Picture(
+                partial(timeline, self),
+                "What the satellite did and what became of its resources, with eclipses in gray and station passes in green.",
+                "Modes and resources over time",
+            ),
+        ]
+
+
 def timeline(
-    episode: Episode, path: Path, title: str = "", marks: Sequence[tuple[float, str]] = (), width: float = WIDTH
+    episode: TrackEpisode, path: Path, title: str = "", marks: Sequence[tuple[float, str]] = (), width: float = WIDTH
 ) -> Path:
     """Draw an episode to the file ``path``, .png, .svg or .pdf.
 
@@ -56,7 +164,7 @@ def timeline(
     return save(figure, path)
 
 
-def time_axis(panel: Axes, episode: Episode, named: bool = True, width: float = WIDTH) -> None:
+def time_axis(panel: Axes, episode: TrackEpisode, named: bool = True, width: float = WIDTH) -> None:
     """Ticks of an abscissa in hours, and their numbers and its name where it is ``named``."""
     hours = float(episode.times[-1]) / HOUR
     hour_ticks(panel, hours, width)
@@ -74,7 +182,7 @@ def hour_ticks(panel: Axes, hours: float, width: float = WIDTH) -> None:
     panel.set_xlabel("hours since the start", color=INK, fontsize=9.5)
 
 
-def bars(panel: Axes, episode: Episode, rows: Tensor, base: float = 0.0, height: float = 1.0, **look: Any) -> None:
+def bars(panel: Axes, episode: TrackEpisode, rows: Tensor, base: float = 0.0, height: float = 1.0, **look: Any) -> None:
     """Bars over the decisions where ``rows`` [T] is true, one for all in a row: seams between bars would show."""
     edge = torch.zeros(1, dtype=torch.bool)
     before, after = torch.cat([edge, rows[:-1]]), torch.cat([rows[1:], edge])
@@ -82,7 +190,7 @@ def bars(panel: Axes, episode: Episode, rows: Tensor, base: float = 0.0, height:
     panel.broken_barh(torch.stack([start, end - start], -1).tolist(), (base, height), linewidth=0, **look)
 
 
-def _modes(panel: Axes, episode: Episode) -> None:
+def _modes(panel: Axes, episode: TrackEpisode) -> None:
     for action in sorted(set(episode.actions.tolist())):
         bars(panel, episode, episode.actions == action, facecolors=mode_color(action))
     panel.set_ylim(0.0, 1.0)
@@ -91,7 +199,7 @@ def _modes(panel: Axes, episode: Episode) -> None:
     label(panel, "mode")
 
 
-def _series(panel: Axes, episode: Episode, name: str) -> None:
+def _series(panel: Axes, episode: TrackEpisode, name: str) -> None:
     hours, columns = (episode.times / HOUR).tolist(), episode.series[name].mT.tolist()
     for k, column in enumerate(columns):
         panel.plot(hours, column, color=GRAYS[k % len(GRAYS)], linestyle=DASHES[k % len(DASHES)], linewidth=1.5)
@@ -102,7 +210,7 @@ def _series(panel: Axes, episode: Episode, name: str) -> None:
     label(panel, QUANTITIES[name])
 
 
-def shade(panel: Axes, episode: Episode) -> None:
+def shade(panel: Axes, episode: TrackEpisode) -> None:
     """Backgrounds where the satellite is in the dark or in view of a station."""
     for intervals, color, alpha in ((episode.eclipses, NIGHT, 0.16), (episode.passes, PASS, 0.35)):
         for start, end in (intervals / HOUR).tolist():
@@ -131,7 +239,7 @@ def mode_color(action: int) -> str:
     return PALETTE[action % len(PALETTE)]
 
 
-def _legend(episode: Episode) -> list[Patch]:
+def _legend(episode: TrackEpisode) -> list[Patch]:
     modes = [Patch(color=mode_color(k), label=plain(name)) for k, name in enumerate(episode.names)]
     return [*modes, *shade_legend()]
 

@@ -16,9 +16,8 @@ from matplotlib.patches import Patch
 from torch import Tensor
 
 from bsk_torch.viz.figures.style import INK, WIDTH, caption, dot, fit, headline, legend, save, tidy
-from bsk_torch.viz.figures.timeline import NIGHT, mode_color, plain
-from bsk_torch.viz.figures.world import pieces, world_map
-from bsk_torch.viz.recorders.track import TrackEpisode, ground
+from bsk_torch.viz.figures.timeline import NIGHT, TrackEpisode, mode_color, plain
+from bsk_torch.viz.figures.world import ground, pieces, world_map
 
 THIN, THICK, SHADE = 1.5, 3.4, 7.5
 """Widths of the track where nothing is earned, where something is, and of the shade under it in the dark, points."""

@@ -12,6 +12,7 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 from torch import Tensor
 
+from bsk_torch.astro.frames import fixed_to_lla
 from bsk_torch.viz.figures.style import FAINT, WIDTH
 
 GROUND, COAST = "#eceff3", "#b4bcc8"
@@ -27,6 +28,12 @@ def land() -> Path:
     text = files("bsk_torch.viz.figures").joinpath("land_110m.geojson").read_text()
     rings = [ring for polygon in json.loads(text)["coordinates"] for ring in polygon]
     return Path.make_compound_path(*(Path(ring, closed=True) for ring in rings))
+
+
+def ground(r_P: Tensor) -> tuple[Tensor, Tensor]:
+    """Longitude and latitude, degrees, below Earth-fixed positions [..., 3]."""
+    latitude, longitude, _ = fixed_to_lla(r_P)
+    return torch.rad2deg(longitude), torch.rad2deg(latitude)
 
 
 def world_map(panel: Axes, width: float = WIDTH) -> None:

@@ -12,9 +12,8 @@ from PIL import Image
 
 from bsk_torch.astro.clohessy_wiltshire import propagate
 from bsk_torch.astro.relative import cd2hill
-from bsk_torch.tasks.inspection import RSOPoints
+from bsk_torch.recording.scenes import targets_of
 from bsk_torch.viz.figures.style import INK, PALETTE
-from bsk_torch.viz.recorders.inspection import rewarder_of
 from bsk_torch.viz.render.marks import DONE, NAMED, Pen, color_of, shade
 from bsk_torch.viz.render.moment import DEAD, Array, Moment, array, of_satellites
 
@@ -81,21 +80,20 @@ class CloseUp:
 @torch.no_grad()
 def look_closely(env: Tasking, row: int, moment: Moment) -> CloseUp | None:
     """The inspection of episode ``row``, of which ``moment`` shows the satellites; nothing for other problems."""
-    scenario, rewarder = env.scenario, rewarder_of(env)
-    if rewarder is None or not isinstance(scenario, RSOPoints):
+    progress = env.rewarder.recorded(row)
+    if progress.kind != "inspection":
         return None
-    rso = moment.names.index(env.fleet.names[scenario.rso_column])
-    inspectors = [moment.names.index(env.fleet.names[column]) for column in scenario.inspector_columns]
+    targets = targets_of(env, row)
+    assert targets.owner is not None, "an inspection has an RSO"
+    rso = moment.names.index(env.fleet.names[targets.owner])
+    inspectors = [moment.names.index(env.fleet.names[column]) for column in targets.viewers]
     r_N, v_N, HN, BN = (of_satellites(env, row, name) for name in ("r_BN_N", "v_BN_N", "HN", "BN"))
     rho, velocity = cd2hill(r_N[rso], v_N[rso], r_N[inspectors], v_N[inspectors])
     rate = torch.linalg.cross(r_N[rso], v_N[rso]).norm() / r_N[rso].square().sum()
     times = torch.linspace(0.0, AHEAD * 2.0 * math.pi, SAMPLES, dtype=rho.dtype, device=rho.device) / rate
     drifts, _ = propagate(rho.unsqueeze(1), velocity.unsqueeze(1), rate, times)
-    points = scenario.points_of(row)
-    normals_B = torch.nn.functional.normalize(
-        torch.tensor([list(p.n_B) for p in points], dtype=rho.dtype, device=rho.device), dim=1
-    )
-    known = torch.where(rewarder.inspected[row], INSPECTED, torch.where(rewarder.illuminated[row], LIT, UNLIT))
+    normals_B = torch.nn.functional.normalize(targets.r.to(rho.device), dim=1)
+    known = torch.where(progress.marks["done"], INSPECTED, torch.where(progress.marks["lit"], LIT, UNLIT))
     tanks = any(simulator.has_tank for simulator in env.fleet.simulators)
     fuel = of_satellites(env, row, "dv_available", "fsw") if tanks else torch.full_like(r_N[:, 0], torch.nan)
     return CloseUp(
@@ -108,7 +106,7 @@ def look_closely(env: Tasking, row: int, moment: Moment) -> CloseUp | None:
         sun_H=array(HN[rso]) @ moment.sun_N,
         illumination=float(of_satellites(env, row, "illumination")[rso]),
         fuel=array(fuel[inspectors]),
-        reach=max(p.range_max if p.range_max > 0.0 else math.inf for p in points),
+        reach=math.inf if targets.reach is None else targets.reach,
     )
 
 

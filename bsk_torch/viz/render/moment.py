@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from bsk_torch.astro.orbit import Elements, elements_to_rv, rv_to_elements
-from bsk_torch.sim.places import FixedPlaces
-from bsk_torch.tasks.objects import RSOTargets
-from bsk_torch.tasks.objects.aim import AIM
-from bsk_torch.tasks.objects.candidates import Candidates
+from bsk_torch.recording.recording import Array
+from bsk_torch.recording.scenes import NONE, QUANTITIES, aimed_at, causes_of, stations_of, targets_of
 from bsk_torch.vec3 import Vec3
-from bsk_torch.viz.recorders.episode import QUANTITIES
 
 if TYPE_CHECKING:
     from bsk_torch.env.base import Tasking
@@ -28,33 +23,14 @@ if TYPE_CHECKING:
 DEAD = "dead"
 """Mode of a satellite that has died."""
 
-IMAGING = "image"
-"""Mode in which a satellite looks at the target that it has chosen last."""
-
-IMAGING_OBJECT = "image_rso"
-"""Mode in which a satellite looks at an object of a catalog."""
-
-CAUSES = {
-    "battery_valid": "battery",
-    "rw_speeds_valid": "wheel speeds",
-    "data_storage_valid": "full buffer",
-    "altitude_valid": "altitude",
-    "fuel_remaining": "no fuel",
-    "conjunction_valid": "collision",
-    "range_valid": "out of range",
-}
-"""What a failed check of aliveness is called."""
-
-NONE = -1
-"""Target of a satellite that looks at none."""
+IMAGING = ("image", "image_rso")
+"""Modes in which a satellite looks at the target that it has chosen last."""
 
 LOW = "battery"
 """The resource of which little is bad; of the others it is much."""
 
 POINTS = 121
 """Points of a revolution."""
-
-Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,9 +88,7 @@ def look(env: Tasking, row: int) -> Moment:
     kind, number = fleet.place_of(fleet.names[int(shown[0])])
     modes, causes, world = _modes(env, row), causes_of(env, row), fleet.simulators[kind].world
     first = row * fleet.simulators[kind].count + number
-    in_orbit = isinstance(env.scenario, RSOTargets)
-    find = _objects if in_orbit else _targets
-    r_TP_P, imaged, worth, aims_P = find(env, row, modes)
+    in_orbit, r_TP_P, imaged, worth, aims_P = _targets(env, row, modes)
     r_N, v_N = (of_satellites(env, row, name) for name in ("r_BN_N", "v_BN_N"))
     links = torch.zeros(fleet.size, fleet.size, dtype=torch.bool)
     if env.links is not None and bool(fleet.ticks[row]):
@@ -173,76 +147,33 @@ def _modes(env: Tasking, row: int) -> list[str]:
     return [modes[column] for column in range(env.fleet.size)]
 
 
-def causes_of(env: Tasking, row: int) -> list[str]:
-    """The checks that a dead satellite fails, for each satellite of the fleet."""
-    causes = [""] * env.fleet.size
-    for satellite in env.satellites:
-        simulator, first = satellite.simulator, row * satellite.simulator.count
-        mine = slice(first, first + simulator.count)
-        failed = {name: (~passed[mine]).tolist() for name, passed in satellite.aliveness().items()}
-        for k, (column, dead) in enumerate(zip(simulator.columns, satellite.task.dead[mine].tolist(), strict=True)):
-            if dead:
-                causes[column] = ", ".join(CAUSES.get(name, name) for name, column_failed in failed.items() if column_failed[k])
-    return causes
-
-
 def command_of(simulator: Simulator, mode: str) -> str:
     """Return the name of the command that enters a mode: ``"desat"`` for ``"desat_nadir"``, and mostly the mode's own."""
     wider = (name for name, command in simulator.type.commands.items() if mode in command.modes and len(command.modes) > 1)
     return next(wider, mode)
 
 
-def stations_of(simulators: Iterable[Simulator]) -> Tensor:
-    """Earth-fixed positions [K, 3] of the ground stations, if anybody sees some."""
-    for simulator in simulators:
-        stations = None if simulator.access is None else simulator.access.kinds.get("ground_station")
-        if isinstance(stations, FixedPlaces):
-            return stations.r_LP_P[0]
-    return torch.empty(0, 3, dtype=torch.float64)
+def _targets(env: Tasking, row: int, modes: list[str]) -> tuple[bool, Tensor, Tensor, Tensor, Tensor]:
+    """Whether targets are in orbit, their places [T, 3], which are imaged [T], relative priorities [T], where satellites look."""
+    targets, aims = targets_of(env, row), torch.full((env.fleet.size, 3), torch.nan, dtype=torch.float64)
+    in_orbit, offered, r_P = targets.places == "orbit", getattr(env.scenario, "available", None), targets.r
+    if in_orbit:
+        first = env.fleet.simulators[0]
+        r_P = r_P @ first.world.PN[row * first.count].cpu().mT
+    elif targets.places != "ground" or offered is None:
+        return False, aims[:0], torch.zeros(0, dtype=torch.bool), aims[:0, 0], aims
+    imaged = env.rewarder.imaged[row].cpu() if hasattr(env.rewarder, "imaged") else torch.zeros(len(r_P), dtype=torch.bool)
+    shown = torch.ones_like(imaged) if offered is None else offered[row].cpu() | imaged
 
+    def aim(satellite: SatelliteGroup) -> Tensor:
+        target = aimed_at(satellite)
+        return torch.where(env.scenario.sees(satellite, target), target, NONE)
 
-def _targets(env: Tasking, row: int, modes: list[str]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Positions of the targets [T, 3], which have been imaged [T], relative priorities [T], and where satellites look [S, 3]."""
-    nowhere = torch.full((env.fleet.size, 3), torch.nan, dtype=torch.float64)
-    scenario: Any = env.scenario
-    if not hasattr(scenario, "most_targets"):
-        return (
-            torch.empty(0, 3, dtype=torch.float64),
-            torch.zeros(0, dtype=torch.bool),
-            torch.empty(0, dtype=torch.float64),
-            nowhere,
-        )
-    r_LP_P, available = scenario.r_LP_P[row].cpu(), scenario.available[row].cpu()
-    imaged = env.rewarder.imaged[row].cpu() if hasattr(env.rewarder, "imaged") else torch.zeros_like(available)
-    target = env.fleet.each(lambda part: getattr(part, "latest_target", none(part)))[row].cpu()
-    looks = torch.tensor([mode == IMAGING for mode in modes]) & (target >= 0)
-    aims = torch.where(looks.unsqueeze(-1), r_LP_P[target.clamp(min=0)], nowhere)
-    shown = available | imaged
-    priority = scenario.priority[row].cpu()
-    return r_LP_P[shown], imaged[shown], (priority / priority.max().clamp(min=1e-12))[shown].clamp(min=0.0), aims
-
-
-def _objects(env: Tasking, row: int, modes: list[str]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """What :func:`_targets` returns, of the objects of a catalog."""
-    scenario: Any = env.scenario
-    PN = env.fleet.simulators[0].world.PN[row * env.fleet.simulators[0].count].cpu()
-    r_TP_P, aims = scenario.r_TN_N[row].cpu() @ PN.mT, torch.full((env.fleet.size, 3), torch.nan, dtype=torch.float64)
-    for kind in scenario.imager_types:
-        satellite, count = env.fleet.satellites[kind], env.fleet.simulators[kind].count
-        target = satellite.memory[AIM].unsqueeze(1).clamp(min=0)
-        seen = scenario.in_sight(satellite, Candidates(target, satellite.memory[AIM].unsqueeze(1) >= 0))
-        for number, column in enumerate(env.fleet.columns[kind].tolist()):
-            k = row * count + number
-            if modes[column] == IMAGING_OBJECT and bool(seen[k]):
-                aims[column] = r_TP_P[int(target[k])]
-    imaged = env.rewarder.imaged[row].cpu() if hasattr(env.rewarder, "imaged") else torch.zeros(len(r_TP_P), dtype=torch.bool)
-    priority = scenario.priority[row].cpu()
-    return r_TP_P, imaged, (priority / priority.max().clamp(min=1e-12)).clamp(min=0.0), aims
-
-
-def none(part: SatelliteGroup) -> Tensor:
-    """Targets [N] of satellites that choose none."""
-    return torch.full_like(part.simulator.ticks, NONE)
+    target = env.fleet.each(aim)[row].cpu()
+    looks = torch.tensor([mode in IMAGING for mode in modes]) & (target >= 0)
+    aims[looks] = r_P[target[looks]]
+    worth = (targets.priority / targets.priority.max().clamp(min=1e-12)).clamp(min=0.0)
+    return in_orbit, r_P[shown], imaged[shown], worth[shown], aims
 
 
 def _largest(name: str, part: SatelliteGroup) -> Tensor:

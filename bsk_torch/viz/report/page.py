@@ -15,18 +15,11 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from bsk_torch._text import visible
 from bsk_torch.files import write_file
-from bsk_torch.tasks.inspection.figure import InspectionEpisode, inspection_figure
-from bsk_torch.tasks.objects.figure import RSOImagingEpisode, services_figure
-from bsk_torch.viz.figures.constellation import ConstellationEpisode, constellation_figure
-from bsk_torch.viz.figures.ground_track import ground_track
-from bsk_torch.viz.figures.timeline import timeline
-from bsk_torch.viz.figures.track_map import track_map
-from bsk_torch.viz.recorders.imaging import ImagingEpisode
-from bsk_torch.viz.recorders.track import TrackEpisode
+from bsk_torch.viz.episodes import Episode, episode_of
 from bsk_torch.viz.report.curves import MARKED, MEASURES, Columns, Measure, curve, shown
 from bsk_torch.viz.report.deaths import deaths_chart, plain_cause
 
-__all__ = ["Chosen", "RunData", "write_report"]
+__all__ = ["Chosen", "RunData", "episode_of", "write_report"]
 
 TEMPLATE = "report.html.jinja"
 
@@ -42,7 +35,7 @@ class Chosen(NamedTuple):
 
     why: str
     number: int
-    episode: TrackEpisode | ConstellationEpisode | InspectionEpisode | RSOImagingEpisode
+    episode: Episode
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,47 +163,10 @@ def _listed(counts: Mapping[str, int]) -> str:
 
 def _pictures(chosen: Chosen) -> list[Shown]:
     """The pictures of an episode."""
-    episode, words = chosen.episode, f"of the {chosen.why} episode: {chosen.episode.outcome}"
-    if isinstance(episode, ConstellationEpisode):
-        return [
-            picture(
-                partial(constellation_figure, episode, title="constellation"),
-                "Ground tracks and images of all satellites, contacts at the moment of most contacts, and tasks over time.",
-                f"World map with ground tracks {words}.",
-            )
-        ]
-    if isinstance(episode, InspectionEpisode):
-        return [
-            picture(
-                partial(inspection_figure, episode),
-                "Paths about the RSO with maneuvers, its points and when they were inspected, and points and fuel over time.",
-                f"Paths about an RSO and a map of its points {words}.",
-            )
-        ]
-    if isinstance(episode, RSOImagingEpisode):
-        return [
-            picture(
-                partial(services_figure, episode),
-                "Images of objects in orbit and their downlinks, eclipses of the objects, images on board and return over time.",
-                f"Images of objects in orbit over time {words}.",
-            )
-        ]
-    if isinstance(episode, ImagingEpisode):
-        text = (
-            "Where the satellite flew, what it imaged, ten minutes of that large, and decisions, reward and resources over time."
-        )
-        return [picture(partial(ground_track, episode), text, f"World map with ground track and targets {words}.")]
+    words = f"of the {chosen.why} episode: {chosen.episode.outcome}"
     return [
-        picture(
-            partial(track_map, episode),
-            "Where the satellite flew: colored by mode, thick where a reward was earned, shaded in eclipse.",
-            f"World map with the ground track {words}.",
-        ),
-        picture(
-            partial(timeline, episode),
-            "What the satellite did and what became of its resources, with eclipses in gray and station passes in green.",
-            f"Modes and resources over time {words}.",
-        ),
+        picture(partial(shown.draw, title=shown.title), shown.caption, f"{shown.alternative} {words}.")
+        for shown in chosen.episode.pictures()
     ]
 
 

@@ -12,13 +12,13 @@ from tensordict.nn import TensorDictModule, TensorDictSequential
 
 import bsk_torch
 from bsk_torch.astro.relative import cd2hill
+from bsk_torch.env.rollout import play_episodes
+from bsk_torch.recording.table import Tasks
 from bsk_torch.tasks.inspection import figure as pictures
 from bsk_torch.viz.episodes import draw, record
 from bsk_torch.viz.figures.constellation import ConstellationEpisode
 from bsk_torch.viz.figures.style import PALETTE
-from bsk_torch.viz.recorders.inspection import InspectionRecorder, inspects, record_inspection
 from tests.support.figures import check_column
-from tests.support.refusals import check_refusals, refusal
 from tests.tasks.inspection.inspecting import RSO, Inspector, chief_args, inspection, inspector_args
 
 PNG = b"\x89PNG"
@@ -35,13 +35,16 @@ def episode():
     times = torch.arange(0.0, 7201.0, 60.0, dtype=torch.float64)
     angle = 2.0 * torch.pi * times / 7200.0
     circle = torch.stack([torch.cos(angle), torch.sin(angle), 0.5 * torch.sin(angle)], 1)
-    n = torch.arange(10)
+    n, none = torch.arange(10), torch.empty(0, dtype=torch.int64)
     return pictures.InspectionEpisode(
         names=["A", "B"],
-        times=times,
+        times=torch.tensor([0.0, 1800.0, 3600.0, 7200.0], dtype=torch.float64),
+        rewards=torch.zeros(2, 3),
+        tasks=Tasks(none, torch.empty(0, 2), none, []),
+        series={},
+        path_times=times,
         rho_H=torch.stack([100.0 * circle, 300.0 * circle]),
         illumination=((times < 1800.0) | (times > 3600.0)).double(),
-        decisions=torch.tensor([0.0, 1800.0, 3600.0, 7200.0], dtype=torch.float64),
         fuel=torch.tensor([[10.0, 9.0, 9.0, 8.5], [10.0, 10.0, 9.0, 9.0]], dtype=torch.float64),
         points=points(10),
         lit_at=torch.where(n < 8, 1800.0 * (1 + n % 2), torch.inf).double(),
@@ -108,7 +111,7 @@ def test_paths_end_with_death(episode, drawn):
     paths = [line for line in drawn(episode).axes[0].lines if line.get_marker() in ("None", None, "")]
     assert [len(line.get_xdata()) for line in paths] == [121, 61]
     assert [line.get_color() for line in paths] == list(PALETTE[:2])
-    far = dataclasses.replace(episode, rho_H=torch.where(episode.times.unsqueeze(1) > 3600.0, 9e9, episode.rho_H))
+    far = dataclasses.replace(episode, rho_H=torch.where(episode.path_times.unsqueeze(1) > 3600.0, 9e9, episode.rho_H))
     assert far.extent(near=False) == 9e9  # of the survivor
     assert dataclasses.replace(far, deaths=torch.full((2,), 3600.0)).extent(near=False) == pytest.approx(300.0)
 
@@ -120,18 +123,6 @@ def test_an_episode_without_events_is_drawn(episode, drawn):
     figure = drawn(quiet, title="")
     assert quiet.outcome == "0 of 0 lit points inspected, 0.00 m/s"
     assert not {"died", "maneuver", "reach of the instrument", "complete", "eclipse"} & set(legend(figure))
-
-
-def test_rejects_tensors_that_do_not_fit(episode):
-    changed = lambda **tensors: dataclasses.replace(episode, **tensors)
-    short = dict(decisions=torch.zeros(1), fuel=torch.zeros(2, 1))
-    table = [
-        refusal(lambda: changed(rho_H=torch.zeros(2, 5, 3)), ValueError, "rho_H", [2, 5, 3], [2, 121, 3]),
-        refusal(lambda: changed(fuel=torch.zeros(2, 5)), ValueError, "fuel", [2, 5], [2, 4]),
-        refusal(lambda: changed(lit_at=torch.zeros(9)), ValueError, "lit_at", [9], [10]),
-        refusal(lambda: changed(**short), ValueError, "decisions", "1 entries", 2),
-    ]
-    check_refusals(table)
 
 
 # -- recording -------------------------------------------------------------------------------------------------------------------
@@ -162,30 +153,24 @@ def crew(env):
 def test_an_episode_is_recorded_as_it_was():
     env = inspection(num_envs=2)
     observers = list(env.fleet.flight_observers)
-    recorder = InspectionRecorder(env)
+    episode = record(crew(env), env, seed=3)
+    env.set_seed(3)
     seen = []
-    look = recorder.look
-
-    def look_too():
-        look()
+    for _ in play_episodes(env, crew(env), env.reset(), torch.arange(2) == 0):
         chief, inspector = env.satellites
         r, v = (getattr(chief.dynamics, name)[:1] for name in ("r_BN_N", "v_BN_N"))
         rho, _ = cd2hill(r, v, inspector.dynamics.r_BN_N[:2], inspector.dynamics.v_BN_N[:2])
         seen.append((float(env.fleet.sim_time[0]), rho, env.rewarder.inspected[0].sum(), env.rewarder.illuminated[0].sum()))
-
-    recorder.look = look_too
-    recorder.play(crew(env), seed=3)
-    episode = recorder.episode()
     assert env.fleet.flight_observers == observers
     assert episode.names == ["Above", "Behind"]
-    torch.testing.assert_close(episode.times, torch.arange(0.0, 300.1, 5.0, dtype=torch.float64))
+    torch.testing.assert_close(episode.path_times, torch.arange(0.0, 300.1, 5.0, dtype=torch.float64))
     for time, rho, inspected, lit in seen:
-        sample = int((episode.times == time).nonzero())
+        sample = int((episode.path_times - time).abs().argmin())
         # the normal of two positions five seconds apart is that of position and velocity, up to perturbations
         torch.testing.assert_close(episode.rho_H[:, sample], rho, rtol=0.0, atol=1e-3)
         assert int((episode.inspected_at <= time).sum()) == int(inspected)
         assert int((episode.lit_at <= time).sum()) == int(lit)
-    assert float(episode.decisions[-1]) == 300.0
+    assert float(episode.times[-1]) == 300.0
     assert 0 < int(torch.isfinite(episode.inspected_at).sum()) < 40
     assert episode.reach == 300.0
     assert episode.deaths.isinf().all()
@@ -193,8 +178,8 @@ def test_an_episode_is_recorded_as_it_was():
 
 
 def test_recording_changes_nothing():
-    episodes = [record_inspection(crew(env), env, seed=5) for env in (inspection(num_envs=1), inspection(num_envs=3))]
-    for name in ("rho_H", "illumination", "lit_at", "inspected_at", "fuel", "decisions"):
+    episodes = [record(crew(env), env, seed=5) for env in (inspection(num_envs=1), inspection(num_envs=3))]
+    for name in ("rho_H", "illumination", "lit_at", "inspected_at", "fuel", "times"):
         assert torch.equal(*(getattr(episode, name) for episode in episodes)), name
 
 
@@ -203,8 +188,8 @@ def test_rules_of_the_preset_are_recorded_and_drawn(tmp_path):
     env = bsk_torch.make("RSOInspection-v1", num_envs=1, time_limit=1300.0)
     episode = record(bsk_torch.rule("circumnavigate", env), env, seed=1)
     assert type(episode) is pictures.InspectionEpisode
-    assert episode.decisions.tolist()[:2] == [0.0, 600.0]
-    assert float(episode.decisions[-1]) == float(episode.times[-1]) == float(env.fleet.sim_time[0])
+    assert episode.times.tolist()[:2] == [0.0, 600.0]
+    assert float(episode.times[-1]) == float(episode.path_times[-1]) == float(env.fleet.sim_time[0])
     assert float(episode.spent[0, 0]) > 0.0
     assert (episode.reach, len(episode.points)) == (250.0, 100)
     assert draw(episode, tmp_path / "episode.png", "an episode").read_bytes()[:4] == PNG
@@ -212,13 +197,10 @@ def test_rules_of_the_preset_are_recorded_and_drawn(tmp_path):
 
 def test_other_rewards_are_drawn_as_a_constellation():
     env = inspection([RSO("RSO", chief_args()), Fixed("A", FIXED)], rewarder=bsk_torch.data.NoReward())
-    assert not inspects(env)
     assert isinstance(record(crew(env), env, seed=1), ConstellationEpisode)
-    with pytest.raises(ValueError, match="an inspection needs RSOPoints and an RSOInspectionReward"):
-        InspectionRecorder(env)
 
 
 def test_inspectors_without_a_tank_spend_nothing():
     env = inspection([RSO("RSO", chief_args()), Fixed("A", FIXED)], rewarder=bsk_torch.tasks.inspection.RSOInspectionReward())
-    episode = record_inspection(crew(env), env, seed=1)
+    episode = record(crew(env), env, seed=1)
     assert not episode.fuel.any()

@@ -12,17 +12,19 @@ from tensordict.nn import TensorDictModule
 
 from bsk_torch import SatelliteTasking, data
 from bsk_torch.act import image_target
+from bsk_torch.env.rollout import play_episodes
+from bsk_torch.recording.table import Tasks
 from bsk_torch.tasks.objects import RSOImageReward, RSOTargets
 from bsk_torch.tasks.objects import figure as pictures
+from bsk_torch.tasks.objects.candidates import Candidates
+from bsk_torch.tasks.objects.figure import sky_of
 from bsk_torch.viz.episodes import draw, record
 from bsk_torch.viz.figures.constellation import ConstellationEpisode
-from bsk_torch.viz.recorders.rso_imaging import RSOImagingRecorder, images_objects, record_rso_imaging, sky_of
+from bsk_torch.viz.figures.timeline import TrackEpisode
 from bsk_torch.viz.render.frames import frames
 from bsk_torch.viz.render.marks import DONE, color_of
 from bsk_torch.viz.render.moment import look
-from bsk_torch.viz.table import Tasks
 from tests.support.figures import check_column
-from tests.support.refusals import check_refusals, refusal
 from tests.tasks.objects.objects import KEPT, Imager, catalog, environment, play
 
 pytestmark = pytest.mark.compiled
@@ -62,14 +64,12 @@ def episode():
     return pictures.RSOImagingEpisode(
         names=["A", "B"],
         ids=["one", "two", "three"],
-        decisions=tensor(0.0, 900.0, 1800.0, 3600.0),
+        times=tensor(0.0, 900.0, 1800.0, 3600.0),
         light=torch.stack([tensor(1.0, 1.0, 0.0, 1.0), tensor(1.0, 1.0, 1.0, 1.0), tensor(0.0, 0.0, 0.0, 0.0)]),
-        priority=torch.ones(3, 4, dtype=torch.float64),
         taken=tensor(60.0, 300.0, 2000.0),
         delivered=tensor(900.0, math.inf, 3600.0),
         imager=torch.tensor([0, 1, 0]),
         target=torch.tensor([1, 0, 1]),
-        quality=torch.ones(3, dtype=torch.float64),
         rewards=torch.stack([tensor(1.0, 0.0, 2.0), tensor(0.0, 0.0, math.nan)]),
         deaths=tensor(math.inf, 1800.0),
         tasks=Tasks(none, torch.empty(0, 2), none, []),
@@ -149,7 +149,7 @@ def test_services_are_drawn(episode, drawn):
 
 def test_an_episode_without_images_is_drawn(episode, drawn):
     nothing = torch.empty(0, dtype=torch.float64)
-    change = dict.fromkeys(("taken", "delivered", "quality"), nothing) | dict.fromkeys(("imager", "target"), nothing.long())
+    change = dict.fromkeys(("taken", "delivered"), nothing) | dict.fromkeys(("imager", "target"), nothing.long())
     figure = drawn(pictures.services_figure, dataclasses.replace(episode, **change), "")
     assert legend(figure) == {"A", "B"}
 
@@ -159,17 +159,6 @@ def test_the_table_counts_images_and_deliveries(episode):
     assert table["images"].tolist() == [0, 0, 1, 1, 1, 1, 2, 1]
     assert table["delivered"].tolist() == [0, 0, 1, 0, 1, 0, 2, 0]
     assert table["alive"].tolist() == [True, True, True, True, True, False, True, False]
-
-
-def test_rejects_tensors_that_do_not_fit(episode, sky):
-    changed = lambda part=episode, **tensors: dataclasses.replace(part, **tensors)
-    table = [
-        refusal(lambda: changed(light=torch.zeros(2, 4)), ValueError, "light", [2, 4], [3, 4]),
-        refusal(lambda: changed(target=torch.zeros(2)), ValueError, "target", [2], [3]),
-        refusal(lambda: changed(rewards=torch.zeros(2, 4)), ValueError, "rewards", [2, 4], [2, 3]),
-        refusal(lambda: changed(sky, azimuth=torch.zeros(5)), ValueError, "azimuth", [5], [6]),
-    ]
-    check_refusals(table)
 
 
 # -- recording -------------------------------------------------------------------------------------------------------------------
@@ -189,18 +178,12 @@ def in_turns(env):
 
 def test_an_episode_is_recorded_as_it_was(tmp_path):
     env = environment(imagers=2)
-    assert images_objects(env)
-    recorder, seen = RSOImagingRecorder(env), []
-    look = recorder.look
-
-    def look_too():
-        look()
+    episode = record(in_turns(env), env, seed=3)
+    env.set_seed(3)
+    policy, seen = in_turns(env), []
+    for _ in play_episodes(env, policy, env.reset(), torch.arange(env.batch_size[0]) == 0):
         counts = env.rewarder.counts()
         seen.append([float(env.fleet.sim_time[0]), *(int(counts[name][0].sum()) for name in ("captured", "delivered"))])
-
-    recorder.look = look_too
-    recorder.play(in_turns(env), seed=3)
-    episode = recorder.episode()
     assert (episode.names, list(episode.ids)) == (["Imager0", "Imager1"], [f"object {k}" for k in range(4)])
     for time, captured, delivered in seen:
         assert int((episode.taken <= time).sum()) == captured
@@ -208,7 +191,8 @@ def test_an_episode_is_recorded_as_it_was(tmp_path):
     assert 2 <= seen[-1][2] < seen[-1][1] or seen[-1][1] == seen[-1][2] >= 2
     assert (episode.delivered > episode.taken).all()
     assert float(episode.rewards.nan_to_num().sum()) == pytest.approx(float(env.returns[0]))
-    assert episode.priority[:, 0].tolist() == [1.0, 2.0, 3.0, 4.0]
+    light = env.scenario.views(env.satellites[0], Candidates(*(torch.arange(4).expand(4, -1), torch.ones(4, 4).bool())))
+    assert episode.light[:, -1].tolist() == pytest.approx(light.target_illumination_factor[0].tolist(), abs=1e-3)
     assert "storage_level_fraction" in episode.to_numpy()
     assert draw(episode, tmp_path / "episode.png", "an episode").read_bytes()[:4] == PNG
 
@@ -218,7 +202,7 @@ def test_recording_changes_nothing():
     for n in (1, 3):
         env = environment(num_envs=n)
         episodes.append(record(in_turns(env), env, seed=5))
-    for name in ("taken", "delivered", "target", "decisions", "light"):
+    for name in ("taken", "delivered", "target", "times", "light"):
         assert torch.equal(*(getattr(episode, name) for episode in episodes)), name
 
 
@@ -254,23 +238,15 @@ def test_what_has_no_sky_is_named():
     with pytest.raises(ValueError, match="env_row=2"):
         sky_of(env, env_row=2)
     other = environment(rewarder=data.NoReward())
-    assert not images_objects(other)
     with pytest.raises(ValueError, match="imaging in orbit needs RSOTargets and an RSOImageReward"):
         sky_of(other)
     assert isinstance(record(in_turns(other), other, seed=1), ConstellationEpisode)
-    with pytest.raises(ValueError, match="imaging in orbit needs"):
-        record_rso_imaging(in_turns(other), other, seed=1)
 
 
-@pytest.mark.parametrize("kind", ["joint", "single"])
-def test_environments_without_separate_agents_are_named(kind):
-    if kind == "joint":
-        env = environment(imagers=2, joint=True)
-    else:
-        scenario = RSOTargets(catalog(), ["Imager0"])
-        env = SatelliteTasking(Imager("Imager0", KEPT), scenario, RSOImageReward(), num_envs=1, seed=0)
-    with pytest.raises(ValueError, match="recorded agent by agent"):
-        record_rso_imaging(in_turns(env), env, seed=1)
+def test_one_imager_has_a_sky_and_a_timeline():
+    scenario = RSOTargets(catalog(), ["Imager0"])
+    env = SatelliteTasking(Imager("Imager0", KEPT), scenario, RSOImageReward(), num_envs=1, seed=0, time_limit=600.0)
+    assert isinstance(record(lambda observation, mask: mask.byte().argmax(-1), env, seed=1), TrackEpisode)
     env.reset()
     assert sky_of(env).imager == "Imager0"
 

@@ -1,4 +1,4 @@
-"""Recordings of episodes for the viewer: their contents, and their files (.bskview).
+"""Recordings of episodes: their contents, and their files (.bskview), which figures, reports and the viewer read.
 
 A file is a gzip stream of the bytes ``BSKVIEW`` and a line feed, the version and the length of the header (two little-endian
 32-bit numbers), the header (JSON in UTF-8), and the arrays, each at a multiple of 8 bytes. The header lists the arrays with
@@ -23,9 +23,10 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 from annotated_types import MaxLen
 
+from bsk_torch._rooms import resolve
 from bsk_torch.files import write_file
+from bsk_torch.scene.recorded import Places
 from bsk_torch.untrusted import MOST_JSON, Count, NotRead, Word, gunzip, parse_json
-from bsk_torch.viewer.page import build_page
 
 __all__ = [
     "EVENTS",
@@ -68,8 +69,8 @@ Array = np.ndarray[Any, Any]
 
 Arrays = Annotated[dict[str, Array], NotRead]
 
-Places = Literal["ground", "orbit", "points", "none"]
-"""What the targets of a scene are: places on the Earth, objects in orbit, points of a spacecraft, or nothing."""
+BITS = 12
+"""Binary digits of rounded arrays in files, 0.02 % of the number."""
 
 
 class Form(NamedTuple):
@@ -79,15 +80,17 @@ class Form(NamedTuple):
         dtypes: Allowed types, the first of which a recorder uses; ``i2`` stands for numbers with the step :data:`SIGMA_SCALE`.
         dims: Names of the dimensions, which have one size for each name in a scene or track; digits are sizes.
         required: Whether every recording has it.
+        rounded: Whether numbers are rounded to :data:`BITS` binary digits, which compress well, when they are stored.
     """
 
     dtypes: tuple[str, ...]
     dims: tuple[str, ...]
     required: bool = True
+    rounded: bool = False
 
 
-def _form(dtypes: str, dims: str, required: bool = True) -> Form:
-    return Form(tuple(dtypes.split("|")), tuple(dims.split()), required)
+def _form(dtypes: str, dims: str, required: bool = True, rounded: bool = False) -> Form:
+    return Form(tuple(dtypes.split("|")), tuple(dims.split()), required, rounded)
 
 
 SCENE_ARRAYS: dict[str, Form] = {
@@ -95,9 +98,10 @@ SCENE_ARRAYS: dict[str, Form] = {
     "targets_P": _form("f4", "T 3"),
     "priority": _form("f4", "T"),
     "cloud": _form("f4", "T", required=False),
+    "highest_priority": _form("f4", "T", required=False),
 }
 """Arrays of a scene with T targets: positions in P, or in the frame of the inspected spacecraft (NaN for objects in orbit, whose
-positions are in tracks); priorities; fractions of clouds."""
+positions are in tracks); priorities at the start; fractions of clouds; highest priorities at any decision, where they change."""
 
 TRACK_ARRAYS: dict[str, Form] = {
     "key_times": _form("f8", "K"),
@@ -106,7 +110,7 @@ TRACK_ARRAYS: dict[str, Form] = {
     "sun_N": _form("f4", "K 3"),
     "sigma": _form("i2", "M S 3"),
     "series_times": _form("f8", "J"),
-    "series": _form("f4", "J S n"),
+    "series": _form("f4", "J S n", rounded=True),
     "decision_time": _form("f8", "D"),
     "decision_end": _form("f8", "D"),
     "decision_satellite": _form("i4", "D"),
@@ -114,10 +118,10 @@ TRACK_ARRAYS: dict[str, Form] = {
     "decision_target": _form("i4", "D"),
     "decision_reward": _form("f4", "D"),
     "decision_mask": _form("u1", "D A"),
-    "decision_probability": _form("f4", "D A"),
-    "decision_action_value": _form("f4", "D A"),
+    "decision_probability": _form("f4", "D A", rounded=True),
+    "decision_action_value": _form("f4", "D A", rounded=True),
     "decision_control": _form("f4", "D C", required=False),
-    "observation": _form("f4", "D O"),
+    "observation": _form("f4", "D O", rounded=True),
     "event_time": _form("f8", "E"),
     "event_satellite": _form("i4", "E"),
     "event_target": _form("i4", "E"),
@@ -133,16 +137,25 @@ TRACK_ARRAYS: dict[str, Form] = {
     "object_times": _form("f8", "G", required=False),
     "object_r_N": _form("f4", "G T 3", required=False),
     "object_v_N": _form("f4", "G T 3", required=False),
+    "step_time": _form("f8", "B", required=False),
+    "step_reward": _form("f4", "B S", required=False),
+    "step_r_P": _form("f4", "B S 3", required=False),
+    "step_values": _form("f4", "B S q", required=False, rounded=True),
+    "decision_task": _form("i4", "D", required=False),
+    "decision_priority": _form("f4", "D", required=False),
+    "mark_time": _form("f8", "T m", required=False),
 }
 """Arrays of a track: K keyframes, between which cubic Hermite polynomials give the S satellites (NaN for absent ones);
 attitudes at M equal steps; n series at J times; D decisions in the order of their times with A actions, C controls and O observed
 numbers; E events of targets (kinds: see :data:`EVENTS`); L links; P passes over stations; Q eclipses; G keyframes of T
-objects in orbit."""
+objects in orbit; B boundaries of steps with q quantities of each satellite, and the rewards of the steps that begin there (NaN at
+the end, and for satellites but the first of an agent); when each of m marks was first set on a target, infinite for never.
+Recordings without optional arrays come from older versions, or have nothing to record."""
 
 EVENTS = ("rewarded", "unrewarded", "delivered")
 """Kinds of events: a target is imaged or a point inspected, with or without a reward; its data reach the ground."""
 
-ASCENDING = ("key_times", "series_times", "decision_time")
+ASCENDING = ("key_times", "series_times", "decision_time", "step_time")
 """Arrays of a track that never decrease."""
 
 
@@ -166,6 +179,8 @@ class Craft:
         observation: Name of every number of the observation.
         instrument: Where it looks, if anywhere.
         panel_normal_B: Normal of the solar panel in the body frame, if it has one.
+        tasks: Names of the entries of its ``action_spec``, to which its actions belong.
+        least_elevation: Least elevation, rad, of the satellite above the horizon of a target that it images, if any.
     """
 
     name: str
@@ -175,6 +190,8 @@ class Craft:
     observation: list[str] = field(default_factory=list)
     instrument: Instrument | None = None
     panel_normal_B: list[float] | None = None
+    tasks: list[str] = field(default_factory=list)
+    least_elevation: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,6 +205,10 @@ class Scene:
         rate: Rotation rate of the Earth about the third axis of P, rad/s.
         station_names: Names of the ground stations.
         points_of: Index of the satellite that bears the points, for recordings of points.
+        planes: Index of the orbital plane of each satellite; empty where orbits were not given as elements.
+        target_names: Names of the targets; empty where numbers suffice.
+        viewers: Indices of the satellites that image or inspect the targets; empty for all.
+        reach: Largest distance from which they do, m, if there is one.
         arrays: :data:`SCENE_ARRAYS`.
     """
 
@@ -197,6 +218,10 @@ class Scene:
     rate: float
     station_names: list[str] = field(default_factory=list)
     points_of: int | None = None
+    planes: list[int] = field(default_factory=list)
+    target_names: list[str] = field(default_factory=list)
+    viewers: list[int] = field(default_factory=list)
+    reach: float | None = None
     arrays: Arrays = field(default_factory=dict)
 
 
@@ -245,6 +270,9 @@ class Track:
         counts: What is counted, by name, of all satellites together.
         attitude_start: Time of the first attitude, s.
         attitude_step: Time from one attitude to the next, s.
+        quantities: Names of the columns of the array ``step_values``; numbers of a vector end with ``_0``, ``_1`` and so on.
+        marks: Names of the columns of the array ``mark_time``.
+        completed: Time at which the task was completed, s; None where it was not, or has no end.
         arrays: :data:`TRACK_ARRAYS`.
     """
 
@@ -260,6 +288,9 @@ class Track:
     counts: dict[str, int]
     attitude_start: float
     attitude_step: float
+    quantities: list[str] = field(default_factory=list)
+    marks: list[str] = field(default_factory=list)
+    completed: float | None = None
     arrays: Arrays = field(default_factory=dict)
 
 
@@ -277,6 +308,7 @@ class Recording:
         satellites: The satellites of all tracks.
         scenes: The surroundings, one for each episode.
         tracks: The flights.
+        kind: What its figure shows, one of :data:`bsk_torch.viz.episodes.KINDS`; empty in files of older versions.
     """
 
     title: str
@@ -288,6 +320,7 @@ class Recording:
     satellites: list[Craft]
     scenes: list[Scene]
     tracks: list[Track]
+    kind: str = ""
 
     def encode(self) -> bytes:
         """Return the content of a file; ValueError for a recording that contradicts itself, or is too large."""
@@ -303,7 +336,8 @@ class Recording:
 
     def html(self) -> str:
         """Return a page that plays the recording: one file of HTML, without a server or a network."""
-        return build_page(self.encode(), title=self.title)
+        page: str = resolve("bsk_torch.viewer.page:build_page")(self.encode(), title=self.title)
+        return page
 
     def _repr_html_(self) -> str:
         """Return the page as a frame, which notebooks show."""
@@ -356,6 +390,7 @@ class Header:
     scenes: list[Scene]
     tracks: list[Track]
     arrays: dict[str, ArrayEntry]
+    kind: Word = ""
 
 
 def decode(content: bytes) -> Recording:
@@ -439,11 +474,22 @@ def _packed(arrays: Iterator[tuple[str, Form, Array]]) -> tuple[dict[str, Any], 
             listed[name]["scale"] = SIGMA_SCALE
             whole = np.rint(np.clip(np.asarray(value, "f8"), -1.0, 1.0) / SIGMA_SCALE)
             value = np.where(np.isnan(whole), NOT_A_NUMBER, whole)
+        if form.rounded:
+            value = _rounded(value)
         raw = np.ascontiguousarray(value, f"<{dtype}" if dtype != "u1" else "u1").tobytes()
         raw += bytes(-len(raw) % 8)
         parts.append(raw)
         offset += len(raw)
     return listed, b"".join(parts)
+
+
+def _rounded(values: Array) -> Array:
+    """Numbers rounded to :data:`BITS` binary digits, as float32."""
+    dropped = 24 - BITS
+    whole = np.ascontiguousarray(values, "f4").view("u4")
+    rounded = ((whole.astype("u8") + (1 << (dropped - 1))) >> dropped << dropped).astype("u4").view("f4")
+    found: Array = np.where(np.isfinite(rounded), rounded, values).astype("f4")
+    return found
 
 
 def stored_as(form: Form, value: Array) -> str:
@@ -486,8 +532,10 @@ def check(recording: Recording) -> None:
         if track.parent is not None and not 0 <= track.parent < k:
             raise ValueError(f"track {k}: parent={track.parent} must be one of the tracks before it")
         targets = sizes[track.scene]["T"]
-        _check_forms(f"track {k}", TRACK_ARRAYS, track.arrays, known | {"n": len(track.series), "T": targets})
-        _check_values(f"track {k}", track.arrays, len(crafts), known["A"], targets)
+        listed = {"n": len(track.series), "q": len(track.quantities), "m": len(track.marks)}
+        _check_forms(f"track {k}", TRACK_ARRAYS, track.arrays, known | listed | {"T": targets})
+        tasks = max((len(craft.tasks) for craft in crafts), default=0)
+        _check_values(f"track {k}", track.arrays, len(crafts), known["A"], targets, tasks)
 
 
 def _check_forms(title: str, forms: Mapping[str, Form], arrays: Mapping[str, Array], known: Mapping[str, int]) -> dict[str, int]:
@@ -507,12 +555,18 @@ def _check_forms(title: str, forms: Mapping[str, Form], arrays: Mapping[str, Arr
     return sizes
 
 
-def _check_values(title: str, arrays: Mapping[str, Array], satellites: int, actions: int, targets: int) -> None:
+def _check_values(title: str, arrays: Mapping[str, Array], satellites: int, actions: int, targets: int, tasks: int) -> None:
     """Raise ValueError for times that decrease or are no numbers, and for indices out of range."""
     for name in ASCENDING:
-        if not (np.isfinite(arrays[name]).all() and (np.diff(arrays[name]) >= 0.0).all()):
+        if name in arrays and not (np.isfinite(arrays[name]).all() and (np.diff(arrays[name]) >= 0.0).all()):
             raise ValueError(f"{title}: {name} must be numbers that never decrease")
-    ends = {"satellite": (0, satellites), "action": (-1, actions), "target": (-1, targets), "kind": (0, len(EVENTS))}
+    ends = {
+        "satellite": (0, satellites),
+        "action": (-1, actions),
+        "target": (-1, targets),
+        "kind": (0, len(EVENTS)),
+        "task": (0, tasks),
+    }
     for name, value in arrays.items():
         low, high = ends.get(name.rpartition("_")[2], (0, satellites)) if name not in ("link_a", "link_b") else (0, satellites)
         if TRACK_ARRAYS[name].dtypes == ("i4",) and value.size and not (low <= value.min() and value.max() < high):

@@ -1,4 +1,4 @@
-"""Recorder of flights for the viewer: satellites at every tick, decisions, resources, events.
+"""Recorder of flights: satellites at every tick, decisions, resources, events.
 
 A recorder reads the environment between steps and records fields at ticks with :meth:`bsk_torch.env.base.Tasking.record`, which
 changes nothing about the episode.
@@ -14,30 +14,34 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from bsk_torch import __version__
 from bsk_torch.act import Image
-from bsk_torch.env import NO_ACTION, ConstellationTasking, Tasking
+from bsk_torch.act.base import Action
+from bsk_torch.env import ConstellationTasking, Tasking
 from bsk_torch.env.action_forms import acts, form, read
 from bsk_torch.env.rollout import ACTION_VALUE, Policy, decide, play_episodes
 from bsk_torch.env.satellite_group import SatelliteGroup
+from bsk_torch.recording.recording import Array, Branch, Death, Recording, Scene, Series, Track
+from bsk_torch.recording.scenes import (
+    NONE,
+    QUANTITIES,
+    RELATIVE,
+    aimed_at,
+    causes_of,
+    crafts_of,
+    is_relative,
+    quantities,
+    scene_of,
+    station_elevation,
+    targets_of,
+)
 from bsk_torch.rl.evaluation.evaluate import LOT, with_lots
 from bsk_torch.rl.policies.shared_policy import GroupPolicies, SharedPolicy, as_policy
-from bsk_torch.tasks.aeos_bench import AEOSBench, PointAtTask
-from bsk_torch.tasks.aeos_bench.act import ASSIGNED
-from bsk_torch.tasks.inspection import RSOPoints
-from bsk_torch.tasks.objects import ImageRSO, RSOTargets
-from bsk_torch.tasks.objects.aim import AIM
-from bsk_torch.viewer.recording import Array, Branch, Death, Recording, Scene, Series, Track
-from bsk_torch.viewer.scenes import RELATIVE, crafts_of, inspected_of, is_relative, places_of, scene_of, station_elevation
-from bsk_torch.viz.recorders.constellation import quantities
-from bsk_torch.viz.recorders.episode import QUANTITIES, first_row
-from bsk_torch.viz.recorders.rso_imaging import images_on_board
-from bsk_torch.viz.recorders.rso_imaging import rewarder_of as imaging_of
-from bsk_torch.viz.render.moment import causes_of
+from bsk_torch.scene.recorded import RecordedProgress
 from bsk_torch.wrappers.policies import Actor
 
 __all__ = ["Flight", "Flown", "record"]
@@ -50,12 +54,6 @@ OBJECT_KEYFRAME = 240.0
 
 SAMPLE = 10.0
 """Seconds between the values of series."""
-
-BITS = 12
-"""Binary digits of series, probabilities and observations, 0.02 % of the number."""
-
-NONE = -1
-"""Action or target of a decision without one."""
 
 FIELDS = {"battery_charge_fraction": "charge", "storage_level_fraction": "storage", "wheel_speeds_fraction": "Omega_WB_B"}
 """Fields of the state that are proportional to the :data:`QUANTITIES` of figures."""
@@ -76,8 +74,10 @@ class Choice:
     slot: int
     time: float
     satellite: int
+    task: int
     action: int
     target: int
+    priority: float
     reward: float
     mask: list[bool]
     probability: list[float]
@@ -110,7 +110,10 @@ class _Noted:
     times: list[float] = field(default_factory=list)
     sun_N: list[Tensor] = field(default_factory=list)
     returns: list[float] = field(default_factory=list)
+    rewards: list[Tensor] = field(default_factory=list)
+    r_P: list[Tensor] = field(default_factory=list)
     quantities: list[dict[str, Tensor]] = field(default_factory=list)
+    marks: dict[str, Tensor] = field(default_factory=dict)
     links: list[Tensor] = field(default_factory=list)
     events: list[tuple[float, int, int, int]] = field(default_factory=list)
     deaths: list[Death] = field(default_factory=list)
@@ -118,15 +121,15 @@ class _Noted:
 
 
 class Flight:
-    """Records episode 0 of an environment for the viewer, once, without changing the episode."""
+    """Records episode 0 of an environment, once, without changing the episode."""
 
     def __init__(self, env: Tasking, policy: Actor) -> None:
         """Record ``env`` under ``policy``; see :func:`~bsk_torch.rl.policies.as_policy`.
 
         Raises:
-            ValueError: If satellites of a constellation are not separate agents.
+            ValueError: For a constellation with one agent for all satellites.
         """
-        self.env, self.policy, self.slots = env, as_policy(policy, env), _slots(env)
+        self.env, self.slots, self.policy = env, _slots(env), as_policy(policy, env)
         self.noted, self.choices, self.actions = _Noted(), list[Choice](), list[TensorDictBase]()
         self.latest: dict[int, Choice] = {}
         self.types = {column: satellite for satellite in env.satellites for column in satellite.simulator.columns}
@@ -150,12 +153,15 @@ class Flight:
         env.set_seed(seed)
         start = env.reset()
         player: Policy = with_lots(self.policy, env) if LOT in self.policy.in_keys else self.policy
-        self.scene = scene_of(env, seed)
+        self.targets = targets_of(env)
+        self.scene = scene_of(env, seed, self.targets)
+        self.highest = self.targets.priority
         self._look()
         known = dict.fromkeys(name for part in env.satellites for name in part.simulator.state.layout.fields)
         wanted = ["r_BN_N", "v_BN_N", "sigma_BN", RELATIVE, "rho_dot_H", "illumination", "station_access", *FIELDS.values()]
+        playing = torch.arange(env.batch_size[0], device=env.device) == 0
         with env.record([name for name in wanted if name in known], rows=0) as recording:
-            for _, step in play_episodes(env, self._player(player, past or [], change), start, first_row(env)):
+            for _, step in play_episodes(env, self._player(player, past or [], change), start, playing):
                 self._note(step)
                 if until is not None and self.noted.times[-1] >= until:
                     break
@@ -185,102 +191,96 @@ class Flight:
         noted.sun_N.append(_sun(env))
         noted.returns.append(float(env.returns[0]))
         noted.quantities.append(quantities(env.fleet))
+        if not is_relative(env):
+            noted.r_P.append(env.fleet.each(lambda part: part.dynamics.r_BN_P)[0].cpu())
         began = len(noted.times) == 1
         links = env.links
         none = torch.zeros(env.fleet.size, env.fleet.size, dtype=torch.bool)
         noted.links.append(none if links is None or began else links[0].cpu())
         self.removed, self.dead = env.fleet.state.removed[0].cpu().clone(), env.dead[0].reshape(-1).cpu().clone()
         self.counted = {name: count[0].cpu().clone() for name, count in env.counts().items()}
-        self.seen = _seen(env)
-        self.on_board = _on_board(env)
-        if isinstance(env.scenario, RSOTargets) and (
-            not noted.objects or noted.times[-1] - noted.objects[-1][0] >= OBJECT_KEYFRAME
-        ):
-            noted.objects.append((noted.times[-1], *_object_states(env.scenario)))
+        self.progress = env.rewarder.recorded(0)
+        for name, mark in self.progress.marks.items():
+            at = noted.marks.setdefault(name, torch.full(mark.shape, math.inf, dtype=torch.float64))
+            noted.marks[name] = torch.where(mark, at.clamp(max=noted.times[-1]), at)
+        self.priority = env.scenario.priority[0].cpu() if hasattr(env.scenario, "priority") else self.targets.priority
+        self.highest = torch.maximum(self.highest, self.priority)
+        if self.targets.v_N is not None and (began or noted.times[-1] - noted.objects[-1][0] >= OBJECT_KEYFRAME):
+            now = targets_of(env)
+            assert now.v_N is not None
+            noted.objects.append((noted.times[-1], now.r.float(), now.v_N.float()))
 
     def _note(self, step: TensorDictBase) -> None:
         """Note a step that has been taken."""
         env, noted = self.env, self.noted
         begin = noted.times[-1]
-        counted, seen, on_board, dead = self.counted, self.seen, self.on_board, self.dead
-        removed = self.removed
-        for slot, (at, number, satellite) in enumerate(self.slots):
+        counted, progress, dead, removed = self.counted, self.progress, self.dead, self.removed
+        rewards = torch.full((env.fleet.size,), torch.nan, dtype=torch.float64)
+        for slot, (at, number, member, satellite) in enumerate(self.slots):
             group = self.types[satellite]
             found = step if at is None else step[at]
-            action = found["action"][0] if at is None else found["action"][0, number]
-            if not bool(removed[satellite]) and _decides(group, action):
-                part = _entries(found, at, number)
-                if at is not None and ACTION_VALUE in step.keys():  # noqa: SIM118  - of all agents
+            part = _entries(found, at, number, member)
+            if not bool(removed[satellite]) and _decides(group, part["action"]):
+                if at is not None and member is None and ACTION_VALUE in step.keys():  # noqa: SIM118  - of all agents
                     part[ACTION_VALUE] = step[ACTION_VALUE][0, slot]
                 self.latest[satellite] = self._choice(slot, part, group, satellite, begin)
                 self.choices.append(self.latest[satellite])
-            rewards = (step["next"] if at is None else step["next", at])["reward"][0].flatten()
-            if satellite in self.latest:
-                self.latest[satellite].reward += float(rewards[number])
+            if not member:  # the reward of an agent is that of its first satellite
+                rewards[satellite] = (step["next"] if at is None else step["next", at])["reward"][0].flatten()[number]
+                if satellite in self.latest:
+                    self.latest[satellite].reward += float(rewards[satellite])
+        noted.rewards.append(rewards)
         self._look()
-        self._note_events(counted, seen, on_board)
+        self._note_events(counted, progress)
         causes = causes_of(env, 0)
         for k in torch.nonzero(self.dead & ~dead).flatten().tolist():
             noted.deaths.append(Death(satellite=k, time=noted.times[-1], causes=[c for c in causes[k].split(", ") if c]))
 
     def _choice(self, slot: int, part: TensorDictBase, group: SatelliteGroup, satellite: int, begin: float) -> Choice:
         """The decision of an agent in a step."""
-        action, mask, control = NONE, list[bool](), list[float]()
+        action, mask, control, task = NONE, list[bool](), list[float](), 0
         if form(group) is not None:
-            control = part["action"].double().tolist()
-            entry = group.actions.entries[0]
+            control = read("action", part["action"].unsqueeze(0), group, (1,))[0].double().tolist()
         else:
             number = int(part["action"])
             action = number if 0 <= number < len(group.action_description) else NONE  # none for any object of a catalog
-            mask = part["action_mask"][: group.actions.n_actions].tolist()
-            entry = group.actions.entries[group.actions.entry_of(number)]
+            mask = part["action_mask"][: group.actions.n_actions].tolist() if "action_mask" in part else []
+            task = group.actions.entry_of(number)
+        entry = group.actions.entries[task]
+        aims = entry.aimed_at() if isinstance(entry, Action) else None
+        target = NONE if aims is None else int(aims[list(group.simulator.columns).index(satellite)])
         probability, value = _opinion(self.policy, part, self.slots[slot][0]) if mask else ([], [])
         return Choice(
             step=len(self.actions) - 1,
             slot=slot,
             time=begin,
             satellite=satellite,
+            task=task,
             action=action,
-            target=self._target(entry, satellite),
+            target=target,
+            priority=float(self.priority[target]) if target >= 0 else math.nan,
             reward=0.0,
             mask=mask,
             probability=probability,
             value=value,
             control=control,
-            observation=_flat(part["observation"]),
+            observation=_flat(part["observation"]) if "observation" in part else [],
         )
 
-    def _target(self, entry: object, satellite: int) -> int:
-        """Target that a satellite has chosen with an action; NONE for actions without targets."""
-        if isinstance(entry, Image):
-            read_target = lambda part: getattr(part, "latest_target", torch.full_like(part.simulator.ticks, NONE))  # noqa: E731
-        elif isinstance(entry, ImageRSO):
-            read_target = lambda part: _memory(part, AIM)  # noqa: E731
-        elif isinstance(entry, PointAtTask):
-            read_target = lambda part: _memory(part, ASSIGNED)  # noqa: E731
-        else:
-            return NONE
-        return int(self.env.fleet.each(read_target)[0, satellite])
-
-    def _note_events(
-        self, counted: Mapping[str, Tensor], seen: Tensor | None, on_board: Mapping[tuple[int, int, float], bool]
-    ) -> None:
+    def _note_events(self, counted: Mapping[str, Tensor], before: RecordedProgress) -> None:
         """Note the images, inspections and deliveries of the last step."""
         env, now, events = self.env, self.noted.times[-1], self.noted.events
-        if seen is not None and self.seen is not None:
-            for target in torch.nonzero(self.seen & ~seen).flatten().tolist():
+        if "done" in before.marks:
+            for target in torch.nonzero(self.progress.marks["done"] & ~before.marks["done"]).flatten().tolist():
                 events.append((now, self._who(target), target, 0))
-        elif isinstance(env.scenario, RSOTargets):
-            columns = env.scenario.imager_columns
-            for image in on_board.keys() - self.on_board.keys():
-                events.append((now, columns[image[0]], image[1], 2))
-            for image in self.on_board.keys() - on_board.keys():
-                events.append((image[2], columns[image[0]], image[1], 0))
+        elif before.images is not None and self.progress.images is not None:
+            events += [(now, *image[:2], 2) for image in set(before.images) - set(self.progress.images)]
+            events += [(image[2], *image[:2], 0) for image in set(self.progress.images) - set(before.images)]
         elif "imaged" in counted:
-            target = env.fleet.each(lambda part: getattr(part, "latest_target", torch.full_like(part.simulator.ticks, NONE)))[0]
+            target = env.fleet.each(aimed_at)[0].cpu()
             images = self.counted["imaged"] - counted["imaged"]
             again = self.counted.get("duplicates", images) - counted.get("duplicates", images)
-            for k in torch.nonzero((images > 0) & (target.cpu() >= 0)).flatten().tolist():
+            for k in torch.nonzero((images > 0) & (target >= 0)).flatten().tolist():
                 events.append((now, k, int(target[k]), int(again[k] > 0)))
 
     def _who(self, target: int) -> int:
@@ -288,13 +288,11 @@ class Flight:
         for choice in reversed(self.choices):
             if choice.target == target:
                 return choice.satellite
-        scenario = self.env.scenario
-        if not isinstance(scenario, RSOPoints):
+        if self.targets.owner is None:
             return 0
-        inspectors = scenario.inspector_columns
         place = self.env.fleet.each(lambda part: part.dynamics.r_BN_N)[0]
-        point = place[scenario.rso_column]
-        return int(inspectors[int((place[inspectors] - point).norm(dim=-1).argmin())])
+        viewers = list(self.targets.viewers)
+        return viewers[int((place[viewers] - place[self.targets.owner]).norm(dim=-1).argmin())]
 
     # -- the whole flight ---------------------------------------------------------------------------------------------
 
@@ -306,17 +304,17 @@ class Flight:
         data = {name: _by_satellite(ticks[name], size) for name in ticks.keys() if name not in ("env", "episode", "tick", "time")}  # noqa: SIM118
         boundaries = np.array(noted.times)
         relative = is_relative(env)
-        jumps = relative or any(simulator.has_tank for simulator in env.fleet.simulators)
-        keys = _keyframes(time, boundaries if jumps else boundaries[[0, -1]])
+        step, burns = float(env.fleet.h), any(simulator.has_tank for simulator in env.fleet.simulators)
+        jumps = np.concatenate([boundaries, boundaries + step]) if burns else boundaries  # velocities before and after burns
+        keys = _keyframes(time, jumps if relative or burns else boundaries[[0, -1]])
         r_N, v_N = (data[name][keys] for name in ((RELATIVE, "rho_dot_H") if relative else ("r_BN_N", "v_BN_N")))
         sigma = data["sigma_BN"]
         if relative:  # the chief, at the origin
             r_N, v_N, sigma = (np.concatenate([part, np.zeros_like(part[:, :1])], 1) for part in (r_N, v_N, sigma))
-        close = relative or places_of(env) == "points"
+        close = relative or self.targets.places == "points"
         sun = torch.stack(noted.sun_N).cpu().double().numpy()
         crafts = crafts_of(env)
         named, values_time, values = self._series(time, data, len(crafts))
-        step = float(env.fleet.h)
         arrays: dict[str, Array] = {
             "key_times": time[keys],
             "r_N": r_N if close else r_N.astype("f4"),
@@ -324,17 +322,23 @@ class Flight:
             "sun_N": _unit(np.stack([np.interp(time[keys], boundaries, sun[:, axis]) for axis in range(3)], -1)),
             "sigma": sigma,
             "series_times": values_time,
-            "series": _rounded(values),
+            "series": values,
             **self._decision_arrays(max((len(c.actions) for c in crafts), default=0), max(len(c.observation) for c in crafts)),
             **_event_arrays(noted.events),
             **_link_arrays(boundaries, torch.stack(noted.links)),
             **_interval_arrays("passes", time, data.get("station_access")),
             **_interval_arrays("eclipses", time, 1.0 - data["illumination"] if "illumination" in data else None),
         }
+        names, steps = self._steps(len(crafts))
+        arrays |= steps
+        if noted.marks:
+            arrays["mark_time"] = torch.stack(list(noted.marks.values()), -1).numpy()
         if noted.objects:
             times, places, speeds = zip(*noted.objects, strict=True)
             arrays |= {"object_times": np.array(times)}
             arrays |= {"object_r_N": torch.stack(places).cpu().numpy(), "object_v_N": torch.stack(speeds).cpu().numpy()}
+        if not torch.equal(self.highest, self.targets.priority):
+            self.scene.arrays["highest_priority"] = self.highest.numpy()
         limit = float(env.time_limit[0])
         return Track(
             label=f"seed {self.scene.seed}",
@@ -347,8 +351,27 @@ class Flight:
             counts={name: int(count[0].sum()) for name, count in env.counts().items()},
             attitude_start=float(time[0]),
             attitude_step=step,
+            quantities=names,
+            marks=list(noted.marks),
+            completed=self.progress.completed,
             arrays=arrays,
         )
+
+    def _steps(self, size: int) -> tuple[list[str], dict[str, Array]]:
+        """Names of the quantities at the boundaries of steps, and the arrays ``step_...``."""
+        noted, names, values = self.noted, list[str](), list[Tensor]()
+        for name in noted.quantities[0]:
+            values.append(torch.stack([now[name] for now in noted.quantities]))
+            width = values[-1].shape[-1]
+            names += [name] if width == 1 else [f"{name}_{k}" for k in range(width)]
+        rewards = torch.stack([*noted.rewards, torch.full((self.env.fleet.size,), torch.nan, dtype=torch.float64)])
+        tables = {"step_reward": rewards, "step_values": torch.cat([rewards.unsqueeze(-1)[..., :0], *values], -1)}
+        tables |= {"step_r_P": torch.stack(noted.r_P)} if noted.r_P else {}
+        arrays = {"step_time": np.array(noted.times)}
+        for name, table in tables.items():  # the chief has none
+            chief = table.new_full((len(table), size - table.shape[1], *table.shape[2:]), torch.nan)
+            arrays[name] = torch.cat([table, chief], 1).numpy()
+        return names, arrays
 
     def _series(self, time: Array, data: Mapping[str, Array], size: int) -> tuple[list[Series], Array, Array]:
         """Names, times [J] and values [J, S, n] of the quantities over time."""
@@ -399,11 +422,13 @@ class Flight:
             "decision_satellite": np.array([choice.satellite for choice in choices], "i4"),
             "decision_action": np.array([choice.action for choice in choices], "i4"),
             "decision_target": np.array([choice.target for choice in choices], "i4"),
-            "decision_reward": np.array([choice.reward for choice in choices], "f4"),
+            "decision_reward": np.array([choice.reward for choice in choices], "f8"),
             "decision_mask": masks,
-            "decision_probability": _rounded(_padded([choice.probability for choice in choices], actions)),
-            "decision_action_value": _rounded(_padded([choice.value for choice in choices], actions)),
-            "observation": _rounded(_padded([choice.observation for choice in choices], observed)),
+            "decision_probability": _padded([choice.probability for choice in choices], actions),
+            "decision_action_value": _padded([choice.value for choice in choices], actions),
+            "observation": _padded([choice.observation for choice in choices], observed),
+            "decision_task": np.array([choice.task for choice in choices], "i4"),
+            "decision_priority": np.array([choice.priority for choice in choices], "f8"),
             **({"decision_control": _padded([choice.control for choice in choices], controls)} if controls else {}),
         }
 
@@ -418,7 +443,7 @@ def record(
     preset: str = "",
     label: str = "policy",
 ) -> Recording:
-    """Play the first episode of ``seed`` in row 0 of an environment with the most probable actions, and return it for the viewer.
+    """Play the first episode of ``seed`` in row 0 of an environment with the most probable actions, and return its recording.
 
     Args:
         env: The environment, with one satellite or several.
@@ -430,7 +455,7 @@ def record(
         label: What the policy is called.
 
     Raises:
-        ValueError: If satellites of a constellation are not separate agents.
+        ValueError: For a constellation with one agent for all satellites.
     """
     flight = Flight(env, policy)
     flown = flight.fly(seed, until)
@@ -446,12 +471,21 @@ def recording_of(env: Tasking, scenes: list[Scene], tracks: list[Track], title: 
         preset=preset,
         policy=label,
         package=__version__,
-        places=places_of(env),
+        places=targets_of(env).places,
         station_min_elevation=station_elevation(env),
         satellites=crafts_of(env),
         scenes=scenes,
         tracks=tracks,
+        kind=_kind(env),
     )
+
+
+def _kind(env: Tasking) -> str:
+    """What the figure of an episode shows; see :data:`bsk_torch.viz.episodes.KINDS`."""
+    if isinstance(env, ConstellationTasking):
+        return env.rewarder.recorded(0).kind or "constellation"
+    images = any(isinstance(entry, Image) for entry in env.satellites[0].actions.entries)
+    return "ground_track" if images else "timeline"
 
 
 def branched(flown: Flown, decision: int, action: int | None, parent: int) -> Branch:
@@ -463,7 +497,7 @@ def branched(flown: Flown, decision: int, action: int | None, parent: int) -> Br
         raise IndexError(f"decision={decision} must lie from 0 to {len(flown.choices) - 1}, the decisions of track {parent}")
     choice = flown.choices[decision]
     if not choice.mask:
-        raise ValueError(f"decision {decision} is made of real numbers; only numbered actions can be exchanged")
+        raise ValueError(f"decision {decision} is made of real numbers, or for several satellites; none can be exchanged")
     action = choice.action if action is None else action
     if not (0 <= action < len(choice.mask) and choice.mask[action]):
         legal = [k for k, allowed in enumerate(choice.mask) if allowed]
@@ -471,29 +505,32 @@ def branched(flown: Flown, decision: int, action: int | None, parent: int) -> Br
     return Branch(time=choice.time, decision=decision, satellite=choice.satellite, action=action)
 
 
-def has_agents(env: Tasking) -> bool:
-    """Whether each satellite is an agent, as the viewer needs."""
-    return not (isinstance(env, ConstellationTasking) and (env.joint or any(group.is_meta for group in env.groups)))
+def _slots(env: Tasking) -> list[tuple[str | None, int, int | None, int]]:
+    """Group, number within it, number among the satellites of an agent of several, and satellite of each decision.
 
-
-def _slots(env: Tasking) -> list[tuple[str | None, int, int]]:
-    """Group, number within it, and satellite of each agent; ValueError unless satellites are separate agents."""
+    ValueError for one agent of all satellites.
+    """
     if not isinstance(env, ConstellationTasking):
-        return [(None, 0, 0)]
-    if not has_agents(env):
-        raise ValueError("env has agents of several satellites; the viewer needs one agent for each satellite")
-    return [(g.name, k, int(column)) for g in env.groups for k, column in enumerate(g.members[:, 0].tolist())]
+        return [(None, 0, None, 0)]
+    if env.joint:
+        raise ValueError("env has joint=True; a constellation is recorded agent by agent, so build it without")
+    return [
+        (group.name, number, member if group.is_meta else None, column)
+        for group in env.groups
+        for number, columns in enumerate(group.members.tolist())
+        for member, column in enumerate(columns)
+    ]
 
 
 def _decides(group: SatelliteGroup, action: Tensor) -> bool:
     """Whether an action of a satellite begins something, instead of continuing."""
-    if form(group) is None:
-        return int(action) not in (group.actions.n_actions, NO_ACTION)
     return bool(acts(read("action", action.unsqueeze(0), group, (1,)), group, 1)[0])
 
 
-def _entries(found: TensorDictBase, at: str | None, number: int) -> TensorDictBase:
-    """What an agent of episode 0 has observed and done."""
+def _entries(found: TensorDictBase, at: str | None, number: int, member: int | None) -> TensorDictBase:
+    """What an agent of episode 0 has observed and done; of an agent of several satellites, what it has told one of them."""
+    if member is not None:
+        return TensorDict({"action": found["action"][0, number, member]})
     names = [name for name in ("observation", "action", "action_mask", "logits", ACTION_VALUE) if name in found.keys()]  # noqa: SIM118
     chosen = found.select(*names)
     return chosen[0] if at is None else chosen[0, number]
@@ -525,41 +562,12 @@ def _opinion(policy: TensorDictModuleBase, part: TensorDictBase, group: str | No
     return chances, worths
 
 
-def _memory(part: SatelliteGroup, name: str) -> Tensor:
-    """A target remembered by satellites of a type; NONE for types without it."""
-    memory = part.simulator.memory
-    return memory[name] if name in memory else torch.full_like(part.simulator.ticks, NONE)
-
-
 def _sun(env: Tasking) -> Tensor:
     """Direction to the Sun in episode 0, [3]."""
     dynamics = env.satellites[0].dynamics
     if is_relative(env) and hasattr(type(dynamics), "sun_hat_H"):
         return dynamics.sun_hat_H[0].clone()
     return env.fleet.simulators[0].world.sun_direction_N[0].clone()
-
-
-def _seen(env: Tasking) -> Tensor | None:
-    """Points that have been inspected, or tasks of AEOS-Bench that have succeeded, [T] bool; None for other environments."""
-    if isinstance(env.scenario, AEOSBench):
-        return env.scenario.task_succeeded[0].cpu().clone()
-    seen = inspected_of(env)
-    return None if seen is None else seen.clone()
-
-
-def _on_board(env: Tasking) -> dict[tuple[int, int, float], bool]:
-    """Images of objects that imagers hold: imager, object and time."""
-    rewarder = imaging_of(env)
-    return {} if rewarder is None else {image[:3]: True for image in images_on_board(rewarder)}
-
-
-def _object_states(scenario: RSOTargets) -> tuple[Tensor, Tensor]:
-    """Positions, m, and velocities, m/s, of the objects of episode 0, [T, 3] each."""
-    assert scenario.r_TN_N is not None  # brings the orbits up to date
-    place = torch.arange(scenario.n_targets, device=scenario.r_TN_N.device)
-    envs = torch.zeros(1, dtype=torch.int64, device=place.device)
-    r_N, v_N = scenario.orbits.motion(envs, place.unsqueeze(0), scenario.fleet.sim_time)
-    return r_N.stack()[0].float(), v_N.stack()[0].float()
 
 
 def _by_satellite(values: Tensor, size: int) -> Array:
@@ -628,15 +636,6 @@ def _spans(times: Array, holds: Array) -> list[tuple[float, float]]:
     return [(float(times[a]), float(times[min(b, last)])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def _rounded(values: Array) -> Array:
-    """Numbers rounded to :data:`BITS` binary digits, which compress well, as float32."""
-    dropped = 24 - BITS
-    whole = np.ascontiguousarray(values, "f4").view("u4")
-    rounded = ((whole.astype("u8") + (1 << (dropped - 1))) >> dropped << dropped).astype("u4").view("f4")
-    found: Array = np.where(np.isfinite(rounded), rounded, values).astype("f4")
-    return found
-
-
 def _unit(vectors: Array) -> Array:
     found: Array = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
     return found
@@ -651,7 +650,7 @@ def _flat(observed: Any) -> list[float]:
 
 
 def _padded(rows: list[list[float]], width: int) -> Array:
-    found = np.full((len(rows), max([width, *map(len, rows)])), np.nan, "f4")
+    found = np.full((len(rows), max([width, *map(len, rows)])), np.nan)
     for row, values in zip(found, rows, strict=True):
         row[: len(values)] = values
     return found
