@@ -50,8 +50,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "bsk_torch.lab.commands.risk:estimate_risk",
         "Estimate the probability of a loss, down to 1e-6 and below, and show the ways to it.",
     ),
-    "view": ("bsk_torch.cli.view:view", "Show an episode in the browser: a preset, a run or a recording."),
-    "export": ("bsk_torch.cli.view:export", "Write an episode of a preset, a run or a recording to a file."),
+    "view": ("bsk_torch.viewer.commands:view", "Show an episode in the browser: a preset, a run or a recording."),
+    "export": ("bsk_torch.viewer.commands:export", "Write an episode of a preset, a run or a recording to a file."),
     "explain": (
         "bsk_torch.lab.commands.explain:explain_failures",
         "Find actions that would have saved each lost satellite, or prove that none exist.",

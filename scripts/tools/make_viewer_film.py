@@ -22,7 +22,7 @@ from playwright.sync_api import sync_playwright
 from bsk_torch import make
 from bsk_torch.rl.policies import pretrained, pretrained_file, read_card
 from bsk_torch.rl.policies.shared_policy import shared
-from bsk_torch.viewer import Futures
+from bsk_torch.viewer.futures import Futures
 from bsk_torch.viewer.server import serve
 
 FILM = Path(__file__).parents[2] / "docs" / "_static" / "viewer" / "film.webp"
