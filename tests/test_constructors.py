@@ -1,7 +1,5 @@
 """Public constructors answer wrong values by an error that names the argument."""
 
-from __future__ import annotations
-
 import inspect
 import itertools
 import math

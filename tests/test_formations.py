@@ -1,7 +1,5 @@
 """Constellations have the geometry of their definitions and bsk_rl's numbers, and their draws depend on nothing else."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -74,8 +72,7 @@ def drawn(formation: fm.Formation, n: int = 5, names: list[str] = TWELVE, **opti
     settings = formation.draw(key(n, **options), names)
     assert set(settings) == {"oe"}
     columns, values = settings["oe"]
-    assert list(columns) == list(range(len(names)))
-    assert values.dtype == torch.float64
+    assert (list(columns), values.dtype) == (list(range(len(names))), torch.float64)
     assert values.shape == (n, len(names), 6)
     return values
 

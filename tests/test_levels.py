@@ -1,7 +1,5 @@
 """Levels, shards and measured costs of the tests: nothing is lost between the levels, and nothing runs twice."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

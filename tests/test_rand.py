@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 import re
 from itertools import pairwise
@@ -56,11 +54,8 @@ def test_draws_depend_on_nothing_else(method):
     assert torch.equal(getattr(key(2), method)(3), big[:2])
 
 
-def test_longer_draws_begin_like_shorter_ones():
+def test_longer_draws_begin_like_shorter_ones_and_chunks_do_not_show(monkeypatch):
     assert torch.equal(key(5).uniform(7)[:, :4], key(5).uniform(4))
-
-
-def test_large_draws_are_cut_into_chunks_that_do_not_show(monkeypatch):
     whole = key(50).uniform(7)
     monkeypatch.setattr(rand, "BLOCKS_AT_ONCE", 9)  # two rows at a time, and one where a row is larger than that
     assert torch.equal(key(50).uniform(7), whole)
@@ -76,16 +71,13 @@ def test_every_part_of_the_key_matters():
     assert torch.equal(key(3, name="a").uniform(2), key(3).named("a").uniform(2))
 
 
-def test_uniform_moments_and_independence():
+def test_moments_of_uniform_and_normal_numbers():
     u = key(MANY).uniform(2)
     assert ((u >= 0) & (u < 1)).all()
     assert u.mean(0) - 0.5 == pytest.approx([0, 0], abs=FIVE_SIGMA * 12**-0.5)
     assert u.var(0) == pytest.approx([1 / 12] * 2, abs=FIVE_SIGMA / 12)
     assert torch.corrcoef(u.T)[0, 1].abs() < FIVE_SIGMA
     assert torch.corrcoef(torch.stack([u[1:, 0], u[:-1, 0]]))[0, 1].abs() < FIVE_SIGMA  # neighbouring environments
-
-
-def test_normal_moments():
     z = key(MANY).normal(1)[:, 0]
     assert z.mean().abs() < FIVE_SIGMA
     assert (z**2).mean() - 1 == pytest.approx(0, abs=FIVE_SIGMA * 2**0.5)
@@ -102,8 +94,7 @@ def skipping(stream, count, options):
 @pytest.mark.parametrize(("count", "options"), [(1, 1), (1, 2), (4, 8), (5, 8), (8, 8), (30, 100), (100, 34_000)])
 def test_distinct_indices(count, options):
     picks = key(64).distinct(count, options)
-    assert picks.shape == (64, count)
-    assert picks.dtype == torch.int64
+    assert (picks.shape, picks.dtype) == ((64, count), torch.int64)
     assert 0 <= picks.min() <= picks.max() < options
     assert (picks.sort(dim=-1).values.diff(dim=-1) > 0).all()
     assert torch.equal(key(2).distinct(count, options), picks[:2])
@@ -140,8 +131,7 @@ def test_unlucky_rows_draw_more_and_change_no_other(monkeypatch):
 
 def test_uniform_distribution():
     one = rand.Uniform(-2.0, 6.0).draw(key(MANY))
-    assert one.shape == (MANY,)
-    assert one.mean() == pytest.approx(2.0, abs=FIVE_SIGMA * 8 * 12**-0.5)
+    assert (one.shape, one.mean()) == ((MANY,), pytest.approx(2.0, abs=FIVE_SIGMA * 8 * 12**-0.5))
     assert one.min() >= -2
     assert one.max() < 6
     three = rand.Uniform((0.0, 10.0, -1.0), (1.0, 11.0, 1.0), 3).draw(key(9))
@@ -152,8 +142,7 @@ def test_uniform_distribution():
 
 def test_normal_distribution():
     z = rand.Normal(5.0, 0.1, 2).draw(key(MANY))
-    assert z.shape == (MANY, 2)
-    assert z.mean(0) == pytest.approx([5, 5], abs=0.1 * FIVE_SIGMA)
+    assert (z.shape, z.mean(0)) == ((MANY, 2), pytest.approx([5, 5], abs=0.1 * FIVE_SIGMA))
     assert z.std(0) == pytest.approx([0.1, 0.1], abs=0.1 * FIVE_SIGMA)
     assert rand.Normal().draw(key(3)).shape == (3,)
     for std in (-0.1, torch.tensor([0.1, -0.1])):
@@ -167,10 +156,7 @@ def test_choice_is_even():
         assert picks.count(option) / MANY == pytest.approx(1 / 3, abs=FIVE_SIGMA * (2 / 9) ** 0.5)
     with pytest.raises(ValueError, match=r"options is empty; Choice needs at least one option"):
         rand.Choice([])
-
-
-def test_sized_choices():
-    """The first of them is the one that would be drawn alone."""
+    # The first of them is the one that would be drawn alone.
     numbers = rand.Choice([1, 2.5, 4], 3).draw(key(MANY))
     assert numbers.shape == (MANY, 3)
     for option in (1, 2.5, 4):
@@ -241,9 +227,6 @@ def test_random_epoch_does_not_follow_the_language_of_the_machine(monkeypatch):
         parse_utc(text)
 
 
-# -- satellites -------------------------------------------------------------------------------------------------------
-
-
 def test_satellites_of_an_environment_draw_apart():
     """The first one draws what an environment with a single satellite would; the others differ from it and from one another."""
     several = key(3, name="a").of_satellites(torch.tensor([0, 2, 1, rand.MOST_SATELLITES - 1]))
@@ -280,13 +263,13 @@ def test_chunks_do_not_show_in_draws_of_satellites(monkeypatch):
     assert torch.equal(several.uniform(7), whole)
 
 
-def test_neighbouring_satellites_are_independent():
+def test_neighbouring_satellites_and_high_words_of_keys_are_independent():
     u = key(MANY).of_satellites(torch.arange(2)).uniform(1).view(MANY, 2)
     assert u.mean(0) - 0.5 == pytest.approx([0, 0], abs=FIVE_SIGMA * 12**-0.5)
     assert torch.corrcoef(u.T)[0, 1].abs() < FIVE_SIGMA
-
-
-# -- 64 bits ------------------------------------------------------------------------------------------------------------------
+    zero, high = torch.zeros(2, dtype=torch.int64), torch.tensor([2**32, 0])
+    drawn = rand.Key(zero, high, high.flip(0), "a").uniform(2)
+    assert len(drawn.unique()) == 4
 
 
 @pytest.mark.parametrize("word", ["env_id", "episode", "seed"])
@@ -299,9 +282,3 @@ def test_all_bits_of_a_key_count(word):
     assert len(drawn.unique()) == drawn.numel()
     assert torch.equal(key.take([0]).uniform(4), drawn[:1])
     assert torch.equal(key.take([1, 4]).uniform(4), drawn[[1, 4]])
-
-
-def test_high_words_of_environment_and_episode_are_told_apart():
-    zero, high = torch.zeros(2, dtype=torch.int64), torch.tensor([2**32, 0])
-    drawn = rand.Key(zero, high, high.flip(0), "a").uniform(2)
-    assert len(drawn.unique()) == 4

@@ -1,7 +1,5 @@
 """Formations, presets, initial attitudes and draws: wrong arguments and hooks."""
 
-from __future__ import annotations
-
 import math
 
 import bsk_torch

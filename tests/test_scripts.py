@@ -1,7 +1,5 @@
 """Every script, benchmark, example and recorder runs at its smallest size, and none is forgotten."""
 
-from __future__ import annotations
-
 import ast
 import json
 import os
@@ -587,14 +585,11 @@ def test_help_explains_and_does_nothing(script, usage, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_no_script_reads_its_arguments_by_position():
+def test_scripts_are_executable_and_read_no_arguments_by_position():
     paths = [path for folder in ("benchmarks", "scripts") for path in (ROOT / folder).rglob("*.py")]
     assert len(paths) > 20
     for path in paths:
         assert "sys.argv" not in path.read_text(), f"{path} takes --help for an argument: read them by argparse"
-
-
-def test_shell_scripts_are_executable():
     scripts = [*(ROOT / "scripts").glob("*.sh"), ROOT / ".ci/run"]
     assert len(scripts) >= 3
     for script in scripts:

@@ -1,7 +1,5 @@
 """Tests run and can fail: folders are packages, and no test makes all its checks in loops that may have nothing to run over."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterable, Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Files of others: no reader executes anything in them, and bounds are checked before anything is allocated."""
 
-from __future__ import annotations
-
 import ast
 import gzip
 import io
@@ -172,8 +170,6 @@ def test_packed_bytes_have_bounds():
     ]
     check_refusals(table)
 
-
-# -- no other way in ----------------------------------------------------------------------------------------------------------
 
 OWN_FILES = {
     "_listed.py",

@@ -1,7 +1,5 @@
 """Durations and modes that users' actions return are checked."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,13 +1,12 @@
 """Every hook of a subclass runs, whatever other actions a satellite has; what would not run is refused when it is defined."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict import TensorDict
 
 from bsk_torch import SatelliteTasking, act, data, obs, sats, scene
 from bsk_torch.presets.nadir_scan import ScanningSatellite
+from tests.support.episodes import begun
 from tests.support.refusals import check_refusals, refusal
 
 FIELDS = act.Decision._fields[:5]  # the last one is for continuous actions
@@ -77,8 +76,7 @@ def step(env, *action):
 @pytest.mark.parametrize("kind", SPECS)
 class TestHooksRun:
     def test_begin_and_end(self, kind):
-        env = make(Recorded(), kind)
-        env.reset()
+        env = begun(make(Recorded(), kind))
         step(env, 0, 1)
         entry = env.satellite.actions.entries[0]
         assert entry.calls == [
@@ -87,16 +85,13 @@ class TestHooksRun:
         ]
 
     def test_decide(self, kind):
-        env = make(Quick(), kind)
-        env.reset()
+        env = begun(make(Quick(), kind))
         assert step(env, 0, 1) == [7.0, 50.0]
 
     def test_table_and_names(self, kind):
-        env = make(Twice(), kind)
-        env.reset()
+        env = begun(make(Twice(), kind))
         assert env.satellite.action_description[:2] == ["short", "long"]
-        assert step(env, 0, 1) == [11.0, 13.0]
-        assert step(env, 2, 1) == [50.0, 13.0]
+        assert (step(env, 0, 1), step(env, 2, 1)) == ([11.0, 13.0], [50.0, 13.0])
 
     def test_mask(self, kind):
         env = make(Masked(), kind)
@@ -115,8 +110,7 @@ class TestHooksRun:
 
 def test_fixed_commands_are_those_of_every_entry_alone():
     """A mixed list gives each entry's action the commands that the entry has alone."""
-    env = make(Twice(), "mixed")
-    env.reset()
+    env = begun(make(Twice(), "mixed"))
     actions = env.satellite.actions
     every, previous = torch.ones(2, dtype=torch.bool), torch.tensor([0, 2])
     for number, entry, index in ((0, 0, 0), (1, 0, 1), (2, 1, 0), (3, 2, 0), (4, 2, 1), (-3, 2, 0)):

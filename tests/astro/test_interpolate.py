@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import itertools
 import math
 
@@ -50,9 +48,6 @@ def test_coefficients_are_those_of_the_polynomial():
     found = torch.stack([c.stack()[0] for c in coefficients(split(nodes))], -1)
     # nodes are as large as 5^9; each power has a share of 1 / 5^k of that
     assert ((found - powers).abs() * 5.0 ** torch.arange(COUNT)).amax() < 1e-14 * 5.0**COUNT
-
-
-def test_not_exact_on_the_tenth_power():
     r, _ = polynomial(COUNT)
     c, s = coefficients(split(r(STEPS))), torch.tensor([0.5], dtype=torch.float64)
     assert (position(c, s).stack() - r(s).stack()).abs().amax() > 1.0

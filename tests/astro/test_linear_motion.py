@@ -97,15 +97,12 @@ def test_on_eccentric_orbits_it_is_not():
     assert float(torch.linalg.vector_norm(away, dim=-1)[:, 2].mean()) > 10.0
 
 
-def test_results_do_not_depend_on_other_rows():
+def test_deputies_share_the_motion_of_a_chief_but_no_other_rows():
     chief, (rho, velocity) = chiefs(0.04), deputies()
     whole = at(about_orbit(*chief, DURATIONS, 20), -1, rho, velocity)
     for rows in (slice(0, 1), slice(3, 20)):
         part = at(about_orbit(*(x[rows] for x in chief), DURATIONS, 20), -1, rho[rows], velocity[rows])
         assert torch.equal(part, whole[rows])
-
-
-def test_deputies_of_one_chief_share_its_motion():
     motion = about_orbit(*chiefs(0.04, 3), DURATIONS, 5).repeated(2)
     assert motion.rr.x.y.shape == (5, 3, 6)
     assert torch.equal(motion.rv.x.y[..., 0], motion.rv.x.y[..., 1])

@@ -1,7 +1,5 @@
 """Epochs that are none or lie outside of the ephemeris, and tensors of the wrong type or shape."""
 
-from __future__ import annotations
-
 import torch
 
 from bsk_torch.astro import ephemeris, relative

@@ -1,7 +1,5 @@
 """Recorded episodes of several satellites, and how to replay them as one batch."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

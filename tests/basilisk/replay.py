@@ -1,7 +1,5 @@
 """Recorded Basilisk episodes, and how to replay them as one batch."""
 
-from __future__ import annotations
-
 import itertools
 import json
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Satellites of AEOS-Bench against flights of the same scenarios on Basilisk, in the order of the benchmark's tick."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -260,13 +258,10 @@ def test_the_earth_is_a_stretched_point_mass():
     assert stretched < 1e-6 < 5e-6 < round_, (stretched, round_)
 
 
-def test_a_point_mass_needs_an_integrated_orbit():
+def test_rejects_point_masses_on_arcs_and_fields_of_degree_one():
     with pytest.raises(
         ValueError, match=r"orbit='arc' needs the Earth's oblateness, but AEOSBenchDynModel has gravity_degree = 0"
     ):
         Flight("random", orbit="arc")
-
-
-def test_the_field_has_no_degree_of_one():
     with pytest.raises(TypeError, match=r"Wrong.gravity_degree=1 must be 0 \(a point mass\) or from 2 to 10"):
         type("Wrong", (dyn.AEOSBenchDynModel,), {"gravity_degree": 1})

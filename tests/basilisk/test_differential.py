@@ -1,7 +1,5 @@
 """differential.py: what it draws, how it compares, and a few random problems flown on Basilisk."""
 
-from __future__ import annotations
-
 import copy
 import json
 import sys

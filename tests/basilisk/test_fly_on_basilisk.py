@@ -1,7 +1,5 @@
 """fly_on_basilisk.py: what episodes start from, who flies, how both sides are compared, and flights on Basilisk."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import sys
@@ -44,9 +42,6 @@ def flown(mortal) -> Any:
     return env, *fly_here(env, mortal.pilot(problem_of(env, mortal.preset).observed), SEEDS)
 
 
-# -- what episodes start from -----------------------------------------------------------------------------------------
-
-
 @pytest.mark.compiled
 def test_arguments_of_a_start_make_the_same_episode_whatever_the_seed(flown):
     _, starts, flights = flown
@@ -87,9 +82,6 @@ def test_epochs_of_a_users_function_are_refused():
         fly_here(env, random_action, [0])
 
 
-# -- flying in bsk_torch ----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.compiled
 def test_a_flight_is_the_episode_of_gymnasium_with_that_seed(mortal, flown):
     _, _, flights = flown
@@ -113,8 +105,7 @@ def test_random_actions_are_legal_and_belong_to_the_episode():
     mask = torch.tensor([[True, False, True, True]] * 200)
     seen = TensorDict({"action_mask": mask}, [200])
     actions, logits = random_action(seen, range(200), 5)
-    assert set(actions.tolist()) == {0, 2, 3}
-    assert logits.shape == (200, 0)
+    assert (set(actions.tolist()), logits.shape) == ({0, 2, 3}, (200, 0))
     alone, _ = random_action(seen[7:8], [7], 5)
     assert alone[0] == actions[7]
     assert not torch.equal(actions, random_action(seen, range(200), 6)[0])
@@ -128,9 +119,6 @@ def test_sets_are_made_of_vectors_as_the_preset_makes_them():
     assert set(made.keys(True, True)) == set(wanted.keys(True, True))
     for key in wanted.keys(True, True):
         torch.testing.assert_close(made[key], wanted[key], rtol=0, atol=0)
-
-
-# -- comparison -------------------------------------------------------------------------------------------------------
 
 
 def flight(actions: list[int], rewards: list[float], shift: float = 0.0, deaths: tuple[str, ...] = ()) -> Flight:
@@ -152,14 +140,13 @@ def test_pairs_agree_up_to_the_first_decision_that_differs():
     assert EQUAL.return_difference == pytest.approx(-1e-9)
     np.testing.assert_allclose(EQUAL.observation_differences, 1e-8, rtol=1e-6)
     assert not APART.same
-    assert APART.divergence.step == 1
-    assert APART.divergence.actions == (1, 0)
+    assert (APART.divergence.step, APART.divergence.actions) == (1, (1, 0))
     assert APART.divergence.margins == pytest.approx((0.1, -0.09))  # Basilisk's pilot did what its logits do not prefer
     assert APART.divergence.logits == pytest.approx(0.01)
     assert not SHORTER.same
-    assert SHORTER.divergence.step == 2
-    assert SHORTER.divergence.actions == (1, -1)
+    assert (SHORTER.divergence.step, SHORTER.divergence.actions) == (2, (1, -1))
     assert np.isnan(SHORTER.divergence.logits)
+    assert (1 - rarest(100)) ** 100 == pytest.approx(0.05)
 
 
 def test_findings_say_what_is_equal_and_what_is_not():
@@ -197,10 +184,6 @@ def test_a_nudged_start_differs_in_its_attitude_only(flown):
     assert same == {name: value for name, value in start.sat_args.items() if name != "sigma_init"}
 
 
-def test_rarest_is_the_probability_at_which_nothing_is_seen_once_in_twenty():
-    assert (1 - rarest(100)) ** 100 == pytest.approx(0.05)
-
-
 def test_what_is_kept_can_be_read_back_and_is_what_is_shown():
     pairs = [EQUAL, APART, SHORTER]
     read = json.loads(json.dumps(kept(pairs), allow_nan=True))
@@ -217,9 +200,6 @@ def test_what_is_kept_can_be_read_back_and_is_what_is_shown():
     shown = console.export_text()
     assert f"{differences.mean():.2g} ±" in shown
     assert "1 battery, 1 rw_speeds" in shown
-
-
-# -- errors -----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.compiled
@@ -272,9 +252,6 @@ def test_what_is_missing_is_named(monkeypatch, tmp_path):
     assert "BSK_SUPPORT_DATA_CACHE is not set" in absent_data(None)
 
 
-# -- on Basilisk ------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.compiled
 def test_the_rule_flies_as_it_has_flown_on_basilisk():
     """Every action follows from what that simulator shows; one of the three episodes ends with an empty battery."""
@@ -309,6 +286,5 @@ def test_a_policy_flies_on_basilisk_as_in_bsk_torch(preset, policy, options):
     pair = Pair(here[0], fly_there(problem, starts[0], flyer.pilot(problem.observed)))
     assert pair.same
     assert abs(pair.return_difference) < 1e-9
-    assert pair.here.seconds == pair.there.seconds
-    assert pair.here.deaths == pair.there.deaths
+    assert (pair.here.seconds, pair.here.deaths) == (pair.there.seconds, pair.there.deaths)
     assert pair.observation_differences.max() < 1e-6  # the bound of the parity tests

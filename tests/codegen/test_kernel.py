@@ -1,7 +1,5 @@
 """Kernels: what they compute, and how they are built, kept and loaded."""
 
-from __future__ import annotations
-
 import itertools
 import logging
 import math
@@ -203,8 +201,7 @@ def test_other_options_of_the_compiler_build_another_library(folder, monkeypatch
 
 def test_libraries_are_kept(folder, monkeypatch, caplog):
     caplog.set_level(logging.INFO, logger="bsk_torch")
-    assert build.load(SOURCE, "test kernel").lanes_width() == 42
-    assert names(folder) == [".so"]
+    assert (build.load(SOURCE, "test kernel").lanes_width(), names(folder)) == (42, [".so"])
     assert "compiling the test kernel" in caplog.text
     caplog.clear()
     assert build.load(SOURCE, "test kernel") is build.load(SOURCE, "test kernel")
@@ -247,11 +244,10 @@ def test_damaged_libraries_are_built_again(folder, monkeypatch, caplog, damage, 
     assert [record.levelname for record in others] == ["WARNING"]
     assert warning in caplog.text
     assert str(damaged) in caplog.text
-    assert damaged.read_bytes() == library.read_bytes()
-    assert names(elsewhere) == [".so"]
+    assert (damaged.read_bytes(), names(elsewhere)) == (library.read_bytes(), [".so"])
 
 
-def test_no_compiler(folder):
+def test_rejects_code_and_machines_that_cannot_compile(folder):
     from torch._inductor import config
 
     with (
@@ -260,9 +256,6 @@ def test_no_compiler(folder):
     ):
         build.load(SOURCE, "test kernel")
     assert not folder.exists()
-
-
-def test_compiler_errors(folder):
     with pytest.raises(RuntimeError, match=r"cannot compile the test kernel(.|\n)*nonsense(.|\n)*backend=\"eager\"") as caught:
         build.load("int nonsense(", "test kernel")
     (kept,) = folder.iterdir()

@@ -1,7 +1,5 @@
 """Headers that are compiled and a library that is linked once for all kernels of a cache."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

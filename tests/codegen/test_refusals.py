@@ -1,7 +1,5 @@
 """What cannot be traced, and programs that cannot be made or lowered."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Kernels that are built on one machine for others without a compiler."""
 
-from __future__ import annotations
-
 import os
 import platform
 import subprocess

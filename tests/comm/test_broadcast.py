@@ -1,7 +1,5 @@
 """The action; what becomes of its messages is in test_comm."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import torch

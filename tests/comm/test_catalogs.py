@@ -1,7 +1,5 @@
 """Packets with records of images: who may send, what is sent, and when it arrives."""
 
-from __future__ import annotations
-
 import random
 
 import pytest
@@ -13,6 +11,7 @@ from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.component import Bus
 from bsk_torch.sim.dyn.catalog_radio import transmit_packet
 from bsk_torch.vec3 import Vec3
+from tests.support.episodes import begun
 from tests.support.rso_imaging import Imager, catalog, environment, play, state
 
 CHARGE, DOWNLINK, FIRST, SEND, STAY = 0, 1, 2, 5, -1
@@ -99,8 +98,7 @@ def test_a_break_restarts_the_hold():
             if held >= 4.0:
                 assert bus.radio_armed.item() == bus.radio_valid.item() == 0.0
                 break
-            assert bus.radio_held.item() == held
-            assert bool(bus.radio_valid) == valid
+            assert (bus.radio_held.item(), bool(bus.radio_valid)) == (held, valid)
 
 
 def test_the_line_must_clear_a_sphere():
@@ -113,8 +111,7 @@ def test_the_line_must_clear_a_sphere():
 
 @pytest.mark.compiled
 def test_only_news_can_be_told_and_a_packet_tells_both():
-    env = team()
-    env.reset()
+    env = begun(team())
     assert not legal(env, 0, SEND)
     capture(env)
     assert legal(env, 0, SEND)
@@ -141,8 +138,7 @@ def test_the_radio_draws_power_while_its_link_is_valid():
     """Ten ticks of the hold, 25 W each, in the ticks that follow."""
     charges = []
     for power in (0.0, -25.0):
-        env = team(sat_args=dict(radioPowerDraw=power, storedCharge_Init=5e8))
-        env.reset()
+        env = begun(team(sat_args=dict(radioPowerDraw=power, storedCharge_Init=5e8)))
         capture(env)
         send(env)
         charges.append(env.satellites[0].dynamics.battery_charge[0].item())
@@ -152,8 +148,7 @@ def test_the_radio_draws_power_while_its_link_is_valid():
 @pytest.mark.compiled
 def test_imagers_are_followed_with_the_orbits_of_targets():
     """Where the radio points: both orbits are solved in advance in the same field, from the same initial state."""
-    env = team()
-    env.reset()
+    env = begun(team())
     for _ in range(12):
         step(env, CHARGE, CHARGE)
     followed = env.scenario.orbits.positions(env.fleet.sim_time)[..., env.scenario.n_targets :].movedim(0, -1)
@@ -163,8 +158,7 @@ def test_imagers_are_followed_with_the_orbits_of_targets():
 
 @pytest.mark.compiled
 def test_a_packet_holds_what_was_known_at_its_beginning():
-    env = team()
-    env.reset()
+    env = begun(team())
     capture(env)
     records = env.scenario.records
     step(env, SEND, FIRST)
@@ -178,8 +172,7 @@ def test_a_packet_holds_what_was_known_at_its_beginning():
 
 @pytest.mark.compiled
 def test_another_command_drops_the_packet():
-    env = team()
-    env.reset()
+    env = begun(team())
     capture(env)
     step(env, SEND, FIRST)
     records = env.scenario.records
@@ -195,11 +188,9 @@ def test_another_command_drops_the_packet():
 def test_the_earth_blocks_links(kind, may):
     r_N, v_N = state(3.0)
     there = lambda satellites: {satellites[1]: {"rN": r_N.tolist(), "vN": v_N.tolist()}}
-    env = team(kind=kind, sat_arg_randomizer=there)
-    env.reset()
+    env = begun(team(kind=kind, sat_arg_randomizer=there))
     capture(env)
-    assert legal(env, 0, SEND) == may
-    assert env.scenario.linked[0, 0].tolist() == [True, False]
+    assert (legal(env, 0, SEND), env.scenario.linked[0, 0].tolist()) == (may, [True, False])
 
 
 @pytest.mark.compiled
@@ -209,8 +200,7 @@ def test_packets_come_late_or_not_at_all():
         (dict(loss_probability=1.0), False),
         (dict(delay_s=40.0, ttl_s=40.0), False),
     ):
-        env = team(communicator=comm.CatalogCommunication(**options))
-        env.reset()
+        env = begun(team(communicator=comm.CatalogCommunication(**options)))
         capture(env)
         sent = send(env)
         delay = options.get("delay_s", 0.0)
@@ -244,8 +234,7 @@ def test_a_repeated_choice_continues_the_task_if_asked_to():
         ("repeat", True, dict(continue_repeated=True)),
         ("restart", True, {}),
     ):
-        env = team(mask_busy=False, **options)
-        env.reset()
+        env = begun(team(mask_busy=False, **options))
         seen = []
         for k in range(4):
             target = env.scenario.candidate_ids(env.satellites[0], 0, 1)

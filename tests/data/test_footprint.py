@@ -1,7 +1,5 @@
 """Images of targets whose true places lie near the believed ones, at which satellites point."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -91,12 +89,9 @@ def test_an_image_does_not_show_the_other_side_of_the_earth():
     assert torch.equal(shown, risen & (((place - r) * axis.unsqueeze(1)).sum(-1) >= 0.0))
 
 
-def test_rewards_do_not_depend_on_the_batch():
+def test_rewards_do_not_depend_on_the_batch_and_are_counted_for_each_satellite():
     few, many = (fly(imaging(8e3, 0.01, n=n, sat_args=SHARP), 3)[0] for n in (2, 5))
     assert torch.equal(few, many[:, :2])
-
-
-def test_a_constellation_shares_what_it_has_seen():
     env = imaging(5e3, 0.02, 2, "AEOSConstellation-v1", sat_args=SHARP)
     td = env.reset()
     for _ in range(6):

@@ -1,7 +1,5 @@
 """Every hook of a rewarder runs, also as a part of a sum; what would not run, and results that do not fit, are refused."""
 
-from __future__ import annotations
-
 import copy
 import math
 
@@ -92,14 +90,11 @@ class Doubled(data.ComposedReward):
         return 2.0 * super().calculate_reward(before, after)
 
 
-def test_a_subclass_of_the_sum_stays_one():
+def test_sums_stay_of_their_class_and_copies_share_no_parts():
     """Environments copy rewarders; the copy of a subclass used to be a plain sum."""
     env = make(Doubled(Full(), data.NoReward()))
     assert isinstance(env.rewarder, Doubled)
     assert (step(env)["agents", "reward"] == 360.0).all()
-
-
-def test_copies_of_a_sum_share_no_parts():
     first = data.ComposedReward(Full(), data.NoReward())
     second = copy.copy(first)
     assert all(a is not b for a, b in zip(first.rewarders, second.rewarders, strict=True))
@@ -159,12 +154,15 @@ class Measured(data.NoReward):
         return {"share": self.value}
 
 
-def test_measures_of_parts_are_numbered_and_shown_in_evaluations():
+def test_measures_of_parts_are_numbered_and_those_without_a_value_do_not_count():
     half = torch.full((N,), 0.5, dtype=torch.float64)
     env = make([Measured(half), Measured(2.0 * half), data.NoReward()], env_ids=[0] * N)
     result = evaluate(rule("random", env), env, seeds=[0, 1, 2, 3])
     assert {name: value.tolist() for name, value in result.measures.items()} == {"share": [0.5] * 4, "share_2": [1.0] * 4}
     assert result.summary()["measures"]["share_2"]["mean"] == 1.0
+    known_values = torch.tensor([1.0, math.nan, 3.0], dtype=torch.float64)
+    assert known(known_values).mean == 2.0
+    assert math.isnan(known(known_values[1:2]).mean)
 
 
 def test_rejects_measures_that_do_not_fit():
@@ -177,12 +175,6 @@ def test_rejects_measures_that_do_not_fit():
         refusal(lambda: run(1.0), TypeError, "Measured.measures()['share']", 1.0),
     ]
     check_refusals(table)
-
-
-def test_measures_without_a_value_do_not_count():
-    known_values = torch.tensor([1.0, math.nan, 3.0], dtype=torch.float64)
-    assert known(known_values).mean == 2.0
-    assert math.isnan(known(known_values[1:2]).mean)
 
 
 def test_rejects_choices_and_counters_that_do_not_fit():

@@ -1,7 +1,5 @@
 """The reward for inspecting an RSO: who is paid, when the inspection is complete, and what satellites know."""
 
-from __future__ import annotations
-
 import torch
 
 from bsk_torch import comm, rand, scene
@@ -70,8 +68,7 @@ def test_agents_stay_in_pettingzoo_as_in_bsk_rl():
         env = PettingZooEnv(inspection(reward=reward, num_envs=1, compat=compat))
         env.reset(seed=1)
         ended = env.step(dict.fromkeys(env.agents, 0))[2]
-        assert ended == dict.fromkeys(env.possible_agents, True)
-        assert env.agents == stay
+        assert (ended, env.agents) == (dict.fromkeys(env.possible_agents, True), stay)
 
 
 def test_nothing_is_paid_for_a_dark_rso_but_in_bsk_rl():

@@ -1,7 +1,5 @@
 """Several scenarios in one batch, and rewards of channels: each is what it is alone."""
 
-from __future__ import annotations
-
 import copy
 import math
 import re
@@ -153,8 +151,7 @@ def test_episodes_are_saved_and_do_not_depend_on_the_batch(together):
     alike.restore(env.get_state())
     assert torch.equal(alike.rewarder.channels["images"].imaged, env.rewarder.channels["images"].imaged)
     assert torch.equal(alike.rewarder.is_terminated(), env.rewarder.is_terminated())
-    assert len(found["EO"]) == 2 * STEPS
-    assert td.batch_size[0] == 2 * N
+    assert (len(found["EO"]), td.batch_size[0]) == (2 * STEPS, 2 * N)
 
 
 class SpaceImager(space.Imager):
@@ -247,9 +244,6 @@ def test_copies_have_scenarios_and_rewarders_of_their_own():
     assert len({scenario.group_of(name) for name in "ABC"}) == 2
     reward = mixed()["rewarder"]
     assert copy.copy(reward).channels["images"] is not reward.channels["images"]
-
-
-# -- errors -----------------------------------------------------------------------------------------------------------------
 
 
 def test_rejects_what_does_not_fit():

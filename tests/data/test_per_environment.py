@@ -1,7 +1,5 @@
 """Rewarders of one episode, with data and stores, run for each environment."""
 
-from __future__ import annotations
-
 import io
 import json
 import math
@@ -28,6 +26,7 @@ from bsk_torch.bsk_rl.data.unique_image_data import UniqueImageData, UniqueImage
 from bsk_torch.bsk_rl.scene.targets import Target
 from bsk_torch.data.pickled import Pickler, Unpickler
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
+from tests.support.episodes import begun
 from tests.support.refusals import check_refusals, refusal
 
 pytestmark = pytest.mark.compiled
@@ -128,13 +127,10 @@ def test_rewards_are_those_of_the_batched_form(clouds):
         assert env.rewarder.rewarder_of(row).cum_reward == {"EO1": pytest.approx(rewards[row].sum().item())}
 
 
-def test_environments_do_not_depend_on_the_batch(clouds):
+def test_environments_do_not_depend_on_the_batch_and_begin_anew(clouds):
     _, rewards, _ = clouds
     alone = imaging(per_environment(CloudRewarder(linear)), num_envs=1, env_ids=[1])
     assert torch.allclose(play(alone)[0], rewards[1:2])
-
-
-def test_one_environment_begins_anew(clouds):
     env = imaging(per_environment(CloudRewarder(linear)))
     play(env, 3)
     before = [found.imaged for found in env.rewarder.data]
@@ -164,8 +160,7 @@ def test_filters_of_stores_hide_opportunities():
             super().create_data_store(satellite)
             satellite.add_access_filter(lambda opportunity: opportunity["object"].true_cloud_cover < 0.2, types="target")
 
-    env = imaging(per_environment(Some()), time_limit=300.0)
-    env.reset()
+    env = begun(imaging(per_environment(Some()), time_limit=300.0))
     allowed = env.satellite.allowed("target")
     assert torch.equal(allowed, env.scenario.target_attribute("true_cloud_cover") < 0.2)
 
@@ -232,8 +227,7 @@ class Ring(CommunicationMethod):
 
 
 def test_data_take_one_hop_in_a_step():
-    env = crew(per_environment(VisitReward()), per_environment(Ring()))
-    env.reset()
+    env = begun(crew(per_environment(VisitReward()), per_environment(Ring())))
     assert (step(env)["agents", "reward"] == 4.0).all()
     stores = env.satellites[0].data_store
     mine = [{f"S{k} at 0", f"S{k} at 5"} for k in range(3)]
@@ -243,25 +237,17 @@ def test_data_take_one_hop_in_a_step():
     assert env.links[0].tolist() == [[False, True, False], [False, False, True], [False, False, False]]
 
 
-def test_all_get_the_sum_where_all_are_linked():
-    env = crew(per_environment(VisitReward()), comm.FreeCommunication())
-    env.reset()
+def test_linked_satellites_get_all_data_and_rewarders_end_episodes():
+    env = begun(crew(per_environment(VisitReward()), comm.FreeCommunication()))
     step(env)
     assert [len(store.data.names) for store in env.satellites[0].data_store] == [6] * 6
 
-
-def test_episodes_end_by_the_rewarder():
     class Short(VisitReward):
         limit = 2
 
-    env = crew(per_environment(Short()))
-    env.reset()
+    env = begun(crew(per_environment(Short())))
     assert step(env)["terminated"].all()
-
-
-def test_a_part_of_a_sum():
-    env = crew([per_environment(VisitReward()), per_environment(VisitReward())])
-    env.reset()
+    env = begun(crew([per_environment(VisitReward()), per_environment(VisitReward())]))
     assert (step(env)["agents", "reward"] == 8.0).all()
     assert [len(part.data) for part in env.rewarder.rewarders] == [2, 2]
 
@@ -316,14 +302,12 @@ class Bands(one_scene.UniformTargets):
 
 
 def test_targets_of_one_episode_are_made_for_each_environment():
-    env = imaging(data.UniqueImageReward(), per_environment(Bands(40)), num_envs=12, time_limit=300.0)
-    env.reset()
+    env = begun(imaging(data.UniqueImageReward(), per_environment(Bands(40)), num_envs=12, time_limit=300.0))
     band = env.scenario.target_attribute("band")
     assert len(set(band[:, 0].tolist())) == 4
     assert (band == band[:, :1]).all()
     assert torch.allclose(env.scenario.r_LP_P[..., 2], 6.371e6 * torch.sin(0.2 * band))
-    alone = imaging(data.UniqueImageReward(), per_environment(Bands(40)), num_envs=1, env_ids=[5], time_limit=300.0)
-    alone.reset()
+    alone = begun(imaging(data.UniqueImageReward(), per_environment(Bands(40)), num_envs=1, env_ids=[5], time_limit=300.0))
     assert torch.equal(alone.scenario.r_LP_P[0], env.scenario.r_LP_P[5])
 
 
@@ -448,10 +432,12 @@ def test_crafted_objects_are_rejected(part):
         read(json.dumps([[0], [part, ["list", []]]]).encode(), {Frozen})
 
 
-def test_deep_objects_are_rejected():
+def test_rejects_deep_objects_and_what_is_no_data():
     parts = [["list", [[k + 1]]] for k in range(5000)] + [["list", []]]
     with pytest.raises(ValueError, match="recursion"):
         read(json.dumps([[0], parts]).encode())
+    with pytest.raises(TypeError, match=r"Model or its stores keep .*kept\.scorer is Linear.*Keep numbers"):
+        saved_by(Model({"scorer": torch.nn.Linear(2, 1)}))
 
 
 class Model(VisitReward):
@@ -467,16 +453,14 @@ class Model(VisitReward):
 
 
 def saved_by(rewarder):
-    env = crew(per_environment(rewarder), num_envs=1)
-    env.reset()
+    env = begun(crew(per_environment(rewarder), num_envs=1))
     step(env)
     return env, env.get_state()
 
 
 def test_objects_of_the_module_of_a_rewarder_are_saved():
     env, state = saved_by(Model({"a": Frozen(1.0, ())}))
-    other = crew(per_environment(Model({"a": Frozen(1.0, ())})), num_envs=1)
-    other.reset()
+    other = begun(crew(per_environment(Model({"a": Frozen(1.0, ())})), num_envs=1))
     other.restore(torch.load(io.BytesIO(_bytes(state.to_dict())), weights_only=True))
     mine = other.rewarder.rewarder_of(0)
     assert (mine.named, mine.kept) == ({"point": Point(2, Color.RED), "many": [1]}, {"a": Frozen(1.0, ())})
@@ -488,11 +472,6 @@ def _bytes(value):
     file = io.BytesIO()
     torch.save(value, file)
     return file.getvalue()
-
-
-def test_what_is_no_data_is_named():
-    with pytest.raises(TypeError, match=r"Model or its stores keep .*kept\.scorer is Linear.*Keep numbers"):
-        saved_by(Model({"scorer": torch.nn.Linear(2, 1)}))
 
 
 def test_a_state_with_other_objects_changes_nothing():

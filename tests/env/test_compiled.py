@@ -1,7 +1,5 @@
 """The compiled back end gives the eager one's numbers, with one library for every batch size."""
 
-from __future__ import annotations
-
 import logging
 from collections import Counter
 from collections.abc import Iterator
@@ -107,9 +105,6 @@ def test_frozen_rows_are_bit_identical():
     assert not torch.equal(env.simulator.state.planes[:, ::2], before[:, ::2])
 
 
-# -- the code of the tick ---------------------------------------------------------------------------------------------------
-
-
 def lowered_tick(**options):
     return lower(make("eager", 2, **options).simulator.tick.trace())
 
@@ -144,9 +139,6 @@ def test_what_ticks_do_not_change_leaves_their_loop():
     sky, arc = ([value.op for value in record.computed] for record in loop.records)
     assert {"cos", "sin"} <= set(sky)
     assert len(arc) > 50
-
-
-# -- what has no kernel -----------------------------------------------------------------------------------------------------
 
 
 def rank(bus) -> None:

@@ -1,7 +1,5 @@
 """What a constellation promises: specs, independence of batch and order, and one satellite as if it were alone."""
 
-from __future__ import annotations
-
 import math
 import pickle
 

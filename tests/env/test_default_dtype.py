@@ -66,9 +66,6 @@ def digest(tensor):
     return str(tensor.dtype), tuple(tensor.shape), hashlib.sha256(tensor.contiguous().numpy().tobytes()).hexdigest()
 
 
-# -- environments -----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.compiled
 @pytest.mark.parametrize(
     ("dtype", "cases"),
@@ -90,9 +87,6 @@ def test_the_program_sees_tensors_of_the_default_type():
     with Made(torch.float32) as made:
         bsk_torch.vec3.Vec3(*whole).dot(bsk_torch.vec3.Vec3(0.5, 0.5, 0.5))
     assert made.found
-
-
-# -- the learner ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("default", [torch.bfloat16, torch.float64], indirect=True)
@@ -140,9 +134,6 @@ def test_training_works_under_it(tmp_path, default, network):
     policy = train(dataclasses.replace(TINY, network=network, hidden=(8, 8)), tmp_path / "run", episodes=0)
     assert {value.dtype for value in policy.state_dict().values()} == {torch.float32, torch.float64}  # weights, statistics
     assert weights(policy).isfinite().all()
-
-
-# -- the source -------------------------------------------------------------------------------------------------------
 
 
 def is_fractional(node):

@@ -1,7 +1,5 @@
 """Conjunctions and ranges in an environment: when steps end, who dies, and what bsk_rl books."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 
@@ -157,14 +155,11 @@ def test_episodes_do_not_depend_on_the_batch(collided):
     assert after["duration"][0] == td["duration"][1] == beside["duration"][1]
 
 
-def test_orbits_integrated_in_the_tick_end_at_the_same_ticks(collided):
+def test_integrated_orbits_and_the_eager_back_end_end_at_the_same_ticks(collided):
     _, td = collided
     flown = make({"A": APPROACH, "B": WAITS}, num_envs=1, orbit="integrated")
     assert step(flown, flown.reset())["duration"][0] == td["duration"][0]
     assert dead(flown) == {"A", "RSO"}
-
-
-def test_the_eager_back_end_ends_steps_at_the_same_ticks(collided):
     env, td = collided
     eager = make({"A": APPROACH, "B": WAITS}, backend="eager")
     after = step(eager, eager.reset())
@@ -234,8 +229,7 @@ def test_a_deputy_that_is_too_far_away_dies_alone():
     assert 45.0 < td["duration"].min() < 55.0
     far = distance(env, "A", "RSO")
     assert ((far >= 400.0) & (far < 401.1)).all()
-    assert dead(env) == {"A"}
-    assert rewards(env, td) == {"RSO": 0.0, "A": -1.0, "B": 0.0}
+    assert (dead(env), rewards(env, td)) == ({"A"}, {"RSO": 0.0, "A": -1.0, "B": 0.0})
     assert env.satellites[1].dynamics.out_of_ranges.tolist() == [[True, False, False], [False, False, False]] * 2
     assert set(env.satellites[0].aliveness()) == {"altitude_valid", "conjunction_valid"}
     after = step(env, td)
@@ -259,13 +253,10 @@ def test_the_chief_may_die_with_its_deputy(first):
     assert chief.aliveness()["conjunction_valid"].all()
 
 
-def test_a_chief_of_any_model_is_watched():
+def test_chiefs_of_any_model_are_watched_at_radii_of_each_episode():
     env = make({"A": ESCAPE}, kinds={"RSO": Free}, num_envs=1)
     step(env, env.reset())
     assert dead(env) == {"A"}
-
-
-def test_radii_may_differ_between_episodes():
     env = make({"A": ESCAPE, "B": WAITS}, args={"A": dict(max_range_radius=rand.per_env([380.0, 400.0]))})
     td = step(env, env.reset())
     assert td["duration"][0] < td["duration"][1] - 10.0

@@ -19,6 +19,7 @@ from bsk_torch.env.options import TaskingOptions
 from bsk_torch.scene.cities import city_table
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.readout.observables import Arguments
+from tests.support.episodes import begun, unchanged
 from tests.support.refusals import check_refusals, refusal
 
 
@@ -91,9 +92,11 @@ def test_rejects_wrong_world_arguments():
     check_refusals(table)
 
 
-def test_rejects_stations_that_a_satellite_never_sees():
+def test_rejects_stations_that_are_never_seen_and_steps_without_an_action():
     equator, pole = dict(oe=rand.random_orbit(i=0.0)), dict(groundStationsData=[dict(lat=90.0, long=0.0)])
     check_refusals([refusal(lambda: make(equator, world_args=pole), RuntimeError, "ground_station", "[0]", "groundStationsData")])
+    env = make()
+    check_refusals([refusal(lambda: env.step(env.reset()), KeyError, "td['action']")])
 
 
 def test_rejects_wrong_options():
@@ -128,11 +131,6 @@ def test_rejects_tensors_without_values():
         )
     finally:
         torch.set_default_device(None)
-
-
-def test_rejects_steps_without_an_action():
-    env = make()
-    check_refusals([refusal(lambda: env.step(env.reset()), KeyError, "td['action']")])
 
 
 class Base(sats.AccessSatellite):
@@ -180,12 +178,10 @@ def test_rejects_wrong_entries_of_specs():
 def test_an_environment_stays_on_its_device(monkeypatch):
     env = make()
     assert env.to("cpu:0") is env
-    for device in ("cuda:99", "cud", "meta"):
-        with pytest.raises(ValueError, match=f"device='{device}' is not available"):
-            env.to(device)
+    devices = "cuda:99", "cud", "meta"
+    check_refusals(refusal(lambda name=name: env.to(name), ValueError, f"device='{name}'") for name in devices)
     monkeypatch.setattr("bsk_torch.env.base.existing_device", torch.device)
-    with pytest.raises(ValueError, match="device='cuda:1': an environment stays on 'cpu'; make one with device='cuda:1'"):
-        env.to("cuda:1")
+    check_refusals([refusal(lambda: env.to("cuda:1"), ValueError, "device='cuda:1'", "'cpu'")])
     assert env.rollout(1).device == torch.device("cpu")
 
 
@@ -277,34 +273,24 @@ def test_without_compiler_or_cache(settings, words, tmp_path):
     assert not list(tmp_path.glob("*.so"))
 
 
-@pytest.mark.parametrize(
-    ("action", "error", "words"),
-    [
-        (torch.tensor([0, 4]), ValueError, "action 4 of environment 1 is out of range; legal are 0: action_nadir_scan"),
-        (torch.tensor([-1, 0]), ValueError, "action -1 of environment 0"),
-        (torch.tensor([0.0, 1.0]), TypeError, "dtype torch.float32"),
-        (torch.tensor([0]), ValueError, r"shape \[1\]"),
-    ],
-)
-def test_actions_are_checked_before_anything_moves(action, error, words):
+def test_rejects_wrong_actions_before_anything_moves():
     env = make()
     td = env.reset()
-    before = env.get_state()
-    with pytest.raises(error, match=words):
-        env._step(td.set("action", action) if action.shape == (2,) else {"action": action})
-    after = env.get_state()
-    assert all(torch.equal(before[key], after[key]) for key in before.keys(True, True))
+    wrong = [
+        (td.clone().set("action", torch.tensor([0, 4])), ValueError, "action 4 of environment 1", "0: action_nadir_scan"),
+        (td.clone().set("action", torch.tensor([-1, 0])), ValueError, "action -1 of environment 0"),
+        (td.clone().set("action", torch.tensor([0.0, 1.0])), TypeError, "dtype torch.float32"),
+        ({"action": torch.tensor([0])}, ValueError, [1]),
+    ]
+    with unchanged(env):
+        check_refusals(refusal(lambda given=given: env._step(given), *names) for given, *names in wrong)
 
 
 def test_a_bad_draw_leaves_the_running_episodes_alone():
     levels = iter([1e5, 1e5, 1e5, 1e5, 1e5, 1e5, 9e9, 9e9])
-    env = make(dict(storedCharge_Init=lambda: next(levels)))
-    env.reset()
-    before = env.get_state()
-    with pytest.raises(ValueError, match="storedCharge_Init"):
-        env.reset()
-    after = env.get_state()
-    assert all(torch.equal(before[key], after[key]) for key in before.keys(True, True))
+    env = begun(make(dict(storedCharge_Init=lambda: next(levels))))
+    with unchanged(env):
+        check_refusals([refusal(env.reset, ValueError, "storedCharge_Init")])
 
 
 # -- values of options --------------------------------------------------------------------------------------------------------
@@ -312,31 +298,28 @@ def test_a_bad_draw_leaves_the_running_episodes_alone():
 BAD = (float("nan"), float("inf"), None, -1.0, 0, "x", "4", [1.0, 2.0], 10**400)
 
 
-@pytest.mark.parametrize(
-    ("name", "wrong"),
-    [
-        ("num_envs", (1.5, True, *BAD)),
-        ("sim_rate", (60.1, 1e-9, *BAD)),
-        ("max_step_duration", [value for value in BAD if value not in (float("inf"), 10**400)]),
-        ("failure_penalty", [value for value in BAD if value not in (0, -1.0)]),
-        ("terminate_on_time_limit", [value for value in BAD if value != 0]),
-        ("time_limit", [value for value in BAD if value not in (float("inf"), 10**400)]),
-        ("seed", (-1, 2**63, 1.0, "1", [1], True)),
-        ("env_ids", ([0.0, 1.0], [0, 2**63], [0, -1], "ab", 5, [0], [[0, 1]], torch.tensor([0.5, 1.0]))),
-        ("dtype", (torch.int64, torch.float16, "x", "int64", 5, float("nan"))),
-        ("sim_dtype", (torch.float16, torch.int64, None, "float64", 5)),
-        ("backend", (None, 5, "Eager")),
-        ("orbit", (5, "x", float("nan"))),
-        ("device", (None, "x", float("nan"))),
-        ("log_level", (float("nan"), "x", [1])),
-        ("log_dir", (5, float("nan"))),
-    ],
-)
-def test_values_of_options(name, wrong):
-    assert wrong
-    for value in wrong:
-        with pytest.raises(ValueError, match=name):
-            make(**{name: value})
+WRONG_OPTIONS = {
+    "num_envs": (1.5, True, *BAD),
+    "sim_rate": (60.1, 1e-9, *BAD),
+    "max_step_duration": [value for value in BAD if value not in (float("inf"), 10**400)],
+    "failure_penalty": [value for value in BAD if value not in (0, -1.0)],
+    "terminate_on_time_limit": [value for value in BAD if value != 0],
+    "time_limit": [value for value in BAD if value not in (float("inf"), 10**400)],
+    "seed": (-1, 2**63, 1.0, "1", [1], True),
+    "env_ids": ([0.0, 1.0], [0, 2**63], [0, -1], "ab", 5, [0], [[0, 1]], torch.tensor([0.5, 1.0])),
+    "dtype": (torch.int64, torch.float16, "x", "int64", 5, float("nan")),
+    "sim_dtype": (torch.float16, torch.int64, None, "float64", 5),
+    "backend": (None, 5, "Eager"),
+    "orbit": (5, "x", float("nan")),
+    "device": (None, "x", float("nan")),
+    "log_level": (float("nan"), "x", [1]),
+    "log_dir": (5, float("nan")),
+}
+
+
+def test_rejects_values_of_options():
+    given = [{name: value} for name, wrong in WRONG_OPTIONS.items() for value in wrong]
+    check_refusals(refusal(lambda option=option: make(**option), ValueError, *option) for option in given)
 
 
 @pytest.mark.parametrize("options", [dict(sim_rate=60.0), dict(sim_rate=1e-3), dict(max_step_duration=float("inf"))])
@@ -363,17 +346,11 @@ LATE = dict(utc_init="2060 MAR 06 11:50:00 (UTC)")
 
 
 def test_episodes_beyond_the_ephemeris_are_refused_before_they_begin():
-    words = "utc_init and time_limit: an episode would end .* after the ephemeris table, which covers 1989-11-30 to 2060-03-06"
-    with pytest.raises(ValueError, match=words):
-        make(world_args=LATE, time_limit=1200.0)
-    env = make(world_args=LATE, time_limit=rand.per_env([60.0, 120.0]))
-    env.reset()
+    names = ValueError, "utc_init", "time_limit", "ephemeris", "1989-11-30", "2060-03-06"
+    env = begun(make(world_args=LATE, time_limit=rand.per_env([60.0, 120.0])))
     env.set_world_args(dict(utc_init=rand.per_env([LATE["utc_init"], "2060 MAR 06 11:58:30 (UTC)"])))
-    before = env.get_state()
-    with pytest.raises(ValueError, match=words):
-        env.reset()
-    after = env.get_state()
-    assert all(torch.equal(before[key], after[key]) for key in before.keys(True, True))
+    with unchanged(env):
+        check_refusals([refusal(lambda: make(world_args=LATE, time_limit=1200.0), *names), refusal(env.reset, *names)])
 
 
 def test_episodes_at_the_end_of_the_ephemeris():

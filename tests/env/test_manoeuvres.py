@@ -91,13 +91,14 @@ def test_rejects_wrong_states():
     env.restore(saved)
 
 
-def test_bad_options():
+def test_options_of_movers():
     with pytest.raises(ValueError, match=r"replan=True with compat='bsk_rl'"):
         make(replan=True, compat="bsk_rl")
     with pytest.raises(ValueError, match="replan"):
         make(replan="yes")
     assert make(compat="bsk_rl").options.replan is False
     assert make().options.replan is True
+    assert Mover.default_sat_args()["dv_available_init"] == 100.0
 
 
 class Seer(sats.Satellite):
@@ -130,7 +131,3 @@ def test_lines_of_sight_after_manoeuvres(replan):
         assert env.links is not None
         assert env.links[:, 0, 1].all()
     assert env.satellites[0].fsw.thrust_count.tolist() == [2.0, 1.0, 0.0, 0.0]
-
-
-def test_a_mover_is_a_satellite_with_a_tank():
-    assert Mover.default_sat_args()["dv_available_init"] == 100.0

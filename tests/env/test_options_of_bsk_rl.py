@@ -1,7 +1,5 @@
 """Arguments of bsk_rl's environments: each works, or raises and names what to use instead."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -49,20 +47,24 @@ def test_arguments_are_randomized_together_for_one_satellite():
     assert (env.satellite.sat_args["storedCharge_Init"] == 1e3 * env.satellite.sat_args["mass"]).all()
 
 
-def test_a_formation_arranges_one_satellite():
+def test_one_satellite_takes_options_of_many():
     env = build(sat_arg_randomizer=formations.walker_delta_args(1, altitude=600.0))
     env.reset()
     assert env.satellite.sat_args["oe"][:, 0].tolist() == [6971e3] * 2
+    env = build(vizard_dir=None, vizard_settings=None, render_mode=None, generate_obs_retasking_only=True)
+    env.reset()
+    assert (env.play(torch.zeros(2, dtype=torch.int64))["observation"] > 0.0).all()
+    env = ConstellationTasking((Plain("A"), Plain("B")), num_envs=1, backend="eager", dtype=np.float64, render_mode=None)
+    assert env.dtype == torch.float64
+    with pytest.raises(TypeError, match="vizard_dir"):
+        ConstellationTasking((Plain("A"), Plain("B")), vizard_dir="x")
+    assert build(dtype=np.float64).reset()["observation"].dtype == torch.float64
+    assert build().reset()["observation"].dtype == torch.float32
 
 
 @pytest.mark.parametrize("kind", [np.float64, "float64", np.dtype("float64"), torch.float64])
 def test_types_of_numpy(kind):
     assert as_dtype(kind) is torch.float64
-
-
-def test_observations_have_the_given_type():
-    assert build(dtype=np.float64).reset()["observation"].dtype == torch.float64
-    assert build().reset()["observation"].dtype == torch.float32
 
 
 def test_what_cannot_be_used_is_refused_at_construction():
@@ -84,12 +86,6 @@ def test_what_cannot_be_used_is_refused_at_construction():
     check_refusals(table)
 
 
-def test_options_that_change_nothing_with_one_satellite_are_accepted():
-    env = build(vizard_dir=None, vizard_settings=None, render_mode=None, generate_obs_retasking_only=True)
-    env.reset()
-    assert (env.play(torch.zeros(2, dtype=torch.int64))["observation"] > 0.0).all()
-
-
 @pytest.mark.parametrize("rewarders", [(data.NoReward(),), iter([data.NoReward()])])
 def test_rewarders_of_any_collection_are_added(rewarders):
     assert build(rewarder=rewarders).rewarder.rewarders
@@ -101,9 +97,6 @@ def test_time_limits_may_be_functions_that_use_numpy():
         env.reset()
     assert torch.equal(limits[0].time_limit, limits[1].time_limit[:2])
     assert len(limits[1].time_limit.unique()) == 3
-
-
-# -- no targets -------------------------------------------------------------------------------------------------------
 
 
 def test_without_targets_a_satellite_that_looks_for_none_flies():
@@ -134,16 +127,6 @@ def test_some_environments_without_targets():
     assert not scene.UniformTargets((0, 1)).draw(first_key(2))["target_exists"].any()
     exists = scene.UniformTargets((0, 3)).draw(first_key(64))["target_exists"]
     assert set(exists.sum(1).tolist()) == {0.0, 1.0, 2.0}
-
-
-def test_a_constellation_of_one_type_takes_the_same_options():
-    env = ConstellationTasking((Plain("A"), Plain("B")), num_envs=1, backend="eager", dtype=np.float64, render_mode=None)
-    assert env.dtype == torch.float64
-    with pytest.raises(TypeError, match="vizard_dir"):
-        ConstellationTasking((Plain("A"), Plain("B")), vizard_dir="x")
-
-
-# -- ticks that are too long ------------------------------------------------------------------------------------------
 
 
 def test_rates_that_ticks_cannot_resolve_are_flown_as_in_bsk_rl(caplog):

@@ -140,7 +140,7 @@ def test_rejects_wrong_ranks_of_targets():
     check_refusals(table)
 
 
-def test_rejects_wrong_options_of_sensors():
+def test_rejects_wrong_options_of_sensors_and_rules_without_a_team():
     sensors = lambda **options: services("Walker4-v1", **options)
     table = [
         refusal(lambda: sensors(information="telepathy"), ValueError, "information", "'telepathy'", "'radio'"),
@@ -152,9 +152,6 @@ def test_rejects_wrong_options_of_sensors():
         refusal(lambda: sensors(shielded=1), ValueError, "shielded=1", True, False),
     ]
     check_refusals(table)
-
-
-def test_rejects_rules_of_teams_without_a_team():
     check_refusals([refusal(lambda: bsk_torch.rule("local", services()), ValueError, "scene.RSOTargets", "knowledge='own'")])
 
 

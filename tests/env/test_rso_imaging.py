@@ -8,6 +8,7 @@ import torch
 from torchrl.envs.utils import check_env_specs
 
 from bsk_torch import ConstellationTasking, SatelliteTasking, act, data, obs, rand, sats, scene
+from tests.support.episodes import begun
 from tests.support.refusals import check_refusals, refusal
 from tests.support.rso_imaging import EPOCH, KEPT, Imager, catalog, environment, play, state
 
@@ -45,11 +46,16 @@ def same(one, other, rows=slice(None)):
             assert torch.equal(x, y[rows])
 
 
-def test_episodes_do_not_depend_on_the_batch():
+def test_episodes_do_not_depend_on_the_batch_and_play_at_random():
     few, many = drawn(2), drawn(7)
     few.reset()
     many.reset()
     same(fly(few, 6), fly(many, 6), slice(2))
+    env = drawn(4)
+    td = env.rollout(12, break_when_any_done=False)
+    group = next(iter(env.group_map))
+    assert torch.isfinite(td[group, "observation"]).all()
+    assert torch.isfinite(td["next", group, "reward"]).all()
 
 
 def test_a_saved_state_continues_bit_for_bit():
@@ -64,8 +70,7 @@ def test_a_saved_state_continues_bit_for_bit():
 
 
 def test_copies_continue_bit_for_bit():
-    env = drawn(3)
-    env.reset()
+    env = begun(drawn(3))
     fly(env, 3)
     others = [copy.deepcopy(env), pickle.loads(pickle.dumps(env)), drawn(3, seed=9), env.like(3)]
     for other in others[2:]:
@@ -76,11 +81,9 @@ def test_copies_continue_bit_for_bit():
 
 def test_what_begins_in_inference_mode_continues_outside():
     with torch.inference_mode():
-        env = drawn(2)
-        env.reset()
+        env = begun(drawn(2))
         fly(env, 2)
-    wanted = drawn(2)
-    wanted.reset()
+    wanted = begun(drawn(2))
     fly(wanted, 2)
     same(fly(wanted, 2, 2), fly(env, 2, 2))
 
@@ -98,8 +101,7 @@ def test_one_imager_is_an_environment_of_one_agent():
 
 
 def test_rejects_wrong_saved_states():
-    env = drawn(2, backend="eager")
-    env.reset()
+    env = begun(drawn(2, backend="eager"))
 
     def restore(*key, row, value):
         saved = env.get_state()
@@ -116,8 +118,7 @@ def test_rejects_wrong_saved_states():
 
 
 def test_a_reset_of_some_environments_leaves_the_others():
-    env = drawn(3)
-    env.reset()
+    env = begun(drawn(3))
     fly(env, 3)
     before = env.scenario.r_TN_N.clone()
     td = env.reset(env_mask(env, [1]))
@@ -134,14 +135,6 @@ def env_mask(env, envs):
     mask = torch.zeros(env.num_envs, 1, dtype=torch.bool)
     mask[envs] = True
     return TensorDict({"_reset": mask}, [env.num_envs])
-
-
-def test_rollouts_of_random_actions_run():
-    env = drawn(4)
-    td = env.rollout(12, break_when_any_done=False)
-    group = next(iter(env.group_map))
-    assert torch.isfinite(td[group, "observation"]).all()
-    assert torch.isfinite(td["next", group, "reward"]).all()
 
 
 @pytest.mark.parametrize("orbit", ["integrated"])
@@ -194,8 +187,7 @@ def test_imagers_of_several_types_share_a_catalog_with_other_satellites():
 
 @pytest.mark.parametrize("options", [{"sim_rate": 0.5}, {"sim_dtype": torch.float32}])
 def test_images_are_taken_with_other_ticks_and_types(options):
-    env = environment(**options)
-    env.reset()
+    env = begun(environment(**options))
     play(env, 2)
     assert env.satellites[0].dynamics.rso_images.tolist() == [1.0, 1.0]
     assert env.satellites[0].dynamics.rso_image_held.tolist() == [5.0, 5.0]

@@ -1,7 +1,5 @@
 """ThreeSensors-v1 and Walker4-v1: what is observed, and the rules of teams, against plain Python."""
 
-from __future__ import annotations
-
 import itertools
 import random
 import re
@@ -18,6 +16,7 @@ from bsk_torch.rl.policies.shared_policy import baseline, for_each_group, shared
 from bsk_torch.rl.rules.servicing import ORDERS, WORTHS
 from bsk_torch.rl.rules.team import Choices, TeamRule
 from bsk_torch.scene.rso_records import AGO, DELIVERED
+from tests.support.episodes import begun
 
 pytestmark = pytest.mark.compiled
 
@@ -159,15 +158,13 @@ def test_teams_play(name, information, retasking, width, actions):
 
 
 def test_orbits_are_those_of_the_studies():
-    env = sensors("ThreeSensors-v1")
-    env.reset()
+    env = begun(sensors("ThreeSensors-v1"))
     elements = env.satellites[0].dynamics.elements
     a, e, i = (part.view(2, 3)[0] for part in (elements.a, elements.e, elements.i))
     assert a.tolist() == pytest.approx([7071e3, 7171e3, 7071e3], rel=1e-9)
     assert e.tolist() == pytest.approx([1e-3] * 3, rel=1e-6)
     assert torch.rad2deg(i).tolist() == pytest.approx([97.0, 70.0, 97.0])
-    walker = sensors()
-    walker.reset()
+    walker = begun(sensors())
     assert walker.scenario.service_time.tolist() == pytest.approx([11834.8358] * 2, abs=1e-4)
 
 
@@ -270,8 +267,7 @@ def joint(choices, images, row):
 
 def test_the_centralized_rule_takes_the_best_joint_choice():
     """Against loops over all joint choices of three imagers with three candidates."""
-    env = sensors("ThreeSensors-v1", information="ideal")
-    env.reset()
+    env = begun(sensors("ThreeSensors-v1", information="ideal"))
     rule, numbers = TeamRule(env, "centralized"), random.Random(2)
     for _ in range(30):
         draw = lambda make: torch.tensor([[[make() for _ in range(3)] for _ in range(3)] for _ in range(2)])
@@ -289,8 +285,7 @@ def test_the_centralized_rule_takes_the_best_joint_choice():
 
 
 def test_the_local_rule_prefers_new_targets_then_small_angles():
-    env = sensors("ThreeSensors-v1")
-    env.reset()
+    env = begun(sensors("ThreeSensors-v1"))
     row = lambda *values: torch.tensor([[list(values)] * 3] * 2)
     rule = TeamRule(env)
     choices = Choices(
@@ -314,16 +309,13 @@ def test_shared_facts_avoid_duplicates():
     assert duplicates["ideal"] < 0.2 * duplicates["independent"]
 
 
-def test_rules_of_teams_are_compared_with_and_stand_behind_no_shield():
+def test_rules_of_teams_are_compared_and_flown_and_stand_behind_no_shield(capsys):
     env = sensors("ThreeSensors-v1", backend="eager")
     assert set(shared_baselines(env)) == {"random", "local", "centralized", *WORTHS} - {"prompt", *AHEAD}
     with pytest.raises(ValueError, match="decides for all satellites at once"):
         for_each_group(lambda policy, view: policy, baseline("local", env), env)
     alone = shared_baselines(bsk_torch.make("Services-v1", n_targets=12, backend="eager"))
     assert set(alone) == {"random", *ORDERS, *WORTHS} - {"prompt", *AHEAD}
-
-
-def test_rules_of_teams_are_flown_from_the_command_line(capsys):
     app(["eval", "local", "--preset", "ThreeSensors-v1", "--seeds", "0:2", "--time-limit", "600"], standalone_mode=False)
     assert re.search(r"local +[\d.]+ ± ", capsys.readouterr().out)
 

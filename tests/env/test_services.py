@@ -1,7 +1,5 @@
 """Services-v1: exposures, bookkeeping and penalties, against plain Python."""
 
-from __future__ import annotations
-
 import itertools
 import pickle
 from typing import Any
@@ -183,9 +181,7 @@ def test_an_image_is_stored_a_tick_after_the_first_valid_one_and_held_afterward(
         if first is None or env.satellite.dynamics.rso_images[k] == 0.0:
             continue
         done += 1
-        assert held[first] == 1.0
-        assert storage[first] == 0.0
-        assert storage[first + 1] == IMAGE
+        assert (held[first], storage[first], storage[first + 1]) == (1.0, 0.0, IMAGE)
         assert float(env.satellite.dynamics.rso_image_time[k]) == pytest.approx(first + 1)
         assert held[-1] == 10.0
         assert all(b - a in (0.0, 1.0) for a, b in itertools.pairwise(held))
@@ -274,8 +270,7 @@ def test_an_image_whose_hold_another_command_ends_stays_in_the_store_without_qua
             [torch.tensor([[FIRST - 1, 0]] * 2)] if env.fleet.sim_time[0] == 0.0 else [torch.tensor([[2**31 - 1, 0]] * 2)], moves
         )
         assert env.fleet.sim_time[0] < 900.0
-    assert env.scenario.pending.sum() == 0
-    assert dynamics.rso_images[::2].tolist() == [0.0, 0.0]
+    assert (env.scenario.pending.sum(), dynamics.rso_images[::2].tolist()) == (0, [0.0, 0.0])
     opened = env.fleet.simulators[0].read("rso_open")[::2].clone()
     play(env, 0, 0)
     assert dynamics.rso_left[::2].tolist() == [1.0, 1.0]

@@ -34,9 +34,6 @@ def basic(name="A", sat_args=None, **options):
     return Basic(name, sat_args, **options)
 
 
-# -- names ------------------------------------------------------------------------------------------------------------
-
-
 def test_names():
     assert check_names([basic("A"), Other("B"), basic("A_1")]) == ["A", "B", "A_1"]
 
@@ -61,9 +58,6 @@ def test_wrong_names():
         refusal(lambda: check_world({"zzz": 1}, known), KeyError, "world_args", "'zzz'", "gsMinimumElevation, utc_init"),
     ]
     check_refusals(table)
-
-
-# -- types ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -134,17 +128,11 @@ def test_satellites_with_options_of_their_own():
     assert not same_type(one, other)
 
 
-# -- world ------------------------------------------------------------------------------------------------------------
-
-
-def test_the_world_of_a_satellite():
+def test_worlds_have_the_arguments_of_their_satellites():
     basic_world, ground_world = (set(world_arguments(satellite)) for satellite in (Basic("A"), Ground("B")))
     assert basic_world < ground_world
     assert {"utc_init"} <= basic_world
     assert "groundStationsData" in ground_world - basic_world
     assert {arg.name for part in world_components(Ground("B")) for arg in part.args} == ground_world
-
-
-def test_world_arguments_that_some_satellite_knows():
     check_world({"utc_init": 1, "gsMinimumElevation": 2}, [["utc_init"], ["gsMinimumElevation", "utc_init"]])
     check_world({}, [])

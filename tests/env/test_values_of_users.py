@@ -1,7 +1,5 @@
 """What users' functions and classes return is checked where it enters: shapes, kinds, NaN, and draws without a key."""
 
-from __future__ import annotations
-
 import torch
 
 from bsk_torch import ConstellationTasking, SatelliteTasking, act, data, obs, rand, sats, scene

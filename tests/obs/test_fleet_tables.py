@@ -1,7 +1,5 @@
 """Observations that read tables of rewarders and communicators, for all satellites at once and for each."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Functions and properties written for one satellite are observed for all environments, each with its own value."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -161,16 +159,13 @@ def test_an_environment_alone_observes_the_same(three):
         assert torch.equal(alone["sat_props", name][0], three[1]["sat_props", name][0])
 
 
-def test_names_are_those_of_bsk_rl():
+def test_names_and_types_are_those_of_bsk_rl():
     def named(sat, opp):
         return opp["object"].priority
 
     entries = (dict(fn=named), dict(fn=named, norm=2.0), dict(prop="a", fn=named, norm=None), dict(prop="b", fn=named, norm=3))
     spec = obs.OpportunityProperties(*entries, n_ahead_observe=1)
     assert [entry["name"] for entry in spec.entries] == ["prop_0", "prop_1_normd", "a", "b_normd"]
-
-
-def test_an_array_means_a_vector_and_a_list_too():
     satellites = [sats.Satellite("A", obs_type=kind) for kind in (np.ndarray, list, torch.Tensor, dict)]
     assert [satellite.obs_type for satellite in satellites] == [torch.Tensor] * 3 + [dict]
     with pytest.raises(ValueError, match=r"obs_type=<class 'tuple'> must be dict, or one of torch.Tensor, np.ndarray and list"):

@@ -1,7 +1,5 @@
 """A subclass's observation is observed, as a vector and by name."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Observations: wrong entries, hooks and noise, and values that are no observations."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Relative properties: identities that hold in any motion, and derivatives."""
 
-from __future__ import annotations
-
 import functools
 import math
 from types import SimpleNamespace
@@ -106,9 +104,6 @@ def test_the_sun_turns_with_its_frames():
     e = FUNCTIONS["eccentricity_Hs"](deputy, chief)[0]
     assert torch.allclose(e, 0.1 * seen / seen.norm(), atol=1e-13)
     assert float(v.norm()) > 0.0
-
-
-# -- in an environment ---------------------------------------------------------------------------------------------------------
 
 
 class Chief(sats.Satellite):

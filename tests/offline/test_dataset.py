@@ -49,8 +49,7 @@ def test_another_seed_gives_other_data(written, tmp_path):
 def test_transitions_are_the_episodes_one_after_the_other(written):
     data = written.transitions("pretrained")
     last = torch.nonzero(data["next", "done"].squeeze(-1)).squeeze(-1)
-    assert data["episode"][last].tolist() == [0, 1, 2]
-    assert last[-1] == len(data) - 1
+    assert (data["episode"][last].tolist(), last[-1]) == ([0, 1, 2], len(data) - 1)
     inner = torch.ones(len(data), dtype=torch.bool)
     inner[last] = False
     at = torch.nonzero(inner).squeeze(-1)
@@ -115,16 +114,13 @@ def test_values_of_actions_are_the_returns_of_flights_from_the_start(written):
                 assert float(values[action]) == pytest.approx(again, abs=1e-12)
 
 
-def test_the_action_of_the_target_has_the_rest_of_the_return(written):
+def test_values_of_the_target_are_the_rest_of_the_return_and_those_at_the_starts(written):
     data, found = written.transitions("pretrained"), written.counterfactuals("pretrained")
     assert torch.equal(found["target_action", "pretrained"], found["action"])
     for row in found:
         rest = (data["episode"] == row["episode"]) & (torch.arange(len(data)) >= row["index"])
         value = row["action_value", "pretrained"][row["action"]]
         assert float(value) == pytest.approx(float(data["next", "reward"][rest].double().sum()), abs=1e-6)
-
-
-def test_starts_have_the_returns_of_the_targets(written):
     starts = written.starts()
     assert starts["seed"].tolist() == [11, 12, 13]
     found = evaluate(rule("rule", scanning(3, LIMIT)), scanning(3, LIMIT), seeds=range(11, 14))

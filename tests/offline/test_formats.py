@@ -33,8 +33,7 @@ def root(written, monkeypatch):
 def test_minari_reads_the_episodes_and_gymnasium_repeats_them(written, root):
     found = minari.load_dataset(NAME)
     rows = written.transitions("pretrained,random=0.4")
-    assert found.total_steps == len(rows)
-    assert found.total_episodes == 3
+    assert (found.total_steps, found.total_episodes) == (len(rows), 3)
     env = found.recover_environment()
     assert env.spec.kwargs["time_limit"] == LIMIT
     for episode, metadata in zip(found, found.storage.get_episode_metadata(range(3)), strict=True):

@@ -36,9 +36,6 @@ def eager():
     return scanning(2, backend="eager")
 
 
-# -- planners -----------------------------------------------------------------------------------------------------------------
-
-
 def test_rejects_wrong_options_of_planners(eager):
     check_refusals(
         [
@@ -97,9 +94,6 @@ def test_rejects_environments_that_do_not_suit_the_planner(env):
     )
 
 
-# -- audits and risks ---------------------------------------------------------------------------------------------------------
-
-
 def test_rejects_wrong_audits(eager):
     check_refusals(
         [
@@ -154,9 +148,6 @@ def test_rejects_wrong_blends():
             refusal(lambda: blend([], [], []), ValueError, "0 seeds", "shapes"),
         ]
     )
-
-
-# -- bounds -------------------------------------------------------------------------------------------------------------------
 
 
 def begun(preset="aeos", **options):
@@ -225,8 +216,6 @@ def test_rejects_envelopes_that_cannot_be_fitted():
         ]
     )
 
-
-# -- environments that cannot be copied ---------------------------------------------------------------------------------------
 
 STREAM = np.random.default_rng(0)
 COUNT = itertools.count()

@@ -77,8 +77,7 @@ def test_estimates_have_no_bias():
 
 def test_what_never_happens_has_no_share_and_says_why():
     climb, found, _ = estimate(walks(21.0), smallest=1e-12, size=50, count=4)
-    assert climb.why == STUCK
-    assert float(found.estimates.sum()) == 0.0
+    assert (climb.why, float(found.estimates.sum())) == (STUCK, 0.0)
     assert float(climb.last.flown.level.max()) == 20.0
     climb, found, _ = estimate(sums(50.0), smallest=1e-3, size=50, count=4)
     assert climb.why == RARER
@@ -100,9 +99,6 @@ def test_repetitions_and_batches_do_not_depend_on_each_other():
 def _joined(parts):
     notes = {"total": torch.cat([part.notes["total"] for part in parts])}
     return Flown(torch.cat([part.level for part in parts]), torch.cat([part.seconds for part in parts]), notes)
-
-
-# -- blends -------------------------------------------------------------------------------------------------------------------
 
 
 def table(step, share=1.0, parts=2):

@@ -1,7 +1,5 @@
 """Assignments of AEOS-Bench in its files: what flights write, and flights of what files say."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

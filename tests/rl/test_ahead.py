@@ -1,7 +1,5 @@
 """Trainings that collect the next batch while they learn from one."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 

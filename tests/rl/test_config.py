@@ -36,9 +36,11 @@ def test_files_give_back_what_was_saved(tmp_path):
         load_config(tmp_path / "config.yaml", PPOConfig)
 
 
-def test_objects_are_noted(tmp_path):
+def test_objects_are_noted_and_logs_are_not_kept(tmp_path):
     save_config(PPOConfig(options={"scenario": scene.Wildfires(50)}), tmp_path / "config.yaml")
     assert "Wildfires" in load_config(tmp_path / "config.yaml", PPOConfig).options["scenario"]
+    save_config(PPOConfig(options={"log_dir": "x", "as_set": True}), tmp_path / "config.yaml")
+    assert load_config(tmp_path / "config.yaml", PPOConfig).options == {"as_set": True}
 
 
 @pytest.mark.parametrize("name", SCHEDULES)
@@ -47,9 +49,6 @@ def test_schedules_begin_in_full_and_never_rise(name):
     assert left[0] == pytest.approx(1.0)
     assert all(later <= earlier for earlier, later in pairwise(left))
     assert left[-1] == pytest.approx(1.0 if name == "constant" else 0.05)
-
-
-# -- files of others --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -114,11 +113,6 @@ def test_changes_are_literal_values(changes, monkeypatch):
     with pytest.raises(ValueError, match="would be replaced; settings are literal values: numbers, true, false, null, text"):
         override(PPOConfig(), changes)
     assert not calls
-
-
-def test_logs_are_not_kept(tmp_path):
-    save_config(PPOConfig(options={"log_dir": "x", "as_set": True}), tmp_path / "config.yaml")
-    assert load_config(tmp_path / "config.yaml", PPOConfig).options == {"as_set": True}
 
 
 def test_patience_needs_evaluations():

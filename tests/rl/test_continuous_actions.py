@@ -1,7 +1,5 @@
 """Learning with actions of real numbers: PPO and MAPPO, files of policies, evaluation, and what is refused."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -75,8 +73,7 @@ class TestNetworks:
         env = turner(50)
         networks = plan.of(env, hidden).build()
         td = networks.policy(env.reset())
-        assert td["action"].shape == (50, 3)
-        assert td["action"].dtype == torch.float32
+        assert (td["action"].shape, td["action"].dtype) == ((50, 3), torch.float32)
         assert bool((td["action"].abs() < 1.0).all())
         assert td["action_log_prob"].shape == (50,)
         with set_exploration_type(ExplorationType.DETERMINISTIC):

@@ -31,9 +31,6 @@ def always(action):
     return TensorDictModule(lambda mask: torch.full(mask.shape[:1], action), in_keys=["action_mask"], out_keys=["action"])
 
 
-# -- the bound ----------------------------------------------------------------------------------------------------------
-
-
 def survives(charge, gain, longest):
     """Whether actions of at most ``longest`` ticks can be chosen such that the battery is not empty at the end of any."""
     levels = [charge]
@@ -84,9 +81,6 @@ def test_whoever_has_less_than_the_bound_dies_whatever_he_does():
         assert not bool((fly(env, seeds, plan.expand(64, -1)).survived & doomed).any())
 
 
-# -- searches -----------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.compiled
 def test_every_plan_ends_with_charging():
     plans = candidate_plans(build(1), n_random=3)
@@ -121,14 +115,10 @@ def test_the_easy_are_saved_by_search():
 @pytest.mark.compiled
 def test_a_search_with_too_few_rows_charges_and_gives_up():
     rich = exhaust(build(16, storedCharge_Init=0.5 * CAPACITY), DARK, NONE, 0)
-    assert rich.outcome == SAVED
-    assert rich.actions[-1] == CHARGE
+    assert (rich.outcome, rich.actions[-1]) == (SAVED, CHARGE)
     poor = build(16, storedCharge_Init=2.5e4, wheelSpeeds=[2500.0, -2500.0, 2500.0])
     assert exhaust(poor, DARK, NONE, 0).outcome == LOST
     assert exhaust(poor, DARK, NONE, 0, bound=False).outcome == OPEN
-
-
-# -- failures -----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.compiled
@@ -141,8 +131,7 @@ def test_failures_are_told_apart_and_rescues_fly_again():
     assert dark.start.dark == pytest.approx(1978.0, abs=30.0)  # eclipses are known to 30 s
     assert dark.start.charge == pytest.approx(2.5e4 / CAPACITY)
     last = sunlit.last_chance.decision
-    assert sunlit.rescue[:last] == [SCAN] * last
-    assert sunlit.lost_from == last + 1
+    assert (sunlit.rescue[:last], sunlit.lost_from) == ([SCAN] * last, last + 1)
     again = fly(env, seeds[:1], torch.tensor([sunlit.rescue]))
     assert bool(again.survived)
     assert float(again.returns) <= sunlit.best_return

@@ -90,9 +90,6 @@ def whole(processes, tmp_path_factory):
     return out, seconds
 
 
-# -- SIGKILL ----------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("seed", range(20))
 def test_a_killed_training_goes_on_as_if_nothing_had_happened(processes, whole, tmp_path, seed):
     """Killed at a random moment, resumed, killed again, and resumed."""
@@ -106,9 +103,6 @@ def test_a_killed_training_goes_on_as_if_nothing_had_happened(processes, whole, 
         assert process.exitcode in (-signal.SIGKILL, 0)
     go_on(out)
     assert same(out, whole[0])
-
-
-# -- disks ------------------------------------------------------------------------------------------------------------
 
 
 def full(*arguments):
@@ -170,9 +164,6 @@ def test_a_read_only_folder_stops_a_training_that_can_be_resumed(whole, tmp_path
     monkeypatch.undo()
     go_on(tmp_path / "run")
     assert same(tmp_path / "run", whole[0])
-
-
-# -- a compiler that disappears ---------------------------------------------------------------------------------------
 
 
 def test_a_compiler_that_disappears_stops_a_training_that_can_be_resumed(whole, tmp_path, monkeypatch):

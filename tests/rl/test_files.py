@@ -23,14 +23,17 @@ WRITERS = {"files.py", "codegen/build.py", "codegen/prepared.py"}
 ENTRIES = {"weights": {"a": torch.arange(600.0), "b": torch.ones(3, dtype=torch.bool)}, "n": 3, "name": "x", "pair": (1, 2.5)}
 
 
-# -- writing ----------------------------------------------------------------------------------------------------------
-
-
-def test_text_and_bytes_are_written(tmp_path):
+def test_text_and_bytes_are_written_by_way_of_names_that_cannot_be_foreseen(tmp_path, monkeypatch):
     write_file(tmp_path / "a", "grün\n")
     write_file(tmp_path / "b", b"\x00")
     assert ((tmp_path / "a").read_text(encoding="utf-8"), (tmp_path / "b").read_bytes()) == ("grün\n", b"\x00")
     assert (tmp_path / "a").stat().st_mode & 0o777 == 0o666 & ~umask()
+    seen, replace = [], os.replace
+    monkeypatch.setattr("bsk_torch.files.os.replace", lambda one, other: (seen.append(one.name), replace(one, other)))
+    for _ in range(2):
+        write_file(tmp_path / "a", "")
+    assert len(set(seen)) == 2
+    assert all(name.startswith(".a.") for name in seen)
 
 
 def umask():
@@ -61,15 +64,6 @@ def test_links_are_never_followed(tmp_path):
     save_checksummed(tmp_path / "checkpoint.pt", ENTRIES)
     assert (tmp_path / "precious").read_text() == "precious"
     assert not (tmp_path / "policy.pt").is_symlink()
-
-
-def test_names_of_unfinished_files_cannot_be_foreseen(tmp_path, monkeypatch):
-    seen, replace = [], os.replace
-    monkeypatch.setattr("bsk_torch.files.os.replace", lambda one, other: (seen.append(one.name), replace(one, other)))
-    for _ in range(2):
-        write_file(tmp_path / "a", "")
-    assert len(set(seen)) == 2
-    assert all(name.startswith(".a.") for name in seen)
 
 
 @pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo])
@@ -106,9 +100,6 @@ def writes(path):
             yield call.lineno
 
 
-# -- checksums --------------------------------------------------------------------------------------------------------
-
-
 @pytest.fixture
 def saved_file(tmp_path):
     save_checksummed(tmp_path / "x.pt", ENTRIES)
@@ -120,9 +111,6 @@ def test_what_is_saved_comes_back(saved_file):
     assert read.keys() == ENTRIES.keys()
     assert read["weights"]["a"].equal(ENTRIES["weights"]["a"])
     assert (read["n"], read["name"], read["pair"]) == (3, "x", (1, 2.5))
-
-
-def test_torch_reads_such_files_too(saved_file):
     assert torch.load(saved_file, weights_only=True).keys() == ENTRIES.keys()
 
 

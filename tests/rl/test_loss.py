@@ -1,7 +1,5 @@
 """The loss of PPO, and that of TorchRL for the same decisions."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict import TensorDict

@@ -42,9 +42,6 @@ def test_another_version_is_noted(path, env, caplog):
     assert "bsk_torch 0.0.1" in caplog.text
 
 
-# -- damaged files, and files of others -------------------------------------------------------------------------------
-
-
 def test_rejects_flipped_bits(path):
     def flipped(place):
         changed = bytearray(content)
@@ -66,12 +63,6 @@ def test_a_policy_of_release_0_1_loads_with_a_warning(path, caplog):
 
 def weights_of(path):
     return torch.cat([value.double().flatten() for value in load_policy(path).state_dict().values()])
-
-
-def test_policies_of_the_package_carry_checksums():
-    files = sorted(FOLDER.glob("*.pt"))
-    assert len(files) >= 7
-    assert all(file.read_bytes()[:-32].endswith(CHECKSUM_MARK) for file in files)
 
 
 def test_rejects_files_of_others(path, tmp_path):
@@ -126,7 +117,10 @@ def test_rejects_files_of_others(path, tmp_path):
     check_refusals(table)
 
 
-def test_logs_are_not_kept(tmp_path, env):
+def test_policies_of_the_package_carry_checksums_and_no_logs(tmp_path, env):
     plan = MLPPlan.of(env, (8,))
     save_policy(tmp_path / "policy.pt", plan, plan.build(), "NadirScan-v1", {"log_dir": "x", "log_level": "INFO", "as_set": True})
     assert read_card(tmp_path)["options"] == {"as_set": True}
+    files = sorted(FOLDER.glob("*.pt"))
+    assert len(files) >= 7
+    assert all(file.read_bytes()[:-32].endswith(CHECKSUM_MARK) for file in files)

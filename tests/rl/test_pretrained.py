@@ -38,15 +38,9 @@ WITHOUT = {
 """Presets without a policy."""
 
 
-def test_every_other_preset_has_one():
+def test_every_other_preset_has_one_of_a_release_and_says_what_made_it():
     assert set(makings()) == set(PRESETS) - WITHOUT
-
-
-def test_all_are_of_releases_with_the_same_episodes():
     assert {read_card(file)["bsk_torch"] for file in FOLDER.glob("*.pt")} | {bsk_torch.__version__} <= set(SAME_EPISODES)
-
-
-def test_what_made_them_is_noted():
     assert {path.stem for path in FOLDER.glob("*.pt")} == set(makings())
     for noted in makings().values():
         assert noted["command"].split()[0] == "bsk-torch"

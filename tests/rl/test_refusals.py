@@ -44,9 +44,6 @@ def always(action):
     return TensorDictModule(lambda mask: torch.full(mask.shape[:-1], action), in_keys=["action_mask"], out_keys=["action"])
 
 
-# -- settings ---------------------------------------------------------------------------------------------------------
-
-
 def test_rejects_wrong_changes_of_settings():
     change = lambda text: override(PPOConfig(), [text])
     table = [
@@ -148,9 +145,6 @@ def test_rejects_wrong_folders_and_logs(tmp_path):
     check_refusals(table)
 
 
-# -- policies and rules -----------------------------------------------------------------------------------------------
-
-
 def test_rejects_networks_that_do_not_fit(scanning, imaging):
     card = read_card(pretrained_file("AEOS-v1"))
     crafted = lambda **plan: check_fits(card | {"plan": card["plan"] | plan}, imaging)
@@ -204,9 +198,6 @@ def test_rejects_rules_that_do_not_fit(scanning):
         refusal(lambda: shield(lambda *_: listed, scanning), ValueError, "shield", listed, [2, 4]),
     ]
     check_refusals(table)
-
-
-# -- evaluation -------------------------------------------------------------------------------------------------------
 
 
 def test_rejects_wrong_seeds(scanning):

@@ -1,7 +1,5 @@
 """Saved states and trainings go on as if they had never stopped: every preset, every way through a file, every collector."""
 
-from __future__ import annotations
-
 import dataclasses
 from importlib.util import find_spec
 

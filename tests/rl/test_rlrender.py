@@ -22,8 +22,7 @@ def film(preset, out, **options):
 def test_policies_of_one_and_of_several_satellites_are_filmed(preset, tmp_path):
     assert film(preset, tmp_path / "film.gif") == 0
     with Image.open(tmp_path / "film.gif") as picture:
-        assert picture.n_frames == 4
-        assert picture.size == (640, 480)
+        assert (picture.n_frames, picture.size) == (4, (640, 480))
 
 
 def test_options_that_do_not_exist_are_named(tmp_path, capsys):

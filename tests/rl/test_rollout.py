@@ -39,8 +39,7 @@ def test_ended_episodes_take_no_more_steps():
 def test_rows_that_are_not_played_are_left_alone():
     env = scanning()
     steps = list(play_episodes(env, charging, env.reset(), torch.tensor([False, True, False])))
-    assert len(steps) == 4
-    assert env.fleet.sim_time.tolist() == [0.0, 400.0, 0.0]
+    assert (len(steps), env.fleet.sim_time.tolist()) == (4, [0.0, 400.0, 0.0])
 
 
 def test_only_entries_under_next_are_carried():

@@ -1,7 +1,5 @@
 """bsk_torch.rule: one function for single satellites and constellations; what environments say of themselves."""
 
-from __future__ import annotations
-
 import pytest
 
 import bsk_torch

@@ -242,8 +242,7 @@ def test_a_lock_that_is_a_link_is_refused_and_its_file_kept(half, tmp_path, make
     kind = "symbolic link" if (half / LOCK).is_symlink() else "hard link"
     starts = resume, lambda out: train(SMALL, out, episodes=0)
     check_refusals([refusal(lambda start=start: start(half), PermissionError, LOCK, kind, "delete it") for start in starts])
-    assert contents(half) == before
-    assert mine.read_text() == "years of work"
+    assert (contents(half), mine.read_text()) == (before, "years of work")
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to others")
@@ -254,14 +253,11 @@ def test_a_lock_of_another_user_is_refused(tmp_path):
     assert (tmp_path / LOCK).read_text() == "another user's"
 
 
-def test_the_lock_of_a_dead_process_is_taken_over_and_its_leftovers_swept(half, other):
+def test_locks_of_dead_processes_are_taken_over_and_their_leftovers_swept(half, other, tmp_path):
     end(other(half))
     assert {LOCK, f".{POLICY}.0123456789abcdef.part"} <= set(contents(half))
     resume(half, episodes=0)
     assert set(contents(half)) == {POLICY, LOG, EVALUATIONS, CONFIG, CHECKPOINT}
-
-
-def test_a_run_may_begin_where_one_was_killed_before_it_began(tmp_path, other):
     end(other(tmp_path))
     train(HALF, tmp_path, episodes=0)
     assert set(contents(tmp_path)) == {POLICY, LOG, EVALUATIONS, CONFIG, CHECKPOINT}

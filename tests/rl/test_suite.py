@@ -25,15 +25,12 @@ NEWER |= {"CWDocking-v1", "CWInspection-v1", "AEOSBench-v1"}
 """Presets that were added after the suite was frozen."""
 
 
-def test_every_preset_is_in_the_suite_once_with_episodes_of_its_own():
+def test_frozen_seeds_stay_and_are_in_the_suite_once():
     tasks = SUITES["v1"]
     assert sorted(task.preset for task in tasks) == sorted(set(PRESETS) - NEWER)
     seeds = [seed for task in tasks for seed in task.seeds()]
     assert len(set(seeds)) == len(seeds) == EPISODES * len(tasks)
     assert all(seed in SUITE_SEEDS for seed in seeds)
-
-
-def test_frozen_seeds_stay():
     # a suite is its seeds: published scores are of these
     assert {task.preset: task.first_seed - 2**60 for task in SUITES["v1"]} == {
         "NadirScan-v1": 0,
@@ -88,8 +85,7 @@ def test_policies_choose_views_of_a_harder_task():
 
 def test_policies_are_ranked_by_what_they_gain_in_the_same_episodes():
     best, gains = ranking({"low": [1.0, 1.0, 4.0], "high": [2.0, 1.0, 5.0], "lucky": [3.0], "short": [1.5, 1.0]})
-    assert best == "high"
-    assert list(gains) == ["lucky", "high", "short", "low"]
+    assert (best, list(gains)) == ("high", ["lucky", "high", "short", "low"])
     assert [gain.mean for gain in gains.values()] == pytest.approx([-1.0, 0.0, 0.25, 2 / 3])
 
 
@@ -119,13 +115,10 @@ def test_random_policies_are_timed_and_keep_their_lots():
     assert returns[0] == returns[1]
 
 
-def test_functions_may_be_policies():
+def test_functions_may_be_policies_and_others_get_no_score():
     timed = Timed(lambda tensordict: tensordict)
     assert timed({}) == {}
     assert timed.seconds > 0.0
-
-
-def test_entrants_that_have_no_policy_get_no_score():
     assert play(NADIR, lambda preset, make: None, 2) is None
 
 

@@ -1,7 +1,5 @@
 """What learners expect after a time limit, what critics know of it, rewards of any scale, and warnings."""
 
-from __future__ import annotations
-
 import copy
 import re
 
@@ -82,9 +80,6 @@ def test_returns_of_episodes_that_end(ends, beyond_limit, continues):
     torch.testing.assert_close(batch["value_target"].flatten(), expected + 10.0, **ONE_ROUNDING)
 
 
-# -- scale ------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("scale", [1e-6, 1e-3, 1.0, 1e3, 1e6])
 def test_targets_and_advantages_have_no_scale(scale):
     """Targets 1 ... 8 times the scale have the mean 4.5 and the deviation 5.25^0.5."""
@@ -108,8 +103,6 @@ def test_without_rewards_there_is_nothing_to_gain():
     standardize(batch, norm)
     assert float(batch["advantage"].abs().max()) < 1e-2
 
-
-# -- from the environment to the learner ------------------------------------------------------------------------------
 
 OPTIONS = {"time_limit": 400.0, "failure_penalty": 0.0}
 
@@ -193,9 +186,6 @@ def test_what_is_learned_does_not_depend_on_the_scale_of_rewards(scale, tmp_path
     torch.testing.assert_close(*learned, rtol=0.0, atol=2e-4)
 
 
-# -- the clock --------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.compiled
 def test_the_clock_shows_what_is_left_of_each_episode():
     config = settings(stagger=False, options=OPTIONS | {"time_limit": Uniform(200.0, 7200.0)})
@@ -217,9 +207,6 @@ def test_without_a_limit_the_clock_stands_still():
     now = played.rand_step(played.reset())
     for part in (now, now["next"]):
         assert torch.equal(part["clock"], torch.tensor([1.0, 0.0]).expand(6, 2))
-
-
-# -- warnings ---------------------------------------------------------------------------------------------------------
 
 
 def warned(reward=0.01, **changes):

@@ -75,9 +75,7 @@ def test_a_run_leaves_all_its_files(run):
     assert {path.name for path in out.iterdir()} == {POLICY, LOG, EVALUATIONS, CONFIG, CHECKPOINT}
     assert load_config(out / CONFIG, PPOConfig) == TINY
     log, judged = read_log(out / LOG), read_log(out / EVALUATIONS)
-    assert tuple(log) == COLUMNS
-    assert tuple(judged) == EVALUATED
-    assert log["frames"] == [24, 48, 72, 96]
+    assert (tuple(log), tuple(judged), log["frames"]) == (COLUMNS, EVALUATED, [24, 48, 72, 96])
     assert judged["frames"] == [48, 96]
     assert all(0.0 <= level <= 1.0 for level in judged["fill"])
 
@@ -93,12 +91,15 @@ def test_the_best_policy_is_kept(run):
     assert state["best"]["return"] == pytest.approx(max(read_log(out / EVALUATIONS)["return"]), rel=1e-5)  # the file's digits
 
 
-def test_a_folder_with_something_in_it_is_left_alone(run):
+def test_rejects_folders_that_do_not_fit_and_leaves_them(run, tmp_path):
     out, _ = run
     before = (out / LOG).read_text()
     with pytest.raises(FileExistsError, match="not empty"):
         Training(TINY, out)
     assert (out / LOG).read_text() == before
+    with pytest.raises(FileNotFoundError, match=r"checkpoint\.pt"):
+        Training(TINY, tmp_path, resume=True)
+    assert not list(tmp_path.iterdir())
 
 
 # -- interruptions ----------------------------------------------------------------------------------------------------
@@ -232,12 +233,6 @@ def test_rejects_checkpoints_of_something_else(run, tmp_path):
     check_refusals(table)
 
 
-def test_resuming_needs_a_checkpoint(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"checkpoint\.pt"):
-        Training(TINY, tmp_path, resume=True)
-    assert not list(tmp_path.iterdir())
-
-
 # -- stopping, loggers ------------------------------------------------------------------------------------------------
 
 
@@ -286,14 +281,11 @@ def test_tensorboard_gets_what_the_files_get(tmp_path):
     assert values == pytest.approx(read_log(tmp_path / "run" / EVALUATIONS)["return"], rel=1e-5)
 
 
-def test_a_missing_ray_is_named_before_anything_is_made(tmp_path, monkeypatch):
+def test_missing_packages_are_named_before_anything_is_made(tmp_path, monkeypatch):
     monkeypatch.setattr("bsk_torch.rl.training.cluster.find_spec", lambda name: None)
     with pytest.raises(ModuleNotFoundError, match=r"pip install 'bsk_torch\[ray\]'"):
         Training(dataclasses.replace(TINY, collector="ray"), tmp_path / "run")
     assert not (tmp_path / "run").exists()
-
-
-def test_a_missing_logger_is_named_before_anything_is_made(tmp_path, monkeypatch):
     monkeypatch.setattr("bsk_torch.rl.training.log.find_spec", lambda name: None)
     with pytest.raises(ModuleNotFoundError, match=r"pip install 'bsk_torch\[wandb\]'"):
         Training(dataclasses.replace(TINY, loggers=("csv", "wandb")), tmp_path / "run")

@@ -1,11 +1,10 @@
 """Windows beyond what has been generated, and what satellites know of the rewarder."""
 
-from __future__ import annotations
-
 import torch
 
 from bsk_torch import ConstellationTasking, SatelliteTasking, act, data, obs, sats, scene
 from bsk_torch.presets.aeos import agile_args
+from tests.support.episodes import begun
 from tests.support.refusals import check_refusals, refusal
 
 LIMIT, BINS, WIDTH = 600.0, 20, 180.0
@@ -64,8 +63,7 @@ def test_windows_beyond_the_time_limit():
 
 
 def test_rows_extend_their_own_look_ahead_only():
-    env = make()
-    env.reset()
+    env = begun(make())
     access = env.simulator.access
     before = access.until.clone()
     env.satellite.find_windows(torch.tensor([100.0, 2500.0]).double())
@@ -74,8 +72,7 @@ def test_rows_extend_their_own_look_ahead_only():
 
 def test_a_query_does_not_see_what_the_last_of_its_hundred_segments_adds():
     """As in bsk_rl, where the search comes before each of a hundred extensions; the next query sees it."""
-    known = make(num_envs=1, time_limit=12000.0)
-    known.reset()
+    known = begun(make(num_envs=1, time_limit=12000.0))
     opens = known.satellite.upcoming_opportunities("target").open[0].sort().values
     opens = opens[torch.isfinite(opens)]
     count = int((opens < 7000.0).sum())
@@ -122,8 +119,7 @@ def pair():
 
 
 def test_satellites_ask_the_rewarder():
-    env = pair()
-    env.reset()
+    env = begun(pair())
     nobody = torch.zeros(2, 2, dtype=torch.bool)
     env.rewarder.value(torch.tensor([[5, 0], [7, 7]]), nobody.index_fill(1, torch.tensor([0]), True))
     satellite, known = env.satellites[0], torch.zeros(2, 2, 30, dtype=torch.bool)
@@ -138,10 +134,8 @@ def test_satellites_ask_the_rewarder():
 
 
 def test_data_of_one_environment_are_sets_of_targets():
-    env = pair()
-    env.reset()
+    env = begun(pair())
     env.rewarder.value(torch.tensor([[5, 6], [7, 7]]), torch.tensor([[True, True], [True, False]]))
     one, other = (env.rewarder.data_of(row) for row in range(2))
     assert one.imaged == {env.scenario.target_object(0, 5), env.scenario.target_object(0, 6)}
-    assert len(other.imaged) == 1
-    assert len(one.known) == 30
+    assert (len(other.imaged), len(one.known)) == (1, 30)

@@ -1,7 +1,5 @@
 """A satellite of one environment is what bsk_rl's functions expect: arrays, numbers, lists and dictionaries."""
 
-from __future__ import annotations
-
 from operator import attrgetter
 
 import numpy as np
@@ -75,8 +73,7 @@ def test_quantities_of_all_are_read_at_the_row(env, one, name):
 def test_what_bsk_rl_has_in_other_places_is_there(env, one):
     assert one.simulator.time_limit == 1200.0
     assert isinstance(one.simulator.sim_time, float)
-    assert one.simulator.sim_time_ns == 0
-    assert one.simulator.sim_rate == 1.0
+    assert (one.simulator.sim_time_ns, one.simulator.sim_rate) == (0, 1.0)
     assert np.array_equal(one.sat_args["wheelSpeeds"], env.satellite.sat_args["wheelSpeeds"][2].numpy())
     assert np.array_equal(one.fsw.dynamics.satellite.dynamics.r_BN_N, one.dynamics.r_BN_N)
     assert one.is_alive() is True
@@ -86,12 +83,16 @@ def test_what_bsk_rl_has_in_other_places_is_there(env, one):
     assert one.latest_target is None
 
 
-def test_what_a_user_has_added_runs_for_one(env, one):
+def test_what_a_user_has_added_runs_for_one_of_any_name(env, one):
     speed = float(env.satellite.dynamics.v_BN_N[2].norm())
     assert one.dynamics.speed == pytest.approx(speed, rel=1e-15)
-    assert one.dynamics.faster(1.0) == pytest.approx(speed + 1.0)
-    assert one.dynamics.drag == 2.0
+    assert (one.dynamics.faster(1.0), one.dynamics.drag) == (pytest.approx(speed + 1.0), 2.0)
     assert one.momentum().shape == (3,)
+    env = ConstellationTasking([Imager("A"), Imager("B")], scene.UniformTargets(300), **OPTIONS | dict(num_envs=2))
+    env.reset()
+    (satellite,) = env.satellites
+    assert [(satellite.one(row).name, satellite.one(row).env) for row in range(4)] == [("A", 0), ("B", 0), ("A", 1), ("B", 1)]
+    assert np.array_equal(satellite.one(3).scenario.priority, env.scenario.priority[1].numpy())
 
 
 def test_views_are_read_only_and_their_arrays_copies(env, one):
@@ -113,17 +114,6 @@ def test_rejects_wrong_names(env, one):
             refusal(lambda: env.satellite.one(3), IndexError, "row=3", "0 to 2"),
         ]
     )
-
-
-def test_satellites_of_a_constellation_have_names_and_environments():
-    env = ConstellationTasking([Imager("A"), Imager("B")], scene.UniformTargets(300), **OPTIONS | dict(num_envs=2))
-    env.reset()
-    (satellite,) = env.satellites
-    assert [(satellite.one(row).name, satellite.one(row).env) for row in range(4)] == [("A", 0), ("B", 0), ("A", 1), ("B", 1)]
-    assert np.array_equal(satellite.one(3).scenario.priority, env.scenario.priority[1].numpy())
-
-
-# -- opportunities ----
 
 
 def test_opportunities_are_those_of_the_tensors(env, one):

@@ -1,7 +1,5 @@
 """Queries for opportunities take bsk_rl's arguments, or say what to write; filters of an opportunity hide places."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Satellites see the others of their episode by name, each row those of its own environment."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -61,12 +59,10 @@ def test_everything_that_is_read_has_the_rows_of_the_satellite_that_asks(env):
     assert rows == 9
     other = asking.others["W"]
     assert other.dynamics.battery_charge.shape == (rows,)
-    assert other.dynamics.elements.a.shape == (rows,)
-    assert other.dynamics.HN.shape == (rows, 3, 3)
+    assert (other.dynamics.elements.a.shape, other.dynamics.HN.shape) == ((rows,), (rows, 3, 3))
     assert other.dynamics.battery_valid().shape == (rows,)
     assert other.is_alive().all()
-    assert other.is_alive().shape == (rows,)
-    assert other.sat_args["wheelSpeeds"].shape == (rows, 3)
+    assert (other.is_alive().shape, other.sat_args["wheelSpeeds"].shape) == ((rows,), (rows, 3))
     assert other.simulator.world.r_SN_N.shape == (rows, 3)
     assert other.simulator.sim_time.tolist() == asking.simulator.sim_time.tolist()
     assert {name: check.shape for name, check in other.aliveness().items()}["battery_valid"] == (rows,)

@@ -1,7 +1,5 @@
 """Satellite classes that no environment would use, and masks that do not fit."""
 
-from __future__ import annotations
-
 import torch
 
 from bsk_torch import SatelliteTasking, act

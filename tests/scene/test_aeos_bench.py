@@ -1,7 +1,5 @@
 """Tasks of AEOS-Bench: who sees them, how they progress, what counts, and which case an episode flies."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest
@@ -120,10 +118,8 @@ def test_progress_counts_seconds_without_a_gap(folder):
     step(1)
     assert not bool(scenario.task_offered[0, 4])
     measures = {name: value.item() for name, value in rewarder.measures().items()}
-    assert measures["CR"] == pytest.approx(1 / 60)
-    assert measures["WCR"] == pytest.approx(1 / 60)
-    assert measures["PCR"] == pytest.approx(1 / 60)
-    assert measures["TAT"] == 30.0
+    assert (measures["CR"], measures["WCR"]) == (pytest.approx(1 / 60), pytest.approx(1 / 60))
+    assert (measures["PCR"], measures["TAT"]) == (pytest.approx(1 / 60), 30.0)
     assert measures["PC"] == 0.0  # no satellite had a task
     assert returns.tolist() == pytest.approx([1 / 60, 0.0, 0.0], rel=1e-6)
 

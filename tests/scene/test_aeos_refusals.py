@@ -1,7 +1,5 @@
 """AEOS-Bench: wrong arguments, and files of cases with wrong entries."""
 
-from __future__ import annotations
-
 import math
 
 import bsk_torch

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -74,9 +72,6 @@ def test_what_is_present_can_be_read_before_the_first_reset(begin):
     assert scenario.priority.tolist() == [[2, 2]]
 
 
-# -- wildfires --------------------------------------------------------------------------------------------------------
-
-
 def one_fire(**options) -> scene.Wildfires:
     course = dict(ignition=1000.0, rate_of_spread=1.0, burning_time=2500.0)
     return scene.Wildfires(1, 3.0, **course | dict(length_to_breadth=1.0, full_area=4e6 * math.pi) | options)
@@ -114,15 +109,14 @@ def test_burnt_area_is_van_wagners(begin, ratio):
     assert area.item() == pytest.approx(math.pi / 2.0 * (v + w) * u * 1200.0**2, rel=1e-13)
 
 
-def test_fires_stop_growing_when_they_have_burnt_out(begin):
+def test_fires_burn_from_their_ignition_until_they_have_burnt_out(begin):
     scenario = begin(one_fire(), 1)
     assert scenario.burnt_area(torch.tensor([1e5]).double()).item() == pytest.approx(math.pi * 2500.0**2)
-
-
-def test_fires_may_burn_from_the_start(begin):
     scenario = begin(one_fire(ignition=-1000.0), 1)
     assert scenario.available.all()
     assert scenario.priority.item() == pytest.approx(3.0 / 4.0)
+    assert one_fire(ignition=lambda: 5.0).calls_user
+    assert not one_fire().calls_user
 
 
 def test_each_fire_has_its_own_course(begin, move):
@@ -155,8 +149,3 @@ def test_regions_get_fires_by_their_area():
     share = (0.5 * 30) / (0.5 * 30 + 1 / 3 * 60)
     assert above.double().mean() == pytest.approx(share, abs=FIVE_SIGMA * math.sqrt(share * (1 - share)))
     assert r[above, 2].mean() == pytest.approx(0.75, abs=5 * 0.5 / math.sqrt(12 * int(above.sum())))
-
-
-def test_callables_are_known():
-    assert one_fire(ignition=lambda: 5.0).calls_user
-    assert not one_fire().calls_user

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -60,10 +58,20 @@ def test_cloudy_targets_are_not_available(begin, move):
     assert scenario.available is before
 
 
-def test_padding_stays_padding(begin):
+def test_clouds_have_the_targets_of_their_scenario(begin):
     scenario = begin(scene.CloudyTargets(scene.UniformTargets((1, 4)), 0.0, 0.0, largest_forecast=0.5), 50)
     assert torch.equal(scenario.available, scenario.drawn("target_exists").bool())
     assert not scenario.available.all()
+    shared = scene.CloudyTargets(scene.UniformTargets(3))
+    one, two = begin(shared, key(2)), begin(shared, key(2, seed=8))
+    assert not torch.equal(one.priority, two.priority)
+    assert not hasattr(shared.targets, "fleet")
+    scenario = begin(scene.CloudyTargets(scene.Targets([[6.4e6, 0, 0]], names=["Quito"])))
+    assert scenario.target_names == scenario.names(0) == ["Quito"]
+    plain = scene.UniformTargets(2)
+    assert scene.CloudyTargets(plain, lambda: 0.5).calls_user
+    assert scene.CloudyTargets(scene.UniformTargets(2, lambda: 0.5)).calls_user
+    assert not scene.CloudyTargets(plain).calls_user
 
 
 def test_changing_targets_under_clouds(begin, move):
@@ -95,22 +103,3 @@ def test_new_targets_and_forecasts_show_after_a_reset(begin, targets):
     exists = scenario.drawn("target_exists").bool()
     assert torch.equal(scenario.available, (scenario.cloud_forecast <= 0.5) & exists)
     assert not torch.equal(scenario.available, before)
-
-
-def test_environments_that_share_a_scenario_do_not_share_its_targets(begin):
-    shared = scene.CloudyTargets(scene.UniformTargets(3))
-    one, two = begin(shared, key(2)), begin(shared, key(2, seed=8))
-    assert not torch.equal(one.priority, two.priority)
-    assert not hasattr(shared.targets, "fleet")
-
-
-def test_names_are_those_of_the_targets(begin):
-    scenario = begin(scene.CloudyTargets(scene.Targets([[6.4e6, 0, 0]], names=["Quito"])))
-    assert scenario.target_names == scenario.names(0) == ["Quito"]
-
-
-def test_callables_are_known():
-    plain = scene.UniformTargets(2)
-    assert scene.CloudyTargets(plain, lambda: 0.5).calls_user
-    assert scene.CloudyTargets(scene.UniformTargets(2, lambda: 0.5)).calls_user
-    assert not scene.CloudyTargets(plain).calls_user

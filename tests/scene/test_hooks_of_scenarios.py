@@ -1,7 +1,5 @@
 """Every hook of a subclass runs and leaves nothing of the package behind."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import pytest
@@ -40,9 +38,6 @@ class Deadlines(scene.ChangingTargets, scene.UniformTargets):
     def at(self, time):
         late = (time >= 60.0).unsqueeze(-1)
         return torch.where(late, 5.0, self.drawn("target_priority")), ~late.expand(-1, self.most_targets)
-
-
-# -- hooks without super() -----------------------------------------------------------------------------------------------------
 
 
 def test_targets_change_whatever_after_step_does():
@@ -157,9 +152,6 @@ def test_rejects_draws_of_other_names_and_shapes():
     )
 
 
-# -- values of episodes --------------------------------------------------------------------------------------------------------
-
-
 class Own(scene.UniformTargets):
     """Counts steps in an attribute."""
 
@@ -205,9 +197,6 @@ def test_tensors_that_may_be_kept():
     for time in (1.0, 2.0, 3.0):
         finish(scenario, time)
     assert scenario.fleet.memory["steps"].tolist() == [3, 3]
-
-
-# -- in an environment ---------------------------------------------------------------------------------------------------------
 
 
 class Recorded(scene.UniformTargets):

@@ -1,7 +1,5 @@
 """Kinds of places that a scenario or a component declares are types of opportunities like the package's."""
 
-from __future__ import annotations
-
 import math
 from typing import ClassVar
 
@@ -76,17 +74,11 @@ def env():
 
 def test_kinds_are_types_of_opportunities(env):
     assert env.satellite.opportunity_types == ("ground_station", "buoy", "moored", "ship", "debris", "never")
-
-
-def test_moored_ships_are_seen_when_buoys_are(env):
     buoys, ships = (env.satellite.find_windows(5400.0, kind) for kind in ("buoy", "moored"))
     assert torch.isfinite(buoys.close).sum() > 10
     assert torch.equal(buoys.place, ships.place)
     for one, other in zip(buoys[:2], ships[:2], strict=True):
         assert torch.allclose(one, other, rtol=0, atol=1e-6)
-
-
-def test_missing_places_have_no_windows(env):
     ships = env.satellite.find_windows(5400.0, "ship")
     there = torch.isfinite(ships.close)
     assert there.any()
@@ -122,9 +114,12 @@ def test_objects_of_other_kinds_are_names(env):
     assert {opportunity["type"] for opportunity in both} <= {"ship", "buoy"}
 
 
-def test_episodes_do_not_depend_on_the_batch():
+def test_episodes_do_not_depend_on_the_batch_and_have_bsk_rls_windows():
     wide, narrow = make().reset()["observation"], make(num_envs=1).reset()["observation"]
     assert torch.equal(wide[:1], narrow)
+    made = make(compat="bsk_rl")
+    made.reset()
+    assert torch.isfinite(made.satellite.find_next_opportunities(2, types="debris").close).all()
 
 
 def test_states_are_restored_with_their_windows(env):
@@ -136,12 +131,6 @@ def test_states_are_restored_with_their_windows(env):
     again = env.satellite.find_next_opportunities(3, types="debris")
     assert torch.equal(seen.open, again.open)
     assert torch.equal(seen.r_LP_P, again.r_LP_P)
-
-
-def test_bsk_rls_windows_are_those_of_places_at_rest_only():
-    made = make(compat="bsk_rl")
-    made.reset()
-    assert torch.isfinite(made.satellite.find_next_opportunities(2, types="debris").close).all()
 
 
 def test_components_bring_places_too():

@@ -1,7 +1,5 @@
 """Scenarios of targets on the ground: wrong arguments, draws and hooks."""
 
-from __future__ import annotations
-
 import math
 import sys
 from types import SimpleNamespace

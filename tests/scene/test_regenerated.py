@@ -1,7 +1,5 @@
 """Targets that a subclass makes environment by environment, in bsk_rl's ``regenerate_targets``."""
 
-from __future__ import annotations
-
 import logging
 
 import numpy as np
@@ -46,12 +44,17 @@ def test_attributes_that_are_numbers_become_drawn_values():
     assert len(cover.unique()) > 3
 
 
-def test_what_the_base_class_makes_is_what_it_draws():
+def test_targets_of_hooks_are_those_of_the_base_class_and_more(begin):
     mine, plain = CloudTargets((2, 6)).draw(key(4)), scene.UniformTargets((2, 6)).draw(key(4))
     exists = plain["target_exists"].bool()
     assert torch.equal(mine["target_exists"].bool(), exists)
     for name in ("target_r_LP_P", "target_priority"):
         assert torch.equal(mine[name][exists], plain[name][exists])
+    scenario = begin(Three(1, rand.Uniform(1.0, 2.0)), 2)
+    assert scenario.most_targets == 3
+    assert (scenario.priority >= 1.0).all()
+    assert len(scenario.priority.unique()) == 6
+    assert scenario.names(0) == ["site-0", "site-1", "site-2"]
 
 
 def test_draws_depend_on_the_key_alone():
@@ -99,14 +102,6 @@ def test_objects_of_targets_that_are_drawn_in_batches(begin):
         assert len(targets) == int(scenario.drawn("target_exists")[row].sum())
         assert [t.cloud_cover for t in targets] == scenario.cloud_cover[row, : len(targets)].tolist()
         assert (targets[0].r_LP_P == scenario.r_LP_P[row, 0].numpy()).all()
-
-
-def test_a_hook_may_make_more_targets_than_the_argument_says(begin):
-    scenario = begin(Three(1, rand.Uniform(1.0, 2.0)), 2)
-    assert scenario.most_targets == 3
-    assert (scenario.priority >= 1.0).all()
-    assert len(scenario.priority.unique()) == 6
-    assert scenario.names(0) == ["site-0", "site-1", "site-2"]
 
 
 class Growing(scene.UniformTargets):

@@ -1,7 +1,5 @@
 """Points of an RSO: what users write, what they get, and which satellites fit."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Records of captures and what sensors know of them, against lists of records of each sensor."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import pytest
@@ -177,8 +175,7 @@ def test_all_share_what_they_knew_before():
     assert book.known[0, 0].tolist() == [1, 1, 0]
     book.pass_on(book.all_known(links), links, now + 1.0)
     assert book.known[0, 0].tolist() == [1, 1, 1]
-    assert book.received[0, 0, :, 0].tolist() == [7.0, 7.0, 8.0]
-    assert book.exchanged[0, 0, 1] == 8.0
+    assert (book.received[0, 0, :, 0].tolist(), book.exchanged[0, 0, 1]) == ([7.0, 7.0, 8.0], 8.0)
     assert book.exchanged[0, 1, 0] == AGO
 
 

@@ -1,7 +1,5 @@
 """Resident space objects (RSO): wrong objects, catalogs and their files, and scenarios."""
 
-from __future__ import annotations
-
 import json
 import math
 

@@ -56,14 +56,11 @@ def test_rows_of_types_and_tables_of_satellites(types):
         assert torch.equal(rows[fleet.simulators[k].state.rows_of(envs)].view(2, -1, 2), rows.view(N, -1, 2)[envs])
 
 
-def test_reading_what_all_have():
+def test_values_of_all_and_of_some_satellites():
     fleet = fleet_of((0, 2), (1, 3))
     values = [rows_of((0, 2)), rows_of((1, 3))]
     assert torch.equal(fleet.each(lambda part: values[fleet.satellites.index(part)]), WHOLE)
-
-
-def test_reading_what_only_some_have():
-    """Types without it give the value for missing ones, in the shape and dtype of the others."""
+    # Types without it give the value for missing ones, in the shape and dtype of the others.
     fleet = fleet_of((0, 2), (1,), (3,))
     expected = torch.full_like(WHOLE, -1.0)
     expected[:, 1] = WHOLE[:, 1]
@@ -85,9 +82,6 @@ def test_rejects_reading_what_nobody_has_and_hides_no_other_error():
             refusal(lambda: fleet.each(lambda part: 1 / 0), ZeroDivisionError),
         ]
     )
-
-
-# -- drawing ----------------------------------------------------------------------------------------------------------
 
 
 def test_share():
@@ -158,8 +152,6 @@ def test_tables_are_shared(drawing):
     assert drawing.ticks.shape == drawing.sim_time.shape == (N,)
 
 
-# -- flying together --------------------------------------------------------------------------------------------------
-
 FAR = 10**6
 ENDLESS = torch.full((N,), FAR)
 
@@ -223,21 +215,21 @@ def test_all_types_fly_to_the_first_event_of_any():
     seen = fly([plain, first, second], [60, 60, 7])
     assert plain.ticks.tolist() == [25, 35, 12]
     assert seen == [None, [True, False, False], [False, True, False]]
-    assert first.flights == [[60, 60, 7], [0, 30, 0]]
-    assert second.flights == [[20, 60, 7]]
+    assert (first.flights, second.flights) == ([[60, 60, 7], [0, 30, 0]], [[20, 60, 7]])
     assert plain.flights == [[20, 30, 7]], "types that end no step fly last, and once"
 
 
-def test_events_of_one_instant_are_all_seen():
+def test_events_of_one_instant_are_all_seen_and_standing_episodes_have_none():
     flyers = [Flyer(0, [25, 25, 26]), Flyer(1, [25, 26, 25])]
     assert fly(flyers, [60] * 3) == [[True, True, False], [True, False, True]]
     assert flyers[0].ticks.tolist() == [25, 25, 25]
-
-
-def test_an_episode_that_stands_still():
     flyers = [Flyer(0, [25, 25, 25]), Flyer(1, [15, 15, 15])]
     assert fly(flyers, [0, 60, 0]) == [[False] * 3, [False, True, False]]
     assert flyers[0].ticks.tolist() == [5, 15, 5]
+    # Those before the end of the step, and at it, but not at the end of the episode.
+    flyers = [Flyer(0, [15, 25, 25], stops=False), Flyer(1, [25, 25, 99])]
+    assert fly(flyers, [60, 60, 20], [20, 60, 20]) == [[True, True, False], [False, True, False]]
+    assert flyers[0].flights == [[19, 20, 19], [1, 0, 1]]
 
 
 @pytest.mark.parametrize("others", [0, 1])
@@ -245,10 +237,3 @@ def test_the_end_of_an_episode_comes_before_an_event_of_that_instant(others):
     flyers = [Flyer(0, [25, 25, 25]), *(Flyer(1 + k, [90] * 3) for k in range(others))]
     assert fly(flyers, [20, 60, 20], [20, 21, 60])[0] == [False, True, True]
     assert flyers[0].ticks.tolist() == [25, 25, 25]
-
-
-def test_events_that_end_no_step_are_seen():
-    """Those before the end of the step, and at it, but not at the end of the episode."""
-    flyers = [Flyer(0, [15, 25, 25], stops=False), Flyer(1, [25, 25, 99])]
-    assert fly(flyers, [60, 60, 20], [20, 60, 20]) == [[True, True, False], [False, True, False]]
-    assert flyers[0].flights == [[19, 20, 19], [1, 0, 1]]

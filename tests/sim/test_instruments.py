@@ -1,7 +1,5 @@
 """Several instruments on one satellite: each step is that of a satellite with the chosen one alone."""
 
-from __future__ import annotations
-
 import math
 import re
 from typing import Any
@@ -18,6 +16,7 @@ from bsk_torch.rl.rules.targets import image_actions
 from bsk_torch.sim import dyn, faults, fsw
 from bsk_torch.sim.arguments.sources import hint
 from tests.sim.instrument_steps import assert_steps_are_equal, choose
+from tests.support.episodes import begun
 from tests.support.refusals import check_refusals, refusal
 
 N, TARGETS = 2, 300
@@ -138,8 +137,7 @@ def _angles(instrument: str | None) -> obs.OpportunityProperties:
 def test_power_and_data_are_those_of_the_chosen_instrument(broken):
     """A command that is not withdrawn takes an image in every tick, of which a broken instrument has no data."""
     free = {"basePowerDraw": 0.0, "rwBasePower": 0.0, "panelArea": 1e-9, "u_max": 1e-6, "dataStorageCapacity": 1e12}
-    env = environment({"instruments": PAIR, **PACKET, **free, "faults": broken})
-    env.reset()
+    env = begun(environment({"instruments": PAIR, **PACKET, **free, "faults": broken}))
     simulator, everywhere = env.simulator, torch.ones(N, dtype=torch.bool)
     simulator.run(torch.full((N,), 1))
     for number, power in ((0, -30.0), (1, -80.0)):
@@ -157,11 +155,6 @@ def test_power_and_data_are_those_of_the_chosen_instrument(broken):
         assert (simulator.read("storage") - level).tolist() == [0.0 if lost else 2.0 * size] * N
         assert env.satellite.dynamics.instrument_baud.tolist() == [size] * N
         assert env.satellite.dynamics.instrument_index.tolist() == [number] * N
-
-
-def test_packets_are_as_small_as_the_smallest_image():
-    simulator = environment({"instruments": PAIR}).simulator
-    assert simulator.uniform[simulator.tick.shared.slices["packet_size"]].item() == -1.5e6
 
 
 # -- actions ----------------------------------------------------------------------------------------------------------------
@@ -187,8 +180,7 @@ def test_the_same_target_with_another_instrument_is_another_task():
 
 
 def test_what_was_commanded_to_another_instrument_is_withdrawn():
-    env = environment()
-    env.reset()
+    env = begun(environment())
     everywhere, first = torch.ones(N, dtype=torch.bool), torch.zeros(N, dtype=torch.int64)
     wide, narrow = env.satellite.actions.entries[:2]
     env.simulator.write("instrument_command", everywhere, torch.ones(N))
@@ -198,8 +190,7 @@ def test_what_was_commanded_to_another_instrument_is_withdrawn():
 
 
 def test_images_of_one_instrument_hide_targets_from_the_others():
-    env = environment()
-    env.reset()
+    env = begun(environment())
     rows = torch.arange(N).unsqueeze(-1)
     seen = {kind: env.satellite.find_next_opportunities(2, kind).place for kind in ("target", "target@narrow")}
     env.rewarder.memory["imaged_targets"] = env.rewarder.imaged.scatter(1, torch.cat([*seen.values()], 1), True)
@@ -226,16 +217,13 @@ def test_targets_by_their_index_are_imaged_by_the_first_instrument():
 # -- windows ----------------------------------------------------------------------------------------------------------------
 
 
-def test_windows_are_those_of_a_satellite_with_the_instrument():
+def test_windows_are_those_of_satellites_with_the_instrument_and_shared_without_limits():
     both, alone = environment(), environment({**NARROW, **PACKET})
     for env in (both, alone):
         env.reset()
     assert both.satellite.opportunity_types == ("ground_station", "target", "target@narrow")
     windows = both.satellite.find_windows(3000.0, "target@narrow"), alone.satellite.find_windows(3000.0)
     assert all(torch.equal(one, other) for one, other in zip(*windows, strict=True))
-
-
-def test_instruments_without_limits_share_windows():
     env = environment({"instruments": [dyn.Instrument("a"), dyn.Instrument("b", instrumentBaudRate=1e6)]})
     assert env.satellite.opportunity_types == ("ground_station", "target")
     env = environment({"instruments": [dyn.Instrument("b", imageTargetMinimumElevation=0.9)]}, (act.Image(2),))
@@ -243,8 +231,7 @@ def test_instruments_without_limits_share_windows():
 
 
 def test_windows_of_an_instrument_with_a_range_are_where_it_reaches():
-    env = environment({"instruments": [dyn.Instrument("all"), NEAR], "imageTargetMinimumElevation": 0.5})
-    env.reset()
+    env = begun(environment({"instruments": [dyn.Instrument("all"), NEAR], "imageTargetMinimumElevation": 0.5}))
     passes, near = (env.satellite.find_windows(3000.0, kind) for kind in ("target", "target@near"))
     there, counts = torch.isfinite(passes.close), [0, 0]
     for share in torch.linspace(0.02, 0.98, 7).tolist():
@@ -289,8 +276,7 @@ def test_drawn_instruments_do_not_depend_on_the_batch():
     args = {"instruments": DRAWN, **PACKET}
     many, few = (play(environment(args, num_envs=n), (3, 0)) for n in (4, N))
     assert all(torch.equal(a[:N], b) for a, b in zip(many, few, strict=True))
-    env = environment(args)
-    env.reset()
+    env = begun(environment(args))
     sizes = env.satellite.sat_args["instruments.narrow.instrumentBaudRate"]
     assert len({*sizes.tolist()}) == N
     choose(env, 1)
@@ -354,17 +340,16 @@ def test_rejects_instruments_that_the_satellite_lacks():
     )
 
 
-def test_instruments_by_number():
+def test_instruments_have_names_numbers_and_the_smallest_packet():
     env = environment(actions=(act.Image(2, 5.0, instrument=0), act.Image(2, 5.0, instrument=1)))
     td = env.reset()
     env.step(td.set("action", torch.full((N,), 2)))
     assert env.satellite.dynamics.instrument_index.tolist() == [1.0] * N
-
-
-def test_an_instrument_needs_a_name():
     with pytest.raises(ValueError, match="Instrument: name=3 must be a string"):
         dyn.Instrument(3)
     assert dyn.Instrument("a", inst_pHat_B=[0, 0, 1]) == dyn.Instrument("a", inst_pHat_B=(0, 0, 1))
+    simulator = environment({"instruments": PAIR}).simulator
+    assert simulator.uniform[simulator.tick.shared.slices["packet_size"]].item() == -1.5e6
 
 
 def test_satellites_without_an_instrument_have_no_list():

@@ -1,7 +1,5 @@
 """Light at targets: the Sun's elevation against a textbook, in windows, and where images are taken."""
 
-from __future__ import annotations
-
 import math
 from datetime import datetime, timedelta
 from types import SimpleNamespace

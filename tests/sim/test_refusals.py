@@ -1,7 +1,5 @@
 """Limits of places, and places of components in the schedule, that cannot be."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 

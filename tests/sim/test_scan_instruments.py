@@ -1,7 +1,5 @@
 """Several instruments on a satellite that scans: each step is that of a satellite with the chosen one alone."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
@@ -195,9 +193,6 @@ def test_drawn_instruments_do_not_depend_on_the_batch_and_backends_agree():
     assert all(torch.equal(a, b) for a, b in zip(flown[0], flown[1], strict=True))
     for a, b in zip(flown[0], flown[2], strict=True):
         torch.testing.assert_close(a, b, rtol=1e-9, atol=1e-9)
-
-
-# -- errors -----------------------------------------------------------------------------------------------------------------
 
 
 def test_rejects_wrong_instruments():

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import re
 
 import pytest
@@ -86,9 +84,6 @@ def test_replacing_a_slot_keeps_its_place():
     assert next(c for c in after if c.slot == "battery") is Replaced.components[0]
 
 
-# -- schedules of models --------------------------------------------------------------------------------------------------------
-
-
 def test_slots_are_moved_and_added():
     names = [slot.name for slot in SCHEDULE.moved("battery", before="panel")]
     assert sorted(names) == sorted(slot.name for slot in SCHEDULE)
@@ -130,9 +125,6 @@ def test_a_dynamics_model_has_another_order():
     other = type("Other", (ScanningSatellite,), {"fsw_type": (RadiatorFSWModel, FSW)})
     with pytest.raises(ValueError, match="slot='watch' has after='radiator', which is not a slot of a tick"):
         SatelliteTasking(other("A"), backend="eager", time_limit=300.0)
-
-
-# -- the tick at time zero -----------------------------------------------------------------------------------------------------
 
 
 def measure(bus) -> None:
@@ -183,26 +175,14 @@ def test_components_of_the_world_take_part_in_the_tick_at_time_zero(backend):
     )
 
 
-# -- the printed list ----------------------------------------------------------------------------------------------------------
-
-
-def test_the_list_is_printed_in_order():
+def test_schedules_are_printed_in_order():
     printed = re.findall(r"^  (\w+) ", CliRunner().invoke(app, ["schedule"]).output, re.MULTILINE)
     assert printed == [slot.name for slot in SCHEDULE]
-
-
-def test_the_components_of_a_preset_are_printed_in_order():
     printed = CliRunner().invoke(app, ["schedule", "NadirScan-v1"]).output
     assert re.findall(r"^    (\w+) ", printed, re.MULTILINE) == list(NADIR_SCAN)
     assert printed.startswith("Scanner1:\n  environment:\n    earth_pole ")
-
-
-def test_unknown_presets_are_refused():
+    slot = described(Measuring.world_components[0])
+    assert slot == ("sun_range", "Distance of the Sun.", "none, runs after ephemeris", "environment")
     result = CliRunner().invoke(app, ["schedule", "NadirScn-v1"])
     assert result.exit_code != 0
     assert "did you mean 'NadirScan-v1'" in result.output
-
-
-def test_own_components_are_described_by_their_update():
-    slot = described(Measuring.world_components[0])
-    assert slot == ("sun_range", "Distance of the Sun.", "none, runs after ephemeris", "environment")

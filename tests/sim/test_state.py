@@ -1,7 +1,5 @@
 """Declared tensors take part in resets, copies of rows, and saved states, and tensors that are not declared are refused."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 
@@ -22,12 +20,21 @@ def memory() -> StateTable:
     return made
 
 
-def test_names_start_with_their_initial_values(memory):
+def test_names_start_with_their_initial_values_and_keep_their_types(memory):
     assert list(memory) == ["target", "images", "taken_any", "value"]
     assert torch.equal(memory["target"], torch.full((4,), -1))
     assert torch.equal(memory["images"], torch.zeros(4, 3, dtype=torch.int64))
     assert torch.equal(memory["taken_any"], torch.zeros(4, dtype=torch.bool))
     assert torch.equal(memory["value"], torch.full((4, 2, 2), 0.5, dtype=torch.float64))
+    memory["target"] = torch.tensor([3.0, 2.0, 1.0, 0.0])
+    memory["taken_any"] = torch.tensor([0, 1, 0, 1])
+    assert torch.equal(memory["target"], torch.tensor([3, 2, 1, 0]))
+    assert torch.equal(memory["taken_any"], torch.tensor([False, True, False, True]))
+    with pytest.raises(KeyError):
+        memory["targets"]
+    with pytest.raises(KeyError):
+        memory["targets"] = torch.zeros(4)
+    assert "targets" not in list(memory)
 
 
 def test_rejects_names_and_shapes_that_are_not_declared(memory):
@@ -45,21 +52,6 @@ def test_rejects_names_and_shapes_that_are_not_declared(memory):
     )
 
 
-def test_what_is_stored_keeps_its_type(memory):
-    memory["target"] = torch.tensor([3.0, 2.0, 1.0, 0.0])
-    memory["taken_any"] = torch.tensor([0, 1, 0, 1])
-    assert torch.equal(memory["target"], torch.tensor([3, 2, 1, 0]))
-    assert torch.equal(memory["taken_any"], torch.tensor([False, True, False, True]))
-
-
-def test_names_that_are_not_remembered(memory):
-    with pytest.raises(KeyError):
-        memory["targets"]
-    with pytest.raises(KeyError):
-        memory["targets"] = torch.zeros(4)
-    assert "targets" not in list(memory)
-
-
 def test_resets_set_all_names_back_in_their_rows(memory):
     memory["target"] = torch.arange(4)
     memory["images"] = torch.arange(12).view(4, 3)
@@ -72,15 +64,12 @@ def test_resets_set_all_names_back_in_their_rows(memory):
     assert memory["target"].tolist() == [-1, 1, -1, 3]
 
 
-def test_rows_are_copied_from_another_table_of_another_size(memory):
+def test_rows_are_copied_from_tables_of_other_sizes_and_fields(memory):
     other = memory.taken(torch.tensor([3, 1, 0, 2, 2, 1]))
     other["images"], other["target"] = torch.arange(18).view(6, 3), torch.arange(6)
     memory.copy_rows(torch.tensor([0, 2, 3]), other, torch.tensor([5, 5, 1]))
     assert memory["images"].tolist() == [[15, 16, 17], [0, 0, 0], [15, 16, 17], [3, 4, 5]]
     assert memory["target"].tolist() == [5, -1, 5, 1]
-
-
-def test_fields_that_another_table_lacks_start_anew(memory):
     memory["images"], other = torch.ones(4, 3), StateTable(4)
     other.declare("target", -1)
     memory.copy_rows(torch.tensor([1, 2]), other, torch.tensor([0, 0]))
@@ -179,9 +168,6 @@ def test_every_change_is_a_new_version(memory):
     assert versions == sorted(set(versions))
     memory["taken_any"], list(memory)
     assert memory.version == versions[-1]
-
-
-# -- clock ----------------------------------------------------------------------------------------------------------------------
 
 
 def test_the_time_follows_the_ticks_however_they_change():

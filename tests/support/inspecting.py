@@ -1,7 +1,5 @@
 """An RSO and inspectors on one orbit, for tests."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

@@ -3,8 +3,6 @@
 A table pins neither the wording of a message nor its order, so that messages are free to improve.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 

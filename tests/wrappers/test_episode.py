@@ -36,26 +36,20 @@ def test_numbers_and_arrays_of_the_present(single):
     assert single.satellite.dynamics.world.sun_direction_N.shape == (3,)
 
 
-def test_methods_and_arguments(single):
+def test_methods_and_arguments_which_are_read_only(single):
     assert single.satellite.is_alive() is True
     assert single.satellite.next_eclipse()[0] > 0.0
     assert single.satellite.sat_args["maxWheelSpeed"] == 6000.0
     assert single.satellite.find_next_opportunities(1, types="ground_station")[0]["r_LP_P"].shape == (3,)
     assert single.satellite.action_description[1] == "action_charge"
-
-
-def test_what_is_set_would_be_lost_and_is_refused(single):
     check_refusals([refusal(lambda: setattr(single.satellite, "name", "other"), AttributeError, "'name'", "read-only")])
 
 
-def test_satellites_of_one_type_are_told_apart(crew):
+def test_satellites_of_one_type_are_told_apart_and_share_a_scenario(crew):
     assert [satellite.name for satellite in crew.satellites] == crew.core.names
     positions = np.stack([satellite.dynamics.r_BN_N for satellite in crew.satellites])
     np.testing.assert_array_equal(positions, crew.core.satellites[0].dynamics.r_BN_N.numpy())
     last = crew.get_satellite(crew.core.names[-1])
     np.testing.assert_array_equal(last.dynamics.r_BN_N, positions[-1])
-
-
-def test_scenario_and_communicator(crew):
     assert crew.scenario.value_per_second == 0.1
     assert crew.communicator.is_silent is True

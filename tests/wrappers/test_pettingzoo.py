@@ -74,12 +74,9 @@ def test_agents_can_take_turns():
 # -- names and spaces -------------------------------------------------------------------------------------------------
 
 
-def test_agents_have_the_order_of_the_satellites():
+def test_agents_have_the_order_and_spaces_of_the_satellites():
     env, observations, _ = view(trio, names=("Zeta", "Alpha", "Mu"))
     assert env.possible_agents == env.agents == ["Zeta", "Alpha", "Mu"] == list(observations)
-
-
-def test_agents_and_spaces_are_those_of_the_satellites():
     env, observations, infos = view(mixed)
     assert env.possible_agents == env.agents == ["S0", "S1", "S2"] == list(observations) == list(infos)
     assert (env.num_agents, env.max_num_agents, env.render_mode) == (3, 3, None)
@@ -89,18 +86,18 @@ def test_agents_and_spaces_are_those_of_the_satellites():
     assert env.observation_space("S0").dtype == np.float64
 
 
-def test_named_observations_are_a_dict_space():
+def test_observations_may_be_named_and_the_state_is_what_all_see():
     env, observations, _ = view(obs_type=dict)
     _, vectors, _ = view()
     assert observations["S1"] in env.observation_space("S1")
     assert same(observations["S1"]["sat_props"]["wheel_speeds_fraction"], vectors["S1"][1:4])
-
-
-def test_the_state_is_what_all_see():
     env, observations, _ = view(mixed)
     assert same(env.state(), np.concatenate(list(observations.values())))
     assert env.state() in env.state_space
     assert view(obs_type=dict)[0].state().shape == (15,)
+    env, _, infos = view(common_info=True)
+    assert infos["__common__"] == {"d_ts": 0.0}
+    assert env.step({"S0": 2})[4]["__common__"] == {"d_ts": 3.0}
 
 
 # -- against the environment behind it --------------------------------------------------------------------------------
@@ -167,8 +164,7 @@ def test_going_on_can_be_an_action():
 def test_the_dead_say_goodbye():
     env, *_ = view(charges=DYING)
     observations, rewards, terminations, truncations, infos = env.step(dict.fromkeys(env.agents, 0))
-    assert terminations == {"S0": False, "S1": True, "S2": False}
-    assert rewards["S1"] == -1.0
+    assert (terminations, rewards["S1"]) == ({"S0": False, "S1": True, "S2": False}, -1.0)
     assert not any(truncations.values())
     assert observations["S1"].any()
     assert env.agents == ["S0", "S2"]
@@ -204,8 +200,7 @@ def test_nobody_is_left_at_the_time_limit():
     for terminal in (False, True):
         env, *_ = view(time_limit=5.0, terminate_on_time_limit=terminal)
         _, _, terminations, truncations, _ = env.step(dict.fromkeys(env.agents, 0))
-        assert set(terminations.values()) == {terminal}
-        assert set(truncations.values()) == {True}
+        assert (set(terminations.values()), set(truncations.values())) == ({terminal}, {True})
         assert env.agents == []
         assert env.step({}) == ({}, {}, {}, {}, {})
         assert env.reset()[0].keys() == {"S0", "S1", "S2"}
@@ -221,8 +216,7 @@ class Enough(data.ScanningTimeReward):
 def test_the_rewarder_can_end_it_for_one():
     env, *_ = view(rewarder=Enough())
     _, rewards, terminations, _, _ = env.step(dict.fromkeys(env.agents, 0))
-    assert terminations == {"S0": False, "S1": True, "S2": False}
-    assert rewards["S1"] == 0.0
+    assert (terminations, rewards["S1"]) == ({"S0": False, "S1": True, "S2": False}, 0.0)
     assert env.agents == ["S0", "S2"]
 
 
@@ -232,8 +226,7 @@ def test_the_rewarder_can_end_it_for_one():
 def test_an_agent_may_command_several():
     env, observations, infos = view(crew)
     apart, alone, _ = view(mixed)
-    assert env.agents == ["Pair", "S0"]
-    assert env.action_space("Pair") == spaces.MultiDiscrete([3, 2])
+    assert (env.agents, env.action_space("Pair")) == (["Pair", "S0"], spaces.MultiDiscrete([3, 2]))
     assert same(observations["Pair"], np.concatenate([alone["S2"], alone["S1"]]))
     assert [mask.tolist() for mask in infos["Pair"]["action_mask"]] == [[1, 1, 1], [1, 1]]
     step = env.step({"Pair": np.array([2, 0]), "S0": 0})
@@ -303,12 +296,6 @@ def test_an_episode_can_start_from_a_state():
     assert same(env.step({"S0": 1}), after)
 
 
-def test_what_all_share_can_be_told_apart():
-    env, _, infos = view(common_info=True)
-    assert infos["__common__"] == {"d_ts": 0.0}
-    assert env.step({"S0": 2})[4]["__common__"] == {"d_ts": 3.0}
-
-
 # -- in TorchRL's world -----------------------------------------------------------------------------------------------
 
 
@@ -326,8 +313,7 @@ def test_torchrl_can_wrap_the_view():
     assert steps["quick", "mask"].all()
     assert not steps["next", "slow", "mask"][0]
     assert steps["next", "slow", "terminated"][0]
-    assert steps["quick", "info", "d_ts"].shape == (8, 2)
-    assert steps["state"].shape == (8, 12)
+    assert (steps["quick", "info", "d_ts"].shape, steps["state"].shape) == ((8, 2), (8, 12))
 
 
 # -- presets ----------------------------------------------------------------------------------------------------------

@@ -68,12 +68,9 @@ def test_each_kind_chooses_its_action(env, actor, wanted):
     assert as_policy(actor, env)(env.reset())["action"].tolist() == [wanted] * 3
 
 
-def test_illegal_actions_are_not_chosen_by_scores(env):
+def test_only_legal_actions_are_chosen_and_modules_not_wrapped(env):
     td = TensorDict({"observation": torch.zeros(2, 12), "action_mask": torch.tensor([[True, True, False, False]] * 2)}, [2])
     assert policy_of_one(scores, env.satellite)(td)["action"].tolist() == [1, 1]
-
-
-def test_a_module_of_tensordicts_is_not_wrapped(env):
     policy = TensorDictModule(first_legal, ["observation", "action_mask"], ["action"])
     assert as_policy(policy, env) is policy
 

@@ -53,9 +53,6 @@ def careful(**options):
     return scanning(kind=Careful, charge=rand.Uniform(0.3 * BATTERY, 0.9 * BATTERY), **options)
 
 
-# -- contract ---------------------------------------------------------------------------------------------------------
-
-
 def test_stable_baselines3_accepts_one_episode():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -135,25 +132,18 @@ def test_an_episode_can_start_from_a_state():
     assert not np.array_equal(env.reset(), moved)
 
 
-def test_named_observations_have_one_level():
+def test_observations_and_infos_are_split():
     env = SB3VecEnv(scanning, COUNT, obs_type=dict)
     parts = {name: part.shape for name, part in env.reset().items()}
     assert parts == {name: (COUNT, *box.shape) for name, box in env.observation_space.items()}
     assert parts["sat_props/wheel_speeds_fraction"] == (COUNT, 3)
     assert parts["time"] == parts["ground_station/ground_station_0/opportunity_open_normd"] == (COUNT, 1)
     PPO("MultiInputPolicy", env, n_steps=4, batch_size=12, n_epochs=1, device="cpu").learn(12)
-
-
-def test_infos_of_a_step_are_split_by_environment():
     columns = {"duration": np.array([1.0, 2.0]), "mask": np.eye(2), "_duration": np.ones(2), "final_obs": None}
     rows = by_row(columns)
     assert [row["duration"] for row in rows] == [1.0, 2.0]
-    assert rows[1]["mask"].tolist() == [0.0, 1.0]
-    assert set(rows[0]) == {"duration", "mask"}
+    assert (rows[1]["mask"].tolist(), set(rows[0])) == ([0.0, 1.0], {"duration", "mask"})
     assert [row["duration"] for row in by_row(columns, [1])] == [2.0]
-
-
-# -- what is asked of single environments -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("kind", "make", "warnings_"), [(PPO, careful, 1), (PPO, scanning, 0), (MaskablePPO, careful, 0)])
@@ -205,9 +195,6 @@ def test_pictures_are_tiled():
         SB3VecEnv(scanning, 2, render_mode="human")
 
 
-# -- errors -----------------------------------------------------------------------------------------------------------
-
-
 def test_wrong_calls_are_named():
     env = SB3VecEnv(scanning, COUNT)
     with pytest.raises(RuntimeError, match="call step_async"):
@@ -233,9 +220,6 @@ def test_without_stable_baselines3_the_extra_is_named(monkeypatch):
     spec = spec_from_file_location("once_more", sys.modules[SB3VecEnv.__module__].__file__)
     once_more = lambda: spec.loader.exec_module(module_from_spec(spec))
     check_refusals([refusal(once_more, ImportError, "SB3VecEnv", "pip install 'bsk_torch[sb3]'")])
-
-
-# -- training ---------------------------------------------------------------------------------------------------------
 
 
 def test_a_masked_policy_learns_and_obeys():

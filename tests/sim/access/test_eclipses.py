@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Callable
@@ -175,9 +173,12 @@ def test_answers_depend_on_nothing_that_was_asked_before(five_orbits):
     assert all(torch.equal(x, y) for x, y in zip(asked.next(at(1000.0)), fresh.next(at(1000.0)), strict=True))
 
 
-def test_without_eclipses_the_end_of_the_search_is_returned(five_orbits):
+def test_without_eclipses_searches_end(five_orbits):
     """The dawn-dusk orbit; bsk_rl names the first second."""
     assert [float(time[3]) for time in table(five_orbits).next(at(500.0))] == [500.0 + SHORTEST_SEARCH] * 2
+    # The dawn-dusk orbit: all three searches fail.
+    start, end = table(five_orbits).query(at(0.0))
+    assert start[3].item() == end[3].item() == NOT_FOUND
 
 
 # -- answers of bsk_rl by definition ----------------------------------------------------------------------------------------
@@ -228,12 +229,6 @@ def test_an_eclipse_that_starts_now_has_started(five_orbits):
     start = eclipses.query(at(0.0))[0][0].item()
     assert eclipses.query(at(start - 1e-3))[0][0] == start
     assert eclipses.query(at(start))[0][0] > start + 5000.0
-
-
-def test_no_eclipse(five_orbits):
-    """The dawn-dusk orbit: all three searches fail."""
-    start, end = table(five_orbits).query(at(0.0))
-    assert start[3].item() == end[3].item() == NOT_FOUND
 
 
 def test_the_third_search_is_not_looked_at(five_orbits):

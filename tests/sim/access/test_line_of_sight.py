@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -30,9 +28,6 @@ def directions(n: int) -> torch.Tensor:
 
 def vec(*xyz: float) -> Vec3:
     return Vec3(*torch.tensor(xyz, dtype=torch.float64))
-
-
-# -- geometry ------------------------------------------------------------------------------------------------------------------
 
 
 def test_clearance_is_the_distance_of_the_nearest_point():
@@ -87,9 +82,6 @@ def test_margins_change_no_faster_than_their_ends():
     assert change.amax() > 0.99 * 1e4  # the bound is not far from what happens
 
 
-# -- arcs ----------------------------------------------------------------------------------------------------------------------
-
-
 def test_positions_are_those_of_the_simulation(backend):
     fleet = make_fleet(states(drawn_elements(3)), 2, backend=backend)
     simulator = fleet.simulators[0]
@@ -140,9 +132,6 @@ def test_nobody_is_faster_than_the_bound(eccentricity):
     assert (periapsis_radius(r, v) > 6.7e6).all()
 
 
-# -- Basilisk ------------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", FILES)
 def test_every_tick_against_basilisk(name, recording, backend):
     """Access of every ordered pair from the tick at the reset on; ticks within a millimetre of a limit are among them."""
@@ -171,9 +160,6 @@ def test_every_step_against_basilisk(name, recording, backend):
         seen = by_ticks[int(fleet.since) + 1 : int(fleet.ticks) + 1].any(0)
         flips += int((pairs != (seen | seen.mT)).any())
     assert flips > 0  # steps after which it matters that the log is a tick late
-
-
-# -- the search ----------------------------------------------------------------------------------------------------------------
 
 
 def by_brute_force(fleet: SatelliteFleet) -> torch.Tensor:
@@ -280,7 +266,7 @@ def test_types_of_satellites_see_one_another(backend):
         assert found.any()
 
 
-def test_nobody_is_seen_where_nobody_asks():
+def test_nobody_sees_alone_or_where_nobody_asks():
     fleet = mixed_fleet(3, 6, 0.02)
     step(fleet, 1000)
     every = visible_pairs(fleet, torch.ones(3, dtype=torch.bool))
@@ -288,9 +274,6 @@ def test_nobody_is_seen_where_nobody_asks():
     assert torch.equal(some[1], every[1])
     assert every.any()
     assert not some[[0, 2]].any()
-
-
-def test_one_satellite_sees_nobody():
     fleet = make_fleet(states(drawn_elements(1)), 2)
     step(fleet, 50)
     assert visible_pairs(fleet, torch.ones(2, dtype=torch.bool)).tolist() == [[[False]], [[False]]]

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -12,9 +10,6 @@ INF = math.inf
 
 def times(*values: float) -> torch.Tensor:
     return torch.tensor(values, dtype=torch.float64)
-
-
-# -- tables of events -------------------------------------------------------------------------------------------------------
 
 
 def test_events_are_sorted_into_rows():
@@ -30,8 +25,7 @@ def test_events_are_sorted_into_rows():
 def test_without_events_there_is_one_column(n):
     none = torch.zeros(0, dtype=torch.int64)
     time, place = tabulate(none, times(), n, none)
-    assert time.tolist() == [[INF]] * n
-    assert place.tolist() == [[0]] * n
+    assert (time.tolist(), place.tolist()) == ([[INF]] * n, [[0]] * n)
 
 
 def test_many_random_events():

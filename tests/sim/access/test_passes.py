@@ -1,7 +1,5 @@
 """The coarse screen loses nothing, passes are found row by row, and windows are cut as bsk_rl generates them."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 from typing import NamedTuple
@@ -378,15 +376,12 @@ def test_first_intervals_have_quirks_where_the_place_is_near_all_the_time(segmen
     assert check_against_bsk_rl(ground, 10.0, 15.0, segments(ground, segment, first)) > 0
 
 
-def test_every_interval_has_a_largest_radius_of_its_own():
+def test_intervals_of_eccentric_and_high_orbits_are_those_of_bsk_rl():
     """How near is near depends on it, and on eccentric orbits it changes from one interval to the next."""
     ground = flown_over(uniform(10, low=3e5, high=5e5), uniform(10, low=0.05, high=0.1), 400)
     for first in (None, 3600.0):
         assert check_against_bsk_rl(ground, 10.0, 60.0, segments(ground, 600.0, first)) > 0
-
-
-def test_a_place_that_was_near_before_does_not_make_a_quirk():
-    """In a segment of an orbit the last pass may set as it begins and the next one rise before it ends."""
+    # In a segment of an orbit the last pass may set as it begins and the next one rise before it ends.
     ground = flown_over(uniform(10, low=3e5, high=1.2e6), uniform(10, low=0.0, high=0.01), 400)
     check_against_bsk_rl(ground, 10.0, 60.0, segments(ground, 5400.0))
 

@@ -1,7 +1,5 @@
 """Kernels and tensors see the same from the same planned arcs."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -291,10 +289,8 @@ def test_codes_of_a_cell():
         return int(event_code(before, here, after, numbers(time), cells))
 
     nan, top = numbers(math.nan), numbers(-1e-5)
-    assert told(nan, nan, up, 240.0) == ABOVE_LIMIT
-    assert told(nan, nan, down, 240.0) == 0
-    assert told(nan, down, up, 270.0) == RISE
-    assert told(up, up, down, 480.0) == SET
+    assert (told(nan, nan, up, 240.0), told(nan, nan, down, 240.0)) == (ABOVE_LIMIT, 0)
+    assert (told(nan, down, up, 270.0), told(up, up, down, 480.0)) == (RISE, SET)
     assert told(up, up, up, 480.0) == 0  # in the midst of the search
     assert told(down, down, up, 510.0) == told(up, up, down, 510.0) == 0  # in the next cell
     assert told(down, top, down, 510.0) == SHORT_PASS

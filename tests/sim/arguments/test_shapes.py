@@ -1,7 +1,5 @@
 """Arguments and fields of any shape, in a component that takes as many panels as it is given."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -135,10 +133,8 @@ def test_epochs():
 def test_constants_have_one_row_and_draws_one_for_each_environment():
     text = "2021-02-05T09:12:05"
     values = draw({"mass": 100, "K": rand.Uniform(1.0, 2.0), "P": lambda: 5.0, "desatAttitude": "nadir"})
-    assert values["mass"].tolist() == [100.0]
-    assert len(set(values["K"].tolist())) == 3
-    assert values["P"].tolist() == [5.0, 5.0, 5.0]
-    assert values["desatAttitude"].tolist() == [1.0]
+    assert (values["mass"].tolist(), len(set(values["K"].tolist()))) == ([100.0], 3)
+    assert (values["P"].tolist(), values["desatAttitude"].tolist()) == ([5.0, 5.0, 5.0], [1.0])
     assert draw({"utc_init": text}, WORLD)["utc_init"].tolist() == [parse_utc(text)]
     assert all(v.dtype == torch.float64 for v in values.values() if isinstance(v, torch.Tensor))
     arguments = Arguments(PARTS, {"K": rand.Uniform(), "P": lambda: 1.0}, "sat_args")
@@ -224,8 +220,7 @@ def test_satellites_with_the_same_arguments():
     """Each draws its own values, the first one those that it would draw alone; constants stay one row."""
     given = {"K": rand.Uniform(), "sigma_init": rand.Uniform(size=3), "mass": 100.0, "P": lambda: 5.0}
     values = Arguments(PARTS, given, "sat_args", (0, 1)).draw(key())
-    assert values["mass"].tolist() == [100.0]
-    assert values["P"].tolist() == [5.0] * 6
+    assert (values["mass"].tolist(), values["P"].tolist()) == ([100.0], [5.0] * 6)
     for name in ("K", "sigma_init"):
         assert len(values[name].unique()) == values[name].numel()
         assert torch.equal(values[name][::2], draw({name: given[name]})[name])

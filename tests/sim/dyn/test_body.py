@@ -1,7 +1,5 @@
 """Bodies of any inertia whose center of mass lies anywhere."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

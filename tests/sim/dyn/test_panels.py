@@ -1,7 +1,5 @@
 """Several solar panels; fixed ones are compared with Basilisk's in ``tests/basilisk/test_craft_parity.py``."""
 
-from __future__ import annotations
-
 import itertools
 import math
 
@@ -22,9 +20,6 @@ from tests.sim.dyn.flights import CHARGE, SCAN, fly
 WING = dict(axis=[0, 1, 0], rate=0.01)
 PAIR = [dyn.Panel([0, 0, -1], 0.5, 0.3, **WING), dyn.Panel([0, 0, -2], 0.5, 0.3, **WING, stops=[-1.0, 2.0])]
 GIVEN = {arg.name: arg.default for arg in (*PANEL.args, *DRAG.args)}
-
-
-# -- the best direction -------------------------------------------------------------------------------------------------------
 
 
 def test_the_best_direction_of_fixed_panels_is_that_of_the_longest_sum_of_some():
@@ -62,9 +57,6 @@ def test_opposite_panels_have_a_best_direction():
     assert best_direction((dyn.Panel([1, 0, 0], 0.0, 0.3),)) == (1.0, 0.0, 0.0)
 
 
-# -- one tick -----------------------------------------------------------------------------------------------------------------
-
-
 def a_tick(listed: list[dyn.Panel], sun_B: Vec3, angles: list[Tensor], h_ns: int = 1_000_000_000) -> Bus:
     """The bus after an update of panels in sunlight at one astronomical unit; B is N."""
     n = len(sun_B.x)
@@ -81,12 +73,14 @@ def a_tick(listed: list[dyn.Panel], sun_B: Vec3, angles: list[Tensor], h_ns: int
     return bus
 
 
-def test_fixed_panels_add_up():
+def test_fixed_panels_add_up_and_a_tick_of_no_length_turns_none():
     sun = vectors()
     listed = [dyn.Panel([0, 0, -1], 0.5, 0.2), dyn.Panel([0, 3, -4], 0.1, 0.3), dyn.Panel([-1, 0, 0], 1.0, 0.1)]
     s = sun.unit()
     shares = (0.1 * -s.z).clamp(min=0) + (0.03 * (0.6 * s.y - 0.8 * s.z)).clamp(min=0) + (0.1 * -s.x).clamp(min=0)
     torch.testing.assert_close(a_tick(listed, sun, []).power, 1361.0 * shares, rtol=1e-12, atol=1e-12)
+    bus = a_tick(PAIR, sun, [plane(0.3), plane(0.2)], h_ns=0)
+    assert bool((bus.panel_angle[0] == 0.3).all() and (bus.panel_angle[1] == 0.2).all())
 
 
 def test_a_panel_turns_to_the_sun_at_its_rate_and_loses_only_what_is_along_its_axis():
@@ -101,12 +95,6 @@ def test_a_panel_turns_to_the_sun_at_its_rate_and_loses_only_what_is_along_its_a
     torch.testing.assert_close(bus.power, 1361.0 * 0.15 * torch.sqrt(1.0 - s.y * s.y), rtol=1e-9, atol=1e-9)
     # a right-handed turn about y takes -z to -x
     torch.testing.assert_close(bus.panel_angle[0], torch.atan2(-s.x, -s.z), rtol=0, atol=1e-9)
-
-
-def test_a_tick_of_no_length_turns_nothing():
-    sun = vectors()
-    bus = a_tick(PAIR, sun, [plane(0.3), plane(0.2)], h_ns=0)
-    assert bool((bus.panel_angle[0] == 0.3).all() and (bus.panel_angle[1] == 0.2).all())
 
 
 @pytest.mark.parametrize(
@@ -124,9 +112,6 @@ def test_a_tick_of_no_length_turns_nothing():
 def test_turning(angle, wanted, stops, expected):
     pair = None if stops is None else (plane(stops[0]), plane(stops[1]))
     assert turned(plane(angle), plane(wanted), plane(0.1), pair)[0].item() == pytest.approx(expected, abs=1e-12)
-
-
-# -- flights ------------------------------------------------------------------------------------------------------------------
 
 
 def test_one_panel_in_a_list_flies_as_the_single_one():
@@ -172,9 +157,6 @@ def test_a_panel_that_fails_gives_a_share_of_its_power():
     )
     torch.testing.assert_close(3.0 * (whole - half), whole - none, rtol=1e-9, atol=1e-6)
     assert bool((whole > none).any())
-
-
-# -- structure ----------------------------------------------------------------------------------------------------------------
 
 
 def test_the_structure_follows_from_the_arguments():

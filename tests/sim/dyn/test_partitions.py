@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -180,8 +178,7 @@ def test_transmitter(levels, packet, partition, rate, after):
 def test_first_tick_after_a_pause_accounts_for_all_of_it():
     bus = bus_of([50.0, 60.0], transmitter_time=2.0)
     partitions.transmit(bus)
-    assert bus.packet.item() == -12.0
-    assert bus.transmitter_rate.item() == -4.0
+    assert (bus.packet.item(), bus.transmitter_rate.item()) == (-12.0, -4.0)
 
 
 def test_transmitter_at_rest_and_without_stations():
@@ -251,7 +248,7 @@ def test_partition_names(given, names):
     assert ("packet_partition" in sender) == (len(names) > 1)
 
 
-def test_initial_store():
+def test_stores_and_transmitters_start_by_their_arguments():
     """Whole bits in the last partition; more than the capacity is left out."""
     args = {"storageInit": torch.tensor([99.9, 101.0, 0.0]).double(), "dataStorageCapacity": torch.tensor([100.7]).double()}
     state = partitions.partitioned_store(3, starts_with_data=True).initial(args)
@@ -259,9 +256,6 @@ def test_initial_store():
     assert state["storage"].tolist() == [99.0, 0.0, 0.0]
     empty = partitions.partitioned_store(2).initial({**args, "storageInit": torch.zeros(1).double()})
     assert empty["partitions"].tolist() == [[0.0, 0.0]]
-
-
-def test_the_default_is_what_default_arguments_ask_for():
     for part in (partitions.TRANSMITTER, partitions.PARTITIONED_STORE, world.GROUND_STATIONS):
         given = {arg.name: arg.default for arg in (*partitions.PARTITIONED_STORE.args, *partitions.TRANSMITTER.args, *part.args)}
         fitted = part.fit(given)

@@ -1,7 +1,5 @@
 """Panels, facets, thrusters, wheels and partitions that cannot be."""
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -1,7 +1,5 @@
 """Any set of thrusters: forces, torques, and desaturation."""
 
-from __future__ import annotations
-
 import functools
 
 import pytest
@@ -120,8 +118,7 @@ def test_drawn_thrusters_fly_alike_compiled():
 
 def test_types_have_the_thrust_of_basilisks_factory():
     thrusts = [dyn.Thruster([0, 0, 1], [1, 0, 0], f"MOOG_Monarc_{kind}").thrust for kind in ("1", "5", "22_6", "22_12", "90LT")]
-    assert thrusts == [0.9, 4.5, 22.0, 22.0, 90.0]
-    assert BSK_RL_THRUSTERS.thrust == 0.9
+    assert (thrusts, BSK_RL_THRUSTERS.thrust) == ([0.9, 4.5, 22.0, 22.0, 90.0], 0.9)
 
 
 def test_thrusters_that_turn_otherwise_than_desired_or_never_fire_are_logged(caplog):

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 import torch
 
@@ -15,10 +13,7 @@ def number(*values: float) -> torch.Tensor:
     return torch.tensor(values, dtype=torch.float64)
 
 
-# -- geometry ---------------------------------------------------------------------------------------------------------------
-
-
-def test_thruster_geometry():
+def test_thruster_geometry_and_torque():
     """Pairs of opposite thrusters: no net force, and the arms that Basilisk's configuration has."""
     arms = torch.tensor(thrusters.BSK_RL_THRUSTERS.arms, dtype=torch.float64)
     for position, direction, arm in zip(thrusters.POSITIONS, thrusters.DIRECTIONS, arms, strict=True):
@@ -29,15 +24,10 @@ def test_thruster_geometry():
     assert arms[:, :2].abs().flatten().tolist() == pytest.approx([0.602773] * 8, abs=1e-6)
     assert arms[:, 2].abs().tolist() == pytest.approx([0.825500] * 4, abs=1e-6)
     assert torch.linalg.matrix_rank(arms) == 3
-
-
-def test_pulse_torque():
     torque = thrusters.BSK_RL_THRUSTERS.torque(tuple(number(x) for x in (1.0, 0.0, 0.0, 1.0)))
     arms = torch.tensor(thrusters.BSK_RL_THRUSTERS.arms, dtype=torch.float64)
     torch.testing.assert_close(torque.stack()[0], 2 * 0.9 * (arms[0] + arms[3]), rtol=0, atol=1e-15)
 
-
-# -- pulses -----------------------------------------------------------------------------------------------------------------
 
 MISSED = (14, 28, 57, 114, 228, 456, 912, 1825, 3650, 7301, 14602, 29205)
 """Ticks of 1 s at whose pulses Basilisk's rounding puts the end before the stage (measured on Basilisk)."""
@@ -65,9 +55,6 @@ def test_pulses_are_consumed_once():
         thrusters.latch_pulses(bus)
         assert [x.item() for x in bus.pulse] == expected
         assert [x.item() for x in bus.pulse_command] == [0.0] * 4
-
-
-def test_a_missed_pulse_is_consumed_too():
     bus = Bus(SECOND)
     bus.pulse_command = tuple(number(1.0) for _ in range(4))
     for tick in (MISSED[0] + 1.0, MISSED[0] + 2.0):
@@ -76,14 +63,11 @@ def test_a_missed_pulse_is_consumed_too():
         assert [x.item() for x in bus.pulse + bus.pulse_command] == [0.0] * 8
 
 
-def test_missed_pulses_of_one_second():
+def test_missed_pulses():
     """A pulse written at tick t is latched at t + 1 and compared with the stage at t + 1."""
     missed = torch.nonzero(latched(clock(30_000), SECOND) == 0.0).squeeze(-1) + 1
     assert (missed - 1).tolist() == list(MISSED)
-
-
-def test_missed_pulses_of_a_tenth_of_a_second():
-    """22 % of the first 2000 s; the share goes up and down with the exponent of the clock."""
+    # 22 % of the first 2000 s; the share goes up and down with the exponent of the clock.
     assert 1.0 - latched(clock(20_000), SECOND // 10).mean().item() == pytest.approx(0.22, abs=0.005)
 
 

@@ -1,7 +1,5 @@
 """Faults: when they act, what they change, what is observed of them, and errors; flights with Basilisk: tests/basilisk."""
 
-from __future__ import annotations
-
 import math
 import pickle
 
@@ -116,9 +114,6 @@ def test_hazards_have_their_rate():
     assert math.isclose((times > 50.0).double().mean(), math.exp(-1.0), abs_tol=0.015)
 
 
-# -- injected -----------------------------------------------------------------------------------------------------------------
-
-
 def test_injected_faults_begin_now_in_some_environments():
     env = clicking(faults.Fault("clickSize", value=5.0, lasts=4.0, name="loud"), n=4)
     start = counted(env, 1)
@@ -155,15 +150,16 @@ def test_saved_states_and_copies_have_the_faults():
     assert float(env.satellite.dynamics.fault_severity.max()) == 0.0  # an injected fault ends with its episode
 
 
-# -- spacecraft ---------------------------------------------------------------------------------------------------------------
-
-
-def test_a_wheel_without_torque_keeps_its_momentum():
+def test_ready_faults_of_wheels_and_instruments():
     env = fly({"faults": [faults.wheel_torque(0, at=0.0)]}, actions=(CHARGE,))
     sound = fly({}, actions=(CHARGE,))
     turned = [each.simulator.state.read("motor_torque_B") for each in (env, sound)]
     assert float(turned[0][:, 0].abs().max()) <= 1e-12
     assert float(turned[1][:, 0].abs().max()) > 1e-6
+    lost = fly({"faults": [faults.instrument(at=0.0)]}, actions=(SCAN, SCAN)).satellite.dynamics.storage_level
+    sound = fly({}, actions=(SCAN, SCAN)).satellite.dynamics.storage_level
+    assert bool((lost < sound).any())
+    assert not any(field.startswith("fault_") for field in fly({}, actions=()).simulator.tick.own.fields)
 
 
 @pytest.fixture(scope="module")
@@ -189,19 +185,6 @@ def test_ready_faults_change_what_they_name(fault, quantity, sound):
     read = [getattr(dynamics, quantity) for dynamics in (faulty, sound)]
     as_tensors = [torch.stack(value, -1) if isinstance(value, tuple) else value for value in read]
     assert not torch.allclose(*(torch.as_tensor(value) for value in as_tensors), rtol=1e-6, atol=0.0)
-
-
-def test_an_instrument_and_a_transmitter_lose_their_rates():
-    lost = fly({"faults": [faults.instrument(at=0.0)]}, actions=(SCAN, SCAN)).satellite.dynamics.storage_level
-    sound = fly({}, actions=(SCAN, SCAN)).satellite.dynamics.storage_level
-    assert bool((lost < sound).any())
-
-
-def test_without_faults_nothing_is_compiled_for_them():
-    assert not any(field.startswith("fault_") for field in fly({}, actions=()).simulator.tick.own.fields)
-
-
-# -- errors -------------------------------------------------------------------------------------------------------------------
 
 
 def test_rejects_wrong_faults():

@@ -1,7 +1,5 @@
 """Proposed gains: numbers by hand, and flights of random bodies with random wheels."""
 
-from __future__ import annotations
-
 import logging
 import math
 from dataclasses import dataclass
@@ -74,9 +72,6 @@ def test_gains_of_further_parts():
     strong = [dyn.Thruster(p, d, 22.0) for p, d in (((1, 0, 0), (0, 1, 0)), ((-1, 0, 0), (0, -1, 0)))]
     strong += [dyn.Thruster(p, d, 22.0) for p, d in (((0, 1, 0), (-1, 0, 0)), ((0, -1, 0), (1, 0, 0)))]
     assert fsw.propose_gains(BODY, HR16, thrusters=strong)["maxCounterValue"] == math.ceil(4 * 22.0 / 6.0 / 0.1) - 1
-
-
-# -- flights ------------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)

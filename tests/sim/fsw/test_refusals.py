@@ -1,7 +1,5 @@
 """Gains that cannot be proposed, and commands of flight software that a satellite lacks."""
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -1,7 +1,5 @@
 """The criterion of stable gains agrees with eigenvalues, and with what satellites do on both sides of the border."""
 
-from __future__ import annotations
-
 import logging
 
 import numpy as np
@@ -61,9 +59,6 @@ def test_criterion_against_eigenvalues(integral):
         counts[stable] += 1
         assert stable == (radius < 1.0), (p, kappa, radius)
     assert integral or min(counts.values()) > 30
-
-
-# -- flights ------------------------------------------------------------------------------------------------------------------
 
 
 class Pointer(sats.Satellite):

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import pytest
@@ -25,9 +23,6 @@ from tests.sim.orbit.arcs import above, flown, orbits, planned
 
 BASILISK = 1e-3  # m; measured: 1.1e-4 over five orbits (nominal), 2e-5 over two (eccentric)
 BASILISK_SPEED = 1e-6  # m/s; measured: 1.8e-7
-
-
-# -- Basilisk ---------------------------------------------------------------------------------------------------------------
 
 
 def deviations(arcs: Arcs, row: int, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -94,9 +89,6 @@ def test_planned_arc_against_a_runge_kutta_of_thirty_seconds(recording, solve_ar
     assert (arcs.flown[:, -1] - y[0].stack()).norm(dim=-1).amin() > 5.0
 
 
-# -- equations of motion ----------------------------------------------------------------------------------------------------
-
-
 def second_differences(r: torch.Tensor) -> torch.Tensor:
     """Acceleration at nodes 4 to -4 of positions [n, Q, 3], of eighth order."""
     centre = torch.arange(4, r.shape[1] - 4)
@@ -137,9 +129,6 @@ def test_jacobi_integral_and_momentum_of_a_long_flight(make_arcs, backend):
     assert 1e-6 < ((energy / energy[:, :1]) - 1.0).abs().amax() < 1e-4
     assert 1e-3 < ((two_body / two_body[:, :1]) - 1.0).abs().amax() < 1e-2
     assert ((h_z - h_z[:, :1]) / torch.linalg.cross(r, v).norm(dim=-1)).abs().amax() < 1e-4
-
-
-# -- tables -----------------------------------------------------------------------------------------------------------------
 
 
 def assert_same_arcs(arcs: Arcs, row: int, long: Arcs, whole: torch.Tensor) -> None:
@@ -260,9 +249,6 @@ def test_rows_do_not_depend_on_the_batch(part, solve_arcs, backend):
 @pytest.mark.parametrize(("seconds", "spans"), [(0.0, 1), (1.0, 1), (3600.0, 1), (3600.1, 2), (28800.0, 8)])
 def test_spans(seconds, spans):
     assert segments_for(seconds) == spans
-
-
-# -- what a tick takes from an arc ------------------------------------------------------------------------------------------
 
 
 def test_nodes_are_met(make_arcs, backend):

@@ -1,7 +1,5 @@
 """Model classes: what would never run is refused at the definition, with what to write instead."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from bsk_torch.sim import dyn, fsw, world

@@ -1,7 +1,5 @@
 """Mistakes in users' components raise errors that name the component, when an environment is built."""
 
-from __future__ import annotations
-
 import torch
 
 from bsk_torch import SatelliteTasking, act, dyn, fsw, obs, sats
