@@ -98,7 +98,7 @@ class TestHooks:
     def test_rejects_results_that_do_not_fit(self):
         made = lambda **members: alone(type("Mine", (Point,), members)(), backend="eager")
         bounds = lambda *result: made(bounds=lambda self: result if len(result) > 1 else result[0])
-        table = [
+        check_refusals(
             refusal(lambda: bounds([0.0, 0.0], [1.0]), ValueError, "bounds()", [2], [1]),
             refusal(lambda: bounds([1.0], [1.0]), ValueError, "bounds()", [1.0]),
             refusal(lambda: bounds([math.nan], [1.0]), ValueError, "bounds()", [math.nan], [1.0]),
@@ -107,21 +107,19 @@ class TestHooks:
             refusal(lambda: made(names=lambda self: ["a", "b"]), ValueError, "names()", ["a", "b"], 1),
             refusal(lambda: made(names=lambda self: "s"), ValueError, "names()", "'s'", 1),
             refusal(lambda: made(link_satellite=lambda self, satellite: None), TypeError, "super().link_satellite"),
-        ]
-        check_refusals(table)
+        )
 
     def test_rejects_wrong_decisions(self):
         changes = []
         decide = lambda self, action, mask: changes[-1](Point.decide(self, action, mask))
         env = begun(alone(type("Mine", (Point,), dict(decide=decide))(), backend="eager"))
         decided = lambda change: (changes.append(change), seconds(env, 3.0, 4.0))
-        table = [
+        check_refusals(
             refusal(lambda: decided(lambda d: d._replace(duration=d.duration * 0.0)), ValueError, "duration", 0.0, 1e-9),
             refusal(lambda: decided(lambda d: d._replace(duration=d.duration * math.nan)), ValueError, "duration", "nan", 1e-9),
             refusal(lambda: decided(lambda d: d._replace(duration=d.duration.float())), TypeError, "duration", "torch.float32"),
             refusal(lambda: decided(lambda d: None), TypeError, "Mine.decide", None, "act.Decision"),
-        ]
-        check_refusals(table)
+        )
 
     def test_rejects_entries_beside_a_continuous_one(self):
         lists = (Point(), act.Drift()), (act.Drift(), Point()), (Point(), Point("other"))
@@ -292,8 +290,7 @@ class TestState:
         again = [other.play(go_on)["observation"] for _ in range(3)]
         assert all(torch.equal(a, b) for a, b in zip(first, again, strict=True))
         saved["satellites_0", "task", "action"][0, 0] = torch.nan
-        with pytest.raises(ValueError, match=r"task\.action"):
-            other.restore(saved)
+        check_refusals(refusal(lambda: other.restore(saved), ValueError, "task.action"))
 
     @pytest.mark.parametrize("entry", [Choose("choose"), act.ImpulsiveThrust(max_dv=1.0)], ids=["hybrid", "thrust"])
     def test_tensors_of_the_batch_are_declared_or_derived(self, entry):
@@ -354,12 +351,11 @@ class TestConstellations:
         td = env.reset()
         assert set(env.full_action_spec["action"].keys()) == {"T1", "D1", "H1", "T2"}
         assert td["action_mask"].shape == (2, 6)  # two and three numbers, each with one that goes on
-        with pytest.raises(TypeError, match="entry for each satellite"):
-            env.step(td.set("action", torch.zeros(2, 4).long()))
+        check_refusals(refusal(lambda: env.step(td.set("action", torch.zeros(2, 4).long())), TypeError, "satellite"))
 
     def test_rejects_meta_agents(self):
         crew = {"both": ["T1", "D1"]}
-        check_refusals([refusal(lambda: self.make(meta_agent_groupings=crew, backend="eager"), ValueError, "'both'", "T1")])
+        check_refusals(refusal(lambda: self.make(meta_agent_groupings=crew, backend="eager"), ValueError, "'both'", "T1"))
 
     def test_only_satellites_of_numbers_of_real_actions_under_one_agent(self):
         point = kind(Point())

@@ -130,7 +130,7 @@ def define(*bases, **members):
 def test_what_would_not_run_is_refused_at_the_definition():
     mixin = type("Mixin", (), dict(set_action=lambda self, action: None))
     decides = lambda self, index, mask, action, previous: None
-    table = [
+    check_refusals(
         refusal(lambda: define(set_action=lambda self, action, prev_action_key=None: None), TypeError, "set_action", "decide"),
         refusal(lambda: define(set_action_override=lambda self, action: None), TypeError, "set_action_override", "integers"),
         refusal(lambda: define(reset_post_sim_init=lambda self: None), TypeError, "reset_post_sim_init", "memory.declare"),
@@ -146,8 +146,7 @@ def test_what_would_not_run_is_refused_at_the_definition():
         refusal(lambda: define(n_actions=lambda self: 2), TypeError, "Mine.n_actions", "method", "value"),
         refusal(lambda: define(decide=lambda self, *args: None, table=lambda self: None), TypeError, "table()", "decide()"),
         refusal(lambda: define(mixin, act.Charge), TypeError, "Mine.set_action"),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_helpers_are_free():
@@ -171,25 +170,23 @@ def made(**members):
 
 
 def test_rejects_entries_that_do_not_fit():
-    table = [
+    check_refusals(
         refusal(lambda: made(link_satellite=lambda self, satellite: None), TypeError, "super().link_satellite(satellite)"),
         refusal(lambda: made(n_actions=2, names=lambda self: ["one"]), ValueError, "names()", ["one"], "n_actions=2"),
         refusal(lambda: made(n_actions=0), ValueError, "Mine.n_actions", 0),
         refusal(lambda: made(n_actions=1.0), ValueError, "Mine.n_actions", 1.0),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_rejects_results_that_do_not_fit():
     run = lambda **members: made(**members).rollout(1)
     decided = lambda **fields: run(decide=lambda self, *args: act.Charge.decide(self, *args)._replace(**fields))
     boolean, one = torch.ones(2, dtype=torch.bool), torch.ones(1)
-    table = [
+    check_refusals(
         refusal(lambda: run(n_actions=2), TypeError, "Mine.table().mode", [2, 1], [2, 2]),
         refusal(lambda: run(table=lambda self: None), TypeError, "table()", None),
         refusal(lambda: decided(duration=one), TypeError, "duration", [1], "torch.float32", [2], "torch.float64"),
         refusal(lambda: decided(mode=3), TypeError, "mode", 3, [2]),
         refusal(lambda: run(mask=lambda self: boolean), TypeError, "mask()", [2], [2, 1]),
         refusal(lambda: run(mask=lambda self: torch.ones(2, 1)), TypeError, "mask()", "torch.float32", "torch.bool"),
-    ]
-    check_refusals(table)
+    )

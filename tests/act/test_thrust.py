@@ -159,7 +159,7 @@ def test_the_norm_is_clamped_and_not_the_components():
 
 def test_nan_is_refused():
     env = begun(make(act.ImpulsiveThrust()))
-    check_refusals([refusal(lambda: step(env, [0.0, torch.nan, 0.0, 5.0]), ValueError, "environment 0", "dV_N_y=nan")])
+    check_refusals(refusal(lambda: step(env, [0.0, torch.nan, 0.0, 5.0]), ValueError, "environment 0", "dV_N_y=nan"))
 
 
 def test_under_compat_the_event_and_the_tank_are_rounded():

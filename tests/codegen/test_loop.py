@@ -213,12 +213,10 @@ def test_rejects_wrong_tables_and_tensors():
     apart = lambda part: torch.stack([part, part], -1)[..., 0]
     other = lambda part: part.to(torch.float32 if part.dtype == torch.float64 else torch.int32)
     check_refusals(
-        [
-            refusal(lambda: looked_up(torch.zeros(2), records=2), ValueError, "table", "[2, 2, 1]", "3 records"),
-            *(refusal(lambda name=name: run(name, apart), ValueError, "strides", list(parts[name].shape)) for name in parts),
-            *(
-                refusal(lambda name=name: run(name, other), ValueError, other(parts[name]).dtype, "float64", "int64")
-                for name in parts
-            ),
-        ]
+        refusal(lambda: looked_up(torch.zeros(2), records=2), ValueError, "table", "[2, 2, 1]", "3 records"),
+        *(refusal(lambda name=name: run(name, apart), ValueError, "strides", list(parts[name].shape)) for name in parts),
+        *(
+            refusal(lambda name=name: run(name, other), ValueError, other(parts[name]).dtype, "float64", "int64")
+            for name in parts
+        ),
     )

@@ -17,7 +17,7 @@ from tests.support.rso_imaging import Imager
 def test_rejects_wrong_arguments():
     transmit, catalogs = act.TransmitCatalog, comm.CatalogCommunication
     broadcast = lambda seconds: act.Broadcast(duration=seconds)
-    table = [
+    check_refusals(
         *(refusal(lambda x=x: broadcast(x), ValueError, "'action_broadcast'", f"duration={x}") for x in (0.0, -3.0, math.nan)),
         refusal(lambda: comm.FreeCommunication(min_period=-1), ValueError, "min_period=-1"),
         refusal(lambda: transmit(0), ValueError, "n_peers=0"),
@@ -28,8 +28,7 @@ def test_rejects_wrong_arguments():
         refusal(lambda: catalogs(delay_s=-1.0), ValueError, "delay_s=-1.0"),
         refusal(lambda: catalogs(loss_probability=2.0), ValueError, "loss_probability=2.0"),
         refusal(lambda: catalogs(delay_s=10.0, ttl_s=5.0), ValueError, "ttl_s=5.0", "delay_s=10.0"),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_rejects_teams_that_cannot_transmit():
@@ -39,7 +38,7 @@ def test_rejects_teams_that_cannot_transmit():
 
     one, again, delivery = act.TransmitCatalog(1), act.TransmitCatalog(1, name="again"), "communicator=comm.CatalogCommunication"
     common = dict(knowledge="common", rewarder=data.RSOImageReward(multi_imager_credit="shared"))
-    table = [
+    check_refusals(
         refusal(lambda: crew(one, base=Imager), ValueError, "act.TransmitCatalog", "dyn.CatalogRadioDynModel"),
         refusal(lambda: crew(one, again), ValueError, "'Imager0'", "two actions", "act.TransmitCatalog"),
         refusal(lambda: crew(act.TransmitCatalog(2)), ValueError, "n_peers=2", "2 imagers", "1 peers"),
@@ -47,23 +46,21 @@ def test_rejects_teams_that_cannot_transmit():
         refusal(lambda: crew(one, communicator=comm.FreeCommunication()), ValueError, delivery, "FreeCommunication"),
         refusal(lambda: crew(base=Imager), ValueError, "CatalogCommunication", "act.TransmitCatalog"),
         refusal(lambda: crew(one, **common), ValueError, "CatalogCommunication", "knowledge='own'"),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_rejects_fleets_without_what_a_method_needs():
     fleet = make_fleet(states(drawn_elements(3)), types=[[0, 2], [1]])
     fleet.satellites[1].dyn_type = dyn.ImagingDynModel
-    table = [
+    check_refusals(
         refusal(lambda: linked(GivenBroadcast(), 3, talkers=0), ValueError, "GivenBroadcast", "act.Broadcast()"),
         refusal(lambda: comm.LOSCommunication().link(fleet), TypeError, "LOSCommDynModel", "Sat1", "ImagingDynModel"),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_rejects_orbits_that_are_not_computed_in_advance():
     fleet, method = make_fleet(states(drawn_elements(2)), orbit="integrated"), comm.LOSMultiCommunication
-    check_refusals([refusal(lambda: method().link(fleet), ValueError, "Sat0", "orbit='integrated'", "orbit='arc'")])
+    check_refusals(refusal(lambda: method().link(fleet), ValueError, "Sat0", "orbit='integrated'", "orbit='arc'"))
 
 
 def test_rejects_methods_that_do_not_fit():
@@ -82,7 +79,7 @@ def test_rejects_methods_that_do_not_fit():
     define = lambda result: type("Wrong", (comm.FreeCommunication,), {"communicate": lambda self, moves: result})
     exchanged = lambda result: attached(define(result)()).exchange(ALL)
     boolean = dict(dtype=torch.bool)
-    table = [
+    check_refusals(
         refusal(lambda: linked(comm.CommunicationMethod()).communicate(ALL), NotImplementedError, "communication_pairs"),
         refusal(lambda: paired(torch.ones(3, 3, 3)), TypeError, "torch.float32", "torch.bool", [3, 3, 3]),
         refusal(lambda: paired(torch.ones(3, 3, **boolean)), TypeError, [3, 3], "torch.bool", [3, 3, 3]),
@@ -93,8 +90,7 @@ def test_rejects_methods_that_do_not_fit():
         refusal(lambda: exchanged(torch.ones(3, 3, 3)), TypeError, "Wrong.communicate(moves)", "torch.float32", "torch.bool"),
         refusal(lambda: exchanged(torch.ones(3, 2, 2, **boolean)), TypeError, "Wrong.communicate(moves)", [3, 2, 2], [3, 3, 3]),
         refusal(lambda: exchanged(None), TypeError, "Wrong.communicate(moves)", None),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_rejects_definitions_that_would_not_run():
@@ -109,12 +105,11 @@ def test_rejects_definitions_that_would_not_run():
     ]
     define = lambda base, name: type("Mine", (base,), {name: lambda self: None})
     free, communicate = comm.FreeCommunication, ("Mine.communicate(self)", "communicate(moves)")
-    table = [
+    check_refusals(
         *(
             refusal(lambda base=base, name=name: define(base, name), TypeError, f"Mine.{name}", advice)
             for base in (comm.CommunicationMethod, comm.NoCommunication, comm.LOSMultiCommunication)
             for name, advice in wrong
         ),
         refusal(lambda: define(free, "communicate"), TypeError, *communicate),  # that of bsk_rl has no argument
-    ]
-    check_refusals(table)
+    )

@@ -94,8 +94,7 @@ def test_rows_that_are_not_changed_draw_what_they_drew_before(fresh):
     assert torch.equal(drawn(env, 3)["oe"], mine["oe"][:3])
     ids = torch.tensor([7, 7, 8])
     assert (episodes([0, 1], 3, ids)[1], episodes([2], 3, ids)[1]) == ((7, 7), (8,))
-    with pytest.raises(ValueError, match="env_ids others have too"):
-        episodes([0], 3, ids)
+    check_refusals(refusal(lambda: episodes([0], 3, ids), ValueError, "env_ids"))
 
 
 def test_a_difficulty_for_each_environment():
@@ -111,8 +110,7 @@ def test_a_difficulty_for_each_environment():
     values = rand.per_env(torch.ones(8, dtype=torch.float64))
     options = {"num_envs": 2, "backend": "eager", "time_limit": 600.0, "sat_args": {"panelArea": values}}
     bsk_torch.make("NadirScan-v1", env_ids=[3, 7], **options).reset()
-    with pytest.raises(ValueError, match="panelArea: per_env has 8 rows, but environment 8 needs one"):
-        bsk_torch.make("NadirScan-v1", env_ids=[3, 8], **options)
+    check_refusals(refusal(lambda: bsk_torch.make("NadirScan-v1", env_ids=[3, 8], **options), ValueError, "per_env", "8"))
 
 
 def test_a_tensor_of_difficulties_may_be_written_into():
@@ -227,18 +225,17 @@ def test_writing_into_the_generator_dictionaries_works():
     assert env.world_args_generator["utc_init"] == "2018 JUN 27"
     with pytest.raises(TypeError, match="cannot be deleted"):
         del generator["mass"]
-    with pytest.raises(KeyError, match="did you mean 'mass'"):
-        generator["masss"] = 1.0
-    with pytest.raises(KeyError, match="did you mean 'mass'"):
-        generator["masss"]
+    check_refusals(
+        refusal(lambda: generator.__setitem__("masss", 1.0), KeyError, "'mass'"),
+        refusal(lambda: generator["masss"], KeyError, "'mass'"),
+    )
 
 
 def test_the_generator_of_a_satellite_has_all_arguments_and_is_taken_as_it_is_when_an_environment_is_built():
     satellite = Battery("EO1", {"mass": 100.0})
     satellite.sat_args_generator["K"] = 6.0
     assert (satellite.sat_args_generator["mass"], satellite.sat_args_generator["P"]) == (100.0, 35.0)
-    with pytest.raises(KeyError, match="did you mean 'mass'"):
-        satellite.sat_args_generator["masss"] = 1.0
+    check_refusals(refusal(lambda: satellite.sat_args_generator.__setitem__("masss", 1.0), KeyError, "'mass'"))
     env = SatelliteTasking(satellite, num_envs=1, **OPTIONS)
     satellite.sat_args_generator["K"] = 5.0
     assert drawn(env, 1)["K"].tolist() == [6.0]
@@ -288,7 +285,7 @@ def test_changes_are_remembered_as_long_as_they_mean_something():
 def test_rejects_wrong_changes_which_change_nothing(fresh):
     rows, before, tick = torch.tensor([True]), drawn(fresh), fresh.simulator.tick
     change = fresh.set_sat_args
-    table = [
+    check_refusals(
         refusal(lambda: change({"masss": 1.0}), KeyError, "'mass'"),
         refusal(lambda: change({"mass": -1.0}), ValueError, "mass=-1 kg"),
         refusal(lambda: change({"mass": -1.0}, [2]), ValueError, "mass=-1 kg"),
@@ -298,8 +295,7 @@ def test_rejects_wrong_changes_which_change_nothing(fresh):
         refusal(lambda: change({"mass": 100.0}, [4]), IndexError, "0 to 3"),
         refusal(lambda: change({"mass": 100.0}, rows), IndexError, "mask of shape"),
         refusal(lambda: change(3), TypeError, "dictionary"),
-    ]
-    check_refusals(table)
+    )
     after = drawn(fresh)
     assert fresh.simulator.tick is tick
     assert all(torch.equal(after[name], value) for name, value in before.items() if isinstance(value, torch.Tensor))
@@ -307,12 +303,11 @@ def test_rejects_wrong_changes_which_change_nothing(fresh):
 
 def test_rejects_changes_of_what_decides_what_is_built():
     env = SatelliteTasking(Store("EO1", {}), num_envs=2, **OPTIONS)
-    table = [
+    check_refusals(
         refusal(lambda: env.set_world_args({"gsMinimumElevation": 0.5}), ValueError, "world_args", "gsMinimumElevation"),
         refusal(lambda: env.set_sat_args({"storageInit": 100.0}), ValueError, "storageInit", "components"),
         refusal(lambda: env.set_world_args({"baseDensit": 0.5}), KeyError, "'baseDensit'", "'baseDensity'"),
-    ]
-    check_refusals(table)
+    )
 
 
 # -- what is rejected when it is set --------------------------------------------------------------------------------------------

@@ -478,7 +478,7 @@ def test_rejects_wrong_satellites_and_agents():
     meta = lambda groupings: build(imagers(2), meta_agent_groupings=groupings)
     named = [Imager(f"EO{k}", ARGS, obs_type=dict, may_see_nothing=True) for k in range(2)]
     joint = lambda: build(imagers(2), joint=True, meta_agent_groupings={"a": ["EO0"]})
-    table = [
+    check_refusals(
         refusal(lambda: build([]), ValueError, "satellites", "empty"),
         refusal(lambda: build([*imagers(1), *imagers(1)]), ValueError, "satellites", ["EO0"]),
         refusal(lambda: build([Imager]), TypeError, "satellites", "Imager", "parentheses"),
@@ -489,14 +489,13 @@ def test_rejects_wrong_satellites_and_agents():
         refusal(joint, ValueError, "joint=True", "meta_agent_groupings"),
         refusal(lambda: build(imagers(2), group_map={"x": ["EO0"]}), ValueError, "group_map", ["EO1"]),
         refusal(lambda: mixed(group_map={"all": ["EO0", "EO1", "Relay1"]}), ValueError, "group_map['all']", "'EO0'", "'Relay1'"),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_rejects_wrong_options():
     unseen = lambda: build([Blind(f"B{k}", ARGS) for k in range(2)], communicator=comm.LOSCommunication())
     randomized = lambda randomizer, count=1: build(imagers(count), sat_arg_randomizer=randomizer)
-    table = [
+    check_refusals(
         refusal(unseen, TypeError, "LOSCommDynModel", "B0", "ImagingDynModel"),
         refusal(lambda: build([Relay("A"), Relay("B")], scenario=None), ValueError, "UniqueImageReward", "targets"),
         refusal(lambda: build([Relay("A")], rewarder=None), ValueError, "scene.UniformTargets", "sats.ImagingSatellite", "Relay"),
@@ -506,20 +505,18 @@ def test_rejects_wrong_options():
         refusal(lambda: randomized(lambda _: {"EO0": {"masss": 1.0}}), KeyError, "sat_arg_randomizer", "'masss'", "'mass'"),
         refusal(lambda: build(imagers(1), world_args={"utcinit": "x"}), KeyError, "world_args", "'utcinit'", "'utc_init'"),
         refusal(lambda: build(imagers(1), num_envs=0), ValueError, "num_envs=0"),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_rejects_wrong_actions() -> None:
     env = build(imagers(2), num_envs=2, backend="eager")
     env.reset()
     act = lambda action: env.play([action], torch.ones(2, dtype=torch.bool))
-    table = [
+    check_refusals(
         refusal(lambda: act(torch.tensor([[0, 6], [0, 0]])), ValueError, "action 6", "EO1", "environment 0", "0: action_charge"),
         refusal(lambda: act(torch.zeros(2, 2)), TypeError, "action", "torch.float32", "torch.int64"),
         refusal(lambda: act(torch.zeros(2, dtype=torch.long)), ValueError, "action", [2], [2, 2]),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_a_users_randomizer_is_asked_for_every_episode() -> None:

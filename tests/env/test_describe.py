@@ -53,17 +53,15 @@ def test_another_name_of_a_quantity_leads_to_the_right_one(env):
 
     assert steered("steering").num_envs == 1
     check_refusals(
-        [
-            refusal(lambda: env.record(["storedCharge_Init"]), ValueError, "'storedCharge_Init'", "did you mean 'charge'"),
-            refusal(lambda: env.record(["wheelSpeeds"]), ValueError, "did you mean 'Omega_WB_B'"),
-            refusal(lambda: made(charge=1.0), KeyError, "sat_args['charge']", "did you mean 'storedCharge_Init'"),
-            refusal(lambda: made(storage_level=1.0), KeyError, "did you mean 'storageInit'"),
-            refusal(lambda: steered("feedback"), KeyError, "sat_args['K']", "law='steering'"),
-            refusal(lambda: bsk_torch.satelites, AttributeError, "'satelites'", "did you mean"),
-            refusal(lambda: made(mu=1e20).reset(), ValueError, "sat_args['mu']=1e+20", "oe"),
-            refusal(lambda: rand.Uniform(1.0, 0.0), ValueError, "low=1.0", "high=0.0"),
-            refusal(lambda: rand.Uniform([0.0, 2.0], 1.0), ValueError, "low=[0.0, 2.0]", "high=1.0"),
-        ]
+        refusal(lambda: env.record(["storedCharge_Init"]), ValueError, "'storedCharge_Init'", "did you mean 'charge'"),
+        refusal(lambda: env.record(["wheelSpeeds"]), ValueError, "did you mean 'Omega_WB_B'"),
+        refusal(lambda: made(charge=1.0), KeyError, "sat_args['charge']", "did you mean 'storedCharge_Init'"),
+        refusal(lambda: made(storage_level=1.0), KeyError, "did you mean 'storageInit'"),
+        refusal(lambda: steered("feedback"), KeyError, "sat_args['K']", "law='steering'"),
+        refusal(lambda: bsk_torch.satelites, AttributeError, "'satelites'", "did you mean"),
+        refusal(lambda: made(mu=1e20).reset(), ValueError, "sat_args['mu']=1e+20", "oe"),
+        refusal(lambda: rand.Uniform(1.0, 0.0), ValueError, "low=1.0", "high=0.0"),
+        refusal(lambda: rand.Uniform([0.0, 2.0], 1.0), ValueError, "low=[0.0, 2.0]", "high=1.0"),
     )
 
 

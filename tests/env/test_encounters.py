@@ -312,7 +312,7 @@ def test_bsk_rl_books_a_collision_on_the_satellite_before_the_later_one(compat, 
 def test_rejects_wrong_arguments():
     given = lambda **args: make({"A": WAITS}, args={"A": args}, backend="eager")
     wrong = dict(conjunction_exact=True, conjunction_check_rate=7.0)
-    table = [
+    check_refusals(
         refusal(lambda: given(chief_name="RS0"), ValueError, "sat_args of A", "chief_name", "'RS0'", "'RSO'"),
         refusal(lambda: given(chief_name=3), ValueError, "chief_name=3", "RSO"),
         refusal(lambda: given(conjunction_radius=0.0), ValueError, "conjunction_radius=0"),
@@ -322,5 +322,4 @@ def test_rejects_wrong_arguments():
         refusal(lambda: given(conjunction_check_rate=0.0), ValueError, "conjunction_check_rate=0"),
         refusal(lambda: given(**wrong), ValueError, "conjunction_check_rate=7", "conjunction_exact=True"),
         refusal(lambda: given(enforce_range_on_chief="yes"), ValueError, "enforce_range_on_chief", "'yes'", [False, True]),
-    ]
-    check_refusals(table)
+    )

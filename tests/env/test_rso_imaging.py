@@ -109,12 +109,11 @@ def test_rejects_wrong_saved_states():
         env.restore(saved)
 
     steps = env.get_state()["memory", "rso_orbits", "steps"][0, 1] + 1
-    table = [
+    check_refusals(
         refusal(lambda: restore("rso_pending", row=(0, 0), value=-1), ValueError, "rso_pending", -1),
         refusal(lambda: restore("rso_orbits", "steps", row=(0, 1), value=steps), ValueError, "rso_orbits", int(steps)),
         refusal(lambda: restore("rso_orbits", "flights", row=(1, 0), value=torch.nan), ValueError, "rso_orbits.flights", "nan"),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_a_reset_of_some_environments_leaves_the_others():

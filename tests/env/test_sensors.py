@@ -64,20 +64,27 @@ def test_candidates_are_observed_as_a_set(name, peers):
     assert torch.equal(rules[0](td)[group, "action"], rules[1](other)[group, "action"])
 
 
-def test_the_prompt_rule_images_what_pays_most_per_second():
-    """Against a loop over the candidates that are lit and in sight."""
-    env = sensors("ThreeSensors-v1", information="ideal", num_envs=8, n_targets=60, as_set=True)
-    td = fly(env, 5, "prompt")
+@pytest.mark.parametrize(
+    ("rule", "outlook", "able", "seconds"),
+    [
+        ("prompt", False, lambda row: row[9] >= 0.5 and row[17], lambda row: 40.0 + 90.0 * row[7]),
+        ("prompt_ahead", True, lambda row: row[20] >= 0.5 and row[21], lambda row: row[18]),
+    ],
+    ids=["now", "ahead"],
+)
+def test_prompt_rules_image_what_pays_most_per_second(rule, outlook, able, seconds):
+    """Against a loop over the candidates that are lit and in sight now, or when they are imaged."""
+    env = sensors("ThreeSensors-v1", information="ideal", num_envs=8, n_targets=60, as_set=True, outlook=outlook)
+    td = fly(env, 5, rule)
     (group,) = env.group_map
-    decided = bsk_torch.rule("prompt", env)(td)[group, "action"]
+    decided = bsk_torch.rule(rule, env)(td)[group, "action"]
     names, images = env.satellites[0].action_description, 0
     for e, a in itertools.product(range(8), range(3)):
         legal, action = td[group, "action_mask"][e, a], int(decided[e, a])
         if not legal[:-1].any() or names[action] in ("action_downlink", "action_charge"):
             continue
         rows = td[group, "observation", "rso_targets", "rows"][e, a].tolist()
-        able = {k: row for k, row in enumerate(rows) if legal[3 + k] and row[9] >= 0.5 and row[17]}
-        worth = {3 + k: row[0] / (40.0 + 90.0 * row[7]) for k, row in able.items()}
+        worth = {3 + k: row[0] / seconds(row) for k, row in enumerate(rows) if legal[3 + k] and able(row)}
         assert action == (max(worth, key=worth.__getitem__) if worth else names.index("action_desat"))
         images += bool(worth)
     assert images > 0
@@ -97,24 +104,6 @@ def test_the_outlook_is_added_to_the_set(name, peers):
     shown = seen["rso_targets", "rows"].flatten(0, 1)[..., 18:22]
     torch.testing.assert_close(shown, torch.where(candidates.exists.unsqueeze(-1), expected, 0.0))
     assert torch.equal(seen["time"].flatten(), (ahead.fleet.sim_time / 1800.0).repeat_interleave(peers + 1))
-
-
-def test_the_rule_that_looks_ahead_images_what_promises_most_per_second():
-    env = sensors("ThreeSensors-v1", information="ideal", num_envs=8, n_targets=60, as_set=True, outlook=True)
-    td = fly(env, 5, "prompt_ahead")
-    (group,) = env.group_map
-    decided = bsk_torch.rule("prompt_ahead", env)(td)[group, "action"]
-    names, images = env.satellites[0].action_description, 0
-    for e, a in itertools.product(range(8), range(3)):
-        legal, action = td[group, "action_mask"][e, a], int(decided[e, a])
-        if not legal[:-1].any() or names[action] in ("action_downlink", "action_charge"):
-            continue
-        rows = td[group, "observation", "rso_targets", "rows"][e, a].tolist()
-        able = {k: row for k, row in enumerate(rows) if legal[3 + k] and row[20] >= 0.5 and row[21]}
-        worth = {3 + k: row[0] / row[18] for k, row in able.items()}
-        assert action == (max(worth, key=worth.__getitem__) if worth else names.index("action_desat"))
-        images += bool(worth)
-    assert images > 0
 
 
 @pytest.mark.parametrize("name", ["ThreeSensors-v1", "Walker4-v1"])

@@ -46,7 +46,7 @@ def renamed(name):
 
 def test_wrong_names():
     known = [["utc_init"], ["gsMinimumElevation"]]
-    table = [
+    check_refusals(
         refusal(lambda: check_names([]), ValueError, "satellites", "empty"),
         refusal(lambda: check_names([basic("A")] * 4097), ValueError, "satellites", 4097, 4096),
         refusal(lambda: check_names([basic("A"), "B"]), TypeError, "satellites", "'B'", "parentheses"),
@@ -56,8 +56,7 @@ def test_wrong_names():
         refusal(lambda: check_names([renamed("class")]), ValueError, "name", "'class'", "identifier"),
         refusal(lambda: check_world({"utc_init": 1, "utcInit": 2}, known), KeyError, "world_args", "'utcInit'", "'utc_init'"),
         refusal(lambda: check_world({"zzz": 1}, known), KeyError, "world_args", "'zzz'", "gsMinimumElevation, utc_init"),
-    ]
-    check_refusals(table)
+    )
 
 
 @pytest.mark.parametrize(

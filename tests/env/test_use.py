@@ -53,7 +53,7 @@ def test_calls_before_the_first_reset():
             unstarted(lambda env=env: env.reset(TensorDict({"_reset": some.unsqueeze(-1)}, [N])), "reset()", [1, 2]),
         ]
     scan, other = make("scan"), make("scan")
-    check_refusals([*table, unstarted(lambda: scan.restore(other), "restore(state)")])
+    check_refusals(*table, unstarted(lambda: scan.restore(other), "restore(state)"))
 
 
 def test_a_new_seed_does_not_end_the_present_episodes():
@@ -74,7 +74,7 @@ def test_some_episodes_may_be_restored_before_the_first_reset():
     env.reset()
     other.restore(env, [0, 1], [2, 2])
     assert other.state.begun.tolist() == [True, True, False]
-    check_refusals([refusal(lambda: other.step(acting(other)), ResetNeededError, "environments [2]", "1 in all")])
+    check_refusals(refusal(lambda: other.step(acting(other)), ResetNeededError, "environments [2]", "1 in all"))
     again = make("scan")
     again.load_state_dict(other.state_dict())
     assert again.state.begun.tolist() == [True, True, False]
@@ -93,21 +93,19 @@ VIEWS = {
 def test_rejects_calls_of_views_before_the_first_reset():
     views = {name: build() for name, build in VIEWS.items()}
     simple = [view for name, view in views.items() if name != "pettingzoo"]
-    table = [
+    check_refusals(
         *(refusal(lambda v=v: v.step(v.action_space.sample()), ResetNeeded, "step()", "reset()") for v in simple),
         refusal(lambda: views["pettingzoo"].step({}), ResetNeeded, "step()", "reset()"),
         *(refusal(lambda v=v: v.action_masks(), ResetNeeded, "action_masks()", "reset()") for v in simple[:2]),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_rejects_calls_of_stable_baselines_before_the_first_reset():
     env = pytest.importorskip("bsk_torch.wrappers.stable_baselines3").SB3VecEnv(make("scan"))
-    table = [
+    check_refusals(
         refusal(lambda: env.step(np.zeros(N, dtype=np.int64)), ResetNeeded, "step()", "reset()"),
         refusal(lambda: env.action_masks(), ResetNeeded, "action_masks()", "reset()"),
-    ]
-    check_refusals(table)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -141,7 +139,7 @@ def test_actions_of_episodes_that_do_not_move_are_ignored():
     env = make("scan")
     td = env.reset().set("action", torch.tensor([0, 99, -7])).set("_step", torch.tensor([True, False, False]))
     assert env.step(td)["next", "duration"][0] > 0.0
-    check_refusals([refusal(lambda: env.step(td.exclude("_step")), ValueError, "action 99 of environment 1")])
+    check_refusals(refusal(lambda: env.step(td.exclude("_step")), ValueError, "action 99 of environment 1"))
 
 
 def test_rejects_actions_that_are_no_integers_in_all_views():

@@ -28,23 +28,21 @@ def test_rejects_wrong_entries():
     two, twice = (dict(prop="r_BN_N", norm=2.0), dict(prop="r_BN_N", norm=3.0)), (dict(prop="r_DC_N"), dict(prop="r_DC_N"))
     entry(dict(prop="r_BN_N"), dict(prop="r_BN_N", norm=3.0))
     check_refusals(
-        [
-            refusal(lambda: entry(norm=2.0), ValueError, "obs.SatProperties", "'prop'", "'fn'", 2.0),
-            refusal(lambda: entry(prop="r_BN_N", norms=2.0), ValueError, "obs.SatProperties", ["norms"], "'norm'"),
-            refusal(lambda: entry(prop="r_BN_N", norm=0.0), ValueError, "norm", "'r_BN_N'", 0.0, "zero"),
-            refusal(lambda: entry(prop="r_BN_N", norm="far"), ValueError, "norm", "'r_BN_N'", "'far'", "number"),
-            refusal(lambda: entry(fn="r_BN_N"), TypeError, "fn", "'r_BN_N'", "function"),
-            refusal(lambda: entry("r_BN_N"), TypeError, "obs.SatProperties", "'r_BN_N'", "dict(prop='r_BN_N')"),
-            refusal(lambda: entry(*two), ValueError, "obs.SatProperties", ["r_BN_N_normd"], "'name'"),
-            refusal(lambda: relative(prop="r_DC_H"), ValueError, "prop", "'r_DC_H'", "'r_DC_Hc'"),
-            refusal(lambda: relative(prop="r_DC_N", module="dynamics"), ValueError, "obs.RelativeProperties", ["module"]),
-            refusal(lambda: relative(norm=2.0), ValueError, "obs.RelativeProperties", "'prop'", "'fn'", 2.0),
-            refusal(lambda: relative(prop="r_DC_N", norm=0.0), ValueError, "norm", "'r_DC_N'", 0.0),
-            refusal(lambda: relative(prop="r_DC_N", fn=3), TypeError, "fn=3", "function"),
-            refusal(lambda: relative("r_DC_N"), TypeError, "obs.RelativeProperties", "'r_DC_N'", "dictionary"),
-            refusal(lambda: relative(*twice), ValueError, "obs.RelativeProperties", ["r_DC_N"], "'name'"),
-            refusal(lambda: relative(prop="r_DC_N", chief_name=None), ValueError, "chief_name", None),
-        ]
+        refusal(lambda: entry(norm=2.0), ValueError, "obs.SatProperties", "'prop'", "'fn'", 2.0),
+        refusal(lambda: entry(prop="r_BN_N", norms=2.0), ValueError, "obs.SatProperties", ["norms"], "'norm'"),
+        refusal(lambda: entry(prop="r_BN_N", norm=0.0), ValueError, "norm", "'r_BN_N'", 0.0, "zero"),
+        refusal(lambda: entry(prop="r_BN_N", norm="far"), ValueError, "norm", "'r_BN_N'", "'far'", "number"),
+        refusal(lambda: entry(fn="r_BN_N"), TypeError, "fn", "'r_BN_N'", "function"),
+        refusal(lambda: entry("r_BN_N"), TypeError, "obs.SatProperties", "'r_BN_N'", "dict(prop='r_BN_N')"),
+        refusal(lambda: entry(*two), ValueError, "obs.SatProperties", ["r_BN_N_normd"], "'name'"),
+        refusal(lambda: relative(prop="r_DC_H"), ValueError, "prop", "'r_DC_H'", "'r_DC_Hc'"),
+        refusal(lambda: relative(prop="r_DC_N", module="dynamics"), ValueError, "obs.RelativeProperties", ["module"]),
+        refusal(lambda: relative(norm=2.0), ValueError, "obs.RelativeProperties", "'prop'", "'fn'", 2.0),
+        refusal(lambda: relative(prop="r_DC_N", norm=0.0), ValueError, "norm", "'r_DC_N'", 0.0),
+        refusal(lambda: relative(prop="r_DC_N", fn=3), TypeError, "fn=3", "function"),
+        refusal(lambda: relative("r_DC_N"), TypeError, "obs.RelativeProperties", "'r_DC_N'", "dictionary"),
+        refusal(lambda: relative(*twice), ValueError, "obs.RelativeProperties", ["r_DC_N"], "'name'"),
+        refusal(lambda: relative(prop="r_DC_N", chief_name=None), ValueError, "chief_name", None),
     )
 
 
@@ -61,17 +59,15 @@ def test_rejects_wrong_hooks():
     loose = define(obs.SatProperties, link_satellite=satellite)
     link = ("Mine.link_satellite(satellite)", "super().link_satellite(satellite)")
     check_refusals(
-        [
-            refusal(lambda: define(get_vector=nothing), TypeError, "get_vector()", "get_obs()"),
-            refusal(lambda: define(get_observation=nothing), TypeError, "Mine.get_observation", "get_obs()"),
-            refusal(lambda: define(observation_space=property(nothing)), TypeError, "Mine.observation_space", "trial call"),
-            refusal(lambda: define(reset_post_sim_init=nothing), TypeError, "Mine.reset_post_sim_init", "memory.declare"),
-            refusal(lambda: define(getobs=nothing), TypeError, "Mine.getobs", "'get_obs'"),
-            refusal(lambda: define(link_satelite=satellite), TypeError, "Mine.link_satelite", "'link_satellite'"),
-            refusal(lambda: define(get_obs=satellite), TypeError, "Mine.get_obs(self, satellite)", "get_obs()"),
-            refusal(lambda: define(get_obs=3.0), TypeError, "Mine.get_obs", "value", "method"),
-            refusal(lambda: make(loose(dict(prop="r_BN_N"))), TypeError, *link),
-        ]
+        refusal(lambda: define(get_vector=nothing), TypeError, "get_vector()", "get_obs()"),
+        refusal(lambda: define(get_observation=nothing), TypeError, "Mine.get_observation", "get_obs()"),
+        refusal(lambda: define(observation_space=property(nothing)), TypeError, "Mine.observation_space", "trial call"),
+        refusal(lambda: define(reset_post_sim_init=nothing), TypeError, "Mine.reset_post_sim_init", "memory.declare"),
+        refusal(lambda: define(getobs=nothing), TypeError, "Mine.getobs", "'get_obs'"),
+        refusal(lambda: define(link_satelite=satellite), TypeError, "Mine.link_satelite", "'link_satellite'"),
+        refusal(lambda: define(get_obs=satellite), TypeError, "Mine.get_obs(self, satellite)", "get_obs()"),
+        refusal(lambda: define(get_obs=3.0), TypeError, "Mine.get_obs", "value", "method"),
+        refusal(lambda: make(loose(dict(prop="r_BN_N"))), TypeError, *link),
     )
 
 
@@ -88,16 +84,14 @@ def test_rejects_values_that_are_no_observations():
     mixed, name = (lambda sat: sat.dynamics.r_BN_N - sat.dynamics.r_BN_N.mean(dim=0)), "'x' of 'sat_props'"
     targets = obs.OpportunityProperties(dict(fn=first, name="first"), n_ahead_observe=3)
     check_refusals(
-        [
-            refusal(lambda: constant(None), TypeError, "Mine.get_obs()", None, "shape"),
-            refusal(lambda: constant("far"), TypeError, "Mine.get_obs()", "'far'"),
-            refusal(lambda: constant({"a": {"b": object()}}), TypeError, "Mine.get_obs()['a']['b']", "<object"),
-            refusal(lambda: named(per_environment(lambda sat: np.random.normal())), TypeError, name, "values", "obs.Noisy"),
-            refusal(lambda: named(mixed), TypeError, name, "environments"),
-            refusal(lambda: named(lambda sat: "far"), TypeError, name, "'far'"),
-            refusal(lambda: named(lambda sat: sat.dynamics.speedy), AttributeError, "'speedy'"),
-            refusal(lambda: make(targets), TypeError, "'first' of 'target'", [1], [1, 3]),
-        ]
+        refusal(lambda: constant(None), TypeError, "Mine.get_obs()", None, "shape"),
+        refusal(lambda: constant("far"), TypeError, "Mine.get_obs()", "'far'"),
+        refusal(lambda: constant({"a": {"b": object()}}), TypeError, "Mine.get_obs()['a']['b']", "<object"),
+        refusal(lambda: named(per_environment(lambda sat: np.random.normal())), TypeError, name, "values", "obs.Noisy"),
+        refusal(lambda: named(mixed), TypeError, name, "environments"),
+        refusal(lambda: named(lambda sat: "far"), TypeError, name, "'far'"),
+        refusal(lambda: named(lambda sat: sat.dynamics.speedy), AttributeError, "'speedy'"),
+        refusal(lambda: make(targets), TypeError, "'first' of 'target'", [1], [1, 3]),
     )
 
 
@@ -106,14 +100,12 @@ def test_rejects_wrong_noise():
     misspelled = obs.Noisy(obs.SatProperties(dict(prop="r_BN_N")), {"r_BN": 1.0})
     three = obs.Noisy(obs.Eclipse(), rand.Normal(0.0, 1.0, 3))
     check_refusals(
-        [
-            refusal(lambda: obs.Noisy(obs.Time, 0.1), ValueError, "obs.Noisy", "obs.Time()"),
-            refusal(lambda: obs.Noisy(obs.Noisy(time, 0.1), 0.1), ValueError, "obs.Noisy", "'time'", "noise already"),
-            refusal(lambda: obs.Noisy(time, -0.1), ValueError, "noise", -0.1, "standard deviation"),
-            refusal(lambda: obs.Noisy(time, bias={"time": math.inf}), ValueError, "bias", "inf", "'time'"),
-            refusal(lambda: make(misspelled), ValueError, "obs.Noisy", "'r_BN'", "'r_BN_N'"),
-            refusal(lambda: make(three), ValueError, "obs.Noisy", "Normal(", [3], "2 numbers"),
-        ]
+        refusal(lambda: obs.Noisy(obs.Time, 0.1), ValueError, "obs.Noisy", "obs.Time()"),
+        refusal(lambda: obs.Noisy(obs.Noisy(time, 0.1), 0.1), ValueError, "obs.Noisy", "'time'", "noise already"),
+        refusal(lambda: obs.Noisy(time, -0.1), ValueError, "noise", -0.1, "standard deviation"),
+        refusal(lambda: obs.Noisy(time, bias={"time": math.inf}), ValueError, "bias", "inf", "'time'"),
+        refusal(lambda: make(misspelled), ValueError, "obs.Noisy", "'r_BN'", "'r_BN_N'"),
+        refusal(lambda: make(three), ValueError, "obs.Noisy", "Normal(", [3], "2 numbers"),
     )
 
 

@@ -200,4 +200,4 @@ def test_partial_steps_leave_the_others_relative_states():
 
 
 def test_rejects_unknown_chiefs():
-    check_refusals([refusal(lambda: make(dict(prop="r_DC_N"), chief_name="RS0"), ValueError, "chief_name", "'RS0'", "'RSO'")])
+    check_refusals(refusal(lambda: make(dict(prop="r_DC_N"), chief_name="RS0"), ValueError, "chief_name", "'RS0'", "'RSO'"))

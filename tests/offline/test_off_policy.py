@@ -101,14 +101,13 @@ def test_scores_by_hand():
 def test_rejects_wrong_arguments():
     walks = corridor(4)
     fitted = lambda **changed: fitted_q(walks, FIRST, **changed)
-    table = [
+    check_refusals(
         refusal(lambda: fitted(gamma=0.0), ValueError, "gamma", 0.0),
         refusal(lambda: importance_sampling(walks, FIRST, gamma=0.0), ValueError, "gamma", 0.0),
         refusal(lambda: fitted(trace=2.0), ValueError, "trace", 2.0),
         refusal(lambda: fitted(iterations=0), ValueError, "iterations=0"),
         refusal(lambda: fitted(batch_size=0), ValueError, "batch_size=0"),
-    ]
-    check_refusals(table)
+    )
 
 
 @pytest.mark.compiled

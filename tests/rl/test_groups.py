@@ -108,11 +108,10 @@ def test_rejects_policies_of_other_groups_and_sizes(trained):
     groups = card["groups"] | {RELAY: card["groups"][RELAY] | {"plan": card["groups"][RELAY]["plan"] | {"n_observed": 6}}}
     made = lambda **options: bsk_torch.make(name, num_envs=1, backend="eager", **CREW, **options)
     smaller = lambda: check_fits(card | {"groups": groups}, made(as_set=True))
-    table = [
+    check_refusals(
         refusal(lambda: check_fits(card, made(), name), ValueError, f"{IMAGER}, {RELAY}", f"broadcasting_imager, {RELAY}"),
         refusal(smaller, ValueError, "n_observed=6", RELAY, "n_observed=7"),
-    ]
-    check_refusals(table)
+    )
 
 
 @pytest.fixture(scope="module", params=["mappo", "ippo"])

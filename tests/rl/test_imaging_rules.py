@@ -196,11 +196,10 @@ def test_rejects_what_is_not_observed():
     columns = lambda: TargetReader(several, [f"target.rows[{k}]" for k in range(4)])
     angle = lambda: TargetReader(entry, description).read(seen, "target_angle_rate")
     level, rules = "sat_props.storage_level", ("greedy", "nearest", "hasty", "farsighted")
-    table = [
+    check_refusals(
         refusal(angle, KeyError, "'target_angle_rate'", "'target_angle'"),
         refusal(lambda: read(seen, description, level), KeyError, level),
         *(refusal(lambda name=name: BASELINES[name](env, 0), ValueError, "Scanner1", "targets") for name in rules),
         refusal(lambda: image_actions(env), ValueError, "Scanner1", "targets", "action_nadir_scan"),
         refusal(columns, ValueError, "'target'", "2 columns", 1),
-    ]
-    check_refusals(table)
+    )

@@ -86,7 +86,7 @@ def test_rejects_files_of_others(path, tmp_path):
     narrow = card | {"actor": {name: value[..., :-1] for name, value in card["actor"].items()}}
     infinite = {name: torch.full_like(value, torch.nan) for name, value in card["actor"].items()}
     other = bsk_torch.make("AEOSPower-v1", num_envs=1, backend="eager", time_limit=300.0)
-    table = [
+    check_refusals(
         refusal(lambda: check_fits(card, other, "AEOSPower-v1"), ValueError, "NadirScan-v1", "n_observed=12", "AEOSPower-v1"),
         refusal(lambda: load_policy(tmp_path / "nowhere"), FileNotFoundError, "nowhere", "policy.pt"),
         refusal(lambda: holding(b"no policy"), ValueError, "policy.pt", "file of a policy"),
@@ -113,8 +113,7 @@ def test_rejects_files_of_others(path, tmp_path):
         refusal(lambda: weight(torch.zeros(1).expand(10**6, 10**5)), ValueError, "policy.pt", "tensors have 400,000,000"),
         refusal(lambda: weight(torch.zeros(2, 2).to_sparse()), ValueError, "policy.pt", "plain"),
         refusal(lambda: weight(torch.zeros(2, 2, device="meta")), ValueError, "policy.pt"),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_policies_of_the_package_carry_checksums_and_no_logs(tmp_path, env):

@@ -52,10 +52,8 @@ def test_every_other_preset_has_one_of_a_release_and_says_what_made_it():
 def test_a_policy_of_another_preset_says_where_it_was_trained():
     env = bsk_torch.make("NadirScan-v1", num_envs=2, backend="eager")
     check_refusals(
-        [
-            refusal(lambda: env.rollout(1, pretrained("AEOS-v1")), ValueError, "trained for AEOS-v1 as_set=True"),
-            refusal(lambda: env.rollout(1, pretrained("NadirScience-v1")), ValueError, "NadirScience-v1", "12 numbers"),
-            refusal(lambda: pretrained("HeteroCluster-v1"), ValueError, "'HeteroCluster-v1'", "cooperative"),
-            refusal(lambda: pretrained("AEOS-v2"), ValueError, "is not a preset", "'AEOS-v1'"),
-        ]
+        refusal(lambda: env.rollout(1, pretrained("AEOS-v1")), ValueError, "trained for AEOS-v1 as_set=True"),
+        refusal(lambda: env.rollout(1, pretrained("NadirScience-v1")), ValueError, "NadirScience-v1", "12 numbers"),
+        refusal(lambda: pretrained("HeteroCluster-v1"), ValueError, "'HeteroCluster-v1'", "cooperative"),
+        refusal(lambda: pretrained("AEOS-v2"), ValueError, "is not a preset", "'AEOS-v1'"),
     )

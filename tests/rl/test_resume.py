@@ -11,6 +11,7 @@ import bsk_torch
 from bsk_torch.presets import PRESETS
 from bsk_torch.rl.marl.runs import configure, training_of
 from tests.support.choices import legal_actions
+from tests.support.trainings import weights
 
 pytestmark = pytest.mark.compiled
 
@@ -78,10 +79,6 @@ def config_of(name, collector, frames):
     options = OPTIONS.get(name, {}) | {"time_limit": 1800.0}
     many = {"collector": collector, "workers": 2}
     return configure(name, network="mlp" if name == "NadirScan-v1" else None, frames=frames, options=options, **few, **many)
-
-
-def weights(policy):
-    return torch.cat([value.double().flatten() for value in policy.state_dict().values()])
 
 
 @pytest.mark.parametrize("collector", COLLECTORS)

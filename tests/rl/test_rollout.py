@@ -68,7 +68,7 @@ def test_no_gradients_are_kept():
 
 def test_rejects_episodes_that_do_not_end():
     endless = lambda: list(play_episodes(scanning(), charging, max_steps=2))
-    check_refusals([refusal(endless, RuntimeError, "3 episodes", "max_steps=2")])
+    check_refusals(refusal(endless, RuntimeError, "3 episodes", "max_steps=2"))
 
 
 @pytest.mark.compiled

@@ -18,24 +18,15 @@ from bsk_torch.rl.training.config import CONFIG, PPOConfig, load_config
 from bsk_torch.rl.training.episodes import RecentEpisodes
 from bsk_torch.rl.training.log import COLUMNS, EVALUATED, EVALUATIONS, LOG, read_log
 from bsk_torch.rl.training.trainer import CHECKPOINT, Training, read_checkpoint
+from tests.support import trainings
 from tests.support.refusals import check_refusals, refusal
+from tests.support.trainings import weights
 
 pytestmark = [pytest.mark.compiled, pytest.mark.usefixtures("forked")]
 
 SHORT = {"time_limit": 1200.0}
 
-TINY = PPOConfig(
-    frames=96,
-    seconds=None,
-    num_envs=4,
-    rollout=6,
-    minibatch=12,
-    epochs=2,
-    hidden=(8,),
-    evaluate_every=48,
-    evaluate_episodes=2,
-    options=SHORT,
-)
+TINY = dataclasses.replace(trainings.TINY, epochs=2)
 
 SAME = ("return", "survival", "collected", "fill", "decisions", "entropy", "kl", "loss_critic", "learning_rate", "simulated_days")
 """Columns of the log that do not depend on the clock."""
@@ -48,10 +39,6 @@ class Interrupted(Training):
         if self.iteration == 1:
             os.kill(os.getpid(), signal.SIGINT)
         return super()._learn(batch)
-
-
-def weights(policy):
-    return torch.cat([value.double().flatten() for value in policy.state_dict().values()])
 
 
 def same_logs(one, other, columns=SAME, name=LOG):
@@ -94,11 +81,9 @@ def test_the_best_policy_is_kept(run):
 def test_rejects_folders_that_do_not_fit_and_leaves_them(run, tmp_path):
     out, _ = run
     before = (out / LOG).read_text()
-    with pytest.raises(FileExistsError, match="not empty"):
-        Training(TINY, out)
+    check_refusals(refusal(lambda: Training(TINY, out), FileExistsError, "empty"))
     assert (out / LOG).read_text() == before
-    with pytest.raises(FileNotFoundError, match=r"checkpoint\.pt"):
-        Training(TINY, tmp_path, resume=True)
+    check_refusals(refusal(lambda: Training(TINY, tmp_path, resume=True), FileNotFoundError, "checkpoint.pt"))
     assert not list(tmp_path.iterdir())
 
 
@@ -166,7 +151,7 @@ def test_a_killed_process_ends_a_run_that_can_be_resumed(tmp_path, ahead):
     config = dataclasses.replace(SEVERAL, ahead=ahead, workers=1)
     out = tmp_path / "run"
     names = "process 0 of 1 was ended by SIGKILL", "memory is full", f"bsk-torch train {out} --resume"
-    check_refusals([refusal(lambda: Losing(config, out).run(), RuntimeError, *names)])
+    check_refusals(refusal(lambda: Losing(config, out).run(), RuntimeError, *names))
     assert not multiprocessing.active_children()
     assert read_log(out / LOG)["frames"] == [24, 48, 72]
     assert read_checkpoint(out, config)["progress"][0] in (24, 48)
@@ -182,7 +167,7 @@ class Failing(Losing):
 def test_rejects_code_that_fails_in_a_process(tmp_path):
     out = tmp_path / "run"
     check_refusals(
-        [refusal(lambda: Failing(dataclasses.replace(SEVERAL, workers=1), out).run(), RuntimeError, "process", "experience", out)]
+        refusal(lambda: Failing(dataclasses.replace(SEVERAL, workers=1), out).run(), RuntimeError, "process", "experience", out)
     )
 
 
@@ -203,7 +188,7 @@ class LosingActor(Losing):
 def test_a_lost_actor_of_ray_ends_a_run_that_can_be_resumed(by_several, tmp_path):
     _, policy = by_several
     config, out = dataclasses.replace(SEVERAL, collector="ray"), tmp_path / "run"
-    check_refusals([refusal(lambda: LosingActor(config, out).run(), RuntimeError, "died", f"bsk-torch train {out} --resume")])
+    check_refusals(refusal(lambda: LosingActor(config, out).run(), RuntimeError, "died", f"bsk-torch train {out} --resume"))
     assert weights(resume(out, episodes=0)).equal(weights(policy))
 
 
@@ -225,12 +210,11 @@ def test_rejects_checkpoints_of_something_else(run, tmp_path):
     out, _ = run
     (tmp_path / CONFIG).write_text((out / CONFIG).read_text())
     saved = torch.load(out / CHECKPOINT, weights_only=True)
-    table = [
+    check_refusals(
         refusal(lambda: resumed(preset="AEOS-v1"), ValueError, "preset", "'AEOS-v1'", "'NadirScan-v1'"),
         refusal(lambda: resumed(bsk_torch="0.0.1"), ValueError, "bsk_torch", "'0.0.1'", bsk_torch.__version__),
         refusal(lambda: resumed(num_envs=8), ValueError, "num_envs=8", 4),
-    ]
-    check_refusals(table)
+    )
 
 
 # -- stopping, loggers ------------------------------------------------------------------------------------------------

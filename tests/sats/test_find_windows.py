@@ -101,14 +101,12 @@ def test_rejects_wrong_times_and_rewarders_without_a_store():
     env, without = make(), make(rewarder=data.NoReward())
     env.reset()
     check_refusals(
-        [
-            *(
-                refusal(lambda until=until: env.satellite.find_windows(until), ValueError, "until", until, "[2]")
-                for until in (torch.zeros(3), float("inf"), torch.tensor([1.0, float("nan")]))
-            ),
-            refusal(lambda: env.satellite.find_windows(100.0, "targets"), ValueError, "type", "'targets'", "'target'"),
-            refusal(lambda: without.satellite.data_store, AttributeError, "NoReward", "data.UniqueImageReward"),
-        ]
+        *(
+            refusal(lambda until=until: env.satellite.find_windows(until), ValueError, "until", until, "[2]")
+            for until in (torch.zeros(3), float("inf"), torch.tensor([1.0, float("nan")]))
+        ),
+        refusal(lambda: env.satellite.find_windows(100.0, "targets"), ValueError, "type", "'targets'", "'target'"),
+        refusal(lambda: without.satellite.data_store, AttributeError, "NoReward", "data.UniqueImageReward"),
     )
 
 

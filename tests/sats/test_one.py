@@ -96,10 +96,10 @@ def test_what_a_user_has_added_runs_for_one_of_any_name(env, one):
 
 
 def test_views_are_read_only_and_their_arrays_copies(env, one):
-    with pytest.raises(AttributeError, match=r"'fuel' cannot be set: .*satellite\.simulator\.memory"):
-        one.fuel = 1.0
-    with pytest.raises(AttributeError, match="before the environment is built"):
-        one.add_access_filter(lambda opportunity: True)
+    check_refusals(
+        refusal(lambda: setattr(one, "fuel", 1.0), AttributeError, "'fuel'", "satellite.simulator.memory"),
+        refusal(lambda: one.add_access_filter(lambda opportunity: True), AttributeError, "environment"),
+    )
     before = env.satellite.dynamics.r_BN_N.clone()
     position = one.dynamics.r_BN_N
     position /= 2.0
@@ -108,11 +108,9 @@ def test_views_are_read_only_and_their_arrays_copies(env, one):
 
 def test_rejects_wrong_names(env, one):
     check_refusals(
-        [
-            refusal(lambda: one.dynamics.r_BN_Q, AttributeError, "SpeedyDynModel", "'r_BN_Q'", "'r_BN_N'"),
-            refusal(lambda: one.sat_args["wheelSpeed"], KeyError, "sat_args", "'wheelSpeed'", "'wheelSpeeds'"),
-            refusal(lambda: env.satellite.one(3), IndexError, "row=3", "0 to 2"),
-        ]
+        refusal(lambda: one.dynamics.r_BN_Q, AttributeError, "SpeedyDynModel", "'r_BN_Q'", "'r_BN_N'"),
+        refusal(lambda: one.sat_args["wheelSpeed"], KeyError, "sat_args", "'wheelSpeed'", "'wheelSpeeds'"),
+        refusal(lambda: env.satellite.one(3), IndexError, "row=3", "0 to 2"),
     )
 
 
@@ -153,10 +151,10 @@ def test_short_lists_are_padded_or_refused(one):
     found = one.find_next_opportunities(500, **only)
     assert len(found) == 500
     assert found[-1] is found[-2]
-    with pytest.raises(RuntimeError, match="of 500 opportunities of type target found for environment 2"):
-        one.find_next_opportunities(500, pad=False, **only)
-    with pytest.raises(RuntimeError, match="0 of 1"):
-        one.find_next_opportunities(1, max_lookahead=2, filter=lambda opp: False)
+    check_refusals(
+        refusal(lambda: one.find_next_opportunities(500, pad=False, **only), RuntimeError, "500", "2"),
+        refusal(lambda: one.find_next_opportunities(1, max_lookahead=2, filter=lambda opp: False), RuntimeError, "0 of 1"),
+    )
 
 
 def test_dictionaries_map_objects_to_windows(one):
@@ -167,5 +165,4 @@ def test_dictionaries_map_objects_to_windows(one):
     assert list(one.next_opportunities_dict(types="target", min_needed=3)) == list(upcoming)[:3]
     assert one.opportunities_dict(types=["target"], filter=lambda opp: opp["object"].priority > 0.9).keys() < upcoming.keys()
     assert {opp["type"] for opp in one.upcoming_opportunities} <= {"target", "ground_station"}
-    with pytest.raises(ValueError, match="'targt' is not a type of opportunity; did you mean 'target'"):
-        one.opportunities_dict(types="targt")
+    check_refusals(refusal(lambda: one.opportunities_dict(types="targt"), ValueError, "'targt'", "'target'"))

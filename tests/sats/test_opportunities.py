@@ -64,26 +64,24 @@ def test_rejects_what_tensors_cannot_answer(satellite):
 
     both, one, names = ["target", "ground_station"], "one environment", ("access filter", "per_environment(function)")
     check_refusals(
-        [
-            refusal(lambda: find(types=both), ValueError, "types", both, "satellite.one(row).find_next_opportunities()"),
-            refusal(lambda: find(3, True), ValueError, "type", True, "pad="),
-            refusal(lambda: find(types="targets"), ValueError, "type", "'targets'", "'target'"),
-            refusal(lambda: find(3, "target", types="ground_station"), ValueError, "type='target'", "types='ground_station'"),
-            refusal(lambda: find(0), ValueError, "n=0", "1"),
-            refusal(lambda: find(max_lookahead=101), ValueError, "max_lookahead", 101, "1 to 100"),
-            refusal(lambda: find(500, pad=False, max_lookahead=1), RuntimeError, "500", "environment 0", "pad=False"),
-            refusal(lambda: find(filter=["tgt-3"]), TypeError, "filter", ["tgt-3"], "indices of places"),
-            refusal(lambda: s.next_opportunities_dict(types="target"), TypeError, "satellite.one(env).next_opportunities_dict("),
-            refusal(lambda: s.upcoming_opportunities_dict(types="target"), TypeError, "upcoming_opportunities_dict()", one),
-            refusal(lambda: s.opportunities_dict(types="target"), TypeError, "opportunities_dict()", one),
-            refusal(lambda: s.add_access_filter([3]), TypeError, "access filter", [3], "function"),
-            refusal(lambda: s.add_access_filter(lambda a, b: True), TypeError, "access filter", "(a, b)", "opportunity"),
-            refusal(lambda: find()["target"], KeyError, "opportunities", "'target'"),
-            refusal(lambda: find()["object"].worth, AttributeError, "targets", "'worth'"),
-            refusal(lambda: find()["object"] in [1], TypeError, "targets of all satellites", "opportunity['object'].id"),
-            refusal(lambda: filtered(lambda opp: bool(opp["object"].priority > 0.5), types=["target"]), TypeError, *names),
-            refusal(lambda: filtered(lambda opp: opp["window"][0] > 5.0), TypeError, "access filter", "opportunity['window']"),
-        ]
+        refusal(lambda: find(types=both), ValueError, "types", both, "satellite.one(row).find_next_opportunities()"),
+        refusal(lambda: find(3, True), ValueError, "type", True, "pad="),
+        refusal(lambda: find(types="targets"), ValueError, "type", "'targets'", "'target'"),
+        refusal(lambda: find(3, "target", types="ground_station"), ValueError, "type='target'", "types='ground_station'"),
+        refusal(lambda: find(0), ValueError, "n=0", "1"),
+        refusal(lambda: find(max_lookahead=101), ValueError, "max_lookahead", 101, "1 to 100"),
+        refusal(lambda: find(500, pad=False, max_lookahead=1), RuntimeError, "500", "environment 0", "pad=False"),
+        refusal(lambda: find(filter=["tgt-3"]), TypeError, "filter", ["tgt-3"], "indices of places"),
+        refusal(lambda: s.next_opportunities_dict(types="target"), TypeError, "satellite.one(env).next_opportunities_dict("),
+        refusal(lambda: s.upcoming_opportunities_dict(types="target"), TypeError, "upcoming_opportunities_dict()", one),
+        refusal(lambda: s.opportunities_dict(types="target"), TypeError, "opportunities_dict()", one),
+        refusal(lambda: s.add_access_filter([3]), TypeError, "access filter", [3], "function"),
+        refusal(lambda: s.add_access_filter(lambda a, b: True), TypeError, "access filter", "(a, b)", "opportunity"),
+        refusal(lambda: find()["target"], KeyError, "opportunities", "'target'"),
+        refusal(lambda: find()["object"].worth, AttributeError, "targets", "'worth'"),
+        refusal(lambda: find()["object"] in [1], TypeError, "targets of all satellites", "opportunity['object'].id"),
+        refusal(lambda: filtered(lambda opp: bool(opp["object"].priority > 0.5), types=["target"]), TypeError, *names),
+        refusal(lambda: filtered(lambda opp: opp["window"][0] > 5.0), TypeError, "access filter", "opportunity['window']"),
     )
 
 

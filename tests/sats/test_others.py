@@ -111,11 +111,9 @@ def test_rejects_wrong_names_changes_and_looks_that_come_too_early(env):
     early = type("Early", (Small,), {"observation_spec": (TooEarly("distance"),)})
     first, one = env.satellites[0].others, env.satellites[1].one(0).others
     check_refusals(
-        [
-            refusal(lambda: first["RS0"], KeyError, "'RS0'", "'RSO'"),
-            refusal(lambda: one["RS0"], KeyError, "'RS0'", "'RSO'"),
-            refusal(lambda: env.fleet.satellite("rs0"), KeyError, "'rs0'", "'RSO'"),
-            refusal(lambda: setattr(first["RSO"], "name", "other"), AttributeError, "'name'", "another satellite"),
-            refusal(lambda: ConstellationTasking([early("A"), early("C")], backend="eager"), RuntimeError, "'C'", "get_obs()"),
-        ]
+        refusal(lambda: first["RS0"], KeyError, "'RS0'", "'RSO'"),
+        refusal(lambda: one["RS0"], KeyError, "'RS0'", "'RSO'"),
+        refusal(lambda: env.fleet.satellite("rs0"), KeyError, "'rs0'", "'RSO'"),
+        refusal(lambda: setattr(first["RSO"], "name", "other"), AttributeError, "'name'", "another satellite"),
+        refusal(lambda: ConstellationTasking([early("A"), early("C")], backend="eager"), RuntimeError, "'C'", "get_obs()"),
     )

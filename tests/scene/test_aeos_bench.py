@@ -199,7 +199,7 @@ def test_rejects_steps_longer_than_a_tick(folder):
     )
     td = slow.reset()
     td["agents", "action"] = torch.tensor([[0, 0]])
-    check_refusals([refusal(lambda: slow.step(td), RuntimeError, "act.PointAtTask", "dyn.AEOSBenchTracedDynModel")])
+    check_refusals(refusal(lambda: slow.step(td), RuntimeError, "act.PointAtTask", "dyn.AEOSBenchTracedDynModel"))
 
 
 def test_cases_can_be_selected(folder):

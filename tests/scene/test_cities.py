@@ -99,8 +99,6 @@ def test_rejects_wrong_numbers_and_offsets():
 
     offset, largest = "location_offset", "[0, 6.37814e+06] m"
     check_refusals(
-        [
-            *(refusal(lambda n=n: cities(n), ValueError, "n_select_from", repr(n), 10, "'all'") for n in (9, 12.5, "most", True)),
-            *(refusal(lambda x=x: cities(location_offset=x), ValueError, offset, x, largest) for x in (-1.0, math.nan, 7e6)),
-        ]
+        *(refusal(lambda n=n: cities(n), ValueError, "n_select_from", repr(n), 10, "'all'") for n in (9, 12.5, "most", True)),
+        *(refusal(lambda x=x: cities(location_offset=x), ValueError, offset, x, largest) for x in (-1.0, math.nan, 7e6)),
     )

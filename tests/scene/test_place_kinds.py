@@ -167,12 +167,10 @@ def test_rejects_wrong_kinds(env):
 
     env.reset()
     check_refusals(
-        [
-            refusal(lambda: kinds(ship=lambda tables: [1.0]), TypeError, "'ship'", [1.0], "sim.places.Places"),
-            refusal(lambda: kinds(ground_station=debris(Lit())), ValueError, "'ground_station'", "name"),
-            refusal(lambda: kinds(debris=debris()), ValueError, "'debris'", "clearances"),
-            refusal(lambda: make(satellite=Tracking), ValueError, "target_angle_rate", "'ship'"),
-            # with the advice that belongs to the kind
-            refusal(lambda: env.satellite.find_next_opportunities(1, types="never"), RuntimeError, "never", "a larger range"),
-        ]
+        refusal(lambda: kinds(ship=lambda tables: [1.0]), TypeError, "'ship'", [1.0], "sim.places.Places"),
+        refusal(lambda: kinds(ground_station=debris(Lit())), ValueError, "'ground_station'", "name"),
+        refusal(lambda: kinds(debris=debris()), ValueError, "'debris'", "clearances"),
+        refusal(lambda: make(satellite=Tracking), ValueError, "target_angle_rate", "'ship'"),
+        # with the advice that belongs to the kind
+        refusal(lambda: env.satellite.find_next_opportunities(1, types="never"), RuntimeError, "never", "a larger range"),
     )

@@ -124,12 +124,10 @@ def test_rejects_targets_that_cannot_be_used():
     growing = Growing(1)
     growing.draw(key(1))
     check_refusals(
-        [
-            refusal(lambda: Words(1).draw(key(2)), TypeError, "Words.regenerate_targets()", "'Boulder'", "scene.Target"),
-            refusal(lambda: Uneven(2).draw(key(2)), TypeError, "Target(tgt-1)", "'cover'"),
-            refusal(lambda: growing.draw(key(1, episode=2)), ValueError, "3 targets", "environment 0", "n_targets=(1, 4)"),
-            refusal(lambda: CloudTargets(2).regenerate_targets(), RuntimeError, "regenerate_targets()", "environments"),
-        ]
+        refusal(lambda: Words(1).draw(key(2)), TypeError, "Words.regenerate_targets()", "'Boulder'", "scene.Target"),
+        refusal(lambda: Uneven(2).draw(key(2)), TypeError, "Target(tgt-1)", "'cover'"),
+        refusal(lambda: growing.draw(key(1, episode=2)), ValueError, "3 targets", "environment 0", "n_targets=(1, 4)"),
+        refusal(lambda: CloudTargets(2).regenerate_targets(), RuntimeError, "regenerate_targets()", "environments"),
     )
 
 

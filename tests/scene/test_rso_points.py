@@ -75,8 +75,7 @@ def test_points_of_a_users_own_are_made_for_each_episode():
     alone.reset()
     assert torch.equal(alone.scenario.r_PB_B[0], first[1])
     assert [point.r_PB_B.tolist() for point in alone.scenario.points_of(0)] == first[1].tolist()
-    with pytest.raises(AttributeError, match="points_of"):
-        _ = alone.scenario.rso_points
+    check_refusals(refusal(lambda: alone.scenario.rso_points, AttributeError, "points_of"))
 
 
 def test_fixed_points_of_a_users_own_are_made_once():
@@ -114,14 +113,12 @@ def test_rejects_wrong_points():
 
     name = "Given.generate_points()"
     check_refusals(
-        [
-            refusal(lambda: made(list), ValueError, name, "no points"),
-            refusal(lambda: made(lambda: [(0.0, 0.0, 1.0)]), TypeError, name, (0.0, 0.0, 1.0), "scene.RSOPoint"),
-            refusal(lambda: one([1.0, 0.0, 0.0], [0.0, 0.0, 0.0]), ValueError, f"{name}[0].n_B", "zero"),
-            refusal(lambda: one([1.0, 0.0], [0.0, 0.0, 1.0]), ValueError, f"{name}[0].r_PB_B", [1.0, 0.0]),
-            refusal(lambda: made(lambda: [point] * int(np.random.randint(1, 30))), ValueError, name, "points", "episodes"),
-            refusal(lambda: build(scene.RSOPoints()), NotImplementedError, "RSOPoints", "generate_points()"),
-        ]
+        refusal(lambda: made(list), ValueError, name, "no points"),
+        refusal(lambda: made(lambda: [(0.0, 0.0, 1.0)]), TypeError, name, (0.0, 0.0, 1.0), "scene.RSOPoint"),
+        refusal(lambda: one([1.0, 0.0, 0.0], [0.0, 0.0, 0.0]), ValueError, f"{name}[0].n_B", "zero"),
+        refusal(lambda: one([1.0, 0.0], [0.0, 0.0, 1.0]), ValueError, f"{name}[0].r_PB_B", [1.0, 0.0]),
+        refusal(lambda: made(lambda: [point] * int(np.random.randint(1, 30))), ValueError, name, "points", "episodes"),
+        refusal(lambda: build(scene.RSOPoints()), NotImplementedError, "RSOPoints", "generate_points()"),
     )
 
 
@@ -134,14 +131,12 @@ def test_rejects_satellites_and_scenarios_that_do_not_fit():
     two = [*pair(inspector=Plain), RSO("Second", chief_args())]
     blind = pair(inspector=Blind)
     check_refusals(
-        [
-            refusal(lambda: sphere(two), ValueError, "scene.SphericalRSO", rso, ["RSO", "Second"]),
-            refusal(lambda: sphere(one), ValueError, "scene.SphericalRSO", rso, ["A"]),
-            refusal(lambda: sphere([RSO("RSO", chief_args())]), ValueError, "dyn.RSOInspectorDynModel", ["RSO"]),
-            refusal(lambda: sphere(blind), ValueError, ["A"], "dyn.RSOInspectorDynModel", "fsw.RSOInspectorFSWModel"),
-            refusal(lambda: inspection(one, scene.Scenario(), rewarder=None), ValueError, "slot 'rso'"),
-            refusal(lambda: build(scene.Scenario()), ValueError, "RSOInspectionReward", "points", "scene.SphericalRSO"),
-        ]
+        refusal(lambda: sphere(two), ValueError, "scene.SphericalRSO", rso, ["RSO", "Second"]),
+        refusal(lambda: sphere(one), ValueError, "scene.SphericalRSO", rso, ["A"]),
+        refusal(lambda: sphere([RSO("RSO", chief_args())]), ValueError, "dyn.RSOInspectorDynModel", ["RSO"]),
+        refusal(lambda: sphere(blind), ValueError, ["A"], "dyn.RSOInspectorDynModel", "fsw.RSOInspectorFSWModel"),
+        refusal(lambda: inspection(one, scene.Scenario(), rewarder=None), ValueError, "slot 'rso'"),
+        refusal(lambda: build(scene.Scenario()), ValueError, "RSOInspectionReward", "points", "scene.SphericalRSO"),
     )
 
 

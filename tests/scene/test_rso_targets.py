@@ -39,8 +39,7 @@ def test_old_names_of_satellites_are_read():
         saved["spacecraft_name"] = saved.pop("satellite_name")
     assert scene.RSOTargetCatalog.from_dict(values) == catalog()
     values["targets"][0]["satellite_name"] = "other"
-    with pytest.raises(ValueError, match="give one"):
-        scene.RSOTargetCatalog.from_dict(values)
+    check_refusals(refusal(lambda: scene.RSOTargetCatalog.from_dict(values), ValueError, "satellite_name", "spacecraft_name"))
 
 
 def test_imagers_must_be_there_and_able():
@@ -50,11 +49,9 @@ def test_imagers_must_be_there_and_able():
     named = scene.RSOTargetCatalog((target(satellite_name="Imager0"),))
     model = "dyn.SpaceToSpaceImagingDynModel"
     check_refusals(
-        [
-            refusal(lambda: fly("Imager7"), ValueError, "imager_names", "'Imager7'", "'Imager0'"),
-            refusal(lambda: fly("Imager0", imagers=2), ValueError, "imager_names", ["Imager1"], model),
-            refusal(lambda: environment(catalog=named, backend="eager"), ValueError, "catalog", ["Imager0"]),
-        ]
+        refusal(lambda: fly("Imager7"), ValueError, "imager_names", "'Imager7'", "'Imager0'"),
+        refusal(lambda: fly("Imager0", imagers=2), ValueError, "imager_names", ["Imager1"], model),
+        refusal(lambda: environment(catalog=named, backend="eager"), ValueError, "catalog", ["Imager0"]),
     )
 
 
@@ -67,8 +64,7 @@ def test_stores_and_candidates_are_named_after_targets():
     env = begun(environment())
     assert env.scenario.candidate_ids(env.satellites[0], 0, 5) == ["object 1", "object 2", "object 0", "object 3", None]
     assert env.scenario.index_of("object 2") == 2
-    with pytest.raises(ValueError, match="did you mean 'object 2'"):
-        env.scenario.index_of("objekt 2")
+    check_refusals(refusal(lambda: env.scenario.index_of("objekt 2"), ValueError, "'object 2'"))
 
 
 @pytest.mark.compiled

@@ -77,10 +77,8 @@ def test_values_of_all_and_of_some_satellites():
 def test_rejects_reading_what_nobody_has_and_hides_no_other_error():
     fleet = fleet_of((0, 2), (1, 3))
     check_refusals(
-        [
-            refusal(lambda: fleet.each(lambda part: part.altitude), AttributeError, "'altitude'"),
-            refusal(lambda: fleet.each(lambda part: 1 / 0), ZeroDivisionError),
-        ]
+        refusal(lambda: fleet.each(lambda part: part.altitude), AttributeError, "'altitude'"),
+        refusal(lambda: fleet.each(lambda part: 1 / 0), ZeroDivisionError),
     )
 
 

@@ -215,16 +215,14 @@ def test_rejects_wrong_instruments():
     bounded = environment(scenario=scene.UniformNadirScanning(value_per_second=1.0), failure_penalty=-1.0)
     bounded.reset()
     check_refusals(
-        [
-            refusal(lambda: scan(instrument="rader"), ValueError, "act.Scan", "instrument='rader'", "'radar'"),
-            refusal(lambda: scan(instrument=2), ValueError, "act.Scan", "instrument=2", "radar, swath"),
-            refusal(lambda: scan(), ValueError, "act.Scan 'action_nadir_scan'", "instrument=", "['swath', 'radar']"),
-            refusal(lambda: scan({}, instrument="radar"), ValueError, "act.Scan", "instrument='radar'", "instruments=["),
-            refusal(lambda: radar(elevation), ValueError, "instrument 'radar'", elevation),
-            refusal(lambda: radar(light), ValueError, "instrument 'radar'", light),
-            refusal(lambda: environment(lost), ValueError, "instrument 'swath'", "'instruments.swath.instrumentBaudRate'"),
-            refusal(lambda: check_scanning(bounded), ValueError, "bound of scanning", "one instrument", "list of instruments"),
-            refusal(lambda: Scanner("A", pair), ValueError, "['instruments']", "bsk_torch.bsk_rl", "bsk_torch.sats"),
-            refusal(lambda: SatelliteTasking(Inspector("A", pair)), KeyError, "['instruments']", "dyn.ImagingDynModel"),
-        ]
+        refusal(lambda: scan(instrument="rader"), ValueError, "act.Scan", "instrument='rader'", "'radar'"),
+        refusal(lambda: scan(instrument=2), ValueError, "act.Scan", "instrument=2", "radar, swath"),
+        refusal(lambda: scan(), ValueError, "act.Scan 'action_nadir_scan'", "instrument=", "['swath', 'radar']"),
+        refusal(lambda: scan({}, instrument="radar"), ValueError, "act.Scan", "instrument='radar'", "instruments=["),
+        refusal(lambda: radar(elevation), ValueError, "instrument 'radar'", elevation),
+        refusal(lambda: radar(light), ValueError, "instrument 'radar'", light),
+        refusal(lambda: environment(lost), ValueError, "instrument 'swath'", "'instruments.swath.instrumentBaudRate'"),
+        refusal(lambda: check_scanning(bounded), ValueError, "bound of scanning", "one instrument", "list of instruments"),
+        refusal(lambda: Scanner("A", pair), ValueError, "['instruments']", "bsk_torch.bsk_rl", "bsk_torch.sats"),
+        refusal(lambda: SatelliteTasking(Inspector("A", pair)), KeyError, "['instruments']", "dyn.ImagingDynModel"),
     )

@@ -14,6 +14,7 @@ from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.component import Component, Field, collect
 from bsk_torch.sim.schedule import SCHEDULE, Slot
 from tests.sim.simulators import make_simulator
+from tests.support.refusals import check_refusals, refusal
 
 NADIR_SCAN = (
     *("earth_pole", "ground_stations", "location_target", "ephemeris", "eclipse", "orbit", "hub", "wheels", "thrusters"),
@@ -91,12 +92,11 @@ def test_slots_are_moved_and_added():
     radiator = Slot("radiator", "heat", "none", "dynamics")
     after = SCHEDULE.with_slot(radiator, after="battery")
     assert after[after.numbers["battery"] + 1] is radiator
-    with pytest.raises(ValueError, match=r"before='panle' is no slot of the schedule; did you mean 'panel'"):
-        SCHEDULE.moved("battery", before="panle")
-    with pytest.raises(ValueError, match=r"'battery' has after=None and before=None; give one"):
-        SCHEDULE.moved("battery")
-    with pytest.raises(ValueError, match=r"slot 'battery' is in the schedule already"):
-        SCHEDULE.with_slot(SCHEDULE[SCHEDULE.numbers["battery"]], after="panel")
+    check_refusals(
+        refusal(lambda: SCHEDULE.moved("battery", before="panle"), ValueError, "before='panle'", "'panel'"),
+        refusal(lambda: SCHEDULE.moved("battery"), ValueError, "'battery'", "after=None", "before=None"),
+        refusal(lambda: SCHEDULE.with_slot(SCHEDULE[SCHEDULE.numbers["battery"]], after="panel"), ValueError, "'battery'"),
+    )
 
 
 class Radiating(dyn.BasicDynamicsModel):

@@ -30,25 +30,23 @@ def test_names_start_with_their_initial_values_and_keep_their_types(memory):
     memory["taken_any"] = torch.tensor([0, 1, 0, 1])
     assert torch.equal(memory["target"], torch.tensor([3, 2, 1, 0]))
     assert torch.equal(memory["taken_any"], torch.tensor([False, True, False, True]))
-    with pytest.raises(KeyError):
-        memory["targets"]
-    with pytest.raises(KeyError):
-        memory["targets"] = torch.zeros(4)
+    check_refusals(
+        refusal(lambda: memory["targets"], KeyError),
+        refusal(lambda: memory.__setitem__("targets", torch.zeros(4)), KeyError),
+    )
     assert "targets" not in list(memory)
 
 
 def test_rejects_names_and_shapes_that_are_not_declared(memory):
     known = "'images', 'taken_any', 'target'"
     check_refusals(
-        [
-            refusal(lambda: memory.declare("taken_any", 0), ValueError, "name='taken_any'", known),
-            refusal(lambda: memory.declare("version", 0), ValueError, "name='version'", known),
-            refusal(lambda: memory.declare("rows", 0), ValueError, "name='rows'", known),
-            refusal(lambda: memory.declare("reset", 0), ValueError, "name='reset'", known),
-            refusal(lambda: memory.__setattr__("charge", torch.zeros(4)), AttributeError, "'charge'", "declare('charge', ...)"),
-            refusal(lambda: memory.charge, AttributeError, "'charge'", known),
-            refusal(lambda: memory.__setitem__("images", torch.zeros(4)), ValueError, "'images'", "[4, 3]", "[4]"),
-        ]
+        refusal(lambda: memory.declare("taken_any", 0), ValueError, "name='taken_any'", known),
+        refusal(lambda: memory.declare("version", 0), ValueError, "name='version'", known),
+        refusal(lambda: memory.declare("rows", 0), ValueError, "name='rows'", known),
+        refusal(lambda: memory.declare("reset", 0), ValueError, "name='reset'", known),
+        refusal(lambda: memory.__setattr__("charge", torch.zeros(4)), AttributeError, "'charge'", "declare('charge', ...)"),
+        refusal(lambda: memory.charge, AttributeError, "'charge'", known),
+        refusal(lambda: memory.__setitem__("images", torch.zeros(4)), ValueError, "'images'", "[4, 3]", "[4]"),
     )
 
 
@@ -111,13 +109,11 @@ def test_rejects_saved_states_that_do_not_fit():
     returns, single, satellites = saved["returns"], saved["returns"].float(), saved["satellites"]
     short = satellites | {"tail": satellites["tail"][..., :1]}
     check_refusals(
-        [
-            refusal(lambda: table.over({"satellites": satellites}), KeyError, "['returns']", "[]"),
-            refusal(lambda: table.over(saved | {"more": returns}), KeyError, "[]", "['more']"),
-            refusal(lambda: table.over(saved | {"returns": single}), ValueError, "'returns'", "torch.float32", "torch.float64"),
-            refusal(lambda: table.over(saved | {"returns": returns[:2]}), ValueError, "[2, 4]", "episodes"),
-            refusal(lambda: table.over(saved | {"satellites": short}), ValueError, "'tail'", "[4, 2, 1]", "[N, 2, 2]"),
-        ]
+        refusal(lambda: table.over({"satellites": satellites}), KeyError, "['returns']", "[]"),
+        refusal(lambda: table.over(saved | {"more": returns}), KeyError, "[]", "['more']"),
+        refusal(lambda: table.over(saved | {"returns": single}), ValueError, "'returns'", "torch.float32", "torch.float64"),
+        refusal(lambda: table.over(saved | {"returns": returns[:2]}), ValueError, "[2, 4]", "episodes"),
+        refusal(lambda: table.over(saved | {"satellites": short}), ValueError, "'tail'", "[4, 2, 1]", "[N, 2, 2]"),
     )
 
 

@@ -24,19 +24,16 @@ def simulator(dyn_type: type, fsw_type: type, **options) -> Simulator:
 def test_position_and_velocity_on_an_arc_cannot_be_written(name):
     sim = simulator(dyn.EclipseDynModel, fsw.FSWModel)
     before = sim.state.planes.clone()
-    with pytest.raises(ValueError, match=r"would be lost in the next tick: .* pass orbit='integrated' to the environment"):
-        sim.write(name, ALL, torch.zeros(2, 3))
+    check_refusals(refusal(lambda: sim.write(name, ALL, torch.zeros(2, 3)), ValueError, "next tick", "orbit='integrated'"))
     assert torch.equal(sim.state.planes, before)
 
 
 def test_rejects_fields_that_a_tick_computes_anew():
     sim, two, rotation = simulator(dyn.EclipseDynModel, fsw.FSWModel), torch.zeros(2), torch.zeros(2, 3)
     check_refusals(
-        [
-            refusal(lambda: sim.write("illumination", ALL, two), ValueError, "'illumination'", "orbit", "Sun"),
-            refusal(lambda: sim.write("sigma_BN", ALL, rotation), ValueError, "'sigma_BN'", "sigma_RN", "omega_RN_N"),
-            refusal(lambda: sim.write("sigma_RM", ALL, rotation), KeyError, "'sigma_RM'", "'sigma_RN'"),
-        ]
+        refusal(lambda: sim.write("illumination", ALL, two), ValueError, "'illumination'", "orbit", "Sun"),
+        refusal(lambda: sim.write("sigma_BN", ALL, rotation), ValueError, "'sigma_BN'", "sigma_RN", "omega_RN_N"),
+        refusal(lambda: sim.write("sigma_RM", ALL, rotation), KeyError, "'sigma_RM'", "'sigma_RN'"),
     )
 
 

@@ -75,8 +75,7 @@ class TestGymnasium:
         action = env.action_space.sample({"values": None, "choice": info["action_mask"]})
         assert action["choice"] == 0
         assert env.step(np.array([3.0, 0.0]))[-1]["d_ts"] == 3.0
-        with pytest.raises(TypeError, match="'values' and 'choice'"):
-            env.step({"values": [21.0]})
+        check_refusals(refusal(lambda: env.step({"values": [21.0]}), TypeError, "'values'", "'choice'"))
 
     @pytest.mark.parametrize("entry", [SETPOINT, Choose("choose")], ids=["box", "hybrid"])
     @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
@@ -107,10 +106,10 @@ class TestConstellations:
         *_, infos = env.step(actions)
         assert infos["T1"]["d_ts"] == 5.0
         assert [infos[name]["requires_retasking"] for name in ("T1", "D1", "H1", "T2")] == [False, False, True, True]
-        with pytest.raises(ValueError, match=r"actions\['T2'\] has shape \[2\]"):
-            env.step({"T2": [0.0, 0.0]})
-        with pytest.raises(ValueError, match="satellite T2 of environment 0 has mrp_1=nan"):
-            env.step({"T2": [float("nan"), 0.0, 0.0]})
+        check_refusals(
+            refusal(lambda: env.step({"T2": [0.0, 0.0]}), ValueError, "actions['T2']", "[2]"),
+            refusal(lambda: env.step({"T2": [float("nan"), 0.0, 0.0]}), ValueError, "0", "mrp_1=nan"),
+        )
 
     def test_the_action_that_continues(self):
         env = PettingZooEnv(constellation(), continue_action=True)
@@ -169,16 +168,15 @@ def test_torchrls_step_takes_the_action_of_a_vector():
 def test_rejects_wrong_actions():
     env = GymEnv(core())
     env.reset()
-    table = [
+    check_refusals(
         refusal(lambda: env.step([0.0, 0.0]), ValueError, "action", [2], [3]),
         refusal(lambda: env.step(["a", 0.0, 0.0]), TypeError, "action", "'a'", "numeric"),
         refusal(lambda: env.step(np.array([0, 0, 0])), TypeError, "action", "torch.int64", "torch.float32"),
         refusal(lambda: env.step([0.0, float("nan"), 0.0]), ValueError, "action", "mrp_2=nan"),
         refusal(lambda: env.step(3), ValueError, "action", [], [3]),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_rejects_hybrid_actions_for_stable_baselines3():
     view = pytest.importorskip("bsk_torch.wrappers.stable_baselines3").SB3VecEnv
-    check_refusals([refusal(lambda: view(core(Choose("choose"))), ValueError, "'choose'", "act.ContinuousAction")])
+    check_refusals(refusal(lambda: view(core(Choose("choose"))), ValueError, "'choose'", "act.ContinuousAction"))

@@ -42,7 +42,7 @@ def test_methods_and_arguments_which_are_read_only(single):
     assert single.satellite.sat_args["maxWheelSpeed"] == 6000.0
     assert single.satellite.find_next_opportunities(1, types="ground_station")[0]["r_LP_P"].shape == (3,)
     assert single.satellite.action_description[1] == "action_charge"
-    check_refusals([refusal(lambda: setattr(single.satellite, "name", "other"), AttributeError, "'name'", "read-only")])
+    check_refusals(refusal(lambda: setattr(single.satellite, "name", "other"), AttributeError, "'name'", "read-only"))
 
 
 def test_satellites_of_one_type_are_told_apart_and_share_a_scenario(crew):

@@ -14,25 +14,18 @@ from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from tensordict import TensorDict
 
-from bsk_torch import SatelliteTasking, act, data, obs, rand, sats, scene
+from bsk_torch import SatelliteTasking, data, rand, scene
 from bsk_torch.presets import PRESETS
-from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
+from bsk_torch.presets.nadir_scan import scanning_args
 from bsk_torch.wrappers import GymEnv, GymVectorEnv
 from bsk_torch.wrappers.registration import register
+from tests.support.refusals import check_refusals, refusal
+from tests.wrappers.constellations import Quick
 
 NEXT, SAME, DISABLED = AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP, AutoresetMode.DISABLED
 pytestmark = pytest.mark.compiled
 
 NADIR = {"id": "bsk_torch/NadirScan-v1", "time_limit": 600.0}
-
-
-class Quick(sats.Satellite):
-    observation_spec = (
-        obs.SatProperties(dict(prop="battery_charge_fraction"), dict(prop="wheel_speeds_fraction")),
-        obs.Time(),
-    )
-    action_spec = (act.Scan(duration=9.0), act.Charge(duration=6.0), act.Desat(duration=3.0))
-    dyn_type, fsw_type = ScanningSatellite.dyn_type, ScanningSatellite.fsw_type
 
 
 SHORT_LIVED = rand.Uniform(100.0, 1500.0)
@@ -121,29 +114,22 @@ def test_an_episode_can_start_from_a_state():
 
 def test_an_episode_has_to_run():
     env = single(time_limit=5.0)
-    with pytest.raises(ResetNeeded, match="call reset"):
-        env.step(0)
+    check_refusals(refusal(lambda: env.step(0), ResetNeeded, "reset"))
     env.reset(seed=0)
     assert env.step(0)[3]
-    with pytest.raises(ResetNeeded, match="call reset"):
-        env.step(0)
+    check_refusals(refusal(lambda: env.step(0), ResetNeeded, "reset"))
 
 
-BAD = [
-    (7, ValueError, "action 7 of environment 0"),
-    (0.5, TypeError, "float32"),
-    ([0, 1], ValueError, r"shape \[2\]"),
-    (None, TypeError, "action=None must be numeric"),
-    ("x", TypeError, "action='x' must be"),
-]
-
-
-def test_a_wrong_action_is_named_and_changes_nothing():
+def test_rejects_wrong_actions_which_change_nothing():
     env = single()
     env.reset(seed=0)
-    for action, error, text in BAD:
-        with pytest.raises(error, match=text):
-            env.step(action)
+    check_refusals(
+        refusal(lambda: env.step(7), ValueError, "action 7 of environment 0"),
+        refusal(lambda: env.step(0.5), TypeError, "float32"),
+        refusal(lambda: env.step([0, 1]), ValueError, [2]),
+        refusal(lambda: env.step(None), TypeError, "action=None"),
+        refusal(lambda: env.step("x"), TypeError, "action='x'"),
+    )
     assert int(env.core.simulator.ticks) == 0
 
 
@@ -190,16 +176,13 @@ def test_all_may_wait_at_once():
 
 def test_without_autoreset_the_caller_resets_what_ended():
     env = GymVectorEnv(quick, 2, autoreset_mode="Disabled", time_limit=8.0, charge=1e5)
-    with pytest.raises(ResetNeeded, match="first reset"):
-        env.reset(options={"reset_mask": np.array([True, False])})
+    check_refusals(refusal(lambda: env.reset(options={"reset_mask": np.array([True, False])}), ResetNeeded, "reset"))
     env.reset(seed=0)
     observation, _, _, truncated, _ = env.step([0, 2])
     assert truncated.tolist() == [True, False]
-    with pytest.raises(ResetNeeded, match=r"environments \[0\]"):
-        env.step([0, 2])
-    for wrong in (np.array([1, 0]), np.array([True]), np.array([False, False])):
-        with pytest.raises(ValueError, match="reset_mask"):
-            env.reset(options={"reset_mask": wrong})
+    check_refusals(refusal(lambda: env.step([0, 2]), ResetNeeded, "[0]"))
+    masks = np.array([1, 0]), np.array([True]), np.array([False, False])
+    check_refusals(refusal(lambda x=x: env.reset(options={"reset_mask": x}), ValueError, "reset_mask") for x in masks)
     after, info = env.reset(options={"reset_mask": truncated})
     assert_same(after[1], observation[1])
     assert not np.array_equal(after[0], observation[0])
@@ -217,9 +200,7 @@ def test_every_environment_may_have_its_own_seed():
     later, _ = env.reset(seed=[7, None, None])  # None goes on to the next episode
     assert_same(later[0], same[0])
     assert not np.array_equal(later[2], same[2])
-    for wrong in ([1, 2], [1, 2, -3], [1, 2, 0.5]):
-        with pytest.raises(ValueError, match="seed"):
-            env.reset(seed=wrong)
+    check_refusals(refusal(lambda x=x: env.reset(seed=x), ValueError, "seed") for x in ([1, 2], [1, 2, -3], [1, 2, 0.5]))
 
 
 def test_a_masked_reset_seeds_only_its_environments():

@@ -115,13 +115,11 @@ def test_what_is_no_policy_is_told_what_to_write(env):
     text = lambda observation: "charge"
     docking = bsk_torch.make("CWDocking-v1", num_envs=2, time_limit=20.0)
     check_refusals(
-        [
-            refusal(lambda: evaluate("rule", env, seed=0), TypeError, "policy='rule'", "bsk_torch.rule('rule', env)"),
-            refusal(lambda: evaluate(3, env, seed=0), TypeError, "a int", "TensorDictModule(network", "Stable-Baselines3"),
-            refusal(lambda: evaluate(lambda: 1, env, seed=0), TypeError, "the function", "TensorDictModule(network"),
-            refusal(lambda: evaluate(torch.nn.Linear, env, seed=0), TypeError, "the class Linear", "TensorDictModule(network"),
-            refusal(lambda: evaluate(wrong_shape, env, seed=0), ValueError, "[2, 2]", "[3]", "[3, 4]"),
-            refusal(lambda: evaluate(text, env, seed=0), TypeError, "a str", "tensor of actions"),
-            refusal(lambda: as_policy(first_legal, docking), TypeError, "first_legal", "no action mask"),
-        ]
+        refusal(lambda: evaluate("rule", env, seed=0), TypeError, "policy='rule'", "bsk_torch.rule('rule', env)"),
+        refusal(lambda: evaluate(3, env, seed=0), TypeError, "a int", "TensorDictModule(network", "Stable-Baselines3"),
+        refusal(lambda: evaluate(lambda: 1, env, seed=0), TypeError, "the function", "TensorDictModule(network"),
+        refusal(lambda: evaluate(torch.nn.Linear, env, seed=0), TypeError, "the class Linear", "TensorDictModule(network"),
+        refusal(lambda: evaluate(wrong_shape, env, seed=0), ValueError, "[2, 2]", "[3]", "[3, 4]"),
+        refusal(lambda: evaluate(text, env, seed=0), TypeError, "a str", "tensor of actions"),
+        refusal(lambda: as_policy(first_legal, docking), TypeError, "first_legal", "no action mask"),
     )

@@ -107,12 +107,11 @@ def test_rejects_wrong_render_modes_and_pictures_before_the_first_episode():
     scans = [lambda view=view: view("NadirScan-v1", render_mode="human", **quick) for view in (GymEnv, GymVectorEnv)]
     crews = [lambda view=view: view("Constellation-v1", render_mode="ansi", **quick) for view in (GymJointEnv, parallel_env)]
     new = (GymEnv("NadirScan-v1", render_mode="rgb_array", **quick), parallel_env(trio, render_mode="rgb_array", backend="eager"))
-    table = [
+    check_refusals(
         *(refusal(call, ValueError, "render_mode", "'human'", ["rgb_array"]) for call in scans),
         *(refusal(call, ValueError, "render_mode", "'ansi'", ["rgb_array"]) for call in crews),
         *(refusal(lambda env=env: env.render(), ResetNeeded, "render()", "reset()") for env in new),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_without_a_render_mode_nothing_is_drawn_but_a_warning_given():

@@ -319,10 +319,8 @@ def test_rejects_tables_that_the_kernel_would_misread():
     eclipses, short = (random_tables(5, False)[0] for _ in range(2))
     short.known = at(0.0, 4)
     check_refusals(
-        [
-            refusal(lambda: eclipses.query(at(0.0).float()), TypeError, "time", "[5]", "torch.float32", "torch.float64"),
-            refusal(lambda: short.query(at(0.0)), TypeError, "known", "[4]"),
-        ]
+        refusal(lambda: eclipses.query(at(0.0).float()), TypeError, "time", "[5]", "torch.float32", "torch.float64"),
+        refusal(lambda: short.query(at(0.0)), TypeError, "known", "[4]"),
     )
 
 

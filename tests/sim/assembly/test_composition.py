@@ -115,22 +115,20 @@ def test_rejects_entries_that_are_no_models():
     flight, worlds = (fsw.FSWModel, dyn.DynamicsModel), (dyn.ImagingDynModel, world.EclipseWorldModel)
     less, lacking = world.EclipseWorldModel, ("world_type=EclipseWorldModel", "AtmosphereWorldModel", "Dyn(EclipseDynModel, ")
     check_refusals(
-        [
-            refusal(lambda: define(dyn_type=fsw.BasicFSWModel), TypeError, "Mine.dyn_type", "BasicFSWModel", "fsw_type"),
-            refusal(lambda: define(fsw_type=flight), TypeError, "Mine.fsw_type", "DynamicsModel", "dyn_type"),
-            refusal(lambda: define(dyn_type=worlds), TypeError, "Mine.dyn_type", "EclipseWorldModel", "world_type"),
-            refusal(lambda: define(dyn_type="ImagingDynModel"), TypeError, "Mine.dyn_type", "'ImagingDynModel'", "dyn.Imaging"),
-            refusal(lambda: define(fsw_type=None), TypeError, "Mine.fsw_type", "None", "fsw.ImagingFSWModel"),
-            refusal(lambda: build(Passive, {}, world_type=less), TypeError, *lacking),
-            refusal(lambda: build(Passive, {}, world_type=flight[1]), TypeError, "world_type", "DynamicsModel", "dyn_type"),
-        ]
+        refusal(lambda: define(dyn_type=fsw.BasicFSWModel), TypeError, "Mine.dyn_type", "BasicFSWModel", "fsw_type"),
+        refusal(lambda: define(fsw_type=flight), TypeError, "Mine.fsw_type", "DynamicsModel", "dyn_type"),
+        refusal(lambda: define(dyn_type=worlds), TypeError, "Mine.dyn_type", "EclipseWorldModel", "world_type"),
+        refusal(lambda: define(dyn_type="ImagingDynModel"), TypeError, "Mine.dyn_type", "'ImagingDynModel'", "dyn.Imaging"),
+        refusal(lambda: define(fsw_type=None), TypeError, "Mine.fsw_type", "None", "fsw.ImagingFSWModel"),
+        refusal(lambda: build(Passive, {}, world_type=less), TypeError, *lacking),
+        refusal(lambda: build(Passive, {}, world_type=flight[1]), TypeError, "world_type", "DynamicsModel", "dyn_type"),
     )
 
 
 def test_flight_software_without_the_devices_that_it_commands_is_refused():
     """bsk_rl raises TypeError too, at reset."""
     bare, names = {"dyn_type": dyn.EclipseDynModel, "fsw_type": fsw.BasicFSWModel}, ("BasicFSWModel", "EclipseDynModel")
-    check_refusals([refusal(lambda: build(Composed, bare), TypeError, "BasicDynamicsModel", "dyn_type", *names)])
+    check_refusals(refusal(lambda: build(Composed, bare), TypeError, "BasicDynamicsModel", "dyn_type", *names))
 
 
 def test_the_model_for_everything_warns_as_in_bsk_rl():
@@ -161,13 +159,11 @@ def test_rejects_reads_that_nothing_answers():
     heard = "'radio'", "'station_access'", "world.GroundStationWorldModel"
     charged = "dyn.BasicDynamicsModel", "dyn.AEOSBenchDynModel"
     check_refusals(
-        [
-            refusal(lambda: build(Composed, mine), TypeError, *heard),
-            refusal(lambda: build(Composed, mine, backend="compiled"), TypeError, *heard),
-            refusal(lambda: observe("battery_charge_fraction"), ValueError, "prop='battery_charge_fraction'", *charged),
-            refusal(lambda: observe("c_hat_P"), ValueError, "prop='c_hat_P'", "fsw.ImagingFSWModel"),
-            refusal(lambda: observe("tanks"), TypeError, "'charge'", *charged),
-        ]
+        refusal(lambda: build(Composed, mine), TypeError, *heard),
+        refusal(lambda: build(Composed, mine, backend="compiled"), TypeError, *heard),
+        refusal(lambda: observe("battery_charge_fraction"), ValueError, "prop='battery_charge_fraction'", *charged),
+        refusal(lambda: observe("c_hat_P"), ValueError, "prop='c_hat_P'", "fsw.ImagingFSWModel"),
+        refusal(lambda: observe("tanks"), TypeError, "'charge'", *charged),
     )
 
 

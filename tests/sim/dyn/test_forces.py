@@ -89,9 +89,7 @@ def test_forces_add_up_and_none_changes_nothing():
 
 def test_rejects_forces_that_the_orbit_would_not_feel():
     check_refusals(
-        [
-            refusal(lambda: make(orbit="arc", backend="eager"), TypeError, "external_force_N", "orbit='integrated'"),
-            refusal(lambda: make(orbit="arc", backend="compiled"), TypeError, "external_force_N", "orbit='integrated'"),
-            refusal(lambda: make(LateDynModel), TypeError, "external_force_N", "hub", "before='hub'"),
-        ]
+        refusal(lambda: make(orbit="arc", backend="eager"), TypeError, "external_force_N", "orbit='integrated'"),
+        refusal(lambda: make(orbit="arc", backend="compiled"), TypeError, "external_force_N", "orbit='integrated'"),
+        refusal(lambda: make(LateDynModel), TypeError, "external_force_N", "hub", "before='hub'"),
     )

@@ -222,16 +222,14 @@ def test_models_without_it_have_no_errors():
 
 def test_rejects_wrong_errors_of_navigation():
     check_refusals(
-        [
-            refusal(lambda: navigating({"PMatrix": [1.0] * 17}), ValueError, "PMatrix", "18 numbers", "[17]"),
-            refusal(lambda: navigating({"PMatrix": [[1.0, 2.0], [3.0, 4.0]]}), ValueError, "PMatrix", "[18, 18]", "[2, 2]"),
-            refusal(lambda: navigating({"PMatrix": [math.nan] * 18}), ValueError, "PMatrix=nan"),
-            refusal(lambda: navigating({"PMatrix": lambda: [1.0] * 17}), ValueError, "PMatrix", "[18, 18]", "[17]"),
-            refusal(lambda: navigating({"walkBounds": [1.0]}), ValueError, "walkBounds", "18 numbers", "[1]"),
-            refusal(lambda: navigating({"RNGSeed": 1.5}), ValueError, "RNGSeed=1.5", "whole number", "[0, 4.29497e+09]"),
-            refusal(lambda: navigating({"RNGSeed": -1}), ValueError, "RNGSeed=-1", "whole number", "[0, 4.29497e+09]"),
-            refusal(lambda: navigating({"crossAtt": "yes"}), ValueError, "crossAtt='yes'", "[True, False]"),
-            refusal(lambda: faults.navigation(), ValueError, "faults.navigation", "bias=None", "noise=None"),
-            refusal(lambda: dyn.navigation_numbers(attitude=[1.0]), ValueError, "attitude=[1.0]", "one number", "three"),
-        ]
+        refusal(lambda: navigating({"PMatrix": [1.0] * 17}), ValueError, "PMatrix", "18 numbers", "[17]"),
+        refusal(lambda: navigating({"PMatrix": [[1.0, 2.0], [3.0, 4.0]]}), ValueError, "PMatrix", "[18, 18]", "[2, 2]"),
+        refusal(lambda: navigating({"PMatrix": [math.nan] * 18}), ValueError, "PMatrix=nan"),
+        refusal(lambda: navigating({"PMatrix": lambda: [1.0] * 17}), ValueError, "PMatrix", "[18, 18]", "[17]"),
+        refusal(lambda: navigating({"walkBounds": [1.0]}), ValueError, "walkBounds", "18 numbers", "[1]"),
+        refusal(lambda: navigating({"RNGSeed": 1.5}), ValueError, "RNGSeed=1.5", "whole number", "[0, 4.29497e+09]"),
+        refusal(lambda: navigating({"RNGSeed": -1}), ValueError, "RNGSeed=-1", "whole number", "[0, 4.29497e+09]"),
+        refusal(lambda: navigating({"crossAtt": "yes"}), ValueError, "crossAtt='yes'", "[True, False]"),
+        refusal(lambda: faults.navigation(), ValueError, "faults.navigation", "bias=None", "noise=None"),
+        refusal(lambda: dyn.navigation_numbers(attitude=[1.0]), ValueError, "attitude=[1.0]", "one number", "three"),
     )

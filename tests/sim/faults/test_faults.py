@@ -195,20 +195,18 @@ def test_rejects_wrong_faults():
         env.reset()
     twice = [faults.Fault("clickSize", value=1.0 + k) for k in range(2)]
     check_refusals(
-        [
-            refusal(lambda: faults.Fault("u_max"), ValueError, "'u_max'", "value=None", "factor=None"),
-            refusal(lambda: clicking(faults.Fault("u_maximum", value=1.0)), ValueError, "'u_maximum'", "'u_max'"),
-            refusal(lambda: clicking(faults.wheel_torque(9, at=1.0)), ValueError, "wheel_torque9", "index=9", "3"),
-            refusal(lambda: SatelliteTasking(wrong, backend="eager"), ValueError, "sat_args", "faults='wheel'"),
-            refusal(lambda: clicking(*twice), ValueError, "sat_args", "2 faults", "'clickSize'"),
-            refusal(lambda: faults.Fault("u_max", value=1.0, at=math.inf), ValueError, "'u_max'", "at=inf", "[0, inf)"),
-            refusal(lambda: clicking(faults.wheel_torque(0, 0.0, at=1.0)), ValueError, "'wheel_torque0'", "u_max=0", "limit"),
-            refusal(lambda: faults.Hazard(-1.0), ValueError, "Hazard", "rate=-1.0", "(0, inf)"),
-            refusal(lambda: faults.Sometimes(1.5, 10.0), ValueError, "Sometimes", "chance=1.5", "[0, 1]"),
-            refusal(lambda: clicking(faults.Fault("wheels", value=1.0)), ValueError, "fault 'wheels'", "environment", "episode"),
-            refusal(lambda: faults.Fault("u_max", value=1.0, index=-1), ValueError, "'u_max-1'", "index=-1", "part"),
-            refusal(lambda: loud.inject("lout"), ValueError, "'lout'", "'loud'"),
-            refusal(lambda: loud.inject("loud", envs=[2]), IndexError, "envs=[2]"),
-            refusal(lambda: sound.inject("loud"), ValueError, "'loud'", "none"),
-        ]
+        refusal(lambda: faults.Fault("u_max"), ValueError, "'u_max'", "value=None", "factor=None"),
+        refusal(lambda: clicking(faults.Fault("u_maximum", value=1.0)), ValueError, "'u_maximum'", "'u_max'"),
+        refusal(lambda: clicking(faults.wheel_torque(9, at=1.0)), ValueError, "wheel_torque9", "index=9", "3"),
+        refusal(lambda: SatelliteTasking(wrong, backend="eager"), ValueError, "sat_args", "faults='wheel'"),
+        refusal(lambda: clicking(*twice), ValueError, "sat_args", "2 faults", "'clickSize'"),
+        refusal(lambda: faults.Fault("u_max", value=1.0, at=math.inf), ValueError, "'u_max'", "at=inf", "[0, inf)"),
+        refusal(lambda: clicking(faults.wheel_torque(0, 0.0, at=1.0)), ValueError, "'wheel_torque0'", "u_max=0", "limit"),
+        refusal(lambda: faults.Hazard(-1.0), ValueError, "Hazard", "rate=-1.0", "(0, inf)"),
+        refusal(lambda: faults.Sometimes(1.5, 10.0), ValueError, "Sometimes", "chance=1.5", "[0, 1]"),
+        refusal(lambda: clicking(faults.Fault("wheels", value=1.0)), ValueError, "fault 'wheels'", "environment", "episode"),
+        refusal(lambda: faults.Fault("u_max", value=1.0, index=-1), ValueError, "'u_max-1'", "index=-1", "part"),
+        refusal(lambda: loud.inject("lout"), ValueError, "'lout'", "'loud'"),
+        refusal(lambda: loud.inject("loud", envs=[2]), IndexError, "envs=[2]"),
+        refusal(lambda: sound.inject("loud"), ValueError, "'loud'", "none"),
     )

@@ -22,11 +22,9 @@ def test_rejects_fields_and_flags_of_no_component():
         return environment({name: fsw.Mode(("control_on", *flags), resets)})
 
     check_refusals(
-        [
-            refusal(lambda: mode("charge", "sun_on", sun_frash=1.0), ValueError, "mode 'charge'", "'sun_frash'", "'sun_fresh'"),
-            refusal(lambda: mode("warm", "heater_on"), ValueError, "mode 'warm'", "'heater_on'", "flags=", "bus.heater_on"),
-            refusal(lambda: mode("charge", "sun_onn"), ValueError, "mode 'charge'", "'sun_onn'", "'sun_on'"),
-        ]
+        refusal(lambda: mode("charge", "sun_on", sun_frash=1.0), ValueError, "mode 'charge'", "'sun_frash'", "'sun_fresh'"),
+        refusal(lambda: mode("warm", "heater_on"), ValueError, "mode 'warm'", "'heater_on'", "flags=", "bus.heater_on"),
+        refusal(lambda: mode("charge", "sun_onn"), ValueError, "mode 'charge'", "'sun_onn'", "'sun_on'"),
     )
 
 

@@ -225,7 +225,7 @@ def test_rejects_an_unknown_argument():
     typo = type("Typo", (dyn.BasicDynamicsModel,), {"wrong": observable(lambda now: now.args.batteryStorageCapcity)})
     wrong = type("Wrong", (Watched,), {"observation_spec": (obs.SatProperties(dict(prop="wrong")),), "dyn_type": typo})
     names = "'batteryStorageCapcity'", "'batteryStorageCapacity'"
-    check_refusals([refusal(lambda: SatelliteTasking(wrong("Wrong1"), backend="eager"), AttributeError, *names)])
+    check_refusals(refusal(lambda: SatelliteTasking(wrong("Wrong1"), backend="eager"), AttributeError, *names))
 
 
 def test_only_chooses_parts_of_trees():

@@ -120,8 +120,6 @@ def test_rejects_unknown_chiefs_and_orders_in_which_bsk_rl_raises():
     models, chiefs, unknown = (Both, dyn.DynamicsModel, Both, Both), ("A",) * 4, ("A", "A", "A", "BB")
     find_pairs(NAMES, models, chiefs, False)
     check_refusals(
-        [
-            refusal(lambda: find_pairs(NAMES, (Both,) * 4, unknown, False), ValueError, "of D", "chief_name='BB'", "'B'"),
-            refusal(lambda: find_pairs(NAMES, models, chiefs, True), ValueError, "'C'", "'B'", "dyn.ConjunctionDynModel"),
-        ]
+        refusal(lambda: find_pairs(NAMES, (Both,) * 4, unknown, False), ValueError, "of D", "chief_name='BB'", "'B'"),
+        refusal(lambda: find_pairs(NAMES, models, chiefs, True), ValueError, "'C'", "'B'", "dyn.ConjunctionDynModel"),
     )

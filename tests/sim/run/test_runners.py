@@ -311,11 +311,9 @@ def test_rejects_wrong_back_ends_and_stops_that_are_no_masks():
     halts = Component("halt", lambda bus: setattr(bus, "stop", bus.count), stops=True, after="navigation")
     tick, start, mask = toy_tick(toys=(*TOYS, halts), stops=True), flight(2), ("bus.stop", "torch.float64", "mask")
     check_refusals(
-        [
-            refusal(lambda: make_runners(toy_tick(), "fast", CPU), ValueError, "backend='fast'", "['compiled', 'eager']"),
-            refusal(lambda: tick.kernel(), TypeError, *mask),
-            refusal(lambda: start.run(TickLoop(tick.step), start.ticks + 1), TypeError, *mask),
-        ]
+        refusal(lambda: make_runners(toy_tick(), "fast", CPU), ValueError, "backend='fast'", "['compiled', 'eager']"),
+        refusal(lambda: tick.kernel(), TypeError, *mask),
+        refusal(lambda: start.run(TickLoop(tick.step), start.ticks + 1), TypeError, *mask),
     )
 
 
