@@ -166,13 +166,7 @@ def test_packed_bytes_have_bounds():
     )
 
 
-OWN_FILES = {
-    "_listed.py",
-    "cli/presets.py",
-    "rl/evaluation/suite.py",
-    "viewer/page.py",
-    "viz/figures/world.py",
-}
+OWN_FILES = {"_listed.py", "cli/presets.py", "rl/evaluation/suite.py", "viewer/page.py", "viz/figures/world.py"}
 """Modules that read JSON files of the package itself."""
 
 LOADERS = {

@@ -79,10 +79,7 @@ class TestHooksRun:
         env = begun(make(Recorded(), kind))
         step(env, 0, 1)
         entry = env.satellite.actions.entries[0]
-        assert entry.calls == [
-            ("begin", [True, False], [40.0, 50.0]),
-            ("end", [True, False], [False, False]),
-        ]
+        assert entry.calls == [("begin", [True, False], [40.0, 50.0]), ("end", [True, False], [False, False])]
 
     def test_decide(self, kind):
         env = begun(make(Quick(), kind))

@@ -57,8 +57,7 @@ class TestFolding:
         assert constant(program.constant(1e300, torch.float64).float()) == math.inf
 
     @pytest.mark.parametrize(
-        "build",
-        [lambda a: a + 0.0, lambda a: 0.0 + a, lambda a: a - 0, lambda a: a * 1.0, lambda a: 1 * a, lambda a: a / 1.0],
+        "build", [lambda a: a + 0.0, lambda a: 0.0 + a, lambda a: a - 0, lambda a: a * 1.0, lambda a: 1 * a, lambda a: a / 1.0]
     )
     def test_neutral_numbers_vanish(self, x, build):
         assert build(x) is x

@@ -267,10 +267,6 @@ def test_rejects_groups_that_do_not_fit_and_what_they_write():
         refusal(lambda: groups.after(kernel, groups.counts, lockstep=7), ValueError, "lockstep=7", "24"),
         refusal(lambda: uneven.after(kernel, uneven.counts, lockstep=6), ValueError, "counts", "group 2", "[3, 5]", "ticks"),
         refusal(
-            lambda: groups.after(kernel, groups.counts, lockstep=6, written=written),
-            ValueError,
-            kernel.name,
-            "written",
-            "None",
+            lambda: groups.after(kernel, groups.counts, lockstep=6, written=written), ValueError, kernel.name, "written", "None"
         ),
     )

@@ -138,11 +138,7 @@ def test_wrong_words_of_the_command(arguments, words, tmp_path):
     assert not (tmp_path / "kernels").exists()
 
 
-@pytest.mark.parametrize(
-    "presets",
-    [["NadirScan-v1"], ["NadirScan-v1", "AEOSConstellation-v1"]],
-    ids=["one", "two"],
-)
+@pytest.mark.parametrize("presets", [["NadirScan-v1"], ["NadirScan-v1", "AEOSConstellation-v1"]], ids=["one", "two"])
 def test_the_command_plays_all_presets(tmp_path, monkeypatch, presets):
     """Without compiling; the whole command is a nightly test."""
     made, short = kernels.made, {"backend": "eager", "max_step_duration": 3.0}

@@ -229,11 +229,7 @@ def test_losses_do_not_depend_on_the_batch():
 def test_a_repeated_choice_continues_the_task_if_asked_to():
     """Imager 1 ends steps; imager 0 chooses its object, or its packet, again."""
     runs = {}
-    for name, repeats, options in (
-        ("stay", False, {}),
-        ("repeat", True, dict(continue_repeated=True)),
-        ("restart", True, {}),
-    ):
+    for name, repeats, options in (("stay", False, {}), ("repeat", True, dict(continue_repeated=True)), ("restart", True, {})):
         env = begun(team(mask_busy=False, **options))
         seen = []
         for k in range(4):

@@ -26,10 +26,7 @@ def make(num_envs=3, rewarder=None, spec=None, **options):
     satellite = Drifter("A") if spec is None else type("Own", (Drifter,), {"observation_spec": spec})("A")
     rewarder = rewarder or (
         data.ResourceReward(reward_weight=lambda: np.random.uniform(1.0, 2.0), resource_fn=elapsed),
-        data.ComposedReward(
-            data.NoReward(),
-            data.ResourceReward(rand.Uniform(-2.0, -1.0), squared),
-        ),
+        data.ComposedReward(data.NoReward(), data.ResourceReward(rand.Uniform(-2.0, -1.0), squared)),
     )
     given = dict(time_limit=600.0, seed=1, backend="eager", dtype=torch.float64) | options
     return SatelliteTasking(satellite, rewarder=rewarder, num_envs=num_envs, **given)

@@ -68,8 +68,7 @@ def digest(tensor):
 
 @pytest.mark.compiled
 @pytest.mark.parametrize(
-    ("dtype", "cases"),
-    [("bfloat16", SOME), ("float16", FEW), ("float64", FEW), *((name, [*CASES]) for name in TYPES)],
+    ("dtype", "cases"), [("bfloat16", SOME), ("float16", FEW), ("float64", FEW), *((name, [*CASES]) for name in TYPES)]
 )
 def test_episodes_are_the_same_under_every_default_type(played, dtype, cases):
     expected, found = played("float32", cases), played(dtype, cases)

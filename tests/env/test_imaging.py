@@ -448,10 +448,7 @@ def test_satellites_that_may_see_nothing_wait():
     pole = scene.Targets([[0.0, 0.0, 6378136.6]], 1.0)
     options = dict(sat_args=dict(oe=rand.random_orbit(i=0.0)), options=dict(may_see_nothing=True))
     env = imager(
-        3,
-        targets=pole,
-        satellite=varied(action_spec=(act.Charge(duration=60.0), act.Image(2, mask_repeated=True))),
-        **options,
+        3, targets=pole, satellite=varied(action_spec=(act.Charge(duration=60.0), act.Image(2, mask_repeated=True))), **options
     )
     td = env.reset()
     assert (td["observation"][:, 1:-1] == 0.0).all()

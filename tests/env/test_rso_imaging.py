@@ -147,10 +147,7 @@ def test_imagers_may_integrate_their_orbits(orbit):
 
 
 class Quick(Imager):
-    action_spec = (
-        act.ImageRSO(2, 100.0, 0.0, require_illumination_during_hold=False),
-        act.Downlink(duration=60.0),
-    )
+    action_spec = (act.ImageRSO(2, 100.0, 0.0, require_illumination_during_hold=False), act.Downlink(duration=60.0))
 
 
 class Other(sats.Satellite):

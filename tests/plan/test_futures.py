@@ -59,11 +59,7 @@ def test_noise_follows_from_the_future():
         )
 
     env = bsk_torch.SatelliteTasking(
-        Blurred("S", scanning_args()),
-        scene.UniformNadirScanning(),
-        num_envs=1,
-        time_limit=400.0,
-        seed=0,
+        Blurred("S", scanning_args()), scene.UniformNadirScanning(), num_envs=1, time_limit=400.0, seed=0
     )
     env.reset()
     true, drawn = env.like(1), env.like(2)

@@ -13,10 +13,7 @@ CLIP, N, WIDTH = 0.2, 256, 5
 FLOAT32 = dict(rtol=1e-5, atol=1e-6)
 """Sums of a few hundred numbers."""
 
-PLANS = {
-    "numbered": MLPPlan(WIDTH, 4, (16, 16)),
-    "real": MLPPlan(WIDTH, 0, (16, 16), ((-1.0, 1.0), (0.0, 3.0))),
-}
+PLANS = {"numbered": MLPPlan(WIDTH, 4, (16, 16)), "real": MLPPlan(WIDTH, 0, (16, 16), ((-1.0, 1.0), (0.0, 3.0)))}
 
 
 @pytest.fixture(params=PLANS)

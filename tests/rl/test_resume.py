@@ -23,11 +23,7 @@ OPTIONS = {
 
 needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="needs pip install 'bsk_torch[ray]'")
 
-COLLECTORS = (
-    "single",
-    "multi",
-    pytest.param("ray", marks=needs_ray),
-)
+COLLECTORS = ("single", "multi", pytest.param("ray", marks=needs_ray))
 
 
 def make(name: str, **options):

@@ -125,10 +125,7 @@ def test_filters_of_an_opportunity_are_called_once_where_they_can(satellite, cap
     [
         (lambda opp: opp["type"] != "target" or opp["object"].priority > 0.5, False),
         (per_environment(lambda opp: opp["type"] != "target" or bool(opp["object"].priority > 0.5)), True),
-        (
-            per_environment(lambda o: o["object"] in [3] or o["type"] != "target" or float(o["object"].priority) > 0.5),
-            True,
-        ),
+        (per_environment(lambda o: o["object"] in [3] or o["type"] != "target" or float(o["object"].priority) > 0.5), True),
     ],
 )
 def test_filters_may_tell_types_apart(satellite, access_filter, slow, caplog):

@@ -63,10 +63,7 @@ def test_tasks_rise_and_set_when_they_are_expected_to(flight):
     due_later = env.scenario.drawn("task_due").unsqueeze(1) > SOON
     rises = ~above[0] & above.any(0) & (expected.start > expected.turn)
     sets = above[0] & ~above.all(0) & due_later
-    errors = [
-        (expected.start - above.long().argmax(0))[rises].abs(),
-        (expected.last - (~above).long().argmax(0))[sets].abs(),
-    ]
+    errors = [(expected.start - above.long().argmax(0))[rises].abs(), (expected.last - (~above).long().argmax(0))[sets].abs()]
     for error in errors:
         assert len(error) > 5
         assert error.median() < 2.5

@@ -11,15 +11,7 @@ from bsk_torch.astro.mean_orbit import mean_elements
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.component import Component
-from bsk_torch.sim.places import (
-    AboveElevation,
-    ClearOfEarth,
-    FixedPlaces,
-    GreatCirclePlaces,
-    Lit,
-    OrbitingPlaces,
-    WithinRange,
-)
+from bsk_torch.sim.places import AboveElevation, ClearOfEarth, FixedPlaces, GreatCirclePlaces, Lit, OrbitingPlaces, WithinRange
 from tests.support.refusals import check_refusals, refusal
 
 PLACES = 30

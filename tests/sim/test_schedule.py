@@ -149,11 +149,7 @@ class Measuring(dyn.DynamicsModel):
     components = (
         Component("counter", count, after="hub", **fields("calls")),
         Component(
-            "starter",
-            lambda bus: setattr(bus, "starts", bus.starts + 1.0),
-            after="hub",
-            at_start=True,
-            **fields("starts"),
+            "starter", lambda bus: setattr(bus, "starts", bus.starts + 1.0), after="hub", at_start=True, **fields("starts")
         ),
     )
     world_components = (Component("sun_range", measure, after="ephemeris", **fields("sun_range", "sun_calls")),)

@@ -31,8 +31,7 @@ def test_names_start_with_their_initial_values_and_keep_their_types(memory):
     assert torch.equal(memory["target"], torch.tensor([3, 2, 1, 0]))
     assert torch.equal(memory["taken_any"], torch.tensor([False, True, False, True]))
     check_refusals(
-        refusal(lambda: memory["targets"], KeyError),
-        refusal(lambda: memory.__setitem__("targets", torch.zeros(4)), KeyError),
+        refusal(lambda: memory["targets"], KeyError), refusal(lambda: memory.__setitem__("targets", torch.zeros(4)), KeyError)
     )
     assert "targets" not in list(memory)
 

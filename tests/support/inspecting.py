@@ -28,14 +28,8 @@ class RSO(sats.Satellite):
 
 
 class Inspector(sats.Satellite):
-    observation_spec = (
-        obs.RelativeProperties(dict(prop="rso_imaged_regions"), chief_name="RSO"),
-        obs.ResourceRewardWeight(),
-    )
-    action_spec = (
-        act.DiscreteFSWAction("action_inspect_rso", duration=20.0, reset_task=True),
-        act.Drift(duration=10.0),
-    )
+    observation_spec = (obs.RelativeProperties(dict(prop="rso_imaged_regions"), chief_name="RSO"), obs.ResourceRewardWeight())
+    action_spec = (act.DiscreteFSWAction("action_inspect_rso", duration=20.0, reset_task=True), act.Drift(duration=10.0))
     dyn_type = dyn.RSOInspectorDynModel
     fsw_type = (fsw.MagicOrbitalManeuverFSWModel, fsw.RSOInspectorFSWModel)
 

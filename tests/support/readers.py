@@ -109,10 +109,7 @@ def write_dataset_rows(folder: Path) -> None:
 CARD = {"format": 1, "behaviors": {"a": {"folder": "a", "episodes": 1}}, "targets": ["t"], "share": 1.0, "preset": "x"}
 
 CASE = SimpleNamespace(
-    names=("00001",),
-    present=torch.ones(1, 2, dtype=torch.bool),
-    tasks={"duration": torch.ones(1, 3)},
-    n_satellites=2,
+    names=("00001",), present=torch.ones(1, 2, dtype=torch.bool), tasks={"duration": torch.ones(1, 3)}, n_satellites=2
 )
 """A case of two satellites and three tasks."""
 

@@ -553,10 +553,7 @@ def test_kinds_share_what_is_known(recording, fly):
     flight = fly(recording("windows")["ic"], segments_for(GENERATED))
     targets = near_stations()
     both = AccessWindows(
-        flight.arcs,
-        make_visibility(flight.backend, CPU),
-        {"target": places_of(targets), KIND: places_of(stations())},
-        SEGMENT,
+        flight.arcs, make_visibility(flight.backend, CPU), {"target": places_of(targets), KIND: places_of(stations())}, SEGMENT
     )
     rows, time = torch.arange(5), torch.full((5,), 1300.0, dtype=torch.float64)
     both.generate(rows, flight.view, torch.full((5,), 1200.0, dtype=torch.float64))

@@ -23,12 +23,7 @@ def test_numbers_by_hand():
     a = math.sqrt(0.2 / (121.0 * math.pi))
     assert a < P / (5.76 * 121.0)
     found = fsw.propose_gains(BODY, HR16)
-    assert found == {
-        "P": pytest.approx(P),
-        "K": pytest.approx(4.0 * a * P),
-        "Ki": -1.0,
-        "compensateWheels": True,
-    }
+    assert found == {"P": pytest.approx(P), "K": pytest.approx(4.0 * a * P), "Ki": -1.0, "compensateWheels": True}
     steering = fsw.propose_gains(BODY, HR16, law="steering")
     assert steering["K1"] == pytest.approx(4.0 * a)
     assert steering["K3"] == pytest.approx(4.0 / 3.0 * a)

@@ -3,13 +3,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from bsk_torch.astro.ephemeris import (
-    EARTH_ROTATION_RATE,
-    earth_orientation,
-    earth_orientation_rate,
-    sun_position,
-    sun_state,
-)
+from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE, earth_orientation, earth_orientation_rate, sun_position, sun_state
 from bsk_torch.astro.gravity import DEGREE, field, field_weights, third_body
 from bsk_torch.astro.integrate import rk4_step
 from bsk_torch.constants import MU_EARTH

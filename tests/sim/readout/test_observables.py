@@ -144,8 +144,7 @@ class FickleDynModel(dyn.BasicDynamicsModel):
 
 @pytest.mark.compiled
 @pytest.mark.parametrize(
-    ("name", "why"),
-    [("random_speed", "two calls"), ("counted_speed", "two calls"), ("backend", "other values than torch")],
+    ("name", "why"), [("random_speed", "two calls"), ("counted_speed", "two calls"), ("backend", "other values than torch")]
 )
 def test_functions_of_more_than_the_present_are_not_traced(name, why, caplog):
     class Fickle(Watched):
