@@ -182,7 +182,7 @@ def test_altitude_and_inclination_may_be_distributions_common_to_all_satellites(
 # -- One behind the other --------------------------------------------------------------------------------------------------------
 
 
-def test_satellites_of_a_train_follow_each_other():
+def test_trains_have_gaps_a_node_and_a_place():
     oe = drawn(fm.train_args(2.5, altitude=600.0, inc=97.8))
     assert (oe[..., :5] == oe[:, :1, :5]).all()
     assert_angle(oe[..., 5].diff(dim=-1), math.radians(-2.5))
@@ -192,9 +192,6 @@ def test_satellites_of_a_train_follow_each_other():
     assert (ahead > 0.0).all()  # each one sees the one before it ahead
     gap = torch.acos((r[:, :-1] * r[:, 1:]).sum(-1) / 6971e3**2)
     torch.testing.assert_close(torch.rad2deg(gap), torch.full_like(gap, 2.5), rtol=0, atol=1e-11)  # acos near 1: 1e-16 / 0.04 rad
-
-
-def test_gaps_of_a_train_may_differ():
     oe = drawn(fm.train_args([1.0, 4.0, 0.5], f=10.0, Omega=20.0), names=TWELVE[:4])
     assert_angle(oe[0, :, 5], torch.deg2rad(torch.tensor([10.0, 9.0, 5.0, 4.5], dtype=torch.float64)))
     assert_angle(oe[..., 3], math.radians(20.0))
@@ -207,9 +204,6 @@ def test_gaps_of_a_train_may_differ():
     torch.testing.assert_close(gaps, gaps[:, :1].expand(5, 3), rtol=1e-12, atol=0)
     assert len(gaps[:, 0].unique()) == 5
     assert drawn(fm.train_args(3.0), names=["A"]).shape == (5, 1, 6)
-
-
-def test_node_and_place_of_a_train():
     free = drawn(fm.train_args(1.0), 400)
     for column in (3, 5):
         angle = free[:, 0, column] / TURN

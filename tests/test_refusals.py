@@ -52,7 +52,7 @@ def test_rejects_wrong_formations():
     )
 
 
-def test_rejects_wrong_hooks():
+def test_rejects_wrong_hooks_options_of_presets_spins_and_draws():
     class Empty(rand.Distribution):
         pass
 
@@ -66,8 +66,6 @@ def test_rejects_wrong_hooks():
         refusal(lambda: Empty().draw(first_key(4)), TypeError, "Empty", "draw(key)"),
     )
 
-
-def test_rejects_wrong_options_of_presets():
     def make(name, **options):
         return bsk_torch.make(name, num_envs=1, backend="eager", **options)
 
@@ -83,8 +81,6 @@ def test_rejects_wrong_options_of_presets():
         ),
     )
 
-
-def test_rejects_wrong_spins_and_draws():
     def spin(**config):
         return hill_frame_attitude(R, V, config)
 

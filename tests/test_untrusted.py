@@ -142,7 +142,7 @@ def test_small_archives_of_tensors_stay_small():
     )
 
 
-def test_json_has_bounds():
+def test_json_and_packed_bytes_have_bounds():
     many = b"[" + b'"x",' * (MOST_ERRORS + 1) + b'"x"]'
     check_refusals(
         refusal(lambda: parse_json(b"[" * 5000, Json), ValueError, "recursion limit"),
@@ -153,9 +153,6 @@ def test_json_has_bounds():
         refusal(lambda: parse_json(b'{"a": "1"}', dict[str, float]), ValueError, "a='1'", "number"),
         refusal(lambda: parse_json(many, list[int]), ValueError, f"{MOST_ERRORS + 2:,} of its entries"),
     )
-
-
-def test_packed_bytes_have_bounds():
     packed = gzip.compress(bytes(10**6))
     assert gunzip(packed, 10**6) == bytes(10**6)
     check_refusals(

@@ -11,7 +11,7 @@ from tests.support.refusals import check_refusals, refusal
 from tests.support.rso_imaging import environment
 
 
-def test_rejects_wrong_strips():
+def test_rejects_wrong_strips_and_images_of_objects():
     targets, reward = scene.UniformTargets(2), data.StripImageReward
     make = lambda **options: strips.make(backend="eager", **options)
     models = dict(dyn_type=dyn.ImagingDynModel, fsw_type=fsw.ImagingFSWModel)
@@ -31,9 +31,6 @@ def test_rejects_wrong_strips():
         refusal(lambda: make(scenario=scene.UniformTargets(9)), ValueError, "action_image_strip", "scene.StripTargets"),
         refusal(lambda: make(kind=plain, rewarder=reward()), ValueError, "StripImageReward", "fsw.StripImaging"),
     )
-
-
-def test_rejects_wrong_imaging_of_objects():
     image = lambda **given: act.ImageRSO(**({"n_ahead_image": 3} | given))
     imager = lambda **args: environment(sat_args=args, backend="eager")
     check_refusals(
@@ -52,7 +49,7 @@ def test_rejects_wrong_imaging_of_objects():
     )
 
 
-def test_rejects_wrong_thrusts():
+def test_rejects_wrong_thrusts_and_waypoints():
     make, thrust = thrusts.make, act.ImpulsiveThrust
     dry = dyn.DynamicsModel, fsw.FSWModel
     check_refusals(
@@ -67,9 +64,6 @@ def test_rejects_wrong_thrusts():
         refusal(lambda: make(act.AttitudeSetpoint(control_period=0.0)), ValueError, "control_period=0.0"),
         refusal(lambda: make(thrust(), models=dry), ValueError, "ImpulsiveThrust", "'thrust_act'", "tank"),
     )
-
-
-def test_rejects_wrong_waypoints():
     waypoint = lambda **given: HillWaypoint(**(dict(chief_name="C") | given))
     chief, dry = waypoints.kind("Chief", act.Drift()), waypoints.kind("Dry", waypoint(), fsw_type=fsw.FSWModel)
     check_refusals(

@@ -40,7 +40,13 @@ def test_targets_chosen_by_number_must_be_eligible():
 
 
 @pytest.mark.compiled
-def test_where_there_are_fewer_candidates_actions_wait():
+def test_targets_that_are_missing_or_behind_the_earth_are_not_imaged():
+    env = begun(environment())
+    outputs = play(env, image_target(3))
+    assert outputs["duration"][:, 0].tolist() == [200.0, 200.0]
+    assert env.satellites[0].dynamics.rso_images.tolist() == [0.0, 0.0]
+    assert env.simulator.read("rso_held").tolist() == [0.0, 0.0]
+
     class Many(Imager):
         action_spec = (act.Charge(duration=60.0), act.ImageRSO(6, max_duration=50.0))
 
@@ -49,15 +55,6 @@ def test_where_there_are_fewer_candidates_actions_wait():
     outputs = play(env, 6)
     assert outputs["duration"][:, 0].tolist() == [50.0, 50.0]
     assert env.satellites[0].dynamics.rso_images.tolist() == [0.0, 0.0]
-
-
-@pytest.mark.compiled
-def test_a_target_behind_the_earth_is_not_imaged():
-    env = begun(environment())
-    outputs = play(env, image_target(3))
-    assert outputs["duration"][:, 0].tolist() == [200.0, 200.0]
-    assert env.satellites[0].dynamics.rso_images.tolist() == [0.0, 0.0]
-    assert env.simulator.read("rso_held").tolist() == [0.0, 0.0]
 
 
 @pytest.mark.compiled

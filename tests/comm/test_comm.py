@@ -130,15 +130,21 @@ def test_the_longest_chain(size):
     assert int(connected(chain).sum()) == (size // 2) ** 2 + (size - size // 2) ** 2
 
 
-def test_everybody_in_a_component_talks():
+def test_everybody_in_a_component_talks_but_types_that_only_listen():
     method = linked(GivenMulti(), 12)
     method.pairs = graphs(12, 0.08)
     expected = torch.stack([components(graph) for graph in method.pairs]) & ~torch.eye(12, dtype=torch.bool)
     assert torch.equal(method.communicate(ALL), expected)
     assert not torch.equal(expected, method.pairs | method.pairs.mT)
+    method = linked(GivenBroadcast(), 5, talkers=2)
+    method.pairs = torch.ones(3, 5, 5, dtype=torch.bool)
+    method.fleet.simulators[0].memory[PENDING] = torch.ones(6, dtype=torch.bool)
+    found = method.communicate(ALL)
+    assert found[:, :2].all()
+    assert not found[:, 2:].any()
 
 
-def test_only_those_with_a_message_send():
+def test_messages_are_sent_by_those_who_have_one_when_it_is_time():
     method = linked(GivenBroadcast(), 6)
     method.pairs, memory = graphs(6, 0.5), method.fleet.simulators[0].memory
     memory[PENDING] = pending = torch.rand(18) < 0.5
@@ -149,10 +155,7 @@ def test_only_those_with_a_message_send():
             assert torch.equal(found[env, sender], heard)
     assert not memory[PENDING].any()
     assert not method.communicate(ALL).any()
-
-
-def test_messages_wait_until_it_is_time():
-    """Only the second episode may talk; no other hears it there, and the message is gone all the same."""
+    # Only the second episode may talk; no other hears it there, and the message is gone all the same.
     method = linked(GivenBroadcast(min_period=60.0), 3)
     method.pairs, memory = torch.ones(3, 3, 3, dtype=torch.bool), method.fleet.simulators[0].memory
     method.pairs[1] = False
@@ -162,15 +165,6 @@ def test_messages_wait_until_it_is_time():
     assert memory[PENDING].view(3, 3).any(1).tolist() == [True, False, True]
     method.fleet.sim_time = method.fleet.sim_time + 1.0
     assert method.communicate(ALL).flatten(1).any(1).tolist() == [True, False, True]
-
-
-def test_types_that_cannot_broadcast_only_listen():
-    method = linked(GivenBroadcast(), 5, talkers=2)
-    method.pairs = torch.ones(3, 5, 5, dtype=torch.bool)
-    method.fleet.simulators[0].memory[PENDING] = torch.ones(6, dtype=torch.bool)
-    found = method.communicate(ALL)
-    assert found[:, :2].all()
-    assert not found[:, 2:].any()
 
 
 def test_chains_of_what_is_heard():

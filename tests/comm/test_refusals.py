@@ -56,9 +56,6 @@ def test_rejects_fleets_without_what_a_method_needs():
         refusal(lambda: linked(GivenBroadcast(), 3, talkers=0), ValueError, "GivenBroadcast", "act.Broadcast()"),
         refusal(lambda: comm.LOSCommunication().link(fleet), TypeError, "LOSCommDynModel", "Sat1", "ImagingDynModel"),
     )
-
-
-def test_rejects_orbits_that_are_not_computed_in_advance():
     fleet, method = make_fleet(states(drawn_elements(2)), orbit="integrated"), comm.LOSMultiCommunication
     check_refusals(refusal(lambda: method().link(fleet), ValueError, "Sat0", "orbit='integrated'", "orbit='arc'"))
 

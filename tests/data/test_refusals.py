@@ -41,7 +41,7 @@ def test_rejects_wrong_arguments():
     )
 
 
-def test_rejects_scenarios_that_do_not_fit():
+def test_rejects_scenarios_satellites_and_resources_that_do_not_fit():
     uniform, nadir = scene.UniformTargets(10), scene.UniformNadirScanning()
     uncertain = lambda scenario: footprint.imaging(0.0, 0.1, scenario=scenario, backend="eager")
     teamed = lambda **options: team(backend="eager", **options)
@@ -52,9 +52,6 @@ def test_rejects_scenarios_that_do_not_fit():
         refusal(lambda: teamed(scenario=targets(knowledge="common")), ValueError, "knowledge='common'", "'own'"),
         refusal(lambda: teamed(scenario=targets(block_pending_targets=False)), ValueError, "block_pending_targets=True", False),
     )
-
-
-def test_rejects_satellites_that_do_not_fit():
     radar = lambda **attributes: type("Radar", (Optical,), attributes)
     crew = lambda: environment(imagers=2, rewarder=data.RSOImageReward(), backend="eager")
     shared = lambda: team(rewarder=data.RSOImageReward(multi_imager_credit="shared"), backend="eager")
@@ -65,9 +62,6 @@ def test_rejects_satellites_that_do_not_fit():
         refusal(lambda: half(), ValueError, "Radar.sees_through_clouds=0.5", True, False),
         refusal(lambda: radar(sees_trough_clouds=True), TypeError, "sees_trough_clouds", "'sees_through_clouds'"),
     )
-
-
-def test_rejects_wrong_resources():
     reward, elapsed = data.ResourceReward, resources.elapsed
     check_refusals(
         refusal(lambda: reward(elapsed, -1.0), TypeError, "resource_fn=-1.0", "function"),

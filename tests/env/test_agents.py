@@ -47,7 +47,7 @@ def test_groups_by_type_and_by_the_order_of_members():
     assert group.agents == ("B", "C", "E")
 
 
-def test_agents_that_decide_for_several():
+def test_groups_of_agents_that_decide_for_several_and_of_the_user():
     """Agents are alike where their members are of the same types in the same order; satellites that are left are apart."""
     found = groups(agents_of(NAMES, {"One": ["E", "A"], "Two": ["B", "D"]}))
     assert {name: group.agents for name, group in found.items()} == {"relay_and_wide_imager": ("One", "Two"), "relay": ("C",)}
@@ -57,9 +57,6 @@ def test_agents_that_decide_for_several():
     assert [index.tolist() for index in meta.within] == [[2, 0], [0, 1]]
     assert meta.whole == (False, True)
     assert (alone.members.tolist(), alone.within[0].tolist(), alone.whole) == ([[2]], [1], (False,))
-
-
-def test_groups_of_the_user():
     found = groups(group_map={"near": ["E", "B"], "far": ["C"], "eyes": ["D", "A"]})
     assert {name: group.members.flatten().tolist() for name, group in found.items()} == {
         "near": [4, 1],

@@ -81,7 +81,7 @@ def test_equals_eager(orbit):
     torch.testing.assert_close(ends[0]["reward"], ends[1]["reward"], rtol=0, atol=1e-15)
 
 
-def test_one_library_serves_every_batch_size(monkeypatch):
+def test_one_library_serves_every_batch_size_and_frozen_rows_stay(monkeypatch):
     first = make("compiled", 3)
     play(first, first.reset(), PLAN[:, :3])
 
@@ -93,9 +93,6 @@ def test_one_library_serves_every_batch_size(monkeypatch):
     for n in (1, 2, 17, 64):
         env = make("compiled", n)
         play(env, env.reset(), torch.randint(0, 4, (2, n)))
-
-
-def test_frozen_rows_are_bit_identical():
     env = make("compiled", 4)
     td = play(env, env.reset(), torch.tensor([[0, 1, 2, 3]]))
     before = env.simulator.state.planes.clone()

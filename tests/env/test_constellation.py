@@ -261,12 +261,21 @@ def test_what_was_observed_is_not_searched_again_by_the_next_action(monkeypatch:
     assert asked == 4 * ["target"]
 
 
-def test_a_busy_satellite_can_be_retasked() -> None:
+def test_busy_satellites_are_retasked_and_fixed_intervals_end_no_steps() -> None:
     env = build(imagers(2), num_envs=1)
     td = env.step(env.reset().set(("agents", "action"), torch.tensor([[0, 1]])))["next"].clone()
     td = env.step(td.set(("agents", "action"), torch.tensor([[1, 0]])))["next"].clone()
     assert td["duration"].item() == 31.0  # a new drift, instead of 16 s that were left of charging
     assert td["agents", "requires_retasking"].flatten().tolist() == [True, False]
+    satellites = imagers(2)
+    satellites[0] = Imager("EO0", ARGS, variable_interval=False, may_see_nothing=True)
+    env = build(satellites, num_envs=1)
+    groups = [group.name for group in env.groups]
+    td = env.reset()
+    td[groups[0], "action"], td[groups[1], "action"] = torch.tensor([[1]]), torch.tensor([[0]])
+    td = env.step(td)["next"].clone()
+    assert td["duration"].item() == 47.0
+    assert td[groups[0], "requires_retasking"].item()
 
 
 def test_an_idle_satellite_without_a_task_is_named_once(caplog: pytest.LogCaptureFixture) -> None:
@@ -277,18 +286,6 @@ def test_an_idle_satellite_without_a_task_is_named_once(caplog: pytest.LogCaptur
     said = [record.message for record in caplog.records if "requires retasking" in record.message]
     assert said == ["satellite EO1 of environment 0 requires retasking but received no task; its mode continues"]
     assert td["duration"].tolist() == [[47.0], [31.0]]
-
-
-def test_fixed_intervals_do_not_end_steps() -> None:
-    satellites = imagers(2)
-    satellites[0] = Imager("EO0", ARGS, variable_interval=False, may_see_nothing=True)
-    env = build(satellites, num_envs=1)
-    groups = [group.name for group in env.groups]
-    td = env.reset()
-    td[groups[0], "action"], td[groups[1], "action"] = torch.tensor([[1]]), torch.tensor([[0]])
-    td = env.step(td)["next"].clone()
-    assert td["duration"].item() == 47.0
-    assert td[groups[0], "requires_retasking"].item()
 
 
 def mortal(**options: object) -> ConstellationTasking:
@@ -325,7 +322,14 @@ def test_a_dead_satellite_leaves_and_the_others_go_on() -> None:
     assert not td["terminated"].any()
 
 
-def test_the_next_episode_begins_with_everybody() -> None:
+def test_episodes_end_with_the_last_satellite_and_begin_with_everybody() -> None:
+    satellites = imagers(2, storedCharge_Init=200.0, batteryStorageCapacity=30_000.0, basePowerDraw=-20.0, panelArea=0.01)
+    env = build(satellites, num_envs=1)
+    seen = play(env, 3)
+    first = next(td for td in seen if bool(td["done"].any()))
+    assert first["terminated"].all()
+    assert not first["agents", "mask"].any()
+    assert torch.all(first["agents", "reward"] == -1.0)
     env = mortal(num_envs=2)
     td = env.reset()
     state = env.get_state()
@@ -337,16 +341,6 @@ def test_the_next_episode_begins_with_everybody() -> None:
     assert not env.satellites[0].removed[:3].any()
     env.reset(TensorDict({"state": state}, [2]), set_state=True)
     assert not env.satellites[0].removed.any()
-
-
-def test_the_episode_ends_when_all_are_dead() -> None:
-    satellites = imagers(2, storedCharge_Init=200.0, batteryStorageCapacity=30_000.0, basePowerDraw=-20.0, panelArea=0.01)
-    env = build(satellites, num_envs=1)
-    seen = play(env, 3)
-    first = next(td for td in seen if bool(td["done"].any()))
-    assert first["terminated"].all()
-    assert not first["agents", "mask"].any()
-    assert torch.all(first["agents", "reward"] == -1.0)
 
 
 def test_joint_pays_for_the_dead_and_ends() -> None:

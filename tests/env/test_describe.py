@@ -19,7 +19,7 @@ def env():
     return env
 
 
-def test_every_field_has_a_line_of_eighty_characters(env):
+def test_every_field_has_a_line_and_names_of_one_quantity_exist(env):
     lines = env.state.describe().splitlines()
     assert max(map(len, lines)) <= 80
     state = env.satellite.simulator.state
@@ -28,10 +28,7 @@ def test_every_field_has_a_line_of_eighty_characters(env):
     low, high = state.read("charge").min().item(), state.read("charge").max().item()
     for word in ("W s", f"{low:.4g} to {high:.4g}", "storedCharge_Init", "battery_charge_fraction"):
         assert word in " ".join(charge.split())
-
-
-def test_names_of_one_quantity_exist(env):
-    """The table has no name that is neither a field, an argument nor a property."""
+    # The table has no name that is neither a field, an argument nor a property.
     state, dynamics = env.satellite.simulator.state, env.satellite.dynamics
     assert SAME
     for names in SAME:

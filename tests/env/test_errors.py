@@ -134,7 +134,7 @@ class Base(sats.AccessSatellite):
     fsw_type = fsw.BasicFSWModel
 
 
-def test_rejects_wrong_satellite_classes():
+def test_rejects_wrong_satellite_classes_and_specs():
     def kind(**attributes):
         return SatelliteTasking(type("Bad", (Base,), attributes)("Bad1"), num_envs=2, backend="eager")
 
@@ -154,9 +154,6 @@ def test_rejects_wrong_satellite_classes():
         refusal(without_store, ValueError, "ScanningTimeReward", "storage_level", "BasicDynamicsModel"),
         refusal(lambda: Base("Scanner-1"), ValueError, "name", "'Scanner-1'", "identifier"),
     )
-
-
-def test_rejects_wrong_entries_of_specs():
     ahead = lambda prop, n=1: obs.OpportunityProperties(dict(prop=prop), n_ahead_observe=n)
     check_refusals(
         refusal(lambda: obs.SatProperties(dict(prop="r_BN_N", nrom=1.0)), ValueError, "obs.SatProperties", "'nrom'", "'norm'"),

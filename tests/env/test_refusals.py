@@ -23,7 +23,7 @@ def services(name="Services-v1", **options):
     return make(name, **(dict(num_envs=1, n_targets=TARGETS) | options))
 
 
-def test_rejects_wrong_agents():
+def test_rejects_wrong_agents_and_maps_of_groups():
     agents = lambda groupings: agents_of(["A", "B", "C", "D", "E"], groupings)
     check_refusals(
         refusal(lambda: agents({"my crew": ["A"]}), ValueError, "meta_agent_groupings", "'my crew'", "identifier"),
@@ -36,9 +36,6 @@ def test_rejects_wrong_agents():
         refusal(lambda: agents({"Crew": ["A", "A"]}), ValueError, "meta_agent_groupings", "'A'", "'Crew'"),
         refusal(lambda: agents({"B": ["A", "C"]}), ValueError, "meta_agent_groupings", "['B']", "names"),
     )
-
-
-def test_rejects_wrong_maps_of_groups():
     mapped = lambda **group_map: check_map(group_map, {"A": (0,), "B": (0,), "C": (1, 0)})
     check_refusals(
         refusal(lambda: mapped(all=["A", "F"]), ValueError, "group_map", "'F'", "A, B, C"),
@@ -52,16 +49,13 @@ def test_rejects_wrong_maps_of_groups():
     )
 
 
-def test_rejects_wrong_seeds():
+def test_rejects_wrong_seeds_and_checks_of_failures():
     env = make(num_envs=3)
     check_refusals(
         refusal(lambda: env.reseed([1, 2]), ValueError, "seed", "2", "3"),
         refusal(lambda: env.reseed(-1), ValueError, "seed=-1"),
         refusal(lambda: env.reseed([1, 2, 0.5]), ValueError, "seed=0.5"),
     )
-
-
-def test_rejects_wrong_checks_of_failures():
     fixed = ScanningSatellite("A", scanning_args(), variable_interval=False)
     check_refusals(
         refusal(lambda: make(failures="continous"), ValueError, "failures", "'continous'", "'step'", "'continuous'"),
@@ -94,7 +88,7 @@ def test_rejects_wrong_states():
     )
 
 
-def test_rejects_wrong_options_of_services():
+def test_rejects_wrong_options_rewards_and_ranks_of_services():
     check_refusals(
         refusal(lambda: services(n_targets=5), ValueError, "n_targets=5", 8),
         refusal(lambda: services(n_targets=0), ValueError, "n_targets=0"),
@@ -107,9 +101,6 @@ def test_rejects_wrong_options_of_services():
         refusal(lambda: services(empty_downlink_penalty=1.0), ValueError, "empty_downlink", 1.0),
         refusal(lambda: services(order="elevations"), ValueError, "order", "'elevations'", "'elevation'"),
     )
-
-
-def test_rejects_wrong_rewards_of_services():
     penalty, advance = data.OperationsPenalty, data.RSOImageReward(advance=0.5, multi_imager_credit="shared")
     world = lambda rewarder, **options: environment(rewarder=rewarder, backend="eager", **options)
     names = ("low_battery", "full_storage", "empty_downlink")
@@ -120,8 +111,6 @@ def test_rejects_wrong_rewards_of_services():
         refusal(lambda: world(advance, imagers=2), ValueError, "advance", 0.5, 2),
     )
 
-
-def test_rejects_wrong_ranks_of_targets():
     def ranked(order):
         return services(scenario=scene.RSOTargets(servicing_catalog(TARGETS, priority_event=False), ["SS1"], order=order))
 

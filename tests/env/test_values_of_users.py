@@ -71,7 +71,7 @@ def test_rejects_wrong_rewarders():
     )
 
 
-def test_rejects_wrong_scenarios():
+def test_rejects_wrong_scenarios_and_groups():
     def drawing(draw):
         return environment(scenario=type("Drawn", (scene.Scenario,), dict(draw=lambda self, key: draw(key)))())
 
@@ -89,8 +89,6 @@ def test_rejects_wrong_scenarios():
         *(refusal(lambda t=t: scene.CloudyTargets(t), ValueError, "targets", "CloudyTargets") for t in (clouds, uncertain)),
     )
 
-
-def test_rejects_wrong_groups():
     def build(**options):
         return ConstellationTasking([satellite("A"), satellite("B")], num_envs=2, time_limit=60.0, backend="eager", **options)
 

@@ -126,7 +126,7 @@ class Constant(obs.Observation):
         return 42
 
 
-def test_what_works_for_one_satellite_only_needs_the_adapter():
+def test_functions_of_one_satellite_need_the_adapter_if_they_take_no_marks():
     kind = dict(fn=lambda sat, opp: opp["type"] == "target")
     table = [
         (obs.SatProperties(dict(prop="unit", fn=lambda sat: np.linalg.norm(sat.dynamics.r_BN_N))), "'unit' of 'sat_props'"),
@@ -139,9 +139,6 @@ def test_what_works_for_one_satellite_only_needs_the_adapter():
         for entry, name in table
         for n in (1, 3)
     )
-
-
-def test_functions_that_take_no_marks_are_wrapped():
     wrapped = per_environment(np.linalg.norm)
     assert wrapped([3.0, 4.0]) == 5.0
     seen = make(2, (obs.SatProperties(dict(prop="x", fn=per_environment(Radius()))),)).reset()["observation", "sat_props", "x"]

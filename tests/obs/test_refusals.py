@@ -18,7 +18,7 @@ def make(*spec, obs_type=np.ndarray, **more):
     return SatelliteTasking(satellite, scene.UniformTargets(100), **options)
 
 
-def test_rejects_wrong_entries():
+def test_rejects_wrong_entries_and_hooks():
     def entry(*given, **keys):
         return obs.SatProperties(*(given or (keys,)))
 
@@ -45,8 +45,6 @@ def test_rejects_wrong_entries():
         refusal(lambda: relative(prop="r_DC_N", chief_name=None), ValueError, "chief_name", None),
     )
 
-
-def test_rejects_wrong_hooks():
     def define(base=obs.Observation, **members):
         return type("Mine", (base,), members)
 

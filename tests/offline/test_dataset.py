@@ -190,7 +190,7 @@ def test_rejects_unknown_behaviors_and_folders(written, tmp_path):
     )
 
 
-def test_rejects_wrong_recipes():
+def test_rejects_wrong_recipes_behaviors_and_targets():
     env = scanning(1, LIMIT)
     wrong = lambda **changed: recipe(env, **changed)
     named = lambda *names: [Behavior(name, None, 1.0) for name in names]
@@ -207,9 +207,6 @@ def test_rejects_wrong_recipes():
         refusal(lambda: wrong(targets={"a/b": always(0)}), ValueError, "target", "'a/b'", "'a-b'"),
         refusal(lambda: wrong(targets={"random": drawing}), ValueError, "target", "'random'", "actions"),
     )
-
-
-def test_wrong_behaviors_and_targets_are_named():
     env = scanning(1, LIMIT)
     check_refusals(
         refusal(lambda: Behavior("half", None, 0.5), ValueError, "random=0.5", "1"),

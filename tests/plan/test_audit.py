@@ -87,13 +87,10 @@ def test_the_largest_regret_is_earned_by_the_better_action():
     assert float(env.returns[0] - found.returns[0]) == pytest.approx(float(found.regret[decision]), abs=1e-12)
 
 
-def test_rows_do_not_matter():
+def test_rows_do_not_matter_and_agents_of_a_team_have_their_own_decisions():
     one, two = (audit(scanning(n), "random", seeds=[3, 4, 5], horizon=300.0) for n in (1, 2))
     assert torch.equal(one.values.nan_to_num(), two.values.nan_to_num())
     assert torch.equal(one.time, two.time)
-
-
-def test_agents_of_a_team_have_their_own_decisions():
     crew = bsk_torch.make("AEOSConstellation-v1", num_envs=1, env_ids=[0], time_limit=300.0, n_targets=(5000, 5001))
     found = audit(crew, "greedy", seeds=[0], horizon=60.0, budget=2)
     assert (set(found.agent.tolist()), len(found.kinds)) == ({0, 1, 2}, 3)

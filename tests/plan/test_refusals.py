@@ -36,7 +36,7 @@ def eager():
     return scanning(2, backend="eager")
 
 
-def test_rejects_wrong_options_of_planners(eager):
+def test_rejects_wrong_options_of_planners_and_audits(eager):
     check_refusals(
         refusal(lambda: Rollout(eager, horizon=0.0), ValueError, "horizon", "0.0", "(0, inf] s"),
         refusal(lambda: Rollout(eager, horizon=-5.0), ValueError, "horizon", "-5.0"),
@@ -63,6 +63,11 @@ def test_rejects_wrong_options_of_planners(eager):
         refusal(lambda: planner("rolout", eager), ValueError, "planner", "'rolout'", "'rollout'"),
         refusal(lambda: planner("rollout", eager, horizn=3.0), TypeError, "'rollout'", "'horizn'", "'horizon'"),
     )
+    check_refusals(
+        refusal(lambda: audit(eager, "rule", seeds=[]), ValueError, "seeds", "()"),
+        refusal(lambda: audit(eager, "rule", seeds=[0], futures=1), ValueError, "futures", "1", "half"),
+        refusal(lambda: audit(eager, "ruel", seeds=[0]), ValueError, "'ruel'", "'rule'"),
+    )
 
 
 @pytest.mark.compiled
@@ -87,14 +92,6 @@ def test_rejects_environments_that_do_not_suit_the_planner(env):
         refusal(lambda: CrossEntropy(endless, "drift"), ValueError, "infinite bounds", "thrust_act"),
         refusal(lambda: made(other.reset()), ValueError, "3 episodes", "[1]"),
         refusal(lambda: clouds(now), ValueError, "redraw_clouds", "scene.CloudyTargets", "UniformNadirScanning"),
-    )
-
-
-def test_rejects_wrong_audits(eager):
-    check_refusals(
-        refusal(lambda: audit(eager, "rule", seeds=[]), ValueError, "seeds", "()"),
-        refusal(lambda: audit(eager, "rule", seeds=[0], futures=1), ValueError, "futures", "1", "half"),
-        refusal(lambda: audit(eager, "ruel", seeds=[0]), ValueError, "'ruel'", "'rule'"),
     )
 
 
@@ -126,7 +123,7 @@ def test_rejects_wrong_arguments_of_risks(env):
     )
 
 
-def test_rejects_wrong_blends():
+def test_rejects_wrong_blends_and_envelopes():
     def blend(seeds, parts, steps):
         steps = torch.tensor(steps, dtype=torch.float64)
         rand.Blend(torch.tensor(seeds, dtype=torch.int64), torch.tensor(parts, dtype=torch.int64), steps, torch.ones_like(steps))
@@ -137,6 +134,17 @@ def test_rejects_wrong_blends():
         refusal(lambda: blend([1], [[1, 2]], [[1.0, 1.5]]), ValueError, "steps", "0 to 1"),
         refusal(lambda: blend([1], [[1, 2]], [[1.0]]), ValueError, "[1, 2]", "[1, 1]", "[M, J]"),
         refusal(lambda: blend([], [], []), ValueError, "0 seeds", "shapes"),
+    )
+    none, images, given = torch.zeros(0), flights(6), dict(step=0.5, arguments={})
+    times = envelope([2], [2])
+    check_refusals(
+        refusal(lambda: Envelope.below(none, none.long(), none.bool(), **given), ValueError, "0 transitions", "bin"),
+        refusal(lambda: sustained_envelope(images, reserve=10, **given), ValueError, "214 transitions", "bin", "500"),
+        refusal(lambda: fitted(images, 118), ValueError, "reserve", "118", "margin", "6", "120"),
+        refusal(lambda: fitted(images, 10, share=1.0), ValueError, "share", "1", "0"),
+        refusal(lambda: replace(times, lag=0.04), ValueError, "lag", "0.04", "sectors", "0"),
+        refusal(lambda: replace(times, sectors=8), ValueError, "lag", "0", "sectors", "8"),
+        refusal(lambda: replace(times, lag=-0.1, sectors=8), ValueError, "lag", "-0.1", "sectors", "8"),
     )
 
 
@@ -182,20 +190,6 @@ def test_rejects_episodes_that_do_not_begin_and_numbers_out_of_range():
         refusal(lambda: ScheduledPolicy(env, Schedule(none, none), None), ValueError, "2 episodes", "environment 1"),
         refusal(lambda: relaxed_schedule(env, envelope=replace(Envelope.load(), typical=())), ValueError, "typical times"),
         refusal(lambda: record_transitions(scanner, lambda td: td, 0), ValueError, "ScanningSatellite", "sats.ImagingSatellite"),
-    )
-
-
-def test_rejects_envelopes_that_cannot_be_fitted():
-    none, images, given = torch.zeros(0), flights(6), dict(step=0.5, arguments={})
-    times = envelope([2], [2])
-    check_refusals(
-        refusal(lambda: Envelope.below(none, none.long(), none.bool(), **given), ValueError, "0 transitions", "bin"),
-        refusal(lambda: sustained_envelope(images, reserve=10, **given), ValueError, "214 transitions", "bin", "500"),
-        refusal(lambda: fitted(images, 118), ValueError, "reserve", "118", "margin", "6", "120"),
-        refusal(lambda: fitted(images, 10, share=1.0), ValueError, "share", "1", "0"),
-        refusal(lambda: replace(times, lag=0.04), ValueError, "lag", "0.04", "sectors", "0"),
-        refusal(lambda: replace(times, sectors=8), ValueError, "lag", "0", "sectors", "8"),
-        refusal(lambda: replace(times, lag=-0.1, sectors=8), ValueError, "lag", "-0.1", "sectors", "8"),
     )
 
 

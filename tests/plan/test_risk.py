@@ -26,7 +26,7 @@ def found():
     return risk(scanning(16, 1200.0), "random", **SMALL)
 
 
-def test_the_estimate_agrees_with_independent_episodes(found):
+def test_the_estimate_agrees_with_independent_episodes_whatever_the_batch(found):
     env = scanning(200, 1200.0)
     env.reset()
     flights = Flights(env, base_of("random", env), rare_event(env, LOW, None))
@@ -36,9 +36,6 @@ def test_the_estimate_agrees_with_independent_episodes(found):
     assert found.probability.low < high
     assert low < found.probability.high
     assert 0.0 < found.probability.mean < 0.2
-
-
-def test_the_batch_does_not_matter(found):
     other = risk(scanning(7, 1200.0), "random", **SMALL)
     assert torch.equal(found.estimates, other.estimates)
     assert torch.equal(found.found.seeds, other.found.seeds)

@@ -109,7 +109,7 @@ def table(step, share=1.0, parts=2):
     return Blend(SEEDS, other.T.contiguous(), steps.T.contiguous(), shares.T.contiguous())
 
 
-def test_blended_numbers_have_the_same_distribution():
+def test_blended_numbers_have_the_same_distribution_in_any_rows():
     with blended(table(0.3, 0.5, parts=4)):
         u, z = key_of(SEEDS).uniform(2), key_of(SEEDS).normal(2)
     assert float((u.sort(0).values - (SEEDS.unsqueeze(1) + 0.5) / len(SEEDS)).abs().max()) < 1.63 / len(SEEDS) ** 0.5
@@ -117,6 +117,11 @@ def test_blended_numbers_have_the_same_distribution():
     assert float(z.mean(0).abs().max()) < 4.0 / len(SEEDS) ** 0.5
     assert float((z.std(0) - 1.0).abs().max()) < 0.03
     assert abs(float(torch.corrcoef(z.T)[0, 1])) < 4.0 / len(SEEDS) ** 0.5
+    blend = table(0.3, 0.5, parts=7)
+    with blended(blend):
+        whole = key_of(SEEDS[:50]).normal(5)
+        alone = torch.cat([key_of(seed).normal(5) for seed in SEEDS[:50].split(1)])
+    assert torch.equal(whole, alone)
 
 
 def test_a_small_step_changes_little_and_a_small_share_few_quantities():
@@ -145,11 +150,3 @@ def test_other_seeds_and_seeds_of_themselves_keep_their_numbers():
     assert torch.allclose(inside[7], plain[9], rtol=0.0, atol=1e-15)
     assert torch.equal(inside[8:], plain[8:])
     assert torch.equal(key_of(SEEDS).uniform(3), plain)
-
-
-def test_rows_of_a_blend_do_not_depend_on_the_others():
-    blend = table(0.3, 0.5, parts=7)
-    with blended(blend):
-        whole = key_of(SEEDS[:50]).normal(5)
-        alone = torch.cat([key_of(seed).normal(5) for seed in SEEDS[:50].split(1)])
-    assert torch.equal(whole, alone)

@@ -117,7 +117,7 @@ def test_only_legal_actions_are_taken(networks, seen, exploration):
             assert bool(mask.gather(1, action.unsqueeze(-1)).all())
 
 
-def test_normaliser_merges_moments_of_parts():
+def test_normaliser_merges_moments_of_parts_and_ignores_padding():
     torch.manual_seed(0)
     x = 3.0 * torch.randn(1000, 4, dtype=torch.float64) + 5.0
     normaliser = FeatureNormaliser(4)
@@ -128,9 +128,6 @@ def test_normaliser_merges_moments_of_parts():
     torch.testing.assert_close(normaliser.variance, expected.var(0, correction=0))
     z = normaliser(x)
     torch.testing.assert_close(z.mean(0), torch.zeros(4, dtype=torch.float64), rtol=0.0, atol=1e-6)
-
-
-def test_normaliser_ignores_padding():
     rows = torch.randn(7, 5, 2)
     mask = torch.rand(7, 5) < 0.5
     one, other = FeatureNormaliser(2), FeatureNormaliser(2)
@@ -140,9 +137,6 @@ def test_normaliser_ignores_padding():
     one.update(rows, torch.zeros_like(mask))
     assert torch.equal(one.variance, other.variance)
     assert float(one.count) == float(mask.sum())
-
-
-def test_normaliser_is_bounded_and_survives_constants():
     normaliser = FeatureNormaliser(1)
     normaliser.update(torch.ones(10, 1))
     assert float(normaliser(torch.ones(1, 1))) == pytest.approx(0.0, abs=1e-3)

@@ -48,7 +48,7 @@ def test_summaries_pair_gains():
     assert told["gain"] == {"other": {"mean": -1.0, "half_width": 0.0}}
 
 
-def test_parts_are_joined_in_order():
+def test_parts_are_joined_in_order_with_one_episode_per_row():
     parts = [
         evaluation(torch.tensor([x, x + 1.0]), fill=torch.tensor([x, 0.0]), counts={"imaged": torch.tensor([2, 3])})
         for x in (0.0, 5.0)
@@ -58,9 +58,6 @@ def test_parts_are_joined_in_order():
     assert whole.fill.tolist() == [0.0, 0.0, 5.0, 0.0]
     assert whole.counts["imaged"].tolist() == [2, 3, 2, 3]
     assert Evaluation.joined([evaluation(torch.zeros(1))]).fill is None
-
-
-def test_one_episode_per_row():
     env = bsk_torch.make("NadirScan-v1", num_envs=3, seed=0, time_limit=LIMIT)
     first, again = (evaluate(BASELINES["rule"](env, 0), env, seed=5) for _ in range(2))
     assert first.returns.dtype == torch.float64

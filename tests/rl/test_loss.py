@@ -39,7 +39,7 @@ def gradients(networks, loss):
     return torch.autograd.grad(loss, weights, allow_unused=True, materialize_grads=True)
 
 
-def test_it_is_the_loss_of_torchrl(decided):
+def test_it_is_the_loss_of_torchrl_of_decisions_that_count(decided):
     networks, sample = decided
     terms = clipped_loss(networks.actor, networks.critic, sample.clone(), CLIP)
     reference = ClipPPOLoss(
@@ -56,9 +56,6 @@ def test_it_is_the_loss_of_torchrl(decided):
         losses = [losses[0] - 0.01 * terms.entropy, losses[1] + expected["loss_entropy"]]
     for found, wanted in zip(*(gradients(networks, loss) for loss in losses), strict=True):
         torch.testing.assert_close(found, wanted, **FLOAT32)
-
-
-def test_only_decisions_that_count_do(decided):
     networks, sample = decided
     counts = torch.arange(N) % 3 == 0
     some = clipped_loss(networks.actor, networks.critic, sample.clone(), CLIP, counts)

@@ -44,7 +44,7 @@ def always(action):
     return TensorDictModule(lambda mask: torch.full(mask.shape[:-1], action), in_keys=["action_mask"], out_keys=["action"])
 
 
-def test_rejects_wrong_changes_of_settings():
+def test_rejects_wrong_values_and_changes_of_settings():
     change = lambda text: override(PPOConfig(), [text])
     check_refusals(
         refusal(lambda: change("learning_rat=1"), ValueError, "'learning_rat'", "'learning_rate'"),
@@ -90,10 +90,7 @@ def test_rejects_wrong_changes_of_settings():
         refusal(lambda: change("options.env_ids=[0]"), ValueError, "options.env_ids", "setting 'num_envs'"),
         refusal(lambda: change("=1"), ValueError, "setting ''", "num_envs"),
     )
-
-
-def test_rejects_wrong_values_of_every_setting():
-    """Also where no command line has brought the values into their types."""
+    # Also where no command line has brought the values into their types.
     may_be_none = ("seconds", "frames", "patience", "imitate", "evaluate_every")
     names = [field.name for field in dataclasses.fields(PPOConfig) if field.name not in ("preset", "options")]
     wrong = [(name, value) for name in names for value in (float("nan"), -1, "wide", (0.5,), object())]
@@ -142,7 +139,7 @@ def test_rejects_wrong_folders_and_logs(tmp_path):
     )
 
 
-def test_rejects_networks_that_do_not_fit(scanning, imaging):
+def test_rejects_networks_and_policies_that_do_not_fit(scanning, imaging):
     card = read_card(pretrained_file("AEOS-v1"))
     crafted = lambda **plan: check_fits(card | {"plan": card["plan"] | plan}, imaging)
     blocks = lambda hidden: AttentionPlan(("observation", "target"), (), 3, 4, 5, (0, 5), hidden)
@@ -158,9 +155,6 @@ def test_rejects_networks_that_do_not_fit(scanning, imaging):
         refusal(lambda: MLPPlan.of(imaging, (32,)), ValueError, "'mlp'", "vector", "obs_type=torch.Tensor"),
         *(refusal(lambda h=h: blocks(h), ValueError, f"hidden={h}", "multiples of 32") for h in ((), (48,), (32, 64))),
     )
-
-
-def test_rejects_policies_that_do_not_fit():
     crew = lambda **options: bsk_torch.make("RelayConstellation-v1", num_envs=1, backend="eager", **CREW, **options)
     pair = {"pair": ["EO1", "EO2"]}
     sets, vectors, flying = crew(as_set=True), crew(), bsk_torch.make("RSOInspection-v1", num_envs=1, backend="eager")
@@ -205,7 +199,7 @@ def test_rejects_wrong_seeds(scanning):
     )
 
 
-def test_rejects_policies_that_read_what_is_not_observed():
+def test_rejects_policies_of_other_observations_and_bounds_of_other_tasks():
     """Those of the package read sets, which these environments do not show."""
     one, crew = (bsk_torch.make(f"{name}-v1", num_envs=1, backend="eager", time_limit=20.0) for name in ("AEOS", "Constellation"))
     imager, member = pretrained("AEOS-v1"), pretrained("Constellation-v1")
@@ -217,8 +211,6 @@ def test_rejects_policies_that_read_what_is_not_observed():
         refusal(lambda: evaluate(member, crew, seed=1), ValueError, read, "shared(policy, env)"),
     )
 
-
-def test_rejects_what_the_bound_on_the_charge_does_not_cover():
     def bound(**sat_args):
         args = {"storedCharge_Init": 1e5} | sat_args
         env = bsk_torch.make("NadirScan-v1", num_envs=1, env_ids=[0], time_limit=2400.0, backend="eager", sat_args=args)
@@ -232,7 +224,7 @@ def test_rejects_what_the_bound_on_the_charge_does_not_cover():
     )
 
 
-def test_rejects_wrong_entrants_of_suites():
+def test_rejects_entrants_and_methods_that_cannot_be_compared():
     nadir = tasks_of("v1", "NadirScan-v1")[0]
     enter = lambda entrant, episodes=1: play(nadir, entrant, episodes)
     able = lambda preset, make: (make(backend="eager"), always(0))
@@ -247,9 +239,6 @@ def test_rejects_wrong_entrants_of_suites():
         refusal(lambda: enter(able, 0), ValueError, "episodes=0", limits),
         refusal(lambda: enter(able, EPISODES + 1), ValueError, f"episodes={EPISODES + 1}", limits),
     )
-
-
-def test_rejects_methods_that_cannot_be_compared():
     one, two = {"x": torch.ones(2, 3)}, {"x": torch.ones(2, 4)}
     check_refusals(
         refusal(lambda: bootstrap({}), ValueError, "methods={}", "one method"),

@@ -57,7 +57,7 @@ def run(tmp_path_factory):
     return out, train(TINY, out, episodes=0)
 
 
-def test_a_run_leaves_all_its_files(run):
+def test_a_run_leaves_all_its_files_and_the_best_policy(run):
     out, _ = run
     assert {path.name for path in out.iterdir()} == {POLICY, LOG, EVALUATIONS, CONFIG, CHECKPOINT}
     assert load_config(out / CONFIG, PPOConfig) == TINY
@@ -65,9 +65,6 @@ def test_a_run_leaves_all_its_files(run):
     assert (tuple(log), tuple(judged), log["frames"]) == (COLUMNS, EVALUATED, [24, 48, 72, 96])
     assert judged["frames"] == [48, 96]
     assert all(0.0 <= level <= 1.0 for level in judged["fill"])
-
-
-def test_the_best_policy_is_kept(run):
     out, policy = run
     kept = load_policy(out / POLICY)
     assert weights(kept).equal(weights(policy))

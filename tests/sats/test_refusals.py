@@ -11,7 +11,7 @@ def define(**members):
     return type("Mine", (ScanningSatellite,), members)
 
 
-def test_rejects_wrong_hooks():
+def test_rejects_wrong_hooks_and_masks():
     def nothing(self):
         pass
 
@@ -29,8 +29,6 @@ def test_rejects_wrong_hooks():
         refusal(lambda: define(reset_post_sim_init=nothing), TypeError, "reset_post_sim_init", "simulator.memory"),
     )
 
-
-def test_rejects_masks_that_do_not_fit():
     def built(legal):
         satellite = define(legal_actions=lambda self: legal)("A")
         return SatelliteTasking(satellite, num_envs=2, backend="eager", time_limit=300.0)

@@ -34,7 +34,7 @@ def test_rejects_wrong_targets(monkeypatch):
     )
 
 
-def test_rejects_wrong_priorities():
+def test_rejects_wrong_priorities_and_places():
     def draw(priority):
         return scene.UniformTargets(2, priority).draw(key(2))
 
@@ -58,9 +58,6 @@ def test_rejects_wrong_priorities():
         refusal(lambda: draw(rand.per_env([[1, 2]])), ValueError, "per_env", "1 rows", "environment 1"),
         refusal(lambda: draw(lambda: math.inf), ValueError, name, "inf", "target 0", "environment 0"),
     )
-
-
-def test_rejects_wrong_places():
     at, per_env, each = scene.Targets, rand.per_env, "2 targets"
     check_refusals(
         refusal(lambda: at([]), ValueError, "r_LP_P", "empty"),
@@ -86,7 +83,7 @@ def test_rejects_wrong_places():
     )
 
 
-def test_rejects_wrong_clouds_and_errors():
+def test_rejects_wrong_clouds_errors_and_fires():
     two = scene.UniformTargets(2)
     check_refusals(
         refusal(lambda: scene.CloudyTargets(3), ValueError, "targets=3", "scene.UniformTargets(300)"),
@@ -101,8 +98,6 @@ def test_rejects_wrong_clouds_and_errors():
         refusal(lambda: scene.UncertainTargets(3), ValueError, "targets=3", "scene.UniformTargets(300)"),
     )
 
-
-def test_rejects_wrong_fires():
     def regions(*boxes):
         return one_fire(regions=list(boxes))
 

@@ -101,7 +101,7 @@ def test_own_points_are_inspected_and_saved_with_their_episodes():
     assert torch.equal(env.rewarder.inspected, after)
 
 
-def test_rejects_wrong_points():
+def test_rejects_wrong_points_satellites_and_scenarios():
     limits = dict(theta_max=1.0, range_max=1.0, theta_solar_max=1.0, min_illumination_factor=0.0)
     point = scene.RSOPoint([1.0, 0.0, 0.0], [1.0, 0.0, 0.0], **limits)
 
@@ -120,10 +120,7 @@ def test_rejects_wrong_points():
         refusal(lambda: made(lambda: [point] * int(np.random.randint(1, 30))), ValueError, name, "points", "episodes"),
         refusal(lambda: build(scene.RSOPoints()), NotImplementedError, "RSOPoints", "generate_points()"),
     )
-
-
-def test_rejects_satellites_and_scenarios_that_do_not_fit():
-    rso, one = "dyn.RSODynModel", [Plain("A", inspector_args(100.0, 0.0, 0.0))]
+    rso, alone = "dyn.RSODynModel", [Plain("A", inspector_args(100.0, 0.0, 0.0))]
 
     def sphere(satellites):
         return build(scene.SphericalRSO(), satellites)
@@ -132,10 +129,10 @@ def test_rejects_satellites_and_scenarios_that_do_not_fit():
     blind = pair(inspector=Blind)
     check_refusals(
         refusal(lambda: sphere(two), ValueError, "scene.SphericalRSO", rso, ["RSO", "Second"]),
-        refusal(lambda: sphere(one), ValueError, "scene.SphericalRSO", rso, ["A"]),
+        refusal(lambda: sphere(alone), ValueError, "scene.SphericalRSO", rso, ["A"]),
         refusal(lambda: sphere([RSO("RSO", chief_args())]), ValueError, "dyn.RSOInspectorDynModel", ["RSO"]),
         refusal(lambda: sphere(blind), ValueError, ["A"], "dyn.RSOInspectorDynModel", "fsw.RSOInspectorFSWModel"),
-        refusal(lambda: inspection(one, scene.Scenario(), rewarder=None), ValueError, "slot 'rso'"),
+        refusal(lambda: inspection(alone, scene.Scenario(), rewarder=None), ValueError, "slot 'rso'"),
         refusal(lambda: build(scene.Scenario()), ValueError, "RSOInspectionReward", "points", "scene.SphericalRSO"),
     )
 

@@ -20,10 +20,7 @@ def test_positions_are_uniform_by_area():
     second = (r.mT @ r) / MANY
     assert (second - torch.eye(3) / 3).abs().max() < FIVE_SIGMA * math.sqrt(1 / 5 - 1 / 9)
     assert ((r**4).mean(0) - 1 / 5).abs().max() < FIVE_SIGMA * math.sqrt(1 / 9 - 1 / 25)
-
-
-def test_positions_fill_equal_areas_equally():
-    """Chi-square over 200 cells of equal area: 199 degrees of freedom, so five standard deviations above 199 is 299."""
+    # Chi-square over 200 cells of equal area: 199 degrees of freedom, so five standard deviations above 199 is 299.
     r = scene.UniformTargets(4).draw(key(MANY // 4))["target_r_LP_P"].reshape(-1, 3) / R_EARTH
     band = ((r[:, 2] + 1.0) * 5.0).long().clamp(max=9)
     sector = ((torch.atan2(r[:, 1], r[:, 0]) / math.pi + 1.0) * 10.0).long().clamp(max=19)

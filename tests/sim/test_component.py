@@ -29,7 +29,7 @@ def test_a_bus_knows_its_tick_and_what_has_been_written():
     assert bus.has("power")
 
 
-def test_layouts_write_fields_to_the_bus_and_gather_them():
+def test_layouts_write_fields_and_packs_have_views():
     layout, bus = Layout(FIELDS), Bus(1)
     pack = planes(layout.size)
     layout.put(bus, pack)
@@ -41,15 +41,6 @@ def test_layouts_write_fields_to_the_bus_and_gather_them():
     assert isinstance(bus.one_of_many, tuple)
     assert bus.one_of_many == (pack[8],)
     assert all(a is b for a, b in zip(layout.gather(bus), pack, strict=True))
-
-
-def test_fields_of_layouts_are_exact_by_planes_and_joined_by_names():
-    assert Layout(FIELDS).exact == [True] * 4 + [False] * 6
-    layout = Layout((*FIELDS, Field("charge", exact=True)))
-    assert (layout.size, layout.slices["idle"]) == (10, slice(9, 10))
-
-
-def test_rows_and_views_of_a_pack():
     layout = Layout(FIELDS[:3])
     values = {"r_BN_N": torch.randn(4, 3).double(), "charge": torch.randn(1).double(), "pulse": torch.randn(1, 4).double()}
     pack = layout.rows(values, 4)
@@ -58,6 +49,12 @@ def test_rows_and_views_of_a_pack():
     assert torch.equal(layout.view(pack, "pulse"), values["pulse"].mT.expand(4, 4))
     layout.view(pack, "charge")[2] = 7.0
     assert (pack[3, 2], Layout(()).rows({}, 3).shape) == (7.0, (0, 3))
+
+
+def test_fields_of_layouts_are_exact_by_planes_and_joined_by_names():
+    assert Layout(FIELDS).exact == [True] * 4 + [False] * 6
+    layout = Layout((*FIELDS, Field("charge", exact=True)))
+    assert (layout.size, layout.slices["idle"]) == (10, slice(9, 10))
 
 
 PAIR = Track("pair", 10.0, (Field("x"), vec("y")))

@@ -109,7 +109,7 @@ def drawing() -> Fleet:
     return Fleet([first, second], ["A", "B", "C"], lambda key: {"asked": key.named("asked").uniform(2)})
 
 
-def test_world_and_scenario_are_drawn_once(drawing):
+def test_draws_and_tables_are_shared_in_any_batch(drawing):
     """All satellites of an episode live in one world; each draws arguments of its own, as it would among satellites like it."""
     drawn = drawing.draw(first_key(N))
     assert torch.equal(drawn.scenario["asked"], first_key(N).named("asked").uniform(2))
@@ -120,15 +120,17 @@ def test_world_and_scenario_are_drawn_once(drawing):
     u = first_key(N).of_satellites(torch.arange(3)).named("K").uniform(1)
     assert torch.equal(k, 1.0 + u.view(N, 3))
     assert "asked" not in two
-
-
-def test_episodes_draw_the_same_in_any_batch(drawing):
     whole = drawing.draw(first_key(N))
     key = rand.Key(torch.zeros(1, dtype=torch.int64), torch.tensor([1]), torch.zeros(1, dtype=torch.int64))
     alone = drawing.draw(key)
     for count, some, every in zip((2, 1), alone.values, whole.values, strict=True):
         for name in ("utc_init", "K", "sigma_init", "oe"):
             assert torch.equal(some[name], every[name][count : 2 * count]), name
+    first, second = drawing.simulators
+    assert drawing.scenario_state is first.scenario_state is second.scenario_state
+    assert drawing.state.tables["scenario"] is drawing.scenario_state
+    assert drawing.scenario_state["asked"].shape == (N, 2)
+    assert drawing.ticks.shape == drawing.sim_time.shape == (N,)
 
 
 def test_what_is_set_for_all_together(drawing):
@@ -140,14 +142,6 @@ def test_what_is_set_for_all_together(drawing):
     assert two["mass"].view(N, 2).tolist() == [[default, 120.0], [default, 220.0], [default, 320.0]]
     assert one["mass"].tolist() == one["hs_min"].tolist() == [110.0, 210.0, 310.0]
     assert len(two["hs_min"]) == 1
-
-
-def test_tables_are_shared(drawing):
-    first, second = drawing.simulators
-    assert drawing.scenario_state is first.scenario_state is second.scenario_state
-    assert drawing.state.tables["scenario"] is drawing.scenario_state
-    assert drawing.scenario_state["asked"].shape == (N, 2)
-    assert drawing.ticks.shape == drawing.sim_time.shape == (N,)
 
 
 FAR = 10**6

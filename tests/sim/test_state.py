@@ -116,7 +116,12 @@ def test_rejects_saved_states_that_do_not_fit():
     )
 
 
-def test_rows_of_a_growing_field_are_written_whatever_their_width():
+def test_tables_and_growing_fields_are_widened():
+    table = torch.zeros(2, 3)
+    assert widened(table, 2, 1.0) is widened(table, 3, 1.0) is table
+    assert widened(torch.tensor([[1, 2]]), 3, 0).tolist() == [[1, 2, 0]]
+    assert widened(torch.zeros(1, 1, 2), 2, 5.0).tolist() == [[[0.0, 0.0], [5.0, 5.0]]]
+
     def written(rows: list[int], *new: list[float]) -> list[list[float]]:
         table = StateTable(2)
         table.declare("times", float("inf"), 2, grows=True)
@@ -130,26 +135,7 @@ def test_rows_of_a_growing_field_are_written_whatever_their_width():
     assert written([1, 0], [5.0], [6.0]) == [[6.0, inf], [5.0, inf]]
 
 
-def test_tables_are_widened_only_where_they_are_narrower():
-    table = torch.zeros(2, 3)
-    assert widened(table, 2, 1.0) is widened(table, 3, 1.0) is table
-    assert widened(torch.tensor([[1, 2]]), 3, 0).tolist() == [[1, 2, 0]]
-    assert widened(torch.zeros(1, 1, 2), 2, 5.0).tolist() == [[[0.0, 0.0], [5.0, 5.0]]]
-
-
-def test_what_has_been_handed_out_does_not_change(memory):
-    """An observation made of it stays as it was."""
-    images = memory["images"]
-    before = images.clone()
-    memory["images"] = torch.ones(4, 3)
-    ones = memory["images"]
-    memory.reset(torch.arange(4))
-    memory.copy_rows(torch.tensor([0]), memory.taken(torch.tensor([1])), torch.tensor([0]))
-    assert torch.equal(images, before)
-    assert torch.equal(ones, torch.ones(4, 3, dtype=torch.int64))
-
-
-def test_every_change_is_a_new_version(memory):
+def test_every_change_is_a_new_version_that_leaves_the_old_one(memory):
     """Queries that depend on the memory ask again after each."""
     versions = [memory.version]
     for change in (
@@ -163,6 +149,15 @@ def test_every_change_is_a_new_version(memory):
     assert versions == sorted(set(versions))
     memory["taken_any"], list(memory)
     assert memory.version == versions[-1]
+    # An observation made of it stays as it was.
+    images = memory["images"]
+    before = images.clone()
+    memory["images"] = torch.ones(4, 3)
+    ones = memory["images"]
+    memory.reset(torch.arange(4))
+    memory.copy_rows(torch.tensor([0]), memory.taken(torch.tensor([1])), torch.tensor([0]))
+    assert torch.equal(images, before)
+    assert torch.equal(ones, torch.ones(4, 3, dtype=torch.int64))
 
 
 def test_the_time_follows_the_ticks_however_they_change():

@@ -11,7 +11,7 @@ from tests.support.refusals import check_refusals, refusal
 from .constellations import trio
 
 
-def test_rejects_wrong_arguments_of_gymnasium():
+def test_rejects_wrong_arguments():
     batch = bsk_torch.make("NadirScan-v1", num_envs=2, backend="eager", time_limit=60.0)
     envs = GymVectorEnv(batch, metrics=lambda env: {"one": 1.0})
     envs.reset(seed=0)
@@ -26,9 +26,6 @@ def test_rejects_wrong_arguments_of_gymnasium():
         refusal(lambda: envs.step(np.zeros(2, int)), TypeError, "metrics(env)['one']", [], [2]),
         refusal(lambda: data.NoReward().cum_reward, AttributeError, "cum_reward", "env.rewarder.cum_reward"),
     )
-
-
-def test_rejects_wrong_arguments_of_constellations():
     trios = [trio(joint=joint, num_envs=n, backend="eager") for joint in (True, False) for n in (1, 2)]
     one, many = GymJointEnv(trios[0]), PettingZooEnv(trios[2])
     scan, alone = "NadirScan-v1", bsk_torch.make("NadirScan-v1", backend="eager")

@@ -19,16 +19,6 @@ def test_events_are_sorted_into_rows():
     assert where.tolist() == [[8, 6, 0], [0] * 3, [7, 9, 5], [0] * 3]
     assert length.tolist() == [[40.0, 80.0, INF], [INF] * 3, [10.0, 20.0, 30.0], [INF] * 3]
     assert where.dtype == torch.int64
-
-
-@pytest.mark.parametrize("n", [0, 1, 3])
-def test_without_events_there_is_one_column(n):
-    none = torch.zeros(0, dtype=torch.int64)
-    time, place = tabulate(none, times(), n, none)
-    assert (time.tolist(), place.tolist()) == ([[INF]] * n, [[0]] * n)
-
-
-def test_many_random_events():
     row, time = torch.randint(0, 20, (500,)), torch.rand(500, dtype=torch.float64)
     table, index = tabulate(row, time, 20, torch.arange(500))
     assert table.shape[1] == torch.bincount(row).max()
@@ -36,3 +26,10 @@ def test_many_random_events():
         expected = sorted(time[row == k].tolist())
         assert table[k].tolist() == expected + [INF] * (table.shape[1] - len(expected))
         assert torch.equal(time[index[k, : len(expected)]], table[k, : len(expected)])
+
+
+@pytest.mark.parametrize("n", [0, 1, 3])
+def test_without_events_there_is_one_column(n):
+    none = torch.zeros(0, dtype=torch.int64)
+    time, place = tabulate(none, times(), n, none)
+    assert (time.tolist(), place.tolist()) == ([[INF]] * n, [[0]] * n)

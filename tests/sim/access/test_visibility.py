@@ -113,31 +113,23 @@ def test_samples_lie_on_the_planned_arcs(view, sky_full_of_satellites):
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("start", [epoch, later])
-def test_both_see_the_same_umbra(start, view):
+def test_both_see_the_same_umbra_and_ground(start, view):
     count = SAMPLES - 11
     tensor, kernel = (sight.umbra(view, start(view), count) for sight in BOTH)
     assert torch.equal(tensor > 0.0, kernel > 0.0)
     torch.testing.assert_close(tensor, kernel, rtol=0, atol=1e-14)
     assert 0.1 < (tensor > 0.0).double().mean() < 0.5
-
-
-def test_umbra_by_definition(view, sky_full_of_satellites):
-    arcs, _ = sky_full_of_satellites
-    et = (arcs.et.unsqueeze(-1) + PLAN_STEP * torch.arange(SAMPLES)).flatten()
-    expected = illumination(Vec3.of(view.samples.table.flatten(0, 1)), Vec3.of(sun_position(et))) <= 0.0
-    assert torch.equal(TensorVisibility().umbra(view, epoch(view), SAMPLES).flatten() > 0.0, expected)
-
-
-@pytest.mark.compiled
-@pytest.mark.parametrize("start", [epoch, later])
-def test_both_see_the_same_ground(start, view):
     tensor, kernel = (sight.ground_track(view, start(view), SAMPLES - 11) for sight in BOTH)
     assert tensor.shape == (len(view.samples.start), SAMPLES - 11, 3)
     torch.testing.assert_close(tensor, kernel, rtol=0, atol=1e-7)  # m; measured 1e-8, rounding of seven megametres
 
 
-def test_ground_by_definition(view, sky_full_of_satellites):
-    """The orientation of the ephemeris, times the planned position."""
+def test_umbra_and_ground_by_definition(view, sky_full_of_satellites):
+    arcs, _ = sky_full_of_satellites
+    et = (arcs.et.unsqueeze(-1) + PLAN_STEP * torch.arange(SAMPLES)).flatten()
+    expected = illumination(Vec3.of(view.samples.table.flatten(0, 1)), Vec3.of(sun_position(et))) <= 0.0
+    assert torch.equal(TensorVisibility().umbra(view, epoch(view), SAMPLES).flatten() > 0.0, expected)
+    # The orientation of the ephemeris, times the planned position.
     arcs, _ = sky_full_of_satellites
     start = later(view)
     et = arcs.et.unsqueeze(-1) + start.unsqueeze(-1) + PLAN_STEP * torch.arange(SAMPLES - 11)

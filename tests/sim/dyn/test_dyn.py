@@ -62,7 +62,7 @@ def test_panel(normal, illumination, share):
         assert bus.power.item() == pytest.approx(share * 1361.0 * 0.05 * (AU / distance) ** 2, rel=1e-12)
 
 
-def test_panel_follows_the_attitude():
+def test_panels_follow_the_attitude_and_sinks_draw_power():
     """A quarter turn about z brings body +y to the inertial -x side."""
     bus = a_bus(
         r_BN_N=[0.0] * 3, r_SN_N=[AU, 0.0, 0.0], sigma_BN=[0.0, 0.0, math.tan(math.pi / 8)], panel_normal_B=[0.0, -1.0, 0.0]
@@ -70,9 +70,6 @@ def test_panel_follows_the_attitude():
     bus.panel_gain, bus.illumination = number(1.0), number(1.0)
     panels.collect_sunlight(bus)
     assert bus.power.item() == pytest.approx(1361.0, rel=1e-12)
-
-
-def test_sinks():
     bus = a_bus(power=10.0, base_power=-4.0, thruster_draw=-80.0, thruster_power=0.0)
     power.BASE_POWER.update(bus)
     power.THRUSTER_POWER.update(bus)
@@ -365,7 +362,7 @@ def test_rotation_is_of_fourth_order():
     assert math.log2(errors[1] / errors[2]) == pytest.approx(4.0, abs=0.2)
 
 
-def test_motor_turns_wheel_and_hub_against_each_other():
+def test_torques_of_motors_and_disturbances_act_on_wheels_and_hub():
     """From rest about one axis: u / Js - omega' on the wheel, -u / (I - Js) on the hub."""
     bus = a_bus(h=1.0, sigma_BN=[0.0] * 3, omega_BN_B=[0.0] * 3, Omega_WB_B=[0.0] * 3, motor_torque_B=[0.0, 0.1, 0.0])
     bus.inertia_B, bus.effectors = Vec3(*INERTIA.unbind(-1)), (wheels.WHEELS.effector,)
@@ -374,9 +371,6 @@ def test_motor_turns_wheel_and_hub_against_each_other():
     assert bus.omega_BN_B.y.item() == pytest.approx(rate, rel=1e-12)
     assert bus.Omega_WB_B.y.item() == pytest.approx(0.1 / wheels.SPIN_INERTIA - rate, rel=1e-12)
     assert bus.sigma_BN.y.item() == pytest.approx(math.tan(rate / 2 / 4), rel=1e-9)
-
-
-def test_disturbance_acts_over_the_tick_and_a_pulse_over_a_sixth():
     torques = {}
     for name in ("disturbance_torque_B", "pulse"):
         bus = a_bus(h=1.0, sigma_BN=[0.0] * 3, omega_BN_B=[0.0] * 3, Omega_WB_B=[0.0] * 3, motor_torque_B=[0.0] * 3)

@@ -22,7 +22,7 @@ PAIR = [dyn.Panel([0, 0, -1], 0.5, 0.3, **WING), dyn.Panel([0, 0, -2], 0.5, 0.3,
 GIVEN = {arg.name: arg.default for arg in (*PANEL.args, *DRAG.args)}
 
 
-def test_the_best_direction_of_fixed_panels_is_that_of_the_longest_sum_of_some():
+def test_best_directions_of_panels():
     """The power, ``max over subsets of s . sum g n``, is largest along the longest of these sums, for |s| = 1."""
     random = torch.Generator().manual_seed(0)
     for count in (1, 2, 3, 7):
@@ -34,10 +34,7 @@ def test_the_best_direction_of_fixed_panels_is_that_of_the_longest_sum_of_some()
         sums = (subsets * gains) @ normals
         longest = sums[int(sums.norm(dim=-1).argmax())]
         torch.testing.assert_close(torch.tensor(best_direction(listed)).double(), longest / longest.norm(), rtol=0, atol=1e-6)
-
-
-def test_panels_that_turn_can_face_the_sun_from_more_directions():
-    """A wing about y has full power from anywhere in its plane, up to its stops: a small fixed panel decides."""
+    # A wing about y has full power from anywhere in its plane, up to its stops: a small fixed panel decides.
     fixed = dyn.Panel([1, 0, 0], 0.05, 0.3)
     free = dyn.Panel([0, 0, -1], 1.0, 0.3, **WING)
     assert best_direction((free,)) == (0.0, 0.0, -1.0)
@@ -49,9 +46,6 @@ def test_panels_that_turn_can_face_the_sun_from_more_directions():
     torch.testing.assert_close(torch.tensor(best_direction((stopped, fixed))), torch.tensor(expected), rtol=0, atol=1e-6)
     stuck = dyn.Panel([0, 0, -1], 1.0, 0.3, axis=[0, 1, 0], rate=0.0, angle=-0.5)
     assert best_direction((stuck,)) == pytest.approx((math.sin(0.5), 0.0, -math.cos(0.5)), abs=1e-12)
-
-
-def test_opposite_panels_have_a_best_direction():
     box = tuple(dyn.Panel(n, 1.0, 0.3) for k in range(3) for n in (torch.eye(3)[k].tolist(), (-torch.eye(3)[k]).tolist()))
     assert [abs(x) for x in best_direction(box)] == pytest.approx([math.sqrt(1.0 / 3.0)] * 3)
     assert best_direction((dyn.Panel([1, 0, 0], 0.0, 0.3),)) == (1.0, 0.0, 0.0)

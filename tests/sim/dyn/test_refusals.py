@@ -14,7 +14,7 @@ from tests.support.refusals import check_refusals, refusal
 ZERO = [0, 0, 0]
 
 
-def test_rejects_impossible_panels():
+def test_rejects_impossible_panels_thrusters_and_partitions():
     def panel(**wrong):
         return dyn.Panel(**({"normal": [0, 0, -1], "area": 1.0, "efficiency": 0.3} | wrong))
 
@@ -35,6 +35,42 @@ def test_rejects_impossible_panels():
         refusal(lambda: panel(rate=0.1), ValueError, "rate=0.1", "axis="),
         refusal(lambda: faults.stuck_panel(), ValueError, "faults.stuck_panel", "normal", "panel="),
         refusal(lambda: faults.stuck_panel(ZERO), ValueError, "faults.stuck_panel", "normal=[0, 0, 0]", "three numbers"),
+    )
+
+    def fitted(thrusters=None, **args):
+        return fly({"thrusters": thrusters} | args, (), orbit="integrated")
+
+    octet, flat = list(OCTET), [dyn.Thruster([x, 0.0, 0.0], [0.0, y, 0.0], 1.0) for x in (-1.0, 1.0) for y in (-1.0, 1.0)]
+    still, kinds = [[0.0, 0.0, 0.0]] * 8, ("'MOOG_Monarc_2'", "'MOOG_Monarc_22_6'")
+    check_refusals(
+        refusal(lambda: fitted([]), ValueError, "thrusters=[]", "list of thrusters"),
+        refusal(lambda: fitted([1.0]), ValueError, "thrusters=[1.0]", "list of thrusters"),
+        refusal(lambda: fitted(flat), ValueError, "thrusters", "[-1.0, 0.0, 0.0]", "1 of 3 axes", "desaturation"),
+        refusal(lambda: fitted(thrusterMaxThrust=[1.0] * 8), ValueError, "thrusterMaxThrust", "thrusters=["),
+        refusal(lambda: fitted(octet, thrusterMaxThrust=[1.0] * 7), ValueError, "thrusterMaxThrust", "8 numbers", "[7]"),
+        refusal(lambda: fitted(octet, thrusterMaxThrust=0.0), ValueError, "thrusterMaxThrust=0 N"),
+        refusal(lambda: fitted(octet, thrusterDirections_B=still), ValueError, "thrusterDirections_B", "length zero"),
+        refusal(lambda: dyn.Thruster([0, 0, 1], [1, 0, 0], 0.0), ValueError, "Thruster", "thrust=0"),
+        refusal(lambda: dyn.Thruster([0, 0, 1], ZERO, 1.0), ValueError, "Thruster", "direction=[0, 0, 0]", "three numbers"),
+        refusal(lambda: dyn.Thruster([0, 1], [1, 0, 0], 1.0), ValueError, "Thruster", "position=[0, 1]", "three numbers"),
+        refusal(lambda: dyn.Thruster([0, 0, 1], [1, 0, 0], "MOOG_Monarc_2"), ValueError, *kinds),
+    )
+
+    def names(**given):
+        return partition_names({"bufferNames": None, "transmitterNumBuffers": 100.0, "storageInit": 0.0} | given)
+
+    whole, store = ("whole number", "1000"), ("list", "'STORED DATA'")
+    check_refusals(
+        refusal(lambda: names(transmitterNumBuffers=0), ValueError, "transmitterNumBuffers=0", *whole),
+        refusal(lambda: names(transmitterNumBuffers=2.5), ValueError, "transmitterNumBuffers=2.5", *whole),
+        refusal(lambda: names(transmitterNumBuffers=math.nan), ValueError, "transmitterNumBuffers=nan", *whole),
+        refusal(lambda: names(transmitterNumBuffers=lambda: 3), ValueError, "NumBuffers=<function", "environments"),
+        refusal(lambda: names(transmitterNumBuffers=2, bufferNames=["a"]), ValueError, "NumBuffers=2", "bufferNames=['a']"),
+        refusal(lambda: names(bufferNames="ab"), ValueError, "bufferNames='ab'", *store),
+        refusal(lambda: names(bufferNames=[]), ValueError, "bufferNames=[]", *store),
+        refusal(lambda: names(bufferNames=["a", "a"]), ValueError, "bufferNames=['a', 'a']", *store),
+        refusal(lambda: names(bufferNames=["a", "STORED DATA"]), ValueError, "bufferNames=['a', 'STORED DATA']", *store),
+        refusal(lambda: names(bufferNames=[1, 2]), ValueError, "bufferNames=[1, 2]", *store),
     )
 
 
@@ -91,27 +127,6 @@ def test_rejects_wrong_facets_and_bars():
     )
 
 
-def test_rejects_impossible_thrusters():
-    def fitted(thrusters=None, **args):
-        return fly({"thrusters": thrusters} | args, (), orbit="integrated")
-
-    octet, flat = list(OCTET), [dyn.Thruster([x, 0.0, 0.0], [0.0, y, 0.0], 1.0) for x in (-1.0, 1.0) for y in (-1.0, 1.0)]
-    still, kinds = [[0.0, 0.0, 0.0]] * 8, ("'MOOG_Monarc_2'", "'MOOG_Monarc_22_6'")
-    check_refusals(
-        refusal(lambda: fitted([]), ValueError, "thrusters=[]", "list of thrusters"),
-        refusal(lambda: fitted([1.0]), ValueError, "thrusters=[1.0]", "list of thrusters"),
-        refusal(lambda: fitted(flat), ValueError, "thrusters", "[-1.0, 0.0, 0.0]", "1 of 3 axes", "desaturation"),
-        refusal(lambda: fitted(thrusterMaxThrust=[1.0] * 8), ValueError, "thrusterMaxThrust", "thrusters=["),
-        refusal(lambda: fitted(octet, thrusterMaxThrust=[1.0] * 7), ValueError, "thrusterMaxThrust", "8 numbers", "[7]"),
-        refusal(lambda: fitted(octet, thrusterMaxThrust=0.0), ValueError, "thrusterMaxThrust=0 N"),
-        refusal(lambda: fitted(octet, thrusterDirections_B=still), ValueError, "thrusterDirections_B", "length zero"),
-        refusal(lambda: dyn.Thruster([0, 0, 1], [1, 0, 0], 0.0), ValueError, "Thruster", "thrust=0"),
-        refusal(lambda: dyn.Thruster([0, 0, 1], ZERO, 1.0), ValueError, "Thruster", "direction=[0, 0, 0]", "three numbers"),
-        refusal(lambda: dyn.Thruster([0, 1], [1, 0, 0], 1.0), ValueError, "Thruster", "position=[0, 1]", "three numbers"),
-        refusal(lambda: dyn.Thruster([0, 0, 1], [1, 0, 0], "MOOG_Monarc_2"), ValueError, *kinds),
-    )
-
-
 def hr16(*axes):
     return [dyn.Wheel("Honeywell_HR16", axis, 50.0) for axis in axes]
 
@@ -158,23 +173,4 @@ def test_rejects_wrong_arguments_of_wheels():
         refusal(lambda: fitted(rwAxes_B=[*ahead, [0.0, 0, 0]]), ValueError, "rwAxes_B=[[1.0, 0.0, 0.0], ", "direction"),
         refusal(lambda: two({"rwFCoulomb": 0.0}, {"rwFCoulomb": 1e-3}), ValueError, "rwFCoulomb=0.001", "type"),
         refusal(lambda: two({"rwAxes_B": axes}, {"rwAxes_B": tilted}), ValueError, "rwAxes_B", "wheel 2", "axis 2", "type"),
-    )
-
-
-def test_rejects_impossible_partitions():
-    def names(**given):
-        return partition_names({"bufferNames": None, "transmitterNumBuffers": 100.0, "storageInit": 0.0} | given)
-
-    whole, store = ("whole number", "1000"), ("list", "'STORED DATA'")
-    check_refusals(
-        refusal(lambda: names(transmitterNumBuffers=0), ValueError, "transmitterNumBuffers=0", *whole),
-        refusal(lambda: names(transmitterNumBuffers=2.5), ValueError, "transmitterNumBuffers=2.5", *whole),
-        refusal(lambda: names(transmitterNumBuffers=math.nan), ValueError, "transmitterNumBuffers=nan", *whole),
-        refusal(lambda: names(transmitterNumBuffers=lambda: 3), ValueError, "NumBuffers=<function", "environments"),
-        refusal(lambda: names(transmitterNumBuffers=2, bufferNames=["a"]), ValueError, "NumBuffers=2", "bufferNames=['a']"),
-        refusal(lambda: names(bufferNames="ab"), ValueError, "bufferNames='ab'", *store),
-        refusal(lambda: names(bufferNames=[]), ValueError, "bufferNames=[]", *store),
-        refusal(lambda: names(bufferNames=["a", "a"]), ValueError, "bufferNames=['a', 'a']", *store),
-        refusal(lambda: names(bufferNames=["a", "STORED DATA"]), ValueError, "bufferNames=['a', 'STORED DATA']", *store),
-        refusal(lambda: names(bufferNames=[1, 2]), ValueError, "bufferNames=[1, 2]", *store),
     )

@@ -76,7 +76,7 @@ def test_impulses_of_symmetric_thrusters_have_the_momentum_wanted():
     torch.testing.assert_close((F[..., None] * arms_about_center(args)).sum(1), dH.stack(), rtol=1e-9, atol=1e-9)
 
 
-def test_the_form_follows_from_the_arguments():
+def test_the_form_and_the_thrust_follow_from_the_arguments():
     assert fitted_thrusters(GIVEN) is THRUSTERS
     listed = GIVEN | {"thrusters": OCTET}
     assert fitted_thrusters(listed).effector.thrust is None  # opposite ones never push
@@ -87,6 +87,8 @@ def test_the_form_follows_from_the_arguments():
         {"thrusterMaxThrust": rand.Uniform(0.5, 1.0, 8)},
     ):
         assert fitted_thrusters(listed | change).effector.torque is None
+    thrusts = [dyn.Thruster([0, 0, 1], [1, 0, 0], f"MOOG_Monarc_{kind}").thrust for kind in ("1", "5", "22_6", "22_12", "90LT")]
+    assert (thrusts, BSK_RL_THRUSTERS.thrust) == ([0.9, 4.5, 22.0, 22.0, 90.0], 0.9)
 
 
 def test_the_eight_thrusters_of_bsk_rl_dump_alike_however_they_are_described():
@@ -114,11 +116,6 @@ def test_drawn_thrusters_fly_alike_compiled():
     for name, bound in (("wheel_speeds", 1e-8), ("sigma_BN", 1e-9), ("r_BN_N", 1e-6)):
         a, b = (getattr(env.satellite.dynamics, name) for env in (eager, compiled))
         torch.testing.assert_close(a, b, rtol=0, atol=bound)
-
-
-def test_types_have_the_thrust_of_basilisks_factory():
-    thrusts = [dyn.Thruster([0, 0, 1], [1, 0, 0], f"MOOG_Monarc_{kind}").thrust for kind in ("1", "5", "22_6", "22_12", "90LT")]
-    assert (thrusts, BSK_RL_THRUSTERS.thrust) == ([0.9, 4.5, 22.0, 22.0, 90.0], 0.9)
 
 
 def test_thrusters_that_turn_otherwise_than_desired_or_never_fire_are_logged(caplog):

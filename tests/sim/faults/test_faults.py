@@ -96,16 +96,13 @@ def test_faults_act_from_the_tick_after_their_time(case, backend):
     assert torch.equal(counted(env) - start, torch.tensor([expected], dtype=torch.float64))
 
 
-def test_faults_are_drawn_for_each_environment_whatever_the_batch():
+def test_faults_are_drawn_for_each_environment_at_their_rate():
     listed = faults.Fault("clickSize", value=2.0, at=faults.Sometimes(0.5, rand.Uniform(0.0, 100.0)))
     many = counted(clicking(listed, n=40), 1, 1)
     assert 5 < len(many.unique()) < 40
     assert 10 < (many == many.min()).sum() < 30  # half of them never have it
     few = counted(clicking(listed, n=3, env_ids=[7, 0, 39]), 1, 1)
     assert torch.equal(few, many[[7, 0, 39]])
-
-
-def test_hazards_have_their_rate():
     times = faults.Hazard(0.02).draw(
         rand.Key(torch.full((20000,), 5), torch.arange(20000), torch.zeros(20000, dtype=torch.int64)).named("hazard")
     )

@@ -17,7 +17,7 @@ HR16 = [dyn.Wheel("Honeywell_HR16", axis, 50.0) for axis in torch.eye(3).tolist(
 BODY = [82.0, 0, 0, 0, 98.0, 0, 0, 0, 121.0]
 
 
-def test_numbers_by_hand():
+def test_gains_by_hand():
     """Three wheels on the axes: L = 0.2 N m, H = 50 N m s, J' = 82 - 50 / 628.3."""
     P = 0.36 * (82.0 - 50.0 / (6000.0 * RPM))
     a = math.sqrt(0.2 / (121.0 * math.pi))
@@ -33,10 +33,7 @@ def test_numbers_by_hand():
     assert small_turns["K"] == pytest.approx(4.0 * P / (5.76 * 121.0) * P)
     assert small_turns["P"] / math.sqrt(small_turns["K"] * 121.0) == pytest.approx(1.2)
     assert fsw.propose_gains(BODY, HR16, 0.5)["P"] == pytest.approx(2.0 * P)
-
-
-def test_the_weakest_direction_counts():
-    """Four wheels on a pyramid: least-norm torques about any direction, by search, and the proposal's limit."""
+    # Four wheels on a pyramid: least-norm torques about any direction, by search, and the proposal's limit.
     wheels = [dyn.Wheel("custom", axis, 100.0, Omega_max=6000.0, u_max=0.1) for axis in dyn.pyramid(0.5)]
     axes = torch.tensor([wheel.arguments["rwAxes_B"] for wheel in wheels], dtype=torch.float64)
     directions = torch.nn.functional.normalize(torch.randn(200_000, 3, dtype=torch.float64), dim=-1)

@@ -76,7 +76,7 @@ def test_steering_rate_and_its_derivative():
     torch.testing.assert_close(derivative.stack(), difference.stack(), rtol=1e-5, atol=1e-10)
 
 
-def test_on_its_course_the_servo_only_holds_it():
+def test_a_servo_on_its_course_and_one_that_is_off_hold():
     """Without an error of the rate, the torque on the hub is what makes it move along the course: ``H' = L``."""
     inertia, zero = tensor(TABLE["inertia"]), Vec3.zeros_like(plane(0.0))
     bus = write(with_wheels(Bus(1_000_000_000)), control_on=plane(1.0), control_idle=plane(-1.0), Omega_WB_B=vectors(200.0))
@@ -92,9 +92,6 @@ def test_on_its_course_the_servo_only_holds_it():
     torque = bus.inertia_B.scale(dw) + w.cross(H)
     torch.testing.assert_close(bus.motor_torque_command_B.stack(), -torque.stack(), rtol=0, atol=ROUNDING)
     assert (bus.control_integral_B.stack().abs() < 1e-18).all()
-
-
-def test_a_servo_that_is_off_holds_its_command():
     bus = servo(Bus(1_000_000_000), tensor(TABLE["inertia"]))
     n = len(TABLE["gains"])
     held, integral = vectors(1.0, n), vectors(1e-3, n)

@@ -172,7 +172,7 @@ def test_rows_are_extended_as_if_alone(part, recording, make_arcs, backend):
         assert torch.equal(getattr(arcs, name)[part], getattr(together, name)[part])
 
 
-def test_only_the_last_hours_of_the_plan_are_kept(recording, solve_arcs, backend):
+def test_plans_are_kept_up_to_their_length(recording, solve_arcs, backend, make_arcs):
     initials = recording("windows")["ic"]
     arcs, view = solve_arcs(initials, PLANNED_SEGMENTS + 2, backend=backend)
     assert view.samples.table.shape[1] == 2 * (arcs.flown.shape[1] - LEAD_NODES) - 1
@@ -183,9 +183,6 @@ def test_only_the_last_hours_of_the_plan_are_kept(recording, solve_arcs, backend
     arcs.grow()
     assert arcs.planned_from.tolist() == [3 * ARC_SEGMENT] * 5
     assert torch.equal(arcs.planned[:, :-SAMPLES_PER_SEGMENT], view.samples.table[:, 3 * SAMPLES_PER_SEGMENT :])
-
-
-def test_a_growing_plan_is_kept_up_to_its_length(recording, make_arcs, backend):
     arcs = make_arcs(recording("windows")["ic"][:1], PLANNED_SEGMENTS - 1, backend=backend)
     assert arcs.planned.shape[1] == (PLANNED_SEGMENTS - 1) * SAMPLES_PER_SEGMENT + 1
     for _ in range(2):

@@ -44,7 +44,7 @@ def written(name: str, value):
     return lambda bus: setattr(bus, name, value(bus))
 
 
-def test_rejects_updates_that_cannot_be_used():
+def test_rejects_updates_and_entries_that_cannot_be_used():
     power = "bus.power", "number"
     second = "bus.power", "environment", "random numbers"
     updates = [
@@ -61,6 +61,24 @@ def test_rejects_updates_that_cannot_be_used():
         refusal(lambda update=update, n=n: environment(heater(update=update), n), TypeError, "slot 'heater'", *names)
         for update, *names in updates
         for n in (1, 2)
+    )
+
+    def flight(**members):
+        return environment(heater(), flight=type("Flight", (fsw.BasicFSWModel,), members))
+
+    unknown, chosen = {"charge": fsw.Command(("nope",))}, {"charge": fsw.Command(("drift", "charge"), choice="mass")}
+    two = {"sun_fresh": [1.0, 2.0]}
+    check_refusals(
+        refusal(lambda: heater(args=ARGS[0]), TypeError, "slot 'heater'", "args=Arg(name='heaterPowerDraw'", "tuple"),
+        refusal(lambda: heater(slot=None), ValueError, "slot", "Component=None", "string"),
+        refusal(lambda: heater(prepare=None), TypeError, "slot 'heater'", "prepare=None", "function"),
+        refusal(lambda: Field("e", 0), ValueError, "'e'", "width=0", "whole number"),
+        refusal(lambda: fsw.Mode(resets=two), ValueError, "resets['sun_fresh']=[1.0, 2.0]"),
+        refusal(lambda: fsw.Command(("charge", "drift")), ValueError, "modes=('charge', 'drift')", "choice="),
+        refusal(lambda: flight(modes={"nope": None}), ValueError, "Flight.modes", "'nope'", "nadir_point"),
+        refusal(lambda: flight(modes={"m": ("control_on",)}), TypeError, "Flight.modes['m']=('control_on',)", "fsw.Mode"),
+        refusal(lambda: flight(commands=unknown), ValueError, "'charge'", "'nope'", "nadir_point"),
+        refusal(lambda: flight(commands=chosen), ValueError, "'charge'", "choice='mass'", "'choice'", "2"),
     )
 
 
@@ -97,26 +115,6 @@ def test_rejects_what_components_compute_at_reset():
         refusal(lambda: build(state=(Field("e"),)), ValueError, "'e'", "initial=", "prepare="),
         refusal(lambda: build(**charge), ValueError, "initial(args)", "slot 'heater'", "'charge'"),
         refusal(lambda: build(check=lambda args: False), TypeError, "check(args)", "slot 'heater'", "False", "ValueError"),
-    )
-
-
-def test_rejects_entries_of_wrong_kinds():
-    def flight(**members):
-        return environment(heater(), flight=type("Flight", (fsw.BasicFSWModel,), members))
-
-    unknown, chosen = {"charge": fsw.Command(("nope",))}, {"charge": fsw.Command(("drift", "charge"), choice="mass")}
-    two = {"sun_fresh": [1.0, 2.0]}
-    check_refusals(
-        refusal(lambda: heater(args=ARGS[0]), TypeError, "slot 'heater'", "args=Arg(name='heaterPowerDraw'", "tuple"),
-        refusal(lambda: heater(slot=None), ValueError, "slot", "Component=None", "string"),
-        refusal(lambda: heater(prepare=None), TypeError, "slot 'heater'", "prepare=None", "function"),
-        refusal(lambda: Field("e", 0), ValueError, "'e'", "width=0", "whole number"),
-        refusal(lambda: fsw.Mode(resets=two), ValueError, "resets['sun_fresh']=[1.0, 2.0]"),
-        refusal(lambda: fsw.Command(("charge", "drift")), ValueError, "modes=('charge', 'drift')", "choice="),
-        refusal(lambda: flight(modes={"nope": None}), ValueError, "Flight.modes", "'nope'", "nadir_point"),
-        refusal(lambda: flight(modes={"m": ("control_on",)}), TypeError, "Flight.modes['m']=('control_on',)", "fsw.Mode"),
-        refusal(lambda: flight(commands=unknown), ValueError, "'charge'", "'nope'", "nadir_point"),
-        refusal(lambda: flight(commands=chosen), ValueError, "'charge'", "choice='mass'", "'choice'", "2"),
     )
 
 
