@@ -8,10 +8,11 @@ from bsk_torch.act import image_target
 from tests.support.episodes import begun
 from tests.support.rso_imaging import Imager, environment, play
 
+pytestmark = pytest.mark.compiled
+
 CHARGE, DOWNLINK, FIRST = 0, 1, 2
 
 
-@pytest.mark.compiled
 def test_an_image_ends_its_step_and_hides_its_target():
     env = begun(environment())
     satellite = env.satellites[0]
@@ -26,7 +27,6 @@ def test_an_image_ends_its_step_and_hides_its_target():
     assert "object 1" not in env.scenario.candidate_ids(satellite, 0, 3)
 
 
-@pytest.mark.compiled
 def test_targets_chosen_by_number_must_be_eligible():
     env = begun(environment())
     play(env, image_target(1))
@@ -39,7 +39,6 @@ def test_targets_chosen_by_number_must_be_eligible():
     assert env.scenario.pending[0].tolist() == [0, 2, 0, 0]
 
 
-@pytest.mark.compiled
 def test_targets_that_are_missing_or_behind_the_earth_are_not_imaged():
     env = begun(environment())
     outputs = play(env, image_target(3))
@@ -57,7 +56,6 @@ def test_targets_that_are_missing_or_behind_the_earth_are_not_imaged():
     assert env.satellites[0].dynamics.rso_images.tolist() == [0.0, 0.0]
 
 
-@pytest.mark.compiled
 def test_a_fixed_duration_lasts_until_the_deadline():
     class Fixed(Imager):
         action_spec = (act.ImageRSO(3, 120.5, 5.0, require_illumination_during_hold=False, variable_duration_imaging=False),)
@@ -69,7 +67,6 @@ def test_a_fixed_duration_lasts_until_the_deadline():
     assert (env.satellites[0].dynamics.rso_image_time < 120.0).all()
 
 
-@pytest.mark.compiled
 @pytest.mark.parametrize(
     ("args", "images"),
     [
@@ -87,7 +84,6 @@ def test_room_range_and_pointing_are_conditions(args, images):
     assert env.satellites[0].dynamics.rso_images.tolist() == [images, images]
 
 
-@pytest.mark.compiled
 def test_light_is_a_condition():
     class Lit(Imager):
         action_spec = (act.ImageRSO(3, 100.0, 0.0),)

@@ -11,10 +11,11 @@ from bsk_torch.data.rso_imaging import NONE, _Images
 from tests.support.episodes import begun
 from tests.support.rso_imaging import Imager, catalog, environment, play
 
+pytestmark = pytest.mark.compiled
+
 CHARGE, DOWNLINK, FIRST = 0, 1, 2
 
 
-@pytest.mark.compiled
 def test_acquisition_and_delivery_pay_once():
     seen = {}
 
@@ -46,7 +47,6 @@ class Fixed(Imager):
     action_spec = (act.ImageRSO(3, 150.0, 5.0, require_illumination_during_hold=False, variable_duration_imaging=False),)
 
 
-@pytest.mark.compiled
 @pytest.mark.parametrize(("mode", "each"), [("shared", 1.0), ("per_imager", 2.0)])
 def test_images_of_one_step_share_their_reward_or_do_not(mode, each):
     """Steps of a fixed duration end with images of both imagers; the target has the priority 2."""
@@ -57,7 +57,6 @@ def test_images_of_one_step_share_their_reward_or_do_not(mode, each):
     assert env.rewarder.last_reward_components["acquisition"].tolist() == [[each, each]] * 2
 
 
-@pytest.mark.compiled
 def test_later_images_of_a_service_earn_nothing():
     rewarder = data.RSOImageReward(lambda record, target: target.priority, quality_threshold=0.0, multi_imager_credit="shared")
     env = begun(environment(imagers=2, rewarder=rewarder, block_pending_targets=False))
@@ -80,7 +79,6 @@ def fifo(products, gone):
     return [product for product in products if product not in done], done
 
 
-@pytest.mark.compiled
 def test_products_are_delivered_in_the_order_of_their_capture():
     """Against lists, with random images and downlinks of several imagers."""
     env = begun(environment(imagers=2))
@@ -114,7 +112,6 @@ def test_products_are_delivered_in_the_order_of_their_capture():
                 assert left[e, a].item() == sum(product["left"] for part in known[e][a] for product in part)
 
 
-@pytest.mark.compiled
 def test_priorities_of_rewards_are_those_before_the_changes_of_the_step():
     events = (scene.RSOPriorityEvent(1.0, (("object 1", 50.0),)),)
     rewarder = data.RSOImageReward(lambda record, target: target.priority, quality_threshold=0.0)

@@ -12,6 +12,8 @@ from bsk_torch.data.rso_imaging import NONE, _Images
 from tests.support.episodes import begun
 from tests.support.rso_imaging import RADIUS, catalog, environment, play
 
+pytestmark = pytest.mark.compiled
+
 CHARGE, DOWNLINK, FIRST = 0, 1, 2
 
 NAMES = ["Imager0", "Imager1"]
@@ -30,7 +32,6 @@ def ids(env, imager, count=4):
     return env.scenario.candidate_ids(env.satellites[0], imager, count)
 
 
-@pytest.mark.compiled
 @pytest.mark.parametrize("told", [False, True])
 def test_candidates_follow_from_what_an_imager_knows(told):
     """Imager 0 takes object 1. Imager 1 has it among its candidates until it is told."""
@@ -45,7 +46,6 @@ def test_candidates_follow_from_what_an_imager_knows(told):
     assert torch.equal(env.satellites[0].action_mask()[1, FIRST:].sum(), torch.tensor(3))
 
 
-@pytest.mark.compiled
 def test_delivery_share_splits_the_priority_between_capture_and_delivery():
     env = begun(team(data.RSOTeamReward(delivery_share=0.25, quality_threshold=0.0, cooldown_s=400.0)))
     total = 0.0
@@ -64,14 +64,12 @@ def test_delivery_share_splits_the_priority_between_capture_and_delivery():
     assert "object 1" in ids(env, 0)
 
 
-@pytest.mark.compiled
 def test_the_cooldown_is_two_periods_by_default():
     env = begun(team(data.RSOTeamReward()))
     period = 2.0 * torch.pi * (RADIUS**3 / MU_EARTH) ** 0.5
     assert env.scenario.service_time.tolist() == pytest.approx([2.0 * period] * 2, rel=1e-12)
 
 
-@pytest.mark.compiled
 def test_an_imager_that_learns_of_an_image_requires_another_task():
     """Both begin to image object 2 at different times; the later one is told, and has wasted its time."""
     env = begun(team(communicator=comm.FreeCommunication()))
@@ -94,7 +92,6 @@ def test_an_imager_that_learns_of_an_image_requires_another_task():
         assert wasted == pytest.approx(took - began)
 
 
-@pytest.mark.compiled
 def test_without_messages_imagers_do_the_same_work_twice():
     env = begun(team())
     for _ in range(12):
@@ -125,7 +122,6 @@ def ledger(images, last, cooldown, tolerance, share, priority):
     return paid, late
 
 
-@pytest.mark.compiled
 @pytest.mark.parametrize("stage", ["acquisition", "delivery"])
 def test_the_ledger_is_that_of_lists(stage):
     """With random images of a step, also several groups of a target in one step."""
@@ -158,7 +154,6 @@ def test_the_ledger_is_that_of_lists(stage):
     assert env.rewarder.counts()[name].sum() > 20
 
 
-@pytest.mark.compiled
 def test_episodes_do_not_depend_on_the_batch_and_continue_from_saved_states():
     few, many = team(communicator=comm.FreeCommunication()), team(communicator=comm.FreeCommunication(), num_envs=5)
     for env in (few, many):
