@@ -86,9 +86,6 @@ def assert_angle(found: torch.Tensor, expected: torch.Tensor | float, tolerance:
     assert wrapped(found - expected).abs().amax() < tolerance
 
 
-# -- Walker patterns -------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("arguments", "angles"),
     [
@@ -179,9 +176,6 @@ def test_altitude_and_inclination_may_be_distributions_common_to_all_satellites(
     assert (oe[..., 1] == 0.0).all()
 
 
-# -- One behind the other --------------------------------------------------------------------------------------------------------
-
-
 def test_trains_have_gaps_a_node_and_a_place():
     oe = drawn(fm.train_args(2.5, altitude=600.0, inc=97.8))
     assert (oe[..., :5] == oe[:, :1, :5]).all()
@@ -202,8 +196,7 @@ def test_trains_have_gaps_a_node_and_a_place():
     common = drawn(fm.train_args(Uniform(1.0, 5.0)), names=TWELVE[:4])
     gaps = torch.rad2deg(-wrapped(common[..., 5].diff(dim=-1)))
     torch.testing.assert_close(gaps, gaps[:, :1].expand(5, 3), rtol=1e-12, atol=0)
-    assert len(gaps[:, 0].unique()) == 5
-    assert drawn(fm.train_args(3.0), names=["A"]).shape == (5, 1, 6)
+    assert (len(gaps[:, 0].unique()), drawn(fm.train_args(3.0), names=["A"]).shape) == (5, (5, 1, 6))
     free = drawn(fm.train_args(1.0), 400)
     for column in (3, 5):
         angle = free[:, 0, column] / TURN
@@ -212,9 +205,6 @@ def test_trains_have_gaps_a_node_and_a_place():
     held = drawn(fm.train_args(1.0, f=Uniform(0.0, 1.0), Omega=per_env([0.0, 10.0, 20.0, 30.0, 40.0])))
     assert torch.rad2deg(held[:, 0, 3]).tolist() == pytest.approx([0.0, 10.0, 20.0, 30.0, 40.0])
     assert (torch.rad2deg(held[:, 0, 5]) < 1.0).all()
-
-
-# -- About a chief ---------------------------------------------------------------------------------------------------------------
 
 
 def states(oe: torch.Tensor) -> tuple[Vec3, Vec3]:
@@ -273,8 +263,6 @@ def test_mu_of_the_satellites_counts():
         assert float(turning) == pytest.approx(math.sqrt(mu / 7e6**3), rel=1e-10)  # 1e-12 m/s of 0.1 m/s
 
 
-# -- All -------------------------------------------------------------------------------------------------------------------------
-
 FORMATIONS = {
     "delta": fm.walker_delta_args(3, 0.5, Normal(600.0, 20.0), Uniform(40.0, 60.0)),
     "star": fm.walker_star_args(2, altitude=Choice([500.0, 700.0]), phasing=1),
@@ -305,9 +293,6 @@ def test_users_formations():
     formation.check(["A", "B"])
     assert formation.draw(key(), ["A", "B"])["mass"][1].shape == (5, 1)
     check_refusals(refusal(lambda: fm.Formation().check(["A"]), TypeError, "draw(key, names)"))
-
-
-# -- hooks of subclasses ---------------------------------------------------------------------------------------------------------
 
 
 class Given(fm.Formation):

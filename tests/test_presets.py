@@ -202,8 +202,7 @@ def test_faults_of_faulty_scan_come_as_often_as_stated_and_can_be_injected():
     env.inject("panel", envs=[1])
     td = env.step(td.set("action", torch.zeros(2, dtype=torch.int64)))["next"]
     assert td["observation"][:, 12:18].eq(0.0).all()
-    assert td["observation"][:, 18].tolist() == [0.0, 1.0]
-    assert td["observation"][:, 20].tolist() == [0.0, 0.0]
+    assert (td["observation"][:, 18].tolist(), td["observation"][:, 20].tolist()) == ([0.0, 1.0], [0.0, 0.0])
 
 
 def test_clouds_and_night_matter_to_optical_satellites_only():
@@ -233,9 +232,6 @@ def test_claims_and_the_numbers_of_the_rule():
     assert torch.equal(claimed(radar, targets), (targets.place == place[:, :1]).to(targets.close.dtype))
     numbers = {group: RANKINGS["cooperative"](view).numbers for group, view in member_views(env).items()}
     assert numbers == {"optical_imager": Sharing(), "radar_imager": RADAR}
-
-
-# -- bsk_rl's benchmark suite -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["AEOS-v1", "AEOSCity-v1", "CloudyAEOS-v1"])
@@ -319,9 +315,6 @@ def test_rules_earn_the_same_in_the_benchmark():
         earned.append(played["next", "reward"])
     assert float(earned[0].sum()) > 1.0
     assert torch.equal(*earned)
-
-
-# -- inspections of a tumbling RSO -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.compiled

@@ -30,5 +30,4 @@ def test_parameters_by_row():
 
 def test_top_is_where_density_becomes_negligible():
     assert density(top_radius(R_EARTH, BASE, HEIGHT)) == pytest.approx(NEGLIGIBLE_DENSITY, rel=1e-9)
-    assert top_radius(R_EARTH, 0.0, HEIGHT) == 0.0
-    assert top_radius(R_EARTH, NEGLIGIBLE_DENSITY, HEIGHT) == 0.0
+    assert (top_radius(R_EARTH, 0.0, HEIGHT), top_radius(R_EARTH, NEGLIGIBLE_DENSITY, HEIGHT)) == (0.0, 0.0)

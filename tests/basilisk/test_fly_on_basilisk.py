@@ -193,8 +193,7 @@ def test_what_is_kept_can_be_read_back_and_is_what_is_shown():
         [confidence(differences).mean, confidence(differences).half_width]
     )
     assert read["summary"]["basilisk"]["deaths"] == {"battery": 1, "rw_speeds": 1}
-    assert read["summary"]["same_actions"] == 1
-    assert read["episodes"]["same_actions"] == [True, False, False]
+    assert (read["summary"]["same_actions"], read["episodes"]["same_actions"]) == (1, [True, False, False])
     assert read["doubtful"].keys() == {"4"}
     console = Console(record=True, width=120)
     console.print(table(pairs, "title"))

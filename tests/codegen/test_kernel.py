@@ -174,8 +174,6 @@ def test_any_number_of_columns():
     assert not failures, "\n".join(failures)
 
 
-# -- building ----------------------------------------------------------------------------------------------------------------
-
 SOURCE = 'extern "C" int lanes_width() { return 42; }'
 
 

@@ -121,8 +121,7 @@ def test_only_news_can_be_told_and_a_packet_tells_both():
     assert arrived >= began + 10.0
     assert env.links[0].tolist() == [[False, True], [False, False]]
     records = env.scenario.records
-    assert records.known[0, 0].tolist() == [1, 1]
-    assert records.received[0, 0, :, 0].tolist() == [began, arrived]
+    assert (records.known[0, 0].tolist(), records.received[0, 0, :, 0].tolist()) == ([1, 1], [began, arrived])
     assert records.exchanged[0, 0, 1].item() == arrived
     assert not legal(env, 0, SEND)
     assert not legal(env, 1, SEND)  # it knows that imager 0 knows

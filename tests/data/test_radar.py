@@ -47,12 +47,10 @@ def share(env):
 
 def test_clouds_matter_to_optical_satellites_only():
     env = cluster(Optical, Radar, Optical)
-    assert value(env, 0, 1, 2) == [0.0, 0.25, 1.0]
-    assert env.rewarder.memory["covered"][0].tolist() == [1, 0, 0]
+    assert (value(env, 0, 1, 2), env.rewarder.memory["covered"][0].tolist()) == ([0.0, 0.25, 1.0], [1, 0, 0])
     assert torch.nonzero(env.rewarder.imaged[0]).squeeze(-1).tolist() == [1, 2]
     env = cluster(Optical, Radar, Optical)
-    assert value(env, 1, 1, None) == [0.0, 0.25, 0.0]
-    assert value(env, 3, 3, None) == [0.0625, 0.0625, 0.0]
+    assert (value(env, 1, 1, None), value(env, 3, 3, None)) == ([0.0, 0.25, 0.0], [0.0625, 0.0625, 0.0])
     env = cluster(Radar, Radar, Radar)
     assert value(env, 0, 1, 2) == [0.5, 0.25, 1.0]
     assert not env.rewarder.memory["covered"].any()

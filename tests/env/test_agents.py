@@ -30,8 +30,7 @@ def test_agents_of_several_satellites_come_first():
 def test_groups_by_type_and_by_the_order_of_members():
     (group,) = groups(types=[[0, 1, 2, 3, 4]]).values()
     assert (group.name, group.agents, group.types, group.whole) == ("agents", tuple(NAMES), (0,), (True,))
-    assert group.members.tolist() == [[0], [1], [2], [3], [4]]
-    assert group.within[0].tolist() == [0, 1, 2, 3, 4]
+    assert (group.members.tolist(), group.within[0].tolist()) == ([[0], [1], [2], [3], [4]], [0, 1, 2, 3, 4])
     assert not group.is_meta
     found = groups()
     assert list(found) == ["wide_imager", "relay"]

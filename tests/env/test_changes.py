@@ -51,9 +51,6 @@ def fresh():
     return build()
 
 
-# -- what changes -----------------------------------------------------------------------------------------------------
-
-
 def test_a_change_takes_effect_at_the_next_reset_of_its_rows_and_builds_nothing():
     env = build({"oe": rand.random_orbit(i=45.0)})
     env.reset()
@@ -172,9 +169,6 @@ def test_arguments_of_the_world():
     assert len(values["baseDensity"].unique()) == 4
 
 
-# -- the pool of prepared episodes ------------------------------------------------------------------------------------
-
-
 def test_prepared_episodes_are_drawn_anew():
     env = build(n=33)
     assert env.pool is not None
@@ -188,9 +182,6 @@ def test_prepared_episodes_are_drawn_anew():
     env.set_sat_args({"storedCharge_Init": lambda: 2e4})
     env.reset()
     assert (args["storedCharge_Init"] == 2e4).all()
-
-
-# -- several satellites -----------------------------------------------------------------------------------------------
 
 
 def test_satellites_are_changed_by_name_or_all():
@@ -207,9 +198,6 @@ def test_satellites_are_changed_by_name_or_all():
         env.set_sat_args({"B": {"mass": 1.0}, "D": {"mass": 1.0}})
     with pytest.raises(TypeError, match=r"belongs to \['A', 'B', 'C'\]; env.set_sat_args"):
         env.satellites[0].sat_args_generator["mass"] = 3.0
-
-
-# -- generator dictionaries -------------------------------------------------------------------------------------------
 
 
 def test_writing_into_the_generator_dictionaries_works():
@@ -239,9 +227,6 @@ def test_the_generator_of_a_satellite_has_all_arguments_and_is_taken_as_it_is_wh
     env = SatelliteTasking(satellite, num_envs=1, **OPTIONS)
     satellite.sat_args_generator["K"] = 5.0
     assert drawn(env, 1)["K"].tolist() == [6.0]
-
-
-# -- saved states -----------------------------------------------------------------------------------------------------
 
 
 def test_changes_survive_pickling_and_states_are_exchanged():
@@ -279,9 +264,6 @@ def test_changes_are_remembered_as_long_as_they_mean_something():
     assert remembered([change(value), change(1.0, (0,))], [change(value, (0, 2))]) == [change(value)]
 
 
-# -- bad input --------------------------------------------------------------------------------------------------------
-
-
 def test_rejects_wrong_changes_which_change_nothing(fresh):
     rows, before, tick = torch.tensor([True]), drawn(fresh), fresh.simulator.tick
     change = fresh.set_sat_args
@@ -309,8 +291,6 @@ def test_rejects_changes_of_what_decides_what_is_built():
         refusal(lambda: env.set_world_args({"baseDensit": 0.5}), KeyError, "'baseDensit'", "'baseDensity'"),
     )
 
-
-# -- what is rejected when it is set --------------------------------------------------------------------------------------------
 
 ROWS = 4
 

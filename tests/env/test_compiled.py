@@ -199,8 +199,7 @@ def test_trials_batches_and_prepared_episodes_share_their_ticks(preset, librarie
     env = bsk_torch.make(preset, num_envs=64)
     env.reset()
     assert env.pool is not None
-    assert Counter(ticks) == {False: len(libraries), True: len(libraries)}
-    assert sorted(built) == libraries
+    assert (Counter(ticks), sorted(built)) == ({False: len(libraries), True: len(libraries)}, libraries)
     again = bsk_torch.make(preset, num_envs=3)  # the tick of the package's components is the same
     assert len(ticks) == 2 * len(libraries)
     assert [s.runners for s in again.fleet.simulators] == [s.runners for s in env.fleet.simulators]

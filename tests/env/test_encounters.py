@@ -74,9 +74,6 @@ def dead(env, row=0):
     return {name for name, flag in zip(env.names, env.dead[row].tolist(), strict=True) if flag}
 
 
-# -- collisions ------------------------------------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def collided():
     """Environments of two orbits after the step in which A collides with the chief."""
@@ -220,9 +217,6 @@ def test_other_types_and_tasks_end_with_the_step():
     assert not env.fleet.simulators[-1].records
 
 
-# -- ranges ----------------------------------------------------------------------------------------------------------------------
-
-
 def test_a_deputy_that_is_too_far_away_dies_alone():
     env = make({"A": ESCAPE, "B": WAITS})
     td = step(env, env.reset())
@@ -262,9 +256,6 @@ def test_chiefs_of_any_model_are_watched_at_radii_of_each_episode():
     assert td["duration"][0] < td["duration"][1] - 10.0
 
 
-# -- an episode that begins in an encounter --------------------------------------------------------------------------------------
-
-
 TOUCHES = [5.0, 0.0, 0.0, 0.0, 0.0, 0.0]
 
 
@@ -273,8 +264,7 @@ def test_an_episode_that_begins_in_collision_has_a_step_of_no_length():
     td = env.reset()
     assert not env.dead.any()
     td = step(env, td)
-    assert td["duration"].tolist() == [[0.0], [0.0]]
-    assert rewards(env, td) == {"RSO": -1.0, "A": -1.0, "B": 0.0}
+    assert (td["duration"].tolist(), rewards(env, td)) == ([[0.0], [0.0]], {"RSO": -1.0, "A": -1.0, "B": 0.0})
     assert env.state.removed.tolist() == [[True, True, False]] * 2
     td = step(env, td)
     assert td["duration"].tolist() == [[200.0], [200.0]]
@@ -284,16 +274,12 @@ def test_an_episode_that_begins_in_collision_has_a_step_of_no_length():
 def test_bsk_rl_reports_those_that_die_in_a_step_of_no_length_twice():
     env = make({"A": TOUCHES, "B": WAITS}, compat="bsk_rl")
     td = step(env, env.reset())
-    assert td["duration"].tolist() == [[0.0], [0.0]]
-    assert rewards(env, td) == {"RSO": -1.0, "A": -1.0, "B": 0.0}
+    assert (td["duration"].tolist(), rewards(env, td)) == ([[0.0], [0.0]], {"RSO": -1.0, "A": -1.0, "B": 0.0})
     assert not env.state.removed.any()
     td = step(env, td)
     assert td["duration"].tolist() == [[200.0], [200.0]]
     assert rewards(env, td) == {"RSO": -1.0, "A": -1.0, "B": 0.0}
     assert env.state.removed.tolist() == [[True, True, False]] * 2
-
-
-# -- bsk_rl's bookings ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("compat", "victims"), [(None, {"RSO", "B"}), ("bsk_rl", {"A", "B"})])
@@ -304,9 +290,6 @@ def test_bsk_rl_books_a_collision_on_the_satellite_before_the_later_one(compat, 
     seen = {name: env.fleet.satellite(name).dynamics.conjunctions[0].tolist() for name in ("RSO", "A", "B")}
     other = {"RSO": [False, False, True], "A": [False] * 3, "B": [True, False, False]}
     assert seen == (other if compat is None else {"RSO": [False] * 3, "A": [False, False, True], "B": [False, True, False]})
-
-
-# -- bad input -------------------------------------------------------------------------------------------------------------------
 
 
 def test_rejects_wrong_arguments():

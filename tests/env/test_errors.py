@@ -181,9 +181,6 @@ def test_arguments_that_are_missing_are_missing_attributes():
     assert copy.copy(arguments).mass == 3.0
 
 
-# -- memory -----------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("time_limit", [300.0, rand.Uniform(300.0, 1000.0), float("inf")])
 def test_batches_that_do_not_fit(time_limit):
     """The answer comes before anything is allocated, and names a batch that fits."""
@@ -226,8 +223,6 @@ def test_bytes_of_an_environment(num_envs):
     assert each < 76e3  # 72 kB, 14 of them planned positions every 30 s for five hours
     assert env.bytes_per_env < 76e3
 
-
-# -- compiler and cache -----------------------------------------------------------------------------------------------------
 
 SCRIPT = """
 import sys, torch, bsk_torch
@@ -282,8 +277,6 @@ def test_a_bad_draw_leaves_the_running_episodes_alone():
         check_refusals(refusal(env.reset, ValueError, "storedCharge_Init"))
 
 
-# -- values of options --------------------------------------------------------------------------------------------------------
-
 BAD = (float("nan"), float("inf"), None, -1.0, 0, "x", "4", [1.0, 2.0], 10**400)
 
 
@@ -328,8 +321,6 @@ def test_no_data_and_no_capacity():
         assert bool(torch.isfinite(td["reward"]).all())
         assert td["reward"].tolist() == [[0.0], [0.0]] or sat_args.get("dataStorageCapacity") == float("inf")
 
-
-# -- the ephemeris ------------------------------------------------------------------------------------------------------------
 
 LATE = dict(utc_init="2060 MAR 06 11:50:00 (UTC)")
 

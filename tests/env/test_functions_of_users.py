@@ -50,8 +50,7 @@ def test_global_generators_are_seeded_for_each_environment_and_put_back():
     expected = np.random.rand(), random.random(), float(torch.rand(()))
     np.random.seed(1), random.seed(1), torch.manual_seed(1)
     four = numbers(4)
-    assert (np.random.rand(), random.random(), float(torch.rand(()))) == expected
-    assert numbers(8)[:4] == four
+    assert ((np.random.rand(), random.random(), float(torch.rand(()))), numbers(8)[:4]) == (expected, four)
     assert len({number for row in four for number in row}) == 12
     np.random.seed(1)
     before = np.random.get_state()[1].copy()

@@ -183,8 +183,7 @@ def test_an_image_is_stored_a_tick_after_the_first_valid_one_and_held_afterward(
             continue
         done += 1
         assert (held[first], storage[first], storage[first + 1]) == (1.0, 0.0, IMAGE)
-        assert float(env.satellite.dynamics.rso_image_time[k]) == pytest.approx(first + 1)
-        assert held[-1] == 10.0
+        assert (float(env.satellite.dynamics.rso_image_time[k]), held[-1]) == (pytest.approx(first + 1), 10.0)
         assert all(b - a in (0.0, 1.0) for a, b in itertools.pairwise(held))
         assert float(td["duration"][k]) == pytest.approx(len(held) - 1)
     assert done >= 2
@@ -202,8 +201,7 @@ def test_downlinks_end_with_the_store_and_last_ten_seconds():
         assert td["duration"].flatten().tolist() == [10.0] * 4
         assert td["reward"].flatten().tolist() == [-1.0] * 4
     td = empty.step(td.set("action", torch.full((4,), CHARGE)))["next"]
-    assert td["duration"].flatten().tolist() == [300.0] * 4
-    assert td["reward"].flatten().tolist() == [0.0] * 4
+    assert (td["duration"].flatten().tolist(), td["reward"].flatten().tolist()) == ([300.0] * 4, [0.0] * 4)
 
 
 class Sender(ScanningSatellite):
@@ -278,8 +276,7 @@ def test_an_image_whose_hold_another_command_ends_stays_in_the_store_without_qua
     assert env.rewarder.counts()["captured"].tolist() == [[1, 0]] * 2
     for _ in range(3):
         play(env, 1, 0)
-    assert env.scenario.pending.sum() == 0
-    assert env.rewarder.counts()["delivered"].tolist() == [[1, 0]] * 2
+    assert (env.scenario.pending.sum(), env.rewarder.counts()["delivered"].tolist()) == (0, [[1, 0]] * 2)
 
 
 def test_an_episode_that_ends_during_a_hold_counts_the_image():

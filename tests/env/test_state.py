@@ -97,9 +97,6 @@ def now(env: Any) -> TensorDict:
     return env.reset(TensorDict({"state": env.get_state()}, env.batch_size), set_state=True)
 
 
-# -- every operation on a declared field ----------------------------------------------------------------------------------------
-
-
 @pytest.mark.compiled
 @pytest.mark.parametrize("n", [N, 40], ids=["without pool", "with pool"])
 def test_a_declared_field_takes_part_in_everything(n):
@@ -201,9 +198,6 @@ def test_nested_observations_after_a_restored_state_are_looked_through_for_nan()
     assert bool(torch.isfinite(following["observation", "target", "rows"]).all())
 
 
-# -- restoring ------------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.compiled
 @pytest.mark.parametrize("form", ["tensordict", "dictionary", "file", "environment"])
 @pytest.mark.parametrize("setup", SETUPS)
@@ -286,9 +280,6 @@ def test_rejects_states_of_other_makes():
             table.append(refusal(lambda state=state: env.restore(state, *rows), ValueError, *names))
     with unchanged(env):
         check_refusals(table)
-
-
-# -- the way of an action -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.compiled

@@ -109,8 +109,7 @@ def alone(name):
 def test_grouped():
     """In the order in which types appear; numbers within a type ascend."""
     satellites = [Basic("A"), Ground("B"), Basic("C", {"mass": 3.0}), Other("D"), Ground("E"), Basic("F", obs_type=dict)]
-    assert grouped(satellites, alone) == [[0, 2], [1, 4], [3], [5]]
-    assert grouped(satellites[:1], alone) == [[0]]
+    assert (grouped(satellites, alone), grouped(satellites[:1], alone)) == ([[0, 2], [1, 4], [3], [5]], [[0]])
     five = [Basic(f"A{k}") for k in range(5)]
     assert grouped(five, alone) == [[0, 1, 2, 3, 4]]
     assert grouped(five, lambda name: name in ("A1", "A4")) == [[0, 2, 3], [1, 4]]

@@ -99,9 +99,6 @@ def test_flights_are_joined_with_their_images():
     assert torch.equal(leads(both, times).lead[2:], leads(other, times).lead)
 
 
-# -- the relaxation -----------------------------------------------------------------------------------------------------------
-
-
 def optimum(tiny: Tiny, times: Envelope) -> float:
     """The best schedule whose images are no later than allowed, each and together: all orders, each image as early as can be."""
     spans = {int(t): (int(a), int(b)) for t, a, b in zip(*tiny.openings[1:], strict=True)}
@@ -171,9 +168,6 @@ def test_a_schedule_of_the_relaxation_keeps_to_the_lateness():
         assert torch.equal(graph.late, (graph.cell - tiny.openings.last[graph.window]).clamp(min=0))
         priced += float(found.price) > 0.0
     assert priced
-
-
-# -- flights ------------------------------------------------------------------------------------------------------------------
 
 
 def test_recorded_images_are_those_of_the_transitions():
@@ -258,9 +252,6 @@ def test_where_targets_are_dense_the_bound_lies_far_below_the_sum_in_view_and_ab
     ahead = planner("rollout", env, base=pretrained("AEOS-v1"), budget=4, horizon=120.0, gamma=0.99)
     for where, policy in ((env, pretrained("AEOS-v1")), (env, ahead), *rules):
         assert float((bound.upper - evaluate(policy, where, seed=SEED).returns).min()) >= 0.0
-
-
-# -- where satellites point ---------------------------------------------------------------------------------------------------
 
 
 def test_sectors_are_those_of_azimuths_on_the_sphere():

@@ -23,8 +23,7 @@ def test_changes_are_read_in_their_types():
     ]
     config = override(PPOConfig(options={"as_set": True}), changes)
     assert (config.hidden, config.seconds, config.frames, config.learning_rate) == ((32, 16), None, 1000, 1e-4)
-    assert config.loggers == ("csv", "tensorboard")
-    assert config.options == {"as_set": True, "time_limit": 9}
+    assert (config.loggers, config.options) == (("csv", "tensorboard"), {"as_set": True, "time_limit": 9})
 
 
 def test_files_give_back_what_was_saved(tmp_path):

@@ -54,8 +54,7 @@ def test_parts_are_joined_in_order_with_one_episode_per_row():
         for x in (0.0, 5.0)
     ]
     whole = Evaluation.joined(parts)
-    assert whole.returns.tolist() == [0.0, 1.0, 5.0, 6.0]
-    assert whole.fill.tolist() == [0.0, 0.0, 5.0, 0.0]
+    assert (whole.returns.tolist(), whole.fill.tolist()) == ([0.0, 1.0, 5.0, 6.0], [0.0, 0.0, 5.0, 0.0])
     assert whole.counts["imaged"].tolist() == [2, 3, 2, 3]
     assert Evaluation.joined([evaluation(torch.zeros(1))]).fill is None
     env = bsk_torch.make("NadirScan-v1", num_envs=3, seed=0, time_limit=LIMIT)

@@ -63,9 +63,6 @@ def half(stopped, tmp_path):
     return Path(shutil.copytree(stopped, tmp_path / "half"))
 
 
-# -- everything is checked before anything is written -----------------------------------------------------------------
-
-
 def test_rejects_other_settings_at_a_resume_which_change_nothing(half, monkeypatch):
     monkeypatch.setattr("bsk_torch.rl.training.log.find_spec", lambda name: None)  # no wandb
     before, config = contents(half), load_config(half / CONFIG, PPOConfig)
@@ -170,9 +167,6 @@ def test_a_training_that_diverges_says_so(tmp_path):
     assert load_checksummed(tmp_path / "run" / CHECKPOINT, "checkpoint")["progress"][0] == 24
 
 
-# -- one process at a time --------------------------------------------------------------------------------------------
-
-
 @pytest.fixture
 def other(tmp_path):
     """A function that lets another process take the lock of a folder; returns its number."""
@@ -257,9 +251,6 @@ def test_one_process_may_not_train_twice_in_a_folder(tmp_path):
     assert LOCK not in contents(tmp_path / "run")
 
 
-# -- logs -------------------------------------------------------------------------------------------------------------
-
-
 TORN = [
     pytest.param(lambda data: data[:-7], id="torn"),
     pytest.param(lambda data: data[:-1], id="without its end"),
@@ -289,8 +280,7 @@ def test_a_torn_log_does_not_block_resuming(half, whole):
     for name in (LOG, EVALUATIONS):
         (half / name).write_bytes((half / name).read_bytes() + b"2,48,0.")
     Training(dataclasses.replace(SMALL, frames=48), half, resume=True).run()
-    assert read_log(half / LOG)["frames"] == [24, 48]
-    assert read_log(half / EVALUATIONS)["frames"] == [24, 48]
+    assert (read_log(half / LOG)["frames"], read_log(half / EVALUATIONS)["frames"]) == ([24, 48], [24, 48])
     assert read_log(half / LOG)["loss_critic"] == read_log(whole / LOG)["loss_critic"][:2]
 
 

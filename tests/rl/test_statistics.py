@@ -14,8 +14,7 @@ def test_student_quantile_agrees_with_tables(freedom, expected):
 def test_intervals_of_worked_examples():
     # 1 ... 10: mean 5.5, standard deviation 3.02765, t(0.975, 9) = 2.26216
     estimate = confidence(torch.arange(1.0, 11.0))
-    assert estimate.mean == 5.5
-    assert estimate.half_width == pytest.approx(2.26216 * 3.02765 / 10**0.5, abs=1e-3)
+    assert (estimate.mean, estimate.half_width) == (5.5, pytest.approx(2.26216 * 3.02765 / 10**0.5, abs=1e-3))
     assert confidence(torch.ones(1)).half_width == float("inf")
     low, high = wilson(3, 40)
     assert wilson(37, 40) == pytest.approx((1.0 - high, 1.0 - low), abs=1e-12)

@@ -163,8 +163,7 @@ def test_cases_of_a_folder_are_a_task_with_a_checksum(tmp_path):
     write(tmp_path / "00001", constellation(2), tasks(5))
     write(tmp_path / "00002", constellation(1), tasks(7))
     task = bench_folder(tmp_path)
-    assert (task.episodes, list(task.seeds())) == (2, [0, 1])
-    assert task.about == bench_folder(tmp_path).about
+    assert ((task.episodes, list(task.seeds())), task.about) == ((2, [0, 1]), bench_folder(tmp_path).about)
     write(tmp_path / "00002", constellation(1), tasks(6))
     assert bench_folder(tmp_path).about != task.about
     env = task.environment(backend="eager")

@@ -48,9 +48,6 @@ def same_logs(one, other, columns=SAME, name=LOG):
     )
 
 
-# -- what a run leaves behind -----------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     out = tmp_path_factory.mktemp("run")
@@ -82,9 +79,6 @@ def test_rejects_folders_that_do_not_fit_and_leaves_them(run, tmp_path):
     assert (out / LOG).read_text() == before
     check_refusals(refusal(lambda: Training(TINY, tmp_path, resume=True), FileNotFoundError, "checkpoint.pt"))
     assert not list(tmp_path.iterdir())
-
-
-# -- interruptions ----------------------------------------------------------------------------------------------------
 
 
 def test_a_resumed_run_remembers_what_its_policy_remembered(tmp_path):
@@ -214,9 +208,6 @@ def test_rejects_checkpoints_of_something_else(run, tmp_path):
     )
 
 
-# -- stopping, loggers ------------------------------------------------------------------------------------------------
-
-
 def test_training_stops_when_the_return_does_not_grow(tmp_path):
     config = dataclasses.replace(TINY, frames=2400, evaluate_every=24, patience=2, learning_rate=0.0)
     train(config, tmp_path / "stopped", episodes=0)
@@ -271,9 +262,6 @@ def test_missing_packages_are_named_before_anything_is_made(tmp_path, monkeypatc
     with pytest.raises(ModuleNotFoundError, match=r"pip install 'bsk_torch\[wandb\]'"):
         Training(dataclasses.replace(TINY, loggers=("csv", "wandb")), tmp_path / "run")
     assert not (tmp_path / "run").exists()
-
-
-# -- what is averaged -------------------------------------------------------------------------------------------------
 
 
 def test_recent_episodes_skip_the_first_of_each_environment():

@@ -118,8 +118,7 @@ def test_opportunities_are_those_of_the_tensors(env, one):
     whole = env.satellite.find_next_opportunities(4, types="target")
     for k, found in enumerate(one.find_next_opportunities(4, types="target")):
         assert found["window"] == (whole.open[2, k].item(), whole.close[2, k].item())
-        assert found["type"] == "target"
-        assert found["object"].priority == whole["object"].priority[2, k].item()
+        assert (found["type"], found["object"].priority) == ("target", whole["object"].priority[2, k].item())
         assert found["object"].id == whole["object"].id[2, k]
         assert found["object"].name == whole["object"].name[2, k]
         assert np.array_equal(found["object"].r_LP_P, found["r_LP_P"])

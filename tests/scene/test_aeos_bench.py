@@ -179,8 +179,7 @@ def test_sensors_are_on_as_the_action_says(folder):
     td = env.reset()
     assert env.action_spec["agents", "action"].space.n == 2 * 41 + 1
     env.step(td.set(("agents", "action"), torch.tensor([[3, 41 + 3]])))
-    assert env.scenario.sensor_on.tolist() == [[False, True]]
-    assert env.rewarder.measures()["PC"].item() == 10.0
+    assert (env.scenario.sensor_on.tolist(), env.rewarder.measures()["PC"].item()) == ([[False, True]], 10.0)
 
 
 def test_rejects_steps_longer_than_a_tick(folder):

@@ -39,8 +39,7 @@ def test_a_step_is_paid_by_what_was_seen_before(begin, move):
     assert scenario.available.all()
     assert scenario.priority is scenario.priority
     move(scenario, 100.0)
-    assert scenario.priority.tolist() == [[102, 102]]
-    assert scenario.available.tolist() == [[False, True]]
+    assert (scenario.priority.tolist(), scenario.available.tolist()) == ([[102, 102]], [[False, True]])
 
 
 def test_reset_begins_anew_and_leaves_the_others(begin, move):

@@ -80,8 +80,7 @@ def test_changing_targets_under_clouds(begin, move):
     scenario = begin(scene.CloudyTargets(fire, cover=0.1, forecast_sigma=0.0, largest_forecast=0.2), 1)
     for time, priority, available in ((0.0, 0.0, False), (2000.0, 0.75, True), (3500.0, 0.0, False)):
         move(scenario, time)
-        assert scenario.priority.item() == pytest.approx(priority)
-        assert scenario.available.item() == available
+        assert (scenario.priority.item(), scenario.available.item()) == (pytest.approx(priority), available)
 
 
 class Everywhere(scene.UniformTargets):

@@ -33,8 +33,7 @@ def test_each_environment_its_own(begin):
     places = torch.tensor([[X, Y], [Y, Z]]).double()
     scenario = begin(scene.Targets(rand.per_env(places), priority=rand.per_env([[1, 2], [3, 4]])), 2)
     assert torch.equal(scenario.r_LP_P, places)
-    assert scenario.priority.tolist() == [[1, 2], [3, 4]]
-    assert scenario.target_names == ["tgt-0", "tgt-1"]
+    assert (scenario.priority.tolist(), scenario.target_names) == ([[1, 2], [3, 4]], ["tgt-0", "tgt-1"])
     alone = scenario.draw(rows_of(key(2, episode=5), [1]))
     assert torch.equal(alone["target_r_LP_P"], places[1:])
     assert alone["target_priority"].tolist() == [[3, 4]]
@@ -46,8 +45,7 @@ def test_lists_and_priorities_of_each_environment(begin):
     assert scenario.available.tolist() == [[True, False, False], [True, True, True]]
     assert scenario.priority.tolist() == [[5, 0, 0], [1, 2, 3]]
     scenario = begin(scene.Targets([X, Y], rand.per_env([[1, 2], [3, 4]])), 2)
-    assert scenario.priority.tolist() == [[1, 2], [3, 4]]
-    assert scenario.r_LP_P.tolist() == [[X, Y]] * 2
+    assert (scenario.priority.tolist(), scenario.r_LP_P.tolist()) == ([[1, 2], [3, 4]], [[X, Y]] * 2)
 
 
 def test_priorities_of_padding_are_zero_however_they_are_given(begin):

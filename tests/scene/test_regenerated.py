@@ -53,8 +53,7 @@ def test_targets_of_hooks_are_those_of_the_base_class_and_more(begin):
     scenario = begin(Three(1, rand.Uniform(1.0, 2.0)), 2)
     assert scenario.most_targets == 3
     assert (scenario.priority >= 1.0).all()
-    assert len(scenario.priority.unique()) == 6
-    assert scenario.names(0) == ["site-0", "site-1", "site-2"]
+    assert (len(scenario.priority.unique()), scenario.names(0)) == (6, ["site-0", "site-1", "site-2"])
 
 
 def test_draws_depend_on_the_key_alone():

@@ -131,8 +131,7 @@ def test_knowledge_is_that_of_lists_of_records(sequence):
             there = one_env(env, True, (1,))
             at = time.unsqueeze(1)
             index = book.enter(there, torch.full((ENVS, 1), sensor), torch.full((ENVS, 1), target), at, at, time)
-            assert index[env, 0] == reference.capture(sensor, target, float(now))
-            assert index[1 - env, 0] == NONE
+            assert (index[env, 0], index[1 - env, 0]) == (reference.capture(sensor, target, float(now)), NONE)
         elif kind == "deliver" and reference.number:
             key = what[0] % reference.number
             records = torch.full((ENVS, 1), NONE)

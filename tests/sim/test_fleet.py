@@ -205,8 +205,7 @@ def test_all_types_fly_to_the_first_event_of_any():
     """The first type flies beyond the second one's event in one episode, and goes back there; the others are not flown again."""
     plain, first, second = Flyer(0), Flyer(1, [25, 105, 99]), Flyer(2, [99, 35, 99])
     seen = fly([plain, first, second], [60, 60, 7])
-    assert plain.ticks.tolist() == [25, 35, 12]
-    assert seen == [None, [True, False, False], [False, True, False]]
+    assert (plain.ticks.tolist(), seen) == ([25, 35, 12], [None, [True, False, False], [False, True, False]])
     assert (first.flights, second.flights) == ([[60, 60, 7], [0, 30, 0]], [[20, 60, 7]])
     assert plain.flights == [[20, 30, 7]], "types that end no step fly last, and once"
 

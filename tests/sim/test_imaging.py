@@ -140,13 +140,11 @@ def test_the_event_fires_once():
     bus = write(Bus(1_000_000_000), image_level=torch.tensor([5.0, 5.0, math.inf, 5.0]).double(), images=plane(2.0, 4))
     bus.partitions = torch.tensor([5.0, 5.5, 9.0, 6.0]).double(), plane(1e9, 4)
     events.notice_image(bus)
-    assert bus.stop.tolist() == [False, True, False, True]
-    assert bus.images.tolist() == [2.0, 3.0, 2.0, 3.0]
+    assert (bus.stop.tolist(), bus.images.tolist()) == ([False, True, False, True], [2.0, 3.0, 2.0, 3.0])
     assert bus.image_level.tolist() == [5.0, DISARMED, math.inf, DISARMED]
     bus.stop = torch.tensor([True, False, False, False])  # of another event
     events.notice_image(bus)
-    assert bus.stop.tolist() == [True, False, False, False]
-    assert bus.images.tolist() == [2.0, 3.0, 2.0, 3.0]
+    assert (bus.stop.tolist(), bus.images.tolist()) == ([True, False, False, False], [2.0, 3.0, 2.0, 3.0])
 
 
 MODES = ("image", "image", "image", "charge", "downlink", "desat", "drift", "image")

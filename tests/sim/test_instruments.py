@@ -78,9 +78,6 @@ def assert_same(one: list[torch.Tensor], other: list[torch.Tensor], rows: slice 
     assert all(torch.equal(a[rows], b[rows]) for a, b in zip(one, other, strict=True))
 
 
-# -- each step is that of one instrument ------------------------------------------------------------------------------------
-
-
 def test_one_instrument_is_that_of_bsk_rl():
     angle = (obs.OpportunityProperties(dict(prop="target_angle"), dict(prop="priority"), n_ahead_observe=3),)
     own = {"inst_pHat_B": [0, 0, 1], "imageAttErrorRequirement": 0.01, "instrumentBaudRate": 8e6}
@@ -157,9 +154,6 @@ def test_power_and_data_are_those_of_the_chosen_instrument(broken):
         assert env.satellite.dynamics.instrument_index.tolist() == [number] * N
 
 
-# -- actions ----------------------------------------------------------------------------------------------------------------
-
-
 def test_the_same_target_with_another_instrument_is_another_task():
     env = environment({"instruments": [dyn.Instrument("a"), dyn.Instrument("b", inst_pHat_B=[1, 0, 1])], **PACKET})
     td = env.reset()
@@ -214,9 +208,6 @@ def test_targets_by_their_index_are_imaged_by_the_first_instrument():
     assert env.satellite.dynamics.instrument_index.tolist() == [0.0] * N
 
 
-# -- windows ----------------------------------------------------------------------------------------------------------------
-
-
 def test_windows_are_those_of_satellites_with_the_instrument_and_shared_without_limits():
     both, alone = environment(), environment({**NARROW, **PACKET})
     for env in (both, alone):
@@ -263,8 +254,6 @@ def test_light_limits_one_instrument():
     assert sines == pytest.approx([-2.0, math.sin(0.2)])
 
 
-# -- draws, backends, batches -----------------------------------------------------------------------------------------------
-
 AXES = rand.Choice([[0.0, 1.0, 1.0], [1.0, 0.0, 2.0]])
 DRAWN = [
     dyn.Instrument("wide", imageAttErrorRequirement=rand.Uniform(0.01, 0.03)),
@@ -290,9 +279,6 @@ def test_compiled_and_eager_agree():
     assert len(eager) == 24  # rewards, observations, ticks and five fields of three steps
     for one, other in zip(eager, compiled, strict=True):
         torch.testing.assert_close(one, other, rtol=1e-9, atol=1e-9)
-
-
-# -- errors -----------------------------------------------------------------------------------------------------------------
 
 
 def test_rejects_wrong_instruments():

@@ -36,8 +36,7 @@ class TestGymnasium:
         assert space == spaces.Box(-1.0, 1.0, (3,), np.float32)
         mover = kind(act.ImpulsiveThrust(max_dv=2.0), models=(dyn.DynamicsModel, fsw.MagicOrbitalManeuverFSWModel))
         space = GymEnv(SatelliteTasking(mover("A", START), **OPTIONS)).action_space
-        assert space.low.tolist() == [-2.0, -2.0, -2.0, 2.0]
-        assert space.high.tolist() == [2.0, 2.0, 2.0, np.inf]
+        assert (space.low.tolist(), space.high.tolist()) == ([-2.0, -2.0, -2.0, 2.0], [2.0, 2.0, 2.0, np.inf])
         hybrid = GymEnv(core(Choose("choose"))).action_space
         assert hybrid == spaces.Dict(values=spaces.Box(1.0, 50.0, (1,), np.float32), choice=spaces.Discrete(2))
 

@@ -50,9 +50,6 @@ def assert_same(left, right):
     assert data_equivalence(left, right, exact=True), f"{left}\n{right}"
 
 
-# -- one episode ------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("obs_type", [torch.Tensor, dict])
 def test_gymnasium_accepts_the_environment(obs_type):
     spec = gymnasium.envs.registration.EnvSpec("Quick-v0", entry_point=single, kwargs={"obs_type": obs_type})
@@ -133,16 +130,12 @@ def test_rejects_wrong_actions_which_change_nothing():
     assert int(env.core.simulator.ticks) == 0
 
 
-# -- many episodes ----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("mode", "obs_type"), [(NEXT, torch.Tensor), (SAME, torch.Tensor), (SAME, dict)])
 def test_a_batch_plays_what_single_environments_play(mode, obs_type):
     count, seed = 3, 1
     batch = GymVectorEnv(quick, count, autoreset_mode=mode, obs_type=obs_type)
     singles = sync(count, mode, obs_type=obs_type)
-    assert batch.observation_space == singles.observation_space
-    assert batch.action_space == singles.action_space
+    assert (batch.observation_space, batch.action_space) == (singles.observation_space, singles.action_space)
     assert_same(batch.reset(seed=seed), singles.reset(seed=[seed] * count))
     actions = np.random.default_rng(0).integers(0, 3, (6, count))
     ends = np.zeros((2, count), dtype=int)
@@ -248,15 +241,11 @@ def test_a_partial_restore_leaves_state_and_the_others_alone():
     assert (state == kept).all()
 
 
-# -- in Gymnasium's world ---------------------------------------------------------------------------------------------
-
-
 def test_episode_statistics_are_recorded_and_the_core_stays_usable():
     env = gymnasium.wrappers.RecordEpisodeStatistics(single(time_limit=12.0, charge=1e5))
     env.reset(seed=0)
     first, last = env.step(0), env.step(1)
-    assert last[4]["episode"]["l"] == 2
-    assert last[4]["episode"]["r"] == pytest.approx(first[1] + last[1])
+    assert (last[4]["episode"]["l"], last[4]["episode"]["r"]) == (2, pytest.approx(first[1] + last[1]))
     env = single(charge=1e5)
     env.reset(seed=0)
     step = env.core.step(TensorDict({"action": torch.tensor([2])}, [1]))

@@ -53,9 +53,6 @@ def same(left, right):
     return data_equivalence(left, right, exact=True)
 
 
-# -- PettingZoo's own checks ------------------------------------------------------------------------------------------
-
-
 @cases
 def test_pettingzoo_accepts_the_environment(make, options):
     with warnings.catch_warnings():
@@ -70,9 +67,6 @@ def test_episodes_can_be_repeated():
 @pytest.mark.filterwarnings("ignore::UserWarning:pettingzoo.test")
 def test_agents_can_take_turns():
     api_test(parallel_to_aec(built(mixed)), 20)
-
-
-# -- names and spaces -------------------------------------------------------------------------------------------------
 
 
 def test_agents_have_the_order_and_spaces_of_the_satellites():
@@ -99,9 +93,6 @@ def test_observations_may_be_named_and_the_state_is_what_all_see():
     env, _, infos = view(common_info=True)
     assert infos["__common__"] == {"d_ts": 0.0}
     assert env.step({"S0": 2})[4]["__common__"] == {"d_ts": 3.0}
-
-
-# -- against the environment behind it --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("charges", [(FULL,) * 3, DYING])
@@ -157,9 +148,6 @@ def test_going_on_can_be_an_action():
     plain.step({"S0": 0, "S1": 1, "S2": 2})
     assert [infos[agent]["action_mask"].tolist() for agent in env.agents] == [[0, 0, 0, 1], [0, 0, 0, 1], [1, 1, 1, 0]]
     assert same(env.step({"S0": 3, "S1": 3, "S2": 0})[0], plain.step({"S2": 0})[0])
-
-
-# -- ends -------------------------------------------------------------------------------------------------------------
 
 
 def test_the_dead_say_goodbye():
@@ -221,9 +209,6 @@ def test_the_rewarder_can_end_it_for_one():
     assert env.agents == ["S0", "S2"]
 
 
-# -- agents of several satellites -------------------------------------------------------------------------------------
-
-
 def test_an_agent_may_command_several():
     env, observations, infos = view(crew)
     apart, alone, _ = view(mixed)
@@ -244,11 +229,7 @@ def test_an_agent_may_command_several():
 def test_an_agent_leaves_with_its_first_satellite():
     env, *_ = view(crew, charges=DYING)
     _, rewards, terminations, _, _ = env.step({"Pair": [0, 0], "S0": 0})
-    assert (rewards["Pair"], terminations) == (-1.0, {"Pair": True, "S0": False})
-    assert env.agents == ["S0"]
-
-
-# -- errors -----------------------------------------------------------------------------------------------------------
+    assert ((rewards["Pair"], terminations), env.agents) == ((-1.0, {"Pair": True, "S0": False}), ["S0"])
 
 
 def test_rejects_wrong_actions_which_change_nothing():
@@ -271,9 +252,6 @@ def test_rejects_wrong_actions_which_change_nothing():
     assert int(env.core.simulator.ticks[0]) == 0
 
 
-# -- episodes ---------------------------------------------------------------------------------------------------------
-
-
 def test_a_seed_names_a_sequence_of_episodes():
     env, first, _ = view(seed=5)
     second = env.reset()[0]
@@ -294,9 +272,6 @@ def test_an_episode_can_start_from_a_state():
     assert same(env.step({"S0": 1}), after)
 
 
-# -- in TorchRL's world -----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL:UserWarning")
 def test_torchrl_can_wrap_the_view():
     groups = {"quick": ["S0", "S2"], "slow": ["S1"]}
@@ -312,9 +287,6 @@ def test_torchrl_can_wrap_the_view():
     assert not steps["next", "slow", "mask"][0]
     assert steps["next", "slow", "terminated"][0]
     assert (steps["quick", "info", "d_ts"].shape, steps["state"].shape) == ((8, 2), (8, 12))
-
-
-# -- presets ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("preset", ["Constellation-v1", "RelayConstellation-v1"])

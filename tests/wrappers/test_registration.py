@@ -37,8 +37,7 @@ def test_a_vector_of_ones_own():
     envs = gymnasium.make_vec("bsk_torch/SatelliteTasking-v1", num_envs=3, satellite=Imager("EO1"), **problem())
     envs.reset(seed=1)
     *_, info = envs.step(np.zeros(3, int))
-    assert info["d_ts"].tolist() == [30.0] * 3
-    assert envs.unwrapped.satellite.dynamics.r_BN_N.shape == (3, 3)
+    assert (info["d_ts"].tolist(), envs.unwrapped.satellite.dynamics.r_BN_N.shape) == ([30.0] * 3, (3, 3))
 
 
 def test_all_satellites_under_one_agent():

@@ -172,8 +172,7 @@ def test_masks_are_found_by_sb3_contrib():
 def test_attributes_are_those_of_the_simulation():
     env = SB3VecEnv(scanning, COUNT)
     assert env.get_attr("batch_size", [0, 2]) == [env.core.batch_size] * 2
-    assert env.get_attr("render_mode") == [None] * COUNT
-    assert env.env_is_wrapped(VecMonitor) == [False] * COUNT
+    assert (env.get_attr("render_mode"), env.env_is_wrapped(VecMonitor)) == ([None] * COUNT, [False] * COUNT)
     assert not env.has_attr("no_such_thing")
     check_refusals(
         refusal(lambda: env.get_attr("no_such_thing"), AttributeError, "'no_such_thing'", "GymVectorEnv"),

@@ -57,8 +57,6 @@ def test_answers_of_basilisk(recording, five_orbits):
     assert (recorded["eclipse_start"] == NOT_FOUND).any()
 
 
-# -- the next eclipse -------------------------------------------------------------------------------------------------------
-
 NUMBER, PART = 1000, 250
 """Random orbits, and how many of them are solved at once."""
 
@@ -179,8 +177,7 @@ def test_answers_depend_on_nothing_that_was_asked_before_or_of_other_rows(five_o
         alone = table(five_orbits, 0.0)
         expected = alone.query(at(times[row].item()))
         assert [x[row].item() for x in answers] == [x[row].item() for x in expected]
-        assert together.known[row] == alone.known[row]
-        assert together.sampled[row] == alone.sampled[row]
+        assert (together.known[row], together.sampled[row]) == (alone.known[row], alone.sampled[row])
 
 
 def test_without_eclipses_searches_end(five_orbits):
@@ -189,9 +186,6 @@ def test_without_eclipses_searches_end(five_orbits):
     # The dawn-dusk orbit: all three searches fail.
     start, end = table(five_orbits).query(at(0.0))
     assert start[3].item() == end[3].item() == NOT_FOUND
-
-
-# -- answers of bsk_rl by definition ----------------------------------------------------------------------------------------
 
 
 def place_and_sun(flight: Solved, row: int, time: torch.Tensor) -> tuple[Vec3, Vec3]:
@@ -251,9 +245,6 @@ def test_the_third_search_is_not_looked_at(five_orbits):
     assert [x[0].item() for x in behind.query(at(0.0))] == [NOT_FOUND, NOT_FOUND]
     assert behind.known[0] == 12_030.0
     assert [x[0].item() for x in behind.query(at(0.0))] == [start + 7500.0, end + 7500.0]
-
-
-# -- the kernel -------------------------------------------------------------------------------------------------------------
 
 
 def random_tables(n: int, restarts: bool) -> list[EclipseTable]:
@@ -316,9 +307,6 @@ def test_rejects_tables_that_the_kernel_would_misread():
         refusal(lambda: eclipses.query(at(0.0).float()), TypeError, "time", "[5]", "torch.float32", "torch.float64"),
         refusal(lambda: short.query(at(0.0)), TypeError, "known", "[4]"),
     )
-
-
-# -- arcs that move on ------------------------------------------------------------------------------------------------------
 
 
 def test_moved_and_longer_arcs_answer_the_same(recording, fly):

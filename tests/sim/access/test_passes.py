@@ -67,9 +67,6 @@ def ground_of(kind: str, n: int, samples: int) -> GroundTrack:
     return flown_over(*KINDS[kind](n), samples, inclination)
 
 
-# -- the coarse screen ---------------------------------------------------------------------------------------------------------
-
-
 def table(ground: GroundTrack, places: Sites) -> torch.Tensor:
     """Which places [n, P] the screen leaves of each cell, [n, C, P]."""
     n, samples = ground.r_BP_P.shape[:2]
@@ -170,9 +167,6 @@ def test_limit_angle():
     torch.testing.assert_close(sine_of_elevation(r_P, site), least)
 
 
-# -- passes --------------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("sight", SIGHTS)
 def test_passes_of_a_row_do_not_depend_on_others(sight):
     ground, places = ground_of("low", 6, 181), Sites(anywhere(6, 60), limits(6, 60))
@@ -218,9 +212,6 @@ def assert_same(found: Listed, expected: Listed, tolerance: float) -> None:
         assert len(found[pair]) == len(windows), (pair, found[pair], windows)
         for one, other in zip(sorted(found[pair]), sorted(windows), strict=True):
             assert one == pytest.approx(other, abs=tolerance), (pair, found[pair], windows)
-
-
-# -- windows as bsk_rl generates them ------------------------------------------------------------------------------------------
 
 
 def segments(ground: GroundTrack, segment: float, first: float | None = None) -> GenerationIntervals:

@@ -293,8 +293,7 @@ def test_codes_of_a_cell():
         return int(event_code(before, here, after, numbers(time), cells))
 
     assert at_the_end(down, down, up, 900.0) == RISE + ABOVE_LIMIT
-    assert at_the_end(up, up, up, 900.0) == ABOVE_LIMIT
-    assert at_the_end(down, top, down, 900.0) == SHORT_PASS
+    assert (at_the_end(up, up, up, 900.0), at_the_end(down, top, down, 900.0)) == (ABOVE_LIMIT, SHORT_PASS)
     assert at_the_end(down, top, down, 930.0) == at_the_end(down, down, up, 930.0) == 0  # behind the end
 
 

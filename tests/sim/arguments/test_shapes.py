@@ -61,8 +61,7 @@ def environment(normals, n: int = 3, backend: str = "eager") -> SatelliteTasking
 def test_as_many_panels_as_are_given(count, backend):
     env = environment(NORMALS[:count], backend=backend)
     seen = env.rollout(2)["next", "observation"]
-    assert seen.shape == (3, 2, count)
-    assert env.satellite.sat_args["cellNormals_B"].shape == (3, count, 3)
+    assert (seen.shape, env.satellite.sat_args["cellNormals_B"].shape) == ((3, 2, count), (3, count, 3))
     s_N = env.simulator.world.r_SN_N - env.satellite.dynamics.r_BN_N
     s_B = (env.satellite.dynamics.BN @ (s_N / s_N.norm(dim=-1, keepdim=True)).unsqueeze(-1)).squeeze(-1)
     expected = (s_B @ torch.tensor(NORMALS[:count], dtype=torch.float64).mT).clamp(min=0.0)

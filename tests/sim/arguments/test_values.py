@@ -201,9 +201,6 @@ def test_stations_are_the_same_for_all_environments():
     )
 
 
-# -- several satellites -----------------------------------------------------------------------------------------------
-
-
 def several(*given: dict, columns: tuple[int, ...] | None = None, n: int = 3) -> dict:
     """What satellites with these arguments draw, rows environment-major."""
     return Arguments(PARTS, given, "sat_args", range(len(given)) if columns is None else columns).draw(key(n))
@@ -295,8 +292,6 @@ def test_what_is_known_is_not_drawn_again():
     values = Arguments(WORLD, {"utc_init": never}, "world_args").draw(key(), known)
     assert values["utc_init"] is known["utc_init"]
 
-
-# -- arguments that replace others ------------------------------------------------------------------------------------
 
 THREE = Arguments(PARTS, {}, "sat_args", (0, 1, 2))
 

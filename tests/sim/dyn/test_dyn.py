@@ -29,9 +29,6 @@ def a_bus(h: float = 1.0, **values: Any) -> Bus:
     return bus
 
 
-# -- battery and power ------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("charge", "watts", "h", "expected"),
     [
@@ -77,9 +74,6 @@ def test_panels_follow_the_attitude_and_sinks_draw_power():
     bus.thruster_power = number(1.0)
     power.THRUSTER_POWER.update(bus)
     assert bus.power.item() == -74.0
-
-
-# -- wheels -----------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -146,9 +140,6 @@ def test_constants_of_wheels_and_boxes():
     assert bus.density.item() == 2.0
 
 
-# -- store ------------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("level", "instrument", "transmitter", "h", "expected"),
     [
@@ -205,9 +196,6 @@ def test_sizes_of_stores_and_packets():
     assert storage.TRANSMITTER.prepare(args | {"transmitterPacketSize": number(-7.0)})["packet_size"].item() == -7.0
 
 
-# -- transmitter: physics of a packet, -10 bit each, at -4 bit/s -------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("packet", "idle", "level", "access", "rate", "after"),
     [
@@ -255,8 +243,6 @@ def test_a_downlink_from_start_to_end():
     assert levels == [21.0, 17.0, 13.0, 9.0, 5.0, 1.0, 1.0, 1.0, 1.0]
 
 
-# -- drag -------------------------------------------------------------------------------------------------------------------
-
 SIDES = {"width": 1.38, "depth": 1.04, "height": 1.58, "panelArea": 1.3}
 
 
@@ -295,8 +281,6 @@ def test_drag_is_the_sum_over_facets(signs):
     torch.testing.assert_close(torque.stack()[0], expected_torque, rtol=1e-12, atol=1e-18)
     assert force.stack()[0] @ flow < 0
 
-
-# -- hub --------------------------------------------------------------------------------------------------------------------
 
 INERTIA = hub.box_inertia(number(330.0), number(1.38), number(1.04), number(1.58))
 

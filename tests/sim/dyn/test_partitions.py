@@ -24,8 +24,6 @@ GIVEN = {"bufferNames": None, "transmitterNumBuffers": 100.0, "storageInit": 0.0
 INPUTS = Component("inputs", state=(Field("instrument_command"), Field("station_access")))
 """What others write: here the test does, between ticks."""
 
-# -- against Basilisk ---------------------------------------------------------------------------------------------------------
-
 
 class Recorded(NamedTuple):
     """A group of cases of the table."""
@@ -143,9 +141,6 @@ def ticks_of_silence(table: Recorded) -> int:
     return count
 
 
-# -- by hand -------------------------------------------------------------------------------------------------------------------
-
-
 def bus_of(levels: list[float], **values: float) -> Bus:
     """A store of one satellite, at -4 bit/s and packets of -10 bit, in its fifth tick."""
     defaults = {"packet": 0.0, "packet_partition": 0.0, "data_partition": 0.0, "transmitter_time": 4.0, "transmitter_on": 1.0}
@@ -170,8 +165,7 @@ def bus_of(levels: list[float], **values: float) -> Bus:
 def test_transmitter(levels, packet, partition, rate, after):
     bus = bus_of(levels, packet=packet, packet_partition=float(partition))
     partitions.transmit(bus)
-    assert bus.transmitter_rate.item() == rate
-    assert (bus.packet.item(), bus.packet_partition.item()) == after
+    assert (bus.transmitter_rate.item(), (bus.packet.item(), bus.packet_partition.item())) == (rate, after)
     assert bus.transmitter_time.item() == 5.0
 
 
@@ -222,9 +216,6 @@ def test_an_image_takes_a_tick(h):
     assert bus.instrument_rate.item() == 0.0
 
 
-# -- which partitions ----------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("given", "names"),
     [
@@ -259,9 +250,6 @@ def test_stores_and_transmitters_start_by_their_arguments():
         assert (fitted.state, fitted.params, fitted.args) == (part.state, part.params, part.args)
 
 
-# -- models --------------------------------------------------------------------------------------------------------------------
-
-
 def slots(model: type) -> dict[str, Component]:
     return {part.slot: part for part in model.all_components()}
 
@@ -294,9 +282,6 @@ def test_imaging_has_partitions_and_an_event(model):
     assert made["transmitter"] is partitions.TRANSMITTER
     assert made["storage"] is partitions.PARTITIONED_STORE
     assert made["image_event"] is events.IMAGE_EVENT
-
-
-# -- stations ------------------------------------------------------------------------------------------------------------------
 
 
 def test_as_many_stations_as_are_given_on_the_worlds_sphere():

@@ -220,9 +220,6 @@ def test_stribeck_friction_from_rest():
     assert (bus.wheel_started[0].item(), friction(bus, 1.0)) == (0.0, -coulomb)
 
 
-# -- distribution -------------------------------------------------------------------------------------------------------------
-
-
 @PROPERTY
 @given(count=COUNTS, span=st.integers(1, 3), seed=SEEDS)
 @example(2, 2, 0)
@@ -261,9 +258,6 @@ def test_null_motion_exerts_no_torque_and_slows_wheels():
     Z = torch.eye(6).double() - unit @ torch.linalg.inv(unit.mT @ unit) @ unit.mT
     torch.testing.assert_close(extra, -0.02 * (Z @ excess[..., None])[..., 0], rtol=0, atol=1e-10)
     assert ((extra * excess).sum(-1) < 0.0).all()
-
-
-# -- environments -------------------------------------------------------------------------------------------------------------
 
 
 def test_the_three_wheels_of_bsk_rl_fly_alike_however_they_are_described():

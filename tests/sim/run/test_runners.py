@@ -119,9 +119,6 @@ def after(runners: Runners, start: Start, counts: torch.Tensor) -> torch.Tensor:
     return copy.state
 
 
-# -- a toy ------------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("counts", COUNTS, ids=str)
 def test_every_row_runs_its_ticks_and_stays_in_its_place(counts, runners):
     start, counts = flight(len(counts)), torch.tensor(counts)
@@ -205,9 +202,6 @@ def test_waking_runs_the_world_only(runners):
     assert torch.equal(start.state, expected)
 
 
-# -- stops ------------------------------------------------------------------------------------------------------------------
-
-
 def halt(bus) -> None:
     """End the run after a few ticks; what rows go on computing after their end asks for it again and again."""
     bus.stop = bus.count >= bus.own_rate * 200.0
@@ -273,9 +267,6 @@ def test_loops_seldom_ask_whether_all_rows_have_ended(longest, questions, monkey
     assert (len(asked), len(ran)) == (questions, min(longest, 256))
 
 
-# -- teams ------------------------------------------------------------------------------------------------------------------
-
-
 def in_teams(episodes: int, team: int, longest: int) -> tuple[Start, torch.Tensor, torch.Tensor]:
     """Rows of the same clock, numbers of ticks for them, and how many they will run."""
     start = flight(episodes * team)
@@ -315,9 +306,6 @@ def test_rejects_wrong_back_ends_and_stops_that_are_no_masks():
         refusal(lambda: tick.kernel(), TypeError, *mask),
         refusal(lambda: start.run(TickLoop(tick.step), start.ticks + 1), TypeError, *mask),
     )
-
-
-# -- a satellite ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

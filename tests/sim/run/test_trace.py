@@ -98,8 +98,7 @@ def test_a_stop_condition_ends_the_step_of_all_satellites_and_they_are_simulated
     cut.fleet.stop_conditions.append(lambda turn: first[turn.envs])
     reference = flown(whole)[0]
     flights = flown(cut)
-    assert flights[0].ticks.tolist() == [3, 0, 17, 17, 8]
-    assert flights[1].ticks.tolist() == [3, 0, 17, 17, 8]
+    assert (flights[0].ticks.tolist(), flights[1].ticks.tolist()) == ([3, 0, 17, 17, 8], [3, 0, 17, 17, 8])
     for k, name in ((0, "heard"), (1, "sigma_BN")):
         state = cut.fleet.simulators[k].read(name).view(ENVS, -1)
         assert torch.isfinite(state).all()
