@@ -8,7 +8,7 @@ import pytest
 
 TESTS = Path(__file__).parent
 
-CHECKS = {"raises", "warns", "fail", "check_env_specs", "check_env", "check_output", "check_call"}
+CHECKS = {"raises", "warns", "fail", "check_env_specs", "check_env", "check_output", "check_call", "check_refusals"}
 """Functions that fail a test, besides those whose names begin with ``assert_``."""
 
 TRANSPARENT = {"enumerate", "zip", "product", "sorted", "reversed", "range", "len", "list", "items", "values", "keys"}

@@ -124,7 +124,7 @@ def define(*bases, **members):
     return type("Mine", bases or (act.Charge,), members)
 
 
-def test_what_would_not_run_is_refused_at_the_definition():
+def test_rejects_hooks_that_would_not_run():
     mixin = type("Mixin", (), dict(set_action=lambda self, action: None))
     decides = lambda self, index, mask, action, previous: None
     check_refusals(

@@ -152,7 +152,7 @@ def test_the_margin_of_sunlight_is_positive_where_so_much_of_the_disc_is_seen(vi
     assert (sunlight_margin(day, SUN, visible) > 0.0).all()
 
 
-def test_what_is_clearly_light_or_dark_is_so_by_the_discs(monkeypatch):
+def test_clear_light_and_darkness_are_so_by_the_discs(monkeypatch):
     """Bit for bit, across the whole shadow; most of the night is decided without comparing discs."""
     failures = []
     radii = [R_EARTH + 1e5, 7e6, 4.2e7, 4e8, 1.3e9, 1.4e9, 2e9, 5e10]

@@ -47,7 +47,7 @@ def at(motion, moment, rho, velocity):
 
 
 @pytest.mark.parametrize("e", [0.0, 0.04, 0.2])
-def test_it_is_the_difference_of_two_orbits(e):
+def test_linear_motion_is_the_difference_of_two_orbits(e):
     """What is left is of second order: (distance)^2 / radius is 5 cm where 60 m have grown to 600 m."""
     chief, (rho, velocity) = chiefs(e), deputies()
     flown = fallen(*chief, 2000.0), fallen(*hill2cd(*chief, rho, velocity), 2000.0)
@@ -58,7 +58,7 @@ def test_it_is_the_difference_of_two_orbits(e):
 
 
 @pytest.mark.parametrize("e", [0.0, 0.04, 0.2])
-def test_of_the_second_order_is_what_is_left(e):
+def test_errors_of_linear_motion_are_of_the_second_order(e):
     """Deputies a thousand times closer leave a millionth: what remains is the error of the integration, 1e-5 of the distance."""
     chief, (rho, velocity) = chiefs(e), deputies(0.06)
     flown = fallen(*chief, 2000.0), fallen(*hill2cd(*chief, rho, velocity), 2000.0)

@@ -127,7 +127,7 @@ def test_returns_and_first_actions_must_be_the_same():
     assert [agreed([1, 2, 3], other) for other in ([1, 2, 3], [1, 3, 3], [0], [1, 2], [1, 2, 3, 4])] == [3, 1, 0, 2, 3]
 
 
-def test_what_is_printed_past_python_is_discarded_and_names_stay(capfd, monkeypatch):
+def test_output_past_python_is_discarded_and_names_stay(capfd, monkeypatch):
     with quiet():
         os.write(1, b"Basilisk")
     os.write(1, b"after")

@@ -161,7 +161,7 @@ def test_findings_say_what_is_equal_and_what_is_not():
     assert f"at most {rarest(2):.1%}" in "\n".join(findings([EQUAL, WRONG], ["first", "second"], []))
 
 
-def test_what_differs_is_held_against_basilisk_itself():
+def test_differences_are_held_against_basilisk_itself():
     nudged = dataclasses.replace(APART, nudged=SHORTER.there)
     assert nudged.itself.divergence.actions == (1, 0)
     assert (
@@ -185,7 +185,7 @@ def test_a_nudged_start_differs_in_its_attitude_only(flown):
     assert same == {name: value for name, value in start.sat_args.items() if name != "sigma_init"}
 
 
-def test_what_is_kept_can_be_read_back_and_is_what_is_shown():
+def test_kept_findings_are_read_back_as_they_are_shown():
     pairs = [EQUAL, APART, SHORTER]
     read = json.loads(json.dumps(kept(pairs), allow_nan=True))
     differences = torch.tensor([pair.return_difference for pair in pairs], dtype=torch.float64)
@@ -224,7 +224,7 @@ def test_seeds_must_be_a_range(seeds, capsys):
     assert "A:B with 0 <= A < B" in capsys.readouterr().err
 
 
-def test_wrong_names_are_answered_with_the_nearest(capsys, tmp_path):
+def test_rejects_wrong_names_with_the_nearest(capsys, tmp_path):
     check_refusals(refusal(lambda: arguments(["rule", "--preset", "NadirScan"]), SystemExit))
     assert "did you mean 'NadirScan-v1'" in capsys.readouterr().err
     check_refusals(refusal(lambda: arguments(["rule", "--out", str(tmp_path / "nowhere" / "flight.json")]), SystemExit))
@@ -236,7 +236,7 @@ def test_wrong_names_are_answered_with_the_nearest(capsys, tmp_path):
     )
 
 
-def test_what_is_missing_is_named(monkeypatch, tmp_path):
+def test_rejects_missing_packages_and_data(monkeypatch, tmp_path):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "bsk_rl" else object())
     check_refusals(refusal(lambda: fly_on_basilisk.main(["rule", "--seeds", "0:1"]), SystemExit, "bsk_rl"))
     (tmp_path / "supportData" / "LocalGravData").mkdir(parents=True)

@@ -131,7 +131,7 @@ def test_rejects_what_cannot_be_built(folder, monkeypatch):
     ("arguments", "words"),
     [(["NadirScan-v2"], "'NadirScan-v2' is no preset"), (["NadirScan-v1", "--isa", "sse"], "isa='sse' must be one of")],
 )
-def test_wrong_words_of_the_command(arguments, words, tmp_path):
+def test_rejects_wrong_words_of_the_command(arguments, words, tmp_path):
     result = CliRunner().invoke(app, ["build-kernels", *arguments, "--out", str(tmp_path / "kernels")])
     assert result.exit_code == 1
     assert words in result.output

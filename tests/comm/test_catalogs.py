@@ -65,7 +65,7 @@ def send(env):
     return env.fleet.sim_time[0].item()
 
 
-def test_nobody_is_its_own_peer():
+def test_no_satellite_is_its_own_peer():
     assert sorted_peers(["b", "c", "a"])[0].tolist() == [[2, 1], [2, 0], [0, 1]]
     assert sorted_peers(["only"]).shape == (1, 1, 0)
 

@@ -204,7 +204,7 @@ def test_three_links_of_four_satellites_are_no_more(backend):
     assert links == [[0, 1], [1, 0], [1, 2], [2, 1], [2, 3], [3, 2]]
 
 
-def test_those_in_between_pass_it_on():
+def test_satellites_in_between_pass_data_on():
     fleet = make_fleet(in_a_row(5, 45.0), 2)
     method = comm.LOSMultiCommunication()
     method.link(fleet)

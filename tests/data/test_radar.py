@@ -71,7 +71,7 @@ def test_a_cloudy_image_hides_the_target_from_those_who_know_and_cannot_see_it()
     assert env.rewarder.memory["duplicates"][0].tolist() == [0, 1, 0]
 
 
-def test_what_is_known_of_clouds_is_saved_with_the_episodes():
+def test_knowledge_of_clouds_is_saved_with_the_episodes():
     env = cluster(Optical, Radar, Optical)
     value(env, 0, None, None)
     other = cluster(Optical, Radar, Optical)

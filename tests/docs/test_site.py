@@ -59,7 +59,7 @@ def test_nothing_is_loaded_from_elsewhere(site, pages):
         assert not re.findall(r"(?:url\(|@import\s)[\"']?(?:https?:)?//", path.read_text()), path
 
 
-def test_what_machines_read_is_there(site, pages):
+def test_files_for_machines_exist(site, pages):
     locations = ElementTree.parse(site / "sitemap.xml").getroot().iter("{http://www.sitemaps.org/schemas/sitemap/0.9}loc")
     listed = {urlsplit(location.text).path.lstrip("/") for location in locations}
     own = {path.relative_to(site).as_posix() for path in pages} - {"search.html", "genindex.html", "py-modindex.html"}

@@ -125,7 +125,7 @@ def operations(statements) -> Iterator[str]:
             yield statement.value.op
 
 
-def test_what_ticks_do_not_change_leaves_their_loop():
+def test_constants_of_ticks_leave_their_loop():
     """The Earth turns; neither its pole nor the polynomial of the arc are computed again."""
     loop = lowered_tick()
     tick = Counter(operations(loop.body))
@@ -165,7 +165,7 @@ def simulate(backend) -> Simulator:
     return simulator
 
 
-def test_what_has_no_kernel_is_compiled_by_inductor(caplog):
+def test_components_without_a_kernel_are_compiled_by_inductor(caplog):
     eager = simulate("eager")
     with caplog.at_level(logging.WARNING, logger="bsk_torch"):
         fast = simulate("compiled")

@@ -251,7 +251,7 @@ def test_steps_end_with_the_first_task(go_on: int) -> None:
     assert td["agents", "requires_retasking"].flatten().tolist() == [True, False]
 
 
-def test_what_was_observed_is_not_searched_again_by_the_next_action(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_observed_windows_are_not_searched_again_by_the_next_action(monkeypatch: pytest.MonkeyPatch) -> None:
     env = build(imagers(2))
     td, asked = env.reset(), []
     ask = LookAhead.next_windows
@@ -439,7 +439,7 @@ def test_images_of_the_same_target_in_one_step_share_its_reward(count: int) -> N
 
 
 @pytest.mark.parametrize(("method", "knows"), [(comm.NoCommunication, False), (comm.FreeCommunication, True)])
-def test_what_others_have_imaged_is_hidden_if_told(method: type[comm.CommunicationMethod], knows: bool) -> None:
+def test_images_of_others_hide_targets_if_told(method: type[comm.CommunicationMethod], knows: bool) -> None:
     env = build(imagers(2), num_envs=2, communicator=method(), sat_arg_randomizer=formations.train_args(1.0))
     play(env, 30)
     known, imaged = env.rewarder.known, env.rewarder.imaged

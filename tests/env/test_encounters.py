@@ -115,7 +115,7 @@ def test_a_collision_ends_one_step_and_the_dead_fly_on(collided):
     env.restore(state)
 
 
-def test_what_has_happened_is_saved_and_forgotten_at_a_reset():
+def test_encounters_are_saved_and_forgotten_at_a_reset():
     env = make({"A": APPROACH, "B": WAITS})
     td = step(env, env.reset())
     other = make({"A": APPROACH, "B": WAITS})

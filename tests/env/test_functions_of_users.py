@@ -200,7 +200,7 @@ def test_rejects_wrong_functions():
     )
 
 
-def test_what_decides_what_is_built_is_taken_from_the_first_call():
+def test_structural_arguments_are_taken_from_the_first_call():
     least = 0.3
 
     def world():

@@ -49,7 +49,7 @@ def test_made_in_it_and_used_outside(preset):
     assert same(flown(env), expected)
 
 
-def test_what_is_made_in_it_is_used_outside():
+def test_environments_made_in_it_are_used_outside():
     with torch.inference_mode():
         env = made("NadirScan-v1", num_envs=40)
         env.reset()

@@ -22,7 +22,7 @@ ACTIONS = [0, -1, 3.5, NO_ACTION - 2.0, NO_ACTION - 1, [NO_ACTION, 0], [], np.ar
 
 
 @pytest.mark.parametrize("action", NONE_AT_ALL, ids=repr)
-def test_it_is_recognised_in_every_form(action):
+def test_no_action_is_recognized_in_every_form(action):
     assert is_no_action(action) is True
 
 

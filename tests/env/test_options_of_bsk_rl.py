@@ -66,7 +66,7 @@ def test_types_of_numpy(kind):
     assert as_dtype(kind) is torch.float64
 
 
-def test_what_cannot_be_used_is_refused_at_construction():
+def test_rejects_unusable_options_at_construction():
     plain, render = [Plain("A"), Plain("B")], "env.render"
     only = lambda satellite: SatelliteTasking(satellite=satellite)
     check_refusals(

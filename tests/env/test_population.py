@@ -152,7 +152,7 @@ def test_both_back_ends_agree_on_who_is_present(satellites) -> None:
             assert torch.allclose(leaf.double(), other[key].double(), rtol=1e-5, atol=1e-6), key
 
 
-def test_whoever_is_absent_makes_no_difference() -> None:
+def test_absent_satellites_make_no_difference() -> None:
     """Of five satellites with given arguments, the second and the fourth fly as the two alone, after as many steps."""
 
     class Some(scene.UniformNadirScanning):

@@ -79,7 +79,7 @@ def test_copies_continue_bit_for_bit():
     assert all(torch.equal(a[1], b[1]) for other in others for a, b in zip(wanted, fly(other, 3, 3), strict=True))
 
 
-def test_what_begins_in_inference_mode_continues_outside():
+def test_episodes_begun_in_inference_mode_continue_outside():
     with torch.inference_mode():
         env = begun(drawn(2))
         fly(env, 2)

@@ -157,7 +157,7 @@ def test_orbits_are_those_of_the_studies():
     assert walker.scenario.service_time.tolist() == pytest.approx([11834.8358] * 2, abs=1e-4)
 
 
-def test_what_is_known_of_candidates_and_peers_is_observed():
+def test_knowledge_of_candidates_and_peers_is_observed():
     """Against loops over records, at the end of some steps."""
     env = sensors(num_envs=2, mixture="LEO")
     td = fly(env, 60)

@@ -44,7 +44,7 @@ def renamed(name):
     return satellite
 
 
-def test_wrong_names():
+def test_rejects_wrong_names():
     known = [["utc_init"], ["gsMinimumElevation"]]
     check_refusals(
         refusal(lambda: check_names([]), ValueError, "satellites", "empty"),
@@ -97,7 +97,7 @@ def test_values_may_differ(one, other):
     ],
     ids=["class", "subclass", "obs_type", "interval", "constant", "orbit", "default orbit", "generation", "packet"],
 )
-def test_of_different_types(one, other):
+def test_different_types_are_told_apart(one, other):
     assert not same_type(one, other)
     assert not same_type(other, one)
 

@@ -75,7 +75,7 @@ def test_estimates_have_no_bias():
     assert abs(float(found.estimates.mean()) - exact) < 4.0 * error
 
 
-def test_what_never_happens_has_no_share_and_says_why():
+def test_events_that_never_happen_have_no_share_and_say_why():
     climb, found, _ = estimate(walks(21.0), smallest=1e-12, size=50, count=4)
     assert (climb.why, float(found.estimates.sum())) == (STUCK, 0.0)
     assert float(climb.last.flown.level.max()) == 20.0

@@ -53,7 +53,7 @@ def test_the_bound_is_exactly_what_a_battery_needs_whose_actions_end_as_late_as_
 
 
 @pytest.mark.compiled
-def test_what_flies_is_lit_as_foreseen_and_never_charged_above_the_bound():
+def test_flights_are_lit_as_foreseen_and_never_charged_above_the_bound():
     env, row = build(16, 6000.0, storedCharge_Init=rand.Uniform(0.0, 0.05 * CAPACITY)), torch.arange(16)
     start_episodes(env, range(16))
     lit, _ = sunlight(env, row, torch.arange(1.0, 6001.0, dtype=torch.float64))
@@ -71,7 +71,7 @@ def test_what_flies_is_lit_as_foreseen_and_never_charged_above_the_bound():
 
 
 @pytest.mark.compiled
-def test_whoever_has_less_than_the_bound_dies_whatever_he_does():
+def test_satellites_charged_below_the_bound_die_whatever_they_do():
     env, seeds = build(64, storedCharge_Init=rand.Uniform(0.0, 0.03 * CAPACITY)), torch.arange(64)
     start_episodes(env, range(64))
     first = env.satellite.dynamics.battery_charge
@@ -139,13 +139,13 @@ def test_failures_are_told_apart_and_rescues_fly_again():
 
 
 @pytest.mark.compiled
-def test_whoever_is_dead_at_the_start_is_lost():
+def test_satellites_dead_at_the_start_are_lost():
     _, (failure,) = explain(always(SCAN), build(16, storedCharge_Init=0.0), torch.tensor([SUNLIT]))
     assert (failure.outcome, failure.lost_from, failure.best_return) == (LOST, 0, None)
 
 
 @pytest.mark.compiled
-def test_what_a_policy_did_is_what_its_list_of_actions_does_in_any_batch():
+def test_a_policy_equals_its_list_of_actions_in_any_batch():
     wide, narrow = build(8, 1200.0), build(3, 1200.0)
     seeds = torch.arange(5)
     flown = fly(wide, seeds, always(DESAT))

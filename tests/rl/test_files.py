@@ -66,7 +66,7 @@ def test_links_are_never_followed(tmp_path):
 
 
 @pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo])
-def test_what_is_no_ordinary_file_is_left_alone(tmp_path, make):
+def test_rejects_paths_of_no_ordinary_files(tmp_path, make):
     make(tmp_path / "a")
     check_refusals(refusal(lambda: write_file(tmp_path / "a", "new"), OSError, "ordinary file"))
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
@@ -104,7 +104,7 @@ def saved_file(tmp_path):
     return tmp_path / "x.pt"
 
 
-def test_what_is_saved_comes_back(saved_file):
+def test_saved_entries_come_back(saved_file):
     read = load_checksummed(saved_file, "policy")
     assert read.keys() == ENTRIES.keys()
     assert read["weights"]["a"].equal(ENTRIES["weights"]["a"])

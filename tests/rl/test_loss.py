@@ -39,7 +39,7 @@ def gradients(networks, loss):
     return torch.autograd.grad(loss, weights, allow_unused=True, materialize_grads=True)
 
 
-def test_it_is_the_loss_of_torchrl_of_decisions_that_count(decided):
+def test_the_loss_is_that_of_torchrl_for_decisions_that_count(decided):
     networks, sample = decided
     terms = clipped_loss(networks.actor, networks.critic, sample.clone(), CLIP)
     reference = ClipPPOLoss(

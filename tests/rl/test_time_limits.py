@@ -152,7 +152,7 @@ def test_beyond_the_limit_is_what_the_critic_expects(tmp_path):
 
 
 @pytest.mark.compiled
-def test_in_constellations_too(tmp_path):
+def test_critics_of_constellations_expect_a_return_beyond_the_limit(tmp_path):
     world = {"as_set": True, "n_targets": 200, "n_satellites": 2, "n_planes": 1, "phasing": 0, "time_limit": 300.0}
     config = MAPPOConfig(
         seconds=None, frames=96, num_envs=4, rollout=16, minibatch=32, options=world | {"terminate_on_time_limit": False}
@@ -171,7 +171,7 @@ def test_in_constellations_too(tmp_path):
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
-def test_what_is_learned_does_not_depend_on_the_scale_of_rewards(scale, tmp_path):
+def test_learning_does_not_depend_on_the_scale_of_rewards(scale, tmp_path):
     """Two batches of the same decisions, in float32; powers of two would be exact."""
     learned = []
     for factor in (1.0, scale):

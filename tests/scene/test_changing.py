@@ -65,7 +65,7 @@ def test_padding_never_appears(begin, move):
     assert torch.equal(scenario.priority, torch.where(exists, 32.0, 0.0).double())
 
 
-def test_what_is_present_can_be_read_before_the_first_reset(begin):
+def test_present_targets_can_be_read_before_the_first_reset(begin):
     scenario = begin(Deadlines(2, 2.0), 1)
     scenario._present = None
     assert scenario.priority.tolist() == [[2, 2]]

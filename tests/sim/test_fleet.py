@@ -133,7 +133,7 @@ def test_draws_and_tables_are_shared_in_any_batch(drawing):
     assert drawing.ticks.shape == drawing.sim_time.shape == (N,)
 
 
-def test_what_is_set_for_all_together(drawing):
+def test_arguments_are_set_for_all_satellites_together(drawing):
     """Satellites of both types, and some of one only."""
     masses = torch.tensor([[120.0, 110.0], [220.0, 210.0], [320.0, 310.0]])
     drawn = drawing.draw(first_key(N), {"mass": ([2, 1], masses), "hs_min": ([1], masses[:, 1:])})

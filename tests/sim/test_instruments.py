@@ -173,7 +173,7 @@ def test_the_same_target_with_another_instrument_is_another_task():
     assert saved.satellite.dynamics.instrument_index.tolist() == [1.0] * N
 
 
-def test_what_was_commanded_to_another_instrument_is_withdrawn():
+def test_commands_to_another_instrument_are_withdrawn():
     env = begun(environment())
     everywhere, first = torch.ones(N, dtype=torch.bool), torch.zeros(N, dtype=torch.int64)
     wide, narrow = env.satellite.actions.entries[:2]

@@ -148,7 +148,7 @@ def test_only_the_same_instrument_continues_a_scan():
         assert decision.retask.tolist() == [retasks] * N
 
 
-def test_what_was_commanded_to_another_instrument_is_withdrawn():
+def test_commands_to_another_instrument_are_withdrawn():
     env = environment()
     td = env.reset()
     everywhere, zeros = torch.ones(N, dtype=torch.bool), torch.zeros(N, dtype=torch.int64)

@@ -125,7 +125,7 @@ def test_steps_are_those_of_the_environment(charges):
     assert list(observations) == [agent for agent in places if charges is not DYING or agent != "S1"]
 
 
-def test_who_is_told_nothing_goes_on():
+def test_agents_without_an_action_go_on():
     ways = [{}, {"S1": None}, {"S1": NO_ACTION, "S0": None}, {"S1": np.int64(NO_ACTION), "S2": np.array(1)}]
     results = []
     for more in ways:
@@ -163,7 +163,7 @@ def test_the_dead_say_goodbye():
     assert same(env.state()[5:10], np.zeros(5))
 
 
-def test_those_that_die_as_their_task_ends_are_observed_with_those_that_need_a_task():
+def test_agents_that_die_as_their_task_ends_are_observed():
     env, *_ = view(charges=DYING, generate_obs_retasking_only=True)
     observations, *_ = env.step(dict.fromkeys(env.agents, 0))
     assert "S1" not in env.agents
@@ -185,7 +185,7 @@ def test_actions_of_the_dead_are_not_looked_at(caplog):
     ]
 
 
-def test_nobody_is_left_at_the_time_limit():
+def test_no_agent_is_left_at_the_time_limit():
     for terminal in (False, True):
         env, *_ = view(time_limit=5.0, terminate_on_time_limit=terminal)
         _, _, terminations, truncations, _ = env.step(dict.fromkeys(env.agents, 0))

@@ -110,7 +110,7 @@ def test_real_actions_come_from_functions(tmp_path):
     assert policy(docking.reset())["action"].tolist() == [[0.25] * 3] * 2
 
 
-def test_what_is_no_policy_is_told_what_to_write(env):
+def test_rejects_objects_that_are_no_policies(env):
     wrong_shape = lambda observation: torch.ones(2, 2)
     text = lambda observation: "charge"
     docking = bsk_torch.make("CWDocking-v1", num_envs=2, time_limit=20.0)

@@ -192,7 +192,7 @@ def test_pictures_are_tiled():
     check_refusals(refusal(lambda: SB3VecEnv(scanning, 2, render_mode="human"), ValueError, "render_mode='human'"))
 
 
-def test_wrong_calls_are_named():
+def test_rejects_wrong_calls():
     env = SB3VecEnv(scanning, COUNT)
     check_refusals(
         refusal(lambda: env.step_wait(), RuntimeError, "step_async"),

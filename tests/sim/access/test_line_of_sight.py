@@ -109,7 +109,7 @@ def test_the_axis_is_the_ephemeris():
 
 
 @pytest.mark.parametrize("eccentricity", [0.001, 0.1, 0.7])
-def test_nobody_is_faster_than_the_bound(eccentricity):
+def test_no_satellite_is_faster_than_the_bound(eccentricity):
     """For two orbits, looked at every ten seconds, from wherever the satellite is; the bound is not more than 5 % above that."""
     oe = drawn_elements(30)
     oe[:, 0], oe[:, 1] = 6.8e6 / (1.0 - eccentricity), eccentricity

@@ -252,7 +252,7 @@ NONE = ""
         ((0.1, -0.001, -0.2), FIRST, NONE),  # it has set
     ],
 )
-def test_what_happens(clearances, where, expected):
+def test_rising_and_setting_follow_from_three_clearances(clearances, where, expected):
     found = classify(*numbers(*clearances), *(torch.tensor(x) for x in where))
     assert [name for name, x in zip(("rises", "sets", "glimpsed"), found, strict=True) if x] == expected.split()
 
@@ -481,7 +481,7 @@ def test_nothing_to_look_at(view, path):
         assert sight.culminations(pairs, empty, empty).shape == (0,)
 
 
-def test_which_sight():
+def test_back_ends_choose_their_visibility():
     assert isinstance(make_visibility("compiled", CPU), KernelVisibility)
     assert isinstance(make_visibility("eager", CPU), TensorVisibility)
     assert isinstance(make_visibility("compiled", torch.device("cuda")), TensorVisibility)

@@ -67,7 +67,7 @@ def test_changes_that_are_to_come_are_drawn_again():
 
 
 @pytest.mark.parametrize("backend", ["eager", "compiled"])
-def test_what_is_drawn_acts_in_the_tick(backend):
+def test_drawn_faults_act_in_the_tick(backend):
     fault = faults.Fault("clickSize", value=rand.Uniform(2.0, 4.0), at=rand.Uniform(0.0, 100.0), name="loud")
     env = clicking(fault, n=16, backend=backend)
     before = counted(env, 5)
@@ -81,7 +81,7 @@ def test_what_is_drawn_acts_in_the_tick(backend):
     assert torch.allclose(store.satellite.dynamics.clicks - before[row], clicks, rtol=1e-12)
 
 
-def test_what_has_happened_remains():
+def test_past_faults_remain():
     env = clicking_at(rand.Uniform(0.0, 100.0), n=16)
     env.inject("loud", envs=[one_where(env, argument(env, "loud.at") > 50.0)])
     row = one_where(env, argument(env, "loud.at") == 50.0)  # began now

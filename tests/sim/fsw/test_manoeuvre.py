@@ -59,7 +59,7 @@ def test_a_second_manoeuvre_at_the_same_time(orbit, compat):
     torch.testing.assert_close(*r_N, rtol=0.0, atol=0.0 if orbit == "integrated" else 1e-5)  # an arc is read once more
 
 
-def test_who_asks_for_more_gets_what_is_left_and_dies(orbit, caplog):
+def test_a_burn_beyond_the_tank_is_clipped_and_kills(orbit, caplog):
     """The drift is flown and the penalty paid once, by a satellite that is dead from the manoeuvre on."""
     env = make(2, orbit=orbit, sat_args={"dv_available_init": 2.5})
     td = env.reset()
@@ -114,7 +114,7 @@ def test_manoeuvres_touch_no_other_rows(orbit):
     assert many.satellite.fsw.dv_available.tolist() == [99.0, 100.0, 99.0]
 
 
-def test_bad_manoeuvres_are_refused():
+def test_rejects_wrong_burns():
     env = make()
     env.reset()
     check_refusals(

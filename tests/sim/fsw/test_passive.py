@@ -130,7 +130,7 @@ def test_wheels_of_a_passive_satellite_keep_turning_and_stiffen_it():
     assert torch.allclose(BN, BN[0].expand_as(BN), atol=1e-14)
 
 
-def test_it_flies_beside_others():
+def test_a_passive_satellite_flies_beside_others():
     """A tumbling chief observed by a satellite that is imposed the Hill frame."""
     looking = type(
         "Looking",

@@ -31,7 +31,7 @@ def around(et):
     return Samples(ephemeris_records(et, 4), torch.zeros_like(et))
 
 
-def test_they_are_where_arcs_are():
+def test_flights_are_where_arcs_are():
     """Both are the same method; between steps polynomials of other degrees."""
     et, r, v = start(20)
     arcs = Arcs(20, 2, make_solver(1.0, "compiled", CPU))

@@ -97,7 +97,7 @@ def test_values_follow_the_state():
 
 
 @pytest.mark.compiled
-def test_what_no_kernel_can_compute_is_computed_on_tensors(caplog):
+def test_functions_without_a_kernel_are_computed_on_tensors(caplog):
     """It alone: the others stay in the kernel. One sentence names it and what has no kernel."""
 
     class Median(Watched):
@@ -184,7 +184,7 @@ def test_one_kernel_computes_what_functions_of_users_read():
 
 
 @pytest.mark.compiled
-def test_what_is_read_together_is_what_is_read_one_by_one():
+def test_properties_read_together_equal_those_read_one_by_one():
     """Bit for bit: vectors and matrices, norms of each component, masks, and properties that no kernel computes in between."""
 
     class MaskedDynModel(WatchedDynModel):

@@ -146,7 +146,7 @@ def test_an_episode_that_is_restored_is_recorded_from_there():
     assert "sigma_BN" in repr(recording)
 
 
-def test_what_cannot_be_recorded():
+def test_rejects_wrong_recordings():
     env = scan()
     check_refusals(refusal(lambda: env.record("sigma_BN"), ResetNeededError, "record()"))
     env.reset()
