@@ -175,6 +175,8 @@ scripts/tools/make_aeos_orbits.py {orbits} --out orbits.npz
   compiled: orbits.npz: 2 orbits, [\d,]+ bytes
 scripts/tools/make_coastlines.py {countries} --out land.geojson
   coastlines: 2 pieces of land
+scripts/tools/without_room.py tasks/safe_autonomy --pytest tests/test_vec3.py
+  compiled: tasks/safe_autonomy: left out are \d+ files .* tests
 scripts/tools/make_tables.py --samples --out .
   basilisk: largest position error 0.49
 scripts/tools/update_golden.py --folder golden
@@ -246,6 +248,7 @@ ELSEWHERE = {
     "scripts/tools/check_prose.py": "tests/test_prose.py",
     "scripts/tools/make_three.py": "tests/viewer/test_page.py",
     "scripts/tools/publish_docs.py": "tests/docs/test_site.py",
+    "scripts/tools/publish_policy.py": "tests/cli/test_constellation.py",
     "scripts/recorders/record_arguments.py": "tests/test_scripts.py",
     "scripts/recorders/record_lost_passes.py": "tests/test_scripts.py",
     "scripts/recorders/record_drop_in.py": "tests/basilisk/test_drop_in.py",

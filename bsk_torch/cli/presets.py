@@ -9,6 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from bsk_torch._listed import LISTED, ONE, makings
+from bsk_torch._rooms import absent_room
 from bsk_torch.tables import line_width, print_table
 
 
@@ -17,7 +18,8 @@ def list_presets(long: bool) -> None:
     if not long:
         table = Table.grid(padding=(0, 2))
         for name, preset in LISTED.items():
-            table.add_row(Text(name, style="bold"), Text(preset.task))
+            folder = absent_room(preset.function)
+            table.add_row(Text(name, style="bold"), Text(f"not installed: no folder {folder}" if folder else preset.task))
         Console(width=line_width()).print(table)
         return
     print_table(
