@@ -248,7 +248,6 @@ ELSEWHERE = {
     "scripts/tools/check_prose.py": "tests/test_prose.py",
     "scripts/tools/make_three.py": "tests/viewer/test_page.py",
     "scripts/tools/publish_docs.py": "tests/docs/test_site.py",
-    "scripts/tools/publish_policy.py": "tests/cli/test_constellation.py",
     "scripts/recorders/record_arguments.py": "tests/test_scripts.py",
     "scripts/recorders/record_lost_passes.py": "tests/test_scripts.py",
     "scripts/recorders/record_drop_in.py": "tests/basilisk/test_drop_in.py",

@@ -37,7 +37,7 @@ def test_rejects_teams_that_cannot_transmit():
         kind = type("Mine", (base,), {"action_spec": (*Imager.action_spec, *actions)})
         return team(kind=kind, backend="eager", **options)
 
-    one, again, delivery = TransmitCatalog(1), TransmitCatalog(1, name="again"), "communicator=CatalogCommunication"
+    one, again, delivery = TransmitCatalog(1), TransmitCatalog(1, name="again"), "CatalogCommunication()"
     common = dict(knowledge="common", rewarder=RSOImageReward(multi_imager_credit="shared"))
     check_refusals(
         refusal(lambda: crew(one, base=Imager), ValueError, "TransmitCatalog", "CatalogRadioDynModel"),
