@@ -20,19 +20,13 @@ OWNERS = (
 )
 
 
-def test_it_is_short():
+def test_it_is_short_and_names_paths_that_exist_and_every_package():
     assert len(TEXT.splitlines()) <= 150
-
-
-def test_every_path_exists():
     paths = [name for name in NAMES if re.fullmatch(r"[\w./]+(\.(py|md|toml)|/)", name) and not name.startswith(".")]
     paths += re.findall(r"\(((?:sim|env)/[\w./]+\.py)", TEXT)
     assert len(paths) > 60
     missing = [path for path in paths if not any((place / path).exists() for place in PLACES)]
     assert not missing
-
-
-def test_every_package_is_named():
     packages = {path.name for path in (ROOT / "bsk_torch").iterdir() if (path / "__init__.py").is_file()}
     packages |= {f"sim/{path.name}" for path in (ROOT / "bsk_torch" / "sim").iterdir() if (path / "__init__.py").is_file()}
     named = {name.strip("/").removeprefix("bsk_torch/") for name in NAMES if name.endswith("/")}

@@ -1,7 +1,5 @@
 """Public constructors answer wrong values by an error that names the argument."""
 
-from __future__ import annotations
-
 import inspect
 import itertools
 import math
@@ -139,7 +137,7 @@ def use(made: Any) -> None:
         assert not isinstance(values, torch.Tensor) or bool(torch.isfinite(values).all())
 
 
-def test_wrong_values():
+def test_rejects_wrong_values():
     """Every argument of a constructor and every wrong value: an error that names the argument, or something finite."""
     wrong = []
     for make, right in VALID.items():

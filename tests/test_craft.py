@@ -1,7 +1,5 @@
 """Spacecraft of the library: an orbit of each, stable gains at all tick lengths, and the page that lists their numbers."""
 
-from __future__ import annotations
-
 import ast
 import itertools
 import logging

@@ -1,7 +1,5 @@
 """Rows of docs/migration_reference.md, "What differs", that no other test shows."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

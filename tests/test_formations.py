@@ -1,7 +1,5 @@
 """Constellations have the geometry of their definitions and bsk_rl's numbers, and their draws depend on nothing else."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -74,8 +72,7 @@ def drawn(formation: fm.Formation, n: int = 5, names: list[str] = TWELVE, **opti
     settings = formation.draw(key(n, **options), names)
     assert set(settings) == {"oe"}
     columns, values = settings["oe"]
-    assert list(columns) == list(range(len(names)))
-    assert values.dtype == torch.float64
+    assert (list(columns), values.dtype) == (list(range(len(names))), torch.float64)
     assert values.shape == (n, len(names), 6)
     return values
 
@@ -87,9 +84,6 @@ def wrapped(angle: torch.Tensor) -> torch.Tensor:
 
 def assert_angle(found: torch.Tensor, expected: torch.Tensor | float, tolerance: float = ROUNDING) -> None:
     assert wrapped(found - expected).abs().amax() < tolerance
-
-
-# -- Walker patterns -------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -182,10 +176,7 @@ def test_altitude_and_inclination_may_be_distributions_common_to_all_satellites(
     assert (oe[..., 1] == 0.0).all()
 
 
-# -- One behind the other --------------------------------------------------------------------------------------------------------
-
-
-def test_satellites_of_a_train_follow_each_other():
+def test_trains_have_gaps_a_node_and_a_place():
     oe = drawn(fm.train_args(2.5, altitude=600.0, inc=97.8))
     assert (oe[..., :5] == oe[:, :1, :5]).all()
     assert_angle(oe[..., 5].diff(dim=-1), math.radians(-2.5))
@@ -195,9 +186,6 @@ def test_satellites_of_a_train_follow_each_other():
     assert (ahead > 0.0).all()  # each one sees the one before it ahead
     gap = torch.acos((r[:, :-1] * r[:, 1:]).sum(-1) / 6971e3**2)
     torch.testing.assert_close(torch.rad2deg(gap), torch.full_like(gap, 2.5), rtol=0, atol=1e-11)  # acos near 1: 1e-16 / 0.04 rad
-
-
-def test_gaps_of_a_train_may_differ():
     oe = drawn(fm.train_args([1.0, 4.0, 0.5], f=10.0, Omega=20.0), names=TWELVE[:4])
     assert_angle(oe[0, :, 5], torch.deg2rad(torch.tensor([10.0, 9.0, 5.0, 4.5], dtype=torch.float64)))
     assert_angle(oe[..., 3], math.radians(20.0))
@@ -208,11 +196,7 @@ def test_gaps_of_a_train_may_differ():
     common = drawn(fm.train_args(Uniform(1.0, 5.0)), names=TWELVE[:4])
     gaps = torch.rad2deg(-wrapped(common[..., 5].diff(dim=-1)))
     torch.testing.assert_close(gaps, gaps[:, :1].expand(5, 3), rtol=1e-12, atol=0)
-    assert len(gaps[:, 0].unique()) == 5
-    assert drawn(fm.train_args(3.0), names=["A"]).shape == (5, 1, 6)
-
-
-def test_node_and_place_of_a_train():
+    assert (len(gaps[:, 0].unique()), drawn(fm.train_args(3.0), names=["A"]).shape) == (5, (5, 1, 6))
     free = drawn(fm.train_args(1.0), 400)
     for column in (3, 5):
         angle = free[:, 0, column] / TURN
@@ -221,9 +205,6 @@ def test_node_and_place_of_a_train():
     held = drawn(fm.train_args(1.0, f=Uniform(0.0, 1.0), Omega=per_env([0.0, 10.0, 20.0, 30.0, 40.0])))
     assert torch.rad2deg(held[:, 0, 3]).tolist() == pytest.approx([0.0, 10.0, 20.0, 30.0, 40.0])
     assert (torch.rad2deg(held[:, 0, 5]) < 1.0).all()
-
-
-# -- About a chief ---------------------------------------------------------------------------------------------------------------
 
 
 def states(oe: torch.Tensor) -> tuple[Vec3, Vec3]:
@@ -282,8 +263,6 @@ def test_mu_of_the_satellites_counts():
         assert float(turning) == pytest.approx(math.sqrt(mu / 7e6**3), rel=1e-10)  # 1e-12 m/s of 0.1 m/s
 
 
-# -- All -------------------------------------------------------------------------------------------------------------------------
-
 FORMATIONS = {
     "delta": fm.walker_delta_args(3, 0.5, Normal(600.0, 20.0), Uniform(40.0, 60.0)),
     "star": fm.walker_star_args(2, altitude=Choice([500.0, 700.0]), phasing=1),
@@ -313,11 +292,7 @@ def test_users_formations():
     formation = Two()
     formation.check(["A", "B"])
     assert formation.draw(key(), ["A", "B"])["mass"][1].shape == (5, 1)
-    with pytest.raises(TypeError, match=r"Formation must implement draw\(key, names\)"):
-        fm.Formation().check(["A"])
-
-
-# -- hooks of subclasses ---------------------------------------------------------------------------------------------------------
+    check_refusals(refusal(lambda: fm.Formation().check(["A"]), TypeError, "draw(key, names)"))
 
 
 class Given(fm.Formation):

@@ -1,7 +1,5 @@
 """Levels, shards and measured costs of the tests: nothing is lost between the levels, and nothing runs twice."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -81,7 +79,7 @@ def test_fixtures_are_shared_and_kernels_are_not(results):
     assert results.seconds() == {"a": 0.25 + 2.0 + 1.0, "b": 0.25 + 2.0 + 1.0}
 
 
-def test_what_became_slow_is_named_and_noted(results, tmp_path):
+def test_tests_that_became_slow_are_named_and_noted(results, tmp_path):
     results.pytest_runtest_logreport(report("t.py::fast", 0.5 * SLOW))
     results.pytest_runtest_logreport(report("t.py::slow", 3 * SLOW))
     lines = []

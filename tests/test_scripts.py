@@ -1,7 +1,5 @@
 """Every script, benchmark, example and recorder runs at its smallest size, and none is forgotten."""
 
-from __future__ import annotations
-
 import ast
 import json
 import os
@@ -33,357 +31,188 @@ class Start(NamedTuple):
 
     arguments: str
     printed: str
-    needs: str = "compiled"
+    needs: str
 
 
-STARTS: dict[str, list[Start]] = {
-    "benchmarks/drop_in.py": [Start("--episodes 1 --limit 120", r"scanning bsk_torch\.bsk_rl: \d.* s per episode")],
-    "benchmarks/bounds.py": [
-        Start(
-            "--only AEOS-v1/1000 NadirScan-v1 --episodes 1 --iterations 2 --time-limit 900",
-            r"(?s)\| AEOS-v1/1000 \| trained \| .*\| NadirScan-v1 \| rule \| ",
-        ),
-    ],
-    "benchmarks/breakdown.py": [Start("--batches 2 --seconds 0.1 --warm-up 1", r"\| scan \| 2 \| all \| [\d,.]+ \| 100.0 \|")],
-    "benchmarks/clouds.py": [
-        Start(
-            "--frames 32 --num-envs 2 --episodes 2 --seeds 1 --time-limit 300 --worlds poor moving --views mean repeats",
-            r"(?s)\| poor \| hasty by chance \| [\d.]+ \| .*\| poor \| mean \| [\d.]+ \| .*\| moving \| repeats \| [\d.]+ \| ",
-        ),
-    ],
-    "benchmarks/compare.py": [
-        Start("--base {root} --only 1 --turns 1 --processes 1 --seconds 0.1 --warm-up 1", r"\| 1 \| \d+ \| .* \| True \|"),
-    ],
-    "benchmarks/communication.py": [
-        Start("--episodes 2 --time-limit 900", r"(?s)\| none \| [\d.]+ .*\| with all \| [\d.]+ \+- [\d.]+ \| [+-][\d.]+ "),
-    ],
-    "benchmarks/constellation.py": [
-        Start("--satellites 1 2 --rows 2 --turns 1 --modes tasks", r"\| tasks \| 2 \| 1 \| [\d,]+ \|"),
-        Start(
-            "--satellites 1 --rows 1 --turns 1 --modes intervals --seconds 0.1 --basilisk {python}",
-            r"\| intervals \| 1 \| 1 \| [\d,]+ \|.*\| [\d,]+ \| [\d,]+ \|",
-            "basilisk",
-        ),
-    ],
-    "benchmarks/difficulty.py": [
-        Start(
-            "--seeds 1 --episodes 2 --num-envs 2 --frames 32 --time-limit 300 --trainings hard curriculum",
-            r"(?s)\| curriculum \| 100.0% \|.*\| a rule \| 0.0\d\d \|",
-        ),
-    ],
-    "benchmarks/envelope.py": [
-        Start("--transitions 1 --scale 0.03 --time-limit 1900 --enough 1", r"(?s)\| 0.20 to 0.30 \| .*\"smallest_margin\": \d"),
-    ],
-    "benchmarks/faults.py": [
-        Start(
-            "--seeds 1 --episodes 2 --num-envs 2 --frames 32 --time-limit 300 --trainings all",
-            r"(?s)survival.*\| cautious \| 100.0% .*return.*\| trained, faults: all \| -?[\d.]+ \| ",
-        ),
-    ],
-    "benchmarks/faults_headroom.py": [
-        Start(
-            "--seeds 1 --episodes 2 --planned 3 --futures 1 --num-envs 2 --frames 32 --time-limit 300",
-            r"(?s)\| trained, seed 0 \| .*\| planner, past faults known \| [-\d.]+ \+- [\d.]+ \| ",
-        ),
-    ],
-    "benchmarks/headroom.py": [
-        Start(
-            "--candidates dim_scan --episodes 2 --draws 1 --tuned 2 --policies pretrained",
-            r"(?s)dim_scan, tuned: .*\| dim_scan \| .* \| pretrained: [\d.]+ \+- [\d.]+ \| ",
-        ),
-    ],
-    "benchmarks/inspection.py": [
-        Start("--batch 2 --turns 1 --seconds 0.1 --warm-up 1 --only 1 manoeuvres", r"\| manoeuvres \| 2 \| [\d,.]+ \| - \|")
-    ],
-    "benchmarks/inspection_rules.py": [
-        Start(
-            "--episodes 2 --time-limit 700",
-            r"\| RSOInspection-v1 \| survey \| waypoints \| 0.0% \| nan \|",
-        ),
-    ],
-    "benchmarks/manoeuvres.py": [
-        Start(
-            "--batches 2 --targets 20 --rounds 1 --drift 2",
-            r"(?s)\| 2 \| arc \| on \| [\d.]+ \|.*\| 2 \| integrated \| off \| [\d.]+ \|",
-        ),
-    ],
-    "benchmarks/risk.py": [
-        Start(
-            "--questions charge --runs 1 --episodes 20 --repetitions 4 --plain 0 --num-envs 20 --time-limit 300",
-            r"(?s)textbook case: [\d.e-]+ for 1e-06, .*\| charge \| [\d.e+-]+ \([\d.e+-]+ to [\d.e+-]+\) \| \d+ \|",
-        ),
-        Start(
-            "--questions charge --method screen --pool 100 --probabilities 0.01 --runs 1 --episodes 20 --repetitions 4 --plain 0 "
-            "--num-envs 20 --time-limit 300",
-            r"(?s)textbook case: [\d.e-]+ for 1e-02, .*\| charge \| [\d.e+-]+ \([\d.e+-]+ to [\d.e+-]+\) \| \d+ \|",
-        ),
-    ],
-    "benchmarks/rso_imaging.py": [
-        Start(
-            "--batches 2 --targets 3 --turns 1 --seconds 0.1 --warm-up 1 --catalogs 3 --many 2 --steps 2",
-            r"(?s)\| 2 \| 2 \| 3 \| [\d,]+ \| - \|.*\| 3 \| 2 \| [\d.]+ \| [\d.]+ \| \d+ \| \d+ \(",
-        ),
-    ],
-    "benchmarks/viewer_frames.py": [
-        Start(
-            "--satellites 3 --targets 200 --limit 300 --seconds 1 --turns 1 --views globe map",
-            r"(?s)\| globe \| [\d.]+ \| .*\| map \| [\d.]+ \| ",
-            "browser",
-        ),
-    ],
-    "benchmarks/services.py": [
-        Start(
-            "--episodes 2 --time-limit 300 --targets 12 --rules rate angle",
-            r"(?s)\| rate \| [\d.]+ \+- [\d.]+ \| \+0.0 .*\| angle \| ",
-        ),
-    ],
-    "benchmarks/expert_iteration.py": [
-        Start(
-            "--seeds 1 --episodes 2 --evaluate 2 --planned 2 --time-limit 300 --budget 2 --epochs 1",
-            r"(?s)\| audited, seed 0, round 1 \| [\d.]+ \+- [\d.]+ \| .*\| planner \| ",
-        ),
-    ],
-    "benchmarks/aeos_speed.py": [
-        Start(
-            "--sizes 2x50 --rows 4 --turns 1 --steps 1 10 --seconds 0.1 --backend eager --plot rates.png",
-            r"(?s)\| 2 \| 50 \| 2 \| 1 \| [\d,]+ \| .*\| 2 \| 50 \| 2 \| 10 \| [\d,]+ \| ",
-        ),
-    ],
-    "benchmarks/aeos_bench.py": [
-        Start(
-            "--cases 2 --batch 2 --time-limit 60 --satellites 2 3 --tasks 50 60",
-            r"(?s)\| nearest_task \| [\d.]+ \+- [\d.]+ \| \+0.0 .*\| soonest_task \| .*\| bound \| ",
-        ),
-    ],
-    "benchmarks/teams.py": [
-        Start(
-            "--episodes 2 --time-limit 300 --targets 12 --only three-local walker-centralized",
-            r"(?s)\| three-local \| [\d.]+ \+- [\d.]+ \| .*\| walker-centralized \| ",
-        ),
-    ],
-    "benchmarks/crews.py": [
-        Start(
-            "--episodes 2 --time-limit 300 --targets 12 --rules prompt",
-            r"(?s)\| prompt \| [\d.]+ \+- [\d.]+ \| .*\| \+0.0 \+- 0.0 \|",
-        ),
-    ],
-    "benchmarks/safe_autonomy.py": [
-        Start(
-            "--episodes 2 --batch 2 --time-limit 40 --filters none asif --policies glide --turns 1 --steps 2 --backend eager",
-            r"(?s)\| CWDocking-v1 \| glide \| asif \| 0.0% \| - \| 0.0% \|.*\| CWDocking-v1 \| bsk_torch \| 2 \| [\d,]+ ",
-        ),
-    ],
-    "benchmarks/memory.py": [Start("--batch 4 --steps 40 --warm-up 1", r"\| scan \| 40 \| [\d,.]+ \|")],
-    "benchmarks/own_environments.py": [
-        Start(
-            "--only Frugal-v1 --seeds 1 --episodes 2 --frames 32 --settings num_envs=2 rollout=8",
-            r"\| Frugal-v1 \| 17,100 \| truncates \| [-\d.e]+ \| .* \(\w+\) \| [-\d.e]+ \| [01] of 1 \|",
-        ),
-    ],
-    "benchmarks/planners.py": [
-        Start(
-            "--presets NadirScan-v1 --episodes 2 --time-limit 300 --budget 3",
-            r"\| NadirScan-v1 \| mcts over rule \| [\d.]+ \+- [\d.]+ \|.*\| [\d,]+ \| [\d.]+ \|",
-        ),
-    ],
-    "benchmarks/return_vs_computation.py": [
-        Start(
-            "--presets NadirScan-v1 --limit 300 --episodes 2 --least 1 --core-seconds 0 --timing-seconds 0 --dearest 0",
-            r"(?s)\| rule \|  \| 2 \| .*\| tree search \| budget=12 \| 1 \| [\d.]+ \+- \w+ \|",
-        ),
-        Start(
-            "--presets AEOS-v1 --lines multipliers MILP --limit 300 --episodes 2 --least 2 --core-seconds 0 --timing-seconds 0 "
-            "--dearest 0",
-            r"(?s)\| MILP \| seconds=\d+ \| 2 \| .*\| multipliers \| iterations=3 \| 2 \| ",
-        ),
-        Start(
-            "--presets AEOS-v1 --lines rule --minute 0.001 --limit 300 --episodes 1 --least 1 --core-seconds 0 "
-            "--timing-seconds 0",
-            r"\| tree search \| budget=6 \| 1 \| ",
-        ),
-    ],
-    "benchmarks/distillation.py": [
-        Start(
-            "--presets NadirScan-v1 --limit 600 --seeds 1 --episodes 2 --evaluate 2 --epochs 1",
-            r"(?s)\| NadirScan-v1 \| planner \| .*\| student of all, seed 0 \| \d+ \| [\d.]+ \+- [\d.]+ \|",
-        ),
-    ],
-    "benchmarks/adversary.py": [
-        Start(
-            "--candidates 2 --each 1 --iterations 1 --elite 2 --episodes 2 --time-limit 300 --seeds 1 --frames 32 --num-envs 2 "
-            "--boxes wide",
-            r"(?s)\| wide \| package \| family \| .*\| wide \| trained on preset, seed 0 \| preset \| ",
-        ),
-    ],
-    "benchmarks/milp.py": [
-        Start(
-            "--targets 300 --episodes 2 --seconds 2 --iterations 3 --time-limit 1900 --figure milp.png",
-            r"\| 300 \| MILP, flown \| [\d.]+ \+- [\d.]+ \| [-+\d.]+ \+- [\d.]+ \| [\d.]+% \|",
-        ),
-    ],
-    "benchmarks/relaxation.py": [
-        Start(
-            "--targets 300 --episodes 1 --time-limit 900 --iterations 3",
-            r"(?s)\| 300 \| least \| [\d.]+ \| [\d.]+ \| .*\| 300 \| typical \| [\d.]+ \| ",
-        ),
-    ],
-    "benchmarks/sustained.py": [
-        Start(
-            "--scale 0.01 --planned 1 --time-limit 900 --window 120 --rounds 1 --enough 1",
-            r"(?s)\| 0.20 to 0.21 \| .*\| AEOS-v1/9999 \| rollout over trained \| \d+ \| .*\"reserve\": \d+\.\d",
-        ),
-        Start(
-            f"--fitted {ROOT}/bsk_torch/lab/bounds/agile_sustained.json --scale 0.01 --planned 1 --searched 1 --time-limit 600",
-            r"(?s)\| rollout over trained \| \d+ \| [\d.]+ \| .*\| beam search over trained \| \d+ \| [\d.]+ \| .*\"found\": ",
-        ),
-    ],
-    "benchmarks/resources.py": [
-        Start("--episodes 2 --time-limit 900", r"(?s)\| targets in view \| .*\| images that the store holds \| 100 \|"),
-    ],
-    "benchmarks/recording.py": [
-        Start("--batches 2 --every 4 --steps 1 --rounds 1", r"\| scan \| 2 \| 2 \| 4 \| [\d.]+ \| [\d.]+ \|"),
-    ],
-    "benchmarks/off_policy.py": [
-        Start(
-            "--seeds 1 --episodes 2 --iterations 2 --time-limit 600 --share 0.3 --presets NadirScan-v1",
-            r"(?s)\| NadirScan-v1 \| pretrained,random=0.05 \| [-\d.]+ \| [-\d.]+ \| [-+].*\| NadirScan-v1 \| \d+ \| \d+ \|",
-        ),
-    ],
-    "benchmarks/orbiting_places.py": [
-        Start(
-            "--batch 2 --places 5 --chunk 1 --minutes 20 --range-km 3000 --arcs 5",
-            r"(?s)\| 5 \| 2 \| 0\.2 \| .*\| 5 \| \d+ \| [\d.]+ \| \d+ \|",
-        ),
-    ],
-    "benchmarks/reset.py": [
-        Start("--batch 4 --rows 1 --rounds 1 --shares 2 --seconds 0.1 --warm-up 1", r"\| scan \| 2 \| [\d.]+% \|"),
-    ],
-    "benchmarks/scaling.py": [
-        Start(
-            "--batches 1 --split 2 --layouts processes --seconds 0.1 --warm-up 1",
-            r"(?s)\| scan \| 1 \| [\d,]+ \|.*\| scan \| processes \| 2 \| [\d,]+ \|",
-        ),
-    ],
-    "benchmarks/side_by_side.py": [
-        Start("--targets 300 --time-limit 300 --seconds 2 --budget 2", r"\| MILP, flown \| \d+ \| [\d.]+ \| [\d.]+% \|"),
-    ],
-    "benchmarks/soak.py": [
-        Start("--cases NadirScan-v1 --scale 0.0004", r"\| NadirScan-v1 \| 4,096 \| [\d,]+ \| \d+ \| [\d,.]+ \| [\d.]+ \| 0 \|"),
-    ],
-    "benchmarks/speedrun.py": [
-        Start(
-            "--threshold rule+-9 --seeds 0 --frames 32 --every 16 --episodes 2 --screened 2 --out r.json --figure r.png"
-            " --settings num_envs=2 rollout=8 options.time_limit=300",
-            r"\| NadirScan-v1 \| rule\+-9 \| recipe num_envs=2 .* \| 1 of 1 \| [\d.]+ \| [\d.]+ \| 16 \|",
-        ),
-    ],
-    "benchmarks/startup.py": [
-        Start("--batches 1 --dtypes float64 --warm 0 --backend eager", r"\| scan \| 1 \| float64 \| nothing \| [\d.]+ \|"),
-    ],
-    "benchmarks/state.py": [Start("--tasks scan --rows 3 --rounds 1 --steps 2", r"\| scan \| 3 \| [\d.]+ \|")],
-    "benchmarks/suite.py": [
-        Start(  # the file: bsk-torch bench random rule --episodes 2 --presets NadirScan-v1
-            "{root}/tests/cli/bench_two_episodes.json --out suite.json",
-            r"\| NadirScan-v1 \| rule \| 2 \| - \| [\d.]+ \+- .*\n\| NadirScan-v1 \| random \| 2 \| - \| -[\d.]+ \+-",
-        ),
-    ],
-    "benchmarks/learner_limit.py": [
-        Start(  # the file: training_profile.py --cases NadirScan-v1:mlp --num-envs 4 --seconds 1
-            "--cases NadirScan-v1:mlp --workers 2 --seconds 0.1 --profile {root}/tests/rl/profile_of_four.json",
-            r"\| NadirScan-v1:mlp \| 2 \| True \| [\d,]+ \| \d+% \| - \|\n(.*\n){2}.* 1 \| True \| [\d,]+ \| \d+% \| [\d,]+ \|",
-        ),
-    ],
-    "benchmarks/training_profile.py": [
-        Start("--cases NadirScan-v1:mlp --seconds 0.2 --num-envs 2", r"\| NadirScan-v1:mlp \| all \| [\d,.]+ \| 100.0 \|"),
-    ],
-    "benchmarks/vs_basilisk.py": [
-        Start(
-            "--only 1 gymnasium 64-collector --turns 1 --seconds 0.1 --warm-up 1",
-            r"(?s)\| 1 \| 1 \|.*\| gymnasium \| 1 \|.*\| 64-collector \| 64 \| float64 \| [\d,]+ \| - \|",
-        ),
-        Start(
-            "--only 1 --turns 1 --seconds 0.1 --warm-up 1 --basilisk {python}",
-            r"\| 1 \| 1 \|.*\| [\d.]+ to [\d.]+ \|",
-            "basilisk",
-        ),
-    ],
-    "examples/curriculum.py": [
-        Start(
-            "--num-envs 4 --steps 10 --time-limit 360 --rise 0.5 --figure levels.png",
-            r"(?s)step 10: \d+ episodes.*nothing was rebuilt",
-        ),
-    ],
-    "examples/offline_cql.py": [
-        Start(
-            "--episodes 2 --time-limit 900 --steps 20 --iterations 3",
-            r"(?s)random: \d+ decisions, .*learned: return .*fitted Q with traces: .* of the pairs of actions in order",
-        ),
-    ],
-    "scripts/demo.sh": [Start(f"{TRAIN} --out {{tmp}}/run", "trained")],
-    "scripts/tools/make_readme_pictures.py": [Start("speed CWDocking-v1 --out .", r"(?s)speed.png.*CWDocking-v1.png")],
-    "scripts/tools/make_viewer_film.py": [
-        Start("--preset NadirScan-v1 --until 900 --step 450 --out film.webp", r"film\.webp: \d+ frames, \d", "browser"),
-    ],
-    "scripts/tools/make_paper_figure.py": [Start("--out evidence.png", r"evidence.png")],
-    "scripts/tools/make_aeos_pool.py": [
-        Start(
-            "--size 4 --batch 16 --seconds 5 --share 0 --out pool.npz",
-            r"(?s)16 of 16 candidates.*pool.npz: 4 satellites, [\d,]+ bytes",
-        )
-    ],
-    "scripts/tools/make_aeos_orbits.py": [Start("{orbits} --out orbits.npz", r"orbits.npz: 2 orbits, [\d,]+ bytes")],
-    "scripts/tools/make_coastlines.py": [Start("{countries} --out land.geojson", "2 pieces of land", "coastlines")],
-    "scripts/tools/make_tables.py": [Start("--samples --out .", "largest position error 0.49", "basilisk")],
-    "scripts/tools/without_room.py": [
-        Start(
-            "tasks/safe_autonomy --pytest tests/test_vec3.py",
-            r"tasks/safe_autonomy: left out are \d+ files .* tests",
-        ),
-    ],
-    "scripts/tools/update_golden.py": [
-        Start("--folder golden", "4 files in golden; written or changed: AEOS-v1.cpp, RSOInspection-v1.cpp")
-    ],
-    "scripts/validation/truth.py": [
-        Start("--only spinning --out truth.json", r"spinning \(models\): .* equal: True; beyond their bounds: \[\]"),
-    ],
-    "scripts/validation/mutants.py": [Start("--check", r"40 faults")],
-    "scripts/validation/inspect_on_basilisk.py": [
-        Start(
-            "survey --seeds 1:2 --time-limit 1300 --backend eager --out out.json",
-            r"(?s)the same 1 episodes in bsk_torch and in Basilisk.*episodes with the same actions: 1 of 1",
-            "basilisk",
-        ),
-    ],
-    "scripts/validation/refly_on_basilisk.py": [
-        Start(
-            "{root}/benchmarks/results/risk_paths.json --out out.json",
-            r"(?s)bsk_torch  battery_valid after \d+ s.*Basilisk   battery_valid after \d+ s",
-            "basilisk",
-        ),
-    ],
-    "scripts/validation/greedy_on_basilisk.py": [
-        Start(
-            "{cases} --seconds 60 --backend eager --out out.json",
-            r"(?s)00001: CR here 0.0000, here, 1e-14 away 0.0000, Basilisk 0.0000, .*here - Basilisk",
-            "basilisk",
-        ),
-    ],
-    "scripts/validation/drift.py": [
-        Start(
-            "--releases installed --presets NadirScan-v1 --seeds 0:1 --time-limit 900 --workers 2 --out out.json",
-            r"NadirScan-v1 on [\d.]+: the first to fly; .*storage, bit 0.0e\+00 \(0.0e\+00\), .*reward 0.0e\+00",
-            "basilisk",
-        ),
-    ],
-    "scripts/validation/fly_on_basilisk.py": [
-        Start(
-            "rule --seeds 1:2 --workers 1 --time-limit 400 --out out.json",
-            "the same 1 episodes in bsk_torch and in Basilisk",
-            "basilisk",
-        ),
-    ],
-}
-"""Commands by script, run in an empty folder."""
+COMMANDS = r"""
+benchmarks/drop_in.py --episodes 1 --limit 120
+  compiled: scanning bsk_torch\.bsk_rl: \d.* s per episode
+benchmarks/bounds.py --only AEOS-v1/1000 NadirScan-v1 --episodes 1 --iterations 2 --time-limit 900
+  compiled: (?s)\| AEOS-v1/1000 \| trained \| .*\| NadirScan-v1 \| rule \|[ ]
+benchmarks/breakdown.py --batches 2 --seconds 0.1 --warm-up 1
+  compiled: \| scan \| 2 \| all \| [\d,.]+ \| 100.0 \|
+benchmarks/clouds.py --frames 32 --num-envs 2 --episodes 2 --seeds 1 --time-limit 300 --worlds poor moving --views mean
+    repeats
+  compiled: (?s)\| poor \| hasty by chance \| [\d.]+ \| .*\| poor \| mean \| [\d.]+ \| .*\| moving \| repeats \| [\d.]+ \|[ ]
+benchmarks/compare.py --base {root} --only 1 --turns 1 --processes 1 --seconds 0.1 --warm-up 1
+  compiled: \| 1 \| \d+ \| .* \| True \|
+benchmarks/communication.py --episodes 2 --time-limit 900
+  compiled: (?s)\| none \| [\d.]+ .*\| with all \| [\d.]+ \+- [\d.]+ \| [+-][\d.]+[ ]
+benchmarks/constellation.py --satellites 1 2 --rows 2 --turns 1 --modes tasks
+  compiled: \| tasks \| 2 \| 1 \| [\d,]+ \|
+benchmarks/constellation.py --satellites 1 --rows 1 --turns 1 --modes intervals --seconds 0.1 --basilisk {python}
+  basilisk: \| intervals \| 1 \| 1 \| [\d,]+ \|.*\| [\d,]+ \| [\d,]+ \|
+benchmarks/difficulty.py --seeds 1 --episodes 2 --num-envs 2 --frames 32 --time-limit 300 --trainings hard curriculum
+  compiled: (?s)\| curriculum \| 100.0% \|.*\| a rule \| 0.0\d\d \|
+benchmarks/envelope.py --transitions 1 --scale 0.03 --time-limit 1900 --enough 1
+  compiled: (?s)\| 0.20 to 0.30 \| .*\"smallest_margin\": \d
+benchmarks/faults.py --seeds 1 --episodes 2 --num-envs 2 --frames 32 --time-limit 300 --trainings all
+  compiled: (?s)survival.*\| cautious \| 100.0% .*return.*\| trained, faults: all \| -?[\d.]+ \|[ ]
+benchmarks/faults_headroom.py --seeds 1 --episodes 2 --planned 3 --futures 1 --num-envs 2 --frames 32 --time-limit 300
+  compiled: (?s)\| trained, seed 0 \| .*\| planner, past faults known \| [-\d.]+ \+- [\d.]+ \|[ ]
+benchmarks/headroom.py --candidates dim_scan --episodes 2 --draws 1 --tuned 2 --policies pretrained
+  compiled: (?s)dim_scan, tuned: .*\| dim_scan \| .* \| pretrained: [\d.]+ \+- [\d.]+ \|[ ]
+benchmarks/inspection.py --batch 2 --turns 1 --seconds 0.1 --warm-up 1 --only 1 manoeuvres
+  compiled: \| manoeuvres \| 2 \| [\d,.]+ \| - \|
+benchmarks/inspection_rules.py --episodes 2 --time-limit 700
+  compiled: \| RSOInspection-v1 \| survey \| waypoints \| 0.0% \| nan \|
+benchmarks/manoeuvres.py --batches 2 --targets 20 --rounds 1 --drift 2
+  compiled: (?s)\| 2 \| arc \| on \| [\d.]+ \|.*\| 2 \| integrated \| off \| [\d.]+ \|
+benchmarks/risk.py --questions charge --runs 1 --episodes 20 --repetitions 4 --plain 0 --num-envs 20 --time-limit 300
+  compiled: (?s)textbook case: [\d.e-]+ for 1e-06, .*\| charge \| [\d.e+-]+ \([\d.e+-]+ to [\d.e+-]+\) \| \d+ \|
+benchmarks/risk.py --questions charge --method screen --pool 100 --probabilities 0.01 --runs 1 --episodes 20 --repetitions
+    4 --plain 0 --num-envs 20 --time-limit 300
+  compiled: (?s)textbook case: [\d.e-]+ for 1e-02, .*\| charge \| [\d.e+-]+ \([\d.e+-]+ to [\d.e+-]+\) \| \d+ \|
+benchmarks/rso_imaging.py --batches 2 --targets 3 --turns 1 --seconds 0.1 --warm-up 1 --catalogs 3 --many 2 --steps 2
+  compiled: (?s)\| 2 \| 2 \| 3 \| [\d,]+ \| - \|.*\| 3 \| 2 \| [\d.]+ \| [\d.]+ \| \d+ \| \d+ \(
+benchmarks/viewer_frames.py --satellites 3 --targets 200 --limit 300 --seconds 1 --turns 1 --views globe map
+  browser: (?s)\| globe \| [\d.]+ \| .*\| map \| [\d.]+ \|[ ]
+benchmarks/services.py --episodes 2 --time-limit 300 --targets 12 --rules rate angle
+  compiled: (?s)\| rate \| [\d.]+ \+- [\d.]+ \| \+0.0 .*\| angle \|[ ]
+benchmarks/expert_iteration.py --seeds 1 --episodes 2 --evaluate 2 --planned 2 --time-limit 300 --budget 2 --epochs 1
+  compiled: (?s)\| audited, seed 0, round 1 \| [\d.]+ \+- [\d.]+ \| .*\| planner \|[ ]
+benchmarks/aeos_speed.py --sizes 2x50 --rows 4 --turns 1 --steps 1 10 --seconds 0.1 --backend eager --plot rates.png
+  compiled: (?s)\| 2 \| 50 \| 2 \| 1 \| [\d,]+ \| .*\| 2 \| 50 \| 2 \| 10 \| [\d,]+ \|[ ]
+benchmarks/aeos_bench.py --cases 2 --batch 2 --time-limit 60 --satellites 2 3 --tasks 50 60
+  compiled: (?s)\| nearest_task \| [\d.]+ \+- [\d.]+ \| \+0.0 .*\| soonest_task \| .*\| bound \|[ ]
+benchmarks/teams.py --episodes 2 --time-limit 300 --targets 12 --only three-local walker-centralized
+  compiled: (?s)\| three-local \| [\d.]+ \+- [\d.]+ \| .*\| walker-centralized \|[ ]
+benchmarks/crews.py --episodes 2 --time-limit 300 --targets 12 --rules prompt
+  compiled: (?s)\| prompt \| [\d.]+ \+- [\d.]+ \| .*\| \+0.0 \+- 0.0 \|
+benchmarks/safe_autonomy.py --episodes 2 --batch 2 --time-limit 40 --filters none asif --policies glide --turns 1 --steps
+    2 --backend eager
+  compiled: (?s)\| CWDocking-v1 \| glide \| asif \| 0.0% \| - \| 0.0% \|.*\| CWDocking-v1 \| bsk_torch \| 2 \| [\d,]+[ ]
+benchmarks/memory.py --batch 4 --steps 40 --warm-up 1
+  compiled: \| scan \| 40 \| [\d,.]+ \|
+benchmarks/own_environments.py --only Frugal-v1 --seeds 1 --episodes 2 --frames 32 --settings num_envs=2 rollout=8
+  compiled: \| Frugal-v1 \| 17,100 \| truncates \| [-\d.e]+ \| .* \(\w+\) \| [-\d.e]+ \| [01] of 1 \|
+benchmarks/planners.py --presets NadirScan-v1 --episodes 2 --time-limit 300 --budget 3
+  compiled: \| NadirScan-v1 \| mcts over rule \| [\d.]+ \+- [\d.]+ \|.*\| [\d,]+ \| [\d.]+ \|
+benchmarks/return_vs_computation.py --presets NadirScan-v1 --limit 300 --episodes 2 --least 1 --core-seconds 0
+    --timing-seconds 0 --dearest 0
+  compiled: (?s)\| rule \|  \| 2 \| .*\| tree search \| budget=12 \| 1 \| [\d.]+ \+- \w+ \|
+benchmarks/return_vs_computation.py --presets AEOS-v1 --lines multipliers MILP --limit 300 --episodes 2 --least 2
+    --core-seconds 0 --timing-seconds 0 --dearest 0
+  compiled: (?s)\| MILP \| seconds=\d+ \| 2 \| .*\| multipliers \| iterations=3 \| 2 \|[ ]
+benchmarks/return_vs_computation.py --presets AEOS-v1 --lines rule --minute 0.001 --limit 300 --episodes 1 --least 1
+    --core-seconds 0 --timing-seconds 0
+  compiled: \| tree search \| budget=6 \| 1 \|[ ]
+benchmarks/distillation.py --presets NadirScan-v1 --limit 600 --seeds 1 --episodes 2 --evaluate 2 --epochs 1
+  compiled: (?s)\| NadirScan-v1 \| planner \| .*\| student of all, seed 0 \| \d+ \| [\d.]+ \+- [\d.]+ \|
+benchmarks/adversary.py --candidates 2 --each 1 --iterations 1 --elite 2 --episodes 2 --time-limit 300 --seeds 1 --frames
+    32 --num-envs 2 --boxes wide
+  compiled: (?s)\| wide \| package \| family \| .*\| wide \| trained on preset, seed 0 \| preset \|[ ]
+benchmarks/milp.py --targets 300 --episodes 2 --seconds 2 --iterations 3 --time-limit 1900 --figure milp.png
+  compiled: \| 300 \| MILP, flown \| [\d.]+ \+- [\d.]+ \| [-+\d.]+ \+- [\d.]+ \| [\d.]+% \|
+benchmarks/relaxation.py --targets 300 --episodes 1 --time-limit 900 --iterations 3
+  compiled: (?s)\| 300 \| least \| [\d.]+ \| [\d.]+ \| .*\| 300 \| typical \| [\d.]+ \|[ ]
+benchmarks/sustained.py --scale 0.01 --planned 1 --time-limit 900 --window 120 --rounds 1 --enough 1
+  compiled: (?s)\| 0.20 to 0.21 \| .*\| AEOS-v1/9999 \| rollout over trained \| \d+ \| .*\"reserve\": \d+\.\d
+benchmarks/sustained.py --fitted {root}/bsk_torch/lab/bounds/agile_sustained.json --scale 0.01 --planned 1 --searched 1
+    --time-limit 600
+  compiled: (?s)\| rollout over trained \| \d+ \| [\d.]+ \| .*\| beam search over trained \| \d+ \| [\d.]+ \| .*\"found\":[ ]
+benchmarks/resources.py --episodes 2 --time-limit 900
+  compiled: (?s)\| targets in view \| .*\| images that the store holds \| 100 \|
+benchmarks/recording.py --batches 2 --every 4 --steps 1 --rounds 1
+  compiled: \| scan \| 2 \| 2 \| 4 \| [\d.]+ \| [\d.]+ \|
+benchmarks/off_policy.py --seeds 1 --episodes 2 --iterations 2 --time-limit 600 --share 0.3 --presets NadirScan-v1
+  compiled: (?s)\| NadirScan-v1 \| pretrained,random=0.05 \| [-\d.]+ \| [-\d.]+ \| [-+].*\| NadirScan-v1 \| \d+ \| \d+ \|
+benchmarks/orbiting_places.py --batch 2 --places 5 --chunk 1 --minutes 20 --range-km 3000 --arcs 5
+  compiled: (?s)\| 5 \| 2 \| 0\.2 \| .*\| 5 \| \d+ \| [\d.]+ \| \d+ \|
+benchmarks/reset.py --batch 4 --rows 1 --rounds 1 --shares 2 --seconds 0.1 --warm-up 1
+  compiled: \| scan \| 2 \| [\d.]+% \|
+benchmarks/scaling.py --batches 1 --split 2 --layouts processes --seconds 0.1 --warm-up 1
+  compiled: (?s)\| scan \| 1 \| [\d,]+ \|.*\| scan \| processes \| 2 \| [\d,]+ \|
+benchmarks/side_by_side.py --targets 300 --time-limit 300 --seconds 2 --budget 2
+  compiled: \| MILP, flown \| \d+ \| [\d.]+ \| [\d.]+% \|
+benchmarks/soak.py --cases NadirScan-v1 --scale 0.0004
+  compiled: \| NadirScan-v1 \| 4,096 \| [\d,]+ \| \d+ \| [\d,.]+ \| [\d.]+ \| 0 \|
+benchmarks/speedrun.py --threshold rule+-9 --seeds 0 --frames 32 --every 16 --episodes 2 --screened 2 --out r.json
+    --figure r.png --settings num_envs=2 rollout=8 options.time_limit=300
+  compiled: \| NadirScan-v1 \| rule\+-9 \| recipe num_envs=2 .* \| 1 of 1 \| [\d.]+ \| [\d.]+ \| 16 \|
+benchmarks/startup.py --batches 1 --dtypes float64 --warm 0 --backend eager
+  compiled: \| scan \| 1 \| float64 \| nothing \| [\d.]+ \|
+benchmarks/state.py --tasks scan --rows 3 --rounds 1 --steps 2
+  compiled: \| scan \| 3 \| [\d.]+ \|
+# the file: bsk-torch bench random rule --episodes 2 --presets NadirScan-v1
+benchmarks/suite.py {root}/tests/cli/bench_two_episodes.json --out suite.json
+  compiled: \| NadirScan-v1 \| rule \| 2 \| - \| [\d.]+ \+- .*\n\| NadirScan-v1 \| random \| 2 \| - \| -[\d.]+ \+-
+# the file: training_profile.py --cases NadirScan-v1:mlp --num-envs 4 --seconds 1
+benchmarks/learner_limit.py --cases NadirScan-v1:mlp --workers 2 --seconds 0.1 --profile
+    {root}/tests/rl/profile_of_four.json
+  compiled: \| NadirScan-v1:mlp \| 2 \| True \| [\d,]+ \| \d+% \| - \|\n(.*\n){2}.* 1 \| True \| [\d,]+ \| \d+% \| [\d,]+ \|
+benchmarks/training_profile.py --cases NadirScan-v1:mlp --seconds 0.2 --num-envs 2
+  compiled: \| NadirScan-v1:mlp \| all \| [\d,.]+ \| 100.0 \|
+benchmarks/vs_basilisk.py --only 1 gymnasium 64-collector --turns 1 --seconds 0.1 --warm-up 1
+  compiled: (?s)\| 1 \| 1 \|.*\| gymnasium \| 1 \|.*\| 64-collector \| 64 \| float64 \| [\d,]+ \| - \|
+benchmarks/vs_basilisk.py --only 1 --turns 1 --seconds 0.1 --warm-up 1 --basilisk {python}
+  basilisk: \| 1 \| 1 \|.*\| [\d.]+ to [\d.]+ \|
+examples/curriculum.py --num-envs 4 --steps 10 --time-limit 360 --rise 0.5 --figure levels.png
+  compiled: (?s)step 10: \d+ episodes.*nothing was rebuilt
+examples/offline_cql.py --episodes 2 --time-limit 900 --steps 20 --iterations 3
+  compiled: (?s)random: \d+ decisions, .*learned: return .*fitted Q with traces: .* of the pairs of actions in order
+scripts/demo.sh {train} --out {tmp}/run
+  compiled: trained
+scripts/tools/make_readme_pictures.py speed CWDocking-v1 --out .
+  compiled: (?s)speed.png.*CWDocking-v1.png
+scripts/tools/make_viewer_film.py --preset NadirScan-v1 --until 900 --step 450 --out film.webp
+  browser: film\.webp: \d+ frames, \d
+scripts/tools/make_paper_figure.py --out evidence.png
+  compiled: evidence.png
+scripts/tools/make_aeos_pool.py --size 4 --batch 16 --seconds 5 --share 0 --out pool.npz
+  compiled: (?s)16 of 16 candidates.*pool.npz: 4 satellites, [\d,]+ bytes
+scripts/tools/make_aeos_orbits.py {orbits} --out orbits.npz
+  compiled: orbits.npz: 2 orbits, [\d,]+ bytes
+scripts/tools/make_coastlines.py {countries} --out land.geojson
+  coastlines: 2 pieces of land
+scripts/tools/without_room.py tasks/safe_autonomy --pytest tests/test_vec3.py
+  compiled: tasks/safe_autonomy: left out are \d+ files .* tests
+scripts/tools/make_tables.py --samples --out .
+  basilisk: largest position error 0.49
+scripts/tools/update_golden.py --folder golden
+  compiled: 4 files in golden; written or changed: AEOS-v1.cpp, RSOInspection-v1.cpp
+scripts/validation/truth.py --only spinning --out truth.json
+  compiled: spinning \(models\): .* equal: True; beyond their bounds: \[\]
+scripts/validation/mutants.py --check
+  compiled: 40 faults
+scripts/validation/inspect_on_basilisk.py survey --seeds 1:2 --time-limit 1300 --backend eager --out out.json
+  basilisk: (?s)the same 1 episodes in bsk_torch and in Basilisk.*episodes with the same actions: 1 of 1
+scripts/validation/refly_on_basilisk.py {root}/benchmarks/results/risk_paths.json --out out.json
+  basilisk: (?s)bsk_torch  battery_valid after \d+ s.*Basilisk   battery_valid after \d+ s
+scripts/validation/greedy_on_basilisk.py {cases} --seconds 60 --backend eager --out out.json
+  basilisk: (?s)00001: CR here 0.0000, here, 1e-14 away 0.0000, Basilisk 0.0000, .*here - Basilisk
+scripts/validation/drift.py --releases installed --presets NadirScan-v1 --seeds 0:1 --time-limit 900 --workers 2 --out
+    out.json
+  basilisk: NadirScan-v1 on [\d.]+: the first to fly; .*storage, bit 0.0e\+00 \(0.0e\+00\), .*reward 0.0e\+00
+scripts/validation/fly_on_basilisk.py rule --seeds 1:2 --workers 1 --time-limit 400 --out out.json
+  basilisk: the same 1 episodes in bsk_torch and in Basilisk
+"""
+"""Scripts with their arguments, and below each what it needs and a regular expression of its output."""
+
+
+def starts() -> dict[str, list[Start]]:
+    """Commands by script, run in an empty folder."""
+    table: dict[str, list[Start]] = {}
+    rows = re.findall(r"^([^\s#].*(?:\n    .*)*)\n  (\w+): (.*)$", COMMANDS, re.MULTILINE)
+    for command, needs, printed in rows:
+        path, *arguments = command.replace("{train}", TRAIN).split()
+        table.setdefault(path, []).append(Start(" ".join(arguments), printed, needs))
+    assert sum(map(len, table.values())) == len(rows) == len(re.findall(r"^[^\s#]", COMMANDS, re.MULTILINE))
+    return table
+
+
+STARTS = starts()
+
 
 RECORDED = {
     "record_aeos_bench": "basilisk/recordings/aeos_bench_odd",
@@ -594,14 +423,11 @@ def test_help_explains_and_does_nothing(script, usage, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_no_script_reads_its_arguments_by_position():
+def test_scripts_are_executable_and_read_no_arguments_by_position():
     paths = [path for folder in ("benchmarks", "scripts") for path in (ROOT / folder).rglob("*.py")]
     assert len(paths) > 20
     for path in paths:
         assert "sys.argv" not in path.read_text(), f"{path} takes --help for an argument: read them by argparse"
-
-
-def test_shell_scripts_are_executable():
     scripts = [*(ROOT / "scripts").glob("*.sh"), ROOT / ".ci/run"]
     assert len(scripts) >= 3
     for script in scripts:

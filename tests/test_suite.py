@@ -1,7 +1,5 @@
 """Tests run and can fail: folders are packages, and no test makes all its checks in loops that may have nothing to run over."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -10,7 +8,7 @@ import pytest
 
 TESTS = Path(__file__).parent
 
-CHECKS = {"raises", "warns", "fail", "check_env_specs", "check_env", "check_output", "check_call"}
+CHECKS = {"raises", "warns", "fail", "check_env_specs", "check_env", "check_output", "check_call", "check_refusals"}
 """Functions that fail a test, besides those whose names begin with ``assert_``."""
 
 TRANSPARENT = {"enumerate", "zip", "product", "sorted", "reversed", "range", "len", "list", "items", "values", "keys"}

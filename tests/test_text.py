@@ -29,8 +29,7 @@ SHOWN = r"\x1b]0;owned\x07\x9b2J\r\u202eevil\u2028[/red]$\frac{$"
 
 
 def test_hidden_characters_are_escapes():
-    assert visible(NAME) == SHOWN
-    assert visible("a\tb\n\ud800") == "a\tb\n\\ud800"
+    assert (visible(NAME), visible("a\tb\n\ud800")) == (SHOWN, "a\tb\n\\ud800")
     assert visible("a\nb", keep="") == "a\\nb"
     plain = "Żółć 衛星 🛰 1\u202f000\u00a0km"
     assert visible(plain) == plain

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 import torch
 
@@ -51,15 +49,16 @@ def test_vector_operations(own, tensor):
     torch.testing.assert_close(result.stack(), tensor(a, b), rtol=ROUNDING, atol=ROUNDING)
 
 
-def test_scalar_results():
+def test_scalars_sums_zeros_and_units():
     (a, a3), (b, b3) = vectors(7), vectors(7)
     torch.testing.assert_close(a3.dot(b3), (a * b).sum(-1), rtol=0, atol=ROUNDING)
     torch.testing.assert_close(a3.norm(), a.norm(dim=-1), rtol=ROUNDING, atol=0)
-
-
-def test_addition_is_not_tuple_concatenation():
     a = vectors(2)[1]
     assert len(a + a) == 3
+    zero = Vec3.zeros_like(torch.ones(4, dtype=torch.float32))
+    assert torch.equal(zero.stack(), torch.zeros(4, 3))
+    assert zero.stack().dtype == torch.float32
+    assert torch.isnan(Vec3.zeros_like(torch.zeros(())).unit().stack()).all()
 
 
 def test_matrix_times_vector_and_transpose():
@@ -67,16 +66,6 @@ def test_matrix_times_vector_and_transpose():
     torch.testing.assert_close((m3 @ a3).stack(), (m @ a.unsqueeze(-1)).squeeze(-1), rtol=0, atol=10 * ROUNDING)
     assert torch.equal(m3.mT.stack(), m.mT)
     torch.testing.assert_close((m3.mT @ a3).stack(), (m.mT @ a.unsqueeze(-1)).squeeze(-1), rtol=0, atol=10 * ROUNDING)
-
-
-def test_zeros_like_keeps_shape_and_dtype():
-    zero = Vec3.zeros_like(torch.ones(4, dtype=torch.float32))
-    assert torch.equal(zero.stack(), torch.zeros(4, 3))
-    assert zero.stack().dtype == torch.float32
-
-
-def test_unit_of_zero_is_nan():
-    assert torch.isnan(Vec3.zeros_like(torch.zeros(())).unit().stack()).all()
 
 
 def test_select_takes_row_by_row_and_ignores_nan_in_the_other():

@@ -1,7 +1,5 @@
 """Durations and modes that users' actions return are checked."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -44,13 +42,12 @@ def test_rejects_wrong_decisions():
     env = environment(decide=lambda self, *args: decisions[-1](self, *args))
     decided = lambda *decision: (decisions.append(deciding(*decision)), play(env))
     durations = math.nan, -1.0, 0.0, 1e-12
-    table = [
+    check_refusals(
         *(refusal(lambda x=x: decided(x), ValueError, "Mine.decide", "duration", x, "environment 0", 1e-9) for x in durations),
         *(refusal(lambda mode=mode: decided(5.0, mode), ValueError, "Mine.decide", "mode", mode, 0) for mode in (-1, 99)),
         refusal(lambda: act.Charge(duration=1e-12), ValueError, "duration=1e-12"),
         refusal(lambda: SatelliteTasking(sats.Satellite("A"), max_step_duration=1e-12), ValueError, "max_step_duration=1e-12"),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_rejects_wrong_modes_of_tables():

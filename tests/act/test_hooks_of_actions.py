@@ -1,13 +1,12 @@
 """Every hook of a subclass runs, whatever other actions a satellite has; what would not run is refused when it is defined."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict import TensorDict
 
 from bsk_torch import SatelliteTasking, act, data, obs, sats, scene
 from bsk_torch.presets.nadir_scan import ScanningSatellite
+from tests.support.episodes import begun
 from tests.support.refusals import check_refusals, refusal
 
 FIELDS = act.Decision._fields[:5]  # the last one is for continuous actions
@@ -77,26 +76,19 @@ def step(env, *action):
 @pytest.mark.parametrize("kind", SPECS)
 class TestHooksRun:
     def test_begin_and_end(self, kind):
-        env = make(Recorded(), kind)
-        env.reset()
+        env = begun(make(Recorded(), kind))
         step(env, 0, 1)
         entry = env.satellite.actions.entries[0]
-        assert entry.calls == [
-            ("begin", [True, False], [40.0, 50.0]),
-            ("end", [True, False], [False, False]),
-        ]
+        assert entry.calls == [("begin", [True, False], [40.0, 50.0]), ("end", [True, False], [False, False])]
 
     def test_decide(self, kind):
-        env = make(Quick(), kind)
-        env.reset()
+        env = begun(make(Quick(), kind))
         assert step(env, 0, 1) == [7.0, 50.0]
 
     def test_table_and_names(self, kind):
-        env = make(Twice(), kind)
-        env.reset()
+        env = begun(make(Twice(), kind))
         assert env.satellite.action_description[:2] == ["short", "long"]
-        assert step(env, 0, 1) == [11.0, 13.0]
-        assert step(env, 2, 1) == [50.0, 13.0]
+        assert (step(env, 0, 1), step(env, 2, 1)) == ([11.0, 13.0], [50.0, 13.0])
 
     def test_mask(self, kind):
         env = make(Masked(), kind)
@@ -115,8 +107,7 @@ class TestHooksRun:
 
 def test_fixed_commands_are_those_of_every_entry_alone():
     """A mixed list gives each entry's action the commands that the entry has alone."""
-    env = make(Twice(), "mixed")
-    env.reset()
+    env = begun(make(Twice(), "mixed"))
     actions = env.satellite.actions
     every, previous = torch.ones(2, dtype=torch.bool), torch.tensor([0, 2])
     for number, entry, index in ((0, 0, 0), (1, 0, 1), (2, 1, 0), (3, 2, 0), (4, 2, 1), (-3, 2, 0)):
@@ -133,10 +124,10 @@ def define(*bases, **members):
     return type("Mine", bases or (act.Charge,), members)
 
 
-def test_what_would_not_run_is_refused_at_the_definition():
+def test_rejects_hooks_that_would_not_run():
     mixin = type("Mixin", (), dict(set_action=lambda self, action: None))
     decides = lambda self, index, mask, action, previous: None
-    table = [
+    check_refusals(
         refusal(lambda: define(set_action=lambda self, action, prev_action_key=None: None), TypeError, "set_action", "decide"),
         refusal(lambda: define(set_action_override=lambda self, action: None), TypeError, "set_action_override", "bsk_rl"),
         refusal(lambda: define(reset_post_sim_init=lambda self: None), TypeError, "reset_post_sim_init", "bsk_torch.bsk_rl"),
@@ -150,8 +141,7 @@ def test_what_would_not_run_is_refused_at_the_definition():
         refusal(lambda: define(n_actions=lambda self: 2), TypeError, "Mine.n_actions", "method", "value"),
         refusal(lambda: define(decide=lambda self, *args: None, table=lambda self: None), TypeError, "table()", "decide()"),
         refusal(lambda: define(mixin, act.Charge), TypeError, "Mine.set_action"),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_helpers_are_free():
@@ -175,25 +165,23 @@ def made(**members):
 
 
 def test_rejects_entries_that_do_not_fit():
-    table = [
+    check_refusals(
         refusal(lambda: made(link_satellite=lambda self, satellite: None), TypeError, "super().link_satellite(satellite)"),
         refusal(lambda: made(n_actions=2, names=lambda self: ["one"]), ValueError, "names()", ["one"], "n_actions=2"),
         refusal(lambda: made(n_actions=0), ValueError, "Mine.n_actions", 0),
         refusal(lambda: made(n_actions=1.0), ValueError, "Mine.n_actions", 1.0),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_rejects_results_that_do_not_fit():
     run = lambda **members: made(**members).rollout(1)
     decided = lambda **fields: run(decide=lambda self, *args: act.Charge.decide(self, *args)._replace(**fields))
     boolean, one = torch.ones(2, dtype=torch.bool), torch.ones(1)
-    table = [
+    check_refusals(
         refusal(lambda: run(n_actions=2), TypeError, "Mine.table().mode", [2, 1], [2, 2]),
         refusal(lambda: run(table=lambda self: None), TypeError, "table()", None),
         refusal(lambda: decided(duration=one), TypeError, "duration", [1], "torch.float32", [2], "torch.float64"),
         refusal(lambda: decided(mode=3), TypeError, "mode", 3, [2]),
         refusal(lambda: run(mask=lambda self: boolean), TypeError, "mask()", [2], [2, 1]),
         refusal(lambda: run(mask=lambda self: torch.ones(2, 1)), TypeError, "mask()", "torch.float32", "torch.bool"),
-    ]
-    check_refusals(table)
+    )

@@ -1,7 +1,5 @@
 """Strips on the ground: Basilisk's stripLocation, and what actions record of them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

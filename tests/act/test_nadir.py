@@ -1,7 +1,5 @@
 """Nadir pointing: which axis looks down, the warning for one that does not, and errors of pointing as properties."""
 
-from __future__ import annotations
-
 import logging
 from typing import Any
 

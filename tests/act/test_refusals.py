@@ -12,12 +12,12 @@ from tests.support.refusals import check_refusals, refusal
 from tests.tasks.objects.objects import environment
 
 
-def test_rejects_wrong_strips():
+def test_rejects_wrong_strips_and_images_of_objects():
     targets, reward = scene.UniformTargets(2), data.StripImageReward
     make = lambda **options: strips.make(backend="eager", **options)
     models = dict(dyn_type=dyn.ImagingDynModel, fsw_type=fsw.ImagingFSWModel)
     plain = type("Plain", (strips.StripImager,), dict(action_spec=(act.Image(4),)) | models)
-    table = [
+    check_refusals(
         *(
             refusal(lambda x=x: scene.StripTargets(targets, x), ValueError, "length", f"{x:g}", "target 0", "[1, 1e+07]")
             for x in (0.0, -1.0, math.nan, 2e7)
@@ -31,14 +31,10 @@ def test_rejects_wrong_strips():
         refusal(lambda: reward(math.nan), ValueError, "fraction=nan"),
         refusal(lambda: make(scenario=scene.UniformTargets(9)), ValueError, "action_image_strip", "scene.StripTargets"),
         refusal(lambda: make(kind=plain, rewarder=reward()), ValueError, "StripImageReward", "fsw.StripImaging"),
-    ]
-    check_refusals(table)
-
-
-def test_rejects_wrong_imaging_of_objects():
+    )
     image = lambda **given: ImageRSO(**({"n_ahead_image": 3} | given))
     imager = lambda **args: environment(sat_args=args, backend="eager")
-    table = [
+    check_refusals(
         refusal(lambda: image(n_ahead_image=0), ValueError, "n_ahead_image=0"),
         refusal(lambda: image(n_ahead_image=2.5), ValueError, "n_ahead_image=2.5"),
         refusal(lambda: image(max_duration=0.0), ValueError, "max_duration=0.0"),
@@ -51,14 +47,13 @@ def test_rejects_wrong_imaging_of_objects():
         refusal(lambda: imager(imageTargetMaximumRange=0.0), ValueError, "imageTargetMaximumRange=0"),
         refusal(lambda: imager(instrumentBaudRate=1.5), ValueError, "instrumentBaudRate=1.5"),
         refusal(lambda: imager(instrumentBaudRate=0.0), ValueError, "instrumentBaudRate=0"),
-    ]
-    check_refusals(table)
+    )
 
 
-def test_rejects_wrong_thrusts():
+def test_rejects_wrong_thrusts_and_waypoints():
     make, thrust = thrusts.make, act.ImpulsiveThrust
     dry = dyn.DynamicsModel, fsw.FSWModel
-    table = [
+    check_refusals(
         refusal(lambda: make(thrust(max_dv=0.0)), ValueError, "max_dv=0.0"),
         refusal(lambda: make(thrust(max_drift_duration=-1.0)), ValueError, "max_drift_duration=-1.0"),
         refusal(lambda: make(thrust(max_drift_duration=2.0)), ValueError, "max_drift_duration=2", "2 ticks", "2 s"),
@@ -69,14 +64,10 @@ def test_rejects_wrong_thrusts():
         refusal(lambda: make(act.ImpulsiveThrustHill(3)), ValueError, "chief_name=3"),
         refusal(lambda: make(act.AttitudeSetpoint(control_period=0.0)), ValueError, "control_period=0.0"),
         refusal(lambda: make(thrust(), models=dry), ValueError, "ImpulsiveThrust", "'thrust_act'", "tank"),
-    ]
-    check_refusals(table)
-
-
-def test_rejects_wrong_waypoints():
+    )
     waypoint = lambda **given: HillWaypoint(**(dict(chief_name="C") | given))
     chief, dry = waypoints.kind("Chief", act.Drift()), waypoints.kind("Dry", waypoint(), fsw_type=fsw.FSWModel)
-    table = [
+    check_refusals(
         refusal(lambda: waypoint(waypoints=0), ValueError, "waypoints=0", 1),
         refusal(lambda: waypoint(waypoints=[[1.0, 2.0]]), ValueError, "waypoints", "[D, 3]", [1, 2]),
         refusal(lambda: waypoint(waypoints=[[1.0, 2.0, math.nan]]), ValueError, "waypoints", "finite positions"),
@@ -92,5 +83,4 @@ def test_rejects_wrong_waypoints():
         refusal(lambda: waypoints.make(HillWaypoint("D2"), ("D1", "D2")), ValueError, "chief_name='D2'", "type"),
         refusal(lambda: waypoints.make(waypoint(fsw_action="nadir")), ValueError, "'nadir'", "'nadir_point'"),
         refusal(lambda: ConstellationTasking([chief("C"), dry("D1")], backend="eager"), ValueError, "'waypoint'", "tank"),
-    ]
-    check_refusals(table)
+    )

@@ -1,7 +1,5 @@
 """Commands that are repeated: as in bsk_rl they go on, whatever entry of the list repeats them."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 
@@ -28,12 +26,9 @@ def turned(env, actions):
     return found
 
 
-def test_the_same_command_of_another_entry_goes_on(env):
+def test_only_another_command_begins_anew(env):
     """A new command would set the reference to zero, and with it the attitude of the next tick."""
     assert turned(env, [0, 0, 1, 0, 1]) == [False, True, True, True, True]
-
-
-def test_another_command_begins_anew(env):
     assert turned(env, [0, 0, 2, 1, 1]) == [False, True, False, False, True]
 
 

@@ -1,7 +1,5 @@
 """Impulsive manoeuvres as actions: clamps, frames, the drift, and single precision."""
 
-from __future__ import annotations
-
 import logging
 
 import pytest
@@ -12,6 +10,7 @@ from bsk_torch import ConstellationTasking, SatelliteTasking, act, obs, sats
 from bsk_torch.astro.relative import rv2HN
 from bsk_torch.env.satellite_group import command, decide
 from bsk_torch.sim import dyn, fsw
+from tests.support.episodes import begun
 from tests.support.refusals import check_refusals, refusal
 
 MU, RADIUS = 3.986004415e14, 6.9e6
@@ -58,20 +57,17 @@ class TestClamps:
         ],
     )
     def test_drifts_last_two_ticks_at_least_and_whole_ones(self, asked, sim_rate, lasts):
-        env = make(act.ImpulsiveThrust(max_drift_duration=40.0), sim_rate=sim_rate)
-        env.reset()
+        env = begun(make(act.ImpulsiveThrust(max_drift_duration=40.0), sim_rate=sim_rate))
         assert float(step(env, [1.0, 0.0, 0.0, asked])["duration"]) == lasts
 
     def test_an_endless_drift_lasts_until_the_time_limit(self):
-        env = make(act.ImpulsiveThrust(), time_limit=50.0)
-        env.reset()
+        env = begun(make(act.ImpulsiveThrust(), time_limit=50.0))
         td = step(env, [0.0, 0.0, 0.0, 1e300])
         assert float(td["duration"]) == 50.0
         assert bool(td["truncated"])
 
     def test_the_tank_allows_less(self):
-        env = make(act.ImpulsiveThrust(max_dv=80.0))
-        env.reset()
+        env = begun(make(act.ImpulsiveThrust(max_dv=80.0)))
         step(env, [60.0, 0.0, 0.0, 5.0])
         dv_N, _ = thrust(env, [0.0, 60.0, 0.0, 5.0])
         assert dv_N.tolist() == [[0.0, 40.0, 0.0]]
@@ -82,8 +78,7 @@ class TestAttitude:
         ("fsw_action", "mode"), [(None, "hold_inertial"), ("nadir_point", "nadir_point"), ("action_nadir_point", "nadir_point")]
     )
     def test_the_mode_of_the_drift(self, fsw_action, mode):
-        env = make(act.ImpulsiveThrust(fsw_action=fsw_action))
-        env.reset()
+        env = begun(make(act.ImpulsiveThrust(fsw_action=fsw_action)))
         td = step(env, [1.0, 0.0, 0.0, 9.0])
         assert env.simulator.mode_names[int(env.simulator.mode)] == mode
         assert bool((td["observation"][0, 2:5] == 0.0).all()) == (fsw_action is None)  # without actuators: B is N at once
@@ -100,14 +95,12 @@ class TestSinglePrecision:
     """Numbers of float32 are exact by default; bsk_rl computes with them in float32."""
 
     def test_by_default_drifts_last_what_they_say(self):
-        env = make(act.ImpulsiveThrust())
-        env.reset()
+        env = begun(make(act.ImpulsiveThrust()))
         assert [float(step(env, [0.0, 0.0, 0.1, t], dtype=torch.float32)["duration"]) for t in (20.0, 7.0)] == [20.0, 7.0]
         assert float(env.satellite.fsw.dv_available) == pytest.approx(100.0 - 2 * float(torch.tensor(0.1)), abs=1e-13)
 
     def test_the_hill_variant_is_in_double_precision(self):
-        env = make(act.ImpulsiveThrustHill("A"), compat="bsk_rl")
-        env.reset()
+        env = begun(make(act.ImpulsiveThrustHill("A"), compat="bsk_rl"))
         assert [float(step(env, [0.0, 0.0, 0.1, t], dtype=torch.float32)["duration"]) for t in (20.0, 7.0)] == [20.0, 7.0]
 
 
@@ -143,25 +136,21 @@ class TestHillFrame:
             torch.testing.assert_close(done[0].view(2, 2, 3), expected, rtol=0.0, atol=1e-14)
 
     def test_the_own_frame_and_radial_components(self):
-        env = make(act.ImpulsiveThrustHill("A", max_dv=5.0))
-        env.reset()
+        env = begun(make(act.ImpulsiveThrustHill("A", max_dv=5.0)))
         dv_N, _ = thrust(env, [10.0, 0.0, 0.0, 60.0])
         torch.testing.assert_close(dv_N, torch.tensor([[5.0, 0.0, 0.0]], dtype=torch.float64), atol=1e-14, rtol=0.0)
 
 
 def test_emptying_the_tank_kills_once_and_the_drift_is_flown(caplog):
-    env = make(act.ImpulsiveThrust(), failure_penalty=-3.0)
-    env.reset()
+    env = begun(make(act.ImpulsiveThrust(), failure_penalty=-3.0))
     with caplog.at_level(logging.WARNING):
         td = step(env, [150.0, 0.0, 0.0, 25.0])
-    assert float(td["duration"]) == 25.0
-    assert float(td["reward"]) == -3.0
+    assert (float(td["duration"]), float(td["reward"])) == (25.0, -3.0)
     assert bool(td["terminated"])
 
 
 def test_the_norm_is_clamped_and_not_the_components():
-    env = make(act.ImpulsiveThrust(max_dv=3.0), num_envs=4)
-    env.reset()
+    env = begun(make(act.ImpulsiveThrust(max_dv=3.0), num_envs=4))
     dv_N, _ = thrust(env, [2.0, 2.0, 2.0, 9.0], [2.0, 1.0, 2.0, 9.0], [-30.0, 0.0, 40.0, 9.0], [0.0, 0.0, 0.0, 9.0])
     expected = [[3**0.5] * 3, [2.0, 1.0, 2.0], [-1.8, 0.0, 2.4], [0.0] * 3]
     torch.testing.assert_close(dv_N, torch.tensor(expected, dtype=torch.float64), rtol=1e-15, atol=0.0)
@@ -169,15 +158,13 @@ def test_the_norm_is_clamped_and_not_the_components():
 
 
 def test_nan_is_refused():
-    env = make(act.ImpulsiveThrust())
-    env.reset()
-    check_refusals([refusal(lambda: step(env, [0.0, torch.nan, 0.0, 5.0]), ValueError, "environment 0", "dV_N_y=nan")])
+    env = begun(make(act.ImpulsiveThrust()))
+    check_refusals(refusal(lambda: step(env, [0.0, torch.nan, 0.0, 5.0]), ValueError, "environment 0", "dV_N_y=nan"))
 
 
 def test_under_compat_the_event_and_the_tank_are_rounded():
     """At 20 s a drift of 7 s in float32 ends at 27.000000512 s, so it takes 8 ticks."""
-    env = make(act.ImpulsiveThrust(), compat="bsk_rl")
-    env.reset()
+    env = begun(make(act.ImpulsiveThrust(), compat="bsk_rl"))
     assert [float(step(env, [0.0, 0.0, 0.1, t], dtype=torch.float32)["duration"]) for t in (20.0, 7.0)] == [20.0, 8.0]
     left = torch.tensor(100.0) - torch.tensor(0.1) - torch.tensor(0.1)
     assert float(env.satellite.fsw.dv_available) == float(left)

@@ -64,10 +64,7 @@ def decided(env, action):
 
 
 class TestFlight:
-    @pytest.mark.parametrize(
-        ("duration", "choices"),
-        [(600.0, ([0, 1, 2, 3], [4, 5, 0, 1])), (2000.0, ([0, 1, 2, 4],))],
-    )
+    @pytest.mark.parametrize(("duration", "choices"), [(600.0, ([0, 1, 2, 3], [4, 5, 0, 1])), (2000.0, ([0, 1, 2, 4],))])
     def test_legal_transfers_arrive(self, duration, choices):
         """What is not predicted, the Earth's flattening first, moves them by up to a part in a hundred of the way."""
         env, entry, td = make(HillWaypoint("C", SIX, [duration]))
@@ -248,8 +245,7 @@ def test_transfers_are_found_once_for_a_decision(monkeypatch):
         assert [len(rows) for rows in calls] == [8] * (k + 1)
     rows = torch.tensor([True] + [False] * 7)
     entry.satellite.simulator.write("dv_available", rows, torch.zeros(8, dtype=torch.float64))
-    assert entry.mask().sum(1).tolist()[0] == 1
-    assert calls[3].tolist() == [0]
+    assert (entry.mask().sum(1).tolist()[0], calls[3].tolist()) == (1, [0])
     env.reset(TensorDict({"_reset": torch.tensor([[False], [True], [False], [False]])}, [4]))
     assert calls[4].tolist() == [2, 3]
     again = entry.mask()

@@ -1,7 +1,5 @@
 """Hybrid actions for tests: thrust, then drift or image one of the next targets, in five numbers or in four and a choice."""
 
-from __future__ import annotations
-
 import torch
 
 from bsk_torch import act

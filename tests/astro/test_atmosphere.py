@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -17,11 +15,8 @@ def density(radius: float) -> float:
     return exponential_density(r, R_EARTH, BASE, HEIGHT).item()
 
 
-def test_base_density_at_the_surface():
+def test_density_falls_by_e_over_the_scale_height():
     assert density(R_EARTH) == pytest.approx(BASE, rel=1e-12)
-
-
-def test_falls_by_e_over_the_scale_height():
     assert density(R_EARTH + HEIGHT) == pytest.approx(BASE / math.e, rel=1e-12)
     assert density(6871e3) == pytest.approx(2e-27, rel=0.2)
 
@@ -35,5 +30,4 @@ def test_parameters_by_row():
 
 def test_top_is_where_density_becomes_negligible():
     assert density(top_radius(R_EARTH, BASE, HEIGHT)) == pytest.approx(NEGLIGIBLE_DENSITY, rel=1e-9)
-    assert top_radius(R_EARTH, 0.0, HEIGHT) == 0.0
-    assert top_radius(R_EARTH, NEGLIGIBLE_DENSITY, HEIGHT) == 0.0
+    assert (top_radius(R_EARTH, 0.0, HEIGHT), top_radius(R_EARTH, NEGLIGIBLE_DENSITY, HEIGHT)) == (0.0, 0.0)

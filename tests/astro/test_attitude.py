@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -43,21 +41,15 @@ def cross_matrix(v: torch.Tensor) -> torch.Tensor:
     return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*x.shape, 3, 3)
 
 
-def test_dcm_is_a_rotation():
+def test_dcm_is_a_rotation_by_the_textbook_formula():
     BN = dcm(rotations())
     identity = torch.eye(3, dtype=torch.float64).expand(len(BN), 3, 3)
     torch.testing.assert_close(BN @ BN.mT, identity, rtol=0, atol=ROUNDING)
     torch.testing.assert_close(torch.linalg.det(BN), torch.ones(len(BN)).double(), rtol=0, atol=ROUNDING)
-
-
-def test_dcm_by_the_textbook_formula():
     sigma = rotations()
     s2, S = (sigma**2).sum(-1)[:, None, None], cross_matrix(sigma)
     expected = torch.eye(3) + (8 * S @ S - 4 * (1 - s2) * S) / (1 + s2) ** 2
     torch.testing.assert_close(dcm(sigma), expected, rtol=0, atol=ROUNDING)
-
-
-def test_dcm_of_a_rotation_about_z():
     angle = 0.7
     c, s = math.cos(angle), math.sin(angle)
     expected = torch.tensor([[[c, s, 0], [-s, c, 0], [0, 0, 1]]], dtype=torch.float64)
@@ -83,15 +75,11 @@ def test_switch_is_strict_and_leaves_short_ones_alone():
     assert torch.equal(mrp_switch(Vec3.of(edge)).stack(), edge)
 
 
-def test_addition_multiplies_matrices():
+def test_sums_and_differences_multiply_matrices():
     a, b = rotations(), rotations().flip(0)
     total = mrp_add(Vec3.of(a), Vec3.of(b)).stack()
     torch.testing.assert_close(dcm(total), dcm(b) @ dcm(a), rtol=0, atol=NEAR_SINGULAR)
     assert (total.norm(dim=-1) <= 1.0 + ROUNDING).all()
-
-
-def test_subtraction_multiplies_by_the_transpose():
-    a, b = rotations(), rotations().flip(0)
     relative = mrp_subtract(Vec3.of(a), Vec3.of(b)).stack()
     torch.testing.assert_close(dcm(relative), dcm(a) @ dcm(b).mT, rtol=0, atol=NEAR_SINGULAR)
     assert (relative.norm(dim=-1) <= 1.0 + ROUNDING).all()
@@ -159,15 +147,12 @@ def test_kinematics_against_finite_differences():
     torch.testing.assert_close(rates, difference, rtol=0, atol=4**3 * dt**2)
 
 
-def test_kinematics_of_the_matrix():
+def test_kinematics_of_the_matrix_and_their_inverse():
     """[BN]' = -[omega x][BN]: the rate is that of B relative to N, in B."""
     sigma, omega, dt = 0.3 * rotations(), torch.randn(500, 3, dtype=torch.float64), 1e-5
     rates = mrp_rate(Vec3.of(sigma), Vec3.of(omega)).stack()
     difference = (dcm(sigma + rates * dt) - dcm(sigma - rates * dt)) / (2.0 * dt)
     torch.testing.assert_close(difference, -cross_matrix(omega) @ dcm(sigma), rtol=0, atol=1e-7)
-
-
-def test_inverse_kinematics():
     sigma, omega = Vec3.of(rotations()), Vec3.of(torch.randn(500, 3, dtype=torch.float64))
     found = mrp_rate_to_omega(sigma, mrp_rate(sigma, omega))
     torch.testing.assert_close(found.stack(), omega.stack(), rtol=0, atol=10 * ROUNDING)

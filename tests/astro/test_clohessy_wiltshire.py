@@ -36,7 +36,7 @@ def test_transitions_are_exponentials_of_the_equations_of_motion():
         assert torch.allclose(found, exact, rtol=1e-9, atol=1e-12)
 
 
-def test_it_is_the_relative_motion_of_two_bodies():
+def test_motion_is_the_relative_one_of_two_bodies():
     """The error is of second order in the distance: 100 m over 7,000 km, for a third of an orbit, leave centimetres."""
     r_C = torch.tensor([RADIUS, 0.0, 0.0], dtype=torch.float64)
     v_C = torch.tensor([0.0, math.sqrt(MU / RADIUS), 0.0], dtype=torch.float64)

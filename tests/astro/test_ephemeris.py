@@ -1,7 +1,5 @@
 """Tests of `bsk_torch.astro.ephemeris`."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
@@ -82,11 +80,15 @@ def test_leap_seconds(entry: tuple[tuple[int, int], int]) -> None:
     assert (leap - before, after - leap) == pytest.approx((1.0, 1.0), abs=1e-6)
 
 
-def test_coverage_contains_promised_range() -> None:
+def test_coverage() -> None:
     """The table reaches from December 1989 to February 2060."""
     first, last = ephemeris.coverage()
     assert first <= ephemeris.parse_utc("1989 DEC 01 00:00:00")
     assert last >= ephemeris.parse_utc("2060 FEB 01 00:00:00")
+    # No extrapolation: outside the table the position is NaN, at its ends it is not.
+    et = torch.tensor([first - 1, first, last, last + 1, math.nan], dtype=torch.float64)
+    finite = ephemeris.sun_position(et).isfinite().all(-1)
+    assert finite.tolist() == [False, True, True, False, False]
 
 
 def test_sun_against_de440() -> None:
@@ -97,16 +99,13 @@ def test_sun_against_de440() -> None:
     assert (velocity - samples[:, 4:7]).norm(dim=-1).max() < 1e-4
 
 
-def test_sun_velocity_is_derivative() -> None:
+def test_sun_is_continuous_and_its_velocity_is_the_derivative() -> None:
     """The velocity is the position's time derivative."""
     et, step = epochs(), 100.0
     _, velocity = ephemeris.sun_state(et)
     difference = (ephemeris.sun_position(et + step) - ephemeris.sun_position(et - step)) / (2 * step)
     assert (difference - velocity).abs().max() < 1e-4
-
-
-def test_sun_is_continuous() -> None:
-    """Neighbouring segments meet within the table's error."""
+    # Neighbouring segments meet within the table's error.
     first, last = ephemeris.coverage()
     joints = torch.arange(first, last, 16 * 86400.0, dtype=torch.float64)[1:]
     early, velocity = ephemeris.sun_state(joints - 0.5)
@@ -121,14 +120,6 @@ def test_sun_shapes() -> None:
     assert position.shape == velocity.shape == (2, 3, 3)
     assert torch.equal(position.reshape(6, 3)[4], ephemeris.sun_position(et[4]))
     assert ephemeris.sun_position(et[:0]).shape == (0, 3)
-
-
-def test_sun_outside_coverage_is_nan() -> None:
-    """No extrapolation: outside the table the position is NaN, at its ends it is not."""
-    first, last = ephemeris.coverage()
-    et = torch.tensor([first - 1, first, last, last + 1, math.nan], dtype=torch.float64)
-    finite = ephemeris.sun_position(et).isfinite().all(-1)
-    assert finite.tolist() == [False, True, True, False, False]
 
 
 def test_earth_angles_at_j2000() -> None:
@@ -175,10 +166,7 @@ def test_orientation_rate_is_derivative() -> None:
     difference = (ephemeris.earth_orientation(et + step) - ephemeris.earth_orientation(et - step)) / (2 * step)
     # The difference quotient errs by step^2 rate^3 / 6 = 2.6e-11 and by W's rounding over the step.
     assert (difference - rate).abs().max() < 3e-11
-
-
-def test_orientation_rate_of_the_pole() -> None:
-    """Along the third row only the pole's drift is left, which finite differences over a year resolve."""
+    # Along the third row only the pole's drift is left, which finite differences over a year resolve.
     et, step = epochs(), 1.6e7
     rate = ephemeris.earth_orientation_rate(et)[:, 2]
     difference = (ephemeris.earth_orientation(et + step) - ephemeris.earth_orientation(et - step))[:, 2] / (2 * step)

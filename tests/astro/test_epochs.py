@@ -1,7 +1,5 @@
 """Epochs in all forms that SPICE reads; ``scripts/recorders/record_arguments.py`` asked SPICE itself."""
 
-from __future__ import annotations
-
 import json
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
@@ -73,9 +71,6 @@ def test_datetimes_are_utc_unless_they_say_otherwise(given):
     assert parse_utc(given) == NOON
 
 
-def test_microseconds_of_datetimes_count():
+def test_microseconds_and_leap_seconds_count():
     assert parse_utc(datetime(2018, 6, 27, 12, 0, 1, 250000)) == NOON + 1.25
-
-
-def test_a_leap_second_exists_on_the_clock_of_utc():
     assert parse_utc("2016 DEC 31 23:59:60") == pytest.approx(parse_utc("2017 JAN 01 00:00:00") - 1.0)

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import csv
 import importlib.resources
 import math
@@ -56,12 +54,9 @@ def measured_j2(weights) -> float:
     return (extra[0, 2] * 7e6**4 / (3.0 * MU_EARTH * R_EARTH**2)).item()
 
 
-def test_degree_zero_is_a_point_mass():
+def test_the_table_has_a_point_mass_and_a_j2():
     r = positions()
     torch.testing.assert_close(acceleration(r, 0), point_mass(r), rtol=ROUNDING, atol=ROUNDING)
-
-
-def test_j2_of_the_table():
     assert pytest.approx(PUBLISHED_J2, rel=5e-6) == J2
     assert measured_j2(field_weights(2)) == pytest.approx(J2, rel=1e-11)  # a difference of 1e-3 of rounded accelerations
 
@@ -70,24 +65,18 @@ def test_zonal_field_in_closed_form():
     r = positions()
     expected = point_mass(r) + j2_term(r, J2)
     torch.testing.assert_close(field(Vec3.of(r), zonal_weights()).stack(), expected, rtol=0, atol=9.8 * 5 * ROUNDING)
-
-
-def test_zonal_field_of_the_arcs():
-    """The closed form that they use is the field with its weights of m = 0, to a few roundings (measured 5e-16)."""
+    # The closed form that they use is the field with its weights of m = 0, to a few roundings (measured 5e-16).
     r = positions(2000)
     expected, found = field(Vec3.of(r), zonal_weights()).stack(), zonal_field(Vec3.of(r)).stack()
     assert ((found - expected).norm(dim=-1) / expected.norm(dim=-1)).amax() < 1e-15
 
 
-def test_zonal_field_stretches_positions_and_accelerations():
+def test_zonal_field_stretches_and_does_not_depend_on_longitude():
     stretch, r = 1e-3, positions()
     stretched = torch.tensor([1.0 + stretch, 1.0 + stretch, 1.0], dtype=torch.float64)
     expected = stretched * field(Vec3.of(stretched * r), zonal_weights()).stack()
     found = zonal_field(Vec3.of(r), stretch).stack()
     assert ((found - expected).norm(dim=-1) / expected.norm(dim=-1)).amax() < 1e-15
-
-
-def test_zonal_field_does_not_depend_on_longitude():
     r = positions()
     turned = torch.stack([-r[:, 1], r[:, 0], r[:, 2]], -1)
     a, b = (zonal_field(Vec3.of(x)).stack() for x in (r, turned))

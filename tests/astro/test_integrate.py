@@ -1,6 +1,5 @@
-from __future__ import annotations
-
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from bsk_torch.constants import MU_EARTH
 from bsk_torch.vec3 import Vec3
 
 
-def kepler(t: torch.Tensor, a: float = 7.5e6, e: float = 0.08) -> tuple[Vec3, Vec3]:
+def kepler(t: torch.Tensor, a: float = 7.5e6, e: float = 0.08, angles: Sequence[float] = (0.9, 2.0, 0.5)) -> tuple[Vec3, Vec3]:
     """Analytic two-body motion from periapsis; Kepler's equation by Newton's method."""
     mean = math.sqrt(MU_EARTH / a**3) * t
     anomaly = mean.clone()
@@ -20,7 +19,7 @@ def kepler(t: torch.Tensor, a: float = 7.5e6, e: float = 0.08) -> tuple[Vec3, Ve
         anomaly = anomaly - (anomaly - e * torch.sin(anomaly) - mean) / (1.0 - e * torch.cos(anomaly))
     f = 2.0 * torch.atan2(math.sqrt(1.0 + e) * torch.sin(anomaly / 2), math.sqrt(1.0 - e) * torch.cos(anomaly / 2))
     zero = torch.zeros_like(f)
-    return elements_to_rv(Elements(zero + a, zero + e, zero + 0.9, zero + 2.0, zero + 0.5, f))
+    return elements_to_rv(Elements(zero + a, zero + e, *(zero + angle for angle in angles), f))
 
 
 def attraction(r: Vec3) -> Vec3:
@@ -90,8 +89,7 @@ def test_quadrature_is_exact_on_polynomials(degree, outputs):
 
 def test_nodes_cover_the_interval():
     nodes = quadrature(8).nodes
-    assert nodes[0] == 0.0
-    assert nodes[-1] == 1.0
+    assert (nodes[0], nodes[-1]) == (0.0, 1.0)
     assert (nodes.diff() > 0).all()
 
 

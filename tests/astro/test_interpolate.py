@@ -1,16 +1,14 @@
-from __future__ import annotations
-
 import itertools
 import math
+from functools import partial
 
 import numpy as np
 import pytest
 import torch
 
 from bsk_torch.astro.interpolate import BEFORE, COUNT, coefficients, position, positions, velocity
-from bsk_torch.astro.orbit import Elements, elements_to_rv
-from bsk_torch.constants import MU_EARTH
 from bsk_torch.vec3 import Vec3
+from tests.astro import test_integrate
 
 STEPS = torch.arange(COUNT, dtype=torch.float64) - BEFORE
 """Where the nodes lie."""
@@ -50,23 +48,12 @@ def test_coefficients_are_those_of_the_polynomial():
     found = torch.stack([c.stack()[0] for c in coefficients(split(nodes))], -1)
     # nodes are as large as 5^9; each power has a share of 1 / 5^k of that
     assert ((found - powers).abs() * 5.0 ** torch.arange(COUNT)).amax() < 1e-14 * 5.0**COUNT
-
-
-def test_not_exact_on_the_tenth_power():
     r, _ = polynomial(COUNT)
     c, s = coefficients(split(r(STEPS))), torch.tensor([0.5], dtype=torch.float64)
     assert (position(c, s).stack() - r(s).stack()).abs().amax() > 1.0
 
 
-def kepler(t: torch.Tensor, a: float, e: float) -> tuple[Vec3, Vec3]:
-    """Two-body motion, periapsis at t = 0; Kepler's equation by Newton's method."""
-    mean = math.sqrt(MU_EARTH / a**3) * t
-    anomaly = mean.clone()
-    for _ in range(20):
-        anomaly = anomaly - (anomaly - e * torch.sin(anomaly) - mean) / (1.0 - e * torch.cos(anomaly))
-    f = 2.0 * torch.atan2(math.sqrt(1.0 + e) * torch.sin(anomaly / 2), math.sqrt(1.0 - e) * torch.cos(anomaly / 2))
-    zero = torch.zeros_like(f)
-    return elements_to_rv(Elements(zero + a, zero + e, zero + 1.0, zero, zero, f))
+kepler = partial(test_integrate.kepler, angles=(1.0, 0.0, 0.0))
 
 
 def errors(step: float, where: tuple[float, float], a: float = 6871e3, e: float = 0.0) -> tuple[float, float]:

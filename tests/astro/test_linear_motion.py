@@ -47,7 +47,7 @@ def at(motion, moment, rho, velocity):
 
 
 @pytest.mark.parametrize("e", [0.0, 0.04, 0.2])
-def test_it_is_the_difference_of_two_orbits(e):
+def test_linear_motion_is_the_difference_of_two_orbits(e):
     """What is left is of second order: (distance)^2 / radius is 5 cm where 60 m have grown to 600 m."""
     chief, (rho, velocity) = chiefs(e), deputies()
     flown = fallen(*chief, 2000.0), fallen(*hill2cd(*chief, rho, velocity), 2000.0)
@@ -58,7 +58,7 @@ def test_it_is_the_difference_of_two_orbits(e):
 
 
 @pytest.mark.parametrize("e", [0.0, 0.04, 0.2])
-def test_of_the_second_order_is_what_is_left(e):
+def test_errors_of_linear_motion_are_of_the_second_order(e):
     """Deputies a thousand times closer leave a millionth: what remains is the error of the integration, 1e-5 of the distance."""
     chief, (rho, velocity) = chiefs(e), deputies(0.06)
     flown = fallen(*chief, 2000.0), fallen(*hill2cd(*chief, rho, velocity), 2000.0)
@@ -97,15 +97,12 @@ def test_on_eccentric_orbits_it_is_not():
     assert float(torch.linalg.vector_norm(away, dim=-1)[:, 2].mean()) > 10.0
 
 
-def test_results_do_not_depend_on_other_rows():
+def test_deputies_share_the_motion_of_a_chief_but_no_other_rows():
     chief, (rho, velocity) = chiefs(0.04), deputies()
     whole = at(about_orbit(*chief, DURATIONS, 20), -1, rho, velocity)
     for rows in (slice(0, 1), slice(3, 20)):
         part = at(about_orbit(*(x[rows] for x in chief), DURATIONS, 20), -1, rho[rows], velocity[rows])
         assert torch.equal(part, whole[rows])
-
-
-def test_deputies_of_one_chief_share_its_motion():
     motion = about_orbit(*chiefs(0.04, 3), DURATIONS, 5).repeated(2)
     assert motion.rr.x.y.shape == (5, 3, 6)
     assert torch.equal(motion.rv.x.y[..., 0], motion.rv.x.y[..., 1])

@@ -78,13 +78,7 @@ def test_there_and_back():
     back = relative.cd2hill(R, V, *relative.hill2cd(R, V, *RHO))
     np.testing.assert_allclose(back[0], RHO[0], atol=1e-8)
     np.testing.assert_allclose(back[1], RHO[1], atol=1e-11)
-
-
-def test_points_on_a_sphere():
     points = relative.fibonacci_sphere(7)
     np.testing.assert_allclose(points[:3], FIBONACCI, rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(np.linalg.norm(points, axis=1), 1.0)
-
-
-def test_orbits_without_a_radius_have_no_rotation():
     assert math.isnan(relative.rv2omega([0.0, 0.0, 0.0], V)[0])

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -16,34 +14,25 @@ def root(f, a: torch.Tensor, b: torch.Tensor, **options) -> torch.Tensor:
     return find_root(f, a, b, f(a), f(b), **options)
 
 
-def test_straight_lines_in_one_step():
+def test_roots_of_functions_that_are_hard_for_secants():
     slope, zero = tensor(2.0, -3.0, 0.1), tensor(0.3, 0.9, 0.5)
     found = root(lambda x: slope * (x - zero), torch.zeros(3).double(), torch.ones(3).double(), iterations=1)
     torch.testing.assert_close(found, zero, rtol=0, atol=1e-15)
-
-
-def test_nearly_straight_functions_reach_rounding():
-    """Bends like those of an elevation over thirty seconds; the root is known."""
+    # Bends like those of an elevation over thirty seconds; the root is known.
     zero, bend = torch.rand(200, dtype=torch.float64), (torch.rand(200, dtype=torch.float64) - 0.5)
     f = lambda x: torch.sinh(bend * (x - zero)) / bend + 0.3 * (x - zero) ** 3
     found = root(f, torch.zeros(200).double(), torch.ones(200).double())
     torch.testing.assert_close(found, zero, rtol=0, atol=1e-14)
-
-
-def test_bends_that_stall_the_plain_rule():
-    """Plain regula falsi keeps one end for ever here; the Illinois step frees it."""
+    # Plain regula falsi keeps one end for ever here; the Illinois step frees it.
     found = root(lambda x: x**9 - 0.5, tensor(0.0), tensor(1.2), iterations=40)
     assert found.item() == pytest.approx(0.5 ** (1 / 9), abs=1e-14)
+    assert root(lambda x: x - 1.0, tensor(0.0), tensor(1.0)).item() == 1.0
+    assert root(lambda x: x, tensor(0.0), tensor(1.0)).item() == pytest.approx(0.0, abs=1e-14)
 
 
 @pytest.mark.parametrize(("a", "b"), [(0.0, 2.0), (2.0, 0.0)])
 def test_either_end_first(a, b):
     assert root(torch.cos, tensor(a), tensor(b)).item() == pytest.approx(math.pi / 2, abs=1e-14)
-
-
-def test_root_at_an_end():
-    assert root(lambda x: x - 1.0, tensor(0.0), tensor(1.0)).item() == 1.0
-    assert root(lambda x: x, tensor(0.0), tensor(1.0)).item() == pytest.approx(0.0, abs=1e-14)
 
 
 def test_rows_are_independent():
@@ -61,30 +50,18 @@ def test_maximum():
     top, width = torch.linspace(0.0, 5.0, 30, dtype=torch.float64), 5.0
     found = find_maximum(lambda x: -((x - top) ** 2), torch.zeros(30).double(), torch.full((30,), width).double())
     torch.testing.assert_close(found, top, rtol=0, atol=PROMISED * width)
-
-
-def test_maximum_of_a_slanted_peak():
     found = find_maximum(lambda x: x * torch.exp(-x), tensor(0.0), tensor(10.0))
     assert found.item() == pytest.approx(1.0, abs=PROMISED * 10.0)
-
-
-def test_maximum_needs_few_evaluations():
-    """Every iteration of a golden section evaluates once; the number is what a look at a pass costs."""
+    # Every iteration of a golden section evaluates once; the number is what a look at a pass costs.
     calls = []
     find_maximum(lambda x: calls.append(1) or torch.sin(x), tensor(0.0), tensor(3.0), iterations=10)
     assert len(calls) == 12
 
 
-# -- building blocks --------------------------------------------------------------------------------------------------------
-
-
-def test_next_guess_is_the_root_of_the_straight_line():
+def test_next_guess():
     a, b, slope, zero = tensor(0.0, 1.0, 5.0), tensor(2.0, 0.0, 4.0), tensor(3.0, -1.0, 7.0), tensor(0.5, 0.25, 4.125)
     torch.testing.assert_close(next_guess(a, b, slope * (a - zero), slope * (b - zero)), zero, rtol=0, atol=1e-15)
-
-
-def test_next_guess_of_what_has_been_found_is_itself():
-    """Once both heights are zero nothing moves and nothing becomes NaN."""
+    # Once both heights are zero nothing moves and nothing becomes NaN.
     zero, b = tensor(0.0), tensor(2.5)
     assert next_guess(b, b, zero, zero).item() == 2.5
     assert [x.item() for x in refined(b, b, zero, zero, b, zero)] == [2.5, 2.5, 0.0, 0.0]

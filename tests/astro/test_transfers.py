@@ -93,13 +93,10 @@ def test_a_transfer_that_does_not_exist_costs_an_infinity_and_has_no_manoeuvre()
     assert bool(ahead.distances()[0].isfinite().all())
 
 
-def test_linear_equations_are_solved():
+def test_linear_equations_and_closest_points_of_lines():
     matrix, vector = torch.randn(7, 3, 3, dtype=torch.float64), torch.randn(7, 3, dtype=torch.float64)
     found = solve(Mat3.of(matrix), Vec3.of(vector)).stack()
     assert torch.allclose((matrix @ found.unsqueeze(-1)).squeeze(-1), vector, rtol=1e-9, atol=1e-9)
-
-
-def test_the_closest_point_of_a_line_may_be_an_end():
     a = Vec3.of(torch.tensor([[-1.0, 2, 0], [1, 2, 0], [3, 4, 0]], dtype=torch.float64))
     b = Vec3.of(torch.tensor([[1.0, 2, 0], [4, 2, 0], [3, 4, 0]], dtype=torch.float64))
     assert closest(a, b).tolist() == [4.0, 5.0, 25.0]

@@ -1,7 +1,5 @@
 """Recorded episodes of several satellites, and how to replay them as one batch."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -93,9 +91,6 @@ def load(name: str) -> ConstellationRecording:
     return ConstellationRecording(initial, fixed, env, lengths, file["targets"], arrays)
 
 
-# -- the environment -----------------------------------------------------------------------------------------------------------
-
-
 def satellite_class(recording: ConstellationRecording, name: str) -> type[sats.Satellite]:
     """The satellites of a kind that the recording describes."""
     kind = recording.env["kinds"][name]
@@ -153,9 +148,6 @@ def environment(recording: ConstellationRecording, **options: Any) -> Constellat
         compat="bsk_rl",
     )
     return ConstellationTasking(satellites, **(defaults | agents | env["options"] | options))
-
-
-# -- one step in, one row out --------------------------------------------------------------------------------------------------
 
 
 class Ears:
@@ -232,9 +224,6 @@ def state_of(env: ConstellationTasking) -> Tensor:
     readers += [lambda d, name=name: getattr(d, name) for name in ("battery_charge", "storage_level", "illumination")]
     time = fleet.sim_time.view(-1, 1, 1).expand(-1, fleet.size, 1)
     return torch.cat([time, *map(column, readers)], -1)
-
-
-# -- the comparison ------------------------------------------------------------------------------------------------------------
 
 
 class Replay:

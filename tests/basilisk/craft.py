@@ -3,8 +3,6 @@
 The recordings are those of ``scripts/recorders/record_craft.py``.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """Recorded point-imaging episodes, and how to replay them as one batch."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Recorded Basilisk episodes, and how to replay them as one batch."""
 
-from __future__ import annotations
-
 import itertools
 import json
 from collections.abc import Callable, Sequence
@@ -34,11 +32,7 @@ STEPS = ("reward", "action", "terminated", "truncated")
 class AllModes(ScanningSatellite):
     """The scanning satellite with two more actions."""
 
-    action_spec = (
-        *ScanningSatellite.action_spec,
-        act.NadirPoint(duration=90.0),
-        act.Drift(duration=45.5),
-    )
+    action_spec = (*ScanningSatellite.action_spec, act.NadirPoint(duration=90.0), act.Drift(duration=45.5))
 
 
 @dataclass
@@ -126,10 +120,7 @@ Check = Callable[[int, Sequence[int], Difference], None]
 
 
 def replay(
-    recording: Recording,
-    env: SatelliteTasking,
-    longest: int | None = None,
-    check: Check = lambda k, runs, difference: None,
+    recording: Recording, env: SatelliteTasking, longest: int | None = None, check: Check = lambda k, runs, difference: None
 ) -> Difference:
     """Play the recorded actions in one batch; rows whose episode has ended are held by partial steps."""
     td = env.reset()

@@ -88,9 +88,6 @@ def episodes(name):
     return [Episode(recording, i) for i in range(len(recording))]
 
 
-# -- the comparison would be empty if the recordings did not contain the events they stand for ---------------------------------
-
-
 def test_all_recordings_are_asynchronous():
     for name in NAMES:
         recorded = episodes(name)
@@ -157,8 +154,7 @@ def test_free_communication_waits():
     assert (e.links[e.evaluated].sum((1, 2)) == 6).all()
     assert (e.duration[:-1] <= 71.0).all()
     assert (e.duration == 71.0).any()  # no task was over
-    assert e.limit == 1500.5
-    assert e.time[-1] == 1501.0
+    assert (e.limit, e.time[-1]) == (1500.5, 1501.0)
     assert (e.idle & ~e.tasked).sum() > 5
     assert (~e.retask[:-1] & e.tasked).any()
     assert e.retask[-1, 1]  # its task was over before the last tick
@@ -267,8 +263,7 @@ def test_untasked_satellite_transmits():
 
 def test_joint_agent():
     (e,) = episodes("joint")
-    assert e.alive[-1].tolist() == [True, False]
-    assert e.reward[-1, 0] == e.paid[-1].sum() - 1.0
+    assert (e.alive[-1].tolist(), e.reward[-1, 0]) == ([True, False], e.paid[-1].sum() - 1.0)
     assert e.terminated[-1, 0]
     assert not e.truncated.any()
     assert (e.tasked & ~e.retask[:-1]).any()

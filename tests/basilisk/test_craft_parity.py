@@ -1,7 +1,5 @@
 """Flights of spacecraft with other bodies and wheels than bsk_rl's, compared with recordings of Basilisk."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.basilisk.craft import bounds, differences, fly

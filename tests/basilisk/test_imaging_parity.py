@@ -151,9 +151,6 @@ def episodes(name):
     return [Episode(recording, i) for i in range(len(recording))]
 
 
-# -- the comparison would be empty if the recordings did not contain the events they stand for ---------------------------------
-
-
 @pytest.mark.parametrize("name", ["feedback", "steering"])
 def test_long_episodes_contain_every_mode(name):
     found = episodes(name)
@@ -229,10 +226,8 @@ def test_time_limit_cuts():
     close = third.windows(0).close[third.windows(0).place == third.target[-1]]
     assert third.tasked[-1]
     assert close.min() <= third.time[-1] < close.min() + 1.0
-    assert fourth.action[-1] == 1
-    assert fourth.duration[-1] == 60.0
-    assert fifth.recording.initial[4]["time_limit"] == 333.4
-    assert fifth.time[-1] == 334.0
+    assert (fourth.action[-1], fourth.duration[-1]) == (1, 60.0)
+    assert (fifth.recording.initial[4]["time_limit"], fifth.time[-1]) == (333.4, 334.0)
     assert last.time[-1] == 600.0
 
 
@@ -260,8 +255,7 @@ def test_commands_are_left_over():
         assert (e.image[1:3] == e.target[0]).all()
         assert e.new_images[2] == 39
         assert not e.success[2]
-        assert e.reward[2] == 0.0
-        assert e.duplicates[3] == 1
+        assert (e.reward[2], e.duplicates[3]) == (0.0, 1)
     assert other.tasked[1]
     assert other.image[1] == other.target[1] != other.target[0]
     assert same.again[1]
@@ -282,8 +276,7 @@ def test_intervals_are_fixed():
 def test_data_are_stored_at_the_start():
     found = episodes("stored")
     for e in found:
-        assert e.state[0, STORAGE] == 47_123_457
-        assert e.state[0, BUFFER] == 0.0
+        assert (e.state[0, STORAGE], e.state[0, BUFFER]) == (47_123_457, 0.0)
         assert e.state[-1, BUFFER] > 0.0
         assert e.downlink.sum() > 2
         other = e.state[:, STORAGE] - e.state[:, BUFFER]

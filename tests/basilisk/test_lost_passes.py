@@ -4,8 +4,6 @@ It takes the times at which a satellite is near a place, and maximises the eleva
 longer than 0.38 revolutions, the maximiser's bracket ends nearer to the next pass than to this one, and converges elsewhere.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path
@@ -63,8 +61,6 @@ def test_bsk_rl_loses_passes_of_high_orbits(elevation, altitude, least, most):
     assert total > 20
     assert least <= lost / total <= most
 
-
-# -- the same here ------------------------------------------------------------------------------------------------------
 
 RECORDED = json.loads((Path(__file__).parent / "recordings" / "lost_passes.json").read_text())
 

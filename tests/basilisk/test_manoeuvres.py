@@ -4,8 +4,6 @@
 actions were in single precision. Windows and eclipses are those of the first orbit, as in bsk_rl.
 """
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

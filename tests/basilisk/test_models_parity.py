@@ -1,7 +1,5 @@
 """Recorded episodes of bsk_rl's smaller models: attitudes that are imposed, composed models, a scanner without stations."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 
@@ -104,16 +102,10 @@ def test_an_imposed_attitude_is_the_same_in_kernels():
     assert_close(differences("models_pointing"), BOUNDS)
 
 
-def test_wheels_of_a_spacecraft_whose_attitude_is_imposed_turn_with_it():
+def test_wheels_turn_beside_passive_satellites_and_without_stations():
     assert_close(differences("models_spinning", backend="eager"), BOUNDS)
-
-
-def test_passive_satellites_fly_beside_one_with_wheels():
-    """One points, one is never tasked, one has wheels and control; ticks of two seconds."""
+    # One points, one is never tasked, one has wheels and control; ticks of two seconds.
     assert_close(differences("models_passive_crew", backend="eager"), WHEELED)
-
-
-def test_a_scanner_without_ground_stations_stores_what_it_records_and_sends_nothing():
     assert_close(differences("models_scanner", backend="eager"), WHEELED)
 
 
@@ -129,8 +121,6 @@ def test_the_recordings_contain_what_they_stand_for():
     assert (np.diff(level) >= 0.0).all()
     assert (scanner["action"][1] == 2).any()
 
-
-# -- default arguments and composed models -------------------------------------------------------------------------------------
 
 DEFAULTS = np.load(RECORDINGS / "models_defaults.npz")
 MODELS, WORLDS = (json.loads(str(DEFAULTS[name])) for name in ("models", "worlds"))

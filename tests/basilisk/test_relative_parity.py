@@ -1,7 +1,5 @@
 """Relative properties of recorded states are what bsk_rl observed, and recorded steps end with the encounters that ended them."""
 
-from __future__ import annotations
-
 import json
 from datetime import datetime, timedelta
 from types import SimpleNamespace
@@ -66,9 +64,6 @@ def test_recorded_states_give_the_recorded_observations(case, convert):
                 expected = seen[row][..., k, :][..., columns]
                 scale = max(1.0, float(np.abs(expected).max()))
                 np.testing.assert_allclose(value, expected, rtol=0.0, atol=BOUND * scale, err_msg=f"{case} {prop}")
-
-
-# -- conjunctions and ranges -----------------------------------------------------------------------------------------------------
 
 
 class Flown(sats.Satellite):

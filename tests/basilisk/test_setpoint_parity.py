@@ -1,7 +1,5 @@
 """Recorded episodes of bsk_rl's ``AttitudeSetpoint``: with reaction wheels, and imposed on a spacecraft without actuators."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Functions of planes as kernels that run a single tick."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Fixtures: a program and two of its values."""
 
-from __future__ import annotations
-
 import pytest
 
 from bsk_torch.codegen.trace import Tracer

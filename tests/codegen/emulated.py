@@ -4,8 +4,6 @@ Kernels use headers of torch only, so that a cross compiler builds them, as plai
 programs without shared libraries. A program reads the arguments of a call and writes what its pointers lead to.
 """
 
-from __future__ import annotations
-
 import ctypes
 import hashlib
 import struct

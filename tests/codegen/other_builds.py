@@ -9,8 +9,6 @@ later builds. With ``--sanitize`` kernels check addresses and undefined behaviou
 emulator, whatever the variables are.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

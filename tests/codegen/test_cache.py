@@ -1,7 +1,5 @@
 """The cache of kernels: where it is, whom it is taken from, and what killed builds leave."""
 
-from __future__ import annotations
-
 import os
 import signal
 import stat
@@ -83,8 +81,7 @@ def test_planted_libraries_run_where_everything_is_the_user_s(planted, folder, m
 def test_folders_that_others_may_write_to_are_refused(planted, folder, monkeypatch, writable):
     planted.rename(folder / planted.name)
     folder.chmod(writable)
-    with pytest.raises(PermissionError, match=r"may be written to by other users \(mode .*BSK_TORCH_CACHE name a folder"):
-        load(monkeypatch)
+    check_refusals(refusal(lambda: load(monkeypatch), PermissionError, "other users", "mode", "BSK_TORCH_CACHE"))
     assert mode(folder) == writable
     folder.chmod(0o755)
     assert load(monkeypatch) == 666  # as older releases made it: others may read
@@ -93,8 +90,7 @@ def test_folders_that_others_may_write_to_are_refused(planted, folder, monkeypat
 def test_a_new_library_is_not_put_into_a_folder_of_others(folder, monkeypatch):
     folder.mkdir()
     folder.chmod(0o777)
-    with pytest.raises(PermissionError, match="may be written to by other users"):
-        load(monkeypatch)
+    check_refusals(refusal(lambda: load(monkeypatch), PermissionError, "other users"))
     assert not list(folder.iterdir())
 
 
@@ -102,7 +98,7 @@ def test_a_new_library_is_not_put_into_a_folder_of_others(folder, monkeypatch):
 def test_folders_of_others_are_refused(planted, folder, monkeypatch):
     planted.rename(folder / planted.name)
     os.chown(folder, 1234, 1234)
-    check_refusals([refusal(lambda: load(monkeypatch), PermissionError, folder, "user 1234", "BSK_TORCH_CACHE")])
+    check_refusals(refusal(lambda: load(monkeypatch), PermissionError, folder, "user 1234", "BSK_TORCH_CACHE"))
 
 
 @as_root
@@ -114,10 +110,14 @@ def test_libraries_of_others_are_built_again(planted, folder, monkeypatch, caplo
     assert (folder / planted.name).stat().st_uid == 0
 
 
-def test_libraries_that_others_may_write_to_are_built_again(planted, folder, monkeypatch, caplog):
+def test_libraries_that_others_may_write_to_and_folders_in_their_place_are_built_again(planted, folder, monkeypatch, caplog):
     planted.rename(folder / planted.name).chmod(0o775)
     assert load(monkeypatch) == 42
     assert "may be written to by other users (mode 0775)" in caplog.text
+    (folder / planted.name / "within").mkdir(parents=True)
+    assert load(monkeypatch) == 42
+    assert "is no ordinary file" in caplog.text
+    assert [path.name for path in folder.iterdir()] == [planted.name]
 
 
 @pytest.mark.parametrize("make", [Path.symlink_to, Path.hardlink_to], ids=["symbolic", "hard"])
@@ -137,21 +137,13 @@ def test_things_that_are_no_files_are_not_read(planted, folder, monkeypatch):
     assert load(monkeypatch) == 42
 
 
-def test_a_folder_in_the_place_of_a_library_is_replaced(planted, folder, monkeypatch, caplog):
-    (folder / planted.name / "within").mkdir(parents=True)
-    assert load(monkeypatch) == 42
-    assert "is no ordinary file" in caplog.text
-    assert [path.name for path in folder.iterdir()] == [planted.name]
-
-
 def test_the_user_s_own_cache_is_closed(planted, folder, monkeypatch):
     """One that an older release made under a lenient umask; its libraries are checked one by one."""
     planted.rename(folder / planted.name).chmod(0o775)
     folder.chmod(0o775)
     monkeypatch.delenv("BSK_TORCH_CACHE")
     monkeypatch.setattr(cache.platformdirs, "user_cache_path", lambda name: folder)
-    assert load(monkeypatch) == 42
-    assert mode(folder) == 0o700
+    assert (load(monkeypatch), mode(folder)) == (42, 0o700)
 
 
 @as_root
@@ -178,8 +170,6 @@ print(len(cache.read_trusted(path)))
     assert run.stdout == f"{library.stat().st_size}\n", run.stderr
 
 
-# -- paths ----------------------------------------------------------------------------------------------------------------------
-
 PATHS = [".", "relative/deep", "~/kernels", "with space", 'quote\'d "twice"', "ünïcödé 軌道", "$HOME;echo", "..", "-dash"]
 
 
@@ -205,8 +195,6 @@ def test_paths(tmp_path):
         expected = home / given[2:] if given.startswith("~") else work / given
         assert [path.suffix for path in expected.iterdir() if path.is_file()] == [".so"]
 
-
-# -- builds that were killed ----------------------------------------------------------------------------------------------------
 
 SLOW = f"""{START}
 build._command = lambda name: ["sleep", "60"]
@@ -235,8 +223,7 @@ def test_folders_of_killed_builds_are_swept_and_those_of_living_ones_kept(folder
         os.utime(old, (time.time() - 7200, time.time() - 7200))
         begins = folder / "build-that-begins-now"
         begins.mkdir()
-        assert load(monkeypatch) == 42
-        assert set(folder.glob("build-*")) == {kept, begins}
+        assert (load(monkeypatch), set(folder.glob("build-*"))) == (42, {kept, begins})
     finally:
         os.killpg(alive.pid, signal.SIGKILL)
         alive.wait()

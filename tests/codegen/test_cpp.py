@@ -1,7 +1,5 @@
 """The printer: how values and statements are written."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -32,25 +30,17 @@ def test_constants(program, number, dtype, text):
     assert name(program.constant(number, dtype)) == text
 
 
-def test_names(program, x):
+def test_names_expressions_and_conversions(program, x, y):
     assert name(program.input("track", 2, 7)) == "track_2_7"
-    assert name(program.input("ticks_now")) == "ticks_now"
-    assert name(x.sin()) == "v" + str(x.sin().index)
+    assert (name(program.input("ticks_now")), name(x.sin())) == ("ticks_now", "v" + str(x.sin().index))
     assert name(Variable("out_3", torch.float64)) == "out_3"
-
-
-def test_expressions(x, y):
     a, b = name(x), name(y)
-    assert expression(x / y) == f"{a} / {b}"
-    assert expression(torch.minimum(x, y)) == f"minimum({a}, {b})"
+    assert (expression(x / y), expression(torch.minimum(x, y))) == (f"{a} / {b}", f"minimum({a}, {b})")
     assert expression(torch.atan2(x, y)) == f"{a}.atan2({b})"
     assert expression((x > 0.0) & (y > 0.0)) == f"both({name(x > 0.0)}, {name(y > 0.0)})"
     assert expression(x.float()) == f"narrow({a})"
     (merged,) = (x > 0.0).only(lambda: [x * y], [y])
     assert expression(merged) == f"where({name(x > 0.0)}, {name(merged.args[1])}, {b})"
-
-
-def test_conversions(x):
     single, mask = x.float(), x > 0.0
     assert converted(x, torch.float64) == name(x)
     assert converted(single, torch.float64) == f"widen({name(single)})"
@@ -86,7 +76,9 @@ def test_lines_are_indented_by_the_braces_around_them(program, x, lockstep):
     assert depth == 0
 
 
-def test_parts_that_a_loop_does_not_have(program, x):
+def test_the_clock_may_be_a_row_of_the_state(program, x):
+    assert "const D time_now = state_0;" in source(lower(loop(program, x, clock=x)), "")
+    assert "time_now = D(schedule[(k - 1) * 3]);" in source(lower(loop(program, x, clock="schedule", schedule=3)), "")
     plain = source(lower(Loop(program, [x + 1.0])), "")
     for part in ("stopping", "remember", "written +", "elapsed_", "LANES_MIXED", "Common"):
         assert part not in plain
@@ -94,8 +86,3 @@ def test_parts_that_a_loop_does_not_have(program, x):
     for part in ("stopping", "remember", "written +", "elapsed_1", "#define LANES_MIXED"):
         assert part in full
     assert "struct Common" in source(lower(loop(program, x), lockstep=True), "")
-
-
-def test_the_clock_may_be_a_row_of_the_state(program, x):
-    assert "const D time_now = state_0;" in source(lower(loop(program, x, clock=x)), "")
-    assert "time_now = D(schedule[(k - 1) * 3]);" in source(lower(loop(program, x, clock="schedule", schedule=3)), "")

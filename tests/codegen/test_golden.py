@@ -1,7 +1,5 @@
 """The C++ of every preset's ticks is the one that was last reviewed, by its lines or by its hash."""
 
-from __future__ import annotations
-
 import difflib
 import json
 import sys

@@ -1,7 +1,5 @@
 """Programs: which values are one, and how long they hold."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -49,17 +47,13 @@ class TestSharing:
 
 class TestLifetimes:
     def test_shortest(self):
-        assert shortest([CALL, CALL]) == CALL
-        assert shortest([CALL, 1]) == 1
-        assert shortest([2, 2, CALL]) == 2
-        assert shortest([1, 2]) == TICK
-        assert shortest([1, TICK]) == TICK
+        assert (shortest([CALL, CALL]), shortest([CALL, 1]), shortest([2, 2, CALL])) == (CALL, 1, 2)
+        assert (shortest([1, 2]), shortest([1, TICK])) == (TICK, TICK)
 
     def test_statements_last_as_long_as_their_arguments(self, program, x):
         shared = program.input("shared", 0)
         record = program.input("track", 1, 0)
-        assert (shared * 2.0).lifetime == CALL
-        assert (shared * record).lifetime == 1
+        assert ((shared * 2.0).lifetime, (shared * record).lifetime) == (CALL, 1)
         assert (x * record).lifetime == TICK
 
     def test_lifetimes_of_inputs_are_those_of_their_sources(self, program):
@@ -81,7 +75,6 @@ def test_values_of_a_region_are_not_seen_outside():
     with program.branch(mask) as region:
         sine = program.operation("sin", (x,), torch.float64)
     (merged,) = program.merge(region, [(sine, x)])
-    assert merged.args == (mask, sine, x)
-    assert region.merges == [merged]
+    assert (merged.args, region.merges) == ((mask, sine, x), [merged])
     with pytest.raises(UntraceableError, match="must leave"):
         program.operation("neg", (sine,), torch.float64)

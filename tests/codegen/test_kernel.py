@@ -1,7 +1,5 @@
 """Kernels: what they compute, and how they are built, kept and loaded."""
 
-from __future__ import annotations
-
 import itertools
 import logging
 import math
@@ -176,8 +174,6 @@ def test_any_number_of_columns():
     assert not failures, "\n".join(failures)
 
 
-# -- building ----------------------------------------------------------------------------------------------------------------
-
 SOURCE = 'extern "C" int lanes_width() { return 42; }'
 
 
@@ -203,8 +199,7 @@ def test_other_options_of_the_compiler_build_another_library(folder, monkeypatch
 
 def test_libraries_are_kept(folder, monkeypatch, caplog):
     caplog.set_level(logging.INFO, logger="bsk_torch")
-    assert build.load(SOURCE, "test kernel").lanes_width() == 42
-    assert names(folder) == [".so"]
+    assert (build.load(SOURCE, "test kernel").lanes_width(), names(folder)) == (42, [".so"])
     assert "compiling the test kernel" in caplog.text
     caplog.clear()
     assert build.load(SOURCE, "test kernel") is build.load(SOURCE, "test kernel")
@@ -247,11 +242,10 @@ def test_damaged_libraries_are_built_again(folder, monkeypatch, caplog, damage, 
     assert [record.levelname for record in others] == ["WARNING"]
     assert warning in caplog.text
     assert str(damaged) in caplog.text
-    assert damaged.read_bytes() == library.read_bytes()
-    assert names(elsewhere) == [".so"]
+    assert (damaged.read_bytes(), names(elsewhere)) == (library.read_bytes(), [".so"])
 
 
-def test_no_compiler(folder):
+def test_rejects_code_and_machines_that_cannot_compile(folder):
     from torch._inductor import config
 
     with (
@@ -260,9 +254,6 @@ def test_no_compiler(folder):
     ):
         build.load(SOURCE, "test kernel")
     assert not folder.exists()
-
-
-def test_compiler_errors(folder):
     with pytest.raises(RuntimeError, match=r"cannot compile the test kernel(.|\n)*nonsense(.|\n)*backend=\"eager\"") as caught:
         build.load("int nonsense(", "test kernel")
     (kept,) = folder.iterdir()
@@ -326,12 +317,10 @@ def test_rejects_what_cannot_be_built_loaded_or_kept(folder):
     in_device.parent.symlink_to("/dev/null")
     unloadable = 'extern "C" int missing_function(); extern "C" int lanes_width() { return missing_function(); }'
     check_refusals(
-        [
-            refusal(lambda: load(BSK_TORCH_ISA="mmx"), ValueError, "BSK_TORCH_ISA", "mmx", *build.ISAS),
-            refusal(lambda: load(unloadable), RuntimeError, "test kernel", "missing_function", "BSK_TORCH_CACHE"),
-            refusal(lambda: load(BSK_TORCH_CACHE=in_file), RuntimeError, "test kernel", in_file, "BSK_TORCH_CACHE"),
-            refusal(lambda: load(BSK_TORCH_CACHE=in_device), RuntimeError, "test kernel", in_device, "BSK_TORCH_CACHE"),
-        ]
+        refusal(lambda: load(BSK_TORCH_ISA="mmx"), ValueError, "BSK_TORCH_ISA", "mmx", *build.ISAS),
+        refusal(lambda: load(unloadable), RuntimeError, "test kernel", "missing_function", "BSK_TORCH_CACHE"),
+        refusal(lambda: load(BSK_TORCH_CACHE=in_file), RuntimeError, "test kernel", in_file, "BSK_TORCH_CACHE"),
+        refusal(lambda: load(BSK_TORCH_CACHE=in_device), RuntimeError, "test kernel", in_device, "BSK_TORCH_CACHE"),
     )
 
 

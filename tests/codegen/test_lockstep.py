@@ -1,7 +1,5 @@
 """Groups: their rows end in the tick in which the first of them stops, and are what they would be without the others."""
 
-from __future__ import annotations
-
 import itertools
 from functools import cache
 
@@ -103,9 +101,6 @@ class Groups:
         return [name for name, right in checks.items() if not right]
 
 
-# -- ends -------------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.compiled
 def test_rows_of_a_group_end_with_the_first_that_stops():
     """In plain C++, the compiler does not fuse the same products with sums in both libraries: a rounding in a few ticks."""
@@ -186,30 +181,23 @@ def test_rows_without_time_are_untouched():
 
 
 @pytest.mark.compiled
-def test_tiles_end_with_their_last_group():
+def test_tiles_end_with_their_last_group_and_change_no_counts():
     """A bound of a million years costs nothing where all groups stop."""
     groups = Groups(20, 12)
     groups.counts[:], groups.state[6], groups.state[6, ::12] = 2**62, 30.0, 7.0
     _, ran = groups.after(walkers(""), groups.counts, lockstep=12)
     assert (ran == 7).all()
-
-
-@pytest.mark.compiled
-def test_counts_are_not_changed():
-    groups = Groups(20, 12)
     before = groups.counts.clone()
     groups.after(walkers(""), groups.counts, lockstep=12)
     assert torch.equal(groups.counts, before)
-
-
-@pytest.mark.compiled
-def test_all_may_have_the_same_number_of_ticks():
-    groups = Groups(20, 12)
     groups.counts[:] = 9
     state, ran = groups.after(walkers(""), groups.counts, lockstep=12)
     again, alike = groups.after(walkers(""), 9, lockstep=12)
     assert torch.equal(ran, alike)
     assert torch.equal(state, again)
+    groups = Groups(0, 12)
+    _, ran = groups.after(walkers(""), groups.counts, lockstep=12)
+    assert len(ran) == 0
 
 
 @pytest.mark.compiled
@@ -220,15 +208,7 @@ def test_without_stop_there_are_no_groups():
     assert ran is groups.counts
     assert torch.equal(state, expected)
     assert "lockstep" not in vars(kernel)
-    with pytest.raises(ValueError, match="test of groups has no stop: its rows cannot run in lockstep"):
-        _ = kernel.lockstep
-
-
-@pytest.mark.compiled
-def test_no_group_and_no_row():
-    groups = Groups(0, 12)
-    _, ran = groups.after(walkers(""), groups.counts, lockstep=12)
-    assert len(ran) == 0
+    check_refusals(refusal(lambda: kernel.lockstep, ValueError, "test of groups", "lockstep"))
 
 
 @pytest.mark.compiled
@@ -243,9 +223,6 @@ def test_libraries_are_built_when_they_are_needed(monkeypatch):
     for kernel in (one, many, one, many):
         assert kernel.independent.width == kernel.lockstep.width == 8
     assert sorted(built) == ["tick", "tick", "tick in lockstep", "tick in lockstep"]
-
-
-# -- tiles -----------------------------------------------------------------------------------------------------------------
 
 
 def test_tiles_hold_whole_groups():
@@ -280,9 +257,6 @@ def test_tiles_are_of_like_durations_and_blocks_of_like_modes(group):
     assert (modes.amin(1) == modes.amax(1)).float().mean() > 0.4
 
 
-# -- refusals ---------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.compiled
 def test_rejects_groups_that_do_not_fit_and_what_they_write():
     kernel, groups, uneven = walkers(""), Groups(4, 6), Groups(4, 6)
@@ -290,15 +264,9 @@ def test_rejects_groups_that_do_not_fit_and_what_they_write():
     uneven.counts[14] = 3
     written = torch.zeros(24, LONGEST, 1, dtype=torch.float64)
     check_refusals(
-        [
-            refusal(lambda: groups.after(kernel, groups.counts, lockstep=7), ValueError, "lockstep=7", "24"),
-            refusal(lambda: uneven.after(kernel, uneven.counts, lockstep=6), ValueError, "counts", "group 2", "[3, 5]", "ticks"),
-            refusal(
-                lambda: groups.after(kernel, groups.counts, lockstep=6, written=written),
-                ValueError,
-                kernel.name,
-                "written",
-                "None",
-            ),
-        ]
+        refusal(lambda: groups.after(kernel, groups.counts, lockstep=7), ValueError, "lockstep=7", "24"),
+        refusal(lambda: uneven.after(kernel, uneven.counts, lockstep=6), ValueError, "counts", "group 2", "[3, 5]", "ticks"),
+        refusal(
+            lambda: groups.after(kernel, groups.counts, lockstep=6, written=written), ValueError, kernel.name, "written", "None"
+        ),
     )

@@ -1,7 +1,5 @@
 """Loops: each row runs its own number of ticks, or as many as there are until its stop."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from functools import cache
@@ -20,8 +18,6 @@ pytestmark = pytest.mark.compiled
 ISAS = ["", "avx2", "default"] if torch.backends.cpu.get_cpu_capability() in ("AVX2", "AVX512") else ["", "default"]
 SIZES = [1, 2, 3, 17, 64]
 LONGEST = 40
-
-# -- stops ------------------------------------------------------------------------------------------------------------------
 
 
 @cache
@@ -97,11 +93,16 @@ def test_rows_end_where_they_stop():
     assert not failures, "\n".join(failures)
 
 
-def test_rows_without_stop_run_their_counts():
+def test_rows_without_stop_run_their_counts_which_are_not_changed():
     rows = Rows(64)
     state, ran, written = rows.after(fuses("", stops=False))
     assert ran is rows.counts
     assert not differing((state, ran, written), rows.expected(stops=False))
+    for n in (*SIZES, fuses("").independent.width):
+        rows = Rows(n)
+        before = rows.counts.clone()
+        rows.after(fuses(""))
+        assert torch.equal(rows.counts, before)
 
 
 @pytest.mark.parametrize("tick", [1, 2, 9, 10])
@@ -120,14 +121,6 @@ def test_the_expected_ticks_change_nothing(n):
         assert not differing(rows.after(fuses(""), expected_ticks), rows.expected())
 
 
-def test_counts_are_not_changed():
-    for n in (*SIZES, fuses("").independent.width):
-        rows = Rows(n)
-        before = rows.counts.clone()
-        rows.after(fuses(""))
-        assert torch.equal(rows.counts, before)
-
-
 def test_blocks_end_with_their_last_row():
     """A bound of a million years costs nothing where all rows stop."""
     rows = Rows(64)
@@ -135,9 +128,6 @@ def test_blocks_end_with_their_last_row():
     written = torch.zeros(64, 7, 2, dtype=torch.float64)
     ran = fuses("")(rows.state, rows.counts, (), own=rows.stubborn, ticks=rows.ticks, written=written)
     assert (ran == 7).all()
-
-
-# -- blocks and threads -----------------------------------------------------------------------------------------------------
 
 
 def test_several_threads():
@@ -157,8 +147,6 @@ def test_no_more_threads_than_blocks(blocks, threads, monkeypatch):
     Rows(blocks * kernel.independent.width).after(kernel)
     assert seen == [(blocks, threads)]
 
-
-# -- tracks -----------------------------------------------------------------------------------------------------------------
 
 TRIPLE = Track("triple", 10.0, (Field("x"),), count=3, before=1)
 
@@ -212,9 +200,6 @@ def test_infinite_times():
     assert state.tolist() == [math.inf, -math.inf]
 
 
-# -- refusals ---------------------------------------------------------------------------------------------------------------
-
-
 def test_rejects_wrong_tables_and_tensors():
     rows = Rows(8)
     parts = {"state": rows.state, "counts": rows.counts, "own": rows.stubborn, "ticks": rows.ticks}
@@ -228,12 +213,10 @@ def test_rejects_wrong_tables_and_tensors():
     apart = lambda part: torch.stack([part, part], -1)[..., 0]
     other = lambda part: part.to(torch.float32 if part.dtype == torch.float64 else torch.int32)
     check_refusals(
-        [
-            refusal(lambda: looked_up(torch.zeros(2), records=2), ValueError, "table", "[2, 2, 1]", "3 records"),
-            *(refusal(lambda name=name: run(name, apart), ValueError, "strides", list(parts[name].shape)) for name in parts),
-            *(
-                refusal(lambda name=name: run(name, other), ValueError, other(parts[name]).dtype, "float64", "int64")
-                for name in parts
-            ),
-        ]
+        refusal(lambda: looked_up(torch.zeros(2), records=2), ValueError, "table", "[2, 2, 1]", "3 records"),
+        *(refusal(lambda name=name: run(name, apart), ValueError, "strides", list(parts[name].shape)) for name in parts),
+        *(
+            refusal(lambda name=name: run(name, other), ValueError, other(parts[name]).dtype, "float64", "int64")
+            for name in parts
+        ),
     )

@@ -1,7 +1,5 @@
 """All presets give the numbers of the eager back end whatever compiler and instructions their kernels are built with."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

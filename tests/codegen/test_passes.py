@@ -1,7 +1,5 @@
 """Passes: which statements a traced tick becomes."""
 
-from __future__ import annotations
-
 import torch
 
 from bsk_torch.codegen import cpp

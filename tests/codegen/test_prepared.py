@@ -1,7 +1,5 @@
 """Headers that are compiled and a library that is linked once for all kernels of a cache."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
@@ -88,7 +86,7 @@ def test_kernels_are_the_same_and_find_the_functions_of_torch(ready, tmp_path):
     build.load(SINE, "test kernel")  # resolves the sine
 
 
-def test_what_others_may_write_to_is_not_used(ready, caplog):
+def test_headers_that_others_may_write_to_are_not_used(ready, caplog):
     ready.chmod(0o777)
     assert load(2) == 2
     assert "precompiled headers are not used" in caplog.text
@@ -96,7 +94,7 @@ def test_what_others_may_write_to_is_not_used(ready, caplog):
 
 
 @pytest.mark.parametrize("age", [0.0, 2.0 * prepared.UNUSED])
-def test_that_of_other_compilers_is_deleted_once_it_is_not_used(ready, monkeypatch, age):
+def test_headers_of_other_compilers_are_deleted_once_unused(ready, monkeypatch, age):
     """Processes with other options share a cache: what one of them uses stays."""
     last = time.time() - age
     os.utime(ready, (last, last))

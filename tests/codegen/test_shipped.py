@@ -1,7 +1,5 @@
 """Kernels that are built on one machine for others without a compiler."""
 
-from __future__ import annotations
-
 import os
 import platform
 import subprocess
@@ -64,8 +62,7 @@ def test_shipped_kernels_need_no_compiler(isa, folder, monkeypatch, request):
     path = ship(folder, isa)
     assert os.stat(path).st_mode & 0o777 == shipped.READABLE
     request.getfixturevalue("without_compiler")
-    with pytest.raises(RuntimeError, match="no compiler"):
-        build.load(SOURCE, "test kernel")
+    check_refusals(refusal(lambda: build.load(SOURCE, "test kernel"), RuntimeError, "no compiler"))
     monkeypatch.setenv("BSK_TORCH_KERNELS", os.pathsep.join([str(folder.parent), str(folder)]))
     assert build.load(SOURCE, "test kernel").lanes_width() == 42
     assert not (folder.parent / "cache").exists()
@@ -94,8 +91,7 @@ def test_damaged_libraries_are_not_used(folder, monkeypatch, caplog, request):
     path.write_bytes(content)
     monkeypatch.setenv("BSK_TORCH_KERNELS", str(folder))
     request.getfixturevalue("without_compiler")
-    with pytest.raises(RuntimeError, match="no compiler"):
-        build.load(SOURCE, "test kernel")
+    check_refusals(refusal(lambda: build.load(SOURCE, "test kernel"), RuntimeError, "no compiler"))
     assert f"{path} is damaged" in caplog.text
 
 
@@ -111,26 +107,22 @@ def test_rejects_folders_that_are_missing_unsafe_or_empty(folder, monkeypatch):
 
     with config.patch({"cpp.cxx": (None, "/nowhere/g++")}):
         check_refusals(
-            [
-                refusal(lambda: load(""), RuntimeError, "BSK_TORCH_KERNELS", "bsk-torch build-kernels"),
-                refusal(lambda: load(folder), FileNotFoundError, "BSK_TORCH_KERNELS", folder),
-                refusal(lambda: load(shared), PermissionError, shared, "0777"),
-                refusal(lambda: shipped.building(shared).__enter__(), PermissionError, shared, "0777"),
-                refusal(lambda: load(empty), RuntimeError, "BSK_TORCH_KERNELS", empty, torch.__version__),
-            ]
+            refusal(lambda: load(""), RuntimeError, "BSK_TORCH_KERNELS", "bsk-torch build-kernels"),
+            refusal(lambda: load(folder), FileNotFoundError, "BSK_TORCH_KERNELS", folder),
+            refusal(lambda: load(shared), PermissionError, shared, "0777"),
+            refusal(lambda: shipped.building(shared).__enter__(), PermissionError, shared, "0777"),
+            refusal(lambda: load(empty), RuntimeError, "BSK_TORCH_KERNELS", empty, torch.__version__),
         )
 
 
-def test_what_cannot_be_built_is_refused(folder, monkeypatch):
-    with pytest.raises(ValueError, match=r"isa='sse' must be one of \["), shipped.building(folder, "sse"):
-        pass
+def test_rejects_what_cannot_be_built(folder, monkeypatch):
+    build_for = lambda *isa: shipped.building(folder, *isa).__enter__()
+    check_refusals(refusal(lambda: build_for("sse"), ValueError, "isa='sse'", "["))
     monkeypatch.setattr(shipped.torch.backends.cpu, "get_cpu_capability", lambda: "AVX2")
     assert shipped.can_run() == ["avx2", "default"]
-    with pytest.raises(ValueError, match="isa='avx512' must be one of"), shipped.building(folder, "avx512"):
-        pass
+    check_refusals(refusal(lambda: build_for("avx512"), ValueError, "isa='avx512'"))
     monkeypatch.setattr(shipped.platform, "machine", lambda: "aarch64")
-    with pytest.raises(ValueError, match="on x86-64 processors only, not on aarch64"), shipped.building(folder):
-        pass
+    check_refusals(refusal(build_for, ValueError, "x86-64", "aarch64"))
     assert not folder.exists()
     assert shipped.BUILDING.get() is None
 
@@ -139,18 +131,14 @@ def test_what_cannot_be_built_is_refused(folder, monkeypatch):
     ("arguments", "words"),
     [(["NadirScan-v2"], "'NadirScan-v2' is not a preset"), (["NadirScan-v1", "--isa", "sse"], "isa='sse' must be one of")],
 )
-def test_wrong_words_of_the_command(arguments, words, tmp_path):
+def test_rejects_wrong_words_of_the_command(arguments, words, tmp_path):
     result = CliRunner().invoke(app, ["build-kernels", *arguments, "--out", str(tmp_path / "kernels")])
     assert result.exit_code == 1
     assert words in result.output
     assert not (tmp_path / "kernels").exists()
 
 
-@pytest.mark.parametrize(
-    "presets",
-    [["NadirScan-v1"], ["NadirScan-v1", "AEOSConstellation-v1"]],
-    ids=["one", "two"],
-)
+@pytest.mark.parametrize("presets", [["NadirScan-v1"], ["NadirScan-v1", "AEOSConstellation-v1"]], ids=["one", "two"])
 def test_the_command_plays_all_presets(tmp_path, monkeypatch, presets):
     """Without compiling; the whole command is a nightly test."""
     made, short = kernels.made, {"backend": "eager", "max_step_duration": 3.0}

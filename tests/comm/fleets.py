@@ -1,7 +1,5 @@
 """Fleets for the tests: satellites on given orbits, without an environment around them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """The action; what becomes of its messages is in test_comm."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import torch
@@ -35,7 +33,7 @@ def make_actions(*spec: act.Action) -> tuple[ActionBuilder, StateTable]:
     return ActionBuilder(spec, satellite), satellite.simulator.memory
 
 
-def test_a_broadcast_only_waits():
+def test_broadcasts_wait_and_are_pending_where_satellites_move():
     """Rows: drift, broadcast, the same broadcast again, drift after a broadcast."""
     actions, _ = make_actions(act.Drift(), act.Broadcast(duration=30.0))
     decision = actions.decide(torch.tensor([0, 1, 1, 0]), torch.tensor([-1, 0, 1, 1]), MOVES)
@@ -43,9 +41,6 @@ def test_a_broadcast_only_waits():
     assert decision.mode.tolist() == [DRIFT, NADIR, NADIR, DRIFT]
     assert decision.duration.tolist() == [LONGEST, 30.0, 30.0, LONGEST]
     assert decision.key.tolist() == [0, 1, 1, 0]
-
-
-def test_messages_are_pending_where_satellites_move():
     actions, memory = make_actions(act.Drift(), act.Broadcast())
     action, moves = torch.tensor([0, 1, 1, 0]), torch.tensor([True, True, False, False])
     assert not memory[PENDING].any()

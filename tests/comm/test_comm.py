@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 
@@ -62,16 +60,10 @@ def graphs(size: int, density: float) -> torch.Tensor:
     return torch.rand(3, size, size) < density
 
 
-# -- who talks -----------------------------------------------------------------------------------------------------------------
-
-
-def test_nobody_and_everybody():
+def test_nobody_and_everybody_and_given_pairs():
     assert not linked(comm.NoCommunication()).communicate(ALL).any()
     free = linked(comm.FreeCommunication(), 4).communicate(ALL)
     assert torch.equal(free, ~torch.eye(4, dtype=torch.bool).expand(3, 4, 4))
-
-
-def test_pairs_are_taken_as_they_are():
     method = linked(Given(), 5)
     method.pairs = graphs(5, 0.3)
     assert torch.equal(method.communicate(ALL), method.pairs)
@@ -91,22 +83,16 @@ def test_a_minimum_period():
     assert method.fleet.memory[LAST].tolist() == [200.0, 0.0, 180.0]
 
 
-def test_time_passes_though_nobody_hears():
+def test_time_passes_without_talk_where_episodes_move():
     method = linked(Given(min_period=60.0))
     method.pairs, method.fleet.sim_time = torch.zeros(3, 3, 3, dtype=torch.bool), torch.full((3,), 70.0, dtype=torch.float64)
     method.communicate(ALL)
     assert method.fleet.memory[LAST].tolist() == [70.0] * 3
-
-
-def test_episodes_that_do_not_move_do_not_talk():
     method = linked(comm.FreeCommunication())
     method.fleet.sim_time = torch.full((3,), 70.0, dtype=torch.float64)
     moves = torch.tensor([True, False, True])
     assert method.communicate(moves)[:, 0, 1].tolist() == moves.tolist()
     assert method.fleet.memory[LAST].tolist() == [70.0, 0.0, 70.0]
-
-
-# -- passing on ----------------------------------------------------------------------------------------------------------------
 
 
 def components(pairs: torch.Tensor) -> torch.Tensor:
@@ -144,18 +130,21 @@ def test_the_longest_chain(size):
     assert int(connected(chain).sum()) == (size // 2) ** 2 + (size - size // 2) ** 2
 
 
-def test_everybody_in_a_component_talks():
+def test_everybody_in_a_component_talks_but_types_that_only_listen():
     method = linked(GivenMulti(), 12)
     method.pairs = graphs(12, 0.08)
     expected = torch.stack([components(graph) for graph in method.pairs]) & ~torch.eye(12, dtype=torch.bool)
     assert torch.equal(method.communicate(ALL), expected)
     assert not torch.equal(expected, method.pairs | method.pairs.mT)
+    method = linked(GivenBroadcast(), 5, talkers=2)
+    method.pairs = torch.ones(3, 5, 5, dtype=torch.bool)
+    method.fleet.simulators[0].memory[PENDING] = torch.ones(6, dtype=torch.bool)
+    found = method.communicate(ALL)
+    assert found[:, :2].all()
+    assert not found[:, 2:].any()
 
 
-# -- broadcasts ----------------------------------------------------------------------------------------------------------------
-
-
-def test_only_those_with_a_message_send():
+def test_messages_are_sent_by_those_who_have_one_when_it_is_time():
     method = linked(GivenBroadcast(), 6)
     method.pairs, memory = graphs(6, 0.5), method.fleet.simulators[0].memory
     memory[PENDING] = pending = torch.rand(18) < 0.5
@@ -166,10 +155,7 @@ def test_only_those_with_a_message_send():
             assert torch.equal(found[env, sender], heard)
     assert not memory[PENDING].any()
     assert not method.communicate(ALL).any()
-
-
-def test_messages_wait_until_it_is_time():
-    """Only the second episode may talk; no other hears it there, and the message is gone all the same."""
+    # Only the second episode may talk; no other hears it there, and the message is gone all the same.
     method = linked(GivenBroadcast(min_period=60.0), 3)
     method.pairs, memory = torch.ones(3, 3, 3, dtype=torch.bool), method.fleet.simulators[0].memory
     method.pairs[1] = False
@@ -179,15 +165,6 @@ def test_messages_wait_until_it_is_time():
     assert memory[PENDING].view(3, 3).any(1).tolist() == [True, False, True]
     method.fleet.sim_time = method.fleet.sim_time + 1.0
     assert method.communicate(ALL).flatten(1).any(1).tolist() == [True, False, True]
-
-
-def test_types_that_cannot_broadcast_only_listen():
-    method = linked(GivenBroadcast(), 5, talkers=2)
-    method.pairs = torch.ones(3, 5, 5, dtype=torch.bool)
-    method.fleet.simulators[0].memory[PENDING] = torch.ones(6, dtype=torch.bool)
-    found = method.communicate(ALL)
-    assert found[:, :2].all()
-    assert not found[:, 2:].any()
 
 
 def test_chains_of_what_is_heard():
@@ -210,9 +187,6 @@ def test_chains_of_what_is_heard():
     assert found == [[[0, 1], [0, 2], [0, 3]], [[0, 1], [1, 0]]]
 
 
-# -- lines of sight ------------------------------------------------------------------------------------------------------------
-
-
 def in_a_row(count: int, degrees: float) -> list[dict[str, Any]]:
     """Satellites behind one another on a circular orbit 700 km up, where lines of sight reach 51 degrees at the equator."""
     oe = torch.zeros(count, 6, dtype=torch.float64)
@@ -230,7 +204,7 @@ def test_three_links_of_four_satellites_are_no_more(backend):
     assert links == [[0, 1], [1, 0], [1, 2], [2, 1], [2, 3], [3, 2]]
 
 
-def test_those_in_between_pass_it_on():
+def test_satellites_in_between_pass_data_on():
     fleet = make_fleet(in_a_row(5, 45.0), 2)
     method = comm.LOSMultiCommunication()
     method.link(fleet)
@@ -256,9 +230,6 @@ def test_contacts_between_communications_are_lost(recording):
         if due:
             lost, missed = lost + int(missed.any()), torch.zeros_like(missed)
     assert lost > 0
-
-
-# -- errors --------------------------------------------------------------------------------------------------------------------
 
 
 class Low(sats.Satellite):

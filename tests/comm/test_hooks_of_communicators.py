@@ -1,7 +1,5 @@
 """Every hook of a subclass runs, and its tensors are those of an episode."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict import TensorDict

@@ -1,7 +1,5 @@
 """Rewards of a user's own for images, from public names only: beliefs, uncertain places, strips."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict import TensorDict

@@ -1,7 +1,5 @@
 """Images of targets whose true places lie near the believed ones, at which satellites point."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -47,7 +45,7 @@ def fly(env, steps=8):
     return [torch.stack(part) for part in zip(*found, strict=True)]
 
 
-def test_images_pay_where_the_true_place_is_in_view():
+def test_images_show_targets_in_view():
     env = imaging(8e3, 0.01, sat_args=SHARP)
     reward, worth, taken, angle = fly(env)
     inside = taken & (angle <= 0.01)
@@ -56,10 +54,7 @@ def test_images_pay_where_the_true_place_is_in_view():
     off = env.counts()["off_target"].flatten()
     assert torch.equal(off, (taken & ~inside).sum(0))
     assert 0 < int(off.sum()) < int(taken.sum())
-
-
-def test_all_images_show_targets_without_errors():
-    """The angle of view is the largest pointing error, 4 atan(0.001), and what the body turns in two ticks at 0.01 rad/s."""
+    # The angle of view is the largest pointing error, 4 atan(0.001), and what the body turns in two ticks at 0.01 rad/s.
     env = imaging(0.0, 0.014, sat_args=SHARP)
     reward, _, taken, angle = fly(env)
     # an image of the previous target, stored in the first tick of a step, counts for the next one, which it does not show
@@ -91,12 +86,9 @@ def test_an_image_does_not_show_the_other_side_of_the_earth():
     assert torch.equal(shown, risen & (((place - r) * axis.unsqueeze(1)).sum(-1) >= 0.0))
 
 
-def test_rewards_do_not_depend_on_the_batch():
+def test_rewards_do_not_depend_on_the_batch_and_are_counted_for_each_satellite():
     few, many = (fly(imaging(8e3, 0.01, n=n, sat_args=SHARP), 3)[0] for n in (2, 5))
     assert torch.equal(few, many[:, :2])
-
-
-def test_a_constellation_shares_what_it_has_seen():
     env = imaging(5e3, 0.02, 2, "AEOSConstellation-v1", sat_args=SHARP)
     td = env.reset()
     for _ in range(6):

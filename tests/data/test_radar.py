@@ -47,9 +47,17 @@ def share(env):
 
 def test_clouds_matter_to_optical_satellites_only():
     env = cluster(Optical, Radar, Optical)
-    assert value(env, 0, 1, 2) == [0.0, 0.25, 1.0]
-    assert env.rewarder.memory["covered"][0].tolist() == [1, 0, 0]
+    assert (value(env, 0, 1, 2), env.rewarder.memory["covered"][0].tolist()) == ([0.0, 0.25, 1.0], [1, 0, 0])
     assert torch.nonzero(env.rewarder.imaged[0]).squeeze(-1).tolist() == [1, 2]
+    env = cluster(Optical, Radar, Optical)
+    assert (value(env, 1, 1, None), value(env, 3, 3, None)) == ([0.0, 0.25, 0.0], [0.0625, 0.0625, 0.0])
+    env = cluster(Radar, Radar, Radar)
+    assert value(env, 0, 1, 2) == [0.5, 0.25, 1.0]
+    assert not env.rewarder.memory["covered"].any()
+    env = cluster(Optical, Optical, Optical)
+    assert value(env, 0, None, 2) == [0.0, 0.0, 1.0]
+    share(env)
+    assert hidden(env) == [[0, 2]] * 3
 
 
 def test_a_cloudy_image_hides_the_target_from_those_who_know_and_cannot_see_it():
@@ -57,34 +65,13 @@ def test_a_cloudy_image_hides_the_target_from_those_who_know_and_cannot_see_it()
     value(env, 0, None, None)
     assert hidden(env) == [[0], [], []]
     share(env)
-    assert hidden(env) == [[0], [], [0]]
-    assert value(env, None, 0, None) == [0.0, 0.5, 0.0]
+    assert (hidden(env), value(env, None, 0, None)) == ([[0], [], [0]], [0.0, 0.5, 0.0])
     share(env)
-    assert hidden(env) == [[0], [0], [0]]
-    assert value(env, None, 0, None) == [0.0, 0.0, 0.0]
+    assert (hidden(env), value(env, None, 0, None)) == ([[0], [0], [0]], [0.0, 0.0, 0.0])
     assert env.rewarder.memory["duplicates"][0].tolist() == [0, 1, 0]
 
 
-def test_a_cloudy_image_takes_no_share_of_the_radars_reward():
-    env = cluster(Optical, Radar, Optical)
-    assert value(env, 1, 1, None) == [0.0, 0.25, 0.0]
-    assert value(env, 3, 3, None) == [0.0625, 0.0625, 0.0]
-
-
-def test_without_radar_targets_under_clouds_are_gone():
-    env = cluster(Optical, Optical, Optical)
-    assert value(env, 0, None, 2) == [0.0, 0.0, 1.0]
-    share(env)
-    assert hidden(env) == [[0, 2]] * 3
-
-
-def test_radars_alone_need_no_clear_sky():
-    env = cluster(Radar, Radar, Radar)
-    assert value(env, 0, 1, 2) == [0.5, 0.25, 1.0]
-    assert not env.rewarder.memory["covered"].any()
-
-
-def test_what_is_known_of_clouds_is_saved_with_the_episodes():
+def test_knowledge_of_clouds_is_saved_with_the_episodes():
     env = cluster(Optical, Radar, Optical)
     value(env, 0, None, None)
     other = cluster(Optical, Radar, Optical)

@@ -1,7 +1,5 @@
 """Rewards for resources: weights of their own for every episode, resources as functions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -27,10 +25,7 @@ def make(num_envs=3, rewarder=None, spec=None, **options):
     satellite = Drifter("A") if spec is None else type("Own", (Drifter,), {"observation_spec": spec})("A")
     rewarder = rewarder or (
         data.ResourceReward(reward_weight=lambda: np.random.uniform(1.0, 2.0), resource_fn=elapsed),
-        data.ComposedReward(
-            data.NoReward(),
-            data.ResourceReward(rand.Uniform(-2.0, -1.0), squared),
-        ),
+        data.ComposedReward(data.NoReward(), data.ResourceReward(rand.Uniform(-2.0, -1.0), squared)),
     )
     given = dict(time_limit=600.0, seed=1, backend="eager", dtype=torch.float64) | options
     return SatelliteTasking(satellite, rewarder=rewarder, num_envs=num_envs, **given)
@@ -73,6 +68,9 @@ def test_rewards_are_weights_times_growth(env):
     reward = step(env)["reward"].squeeze(-1)
     growth = (env.satellite.dynamics.r_BN_N**2).sum(-1) - before
     assert torch.allclose(reward, weight[:, 0] * 60.0 + weight[:, 1] * growth)
+    env = make(2, data.ResourceReward(3.0, elapsed), (obs.ResourceRewardWeight(),))
+    assert env.reset()["observation"].tolist() == [[3.0], [3.0]]
+    assert torch.allclose(step(env)["reward"], torch.full((2, 1), 180.0, dtype=torch.float64))
 
 
 def test_copies_of_an_episode_have_its_weights(env):
@@ -80,9 +78,3 @@ def test_copies_of_an_episode_have_its_weights(env):
     other.reset()
     other.restore(env, torch.tensor([0]), torch.tensor([2]))
     assert torch.equal(step(other)["observation"][0], weight[2])
-
-
-def test_a_fixed_weight_is_observed_too():
-    env = make(2, data.ResourceReward(3.0, elapsed), (obs.ResourceRewardWeight(),))
-    assert env.reset()["observation"].tolist() == [[3.0], [3.0]]
-    assert torch.allclose(step(env)["reward"], torch.full((2, 1), 180.0, dtype=torch.float64))

@@ -16,7 +16,7 @@ class Drifter(sats.Satellite):
 OPTIONS = dict(num_envs=2, time_limit=120.0, seed=0, backend="eager", dtype=torch.float64)
 
 
-def test_each_second_has_its_price():
+def test_each_second_has_its_price_for_every_satellite():
     env = SatelliteTasking(Drifter("A"), rewarder=data.TimePenalty(0.5), **OPTIONS)
     td = env.reset()
     for duration in ([50.0, 20.0], [20.0, 50.0], [50.0, 50.0]):
@@ -24,9 +24,6 @@ def test_each_second_has_its_price():
         assert td["duration"].flatten().tolist() == duration
         assert td["reward"].flatten().tolist() == [-0.5 * seconds for seconds in duration]
     assert env.rewarder.cum_reward["A"].tolist() == [-60.0, -60.0]
-
-
-def test_every_satellite_pays_and_other_rewards_are_added():
     parts = data.TimePenalty(), data.NoReward()
     env = ConstellationTasking([Drifter("A"), Drifter("B")], rewarder=parts, **OPTIONS)
     td = env.reset()

@@ -5,8 +5,6 @@ or truth values, which is what is printed or the shape of it; numbers, with a un
 that is printed, if it starts with a brace or holds parentheses, with ``...`` for what is left out. Other comments explain.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Callable, Iterator

@@ -41,10 +41,12 @@ def test_every_public_name_is_in_the_reference(site):
     assert not [name.full for name in names if name.full not in entries]
 
 
-def test_public_names_have_docstrings():
+def test_public_names_have_docstrings_and_packages_are_listed():
     from docs._ext import public
 
     assert not [name.full for module in public.modules() for name in module.own if not name.documentation]
+    listed = {module.name for module in public.modules()} | UNLISTED
+    assert not [name for name in packages() if name not in listed]
 
 
 def test_modules_have_what_they_list():
@@ -56,13 +58,6 @@ def test_modules_have_what_they_list():
         loaded = importlib.import_module(module.name)
         assert loaded.__all__, module.name
         assert not [name for name in loaded.__all__ if not hasattr(loaded, name)], module.name
-
-
-def test_no_package_is_forgotten():
-    from docs._ext import public
-
-    listed = {module.name for module in public.modules()} | UNLISTED
-    assert not [name for name in packages() if name not in listed]
 
 
 def test_members_of_classes_have_entries(site):

@@ -1,7 +1,5 @@
 """What is to be published: the paper, release notes, citation, community files; their numbers are those that were measured."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -244,7 +242,7 @@ def entries():
     return fields
 
 
-def test_the_metadata_of_the_paper_are_those_of_joss(paper):
+def test_the_paper_has_the_form_that_joss_asks_for(paper):
     head, _ = paper
     assert set(head) == {"title", "tags", "authors", "affiliations", "date", "bibliography"}
     assert head["title"].startswith("bsk_torch: ")
@@ -253,9 +251,6 @@ def test_the_metadata_of_the_paper_are_those_of_joss(paper):
     assert all(re.fullmatch(r"\d{4}-\d{4}-\d{4}-\d{3}[\dX]", author["orcid"]) for author in head["authors"])
     assert datetime.strptime(head["date"], "%d %B %Y")
     assert (PAPER.parent / head["bibliography"]).is_file()
-
-
-def test_the_paper_has_the_sections_and_the_length_that_joss_asks_for(paper):
     _, body = paper
     assert re.findall(r"^# (.*)", body, re.MULTILINE) == HEADINGS
     assert not re.findall(r"^##", body, re.MULTILINE)
@@ -274,7 +269,9 @@ def test_every_reference_of_the_paper_exists_and_is_used(paper, entries):
         assert fields["author"].count(",") >= fields["author"].count(" and "), key
 
 
-def test_the_figure_of_the_paper_exists_and_is_referred_to(paper):
+def test_numbers_of_the_paper_were_measured_or_are_cited(paper):
+    _, body = paper
+    assert not unproven(flat(body), claims_of_the_paper(), CITED)
     _, body = paper
     (figure,) = re.findall(r"!\[(.*?)\]\((.*?)\)", flat(body))
     assert (PAPER.parent / figure[1]).is_file()
@@ -282,17 +279,15 @@ def test_the_figure_of_the_paper_exists_and_is_referred_to(paper):
     assert f"\\autoref{{{label}}}" in body
 
 
-def test_numbers_of_the_paper_were_measured_or_are_cited(paper):
-    _, body = paper
-    assert not unproven(flat(body), claims_of_the_paper(), CITED)
-
-
-def test_numbers_of_the_release_notes_were_measured():
+def test_numbers_of_the_release_notes_were_measured_and_are_those_of_a_version():
     text = flat(NOTES.read_text().partition("## Changes that may break your code")[0])
     for name in ("release 0.3.0", "notes of 0.3.0", "bsk_rl 1.3.8"):
         assert name in text
         text = text.replace(name, name.rpartition(" ")[0])
     assert not unproven(text, claims_of_the_notes(), {})
+    (version,) = re.findall(r"^# Release notes of (\S+)$", NOTES.read_text(), re.MULTILINE)
+    assert version in dict(versions())
+    assert NOTES.name == f"release_notes_{version}.md"
 
 
 @pytest.mark.parametrize(
@@ -309,12 +304,6 @@ def test_numbers_of_the_release_notes_were_measured():
 def test_an_unproven_number_is_found(text, found):
     cited = {"485 core-hours": "paper"} if "485" in text else {}
     assert len(unproven(text, [Claim(r"is (1\d) times", ["12"])], cited)) == found
-
-
-def test_release_notes_are_those_of_a_version_of_the_changelog():
-    (version,) = re.findall(r"^# Release notes of (\S+)$", NOTES.read_text(), re.MULTILINE)
-    assert version in dict(versions())
-    assert NOTES.name == f"release_notes_{version}.md"
 
 
 def versions() -> list[tuple[str, str]]:

@@ -59,7 +59,7 @@ def test_nothing_is_loaded_from_elsewhere(site, pages):
         assert not re.findall(r"(?:url\(|@import\s)[\"']?(?:https?:)?//", path.read_text()), path
 
 
-def test_what_machines_read_is_there(site, pages):
+def test_files_for_machines_exist(site, pages):
     locations = ElementTree.parse(site / "sitemap.xml").getroot().iter("{http://www.sitemaps.org/schemas/sitemap/0.9}loc")
     listed = {urlsplit(location.text).path.lstrip("/") for location in locations}
     own = {path.relative_to(site).as_posix() for path in pages} - {"search.html", "genindex.html", "py-modindex.html"}
@@ -69,13 +69,10 @@ def test_what_machines_read_is_there(site, pages):
     assert '"eclips' in (site / "searchindex.js").read_text()
 
 
-def test_the_version_is_that_of_the_package(pages, site):
+def test_pages_have_the_version_of_the_package_and_formulas_in_mathml(pages, site):
     import bsk_torch
 
     assert bsk_torch.__version__ in pages[site / "index.html"].title.text
-
-
-def test_every_formula_is_mathml(pages):
     assert sum(len(soup.find_all("math")) for soup in pages.values()) > 20
     assert not [path for path, soup in pages.items() if soup.find(string=re.compile(r"\\\(|\\\[.*\\\]"), class_="math")]
 

@@ -1,7 +1,5 @@
 """What studies of the benchmarks define beside the package: worlds, rewards, and how files of results grow."""
 
-from __future__ import annotations
-
 import json
 import sys
 from importlib import import_module

@@ -23,16 +23,10 @@ def cases():
 
 def test_it_has_every_replay_with_the_bounds_of_its_test(cases):
     assert {(case.group, case.recording): case.bounds for case in cases} == {key: row["bounds"] for key, row in ROWS.items()}
-
-
-def test_differences_lie_within_the_bounds():
     assert len(ROWS) > 40
     for key, row in ROWS.items():
         assert not {name: row["largest"][name] for name, bound in row["bounds"].items() if not row["largest"][name] <= bound}, key
         assert row["group"] == "mixed" or all(row["exact"].values()), key
-
-
-def test_every_quantity_has_a_name_and_a_unit():
     from docs._ext import truth
 
     assert {name for row in ROWS.values() for name in row["largest"]} <= set(truth.QUANTITIES)

@@ -1,7 +1,5 @@
 """Every tutorial runs from end to end at its smallest size; what it learns in a moment is not tested."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 from importlib.util import find_spec
@@ -78,8 +76,19 @@ def test_runs(name, tmp_path, monkeypatch):
     pyplot.close("all")
 
 
-def test_every_tutorial_is_run():
+def test_every_tutorial_is_run_and_links_lead_somewhere():
     assert {path.name for path in FOLDER.glob("*.py")} == set(SIZES)
+    everything = "\n".join(path.read_text() for path in FOLDER.glob("*.py"))
+    labels = set(re.findall(r"^\.\. _(tutorial-[a-z0-9]+):$", everything, re.MULTILINE))
+    assert set(re.findall(r":ref:`(tutorial-[a-z0-9]+)`", everything)) <= labels
+    pages = {f"sphx_glr_gallery_{path.relative_to(ROOT / 'examples')}".replace("/", "_") for path in programs()}
+    assert set(re.findall(r":ref:`(sphx_glr_[^`]+)`", everything)) <= pages
+    # What the page of RLlib includes is code that the tests of the marker rllib run.
+    source = (FOLDER / "06_rllib_benchmarl.py").read_text()
+    included = re.findall(r"literalinclude:: /\.\./([^\n]+)\n#     :pyobject: (\w+)", source)
+    assert len(included) == 4
+    for path, name in included:
+        assert re.search(rf"^(def|class) {name}\b", (ROOT / path).read_text(), re.MULTILINE)
 
 
 @pytest.mark.parametrize("name", SIZES)
@@ -94,37 +103,20 @@ def test_structure(name):
     assert not above.startswith("#")  # in a cell of text it would be shown
 
 
-def test_links_between_tutorials_lead_somewhere():
-    everything = "\n".join(path.read_text() for path in FOLDER.glob("*.py"))
-    labels = set(re.findall(r"^\.\. _(tutorial-[a-z0-9]+):$", everything, re.MULTILINE))
-    assert set(re.findall(r":ref:`(tutorial-[a-z0-9]+)`", everything)) <= labels
-    pages = {f"sphx_glr_gallery_{path.relative_to(ROOT / 'examples')}".replace("/", "_") for path in programs()}
-    assert set(re.findall(r":ref:`(sphx_glr_[^`]+)`", everything)) <= pages
-
-
-def test_shown_code_exists():
-    """What the page of RLlib includes is code that the tests of the marker rllib run."""
-    source = (FOLDER / "06_rllib_benchmarl.py").read_text()
-    included = re.findall(r"literalinclude:: /\.\./([^\n]+)\n#     :pyobject: (\w+)", source)
-    assert len(included) == 4
-    for path, name in included:
-        assert re.search(rf"^(def|class) {name}\b", (ROOT / path).read_text(), re.MULTILINE)
-
-
-# -- examples --------------------------------------------------------------------------------------------------------------------
-
-
 def programs() -> list[Path]:
     """The examples; tests/test_scripts.py says which tests run them."""
     return sorted((ROOT / "examples").rglob("*.py"))
 
 
-def test_every_example_has_arguments_in_the_gallery():
+def test_every_example_has_arguments_in_the_gallery_or_is_left_out():
     settings = gallery()
     names = {settings.name_of(path) for path in programs()}
     skipped = {name for name in names if Path(name).stem in settings.NOT_EXECUTED}
     assert set(settings.ARGUMENTS) == names - skipped
     assert {Path(name).stem for name in skipped} == set(settings.NOT_EXECUTED)
+    pattern = gallery().settings(execute=True)["filename_pattern"]
+    executed = {path.stem for path in [*programs(), *FOLDER.glob("*.py")] if re.search(pattern, str(path))}
+    assert executed == {path.stem for path in [*programs(), *FOLDER.glob("*.py")]} - set(gallery().NOT_EXECUTED)
 
 
 @pytest.mark.parametrize("path", programs(), ids=lambda path: path.stem)
@@ -134,9 +126,3 @@ def test_examples_have_a_title_and_take_their_arguments(path):
     assert len(title[1]) == len(title[2])
     given = settings.ARGUMENTS.get(settings.name_of(path), "")
     assert all(f'"{option}"' in source for option in re.findall(r"--[a-z-]+", given))
-
-
-def test_scripts_that_are_not_executed_are_left_out():
-    pattern = gallery().settings(execute=True)["filename_pattern"]
-    executed = {path.stem for path in [*programs(), *FOLDER.glob("*.py")] if re.search(pattern, str(path))}
-    assert executed == {path.stem for path in [*programs(), *FOLDER.glob("*.py")]} - set(gallery().NOT_EXECUTED)

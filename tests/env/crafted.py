@@ -3,8 +3,6 @@
 Run as a program, with the names of presets, because a crash of the process is one of the things that must not happen.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import signal

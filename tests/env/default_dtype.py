@@ -3,8 +3,6 @@
 Run as a program, with the type, the file and the cases, because kernels are traced once in a process.
 """
 
-from __future__ import annotations
-
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping

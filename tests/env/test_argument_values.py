@@ -3,8 +3,6 @@
 All cases are drawn, which is what checks them; some are played, and all of them at night.
 """
 
-from __future__ import annotations
-
 import functools
 import logging
 import math
@@ -69,9 +67,6 @@ def cases(preset: str) -> Iterator[Case]:
                 yield Case(preset, where, name, value)
 
 
-# -- draws --------------------------------------------------------------------------------------------------------------------
-
-
 def draw(simulator: Simulator, where: str, name: str, value: Any) -> None:
     """Do what the construction of a simulation and a reset do with arguments, and check that numbers are finite."""
     arguments = simulator.type.arguments
@@ -114,9 +109,6 @@ def test_draws(preset, caplog):
                 wrong.append(f"{case}: {type(error).__name__}: {error}")
     assert not wrong, "\n".join(wrong)
     assert count > 400
-
-
-# -- episodes -----------------------------------------------------------------------------------------------------------------
 
 
 def play(case: Case) -> str:

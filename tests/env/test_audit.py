@@ -4,8 +4,6 @@ Measured in a step of NadirScan-v1, whatever the size of the batch: ``WAITS``. A
 duration; each number of a tick depends on tensors only.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 
 import pytest

@@ -1,7 +1,5 @@
 """The compiled back end gives the eager one's numbers, with one library for every batch size."""
 
-from __future__ import annotations
-
 import logging
 from collections import Counter
 from collections.abc import Iterator
@@ -83,7 +81,7 @@ def test_equals_eager(orbit):
     torch.testing.assert_close(ends[0]["reward"], ends[1]["reward"], rtol=0, atol=1e-15)
 
 
-def test_one_library_serves_every_batch_size(monkeypatch):
+def test_one_library_serves_every_batch_size_and_frozen_rows_stay(monkeypatch):
     first = make("compiled", 3)
     play(first, first.reset(), PLAN[:, :3])
 
@@ -95,9 +93,6 @@ def test_one_library_serves_every_batch_size(monkeypatch):
     for n in (1, 2, 17, 64):
         env = make("compiled", n)
         play(env, env.reset(), torch.randint(0, 4, (2, n)))
-
-
-def test_frozen_rows_are_bit_identical():
     env = make("compiled", 4)
     td = play(env, env.reset(), torch.tensor([[0, 1, 2, 3]]))
     before = env.simulator.state.planes.clone()
@@ -105,9 +100,6 @@ def test_frozen_rows_are_bit_identical():
     env.step(td.select("observation").set("action", torch.tensor([1, 1, 3, 3])).set("_step", mask))
     assert torch.equal(env.simulator.state.planes[:, 1::2], before[:, 1::2])
     assert not torch.equal(env.simulator.state.planes[:, ::2], before[:, ::2])
-
-
-# -- the code of the tick ---------------------------------------------------------------------------------------------------
 
 
 def lowered_tick(**options):
@@ -133,7 +125,7 @@ def operations(statements) -> Iterator[str]:
             yield statement.value.op
 
 
-def test_what_ticks_do_not_change_leaves_their_loop():
+def test_constants_of_ticks_leave_their_loop():
     """The Earth turns; neither its pole nor the polynomial of the arc are computed again."""
     loop = lowered_tick()
     tick = Counter(operations(loop.body))
@@ -144,9 +136,6 @@ def test_what_ticks_do_not_change_leaves_their_loop():
     sky, arc = ([value.op for value in record.computed] for record in loop.records)
     assert {"cos", "sin"} <= set(sky)
     assert len(arc) > 50
-
-
-# -- what has no kernel -----------------------------------------------------------------------------------------------------
 
 
 def rank(bus) -> None:
@@ -176,7 +165,7 @@ def simulate(backend) -> Simulator:
     return simulator
 
 
-def test_what_has_no_kernel_is_compiled_by_inductor(caplog):
+def test_components_without_a_kernel_are_compiled_by_inductor(caplog):
     eager = simulate("eager")
     with caplog.at_level(logging.WARNING, logger="bsk_torch"):
         fast = simulate("compiled")
@@ -210,8 +199,7 @@ def test_trials_batches_and_prepared_episodes_share_their_ticks(preset, librarie
     env = bsk_torch.make(preset, num_envs=64)
     env.reset()
     assert env.pool is not None
-    assert Counter(ticks) == {False: len(libraries), True: len(libraries)}
-    assert sorted(built) == libraries
+    assert (Counter(ticks), sorted(built)) == ({False: len(libraries), True: len(libraries)}, libraries)
     again = bsk_torch.make(preset, num_envs=3)  # the tick of the package's components is the same
     assert len(ticks) == 2 * len(libraries)
     assert [s.runners for s in again.fleet.simulators] == [s.runners for s in env.fleet.simulators]

@@ -1,7 +1,5 @@
 """What a constellation promises: specs, independence of batch and order, and one satellite as if it were alone."""
 
-from __future__ import annotations
-
 import math
 import pickle
 
@@ -253,7 +251,7 @@ def test_steps_end_with_the_first_task(go_on: int) -> None:
     assert td["agents", "requires_retasking"].flatten().tolist() == [True, False]
 
 
-def test_what_was_observed_is_not_searched_again_by_the_next_action(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_observed_windows_are_not_searched_again_by_the_next_action(monkeypatch: pytest.MonkeyPatch) -> None:
     env = build(imagers(2))
     td, asked = env.reset(), []
     ask = LookAhead.next_windows
@@ -263,12 +261,21 @@ def test_what_was_observed_is_not_searched_again_by_the_next_action(monkeypatch:
     assert asked == 4 * ["target"]
 
 
-def test_a_busy_satellite_can_be_retasked() -> None:
+def test_busy_satellites_are_retasked_and_fixed_intervals_end_no_steps() -> None:
     env = build(imagers(2), num_envs=1)
     td = env.step(env.reset().set(("agents", "action"), torch.tensor([[0, 1]])))["next"].clone()
     td = env.step(td.set(("agents", "action"), torch.tensor([[1, 0]])))["next"].clone()
     assert td["duration"].item() == 31.0  # a new drift, instead of 16 s that were left of charging
     assert td["agents", "requires_retasking"].flatten().tolist() == [True, False]
+    satellites = imagers(2)
+    satellites[0] = Imager("EO0", ARGS, variable_interval=False, may_see_nothing=True)
+    env = build(satellites, num_envs=1)
+    groups = [group.name for group in env.groups]
+    td = env.reset()
+    td[groups[0], "action"], td[groups[1], "action"] = torch.tensor([[1]]), torch.tensor([[0]])
+    td = env.step(td)["next"].clone()
+    assert td["duration"].item() == 47.0
+    assert td[groups[0], "requires_retasking"].item()
 
 
 def test_an_idle_satellite_without_a_task_is_named_once(caplog: pytest.LogCaptureFixture) -> None:
@@ -279,18 +286,6 @@ def test_an_idle_satellite_without_a_task_is_named_once(caplog: pytest.LogCaptur
     said = [record.message for record in caplog.records if "requires retasking" in record.message]
     assert said == ["satellite EO1 of environment 0 requires retasking but received no task; its mode continues"]
     assert td["duration"].tolist() == [[47.0], [31.0]]
-
-
-def test_fixed_intervals_do_not_end_steps() -> None:
-    satellites = imagers(2)
-    satellites[0] = Imager("EO0", ARGS, variable_interval=False, may_see_nothing=True)
-    env = build(satellites, num_envs=1)
-    groups = [group.name for group in env.groups]
-    td = env.reset()
-    td[groups[0], "action"], td[groups[1], "action"] = torch.tensor([[1]]), torch.tensor([[0]])
-    td = env.step(td)["next"].clone()
-    assert td["duration"].item() == 47.0
-    assert td[groups[0], "requires_retasking"].item()
 
 
 def mortal(**options: object) -> ConstellationTasking:
@@ -327,7 +322,14 @@ def test_a_dead_satellite_leaves_and_the_others_go_on() -> None:
     assert not td["terminated"].any()
 
 
-def test_the_next_episode_begins_with_everybody() -> None:
+def test_episodes_end_with_the_last_satellite_and_begin_with_everybody() -> None:
+    satellites = imagers(2, storedCharge_Init=200.0, batteryStorageCapacity=30_000.0, basePowerDraw=-20.0, panelArea=0.01)
+    env = build(satellites, num_envs=1)
+    seen = play(env, 3)
+    first = next(td for td in seen if bool(td["done"].any()))
+    assert first["terminated"].all()
+    assert not first["agents", "mask"].any()
+    assert torch.all(first["agents", "reward"] == -1.0)
     env = mortal(num_envs=2)
     td = env.reset()
     state = env.get_state()
@@ -339,16 +341,6 @@ def test_the_next_episode_begins_with_everybody() -> None:
     assert not env.satellites[0].removed[:3].any()
     env.reset(TensorDict({"state": state}, [2]), set_state=True)
     assert not env.satellites[0].removed.any()
-
-
-def test_the_episode_ends_when_all_are_dead() -> None:
-    satellites = imagers(2, storedCharge_Init=200.0, batteryStorageCapacity=30_000.0, basePowerDraw=-20.0, panelArea=0.01)
-    env = build(satellites, num_envs=1)
-    seen = play(env, 3)
-    first = next(td for td in seen if bool(td["done"].any()))
-    assert first["terminated"].all()
-    assert not first["agents", "mask"].any()
-    assert torch.all(first["agents", "reward"] == -1.0)
 
 
 def test_joint_pays_for_the_dead_and_ends() -> None:
@@ -447,7 +439,7 @@ def test_images_of_the_same_target_in_one_step_share_its_reward(count: int) -> N
 
 
 @pytest.mark.parametrize(("method", "knows"), [(comm.NoCommunication, False), (comm.FreeCommunication, True)])
-def test_what_others_have_imaged_is_hidden_if_told(method: type[comm.CommunicationMethod], knows: bool) -> None:
+def test_images_of_others_hide_targets_if_told(method: type[comm.CommunicationMethod], knows: bool) -> None:
     env = build(imagers(2), num_envs=2, communicator=method(), sat_arg_randomizer=formations.train_args(1.0))
     play(env, 30)
     known, imaged = env.rewarder.known, env.rewarder.imaged
@@ -480,7 +472,7 @@ def test_rejects_wrong_satellites_and_agents():
     meta = lambda groupings: build(imagers(2), meta_agent_groupings=groupings)
     named = [Imager(f"EO{k}", ARGS, obs_type=dict, may_see_nothing=True) for k in range(2)]
     joint = lambda: build(imagers(2), joint=True, meta_agent_groupings={"a": ["EO0"]})
-    table = [
+    check_refusals(
         refusal(lambda: build([]), ValueError, "satellites", "empty"),
         refusal(lambda: build([*imagers(1), *imagers(1)]), ValueError, "satellites", ["EO0"]),
         refusal(lambda: build([Imager]), TypeError, "satellites", "Imager", "parentheses"),
@@ -491,14 +483,13 @@ def test_rejects_wrong_satellites_and_agents():
         refusal(joint, ValueError, "joint=True", "meta_agent_groupings"),
         refusal(lambda: build(imagers(2), group_map={"x": ["EO0"]}), ValueError, "group_map", ["EO1"]),
         refusal(lambda: mixed(group_map={"all": ["EO0", "EO1", "Relay1"]}), ValueError, "group_map['all']", "'EO0'", "'Relay1'"),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_rejects_wrong_options():
     unseen = lambda: build([Blind(f"B{k}", ARGS) for k in range(2)], communicator=comm.LOSCommunication())
     randomized = lambda randomizer, count=1: build(imagers(count), sat_arg_randomizer=randomizer)
-    table = [
+    check_refusals(
         refusal(unseen, TypeError, "LOSCommDynModel", "B0", "ImagingDynModel"),
         refusal(lambda: build([Relay("A"), Relay("B")], scenario=None), ValueError, "UniqueImageReward", "targets"),
         refusal(lambda: build([Relay("A")], rewarder=None), ValueError, "scene.UniformTargets", "sats.ImagingSatellite", "Relay"),
@@ -508,20 +499,18 @@ def test_rejects_wrong_options():
         refusal(lambda: randomized(lambda _: {"EO0": {"masss": 1.0}}), KeyError, "sat_arg_randomizer", "'masss'", "'mass'"),
         refusal(lambda: build(imagers(1), world_args={"utcinit": "x"}), KeyError, "world_args", "'utcinit'", "'utc_init'"),
         refusal(lambda: build(imagers(1), num_envs=0), ValueError, "num_envs=0"),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_rejects_wrong_actions() -> None:
     env = build(imagers(2), num_envs=2, backend="eager")
     env.reset()
     act = lambda action: env.play([action], torch.ones(2, dtype=torch.bool))
-    table = [
+    check_refusals(
         refusal(lambda: act(torch.tensor([[0, 6], [0, 0]])), ValueError, "action 6", "EO1", "environment 0", "0: action_charge"),
         refusal(lambda: act(torch.zeros(2, 2)), TypeError, "action", "torch.float32", "torch.int64"),
         refusal(lambda: act(torch.zeros(2, dtype=torch.long)), ValueError, "action", [2], [2, 2]),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_a_users_randomizer_is_asked_for_every_episode() -> None:

@@ -97,12 +97,6 @@ def test_permutation():
         assert equal(a, b, order)
 
 
-def test_observation_of_next_step_is_the_last_one():
-    rollout = make(2).rollout(4, break_when_any_done=False)
-    assert torch.equal(rollout["observation"][:, 1:], rollout["next", "observation"][:, :-1])
-    assert rollout["observation"].diff(dim=1).abs().sum() > 0
-
-
 def test_partial_reset_touches_only_its_rows():
     env = make(4)
     play(env, actions(2, 4))
@@ -175,13 +169,16 @@ def test_actions_and_outputs_stay_what_they_were():
             assert torch.equal(now[key], before[key]), key
 
 
-def test_seeds():
+def test_seeds_name_episodes_whose_observations_follow_one_another():
     first, again, other = (make(2, seed=s).reset()["observation"] for s in (5, 5, 6))
     assert torch.equal(first, again)
     assert not torch.equal(first, other)
     env = make(2, seed=5)
     one, two = env.reset()["observation"], env.reset()["observation"]
     assert not torch.equal(one, two), "every episode is a new one"
+    rollout = make(2).rollout(4, break_when_any_done=False)
+    assert torch.equal(rollout["observation"][:, 1:], rollout["next", "observation"][:, :-1])
+    assert rollout["observation"].diff(dim=1).abs().sum() > 0
 
 
 def test_time_limit_beats_the_action_and_terminates():
@@ -198,10 +195,13 @@ def test_time_limit_beats_the_action_and_terminates():
     assert play(env, torch.tensor([[0, 0]]), out)[0]["duration"].flatten().tolist() == [0.0, 0.0]
 
 
-def test_time_limit_from_a_distribution():
+def test_time_limits_and_longest_steps():
     env = make(3, time_limit=bsk_torch.rand.per_env([100.0, 200.0, 300.0]))
     env.reset()
     assert env.state.limit_ticks.tolist() == [100, 200, 300]
+    env = make(2, max_step_duration=8.0)
+    assert play(env, torch.tensor([[0, 2]]))[0]["duration"].flatten().tolist() == [8.0, 8.0]
+    assert not env.requires_retasking.any()
 
 
 def test_a_long_episode_after_short_ones_has_all_its_windows():
@@ -218,12 +218,6 @@ def test_a_long_episode_after_short_ones_has_all_its_windows():
     mine, other = (e.simulator.access.windows["ground_station"] for e in (env, long))
     assert torch.equal(mine.close[0][mine.close[0] < 40000.0], other.close[0][other.close[0] < 40000.0])
     assert torch.equal(env.get_state()["satellites_0", "lookahead", "arcs", "flown"][1][: len(before)], before)
-
-
-def test_longest_step_and_fixed_intervals():
-    env = make(2, max_step_duration=8.0)
-    assert play(env, torch.tensor([[0, 2]]))[0]["duration"].flatten().tolist() == [8.0, 8.0]
-    assert not env.requires_retasking.any()
 
 
 def test_dead_satellites_terminate_with_the_penalty():

@@ -1,7 +1,5 @@
 """No state, whoever has written it, crashes the process or changes half an environment; see ``crafted.py``."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -66,13 +66,9 @@ def digest(tensor):
     return str(tensor.dtype), tuple(tensor.shape), hashlib.sha256(tensor.contiguous().numpy().tobytes()).hexdigest()
 
 
-# -- environments -----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.compiled
 @pytest.mark.parametrize(
-    ("dtype", "cases"),
-    [("bfloat16", SOME), ("float16", FEW), ("float64", FEW), *((name, [*CASES]) for name in TYPES)],
+    ("dtype", "cases"), [("bfloat16", SOME), ("float16", FEW), ("float64", FEW), *((name, [*CASES]) for name in TYPES)]
 )
 def test_episodes_are_the_same_under_every_default_type(played, dtype, cases):
     expected, found = played("float32", cases), played(dtype, cases)
@@ -90,9 +86,6 @@ def test_the_program_sees_tensors_of_the_default_type():
     with Made(torch.float32) as made:
         bsk_torch.vec3.Vec3(*whole).dot(bsk_torch.vec3.Vec3(0.5, 0.5, 0.5))
     assert made.found
-
-
-# -- the learner ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("default", [torch.bfloat16, torch.float64], indirect=True)
@@ -140,9 +133,6 @@ def test_training_works_under_it(tmp_path, default, network):
     policy = train(dataclasses.replace(TINY, network=network, hidden=(8, 8)), tmp_path / "run", episodes=0)
     assert {value.dtype for value in policy.state_dict().values()} == {torch.float32, torch.float64}  # weights, statistics
     assert weights(policy).isfinite().all()
-
-
-# -- the source -------------------------------------------------------------------------------------------------------
 
 
 def is_fractional(node):

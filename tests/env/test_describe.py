@@ -19,7 +19,7 @@ def env():
     return env
 
 
-def test_every_field_has_a_line_of_eighty_characters(env):
+def test_every_field_has_a_line_and_names_of_one_quantity_exist(env):
     lines = env.state.describe().splitlines()
     assert max(map(len, lines)) <= 80
     state = env.satellite.simulator.state
@@ -28,10 +28,7 @@ def test_every_field_has_a_line_of_eighty_characters(env):
     low, high = state.read("charge").min().item(), state.read("charge").max().item()
     for word in ("W s", f"{low:.4g} to {high:.4g}", "storedCharge_Init", "battery_charge_fraction"):
         assert word in " ".join(charge.split())
-
-
-def test_names_of_one_quantity_exist(env):
-    """The table has no name that is neither a field, an argument nor a property."""
+    # The table has no name that is neither a field, an argument nor a property.
     state, dynamics = env.satellite.simulator.state, env.satellite.dynamics
     assert SAME
     for names in SAME:
@@ -53,17 +50,15 @@ def test_another_name_of_a_quantity_leads_to_the_right_one(env):
 
     assert steered("steering").num_envs == 1
     check_refusals(
-        [
-            refusal(lambda: env.record(["storedCharge_Init"]), ValueError, "'storedCharge_Init'", "did you mean 'charge'"),
-            refusal(lambda: env.record(["wheelSpeeds"]), ValueError, "did you mean 'Omega_WB_B'"),
-            refusal(lambda: made(charge=1.0), KeyError, "sat_args['charge']", "did you mean 'storedCharge_Init'"),
-            refusal(lambda: made(storage_level=1.0), KeyError, "did you mean 'storageInit'"),
-            refusal(lambda: steered("feedback"), KeyError, "sat_args['K']", "law='steering'"),
-            refusal(lambda: bsk_torch.satelites, AttributeError, "'satelites'", "did you mean"),
-            refusal(lambda: made(mu=1e20).reset(), ValueError, "sat_args['mu']=1e+20", "oe"),
-            refusal(lambda: rand.Uniform(1.0, 0.0), ValueError, "low=1.0", "high=0.0"),
-            refusal(lambda: rand.Uniform([0.0, 2.0], 1.0), ValueError, "low=[0.0, 2.0]", "high=1.0"),
-        ]
+        refusal(lambda: env.record(["storedCharge_Init"]), ValueError, "'storedCharge_Init'", "did you mean 'charge'"),
+        refusal(lambda: env.record(["wheelSpeeds"]), ValueError, "did you mean 'Omega_WB_B'"),
+        refusal(lambda: made(charge=1.0), KeyError, "sat_args['charge']", "did you mean 'storedCharge_Init'"),
+        refusal(lambda: made(storage_level=1.0), KeyError, "did you mean 'storageInit'"),
+        refusal(lambda: steered("feedback"), KeyError, "sat_args['K']", "law='steering'"),
+        refusal(lambda: bsk_torch.satelites, AttributeError, "'satelites'", "did you mean"),
+        refusal(lambda: made(mu=1e20).reset(), ValueError, "sat_args['mu']=1e+20", "oe"),
+        refusal(lambda: rand.Uniform(1.0, 0.0), ValueError, "low=1.0", "high=0.0"),
+        refusal(lambda: rand.Uniform([0.0, 2.0], 1.0), ValueError, "low=[0.0, 2.0]", "high=1.0"),
     )
 
 

@@ -1,7 +1,5 @@
 """Conjunctions and ranges in an environment: when steps end, who dies, and what bsk_rl books."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 
@@ -76,9 +74,6 @@ def dead(env, row=0):
     return {name for name, flag in zip(env.names, env.dead[row].tolist(), strict=True) if flag}
 
 
-# -- collisions ------------------------------------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def collided():
     """Environments of two orbits after the step in which A collides with the chief."""
@@ -119,7 +114,7 @@ def test_a_collision_ends_one_step_and_the_dead_fly_on(collided):
     env.restore(state)
 
 
-def test_what_has_happened_is_saved_and_forgotten_at_a_reset():
+def test_encounters_are_saved_and_forgotten_at_a_reset():
     env = make({"A": APPROACH, "B": WAITS})
     td = step(env, env.reset())
     other = make({"A": APPROACH, "B": WAITS})
@@ -156,14 +151,11 @@ def test_episodes_do_not_depend_on_the_batch(collided):
     assert after["duration"][0] == td["duration"][1] == beside["duration"][1]
 
 
-def test_orbits_integrated_in_the_tick_end_at_the_same_ticks(collided):
+def test_integrated_orbits_and_the_eager_back_end_end_at_the_same_ticks(collided):
     _, td = collided
     flown = make({"A": APPROACH, "B": WAITS}, num_envs=1, orbit="integrated")
     assert step(flown, flown.reset())["duration"][0] == td["duration"][0]
     assert dead(flown) == {"A", "RSO"}
-
-
-def test_the_eager_back_end_ends_steps_at_the_same_ticks(collided):
     env, td = collided
     eager = make({"A": APPROACH, "B": WAITS}, backend="eager")
     after = step(eager, eager.reset())
@@ -224,17 +216,13 @@ def test_other_types_and_tasks_end_with_the_step():
     assert not env.fleet.simulators[-1].records
 
 
-# -- ranges ----------------------------------------------------------------------------------------------------------------------
-
-
 def test_a_deputy_that_is_too_far_away_dies_alone():
     env = make({"A": ESCAPE, "B": WAITS})
     td = step(env, env.reset())
     assert 45.0 < td["duration"].min() < 55.0
     far = distance(env, "A", "RSO")
     assert ((far >= 400.0) & (far < 401.1)).all()
-    assert dead(env) == {"A"}
-    assert rewards(env, td) == {"RSO": 0.0, "A": -1.0, "B": 0.0}
+    assert (dead(env), rewards(env, td)) == ({"A"}, {"RSO": 0.0, "A": -1.0, "B": 0.0})
     assert env.satellites[1].dynamics.out_of_ranges.tolist() == [[True, False, False], [False, False, False]] * 2
     assert set(env.satellites[0].aliveness()) == {"altitude_valid", "conjunction_valid"}
     after = step(env, td)
@@ -258,19 +246,13 @@ def test_the_chief_may_die_with_its_deputy(first):
     assert chief.aliveness()["conjunction_valid"].all()
 
 
-def test_a_chief_of_any_model_is_watched():
+def test_chiefs_of_any_model_are_watched_at_radii_of_each_episode():
     env = make({"A": ESCAPE}, kinds={"RSO": Free}, num_envs=1)
     step(env, env.reset())
     assert dead(env) == {"A"}
-
-
-def test_radii_may_differ_between_episodes():
     env = make({"A": ESCAPE, "B": WAITS}, args={"A": dict(max_range_radius=rand.per_env([380.0, 400.0]))})
     td = step(env, env.reset())
     assert td["duration"][0] < td["duration"][1] - 10.0
-
-
-# -- an episode that begins in an encounter --------------------------------------------------------------------------------------
 
 
 TOUCHES = [5.0, 0.0, 0.0, 0.0, 0.0, 0.0]
@@ -281,8 +263,7 @@ def test_an_episode_that_begins_in_collision_has_a_step_of_no_length():
     td = env.reset()
     assert not env.dead.any()
     td = step(env, td)
-    assert td["duration"].tolist() == [[0.0], [0.0]]
-    assert rewards(env, td) == {"RSO": -1.0, "A": -1.0, "B": 0.0}
+    assert (td["duration"].tolist(), rewards(env, td)) == ([[0.0], [0.0]], {"RSO": -1.0, "A": -1.0, "B": 0.0})
     assert env.state.removed.tolist() == [[True, True, False]] * 2
     td = step(env, td)
     assert td["duration"].tolist() == [[200.0], [200.0]]
@@ -292,16 +273,12 @@ def test_an_episode_that_begins_in_collision_has_a_step_of_no_length():
 def test_bsk_rl_reports_those_that_die_in_a_step_of_no_length_twice():
     env = make({"A": TOUCHES, "B": WAITS}, compat="bsk_rl")
     td = step(env, env.reset())
-    assert td["duration"].tolist() == [[0.0], [0.0]]
-    assert rewards(env, td) == {"RSO": -1.0, "A": -1.0, "B": 0.0}
+    assert (td["duration"].tolist(), rewards(env, td)) == ([[0.0], [0.0]], {"RSO": -1.0, "A": -1.0, "B": 0.0})
     assert not env.state.removed.any()
     td = step(env, td)
     assert td["duration"].tolist() == [[200.0], [200.0]]
     assert rewards(env, td) == {"RSO": -1.0, "A": -1.0, "B": 0.0}
     assert env.state.removed.tolist() == [[True, True, False]] * 2
-
-
-# -- bsk_rl's bookings ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("compat", "victims"), [(None, {"RSO", "B"}), ("bsk_rl", {"A", "B"})])
@@ -314,13 +291,10 @@ def test_bsk_rl_books_a_collision_on_the_satellite_before_the_later_one(compat, 
     assert seen == (other if compat is None else {"RSO": [False] * 3, "A": [False, False, True], "B": [False, True, False]})
 
 
-# -- bad input -------------------------------------------------------------------------------------------------------------------
-
-
 def test_rejects_wrong_arguments():
     given = lambda **args: make({"A": WAITS}, args={"A": args}, backend="eager")
     wrong = dict(conjunction_exact=True, conjunction_check_rate=7.0)
-    table = [
+    check_refusals(
         refusal(lambda: given(chief_name="RS0"), ValueError, "sat_args of A", "chief_name", "'RS0'", "'RSO'"),
         refusal(lambda: given(chief_name=3), ValueError, "chief_name=3", "RSO"),
         refusal(lambda: given(conjunction_radius=0.0), ValueError, "conjunction_radius=0"),
@@ -330,5 +304,4 @@ def test_rejects_wrong_arguments():
         refusal(lambda: given(conjunction_check_rate=0.0), ValueError, "conjunction_check_rate=0"),
         refusal(lambda: given(**wrong), ValueError, "conjunction_check_rate=7", "conjunction_exact=True"),
         refusal(lambda: given(enforce_range_on_chief="yes"), ValueError, "enforce_range_on_chief", "'yes'", [False, True]),
-    ]
-    check_refusals(table)
+    )

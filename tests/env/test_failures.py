@@ -1,7 +1,5 @@
 """Failures that end steps: the first tick with an empty battery, or a wheel at its largest speed."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
@@ -154,11 +152,9 @@ def test_a_failure_ends_the_step_of_all_satellites_once():
         found = {name: td[group, "reward"][0, k].item() for group, names in groups.items() for k, name in enumerate(names)}
         rewards.append([found[name] for name in ("Poor", "Rich", "Passive")])
         waiting.append(env.requires_retasking[0].tolist())
-    assert durations == [float(dead), 450.0 - dead, 50.0]
-    assert deaths == [[True, False, False]] * 3
+    assert (durations, deaths) == ([float(dead), 450.0 - dead, 50.0], [[True, False, False]] * 3)
     assert rewards == [[-7.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
-    assert waiting[0][1:] == [False, False]
-    assert waiting[1][1:] == [False, True]
+    assert (waiting[0][1:], waiting[1][1:]) == ([False, False], [False, True])
 
 
 @pytest.mark.compiled

@@ -12,6 +12,7 @@ from bsk_torch import SatelliteTasking, act, data, fsw, obs, rand, sats, scene
 from bsk_torch.obs.base import ObservationBuilder
 from bsk_torch.presets.aeos import agile_args
 from bsk_torch.sim.access.window_table import next_to_close
+from tests.support.episodes import begun
 from tests.support.refusals import check_refusals, refusal
 
 pytestmark = pytest.mark.compiled
@@ -109,8 +110,7 @@ def test_entries_are_told_which_actions_ended_and_why():
         def end(self, mask, decision, event):
             calls.append((mask, decision.retask, event))
 
-    env = imager(8, varied(action_spec=(act.Charge(duration=60.0), Noted(n_ahead_image=SEARCH_AHEAD))))
-    env.reset()
+    env = begun(imager(8, varied(action_spec=(act.Charge(duration=60.0), Noted(n_ahead_image=SEARCH_AHEAD)))))
     for _ in range(6):
         before = env.satellite.imaged.clone()
         step(env, 1)
@@ -123,8 +123,7 @@ def test_entries_are_told_which_actions_ended_and_why():
 
 
 def test_actions_changed_in_place_after_a_step_do_not_reach_the_episodes():
-    env = imager(2)
-    env.reset()
+    env = begun(imager(2))
     action = torch.ones(2, dtype=torch.int64)
     env.step(TensorDict({"action": action}, [2]))
     carried_out = env.get_state()
@@ -145,20 +144,17 @@ def test_rows_are_what_actions_mean():
 
 def test_missed_windows_are_counted():
     """With an attitude tolerance that is never met every window closes without an image."""
-    env = imager(3, sat_args=dict(imageAttErrorRequirement=0.0))
-    env.reset()
+    env = begun(imager(3, sat_args=dict(imageAttErrorRequirement=0.0)))
     for k in range(3):
         td = step(env, 1)
         assert (td["reward"] == 0).all()
         assert env.satellite.missed.tolist() == [k + 1] * 3
-    assert env.satellite.imaged.tolist() == [0] * 3
-    assert td["counts", "missed"].squeeze(-1).tolist() == [3] * 3
+    assert (env.satellite.imaged.tolist(), td["counts", "missed"].squeeze(-1).tolist()) == ([0] * 3, [3] * 3)
 
 
 def test_the_same_target_again_only_waits_on():
     """The second action waits for the window to close: the controller has taken its one image."""
-    env = imager(6, rewarder=data.NoReward())
-    env.reset()
+    env = begun(imager(6, rewarder=data.NoReward()))
     step(env, 4)
     once = env.satellite.imaged == 1
     assert once.sum() > 1
@@ -173,8 +169,7 @@ def test_explicit_targets():
     env = imager(4)
     td = env.reset()
     place = column(env, td, "place", 2).long()
-    other = imager(4)
-    other.reset()
+    other = begun(imager(4))
     one, two = step(env, act.image_target(place)), step(other, 3)
     for key in ("observation", "reward", "duration"):
         assert torch.equal(one[key], two[key])
@@ -185,18 +180,21 @@ def test_explicit_targets():
         step(env, -TARGETS - 1)
 
 
-def test_longest_duration():
-    env = imager(4, satellite=varied(action_spec=(act.Image(SEARCH_AHEAD, max_duration=7.0),)))
-    env.reset()
+def test_longest_durations_and_time_limits_end_steps_without_an_image():
+    env = begun(imager(4, satellite=varied(action_spec=(act.Image(SEARCH_AHEAD, max_duration=7.0),))))
     td = step(env, SEARCH_AHEAD - 1)
     assert (td["duration"] == 7.0).all()
+    assert env.satellite.missed.tolist() == [0] * 4
+    env = begun(imager(4, time_limit=30.0, options=dict(initial_generation_duration=1200.0)))
+    td = step(env, SEARCH_AHEAD)
+    assert td["truncated"].all()
+    assert (td["duration"] == 30.0).all()
     assert env.satellite.missed.tolist() == [0] * 4
 
 
 def test_equal_intervals():
     """Without variable intervals an image ends no step, but asks for a new task."""
-    env = imager(6, options=dict(variable_interval=False), max_step_duration=250.0)
-    env.reset()
+    env = begun(imager(6, options=dict(variable_interval=False), max_step_duration=250.0))
     taken = torch.zeros(6, dtype=torch.bool)
     for _ in range(4):
         before = env.satellite.imaged.clone()
@@ -232,8 +230,7 @@ def test_fewer_windows_than_slots_repeat_the_last():
 
 
 def test_different_numbers_of_targets_in_a_batch():
-    env = imager(12, targets=scene.UniformTargets((40, 400)))
-    env.reset()
+    env = begun(imager(12, targets=scene.UniformTargets((40, 400))))
     exists = env.scenario.available
     assert len(set(exists.sum(1).tolist())) > 6
     windows = env.satellite.opportunities("target")
@@ -265,15 +262,13 @@ def test_one_alone_equals_one_of_many():
 
 
 def test_saving_and_restoring():
-    env = imager(5)
-    env.reset()
+    env = begun(imager(5))
     for action in (1, 2, 1):
         step(env, action)
     state = env.get_state()
     first = [step(env, action) for action in (1, 3, 1)]
     counts = env.satellite.imaged.clone(), env.rewarder.imaged.clone()
-    other = imager(5)
-    other.reset()
+    other = begun(imager(5))
     other.reset(TensorDict({"state": state}, other.batch_size), set_state=True)
     second = [step(other, action) for action in (1, 3, 1)]
     for a, b in zip(first, second, strict=True):
@@ -283,8 +278,7 @@ def test_saving_and_restoring():
 
 
 def test_partial_resets_keep_what_others_have_imaged():
-    env = imager(4)
-    env.reset()
+    env = begun(imager(4))
     for _ in range(4):
         step(env, 1)
     imaged, counts = env.rewarder.imaged.clone(), env.satellite.imaged.clone()
@@ -298,27 +292,16 @@ def test_partial_resets_keep_what_others_have_imaged():
 
 def test_full_store():
     """A store that holds one image: the second action waits until its window closes, and pays nothing."""
-    env = imager(6, sat_args=dict(dataStorageCapacity=8e6))
-    env.reset()
+    env = begun(imager(6, sat_args=dict(dataStorageCapacity=8e6)))
     paid = torch.stack([step(env, 1)["reward"].squeeze(-1) for _ in range(8)])
     assert (env.satellite.imaged <= 1).all()
     assert env.satellite.imaged.any()
     assert ((paid > 0).sum(0) == env.satellite.imaged).all()
 
 
-def test_no_image_when_the_time_limit_comes_first():
-    env = imager(4, time_limit=30.0, options=dict(initial_generation_duration=1200.0))
-    env.reset()
-    td = step(env, SEARCH_AHEAD)
-    assert td["truncated"].all()
-    assert (td["duration"] == 30.0).all()
-    assert env.satellite.missed.tolist() == [0] * 4
-
-
 def test_rolling_look_ahead_stays_bounded():
     """Without a time limit windows are generated as they are needed, and forgotten when they have closed."""
-    env = imager(3, time_limit=float("inf"))
-    env.reset()
+    env = begun(imager(3, time_limit=float("inf")))
     widths = []
     for _ in range(40):
         step(env, 1)
@@ -329,8 +312,7 @@ def test_rolling_look_ahead_stays_bounded():
 
 
 def test_queries():
-    env = imager(3)
-    env.reset()
+    env = begun(imager(3))
     every, coming = env.satellite.opportunities("target"), env.satellite.upcoming_opportunities("target")
     assert torch.equal(every.close, coming.close)
     step(env, 1)
@@ -349,8 +331,7 @@ def test_queries():
         3,
         1,
     )
-    with pytest.raises(ValueError, match="did you mean 'target'"):
-        env.satellite.find_next_opportunities(3, "targets")
+    check_refusals(refusal(lambda: env.satellite.find_next_opportunities(3, "targets"), ValueError, "'target'"))
 
 
 def test_access_filters_of_users():
@@ -365,8 +346,7 @@ def test_access_filters_of_users():
 def test_composed_rewards_keep_their_terms():
     """bsk_rl's composition loses the filter of imaged targets; here it stays."""
     drain = data.ResourceReward(-1.0, lambda satellite: satellite.dynamics.storage_level_fraction)
-    env = imager(4, rewarder=data.ComposedReward(data.UniqueImageReward(), drain))
-    env.reset()
+    env = begun(imager(4, rewarder=data.ComposedReward(data.UniqueImageReward(), drain)))
     for _ in range(4):
         td = step(env, 1)
         terms = env.rewarder.terms
@@ -380,8 +360,7 @@ def test_composed_rewards_keep_their_terms():
 @pytest.mark.parametrize("compat", [None, "bsk_rl"])
 def test_composed_rewards_lose_their_filter_in_bsk_rl(compat):
     rewards = data.ComposedReward(data.UniqueImageReward(), data.ResourceReward(0.0, lambda sat: sat.dynamics.storage_level))
-    env = imager(4, rewarder=rewards, compat=compat)
-    env.reset()
+    env = begun(imager(4, rewarder=rewards, compat=compat))
     for _ in range(4):
         step(env, 1)
     assert env.rewarder.imaged.any()
@@ -392,8 +371,7 @@ def test_composed_rewards_lose_their_filter_in_bsk_rl(compat):
 def test_clouds_hide_what_is_below():
     """Of two equal targets one is overcast: only the clear one pays, and both disappear."""
     clouds = scene.CloudyTargets(scene.UniformTargets(TARGETS), cover=rand.Uniform(0.0, 1.0))
-    env = imager(8, targets=clouds, rewarder=data.CloudFreeImageReward(threshold=0.5))
-    env.reset()
+    env = begun(imager(8, targets=clouds, rewarder=data.CloudFreeImageReward(threshold=0.5)))
     paid = 0.0
     for _ in range(8):
         paid += float(step(env, 1)["reward"].sum())
@@ -420,8 +398,7 @@ def test_geometry_of_targets():
     """What presets say of a target, from definitions in the inertial frame."""
     names = ("r_LB_H", "target_angle", "target_angle_rate", "opportunity_mid", "opportunity_open", "opportunity_close", "r_LP_P")
     seen = obs.OpportunityProperties(*(dict(prop=name) for name in names), n_ahead_observe=3)
-    env = imager(4, satellite=varied(observation_spec=(seen,)))
-    env.reset()
+    env = begun(imager(4, satellite=varied(observation_spec=(seen,))))
     td = step(env, 1)
     description = env.satellite.observation_description
     model, world = env.satellite.dynamics, env.simulator.world
@@ -460,8 +437,7 @@ def test_sets_and_vectors_say_the_same():
 def test_more_targets_are_seen_above_the_horizon(compat):
     counts = []
     for limit in (0.0, 0.3):
-        env = imager(2, sat_args=dict(imageTargetMinimumElevation=limit), backend="eager", compat=compat)
-        env.reset()
+        env = begun(imager(2, sat_args=dict(imageTargetMinimumElevation=limit), backend="eager", compat=compat))
         windows = env.satellite.find_windows(3000.0)
         counts.append(int(torch.isfinite(windows.close).sum()))
     assert counts[0] > counts[1] > 5
@@ -471,10 +447,7 @@ def test_satellites_that_may_see_nothing_wait():
     pole = scene.Targets([[0.0, 0.0, 6378136.6]], 1.0)
     options = dict(sat_args=dict(oe=rand.random_orbit(i=0.0)), options=dict(may_see_nothing=True))
     env = imager(
-        3,
-        targets=pole,
-        satellite=varied(action_spec=(act.Charge(duration=60.0), act.Image(2, mask_repeated=True))),
-        **options,
+        3, targets=pole, satellite=varied(action_spec=(act.Charge(duration=60.0), act.Image(2, mask_repeated=True))), **options
     )
     td = env.reset()
     assert (td["observation"][:, 1:-1] == 0.0).all()
@@ -483,8 +456,7 @@ def test_satellites_that_may_see_nothing_wait():
     for _ in range(3):
         td = step(env, 1)
         assert (td["duration"] == 600.0).all()
-    assert env.satellite.latest_target.tolist() == [-1] * 3
-    assert env.satellite.missed.tolist() == [0] * 3
+    assert (env.satellite.latest_target.tolist(), env.satellite.missed.tolist()) == ([-1] * 3, [0] * 3)
     assert env.simulator.arcs.length <= length + 3600.0
 
 
@@ -554,7 +526,7 @@ def test_rejects_what_does_not_fit_targets():
     elevated = lambda limit: imager(2, sat_args=dict(imageTargetMinimumElevation=limit), backend="eager")
     sightless = lambda: SatelliteTasking(varied(observation_spec=(obs.Time(),))("E"), backend="eager")
     nadir, targets, clouds = scene.UniformNadirScanning(), scene.UniformTargets(10), data.CloudFreeImageReward
-    table = [
+    check_refusals(
         refusal(lambda: blind(sats.AccessSatellite, obs.Time(), scenario=targets), ValueError, "UniformTargets", "Blind"),
         refusal(lambda: imager(1, targets=nadir, backend="eager"), ValueError, "action_image", "EO", "scene.UniformTargets"),
         refusal(sightless, ValueError, "action_image", "E", "scene.UniformTargets"),
@@ -565,11 +537,10 @@ def test_rejects_what_does_not_fit_targets():
         refusal(stations, ValueError, "prop='priority'", "'ground_station'"),
         refusal(lambda: clouds(threshold=70), ValueError, "threshold=70"),
         refusal(lambda: imager(1, rewarder=clouds(), backend="eager"), ValueError, "CloudFreeImageReward", "scene.CloudyTargets"),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_rejects_targets_that_a_satellite_never_sees():
     pole, equator = scene.Targets([[0.0, 0.0, 6378136.6]], 1.0), dict(oe=rand.random_orbit(i=0.0))
     out_of_reach = lambda: imager(2, targets=pole, sat_args=equator, backend="eager")
-    check_refusals([refusal(out_of_reach, RuntimeError, "target", "environments [0]", "imageTargetMinimumElevation")])
+    check_refusals(refusal(out_of_reach, RuntimeError, "target", "environments [0]", "imageTargetMinimumElevation"))

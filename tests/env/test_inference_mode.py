@@ -49,13 +49,19 @@ def test_made_in_it_and_used_outside(preset):
     assert same(flown(env), expected)
 
 
-def test_batches_that_prepare_episodes():
+def test_environments_made_in_it_are_used_outside():
     with torch.inference_mode():
         env = made("NadirScan-v1", num_envs=40)
         env.reset()
     env.set_seed(0)
     assert same(flown(env), flown(made("NadirScan-v1", num_envs=40)))
     env.reset()
+    with torch.inference_mode():
+        env = made("AEOS-v1")
+        env.reset()
+        env.rollout(2, break_when_any_done=False)
+        env.satellite.find_windows(2e4)
+        assert not [path for path, value in tensors(env.state) if value.is_inference()]
 
 
 @pytest.mark.parametrize("change", ["states", "queries", "arguments", "seeds", "copies", "pickles"])
@@ -84,15 +90,6 @@ def test_calls_between_steps(change):
     assert flown_once["next", "reward"].isfinite().all()
     env.reset()
     flown(env)
-
-
-def test_nothing_that_an_episode_keeps_belongs_to_it():
-    with torch.inference_mode():
-        env = made("AEOS-v1")
-        env.reset()
-        env.rollout(2, break_when_any_done=False)
-        env.satellite.find_windows(2e4)
-        assert not [path for path, value in tensors(env.state) if value.is_inference()]
 
 
 def tensors(table, path=""):

@@ -25,7 +25,7 @@ def test_an_attribute_of_gymnasium_names_the_one_to_read(env, name):
 def test_rejects_calls_of_gymnasium(env):
     """The advice reaches through transforms; an unknown attribute fails as ever; a constellation names its group."""
     group, step = trio(backend="eager"), ("td['action']", "env.step(td)", "GymEnv")
-    table = [
+    check_refusals(
         refusal(lambda: env.append_transform(StepCounter()).action_space, AttributeError, "'action_space'", "env.action_spec"),
         refusal(lambda: env.satelite, AttributeError, "'satelite'"),
         refusal(lambda: env.reset(seed=1), TypeError, "seed", "env.set_seed(seed)"),
@@ -33,5 +33,4 @@ def test_rejects_calls_of_gymnasium(env):
         refusal(lambda: env.reset(sed=1), TypeError, "sed", "tensordict", "set_state"),
         *(refusal(lambda a=a: env.step(a), TypeError, a, *step) for a in (0, [0, 1], torch.tensor([0, 1]))),
         refusal(lambda: group.step([0, 1, 2]), TypeError, [0, 1, 2], "td['agents', 'action']"),
-    ]
-    check_refusals(table)
+    )

@@ -22,7 +22,7 @@ ACTIONS = [0, -1, 3.5, NO_ACTION - 2.0, NO_ACTION - 1, [NO_ACTION, 0], [], np.ar
 
 
 @pytest.mark.parametrize("action", NONE_AT_ALL, ids=repr)
-def test_it_is_recognised_in_every_form(action):
+def test_no_action_is_recognized_in_every_form(action):
     assert is_no_action(action) is True
 
 
@@ -31,7 +31,7 @@ def test_anything_else_is_an_action(action):
     assert is_no_action(action) is False
 
 
-def test_one_like_an_action_has_its_shape_and_type():
+def test_no_action_has_a_shape_and_indices():
     assert no_action_like(3) == NO_ACTION
     like = no_action_like(np.zeros(2, np.float32))
     assert like.dtype == np.float32
@@ -39,7 +39,4 @@ def test_one_like_an_action_has_its_shape_and_type():
     tensor = no_action_like(torch.zeros(2, 3, dtype=torch.int64))
     assert tensor.shape == (2, 3)
     assert is_no_action(tensor)
-
-
-def test_indices_of_what_remains_keep_the_last_observation():
     assert no_action_keep_indices([0, NO_ACTION, 2, None], 5) == ([0, 2], [0, 2, 4])

@@ -9,6 +9,7 @@ from torchrl.envs.utils import check_env_specs
 
 from bsk_torch import ConstellationTasking, SatelliteTasking, act, obs, rand, sats
 from bsk_torch.tasks.objects import ImageRSO, RandomRSOCatalog, RSOImageReward, RSOTargets
+from tests.support.episodes import begun
 from tests.support.refusals import check_refusals, refusal
 from tests.tasks.objects.objects import EPOCH, KEPT, Imager, catalog, environment, play, state
 
@@ -46,11 +47,16 @@ def same(one, other, rows=slice(None)):
             assert torch.equal(x, y[rows])
 
 
-def test_episodes_do_not_depend_on_the_batch():
+def test_episodes_do_not_depend_on_the_batch_and_play_at_random():
     few, many = drawn(2), drawn(7)
     few.reset()
     many.reset()
     same(fly(few, 6), fly(many, 6), slice(2))
+    env = drawn(4)
+    td = env.rollout(12, break_when_any_done=False)
+    group = next(iter(env.group_map))
+    assert torch.isfinite(td[group, "observation"]).all()
+    assert torch.isfinite(td["next", group, "reward"]).all()
 
 
 def test_a_saved_state_continues_bit_for_bit():
@@ -65,8 +71,7 @@ def test_a_saved_state_continues_bit_for_bit():
 
 
 def test_copies_continue_bit_for_bit():
-    env = drawn(3)
-    env.reset()
+    env = begun(drawn(3))
     fly(env, 3)
     others = [copy.deepcopy(env), pickle.loads(pickle.dumps(env)), drawn(3, seed=9), env.like(3)]
     for other in others[2:]:
@@ -75,13 +80,11 @@ def test_copies_continue_bit_for_bit():
     assert all(torch.equal(a[1], b[1]) for other in others for a, b in zip(wanted, fly(other, 3, 3), strict=True))
 
 
-def test_what_begins_in_inference_mode_continues_outside():
+def test_episodes_begun_in_inference_mode_continue_outside():
     with torch.inference_mode():
-        env = drawn(2)
-        env.reset()
+        env = begun(drawn(2))
         fly(env, 2)
-    wanted = drawn(2)
-    wanted.reset()
+    wanted = begun(drawn(2))
     fly(wanted, 2)
     same(fly(wanted, 2, 2), fly(env, 2, 2))
 
@@ -99,8 +102,7 @@ def test_one_imager_is_an_environment_of_one_agent():
 
 
 def test_rejects_wrong_saved_states():
-    env = drawn(2, backend="eager")
-    env.reset()
+    env = begun(drawn(2, backend="eager"))
 
     def restore(*key, row, value):
         saved = env.get_state()
@@ -108,17 +110,15 @@ def test_rejects_wrong_saved_states():
         env.restore(saved)
 
     steps = env.get_state()["memory", "rso_orbits", "steps"][0, 1] + 1
-    table = [
+    check_refusals(
         refusal(lambda: restore("rso_pending", row=(0, 0), value=-1), ValueError, "rso_pending", -1),
         refusal(lambda: restore("rso_orbits", "steps", row=(0, 1), value=steps), ValueError, "rso_orbits", int(steps)),
         refusal(lambda: restore("rso_orbits", "flights", row=(1, 0), value=torch.nan), ValueError, "rso_orbits.flights", "nan"),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_a_reset_of_some_environments_leaves_the_others():
-    env = drawn(3)
-    env.reset()
+    env = begun(drawn(3))
     fly(env, 3)
     before = env.scenario.r_TN_N.clone()
     td = env.reset(env_mask(env, [1]))
@@ -137,14 +137,6 @@ def env_mask(env, envs):
     return TensorDict({"_reset": mask}, [env.num_envs])
 
 
-def test_rollouts_of_random_actions_run():
-    env = drawn(4)
-    td = env.rollout(12, break_when_any_done=False)
-    group = next(iter(env.group_map))
-    assert torch.isfinite(td[group, "observation"]).all()
-    assert torch.isfinite(td["next", group, "reward"]).all()
-
-
 @pytest.mark.parametrize("orbit", ["integrated"])
 def test_imagers_may_integrate_their_orbits(orbit):
     one, other = drawn(2), drawn(2, orbit=orbit)
@@ -156,10 +148,7 @@ def test_imagers_may_integrate_their_orbits(orbit):
 
 
 class Quick(Imager):
-    action_spec = (
-        ImageRSO(2, 100.0, 0.0, require_illumination_during_hold=False),
-        act.Downlink(duration=60.0),
-    )
+    action_spec = (ImageRSO(2, 100.0, 0.0, require_illumination_during_hold=False), act.Downlink(duration=60.0))
 
 
 class Other(sats.Satellite):
@@ -195,8 +184,7 @@ def test_imagers_of_several_types_share_a_catalog_with_other_satellites():
 
 @pytest.mark.parametrize("options", [{"sim_rate": 0.5}, {"sim_dtype": torch.float32}])
 def test_images_are_taken_with_other_ticks_and_types(options):
-    env = environment(**options)
-    env.reset()
+    env = begun(environment(**options))
     play(env, 2)
     assert env.satellites[0].dynamics.rso_images.tolist() == [1.0, 1.0]
     assert env.satellites[0].dynamics.rso_image_held.tolist() == [5.0, 5.0]

@@ -1,7 +1,5 @@
 """ThreeSensors-v1 and Walker4-v1: what is observed, and the rules of teams, against plain Python."""
 
-from __future__ import annotations
-
 import itertools
 import random
 import re
@@ -18,6 +16,7 @@ from bsk_torch.tasks.objects.records import AGO, DELIVERED
 from bsk_torch.tasks.objects.rules import ORDERS, WORTHS
 from bsk_torch.tasks.objects.team_preset import KINDS, SensorOfThree
 from bsk_torch.tasks.objects.team_rules import Choices, TeamRule
+from tests.support.episodes import begun
 
 pytestmark = pytest.mark.compiled
 
@@ -65,20 +64,27 @@ def test_candidates_are_observed_as_a_set(name, peers):
     assert torch.equal(rules[0](td)[group, "action"], rules[1](other)[group, "action"])
 
 
-def test_the_prompt_rule_images_what_pays_most_per_second():
-    """Against a loop over the candidates that are lit and in sight."""
-    env = sensors("ThreeSensors-v1", information="ideal", num_envs=8, n_targets=60, as_set=True)
-    td = fly(env, 5, "prompt")
+@pytest.mark.parametrize(
+    ("rule", "outlook", "able", "seconds"),
+    [
+        ("prompt", False, lambda row: row[9] >= 0.5 and row[17], lambda row: 40.0 + 90.0 * row[7]),
+        ("prompt_ahead", True, lambda row: row[20] >= 0.5 and row[21], lambda row: row[18]),
+    ],
+    ids=["now", "ahead"],
+)
+def test_prompt_rules_image_what_pays_most_per_second(rule, outlook, able, seconds):
+    """Against a loop over the candidates that are lit and in sight now, or when they are imaged."""
+    env = sensors("ThreeSensors-v1", information="ideal", num_envs=8, n_targets=60, as_set=True, outlook=outlook)
+    td = fly(env, 5, rule)
     (group,) = env.group_map
-    decided = bsk_torch.rule("prompt", env)(td)[group, "action"]
+    decided = bsk_torch.rule(rule, env)(td)[group, "action"]
     names, images = env.satellites[0].action_description, 0
     for e, a in itertools.product(range(8), range(3)):
         legal, action = td[group, "action_mask"][e, a], int(decided[e, a])
         if not legal[:-1].any() or names[action] in ("action_downlink", "action_charge"):
             continue
         rows = td[group, "observation", "rso_targets", "rows"][e, a].tolist()
-        able = {k: row for k, row in enumerate(rows) if legal[3 + k] and row[9] >= 0.5 and row[17]}
-        worth = {3 + k: row[0] / (40.0 + 90.0 * row[7]) for k, row in able.items()}
+        worth = {3 + k: row[0] / seconds(row) for k, row in enumerate(rows) if legal[3 + k] and able(row)}
         assert action == (max(worth, key=worth.__getitem__) if worth else names.index("action_desat"))
         images += bool(worth)
     assert images > 0
@@ -98,24 +104,6 @@ def test_the_outlook_is_added_to_the_set(name, peers):
     shown = seen["rso_targets", "rows"].flatten(0, 1)[..., 18:22]
     torch.testing.assert_close(shown, torch.where(candidates.exists.unsqueeze(-1), expected, 0.0))
     assert torch.equal(seen["time"].flatten(), (ahead.fleet.sim_time / 1800.0).repeat_interleave(peers + 1))
-
-
-def test_the_rule_that_looks_ahead_images_what_promises_most_per_second():
-    env = sensors("ThreeSensors-v1", information="ideal", num_envs=8, n_targets=60, as_set=True, outlook=True)
-    td = fly(env, 5, "prompt_ahead")
-    (group,) = env.group_map
-    decided = bsk_torch.rule("prompt_ahead", env)(td)[group, "action"]
-    names, images = env.satellites[0].action_description, 0
-    for e, a in itertools.product(range(8), range(3)):
-        legal, action = td[group, "action_mask"][e, a], int(decided[e, a])
-        if not legal[:-1].any() or names[action] in ("action_downlink", "action_charge"):
-            continue
-        rows = td[group, "observation", "rso_targets", "rows"][e, a].tolist()
-        able = {k: row for k, row in enumerate(rows) if legal[3 + k] and row[20] >= 0.5 and row[21]}
-        worth = {3 + k: row[0] / row[18] for k, row in able.items()}
-        assert action == (max(worth, key=worth.__getitem__) if worth else names.index("action_desat"))
-        images += bool(worth)
-    assert images > 0
 
 
 @pytest.mark.parametrize("name", ["ThreeSensors-v1", "Walker4-v1"])
@@ -159,19 +147,17 @@ def test_teams_play(name, information, retasking, width, actions):
 
 
 def test_orbits_are_those_of_the_studies():
-    env = sensors("ThreeSensors-v1")
-    env.reset()
+    env = begun(sensors("ThreeSensors-v1"))
     elements = env.satellites[0].dynamics.elements
     a, e, i = (part.view(2, 3)[0] for part in (elements.a, elements.e, elements.i))
     assert a.tolist() == pytest.approx([7071e3, 7171e3, 7071e3], rel=1e-9)
     assert e.tolist() == pytest.approx([1e-3] * 3, rel=1e-6)
     assert torch.rad2deg(i).tolist() == pytest.approx([97.0, 70.0, 97.0])
-    walker = sensors()
-    walker.reset()
+    walker = begun(sensors())
     assert walker.scenario.service_time.tolist() == pytest.approx([11834.8358] * 2, abs=1e-4)
 
 
-def test_what_is_known_of_candidates_and_peers_is_observed():
+def test_knowledge_of_candidates_and_peers_is_observed():
     """Against loops over records, at the end of some steps."""
     env = sensors(num_envs=2, mixture="LEO")
     td = fly(env, 60)
@@ -270,8 +256,7 @@ def joint(choices, images, row):
 
 def test_the_centralized_rule_takes_the_best_joint_choice():
     """Against loops over all joint choices of three imagers with three candidates."""
-    env = sensors("ThreeSensors-v1", information="ideal")
-    env.reset()
+    env = begun(sensors("ThreeSensors-v1", information="ideal"))
     rule, numbers = TeamRule(env, "centralized"), random.Random(2)
     for _ in range(30):
         draw = lambda make: torch.tensor([[[make() for _ in range(3)] for _ in range(3)] for _ in range(2)])
@@ -289,8 +274,7 @@ def test_the_centralized_rule_takes_the_best_joint_choice():
 
 
 def test_the_local_rule_prefers_new_targets_then_small_angles():
-    env = sensors("ThreeSensors-v1")
-    env.reset()
+    env = begun(sensors("ThreeSensors-v1"))
     row = lambda *values: torch.tensor([[list(values)] * 3] * 2)
     rule = TeamRule(env)
     choices = Choices(
@@ -314,16 +298,13 @@ def test_shared_facts_avoid_duplicates():
     assert duplicates["ideal"] < 0.2 * duplicates["independent"]
 
 
-def test_rules_of_teams_are_compared_with_and_stand_behind_no_shield():
+def test_rules_of_teams_are_compared_and_flown_and_stand_behind_no_shield(capsys):
     env = sensors("ThreeSensors-v1", backend="eager")
     assert set(shared_baselines(env)) == {"random", "local", "centralized", *WORTHS} - {"prompt", *AHEAD}
     with pytest.raises(ValueError, match="decides for all satellites at once"):
         for_each_group(lambda policy, view: policy, baseline("local", env), env)
     alone = shared_baselines(bsk_torch.make("Services-v1", n_targets=12, backend="eager"))
     assert set(alone) == {"random", *ORDERS, *WORTHS} - {"prompt", *AHEAD}
-
-
-def test_rules_of_teams_are_flown_from_the_command_line(capsys):
     app(["eval", "local", "--preset", "ThreeSensors-v1", "--seeds", "0:2", "--time-limit", "600"], standalone_mode=False)
     assert re.search(r"local +[\d.]+ ± ", capsys.readouterr().out)
 

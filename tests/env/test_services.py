@@ -1,7 +1,5 @@
 """Services-v1: exposures, bookkeeping and penalties, against plain Python."""
 
-from __future__ import annotations
-
 import itertools
 import pickle
 from typing import Any
@@ -21,6 +19,7 @@ from bsk_torch.tasks.objects.outlook import coast
 from bsk_torch.tasks.objects.preset import EPISODE, IMAGE, ServicingImager, servicing_catalog
 from bsk_torch.tasks.objects.rules import ORDERS, WORTHS, whole_catalog
 from bsk_torch.vec3 import Vec3
+from tests.support.refusals import check_refusals, refusal
 from tests.tasks.objects.objects import Imager, environment, play
 
 pytestmark = pytest.mark.compiled
@@ -184,11 +183,8 @@ def test_an_image_is_stored_a_tick_after_the_first_valid_one_and_held_afterward(
         if first is None or env.satellite.dynamics.rso_images[k] == 0.0:
             continue
         done += 1
-        assert held[first] == 1.0
-        assert storage[first] == 0.0
-        assert storage[first + 1] == IMAGE
-        assert float(env.satellite.dynamics.rso_image_time[k]) == pytest.approx(first + 1)
-        assert held[-1] == 10.0
+        assert (held[first], storage[first], storage[first + 1]) == (1.0, 0.0, IMAGE)
+        assert (float(env.satellite.dynamics.rso_image_time[k]), held[-1]) == (pytest.approx(first + 1), 10.0)
         assert all(b - a in (0.0, 1.0) for a, b in itertools.pairwise(held))
         assert float(td["duration"][k]) == pytest.approx(len(held) - 1)
     assert done >= 2
@@ -206,8 +202,7 @@ def test_downlinks_end_with_the_store_and_last_ten_seconds():
         assert td["duration"].flatten().tolist() == [10.0] * 4
         assert td["reward"].flatten().tolist() == [-1.0] * 4
     td = empty.step(td.set("action", torch.full((4,), CHARGE)))["next"]
-    assert td["duration"].flatten().tolist() == [300.0] * 4
-    assert td["reward"].flatten().tolist() == [0.0] * 4
+    assert (td["duration"].flatten().tolist(), td["reward"].flatten().tolist()) == ([300.0] * 4, [0.0] * 4)
 
 
 class Sender(ScanningSatellite):
@@ -240,17 +235,15 @@ def test_penalties_of_a_low_battery_and_a_full_store():
     assert env.rewarder.terms["OperationsPenalty"].flatten().tolist() == [-2.5] * 2
 
 
-def test_wrong_rewards_are_named():
-    with pytest.raises(ValueError, match="give one of them"):
-        RSOImageReward(delivery_share=0.5, delivery_reward_fn=lambda record, target: target.priority)
-    with pytest.raises(ValueError, match="give one of them"):
-        RSOImageReward(cooldown_s=1.0, cooldown_orbits=1.0)
-    with pytest.raises(ValueError, match="cooldown_orbits=-1"):
-        RSOImageReward(cooldown_orbits=-1.0)
-    with pytest.raises(ValueError, match="exposure='later' must be one of"):
-        ImageRSO(3, exposure="later")
-    with pytest.raises(ValueError, match="give require_illumination_during_hold=False"):
-        ImageRSO(3, exposure="first")
+def test_rejects_wrong_rewards():
+    make, paid = RSOImageReward, lambda record, target: target.priority
+    check_refusals(
+        refusal(lambda: make(delivery_share=0.5, delivery_reward_fn=paid), ValueError, "delivery_share", "functions"),
+        refusal(lambda: make(cooldown_s=1.0, cooldown_orbits=1.0), ValueError, "cooldown_s=1.0", "cooldown_orbits=1.0"),
+        refusal(lambda: make(cooldown_orbits=-1.0), ValueError, "cooldown_orbits=-1"),
+        refusal(lambda: ImageRSO(3, exposure="later"), ValueError, "exposure='later'"),
+        refusal(lambda: ImageRSO(3, exposure="first"), ValueError, "require_illumination_during_hold=False"),
+    )
     assert servicing_catalog(priority_event=False, n_targets=3).priority_events == ()
 
 
@@ -275,8 +268,7 @@ def test_an_image_whose_hold_another_command_ends_stays_in_the_store_without_qua
             [torch.tensor([[FIRST - 1, 0]] * 2)] if env.fleet.sim_time[0] == 0.0 else [torch.tensor([[2**31 - 1, 0]] * 2)], moves
         )
         assert env.fleet.sim_time[0] < 900.0
-    assert env.scenario.pending.sum() == 0
-    assert dynamics.rso_images[::2].tolist() == [0.0, 0.0]
+    assert (env.scenario.pending.sum(), dynamics.rso_images[::2].tolist()) == (0, [0.0, 0.0])
     opened = env.fleet.simulators[0].read("rso_open")[::2].clone()
     play(env, 0, 0)
     assert dynamics.rso_left[::2].tolist() == [1.0, 1.0]
@@ -285,8 +277,7 @@ def test_an_image_whose_hold_another_command_ends_stays_in_the_store_without_qua
     assert env.rewarder.counts()["captured"].tolist() == [[1, 0]] * 2
     for _ in range(3):
         play(env, 1, 0)
-    assert env.scenario.pending.sum() == 0
-    assert env.rewarder.counts()["delivered"].tolist() == [[1, 0]] * 2
+    assert (env.scenario.pending.sum(), env.rewarder.counts()["delivered"].tolist()) == (0, [[1, 0]] * 2)
 
 
 def test_an_episode_that_ends_during_a_hold_counts_the_image():
@@ -342,17 +333,17 @@ def test_rules_over_the_whole_catalog_choose_the_smallest_angle_in_view():
         choices = [g for g in range(40) if bool(in_view[row, g])] or list(range(40))
         assert chosen == min(choices, key=lambda g: float(seen.angle_to_target[row, g]))
     other = make(8, n_targets=40, seed=5)
-    with pytest.raises(ValueError, match="decides in the environment that it was made for"):
-        rule(other.reset())
+    check_refusals(refusal(lambda: rule(other.reset()), ValueError, "environment"))
 
 
 def test_rules_need_their_actions_and_observations():
-    with pytest.raises(ValueError, match="images no targets"):
-        bsk_torch.rule("angle", bsk_torch.make("NadirScan-v1", num_envs=1, backend="eager"))
-    with pytest.raises(ValueError, match="EO1 images no objects of a catalog; its scenario is UniformTargets"):
-        bsk_torch.rule("angle", bsk_torch.make("AEOS-v1", n_targets=100, num_envs=1, backend="eager"))
-    with pytest.raises(ValueError, match="nested observations with as_set=True"):
-        bsk_torch.rule("angle", make(1, obs_type=dict, backend="eager"))
+    fixed = {"num_envs": 1, "backend": "eager"}
+    scan, ground = bsk_torch.make("NadirScan-v1", **fixed), bsk_torch.make("AEOS-v1", n_targets=100, **fixed)
+    check_refusals(
+        refusal(lambda: bsk_torch.rule("angle", scan), ValueError, "targets"),
+        refusal(lambda: bsk_torch.rule("angle", ground), ValueError, "EO1", "UniformTargets"),
+        refusal(lambda: bsk_torch.rule("angle", make(1, obs_type=dict, backend="eager")), ValueError, "as_set=True"),
+    )
     assert ServicingImager.action_spec[FIRST].exposure == "first"
 
 

@@ -1,7 +1,5 @@
 """The state of episodes: declared once, it takes part in resets, pools, saved states, copies of rows and pickles."""
 
-from __future__ import annotations
-
 import pickle
 import sys
 from collections.abc import Iterator
@@ -14,6 +12,8 @@ from tensordict import TensorDict
 
 import bsk_torch
 from bsk_torch.sim.state import StateTable
+from tests.support.episodes import begun, unchanged
+from tests.support.refusals import check_refusals, refusal
 
 N = 7
 """Number of environments; no other tensor has a dimension of this size, or of twice or thrice that, by chance."""
@@ -95,9 +95,6 @@ def same(one: TensorDict, two: TensorDict) -> bool:
 def now(env: Any) -> TensorDict:
     """The present of an environment, as a reset that puts its own state back gives it."""
     return env.reset(TensorDict({"state": env.get_state()}, env.batch_size), set_state=True)
-
-
-# -- every operation on a declared field ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.compiled
@@ -201,9 +198,6 @@ def test_nested_observations_after_a_restored_state_are_looked_through_for_nan()
     assert bool(torch.isfinite(following["observation", "target", "rows"]).all())
 
 
-# -- restoring ------------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.compiled
 @pytest.mark.parametrize("form", ["tensordict", "dictionary", "file", "environment"])
 @pytest.mark.parametrize("setup", SETUPS)
@@ -269,29 +263,23 @@ def test_longer_arcs_are_met():
         assert a[2] == b[1]
 
 
-WRONG: dict[str, Any] = {
-    "tick": (lambda: SETUPS["scan"](num_envs=3, sim_rate=2.0), "length of a tick, ns: 2000000000, not 1000000000"),
-    "backend": (lambda: SETUPS["scan"](num_envs=3, backend="eager"), "satellites, world or back end"),
-    "mass": (lambda: SETUPS["scan"](num_envs=3, sat_args={"mass": 200.0}), "satellites, world or back end"),
-    "windows": (lambda: SETUPS["scan"](num_envs=3, compat="bsk_rl"), "actions, windows, or the type of numbers"),
-    "preset": (lambda: SETUPS["imaging"](num_envs=3, sim_rate=1.0), "satellites, world or back end"),
-}
-
-
 @pytest.mark.compiled
-@pytest.mark.parametrize("case", WRONG)
-def test_states_of_other_makes_are_refused(case):
-    build, message = WRONG[case]
-    env, other = SETUPS["scan"](num_envs=4, seed=1), build()
-    env.reset(), other.reset()
-    before = env.get_state()
-    for state in (other, other.get_state()):
-        with pytest.raises(ValueError, match=message):
-            env.restore(state, torch.tensor([0]), torch.tensor([1]))
-    assert (env.get_state() == before).all()
-
-
-# -- the way of an action -----------------------------------------------------------------------------------------------------
+def test_rejects_states_of_other_makes():
+    wrong = [
+        ("scan", {"sim_rate": 2.0}, "2000000000", "1000000000"),
+        ("scan", {"backend": "eager"}, "satellites, world or back end"),
+        ("scan", {"sat_args": {"mass": 200.0}}, "satellites, world or back end"),
+        ("scan", {"compat": "bsk_rl"}, "actions, windows, or the type of numbers"),
+        ("imaging", {"sim_rate": 1.0}, "satellites, world or back end"),
+    ]
+    env, table = begun(SETUPS["scan"](num_envs=4, seed=1)), []
+    rows = torch.tensor([0]), torch.tensor([1])
+    for name, options, *names in wrong:
+        other = begun(SETUPS[name](num_envs=3, **options))
+        for state in (other, other.get_state()):
+            table.append(refusal(lambda state=state: env.restore(state, *rows), ValueError, *names))
+    with unchanged(env):
+        check_refusals(table)
 
 
 @pytest.mark.compiled

@@ -34,9 +34,6 @@ def basic(name="A", sat_args=None, **options):
     return Basic(name, sat_args, **options)
 
 
-# -- names ------------------------------------------------------------------------------------------------------------
-
-
 def test_names():
     assert check_names([basic("A"), Other("B"), basic("A_1")]) == ["A", "B", "A_1"]
 
@@ -47,9 +44,9 @@ def renamed(name):
     return satellite
 
 
-def test_wrong_names():
+def test_rejects_wrong_names():
     known = [["utc_init"], ["gsMinimumElevation"]]
-    table = [
+    check_refusals(
         refusal(lambda: check_names([]), ValueError, "satellites", "empty"),
         refusal(lambda: check_names([basic("A")] * 4097), ValueError, "satellites", 4097, 4096),
         refusal(lambda: check_names([basic("A"), "B"]), TypeError, "satellites", "'B'", "parentheses"),
@@ -59,11 +56,7 @@ def test_wrong_names():
         refusal(lambda: check_names([renamed("class")]), ValueError, "name", "'class'", "identifier"),
         refusal(lambda: check_world({"utc_init": 1, "utcInit": 2}, known), KeyError, "world_args", "'utcInit'", "'utc_init'"),
         refusal(lambda: check_world({"zzz": 1}, known), KeyError, "world_args", "'zzz'", "gsMinimumElevation, utc_init"),
-    ]
-    check_refusals(table)
-
-
-# -- types ------------------------------------------------------------------------------------------------------------
+    )
 
 
 @pytest.mark.parametrize(
@@ -104,7 +97,7 @@ def test_values_may_differ(one, other):
     ],
     ids=["class", "subclass", "obs_type", "interval", "constant", "orbit", "default orbit", "generation", "packet"],
 )
-def test_of_different_types(one, other):
+def test_different_types_are_told_apart(one, other):
     assert not same_type(one, other)
     assert not same_type(other, one)
 
@@ -116,8 +109,7 @@ def alone(name):
 def test_grouped():
     """In the order in which types appear; numbers within a type ascend."""
     satellites = [Basic("A"), Ground("B"), Basic("C", {"mass": 3.0}), Other("D"), Ground("E"), Basic("F", obs_type=dict)]
-    assert grouped(satellites, alone) == [[0, 2], [1, 4], [3], [5]]
-    assert grouped(satellites[:1], alone) == [[0]]
+    assert (grouped(satellites, alone), grouped(satellites[:1], alone)) == ([[0, 2], [1, 4], [3], [5]], [[0]])
     five = [Basic(f"A{k}") for k in range(5)]
     assert grouped(five, alone) == [[0, 1, 2, 3, 4]]
     assert grouped(five, lambda name: name in ("A1", "A4")) == [[0, 2, 3], [1, 4]]
@@ -134,17 +126,11 @@ def test_satellites_with_options_of_their_own():
     assert not same_type(one, other)
 
 
-# -- world ------------------------------------------------------------------------------------------------------------
-
-
-def test_the_world_of_a_satellite():
+def test_worlds_have_the_arguments_of_their_satellites():
     basic_world, ground_world = (set(world_arguments(satellite)) for satellite in (Basic("A"), Ground("B")))
     assert basic_world < ground_world
     assert {"utc_init"} <= basic_world
     assert "groundStationsData" in ground_world - basic_world
     assert {arg.name for part in world_components(Ground("B")) for arg in part.args} == ground_world
-
-
-def test_world_arguments_that_some_satellite_knows():
     check_world({"utc_init": 1, "gsMinimumElevation": 2}, [["utc_init"], ["gsMinimumElevation", "utc_init"]])
     check_world({}, [])

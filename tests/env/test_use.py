@@ -1,7 +1,5 @@
 """Calls out of turn: before the first reset, by two threads at once, for satellites that are dead; in all views."""
 
-from __future__ import annotations
-
 import threading
 from types import SimpleNamespace
 
@@ -14,6 +12,7 @@ from tensordict import TensorDict
 import bsk_torch
 from bsk_torch.env.base import ResetNeededError
 from bsk_torch.wrappers import GymEnv, GymJointEnv, GymVectorEnv, PettingZooEnv
+from tests.support.episodes import begun
 from tests.support.refusals import check_refusals, refusal
 
 pytestmark = pytest.mark.compiled
@@ -38,9 +37,6 @@ def acting(env, td=None):
     return td
 
 
-# -- before the first reset -----------------------------------------------------------------------------------------------------
-
-
 def test_calls_before_the_first_reset():
     def unstarted(call, *names):
         return refusal(call, ResetNeededError, *names, "reset()")
@@ -57,13 +53,12 @@ def test_calls_before_the_first_reset():
             unstarted(lambda env=env: env.reset(TensorDict({"_reset": some.unsqueeze(-1)}, [N])), "reset()", [1, 2]),
         ]
     scan, other = make("scan"), make("scan")
-    check_refusals([*table, unstarted(lambda: scan.restore(other), "restore(state)")])
+    check_refusals(*table, unstarted(lambda: scan.restore(other), "restore(state)"))
 
 
 def test_a_new_seed_does_not_end_the_present_episodes():
     """They go on, can be saved, drawn and pickled."""
-    env = make("scan")
-    env.reset()
+    env = begun(make("scan"))
     env.reseed(5)
     state = env.get_state()
     assert env.step(acting(env))["next", "duration"].shape == (N, 1)
@@ -79,8 +74,7 @@ def test_some_episodes_may_be_restored_before_the_first_reset():
     env.reset()
     other.restore(env, [0, 1], [2, 2])
     assert other.state.begun.tolist() == [True, True, False]
-    with pytest.raises(ResetNeededError, match=r"environments \[2\] \(1 in all\)"):
-        other.step(acting(other))
+    check_refusals(refusal(lambda: other.step(acting(other)), ResetNeededError, "environments [2]", "1 in all"))
     again = make("scan")
     again.load_state_dict(other.state_dict())
     assert again.state.begun.tolist() == [True, True, False]
@@ -99,31 +93,25 @@ VIEWS = {
 def test_rejects_calls_of_views_before_the_first_reset():
     views = {name: build() for name, build in VIEWS.items()}
     simple = [view for name, view in views.items() if name != "pettingzoo"]
-    table = [
+    check_refusals(
         *(refusal(lambda v=v: v.step(v.action_space.sample()), ResetNeeded, "step()", "reset()") for v in simple),
         refusal(lambda: views["pettingzoo"].step({}), ResetNeeded, "step()", "reset()"),
         *(refusal(lambda v=v: v.action_masks(), ResetNeeded, "action_masks()", "reset()") for v in simple[:2]),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_rejects_calls_of_stable_baselines_before_the_first_reset():
     env = pytest.importorskip("bsk_torch.wrappers.stable_baselines3").SB3VecEnv(make("scan"))
-    table = [
+    check_refusals(
         refusal(lambda: env.step(np.zeros(N, dtype=np.int64)), ResetNeeded, "step()", "reset()"),
         refusal(lambda: env.action_masks(), ResetNeeded, "action_masks()", "reset()"),
-    ]
-    check_refusals(table)
-
-
-# -- actions --------------------------------------------------------------------------------------------------------------------
+    )
 
 
 @pytest.fixture(scope="module")
 def lost():
     """A constellation whose second satellite has died in all episodes, and what its agents saw last."""
-    env = make("constellation")
-    env.reset()
+    env = begun(make("constellation"))
     state = env.get_state()
     state["satellites_0", "task", "dead"][:, 1] = True
     state["removed"][:, 1] = True
@@ -131,59 +119,51 @@ def lost():
     return env
 
 
-@pytest.mark.parametrize("action", [10**6, -(10**6), 2**63 - 1, -(2**63)])
-def test_actions_of_the_dead_are_ignored(lost, action):
-    state = lost.get_state()
-    steps = []
-    for number in (0, action):
+def test_actions_of_the_dead_are_ignored(lost):
+    state, table = lost.get_state(), []
+    lost.restore(state)
+    expected = lost.step(acting(lost))["next"]
+    for action in (10**6, -(10**6), 2**63 - 1, -(2**63)):
         lost.restore(state)
         td = acting(lost)
-        td["agents", "action"][:, 1] = number
-        steps.append(lost.step(td)["next"])
-    for key in steps[0].keys(True, True):
-        assert torch.equal(steps[0][key], steps[1][key]), key
+        td["agents", "action"][:, 1] = action
+        found = lost.step(td)["next"]
+        assert not [key for key in expected.keys(True, True) if not torch.equal(found[key], expected[key])]
+        td["agents", "action"][:, 0] = action
+        table.append(refusal(lambda td=td: lost.step(td), ValueError, f"action {action}", "environment 0", "legal are 0: "))
     lost.restore(state)
-    td["agents", "action"][:, 0] = action
-    with pytest.raises(ValueError, match=rf"action {action} of .*environment 0 is out of range; legal are 0: "):
-        lost.step(td)
+    check_refusals(table)
 
 
 def test_actions_of_episodes_that_do_not_move_are_ignored():
     env = make("scan")
     td = env.reset().set("action", torch.tensor([0, 99, -7])).set("_step", torch.tensor([True, False, False]))
     assert env.step(td)["next", "duration"][0] > 0.0
-    with pytest.raises(ValueError, match="action 99 of environment 1 is out of range"):
-        env.step(td.exclude("_step"))
+    check_refusals(refusal(lambda: env.step(td.exclude("_step")), ValueError, "action 99 of environment 1"))
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), 0.5])
-def test_actions_that_are_no_integers(value):
-    """All views name them, and nothing has moved."""
-    env = make("scan")
-    env.reset()
-    with pytest.raises(TypeError, match="it must be an integer tensor"):
-        env._step(TensorDict({"action": torch.full((N,), value)}, [N]))
-    constellation = make("constellation")
-    constellation.reset()
-    with pytest.raises(TypeError, match="it must be an integer tensor"):
-        constellation._step(TensorDict({"agents": TensorDict({"action": torch.full((N, 3), value)}, [N, 3])}, [N]))
-    for name, action, bad in (
-        ("gymnasium", value, np.int64(77)),
-        ("vector", np.full(N, value), np.full(N, 77)),
-        ("joint", (value, 0, 0), (0, 77, 0)),
-        ("pettingzoo", {"EO1": value}, {"EO1": -500}),
-    ):
-        view = VIEWS[name]()
+def test_rejects_actions_that_are_no_integers_in_all_views():
+    scan, crew = begun(make("scan")), begun(make("constellation"))
+    views = {name: build() for name, build in VIEWS.items()}
+    for view in views.values():
         view.reset(seed=1)
-        ticks = view.core.fleet.ticks.clone()
-        with pytest.raises(TypeError, match="integer"):
-            view.step(action)
-        with pytest.raises(ValueError, match=r"77|-500"):
-            view.step(bad)
-        assert torch.equal(view.core.fleet.ticks, ticks)
-
-
-# -- threads --------------------------------------------------------------------------------------------------------------------
+    ticks = [view.core.fleet.ticks.clone() for view in views.values()]
+    far = {"gymnasium": np.int64(77), "vector": np.full(N, 77), "joint": (0, 77, 0), "pettingzoo": {"EO1": -500}}
+    table = [refusal(lambda v=v: views[v].step(far[v]), ValueError, -500 if v == "pettingzoo" else 77) for v in far]
+    for value in (float("nan"), float("inf"), 0.5):
+        one = TensorDict({"action": torch.full((N,), value)}, [N])
+        several = TensorDict({"agents": TensorDict({"action": torch.full((N, 3), value)}, [N, 3])}, [N])
+        given = {"gymnasium": value, "vector": np.full(N, value), "joint": (value, 0, 0), "pettingzoo": {"EO1": value}}
+        table += [
+            refusal(lambda one=one: scan._step(one), TypeError, "integer tensor"),
+            refusal(lambda several=several: crew._step(several), TypeError, "integer tensor"),
+            *(
+                refusal(lambda v=views[name], action=action: v.step(action), TypeError, "integer")
+                for name, action in given.items()
+            ),
+        ]
+    check_refusals(table)
+    assert all(torch.equal(view.core.fleet.ticks, before) for view, before in zip(views.values(), ticks, strict=True))
 
 
 def in_thread(call):

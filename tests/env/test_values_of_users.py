@@ -1,7 +1,5 @@
 """What users' functions and classes return is checked where it enters: shapes, kinds, NaN, and draws without a key."""
 
-from __future__ import annotations
-
 import torch
 
 from bsk_torch import ConstellationTasking, SatelliteTasking, act, data, obs, rand, sats, scene
@@ -30,7 +28,7 @@ def test_rejects_wrong_members_of_satellites():
     observed = lambda function: environment(observation_spec=observing(function)).rollout(2)
     nan = lambda sat: torch.full_like(sat.simulator.sim_time, torch.nan)
     growing = lambda sat: sat.dynamics.r_BN_N[:, : 2 if late(sat) else 3]
-    table = [
+    check_refusals(
         refusal(lambda: observed(nan), FloatingPointError, "'sat_props.x'", "environment 0", "NaN"),
         refusal(lambda: observed(growing), TypeError, "observation of A", 2, 3),
         refusal(lambda: observed(lambda sat: sat.dynamics.r_BN_N.to(torch.complex128)), TypeError, "'x'", "complex", "real"),
@@ -42,8 +40,7 @@ def test_rejects_wrong_members_of_satellites():
         refusal(lambda: obs.OpportunityProperties(n_ahead_observe=2), ValueError, "obs.OpportunityProperties", "properties"),
         refusal(lambda: obs.SatProperties(dict(prop=3)), ValueError, "obs.SatProperties", "prop=3"),
         refusal(lambda: environment(args=dict(mass=rand.Uniform)), ValueError, "mass", "Uniform", "parentheses"),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_rejects_wrong_rewarders():
@@ -64,24 +61,23 @@ def test_rejects_wrong_rewarders():
         return environment(rewarder=rewarder(link=link))
 
     nan = lambda self, before, after: torch.full(self.fleet.shape, torch.nan)
-    table = [
+    check_refusals(
         refusal(lambda: played(calculate_reward=nan), FloatingPointError, "Paid.calculate_reward()", "NaN", [0, 1]),
         refusal(lambda: played(calculate_reward=growing), TypeError, "Paid.paid", "self.fleet.memory"),
         refusal(lambda: played(counts=lambda self: [3]), TypeError, "Paid.counts()", [3], "dictionary"),
         refusal(lambda: declared("a"), ValueError, "initial", "'a'"),
         refusal(lambda: declared(0.0, (2, 3)), ValueError, "shape", (2, 3)),
         refusal(lambda: declared(0.0, value=1.0), TypeError, "'p'", 1.0),
-    ]
-    check_refusals(table)
+    )
 
 
-def test_rejects_wrong_scenarios():
+def test_rejects_wrong_scenarios_and_groups():
     def drawing(draw):
         return environment(scenario=type("Drawn", (scene.Scenario,), dict(draw=lambda self, key: draw(key)))())
 
     clouds, name = scene.CloudyTargets(scene.UniformTargets(5)), "Drawn.draw(key)"
     uncertain = scene.UncertainTargets(clouds, sigma=10.0)
-    table = [
+    check_refusals(
         refusal(lambda: drawing(lambda key: None), TypeError, name, None, "dictionary"),
         refusal(lambda: drawing(lambda key: {"q": 1.0}), TypeError, name, "'q'", 1.0, "tensor"),
         refusal(lambda: drawing(lambda key: {"q": torch.ones(7, 1)}), ValueError, name, "'q'", [7, 1], "row"),
@@ -91,21 +87,17 @@ def test_rejects_wrong_scenarios():
         refusal(lambda: drawing(lambda key: {"q": key.named(3).uniform(1)}), ValueError, "key.named", 3),
         refusal(lambda: drawing(lambda key: {"q": key.named("q").uniform(1.5)}), ValueError, "count", 1.5),
         *(refusal(lambda t=t: scene.CloudyTargets(t), ValueError, "targets", "CloudyTargets") for t in (clouds, uncertain)),
-    ]
-    check_refusals(table)
+    )
 
-
-def test_rejects_wrong_groups():
     def build(**options):
         return ConstellationTasking([satellite("A"), satellite("B")], num_envs=2, time_limit=60.0, backend="eager", **options)
 
-    table = [
+    check_refusals(
         refusal(lambda: build(group_map={"next": ["A", "B"]}), ValueError, "group_map['next']", "'observation'"),
         refusal(lambda: build(group_map={"_reset": ["A", "B"]}), ValueError, "group_map['_reset']", "underscore"),
         refusal(lambda: build(group_map={1: ["A", "B"]}), ValueError, "group_map", {1: ["A", "B"]}, "dictionary"),
         refusal(lambda: build(meta_agent_groupings=[["A", "B"]]), ValueError, "meta_agent_groupings", [["A", "B"]], "dictionary"),
-    ]
-    check_refusals(table)
+    )
 
 
 def rewarder(**hooks) -> data.GlobalReward:

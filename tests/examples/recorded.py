@@ -3,8 +3,6 @@
 Files ``example_*.npz`` come from ``scripts/recorders/record_examples.py``; see ``tests/basilisk/README.md``.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 import sys
@@ -52,7 +50,7 @@ class Recorded:
         """Number of satellites."""
         return len(self.setup["names"])
 
-    def only(self, name: str) -> Recorded:
+    def only(self, name: str) -> "Recorded":
         """What is recorded of one satellite."""
         k = self.setup["names"].index(name)
         each = {key: value[k : k + 1] for key, value in self.setup.items() if key in BY_SATELLITE}

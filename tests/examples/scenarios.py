@@ -1,7 +1,5 @@
 """Scenarios of the examples with the attributes of targets that bsk_rl drew, and what else a replay puts into an environment."""
 
-from __future__ import annotations
-
 from types import ModuleType
 from typing import Any
 

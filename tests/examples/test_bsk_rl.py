@@ -229,11 +229,7 @@ def test_rules_of_space_to_space_rso_imaging():
     assert images > 20
 
 
-FAULTY = {
-    "fault_environment": False,
-    "fault_environment_literal": True,
-    "fault_environment_literal_charge": True,
-}
+FAULTY = {"fault_environment": False, "fault_environment_literal": True, "fault_environment_literal_charge": True}
 """Recorded episodes, and whether they are those of the page, without corrections."""
 
 

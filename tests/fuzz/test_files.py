@@ -3,8 +3,6 @@
 A target takes ``BSK_TORCH_FUZZ_SECONDS`` of CPU time, 0.3 s unless a longer search is asked for.
 """
 
-from __future__ import annotations
-
 import os
 import time
 from contextlib import suppress

@@ -6,8 +6,6 @@
 * A call that fails leaves everything as it was.
 """
 
-from __future__ import annotations
-
 import functools
 import pickle
 from concurrent.futures import ThreadPoolExecutor

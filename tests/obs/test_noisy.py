@@ -1,7 +1,5 @@
 """Noise is new at every decision, the same for equal environments, and nothing but observations has it."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict import TensorDict
@@ -48,15 +46,16 @@ def test_noise_differs_between_environments_decisions_and_numbers(env, first):
     assert 0.004 < float(every.std()) < 0.02
 
 
-def test_one_decision_has_one_noise(env, first):
+def test_noise_is_that_of_the_decision_whatever_the_batch(env, first):
     observations = env.satellite.observations
     assert torch.equal(observations.get_vector(torch.float64), observations.get_vector(torch.float64))
     assert torch.equal(observations.vector(observations.get_dict(), torch.float64), first[1])
-
-
-def test_noise_does_not_depend_on_the_batch(first):
     alone = make(1, env_ids=[2])
     assert torch.equal(alone.reset()["observation"][0], first[1][2])
+    noisy = env.satellite.observations.entries[0]
+    assert torch.equal(noisy.observation.get_obs()["r_BN_N_normd"], first[1][:, 9:])
+    priority = env.scenario.priority.gather(1, env.satellite.find_next_opportunities(3).place)
+    assert torch.equal(env.satellite.observations.entries[1].observation.get_vector(), priority)
 
 
 def test_noise_follows_seed_and_episode(env, first):
@@ -64,13 +63,6 @@ def test_noise_follows_seed_and_episode(env, first):
     env.set_seed(1)
     assert torch.equal(env.reset()["observation"], first[1])
     assert (again[:, :3] - again[:, 9:] != first[1][:, :3] - first[1][:, 9:]).all()
-
-
-def test_truth_is_observed_by_rewards_and_masks(env, first):
-    noisy = env.satellite.observations.entries[0]
-    assert torch.equal(noisy.observation.get_obs()["r_BN_N_normd"], first[1][:, 9:])
-    priority = env.scenario.priority.gather(1, env.satellite.find_next_opportunities(3).place)
-    assert torch.equal(env.satellite.observations.entries[1].observation.get_vector(), priority)
 
 
 def test_a_bias_stays_for_an_episode(env, first):
@@ -102,8 +94,7 @@ def test_each_satellite_and_entry_of_a_constellation_has_its_own_noise():
     satellites = [kind(name) for name in "AB"]
     env = ConstellationTasking(satellites, scene.UniformTargets(100), **options)
     noise = env.reset()["agents", "observation"]
-    assert noise.shape == (2, 2, 6)
-    assert len(noise.unique()) == 24
+    assert (noise.shape, len(noise.unique())) == ((2, 2, 6), 24)
 
 
 def test_noise_by_name_leaves_the_rest():

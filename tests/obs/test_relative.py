@@ -1,7 +1,5 @@
 """Relative properties: identities that hold in any motion, and derivatives."""
 
-from __future__ import annotations
-
 import functools
 import math
 from types import SimpleNamespace
@@ -107,9 +105,6 @@ def test_the_sun_turns_with_its_frames():
     assert float(v.norm()) > 0.0
 
 
-# -- in an environment ---------------------------------------------------------------------------------------------------------
-
-
 class Chief(sats.Satellite):
     observation_spec = (obs.Time(),)
     action_spec = (act.NadirPoint(duration=1e9),)
@@ -195,4 +190,4 @@ def test_partial_steps_leave_the_others_relative_states():
 
 
 def test_rejects_unknown_chiefs():
-    check_refusals([refusal(lambda: make(dict(prop="r_DC_N"), chief_name="RS0"), ValueError, "chief_name", "'RS0'", "'RSO'")])
+    check_refusals(refusal(lambda: make(dict(prop="r_DC_N"), chief_name="RS0"), ValueError, "chief_name", "'RS0'", "'RSO'"))

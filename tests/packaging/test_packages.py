@@ -1,7 +1,5 @@
 """What is published: the wheel, the conda recipe and the image."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import zipfile
@@ -64,10 +62,14 @@ def test_the_wheel_runs_without_the_source(wheel, tmp_path):
     assert "NadirScan-v1" in run(sys.executable, "-m", "bsk_torch", "list", cwd=tmp_path, env=environment)
 
 
-def test_versions_are_the_same_everywhere():
+def test_versions_and_extras_are_the_same_everywhere():
     recipe = yaml.safe_load((ROOT / "packaging" / "conda" / "recipe.yaml").read_text())
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     assert {PROJECT["version"], recipe["context"]["version"], citation["version"]} == {bsk_torch.__version__}
+    extras = PROJECT["optional-dependencies"]
+    (whole,) = extras["all"]
+    named = set(whole.partition("[")[2].rstrip("]").split(","))
+    assert named == set(extras) - {"all", "basilisk", "dev", "docs", "test"}
 
 
 def test_conda_reads_the_recipe_and_it_asks_for_what_pip_asks_for():
@@ -83,13 +85,6 @@ def test_conda_reads_the_recipe_and_it_asks_for_what_pip_asks_for():
 
 
 PROJECT_NAMES = [need.split(">")[0].split("<")[0].split("=")[0] for need in PROJECT["dependencies"]]
-
-
-def test_all_extras_that_fit_together_are_in_all():
-    extras = PROJECT["optional-dependencies"]
-    (whole,) = extras["all"]
-    named = set(whole.partition("[")[2].rstrip("]").split(","))
-    assert named == set(extras) - {"all", "basilisk", "dev", "docs", "test"}
 
 
 def test_the_image_is_described_as_the_linter_wants_it():

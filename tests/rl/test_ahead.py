@@ -1,7 +1,5 @@
 """Trainings that collect the next batch while they learn from one."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 
@@ -10,6 +8,7 @@ import torch
 
 from bsk_torch.rl.training import PPOConfig
 from bsk_torch.rl.training.trainer import Training
+from tests.support.trainings import weights
 
 pytestmark = [pytest.mark.compiled, pytest.mark.usefixtures("forked")]
 
@@ -27,10 +26,6 @@ class Watched(Training):
     def _learn(self, batch):
         self.seen = [*getattr(self, "seen", []), (batch.clone(), copy.deepcopy(self.learner.policy_state()))]
         return super()._learn(batch)
-
-
-def weights(policy):
-    return torch.cat([value.double().flatten() for value in policy.state_dict().values()])
 
 
 def log_probabilities(training, batch, state):

@@ -54,12 +54,19 @@ def test_logits_of_images_follow_their_targets_and_nothing_else_depends_on_order
     assert before[0, OTHERS:].std() > 1e-4  # the logits do differ
 
 
-def test_padding_has_no_influence_and_is_not_chosen(networks, seen):
+def test_padding_has_no_influence_and_existing_targets_do(networks, seen):
     own, rows, mask = seen
     noise = torch.where(mask.unsqueeze(-1), rows, 100.0 * torch.randn_like(rows))
     assert torch.equal(logits(networks, (own, noise, mask)), logits(networks, seen))
     assert torch.equal(value(networks, (own, noise, mask)), value(networks, seen))
     assert bool((logits(networks, seen)[:, OTHERS:][~mask] == LEAST).all())
+    own, rows, mask = seen
+    changed = rows.clone()
+    changed[:, 0] += 1.0
+    assert bool(((logits(networks, (own, changed, mask)) - logits(networks, seen))[:4, OTHERS + 1].abs() > 1e-7).all())
+    own, rows, mask = seen
+    legal = torch.ones(N, OTHERS + 2, dtype=torch.bool)
+    torch.testing.assert_close(networks.actor[0].module(own, rows, mask, legal), logits(networks, seen)[:, : OTHERS + 2], **SUMS)
 
 
 @pytest.mark.parametrize("number", [1, K + 3])
@@ -72,12 +79,6 @@ def test_the_number_of_images_is_that_of_the_action_mask(networks, seen, number)
     torch.testing.assert_close(images[:, :K], padding, **SUMS)
     assert bool((images[:, K:] == LEAST).all())
     assert float(others.detach().std()) > 0.0
-
-
-def test_observed_targets_without_an_action_have_no_logit(networks, seen):
-    own, rows, mask = seen
-    legal = torch.ones(N, OTHERS + 2, dtype=torch.bool)
-    torch.testing.assert_close(networks.actor[0].module(own, rows, mask, legal), logits(networks, seen)[:, : OTHERS + 2], **SUMS)
 
 
 @pytest.mark.compiled
@@ -94,19 +95,14 @@ def test_a_published_policy_chooses_among_any_number_of_targets():
     assert int(flown[0].max()) > 0
 
 
-def test_a_target_that_exists_does_have_influence(networks, seen):
-    own, rows, mask = seen
-    changed = rows.clone()
-    changed[:, 0] += 1.0
-    assert bool(((logits(networks, (own, changed, mask)) - logits(networks, seen))[:4, OTHERS + 1].abs() > 1e-7).all())
-
-
-def test_logits_do_not_depend_on_the_batch(networks, seen):
+def test_logits_do_not_depend_on_the_batch_and_are_nearly_uniform_at_first(networks, seen):
     alone = torch.cat([logits(networks, tuple(part[k : k + 1] for part in seen)) for k in range(N)])
     torch.testing.assert_close(alone, logits(networks, seen), **SUMS)
     two = tuple(part.view(2, N // 2, *part.shape[1:]) for part in seen)
     torch.testing.assert_close(logits(networks, two).view(N, -1), logits(networks, seen), **SUMS)
     assert value(networks, two).shape == (2, N // 2, 1)
+    spread = logits(networks, tuple(part[:2] for part in seen)).detach()
+    assert float(spread.amax() - spread.amin()) < 0.1
 
 
 @pytest.mark.parametrize("exploration", [ExplorationType.RANDOM, ExplorationType.DETERMINISTIC])
@@ -121,15 +117,7 @@ def test_only_legal_actions_are_taken(networks, seen, exploration):
             assert bool(mask.gather(1, action.unsqueeze(-1)).all())
 
 
-def test_an_untrained_actor_is_nearly_uniform(networks, seen):
-    spread = logits(networks, tuple(part[:2] for part in seen)).detach()
-    assert float(spread.amax() - spread.amin()) < 0.1
-
-
-# -- normalisation ----------------------------------------------------------------------------------------------------
-
-
-def test_normaliser_merges_moments_of_parts():
+def test_normaliser_merges_moments_of_parts_and_ignores_padding():
     torch.manual_seed(0)
     x = 3.0 * torch.randn(1000, 4, dtype=torch.float64) + 5.0
     normaliser = FeatureNormaliser(4)
@@ -140,9 +128,6 @@ def test_normaliser_merges_moments_of_parts():
     torch.testing.assert_close(normaliser.variance, expected.var(0, correction=0))
     z = normaliser(x)
     torch.testing.assert_close(z.mean(0), torch.zeros(4, dtype=torch.float64), rtol=0.0, atol=1e-6)
-
-
-def test_normaliser_ignores_padding():
     rows = torch.randn(7, 5, 2)
     mask = torch.rand(7, 5) < 0.5
     one, other = FeatureNormaliser(2), FeatureNormaliser(2)
@@ -152,16 +137,10 @@ def test_normaliser_ignores_padding():
     one.update(rows, torch.zeros_like(mask))
     assert torch.equal(one.variance, other.variance)
     assert float(one.count) == float(mask.sum())
-
-
-def test_normaliser_is_bounded_and_survives_constants():
     normaliser = FeatureNormaliser(1)
     normaliser.update(torch.ones(10, 1))
     assert float(normaliser(torch.ones(1, 1))) == pytest.approx(0.0, abs=1e-3)
     assert float(normaliser(torch.full((1, 1), 1e30))) == 10.0
-
-
-# -- from environments, and files -------------------------------------------------------------------------------------
 
 
 @pytest.mark.compiled
@@ -169,13 +148,10 @@ def test_normaliser_is_bounded_and_survives_constants():
 def test_a_plan_finds_the_set_and_the_images(preset, first):
     env = bsk_torch.make(preset, num_envs=2, seed=0, n_targets=50, as_set=True)
     plan = AttentionPlan.of(env, (32,))
-    assert plan.set_key == ("observation", "target")
-    assert plan.images == (first, first + 32)
-    assert plan.n_actions == first + 32
-    assert plan.n_features == 8
+    assert (plan.set_key, plan.images) == (("observation", "target"), (first, first + 32))
+    assert (plan.n_actions, plan.n_features) == (first + 32, 8)
     now = plan.build().policy(env.reset())
-    assert now["logits"].shape == (2, first + 32)
-    assert now[OWN].shape == (2, plan.n_own)
+    assert (now["logits"].shape, now[OWN].shape) == ((2, first + 32), (2, plan.n_own))
     assert not bool(torch.isnan(now["logits"]).any())
 
 

@@ -41,8 +41,7 @@ def task(name="CONSTELLATION", **config):
 def test_groups_are_described_one_episode_at_a_time(name):
     made = task(name)
     env = made.get_env_fun(num_envs=2, continuous_actions=False, seed=0, device="cpu")()
-    assert env.batch_size == (2,)
-    assert set(made.group_map(env)) == set(GROUPS[name])
+    assert (env.batch_size, set(made.group_map(env))) == ((2,), set(GROUPS[name]))
     for group, (agents, actions) in GROUPS[name].items():
         assert list(made.observation_spec(env)[group].keys()) == ["observation"]
         assert made.observation_spec(env)[group, "observation"].shape[0] == agents

@@ -44,10 +44,8 @@ def test_decisions_alone_limit_a_training_with_frames():
 
 def test_unknown_settings_name_what_to_write():
     check_refusals(
-        [
-            refusal(lambda: configure("NadirScan-v1", minutes=0.3), ValueError, "'minutes'", "seconds=60 * minutes"),
-            refusal(lambda: configure("NadirScan-v1", learning_rat=1), ValueError, "'learning_rat'", "'learning_rate'"),
-            refusal(lambda: configure("NadirScan-v1", sat_args={}), ValueError, "'sat_args'", "options.sat_args"),
-            refusal(lambda: override(PPOConfig(), ["sat_args.mass=1"]), ValueError, "'sat_args'", "options.sat_args"),
-        ]
+        refusal(lambda: configure("NadirScan-v1", minutes=0.3), ValueError, "'minutes'", "seconds=60 * minutes"),
+        refusal(lambda: configure("NadirScan-v1", learning_rat=1), ValueError, "'learning_rat'", "'learning_rate'"),
+        refusal(lambda: configure("NadirScan-v1", sat_args={}), ValueError, "'sat_args'", "options.sat_args"),
+        refusal(lambda: override(PPOConfig(), ["sat_args.mass=1"]), ValueError, "'sat_args'", "options.sat_args"),
     )

@@ -67,7 +67,7 @@ def test_an_interrupted_training_says_how_to_resume(tmp_path):
     assert told(run).endswith(f"next: bsk-torch train {tmp_path / 'run'} --resume, or bsk-torch report {tmp_path / 'run'}")
 
 
-def test_what_only_a_program_can_build_is_loaded_there(tmp_path, capsys):
+def test_policies_that_only_a_program_can_build_are_loaded_there(tmp_path, capsys):
     out = tmp_path / "run"
     train(settings(options=OPTIONS | {"rewarder": ScanningTimeReward()}), out, episodes=2)
     assert capsys.readouterr().out.endswith(f"next: bsk_torch.rl.policies.load_policy({str(out)!r})\n")

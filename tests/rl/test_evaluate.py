@@ -33,31 +33,13 @@ def evaluation(returns, **parts):
     return Evaluation(**(dict(returns=returns, collected=returns, survived=one, decisions=one, seconds=one, deaths={}) | parts))
 
 
-# -- results ----------------------------------------------------------------------------------------------------------
-
-
-def test_gain_is_paired():
+def test_summaries_pair_gains():
     # every episode one better than the other: the difference is certain, though the returns are not
     returns = torch.randn(50)
     better, worse = (evaluation(x) for x in (returns + 1.0, returns))
     assert better.gain_over(worse).mean == pytest.approx(1.0, abs=1e-6)
     assert better.gain_over(worse).half_width < 1e-6
     assert better.mean_return.half_width > 0.1
-
-
-def test_parts_are_joined_in_order():
-    parts = [
-        evaluation(torch.tensor([x, x + 1.0]), fill=torch.tensor([x, 0.0]), counts={"imaged": torch.tensor([2, 3])})
-        for x in (0.0, 5.0)
-    ]
-    whole = Evaluation.joined(parts)
-    assert whole.returns.tolist() == [0.0, 1.0, 5.0, 6.0]
-    assert whole.fill.tolist() == [0.0, 0.0, 5.0, 0.0]
-    assert whole.counts["imaged"].tolist() == [2, 3, 2, 3]
-    assert Evaluation.joined([evaluation(torch.zeros(1))]).fill is None
-
-
-def test_summary_tells_all_in_plain_numbers():
     dead = torch.tensor([True, False, False, False])
     result = evaluation(torch.zeros(4), survived=~dead, deaths={"battery_valid": dead, "other_valid": dead & False})
     told = result.summary({"other": evaluation(torch.ones(4))})
@@ -66,17 +48,20 @@ def test_summary_tells_all_in_plain_numbers():
     assert told["gain"] == {"other": {"mean": -1.0, "half_width": 0.0}}
 
 
-# -- episodes ---------------------------------------------------------------------------------------------------------
-
-
-def test_one_episode_per_row():
+def test_parts_are_joined_in_order_with_one_episode_per_row():
+    parts = [
+        evaluation(torch.tensor([x, x + 1.0]), fill=torch.tensor([x, 0.0]), counts={"imaged": torch.tensor([2, 3])})
+        for x in (0.0, 5.0)
+    ]
+    whole = Evaluation.joined(parts)
+    assert (whole.returns.tolist(), whole.fill.tolist()) == ([0.0, 1.0, 5.0, 6.0], [0.0, 0.0, 5.0, 0.0])
+    assert whole.counts["imaged"].tolist() == [2, 3, 2, 3]
+    assert Evaluation.joined([evaluation(torch.zeros(1))]).fill is None
     env = bsk_torch.make("NadirScan-v1", num_envs=3, seed=0, time_limit=LIMIT)
     first, again = (evaluate(BASELINES["rule"](env, 0), env, seed=5) for _ in range(2))
     assert first.returns.dtype == torch.float64
     assert torch.equal(first.returns, again.returns)
-    assert first.seconds.tolist() == [LIMIT] * 3
-    assert first.survival == 1.0
-    assert first.causes == {}
+    assert (first.seconds.tolist(), first.survival, first.causes) == ([LIMIT] * 3, 1.0, {})
 
 
 @pytest.mark.parametrize("name", ["random", "rule"])
@@ -87,8 +72,7 @@ def test_results_do_not_depend_on_the_batch(env, name):
     assert torch.equal(many.returns, few.returns)
     assert torch.equal(many.fill, few.fill)
     assert torch.equal(many.decisions, few.decisions)
-    assert many.returns[3] == many.returns[4]
-    assert len(set(many.fill.tolist())) == 4
+    assert (many.returns[3], len(set(many.fill.tolist()))) == (many.returns[4], 4)
 
 
 def test_seeds_start_what_gymnasium_starts(env):
@@ -109,14 +93,9 @@ def test_the_cause_of_death_is_named():
     # desaturation takes 80 W, and more than the panel gives
     env = bsk_torch.make("NadirScan-v1", num_envs=2, seed=0, sat_args={"storedCharge_Init": 1000.0}, time_limit=LIMIT)
     result = evaluate(always(3), env, seed=0)
-    assert result.causes == {"battery_valid": 2}
-    assert result.survival == 0.0
-    assert result.returns.tolist() == [-1.0, -1.0]
-    assert result.collected.tolist() == [0.0, 0.0]
+    assert (result.causes, result.survival) == ({"battery_valid": 2}, 0.0)
+    assert (result.returns.tolist(), result.collected.tolist()) == ([-1.0, -1.0], [0.0, 0.0])
     assert float(result.seconds.max()) < LIMIT
-
-
-# -- policies ---------------------------------------------------------------------------------------------------------
 
 
 def test_random_policy_takes_the_lots_that_it_is_given():
@@ -142,15 +121,12 @@ class Counting(TensorDictModuleBase):
         return tensordict.update({"action": torch.zeros_like(count), "next": {"count": count + 1}})
 
 
-def test_what_policies_write_for_the_next_decision_is_there(env):
+def test_policies_see_what_they_write_and_nothing_else_that_is_old(env):
     policy = Counting()
     played = evaluate(policy, env, seeds=range(4))
     steps = int(played.decisions.max())
     assert steps == int(LIMIT // 180.0) + 1  # scans last 180 s
     assert policy.found == [[k] * 3 for _ in range(2) for k in range(steps)]
-
-
-def test_policies_see_nothing_else_that_is_old(env):
     seen, policy = [], always(0)
     policy.register_forward_pre_hook(lambda module, given: seen.append(set(given[0].keys())))
     evaluate(policy, env, seeds=[0])

@@ -35,9 +35,6 @@ def config(algorithm="mappo", **changes):
     return MAPPOConfig(algorithm=algorithm, options={"as_set": True} | CREW, **(SIZES | CONSTANT | {"frames": 16} | changes))
 
 
-# -- policies ---------------------------------------------------------------------------------------------------------
-
-
 def always(action):
     return TensorDictModule(lambda mask: torch.full(mask.shape[:-1], action), in_keys=["action_mask"], out_keys=["action"])
 
@@ -47,33 +44,22 @@ def test_each_group_is_asked_for_what_its_satellites_can_do():
     parts = {name: TensorDict({"observation": torch.zeros(1, 2, 1), "action_mask": torch.stack([idle] * n + [~idle], -1)}, (1, 2))
              for name, n in (("a", 3), ("b", 5))}  # fmt: skip
     told = GroupPolicies({"a": always(1), "b": always(4)})(TensorDict(parts, (1,)))
-    assert told["a", "action"].tolist() == [[1, 3]]
-    assert told["b", "action"].tolist() == [[4, 5]]
+    assert (told["a", "action"].tolist(), told["b", "action"].tolist()) == ([[1, 3]], [[4, 5]])
 
 
-def test_every_group_is_seen_as_its_satellites_see_it(env):
+def test_every_group_is_seen_by_its_satellites_and_acts_at_random_without_a_rule(env):
     views = member_views(env)
     assert list(views) == [IMAGER, RELAY]
     assert [view.observation_spec["action_mask"].shape for view in views.values()] == [(2, 17), (2, 3)]
     assert views[RELAY].observation_spec["observation"].shape == (2, 7)
-
-
-def test_groups_that_a_rule_does_not_fit_act_at_random(env):
     policies = bsk_torch.rule("greedy", env).policies
     assert not isinstance(policies[IMAGER], RandomPolicy)
     assert isinstance(policies[RELAY], RandomPolicy)
-
-
-def test_each_group_is_changed_with_its_own_view(env):
     seen = []
     changed = for_each_group(
         lambda one, view: seen.append(view.satellite.actions.n_actions) or one, bsk_torch.rule("random", env), env
     )
-    assert seen == [17, 3]
-    assert list(changed.policies) == [IMAGER, RELAY]
-
-
-# -- critics ----------------------------------------------------------------------------------------------------------
+    assert (seen, list(changed.policies)) == ([17, 3], [IMAGER, RELAY])
 
 
 def test_a_central_critic_observes_the_living_of_all_groups():
@@ -93,9 +79,6 @@ def test_a_central_critic_observes_the_living_of_all_groups():
     assert torch.equal(critic(*own, moved, alive), value)
     moved[:, 0] += 1.0
     assert not torch.equal(critic(*own, moved, alive), value)
-
-
-# -- learning ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -125,11 +108,10 @@ def test_rejects_policies_of_other_groups_and_sizes(trained):
     groups = card["groups"] | {RELAY: card["groups"][RELAY] | {"plan": card["groups"][RELAY]["plan"] | {"n_observed": 6}}}
     made = lambda **options: bsk_torch.make(name, num_envs=1, backend="eager", **CREW, **options)
     smaller = lambda: check_fits(card | {"groups": groups}, made(as_set=True))
-    table = [
+    check_refusals(
         refusal(lambda: check_fits(card, made(), name), ValueError, f"{IMAGER}, {RELAY}", f"broadcasting_imager, {RELAY}"),
         refusal(smaller, ValueError, "n_observed=6", RELAY, "n_observed=7"),
-    ]
-    check_refusals(table)
+    )
 
 
 @pytest.fixture(scope="module", params=["mappo", "ippo"])

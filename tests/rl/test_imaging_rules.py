@@ -100,8 +100,16 @@ def test_rules_do_what_the_shield_leaves(nested, as_set):
     assert decide(by_priority, {"action_desat"}, nested=nested, as_set=as_set) == "action_desat"
 
 
-def test_padding_is_not_imaged():
+def test_targets_that_exist_are_ranked_and_imaged():
     assert decide(by_priority, {"action_charge", "action_image_3"}, nested=True, as_set=True) == "action_charge"
+    legal = {"action_charge", "action_image_0", "action_image_2", "action_image_3"}
+    action, ranking = ranked(by_priority, legal, as_set=True)
+    assert action == "action_image_2"
+    assert ranking == {"action_image_0": 0.5, "action_image_2": pytest.approx(0.8)}
+    assert decide(by_priority, set(IMAGES), actions=tuple(IMAGES), level=0.99, opens=-0.1) == "action_image_1"
+    values, description, entry = described(0.5, 1.0, True)
+    seen = TargetReader(entry, description).read(TensorDict(values, [1]), "opportunity_close")
+    torch.testing.assert_close(seen, torch.tensor([[30.0, 30.0, 300.0, 300.0]]))
 
 
 @FORMS
@@ -116,23 +124,6 @@ def test_padding_is_not_imaged():
 )
 def test_a_full_store_is_emptied_in_view_of_a_station(nested, as_set, level, opens, legal, expected):
     assert decide(by_priority, legal, nested=nested, as_set=as_set, level=level, opens=opens) == expected
-
-
-def test_rankings_are_of_legal_images_of_targets_that_exist():
-    legal = {"action_charge", "action_image_0", "action_image_2", "action_image_3"}
-    action, ranking = ranked(by_priority, legal, as_set=True)
-    assert action == "action_image_2"
-    assert ranking == {"action_image_0": 0.5, "action_image_2": pytest.approx(0.8)}
-
-
-def test_satellites_without_downlink_only_image():
-    assert decide(by_priority, set(IMAGES), actions=tuple(IMAGES), level=0.99, opens=-0.1) == "action_image_1"
-
-
-def test_properties_come_in_their_own_units():
-    values, description, entry = described(0.5, 1.0, True)
-    seen = TargetReader(entry, description).read(TensorDict(values, [1]), "opportunity_close")
-    torch.testing.assert_close(seen, torch.tensor([[30.0, 30.0, 300.0, 300.0]]))
 
 
 def tours(rows):
@@ -175,9 +166,6 @@ def test_tours_are_worth_what_their_images_are():
     assert bool((expected > rows[:, there, 0]).any())
 
 
-# -- in environments --------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.compiled
 @pytest.mark.parametrize("preset", ["AEOS-v1", "AEOSPower-v1"])
 def test_rules_act_the_same_on_vectors_and_sets(preset):
@@ -208,11 +196,10 @@ def test_rejects_what_is_not_observed():
     columns = lambda: TargetReader(several, [f"target.rows[{k}]" for k in range(4)])
     angle = lambda: TargetReader(entry, description).read(seen, "target_angle_rate")
     level, rules = "sat_props.storage_level", ("greedy", "nearest", "hasty", "farsighted")
-    table = [
+    check_refusals(
         refusal(angle, KeyError, "'target_angle_rate'", "'target_angle'"),
         refusal(lambda: read(seen, description, level), KeyError, level),
         *(refusal(lambda name=name: BASELINES[name](env, 0), ValueError, "Scanner1", "targets") for name in rules),
         refusal(lambda: image_actions(env), ValueError, "Scanner1", "targets", "action_nadir_scan"),
         refusal(columns, ValueError, "'target'", "2 columns", 1),
-    ]
-    check_refusals(table)
+    )

@@ -1,7 +1,5 @@
 """The loss of PPO, and that of TorchRL for the same decisions."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict import TensorDict
@@ -15,10 +13,7 @@ CLIP, N, WIDTH = 0.2, 256, 5
 FLOAT32 = dict(rtol=1e-5, atol=1e-6)
 """Sums of a few hundred numbers."""
 
-PLANS = {
-    "numbered": MLPPlan(WIDTH, 4, (16, 16)),
-    "real": MLPPlan(WIDTH, 0, (16, 16), ((-1.0, 1.0), (0.0, 3.0))),
-}
+PLANS = {"numbered": MLPPlan(WIDTH, 4, (16, 16)), "real": MLPPlan(WIDTH, 0, (16, 16), ((-1.0, 1.0), (0.0, 3.0)))}
 
 
 @pytest.fixture(params=PLANS)
@@ -44,7 +39,7 @@ def gradients(networks, loss):
     return torch.autograd.grad(loss, weights, allow_unused=True, materialize_grads=True)
 
 
-def test_it_is_the_loss_of_torchrl(decided):
+def test_the_loss_is_that_of_torchrl_for_decisions_that_count(decided):
     networks, sample = decided
     terms = clipped_loss(networks.actor, networks.critic, sample.clone(), CLIP)
     reference = ClipPPOLoss(
@@ -61,9 +56,6 @@ def test_it_is_the_loss_of_torchrl(decided):
         losses = [losses[0] - 0.01 * terms.entropy, losses[1] + expected["loss_entropy"]]
     for found, wanted in zip(*(gradients(networks, loss) for loss in losses), strict=True):
         torch.testing.assert_close(found, wanted, **FLOAT32)
-
-
-def test_only_decisions_that_count_do(decided):
     networks, sample = decided
     counts = torch.arange(N) % 3 == 0
     some = clipped_loss(networks.actor, networks.critic, sample.clone(), CLIP, counts)

@@ -26,9 +26,6 @@ FLOAT32_SUMS = dict(atol=5e-5, rtol=1e-5)
 """A dozen numbers of order one, each good to 1e-7 of the largest, multiplied and added up in float32 in another order."""
 
 
-# -- who decides ------------------------------------------------------------------------------------------------------
-
-
 def situation(decides):
     """What agents see, [N, S] each, when those of ``decides`` need a task; legal are actions 1 and 2 of 0 ... 2."""
     free = torch.tensor(decides)
@@ -72,9 +69,6 @@ def test_rules_earn_the_same_in_a_constellation_of_one_as_alone(name):
     assert torch.equal(found.returns, expected.returns)
     assert torch.equal(found.decisions, expected.decisions)
     assert torch.equal(found.counts["imaged"], expected.counts["imaged"])
-
-
-# -- advantages -------------------------------------------------------------------------------------------------------
 
 
 def decisions(n, steps, satellites, deaths):
@@ -167,9 +161,6 @@ def test_only_the_central_critic_looks_at_others():
     assert torch.equal(judge(dead.clone())["state_value"][:, 1, :2], judge(seen.clone())["state_value"][:, 1, :2])
 
 
-# -- learning ---------------------------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module", params=["mappo", "ippo"])
 def learned(request, tmp_path_factory):
     """A learner and the batch, as it was seen before the first gradient step, of one iteration."""
@@ -224,9 +215,6 @@ def test_the_loss_is_that_of_decisions_alone(learned):
     advantage = team["advantage"].reshape(-1, 3)
     gain = torch.minimum(ratio * advantage, ratio.clamp(0.8, 1.2) * advantage)[team["decides"].reshape(-1, 3)]
     torch.testing.assert_close(losses(learner, team)[0], -gain.mean(), **FLOAT32_SUMS)
-
-
-# -- from end to end --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.compiled

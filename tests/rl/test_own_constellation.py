@@ -1,7 +1,5 @@
 """Constellations are trained from Python as from the command line, those of users included."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

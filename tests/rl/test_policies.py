@@ -42,9 +42,6 @@ def test_another_version_is_noted(path, env, caplog):
     assert "bsk_torch 0.0.1" in caplog.text
 
 
-# -- damaged files, and files of others -------------------------------------------------------------------------------
-
-
 def test_rejects_flipped_bits(path):
     def flipped(place):
         changed = bytearray(content)
@@ -68,12 +65,6 @@ def weights_of(path):
     return torch.cat([value.double().flatten() for value in load_policy(path).state_dict().values()])
 
 
-def test_policies_of_the_package_carry_checksums():
-    files = sorted(FOLDER.glob("*.pt"))
-    assert len(files) >= 7
-    assert all(file.read_bytes()[:-32].endswith(CHECKSUM_MARK) for file in files)
-
-
 def test_rejects_files_of_others(path, tmp_path):
     def holding(content):
         path.write_bytes(content)
@@ -95,7 +86,7 @@ def test_rejects_files_of_others(path, tmp_path):
     narrow = card | {"actor": {name: value[..., :-1] for name, value in card["actor"].items()}}
     infinite = {name: torch.full_like(value, torch.nan) for name, value in card["actor"].items()}
     other = bsk_torch.make("AEOSPower-v1", num_envs=1, backend="eager", time_limit=300.0)
-    table = [
+    check_refusals(
         refusal(lambda: check_fits(card, other, "AEOSPower-v1"), ValueError, "NadirScan-v1", "n_observed=12", "AEOSPower-v1"),
         refusal(lambda: load_policy(tmp_path / "nowhere"), FileNotFoundError, "nowhere", "policy.pt"),
         refusal(lambda: holding(b"no policy"), ValueError, "policy.pt", "file of a policy"),
@@ -122,11 +113,13 @@ def test_rejects_files_of_others(path, tmp_path):
         refusal(lambda: weight(torch.zeros(1).expand(10**6, 10**5)), ValueError, "policy.pt", "tensors have 400,000,000"),
         refusal(lambda: weight(torch.zeros(2, 2).to_sparse()), ValueError, "policy.pt", "plain"),
         refusal(lambda: weight(torch.zeros(2, 2, device="meta")), ValueError, "policy.pt"),
-    ]
-    check_refusals(table)
+    )
 
 
-def test_logs_are_not_kept(tmp_path, env):
+def test_policies_of_the_package_carry_checksums_and_no_logs(tmp_path, env):
     plan = MLPPlan.of(env, (8,))
     save_policy(tmp_path / "policy.pt", plan, plan.build(), "NadirScan-v1", {"log_dir": "x", "log_level": "INFO", "as_set": True})
     assert read_card(tmp_path)["options"] == {"as_set": True}
+    files = sorted(FOLDER.glob("*.pt"))
+    assert len(files) >= 7
+    assert all(file.read_bytes()[:-32].endswith(CHECKSUM_MARK) for file in files)

@@ -27,26 +27,13 @@ def test_a_pretrained_policy_has_its_score(preset):
     torch.testing.assert_close(result.returns.mean(), expected.mean(), rtol=SAME, atol=0.0)
 
 
-WITHOUT = {
-    "AEOSBench-v1",
-    "HeteroCluster-v1",
-    "ThreeSensors-v1",
-    "Walker4-v1",
-    "CWDocking-v1",
-    "CWInspection-v1",
-}
+WITHOUT = {"AEOSBench-v1", "HeteroCluster-v1", "ThreeSensors-v1", "Walker4-v1", "CWDocking-v1", "CWInspection-v1"}
 """Presets without a policy."""
 
 
-def test_every_other_preset_has_one():
+def test_every_other_preset_has_one_of_a_release_and_says_what_made_it():
     assert set(makings()) == set(PRESETS) - WITHOUT
-
-
-def test_all_are_of_releases_with_the_same_episodes():
     assert {read_card(file)["bsk_torch"] for file in FOLDER.glob("*.pt")} | {bsk_torch.__version__} <= set(SAME_EPISODES)
-
-
-def test_what_made_them_is_noted():
     assert {path.stem for path in FOLDER.glob("*.pt")} == set(makings())
     for noted in makings().values():
         assert noted["command"].split()[0] == "bsk-torch"
@@ -58,10 +45,8 @@ def test_what_made_them_is_noted():
 def test_a_policy_of_another_preset_says_where_it_was_trained():
     env = bsk_torch.make("NadirScan-v1", num_envs=2, backend="eager")
     check_refusals(
-        [
-            refusal(lambda: env.rollout(1, pretrained("AEOS-v1")), ValueError, "trained for AEOS-v1 as_set=True"),
-            refusal(lambda: env.rollout(1, pretrained("NadirScience-v1")), ValueError, "NadirScience-v1", "12 numbers"),
-            refusal(lambda: pretrained("HeteroCluster-v1"), ValueError, "'HeteroCluster-v1'", "cooperative"),
-            refusal(lambda: pretrained("AEOS-v2"), ValueError, "is not a preset", "'AEOS-v1'"),
-        ]
+        refusal(lambda: env.rollout(1, pretrained("AEOS-v1")), ValueError, "trained for AEOS-v1 as_set=True"),
+        refusal(lambda: env.rollout(1, pretrained("NadirScience-v1")), ValueError, "NadirScience-v1", "12 numbers"),
+        refusal(lambda: pretrained("HeteroCluster-v1"), ValueError, "'HeteroCluster-v1'", "cooperative"),
+        refusal(lambda: pretrained("AEOS-v2"), ValueError, "is not a preset", "'AEOS-v1'"),
     )

@@ -38,7 +38,7 @@ def situations(n):
     return TensorDict({"observation": torch.randn(n, 12), "action_mask": torch.ones(n, 4, dtype=torch.bool)}, [n])
 
 
-def test_what_was_seen_before_matters(networks):
+def test_earlier_situations_matter(networks):
     policy = networks.policy
     with torch.no_grad():
         first = policy(situations(5))

@@ -44,12 +44,9 @@ def always(action):
     return TensorDictModule(lambda mask: torch.full(mask.shape[:-1], action), in_keys=["action_mask"], out_keys=["action"])
 
 
-# -- settings ---------------------------------------------------------------------------------------------------------
-
-
-def test_rejects_wrong_changes_of_settings():
+def test_rejects_wrong_values_and_changes_of_settings():
     change = lambda text: override(PPOConfig(), [text])
-    table = [
+    check_refusals(
         refusal(lambda: change("learning_rat=1"), ValueError, "'learning_rat'", "'learning_rate'"),
         refusal(lambda: change("learning_rate"), ValueError, "'learning_rate'", "name=value"),
         refusal(lambda: change("frames=many"), ValueError, "frames", "'many'", "Integer"),
@@ -92,12 +89,8 @@ def test_rejects_wrong_changes_of_settings():
         refusal(lambda: change("options.seed=5"), ValueError, "options.seed", "setting 'seed'"),
         refusal(lambda: change("options.env_ids=[0]"), ValueError, "options.env_ids", "setting 'num_envs'"),
         refusal(lambda: change("=1"), ValueError, "setting ''", "num_envs"),
-    ]
-    check_refusals(table)
-
-
-def test_rejects_wrong_values_of_every_setting():
-    """Also where no command line has brought the values into their types."""
+    )
+    # Also where no command line has brought the values into their types.
     may_be_none = ("seconds", "frames", "patience", "imitate", "evaluate_every")
     names = [field.name for field in dataclasses.fields(PPOConfig) if field.name not in ("preset", "options")]
     wrong = [(name, value) for name in names for value in (float("nan"), -1, "wide", (0.5,), object())]
@@ -113,7 +106,7 @@ def test_rejects_settings_that_do_not_work(tmp_path):
     shared_out = lambda collector, workers: PPOConfig(collector=collector, workers=workers, num_envs=16)
     imitate = lambda rule="hasty", **changes: PPOConfig(imitate=rule, **changes)
     (tmp_path / "config.yaml").write_bytes(b"preset: \xff\xfe")
-    table = [
+    check_refusals(
         refusal(lambda: read_config(tmp_path), ValueError, "config.yaml", "configuration"),
         refusal(lambda: PPOConfig(network="atention"), ValueError, "network", "'atention'", "'attention'"),
         refusal(lambda: PPOConfig(seconds=0.0), ValueError, "seconds", 0.0, "(0, inf)"),
@@ -132,8 +125,7 @@ def test_rejects_settings_that_do_not_work(tmp_path):
         refusal(lambda: MAPPOConfig(algorithm="mapo"), ValueError, "algorithm", "'mapo'", "'mappo'"),
         refusal(lambda: MAPPOConfig(network="mlp"), ValueError, "network", "'mlp'", "'attention'"),
         refusal(lambda: GRUPlan(12, 4, (64,)), ValueError, "hidden", (64,), (64, 64)),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_rejects_wrong_folders_and_logs(tmp_path):
@@ -141,22 +133,18 @@ def test_rejects_wrong_folders_and_logs(tmp_path):
     (tmp_path / "link").symlink_to(tmp_path / "nowhere")
     (tmp_path / LOG).write_text("a,b\n1,2\n")
     names = ("file", "file/run", "link")
-    table = [
+    check_refusals(
         *(refusal(lambda name=name: check_folder(tmp_path / name), OSError, tmp_path / name, "folder") for name in names),
         refusal(lambda: read_log(tmp_path / LOG), ValueError, "log.csv", "training", "'frames'", "'seconds'"),
-    ]
-    check_refusals(table)
+    )
 
 
-# -- policies and rules -----------------------------------------------------------------------------------------------
-
-
-def test_rejects_networks_that_do_not_fit(scanning, imaging):
+def test_rejects_networks_and_policies_that_do_not_fit(scanning, imaging):
     card = read_card(pretrained_file("AEOS-v1"))
     crafted = lambda **plan: check_fits(card | {"plan": card["plan"] | plan}, imaging)
     blocks = lambda hidden: AttentionPlan(("observation", "target"), (), 3, 4, 5, (0, 5), hidden)
     crafted()
-    table = [
+    check_refusals(
         refusal(lambda: crafted(images=5), ValueError, "AEOS-v1", "images=5", "images=(0, 24)"),
         refusal(lambda: crafted(images=(3, 35)), ValueError, "AEOS-v1", "images=(3, 35)", "images=(0, 32)"),
         refusal(lambda: crafted(n_actions=33), ValueError, "AEOS-v1", "n_actions=33", "n_actions=32"),
@@ -166,18 +154,14 @@ def test_rejects_networks_that_do_not_fit(scanning, imaging):
         refusal(lambda: AttentionPlan.of(scanning, (32,)), ValueError, "network", "'attention'", "as_set=True"),
         refusal(lambda: MLPPlan.of(imaging, (32,)), ValueError, "'mlp'", "vector", "obs_type=torch.Tensor"),
         *(refusal(lambda h=h: blocks(h), ValueError, f"hidden={h}", "multiples of 32") for h in ((), (48,), (32, 64))),
-    ]
-    check_refusals(table)
-
-
-def test_rejects_policies_that_do_not_fit():
+    )
     crew = lambda **options: bsk_torch.make("RelayConstellation-v1", num_envs=1, backend="eager", **CREW, **options)
     pair = {"pair": ["EO1", "EO2"]}
     sets, vectors, flying = crew(as_set=True), crew(), bsk_torch.make("RSOInspection-v1", num_envs=1, backend="eager")
     inspector = next(view for name, view in member_views(flying).items() if "inspector" in name)
     config = MAPPOConfig("RSOInspection-v1", imitate="hasty", options={"backend": "eager"}, num_envs=1, frames=8)
     imaging_and_relay, groups = "broadcasting_imager, relay", GroupPolicies({"a": always(0), "b": always(0)})
-    table = [
+    check_refusals(
         refusal(lambda: pretrained("NadirScan-v2"), ValueError, "'NadirScan-v2'", "'NadirScan-v1'"),
         refusal(lambda: member_view(vectors), ValueError, "alike", imaging_and_relay),
         refusal(lambda: shared(always(0), vectors), ValueError, "alike", imaging_and_relay),
@@ -187,55 +171,46 @@ def test_rejects_policies_that_do_not_fit():
         refusal(lambda: member_views(crew(meta_agent_groupings=pair)), ValueError, "separate agent", "pair"),
         refusal(lambda: find_teacher("survey", inspector), ValueError, "imitate='survey'", "real numbers"),
         refusal(lambda: MAPPOLearner(config, flying), ValueError, "imitate='hasty'", "RSOInspection-v1", "imitate=null"),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_rejects_rules_that_do_not_fit(scanning):
     columns, listed = Columns(torch.zeros(1, 1), ["storage_level_fraction"]), {"action_charge": True}
     mistaken = lambda see, actions: see["batery_charge_fraction"] > 0.0
     action = lambda see, actions: allow_only(actions, "charge", where=see["time"] > 0.0)
-    table = [
+    check_refusals(
         refusal(lambda: columns["time"], KeyError, "'time'", "storage_level_fraction"),
         refusal(lambda: find_teacher("hasty", scanning), ValueError, "imitate='hasty'", "Scanner1", "targets"),
         refusal(lambda: shield(mistaken, scanning), KeyError, "'batery_charge_fraction'", "'battery_charge_fraction'"),
         refusal(lambda: shield(action, scanning), ValueError, "'charge'", "'action_charge'"),
         refusal(lambda: shield(lambda see, _: see["time"] > 0.0, scanning), ValueError, "shield", "torch.bool [2]", [2, 4]),
         refusal(lambda: shield(lambda *_: listed, scanning), ValueError, "shield", listed, [2, 4]),
-    ]
-    check_refusals(table)
-
-
-# -- evaluation -------------------------------------------------------------------------------------------------------
+    )
 
 
 def test_rejects_wrong_seeds(scanning):
     policy = random_policy(scanning, 0)
-    table = [
+    check_refusals(
         refusal(lambda: evaluate(policy, scanning), ValueError, "seed=None", "seeds=None"),
         refusal(lambda: evaluate(policy, scanning, seed=0, seeds=[0]), ValueError, "seed=0", "seeds=[0]"),
         refusal(lambda: evaluate(policy, scanning, seeds=[]), ValueError, "seed=None", "seeds=[]"),
         refusal(lambda: evaluate(policy, scanning, seeds=[0, 1]), ValueError, "seeds", "env_ids=[0] * num_envs"),
         refusal(lambda: start_episodes(scanning, range(2)), ValueError, "seeds", "env_ids=[0] * num_envs"),
-    ]
-    check_refusals(table)
+    )
 
 
-def test_rejects_policies_that_read_what_is_not_observed():
+def test_rejects_policies_of_other_observations_and_bounds_of_other_tasks():
     """Those of the package read sets, which these environments do not show."""
     one, crew = (bsk_torch.make(f"{name}-v1", num_envs=1, backend="eager", time_limit=20.0) for name in ("AEOS", "Constellation"))
     imager, member = pretrained("AEOS-v1"), pretrained("Constellation-v1")
     read, advice = "observation.sat_props.", "read_card(file)['options']"
-    table = [
+    check_refusals(
         refusal(lambda: evaluate(imager, one, seed=1), ValueError, read, advice),
         refusal(lambda: evaluate(shared(imager, one), one, seed=1), ValueError, read, advice),
         refusal(lambda: evaluate(shared(member, crew), crew, seed=1), ValueError, read, advice),
         refusal(lambda: evaluate(member, crew, seed=1), ValueError, read, "shared(policy, env)"),
-    ]
-    check_refusals(table)
+    )
 
-
-def test_rejects_what_the_bound_on_the_charge_does_not_cover():
     def bound(**sat_args):
         args = {"storedCharge_Init": 1e5} | sat_args
         env = bsk_torch.make("NadirScan-v1", num_envs=1, env_ids=[0], time_limit=2400.0, backend="eager", sat_args=args)
@@ -243,20 +218,19 @@ def test_rejects_what_the_bound_on_the_charge_does_not_cover():
         most_power(env, torch.tensor([0]))
 
     panels = [dyn.Panel([0, 0, -1], 0.5, 0.2)] * 2
-    table = [
+    check_refusals(
         refusal(lambda: bound(rwMechToElecEfficiency=0.5), ValueError, "rwMechToElecEfficiency", 0, "bound"),
         refusal(lambda: bound(panels=panels), ValueError, "bound", "one solar panel", "list of panels"),
-    ]
-    check_refusals(table)
+    )
 
 
-def test_rejects_wrong_entrants_of_suites():
+def test_rejects_entrants_and_methods_that_cannot_be_compared():
     nadir = tasks_of("v1", "NadirScan-v1")[0]
     enter = lambda entrant, episodes=1: play(nadir, entrant, episodes)
     able = lambda preset, make: (make(backend="eager"), always(0))
     foreign = nadir.environment(1, backend="eager"), len
     answer, limits = ("NadirScan-v1", "(env, policy)"), f"[1, {EPISODES}]"
-    table = [
+    check_refusals(
         refusal(lambda: enter(lambda preset, make: 3), TypeError, *answer, 3),
         refusal(lambda: enter(lambda preset, make: (make(backend="eager"),)), TypeError, *answer, "SatelliteTasking"),
         refusal(lambda: enter(lambda preset, make: foreign), ValueError, "NadirScan-v1", "environment", "make()"),
@@ -264,16 +238,11 @@ def test_rejects_wrong_entrants_of_suites():
         refusal(lambda: enter(lambda preset, make: make(as_set=True)), TypeError, "'as_set'"),
         refusal(lambda: enter(able, 0), ValueError, "episodes=0", limits),
         refusal(lambda: enter(able, EPISODES + 1), ValueError, f"episodes={EPISODES + 1}", limits),
-    ]
-    check_refusals(table)
-
-
-def test_rejects_methods_that_cannot_be_compared():
+    )
     one, two = {"x": torch.ones(2, 3)}, {"x": torch.ones(2, 4)}
-    table = [
+    check_refusals(
         refusal(lambda: bootstrap({}), ValueError, "methods={}", "one method"),
         refusal(lambda: bootstrap({"a": one | {"y": torch.ones(1, 3)}}), ValueError, "method", {"x": 2, "y": 1}),
         refusal(lambda: bootstrap({"rule": one, "greedy": two}), ValueError, "greedy", {"x": 4}, "rule", {"x": 3}),
         refusal(lambda: bootstrap({"a": {"x": torch.tensor([[torch.nan]])}}), ValueError, "scores of a", "finite"),
-    ]
-    check_refusals(table)
+    )

@@ -1,7 +1,5 @@
 """Saved states and trainings go on as if they had never stopped: every preset, every way through a file, every collector."""
 
-from __future__ import annotations
-
 import dataclasses
 from importlib.util import find_spec
 
@@ -13,6 +11,7 @@ import bsk_torch
 from bsk_torch.presets import PRESETS
 from bsk_torch.rl.marl.runs import configure, training_of
 from tests.support.choices import legal_actions
+from tests.support.trainings import weights
 
 pytestmark = pytest.mark.compiled
 
@@ -24,11 +23,7 @@ OPTIONS = {
 
 needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="needs pip install 'bsk_torch[ray]'")
 
-COLLECTORS = (
-    "single",
-    "multi",
-    pytest.param("ray", marks=needs_ray),
-)
+COLLECTORS = ("single", "multi", pytest.param("ray", marks=needs_ray))
 
 
 def make(name: str, **options):
@@ -80,10 +75,6 @@ def config_of(name, collector, frames):
     options = OPTIONS.get(name, {}) | {"time_limit": 1800.0}
     many = {"collector": collector, "workers": 2}
     return configure(name, network="mlp" if name == "NadirScan-v1" else None, frames=frames, options=options, **few, **many)
-
-
-def weights(policy):
-    return torch.cat([value.double().flatten() for value in policy.state_dict().values()])
 
 
 @pytest.mark.parametrize("collector", COLLECTORS)

@@ -26,9 +26,6 @@ def env():
     return bsk_torch.make("NadirScan-v1", num_envs=3, seed=0, **SHORT)
 
 
-# -- semi-Markov advantages -------------------------------------------------------------------------------------------
-
-
 def brute_force(reward, seconds, done, value, next_value, gamma, lmbda, reward_time):
     """Advantages [T] by the definition, cut at the end of an episode.
 
@@ -76,8 +73,6 @@ def test_advantages_discount_by_elapsed_time(reward_time):
     assert torch.equal(batch["next", "reward"], reward)
 
 
-# -- baselines --------------------------------------------------------------------------------------------------------
-
 NOTHING_URGENT = {
     "storage_level_fraction": 0.3,
     "battery_charge_fraction": 0.9,
@@ -117,17 +112,11 @@ def test_random_policy_obeys_the_mask_and_its_seed(env):
     assert set(first.tolist()) == {0, 2}
 
 
-# -- from end to end ----------------------------------------------------------------------------------------------------
-
-
 def test_recipes_can_be_changed():
     config = configure("AEOS-v1", "attention", seconds=5.0, num_envs=7, options={"n_targets": 10})
     assert (config.num_envs, config.seconds, config.gamma) == (7, 5.0, 0.997)
     assert config.options == {"as_set": True, "n_targets": 10}
     assert configure("NadirScan-v1").hidden == PPOConfig().hidden
-
-
-def test_recipes_of_constellations_have_options_of_the_environment():
     config = configure("MultiInspection-v1", frames=10, options={"n_inspectors": 2})
     assert (config.num_envs, config.gamma, config.frames) == (128, 0.99999, 10)
     assert config.options == {"actions": "waypoints", "n_inspectors": 2}

@@ -36,14 +36,10 @@ def test_ended_episodes_take_no_more_steps():
     assert torch.equal(env.fleet.sim_time, torch.full((N,), 400.0, dtype=torch.float64))
 
 
-def test_rows_that_are_not_played_are_left_alone():
+def test_only_played_rows_and_entries_under_next_are_carried():
     env = scanning()
     steps = list(play_episodes(env, charging, env.reset(), torch.tensor([False, True, False])))
-    assert len(steps) == 4
-    assert env.fleet.sim_time.tolist() == [0.0, 400.0, 0.0]
-
-
-def test_only_entries_under_next_are_carried():
+    assert (len(steps), env.fleet.sim_time.tolist()) == (4, [0.0, 400.0, 0.0])
     seen = []
 
     def policy(now):
@@ -69,7 +65,7 @@ def test_no_gradients_are_kept():
 
 def test_rejects_episodes_that_do_not_end():
     endless = lambda: list(play_episodes(scanning(), charging, max_steps=2))
-    check_refusals([refusal(endless, RuntimeError, "3 episodes", "max_steps=2")])
+    check_refusals(refusal(endless, RuntimeError, "3 episodes", "max_steps=2"))
 
 
 @pytest.mark.compiled

@@ -20,19 +20,14 @@ from bsk_torch.rl.training.lock import LOCK, FolderInUseError, FolderLock
 from bsk_torch.rl.training.log import EVALUATIONS, LOG, CsvLog, read_log
 from bsk_torch.rl.training.trainer import CHECKPOINT, Training
 from tests.support.refusals import check_refusals, refusal
+from tests.support.trainings import TINY, weights
 
 pytestmark = pytest.mark.compiled
 
-SMALL = PPOConfig(
+SMALL = dataclasses.replace(
+    TINY,
     frames=72,
-    seconds=None,
-    num_envs=4,
-    rollout=6,
-    minibatch=12,
-    epochs=1,
-    hidden=(8,),
     evaluate_every=24,
-    evaluate_episodes=2,
     checkpoint_every=24,
     learning_rate_schedule="constant",
     entropy_schedule="constant",
@@ -40,10 +35,6 @@ SMALL = PPOConfig(
 )
 
 HALF = dataclasses.replace(SMALL, frames=24)
-
-
-def weights(policy):
-    return torch.cat([value.double().flatten() for value in policy.state_dict().values()])
 
 
 def contents(folder):
@@ -72,30 +63,23 @@ def half(stopped, tmp_path):
     return Path(shutil.copytree(stopped, tmp_path / "half"))
 
 
-# -- everything is checked before anything is written -----------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
+def test_rejects_other_settings_at_a_resume_which_change_nothing(half, monkeypatch):
+    monkeypatch.setattr("bsk_torch.rl.training.log.find_spec", lambda name: None)  # no wandb
+    before, config = contents(half), load_config(half / CONFIG, PPOConfig)
+    changes = [
         {"hidden": (16,)},
         {"num_envs": 8},
         {"seed": 1},
         {"network": "gru", "hidden": (8, 8)},
         {"collector": "multi"},
         {"options": {"time_limit": 900.0}},
-        {"options": {"time_limit": 600.0, "backend": "eager"}},
-        {"options": {"time_limit": 600.0, "obs_type": dict}},
-        {"options": {"time_limit": 600.0, "foo": 1}},
+        *({"options": {"time_limit": 600.0} | more} for more in ({"backend": "eager"}, {"obs_type": dict}, {"foo": 1})),
         {"loggers": ("csv", "wandb")},
         {"preset": "AEOS-v1"},
-    ],
-)
-def test_a_failed_resume_changes_nothing(half, change, monkeypatch):
-    monkeypatch.setattr("bsk_torch.rl.training.log.find_spec", lambda name: None)  # no wandb
-    before, config = contents(half), load_config(half / CONFIG, PPOConfig)
-    with pytest.raises((ValueError, TypeError, ModuleNotFoundError)):
-        Training(dataclasses.replace(config, **change), half, resume=True)
+    ]
+    begin = lambda change: Training(dataclasses.replace(config, **change), half, resume=True)
+    errors = ValueError, TypeError, ModuleNotFoundError
+    check_refusals(refusal(lambda change=change: begin(change), errors) for change in changes)
     assert contents(half) == before
 
 
@@ -117,35 +101,32 @@ def test_damaged_files_are_named_and_left(half, name, damage):
     assert contents(half) == before
 
 
-@pytest.mark.parametrize(
-    "crafted",
-    [
-        {"learner": {}},
-        {"learner": 5},
+def test_rejects_checkpoints_of_others(whole, tmp_path):
+    for name in (CONFIG, LOG):
+        (tmp_path / name).write_bytes((whole / name).read_bytes())
+
+    def begin(crafted):
+        save_checksummed(tmp_path / CHECKPOINT, load_checksummed(whole / CHECKPOINT, "checkpoint") | crafted)
+        before = contents(tmp_path)
+        try:
+            resume(tmp_path, episodes=0)
+        finally:
+            assert contents(tmp_path) == before
+
+    wrong = [
+        *({"learner": value} for value in ({}, 5)),
         {"recent": {}},
-        {"progress": (1, 2)},
         {"generator": torch.zeros(3, dtype=torch.uint8)},
-        {"collected": [{}]},
-        {"collected": 5},
+        *({"collected": value} for value in ([{}], 5, [])),
         {"options": {"time_limit": 9.0}},
         {"hidden": None},
         {"seed": torch.zeros(3)},
-        {"collected": []},
-        {"progress": (10**30, 0.0, 0.0, 0)},
-        {"progress": (0, float("nan"), 0.0, 0)},
+        *({"progress": value} for value in ((1, 2), (10**30, 0.0, 0.0, 0), (0, float("nan"), 0.0, 0))),
         {"best": {"return": "x"}},
         {"best": {"return": 0.0, "waited": "a", "networks": None}},
         {"best": {"return": 0.0, "waited": 0, "networks": {}}},
-    ],
-)
-def test_checkpoints_of_others_are_refused(whole, tmp_path, crafted):
-    for name in (CONFIG, LOG):
-        (tmp_path / name).write_bytes((whole / name).read_bytes())
-    save_checksummed(tmp_path / CHECKPOINT, load_checksummed(whole / CHECKPOINT, "checkpoint") | crafted)
-    before = contents(tmp_path)
-    with pytest.raises(ValueError, match="checkpoint"):
-        resume(tmp_path, episodes=0)
-    assert contents(tmp_path) == before
+    ]
+    check_refusals(refusal(lambda crafted=crafted: begin(crafted), ValueError, "checkpoint") for crafted in wrong)
 
 
 @pytest.mark.parametrize(("name", "value"), [("betas", "x"), ("eps", float("nan")), ("weight_decay", torch.zeros(3))])
@@ -154,7 +135,7 @@ def test_rejects_other_settings_of_the_optimizer(whole, tmp_path, name, value):
     saved["learner"]["optimiser"]["param_groups"][0][name] = value
     (tmp_path / CONFIG).write_bytes((whole / CONFIG).read_bytes())
     save_checksummed(tmp_path / CHECKPOINT, saved)
-    check_refusals([refusal(lambda: resume(tmp_path, episodes=0), ValueError, CHECKPOINT)])
+    check_refusals(refusal(lambda: resume(tmp_path, episodes=0), ValueError, CHECKPOINT))
 
 
 def test_rejects_moments_of_another_shape(whole, tmp_path):
@@ -162,7 +143,7 @@ def test_rejects_moments_of_another_shape(whole, tmp_path):
     next(iter(saved["learner"]["optimiser"]["state"].values()))["exp_avg"] = torch.zeros(7, 7)
     (tmp_path / CONFIG).write_bytes((whole / CONFIG).read_bytes())
     save_checksummed(tmp_path / CHECKPOINT, saved)
-    check_refusals([refusal(lambda: resume(tmp_path, episodes=0), ValueError, CHECKPOINT, "exp_avg", (7, 7))])
+    check_refusals(refusal(lambda: resume(tmp_path, episodes=0), ValueError, CHECKPOINT, "exp_avg", (7, 7)))
 
 
 def test_a_run_without_a_checkpoint_begins_again(whole, tmp_path):
@@ -181,13 +162,9 @@ def test_a_training_that_diverges_says_so(tmp_path):
                 batch["action_log_prob"].zero_()
             return super()._learn(batch)
 
-    with pytest.raises((RuntimeError, ValueError), match="diverged"):
-        Diverging(SMALL, tmp_path / "run").run()
+    check_refusals(refusal(lambda: Diverging(SMALL, tmp_path / "run").run(), (RuntimeError, ValueError), "diverged"))
     assert weights(load_policy(tmp_path / "run")).isfinite().all()
     assert load_checksummed(tmp_path / "run" / CHECKPOINT, "checkpoint")["progress"][0] == 24
-
-
-# -- one process at a time --------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -242,15 +219,14 @@ def test_a_lock_that_is_a_link_is_refused_and_its_file_kept(half, tmp_path, make
     kind = "symbolic link" if (half / LOCK).is_symlink() else "hard link"
     starts = resume, lambda out: train(SMALL, out, episodes=0)
     check_refusals([refusal(lambda start=start: start(half), PermissionError, LOCK, kind, "delete it") for start in starts])
-    assert contents(half) == before
-    assert mine.read_text() == "years of work"
+    assert (contents(half), mine.read_text()) == (before, "years of work")
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to others")
 def test_a_lock_of_another_user_is_refused(tmp_path):
     (tmp_path / LOCK).write_text("another user's")
     os.chown(tmp_path / LOCK, 1234, 1234)
-    check_refusals([refusal(lambda: FolderLock(tmp_path), PermissionError, LOCK, "a file of user 1234")])
+    check_refusals(refusal(lambda: FolderLock(tmp_path), PermissionError, LOCK, "a file of user 1234"))
     assert (tmp_path / LOCK).read_text() == "another user's"
 
 
@@ -273,9 +249,6 @@ def test_one_process_may_not_train_twice_in_a_folder(tmp_path):
         resume(tmp_path / "run", episodes=0)
     first.run()
     assert LOCK not in contents(tmp_path / "run")
-
-
-# -- logs -------------------------------------------------------------------------------------------------------------
 
 
 TORN = [
@@ -307,8 +280,7 @@ def test_a_torn_log_does_not_block_resuming(half, whole):
     for name in (LOG, EVALUATIONS):
         (half / name).write_bytes((half / name).read_bytes() + b"2,48,0.")
     Training(dataclasses.replace(SMALL, frames=48), half, resume=True).run()
-    assert read_log(half / LOG)["frames"] == [24, 48]
-    assert read_log(half / EVALUATIONS)["frames"] == [24, 48]
+    assert (read_log(half / LOG)["frames"], read_log(half / EVALUATIONS)["frames"]) == ([24, 48], [24, 48])
     assert read_log(half / LOG)["loss_critic"] == read_log(whole / LOG)["loss_critic"][:2]
 
 

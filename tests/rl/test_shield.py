@@ -35,18 +35,12 @@ def names(mask):
     return [name for name, allowed in zip(ACTIONS, mask.tolist(), strict=True) if allowed]
 
 
-# -- masks by name ----------------------------------------------------------------------------------------------------
-
-
 def test_masks_by_name():
     where = torch.tensor([True, False])
     assert allow_only(ACTIONS, "action_charge", "action_desat", where=where).tolist() == [[False, True, False, True], [True] * 4]
     assert forbid(ACTIONS, "action_charge", where=where).tolist() == [[True, False, True, True], [True] * 4]
     with pytest.raises(ValueError, match=r"'action_charg' is not an action; did you mean 'action_charge'"):
         allow_only(ACTIONS, "action_charg", where=where)
-
-
-# -- the built-in rule ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -88,9 +82,6 @@ def test_safe_rule_keeps_random_actions_alive():
     assert gain.mean > 3.0 * gain.half_width
 
 
-# -- shields ----------------------------------------------------------------------------------------------------------
-
-
 def test_shields_narrow_the_mask_but_never_to_nothing(eager):
     guard = shield(never_scan, eager)
     legal = torch.tensor([[True, True, False, True], [True, False, False, False]])
@@ -102,10 +93,6 @@ def test_shields_narrow_the_mask_but_never_to_nothing(eager):
 def test_shielded_policies_do_nothing_that_is_forbidden(env):
     assert evaluate(random_policy(env, 0), env, seeds=range(4)).collected.min() > 0.0
     assert evaluate(shielded(random_policy(env, 0), never_scan, env), env, seeds=range(4)).collected.max() == 0.0
-
-
-@pytest.mark.compiled
-def test_shields_hold_while_experience_is_collected(env):
     policy = shielded(random_policy(env, 0), never_scan, env)
     batch = next(iter(Collector(env, policy, frames_per_batch=40, total_frames=40, auto_register_policy_transforms=False)))
     assert batch.shape == (4, 10)
@@ -148,9 +135,6 @@ def test_the_shield_of_aeos_power_is_such_a_rule():
     wanted, given = inside.reset()["action_mask"], shield(power_rule, outside)(outside.reset())["action_mask"]
     assert torch.equal(wanted, given)
     assert 0 < int((wanted.sum(1) == 1).sum()) < 16
-
-
-# -- mistakes ---------------------------------------------------------------------------------------------------------
 
 
 def test_rules_are_found_by_name():

@@ -1,7 +1,5 @@
 """What learners expect after a time limit, what critics know of it, rewards of any scale, and warnings."""
 
-from __future__ import annotations
-
 import copy
 import re
 
@@ -82,9 +80,6 @@ def test_returns_of_episodes_that_end(ends, beyond_limit, continues):
     torch.testing.assert_close(batch["value_target"].flatten(), expected + 10.0, **ONE_ROUNDING)
 
 
-# -- scale ------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("scale", [1e-6, 1e-3, 1.0, 1e3, 1e6])
 def test_targets_and_advantages_have_no_scale(scale):
     """Targets 1 ... 8 times the scale have the mean 4.5 and the deviation 5.25^0.5."""
@@ -108,8 +103,6 @@ def test_without_rewards_there_is_nothing_to_gain():
     standardize(batch, norm)
     assert float(batch["advantage"].abs().max()) < 1e-2
 
-
-# -- from the environment to the learner ------------------------------------------------------------------------------
 
 OPTIONS = {"time_limit": 400.0, "failure_penalty": 0.0}
 
@@ -159,7 +152,7 @@ def test_beyond_the_limit_is_what_the_critic_expects(tmp_path):
 
 
 @pytest.mark.compiled
-def test_in_constellations_too(tmp_path):
+def test_critics_of_constellations_expect_a_return_beyond_the_limit(tmp_path):
     world = {"as_set": True, "n_targets": 200, "n_satellites": 2, "n_planes": 1, "phasing": 0, "time_limit": 300.0}
     config = MAPPOConfig(
         seconds=None, frames=96, num_envs=4, rollout=16, minibatch=32, options=world | {"terminate_on_time_limit": False}
@@ -178,7 +171,7 @@ def test_in_constellations_too(tmp_path):
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
-def test_what_is_learned_does_not_depend_on_the_scale_of_rewards(scale, tmp_path):
+def test_learning_does_not_depend_on_the_scale_of_rewards(scale, tmp_path):
     """Two batches of the same decisions, in float32; powers of two would be exact."""
     learned = []
     for factor in (1.0, scale):
@@ -191,9 +184,6 @@ def test_what_is_learned_does_not_depend_on_the_scale_of_rewards(scale, tmp_path
     begin = Learner(settings(), bsk_torch.make("NadirScan-v1", num_envs=1, seed=0, **OPTIONS)).networks.actor.parameters()
     assert float((learned[0] - torch.cat([weight.flatten() for weight in begin]).detach()).abs().max()) > 1e-3
     torch.testing.assert_close(*learned, rtol=0.0, atol=2e-4)
-
-
-# -- the clock --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.compiled
@@ -217,9 +207,6 @@ def test_without_a_limit_the_clock_stands_still():
     now = played.rand_step(played.reset())
     for part in (now, now["next"]):
         assert torch.equal(part["clock"], torch.tensor([1.0, 0.0]).expand(6, 2))
-
-
-# -- warnings ---------------------------------------------------------------------------------------------------------
 
 
 def warned(reward=0.01, **changes):

@@ -18,24 +18,15 @@ from bsk_torch.rl.training.config import CONFIG, PPOConfig, load_config
 from bsk_torch.rl.training.episodes import RecentEpisodes
 from bsk_torch.rl.training.log import COLUMNS, EVALUATED, EVALUATIONS, LOG, read_log
 from bsk_torch.rl.training.trainer import CHECKPOINT, Training, read_checkpoint
+from tests.support import trainings
 from tests.support.refusals import check_refusals, refusal
+from tests.support.trainings import weights
 
 pytestmark = [pytest.mark.compiled, pytest.mark.usefixtures("forked")]
 
 SHORT = {"time_limit": 1200.0}
 
-TINY = PPOConfig(
-    frames=96,
-    seconds=None,
-    num_envs=4,
-    rollout=6,
-    minibatch=12,
-    epochs=2,
-    hidden=(8,),
-    evaluate_every=48,
-    evaluate_episodes=2,
-    options=SHORT,
-)
+TINY = dataclasses.replace(trainings.TINY, epochs=2)
 
 SAME = ("return", "survival", "collected", "fill", "decisions", "entropy", "kl", "loss_critic", "learning_rate", "simulated_days")
 """Columns of the log that do not depend on the clock."""
@@ -50,18 +41,11 @@ class Interrupted(Training):
         return super()._learn(batch)
 
 
-def weights(policy):
-    return torch.cat([value.double().flatten() for value in policy.state_dict().values()])
-
-
 def same_logs(one, other, columns=SAME, name=LOG):
     first, second = read_log(one / name), read_log(other / name)
     return all(
         torch.tensor(first[key]).equal(torch.tensor(second[key])) or str(first[key]) == str(second[key]) for key in columns
     )
-
-
-# -- what a run leaves behind -----------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -70,19 +54,14 @@ def run(tmp_path_factory):
     return out, train(TINY, out, episodes=0)
 
 
-def test_a_run_leaves_all_its_files(run):
+def test_a_run_leaves_all_its_files_and_the_best_policy(run):
     out, _ = run
     assert {path.name for path in out.iterdir()} == {POLICY, LOG, EVALUATIONS, CONFIG, CHECKPOINT}
     assert load_config(out / CONFIG, PPOConfig) == TINY
     log, judged = read_log(out / LOG), read_log(out / EVALUATIONS)
-    assert tuple(log) == COLUMNS
-    assert tuple(judged) == EVALUATED
-    assert log["frames"] == [24, 48, 72, 96]
+    assert (tuple(log), tuple(judged), log["frames"]) == (COLUMNS, EVALUATED, [24, 48, 72, 96])
     assert judged["frames"] == [48, 96]
     assert all(0.0 <= level <= 1.0 for level in judged["fill"])
-
-
-def test_the_best_policy_is_kept(run):
     out, policy = run
     kept = load_policy(out / POLICY)
     assert weights(kept).equal(weights(policy))
@@ -93,15 +72,13 @@ def test_the_best_policy_is_kept(run):
     assert state["best"]["return"] == pytest.approx(max(read_log(out / EVALUATIONS)["return"]), rel=1e-5)  # the file's digits
 
 
-def test_a_folder_with_something_in_it_is_left_alone(run):
+def test_rejects_folders_that_do_not_fit_and_leaves_them(run, tmp_path):
     out, _ = run
     before = (out / LOG).read_text()
-    with pytest.raises(FileExistsError, match="not empty"):
-        Training(TINY, out)
+    check_refusals(refusal(lambda: Training(TINY, out), FileExistsError, "empty"))
     assert (out / LOG).read_text() == before
-
-
-# -- interruptions ----------------------------------------------------------------------------------------------------
+    check_refusals(refusal(lambda: Training(TINY, tmp_path, resume=True), FileNotFoundError, "checkpoint.pt"))
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_resumed_run_remembers_what_its_policy_remembered(tmp_path):
@@ -165,7 +142,7 @@ def test_a_killed_process_ends_a_run_that_can_be_resumed(tmp_path, ahead):
     config = dataclasses.replace(SEVERAL, ahead=ahead, workers=1)
     out = tmp_path / "run"
     names = "process 0 of 1 was ended by SIGKILL", "memory is full", f"bsk-torch train {out} --resume"
-    check_refusals([refusal(lambda: Losing(config, out).run(), RuntimeError, *names)])
+    check_refusals(refusal(lambda: Losing(config, out).run(), RuntimeError, *names))
     assert not multiprocessing.active_children()
     assert read_log(out / LOG)["frames"] == [24, 48, 72]
     assert read_checkpoint(out, config)["progress"][0] in (24, 48)
@@ -181,7 +158,7 @@ class Failing(Losing):
 def test_rejects_code_that_fails_in_a_process(tmp_path):
     out = tmp_path / "run"
     check_refusals(
-        [refusal(lambda: Failing(dataclasses.replace(SEVERAL, workers=1), out).run(), RuntimeError, "process", "experience", out)]
+        refusal(lambda: Failing(dataclasses.replace(SEVERAL, workers=1), out).run(), RuntimeError, "process", "experience", out)
     )
 
 
@@ -202,7 +179,7 @@ class LosingActor(Losing):
 def test_a_lost_actor_of_ray_ends_a_run_that_can_be_resumed(by_several, tmp_path):
     _, policy = by_several
     config, out = dataclasses.replace(SEVERAL, collector="ray"), tmp_path / "run"
-    check_refusals([refusal(lambda: LosingActor(config, out).run(), RuntimeError, "died", f"bsk-torch train {out} --resume")])
+    check_refusals(refusal(lambda: LosingActor(config, out).run(), RuntimeError, "died", f"bsk-torch train {out} --resume"))
     assert weights(resume(out, episodes=0)).equal(weights(policy))
 
 
@@ -224,21 +201,11 @@ def test_rejects_checkpoints_of_something_else(run, tmp_path):
     out, _ = run
     (tmp_path / CONFIG).write_text((out / CONFIG).read_text())
     saved = torch.load(out / CHECKPOINT, weights_only=True)
-    table = [
+    check_refusals(
         refusal(lambda: resumed(preset="AEOS-v1"), ValueError, "preset", "'AEOS-v1'", "'NadirScan-v1'"),
         refusal(lambda: resumed(bsk_torch="0.0.1"), ValueError, "bsk_torch", "'0.0.1'", bsk_torch.__version__),
         refusal(lambda: resumed(num_envs=8), ValueError, "num_envs=8", 4),
-    ]
-    check_refusals(table)
-
-
-def test_resuming_needs_a_checkpoint(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"checkpoint\.pt"):
-        Training(TINY, tmp_path, resume=True)
-    assert not list(tmp_path.iterdir())
-
-
-# -- stopping, loggers ------------------------------------------------------------------------------------------------
+    )
 
 
 def test_training_stops_when_the_return_does_not_grow(tmp_path):
@@ -286,21 +253,15 @@ def test_tensorboard_gets_what_the_files_get(tmp_path):
     assert values == pytest.approx(read_log(tmp_path / "run" / EVALUATIONS)["return"], rel=1e-5)
 
 
-def test_a_missing_ray_is_named_before_anything_is_made(tmp_path, monkeypatch):
+def test_missing_packages_are_named_before_anything_is_made(tmp_path, monkeypatch):
     monkeypatch.setattr("bsk_torch.rl.training.cluster.find_spec", lambda name: None)
     with pytest.raises(ModuleNotFoundError, match=r"pip install 'bsk_torch\[ray\]'"):
         Training(dataclasses.replace(TINY, collector="ray"), tmp_path / "run")
     assert not (tmp_path / "run").exists()
-
-
-def test_a_missing_logger_is_named_before_anything_is_made(tmp_path, monkeypatch):
     monkeypatch.setattr("bsk_torch.rl.training.log.find_spec", lambda name: None)
     with pytest.raises(ModuleNotFoundError, match=r"pip install 'bsk_torch\[wandb\]'"):
         Training(dataclasses.replace(TINY, loggers=("csv", "wandb")), tmp_path / "run")
     assert not (tmp_path / "run").exists()
-
-
-# -- what is averaged -------------------------------------------------------------------------------------------------
 
 
 def test_recent_episodes_skip_the_first_of_each_environment():

@@ -43,32 +43,23 @@ def test_processes_suit_cores_and_episodes(monkeypatch, caplog, cores, changes, 
     assert f"workers=auto: collector={collector} workers={workers}, for {cores} available cores" in caplog.text
 
 
-def test_a_number_is_left_as_it_is():
+def test_processes_are_as_many_as_cores(monkeypatch, caplog):
+    monkeypatch.setattr("bsk_torch.rl.training.workers.available_cores", lambda: Cores(6, "6 available cores"))
+    warn_of_few_cores(PPOConfig(collector="multi", workers=4))
+    assert not caplog.records
+    warn_of_few_cores(PPOConfig(collector="multi", workers=8))
+    assert "workers=8 is more than 6 available cores: the processes share them; workers=4 is as fast" in caplog.text
+    assert 1 <= available_cores().number <= (os.cpu_count() or 1)
     config = PPOConfig(collector="multi", workers=4)
     assert with_workers(config) is config
     with pytest.raises(ValueError, match="workers='auto' has no number yet"):
         AUTO.processes  # noqa: B018  - raises
 
 
-def test_more_processes_than_cores_are_warned_of(monkeypatch, caplog):
-    monkeypatch.setattr("bsk_torch.rl.training.workers.available_cores", lambda: Cores(6, "6 available cores"))
-    warn_of_few_cores(PPOConfig(collector="multi", workers=4))
-    assert not caplog.records
-    warn_of_few_cores(PPOConfig(collector="multi", workers=8))
-    assert "workers=8 is more than 6 available cores: the processes share them; workers=4 is as fast" in caplog.text
-
-
-def test_this_machine_has_cores():
-    assert 1 <= available_cores().number <= (os.cpu_count() or 1)
-
-
 @pytest.mark.parametrize(("workers", "cores", "share"), [(2, [1, 1], 1.0), (2, [1], 0.5), (16, [4, 1], 0.25), (3, [0, 0], 0.0)])
 def test_all_processes_fit_on_a_cluster(workers, cores, share):
     assert share_of_core(workers, cores) == share
     assert not share or sum(int(count / share) for count in cores) >= workers
-
-
-# -- clusters that cannot be reached ---------------------------------------------------------------------------------------------
 
 
 def closed_port():

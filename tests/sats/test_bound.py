@@ -1,7 +1,5 @@
 """Descriptions of satellites, and the satellites of an environment that are made of them."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 
@@ -53,8 +51,7 @@ def test_methods_of_the_user_run_on_the_satellites_of_the_environment():
     assert isinstance(satellite, Plain)
     assert isinstance(satellite, SatelliteGroup)
     assert isinstance(satellite, sats.BoundImagingSatellite)
-    assert type(satellite).__name__ == "Plain"
-    assert type(satellite).__module__ == __name__
+    assert (type(satellite).__name__, type(satellite).__module__) == ("Plain", __name__)
     assert satellite.bound[-1] == ([-1, -1], ("target",)), "what the package declares is there before the hook, without super()"
     assert env.reset()["action_mask"].tolist() == [[False, False, True]] * 2
     satellite.threshold = 0.0

@@ -1,7 +1,5 @@
 """A fleet that holds what scenarios draw, as an environment would."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable
 from types import SimpleNamespace

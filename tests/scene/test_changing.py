@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -41,8 +39,7 @@ def test_a_step_is_paid_by_what_was_seen_before(begin, move):
     assert scenario.available.all()
     assert scenario.priority is scenario.priority
     move(scenario, 100.0)
-    assert scenario.priority.tolist() == [[102, 102]]
-    assert scenario.available.tolist() == [[False, True]]
+    assert (scenario.priority.tolist(), scenario.available.tolist()) == ([[102, 102]], [[False, True]])
 
 
 def test_reset_begins_anew_and_leaves_the_others(begin, move):
@@ -68,13 +65,10 @@ def test_padding_never_appears(begin, move):
     assert torch.equal(scenario.priority, torch.where(exists, 32.0, 0.0).double())
 
 
-def test_what_is_present_can_be_read_before_the_first_reset(begin):
+def test_present_targets_can_be_read_before_the_first_reset(begin):
     scenario = begin(Deadlines(2, 2.0), 1)
     scenario._present = None
     assert scenario.priority.tolist() == [[2, 2]]
-
-
-# -- wildfires --------------------------------------------------------------------------------------------------------
 
 
 def one_fire(**options) -> scene.Wildfires:
@@ -114,15 +108,14 @@ def test_burnt_area_is_van_wagners(begin, ratio):
     assert area.item() == pytest.approx(math.pi / 2.0 * (v + w) * u * 1200.0**2, rel=1e-13)
 
 
-def test_fires_stop_growing_when_they_have_burnt_out(begin):
+def test_fires_burn_from_their_ignition_until_they_have_burnt_out(begin):
     scenario = begin(one_fire(), 1)
     assert scenario.burnt_area(torch.tensor([1e5]).double()).item() == pytest.approx(math.pi * 2500.0**2)
-
-
-def test_fires_may_burn_from_the_start(begin):
     scenario = begin(one_fire(ignition=-1000.0), 1)
     assert scenario.available.all()
     assert scenario.priority.item() == pytest.approx(3.0 / 4.0)
+    assert one_fire(ignition=lambda: 5.0).calls_user
+    assert not one_fire().calls_user
 
 
 def test_each_fire_has_its_own_course(begin, move):
@@ -155,8 +148,3 @@ def test_regions_get_fires_by_their_area():
     share = (0.5 * 30) / (0.5 * 30 + 1 / 3 * 60)
     assert above.double().mean() == pytest.approx(share, abs=FIVE_SIGMA * math.sqrt(share * (1 - share)))
     assert r[above, 2].mean() == pytest.approx(0.75, abs=5 * 0.5 / math.sqrt(12 * int(above.sum())))
-
-
-def test_callables_are_known():
-    assert one_fire(ignition=lambda: 5.0).calls_user
-    assert not one_fire().calls_user

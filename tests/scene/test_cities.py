@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -36,12 +34,16 @@ def test_known_cities(begin, name, latitude, longitude):
     assert names.index(name) == scenario.drawn("target_city")[row, column]
 
 
-def test_the_table_is_ordered_by_population():
+def test_cities_are_ordered_and_as_many_as_there_are():
     names, angles = city_table()
     assert len(names) == len(angles) > 20_000
     assert {"Shanghai, CN", "Lagos, NG", "Mumbai, IN", "Istanbul, TR"} <= set(names[:25])
     assert names.index("Denver, US") < names.index("Boulder, US")
     assert angles.abs().max(0).values.tolist() < [math.pi / 2, math.pi]
+    city = scene.CityTargets((2, 8), 7).draw(key(50))["target_city"]
+    assert (city.sort(dim=-1).values == torch.arange(7)).all()
+    assert len({tuple(row) for row in city.tolist()}) > 40
+    assert scene.CityTargets(10, 10**6).n_select_from == len(city_table()[0])
 
 
 def test_no_city_twice_and_all_alike():
@@ -51,12 +53,6 @@ def test_no_city_twice_and_all_alike():
     counts = torch.bincount(city.flatten().long(), minlength=50)
     assert len(counts) == 50
     assert float(((counts - MANY / 50) ** 2 / (MANY / 50)).sum()) < 49 + 5 * math.sqrt(2 * 49)
-
-
-def test_as_many_as_there_are():
-    city = scene.CityTargets((2, 8), 7).draw(key(50))["target_city"]
-    assert (city.sort(dim=-1).values == torch.arange(7)).all()
-    assert len({tuple(row) for row in city.tolist()}) > 40
 
 
 @pytest.mark.parametrize("everything", [None, "all"])
@@ -97,18 +93,12 @@ def test_an_environment_draws_the_same_in_any_batch():
     assert not torch.equal(whole["target_city"], scenario.draw(key(8, episode=1))["target_city"])
 
 
-def test_more_cities_than_there_are_stand_for_all():
-    assert scene.CityTargets(10, 10**6).n_select_from == len(city_table()[0])
-
-
 def test_rejects_wrong_numbers_and_offsets():
     def cities(*numbers, **options):
         return scene.CityTargets(10, *numbers, **options)
 
     offset, largest = "location_offset", "[0, 6.37814e+06] m"
     check_refusals(
-        [
-            *(refusal(lambda n=n: cities(n), ValueError, "n_select_from", repr(n), 10, "'all'") for n in (9, 12.5, "most", True)),
-            *(refusal(lambda x=x: cities(location_offset=x), ValueError, offset, x, largest) for x in (-1.0, math.nan, 7e6)),
-        ]
+        *(refusal(lambda n=n: cities(n), ValueError, "n_select_from", repr(n), 10, "'all'") for n in (9, 12.5, "most", True)),
+        *(refusal(lambda x=x: cities(location_offset=x), ValueError, offset, x, largest) for x in (-1.0, math.nan, 7e6)),
     )

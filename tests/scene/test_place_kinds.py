@@ -1,7 +1,5 @@
 """Kinds of places that a scenario or a component declares are types of opportunities like the package's."""
 
-from __future__ import annotations
-
 import math
 from typing import ClassVar
 
@@ -13,15 +11,7 @@ from bsk_torch.astro.mean_orbit import mean_elements
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.component import Component
-from bsk_torch.sim.places import (
-    AboveElevation,
-    ClearOfEarth,
-    FixedPlaces,
-    GreatCirclePlaces,
-    Lit,
-    OrbitingPlaces,
-    WithinRange,
-)
+from bsk_torch.sim.places import AboveElevation, ClearOfEarth, FixedPlaces, GreatCirclePlaces, Lit, OrbitingPlaces, WithinRange
 from tests.support.refusals import check_refusals, refusal
 
 PLACES = 30
@@ -76,17 +66,11 @@ def env():
 
 def test_kinds_are_types_of_opportunities(env):
     assert env.satellite.opportunity_types == ("ground_station", "buoy", "moored", "ship", "debris", "never")
-
-
-def test_moored_ships_are_seen_when_buoys_are(env):
     buoys, ships = (env.satellite.find_windows(5400.0, kind) for kind in ("buoy", "moored"))
     assert torch.isfinite(buoys.close).sum() > 10
     assert torch.equal(buoys.place, ships.place)
     for one, other in zip(buoys[:2], ships[:2], strict=True):
         assert torch.allclose(one, other, rtol=0, atol=1e-6)
-
-
-def test_missing_places_have_no_windows(env):
     ships = env.satellite.find_windows(5400.0, "ship")
     there = torch.isfinite(ships.close)
     assert there.any()
@@ -119,9 +103,12 @@ def test_objects_of_other_kinds_are_names(env):
     assert env.satellite.find_next_opportunities(1, types="debris")["object"][1, 0].startswith("debris-")
 
 
-def test_episodes_do_not_depend_on_the_batch():
+def test_episodes_do_not_depend_on_the_batch_and_have_bsk_rls_windows():
     wide, narrow = make().reset()["observation"], make(num_envs=1).reset()["observation"]
     assert torch.equal(wide[:1], narrow)
+    made = make(compat="bsk_rl")
+    made.reset()
+    assert torch.isfinite(made.satellite.find_next_opportunities(2, types="debris").close).all()
 
 
 def test_states_are_restored_with_their_windows(env):
@@ -133,12 +120,6 @@ def test_states_are_restored_with_their_windows(env):
     again = env.satellite.find_next_opportunities(3, types="debris")
     assert torch.equal(seen.open, again.open)
     assert torch.equal(seen.r_LP_P, again.r_LP_P)
-
-
-def test_bsk_rls_windows_are_those_of_places_at_rest_only():
-    made = make(compat="bsk_rl")
-    made.reset()
-    assert torch.isfinite(made.satellite.find_next_opportunities(2, types="debris").close).all()
 
 
 def test_components_bring_places_too():
@@ -175,12 +156,10 @@ def test_rejects_wrong_kinds(env):
 
     env.reset()
     check_refusals(
-        [
-            refusal(lambda: kinds(ship=lambda tables: [1.0]), TypeError, "'ship'", [1.0], "sim.places.Places"),
-            refusal(lambda: kinds(ground_station=debris(Lit())), ValueError, "'ground_station'", "name"),
-            refusal(lambda: kinds(debris=debris()), ValueError, "'debris'", "clearances"),
-            refusal(lambda: make(satellite=Tracking), ValueError, "target_angle_rate", "'ship'"),
-            # with the advice that belongs to the kind
-            refusal(lambda: env.satellite.find_next_opportunities(1, types="never"), RuntimeError, "never", "a larger range"),
-        ]
+        refusal(lambda: kinds(ship=lambda tables: [1.0]), TypeError, "'ship'", [1.0], "sim.places.Places"),
+        refusal(lambda: kinds(ground_station=debris(Lit())), ValueError, "'ground_station'", "name"),
+        refusal(lambda: kinds(debris=debris()), ValueError, "'debris'", "clearances"),
+        refusal(lambda: make(satellite=Tracking), ValueError, "target_angle_rate", "'ship'"),
+        # with the advice that belongs to the kind
+        refusal(lambda: env.satellite.find_next_opportunities(1, types="never"), RuntimeError, "never", "a larger range"),
     )

@@ -1,7 +1,5 @@
 """Targets whose true places lie near the believed ones."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -49,18 +47,14 @@ def test_errors_leave_targets_alone_and_belong_to_their_episode(begin):
     alone = uncertain.draw(rows_of(whole, [2]))
     assert torch.equal(alone["true_r_LP_P"], uncertain.draw(whole)["true_r_LP_P"][2:3])
     linked = begin(uncertain)
-    assert linked.location_sigma.shape == (4, 5)
-    assert linked.true_r_LP_P.shape == (4, 5, 3)
+    assert (linked.location_sigma.shape, linked.true_r_LP_P.shape) == ((4, 5), (4, 5, 3))
     assert 1e3 <= float(linked.location_sigma.min()) < float(linked.location_sigma.max()) < 2e3
     assert torch.equal(linked.available, begin(plain).available)
 
 
-def test_clouds_and_errors_add_up(begin):
+def test_clouds_and_errors_add_up_and_callables_are_known(begin):
     both = begin(scene.UncertainTargets(scene.CloudyTargets(scene.UniformTargets(3), largest_forecast=0.5), sigma=0.0))
     assert torch.equal(both.true_r_LP_P, both.r_LP_P)
     assert torch.equal(both.available, both.drawn("cloud_forecast") <= 0.5)
-
-
-def test_callables_are_known():
     assert scene.UncertainTargets(scene.UniformTargets(2), lambda: 10.0).calls_user
     assert not scene.UncertainTargets(scene.UniformTargets(2)).calls_user

@@ -1,7 +1,5 @@
 """Buses for tests of single components."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

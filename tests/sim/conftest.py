@@ -1,7 +1,5 @@
 """Fixtures that the tests of arcs share."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

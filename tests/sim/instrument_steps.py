@@ -1,7 +1,5 @@
 """Steps of a satellite with several instruments next to those of satellites with one of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import torch

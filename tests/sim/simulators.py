@@ -1,7 +1,5 @@
 """Simulators of satellites that belong to no environment."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any

@@ -1,11 +1,10 @@
-from __future__ import annotations
-
 import pytest
 import torch
 
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Layout, Track, neighbours, vec
 from bsk_torch.sim.environment.ephemeris import put_track
 from bsk_torch.vec3 import Vec3
+from tests.support.refusals import check_refusals, refusal
 
 FIELDS = (
     vec("r_BN_N", exact=True),
@@ -20,27 +19,17 @@ def planes(size: int, n: int = 5) -> list[torch.Tensor]:
     return list(torch.randn(size, n, dtype=torch.float64))
 
 
-# -- bus --------------------------------------------------------------------------------------------------------------------
-
-
-def test_a_bus_knows_its_tick():
+def test_a_bus_knows_its_tick_and_what_has_been_written():
     bus = Bus(500_000_000, torch.float32, opaque_field=True)
     assert (bus.h_ns, bus.h, bus.dtype, bus.opaque_field) == (500_000_000, 0.5, torch.float32, True)
-
-
-def test_messages_must_be_written_before_they_are_read():
     bus = Bus(1)
     assert not bus.has("power")
-    with pytest.raises(AttributeError, match="no component has written 'power'"):
-        _ = bus.power
+    check_refusals(refusal(lambda: bus.power, AttributeError, "'power'"))
     bus.power = 3.0
     assert bus.has("power")
 
 
-# -- layouts ----------------------------------------------------------------------------------------------------------------
-
-
-def test_layouts_write_fields_to_the_bus_and_gather_them():
+def test_layouts_write_fields_and_packs_have_views():
     layout, bus = Layout(FIELDS), Bus(1)
     pack = planes(layout.size)
     layout.put(bus, pack)
@@ -52,19 +41,6 @@ def test_layouts_write_fields_to_the_bus_and_gather_them():
     assert isinstance(bus.one_of_many, tuple)
     assert bus.one_of_many == (pack[8],)
     assert all(a is b for a, b in zip(layout.gather(bus), pack, strict=True))
-
-
-def test_exact_fields_are_told_plane_by_plane():
-    assert Layout(FIELDS).exact == [True] * 4 + [False] * 6
-
-
-def test_equal_names_are_one_field():
-    layout = Layout((*FIELDS, Field("charge", exact=True)))
-    assert layout.size == 10
-    assert layout.slices["idle"] == slice(9, 10)
-
-
-def test_rows_and_views_of_a_pack():
     layout = Layout(FIELDS[:3])
     values = {"r_BN_N": torch.randn(4, 3).double(), "charge": torch.randn(1).double(), "pulse": torch.randn(1, 4).double()}
     pack = layout.rows(values, 4)
@@ -72,11 +48,14 @@ def test_rows_and_views_of_a_pack():
     assert torch.equal(layout.view(pack, "charge"), values["charge"].expand(4))
     assert torch.equal(layout.view(pack, "pulse"), values["pulse"].mT.expand(4, 4))
     layout.view(pack, "charge")[2] = 7.0
-    assert pack[3, 2] == 7.0
-    assert Layout(()).rows({}, 3).shape == (0, 3)
+    assert (pack[3, 2], Layout(()).rows({}, 3).shape) == (7.0, (0, 3))
 
 
-# -- tracks -----------------------------------------------------------------------------------------------------------------
+def test_fields_of_layouts_are_exact_by_planes_and_joined_by_names():
+    assert Layout(FIELDS).exact == [True] * 4 + [False] * 6
+    layout = Layout((*FIELDS, Field("charge", exact=True)))
+    assert (layout.size, layout.slices["idle"]) == (10, slice(9, 10))
+
 
 PAIR = Track("pair", 10.0, (Field("x"), vec("y")))
 QUARTET = Track("quartet", 10.0, (Field("x"),), count=4, before=1)
@@ -88,9 +67,14 @@ def numbered(track: Track, records: int, rows: int = 3) -> torch.Tensor:
     return index.view(rows, records, track.width)
 
 
-def test_width_of_a_track():
-    assert PAIR.width == 4
-    assert QUARTET.width == 1
+def test_tracks_have_a_width_and_are_put_on_the_bus():
+    assert (PAIR.width, QUARTET.width) == (4, 1)
+    bus, pack, tau = Bus(1), planes(PAIR.count * PAIR.width), planes(1)[0]
+    put_track(bus, PAIR, pack, tau)
+    assert bus.pair_tau is tau
+    assert bus.pair[0].x is pack[0]
+    assert bus.pair[1].x is pack[4]
+    assert all(a is b for record, k in zip(bus.pair, (1, 5), strict=True) for a, b in zip(record.y, pack[k : k + 3], strict=True))
 
 
 @pytest.mark.parametrize(
@@ -125,15 +109,6 @@ def test_more_records_are_centred_but_at_the_ends(elapsed, first, tau):
     assert since.item() == pytest.approx(tau, abs=1e-12)
 
 
-def test_records_of_a_track_on_the_bus():
-    bus, pack, tau = Bus(1), planes(PAIR.count * PAIR.width), planes(1)[0]
-    put_track(bus, PAIR, pack, tau)
-    assert bus.pair_tau is tau
-    assert bus.pair[0].x is pack[0]
-    assert bus.pair[1].x is pack[4]
-    assert all(a is b for record, k in zip(bus.pair, (1, 5), strict=True) for a, b in zip(record.y, pack[k : k + 3], strict=True))
-
-
 def test_every_row_has_its_own_time():
     table, rows = numbered(PAIR, 6), torch.tensor([1, 0, 1, 2])
     elapsed = torch.tensor([0.0, 12.0, 30.0, 44.0], dtype=torch.float64)
@@ -143,9 +118,6 @@ def test_every_row_has_its_own_time():
         alone, since = neighbours(PAIR, table, rows[k : k + 1], elapsed[k : k + 1])
         assert torch.equal(found[k], alone[0])
         assert tau[k] == since[0]
-
-
-# -- additions to a component ---------------------------------------------------------------------------------------------------
 
 
 def _one(bus) -> None:
@@ -182,13 +154,11 @@ def test_additions_run_after_the_component_and_replace_entries_of_the_same_name(
     )
     bus = Bus(1)
     more.update(bus)
-    assert bus.steps == ("one", "two")
-    assert more.update.__doc__ == "Write one."
+    assert (bus.steps, more.update.__doc__) == (("one", "two"), "Write one.")
     assert [(arg.name, arg.default) for arg in more.args] == [("a", 1.0), ("b", 3.0), ("c", 4.0)]
     assert more.prepare({"a": 1, "b": 2, "c": 3}) == {"p": 2, "q": 3}
     assert (more.slot, more.flags, more.resets) == ("battery", ("on", "off"), (("x", 1.0), ("y", 2.0)))
-    with pytest.raises(ValueError, match="refused"):
-        more.check({})
+    check_refusals(refusal(lambda: more.check({}), ValueError, "refused"))
     assert part.extended().update is _one
 
 

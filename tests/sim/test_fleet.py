@@ -56,14 +56,11 @@ def test_rows_of_types_and_tables_of_satellites(types):
         assert torch.equal(rows[fleet.simulators[k].state.rows_of(envs)].view(2, -1, 2), rows.view(N, -1, 2)[envs])
 
 
-def test_reading_what_all_have():
+def test_values_of_all_and_of_some_satellites():
     fleet = fleet_of((0, 2), (1, 3))
     values = [rows_of((0, 2)), rows_of((1, 3))]
     assert torch.equal(fleet.each(lambda part: values[fleet.satellites.index(part)]), WHOLE)
-
-
-def test_reading_what_only_some_have():
-    """Types without it give the value for missing ones, in the shape and dtype of the others."""
+    # Types without it give the value for missing ones, in the shape and dtype of the others.
     fleet = fleet_of((0, 2), (1,), (3,))
     expected = torch.full_like(WHOLE, -1.0)
     expected[:, 1] = WHOLE[:, 1]
@@ -80,14 +77,9 @@ def test_reading_what_only_some_have():
 def test_rejects_reading_what_nobody_has_and_hides_no_other_error():
     fleet = fleet_of((0, 2), (1, 3))
     check_refusals(
-        [
-            refusal(lambda: fleet.each(lambda part: part.altitude), AttributeError, "'altitude'"),
-            refusal(lambda: fleet.each(lambda part: 1 / 0), ZeroDivisionError),
-        ]
+        refusal(lambda: fleet.each(lambda part: part.altitude), AttributeError, "'altitude'"),
+        refusal(lambda: fleet.each(lambda part: 1 / 0), ZeroDivisionError),
     )
-
-
-# -- drawing ----------------------------------------------------------------------------------------------------------
 
 
 def test_share():
@@ -117,7 +109,7 @@ def drawing() -> Fleet:
     return Fleet([first, second], ["A", "B", "C"], lambda key: {"asked": key.named("asked").uniform(2)})
 
 
-def test_world_and_scenario_are_drawn_once(drawing):
+def test_draws_and_tables_are_shared_in_any_batch(drawing):
     """All satellites of an episode live in one world; each draws arguments of its own, as it would among satellites like it."""
     drawn = drawing.draw(first_key(N))
     assert torch.equal(drawn.scenario["asked"], first_key(N).named("asked").uniform(2))
@@ -128,18 +120,20 @@ def test_world_and_scenario_are_drawn_once(drawing):
     u = first_key(N).of_satellites(torch.arange(3)).named("K").uniform(1)
     assert torch.equal(k, 1.0 + u.view(N, 3))
     assert "asked" not in two
-
-
-def test_episodes_draw_the_same_in_any_batch(drawing):
     whole = drawing.draw(first_key(N))
     key = rand.Key(torch.zeros(1, dtype=torch.int64), torch.tensor([1]), torch.zeros(1, dtype=torch.int64))
     alone = drawing.draw(key)
     for count, some, every in zip((2, 1), alone.values, whole.values, strict=True):
         for name in ("utc_init", "K", "sigma_init", "oe"):
             assert torch.equal(some[name], every[name][count : 2 * count]), name
+    first, second = drawing.simulators
+    assert drawing.scenario_state is first.scenario_state is second.scenario_state
+    assert drawing.state.tables["scenario"] is drawing.scenario_state
+    assert drawing.scenario_state["asked"].shape == (N, 2)
+    assert drawing.ticks.shape == drawing.sim_time.shape == (N,)
 
 
-def test_what_is_set_for_all_together(drawing):
+def test_arguments_are_set_for_all_satellites_together(drawing):
     """Satellites of both types, and some of one only."""
     masses = torch.tensor([[120.0, 110.0], [220.0, 210.0], [320.0, 310.0]])
     drawn = drawing.draw(first_key(N), {"mass": ([2, 1], masses), "hs_min": ([1], masses[:, 1:])})
@@ -149,16 +143,6 @@ def test_what_is_set_for_all_together(drawing):
     assert one["mass"].tolist() == one["hs_min"].tolist() == [110.0, 210.0, 310.0]
     assert len(two["hs_min"]) == 1
 
-
-def test_tables_are_shared(drawing):
-    first, second = drawing.simulators
-    assert drawing.scenario_state is first.scenario_state is second.scenario_state
-    assert drawing.state.tables["scenario"] is drawing.scenario_state
-    assert drawing.scenario_state["asked"].shape == (N, 2)
-    assert drawing.ticks.shape == drawing.sim_time.shape == (N,)
-
-
-# -- flying together --------------------------------------------------------------------------------------------------
 
 FAR = 10**6
 ENDLESS = torch.full((N,), FAR)
@@ -221,23 +205,22 @@ def test_all_types_fly_to_the_first_event_of_any():
     """The first type flies beyond the second one's event in one episode, and goes back there; the others are not flown again."""
     plain, first, second = Flyer(0), Flyer(1, [25, 105, 99]), Flyer(2, [99, 35, 99])
     seen = fly([plain, first, second], [60, 60, 7])
-    assert plain.ticks.tolist() == [25, 35, 12]
-    assert seen == [None, [True, False, False], [False, True, False]]
-    assert first.flights == [[60, 60, 7], [0, 30, 0]]
-    assert second.flights == [[20, 60, 7]]
+    assert (plain.ticks.tolist(), seen) == ([25, 35, 12], [None, [True, False, False], [False, True, False]])
+    assert (first.flights, second.flights) == ([[60, 60, 7], [0, 30, 0]], [[20, 60, 7]])
     assert plain.flights == [[20, 30, 7]], "types that end no step fly last, and once"
 
 
-def test_events_of_one_instant_are_all_seen():
+def test_events_of_one_instant_are_all_seen_and_standing_episodes_have_none():
     flyers = [Flyer(0, [25, 25, 26]), Flyer(1, [25, 26, 25])]
     assert fly(flyers, [60] * 3) == [[True, True, False], [True, False, True]]
     assert flyers[0].ticks.tolist() == [25, 25, 25]
-
-
-def test_an_episode_that_stands_still():
     flyers = [Flyer(0, [25, 25, 25]), Flyer(1, [15, 15, 15])]
     assert fly(flyers, [0, 60, 0]) == [[False] * 3, [False, True, False]]
     assert flyers[0].ticks.tolist() == [5, 15, 5]
+    # Those before the end of the step, and at it, but not at the end of the episode.
+    flyers = [Flyer(0, [15, 25, 25], stops=False), Flyer(1, [25, 25, 99])]
+    assert fly(flyers, [60, 60, 20], [20, 60, 20]) == [[True, True, False], [False, True, False]]
+    assert flyers[0].flights == [[19, 20, 19], [1, 0, 1]]
 
 
 @pytest.mark.parametrize("others", [0, 1])
@@ -245,10 +228,3 @@ def test_the_end_of_an_episode_comes_before_an_event_of_that_instant(others):
     flyers = [Flyer(0, [25, 25, 25]), *(Flyer(1 + k, [90] * 3) for k in range(others))]
     assert fly(flyers, [20, 60, 20], [20, 21, 60])[0] == [False, True, True]
     assert flyers[0].ticks.tolist() == [25, 25, 25]
-
-
-def test_events_that_end_no_step_are_seen():
-    """Those before the end of the step, and at it, but not at the end of the episode."""
-    flyers = [Flyer(0, [15, 25, 25], stops=False), Flyer(1, [25, 25, 99])]
-    assert fly(flyers, [60, 60, 20], [20, 60, 20]) == [[True, True, False], [False, True, False]]
-    assert flyers[0].flights == [[19, 20, 19], [1, 0, 1]]

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from types import SimpleNamespace
@@ -26,9 +24,6 @@ from tests.sim.simulators import make_simulator
 
 CONTROLLER = np.load(Path(__file__).with_name("data") / "controller.npz")
 """Recorded by scripts/recorders/record_modules.py: simpleInstrumentController under random errors, access and tasks."""
-
-
-# -- controllers ---------------------------------------------------------------------------------------------------------------
 
 
 def controlled(sigma: float, omega: float, **values: float) -> Bus:
@@ -80,8 +75,6 @@ def test_basilisks_image_controller_tick_by_tick():
     assert sum(commands) >= 20
 
 
-# -- target --------------------------------------------------------------------------------------------------------------------
-
 H = 2.0
 EPOCH = parse_utc("2021-05-04T00:00:00")
 
@@ -119,27 +112,21 @@ def test_a_target_sees_what_is_above_its_limit_and_within_its_range(elevation, r
     assert not expected.all()
 
 
-def test_a_place_on_the_other_side_is_not_seen():
+def test_places_without_access():
     """Its squared elevation would be as good."""
     places = torch.tensor([[R_EARTH, 0.0, 0.0], [-R_EARTH, 0.0, 0.0]], dtype=torch.float64)
     PN = earth_orientation(torch.tensor(EPOCH - H, dtype=torch.float64))
     r = torch.tensor([[7e6, 0.0, 0.0]], dtype=torch.float64).expand(2, 3) @ PN
     assert aimed(places, r, math.radians(45.0), -1.0).target_access.tolist() == [1.0, 0.0]
-
-
-def test_without_pointing_there_is_no_target():
     places = torch.tensor([[R_EARTH, 0.0, 0.0]], dtype=torch.float64)
     bus = aimed(places, places * 1.1, 0.5, -1.0, location=0.0)
     assert bus.target_access.item() == 0.0
     assert (bus.r_LN_N.stack() == 0.0).all()
 
 
-def test_the_first_target_lies_on_the_equator():
+def test_targets_before_and_beside_images():
     state = target.IMAGE_TARGET.initial({"groundLocationPlanetRadius": torch.tensor([R_EARTH], dtype=torch.float64)})
     assert state["r_LP_P"].tolist() == [[R_EARTH + 1000.0, 0.0, 0.0]]
-
-
-def test_target_of_a_scan_is_the_earths_centre_but_for_ten_centimetres():
     position = Vec3.of(torch.tensor([[7e6, 0.0, 0.0]], dtype=torch.float64))
     bus = write(Bus(1_000_000_000), EN=pole_matrix(torch.zeros(1, dtype=torch.float64)), r_BN_N=position)
     for limit, reaches in ((-1.0, 1.0), (6.9e6, 0.0), (7.1e6, 1.0)):
@@ -148,24 +135,17 @@ def test_target_of_a_scan_is_the_earths_centre_but_for_ten_centimetres():
     assert bus.r_LN_N.stack()[0].tolist() == pytest.approx([0.0, 0.0, 0.1], abs=1e-12)
 
 
-# -- event ---------------------------------------------------------------------------------------------------------------------
-
-
 def test_the_event_fires_once():
     """When the first partition holds more than at the time of the task; the rest of the store does not matter."""
     bus = write(Bus(1_000_000_000), image_level=torch.tensor([5.0, 5.0, math.inf, 5.0]).double(), images=plane(2.0, 4))
     bus.partitions = torch.tensor([5.0, 5.5, 9.0, 6.0]).double(), plane(1e9, 4)
     events.notice_image(bus)
-    assert bus.stop.tolist() == [False, True, False, True]
-    assert bus.images.tolist() == [2.0, 3.0, 2.0, 3.0]
+    assert (bus.stop.tolist(), bus.images.tolist()) == ([False, True, False, True], [2.0, 3.0, 2.0, 3.0])
     assert bus.image_level.tolist() == [5.0, DISARMED, math.inf, DISARMED]
     bus.stop = torch.tensor([True, False, False, False])  # of another event
     events.notice_image(bus)
-    assert bus.stop.tolist() == [True, False, False, False]
-    assert bus.images.tolist() == [2.0, 3.0, 2.0, 3.0]
+    assert (bus.stop.tolist(), bus.images.tolist()) == ([True, False, False, False], [2.0, 3.0, 2.0, 3.0])
 
-
-# -- a satellite ---------------------------------------------------------------------------------------------------------------
 
 MODES = ("image", "image", "image", "charge", "downlink", "desat", "drift", "image")
 """Mode of each row. Rows 0 to 2 are near places that they image, the last is not."""

@@ -1,7 +1,5 @@
 """Several instruments on one satellite: each step is that of a satellite with the chosen one alone."""
 
-from __future__ import annotations
-
 import math
 import re
 from typing import Any
@@ -18,6 +16,7 @@ from bsk_torch.rl.rules.targets import image_actions
 from bsk_torch.sim import dyn, faults, fsw
 from bsk_torch.sim.arguments.sources import hint
 from tests.sim.instrument_steps import assert_steps_are_equal, choose
+from tests.support.episodes import begun
 from tests.support.refusals import check_refusals, refusal
 
 N, TARGETS = 2, 300
@@ -79,9 +78,6 @@ def assert_same(one: list[torch.Tensor], other: list[torch.Tensor], rows: slice 
     assert all(torch.equal(a[rows], b[rows]) for a, b in zip(one, other, strict=True))
 
 
-# -- each step is that of one instrument ------------------------------------------------------------------------------------
-
-
 def test_one_instrument_is_that_of_bsk_rl():
     angle = (obs.OpportunityProperties(dict(prop="target_angle"), dict(prop="priority"), n_ahead_observe=3),)
     own = {"inst_pHat_B": [0, 0, 1], "imageAttErrorRequirement": 0.01, "instrumentBaudRate": 8e6}
@@ -138,8 +134,7 @@ def _angles(instrument: str | None) -> obs.OpportunityProperties:
 def test_power_and_data_are_those_of_the_chosen_instrument(broken):
     """A command that is not withdrawn takes an image in every tick, of which a broken instrument has no data."""
     free = {"basePowerDraw": 0.0, "rwBasePower": 0.0, "panelArea": 1e-9, "u_max": 1e-6, "dataStorageCapacity": 1e12}
-    env = environment({"instruments": PAIR, **PACKET, **free, "faults": broken})
-    env.reset()
+    env = begun(environment({"instruments": PAIR, **PACKET, **free, "faults": broken}))
     simulator, everywhere = env.simulator, torch.ones(N, dtype=torch.bool)
     simulator.run(torch.full((N,), 1))
     for number, power in ((0, -30.0), (1, -80.0)):
@@ -157,14 +152,6 @@ def test_power_and_data_are_those_of_the_chosen_instrument(broken):
         assert (simulator.read("storage") - level).tolist() == [0.0 if lost else 2.0 * size] * N
         assert env.satellite.dynamics.instrument_baud.tolist() == [size] * N
         assert env.satellite.dynamics.instrument_index.tolist() == [number] * N
-
-
-def test_packets_are_as_small_as_the_smallest_image():
-    simulator = environment({"instruments": PAIR}).simulator
-    assert simulator.uniform[simulator.tick.shared.slices["packet_size"]].item() == -1.5e6
-
-
-# -- actions ----------------------------------------------------------------------------------------------------------------
 
 
 def test_the_same_target_with_another_instrument_is_another_task():
@@ -186,9 +173,8 @@ def test_the_same_target_with_another_instrument_is_another_task():
     assert saved.satellite.dynamics.instrument_index.tolist() == [1.0] * N
 
 
-def test_what_was_commanded_to_another_instrument_is_withdrawn():
-    env = environment()
-    env.reset()
+def test_commands_to_another_instrument_are_withdrawn():
+    env = begun(environment())
     everywhere, first = torch.ones(N, dtype=torch.bool), torch.zeros(N, dtype=torch.int64)
     wide, narrow = env.satellite.actions.entries[:2]
     env.simulator.write("instrument_command", everywhere, torch.ones(N))
@@ -198,8 +184,7 @@ def test_what_was_commanded_to_another_instrument_is_withdrawn():
 
 
 def test_images_of_one_instrument_hide_targets_from_the_others():
-    env = environment()
-    env.reset()
+    env = begun(environment())
     rows = torch.arange(N).unsqueeze(-1)
     seen = {kind: env.satellite.find_next_opportunities(2, kind).place for kind in ("target", "target@narrow")}
     env.rewarder.memory["imaged_targets"] = env.rewarder.imaged.scatter(1, torch.cat([*seen.values()], 1), True)
@@ -220,19 +205,13 @@ def test_targets_by_their_index_are_imaged_by_the_first_instrument():
     assert env.satellite.dynamics.instrument_index.tolist() == [0.0] * N
 
 
-# -- windows ----------------------------------------------------------------------------------------------------------------
-
-
-def test_windows_are_those_of_a_satellite_with_the_instrument():
+def test_windows_are_those_of_satellites_with_the_instrument_and_shared_without_limits():
     both, alone = environment(), environment({**NARROW, **PACKET})
     for env in (both, alone):
         env.reset()
     assert both.satellite.opportunity_types == ("ground_station", "target", "target@narrow")
     windows = both.satellite.find_windows(3000.0, "target@narrow"), alone.satellite.find_windows(3000.0)
     assert all(torch.equal(one, other) for one, other in zip(*windows, strict=True))
-
-
-def test_instruments_without_limits_share_windows():
     env = environment({"instruments": [dyn.Instrument("a"), dyn.Instrument("b", instrumentBaudRate=1e6)]})
     assert env.satellite.opportunity_types == ("ground_station", "target")
     env = environment({"instruments": [dyn.Instrument("b", imageTargetMinimumElevation=0.9)]}, (act.Image(2),))
@@ -240,8 +219,7 @@ def test_instruments_without_limits_share_windows():
 
 
 def test_windows_of_an_instrument_with_a_range_are_where_it_reaches():
-    env = environment({"instruments": [dyn.Instrument("all"), NEAR], "imageTargetMinimumElevation": 0.5})
-    env.reset()
+    env = begun(environment({"instruments": [dyn.Instrument("all"), NEAR], "imageTargetMinimumElevation": 0.5}))
     passes, near = (env.satellite.find_windows(3000.0, kind) for kind in ("target", "target@near"))
     there, counts = torch.isfinite(passes.close), [0, 0]
     for share in torch.linspace(0.02, 0.98, 7).tolist():
@@ -273,8 +251,6 @@ def test_light_limits_one_instrument():
     assert sines == pytest.approx([-2.0, math.sin(0.2)])
 
 
-# -- draws, backends, batches -----------------------------------------------------------------------------------------------
-
 AXES = rand.Choice([[0.0, 1.0, 1.0], [1.0, 0.0, 2.0]])
 DRAWN = [
     dyn.Instrument("wide", imageAttErrorRequirement=rand.Uniform(0.01, 0.03)),
@@ -286,8 +262,7 @@ def test_drawn_instruments_do_not_depend_on_the_batch():
     args = {"instruments": DRAWN, **PACKET}
     many, few = (play(environment(args, num_envs=n), (3, 0)) for n in (4, N))
     assert all(torch.equal(a[:N], b) for a, b in zip(many, few, strict=True))
-    env = environment(args)
-    env.reset()
+    env = begun(environment(args))
     sizes = env.satellite.sat_args["instruments.narrow.instrumentBaudRate"]
     assert len({*sizes.tolist()}) == N
     choose(env, 1)
@@ -303,9 +278,6 @@ def test_compiled_and_eager_agree():
         torch.testing.assert_close(one, other, rtol=1e-9, atol=1e-9)
 
 
-# -- errors -----------------------------------------------------------------------------------------------------------------
-
-
 def test_rejects_wrong_instruments():
     def listed(instruments, **args):
         return environment({"instruments": instruments, **args}, (act.Charge(duration=60.0),))
@@ -318,18 +290,16 @@ def test_rejects_wrong_instruments():
     spec = {"observation_spec": [literal_obs.Time()], "action_spec": [literal_act.Image(n_ahead_image=2)]}
     imager = type("Imager", (literal_sats.ImagingSatellite,), spec)
     check_refusals(
-        [
-            refusal(lambda: listed(3), ValueError, "instruments=3", "dyn.Instrument"),
-            refusal(lambda: listed([]), ValueError, "instruments=[]", "dyn.Instrument"),
-            refusal(lambda: listed([dyn.Instrument("a")] * 2), ValueError, "2 instruments", "'a'"),
-            refusal(lambda: own(inst_pHat_B=[0, 0, 0]), ValueError, "instrument 'a'", "inst_pHat_B=[0, 0, 0]"),
-            refusal(lambda: own(instrumentBaudRate=-1.0), ValueError, "instruments.a.instrumentBaudRate=-1 bit"),
-            refusal(lambda: own(imageTargetMinimumElevation=2.0), ValueError, "'a'", "MinimumElevation=2 rad", "[0, pi/2)"),
-            refusal(lambda: listed(PAIR, faults=[lost]), ValueError, "'wide'", "'instruments.wide.instrumentBaudRate'"),
-            refusal(lambda: listed([dyn.Instrument("a")], faults=[mine]), ValueError, "'instruments.a.instrumentBaudRate'"),
-            refusal(lambda: imager("A", {"instruments": PAIR}), ValueError, "['instruments']", *literal),
-            refusal(lambda: image_actions(environment()), ValueError, "A has", "instruments", "rules"),
-        ]
+        refusal(lambda: listed(3), ValueError, "instruments=3", "dyn.Instrument"),
+        refusal(lambda: listed([]), ValueError, "instruments=[]", "dyn.Instrument"),
+        refusal(lambda: listed([dyn.Instrument("a")] * 2), ValueError, "2 instruments", "'a'"),
+        refusal(lambda: own(inst_pHat_B=[0, 0, 0]), ValueError, "instrument 'a'", "inst_pHat_B=[0, 0, 0]"),
+        refusal(lambda: own(instrumentBaudRate=-1.0), ValueError, "instruments.a.instrumentBaudRate=-1 bit"),
+        refusal(lambda: own(imageTargetMinimumElevation=2.0), ValueError, "'a'", "MinimumElevation=2 rad", "[0, pi/2)"),
+        refusal(lambda: listed(PAIR, faults=[lost]), ValueError, "'wide'", "'instruments.wide.instrumentBaudRate'"),
+        refusal(lambda: listed([dyn.Instrument("a")], faults=[mine]), ValueError, "'instruments.a.instrumentBaudRate'"),
+        refusal(lambda: imager("A", {"instruments": PAIR}), ValueError, "['instruments']", *literal),
+        refusal(lambda: image_actions(environment()), ValueError, "A has", "instruments", "rules"),
     )
 
 
@@ -340,28 +310,24 @@ def test_rejects_instruments_that_the_satellite_lacks():
     station = {"type": "ground_station", "n_ahead_observe": 2, "instrument": "wide"}
     observe = obs.OpportunityProperties
     check_refusals(
-        [
-            refusal(lambda: imaging(instrument="narow"), ValueError, "act.Image", "instrument='narow'", "'narrow'"),
-            refusal(lambda: imaging(instrument=2), ValueError, "act.Image", "instrument=2", "narrow, wide"),
-            refusal(lambda: imaging(), ValueError, "act.Image", "instrument=", "['wide', 'narrow']"),
-            refusal(lambda: imaging({}, instrument="wide"), ValueError, "act.Image", "instrument='wide'", "instruments=["),
-            refusal(lambda: environment({}, observed=(_angles("wide"),)), ValueError, "instrument='wide'", "instruments=["),
-            refusal(lambda: observe(dict(prop="r_LP_P"), **station), ValueError, "instrument='wide'", "'ground_station'"),
-        ]
+        refusal(lambda: imaging(instrument="narow"), ValueError, "act.Image", "instrument='narow'", "'narrow'"),
+        refusal(lambda: imaging(instrument=2), ValueError, "act.Image", "instrument=2", "narrow, wide"),
+        refusal(lambda: imaging(), ValueError, "act.Image", "instrument=", "['wide', 'narrow']"),
+        refusal(lambda: imaging({}, instrument="wide"), ValueError, "act.Image", "instrument='wide'", "instruments=["),
+        refusal(lambda: environment({}, observed=(_angles("wide"),)), ValueError, "instrument='wide'", "instruments=["),
+        refusal(lambda: observe(dict(prop="r_LP_P"), **station), ValueError, "instrument='wide'", "'ground_station'"),
     )
 
 
-def test_instruments_by_number():
+def test_instruments_have_names_numbers_and_the_smallest_packet():
     env = environment(actions=(act.Image(2, 5.0, instrument=0), act.Image(2, 5.0, instrument=1)))
     td = env.reset()
     env.step(td.set("action", torch.full((N,), 2)))
     assert env.satellite.dynamics.instrument_index.tolist() == [1.0] * N
-
-
-def test_an_instrument_needs_a_name():
-    with pytest.raises(ValueError, match="Instrument: name=3 must be a string"):
-        dyn.Instrument(3)
+    check_refusals(refusal(lambda: dyn.Instrument(3), ValueError, "name=3"))
     assert dyn.Instrument("a", inst_pHat_B=[0, 0, 1]) == dyn.Instrument("a", inst_pHat_B=(0, 0, 1))
+    simulator = environment({"instruments": PAIR}).simulator
+    assert simulator.uniform[simulator.tick.shared.slices["packet_size"]].item() == -1.5e6
 
 
 def test_satellites_without_an_instrument_have_no_list():

@@ -1,7 +1,5 @@
 """Light at targets: the Sun's elevation against a textbook, in windows, and where images are taken."""
 
-from __future__ import annotations
-
 import math
 from datetime import datetime, timedelta
 from types import SimpleNamespace
@@ -201,10 +199,8 @@ def test_images_are_taken_in_the_light_alone():
 
 def test_rejects_impossible_light():
     check_refusals(
-        [
-            refusal(lambda: environment(**{LOW: 10.0}), ValueError, f"{LOW}=10 rad", "[-1.5708, 1.5708]"),
-            refusal(lambda: environment(**{LOW: 0.3, HIGH: 0.2}), ValueError, f"{LOW}=0.3 rad", f"{HIGH}=0.2 rad"),
-        ]
+        refusal(lambda: environment(**{LOW: 10.0}), ValueError, f"{LOW}=10 rad", "[-1.5708, 1.5708]"),
+        refusal(lambda: environment(**{LOW: 0.3, HIGH: 0.2}), ValueError, f"{LOW}=0.3 rad", f"{HIGH}=0.2 rad"),
     )
 
 

@@ -1,7 +1,5 @@
 """Limits of places, and places of components in the schedule, that cannot be."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 
@@ -23,13 +21,11 @@ def test_rejects_wrong_limits_of_places():
     places, sunlit = torch.eye(3, dtype=torch.float64).unsqueeze(0) * R_EARTH, [SunElevation(0.1)]
     name, allowed = "imageTargetMinimumElevation", "[0, pi/2)"
     check_refusals(
-        [
-            refusal(lambda: elevation(45.0), ValueError, f"{name}=45 rad", allowed, "math.radians(45)"),
-            refusal(lambda: elevation(0.5 * math.pi), ValueError, f"{name}=1.5708 rad", allowed),
-            refusal(lambda: elevation(-0.1), ValueError, f"{name}=-0.1 rad", allowed),
-            refusal(lambda: elevation(-0.3), ValueError, f"{name}=-0.3 rad", allowed),
-            refusal(lambda: FixedPlaces(places, 0.1, light=sunlit), ValueError, "light=[SunElevation(", "tables="),
-        ]
+        refusal(lambda: elevation(45.0), ValueError, f"{name}=45 rad", allowed, "math.radians(45)"),
+        refusal(lambda: elevation(0.5 * math.pi), ValueError, f"{name}=1.5708 rad", allowed),
+        refusal(lambda: elevation(-0.1), ValueError, f"{name}=-0.1 rad", allowed),
+        refusal(lambda: elevation(-0.3), ValueError, f"{name}=-0.3 rad", allowed),
+        refusal(lambda: FixedPlaces(places, 0.1, light=sunlit), ValueError, "light=[SunElevation(", "tables="),
     )
 
 
@@ -51,4 +47,4 @@ def test_rejects_components_without_a_place_in_the_schedule():
     ]
     model = dyn.DynamicsModel
     named = refusal(lambda: type("Wrong", (model,), {"schedule": ("hub",)}), TypeError, "Wrong.schedule=('hub',)", "SCHEDULE")
-    check_refusals([*rows, named])
+    check_refusals(*rows, named)

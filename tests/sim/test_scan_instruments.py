@@ -1,7 +1,5 @@
 """Several instruments on a satellite that scans: each step is that of a satellite with the chosen one alone."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
@@ -151,7 +149,7 @@ def test_only_the_same_instrument_continues_a_scan():
         assert decision.retask.tolist() == [retasks] * N
 
 
-def test_what_was_commanded_to_another_instrument_is_withdrawn():
+def test_commands_to_another_instrument_are_withdrawn():
     env = environment()
     td = env.reset()
     everywhere, zeros = torch.ones(N, dtype=torch.bool), torch.zeros(N, dtype=torch.int64)
@@ -198,9 +196,6 @@ def test_drawn_instruments_do_not_depend_on_the_batch_and_backends_agree():
         torch.testing.assert_close(a, b, rtol=1e-9, atol=1e-9)
 
 
-# -- errors -----------------------------------------------------------------------------------------------------------------
-
-
 def test_rejects_wrong_instruments():
     def scan(*args, **instrument):
         return environment(*args, actions=(act.Scan(**instrument),))
@@ -221,16 +216,14 @@ def test_rejects_wrong_instruments():
     bounded = environment(scenario=scene.UniformNadirScanning(value_per_second=1.0), failure_penalty=-1.0)
     bounded.reset()
     check_refusals(
-        [
-            refusal(lambda: scan(instrument="rader"), ValueError, "act.Scan", "instrument='rader'", "'radar'"),
-            refusal(lambda: scan(instrument=2), ValueError, "act.Scan", "instrument=2", "radar, swath"),
-            refusal(lambda: scan(), ValueError, "act.Scan 'action_nadir_scan'", "instrument=", "['swath', 'radar']"),
-            refusal(lambda: scan({}, instrument="radar"), ValueError, "act.Scan", "instrument='radar'", "instruments=["),
-            refusal(lambda: radar(elevation), ValueError, "instrument 'radar'", elevation),
-            refusal(lambda: radar(light), ValueError, "instrument 'radar'", light),
-            refusal(lambda: environment(lost), ValueError, "instrument 'swath'", "'instruments.swath.instrumentBaudRate'"),
-            refusal(lambda: check_scanning(bounded), ValueError, "bound of scanning", "one instrument", "list of instruments"),
-            refusal(lambda: Scanner("A", pair), ValueError, "['instruments']", "bsk_torch.bsk_rl", "bsk_torch.sats"),
-            refusal(lambda: SatelliteTasking(Inspector("A", pair)), KeyError, "['instruments']", "dyn.ImagingDynModel"),
-        ]
+        refusal(lambda: scan(instrument="rader"), ValueError, "act.Scan", "instrument='rader'", "'radar'"),
+        refusal(lambda: scan(instrument=2), ValueError, "act.Scan", "instrument=2", "radar, swath"),
+        refusal(lambda: scan(), ValueError, "act.Scan 'action_nadir_scan'", "instrument=", "['swath', 'radar']"),
+        refusal(lambda: scan({}, instrument="radar"), ValueError, "act.Scan", "instrument='radar'", "instruments=["),
+        refusal(lambda: radar(elevation), ValueError, "instrument 'radar'", elevation),
+        refusal(lambda: radar(light), ValueError, "instrument 'radar'", light),
+        refusal(lambda: environment(lost), ValueError, "instrument 'swath'", "'instruments.swath.instrumentBaudRate'"),
+        refusal(lambda: check_scanning(bounded), ValueError, "bound of scanning", "one instrument", "list of instruments"),
+        refusal(lambda: Scanner("A", pair), ValueError, "['instruments']", "bsk_torch.bsk_rl", "bsk_torch.sats"),
+        refusal(lambda: SatelliteTasking(Inspector("A", pair)), KeyError, "['instruments']", "dyn.ImagingDynModel"),
     )

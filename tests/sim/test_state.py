@@ -1,7 +1,5 @@
 """Declared tensors take part in resets, copies of rows, and saved states, and tensors that are not declared are refused."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 
@@ -22,42 +20,33 @@ def memory() -> StateTable:
     return made
 
 
-def test_names_start_with_their_initial_values(memory):
+def test_names_start_with_their_initial_values_and_keep_their_types(memory):
     assert list(memory) == ["target", "images", "taken_any", "value"]
     assert torch.equal(memory["target"], torch.full((4,), -1))
     assert torch.equal(memory["images"], torch.zeros(4, 3, dtype=torch.int64))
     assert torch.equal(memory["taken_any"], torch.zeros(4, dtype=torch.bool))
     assert torch.equal(memory["value"], torch.full((4, 2, 2), 0.5, dtype=torch.float64))
+    memory["target"] = torch.tensor([3.0, 2.0, 1.0, 0.0])
+    memory["taken_any"] = torch.tensor([0, 1, 0, 1])
+    assert torch.equal(memory["target"], torch.tensor([3, 2, 1, 0]))
+    assert torch.equal(memory["taken_any"], torch.tensor([False, True, False, True]))
+    check_refusals(
+        refusal(lambda: memory["targets"], KeyError), refusal(lambda: memory.__setitem__("targets", torch.zeros(4)), KeyError)
+    )
+    assert "targets" not in list(memory)
 
 
 def test_rejects_names_and_shapes_that_are_not_declared(memory):
     known = "'images', 'taken_any', 'target'"
     check_refusals(
-        [
-            refusal(lambda: memory.declare("taken_any", 0), ValueError, "name='taken_any'", known),
-            refusal(lambda: memory.declare("version", 0), ValueError, "name='version'", known),
-            refusal(lambda: memory.declare("rows", 0), ValueError, "name='rows'", known),
-            refusal(lambda: memory.declare("reset", 0), ValueError, "name='reset'", known),
-            refusal(lambda: memory.__setattr__("charge", torch.zeros(4)), AttributeError, "'charge'", "declare('charge', ...)"),
-            refusal(lambda: memory.charge, AttributeError, "'charge'", known),
-            refusal(lambda: memory.__setitem__("images", torch.zeros(4)), ValueError, "'images'", "[4, 3]", "[4]"),
-        ]
+        refusal(lambda: memory.declare("taken_any", 0), ValueError, "name='taken_any'", known),
+        refusal(lambda: memory.declare("version", 0), ValueError, "name='version'", known),
+        refusal(lambda: memory.declare("rows", 0), ValueError, "name='rows'", known),
+        refusal(lambda: memory.declare("reset", 0), ValueError, "name='reset'", known),
+        refusal(lambda: memory.__setattr__("charge", torch.zeros(4)), AttributeError, "'charge'", "declare('charge', ...)"),
+        refusal(lambda: memory.charge, AttributeError, "'charge'", known),
+        refusal(lambda: memory.__setitem__("images", torch.zeros(4)), ValueError, "'images'", "[4, 3]", "[4]"),
     )
-
-
-def test_what_is_stored_keeps_its_type(memory):
-    memory["target"] = torch.tensor([3.0, 2.0, 1.0, 0.0])
-    memory["taken_any"] = torch.tensor([0, 1, 0, 1])
-    assert torch.equal(memory["target"], torch.tensor([3, 2, 1, 0]))
-    assert torch.equal(memory["taken_any"], torch.tensor([False, True, False, True]))
-
-
-def test_names_that_are_not_remembered(memory):
-    with pytest.raises(KeyError):
-        memory["targets"]
-    with pytest.raises(KeyError):
-        memory["targets"] = torch.zeros(4)
-    assert "targets" not in list(memory)
 
 
 def test_resets_set_all_names_back_in_their_rows(memory):
@@ -72,15 +61,12 @@ def test_resets_set_all_names_back_in_their_rows(memory):
     assert memory["target"].tolist() == [-1, 1, -1, 3]
 
 
-def test_rows_are_copied_from_another_table_of_another_size(memory):
+def test_rows_are_copied_from_tables_of_other_sizes_and_fields(memory):
     other = memory.taken(torch.tensor([3, 1, 0, 2, 2, 1]))
     other["images"], other["target"] = torch.arange(18).view(6, 3), torch.arange(6)
     memory.copy_rows(torch.tensor([0, 2, 3]), other, torch.tensor([5, 5, 1]))
     assert memory["images"].tolist() == [[15, 16, 17], [0, 0, 0], [15, 16, 17], [3, 4, 5]]
     assert memory["target"].tolist() == [5, -1, 5, 1]
-
-
-def test_fields_that_another_table_lacks_start_anew(memory):
     memory["images"], other = torch.ones(4, 3), StateTable(4)
     other.declare("target", -1)
     memory.copy_rows(torch.tensor([1, 2]), other, torch.tensor([0, 0]))
@@ -122,17 +108,20 @@ def test_rejects_saved_states_that_do_not_fit():
     returns, single, satellites = saved["returns"], saved["returns"].float(), saved["satellites"]
     short = satellites | {"tail": satellites["tail"][..., :1]}
     check_refusals(
-        [
-            refusal(lambda: table.over({"satellites": satellites}), KeyError, "['returns']", "[]"),
-            refusal(lambda: table.over(saved | {"more": returns}), KeyError, "[]", "['more']"),
-            refusal(lambda: table.over(saved | {"returns": single}), ValueError, "'returns'", "torch.float32", "torch.float64"),
-            refusal(lambda: table.over(saved | {"returns": returns[:2]}), ValueError, "[2, 4]", "episodes"),
-            refusal(lambda: table.over(saved | {"satellites": short}), ValueError, "'tail'", "[4, 2, 1]", "[N, 2, 2]"),
-        ]
+        refusal(lambda: table.over({"satellites": satellites}), KeyError, "['returns']", "[]"),
+        refusal(lambda: table.over(saved | {"more": returns}), KeyError, "[]", "['more']"),
+        refusal(lambda: table.over(saved | {"returns": single}), ValueError, "'returns'", "torch.float32", "torch.float64"),
+        refusal(lambda: table.over(saved | {"returns": returns[:2]}), ValueError, "[2, 4]", "episodes"),
+        refusal(lambda: table.over(saved | {"satellites": short}), ValueError, "'tail'", "[4, 2, 1]", "[N, 2, 2]"),
     )
 
 
-def test_rows_of_a_growing_field_are_written_whatever_their_width():
+def test_tables_and_growing_fields_are_widened():
+    table = torch.zeros(2, 3)
+    assert widened(table, 2, 1.0) is widened(table, 3, 1.0) is table
+    assert widened(torch.tensor([[1, 2]]), 3, 0).tolist() == [[1, 2, 0]]
+    assert widened(torch.zeros(1, 1, 2), 2, 5.0).tolist() == [[[0.0, 0.0], [5.0, 5.0]]]
+
     def written(rows: list[int], *new: list[float]) -> list[list[float]]:
         table = StateTable(2)
         table.declare("times", float("inf"), 2, grows=True)
@@ -146,26 +135,7 @@ def test_rows_of_a_growing_field_are_written_whatever_their_width():
     assert written([1, 0], [5.0], [6.0]) == [[6.0, inf], [5.0, inf]]
 
 
-def test_tables_are_widened_only_where_they_are_narrower():
-    table = torch.zeros(2, 3)
-    assert widened(table, 2, 1.0) is widened(table, 3, 1.0) is table
-    assert widened(torch.tensor([[1, 2]]), 3, 0).tolist() == [[1, 2, 0]]
-    assert widened(torch.zeros(1, 1, 2), 2, 5.0).tolist() == [[[0.0, 0.0], [5.0, 5.0]]]
-
-
-def test_what_has_been_handed_out_does_not_change(memory):
-    """An observation made of it stays as it was."""
-    images = memory["images"]
-    before = images.clone()
-    memory["images"] = torch.ones(4, 3)
-    ones = memory["images"]
-    memory.reset(torch.arange(4))
-    memory.copy_rows(torch.tensor([0]), memory.taken(torch.tensor([1])), torch.tensor([0]))
-    assert torch.equal(images, before)
-    assert torch.equal(ones, torch.ones(4, 3, dtype=torch.int64))
-
-
-def test_every_change_is_a_new_version(memory):
+def test_every_change_is_a_new_version_that_leaves_the_old_one(memory):
     """Queries that depend on the memory ask again after each."""
     versions = [memory.version]
     for change in (
@@ -179,9 +149,15 @@ def test_every_change_is_a_new_version(memory):
     assert versions == sorted(set(versions))
     memory["taken_any"], list(memory)
     assert memory.version == versions[-1]
-
-
-# -- clock ----------------------------------------------------------------------------------------------------------------------
+    # An observation made of it stays as it was.
+    images = memory["images"]
+    before = images.clone()
+    memory["images"] = torch.ones(4, 3)
+    ones = memory["images"]
+    memory.reset(torch.arange(4))
+    memory.copy_rows(torch.tensor([0]), memory.taken(torch.tensor([1])), torch.tensor([0]))
+    assert torch.equal(images, before)
+    assert torch.equal(ones, torch.ones(4, 3, dtype=torch.int64))
 
 
 def test_the_time_follows_the_ticks_however_they_change():

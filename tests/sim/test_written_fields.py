@@ -1,7 +1,5 @@
 """Fields that users write: what the next tick would overwrite is refused, and what counts is followed."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 
@@ -26,19 +24,16 @@ def simulator(dyn_type: type, fsw_type: type, **options) -> Simulator:
 def test_position_and_velocity_on_an_arc_cannot_be_written(name):
     sim = simulator(dyn.EclipseDynModel, fsw.FSWModel)
     before = sim.state.planes.clone()
-    with pytest.raises(ValueError, match=r"would be lost in the next tick: .* pass orbit='integrated' to the environment"):
-        sim.write(name, ALL, torch.zeros(2, 3))
+    check_refusals(refusal(lambda: sim.write(name, ALL, torch.zeros(2, 3)), ValueError, "next tick", "orbit='integrated'"))
     assert torch.equal(sim.state.planes, before)
 
 
 def test_rejects_fields_that_a_tick_computes_anew():
     sim, two, rotation = simulator(dyn.EclipseDynModel, fsw.FSWModel), torch.zeros(2), torch.zeros(2, 3)
     check_refusals(
-        [
-            refusal(lambda: sim.write("illumination", ALL, two), ValueError, "'illumination'", "orbit", "Sun"),
-            refusal(lambda: sim.write("sigma_BN", ALL, rotation), ValueError, "'sigma_BN'", "sigma_RN", "omega_RN_N"),
-            refusal(lambda: sim.write("sigma_RM", ALL, rotation), KeyError, "'sigma_RM'", "'sigma_RN'"),
-        ]
+        refusal(lambda: sim.write("illumination", ALL, two), ValueError, "'illumination'", "orbit", "Sun"),
+        refusal(lambda: sim.write("sigma_BN", ALL, rotation), ValueError, "'sigma_BN'", "sigma_RN", "omega_RN_N"),
+        refusal(lambda: sim.write("sigma_RM", ALL, rotation), KeyError, "'sigma_RM'", "'sigma_RN'"),
     )
 
 
@@ -58,5 +53,4 @@ def test_a_velocity_that_is_written_is_flown_where_the_orbit_is_integrated():
     for s in (sim, twin):
         s.run(torch.tensor([10, 10]))
     moved = (sim.read("r_BN_N") - twin.read("r_BN_N")).norm(dim=-1)
-    assert moved[0].item() == pytest.approx(10.0 * 0.01 * 7.5e3, rel=0.02)
-    assert moved[1] == 0.0
+    assert (moved[0].item(), moved[1]) == (pytest.approx(10.0 * 0.01 * 7.5e3, rel=0.02), 0.0)

@@ -1,7 +1,5 @@
 """Runs the blocks of code of a page: README.md and the pages of the documentation."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil

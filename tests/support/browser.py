@@ -1,7 +1,5 @@
 """Pages in Chromium: what the tests of the site and of reports ask of them."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Actions for presets of all kinds."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

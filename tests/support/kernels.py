@@ -1,7 +1,5 @@
 """The kernels of the default tests, which are built before these on all cores: ``python -m tests.support.kernels``."""
 
-from __future__ import annotations
-
 import json
 import logging
 import os

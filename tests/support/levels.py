@@ -6,8 +6,6 @@ of the shared fixtures that it requests, whichever test came first. A kernel tha
 nothing, because it is built before the tests; any other kernel costs its compilation in every test that loads it.
 """
 
-from __future__ import annotations
-
 import json
 import resource
 from collections import Counter, defaultdict
@@ -89,9 +87,6 @@ def _file(test: str) -> str:
     return test.partition("::")[0]
 
 
-# -- selection, order, shards --------------------------------------------------------------------------------------------------
-
-
 @pytest.hookimpl(tryfirst=True)  # before xdist adds groups to the ids
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Keep the tests of the levels and the shard, the file that takes longest first."""
@@ -141,8 +136,6 @@ def in_shard(seconds: dict[str, float], number: int, count: int) -> list[str]:
         parts[least].append(name)
     return parts[number - 1]
 
-
-# -- measurement ---------------------------------------------------------------------------------------------------------------
 
 NAME = pytest.StashKey[str]()
 

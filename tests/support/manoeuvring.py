@@ -1,7 +1,5 @@
 """Satellites that manoeuvre, for tests."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

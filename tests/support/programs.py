@@ -3,8 +3,6 @@
 The fork server of the standard library imports the libraries once; each script runs in a fork of it, as ``__main__``.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import runpy

@@ -1,7 +1,5 @@
 """Every reader of files that others may have made, with a right file: for tests with planted and with mutated files."""
 
-from __future__ import annotations
-
 import functools
 import gzip
 import io
@@ -60,9 +58,6 @@ class Reader(NamedTuple):
         return self.read(folder)
 
 
-# -- structures ---------------------------------------------------------------------------------------------------------------
-
-
 def of_json(content: bytes, change: Change) -> bytes:
     return json.dumps(change(json.loads(content))).encode()
 
@@ -80,9 +75,6 @@ def of_header(content: bytes, change: Change) -> bytes:
     start = len(MAGIC) + 8
     text = json.dumps(change(json.loads(raw[start : start + length]))).encode()
     return gzip.compress(MAGIC + struct.pack("<II", version, len(text)) + text + raw[start + length :], 1)
-
-
-# -- right files --------------------------------------------------------------------------------------------------------------
 
 
 def json_bytes(value: object) -> bytes:
@@ -117,10 +109,7 @@ def write_dataset_rows(folder: Path) -> None:
 CARD = {"format": 1, "behaviors": {"a": {"folder": "a", "episodes": 1}}, "targets": ["t"], "share": 1.0, "preset": "x"}
 
 CASE = SimpleNamespace(
-    names=("00001",),
-    present=torch.ones(1, 2, dtype=torch.bool),
-    tasks={"duration": torch.ones(1, 3)},
-    n_satellites=2,
+    names=("00001",), present=torch.ones(1, 2, dtype=torch.bool), tasks={"duration": torch.ones(1, 3)}, n_satellites=2
 )
 """A case of two satellites and three tasks."""
 

@@ -1,7 +1,5 @@
 """Recordings for tests of the viewer, made by formulas: circular orbits, attitudes that face the Earth, invented decisions."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsk_torch.recording.recording import Array, Branch, Craft, Death, Instrument, Recording, Scene, Series, Track

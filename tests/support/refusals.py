@@ -3,8 +3,6 @@
 A table pins neither the wording of a message nor its order, so that messages are free to improve.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
@@ -22,12 +20,17 @@ def refusal(call: Callable[[], object], error: type[BaseException] | tuple[type[
     return Refusal(call, error, tuple(str(name) for name in names))
 
 
-def check_refusals(table: Iterable[Refusal]) -> None:
-    """Make every call of a table; fails once, with a line for each call that does not raise what it must."""
-    rows = list(table)
+def check_refusals(*table: Refusal | Iterable[Refusal]) -> None:
+    """Make every call of some rows, or tables of rows; fails once, with a line for each that does not raise what it must."""
+    rows = [row for part in table for row in ([part] if isinstance(part, Refusal) else part)]
     assert rows, "a table without rows checks nothing"
-    failures = [f"line {row.call.__code__.co_firstlineno}: {fault}" for row in rows if (fault := _fault(row))]
+    failures = [f"{_place(row.call)}: {fault}" for row in rows if (fault := _fault(row))]
     assert not failures, "\n".join(failures)
+
+
+def _place(call: Callable[[], object]) -> str:
+    """Line of a call, with the values that its row of a loop has bound."""
+    return f"line {call.__code__.co_firstlineno}{f' {call.__defaults__!r:.200}' if call.__defaults__ else ''}"
 
 
 def _fault(row: Refusal) -> str | None:

@@ -1,7 +1,5 @@
 """Comparison of recordings that were made on different processors, which round differently."""
 
-from __future__ import annotations
-
 import pytest
 
 RELATIVE, ABSOLUTE = 1e-9, 1e-7

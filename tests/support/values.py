@@ -1,7 +1,5 @@
 """Values as they are, where learners normalize them."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 from torchrl.modules.value_norm import ValueNorm

@@ -9,10 +9,7 @@ FULL, EMPTY = 1e5, 150.0
 
 
 class Quick(sats.Satellite):
-    observation_spec = (
-        obs.SatProperties(dict(prop="battery_charge_fraction"), dict(prop="wheel_speeds_fraction")),
-        obs.Time(),
-    )
+    observation_spec = (obs.SatProperties(dict(prop="battery_charge_fraction"), dict(prop="wheel_speeds_fraction")), obs.Time())
     action_spec = (act.Scan(duration=9.0), act.Charge(duration=6.0), act.Desat(duration=3.0))
     dyn_type, fsw_type = ScanningSatellite.dyn_type, ScanningSatellite.fsw_type
 

@@ -1,7 +1,5 @@
 """Views of environments whose actions are real numbers: spaces, steps, NO_ACTION, masks, and learners of others."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -38,8 +36,7 @@ class TestGymnasium:
         assert space == spaces.Box(-1.0, 1.0, (3,), np.float32)
         mover = kind(act.ImpulsiveThrust(max_dv=2.0), models=(dyn.DynamicsModel, fsw.MagicOrbitalManeuverFSWModel))
         space = GymEnv(SatelliteTasking(mover("A", START), **OPTIONS)).action_space
-        assert space.low.tolist() == [-2.0, -2.0, -2.0, 2.0]
-        assert space.high.tolist() == [2.0, 2.0, 2.0, np.inf]
+        assert (space.low.tolist(), space.high.tolist()) == ([-2.0, -2.0, -2.0, 2.0], [2.0, 2.0, 2.0, np.inf])
         hybrid = GymEnv(core(Choose("choose"))).action_space
         assert hybrid == spaces.Dict(values=spaces.Box(1.0, 50.0, (1,), np.float32), choice=spaces.Discrete(2))
 
@@ -66,21 +63,18 @@ class TestGymnasium:
         env.reset()
         env.step([0.1, 0.2, 0.3])
         observation, *_, info = env.step(nothing)
-        assert observation[:3] == pytest.approx([0.1, 0.2, 0.3])
-        assert info["d_ts"] == 2.0
+        assert (observation[:3], info["d_ts"]) == (pytest.approx([0.1, 0.2, 0.3]), 2.0)
 
     def test_hybrid_actions(self):
         env = GymEnv(core(Choose("choose")))
         _, info = env.reset(seed=1)
         assert info["action_mask"].tolist() == [1, 1]
         info = env.step({"values": [21.0], "choice": 1})[-1]
-        assert info["d_ts"] == 21.0
-        assert info["action_mask"].tolist() == [1, 0]
+        assert (info["d_ts"], info["action_mask"].tolist()) == (21.0, [1, 0])
         action = env.action_space.sample({"values": None, "choice": info["action_mask"]})
         assert action["choice"] == 0
         assert env.step(np.array([3.0, 0.0]))[-1]["d_ts"] == 3.0
-        with pytest.raises(TypeError, match="'values' and 'choice'"):
-            env.step({"values": [21.0]})
+        check_refusals(refusal(lambda: env.step({"values": [21.0]}), TypeError, "'values'", "'choice'"))
 
     @pytest.mark.parametrize("entry", [SETPOINT, Choose("choose")], ids=["box", "hybrid"])
     @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
@@ -111,10 +105,10 @@ class TestConstellations:
         *_, infos = env.step(actions)
         assert infos["T1"]["d_ts"] == 5.0
         assert [infos[name]["requires_retasking"] for name in ("T1", "D1", "H1", "T2")] == [False, False, True, True]
-        with pytest.raises(ValueError, match=r"actions\['T2'\] has shape \[2\]"):
-            env.step({"T2": [0.0, 0.0]})
-        with pytest.raises(ValueError, match="satellite T2 of environment 0 has mrp_1=nan"):
-            env.step({"T2": [float("nan"), 0.0, 0.0]})
+        check_refusals(
+            refusal(lambda: env.step({"T2": [0.0, 0.0]}), ValueError, "actions['T2']", "[2]"),
+            refusal(lambda: env.step({"T2": [float("nan"), 0.0, 0.0]}), ValueError, "0", "mrp_1=nan"),
+        )
 
     def test_the_action_that_continues(self):
         env = PettingZooEnv(constellation(), continue_action=True)
@@ -173,16 +167,15 @@ def test_torchrls_step_takes_the_action_of_a_vector():
 def test_rejects_wrong_actions():
     env = GymEnv(core())
     env.reset()
-    table = [
+    check_refusals(
         refusal(lambda: env.step([0.0, 0.0]), ValueError, "action", [2], [3]),
         refusal(lambda: env.step(["a", 0.0, 0.0]), TypeError, "action", "'a'", "numeric"),
         refusal(lambda: env.step(np.array([0, 0, 0])), TypeError, "action", "torch.int64", "torch.float32"),
         refusal(lambda: env.step([0.0, float("nan"), 0.0]), ValueError, "action", "mrp_2=nan"),
         refusal(lambda: env.step(3), ValueError, "action", [], [3]),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_rejects_hybrid_actions_for_stable_baselines3():
     view = pytest.importorskip("bsk_torch.wrappers.stable_baselines3").SB3VecEnv
-    check_refusals([refusal(lambda: view(core(Choose("choose"))), ValueError, "'choose'", "act.ContinuousAction")])
+    check_refusals(refusal(lambda: view(core(Choose("choose"))), ValueError, "'choose'", "act.ContinuousAction"))

@@ -14,25 +14,18 @@ from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from tensordict import TensorDict
 
-from bsk_torch import SatelliteTasking, act, data, obs, rand, sats, scene
+from bsk_torch import SatelliteTasking, data, rand, scene
 from bsk_torch.presets import PRESETS
-from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
+from bsk_torch.presets.nadir_scan import scanning_args
 from bsk_torch.wrappers import GymEnv, GymVectorEnv
 from bsk_torch.wrappers.registration import register
+from tests.support.refusals import check_refusals, refusal
+from tests.wrappers.constellations import Quick
 
 NEXT, SAME, DISABLED = AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP, AutoresetMode.DISABLED
 pytestmark = pytest.mark.compiled
 
 NADIR = {"id": "bsk_torch/NadirScan-v1", "time_limit": 600.0}
-
-
-class Quick(sats.Satellite):
-    observation_spec = (
-        obs.SatProperties(dict(prop="battery_charge_fraction"), dict(prop="wheel_speeds_fraction")),
-        obs.Time(),
-    )
-    action_spec = (act.Scan(duration=9.0), act.Charge(duration=6.0), act.Desat(duration=3.0))
-    dyn_type, fsw_type = ScanningSatellite.dyn_type, ScanningSatellite.fsw_type
 
 
 SHORT_LIVED = rand.Uniform(100.0, 1500.0)
@@ -55,9 +48,6 @@ def sync(count, mode, **options):
 
 def assert_same(left, right):
     assert data_equivalence(left, right, exact=True), f"{left}\n{right}"
-
-
-# -- one episode ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("obs_type", [torch.Tensor, dict])
@@ -121,33 +111,23 @@ def test_an_episode_can_start_from_a_state():
 
 def test_an_episode_has_to_run():
     env = single(time_limit=5.0)
-    with pytest.raises(ResetNeeded, match="call reset"):
-        env.step(0)
+    check_refusals(refusal(lambda: env.step(0), ResetNeeded, "reset"))
     env.reset(seed=0)
     assert env.step(0)[3]
-    with pytest.raises(ResetNeeded, match="call reset"):
-        env.step(0)
+    check_refusals(refusal(lambda: env.step(0), ResetNeeded, "reset"))
 
 
-BAD = [
-    (7, ValueError, "action 7 of environment 0"),
-    (0.5, TypeError, "float32"),
-    ([0, 1], ValueError, r"shape \[2\]"),
-    (None, TypeError, "action=None must be numeric"),
-    ("x", TypeError, "action='x' must be"),
-]
-
-
-def test_a_wrong_action_is_named_and_changes_nothing():
+def test_rejects_wrong_actions_which_change_nothing():
     env = single()
     env.reset(seed=0)
-    for action, error, text in BAD:
-        with pytest.raises(error, match=text):
-            env.step(action)
+    check_refusals(
+        refusal(lambda: env.step(7), ValueError, "action 7 of environment 0"),
+        refusal(lambda: env.step(0.5), TypeError, "float32"),
+        refusal(lambda: env.step([0, 1]), ValueError, [2]),
+        refusal(lambda: env.step(None), TypeError, "action=None"),
+        refusal(lambda: env.step("x"), TypeError, "action='x'"),
+    )
     assert int(env.core.simulator.ticks) == 0
-
-
-# -- many episodes ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("mode", "obs_type"), [(NEXT, torch.Tensor), (SAME, torch.Tensor), (SAME, dict)])
@@ -155,8 +135,7 @@ def test_a_batch_plays_what_single_environments_play(mode, obs_type):
     count, seed = 3, 1
     batch = GymVectorEnv(quick, count, autoreset_mode=mode, obs_type=obs_type)
     singles = sync(count, mode, obs_type=obs_type)
-    assert batch.observation_space == singles.observation_space
-    assert batch.action_space == singles.action_space
+    assert (batch.observation_space, batch.action_space) == (singles.observation_space, singles.action_space)
     assert_same(batch.reset(seed=seed), singles.reset(seed=[seed] * count))
     actions = np.random.default_rng(0).integers(0, 3, (6, count))
     ends = np.zeros((2, count), dtype=int)
@@ -174,8 +153,7 @@ def test_environments_that_wait_do_not_move_and_take_no_action():
     env.step([0, 2])
     assert env.step([1, 2])[3].tolist() == [True, False]
     observation, reward, _, truncated, info = env.step([99, 2])  # 99 is ignored
-    assert env.core.simulator.ticks.tolist() == [0, 9]
-    assert info["duration"].tolist() == [0.0, 3.0]
+    assert (env.core.simulator.ticks.tolist(), info["duration"].tolist()) == ([0, 9], [0.0, 3.0])
     assert (reward[0], truncated.tolist(), observation[0, -1]) == (0.0, [False, False], 0.0)
 
 
@@ -191,16 +169,13 @@ def test_all_may_wait_at_once():
 
 def test_without_autoreset_the_caller_resets_what_ended():
     env = GymVectorEnv(quick, 2, autoreset_mode="Disabled", time_limit=8.0, charge=1e5)
-    with pytest.raises(ResetNeeded, match="first reset"):
-        env.reset(options={"reset_mask": np.array([True, False])})
+    check_refusals(refusal(lambda: env.reset(options={"reset_mask": np.array([True, False])}), ResetNeeded, "reset"))
     env.reset(seed=0)
     observation, _, _, truncated, _ = env.step([0, 2])
     assert truncated.tolist() == [True, False]
-    with pytest.raises(ResetNeeded, match=r"environments \[0\]"):
-        env.step([0, 2])
-    for wrong in (np.array([1, 0]), np.array([True]), np.array([False, False])):
-        with pytest.raises(ValueError, match="reset_mask"):
-            env.reset(options={"reset_mask": wrong})
+    check_refusals(refusal(lambda: env.step([0, 2]), ResetNeeded, "[0]"))
+    masks = np.array([1, 0]), np.array([True]), np.array([False, False])
+    check_refusals(refusal(lambda x=x: env.reset(options={"reset_mask": x}), ValueError, "reset_mask") for x in masks)
     after, info = env.reset(options={"reset_mask": truncated})
     assert_same(after[1], observation[1])
     assert not np.array_equal(after[0], observation[0])
@@ -218,9 +193,7 @@ def test_every_environment_may_have_its_own_seed():
     later, _ = env.reset(seed=[7, None, None])  # None goes on to the next episode
     assert_same(later[0], same[0])
     assert not np.array_equal(later[2], same[2])
-    for wrong in ([1, 2], [1, 2, -3], [1, 2, 0.5]):
-        with pytest.raises(ValueError, match="seed"):
-            env.reset(seed=wrong)
+    check_refusals(refusal(lambda x=x: env.reset(seed=x), ValueError, "seed") for x in ([1, 2], [1, 2, -3], [1, 2, 0.5]))
 
 
 def test_a_masked_reset_seeds_only_its_environments():
@@ -268,15 +241,15 @@ def test_a_partial_restore_leaves_state_and_the_others_alone():
     assert (state == kept).all()
 
 
-# -- in Gymnasium's world ---------------------------------------------------------------------------------------------
-
-
-def test_episode_statistics_are_recorded():
+def test_episode_statistics_are_recorded_and_the_core_stays_usable():
     env = gymnasium.wrappers.RecordEpisodeStatistics(single(time_limit=12.0, charge=1e5))
     env.reset(seed=0)
     first, last = env.step(0), env.step(1)
-    assert last[4]["episode"]["l"] == 2
-    assert last[4]["episode"]["r"] == pytest.approx(first[1] + last[1])
+    assert (last[4]["episode"]["l"], last[4]["episode"]["r"]) == (2, pytest.approx(first[1] + last[1]))
+    env = single(charge=1e5)
+    env.reset(seed=0)
+    step = env.core.step(TensorDict({"action": torch.tensor([2])}, [1]))
+    assert float(step["next", "duration"]) == 3.0
 
 
 @pytest.mark.parametrize("mode", [NEXT, SAME])
@@ -285,8 +258,7 @@ def test_episode_statistics_of_a_batch_are_recorded(mode):
     env = gymnasium.wrappers.vector.RecordEpisodeStatistics(env)
     env.reset(seed=0)
     _, reward, _, _, info = env.step(np.array([0, 1]))
-    assert info["episode"]["l"].tolist() == [1, 0]
-    assert info["episode"]["r"][0] == reward[0]
+    assert (info["episode"]["l"].tolist(), info["episode"]["r"][0]) == ([1, 0], reward[0])
 
 
 def test_presets_can_be_made_by_name():
@@ -310,13 +282,6 @@ def test_a_preset_can_be_vectorised_by_gymnasium():
     assert isinstance(env, SyncVectorEnv)
     observation, _ = env.reset(seed=0)
     assert observation in env.observation_space
-
-
-def test_the_core_stays_usable():
-    env = single(charge=1e5)
-    env.reset(seed=0)
-    step = env.core.step(TensorDict({"action": torch.tensor([2])}, [1]))
-    assert float(step["next", "duration"]) == 3.0
 
 
 def test_images_are_counted_in_infos():

@@ -68,12 +68,9 @@ def test_each_kind_chooses_its_action(env, actor, wanted):
     assert as_policy(actor, env)(env.reset())["action"].tolist() == [wanted] * 3
 
 
-def test_illegal_actions_are_not_chosen_by_scores(env):
+def test_only_legal_actions_are_chosen_and_modules_not_wrapped(env):
     td = TensorDict({"observation": torch.zeros(2, 12), "action_mask": torch.tensor([[True, True, False, False]] * 2)}, [2])
     assert policy_of_one(scores, env.satellite)(td)["action"].tolist() == [1, 1]
-
-
-def test_a_module_of_tensordicts_is_not_wrapped(env):
     policy = TensorDictModule(first_legal, ["observation", "action_mask"], ["action"])
     assert as_policy(policy, env) is policy
 
@@ -113,18 +110,16 @@ def test_real_actions_come_from_functions(tmp_path):
     assert policy(docking.reset())["action"].tolist() == [[0.25] * 3] * 2
 
 
-def test_what_is_no_policy_is_told_what_to_write(env):
+def test_rejects_objects_that_are_no_policies(env):
     wrong_shape = lambda observation: torch.ones(2, 2)
     text = lambda observation: "charge"
     docking = bsk_torch.make("CWDocking-v1", num_envs=2, time_limit=20.0)
     check_refusals(
-        [
-            refusal(lambda: evaluate("rule", env, seed=0), TypeError, "policy='rule'", "bsk_torch.rule('rule', env)"),
-            refusal(lambda: evaluate(3, env, seed=0), TypeError, "a int", "TensorDictModule(network", "Stable-Baselines3"),
-            refusal(lambda: evaluate(lambda: 1, env, seed=0), TypeError, "the function", "TensorDictModule(network"),
-            refusal(lambda: evaluate(torch.nn.Linear, env, seed=0), TypeError, "the class Linear", "TensorDictModule(network"),
-            refusal(lambda: evaluate(wrong_shape, env, seed=0), ValueError, "[2, 2]", "[3]", "[3, 4]"),
-            refusal(lambda: evaluate(text, env, seed=0), TypeError, "a str", "tensor of actions"),
-            refusal(lambda: as_policy(first_legal, docking), TypeError, "first_legal", "no action mask"),
-        ]
+        refusal(lambda: evaluate("rule", env, seed=0), TypeError, "policy='rule'", "bsk_torch.rule('rule', env)"),
+        refusal(lambda: evaluate(3, env, seed=0), TypeError, "a int", "TensorDictModule(network", "Stable-Baselines3"),
+        refusal(lambda: evaluate(lambda: 1, env, seed=0), TypeError, "the function", "TensorDictModule(network"),
+        refusal(lambda: evaluate(torch.nn.Linear, env, seed=0), TypeError, "the class Linear", "TensorDictModule(network"),
+        refusal(lambda: evaluate(wrong_shape, env, seed=0), ValueError, "[2, 2]", "[3]", "[3, 4]"),
+        refusal(lambda: evaluate(text, env, seed=0), TypeError, "a str", "tensor of actions"),
+        refusal(lambda: as_policy(first_legal, docking), TypeError, "first_legal", "no action mask"),
     )

@@ -11,11 +11,11 @@ from tests.support.refusals import check_refusals, refusal
 from .constellations import trio
 
 
-def test_rejects_wrong_arguments_of_gymnasium():
+def test_rejects_wrong_arguments():
     batch = bsk_torch.make("NadirScan-v1", num_envs=2, backend="eager", time_limit=60.0)
     envs = GymVectorEnv(batch, metrics=lambda env: {"one": 1.0})
     envs.reset(seed=0)
-    table = [
+    check_refusals(
         refusal(lambda: GymEnv(batch), ValueError, "num_envs=2", "GymEnv", "GymVectorEnv"),
         refusal(lambda: GymEnv(dict), TypeError, "core", "dict", "SatelliteTasking"),
         refusal(lambda: GymVectorEnv(batch, time_limit=3.0), TypeError, ["time_limit"]),
@@ -25,15 +25,11 @@ def test_rejects_wrong_arguments_of_gymnasium():
         refusal(lambda: envs.reset(options={"mask": None}), ValueError, "options", ["mask"], ["reset_mask", "state"]),
         refusal(lambda: envs.step(np.zeros(2, int)), TypeError, "metrics(env)['one']", [], [2]),
         refusal(lambda: data.NoReward().cum_reward, AttributeError, "cum_reward", "env.rewarder.cum_reward"),
-    ]
-    check_refusals(table)
-
-
-def test_rejects_wrong_arguments_of_constellations():
+    )
     trios = [trio(joint=joint, num_envs=n, backend="eager") for joint in (True, False) for n in (1, 2)]
     one, many = GymJointEnv(trios[0]), PettingZooEnv(trios[2])
     scan, alone = "NadirScan-v1", bsk_torch.make("NadirScan-v1", backend="eager")
-    table = [
+    check_refusals(
         refusal(lambda: one.step((0, 0, 0)), ResetNeeded, "step()", "reset()"),
         refusal(lambda: GymJointEnv(trios[1]), ValueError, "num_envs=2", "GymJointEnv"),
         refusal(lambda: GymJointEnv(trios[2]), ValueError, "joint=False", "PettingZooEnv"),
@@ -46,5 +42,4 @@ def test_rejects_wrong_arguments_of_constellations():
         refusal(lambda: PettingZooEnv(scan, backend="eager"), TypeError, scan, "SatelliteTasking", "ConstellationTasking"),
         refusal(lambda: PettingZooEnv(trios[2], time_limit=3.0), TypeError, ["time_limit"]),
         refusal(lambda: many.get_satellite("S10"), ValueError, "'S10'", "'S0'", "'S1'"),
-    ]
-    check_refusals(table)
+    )

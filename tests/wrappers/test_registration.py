@@ -37,8 +37,7 @@ def test_a_vector_of_ones_own():
     envs = gymnasium.make_vec("bsk_torch/SatelliteTasking-v1", num_envs=3, satellite=Imager("EO1"), **problem())
     envs.reset(seed=1)
     *_, info = envs.step(np.zeros(3, int))
-    assert info["d_ts"].tolist() == [30.0] * 3
-    assert envs.unwrapped.satellite.dynamics.r_BN_N.shape == (3, 3)
+    assert (info["d_ts"].tolist(), envs.unwrapped.satellite.dynamics.r_BN_N.shape) == ([30.0] * 3, (3, 3))
 
 
 def test_all_satellites_under_one_agent():
@@ -54,13 +53,12 @@ def test_separate_agents_are_refused_with_the_view_that_has_them(monkeypatch):
     name, views = "bsk_torch/ConstellationTasking-v1", ("pettingzoo.parallel_env", "GeneralSatelliteTasking-v1")
     pair = dict(satellites=[Imager("A"), Imager("B")])
     docking = lambda: gymnasium.make("bsk_torch/CWDocking-v1", deputies=2, backend="eager")
-    table = [
+    check_refusals(
         refusal(lambda: gymnasium.make(name, **pair), gymnasium.error.Error, "ConstellationTasking", *views),
         refusal(lambda: gymnasium.make_vec(name, num_envs=2, **pair), gymnasium.error.Error, "ConstellationTasking", *views),
         refusal(docking, TypeError, "'CWDocking-v1'", "ConstellationTasking", "SatelliteTasking", "parallel_env", "GymJointEnv"),
         refusal(lambda: register(), TypeError, "'Own-v1'", "return annotation", "SatelliteTasking"),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_general_satellite_tasking_is_a_batched_constellation_with_one_agent():

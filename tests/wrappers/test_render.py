@@ -48,21 +48,17 @@ def test_torchrl_records_all_environments_side_by_side(make, n, tmp_path):
     env = make(n)
     frames, rollout = film(env, tmp_path)
     assert rollout["next", "pixels"].shape == (n, 3, 120, 160, 3)
-    assert frames.shape == (4, 3, 120, n * 160)
-    assert frames.dtype == torch.uint8
+    assert (frames.shape, frames.dtype) == ((4, 3, 120, n * 160), torch.uint8)
     last = torch.cat(list(env.render(height=120)), 1).permute(2, 0, 1)
     assert torch.equal(frames[-1], last)
     assert not torch.equal(frames[0], frames[-1])
 
 
-def test_torchrl_records_one_environment_of_many(tmp_path):
+def test_specs_and_frames_of_single_environments(tmp_path):
     env = scanner(20)
     frames, _ = film(env, tmp_path, rows=3)
     assert frames.shape == (4, 3, 120, 160)
     assert torch.equal(frames[-1], env.render(rows=3, height=120).permute(2, 0, 1))
-
-
-def test_specs_hold_with_pixels():
     check_env_specs(scanner(2).append_transform(PixelRenderTransform(height=120)))
 
 
@@ -71,8 +67,7 @@ def test_gymnasium_makes_an_environment_that_draws():
     env.reset(seed=0)
     frame = env.render()
     assert isinstance(frame, np.ndarray)
-    assert frame.shape == (480, 640, 3)
-    assert frame.dtype == np.uint8
+    assert (frame.shape, frame.dtype) == ((480, 640, 3), np.uint8)
     env.step(0)
     assert not np.array_equal(frame, env.render())
     assert np.array_equal(env.render(), env.unwrapped.core.render(rows=0).numpy())
@@ -112,12 +107,11 @@ def test_rejects_wrong_render_modes_and_pictures_before_the_first_episode():
     scans = [lambda view=view: view("NadirScan-v1", render_mode="human", **quick) for view in (GymEnv, GymVectorEnv)]
     crews = [lambda view=view: view("Constellation-v1", render_mode="ansi", **quick) for view in (GymJointEnv, parallel_env)]
     new = (GymEnv("NadirScan-v1", render_mode="rgb_array", **quick), parallel_env(trio, render_mode="rgb_array", backend="eager"))
-    table = [
+    check_refusals(
         *(refusal(call, ValueError, "render_mode", "'human'", ["rgb_array"]) for call in scans),
         *(refusal(call, ValueError, "render_mode", "'ansi'", ["rgb_array"]) for call in crews),
         *(refusal(lambda env=env: env.render(), ResetNeeded, "render()", "reset()") for env in new),
-    ]
-    check_refusals(table)
+    )
 
 
 def test_without_a_render_mode_nothing_is_drawn_but_a_warning_given():
@@ -139,9 +133,7 @@ def test_gymnasium_writes_a_video(tmp_path):
         shown.append(env.render())
     env.close()
     clip = moviepy.VideoFileClip(str(tmp_path / "flight-episode-0.mp4"))
-    assert clip.fps == 10
-    assert list(clip.size) == [640, 480]
-    assert len(shown) == 4
+    assert (clip.fps, list(clip.size), len(shown)) == (10, [640, 480], 4)
     assert clip.duration == pytest.approx(0.4, abs=0.05)
     # H.264 blurs: most pixels are within a few steps of 256
     assert np.abs(clip.get_frame(0.0).astype(int) - shown[0]).mean() < 4.0

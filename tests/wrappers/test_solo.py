@@ -56,13 +56,10 @@ def test_rows_that_end_begin_again_and_the_others_go_on():
         assert [part[0] for part in theirs[1:4]] == [part[0] for part in ours[1:4]]
 
 
-def test_stable_baselines3_trains_the_inspector():
+def test_stable_baselines3_trains_the_inspector_but_not_several():
     env = SB3VecEnv(PRESET, num_envs=2, **SHORT)
     model = PPO("MlpPolicy", env, n_steps=8, batch_size=16, n_epochs=1, seed=0).learn(32)
     assert model.num_timesteps == 32
-
-
-def test_several_deciding_satellites_have_no_such_view():
     with pytest.raises(TypeError, match="needs a SatelliteTasking"):
         GymEnv("MultiInspection-v1")
 

@@ -34,10 +34,8 @@ def four_decisions(**changed):
 
 def test_regret_and_its_summaries_of_an_audit_by_hand():
     found = four_decisions()
-    assert found.regret.tolist() == [2.0, 0.0, 8.0, 0.0]
-    assert found.best.tolist() == [1, 1, 2, 0]
-    assert found.regret_of_episodes.mean == 5.0
-    assert found.share_of_worst(0.25) == 0.8
+    assert (found.regret.tolist(), found.best.tolist()) == ([2.0, 0.0, 8.0, 0.0], [1, 1, 2, 0])
+    assert (found.regret_of_episodes.mean, found.share_of_worst(0.25)) == (5.0, 0.8)
     assert found.worst(2).tolist() == [2, 0]
     scan, charge = found.by_action()
     assert (scan.chosen, scan.decisions, scan.regret, scan.share, scan.better) == ("scan", 2, 4.0, 0.8, "scan")
@@ -89,15 +87,11 @@ def test_the_largest_regret_is_earned_by_the_better_action():
     assert float(env.returns[0] - found.returns[0]) == pytest.approx(float(found.regret[decision]), abs=1e-12)
 
 
-def test_rows_do_not_matter():
+def test_rows_do_not_matter_and_agents_of_a_team_have_their_own_decisions():
     one, two = (audit(scanning(n), "random", seeds=[3, 4, 5], horizon=300.0) for n in (1, 2))
     assert torch.equal(one.values.nan_to_num(), two.values.nan_to_num())
     assert torch.equal(one.time, two.time)
-
-
-def test_agents_of_a_team_have_their_own_decisions():
     crew = bsk_torch.make("AEOSConstellation-v1", num_envs=1, env_ids=[0], time_limit=300.0, n_targets=(5000, 5001))
     found = audit(crew, "greedy", seeds=[0], horizon=60.0, budget=2)
-    assert set(found.agent.tolist()) == {0, 1, 2}
-    assert len(found.kinds) == 3
+    assert (set(found.agent.tolist()), len(found.kinds)) == ({0, 1, 2}, 3)
     assert not bool(found.situation["battery"].isnan().any())

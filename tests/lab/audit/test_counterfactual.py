@@ -31,9 +31,6 @@ def always(action):
     return TensorDictModule(lambda mask: torch.full(mask.shape[:1], action), in_keys=["action_mask"], out_keys=["action"])
 
 
-# -- the bound ----------------------------------------------------------------------------------------------------------
-
-
 def survives(charge, gain, longest):
     """Whether actions of at most ``longest`` ticks can be chosen such that the battery is not empty at the end of any."""
     levels = [charge]
@@ -56,7 +53,7 @@ def test_the_bound_is_exactly_what_a_battery_needs_whose_actions_end_as_late_as_
 
 
 @pytest.mark.compiled
-def test_what_flies_is_lit_as_foreseen_and_never_charged_above_the_bound():
+def test_flights_are_lit_as_foreseen_and_never_charged_above_the_bound():
     env, row = build(16, 6000.0, storedCharge_Init=rand.Uniform(0.0, 0.05 * CAPACITY)), torch.arange(16)
     start_episodes(env, range(16))
     lit, _ = sunlight(env, row, torch.arange(1.0, 6001.0, dtype=torch.float64))
@@ -74,7 +71,7 @@ def test_what_flies_is_lit_as_foreseen_and_never_charged_above_the_bound():
 
 
 @pytest.mark.compiled
-def test_whoever_has_less_than_the_bound_dies_whatever_he_does():
+def test_satellites_charged_below_the_bound_die_whatever_they_do():
     env, seeds = build(64, storedCharge_Init=rand.Uniform(0.0, 0.03 * CAPACITY)), torch.arange(64)
     start_episodes(env, range(64))
     first = env.satellite.dynamics.battery_charge
@@ -82,9 +79,6 @@ def test_whoever_has_less_than_the_bound_dies_whatever_he_does():
     assert 5 < int(doomed.sum()) < 60
     for plan in candidate_plans(env, n_random=4):
         assert not bool((fly(env, seeds, plan.expand(64, -1)).survived & doomed).any())
-
-
-# -- searches -----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.compiled
@@ -121,14 +115,10 @@ def test_the_easy_are_saved_by_search():
 @pytest.mark.compiled
 def test_a_search_with_too_few_rows_charges_and_gives_up():
     rich = exhaust(build(16, storedCharge_Init=0.5 * CAPACITY), DARK, NONE, 0)
-    assert rich.outcome == SAVED
-    assert rich.actions[-1] == CHARGE
+    assert (rich.outcome, rich.actions[-1]) == (SAVED, CHARGE)
     poor = build(16, storedCharge_Init=2.5e4, wheelSpeeds=[2500.0, -2500.0, 2500.0])
     assert exhaust(poor, DARK, NONE, 0).outcome == LOST
     assert exhaust(poor, DARK, NONE, 0, bound=False).outcome == OPEN
-
-
-# -- failures -----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.compiled
@@ -141,8 +131,7 @@ def test_failures_are_told_apart_and_rescues_fly_again():
     assert dark.start.dark == pytest.approx(1978.0, abs=30.0)  # eclipses are known to 30 s
     assert dark.start.charge == pytest.approx(2.5e4 / CAPACITY)
     last = sunlit.last_chance.decision
-    assert sunlit.rescue[:last] == [SCAN] * last
-    assert sunlit.lost_from == last + 1
+    assert (sunlit.rescue[:last], sunlit.lost_from) == ([SCAN] * last, last + 1)
     again = fly(env, seeds[:1], torch.tensor([sunlit.rescue]))
     assert bool(again.survived)
     assert float(again.returns) <= sunlit.best_return
@@ -150,13 +139,13 @@ def test_failures_are_told_apart_and_rescues_fly_again():
 
 
 @pytest.mark.compiled
-def test_whoever_is_dead_at_the_start_is_lost():
+def test_satellites_dead_at_the_start_are_lost():
     _, (failure,) = explain(always(SCAN), build(16, storedCharge_Init=0.0), torch.tensor([SUNLIT]))
     assert (failure.outcome, failure.lost_from, failure.best_return) == (LOST, 0, None)
 
 
 @pytest.mark.compiled
-def test_what_a_policy_did_is_what_its_list_of_actions_does_in_any_batch():
+def test_a_policy_equals_its_list_of_actions_in_any_batch():
     wide, narrow = build(8, 1200.0), build(3, 1200.0)
     seeds = torch.arange(5)
     flown = fly(wide, seeds, always(DESAT))

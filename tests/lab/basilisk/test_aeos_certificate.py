@@ -35,7 +35,7 @@ def test_flights_are_compared_as_long_as_the_second_one_agrees():
     assert comparison(one, one, flown([0, 1, 1], 2, away=2.0 * CLOSE), job).agrees is False
 
 
-def test_what_to_install_is_said_where_basilisk_is_missing(monkeypatch):
+def test_rejects_machines_without_basilisk(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     task = SUITES["aeosbench"][0]
     with pytest.raises(ImportError, match="flying needs Basilisk"):

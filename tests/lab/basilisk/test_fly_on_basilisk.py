@@ -1,7 +1,5 @@
 """fly_on_basilisk.py: what episodes start from, who flies, how both sides are compared, and flights on Basilisk."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import sys
@@ -14,7 +12,6 @@ import torch
 from tensordict import TensorDict
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "scripts" / "validation"))
-
 import fly_on_basilisk
 from flight_comparison import Pair, findings, kept, rarest, table
 from flight_policy import Flyer, planner_pilot, random_action, recruit
@@ -27,6 +24,7 @@ from bsk_torch.lab.basilisk.observed import as_sets
 from bsk_torch.lab.basilisk.support_data import absent_data
 from bsk_torch.rl.evaluation.statistics import confidence
 from bsk_torch.wrappers.gymnasium import GymEnv
+from tests.support.refusals import check_refusals, refusal
 
 SEEDS = range(2, 5)
 EAGER: dict[str, Any] = {"backend": "eager", "time_limit": 400.0}
@@ -42,9 +40,6 @@ def mortal() -> Flyer:
 def flown(mortal) -> Any:
     env = mortal.environment(len(SEEDS))
     return env, *fly_here(env, mortal.pilot(problem_of(env, mortal.preset).observed), SEEDS)
-
-
-# -- what episodes start from -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.compiled
@@ -83,11 +78,7 @@ def test_epochs_of_a_users_function_are_refused():
     env = Flyer("rule", "NadirScan-v1", {}).environment(
         1, world_args={"utc_init": lambda: "2020 MAR 01 00:00:00.000 (UTC)"}, **EAGER
     )
-    with pytest.raises(ValueError, match="utc_init is a function"):
-        fly_here(env, random_action, [0])
-
-
-# -- flying in bsk_torch ----------------------------------------------------------------------------------------------
+    check_refusals(refusal(lambda: fly_here(env, random_action, [0]), ValueError, "utc_init"))
 
 
 @pytest.mark.compiled
@@ -113,8 +104,7 @@ def test_random_actions_are_legal_and_belong_to_the_episode():
     mask = torch.tensor([[True, False, True, True]] * 200)
     seen = TensorDict({"action_mask": mask}, [200])
     actions, logits = random_action(seen, range(200), 5)
-    assert set(actions.tolist()) == {0, 2, 3}
-    assert logits.shape == (200, 0)
+    assert (set(actions.tolist()), logits.shape) == ({0, 2, 3}, (200, 0))
     alone, _ = random_action(seen[7:8], [7], 5)
     assert alone[0] == actions[7]
     assert not torch.equal(actions, random_action(seen, range(200), 6)[0])
@@ -128,9 +118,6 @@ def test_sets_are_made_of_vectors_as_the_preset_makes_them():
     assert set(made.keys(True, True)) == set(wanted.keys(True, True))
     for key in wanted.keys(True, True):
         torch.testing.assert_close(made[key], wanted[key], rtol=0, atol=0)
-
-
-# -- comparison -------------------------------------------------------------------------------------------------------
 
 
 def flight(actions: list[int], rewards: list[float], shift: float = 0.0, deaths: tuple[str, ...] = ()) -> Flight:
@@ -152,14 +139,13 @@ def test_pairs_agree_up_to_the_first_decision_that_differs():
     assert EQUAL.return_difference == pytest.approx(-1e-9)
     np.testing.assert_allclose(EQUAL.observation_differences, 1e-8, rtol=1e-6)
     assert not APART.same
-    assert APART.divergence.step == 1
-    assert APART.divergence.actions == (1, 0)
+    assert (APART.divergence.step, APART.divergence.actions) == (1, (1, 0))
     assert APART.divergence.margins == pytest.approx((0.1, -0.09))  # Basilisk's pilot did what its logits do not prefer
     assert APART.divergence.logits == pytest.approx(0.01)
     assert not SHORTER.same
-    assert SHORTER.divergence.step == 2
-    assert SHORTER.divergence.actions == (1, -1)
+    assert (SHORTER.divergence.step, SHORTER.divergence.actions) == (2, (1, -1))
     assert np.isnan(SHORTER.divergence.logits)
+    assert (1 - rarest(100)) ** 100 == pytest.approx(0.05)
 
 
 def test_findings_say_what_is_equal_and_what_is_not():
@@ -173,7 +159,7 @@ def test_findings_say_what_is_equal_and_what_is_not():
     assert f"at most {rarest(2):.1%}" in "\n".join(findings([EQUAL, WRONG], ["first", "second"], []))
 
 
-def test_what_differs_is_held_against_basilisk_itself():
+def test_differences_are_held_against_basilisk_itself():
     nudged = dataclasses.replace(APART, nudged=SHORTER.there)
     assert nudged.itself.divergence.actions == (1, 0)
     assert (
@@ -197,11 +183,7 @@ def test_a_nudged_start_differs_in_its_attitude_only(flown):
     assert same == {name: value for name, value in start.sat_args.items() if name != "sigma_init"}
 
 
-def test_rarest_is_the_probability_at_which_nothing_is_seen_once_in_twenty():
-    assert (1 - rarest(100)) ** 100 == pytest.approx(0.05)
-
-
-def test_what_is_kept_can_be_read_back_and_is_what_is_shown():
+def test_kept_findings_are_read_back_as_they_are_shown():
     pairs = [EQUAL, APART, SHORTER]
     read = json.loads(json.dumps(kept(pairs), allow_nan=True))
     differences = torch.tensor([pair.return_difference for pair in pairs], dtype=torch.float64)
@@ -209,17 +191,13 @@ def test_what_is_kept_can_be_read_back_and_is_what_is_shown():
         [confidence(differences).mean, confidence(differences).half_width]
     )
     assert read["summary"]["basilisk"]["deaths"] == {"battery": 1, "rw_speeds": 1}
-    assert read["summary"]["same_actions"] == 1
-    assert read["episodes"]["same_actions"] == [True, False, False]
+    assert (read["summary"]["same_actions"], read["episodes"]["same_actions"]) == (1, [True, False, False])
     assert read["doubtful"].keys() == {"4"}
     console = Console(record=True, width=120)
     console.print(table(pairs, "title"))
     shown = console.export_text()
     assert f"{differences.mean():.2g} ±" in shown
     assert "1 battery, 1 rw_speeds" in shown
-
-
-# -- errors -----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.compiled
@@ -234,8 +212,7 @@ def test_a_planner_decides_here_and_its_actions_are_flown_there():
     for flight in here:
         flown = [int(pilot(TensorDict({}, [1]), [flight.seed], step)[0]) for step in range(flight.decisions + 2)]
         assert flown == [*flight.actions.tolist(), *[flight.actions[-1]] * 2]
-    with pytest.raises(ValueError, match="--plan horizon=3 is an option of a planner"):
-        recruit("rule", None, ["horizon=3"])
+    check_refusals(refusal(lambda: recruit("rule", None, ["horizon=3"]), ValueError, "horizon=3"))
 
 
 @pytest.mark.parametrize("seeds", ["5", "5:5", "7:3", "a:b", "-1:3", ":4"])
@@ -245,34 +222,27 @@ def test_seeds_must_be_a_range(seeds, capsys):
     assert "A:B with 0 <= A < B" in capsys.readouterr().err
 
 
-def test_wrong_names_are_answered_with_the_nearest(capsys, tmp_path):
-    with pytest.raises(SystemExit):
-        arguments(["rule", "--preset", "NadirScan"])
+def test_rejects_wrong_names_with_the_nearest(capsys, tmp_path):
+    check_refusals(refusal(lambda: arguments(["rule", "--preset", "NadirScan"]), SystemExit))
     assert "did you mean 'NadirScan-v1'" in capsys.readouterr().err
-    with pytest.raises(SystemExit):
-        arguments(["rule", "--out", str(tmp_path / "nowhere" / "flight.json")])
+    check_refusals(refusal(lambda: arguments(["rule", "--out", str(tmp_path / "nowhere" / "flight.json")]), SystemExit))
     assert "there is no folder" in capsys.readouterr().err
-    with pytest.raises(ValueError, match="did you mean 'rule'"):
-        recruit("rul", None)
-    with pytest.raises(ValueError, match="NadirScan-v1, AEOS-v1"):
-        Flyer("rule", "Constellation-v1", {}).check()
-    with pytest.raises((ValueError, KeyError), match="storage_level_fraction"):
-        Flyer("rule", "AEOS-v1", {}).check()
+    check_refusals(
+        refusal(lambda: recruit("rul", None), ValueError, "'rule'"),
+        refusal(lambda: Flyer("rule", "Constellation-v1", {}).check(), ValueError, "NadirScan-v1, AEOS-v1"),
+        refusal(lambda: Flyer("rule", "AEOS-v1", {}).check(), (ValueError, KeyError), "storage_level_fraction"),
+    )
 
 
-def test_what_is_missing_is_named(monkeypatch, tmp_path):
+def test_rejects_missing_packages_and_data(monkeypatch, tmp_path):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "bsk_rl" else object())
-    with pytest.raises(SystemExit, match=r"flying needs bsk_rl: pip install"):
-        fly_on_basilisk.main(["rule", "--seeds", "0:1"])
+    check_refusals(refusal(lambda: fly_on_basilisk.main(["rule", "--seeds", "0:1"]), SystemExit, "bsk_rl"))
     (tmp_path / "supportData" / "LocalGravData").mkdir(parents=True)
     (tmp_path / "supportData" / "LocalGravData" / "GGM03S.txt").touch()
     text = absent_data(str(tmp_path))
     assert "supportData/EphemerisData/de430.bsp" in text
     assert "GGM03S" not in text
     assert "BSK_SUPPORT_DATA_CACHE is not set" in absent_data(None)
-
-
-# -- on Basilisk ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.compiled
@@ -309,6 +279,5 @@ def test_a_policy_flies_on_basilisk_as_in_bsk_torch(preset, policy, options):
     pair = Pair(here[0], fly_there(problem, starts[0], flyer.pilot(problem.observed)))
     assert pair.same
     assert abs(pair.return_difference) < 1e-9
-    assert pair.here.seconds == pair.there.seconds
-    assert pair.here.deaths == pair.there.deaths
+    assert (pair.here.seconds, pair.here.deaths) == (pair.there.seconds, pair.there.deaths)
     assert pair.observation_differences.max() < 1e-6  # the bound of the parity tests

@@ -1,7 +1,5 @@
 """Bounds: never below what policies reach, and around the optimum where that can be counted out."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from typing import Any
@@ -40,9 +38,6 @@ def envelope(direct: list[int], every: list[int], step: float = 1.0) -> Envelope
     return Envelope(0.1, tuple(direct), tuple(every), step, {}, 0)
 
 
-# -- the envelope -------------------------------------------------------------------------------------------------------------
-
-
 def test_an_envelope_lies_below_all_transitions_and_is_the_highest_that_ascends():
     generator = torch.Generator().manual_seed(0)
     angle = torch.rand(5000, generator=generator, dtype=torch.float64) * 1.5
@@ -50,8 +45,7 @@ def test_an_envelope_lies_below_all_transitions_and_is_the_highest_that_ascends(
     one_step = torch.rand(5000, generator=generator) < 0.7
     made = Envelope.below(angle, ticks, one_step, step=0.5, arguments={}, width=0.1, bins=12, margin=1, enough=1)
     assert made.smallest_margin(angle, ticks, one_step) == 1  # and some transition is as near as that
-    assert list(made.direct) == sorted(made.direct)
-    assert list(made.any) == sorted(made.any)
+    assert (list(made.direct), list(made.any)) == (sorted(made.direct), sorted(made.any))
     assert all(a <= d for a, d in zip(made.any, made.direct, strict=True))
     least = [int(ticks[(angle >= 0.1 * k) & one_step].min()) for k in range(12)]
     assert list(made.direct) == [t - 1 for t in least]
@@ -60,13 +54,10 @@ def test_an_envelope_lies_below_all_transitions_and_is_the_highest_that_ascends(
     assert made.smallest_margin(angle, faster, one_step) < 0
 
 
-def test_an_envelope_is_saved_and_read(tmp_path):
+def test_envelopes_are_saved_and_images_carried_over(tmp_path):
     made = envelope([2, 5], [2, 3])
     made.save(tmp_path / "made.json")
     assert Envelope.load(tmp_path / "made.json") == made
-
-
-def test_images_of_the_step_before_last_a_single_tick():
     imaged, ticks = torch.tensor([True, True, False, True]), torch.tensor([1, 2, 1, 60])
     assert carried_over(imaged, ticks).tolist() == [True, False, False, False]
 
@@ -79,18 +70,12 @@ def test_no_recorded_transition_lies_below_the_envelope_of_the_package(preset):
     assert Envelope.load().smallest_margin(*found[:3]) >= 0
 
 
-# -- geometry -----------------------------------------------------------------------------------------------------------------
-
-
-def test_positions_are_those_of_the_simulation():
+def test_positions_and_angles_are_those_of_the_simulation():
     env = make("AEOS-v1", num_envs=3, time_limit=300.0, n_targets=50)
     env.step(env.rand_action(env.reset()))
     now = env.satellite.simulator.sim_time
     found = satellite_positions(env.satellite, torch.arange(3), now)
     assert torch.allclose(found, env.satellite.dynamics.r_BN_P, atol=1e-2)  # m; the state is that of the same arcs
-
-
-def test_angles_between_vectors():
     u = torch.tensor([[1.0, 0.0, 0.0], [2.0, 0.0, 0.0], [1.0, 0.0, 0.0]], dtype=torch.float64)
     v = torch.tensor([[0.0, 3.0, 0.0], [5.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], dtype=torch.float64)
     assert angle_between(u, v).tolist() == pytest.approx([torch.pi / 2, 0.0, torch.pi])
@@ -113,9 +98,6 @@ def test_openings_hold_every_image_that_is_taken():
             taken += 1
         images, before = env.satellite.imaged.clone(), state.ticks.clone()
     assert taken > 50
-
-
-# -- the relaxation -----------------------------------------------------------------------------------------------------------
 
 
 class Tiny:
@@ -200,9 +182,6 @@ def test_satellites_of_an_episode_share_the_targets():
     graph = image_graph(twice, torch.zeros(2, cells, 3).double(), tiny.places.expand(2, -1, -1), tiny.envelope, 1, cells)
     team = best_paths(graph, tiny.priority, satellites=2, iterations=200)
     assert float(one.upper) - 1e-6 <= float(team.upper) <= float(tiny.priority.sum()) + 1e-9
-
-
-# -- bounds of tasks ----------------------------------------------------------------------------------------------------------
 
 
 IMAGING = [

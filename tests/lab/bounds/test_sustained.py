@@ -1,7 +1,5 @@
 """Times that satellites cannot beat for long: leads by hand, the fit, and bounds around schedules that are counted out."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace
@@ -81,16 +79,13 @@ def test_no_flight_of_the_fit_is_ahead_by_more_than_the_reserve(reserve):
     assert list(made.direct) == sorted(made.direct)
 
 
-def test_a_larger_reserve_allows_longer_times():
+def test_a_larger_reserve_allows_longer_times_and_a_margin_is_added():
     images = flights(2)
     weight = bins_of(leads(images, envelope([2] * 10, [2] * 10)).angle, 0.1, 10)
     worth = [float((weight * torch.tensor(fitted(images, reserve, margin=0).direct)).sum()) for reserve in (0, 10, 40)]
     assert worth[0] < worth[1] < worth[2]
     single = images.tick.diff(dim=1)[images.tick[:, 1:] >= 0].min()
     assert fitted(images, 0, margin=0).direct[0] <= int(single)
-
-
-def test_the_margin_is_added_to_the_largest_lead():
     images = flights(3)
     assert fitted(images, 20, margin=7).reserve == fitted(images, 20, margin=0).reserve + 7
 
@@ -98,14 +93,10 @@ def test_the_margin_is_added_to_the_largest_lead():
 def test_flights_are_joined_with_their_images():
     one, other = flights(4, rows=2, images=12), flights(5, rows=3, images=30)
     both = ImageSequences.joined([one, other])
-    assert both.tick.shape == (5, 30)
-    assert both.transitions == one.transitions + other.transitions
+    assert (both.tick.shape, both.transitions) == ((5, 30), one.transitions + other.transitions)
     times = envelope([20] * 10, [2] * 10)
     assert torch.equal(leads(both, times).lead[:2, :12], leads(one, times).lead)
     assert torch.equal(leads(both, times).lead[2:], leads(other, times).lead)
-
-
-# -- the relaxation -----------------------------------------------------------------------------------------------------------
 
 
 def optimum(tiny: Tiny, times: Envelope) -> float:
@@ -177,9 +168,6 @@ def test_a_schedule_of_the_relaxation_keeps_to_the_lateness():
         assert torch.equal(graph.late, (graph.cell - tiny.openings.last[graph.window]).clamp(min=0))
         priced += float(found.price) > 0.0
     assert priced
-
-
-# -- flights ------------------------------------------------------------------------------------------------------------------
 
 
 def test_recorded_images_are_those_of_the_transitions():
@@ -266,9 +254,6 @@ def test_where_targets_are_dense_the_bound_lies_far_below_the_sum_in_view_and_ab
         assert float((bound.upper - evaluate(policy, where, seed=SEED).returns).min()) >= 0.0
 
 
-# -- where satellites point ---------------------------------------------------------------------------------------------------
-
-
 def test_sectors_are_those_of_azimuths_on_the_sphere():
     lat, lon = torch.tensor([0.3, -1.1, 0.0]).double(), torch.tensor([0.5, 2.0, -3.0]).double()
     at = 6.378e6 * torch.stack([lat.cos() * lon.cos(), lat.cos() * lon.sin(), lat.sin()], -1)
@@ -280,6 +265,10 @@ def test_sectors_are_those_of_azimuths_on_the_sphere():
         before = [at + 50e3 * (math.cos(azimuth) * east + math.sin(azimuth) * north) + down for azimuth in azimuths]
         expected = [[round(azimuth / (2.0 * math.pi) * sectors) % sectors] * 3 for azimuth in azimuths]
         assert [sector_from(place, at, sectors).tolist() for place in before] == expected
+    pole = torch.tensor([[0.0, 0.0, 6.378e6], [0.0, 0.0, -6.378e6]], dtype=torch.float64)
+    around = torch.tensor([[1e5, 0.0, 6.378e6], [0.0, 1e5, -6.378e6]], dtype=torch.float64)
+    assert bool((sector_from(around, pole, 8) >= 0).all())
+    assert bool(pointing(2.0 * pole, pole, torch.tensor([0, 3]), 0.04, 8).isfinite().all())
 
 
 def test_satellites_point_beside_their_targets_on_the_side_that_they_come_from():
@@ -294,13 +283,6 @@ def test_satellites_point_beside_their_targets_on_the_side_that_they_come_from()
     aside = torch.tensor([[7.0e6, 5e5, 2e5]], dtype=torch.float64)
     for sector in range(4):
         assert float(angle_between(pointing(aside, at, torch.tensor([sector]), 0.04, 4), at - aside)) == pytest.approx(0.04)
-
-
-def test_places_at_the_poles_have_sectors_too():
-    pole = torch.tensor([[0.0, 0.0, 6.378e6], [0.0, 0.0, -6.378e6]], dtype=torch.float64)
-    around = torch.tensor([[1e5, 0.0, 6.378e6], [0.0, 1e5, -6.378e6]], dtype=torch.float64)
-    assert bool((sector_from(around, pole, 8) >= 0).all())
-    assert bool(pointing(2.0 * pole, pole, torch.tensor([0, 3]), 0.04, 8).isfinite().all())
 
 
 def lagging(times: Envelope, near: float = 0.3) -> Envelope:

@@ -1,7 +1,5 @@
 """A small dataset that several tests read."""
 
-from __future__ import annotations
-
 import pytest
 
 from bsk_torch.lab.offline import Behavior, Recipe, open_dataset, write_dataset

@@ -40,17 +40,16 @@ def test_another_seed_gives_other_data(written, tmp_path):
     write_dataset(tmp_path / "other", env, recipe(env, seeds=range(14, 17), share=0.0, targets={}))
     other = open_dataset(tmp_path / "other")
     assert not torch.equal(written.transitions("random")["observation"][:5], other.transitions("random")["observation"][:5])
-    with pytest.raises(ValueError, match="without targets"):
-        other.starts()
-    with pytest.raises(ValueError, match="no sampled decisions of random"):
-        other.counterfactuals("random")
+    check_refusals(
+        refusal(lambda: other.starts(), ValueError, "targets"),
+        refusal(lambda: other.counterfactuals("random"), ValueError, "random"),
+    )
 
 
 def test_transitions_are_the_episodes_one_after_the_other(written):
     data = written.transitions("pretrained")
     last = torch.nonzero(data["next", "done"].squeeze(-1)).squeeze(-1)
-    assert data["episode"][last].tolist() == [0, 1, 2]
-    assert last[-1] == len(data) - 1
+    assert (data["episode"][last].tolist(), last[-1]) == ([0, 1, 2], len(data) - 1)
     inner = torch.ones(len(data), dtype=torch.bool)
     inner[last] = False
     at = torch.nonzero(inner).squeeze(-1)
@@ -115,16 +114,13 @@ def test_values_of_actions_are_the_returns_of_flights_from_the_start(written):
                 assert float(values[action]) == pytest.approx(again, abs=1e-12)
 
 
-def test_the_action_of_the_target_has_the_rest_of_the_return(written):
+def test_values_of_the_target_are_the_rest_of_the_return_and_those_at_the_starts(written):
     data, found = written.transitions("pretrained"), written.counterfactuals("pretrained")
     assert torch.equal(found["target_action", "pretrained"], found["action"])
     for row in found:
         rest = (data["episode"] == row["episode"]) & (torch.arange(len(data)) >= row["index"])
         value = row["action_value", "pretrained"][row["action"]]
         assert float(value) == pytest.approx(float(data["next", "reward"][rest].double().sum()), abs=1e-6)
-
-
-def test_starts_have_the_returns_of_the_targets(written):
     starts = written.starts()
     assert starts["seed"].tolist() == [11, 12, 13]
     found = evaluate(rule("rule", scanning(3, LIMIT)), scanning(3, LIMIT), seeds=range(11, 14))
@@ -177,8 +173,7 @@ def test_buffers_of_torchrl(written):
     assert torch.equal(sample["next", "observation"][:-1][inner], sample["observation"][1:][inner])
     buffer = written.replay_buffer("random", batch_size=8)
     assert buffer.sample().batch_size == (8,)
-    with pytest.raises(RuntimeError):
-        buffer.extend(buffer.sample())
+    check_refusals(refusal(lambda: buffer.extend(buffer.sample()), RuntimeError))
     assert written.transitions()["episode"].unique().tolist() == list(range(9))
 
 
@@ -187,21 +182,20 @@ def test_rejects_unknown_behaviors_and_folders(written, tmp_path):
         (tmp_path / "dataset.json").write_text(text)
         open_dataset(tmp_path)
 
-    table = [
+    check_refusals(
         refusal(lambda: written.transitions("randm"), ValueError, "behavior", "'randm'", "'random'"),
         refusal(lambda: open_dataset(tmp_path), FileNotFoundError, tmp_path, "'dataset.json'"),
         refusal(lambda: holding("[1]"), ValueError, "dataset.json", "card"),
         refusal(lambda: holding('{"format": 2}'), ValueError, "dataset.json", "format 2", "format 1"),
-    ]
-    check_refusals(table)
+    )
 
 
-def test_rejects_wrong_recipes():
+def test_rejects_wrong_recipes_behaviors_and_targets():
     env = scanning(1, LIMIT)
     wrong = lambda **changed: recipe(env, **changed)
     named = lambda *names: [Behavior(name, None, 1.0) for name in names]
     drawing = TensorDictModule(lambda lot: lot.long(), in_keys=[LOT], out_keys=["action"])
-    table = [
+    check_refusals(
         refusal(lambda: wrong(seeds=[]), ValueError, "one behavior", "one seed"),
         refusal(lambda: wrong(behaviors=[]), ValueError, "one behavior", "one seed"),
         refusal(lambda: wrong(share=1.5), ValueError, "share", 1.5),
@@ -212,38 +206,30 @@ def test_rejects_wrong_recipes():
         refusal(lambda: wrong(behaviors=named("starts")), ValueError, "behaviors", ["starts"], "names"),
         refusal(lambda: wrong(targets={"a/b": always(0)}), ValueError, "target", "'a/b'", "'a-b'"),
         refusal(lambda: wrong(targets={"random": drawing}), ValueError, "target", "'random'", "actions"),
-    ]
-    check_refusals(table)
-
-
-def test_wrong_behaviors_and_targets_are_named():
+    )
     env = scanning(1, LIMIT)
-    with pytest.raises(ValueError, match=r"random=0\.5 must be 1 without a policy"):
-        Behavior("half", None, 0.5)
-    with pytest.raises(ValueError, match="draws its actions, with unknown probabilities"):
-        Behavior("drawn", rule("random", env))
-    with pytest.raises(ValueError, match="is a planner, which cannot continue in copies"):
-        recipe(env, targets={"plan": planner("rollout", env)})
+    check_refusals(
+        refusal(lambda: Behavior("half", None, 0.5), ValueError, "random=0.5", "1"),
+        refusal(lambda: Behavior("drawn", rule("random", env)), ValueError, "probabilities"),
+        refusal(lambda: recipe(env, targets={"plan": planner("rollout", env)}), ValueError, "planner", "copies"),
+    )
     remembering = TensorDictModule(
         lambda mask, memory: mask.long().argmax(1), in_keys=["action_mask", "hidden"], out_keys=["action"]
     )
-    with pytest.raises(ValueError, match="reads 'hidden', a memory"):
-        recipe(env, targets={"gru": remembering}).checked(env)
+    check_refusals(refusal(lambda: recipe(env, targets={"gru": remembering}).checked(env), ValueError, "'hidden'"))
     assert slug("pretrained,random=0.4") == "pretrained-random-0-4"
 
 
-@pytest.mark.parametrize(
-    ("preset", "options", "message"),
-    [
-        ("CWDocking-v1", {"backend": "eager"}, "are real numbers; a dataset needs numbered ones"),
-        ("NadirScan-v1", {"env_ids": [1, 2]}, "seeds name episodes of environment 0"),
-    ],
-)
-def test_environments_that_do_not_fit_are_named(preset, options, message, tmp_path):
-    env = bsk_torch.make(preset, **({"num_envs": 2, "env_ids": [0, 0]} | options))
-    wanted = recipe(env, preset=preset, targets={}, behaviors=[Behavior("random", None, 1.0)])
-    with pytest.raises(ValueError, match=message):
+def test_rejects_environments_that_do_not_fit(tmp_path):
+    def write(preset, **options):
+        env = bsk_torch.make(preset, **({"num_envs": 2, "env_ids": [0, 0]} | options))
+        wanted = recipe(env, preset=preset, targets={}, behaviors=[Behavior("random", None, 1.0)])
         write_dataset(tmp_path / "d", env, wanted)
+
+    check_refusals(
+        refusal(lambda: write("CWDocking-v1", backend="eager"), ValueError, "real numbers", "numbered"),
+        refusal(lambda: write("NadirScan-v1", env_ids=[1, 2]), ValueError, "seeds", "environment 0"),
+    )
     assert not list(tmp_path.iterdir())
 
 
@@ -262,7 +248,7 @@ def test_nothing_is_left_of_a_failure_and_nothing_is_replaced(tmp_path):
         write_dataset(tmp_path / "d", env, recipe(env, behaviors=[Behavior("random", None, 1.0), failing], targets={}))
     assert not list(tmp_path.iterdir())
     (tmp_path / "d").mkdir()
-    with pytest.raises(ValueError, match="exists; a dataset is written into a new folder"):
-        write_dataset(tmp_path / "d", env, recipe(env))
-    with pytest.raises(ValueError, match="there is no folder"):
-        write_dataset(tmp_path / "no" / "d", env, recipe(env))
+    check_refusals(
+        refusal(lambda: write_dataset(tmp_path / "d", env, recipe(env)), ValueError, "new folder"),
+        refusal(lambda: write_dataset(tmp_path / "no" / "d", env, recipe(env)), ValueError, "folder"),
+    )

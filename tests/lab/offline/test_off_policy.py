@@ -56,9 +56,6 @@ def test_importance_sampling_of_a_corridor():
     assert found.effective == pytest.approx(winners)
     discounted = importance_sampling(rows, FIRST, gamma=0.9)
     assert discounted.weighted == pytest.approx(0.9**8)  # rewards count at the ends of four decisions of 2 s
-
-
-def test_importance_sampling_without_a_common_episode():
     never = TensorDictModule(lambda mask: torch.full((len(mask),), 2), in_keys=["action_mask"], out_keys=["action"])
     found = importance_sampling(corridor(), never)
     assert (found.ordinary.mean, found.weighted, found.effective) == (0.0, 0.0, 0.0)
@@ -98,21 +95,19 @@ def test_scores_by_hand():
     guess = torch.tensor([[2.0, 1.0, 9.0], [2.0, 2.0, 5.0]], dtype=torch.float64)
     found = score(guess, truth)
     assert found.rmse == pytest.approx(1.0)  # errors 1, -2 and three zeros
-    assert found.concordance == pytest.approx(2.0 / 3.0)
-    assert found.regret == pytest.approx(1.0)
+    assert (found.concordance, found.regret) == (pytest.approx(2.0 / 3.0), pytest.approx(1.0))
 
 
 def test_rejects_wrong_arguments():
     walks = corridor(4)
     fitted = lambda **changed: fitted_q(walks, FIRST, **changed)
-    table = [
+    check_refusals(
         refusal(lambda: fitted(gamma=0.0), ValueError, "gamma", 0.0),
         refusal(lambda: importance_sampling(walks, FIRST, gamma=0.0), ValueError, "gamma", 0.0),
         refusal(lambda: fitted(trace=2.0), ValueError, "trace", 2.0),
         refusal(lambda: fitted(iterations=0), ValueError, "iterations=0"),
         refusal(lambda: fitted(batch_size=0), ValueError, "batch_size=0"),
-    ]
-    check_refusals(table)
+    )
 
 
 @pytest.mark.compiled

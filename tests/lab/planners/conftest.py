@@ -1,7 +1,5 @@
 """Small tasks to plan in."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -70,9 +70,6 @@ def test_trees_of_crews(crew):
     assert bool((one[SIMULATED] > 0.0).all())
 
 
-# -- real numbers -----------------------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def inspection():
     """Two inspections that a drifting inspector does not survive, or does not bring far."""
@@ -118,9 +115,6 @@ def test_samples_do_not_depend_on_other_rows(inspection):
         actions.append(found["inspector", "action"][0])
         assert torch.isfinite(actions[-1]).all()
     assert torch.equal(*actions)
-
-
-# -- bases ------------------------------------------------------------------------------------------------------------
 
 
 def test_the_memory_of_a_base_is_copied():

@@ -59,11 +59,7 @@ def test_noise_follows_from_the_future():
         )
 
     env = bsk_torch.SatelliteTasking(
-        Blurred("S", scanning_args()),
-        scene.UniformNadirScanning(),
-        num_envs=1,
-        time_limit=400.0,
-        seed=0,
+        Blurred("S", scanning_args()), scene.UniformNadirScanning(), num_envs=1, time_limit=400.0, seed=0
     )
     env.reset()
     true, drawn = env.like(1), env.like(2)
@@ -103,8 +99,7 @@ def test_clouds_that_are_drawn_again_agree_with_their_forecast(cloudy):
     inner = (forecast > 0.2) & (forecast < 0.8)  # far from both ends: the posterior is normal about the forecast
     z = ((cover - forecast) / sigma)[:, inner]
     # 60 x about 170 values: standard errors 0.01; of 256 candidates about 5 lie within a standard deviation of 0.03
-    assert float(z.mean()) == pytest.approx(0.0, abs=0.1)
-    assert float(z.std()) == pytest.approx(1.0, abs=0.15)
+    assert (float(z.mean()), float(z.std())) == (pytest.approx(0.0, abs=0.1), pytest.approx(1.0, abs=0.15))
     assert float((cover[:, inner].std(0) == 0.0).double().mean()) < 0.05  # no single cover for all futures
     assert torch.equal(store.scenario.cloud_forecast[5], forecast)
 

@@ -58,14 +58,11 @@ def test_looking_to_the_end_is_never_worse_than_the_base(name, base, env):
         assert bool((planned.returns > plain.returns).all())  # who charges for ever scans nothing
 
 
-def test_a_base_that_draws_lots_has_the_same_ones_in_every_batch(env):
+def test_decisions_do_not_depend_on_batch_or_back_end(env):
     alone = scanning(1)
     few, many = (evaluate(Rollout(e, "random", horizon=300.0), e, seeds=[4, 6]) for e in (alone, env))
     assert torch.equal(few.returns, many.returns)
     assert torch.equal(few.simulated, many.simulated)
-
-
-def test_the_eager_back_end_decides_alike():
     for e in (scanning(2, 300.0), scanning(2, 300.0, backend="eager")):
         e.set_seed(0)
         actions = Rollout(e, "rule", horizon=70.0)(e.reset())["action"]
@@ -74,16 +71,13 @@ def test_the_eager_back_end_decides_alike():
     assert torch.equal(actions, compiled)
 
 
-def test_branches_last_until_the_horizon(env):
+def test_branches_last_until_the_horizon_of_running_episodes(env):
     env.set_seed(0)
     now = env.reset()
     planned = Rollout(env, "rule", horizon=250.0)(now)
     assert planned[SIMULATED].tolist() == [4 * 250.0] * 3  # four actions; tasks of 180 s are cut
     late = Rollout(env, "rule", horizon=1e9)(env.reset())
     assert late[SIMULATED].tolist() == [4 * 1500.0] * 3  # the episode ends before
-
-
-def test_episodes_that_have_ended_are_not_planned(env):
     env.set_seed(0)
     now = env.reset()
     now["done"][1] = True

@@ -67,9 +67,6 @@ def test_a_beam_of_depth_one_is_a_rollout():
     assert torch.equal(one.returns, other.returns)
 
 
-# -- returns ----------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("at_end", [True, False])
 def test_returns_are_those_of_a_semi_markov_decision_process(at_end):
     gamma, env = 0.998, scanning(1, LIMIT)

@@ -26,7 +26,7 @@ def found():
     return risk(scanning(16, 1200.0), "random", **SMALL)
 
 
-def test_the_estimate_agrees_with_independent_episodes(found):
+def test_the_estimate_agrees_with_independent_episodes_whatever_the_batch(found):
     env = scanning(200, 1200.0)
     env.reset()
     flights = Flights(env, base_of("random", env), rare_event(env, LOW, None))
@@ -36,15 +36,11 @@ def test_the_estimate_agrees_with_independent_episodes(found):
     assert found.probability.low < high
     assert low < found.probability.high
     assert 0.0 < found.probability.mean < 0.2
-
-
-def test_the_batch_does_not_matter(found):
     other = risk(scanning(7, 1200.0), "random", **SMALL)
     assert torch.equal(found.estimates, other.estimates)
     assert torch.equal(found.found.seeds, other.found.seeds)
     assert torch.equal(found.found.flown.notes[DRAWN], other.found.flown.notes[DRAWN])
-    assert found.ways == other.ways
-    assert found.actions == other.actions
+    assert (found.ways, found.actions) == (other.ways, other.actions)
 
 
 @pytest.fixture(scope="module")
@@ -62,8 +58,7 @@ def test_both_methods_agree_and_describe_the_same_ways(found, screened):
     assert screened.shifts[0].name == "storedCharge_Init"
     assert [way.cause for way in screened.ways] == [()]
     kept = json.loads(json.dumps(screened.to_dict(), allow_nan=False))
-    assert kept["screening"]["pool"] == 400
-    assert kept["thresholds"] == []
+    assert (kept["screening"]["pool"], kept["thresholds"]) == (400, [])
 
 
 def test_screened_episodes_do_not_depend_on_the_batch_and_are_those_of_plain_seeds(screened):
@@ -79,8 +74,7 @@ def test_screened_episodes_do_not_depend_on_the_batch_and_are_those_of_plain_see
 
 def test_the_ways_are_described(found):
     (way,) = found.ways
-    assert way.cause == ()
-    assert way.share == pytest.approx(1.0)
+    assert (way.cause, way.share) == ((), pytest.approx(1.0))
     assert 0.0 <= way.time[0] <= way.time[2] <= 1200.0
     assert found.shifts[0].name == "storedCharge_Init"
     assert found.shifts[0].larger < 0.2

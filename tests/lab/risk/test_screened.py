@@ -65,7 +65,7 @@ def test_estimates_have_no_bias_even_where_draws_explain_nothing(noise):
     assert abs(float(found.estimates.mean()) - 1e-2) < 4.0 * error
 
 
-def test_inclusion_has_the_probabilities_that_weights_assume():
+def test_inclusion_has_the_probabilities_that_weights_assume_and_that_add_up():
     level = torch.randn(400, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
     chances = torch.sigmoid(4.0 * (level - 2.0))
     often, runs = torch.zeros(400), 2000
@@ -79,12 +79,8 @@ def test_inclusion_has_the_probabilities_that_weights_assume():
     assert bool((known >= BLIND * 0.1 - 1e-12).all())
     error = (known * (1.0 - known) / runs).sqrt()
     assert float(((often / runs - known).abs() / (error + 1e-9)).max()) < 5.0
-
-
-def test_probabilities_of_inclusion_add_up_and_are_limited():
     share = _proportional(torch.tensor([1e-9, 1.0, 1.0, 2.0, 100.0, 1000.0], dtype=torch.float64), 3.0)
-    assert float(share.sum()) == pytest.approx(3.0)
-    assert share[-2:].tolist() == [1.0, 1.0]
+    assert (float(share.sum()), share[-2:].tolist()) == (pytest.approx(3.0), [1.0, 1.0])
     assert float(share[3]) == pytest.approx(0.5)
     assert _proportional(torch.ones(3, dtype=torch.float64), 5.0).tolist() == [1.0] * 3
     hits = torch.cat([_bernoulli(0.25, 40, LOTS[k : k + 60]) for k in range(0, 3000, 60)])

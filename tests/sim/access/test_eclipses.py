@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Callable
@@ -58,8 +56,6 @@ def test_answers_of_basilisk(recording, five_orbits):
         assert end.tolist() == recorded["eclipse_end"][:, k].round(9).tolist()
     assert (recorded["eclipse_start"] == NOT_FOUND).any()
 
-
-# -- the next eclipse -------------------------------------------------------------------------------------------------------
 
 NUMBER, PART = 1000, 250
 """Random orbits, and how many of them are solved at once."""
@@ -167,20 +163,29 @@ def test_next_eclipses_are_those_of_skyfield(solve_arcs):
     assert compared == 16
 
 
-def test_answers_depend_on_nothing_that_was_asked_before(five_orbits):
+def test_answers_depend_on_nothing_that_was_asked_before_or_of_other_rows(five_orbits):
     asked, fresh = table(five_orbits, 0.0), table(five_orbits)
     for time in (0.0, 3000.0, 9000.0):
         asked.next(at(time))
         asked.query(at(time))
     assert all(torch.equal(x, y) for x, y in zip(asked.next(at(1000.0)), fresh.next(at(1000.0)), strict=True))
+    # Each at its own time, as if alone.
+    times = torch.tensor([0.0, 5000.0, 100.0, 9000.0, 12_345.0], dtype=torch.float64)
+    together = table(five_orbits, 0.0)
+    answers = together.query(times)
+    for row in range(5):
+        alone = table(five_orbits, 0.0)
+        expected = alone.query(at(times[row].item()))
+        assert [x[row].item() for x in answers] == [x[row].item() for x in expected]
+        assert (together.known[row], together.sampled[row]) == (alone.known[row], alone.sampled[row])
 
 
-def test_without_eclipses_the_end_of_the_search_is_returned(five_orbits):
+def test_without_eclipses_searches_end(five_orbits):
     """The dawn-dusk orbit; bsk_rl names the first second."""
     assert [float(time[3]) for time in table(five_orbits).next(at(500.0))] == [500.0 + SHORTEST_SEARCH] * 2
-
-
-# -- answers of bsk_rl by definition ----------------------------------------------------------------------------------------
+    # The dawn-dusk orbit: all three searches fail.
+    start, end = table(five_orbits).query(at(0.0))
+    assert start[3].item() == end[3].item() == NOT_FOUND
 
 
 def place_and_sun(flight: Solved, row: int, time: torch.Tensor) -> tuple[Vec3, Vec3]:
@@ -212,7 +217,7 @@ def test_answers_by_definition(time, five_orbits):
         assert (start[row].item(), end[row].item()) == first_dark(five_orbits, row, time)
 
 
-def test_transitions_are_listed_in_order(five_orbits):
+def test_transitions_are_listed_in_order_from_the_next_one_on(five_orbits):
     eclipses = table(five_orbits)
     for row in range(5):
         for found, expected in zip(
@@ -221,19 +226,10 @@ def test_transitions_are_listed_in_order(five_orbits):
             times = torch.ceil(found[row][torch.isfinite(found[row])] / PLAN_STEP) * PLAN_STEP
             assert times.tolist() == [t for t in expected.tolist() if t <= five_orbits.arcs.length]
             assert torch.isinf(found[row, len(times) :]).all()
-
-
-def test_an_eclipse_that_starts_now_has_started(five_orbits):
     eclipses = table(five_orbits)
     start = eclipses.query(at(0.0))[0][0].item()
     assert eclipses.query(at(start - 1e-3))[0][0] == start
     assert eclipses.query(at(start))[0][0] > start + 5000.0
-
-
-def test_no_eclipse(five_orbits):
-    """The dawn-dusk orbit: all three searches fail."""
-    start, end = table(five_orbits).query(at(0.0))
-    assert start[3].item() == end[3].item() == NOT_FOUND
 
 
 def test_the_third_search_is_not_looked_at(five_orbits):
@@ -249,22 +245,6 @@ def test_the_third_search_is_not_looked_at(five_orbits):
     assert [x[0].item() for x in behind.query(at(0.0))] == [NOT_FOUND, NOT_FOUND]
     assert behind.known[0] == 12_030.0
     assert [x[0].item() for x in behind.query(at(0.0))] == [start + 7500.0, end + 7500.0]
-
-
-def test_rows_are_queried_independently(five_orbits):
-    """Each at its own time, as if alone."""
-    times = torch.tensor([0.0, 5000.0, 100.0, 9000.0, 12_345.0], dtype=torch.float64)
-    together = table(five_orbits, 0.0)
-    answers = together.query(times)
-    for row in range(5):
-        alone = table(five_orbits, 0.0)
-        expected = alone.query(at(times[row].item()))
-        assert [x[row].item() for x in answers] == [x[row].item() for x in expected]
-        assert together.known[row] == alone.known[row]
-        assert together.sampled[row] == alone.sampled[row]
-
-
-# -- the kernel -------------------------------------------------------------------------------------------------------------
 
 
 def random_tables(n: int, restarts: bool) -> list[EclipseTable]:
@@ -324,14 +304,9 @@ def test_rejects_tables_that_the_kernel_would_misread():
     eclipses, short = (random_tables(5, False)[0] for _ in range(2))
     short.known = at(0.0, 4)
     check_refusals(
-        [
-            refusal(lambda: eclipses.query(at(0.0).float()), TypeError, "time", "[5]", "torch.float32", "torch.float64"),
-            refusal(lambda: short.query(at(0.0)), TypeError, "known", "[4]"),
-        ]
+        refusal(lambda: eclipses.query(at(0.0).float()), TypeError, "time", "[5]", "torch.float32", "torch.float64"),
+        refusal(lambda: short.query(at(0.0)), TypeError, "known", "[4]"),
     )
-
-
-# -- arcs that move on ------------------------------------------------------------------------------------------------------
 
 
 def test_moved_and_longer_arcs_answer_the_same(recording, fly):

@@ -1,7 +1,5 @@
 """Parts of passes in the light, against cosines of time whose crossings are known."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -70,15 +68,11 @@ def test_light_that_lasts_for_a_moment_is_found(depth, at):
     assert parts([0.0], [540.0], [-1.0 - depth], [phase]) == []
 
 
-def test_parts_of_a_pass_do_not_depend_on_others():
+def test_parts_of_passes_do_not_depend_on_others_and_may_be_none():
     torch.manual_seed(4)
     mean, phase = (1.4 * torch.rand(2, 60, dtype=torch.float64) - 0.7).tolist()
     opens, closes = [0.0] * 60, [50_000.0] * 60
     together = parts(opens, closes, mean, phase)
     alone = [(k, *part[1:]) for k in range(60) for part in parts(opens[:1], closes[:1], mean[k : k + 1], phase[k : k + 1])]
-    assert together == alone
-
-
-def test_no_passes_have_no_parts():
-    assert parts([], [], [], []) == []
+    assert (together, parts([], [], [], [])) == (alone, [])
     assert PIECE * RATE < 0.05  # rad: at most one extreme in a piece

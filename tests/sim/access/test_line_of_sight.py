@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -32,9 +30,6 @@ def vec(*xyz: float) -> Vec3:
     return Vec3(*torch.tensor(xyz, dtype=torch.float64))
 
 
-# -- geometry ------------------------------------------------------------------------------------------------------------------
-
-
 def test_clearance_is_the_distance_of_the_nearest_point():
     """Against a search along the line, which ends within a millimetre."""
     p, q = ((6.5e6 + 3e7 * torch.rand(500, 1, dtype=torch.float64) ** 3) * directions(500) for _ in range(2))
@@ -46,9 +41,6 @@ def test_clearance_is_the_distance_of_the_nearest_point():
         a, b = torch.where(left < right, a, thirds[0]), torch.where(left < right, thirds[1], b)
     expected = (p + a * (q - p)).norm(dim=-1) - R_EARTH
     torch.testing.assert_close(line_clearance(Vec3.of(p), Vec3.of(q)), expected, rtol=0, atol=1e-3)
-
-
-def test_clearance_where_it_is_known():
     r = 7.0e6
     assert line_clearance(vec(r, 0, 0), vec(-r, 0, 0)).item() == pytest.approx(-R_EARTH, abs=EXACT)
     assert line_clearance(vec(r, 0, 0), vec(r, 0, 0)).item() == pytest.approx(r - R_EARTH, abs=EXACT)
@@ -87,9 +79,6 @@ def test_margins_change_no_faster_than_their_ends():
     assert change.amax() > 0.99 * 1e4  # the bound is not far from what happens
 
 
-# -- arcs ----------------------------------------------------------------------------------------------------------------------
-
-
 def test_positions_are_those_of_the_simulation(backend):
     fleet = make_fleet(states(drawn_elements(3)), 2, backend=backend)
     simulator = fleet.simulators[0]
@@ -120,7 +109,7 @@ def test_the_axis_is_the_ephemeris():
 
 
 @pytest.mark.parametrize("eccentricity", [0.001, 0.1, 0.7])
-def test_nobody_is_faster_than_the_bound(eccentricity):
+def test_no_satellite_is_faster_than_the_bound(eccentricity):
     """For two orbits, looked at every ten seconds, from wherever the satellite is; the bound is not more than 5 % above that."""
     oe = drawn_elements(30)
     oe[:, 0], oe[:, 1] = 6.8e6 / (1.0 - eccentricity), eccentricity
@@ -138,9 +127,6 @@ def test_nobody_is_faster_than_the_bound(eccentricity):
     assert (speed < bound).all()
     assert (bound < 1.05 * speed).all()
     assert (periapsis_radius(r, v) > 6.7e6).all()
-
-
-# -- Basilisk ------------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -171,9 +157,6 @@ def test_every_step_against_basilisk(name, recording, backend):
         seen = by_ticks[int(fleet.since) + 1 : int(fleet.ticks) + 1].any(0)
         flips += int((pairs != (seen | seen.mT)).any())
     assert flips > 0  # steps after which it matters that the log is a tick late
-
-
-# -- the search ----------------------------------------------------------------------------------------------------------------
 
 
 def by_brute_force(fleet: SatelliteFleet) -> torch.Tensor:
@@ -280,7 +263,7 @@ def test_types_of_satellites_see_one_another(backend):
         assert found.any()
 
 
-def test_nobody_is_seen_where_nobody_asks():
+def test_nobody_sees_alone_or_where_nobody_asks():
     fleet = mixed_fleet(3, 6, 0.02)
     step(fleet, 1000)
     every = visible_pairs(fleet, torch.ones(3, dtype=torch.bool))
@@ -288,9 +271,6 @@ def test_nobody_is_seen_where_nobody_asks():
     assert torch.equal(some[1], every[1])
     assert every.any()
     assert not some[[0, 2]].any()
-
-
-def test_one_satellite_sees_nobody():
     fleet = make_fleet(states(drawn_elements(1)), 2)
     step(fleet, 50)
     assert visible_pairs(fleet, torch.ones(2, dtype=torch.bool)).tolist() == [[[False]], [[False]]]

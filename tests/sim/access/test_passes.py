@@ -1,7 +1,5 @@
 """The coarse screen loses nothing, passes are found row by row, and windows are cut as bsk_rl generates them."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 from typing import NamedTuple
@@ -67,9 +65,6 @@ KINDS = {
 def ground_of(kind: str, n: int, samples: int) -> GroundTrack:
     inclination = uniform(n, low=0.0, high=0.2) if kind == "geostationary" else None
     return flown_over(*KINDS[kind](n), samples, inclination)
-
-
-# -- the coarse screen ---------------------------------------------------------------------------------------------------------
 
 
 def table(ground: GroundTrack, places: Sites) -> torch.Tensor:
@@ -172,9 +167,6 @@ def test_limit_angle():
     torch.testing.assert_close(sine_of_elevation(r_P, site), least)
 
 
-# -- passes --------------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("sight", SIGHTS)
 def test_passes_of_a_row_do_not_depend_on_others(sight):
     ground, places = ground_of("low", 6, 181), Sites(anywhere(6, 60), limits(6, 60))
@@ -220,9 +212,6 @@ def assert_same(found: Listed, expected: Listed, tolerance: float) -> None:
         assert len(found[pair]) == len(windows), (pair, found[pair], windows)
         for one, other in zip(sorted(found[pair]), sorted(windows), strict=True):
             assert one == pytest.approx(other, abs=tolerance), (pair, found[pair], windows)
-
-
-# -- windows as bsk_rl generates them ------------------------------------------------------------------------------------------
 
 
 def segments(ground: GroundTrack, segment: float, first: float | None = None) -> GenerationIntervals:
@@ -378,15 +367,12 @@ def test_first_intervals_have_quirks_where_the_place_is_near_all_the_time(segmen
     assert check_against_bsk_rl(ground, 10.0, 15.0, segments(ground, segment, first)) > 0
 
 
-def test_every_interval_has_a_largest_radius_of_its_own():
+def test_intervals_of_eccentric_and_high_orbits_are_those_of_bsk_rl():
     """How near is near depends on it, and on eccentric orbits it changes from one interval to the next."""
     ground = flown_over(uniform(10, low=3e5, high=5e5), uniform(10, low=0.05, high=0.1), 400)
     for first in (None, 3600.0):
         assert check_against_bsk_rl(ground, 10.0, 60.0, segments(ground, 600.0, first)) > 0
-
-
-def test_a_place_that_was_near_before_does_not_make_a_quirk():
-    """In a segment of an orbit the last pass may set as it begins and the next one rise before it ends."""
+    # In a segment of an orbit the last pass may set as it begins and the next one rise before it ends.
     ground = flown_over(uniform(10, low=3e5, high=1.2e6), uniform(10, low=0.0, high=0.01), 400)
     check_against_bsk_rl(ground, 10.0, 60.0, segments(ground, 5400.0))
 

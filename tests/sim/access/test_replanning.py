@@ -1,7 +1,5 @@
 """Windows and eclipses after manoeuvres, against elevations and shadows along the orbit that is flown."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 
@@ -10,6 +8,7 @@ from bsk_torch.astro.ephemeris import earth_orientation, sun_position
 from bsk_torch.sim.access.line_of_sight_search import flown_positions
 from bsk_torch.vec3 import Vec3
 from tests.sim.orbit.arcs import sine_of_elevation
+from tests.support.episodes import begun
 from tests.support.manoeuvring import Imager, make, push
 
 AHEAD = 6500.0
@@ -103,8 +102,7 @@ def compare_windows(env, row, kind, sites, elevation):
 @pytest.mark.parametrize("orbit", ["arc", "integrated"])
 def test_windows_after_manoeuvres_against_brute_force(orbit):
     """Also of a row that does not manoeuvre beside one that does."""
-    env = imagers(2, orbit=orbit)
-    env.reset()
+    env = begun(imagers(2, orbit=orbit))
     rows = torch.tensor([True, False])
     elevation = torch.tensor(0.6, dtype=torch.float64)
     passes = 0
@@ -120,8 +118,7 @@ def test_windows_after_manoeuvres_against_brute_force(orbit):
 
 def test_eclipses_after_manoeuvres_against_brute_force():
     """They are the times at which it is entered and left, between samples of the flight."""
-    env = imagers(2)
-    env.reset()
+    env = begun(imagers(2))
     found = 0
     for now in manoeuvre(env, torch.tensor([True, True])):
         start, end = env.satellite.next_eclipse()
@@ -168,8 +165,7 @@ def test_without_replanning_the_first_orbit_stays():
 
 
 def test_a_window_that_is_open_at_a_manoeuvre_keeps_its_beginning():
-    env = imagers(8)
-    env.reset()
+    env = begun(imagers(8))
     known = env.satellite.find_windows(3000.0)
     wide = torch.isfinite(known.close) & (known.close - known.open > 60.0) & (known.open > 100.0)
     row, k = (part[0] for part in torch.nonzero(wide, as_tuple=True))
@@ -202,8 +198,7 @@ def test_one_alone_equals_one_of_many():
 @pytest.mark.parametrize("options", [{}, {"replan": False}, {"orbit": "integrated"}])
 def test_a_state_is_restored_in_mid_manoeuvre(options):
     """The change of velocity has been commanded and not been flown; the rows change their places."""
-    first = imagers(3, **options)
-    first.reset()
+    first = begun(imagers(3, **options))
     rows = torch.tensor([True, False, True])
     for _ in manoeuvre(first, rows, PLAN[:4]):
         pass

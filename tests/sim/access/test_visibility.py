@@ -1,7 +1,5 @@
 """Kernels and tensors see the same from the same planned arcs."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -115,31 +113,23 @@ def test_samples_lie_on_the_planned_arcs(view, sky_full_of_satellites):
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("start", [epoch, later])
-def test_both_see_the_same_umbra(start, view):
+def test_both_see_the_same_umbra_and_ground(start, view):
     count = SAMPLES - 11
     tensor, kernel = (sight.umbra(view, start(view), count) for sight in BOTH)
     assert torch.equal(tensor > 0.0, kernel > 0.0)
     torch.testing.assert_close(tensor, kernel, rtol=0, atol=1e-14)
     assert 0.1 < (tensor > 0.0).double().mean() < 0.5
-
-
-def test_umbra_by_definition(view, sky_full_of_satellites):
-    arcs, _ = sky_full_of_satellites
-    et = (arcs.et.unsqueeze(-1) + PLAN_STEP * torch.arange(SAMPLES)).flatten()
-    expected = illumination(Vec3.of(view.samples.table.flatten(0, 1)), Vec3.of(sun_position(et))) <= 0.0
-    assert torch.equal(TensorVisibility().umbra(view, epoch(view), SAMPLES).flatten() > 0.0, expected)
-
-
-@pytest.mark.compiled
-@pytest.mark.parametrize("start", [epoch, later])
-def test_both_see_the_same_ground(start, view):
     tensor, kernel = (sight.ground_track(view, start(view), SAMPLES - 11) for sight in BOTH)
     assert tensor.shape == (len(view.samples.start), SAMPLES - 11, 3)
     torch.testing.assert_close(tensor, kernel, rtol=0, atol=1e-7)  # m; measured 1e-8, rounding of seven megametres
 
 
-def test_ground_by_definition(view, sky_full_of_satellites):
-    """The orientation of the ephemeris, times the planned position."""
+def test_umbra_and_ground_by_definition(view, sky_full_of_satellites):
+    arcs, _ = sky_full_of_satellites
+    et = (arcs.et.unsqueeze(-1) + PLAN_STEP * torch.arange(SAMPLES)).flatten()
+    expected = illumination(Vec3.of(view.samples.table.flatten(0, 1)), Vec3.of(sun_position(et))) <= 0.0
+    assert torch.equal(TensorVisibility().umbra(view, epoch(view), SAMPLES).flatten() > 0.0, expected)
+    # The orientation of the ephemeris, times the planned position.
     arcs, _ = sky_full_of_satellites
     start = later(view)
     et = arcs.et.unsqueeze(-1) + start.unsqueeze(-1) + PLAN_STEP * torch.arange(SAMPLES - 11)
@@ -262,7 +252,7 @@ NONE = ""
         ((0.1, -0.001, -0.2), FIRST, NONE),  # it has set
     ],
 )
-def test_what_happens(clearances, where, expected):
+def test_rising_and_setting_follow_from_three_clearances(clearances, where, expected):
     found = classify(*numbers(*clearances), *(torch.tensor(x) for x in where))
     assert [name for name, x in zip(("rises", "sets", "glimpsed"), found, strict=True) if x] == expected.split()
 
@@ -291,10 +281,8 @@ def test_codes_of_a_cell():
         return int(event_code(before, here, after, numbers(time), cells))
 
     nan, top = numbers(math.nan), numbers(-1e-5)
-    assert told(nan, nan, up, 240.0) == ABOVE_LIMIT
-    assert told(nan, nan, down, 240.0) == 0
-    assert told(nan, down, up, 270.0) == RISE
-    assert told(up, up, down, 480.0) == SET
+    assert (told(nan, nan, up, 240.0), told(nan, nan, down, 240.0)) == (ABOVE_LIMIT, 0)
+    assert (told(nan, down, up, 270.0), told(up, up, down, 480.0)) == (RISE, SET)
     assert told(up, up, up, 480.0) == 0  # in the midst of the search
     assert told(down, down, up, 510.0) == told(up, up, down, 510.0) == 0  # in the next cell
     assert told(down, top, down, 510.0) == SHORT_PASS
@@ -305,8 +293,7 @@ def test_codes_of_a_cell():
         return int(event_code(before, here, after, numbers(time), cells))
 
     assert at_the_end(down, down, up, 900.0) == RISE + ABOVE_LIMIT
-    assert at_the_end(up, up, up, 900.0) == ABOVE_LIMIT
-    assert at_the_end(down, top, down, 900.0) == SHORT_PASS
+    assert (at_the_end(up, up, up, 900.0), at_the_end(down, top, down, 900.0)) == (ABOVE_LIMIT, SHORT_PASS)
     assert at_the_end(down, top, down, 930.0) == at_the_end(down, down, up, 930.0) == 0  # behind the end
 
 
@@ -494,7 +481,7 @@ def test_nothing_to_look_at(view, path):
         assert sight.culminations(pairs, empty, empty).shape == (0,)
 
 
-def test_which_sight():
+def test_back_ends_choose_their_visibility():
     assert isinstance(make_visibility("compiled", CPU), KernelVisibility)
     assert isinstance(make_visibility("eager", CPU), TensorVisibility)
     assert isinstance(make_visibility("compiled", torch.device("cuda")), TensorVisibility)

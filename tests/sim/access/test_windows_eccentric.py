@@ -1,7 +1,5 @@
 """Windows of eccentric orbits are those of brute force; with ``compat="bsk_rl"`` they have bsk_rl's errors."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Random geometries: the batched search finds the passes that a comparison of elevations every 0.1 s finds, and no others."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable
@@ -40,9 +38,6 @@ ORBITS, PLACES = 12, 16
 LOWEST, HIGHEST = math.radians(5.0), math.radians(85.0)
 
 BACKENDS = ["eager", pytest.param("compiled", marks=pytest.mark.compiled)]
-
-
-# -- geometries ----------------------------------------------------------------------------------------------------------------
 
 
 class Orbit(NamedTuple):
@@ -163,9 +158,6 @@ def close_calls(ground: GroundTrack, seed: int) -> Sites:
     return Sites(r_P, torch.sin((elevation - apart).clamp(LOWEST, HIGHEST)))
 
 
-# -- brute force ---------------------------------------------------------------------------------------------------------------
-
-
 class Window(NamedTuple):
     """A window of brute force: first and last sample at which the satellite is up; one found: opening and closing time."""
 
@@ -259,9 +251,6 @@ def compared(
 
     run()
     return counted
-
-
-# -- properties ----------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

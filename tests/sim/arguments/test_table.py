@@ -1,7 +1,5 @@
 """Names, units and values of all arguments equal bsk_rl's, as ``scripts/recorders/record_arguments.py`` recorded them."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -101,8 +99,7 @@ def test_an_environment_shows_its_values_before_the_defaults():
 def test_values_are_shown_without_what_says_nothing():
     assert short(rand.Uniform(216000.0, 720000.0)) == "Uniform(216000, 720000)"
     assert short(rand.Normal(0.0, 1e-4, size=3)) == "Normal(0, 0.0001, size=3)"
-    assert short((1.0, 0, -0.5)) == "(1, 0, -0.5)"
-    assert short(None) == "None"
+    assert (short((1.0, 0, -0.5)), short(None)) == ("(1, 0, -0.5)", "None")
 
 
 def test_arguments_of_optional_models_are_named():

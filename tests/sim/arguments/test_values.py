@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -46,39 +44,37 @@ def test_messages():
     sender = Arguments((transmitter(2),), {"transmitterBaudRate": 1e6}, "sat_args", as_flown=True)
     rN, vN, choice = [7e6, 0, 0], [0, 7e3, 0], rand.Choice(["sun", "x"])
     check_refusals(
-        [
-            refusal(lambda: draw({"batteryCapacity": 1.0}), KeyError, "sat_args['batteryCapacity']", "'batteryStorageCapacity'"),
-            refusal(lambda: draw({"Mass": 1.0}), KeyError, "sat_args['Mass']", "'mass'"),
-            refusal(lambda: draw({"qqqqqq": 1.0}), KeyError, "sat_args['qqqqqq']", "K, Ki, P, "),
-            refusal(lambda: draw({"mass": [1.0, 2.0]}), ValueError, "sat_args", "mass", "one number", "kg", "[2]"),
-            refusal(lambda: draw({"sigma_init": 0.1}), ValueError, "sat_args", "sigma_init", "3 numbers", "[]"),
-            refusal(lambda: draw({"sigma_init": [0.1, 0.2]}), ValueError, "sigma_init", "3 numbers", "[2]"),
-            refusal(lambda: draw({"oe": [7e6, 0.0]}), ValueError, "oe", "6 numbers", "m, -, rad", "[2]"),
-            refusal(lambda: draw({"controlAxes_B": [1.0] * 8}), ValueError, "controlAxes_B", "9 numbers", "[8]"),
-            refusal(lambda: draw({"mass": -1.0}), ValueError, "sat_args", "mass=-1 kg", "[1e-06, 1e+09]"),
-            refusal(lambda: draw({"mass": math.nan}), ValueError, "sat_args", "mass=nan kg", "[1e-06, 1e+09]"),
-            refusal(lambda: draw({"sigma_init": [0.0, math.nan, 0.0]}), ValueError, "sigma_init=nan"),
-            refusal(lambda: draw({"transmitterBaudRate": 1.0}), ValueError, "transmitterBaudRate=1 bit/s", "[-9.0072e+15, 0]"),
-            refusal(lambda: draw({"mass": "heavy"}), ValueError, "sat_args", "mass='heavy'", "kg"),
-            refusal(lambda: draw({"mass": rand.Uniform(-5.0, -4.0)}), ValueError, "sat_args", "mass=-4."),
-            refusal(lambda: draw({"mass": rand.Uniform(size=2)}), ValueError, "mass", "one number", "kg", "[2]"),
-            refusal(lambda: draw({"mass": rand.per_env([1.0, 2.0])}), ValueError, "sat_args", "mass", "2 rows", "environment 2"),
-            refusal(lambda: draw({"mass": None}), ValueError, "sat_args", "mass=None", "hub mass", "kg"),
-            refusal(lambda: draw({"sigma_init": None}), ValueError, "sigma_init=None", "initial attitude, MRP of B"),
-            refusal(lambda: draw({"desatAttitude": "moon"}), ValueError, "desatAttitude='moon'", "['sun', 'nadir', None]"),
-            refusal(lambda: draw({"desatAttitude": choice}), ValueError, "desatAttitude='x'", "['sun', 'nadir', None]"),
-            refusal(lambda: draw({"thrForceSign": -1}), ValueError, "thrForceSign=[-1.0]", "+1"),
-            refusal(lambda: draw({"controlAxes_B": [0.0] * 9}), ValueError, "controlAxes_B=[[[0.0", "three independent axes"),
-            refusal(lambda: draw({"storedCharge_Init": 3e5}), ValueError, "storedCharge_Init=300000", "StorageCapacity=288000"),
-            refusal(lambda: draw({"nHat_B": [0.0, 0.0, 0.0]}), ValueError, "nHat_B=[0, 0, 0]"),
-            refusal(lambda: draw({"inst_pHat_B": [0.0, 0.0, 0.0]}), ValueError, "inst_pHat_B=[0, 0, 0]"),
-            refusal(lambda: draw({"oe": None}), KeyError, "'oe'", "'rN'", "'vN'", "oe=None", "none"),
-            refusal(lambda: draw({"rN": rN}), KeyError, "'oe'", "'vN'", "oe=None", "['rN']"),
-            refusal(lambda: draw({"vN": vN}), KeyError, "'oe'", "'rN'", "oe=None", "['vN']"),
-            refusal(lambda: draw({"oe": ORBIT, "rN": rN}), KeyError, "'vN'", "oe=None", "['oe', 'rN']"),
-            refusal(lambda: draw({"oe": ORBIT, "rN": rN, "vN": vN}), KeyError, "oe=None", "['oe', 'rN', 'vN']"),
-            refusal(lambda: sender.draw(key()), ValueError, "transmitterBaudRate=1e+06 bit/s"),
-        ]
+        refusal(lambda: draw({"batteryCapacity": 1.0}), KeyError, "sat_args['batteryCapacity']", "'batteryStorageCapacity'"),
+        refusal(lambda: draw({"Mass": 1.0}), KeyError, "sat_args['Mass']", "'mass'"),
+        refusal(lambda: draw({"qqqqqq": 1.0}), KeyError, "sat_args['qqqqqq']", "K, Ki, P, "),
+        refusal(lambda: draw({"mass": [1.0, 2.0]}), ValueError, "sat_args", "mass", "one number", "kg", "[2]"),
+        refusal(lambda: draw({"sigma_init": 0.1}), ValueError, "sat_args", "sigma_init", "3 numbers", "[]"),
+        refusal(lambda: draw({"sigma_init": [0.1, 0.2]}), ValueError, "sigma_init", "3 numbers", "[2]"),
+        refusal(lambda: draw({"oe": [7e6, 0.0]}), ValueError, "oe", "6 numbers", "m, -, rad", "[2]"),
+        refusal(lambda: draw({"controlAxes_B": [1.0] * 8}), ValueError, "controlAxes_B", "9 numbers", "[8]"),
+        refusal(lambda: draw({"mass": -1.0}), ValueError, "sat_args", "mass=-1 kg", "[1e-06, 1e+09]"),
+        refusal(lambda: draw({"mass": math.nan}), ValueError, "sat_args", "mass=nan kg", "[1e-06, 1e+09]"),
+        refusal(lambda: draw({"sigma_init": [0.0, math.nan, 0.0]}), ValueError, "sigma_init=nan"),
+        refusal(lambda: draw({"transmitterBaudRate": 1.0}), ValueError, "transmitterBaudRate=1 bit/s", "[-9.0072e+15, 0]"),
+        refusal(lambda: draw({"mass": "heavy"}), ValueError, "sat_args", "mass='heavy'", "kg"),
+        refusal(lambda: draw({"mass": rand.Uniform(-5.0, -4.0)}), ValueError, "sat_args", "mass=-4."),
+        refusal(lambda: draw({"mass": rand.Uniform(size=2)}), ValueError, "mass", "one number", "kg", "[2]"),
+        refusal(lambda: draw({"mass": rand.per_env([1.0, 2.0])}), ValueError, "sat_args", "mass", "2 rows", "environment 2"),
+        refusal(lambda: draw({"mass": None}), ValueError, "sat_args", "mass=None", "hub mass", "kg"),
+        refusal(lambda: draw({"sigma_init": None}), ValueError, "sigma_init=None", "initial attitude, MRP of B"),
+        refusal(lambda: draw({"desatAttitude": "moon"}), ValueError, "desatAttitude='moon'", "['sun', 'nadir', None]"),
+        refusal(lambda: draw({"desatAttitude": choice}), ValueError, "desatAttitude='x'", "['sun', 'nadir', None]"),
+        refusal(lambda: draw({"thrForceSign": -1}), ValueError, "thrForceSign=[-1.0]", "+1"),
+        refusal(lambda: draw({"controlAxes_B": [0.0] * 9}), ValueError, "controlAxes_B=[[[0.0", "three independent axes"),
+        refusal(lambda: draw({"storedCharge_Init": 3e5}), ValueError, "storedCharge_Init=300000", "StorageCapacity=288000"),
+        refusal(lambda: draw({"nHat_B": [0.0, 0.0, 0.0]}), ValueError, "nHat_B=[0, 0, 0]"),
+        refusal(lambda: draw({"inst_pHat_B": [0.0, 0.0, 0.0]}), ValueError, "inst_pHat_B=[0, 0, 0]"),
+        refusal(lambda: draw({"oe": None}), KeyError, "'oe'", "'rN'", "'vN'", "oe=None", "none"),
+        refusal(lambda: draw({"rN": rN}), KeyError, "'oe'", "'vN'", "oe=None", "['rN']"),
+        refusal(lambda: draw({"vN": vN}), KeyError, "'oe'", "'rN'", "oe=None", "['vN']"),
+        refusal(lambda: draw({"oe": ORBIT, "rN": rN}), KeyError, "'vN'", "oe=None", "['oe', 'rN']"),
+        refusal(lambda: draw({"oe": ORBIT, "rN": rN, "vN": vN}), KeyError, "oe=None", "['oe', 'rN', 'vN']"),
+        refusal(lambda: sender.draw(key()), ValueError, "transmitterBaudRate=1e+06 bit/s"),
     )
 
 
@@ -101,13 +97,11 @@ def stations(given) -> dict:
 def test_rejects_wrong_stations():
     name, beyond = "world_args: groundStationsData", {"lat": 91.0, "long": 1.0}
     check_refusals(
-        [
-            refusal(lambda: stations([]), ValueError, name, "empty", "{'lat': 40.0, 'long': -105.2}"),
-            refusal(lambda: stations([{"lat": 1.0, "lon": 2.0}]), ValueError, name, "'lon'", "'long'"),
-            refusal(lambda: stations([{"lat": 1.0}]), ValueError, name, "'long'", "degrees", "+-360", "{'lat': 1.0}"),
-            refusal(lambda: stations([{"long": 1.0}]), ValueError, name, "'lat'", "degrees", "+-90", "{'long': 1.0}"),
-            refusal(lambda: stations([beyond]), ValueError, name, "'lat'", "degrees", "+-90", beyond),
-        ]
+        refusal(lambda: stations([]), ValueError, name, "empty", "{'lat': 40.0, 'long': -105.2}"),
+        refusal(lambda: stations([{"lat": 1.0, "lon": 2.0}]), ValueError, name, "'lon'", "'long'"),
+        refusal(lambda: stations([{"lat": 1.0}]), ValueError, name, "'long'", "degrees", "+-360", "{'lat': 1.0}"),
+        refusal(lambda: stations([{"long": 1.0}]), ValueError, name, "'lat'", "degrees", "+-90", "{'long': 1.0}"),
+        refusal(lambda: stations([beyond]), ValueError, name, "'lat'", "degrees", "+-90", beyond),
     )
 
 
@@ -135,10 +129,8 @@ def test_epochs():
 def test_constants_have_one_row_and_draws_one_for_each_environment():
     text = "2021-02-05T09:12:05"
     values = draw({"mass": 100, "K": rand.Uniform(1.0, 2.0), "P": lambda: 5.0, "desatAttitude": "nadir"})
-    assert values["mass"].tolist() == [100.0]
-    assert len(set(values["K"].tolist())) == 3
-    assert values["P"].tolist() == [5.0, 5.0, 5.0]
-    assert values["desatAttitude"].tolist() == [1.0]
+    assert (values["mass"].tolist(), len(set(values["K"].tolist()))) == ([100.0], 3)
+    assert (values["P"].tolist(), values["desatAttitude"].tolist()) == ([5.0, 5.0, 5.0], [1.0])
     assert draw({"utc_init": text}, WORLD)["utc_init"].tolist() == [parse_utc(text)]
     assert all(v.dtype == torch.float64 for v in values.values() if isinstance(v, torch.Tensor))
     arguments = Arguments(PARTS, {"K": rand.Uniform(), "P": lambda: 1.0}, "sat_args")
@@ -191,8 +183,7 @@ def test_none_where_it_means_something():
 def test_bounds_are_inclusive():
     argument = Arg("x", 0.0, "m", "a length", low=-1.0, high=1.0)
     assert convert(argument, [-1.0, 1.0], 2).tolist() == [-1.0, 1.0]
-    with pytest.raises(ValueError, match=r"x=1.5 m is not allowed; it must lie in \[-1, 1\]"):
-        convert(argument, [0.0, 1.5], 2)
+    check_refusals(refusal(lambda: convert(argument, [0.0, 1.5], 2), ValueError, "x=1.5", "[-1, 1]"))
 
 
 def test_nearest():
@@ -205,14 +196,9 @@ def test_nearest():
 def test_stations_are_the_same_for_all_environments():
     drawn, choice = Arguments(WORLD, {"gsMinimumElevation": rand.Uniform(0.1, 0.2)}, "world_args"), rand.Choice([[], []])
     check_refusals(
-        [
-            refusal(lambda: drawn.draw(key()), ValueError, "gsMinimumElevation=Uniform", "same", "environments"),
-            refusal(lambda: stations(choice), ValueError, f"world_args: groundStationsData={choice}", "same", "environments"),
-        ]
+        refusal(lambda: drawn.draw(key()), ValueError, "gsMinimumElevation=Uniform", "same", "environments"),
+        refusal(lambda: stations(choice), ValueError, f"world_args: groundStationsData={choice}", "same", "environments"),
     )
-
-
-# -- several satellites -----------------------------------------------------------------------------------------------
 
 
 def several(*given: dict, columns: tuple[int, ...] | None = None, n: int = 3) -> dict:
@@ -224,8 +210,7 @@ def test_satellites_with_the_same_arguments():
     """Each draws its own values, the first one those that it would draw alone; constants stay one row."""
     given = {"K": rand.Uniform(), "sigma_init": rand.Uniform(size=3), "mass": 100.0, "P": lambda: 5.0}
     values = Arguments(PARTS, given, "sat_args", (0, 1)).draw(key())
-    assert values["mass"].tolist() == [100.0]
-    assert values["P"].tolist() == [5.0] * 6
+    assert (values["mass"].tolist(), values["P"].tolist()) == ([100.0], [5.0] * 6)
     for name in ("K", "sigma_init"):
         assert len(values[name].unique()) == values[name].numel()
         assert torch.equal(values[name][::2], draw({name: given[name]})[name])
@@ -296,8 +281,7 @@ def test_none_for_some_satellites():
     words = "sat_args: transmitterPacketSize must be given for all satellites of a type, or for none"
     with pytest.raises(ValueError, match=words):
         several({"transmitterPacketSize": None}, {"transmitterPacketSize": -8.0})
-    with pytest.raises(ValueError, match="sat_args: oe must be given for all satellites of a type, or for none"):
-        several({"oe": ORBIT}, {"rN": [7e6, 0, 0], "vN": [0, 7e3, 0]})
+    check_refusals(refusal(lambda: several({"oe": ORBIT}, {"rN": [7e6, 0, 0], "vN": [0, 7e3, 0]}), ValueError, "sat_args"))
 
 
 def test_what_is_known_is_not_drawn_again():
@@ -308,8 +292,6 @@ def test_what_is_known_is_not_drawn_again():
     values = Arguments(WORLD, {"utc_init": never}, "world_args").draw(key(), known)
     assert values["utc_init"] is known["utc_init"]
 
-
-# -- arguments that replace others ------------------------------------------------------------------------------------
 
 THREE = Arguments(PARTS, {}, "sat_args", (0, 1, 2))
 
@@ -337,17 +319,15 @@ def test_rejects_wrong_arguments_of_several_satellites():
 
     unequal = Arguments(WORLD, [{}, {"gsMinimumElevation": 0.5}], "world_args", range(2))
     check_refusals(
-        [
-            refusal(lambda: several({}, {"Mass": 1.0}), KeyError, "sat_args['Mass']", "'mass'"),
-            refusal(lambda: several({}, {"mass": -1.0}), ValueError, "sat_args", "mass=-1 kg"),
-            refusal(lambda: several({}, {"mass": [1.0, 2.0]}), ValueError, "sat_args", "mass", "one number", "kg", "[2]"),
-            refusal(lambda: several({}, {"mass": None}), ValueError, "sat_args", "mass=None", "hub mass", "kg"),
-            refusal(lambda: unequal.draw(key()), ValueError, "world_args", "gsMinimumElevation", "same", "satellites"),
-            refusal(lambda: override("Mass", [[1.0]]), KeyError, "sat_arg_randomizer", "'Mass'", "'mass'"),
-            refusal(lambda: override("mass", [[-1.0]]), ValueError, "mass=-1 kg", "[1e-06, 1e+09]"),
-            refusal(lambda: override("mass", [[[1.0, 2.0]]]), ValueError, "mass", "one number", "kg", "[2]"),
-            refusal(lambda: override("oe", [[ORBIT]]), ValueError, "sat_arg_randomizer", "oe", "sat_args"),
-        ]
+        refusal(lambda: several({}, {"Mass": 1.0}), KeyError, "sat_args['Mass']", "'mass'"),
+        refusal(lambda: several({}, {"mass": -1.0}), ValueError, "sat_args", "mass=-1 kg"),
+        refusal(lambda: several({}, {"mass": [1.0, 2.0]}), ValueError, "sat_args", "mass", "one number", "kg", "[2]"),
+        refusal(lambda: several({}, {"mass": None}), ValueError, "sat_args", "mass=None", "hub mass", "kg"),
+        refusal(lambda: unequal.draw(key()), ValueError, "world_args", "gsMinimumElevation", "same", "satellites"),
+        refusal(lambda: override("Mass", [[1.0]]), KeyError, "sat_arg_randomizer", "'Mass'", "'mass'"),
+        refusal(lambda: override("mass", [[-1.0]]), ValueError, "mass=-1 kg", "[1e-06, 1e+09]"),
+        refusal(lambda: override("mass", [[[1.0, 2.0]]]), ValueError, "mass", "one number", "kg", "[2]"),
+        refusal(lambda: override("oe", [[ORBIT]]), ValueError, "sat_arg_randomizer", "oe", "sat_args"),
     )
 
 

@@ -1,7 +1,5 @@
 """What simulations of satellites of one type share."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 
@@ -24,8 +22,7 @@ def test_batches_prepared_episodes_and_copies_share_one_type(env):
     for simulators in (copy, env.pool.fleet.simulators):
         assert [s.type for s in simulators] == [s.type for s in own]
     alone = own[0].type.alone
-    assert alone.usage.columns == own[0].columns[:1]
-    assert alone.arguments.count == 1
+    assert (alone.usage.columns, alone.arguments.count) == (own[0].columns[:1], 1)
     assert alone.tick is own[0].tick
     one, all_three = (kind.arguments.draw(first_key(2)) for kind in (alone, own[0].type))
     drawn = [name for name, value in all_three.items() if isinstance(value, torch.Tensor) and len(value) == 6]

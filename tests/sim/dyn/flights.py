@@ -1,7 +1,5 @@
 """Short flights of the scanning satellite with given arguments."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

@@ -1,7 +1,5 @@
 """Bodies of any inertia whose center of mass lies anywhere."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 
@@ -143,15 +141,13 @@ def test_rejects_impossible_bodies():
     skew = [[70.0, 5.0, 0], [4.0, 80.0, 0], [0, 0, 60.0]]
     long, negative = [10.0, 0, 0, 0, 20.0, 0, 0, 0, 31.0], [10.0, 0, 0, 0, -20.0, 0, 0, 0, 31.0]
     check_refusals(
-        [
-            refusal(lambda: fly("arc", inertia=skew), ValueError, "inertia=[70.0, 5.0, 0.0, 4.0, ", "kg m^2", "[i][k]", "[k][i]"),
-            refusal(lambda: fly("arc", inertia=long), ValueError, "inertia", "[10.0, 20.0, 31.0]"),
-            refusal(lambda: fly("arc", inertia=negative), ValueError, "inertia", "[-20.0, 10.0, 31.0]"),
-            refusal(lambda: fly("arc", inertia=[10.0, 20.0, 25.0]), ValueError, "inertia", "9 numbers", "[3]"),
-            refusal(lambda: fly("arc", mass=0.0), ValueError, "mass=0 kg"),
-            refusal(lambda: two(inertia=TENSOR), ValueError, "inertia=[70.0, ", "products of inertia", "type"),
-            refusal(lambda: two(r_CB_B=[0.1, 0, 0]), ValueError, "r_CB_B=[0.1, 0.0, 0.0] m", "origin of B", "type"),
-        ]
+        refusal(lambda: fly("arc", inertia=skew), ValueError, "inertia=[70.0, 5.0, 0.0, 4.0, ", "kg m^2", "[i][k]", "[k][i]"),
+        refusal(lambda: fly("arc", inertia=long), ValueError, "inertia", "[10.0, 20.0, 31.0]"),
+        refusal(lambda: fly("arc", inertia=negative), ValueError, "inertia", "[-20.0, 10.0, 31.0]"),
+        refusal(lambda: fly("arc", inertia=[10.0, 20.0, 25.0]), ValueError, "inertia", "9 numbers", "[3]"),
+        refusal(lambda: fly("arc", mass=0.0), ValueError, "mass=0 kg"),
+        refusal(lambda: two(inertia=TENSOR), ValueError, "inertia=[70.0, ", "products of inertia", "type"),
+        refusal(lambda: two(r_CB_B=[0.1, 0, 0]), ValueError, "r_CB_B=[0.1, 0.0, 0.0] m", "origin of B", "type"),
     )
 
 

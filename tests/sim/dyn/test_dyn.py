@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 from itertools import product
 from typing import Any
@@ -29,9 +27,6 @@ def a_bus(h: float = 1.0, **values: Any) -> Bus:
             value = Vec3.of(torch.tensor([value], dtype=torch.float64))
         setattr(bus, name, value)
     return bus
-
-
-# -- battery and power ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -64,7 +59,7 @@ def test_panel(normal, illumination, share):
         assert bus.power.item() == pytest.approx(share * 1361.0 * 0.05 * (AU / distance) ** 2, rel=1e-12)
 
 
-def test_panel_follows_the_attitude():
+def test_panels_follow_the_attitude_and_sinks_draw_power():
     """A quarter turn about z brings body +y to the inertial -x side."""
     bus = a_bus(
         r_BN_N=[0.0] * 3, r_SN_N=[AU, 0.0, 0.0], sigma_BN=[0.0, 0.0, math.tan(math.pi / 8)], panel_normal_B=[0.0, -1.0, 0.0]
@@ -72,9 +67,6 @@ def test_panel_follows_the_attitude():
     bus.panel_gain, bus.illumination = number(1.0), number(1.0)
     panels.collect_sunlight(bus)
     assert bus.power.item() == pytest.approx(1361.0, rel=1e-12)
-
-
-def test_sinks():
     bus = a_bus(power=10.0, base_power=-4.0, thruster_draw=-80.0, thruster_power=0.0)
     power.BASE_POWER.update(bus)
     power.THRUSTER_POWER.update(bus)
@@ -82,9 +74,6 @@ def test_sinks():
     bus.thruster_power = number(1.0)
     power.THRUSTER_POWER.update(bus)
     assert bus.power.item() == -74.0
-
-
-# -- wheels -----------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -137,14 +126,18 @@ def test_motor_torque(command, u_max, speed, expected):
     assert [x.item() for x in bus.motor_torque_B] == [0.0, expected, 0.0]
 
 
-def test_wheel_constants():
+def test_constants_of_wheels_and_boxes():
     assert wheels.MAX_SPEED == 6000.0 * RPM
     assert pytest.approx(0.07957747154594767, rel=1e-15) == wheels.SPIN_INERTIA
     state = wheels.WHEELS.initial({"wheelSpeeds": number(60.0, -30.0, 0.0)[None]})
     assert state["Omega_WB_B"].tolist() == [pytest.approx([2 * math.pi, -math.pi, 0.0])]
-
-
-# -- store ------------------------------------------------------------------------------------------------------------------
+    assert INERTIA.tolist() == [pytest.approx([82.115, 98.395, 121.022], abs=1e-3)]
+    args = {"oe": None, "rN": number(7e6, 0, 0)[None], "vN": number(0, 7e3, 0)[None], "omega_init": number(0, 0, 0)[None]}
+    state = hub.HUB.initial(args | {"sigma_init": number(2.0, 0.0, 0.0)[None]})
+    assert state["sigma_BN"].tolist() == [[-0.5, 0.0, 0.0]]
+    bus = a_bus(density=1.0, density_message=2.0)
+    drag.DRAG.update(bus)
+    assert bus.density.item() == 2.0
 
 
 @pytest.mark.parametrize(
@@ -194,13 +187,13 @@ def test_a_store_of_basilisk_fills_up_exactly(recording):
     assert full["state"][:, full["columns"].index("storage")].max() == capacity
 
 
-def test_initial_store_and_capacity_are_whole_bits():
+def test_sizes_of_stores_and_packets():
     args = {"storageInit": number(99.9, 100.4, 101.0), "dataStorageCapacity": number(100.7)}
     assert storage.STORAGE.initial(args)["storage"].tolist() == [99.0, 100.0, 0.0]
     assert storage.STORAGE.prepare(args)["storage_capacity"].tolist() == [100.0]
-
-
-# -- transmitter: physics of a packet, -10 bit each, at -4 bit/s -------------------------------------------------------------
+    args = {"transmitterPacketSize": None, "transmitterBaudRate": number(-1.0), "instrumentBaudRate": number(5.0)}
+    assert storage.TRANSMITTER.prepare(args)["packet_size"].item() == -5.0
+    assert storage.TRANSMITTER.prepare(args | {"transmitterPacketSize": number(-7.0)})["packet_size"].item() == -7.0
 
 
 @pytest.mark.parametrize(
@@ -227,9 +220,7 @@ def test_transmitter(packet, idle, level, access, rate, after):
     bus = a_bus(packet=packet, idle=idle, storage=level, station_access=access, transmitter_on=1.0)
     bus.transmitter_baud, bus.packet_size = number(-4.0), number(-10.0)
     storage.transmit(bus)
-    assert bus.transmitter_rate.item() == rate
-    assert bus.packet.item() == after
-    assert bus.idle.item() == 0.0
+    assert (bus.transmitter_rate.item(), bus.packet.item(), bus.idle.item()) == (rate, after, 0.0)
 
 
 def test_transmitter_at_rest():
@@ -251,14 +242,6 @@ def test_a_downlink_from_start_to_end():
         levels.append(bus.storage.item())
     assert levels == [21.0, 17.0, 13.0, 9.0, 5.0, 1.0, 1.0, 1.0, 1.0]
 
-
-def test_packet_size():
-    args = {"transmitterPacketSize": None, "transmitterBaudRate": number(-1.0), "instrumentBaudRate": number(5.0)}
-    assert storage.TRANSMITTER.prepare(args)["packet_size"].item() == -5.0
-    assert storage.TRANSMITTER.prepare(args | {"transmitterPacketSize": number(-7.0)})["packet_size"].item() == -7.0
-
-
-# -- drag -------------------------------------------------------------------------------------------------------------------
 
 SIDES = {"width": 1.38, "depth": 1.04, "height": 1.58, "panelArea": 1.3}
 
@@ -299,19 +282,7 @@ def test_drag_is_the_sum_over_facets(signs):
     assert force.stack()[0] @ flow < 0
 
 
-def test_density_acts_one_tick_later():
-    bus = a_bus(density=1.0, density_message=2.0)
-    drag.DRAG.update(bus)
-    assert bus.density.item() == 2.0
-
-
-# -- hub --------------------------------------------------------------------------------------------------------------------
-
 INERTIA = hub.box_inertia(number(330.0), number(1.38), number(1.04), number(1.58))
-
-
-def test_box_inertia():
-    assert INERTIA.tolist() == [pytest.approx([82.115, 98.395, 121.022], abs=1e-3)]
 
 
 def spacecraft(h: float = 1.0, n: int = 20) -> Bus:
@@ -344,11 +315,21 @@ def drift(h: float, seconds: int = 64) -> float:
     return ((momentum(bus) - before).norm(dim=-1) / before.norm(dim=-1)).amax().item()
 
 
-def test_momentum_is_conserved_without_external_torque():
+def test_conservation_of_momentum_and_energy():
     """Up to the truncation of Runge-Kutta, which falls at least with the fourth power of the tick."""
     assert drift(1.0) < 1e-5
     assert drift(0.125) < 1e-5 / 8**4
     assert drift(0.125) > 0.0
+    # Without wheels: Euler's equations.
+    bus = spacecraft()
+    del bus.Omega_WB_B, bus.motor_torque_B, bus.effectors
+    energy = bus.omega_BN_B.dot(bus.inertia_B.scale(bus.omega_BN_B))
+    before = (mrp_to_dcm(bus.sigma_BN).mT @ bus.inertia_B.scale(bus.omega_BN_B)).stack()
+    for _ in range(300):
+        hub.rotate(bus)
+    after = (mrp_to_dcm(bus.sigma_BN).mT @ bus.inertia_B.scale(bus.omega_BN_B)).stack()
+    torch.testing.assert_close(bus.omega_BN_B.dot(bus.inertia_B.scale(bus.omega_BN_B)), energy, rtol=1e-8, atol=0)
+    assert ((after - before).norm(dim=-1) / before.norm(dim=-1)).amax() < 1e-6
 
 
 def test_rotation_is_of_fourth_order():
@@ -365,20 +346,7 @@ def test_rotation_is_of_fourth_order():
     assert math.log2(errors[1] / errors[2]) == pytest.approx(4.0, abs=0.2)
 
 
-def test_torque_free_body_keeps_energy_and_momentum():
-    """Without wheels: Euler's equations."""
-    bus = spacecraft()
-    del bus.Omega_WB_B, bus.motor_torque_B, bus.effectors
-    energy = bus.omega_BN_B.dot(bus.inertia_B.scale(bus.omega_BN_B))
-    before = (mrp_to_dcm(bus.sigma_BN).mT @ bus.inertia_B.scale(bus.omega_BN_B)).stack()
-    for _ in range(300):
-        hub.rotate(bus)
-    after = (mrp_to_dcm(bus.sigma_BN).mT @ bus.inertia_B.scale(bus.omega_BN_B)).stack()
-    torch.testing.assert_close(bus.omega_BN_B.dot(bus.inertia_B.scale(bus.omega_BN_B)), energy, rtol=1e-8, atol=0)
-    assert ((after - before).norm(dim=-1) / before.norm(dim=-1)).amax() < 1e-6
-
-
-def test_motor_turns_wheel_and_hub_against_each_other():
+def test_torques_of_motors_and_disturbances_act_on_wheels_and_hub():
     """From rest about one axis: u / Js - omega' on the wheel, -u / (I - Js) on the hub."""
     bus = a_bus(h=1.0, sigma_BN=[0.0] * 3, omega_BN_B=[0.0] * 3, Omega_WB_B=[0.0] * 3, motor_torque_B=[0.0, 0.1, 0.0])
     bus.inertia_B, bus.effectors = Vec3(*INERTIA.unbind(-1)), (wheels.WHEELS.effector,)
@@ -387,9 +355,6 @@ def test_motor_turns_wheel_and_hub_against_each_other():
     assert bus.omega_BN_B.y.item() == pytest.approx(rate, rel=1e-12)
     assert bus.Omega_WB_B.y.item() == pytest.approx(0.1 / wheels.SPIN_INERTIA - rate, rel=1e-12)
     assert bus.sigma_BN.y.item() == pytest.approx(math.tan(rate / 2 / 4), rel=1e-9)
-
-
-def test_disturbance_acts_over_the_tick_and_a_pulse_over_a_sixth():
     torques = {}
     for name in ("disturbance_torque_B", "pulse"):
         bus = a_bus(h=1.0, sigma_BN=[0.0] * 3, omega_BN_B=[0.0] * 3, Omega_WB_B=[0.0] * 3, motor_torque_B=[0.0] * 3)
@@ -401,12 +366,6 @@ def test_disturbance_acts_over_the_tick_and_a_pulse_over_a_sixth():
         torques[name] = bus.omega_BN_B.stack() * (INERTIA - wheels.SPIN_INERTIA)
     # beyond the sixth only products of the rates, 1e-2 rad/s, that the pulse brings about
     torch.testing.assert_close(6.0 * torques["pulse"], torques["disturbance_torque_B"], rtol=0.01, atol=1e-3)
-
-
-def test_initial_attitude_is_switched():
-    args = {"oe": None, "rN": number(7e6, 0, 0)[None], "vN": number(0, 7e3, 0)[None], "omega_init": number(0, 0, 0)[None]}
-    state = hub.HUB.initial(args | {"sigma_init": number(2.0, 0.0, 0.0)[None]})
-    assert state["sigma_BN"].tolist() == [[-0.5, 0.0, 0.0]]
 
 
 def test_drag_keeps_the_attitude_in_its_type():

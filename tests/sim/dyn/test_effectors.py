@@ -1,7 +1,5 @@
 """Effectors of a user: a fourth wheel on a skewed axis, with friction, in a model, a law and a hub that know nothing of it."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -81,20 +81,15 @@ def test_low_thrust_raises_the_orbit_as_gauss_says():
     torch.testing.assert_close(raised, 2.0 * RADIUS * f / v * time, rtol=5e-3, atol=0.0)
 
 
-def test_forces_add_up():
+def test_forces_add_up_and_none_changes_nothing():
     once, twice = axes(make(), 1), axes(make(TwiceDynModel, thrust=0.5 * THRUST), 1)
     torch.testing.assert_close(once, twice, rtol=1e-14, atol=0.0)
-
-
-def test_without_thrust_nothing_changes():
     assert torch.equal(axes(make(thrust=0.0), 1), axes(make(dyn.DynamicsModel, orbit="integrated"), 1))
 
 
 def test_rejects_forces_that_the_orbit_would_not_feel():
     check_refusals(
-        [
-            refusal(lambda: make(orbit="arc", backend="eager"), TypeError, "external_force_N", "orbit='integrated'"),
-            refusal(lambda: make(orbit="arc", backend="compiled"), TypeError, "external_force_N", "orbit='integrated'"),
-            refusal(lambda: make(LateDynModel), TypeError, "external_force_N", "hub", "before='hub'"),
-        ]
+        refusal(lambda: make(orbit="arc", backend="eager"), TypeError, "external_force_N", "orbit='integrated'"),
+        refusal(lambda: make(orbit="arc", backend="compiled"), TypeError, "external_force_N", "orbit='integrated'"),
+        refusal(lambda: make(LateDynModel), TypeError, "external_force_N", "hub", "before='hub'"),
     )

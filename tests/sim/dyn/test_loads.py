@@ -1,7 +1,5 @@
 """Facets, sunlight and torque bars; their numbers are compared with Basilisk's in ``tests/basilisk/test_craft_parity.py``."""
 
-from __future__ import annotations
-
 import torch
 
 from bsk_torch.sim.component import Bus, Effector

@@ -1,7 +1,5 @@
 """Errors of navigation: their random numbers, their statistics, and who sees them; flights with Basilisk: tests/basilisk."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -36,20 +34,14 @@ def walked(env: SatelliteTasking, steps: int = 1) -> torch.Tensor:
     return torch.stack([recording.of(k)["nav_errors"] for k in range(n)], 1)
 
 
-# -- random numbers -----------------------------------------------------------------------------------------------------------
-
-
-def test_the_combined_generator_is_mrg32k3a():
+def test_generators_are_those_of_the_literature():
     """First numbers from 12345 six times, as the implementations of L'Ecuyer and others print them."""
     state, found = (torch.full((1,), 12345.0, dtype=torch.float64),) * 6, []
     for _ in range(4):
         u, state = combined_uniform(state)
         found.append(float(u))
     assert found == pytest.approx([0.127011122046577, 0.318527565396794, 0.309186015583270, 0.825846862927113], abs=1e-14)
-
-
-def test_basilisks_generator_is_that_of_the_standard():
-    """ISO C++ [rand.predef]: the 10000th number of minstd_rand is 399268537."""
+    # ISO C++ [rand.predef]: the 10000th number of minstd_rand is 399268537.
     x = minstd_start(torch.tensor([1.0, 2147483648.0, 0.0, 2147483647.0], dtype=torch.float64))
     for _ in range(10_000):
         x = modulo(48271.0 * x, 2147483647.0)
@@ -101,9 +93,6 @@ def test_combined_normals_are_normal():
     assert float(rows.abs().max()) < 5.5 / math.sqrt(1800)
 
 
-# -- errors -------------------------------------------------------------------------------------------------------------------
-
-
 def test_steps_have_the_covariance_of_the_matrix_and_stay_within_bounds():
     deviations = torch.tensor([1.0] * 3 + [0.1] * 3 + [1e-6] * 3 + [1e-7] * 9, dtype=torch.float64)
     mixed = (
@@ -132,10 +121,17 @@ def test_cross_terms_add_errors_of_velocity_and_rate():
         torch.testing.assert_close(crossed[1:, to : to + 3] - plain[1:, to : to + 3], added, rtol=1e-9, atol=1e-15)
 
 
-def test_a_matrix_with_a_diagonal_is_its_diagonal():
+def test_matrices_of_errors_may_be_diagonals_or_drawn():
     matrices = NOISE, torch.diag(torch.tensor(NOISE, dtype=torch.float64)).tolist()
     one, other = (walked(navigating({"PMatrix": P})) for P in matrices)
     assert torch.equal(one, other)
+    env = navigating(
+        {"PMatrix": rand.per_env([MIXED, (2.0 * torch.tensor(MIXED, dtype=torch.float64)).tolist()]), "RNGSeed": 7}, n=2
+    )
+    one, double = walked(env).unbind(1)
+    torch.testing.assert_close(double, 2.0 * one, rtol=1e-12, atol=0)
+    env = navigating({"PMatrix": rand.Uniform(0.0, 1e-6, ERRORS)}, n=3)
+    assert float(walked(env).abs().max()) > 0.0
 
 
 MIXED = (torch.diag(torch.tensor(NOISE, dtype=torch.float64)) + 1e-7 * torch.ones(ERRORS, ERRORS, dtype=torch.float64)).tolist()
@@ -148,21 +144,10 @@ def test_drawn_matrices_act_as_given_ones(P, drawn):
     assert torch.equal(walked(navigating({"PMatrix": drawn(P)}, n=2)), given)
 
 
-def test_every_episode_draws_its_matrix():
-    env = navigating(
-        {"PMatrix": rand.per_env([MIXED, (2.0 * torch.tensor(MIXED, dtype=torch.float64)).tolist()]), "RNGSeed": 7}, n=2
-    )
-    one, double = walked(env).unbind(1)
-    torch.testing.assert_close(double, 2.0 * one, rtol=1e-12, atol=0)
-
-
-def test_errors_do_not_depend_on_the_batch():
+def test_errors_of_episodes_are_their_own_or_those_of_a_seed():
     many, few = (walked(navigating({"PMatrix": NOISE}, n=n)) for n in (5, 2))
     assert torch.equal(many[:, :2], few)
     assert not torch.allclose(many[:, 0], many[:, 1], rtol=1e-3)  # every episode has its own
-
-
-def test_with_a_seed_all_episodes_have_the_same_errors():
     env = navigating({"PMatrix": NOISE, "RNGSeed": 464374481}, n=2)
     first, second = walked(env), walked(env)
     assert torch.equal(first[:, 0], first[:, 1])
@@ -186,9 +171,6 @@ def test_copies_go_on_with_the_same_errors():
     for each in (env, other):
         each.step(each.full_action_spec.zero().update(each.fake_tensordict().exclude("next")))
     assert torch.equal(env.satellite.dynamics.navigation_errors, other.satellite.dynamics.navigation_errors)
-
-
-# -- who sees them ------------------------------------------------------------------------------------------------------------
 
 
 def pointing_error(env: SatelliteTasking) -> torch.Tensor:
@@ -240,21 +222,14 @@ def test_models_without_it_have_no_errors():
 
 def test_rejects_wrong_errors_of_navigation():
     check_refusals(
-        [
-            refusal(lambda: navigating({"PMatrix": [1.0] * 17}), ValueError, "PMatrix", "18 numbers", "[17]"),
-            refusal(lambda: navigating({"PMatrix": [[1.0, 2.0], [3.0, 4.0]]}), ValueError, "PMatrix", "[18, 18]", "[2, 2]"),
-            refusal(lambda: navigating({"PMatrix": [math.nan] * 18}), ValueError, "PMatrix=nan"),
-            refusal(lambda: navigating({"PMatrix": lambda: [1.0] * 17}), ValueError, "PMatrix", "[18, 18]", "[17]"),
-            refusal(lambda: navigating({"walkBounds": [1.0]}), ValueError, "walkBounds", "18 numbers", "[1]"),
-            refusal(lambda: navigating({"RNGSeed": 1.5}), ValueError, "RNGSeed=1.5", "whole number", "[0, 4.29497e+09]"),
-            refusal(lambda: navigating({"RNGSeed": -1}), ValueError, "RNGSeed=-1", "whole number", "[0, 4.29497e+09]"),
-            refusal(lambda: navigating({"crossAtt": "yes"}), ValueError, "crossAtt='yes'", "[True, False]"),
-            refusal(lambda: faults.navigation(), ValueError, "faults.navigation", "bias=None", "noise=None"),
-            refusal(lambda: dyn.navigation_numbers(attitude=[1.0]), ValueError, "attitude=[1.0]", "one number", "three"),
-        ]
+        refusal(lambda: navigating({"PMatrix": [1.0] * 17}), ValueError, "PMatrix", "18 numbers", "[17]"),
+        refusal(lambda: navigating({"PMatrix": [[1.0, 2.0], [3.0, 4.0]]}), ValueError, "PMatrix", "[18, 18]", "[2, 2]"),
+        refusal(lambda: navigating({"PMatrix": [math.nan] * 18}), ValueError, "PMatrix=nan"),
+        refusal(lambda: navigating({"PMatrix": lambda: [1.0] * 17}), ValueError, "PMatrix", "[18, 18]", "[17]"),
+        refusal(lambda: navigating({"walkBounds": [1.0]}), ValueError, "walkBounds", "18 numbers", "[1]"),
+        refusal(lambda: navigating({"RNGSeed": 1.5}), ValueError, "RNGSeed=1.5", "whole number", "[0, 4.29497e+09]"),
+        refusal(lambda: navigating({"RNGSeed": -1}), ValueError, "RNGSeed=-1", "whole number", "[0, 4.29497e+09]"),
+        refusal(lambda: navigating({"crossAtt": "yes"}), ValueError, "crossAtt='yes'", "[True, False]"),
+        refusal(lambda: faults.navigation(), ValueError, "faults.navigation", "bias=None", "noise=None"),
+        refusal(lambda: dyn.navigation_numbers(attitude=[1.0]), ValueError, "attitude=[1.0]", "one number", "three"),
     )
-
-
-def test_drawn_deviations():
-    env = navigating({"PMatrix": rand.Uniform(0.0, 1e-6, ERRORS)}, n=3)
-    assert float(walked(env).abs().max()) > 0.0

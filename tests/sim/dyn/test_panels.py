@@ -1,7 +1,5 @@
 """Several solar panels; fixed ones are compared with Basilisk's in ``tests/basilisk/test_craft_parity.py``."""
 
-from __future__ import annotations
-
 import itertools
 import math
 
@@ -24,10 +22,7 @@ PAIR = [dyn.Panel([0, 0, -1], 0.5, 0.3, **WING), dyn.Panel([0, 0, -2], 0.5, 0.3,
 GIVEN = {arg.name: arg.default for arg in (*PANEL.args, *DRAG.args)}
 
 
-# -- the best direction -------------------------------------------------------------------------------------------------------
-
-
-def test_the_best_direction_of_fixed_panels_is_that_of_the_longest_sum_of_some():
+def test_best_directions_of_panels():
     """The power, ``max over subsets of s . sum g n``, is largest along the longest of these sums, for |s| = 1."""
     random = torch.Generator().manual_seed(0)
     for count in (1, 2, 3, 7):
@@ -39,10 +34,7 @@ def test_the_best_direction_of_fixed_panels_is_that_of_the_longest_sum_of_some()
         sums = (subsets * gains) @ normals
         longest = sums[int(sums.norm(dim=-1).argmax())]
         torch.testing.assert_close(torch.tensor(best_direction(listed)).double(), longest / longest.norm(), rtol=0, atol=1e-6)
-
-
-def test_panels_that_turn_can_face_the_sun_from_more_directions():
-    """A wing about y has full power from anywhere in its plane, up to its stops: a small fixed panel decides."""
+    # A wing about y has full power from anywhere in its plane, up to its stops: a small fixed panel decides.
     fixed = dyn.Panel([1, 0, 0], 0.05, 0.3)
     free = dyn.Panel([0, 0, -1], 1.0, 0.3, **WING)
     assert best_direction((free,)) == (0.0, 0.0, -1.0)
@@ -54,15 +46,9 @@ def test_panels_that_turn_can_face_the_sun_from_more_directions():
     torch.testing.assert_close(torch.tensor(best_direction((stopped, fixed))), torch.tensor(expected), rtol=0, atol=1e-6)
     stuck = dyn.Panel([0, 0, -1], 1.0, 0.3, axis=[0, 1, 0], rate=0.0, angle=-0.5)
     assert best_direction((stuck,)) == pytest.approx((math.sin(0.5), 0.0, -math.cos(0.5)), abs=1e-12)
-
-
-def test_opposite_panels_have_a_best_direction():
     box = tuple(dyn.Panel(n, 1.0, 0.3) for k in range(3) for n in (torch.eye(3)[k].tolist(), (-torch.eye(3)[k]).tolist()))
     assert [abs(x) for x in best_direction(box)] == pytest.approx([math.sqrt(1.0 / 3.0)] * 3)
     assert best_direction((dyn.Panel([1, 0, 0], 0.0, 0.3),)) == (1.0, 0.0, 0.0)
-
-
-# -- one tick -----------------------------------------------------------------------------------------------------------------
 
 
 def a_tick(listed: list[dyn.Panel], sun_B: Vec3, angles: list[Tensor], h_ns: int = 1_000_000_000) -> Bus:
@@ -81,12 +67,14 @@ def a_tick(listed: list[dyn.Panel], sun_B: Vec3, angles: list[Tensor], h_ns: int
     return bus
 
 
-def test_fixed_panels_add_up():
+def test_fixed_panels_add_up_and_a_tick_of_no_length_turns_none():
     sun = vectors()
     listed = [dyn.Panel([0, 0, -1], 0.5, 0.2), dyn.Panel([0, 3, -4], 0.1, 0.3), dyn.Panel([-1, 0, 0], 1.0, 0.1)]
     s = sun.unit()
     shares = (0.1 * -s.z).clamp(min=0) + (0.03 * (0.6 * s.y - 0.8 * s.z)).clamp(min=0) + (0.1 * -s.x).clamp(min=0)
     torch.testing.assert_close(a_tick(listed, sun, []).power, 1361.0 * shares, rtol=1e-12, atol=1e-12)
+    bus = a_tick(PAIR, sun, [plane(0.3), plane(0.2)], h_ns=0)
+    assert bool((bus.panel_angle[0] == 0.3).all() and (bus.panel_angle[1] == 0.2).all())
 
 
 def test_a_panel_turns_to_the_sun_at_its_rate_and_loses_only_what_is_along_its_axis():
@@ -101,12 +89,6 @@ def test_a_panel_turns_to_the_sun_at_its_rate_and_loses_only_what_is_along_its_a
     torch.testing.assert_close(bus.power, 1361.0 * 0.15 * torch.sqrt(1.0 - s.y * s.y), rtol=1e-9, atol=1e-9)
     # a right-handed turn about y takes -z to -x
     torch.testing.assert_close(bus.panel_angle[0], torch.atan2(-s.x, -s.z), rtol=0, atol=1e-9)
-
-
-def test_a_tick_of_no_length_turns_nothing():
-    sun = vectors()
-    bus = a_tick(PAIR, sun, [plane(0.3), plane(0.2)], h_ns=0)
-    assert bool((bus.panel_angle[0] == 0.3).all() and (bus.panel_angle[1] == 0.2).all())
 
 
 @pytest.mark.parametrize(
@@ -124,9 +106,6 @@ def test_a_tick_of_no_length_turns_nothing():
 def test_turning(angle, wanted, stops, expected):
     pair = None if stops is None else (plane(stops[0]), plane(stops[1]))
     assert turned(plane(angle), plane(wanted), plane(0.1), pair)[0].item() == pytest.approx(expected, abs=1e-12)
-
-
-# -- flights ------------------------------------------------------------------------------------------------------------------
 
 
 def test_one_panel_in_a_list_flies_as_the_single_one():
@@ -172,9 +151,6 @@ def test_a_panel_that_fails_gives_a_share_of_its_power():
     )
     torch.testing.assert_close(3.0 * (whole - half), whole - none, rtol=1e-9, atol=1e-6)
     assert bool((whole > none).any())
-
-
-# -- structure ----------------------------------------------------------------------------------------------------------------
 
 
 def test_the_structure_follows_from_the_arguments():

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,8 +23,6 @@ GIVEN = {"bufferNames": None, "transmitterNumBuffers": 100.0, "storageInit": 0.0
 
 INPUTS = Component("inputs", state=(Field("instrument_command"), Field("station_access")))
 """What others write: here the test does, between ticks."""
-
-# -- against Basilisk ---------------------------------------------------------------------------------------------------------
 
 
 class Recorded(NamedTuple):
@@ -145,9 +141,6 @@ def ticks_of_silence(table: Recorded) -> int:
     return count
 
 
-# -- by hand -------------------------------------------------------------------------------------------------------------------
-
-
 def bus_of(levels: list[float], **values: float) -> Bus:
     """A store of one satellite, at -4 bit/s and packets of -10 bit, in its fifth tick."""
     defaults = {"packet": 0.0, "packet_partition": 0.0, "data_partition": 0.0, "transmitter_time": 4.0, "transmitter_on": 1.0}
@@ -172,19 +165,11 @@ def bus_of(levels: list[float], **values: float) -> Bus:
 def test_transmitter(levels, packet, partition, rate, after):
     bus = bus_of(levels, packet=packet, packet_partition=float(partition))
     partitions.transmit(bus)
-    assert bus.transmitter_rate.item() == rate
-    assert (bus.packet.item(), bus.packet_partition.item()) == after
+    assert (bus.transmitter_rate.item(), (bus.packet.item(), bus.packet_partition.item())) == (rate, after)
     assert bus.transmitter_time.item() == 5.0
 
 
-def test_first_tick_after_a_pause_accounts_for_all_of_it():
-    bus = bus_of([50.0, 60.0], transmitter_time=2.0)
-    partitions.transmit(bus)
-    assert bus.packet.item() == -12.0
-    assert bus.transmitter_rate.item() == -4.0
-
-
-def test_transmitter_at_rest_and_without_stations():
+def test_transmitters_at_rest_and_after_a_pause():
     """At rest neither packet nor clock are lost; without a station the packet is."""
     bus = bus_of([50.0, 60.0], packet=-4.0, packet_partition=1.0, transmitter_on=0.0)
     partitions.transmit(bus)
@@ -196,6 +181,9 @@ def test_transmitter_at_rest_and_without_stations():
             del bus.station_access  # a model without ground stations
         partitions.transmit(bus)
         assert [bus.transmitter_rate.item(), bus.packet.item()] == [0.0, 0.0]
+    bus = bus_of([50.0, 60.0], transmitter_time=2.0)
+    partitions.transmit(bus)
+    assert (bus.packet.item(), bus.transmitter_rate.item()) == (-12.0, -4.0)
 
 
 @pytest.mark.parametrize(
@@ -228,9 +216,6 @@ def test_an_image_takes_a_tick(h):
     assert bus.instrument_rate.item() == 0.0
 
 
-# -- which partitions ----------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("given", "names"),
     [
@@ -251,7 +236,7 @@ def test_partition_names(given, names):
     assert ("packet_partition" in sender) == (len(names) > 1)
 
 
-def test_initial_store():
+def test_stores_and_transmitters_start_by_their_arguments():
     """Whole bits in the last partition; more than the capacity is left out."""
     args = {"storageInit": torch.tensor([99.9, 101.0, 0.0]).double(), "dataStorageCapacity": torch.tensor([100.7]).double()}
     state = partitions.partitioned_store(3, starts_with_data=True).initial(args)
@@ -259,16 +244,10 @@ def test_initial_store():
     assert state["storage"].tolist() == [99.0, 0.0, 0.0]
     empty = partitions.partitioned_store(2).initial({**args, "storageInit": torch.zeros(1).double()})
     assert empty["partitions"].tolist() == [[0.0, 0.0]]
-
-
-def test_the_default_is_what_default_arguments_ask_for():
     for part in (partitions.TRANSMITTER, partitions.PARTITIONED_STORE, world.GROUND_STATIONS):
         given = {arg.name: arg.default for arg in (*partitions.PARTITIONED_STORE.args, *partitions.TRANSMITTER.args, *part.args)}
         fitted = part.fit(given)
         assert (fitted.state, fitted.params, fitted.args) == (part.state, part.params, part.args)
-
-
-# -- models --------------------------------------------------------------------------------------------------------------------
 
 
 def slots(model: type) -> dict[str, Component]:
@@ -303,9 +282,6 @@ def test_imaging_has_partitions_and_an_event(model):
     assert made["transmitter"] is partitions.TRANSMITTER
     assert made["storage"] is partitions.PARTITIONED_STORE
     assert made["image_event"] is events.IMAGE_EVENT
-
-
-# -- stations ------------------------------------------------------------------------------------------------------------------
 
 
 def test_as_many_stations_as_are_given_on_the_worlds_sphere():

@@ -1,7 +1,5 @@
 """Any number of reaction wheels about any axes: equations, limits, friction, and types."""
 
-from __future__ import annotations
-
 import functools
 import math
 import re
@@ -196,10 +194,12 @@ def friction(bus: Bus, speed: float) -> float:
 def test_friction_opposes_motion():
     bus = one_wheel(wheel_coulomb=0.01, wheel_viscous=1e-4)
     assert friction(bus, 50.0) == pytest.approx(-0.015, rel=1e-14)
-    assert friction(bus, -50.0) == pytest.approx(0.015, rel=1e-14)
-    assert friction(bus, 0.0) == 0.0
+    assert (friction(bus, -50.0), friction(bus, 0.0)) == (pytest.approx(0.015, rel=1e-14), 0.0)
     assert friction(bus, LINEAR_BELOW / 4.0) == pytest.approx(-(0.01 + 1e-8) / 4.0, rel=1e-14)
     assert bus.wheel_started[0].item() == 0.0
+    bus = one_wheel(wheel_coulomb=0.01, wheel_static=0.02)
+    friction(bus, 0.0)
+    assert friction(bus, 1.0) == -0.01
 
 
 def test_stribeck_friction_from_rest():
@@ -212,23 +212,12 @@ def test_stribeck_friction_from_rest():
         return bump + coulomb * math.tanh(10.0 * x / b)
 
     assert friction(bus, 1.0) == -coulomb  # it has not been at rest
-    assert friction(bus, 0.0) == 0.0
-    assert bus.wheel_started[0].item() == 1.0
+    assert (friction(bus, 0.0), bus.wheel_started[0].item()) == (0.0, 1.0)
     for speed in (0.1, 0.5, 2.0):
         assert friction(bus, speed) == pytest.approx(-stribeck(speed), rel=1e-14)
         bus.wheel_speed_before = (plane(speed, 1),)
     assert friction(bus, LINEAR_BELOW / 2.0) == pytest.approx(-coulomb / 2.0, rel=1e-14)  # slower: the flag is gone
-    assert bus.wheel_started[0].item() == 0.0
-    assert friction(bus, 1.0) == -coulomb
-
-
-def test_a_slow_wheel_without_the_coefficient_has_no_stribeck_friction():
-    bus = one_wheel(wheel_coulomb=0.01, wheel_static=0.02)
-    friction(bus, 0.0)
-    assert friction(bus, 1.0) == -0.01
-
-
-# -- distribution -------------------------------------------------------------------------------------------------------------
+    assert (bus.wheel_started[0].item(), friction(bus, 1.0)) == (0.0, -coulomb)
 
 
 @PROPERTY
@@ -269,9 +258,6 @@ def test_null_motion_exerts_no_torque_and_slows_wheels():
     Z = torch.eye(6).double() - unit @ torch.linalg.inv(unit.mT @ unit) @ unit.mT
     torch.testing.assert_close(extra, -0.02 * (Z @ excess[..., None])[..., 0], rtol=0, atol=1e-10)
     assert ((extra * excess).sum(-1) < 0.0).all()
-
-
-# -- environments -------------------------------------------------------------------------------------------------------------
 
 
 def test_the_three_wheels_of_bsk_rl_fly_alike_however_they_are_described():
@@ -316,14 +302,10 @@ def test_arguments_of_wheels_default_to_their_types():
     assert args["rwFCoulomb"][0].tolist() == [0.0] * 4 + [5e-5]
     assert args["rwJs"][0, 4].item() == pytest.approx(2.938245e-5, rel=1e-6)
     assert args["wheelSpeeds"].shape == (3, 5)
-
-
-def test_bsk_rls_way_to_copy_all_defaults_gives_the_wheels_of_their_types():
-    """``default_sat_args`` has the torque and the speeds of three HR16, which are no wish of the user."""
+    # ``default_sat_args`` has the torque and the speeds of three HR16, which are no wish of the user.
     args = dict(ScanningSatellite.default_sat_args()) | {"wheels": PYRAMID, "u_max": 0.1}
     own = fly(args, actions=()).satellite.sat_args
-    assert own["u_max"].tolist() == [[0.1] * 4] * 3
-    assert own["wheelSpeeds"].shape == (3, 4)
+    assert (own["u_max"].tolist(), own["wheelSpeeds"].shape) == ([[0.1] * 4] * 3, (3, 4))
 
 
 @pytest.mark.parametrize(
@@ -346,7 +328,7 @@ def test_types_of_basilisks_factory(type_, momentum, Js, speed, most, least, cou
     assert (off["u_max"], off["rwUMin"], off["rwFCoulomb"]) == (-1.0, 0.0, 0.0)
 
 
-def test_the_page_lists_the_types_as_they_are():
+def test_types_are_listed_on_the_page_and_can_be_added(monkeypatch):
     rows = re.findall(r"^\| `(\w+_\w+)` \| ([^|]+) \|((?: [\d.e-]+ \|){4})$", PAGE.read_text(), re.MULTILINE)
     listed = {
         name: ([float(x) for x in re.findall(r"[\d.]+", momenta)], [float(x) for x in numbers.split("|")[:-1]])
@@ -355,9 +337,6 @@ def test_the_page_lists_the_types_as_they_are():
     assert listed == {
         name: (list(kind.maxMomentum), [kind.Omega_max, kind.u_max, kind.u_min, kind.fCoulomb]) for name, kind in TYPES.items()
     }
-
-
-def test_types_can_be_added(monkeypatch):
     monkeypatch.setitem(dyn.WHEEL_TYPES, "Mine", dyn.WheelType((1.0,), 3000.0, 0.05, 0.0, 1e-4))
     assert dyn.Wheel("Mine", [1, 0, 0]).arguments["rwJs"] == pytest.approx(1.0 / (3000.0 * RPM))
 
@@ -403,7 +382,7 @@ def test_unstable_null_motion_is_logged(caplog):
     assert "nullSpaceGain=0.3 N m s is not stable at sim_rate=1 s" in caplog.text
 
 
-def test_each_wheel_draws_its_power():
+def test_wheels_draw_base_power_and_more():
     bus = write(Bus(1_000_000_000), power=plane(100.0, 1), Omega_WB_B=tuple(plane(x, 1) for x in (100.0, 100.0, -100.0)))
     write(
         bus,
@@ -418,10 +397,7 @@ def test_each_wheel_draws_its_power():
     wheels.draw_power_of_wheels(bus)
     needs = 10.0 / 0.8 + 1.0, -0.5 * 10.0 + 2.0, 10.0 / 0.8 + 3.0  # drives, returns half, and pays for the brake
     assert bus.power.item() == pytest.approx(100.0 - functools.reduce(float.__add__, needs), rel=1e-14)
-
-
-def test_base_power_of_all_wheels():
-    """One number for each of bsk_rl's three, or a number of each wheel."""
+    # One number for each of bsk_rl's three, or a number of each wheel.
     speeds, each = torch.zeros(1, 4), torch.tensor([[1.0, 2.0, 3.0, 4.0], [0.0, 0.0, 0.0, 1.0]])
     assert wheels.base_power_of_wheels({"rwBasePower": each, "wheelSpeeds": speeds}, 2).tolist() == [10.0, 1.0]
     three = {"rwBasePower": torch.tensor([0.5]), "wheelSpeeds": torch.zeros(1, 3)}

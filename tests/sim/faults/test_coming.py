@@ -1,7 +1,5 @@
 """Faults drawn again for copies of an episode: what has happened remains, and the rest follows the conditional distributions."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -49,13 +47,14 @@ def test_times_follow_the_condition_that_nothing_has_happened():
     begun = at[torch.isfinite(at)]
     assert float(begun.max()) < 100.0
     assert float(begun.mean()) == pytest.approx(75.0, abs=4 * 50.0 / math.sqrt(12 * len(begun)))
-
-
-def test_a_hazard_has_no_memory():
     env = clicking_at(faults.Hazard(0.02), n=16)
     at = argument(futures(env, one_where(env, argument(env, "loud.at") > 50.0)), "loud.at")
     assert float((at - 50.0).min()) > 0.0
     assert float((at - 50.0).mean()) == pytest.approx(50.0, abs=4 * 50.0 / math.sqrt(COPIES))
+    env = clicking_at(lambda: float(np.random.uniform(0.0, 100.0)), n=8)
+    at = argument(futures(env, one_where(env, argument(env, "loud.at") > 50.0), copies=50), "loud.at")
+    assert len(at.unique()) == 50
+    assert bool((at > 50.0).all())
 
 
 def test_changes_that_are_to_come_are_drawn_again():
@@ -68,7 +67,7 @@ def test_changes_that_are_to_come_are_drawn_again():
 
 
 @pytest.mark.parametrize("backend", ["eager", "compiled"])
-def test_what_is_drawn_acts_in_the_tick(backend):
+def test_drawn_faults_act_in_the_tick(backend):
     fault = faults.Fault("clickSize", value=rand.Uniform(2.0, 4.0), at=rand.Uniform(0.0, 100.0), name="loud")
     env = clicking(fault, n=16, backend=backend)
     before = counted(env, 5)
@@ -82,7 +81,7 @@ def test_what_is_drawn_acts_in_the_tick(backend):
     assert torch.allclose(store.satellite.dynamics.clicks - before[row], clicks, rtol=1e-12)
 
 
-def test_what_has_happened_remains():
+def test_past_faults_remain():
     env = clicking_at(rand.Uniform(0.0, 100.0), n=16)
     env.inject("loud", envs=[one_where(env, argument(env, "loud.at") > 50.0)])
     row = one_where(env, argument(env, "loud.at") == 50.0)  # began now
@@ -127,22 +126,12 @@ def test_draws_do_not_depend_on_other_rows():
         assert torch.equal(value, found[0][name][few])
 
 
-def test_a_time_that_no_candidate_has_stays_the_true_one():
+def test_distributions_of_single_environments_are_kept():
     """In the last instant of a distribution, of 16,383 candidates perhaps none fits; no NaN, no endless loop."""
     env = clicking_at(rand.Uniform(0.0, 50.0 + 1e-9))
     env.fleet.simulators[0].state.arguments["loud.at"][0] = 50.0 + 1e-9
     store = futures(env, copies=3)
     assert argument(store, "loud.at").tolist() == [50.0 + 1e-9] * 3
-
-
-def test_functions_of_the_user_are_called_again():
-    env = clicking_at(lambda: float(np.random.uniform(0.0, 100.0)), n=8)
-    at = argument(futures(env, one_where(env, argument(env, "loud.at") > 50.0), copies=50), "loud.at")
-    assert len(at.unique()) == 50
-    assert bool((at > 50.0).all())
-
-
-def test_arguments_of_one_environment_keep_their_distribution():
     fault = faults.Fault("clickSize", value=2.0, at=rand.per_env([70.0, 90.0]), name="loud")
     env = clicking(fault, n=2)
     counted(env, 5)

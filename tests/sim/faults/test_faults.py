@@ -1,7 +1,5 @@
 """Faults: when they act, what they change, what is observed of them, and errors; flights with Basilisk: tests/basilisk."""
 
-from __future__ import annotations
-
 import math
 import pickle
 
@@ -98,25 +96,19 @@ def test_faults_act_from_the_tick_after_their_time(case, backend):
     assert torch.equal(counted(env) - start, torch.tensor([expected], dtype=torch.float64))
 
 
-def test_faults_are_drawn_for_each_environment_whatever_the_batch():
+def test_faults_are_drawn_for_each_environment_at_their_rate():
     listed = faults.Fault("clickSize", value=2.0, at=faults.Sometimes(0.5, rand.Uniform(0.0, 100.0)))
     many = counted(clicking(listed, n=40), 1, 1)
     assert 5 < len(many.unique()) < 40
     assert 10 < (many == many.min()).sum() < 30  # half of them never have it
     few = counted(clicking(listed, n=3, env_ids=[7, 0, 39]), 1, 1)
     assert torch.equal(few, many[[7, 0, 39]])
-
-
-def test_hazards_have_their_rate():
     times = faults.Hazard(0.02).draw(
         rand.Key(torch.full((20000,), 5), torch.arange(20000), torch.zeros(20000, dtype=torch.int64)).named("hazard")
     )
     assert times.min() >= 0.0
     assert math.isclose(times.mean(), 50.0, rel_tol=0.03)  # 4 sigma of the mean of 20,000
     assert math.isclose((times > 50.0).double().mean(), math.exp(-1.0), abs_tol=0.015)
-
-
-# -- injected -----------------------------------------------------------------------------------------------------------------
 
 
 def test_injected_faults_begin_now_in_some_environments():
@@ -155,15 +147,16 @@ def test_saved_states_and_copies_have_the_faults():
     assert float(env.satellite.dynamics.fault_severity.max()) == 0.0  # an injected fault ends with its episode
 
 
-# -- spacecraft ---------------------------------------------------------------------------------------------------------------
-
-
-def test_a_wheel_without_torque_keeps_its_momentum():
+def test_ready_faults_of_wheels_and_instruments():
     env = fly({"faults": [faults.wheel_torque(0, at=0.0)]}, actions=(CHARGE,))
     sound = fly({}, actions=(CHARGE,))
     turned = [each.simulator.state.read("motor_torque_B") for each in (env, sound)]
     assert float(turned[0][:, 0].abs().max()) <= 1e-12
     assert float(turned[1][:, 0].abs().max()) > 1e-6
+    lost = fly({"faults": [faults.instrument(at=0.0)]}, actions=(SCAN, SCAN)).satellite.dynamics.storage_level
+    sound = fly({}, actions=(SCAN, SCAN)).satellite.dynamics.storage_level
+    assert bool((lost < sound).any())
+    assert not any(field.startswith("fault_") for field in fly({}, actions=()).simulator.tick.own.fields)
 
 
 @pytest.fixture(scope="module")
@@ -191,19 +184,6 @@ def test_ready_faults_change_what_they_name(fault, quantity, sound):
     assert not torch.allclose(*(torch.as_tensor(value) for value in as_tensors), rtol=1e-6, atol=0.0)
 
 
-def test_an_instrument_and_a_transmitter_lose_their_rates():
-    lost = fly({"faults": [faults.instrument(at=0.0)]}, actions=(SCAN, SCAN)).satellite.dynamics.storage_level
-    sound = fly({}, actions=(SCAN, SCAN)).satellite.dynamics.storage_level
-    assert bool((lost < sound).any())
-
-
-def test_without_faults_nothing_is_compiled_for_them():
-    assert not any(field.startswith("fault_") for field in fly({}, actions=()).simulator.tick.own.fields)
-
-
-# -- errors -------------------------------------------------------------------------------------------------------------------
-
-
 def test_rejects_wrong_faults():
     loud = clicking(faults.Fault("clickSize", value=5.0, name="loud"), n=2)
     sound = SatelliteTasking(PlainClicking("A"), num_envs=1, backend="eager", time_limit=1000.0)
@@ -212,20 +192,18 @@ def test_rejects_wrong_faults():
         env.reset()
     twice = [faults.Fault("clickSize", value=1.0 + k) for k in range(2)]
     check_refusals(
-        [
-            refusal(lambda: faults.Fault("u_max"), ValueError, "'u_max'", "value=None", "factor=None"),
-            refusal(lambda: clicking(faults.Fault("u_maximum", value=1.0)), ValueError, "'u_maximum'", "'u_max'"),
-            refusal(lambda: clicking(faults.wheel_torque(9, at=1.0)), ValueError, "wheel_torque9", "index=9", "3"),
-            refusal(lambda: SatelliteTasking(wrong, backend="eager"), ValueError, "sat_args", "faults='wheel'"),
-            refusal(lambda: clicking(*twice), ValueError, "sat_args", "2 faults", "'clickSize'"),
-            refusal(lambda: faults.Fault("u_max", value=1.0, at=math.inf), ValueError, "'u_max'", "at=inf", "[0, inf)"),
-            refusal(lambda: clicking(faults.wheel_torque(0, 0.0, at=1.0)), ValueError, "'wheel_torque0'", "u_max=0", "limit"),
-            refusal(lambda: faults.Hazard(-1.0), ValueError, "Hazard", "rate=-1.0", "(0, inf)"),
-            refusal(lambda: faults.Sometimes(1.5, 10.0), ValueError, "Sometimes", "chance=1.5", "[0, 1]"),
-            refusal(lambda: clicking(faults.Fault("wheels", value=1.0)), ValueError, "fault 'wheels'", "environment", "episode"),
-            refusal(lambda: faults.Fault("u_max", value=1.0, index=-1), ValueError, "'u_max-1'", "index=-1", "part"),
-            refusal(lambda: loud.inject("lout"), ValueError, "'lout'", "'loud'"),
-            refusal(lambda: loud.inject("loud", envs=[2]), IndexError, "envs=[2]"),
-            refusal(lambda: sound.inject("loud"), ValueError, "'loud'", "none"),
-        ]
+        refusal(lambda: faults.Fault("u_max"), ValueError, "'u_max'", "value=None", "factor=None"),
+        refusal(lambda: clicking(faults.Fault("u_maximum", value=1.0)), ValueError, "'u_maximum'", "'u_max'"),
+        refusal(lambda: clicking(faults.wheel_torque(9, at=1.0)), ValueError, "wheel_torque9", "index=9", "3"),
+        refusal(lambda: SatelliteTasking(wrong, backend="eager"), ValueError, "sat_args", "faults='wheel'"),
+        refusal(lambda: clicking(*twice), ValueError, "sat_args", "2 faults", "'clickSize'"),
+        refusal(lambda: faults.Fault("u_max", value=1.0, at=math.inf), ValueError, "'u_max'", "at=inf", "[0, inf)"),
+        refusal(lambda: clicking(faults.wheel_torque(0, 0.0, at=1.0)), ValueError, "'wheel_torque0'", "u_max=0", "limit"),
+        refusal(lambda: faults.Hazard(-1.0), ValueError, "Hazard", "rate=-1.0", "(0, inf)"),
+        refusal(lambda: faults.Sometimes(1.5, 10.0), ValueError, "Sometimes", "chance=1.5", "[0, 1]"),
+        refusal(lambda: clicking(faults.Fault("wheels", value=1.0)), ValueError, "fault 'wheels'", "environment", "episode"),
+        refusal(lambda: faults.Fault("u_max", value=1.0, index=-1), ValueError, "'u_max-1'", "index=-1", "part"),
+        refusal(lambda: loud.inject("lout"), ValueError, "'lout'", "'loud'"),
+        refusal(lambda: loud.inject("loud", envs=[2]), IndexError, "envs=[2]"),
+        refusal(lambda: sound.inject("loud"), ValueError, "'loud'", "none"),
     )

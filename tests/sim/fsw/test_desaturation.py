@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
@@ -63,11 +61,15 @@ def test_pulse_pattern(speed):
     assert min(times) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_pulse_patterns_above_leave_short_and_long_remainders():
+def test_pulses_have_remainders_and_a_shortest_length():
     """So that they tell whole ticks from rounded ones."""
     rest = [max(on_times(dumping(speed).Omega_WB_B)) % 1.0 for speed in (300.0, 320.0, 340.0, 360.0)]
     assert min(rest) < 0.4
     assert max(rest) > 0.6
+    assert max(map(max, fired(dumping(5.0), 20))) == 0.0  # 0.17 s in all
+    assert max(map(max, fired(dumping(300.0, h=0.01), 20))) == 1.0
+    # left over one pulse of 0.01 s after the other: what remains decides, until it falls below the limit
+    assert max(map(max, fired(dumping(300.0, h=0.01, shortest_pulse=1e6), 20))) == 0.0
 
 
 @pytest.mark.parametrize("wait", [0.0, 1.0, 7.0])
@@ -76,13 +78,6 @@ def test_ticks_between_pulses(wait):
     commands = [max(command) for command in fired(bus, 30)]
     first = [k for k, command in enumerate(commands) if command][:3]
     assert first == [1, 2 + wait, 3 + 2 * wait]
-
-
-def test_pulses_shorter_than_a_tick_or_than_the_limit_are_not_commanded():
-    assert max(map(max, fired(dumping(5.0), 20))) == 0.0  # 0.17 s in all
-    assert max(map(max, fired(dumping(300.0, h=0.01), 20))) == 1.0
-    # left over one pulse of 0.01 s after the other: what remains decides, until it falls below the limit
-    assert max(map(max, fired(dumping(300.0, h=0.01, shortest_pulse=1e6), 20))) == 0.0
 
 
 def test_momentum_is_measured_once_in_the_first_tick():

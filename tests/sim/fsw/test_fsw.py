@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -41,9 +39,6 @@ LAWS = {"sun": guidance.point_at_sun, "nadir": guidance.point_along_hill, "locat
 """In the order of a tick."""
 
 
-# -- location pointing ------------------------------------------------------------------------------------------------------
-
-
 def direct_error(bus: Bus) -> torch.Tensor:
     """Principal rotation from target direction to axis: ``-tan(phi / 4) e`` with ``phi = acos(p . x)``, ``e = p x x``."""
     x = (mrp_to_dcm(bus.sigma_BN) @ (bus.r_LN_N - bus.r_BN_N)).unit()
@@ -51,15 +46,25 @@ def direct_error(bus: Bus) -> torch.Tensor:
     return (bus.instrument_axis_B.cross(x).unit() * (-torch.tan(phi / 4.0))).stack()
 
 
-def test_location_pointing_error():
+def test_errors_are_relative_attitudes():
     bus = pointing()
     guidance.point_at_location(bus)
     torch.testing.assert_close(bus.error.sigma_BR.stack(), direct_error(bus), rtol=1e-10, atol=1e-12)
     assert torch.equal(bus.location_sigma_BR.stack(), bus.error.sigma_BR.stack())
     assert (bus.location_fresh == 0.0).all()
+    bus = pointing()
+    zero = torch.zeros(N, 3, dtype=torch.float64)
+    for found, expected in zip(bus.error, (bus.sigma_BN.stack(), bus.omega_BN_B.stack(), zero, zero), strict=True):
+        assert torch.equal(found.stack(), expected)
+    # sigma_BR of hill pointing composes with the reference to the attitude itself.
+    bus = pointing()
+    guidance.point_along_hill(bus)
+    reference = dcm_to_mrp(hill_frame(bus.r_BN_N, bus.v_BN_N))
+    torch.testing.assert_close(mrp_to_dcm(mrp_add(reference, bus.error.sigma_BR)).stack(), bus.BN.stack(), rtol=0, atol=1e-12)
+    torch.testing.assert_close(mrp_subtract(bus.sigma_BN, reference).stack(), bus.error.sigma_BR.stack(), rtol=0, atol=0)
 
 
-def test_the_reference_points_at_the_target():
+def test_the_reference_points_at_the_target_and_turns_about_the_line_of_sight():
     """[RN] of sigma_RN = sigma_BN (+) -sigma_BR maps the line of sight to the axis."""
     bus = pointing()
     guidance.point_at_location(bus)
@@ -67,6 +72,13 @@ def test_the_reference_points_at_the_target():
     torch.testing.assert_close(
         (RN @ (bus.r_LN_N - bus.r_BN_N).unit()).stack(), bus.instrument_axis_B.stack(), rtol=0, atol=ROUNDING
     )
+    bus = pointing()
+    guidance.point_at_location(bus)
+    x = (bus.BN @ (bus.r_LN_N - bus.r_BN_N)).unit()
+    error = bus.error
+    torch.testing.assert_close(error.omega_BR_B.stack(), (x * bus.omega_BN_B.dot(x)).stack(), rtol=0, atol=ROUNDING)
+    torch.testing.assert_close(error.omega_RN_B.stack(), (bus.omega_BN_B - error.omega_BR_B).stack(), rtol=0, atol=ROUNDING)
+    assert (error.domega_RN_B.stack() == 0.0).all()
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 1.0, math.pi - 1e-6])
@@ -80,16 +92,6 @@ def test_location_pointing_keeps_its_digits(angle):
     expected = [0.0, -math.tan(angle / 4.0), 0.0]
     found = bus.error.sigma_BR.stack()[0].tolist()
     assert found == pytest.approx(expected, rel=1e-9, abs=1e-24)
-
-
-def test_rate_error_of_the_first_tick_is_that_about_the_line_of_sight():
-    bus = pointing()
-    guidance.point_at_location(bus)
-    x = (bus.BN @ (bus.r_LN_N - bus.r_BN_N)).unit()
-    error = bus.error
-    torch.testing.assert_close(error.omega_BR_B.stack(), (x * bus.omega_BN_B.dot(x)).stack(), rtol=0, atol=ROUNDING)
-    torch.testing.assert_close(error.omega_RN_B.stack(), (bus.omega_BN_B - error.omega_BR_B).stack(), rtol=0, atol=ROUNDING)
-    assert (error.domega_RN_B.stack() == 0.0).all()
 
 
 @pytest.mark.parametrize("h", [0.5, 1.0])
@@ -130,10 +132,7 @@ def test_sun_pointing_uses_the_panel():
         assert torch.equal(found.stack(), expected.stack())
 
 
-# -- hill pointing ----------------------------------------------------------------------------------------------------------
-
-
-def test_hill_pointing():
+def test_hill_and_nadir_pointing():
     oe = (plane(7e6), plane(0.1), *torch.rand(4, N, dtype=torch.float64))
     bus = pointing()
     bus.r_BN_N, bus.v_BN_N = elements_to_rv(Elements(*oe))
@@ -157,10 +156,7 @@ def test_hill_pointing():
     torch.testing.assert_close(error.omega_RN_B.stack(), (BN @ Vec3.of(omega)).stack(), rtol=0, atol=1e-15)
     torch.testing.assert_close(error.domega_RN_B.stack(), (BN @ Vec3.of(domega)).stack(), rtol=0, atol=1e-12)
     torch.testing.assert_close(error.omega_BR_B.stack(), (bus.omega_BN_B - error.omega_RN_B).stack(), rtol=0, atol=1e-15)
-
-
-def test_nadir_means_x_outward():
-    """At the reference attitude the error vanishes and body x is radial."""
+    # At the reference attitude the error vanishes and body x is radial.
     bus = pointing()
     bus.sigma_BN = dcm_to_mrp(hill_frame(bus.r_BN_N, bus.v_BN_N))
     guidance.navigate(bus)
@@ -171,19 +167,9 @@ def test_nadir_means_x_outward():
     )
 
 
-# -- tracking error ---------------------------------------------------------------------------------------------------------
-
-
 def stacked(error: guidance.Error) -> torch.Tensor:
     """All errors of a law, [N, 12]."""
     return torch.cat([part.stack() for part in error], -1)
-
-
-def test_without_a_law_the_reference_is_at_rest_in_n():
-    bus = pointing()
-    zero = torch.zeros(N, 3, dtype=torch.float64)
-    for found, expected in zip(bus.error, (bus.sigma_BN.stack(), bus.omega_BN_B.stack(), zero, zero), strict=True):
-        assert torch.equal(found.stack(), expected)
 
 
 def test_the_law_that_is_on_is_tracked():
@@ -222,9 +208,6 @@ def test_laws_in_single_precision(task):
     assert all(x.dtype == torch.float32 for part in bus.error for x in part)
     # measured up to 4e-6, where an axis points almost away from its target; elsewhere a few roundings of 6e-8
     torch.testing.assert_close(stacked(bus.error).double(), stacked(exact.error), rtol=0, atol=1e-5)
-
-
-# -- modes ------------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -272,12 +255,3 @@ def test_a_subclass_takes_a_mode_away_and_another_gives_it_back():
     kept = set(ImagingFSWModel.all_modes())
     assert set(Blind.all_modes()) == kept - {"image", "downlink"}
     assert set(Seeing.all_modes()) == set(Seeing.all_commands()) - {"desat"} == kept - {"downlink"}
-
-
-def test_errors_are_relative_attitudes():
-    """sigma_BR of hill pointing composes with the reference to the attitude itself."""
-    bus = pointing()
-    guidance.point_along_hill(bus)
-    reference = dcm_to_mrp(hill_frame(bus.r_BN_N, bus.v_BN_N))
-    torch.testing.assert_close(mrp_to_dcm(mrp_add(reference, bus.error.sigma_BR)).stack(), bus.BN.stack(), rtol=0, atol=1e-12)
-    torch.testing.assert_close(mrp_subtract(bus.sigma_BN, reference).stack(), bus.error.sigma_BR.stack(), rtol=0, atol=0)

@@ -7,6 +7,7 @@ import torch
 
 from bsk_torch.sim.fsw.manoeuvre import burn
 from tests.support.manoeuvring import R_N, V_N, Imager, Kick, every, make, push, step
+from tests.support.refusals import check_refusals, refusal
 
 
 @pytest.fixture(params=["integrated", "arc"])
@@ -14,13 +15,16 @@ def orbit(request):
     return request.param
 
 
-def test_a_burn_is_clipped_to_the_tank():
+def test_burns_are_clipped_to_the_tank_which_is_composed_with_other_software():
     done = burn(
         torch.tensor([[3.0, 4.0, 0.0], [3.0, 4.0, 0.0], [0.0, 0.0, 0.0]]).double(), torch.tensor([10.0, 2.5, 0.0]).double()
     )
     assert torch.allclose(done.dv_N, torch.tensor([[3.0, 4.0, 0.0], [1.5, 2.0, 0.0], [0.0, 0.0, 0.0]]).double(), atol=1e-15)
-    assert done.left.tolist() == [5.0, 0.0, 0.0]
-    assert done.clipped.tolist() == [False, True, False]
+    assert (done.left.tolist(), done.clipped.tolist()) == ([5.0, 0.0, 0.0], [False, True, False])
+    names = [component.slot for component in Imager.get_fsw_type().all_components()]
+    assert "manoeuvre" in names
+    assert "location_pointing" in names
+    assert Kick().name == "kick"
 
 
 def test_the_message_keeps_the_old_velocity_until_the_next_tick(orbit):
@@ -29,8 +33,7 @@ def test_the_message_keeps_the_old_velocity_until_the_next_tick(orbit):
     push(env, 1.0, 2.0, -2.0)
     fsw_model = env.satellite.fsw
     assert env.simulator.read("v_BN_N").tolist() == [V_N]
-    assert fsw_model.dv_available.tolist() == [97.0]
-    assert fsw_model.thrust_count.tolist() == [1.0]
+    assert (fsw_model.dv_available.tolist(), fsw_model.thrust_count.tolist()) == ([97.0], [1.0])
     env.fleet.run(torch.ones(1, dtype=torch.bool), torch.tensor([1]), torch.tensor([1]))
     fall = -3.986004415e14 / 6.9e6**2 * 0.5
     wanted = torch.tensor([[1.0 + fall, V_N[1] + 2.0, V_N[2] - 2.0]]).double()
@@ -56,7 +59,7 @@ def test_a_second_manoeuvre_at_the_same_time(orbit, compat):
     torch.testing.assert_close(*r_N, rtol=0.0, atol=0.0 if orbit == "integrated" else 1e-5)  # an arc is read once more
 
 
-def test_who_asks_for_more_gets_what_is_left_and_dies(orbit, caplog):
+def test_a_burn_beyond_the_tank_is_clipped_and_kills(orbit, caplog):
     """The drift is flown and the penalty paid once, by a satellite that is dead from the manoeuvre on."""
     env = make(2, orbit=orbit, sat_args={"dv_available_init": 2.5})
     td = env.reset()
@@ -71,7 +74,7 @@ def test_who_asks_for_more_gets_what_is_left_and_dies(orbit, caplog):
     assert td["terminated"].squeeze(-1).tolist() == [True, False]
 
 
-def test_death_by_the_last_fuel_is_at_the_time_of_the_manoeuvre():
+def test_empty_tanks_kill():
     env = make(sat_args={"dv_available_init": 1.0})
     td = env.reset()
     dead = []
@@ -84,13 +87,9 @@ def test_death_by_the_last_fuel_is_at_the_time_of_the_manoeuvre():
     env.fleet.run = watch
     step(env, td, 1)
     assert dead == [[True]]
-
-
-def test_a_tank_that_is_empty_from_the_beginning_kills_at_once():
     env = make(sat_args={"dv_available_init": 0.0})
     td = env.reset()
-    assert env.dead.tolist() == [True]
-    assert step(env, td, 0)["reward"].item() == -1.0
+    assert (env.dead.tolist(), step(env, td, 0)["reward"].item()) == ([True], -1.0)
 
 
 def test_thirty_manoeuvres_use_a_tank_up():
@@ -115,20 +114,12 @@ def test_manoeuvres_touch_no_other_rows(orbit):
     assert many.satellite.fsw.dv_available.tolist() == [99.0, 100.0, 99.0]
 
 
-def test_bad_manoeuvres_are_refused():
+def test_rejects_wrong_burns():
     env = make()
     env.reset()
-    with pytest.raises(ValueError, match=r"dv_N\[0\] is \[nan, 0.0, 0.0\]"):
-        push(env, float("nan"), 0.0, 0.0)
-    with pytest.raises(ValueError, match=r"rows must be a mask \[1\] bool"):
-        env.simulator.thrust(every(env), torch.zeros(3))
-    with pytest.raises(ValueError, match="dv_available_init"):
-        make(sat_args={"dv_available_init": -1.0})
+    check_refusals(
+        refusal(lambda: push(env, float("nan"), 0.0, 0.0), ValueError, "dv_N", "[0]", "[nan, 0.0, 0.0]"),
+        refusal(lambda: env.simulator.thrust(every(env), torch.zeros(3)), ValueError, "[1]"),
+        refusal(lambda: make(sat_args={"dv_available_init": -1.0}), ValueError, "dv_available_init"),
+    )
     assert env.satellite.fsw.dv_available.tolist() == [100.0]
-
-
-def test_a_tank_is_composed_with_other_flight_software():
-    names = [component.slot for component in Imager.get_fsw_type().all_components()]
-    assert "manoeuvre" in names
-    assert "location_pointing" in names
-    assert Kick().name == "kick"

@@ -1,7 +1,5 @@
 """What modes switch on and reset: flags and fields of no component are errors, fields of a replaced one are ignored."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 
@@ -24,11 +22,9 @@ def test_rejects_fields_and_flags_of_no_component():
         return environment({name: fsw.Mode(("control_on", *flags), resets)})
 
     check_refusals(
-        [
-            refusal(lambda: mode("charge", "sun_on", sun_frash=1.0), ValueError, "mode 'charge'", "'sun_frash'", "'sun_fresh'"),
-            refusal(lambda: mode("warm", "heater_on"), ValueError, "mode 'warm'", "'heater_on'", "flags=", "bus.heater_on"),
-            refusal(lambda: mode("charge", "sun_onn"), ValueError, "mode 'charge'", "'sun_onn'", "'sun_on'"),
-        ]
+        refusal(lambda: mode("charge", "sun_on", sun_frash=1.0), ValueError, "mode 'charge'", "'sun_frash'", "'sun_fresh'"),
+        refusal(lambda: mode("warm", "heater_on"), ValueError, "mode 'warm'", "'heater_on'", "flags=", "bus.heater_on"),
+        refusal(lambda: mode("charge", "sun_onn"), ValueError, "mode 'charge'", "'sun_onn'", "'sun_on'"),
     )
 
 
@@ -59,17 +55,14 @@ def test_a_component_brings_a_flag(backend):
         assert powers[without, False] - powers[mode, True] == pytest.approx(draws, abs=1e-9)
 
 
-def test_fields_of_components_are_reset():
+def test_fields_are_reset_but_those_of_replaced_components():
     env = environment({"charge": fsw.Mode(("control_on", "sun_on"), {"sun_fresh": 0.25})})
     planes, resets, values = env.simulator.type.resets
     plane = env.simulator.tick.state.slices["sun_fresh"].start
     row, mode = planes.tolist().index(plane), env.simulator.mode_names.index("charge")
     assert resets[row, mode]
     assert values[row, mode] == 0.25
-
-
-def test_fields_of_a_replaced_component_are_ignored():
-    """The replacement keeps no state; the mode of the base class resets what it would have kept."""
+    # The replacement keeps no state; the mode of the base class resets what it would have kept.
     component = type(guidance.SUN_POINTING)(slot=guidance.SUN_POINTING.slot)
     env = environment({"charge": fsw.Mode(("control_on",), {"sun_fresh": 1.0})}, (component,))
     assert "sun_fresh" not in env.simulator.tick.state.fields

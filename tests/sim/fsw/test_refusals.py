@@ -1,7 +1,5 @@
 """Gains that cannot be proposed, and commands of flight software that a satellite lacks."""
 
-from __future__ import annotations
-
 import math
 
 import torch
@@ -26,21 +24,19 @@ def test_rejects_gains_that_cannot_be_proposed():
     endless = [dyn.Wheel("BCT_RWP015", axis, useMaxTorque=False) for axis in AXES]
     dependent = {"controlAxes_B": torch.zeros(1, 9)}
     check_refusals(
-        [
-            refusal(lambda: propose(wheels=[]), ValueError, "propose_gains", "wheels=[]", "dyn.Wheel"),
-            refusal(lambda: propose(wheels=two), ValueError, "wheels", "2 of 3 dimensions"),
-            refusal(lambda: propose(inertia=[1.0, 2.0, 3.0]), ValueError, "inertia=[1.0, 2.0, 3.0]", "9 numbers", "3 x 3"),
-            refusal(lambda: propose(inertia=[math.nan] * 9), ValueError, "inertia=[nan, ", "9 numbers", "3 x 3"),
-            refusal(lambda: propose(inertia="box"), ValueError, "inertia='box'", "9 numbers", "3 x 3"),
-            refusal(lambda: body(10.0, 20.0, 31.0), ValueError, "inertia=[10.0, ", "[10.0, 20.0, 31.0]"),
-            refusal(lambda: body(0.05, 0.05, 0.05), ValueError, "inertia=[0.05, ", "wheels", "0.0796, 0.0796, 0.0796 kg m^2"),
-            refusal(lambda: propose(law="feedbak"), ValueError, "law='feedbak'", "'feedback'"),
-            refusal(lambda: propose(h=0.0), ValueError, "propose_gains", "h=0.0"),
-            refusal(lambda: propose(slew=4.0), ValueError, "propose_gains", "slew=4.0"),
-            refusal(lambda: propose(thrusters=["MOOG"]), ValueError, "thrusters=['MOOG']", "dyn.Thruster"),
-            refusal(lambda: propose(wheels=endless), ValueError, "wheel 0", "u_max=-1"),
-            refusal(lambda: steering.MRP_STEERING.check(dependent), ValueError, "controlAxes_B", "three independent axes"),
-        ]
+        refusal(lambda: propose(wheels=[]), ValueError, "propose_gains", "wheels=[]", "dyn.Wheel"),
+        refusal(lambda: propose(wheels=two), ValueError, "wheels", "2 of 3 dimensions"),
+        refusal(lambda: propose(inertia=[1.0, 2.0, 3.0]), ValueError, "inertia=[1.0, 2.0, 3.0]", "9 numbers", "3 x 3"),
+        refusal(lambda: propose(inertia=[math.nan] * 9), ValueError, "inertia=[nan, ", "9 numbers", "3 x 3"),
+        refusal(lambda: propose(inertia="box"), ValueError, "inertia='box'", "9 numbers", "3 x 3"),
+        refusal(lambda: body(10.0, 20.0, 31.0), ValueError, "inertia=[10.0, ", "[10.0, 20.0, 31.0]"),
+        refusal(lambda: body(0.05, 0.05, 0.05), ValueError, "inertia=[0.05, ", "wheels", "0.0796, 0.0796, 0.0796 kg m^2"),
+        refusal(lambda: propose(law="feedbak"), ValueError, "law='feedbak'", "'feedback'"),
+        refusal(lambda: propose(h=0.0), ValueError, "propose_gains", "h=0.0"),
+        refusal(lambda: propose(slew=4.0), ValueError, "propose_gains", "slew=4.0"),
+        refusal(lambda: propose(thrusters=["MOOG"]), ValueError, "thrusters=['MOOG']", "dyn.Thruster"),
+        refusal(lambda: propose(wheels=endless), ValueError, "wheel 0", "u_max=-1"),
+        refusal(lambda: steering.MRP_STEERING.check(dependent), ValueError, "controlAxes_B", "three independent axes"),
     )
 
 
@@ -54,8 +50,6 @@ def test_rejects_actions_that_the_satellite_cannot_execute():
 
     debris = Debris("Debris")
     check_refusals(
-        [
-            refusal(lambda: SatelliteTasking(debris, backend="eager"), ValueError, "fsw_action='nadir_point'", "fsw.FSWModel"),
-            refusal(lambda: make(kind=NoTank), ValueError, "act.Kick()", "tank", "fsw.MagicOrbitalManeuver"),
-        ]
+        refusal(lambda: SatelliteTasking(debris, backend="eager"), ValueError, "fsw_action='nadir_point'", "fsw.FSWModel"),
+        refusal(lambda: make(kind=NoTank), ValueError, "act.Kick()", "tank", "fsw.MagicOrbitalManeuver"),
     )

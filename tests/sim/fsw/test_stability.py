@@ -1,7 +1,5 @@
 """The criterion of stable gains agrees with eigenvalues, and with what satellites do on both sides of the border."""
 
-from __future__ import annotations
-
 import logging
 
 import numpy as np
@@ -63,9 +61,6 @@ def test_criterion_against_eigenvalues(integral):
     assert integral or min(counts.values()) > 30
 
 
-# -- flights ------------------------------------------------------------------------------------------------------------------
-
-
 class Pointer(sats.Satellite):
     observation_spec = (obs.SatProperties(dict(prop="omega_BH_H"), dict(prop="wheel_speeds")),)
     action_spec = (act.NadirPoint(duration=900.0),)
@@ -104,8 +99,7 @@ def test_border_is_that_of_flights(kind, border, caplog):
 def test_small_satellite():
     """Gains of a large satellite make a small one overflow: refused, with gains that hold it, which do."""
     light = dict(mass=4.0, wheelSpeeds=[0.0, 0.0, 0.0])
-    with pytest.raises(ValueError, match=r"K=7 and P=35 is not stable at .* K=0.051, P=0.33 and Ki=-1 are stable"):
-        rate_after(Pointer, **light)
+    check_refusals(refusal(lambda: rate_after(Pointer, **light), ValueError, "K=7", "P=35", "K=0.051", "P=0.33", "Ki=-1"))
     for kind in (Pointer, Watcher):
         assert rate_after(kind, **light, K=0.051, P=0.33) < 0.01
 
@@ -114,10 +108,8 @@ def test_rejects_bodies_that_wheels_turn_too_fast():
     small, fast = dict(mass=4.0, width=0.1, depth=0.1, height=0.34), dict(wheelSpeeds=[3e4, 0.0, 0.0])
     sizes = "mass=4", "width=0.1", "depth=0.1", "height=0.34"
     check_refusals(
-        [
-            refusal(lambda: rate_after(Pointer, **small), ValueError, *sizes, "reaction wheels", "0.0796 kg m^2"),
-            refusal(lambda: rate_after(Pointer, **fast), ValueError, "wheelSpeeds", "omega_init", "sim_rate"),
-        ]
+        refusal(lambda: rate_after(Pointer, **small), ValueError, *sizes, "reaction wheels", "0.0796 kg m^2"),
+        refusal(lambda: rate_after(Pointer, **fast), ValueError, "wheelSpeeds", "omega_init", "sim_rate"),
     )
 
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
@@ -45,15 +43,12 @@ def flown() -> tuple[torch.Tensor, torch.Tensor]:
     return torch.stack(torques), torch.stack(integrals)
 
 
-def test_basilisks_steering_tick_by_tick():
+def test_basilisks_steering_tick_by_tick_up_to_the_limit_of_the_integral():
     """Torques of up to 13 N m; sums are taken in another order, which makes 4e-15 N m."""
     torques, _ = flown()
     torch.testing.assert_close(torques, -tensor(TABLE["torque"]), rtol=0, atol=ROUNDING)
     assert 0 in TABLE["on"][3:]  # a pause, after which the integral accounts for all of it
-
-
-def test_the_recording_reaches_the_limit_of_the_integral():
-    """Two cases do, one does not, and one has no integral."""
+    # Two cases do, one does not, and one has no integral.
     largest = flown()[1].abs().amax((0, 2))
     assert largest[:2].tolist() == pytest.approx([0.2 / 5.0] * 2, rel=1e-15)
     assert 0.0 < largest[2] < 0.2 / 0.05
@@ -64,7 +59,7 @@ def steered(sigma: Vec3) -> tuple[Vec3, Vec3]:
     return steering.steering_rate(sigma, *(plane(gain) for gain in GAINS))
 
 
-def test_steering_rate_takes_the_error_away_and_knows_its_limit():
+def test_steering_rate_and_its_derivative():
     """The rate opposes every component of the error and approaches the limit; small errors see K1 alone."""
     sigma = vectors(0.4)
     rate, _ = steered(sigma)
@@ -73,10 +68,7 @@ def test_steering_rate_takes_the_error_away_and_knows_its_limit():
     assert (steered(sigma * 1e3)[0].stack().abs() > 0.999 * GAINS[2]).any()
     small = sigma * 1e-6
     torch.testing.assert_close(steered(small)[0].stack(), (small * -GAINS[0]).stack(), rtol=1e-9, atol=0.0)
-
-
-def test_derivative_of_the_steering_rate():
-    """Along the motion that the rate itself brings about, by central differences: their error is of second order in dt."""
+    # Along the motion that the rate itself brings about, by central differences: their error is of second order in dt.
     sigma, dt = vectors(0.3), 1e-4
     rate, derivative = steered(sigma)
     step = mrp_rate(sigma, rate) * dt
@@ -84,7 +76,7 @@ def test_derivative_of_the_steering_rate():
     torch.testing.assert_close(derivative.stack(), difference.stack(), rtol=1e-5, atol=1e-10)
 
 
-def test_on_its_course_the_servo_only_holds_it():
+def test_a_servo_on_its_course_and_one_that_is_off_hold():
     """Without an error of the rate, the torque on the hub is what makes it move along the course: ``H' = L``."""
     inertia, zero = tensor(TABLE["inertia"]), Vec3.zeros_like(plane(0.0))
     bus = write(with_wheels(Bus(1_000_000_000)), control_on=plane(1.0), control_idle=plane(-1.0), Omega_WB_B=vectors(200.0))
@@ -100,9 +92,6 @@ def test_on_its_course_the_servo_only_holds_it():
     torque = bus.inertia_B.scale(dw) + w.cross(H)
     torch.testing.assert_close(bus.motor_torque_command_B.stack(), -torque.stack(), rtol=0, atol=ROUNDING)
     assert (bus.control_integral_B.stack().abs() < 1e-18).all()
-
-
-def test_a_servo_that_is_off_holds_its_command():
     bus = servo(Bus(1_000_000_000), tensor(TABLE["inertia"]))
     n = len(TABLE["gains"])
     held, integral = vectors(1.0, n), vectors(1e-3, n)

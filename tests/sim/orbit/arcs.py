@@ -1,7 +1,5 @@
 """What the tests of arcs share: orbits, looking up positions as a tick does, and elevations by their definition."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 
@@ -62,8 +60,6 @@ def planned(view: PlannedOrbits, row: int, time: torch.Tensor) -> Vec3:
     samples, ephemeris = view.take(torch.full(time.shape, row))
     return position_between(samples._replace(table=samples.table[:, ::2]), ephemeris, time)[0]
 
-
-# -- brute force ---------------------------------------------------------------------------------------------------------------
 
 NODES = 10
 """Samples, 30 s apart, that the tests interpolate between: as many as a search has at least."""

@@ -15,6 +15,8 @@ from bsk_torch.sim.orbit.grid import LEAD_NODES
 from bsk_torch.sim.orbit.solvers import make_solver
 from bsk_torch.vec3 import Vec3
 
+pytestmark = pytest.mark.compiled
+
 CPU = torch.device("cpu")
 TIMES = (0.0, 1.0, 29.0, 59.5, 120.0, 130.0, 1000.0, 3605.0, 5431.0)
 
@@ -29,8 +31,7 @@ def around(et):
     return Samples(ephemeris_records(et, 4), torch.zeros_like(et))
 
 
-@pytest.mark.compiled
-def test_they_are_where_arcs_are():
+def test_flights_are_where_arcs_are():
     """Both are the same method; between steps polynomials of other degrees."""
     et, r, v = start(20)
     arcs = Arcs(20, 2, make_solver(1.0, "compiled", CPU))
@@ -50,7 +51,6 @@ def test_they_are_where_arcs_are():
         assert (velocities(flight, since).mT - velocity(path, s, 60.0).stack()).abs().max() < 2e-7
 
 
-@pytest.mark.compiled
 def test_tensors_and_kernels_agree():
     et, r, v = start(3)
     step, counts = torch.full((3,), FIRST_STEP), torch.tensor([0, 7, 4])
@@ -64,7 +64,6 @@ def test_tensors_and_kernels_agree():
     assert (found[0][1] - found[1][1]).abs().max() < 1e-7
 
 
-@pytest.mark.compiled
 def test_rows_do_not_depend_on_each_other():
     et, r, v = start(9)
     flights = make_flights(1.0, "compiled", CPU)

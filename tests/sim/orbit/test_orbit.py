@@ -1,17 +1,9 @@
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import pytest
 import torch
 
-from bsk_torch.astro.ephemeris import (
-    EARTH_ROTATION_RATE,
-    earth_orientation,
-    earth_orientation_rate,
-    sun_position,
-    sun_state,
-)
+from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE, earth_orientation, earth_orientation_rate, sun_position, sun_state
 from bsk_torch.astro.gravity import DEGREE, field, field_weights, third_body
 from bsk_torch.astro.integrate import rk4_step
 from bsk_torch.constants import MU_EARTH
@@ -25,9 +17,6 @@ from tests.sim.orbit.arcs import above, flown, orbits, planned
 
 BASILISK = 1e-3  # m; measured: 1.1e-4 over five orbits (nominal), 2e-5 over two (eccentric)
 BASILISK_SPEED = 1e-6  # m/s; measured: 1.8e-7
-
-
-# -- Basilisk ---------------------------------------------------------------------------------------------------------------
 
 
 def deviations(arcs: Arcs, row: int, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -94,9 +83,6 @@ def test_planned_arc_against_a_runge_kutta_of_thirty_seconds(recording, solve_ar
     assert (arcs.flown[:, -1] - y[0].stack()).norm(dim=-1).amin() > 5.0
 
 
-# -- equations of motion ----------------------------------------------------------------------------------------------------
-
-
 def second_differences(r: torch.Tensor) -> torch.Tensor:
     """Acceleration at nodes 4 to -4 of positions [n, Q, 3], of eighth order."""
     centre = torch.arange(4, r.shape[1] - 4)
@@ -137,9 +123,6 @@ def test_jacobi_integral_and_momentum_of_a_long_flight(make_arcs, backend):
     assert 1e-6 < ((energy / energy[:, :1]) - 1.0).abs().amax() < 1e-4
     assert 1e-3 < ((two_body / two_body[:, :1]) - 1.0).abs().amax() < 1e-2
     assert ((h_z - h_z[:, :1]) / torch.linalg.cross(r, v).norm(dim=-1)).abs().amax() < 1e-4
-
-
-# -- tables -----------------------------------------------------------------------------------------------------------------
 
 
 def assert_same_arcs(arcs: Arcs, row: int, long: Arcs, whole: torch.Tensor) -> None:
@@ -189,7 +172,7 @@ def test_rows_are_extended_as_if_alone(part, recording, make_arcs, backend):
         assert torch.equal(getattr(arcs, name)[part], getattr(together, name)[part])
 
 
-def test_only_the_last_hours_of_the_plan_are_kept(recording, solve_arcs, backend):
+def test_plans_are_kept_up_to_their_length(recording, solve_arcs, backend, make_arcs):
     initials = recording("windows")["ic"]
     arcs, view = solve_arcs(initials, PLANNED_SEGMENTS + 2, backend=backend)
     assert view.samples.table.shape[1] == 2 * (arcs.flown.shape[1] - LEAD_NODES) - 1
@@ -200,9 +183,6 @@ def test_only_the_last_hours_of_the_plan_are_kept(recording, solve_arcs, backend
     arcs.grow()
     assert arcs.planned_from.tolist() == [3 * ARC_SEGMENT] * 5
     assert torch.equal(arcs.planned[:, :-SAMPLES_PER_SEGMENT], view.samples.table[:, 3 * SAMPLES_PER_SEGMENT :])
-
-
-def test_a_growing_plan_is_kept_up_to_its_length(recording, make_arcs, backend):
     arcs = make_arcs(recording("windows")["ic"][:1], PLANNED_SEGMENTS - 1, backend=backend)
     assert arcs.planned.shape[1] == (PLANNED_SEGMENTS - 1) * SAMPLES_PER_SEGMENT + 1
     for _ in range(2):
@@ -260,9 +240,6 @@ def test_rows_do_not_depend_on_the_batch(part, solve_arcs, backend):
 @pytest.mark.parametrize(("seconds", "spans"), [(0.0, 1), (1.0, 1), (3600.0, 1), (3600.1, 2), (28800.0, 8)])
 def test_spans(seconds, spans):
     assert segments_for(seconds) == spans
-
-
-# -- what a tick takes from an arc ------------------------------------------------------------------------------------------
 
 
 def test_nodes_are_met(make_arcs, backend):

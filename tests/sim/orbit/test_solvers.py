@@ -1,7 +1,5 @@
 """Kernels and Picard iteration find the same arcs. Both are compared with Basilisk in test_orbit.py."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 
@@ -94,17 +92,15 @@ def test_nearby_plans_drift_apart_smoothly(solve_arcs):
     assert 0.1 < apart[-1] < 30.0
 
 
-# -- parts ------------------------------------------------------------------------------------------------------------------
-
-
-def test_which_solver():
+def test_solvers_by_back_end_and_their_steps():
     assert isinstance(make_solver(1.0, "compiled", CPU), KernelSolver)
     assert isinstance(make_solver(1.0, "eager", CPU), PicardSolver)
-
-
-def test_the_longest_step_of_the_plan_fits_the_nodes():
-    """Nodes of the flown arc are every second step, those of the plan every second sample."""
+    # Nodes of the flown arc are every second step, those of the plan every second sample.
     assert NODE_SPACING == 2.0 * MULTISTEP_STEP == 2.0 * PLAN_STEP
+    # What is compiled for its shapes: powers of two of the block.
+    sizes = {len(padded(count, CPU, few_sizes=True)) for count in range(1, 20 * COLUMN_BLOCK)}
+    assert sizes == {COLUMN_BLOCK * blocks for blocks in (1, 2, 4, 8, 16, 32)}
+    assert padded(50, CPU, few_sizes=True).tolist() == [*range(50), *[49] * (2 * COLUMN_BLOCK - 50)]
 
 
 @pytest.mark.parametrize("count", [1, 47, 48, 49, 100])
@@ -114,13 +110,6 @@ def test_padding(count):
     assert len(rows) - count < COLUMN_BLOCK
     assert rows[:count].tolist() == list(range(count))
     assert (rows[count:] == count - 1).all()
-
-
-def test_few_sizes():
-    """What is compiled for its shapes: powers of two of the block."""
-    sizes = {len(padded(count, CPU, few_sizes=True)) for count in range(1, 20 * COLUMN_BLOCK)}
-    assert sizes == {COLUMN_BLOCK * blocks for blocks in (1, 2, 4, 8, 16, 32)}
-    assert padded(50, CPU, few_sizes=True).tolist() == [*range(50), *[49] * (2 * COLUMN_BLOCK - 50)]
 
 
 @pytest.mark.parametrize("backend", ["eager", pytest.param("compiled", marks=pytest.mark.compiled)])

@@ -1,7 +1,5 @@
 """Passes over places that move, on the Earth and in orbit, against dense sampling and against places that rest."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -97,7 +97,7 @@ def test_values_follow_the_state():
 
 
 @pytest.mark.compiled
-def test_what_no_kernel_can_compute_is_computed_on_tensors(caplog):
+def test_functions_without_a_kernel_are_computed_on_tensors(caplog):
     """It alone: the others stay in the kernel. One sentence names it and what has no kernel."""
 
     class Median(Watched):
@@ -144,8 +144,7 @@ class FickleDynModel(dyn.BasicDynamicsModel):
 
 @pytest.mark.compiled
 @pytest.mark.parametrize(
-    ("name", "why"),
-    [("random_speed", "two calls"), ("counted_speed", "two calls"), ("backend", "other values than torch")],
+    ("name", "why"), [("random_speed", "two calls"), ("counted_speed", "two calls"), ("backend", "other values than torch")]
 )
 def test_functions_of_more_than_the_present_are_not_traced(name, why, caplog):
     class Fickle(Watched):
@@ -185,7 +184,7 @@ def test_one_kernel_computes_what_functions_of_users_read():
 
 
 @pytest.mark.compiled
-def test_what_is_read_together_is_what_is_read_one_by_one():
+def test_properties_read_together_equal_those_read_one_by_one():
     """Bit for bit: vectors and matrices, norms of each component, masks, and properties that no kernel computes in between."""
 
     class MaskedDynModel(WatchedDynModel):
@@ -225,7 +224,7 @@ def test_rejects_an_unknown_argument():
     typo = type("Typo", (dyn.BasicDynamicsModel,), {"wrong": observable(lambda now: now.args.batteryStorageCapcity)})
     wrong = type("Wrong", (Watched,), {"observation_spec": (obs.SatProperties(dict(prop="wrong")),), "dyn_type": typo})
     names = "'batteryStorageCapcity'", "'batteryStorageCapacity'"
-    check_refusals([refusal(lambda: SatelliteTasking(wrong("Wrong1"), backend="eager"), AttributeError, *names)])
+    check_refusals(refusal(lambda: SatelliteTasking(wrong("Wrong1"), backend="eager"), AttributeError, *names))
 
 
 def test_only_chooses_parts_of_trees():

@@ -1,7 +1,5 @@
 """Starts of runs: everything that a runner needs beside the number of ticks."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from torch import Tensor

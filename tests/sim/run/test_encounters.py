@@ -1,7 +1,5 @@
 """First ticks of conditions on distances, compared with loops over episodes, pairs and ticks; and pairs of satellites."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 
@@ -82,28 +80,19 @@ def alike(distances, pairs, beyond, between):
     return Limits(pairs, distance, beyond, torch.ones_like(distance).long(), torch.full_like(distance, between) > 0.0)
 
 
-def test_bounds_are_inclusive():
+def test_encounters_of_one_pair():
     given = alike([5.0, 5.0], (0, 0), (False, True), between=False)
     for distance, expected in ((5.0, [True, True]), (4.999999, [True, False]), (5.000001, [False, True])):
         now = Vec3.of(torch.tensor([distance, 0.0, 0.0]).double().view(1, 1, 1, 3))
         assert reached(now, now, given).flatten().tolist() == expected
-
-
-def test_a_fast_passage_is_seen_between_ticks_only():
-    """15 km/s, five seconds a tick: 75 km between looks, and 3 m at the closest point, which is no tick's."""
+    # 15 km/s, five seconds a tick: 75 km between looks, and 3 m at the closest point, which is no tick's.
     r = torch.stack([torch.tensor([-40e3 + 75e3 * k, 3.0, 0.0]).double() for k in range(4)]).view(1, 1, 4, 3)
     given = alike([20.0, 3.0 + 1e-6, 3.0 - 1e-6], (0, 0, 0), (False, False, False), between=True)
     given.between[0, 0] = False
     assert first_ticks(pieces(r, 2), given, torch.tensor([3])).tolist() == [[NEVER, 1, NEVER]]
-
-
-def test_satellites_at_rest_relative_to_each_other_are_looked_at_where_they_are():
     r = torch.tensor([3.0, 4.0, 0.0]).double().expand(1, 1, 3, 3)
     given = alike([5.0, 4.9], (0, 0), (False, False), between=True)
     assert first_ticks(pieces(r, 2), given, torch.tensor([2])).tolist() == [[0, NEVER]]
-
-
-# -- pairs ---------------------------------------------------------------------------------------------------------------------
 
 
 class Both(dyn.ConjunctionDynModel, dyn.MaxRangeDynModel):
@@ -113,23 +102,16 @@ class Both(dyn.ConjunctionDynModel, dyn.MaxRangeDynModel):
 NAMES = ("A", "B", "C", "D")
 
 
-def test_pairs_follow_from_the_models():
+def test_pairs_follow_from_the_models(caplog):
     models = (Both, dyn.BasicDynamicsModel, dyn.ConjunctionDynModel, dyn.MaxRangeDynModel)
     pairs = find_pairs(NAMES, models, ("B", "ignored", None, "A"), False)
-    assert pairs == EncounterPairs(((2, 0),), ((0, 1), (3, 0)))
-    assert pairs.watched == {0, 1, 2, 3}
+    assert (pairs, pairs.watched) == (EncounterPairs(((2, 0),), ((0, 1), (3, 0))), {0, 1, 2, 3})
     assert pairs.among((0, 2)) == EncounterPairs(((1, 0),), ())
     assert find_pairs(NAMES, (Both,) * 4, ("A",) * 4, True).ranges == ((1, 0), (2, 0), (3, 0))
-
-
-def test_nobody_watches_where_no_model_asks_for_it():
     assert (
         find_pairs(NAMES, (dyn.DynamicsModel, dyn.ConjunctionDynModel, *[dyn.LOSCommDynModel] * 2), (None,) * 4, True).watched
         == set()
     )
-
-
-def test_a_satellite_without_chief_is_not_looked_at(caplog):
     assert find_pairs(("A",), (Both,), (None,), False) == EncounterPairs((), ())
     assert "A has dyn.MaxRangeDynModel and chief_name=None" in caplog.text
 
@@ -138,8 +120,6 @@ def test_rejects_unknown_chiefs_and_orders_in_which_bsk_rl_raises():
     models, chiefs, unknown = (Both, dyn.DynamicsModel, Both, Both), ("A",) * 4, ("A", "A", "A", "BB")
     find_pairs(NAMES, models, chiefs, False)
     check_refusals(
-        [
-            refusal(lambda: find_pairs(NAMES, (Both,) * 4, unknown, False), ValueError, "of D", "chief_name='BB'", "'B'"),
-            refusal(lambda: find_pairs(NAMES, models, chiefs, True), ValueError, "'C'", "'B'", "dyn.ConjunctionDynModel"),
-        ]
+        refusal(lambda: find_pairs(NAMES, (Both,) * 4, unknown, False), ValueError, "of D", "chief_name='BB'", "'B'"),
+        refusal(lambda: find_pairs(NAMES, models, chiefs, True), ValueError, "'C'", "'B'", "dyn.ConjunctionDynModel"),
     )

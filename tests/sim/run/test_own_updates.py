@@ -1,7 +1,5 @@
 """Mistakes in users' components raise errors that name the component, when an environment is built."""
 
-from __future__ import annotations
-
 import torch
 
 from bsk_torch import SatelliteTasking, act, dyn, fsw, obs, sats
@@ -46,7 +44,7 @@ def written(name: str, value):
     return lambda bus: setattr(bus, name, value(bus))
 
 
-def test_rejects_updates_that_cannot_be_used():
+def test_rejects_updates_and_entries_that_cannot_be_used():
     power = "bus.power", "number"
     second = "bus.power", "environment", "random numbers"
     updates = [
@@ -63,6 +61,24 @@ def test_rejects_updates_that_cannot_be_used():
         refusal(lambda update=update, n=n: environment(heater(update=update), n), TypeError, "slot 'heater'", *names)
         for update, *names in updates
         for n in (1, 2)
+    )
+
+    def flight(**members):
+        return environment(heater(), flight=type("Flight", (fsw.BasicFSWModel,), members))
+
+    unknown, chosen = {"charge": fsw.Command(("nope",))}, {"charge": fsw.Command(("drift", "charge"), choice="mass")}
+    two = {"sun_fresh": [1.0, 2.0]}
+    check_refusals(
+        refusal(lambda: heater(args=ARGS[0]), TypeError, "slot 'heater'", "args=Arg(name='heaterPowerDraw'", "tuple"),
+        refusal(lambda: heater(slot=None), ValueError, "slot", "Component=None", "string"),
+        refusal(lambda: heater(prepare=None), TypeError, "slot 'heater'", "prepare=None", "function"),
+        refusal(lambda: Field("e", 0), ValueError, "'e'", "width=0", "whole number"),
+        refusal(lambda: fsw.Mode(resets=two), ValueError, "resets['sun_fresh']=[1.0, 2.0]"),
+        refusal(lambda: fsw.Command(("charge", "drift")), ValueError, "modes=('charge', 'drift')", "choice="),
+        refusal(lambda: flight(modes={"nope": None}), ValueError, "Flight.modes", "'nope'", "nadir_point"),
+        refusal(lambda: flight(modes={"m": ("control_on",)}), TypeError, "Flight.modes['m']=('control_on',)", "fsw.Mode"),
+        refusal(lambda: flight(commands=unknown), ValueError, "'charge'", "'nope'", "nadir_point"),
+        refusal(lambda: flight(commands=chosen), ValueError, "'charge'", "choice='mass'", "'choice'", "2"),
     )
 
 
@@ -89,40 +105,16 @@ def test_rejects_what_components_compute_at_reset():
     charge = dict(state=(Field("charge"),), initial=lambda args: {"charge": torch.zeros(1)})
     one = torch.ones(1, dtype=torch.float64)
     check_refusals(
-        [
-            refusal(lambda: returning(None), TypeError, "prepare(args)", "slot 'heater'", "None"),
-            refusal(lambda: returning({}), ValueError, "prepare(args)", "'heater_power'", "params="),
-            refusal(lambda: returning({"heater_power": 1.0}), TypeError, "'heater_power'", "1.0", "float64", "[1]", "[2]"),
-            refusal(lambda: returning({"heater_power": torch.ones(7)}), TypeError, "'heater_power'", "[7]", "[1]", "[2]"),
-            refusal(lambda: returning({"heater_power": one * torch.nan}), ValueError, "'heater_power'", "NaN", "row 0"),
-            refusal(lambda: returning({"heater_power": one, "z": one}), ValueError, "'z'", "params=", "heater_power"),
-            refusal(lambda: build(initial=lambda args: {"e": torch.zeros(1)}), ValueError, "initial(args)", "'e'", "state="),
-            refusal(lambda: build(state=(Field("e"),)), ValueError, "'e'", "initial=", "prepare="),
-            refusal(lambda: build(**charge), ValueError, "initial(args)", "slot 'heater'", "'charge'"),
-            refusal(lambda: build(check=lambda args: False), TypeError, "check(args)", "slot 'heater'", "False", "ValueError"),
-        ]
-    )
-
-
-def test_rejects_entries_of_wrong_kinds():
-    def flight(**members):
-        return environment(heater(), flight=type("Flight", (fsw.BasicFSWModel,), members))
-
-    unknown, chosen = {"charge": fsw.Command(("nope",))}, {"charge": fsw.Command(("drift", "charge"), choice="mass")}
-    two = {"sun_fresh": [1.0, 2.0]}
-    check_refusals(
-        [
-            refusal(lambda: heater(args=ARGS[0]), TypeError, "slot 'heater'", "args=Arg(name='heaterPowerDraw'", "tuple"),
-            refusal(lambda: heater(slot=None), ValueError, "slot", "Component=None", "string"),
-            refusal(lambda: heater(prepare=None), TypeError, "slot 'heater'", "prepare=None", "function"),
-            refusal(lambda: Field("e", 0), ValueError, "'e'", "width=0", "whole number"),
-            refusal(lambda: fsw.Mode(resets=two), ValueError, "resets['sun_fresh']=[1.0, 2.0]"),
-            refusal(lambda: fsw.Command(("charge", "drift")), ValueError, "modes=('charge', 'drift')", "choice="),
-            refusal(lambda: flight(modes={"nope": None}), ValueError, "Flight.modes", "'nope'", "nadir_point"),
-            refusal(lambda: flight(modes={"m": ("control_on",)}), TypeError, "Flight.modes['m']=('control_on',)", "fsw.Mode"),
-            refusal(lambda: flight(commands=unknown), ValueError, "'charge'", "'nope'", "nadir_point"),
-            refusal(lambda: flight(commands=chosen), ValueError, "'charge'", "choice='mass'", "'choice'", "2"),
-        ]
+        refusal(lambda: returning(None), TypeError, "prepare(args)", "slot 'heater'", "None"),
+        refusal(lambda: returning({}), ValueError, "prepare(args)", "'heater_power'", "params="),
+        refusal(lambda: returning({"heater_power": 1.0}), TypeError, "'heater_power'", "1.0", "float64", "[1]", "[2]"),
+        refusal(lambda: returning({"heater_power": torch.ones(7)}), TypeError, "'heater_power'", "[7]", "[1]", "[2]"),
+        refusal(lambda: returning({"heater_power": one * torch.nan}), ValueError, "'heater_power'", "NaN", "row 0"),
+        refusal(lambda: returning({"heater_power": one, "z": one}), ValueError, "'z'", "params=", "heater_power"),
+        refusal(lambda: build(initial=lambda args: {"e": torch.zeros(1)}), ValueError, "initial(args)", "'e'", "state="),
+        refusal(lambda: build(state=(Field("e"),)), ValueError, "'e'", "initial=", "prepare="),
+        refusal(lambda: build(**charge), ValueError, "initial(args)", "slot 'heater'", "'charge'"),
+        refusal(lambda: build(check=lambda args: False), TypeError, "check(args)", "slot 'heater'", "False", "ValueError"),
     )
 
 
@@ -132,9 +124,7 @@ def test_an_aliveness_check_of_all_environments_together():
 
     wanted = "Model.lives()", "shape [1]", "torch.bool"
     check_refusals(
-        [
-            refusal(lambda: lives(lambda self: (self.battery_charge > 0.0).all()), TypeError, "shape []", *wanted),
-            refusal(lambda: lives(lambda self: self.battery_charge), TypeError, "torch.float64", *wanted),
-            refusal(lambda: lives(lambda self: 1), TypeError, "is 1;", *wanted),
-        ]
+        refusal(lambda: lives(lambda self: (self.battery_charge > 0.0).all()), TypeError, "shape []", *wanted),
+        refusal(lambda: lives(lambda self: self.battery_charge), TypeError, "torch.float64", *wanted),
+        refusal(lambda: lives(lambda self: 1), TypeError, "is 1;", *wanted),
     )

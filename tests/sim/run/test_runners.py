@@ -1,7 +1,5 @@
 """Ticks are repeated until each row's own end, whichever other rows there are."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 
@@ -121,9 +119,6 @@ def after(runners: Runners, start: Start, counts: torch.Tensor) -> torch.Tensor:
     return copy.state
 
 
-# -- a toy ------------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("counts", COUNTS, ids=str)
 def test_every_row_runs_its_ticks_and_stays_in_its_place(counts, runners):
     start, counts = flight(len(counts)), torch.tensor(counts)
@@ -158,12 +153,20 @@ def test_rows_are_bit_identical_to_rows_that_ran_alone(counts, runners):
         assert torch.equal(after(runners, part(start, index), counts[index]), together[:, index])
 
 
-def test_a_run_in_parts_is_the_whole_run(runners):
+def test_runs_in_parts_and_without_stops_are_whole_runs(runners):
     start, counts = flight(20), torch.randint(0, 150, (20,))
     first = (counts * torch.rand(20)).long()
     between = after(runners, start, first)
     later = dataclasses.replace(start, state=between, ticks=start.ticks + first)
     assert torch.equal(after(runners, later, counts - first), after(runners, start, counts))
+    counts = torch.tensor([3, 0, 70])
+    ones = torch.ones(3, dtype=torch.int64)
+    assert torch.equal(flight(3).run(runners.run, counts), counts)
+    assert torch.equal(flight(3).run(runners.first_tick, ones), ones)
+    start, counts = flight(12), torch.randint(0, 50, (12,))
+    copy = dataclasses.replace(start, state=start.state.clone(), lockstep=4)
+    assert torch.equal(copy.run(runners.run, counts), counts)
+    assert torch.equal(copy.state, after(runners, start, counts))
 
 
 def test_a_tick_is_what_the_components_say(runners):
@@ -197,9 +200,6 @@ def test_waking_runs_the_world_only(runners):
     expected[0] = start.tracks[0].table[:, 0, 6]
     start.run(runners.first_tick, torch.ones(11, dtype=torch.int64))
     assert torch.equal(start.state, expected)
-
-
-# -- stops ------------------------------------------------------------------------------------------------------------------
 
 
 def halt(bus) -> None:
@@ -242,13 +242,6 @@ def test_rows_may_stop_in_their_first_and_in_their_last_tick(tick, stopping, run
     assert torch.equal(copy.state, after(runners, start, torch.tensor([tick, tick, tick, 0])))
 
 
-def test_who_does_not_stop_runs_the_whole_time(runners):
-    counts = torch.tensor([3, 0, 70])
-    ones = torch.ones(3, dtype=torch.int64)
-    assert torch.equal(flight(3).run(runners.run, counts), counts)
-    assert torch.equal(flight(3).run(runners.first_tick, ones), ones)
-
-
 def test_stops_are_heeded_only_where_the_tick_stops(backend):
     start, counts = flight(5), torch.full((5,), 250)
     deaf, mute = toy_tick(toys=STOPPING), toy_tick(stops=True)
@@ -271,11 +264,7 @@ def test_loops_seldom_ask_whether_all_rows_have_ended(longest, questions, monkey
     real = torch.Tensor.any
     monkeypatch.setattr(torch.Tensor, "any", lambda x: asked.append(x) or real(x))
     start.run(TickLoop(step, stops=True), torch.full((3,), longest))
-    assert len(asked) == questions
-    assert len(ran) == min(longest, 256)
-
-
-# -- teams ------------------------------------------------------------------------------------------------------------------
+    assert (len(asked), len(ran)) == (questions, min(longest, 256))
 
 
 def in_teams(episodes: int, team: int, longest: int) -> tuple[Start, torch.Tensor, torch.Tensor]:
@@ -309,26 +298,14 @@ def test_teams_may_stop_in_their_first_and_in_their_last_tick(tick, stopping, ru
     assert torch.equal(copy.state, after(runners, start, ends))
 
 
-def test_teams_that_do_not_stop_are_none(runners):
-    start, counts = flight(12), torch.randint(0, 50, (12,))
-    copy = dataclasses.replace(start, state=start.state.clone(), lockstep=4)
-    assert torch.equal(copy.run(runners.run, counts), counts)
-    assert torch.equal(copy.state, after(runners, start, counts))
-
-
 def test_rejects_wrong_back_ends_and_stops_that_are_no_masks():
     halts = Component("halt", lambda bus: setattr(bus, "stop", bus.count), stops=True, after="navigation")
     tick, start, mask = toy_tick(toys=(*TOYS, halts), stops=True), flight(2), ("bus.stop", "torch.float64", "mask")
     check_refusals(
-        [
-            refusal(lambda: make_runners(toy_tick(), "fast", CPU), ValueError, "backend='fast'", "['compiled', 'eager']"),
-            refusal(lambda: tick.kernel(), TypeError, *mask),
-            refusal(lambda: start.run(TickLoop(tick.step), start.ticks + 1), TypeError, *mask),
-        ]
+        refusal(lambda: make_runners(toy_tick(), "fast", CPU), ValueError, "backend='fast'", "['compiled', 'eager']"),
+        refusal(lambda: tick.kernel(), TypeError, *mask),
+        refusal(lambda: start.run(TickLoop(tick.step), start.ticks + 1), TypeError, *mask),
     )
-
-
-# -- a satellite ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

@@ -98,8 +98,7 @@ def test_a_stop_condition_ends_the_step_of_all_satellites_and_they_are_simulated
     cut.fleet.stop_conditions.append(lambda turn: first[turn.envs])
     reference = flown(whole)[0]
     flights = flown(cut)
-    assert flights[0].ticks.tolist() == [3, 0, 17, 17, 8]
-    assert flights[1].ticks.tolist() == [3, 0, 17, 17, 8]
+    assert (flights[0].ticks.tolist(), flights[1].ticks.tolist()) == ([3, 0, 17, 17, 8], [3, 0, 17, 17, 8])
     for k, name in ((0, "heard"), (1, "sigma_BN")):
         state = cut.fleet.simulators[k].read(name).view(ENVS, -1)
         assert torch.isfinite(state).all()
@@ -153,12 +152,10 @@ def test_rejects_wrong_leaders_and_records():
     recording = [type("L", (Leader,), {"dyn_type": wrong})("L")]
     several = [Follower("A"), Leader("L"), Leader("M")]
     check_refusals(
-        [
-            refusal(lambda: build("eager", several), ValueError, "slot 'beacon'", "['L', 'M']"),
-            refusal(lambda: build("eager", [Follower("A")]), ValueError, "slot 'beacon'", "none"),
-            refusal(lambda: build("eager", recording), ValueError, "records='r_BN_M'", "'r_BN_N'"),
-            refusal(lambda: build("eager", mutual()), ValueError, "['A', 'B']"),
-        ]
+        refusal(lambda: build("eager", several), ValueError, "slot 'beacon'", "['L', 'M']"),
+        refusal(lambda: build("eager", [Follower("A")]), ValueError, "slot 'beacon'", "none"),
+        refusal(lambda: build("eager", recording), ValueError, "records='r_BN_M'", "'r_BN_N'"),
+        refusal(lambda: build("eager", mutual()), ValueError, "['A', 'B']"),
     )
 
 
@@ -167,6 +164,5 @@ def test_vectors_of_a_trace_have_a_last_dimension():
     turn = flown(env)[0]
     assert isinstance(env.fleet.simulators[1].read("sigma_BN"), torch.Tensor)
     assert turn.read(1, "sigma_BN").shape == (ENVS, 1, 18, 3)
-    with pytest.raises(ValueError, match="do not record 'Omega'"):
-        turn.read(1, "Omega")
+    check_refusals(refusal(lambda: turn.read(1, "Omega"), ValueError, "'Omega'"))
     assert Vec3(*turn.read(1, "r_BN_N").unbind(-1)).norm().min() > 6.3e6

@@ -1,7 +1,5 @@
 """A small case of AEOS-Bench in the form of its files."""
 
-from __future__ import annotations
-
 import copy
 import json
 from pathlib import Path

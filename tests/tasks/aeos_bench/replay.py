@@ -1,7 +1,5 @@
 """Flights of AEOS-Bench's satellites (``scripts/recorders/record_aeos_bench.py``), and simulators that repeat them."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Files of AEOS-Bench: what they mean, in all forms."""
 
-from __future__ import annotations
-
 import math
 import shutil
 
@@ -15,8 +13,7 @@ from tests.tasks.aeos_bench.aeos_cases import constellation, tasks, write
 
 def test_numbers_are_those_of_the_file(tmp_path):
     cases = read_cases(write(tmp_path / "one", constellation(2), tasks(3)))
-    assert cases.names == ("one",)
-    assert len(cases) == 1
+    assert (cases.names, len(cases)) == (("one",), 1)
     found = {name: values[0, 1].tolist() for name, values in cases.satellites.items()}
     assert found["rwJs"] == [50.0 / (6000.0 * math.pi / 30.0)] * 3
     assert found["sensorFieldOfView"] == math.radians(0.3)
@@ -60,9 +57,6 @@ def test_satellites_and_tasks_are_sorted_by_their_ids(tmp_path):
     found = read_cases(write(tmp_path / "one", orbits, jobs))
     assert torch.equal(found.satellites["oe"][0, :, 5], torch.deg2rad(torch.tensor([0.0, 36.0, 72.0], dtype=torch.float64)))
     assert found.places[0, 0, 2] > 0.0
-
-
-def test_places_are_on_the_sphere_of_the_benchmark():
     found = on_sphere(torch.tensor([0.0, 90.0], dtype=torch.float64), torch.tensor([90.0, 0.0], dtype=torch.float64))
     assert found[0].tolist() == pytest.approx([0.0, EARTH_RADIUS, 0.0], abs=1e-9)
     assert found[1].tolist() == pytest.approx([0.0, 0.0, EARTH_RADIUS], abs=1e-9)

@@ -1,7 +1,5 @@
 """Choices of tasks of AEOS-Bench that last longer than a second: everything counts as in flights second by second."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

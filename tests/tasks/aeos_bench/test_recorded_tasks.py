@@ -1,7 +1,5 @@
 """Cases of AEOS-Bench as environments, next to recorded flights: access, progress, successes, and the benchmark's rule."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

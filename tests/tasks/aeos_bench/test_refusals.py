@@ -1,7 +1,5 @@
 """AEOS-Bench: wrong arguments, and files of cases with wrong entries."""
 
-from __future__ import annotations
-
 import math
 
 import bsk_torch
@@ -33,30 +31,28 @@ def test_rejects_wrong_arguments_of_benches(tmp_path):
     cases = AEOSBench(folder)
     several = dict(sat_arg_randomizer=CaseSatellites(cases), sim_rate=1.0)
     check_refusals(
-        [
-            refusal(lambda: AEOSBench(folder, order="list"), ValueError, "order", "'list'", "'listed'"),
-            refusal(lambda: AEOSBench(folder, horizon=0), ValueError, "horizon=0"),
-            refusal(lambda: TaskReward(2), ValueError, "progress_share=2"),
-            refusal(lambda: PointAtTask("of"), ValueError, "sensor", "'of'"),
-            refusal(lambda: PointAtTask(duration=0), ValueError, "duration=0"),
-            refusal(lambda: PointAtTask(duration=-1.0), ValueError, "duration", -1.0),
-            refusal(lambda: PointAtTask(until_done=2), ValueError, "until_done=2", True, False),
-            refusal(lambda: PointAtTask(n_candidates=0), ValueError, "n_candidates=0"),
-            refusal(lambda: TaskProperties(dict(prop="slac")), ValueError, "prop", "'slac'", "'slack'"),
-            refusal(lambda: make(until_done=True), ValueError, "until_done", True, "step_duration", "1 s"),
-            refusal(lambda: make(step_duration=0.5), ValueError, "step_duration", 0.5),
-            refusal(lambda: make(candidates=True, haste=2.0), ValueError, "haste", 2.0),
-            refusal(lambda: make(as_set=True), ValueError, "as_set", True, "candidates"),
-            refusal(lambda: make(candidates=True, sensor="on"), ValueError, "sensor", "'on'", "'assigned'"),
-            refusal(lambda: alone(BenchSatellite("A")), ValueError, "PointAtTask", "'point'", "AEOSBench"),
-            refusal(lambda: scanning(nadir, reward), ValueError, "TaskReward", "AEOSBench", "UniformNadirScanning"),
-            refusal(lambda: scanning(cases), ValueError, "AEOSBench", "AEOSBenchDynModel"),
-            refusal(lambda: alone(slow, drawn), ValueError, "duration=2 s", "1 s", "AEOSBenchTracedDynModel"),
-            refusal(lambda: ConstellationTasking([BenchSatellite("A")], cases, **several), ValueError, "3 satellites", "has 1"),
-            refusal(lambda: NearestTask(scanning()), ValueError, "AEOSBench"),
-            refusal(lambda: sight_bound(scanning()), ValueError, "AEOSBench"),
-            refusal(lambda: sight_bound(make(satellites=1, tasks=1), interval=20.0), ValueError, "interval", 20.0),
-        ]
+        refusal(lambda: AEOSBench(folder, order="list"), ValueError, "order", "'list'", "'listed'"),
+        refusal(lambda: AEOSBench(folder, horizon=0), ValueError, "horizon=0"),
+        refusal(lambda: TaskReward(2), ValueError, "progress_share=2"),
+        refusal(lambda: PointAtTask("of"), ValueError, "sensor", "'of'"),
+        refusal(lambda: PointAtTask(duration=0), ValueError, "duration=0"),
+        refusal(lambda: PointAtTask(duration=-1.0), ValueError, "duration", -1.0),
+        refusal(lambda: PointAtTask(until_done=2), ValueError, "until_done=2", True, False),
+        refusal(lambda: PointAtTask(n_candidates=0), ValueError, "n_candidates=0"),
+        refusal(lambda: TaskProperties(dict(prop="slac")), ValueError, "prop", "'slac'", "'slack'"),
+        refusal(lambda: make(until_done=True), ValueError, "until_done", True, "step_duration", "1 s"),
+        refusal(lambda: make(step_duration=0.5), ValueError, "step_duration", 0.5),
+        refusal(lambda: make(candidates=True, haste=2.0), ValueError, "haste", 2.0),
+        refusal(lambda: make(as_set=True), ValueError, "as_set", True, "candidates"),
+        refusal(lambda: make(candidates=True, sensor="on"), ValueError, "sensor", "'on'", "'assigned'"),
+        refusal(lambda: alone(BenchSatellite("A")), ValueError, "PointAtTask", "'point'", "AEOSBench"),
+        refusal(lambda: scanning(nadir, reward), ValueError, "TaskReward", "AEOSBench", "UniformNadirScanning"),
+        refusal(lambda: scanning(cases), ValueError, "AEOSBench", "AEOSBenchDynModel"),
+        refusal(lambda: alone(slow, drawn), ValueError, "duration=2 s", "1 s", "AEOSBenchTracedDynModel"),
+        refusal(lambda: ConstellationTasking([BenchSatellite("A")], cases, **several), ValueError, "3 satellites", "has 1"),
+        refusal(lambda: NearestTask(scanning()), ValueError, "AEOSBench"),
+        refusal(lambda: sight_bound(scanning()), ValueError, "AEOSBench"),
+        refusal(lambda: sight_bound(make(satellites=1, tasks=1), interval=20.0), ValueError, "interval", 20.0),
     )
 
 
@@ -65,17 +61,15 @@ def test_rejects_wrong_arguments_of_random_cases():
         return AEOSBenchGenerator(satellites, 10, value)
 
     check_refusals(
-        [
-            refusal(lambda: AEOSBenchGenerator(0), ValueError, "satellites=0"),
-            refusal(lambda: AEOSBenchGenerator((5, 2)), ValueError, "satellites", (5, 2)),
-            refusal(lambda: AEOSBenchGenerator((1, 2, 3)), ValueError, "satellites", (1, 2, 3)),
-            refusal(lambda: AEOSBenchGenerator(2, 1001), ValueError, "tasks", 1001),
-            refusal(lambda: orbits([[7e6, 0.0, 1.0, 0.0, 0.0]], 3), ValueError, "satellites=3", "1 of orbits"),
-            refusal(lambda: orbits([[7e6, 1.0, 1.0, 0.0, 0.0]]), ValueError, "orbits", "a > 0 m", "0 <= e < 1"),
-            refusal(lambda: orbits("reel"), ValueError, "orbits", "'reel'", ["random", "real"]),
-            refusal(lambda: orbits([[7e6, 0.0, 1.0]]), ValueError, "orbits", [1, 3]),
-            refusal(lambda: orbits([[7e6, 0.0, math.nan, 0.0, 0.0]]), ValueError, "orbits", "finite"),
-        ]
+        refusal(lambda: AEOSBenchGenerator(0), ValueError, "satellites=0"),
+        refusal(lambda: AEOSBenchGenerator((5, 2)), ValueError, "satellites", (5, 2)),
+        refusal(lambda: AEOSBenchGenerator((1, 2, 3)), ValueError, "satellites", (1, 2, 3)),
+        refusal(lambda: AEOSBenchGenerator(2, 1001), ValueError, "tasks", 1001),
+        refusal(lambda: orbits([[7e6, 0.0, 1.0, 0.0, 0.0]], 3), ValueError, "satellites=3", "1 of orbits"),
+        refusal(lambda: orbits([[7e6, 1.0, 1.0, 0.0, 0.0]]), ValueError, "orbits", "a > 0 m", "0 <= e < 1"),
+        refusal(lambda: orbits("reel"), ValueError, "orbits", "'reel'", ["random", "real"]),
+        refusal(lambda: orbits([[7e6, 0.0, 1.0]]), ValueError, "orbits", [1, 3]),
+        refusal(lambda: orbits([[7e6, 0.0, math.nan, 0.0, 0.0]]), ValueError, "orbits", "finite"),
     )
 
 
@@ -115,35 +109,31 @@ def test_rejects_wrong_case_files(tmp_path):
     wheels = constellation(1)["satellites"][0]["reaction_wheels"][:2]
     first, task_0 = "constellation.json: satellites[0]", "taskset.json: [0]"
     check_refusals(
-        [
-            refusal(lambda: satellite(k=1, mass=None), ValueError, "constellation.json: satellites[1] lacks", "'mass'"),
-            refusal(lambda: satellite(mas=1.0, mass="x"), ValueError, first, "mass", "'x'"),
-            refusal(lambda: satellite(orbit=7), ValueError, first, "orbit=7", [0]),
-            refusal(lambda: satellite(k=1, id=0), ValueError, "constellation.json", "satellites", [0, 0]),
-            refusal(lambda: satellite("sensor", type=3), ValueError, f"{first}.sensor", "type=3"),
-            refusal(lambda: satellite(reaction_wheels=wheels), ValueError, first, "reaction_wheels", "3 items"),
-            refusal(
-                lambda: satellite(inertia=[1.0, 2.0, 3.0]), ValueError, first, "inertia", [1.0, 2.0, 3.0], "at least 9 items"
-            ),
-            refusal(
-                lambda: satellite("battery", percentage=1.5),
-                ValueError,
-                f"{first}.battery",
-                "percentage",
-                1.5,
-                "less than or equal to 1",
-            ),
-            refusal(lambda: orbit(eccentricity=math.nan), ValueError, "constellation.json: orbits[0]", "eccentricity", "nan"),
-            refusal(lambda: task(1, due_time=-5), ValueError, "taskset.json: [1]", "due_time", "-5 s", "release_time"),
-            refusal(lambda: task(sensor_type=9), ValueError, task_0, "sensor_type=9"),
-            refusal(lambda: task(coordinate=[137.0, 2.0]), ValueError, task_0, "coordinate", [137.0, 2.0], "latitude"),
-            refusal(lambda: task(duration=300), ValueError, task_0, "duration", 300, "less than or equal to 255"),
-            refusal(lambda: read(lambda c, t: t.clear()), ValueError, "taskset.json", "at least 1 item"),
-            refusal(lambda: read_cases(tmp_path / "empty"), FileNotFoundError, tmp_path / "empty", "constellation.json"),
-            refusal(lambda: with_text("[{"), ValueError, "taskset.json", "JSON"),
-            refusal(lambda: with_text('"tasks"'), ValueError, "taskset.json", "'tasks'", "object"),
-            refusal(lambda: read_cases(alone), FileNotFoundError, alone / "taskset.json", alone / "constellation.json"),
-            refusal(lambda: read_cases(folder, satellites=2), ValueError, "'one'", "3 satellites", "satellites=2"),
-            refusal(lambda: read_cases(folder, tasks=1), ValueError, "'one'", "4 tasks", "tasks=1"),
-        ]
+        refusal(lambda: satellite(k=1, mass=None), ValueError, "constellation.json: satellites[1] lacks", "'mass'"),
+        refusal(lambda: satellite(mas=1.0, mass="x"), ValueError, first, "mass", "'x'"),
+        refusal(lambda: satellite(orbit=7), ValueError, first, "orbit=7", [0]),
+        refusal(lambda: satellite(k=1, id=0), ValueError, "constellation.json", "satellites", [0, 0]),
+        refusal(lambda: satellite("sensor", type=3), ValueError, f"{first}.sensor", "type=3"),
+        refusal(lambda: satellite(reaction_wheels=wheels), ValueError, first, "reaction_wheels", "3 items"),
+        refusal(lambda: satellite(inertia=[1.0, 2.0, 3.0]), ValueError, first, "inertia", [1.0, 2.0, 3.0], "at least 9 items"),
+        refusal(
+            lambda: satellite("battery", percentage=1.5),
+            ValueError,
+            f"{first}.battery",
+            "percentage",
+            1.5,
+            "less than or equal to 1",
+        ),
+        refusal(lambda: orbit(eccentricity=math.nan), ValueError, "constellation.json: orbits[0]", "eccentricity", "nan"),
+        refusal(lambda: task(1, due_time=-5), ValueError, "taskset.json: [1]", "due_time", "-5 s", "release_time"),
+        refusal(lambda: task(sensor_type=9), ValueError, task_0, "sensor_type=9"),
+        refusal(lambda: task(coordinate=[137.0, 2.0]), ValueError, task_0, "coordinate", [137.0, 2.0], "latitude"),
+        refusal(lambda: task(duration=300), ValueError, task_0, "duration", 300, "less than or equal to 255"),
+        refusal(lambda: read(lambda c, t: t.clear()), ValueError, "taskset.json", "at least 1 item"),
+        refusal(lambda: read_cases(tmp_path / "empty"), FileNotFoundError, tmp_path / "empty", "constellation.json"),
+        refusal(lambda: with_text("[{"), ValueError, "taskset.json", "JSON"),
+        refusal(lambda: with_text('"tasks"'), ValueError, "taskset.json", "'tasks'", "object"),
+        refusal(lambda: read_cases(alone), FileNotFoundError, alone / "taskset.json", alone / "constellation.json"),
+        refusal(lambda: read_cases(folder, satellites=2), ValueError, "'one'", "3 satellites", "satellites=2"),
+        refusal(lambda: read_cases(folder, tasks=1), ValueError, "'one'", "4 tasks", "tasks=1"),
     )

@@ -1,7 +1,5 @@
 """An RSO and inspectors on one orbit, for tests."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch
@@ -36,10 +34,7 @@ class Inspector(sats.Satellite):
         obs.RelativeProperties(dict(prop="rso_imaged_regions", fn=rso_imaged_regions), chief_name="RSO"),
         obs.ResourceRewardWeight(),
     )
-    action_spec = (
-        act.DiscreteFSWAction("action_inspect_rso", duration=20.0, reset_task=True),
-        act.Drift(duration=10.0),
-    )
+    action_spec = (act.DiscreteFSWAction("action_inspect_rso", duration=20.0, reset_task=True), act.Drift(duration=10.0))
     dyn_type = RSOInspectorDynModel
     fsw_type = (fsw.MagicOrbitalManeuverFSWModel, RSOInspectorFSWModel)
 

@@ -1,7 +1,5 @@
 """Recorded episodes of inspection, and how to replay them as one batch."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 import json

@@ -1,7 +1,5 @@
 """Flags of points: against every tick of a recording of Basilisk, textbook geometry, and one back end against the other."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -174,12 +172,9 @@ def test_cones_and_ranges():
         rho = Vec3(*column(1.0 + distance * math.cos(angle), distance * math.sin(angle), 0.0))
         return faces(points, rho).tolist()
 
-    assert at(0.499, 9.9) == [True, True, True, True]
-    assert at(0.501, 9.9) == [False, True, True, True]
-    assert at(1.999, 9.9) == [False, True, True, True]
-    assert at(2.001, 9.9) == [False, False, True, True]
-    assert at(0.0, 10.1) == [False, False, True, True]
-    assert at(math.pi, 1e9) == [False, False, True, True]
+    assert (at(0.499, 9.9), at(0.501, 9.9)) == ([True, True, True, True], [False, True, True, True])
+    assert (at(1.999, 9.9), at(2.001, 9.9)) == ([False, True, True, True], [False, False, True, True])
+    assert (at(0.0, 10.1), at(math.pi, 1e9)) == ([False, False, True, True], [False, False, True, True])
 
 
 @pytest.mark.parametrize(("height", "visible"), [(-2.0, False), (2.0, True)])

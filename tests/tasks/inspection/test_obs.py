@@ -40,17 +40,13 @@ def test_each_point_belongs_to_the_nearest_centre(regions, own, compiled):
 
 
 @BACKENDS
-def test_centres_may_be_the_same_for_all_and_of_any_length(compiled):
+def test_centres_of_any_length_take_the_points_that_are_nearest_to_them_first(compiled):
     inspected = torch.ones(2, 37, dtype=torch.float64)
     centers = torch.tensor(AXES, dtype=torch.float64)
     assert torch.equal(known_regions(inspected, POINTS, centers, compiled), torch.ones(2, 6, dtype=torch.float64))
     # the nearest of (10, 0, 0) and (0.5, 0, 0) to points of the unit sphere is the second
     far = torch.tensor([[10.0, 0.0, 0.0], [0.5, 0.0, 0.0]], dtype=torch.float64)
     assert known_regions(inspected, POINTS, far, compiled).tolist() == [[0.0, 1.0]] * 2
-
-
-@BACKENDS
-def test_a_point_between_centres_belongs_to_the_first(compiled):
     point = torch.tensor([[1.0, 1.0, 0.0]], dtype=torch.float64)
     found = known_regions(torch.ones(1, 1, dtype=torch.float64), point, torch.tensor(AXES, dtype=torch.float64), compiled)
     assert found.tolist() == [[1.0, 0.0, 0.0, 0.0, 0.0, 0.0]]

@@ -1,7 +1,5 @@
 """Inspection of an RSO: replays of bsk_rl's episodes on Basilisk."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import pytest
@@ -46,7 +44,7 @@ class Worst(NamedTuple):
     terminated: int
 
     @staticmethod
-    def of(parts: list[Worst]) -> Worst:
+    def of(parts: "list[Worst]") -> "Worst":
         return Worst(*map(max, zip(*parts, strict=True)))
 
 
@@ -125,8 +123,7 @@ def test_recordings_show_what_they_are_for():
     assert seen["one"] > 90
     assert (load("complete").bonus_time > 0.0).all()
     dark = load("dark")
-    assert dark.bonus_time.item() == 630.0
-    assert padded(dark, "illuminated", 10**6).sum() == 0
+    assert (dark.bonus_time.item(), padded(dark, "illuminated", 10**6).sum()) == (630.0, 0)
     assert (load("fuel").death[:, 1] > 0.0).all()
     assert all((load(case).death[:, 0] > 0.0).all() for case in ("range", "collision"))
     crashed = load("collide3")

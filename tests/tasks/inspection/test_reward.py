@@ -1,7 +1,5 @@
 """The reward for inspecting an RSO: who is paid, when the inspection is complete, and what satellites know."""
 
-from __future__ import annotations
-
 import torch
 
 from bsk_torch import comm, rand
@@ -14,7 +12,7 @@ def reward_of(outputs, env, k: int) -> torch.Tensor:
     return outputs[env.groups[k].name]["reward"][..., 0]
 
 
-def test_two_inspectors_of_one_point_are_both_paid_once():
+def test_only_who_records_inspects_and_is_paid_once():
     """Above and behind share some points; the reward counts points not inspected before the step."""
     env = inspection(scenario=SphericalRSO(**POINTS | dict(theta_solar_max=-1.0, min_illumination_factor=0.0)))
     td = act_all(env, env.reset())
@@ -30,9 +28,6 @@ def test_two_inspectors_of_one_point_are_both_paid_once():
     td = act_all(env, td)
     gained = (reward.known.inspected & ~before.unsqueeze(1)).sum(2)[:, 1:]
     torch.testing.assert_close(reward_of(td, env, 1), gained.double() / n, rtol=0, atol=1e-15)
-
-
-def test_who_does_not_record_inspects_nothing():
     env = inspection()
     td = act_all(env, env.reset(), inspectors=1)
     assert not env.rewarder.inspected.any()
@@ -40,7 +35,7 @@ def test_who_does_not_record_inspects_nothing():
     assert (reward_of(td, env, 1) == 0.0).all()
 
 
-def test_completion_pays_every_satellite_once_and_ends_the_episode():
+def test_completion_pays_every_satellite_once_and_ends_the_episode_unless_asked():
     reward = dict(completion_bonus=2.0, completion_threshold=0.1, min_time_for_completion=30.0)
     env = inspection(reward=reward)
     td = act_all(env, env.reset())
@@ -51,9 +46,6 @@ def test_completion_pays_every_satellite_once_and_ends_the_episode():
     assert (reward_of(td, env, 0) == 2.0).all()
     assert (reward_of(td, env, 1) >= 2.0).all()
     assert td["terminated"].all()
-
-
-def test_an_episode_goes_on_after_completion_where_asked_or_as_in_bsk_rl():
     reward = dict(completion_bonus=2.0, completion_threshold=0.0, min_illuminated_for_completion=0.01)
     for options in (dict(reward=reward | dict(terminate_on_completion=False)), dict(reward=reward, compat="bsk_rl")):
         env = inspection(**options)
@@ -71,8 +63,7 @@ def test_agents_stay_in_pettingzoo_as_in_bsk_rl():
         env = PettingZooEnv(inspection(reward=reward, num_envs=1, compat=compat))
         env.reset(seed=1)
         ended = env.step(dict.fromkeys(env.agents, 0))[2]
-        assert ended == dict.fromkeys(env.possible_agents, True)
-        assert env.agents == stay
+        assert (ended, env.agents) == (dict.fromkeys(env.possible_agents, True), stay)
 
 
 def test_nothing_is_paid_for_a_dark_rso_but_in_bsk_rl():

@@ -1,7 +1,5 @@
 """Points of an RSO: what users write, what they get, and which satellites fit."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -78,8 +76,7 @@ def test_points_of_a_users_own_are_made_for_each_episode():
     alone.reset()
     assert torch.equal(alone.scenario.r_PB_B[0], first[1])
     assert [point.r_PB_B.tolist() for point in alone.scenario.points_of(0)] == first[1].tolist()
-    with pytest.raises(AttributeError, match="points_of"):
-        _ = alone.scenario.rso_points
+    check_refusals(refusal(lambda: alone.scenario.rso_points, AttributeError, "points_of"))
 
 
 def test_fixed_points_of_a_users_own_are_made_once():
@@ -105,7 +102,7 @@ def test_own_points_are_inspected_and_saved_with_their_episodes():
     assert torch.equal(env.rewarder.inspected, after)
 
 
-def test_rejects_wrong_points():
+def test_rejects_wrong_points_satellites_and_scenarios():
     limits = dict(theta_max=1.0, range_max=1.0, theta_solar_max=1.0, min_illumination_factor=0.0)
     point = RSOPoint([1.0, 0.0, 0.0], [1.0, 0.0, 0.0], **limits)
 
@@ -117,19 +114,14 @@ def test_rejects_wrong_points():
 
     name = "Given.generate_points()"
     check_refusals(
-        [
-            refusal(lambda: made(list), ValueError, name, "no points"),
-            refusal(lambda: made(lambda: [(0.0, 0.0, 1.0)]), TypeError, name, (0.0, 0.0, 1.0), "RSOPoint"),
-            refusal(lambda: one([1.0, 0.0, 0.0], [0.0, 0.0, 0.0]), ValueError, f"{name}[0].n_B", "zero"),
-            refusal(lambda: one([1.0, 0.0], [0.0, 0.0, 1.0]), ValueError, f"{name}[0].r_PB_B", [1.0, 0.0]),
-            refusal(lambda: made(lambda: [point] * int(np.random.randint(1, 30))), ValueError, name, "points", "episodes"),
-            refusal(lambda: build(RSOPoints()), NotImplementedError, "RSOPoints", "generate_points()"),
-        ]
+        refusal(lambda: made(list), ValueError, name, "no points"),
+        refusal(lambda: made(lambda: [(0.0, 0.0, 1.0)]), TypeError, name, (0.0, 0.0, 1.0), "RSOPoint"),
+        refusal(lambda: one([1.0, 0.0, 0.0], [0.0, 0.0, 0.0]), ValueError, f"{name}[0].n_B", "zero"),
+        refusal(lambda: one([1.0, 0.0], [0.0, 0.0, 1.0]), ValueError, f"{name}[0].r_PB_B", [1.0, 0.0]),
+        refusal(lambda: made(lambda: [point] * int(np.random.randint(1, 30))), ValueError, name, "points", "episodes"),
+        refusal(lambda: build(RSOPoints()), NotImplementedError, "RSOPoints", "generate_points()"),
     )
-
-
-def test_rejects_satellites_and_scenarios_that_do_not_fit():
-    rso, one = "RSODynModel", [Plain("A", inspector_args(100.0, 0.0, 0.0))]
+    rso, alone = "RSODynModel", [Plain("A", inspector_args(100.0, 0.0, 0.0))]
 
     def sphere(satellites):
         return build(SphericalRSO(), satellites)
@@ -137,14 +129,12 @@ def test_rejects_satellites_and_scenarios_that_do_not_fit():
     two = [*pair(inspector=Plain), RSO("Second", chief_args())]
     blind = pair(inspector=Blind)
     check_refusals(
-        [
-            refusal(lambda: sphere(two), ValueError, "SphericalRSO", rso, ["RSO", "Second"]),
-            refusal(lambda: sphere(one), ValueError, "SphericalRSO", rso, ["A"]),
-            refusal(lambda: sphere([RSO("RSO", chief_args())]), ValueError, "RSOInspectorDynModel", ["RSO"]),
-            refusal(lambda: sphere(blind), ValueError, ["A"], "RSOInspectorDynModel", "RSOInspectorFSWModel"),
-            refusal(lambda: inspection(one, scene.Scenario(), rewarder=None), ValueError, "slot 'rso'"),
-            refusal(lambda: build(scene.Scenario()), ValueError, "RSOInspectionReward", "points", "SphericalRSO"),
-        ]
+        refusal(lambda: sphere(two), ValueError, "SphericalRSO", rso, ["RSO", "Second"]),
+        refusal(lambda: sphere(alone), ValueError, "SphericalRSO", rso, ["A"]),
+        refusal(lambda: sphere([RSO("RSO", chief_args())]), ValueError, "RSOInspectorDynModel", ["RSO"]),
+        refusal(lambda: sphere(blind), ValueError, ["A"], "RSOInspectorDynModel", "RSOInspectorFSWModel"),
+        refusal(lambda: inspection(alone, scene.Scenario(), rewarder=None), ValueError, "slot 'rso'"),
+        refusal(lambda: build(scene.Scenario()), ValueError, "RSOInspectionReward", "points", "SphericalRSO"),
     )
 
 

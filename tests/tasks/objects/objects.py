@@ -1,7 +1,5 @@
 """Imagers and a catalog of resident space objects (RSO) near them, for tests."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

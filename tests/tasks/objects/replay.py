@@ -1,7 +1,5 @@
 """Recorded episodes of imaging of resident space objects (RSO), and how to replay them as one batch."""
 
-from __future__ import annotations
-
 import itertools
 import json
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Packets with records of images: who may send, what is sent, and when it arrives."""
 
-from __future__ import annotations
-
 import random
 
 import pytest
@@ -21,6 +19,7 @@ from bsk_torch.tasks.objects import (
 from bsk_torch.tasks.objects.radio import transmit_packet
 from bsk_torch.tasks.objects.scene import sorted_peers
 from bsk_torch.vec3 import Vec3
+from tests.support.episodes import begun
 from tests.tasks.objects.objects import Imager, catalog, environment, play, state
 
 CHARGE, DOWNLINK, FIRST, SEND, STAY = 0, 1, 2, 5, -1
@@ -74,7 +73,7 @@ def send(env):
     return env.fleet.sim_time[0].item()
 
 
-def test_nobody_is_its_own_peer():
+def test_no_satellite_is_its_own_peer():
     assert sorted_peers(["b", "c", "a"])[0].tolist() == [[2, 1], [2, 0], [0, 1]]
     assert sorted_peers(["only"]).shape == (1, 1, 0)
 
@@ -107,8 +106,7 @@ def test_a_break_restarts_the_hold():
             if held >= 4.0:
                 assert bus.radio_armed.item() == bus.radio_valid.item() == 0.0
                 break
-            assert bus.radio_held.item() == held
-            assert bool(bus.radio_valid) == valid
+            assert (bus.radio_held.item(), bool(bus.radio_valid)) == (held, valid)
 
 
 def test_the_line_must_clear_a_sphere():
@@ -121,8 +119,7 @@ def test_the_line_must_clear_a_sphere():
 
 @pytest.mark.compiled
 def test_only_news_can_be_told_and_a_packet_tells_both():
-    env = team()
-    env.reset()
+    env = begun(team())
     assert not legal(env, 0, SEND)
     capture(env)
     assert legal(env, 0, SEND)
@@ -132,8 +129,7 @@ def test_only_news_can_be_told_and_a_packet_tells_both():
     assert arrived >= began + 10.0
     assert env.links[0].tolist() == [[False, True], [False, False]]
     records = env.scenario.records
-    assert records.known[0, 0].tolist() == [1, 1]
-    assert records.received[0, 0, :, 0].tolist() == [began, arrived]
+    assert (records.known[0, 0].tolist(), records.received[0, 0, :, 0].tolist()) == ([1, 1], [began, arrived])
     assert records.exchanged[0, 0, 1].item() == arrived
     assert not legal(env, 0, SEND)
     assert not legal(env, 1, SEND)  # it knows that imager 0 knows
@@ -149,8 +145,7 @@ def test_the_radio_draws_power_while_its_link_is_valid():
     """Ten ticks of the hold, 25 W each, in the ticks that follow."""
     charges = []
     for power in (0.0, -25.0):
-        env = team(sat_args=dict(radioPowerDraw=power, storedCharge_Init=5e8))
-        env.reset()
+        env = begun(team(sat_args=dict(radioPowerDraw=power, storedCharge_Init=5e8)))
         capture(env)
         send(env)
         charges.append(env.satellites[0].dynamics.battery_charge[0].item())
@@ -160,8 +155,7 @@ def test_the_radio_draws_power_while_its_link_is_valid():
 @pytest.mark.compiled
 def test_imagers_are_followed_with_the_orbits_of_targets():
     """Where the radio points: both orbits are solved in advance in the same field, from the same initial state."""
-    env = team()
-    env.reset()
+    env = begun(team())
     for _ in range(12):
         step(env, CHARGE, CHARGE)
     followed = env.scenario.orbits.positions(env.fleet.sim_time)[..., env.scenario.n_targets :].movedim(0, -1)
@@ -171,8 +165,7 @@ def test_imagers_are_followed_with_the_orbits_of_targets():
 
 @pytest.mark.compiled
 def test_a_packet_holds_what_was_known_at_its_beginning():
-    env = team()
-    env.reset()
+    env = begun(team())
     capture(env)
     records = env.scenario.records
     step(env, SEND, FIRST)
@@ -186,8 +179,7 @@ def test_a_packet_holds_what_was_known_at_its_beginning():
 
 @pytest.mark.compiled
 def test_another_command_drops_the_packet():
-    env = team()
-    env.reset()
+    env = begun(team())
     capture(env)
     step(env, SEND, FIRST)
     records = env.scenario.records
@@ -203,11 +195,9 @@ def test_another_command_drops_the_packet():
 def test_the_earth_blocks_links(kind, may):
     r_N, v_N = state(3.0)
     there = lambda satellites: {satellites[1]: {"rN": r_N.tolist(), "vN": v_N.tolist()}}
-    env = team(kind=kind, sat_arg_randomizer=there)
-    env.reset()
+    env = begun(team(kind=kind, sat_arg_randomizer=there))
     capture(env)
-    assert legal(env, 0, SEND) == may
-    assert env.scenario.linked[0, 0].tolist() == [True, False]
+    assert (legal(env, 0, SEND), env.scenario.linked[0, 0].tolist()) == (may, [True, False])
 
 
 @pytest.mark.compiled
@@ -217,8 +207,7 @@ def test_packets_come_late_or_not_at_all():
         (dict(loss_probability=1.0), False),
         (dict(delay_s=40.0, ttl_s=40.0), False),
     ):
-        env = team(communicator=CatalogCommunication(**options))
-        env.reset()
+        env = begun(team(communicator=CatalogCommunication(**options)))
         capture(env)
         sent = send(env)
         delay = options.get("delay_s", 0.0)
@@ -247,13 +236,8 @@ def test_losses_do_not_depend_on_the_batch():
 def test_a_repeated_choice_continues_the_task_if_asked_to():
     """Imager 1 ends steps; imager 0 chooses its object, or its packet, again."""
     runs = {}
-    for name, repeats, options in (
-        ("stay", False, {}),
-        ("repeat", True, dict(continue_repeated=True)),
-        ("restart", True, {}),
-    ):
-        env = team(mask_busy=False, **options)
-        env.reset()
+    for name, repeats, options in (("stay", False, {}), ("repeat", True, dict(continue_repeated=True)), ("restart", True, {})):
+        env = begun(team(mask_busy=False, **options))
         seen = []
         for k in range(4):
             target = env.scenario.candidate_ids(env.satellites[0], 0, 1)

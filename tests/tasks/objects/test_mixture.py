@@ -62,15 +62,12 @@ def test_largest_remainders_agree_with_the_usual_procedure():
         assert found == wanted
 
 
-def test_shares_of_training():
+def test_shares_of_training_do_not_depend_on_the_batch():
     assert (kinds(RSOMixture("LEO").draw(key(3), 50)[..., 0]) == 0).all()
     shares = RSOMixture("random").shares_of(key(4000))
     torch.testing.assert_close(shares.sum(1), torch.ones(4000, dtype=torch.float64))
     assert shares.mean(0).tolist() == pytest.approx([0.5, 0.25, 0.25], abs=0.02)
     assert (shares >= 0.0).all()
-
-
-def test_draws_do_not_depend_on_the_batch():
     for mixture in (RSOMixture(), RSOMixture("random", exact=True)):
         assert torch.equal(mixture.draw(key(6), 9)[4:], mixture.draw(key(2, 4), 9))
 

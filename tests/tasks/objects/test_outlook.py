@@ -18,15 +18,12 @@ def row(*x):
     return torch.tensor([x], dtype=torch.float64)
 
 
-def test_on_a_circle_the_radius_and_the_rate_remain():
+def test_circles_and_ellipses_are_followed():
     seconds = torch.tensor([0.0, 100.0, 1000.0], dtype=torch.float64)
     found = coast(Vec3.of(row(R, 0.0, 0.0)), Vec3.of(row(0.0, RATE * R, 0.0)), seconds).stack()
     expected = torch.stack([R * (RATE * seconds).cos(), R * (RATE * seconds).sin(), 0.0 * seconds], -1)
     torch.testing.assert_close(found, expected, rtol=1e-12, atol=1e-6)
-
-
-def test_an_ellipse_is_followed_for_some_minutes():
-    """From the perigee of an orbit of eccentricity 0.02: r = p / (1 + e cos nu) at the time of Kepler's equation."""
+    # From the perigee of an orbit of eccentricity 0.02: r = p / (1 + e cos nu) at the time of Kepler's equation.
     e, a = 0.02, R / 0.98
     speed = math.sqrt(MU_EARTH * (1.0 + e) / R)
     anomaly = 0.2

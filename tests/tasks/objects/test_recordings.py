@@ -1,7 +1,5 @@
 """Imaging of resident space objects (RSO): replays of bsk_rl's episodes on Basilisk."""
 
-from __future__ import annotations
-
 import json
 from collections import defaultdict
 

@@ -1,7 +1,5 @@
 """Records of captures and what sensors know of them, against lists of records of each sensor."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import pytest
@@ -133,8 +131,7 @@ def test_knowledge_is_that_of_lists_of_records(sequence):
             there = one_env(env, True, (1,))
             at = time.unsqueeze(1)
             index = book.enter(there, torch.full((ENVS, 1), sensor), torch.full((ENVS, 1), target), at, at, time)
-            assert index[env, 0] == reference.capture(sensor, target, float(now))
-            assert index[1 - env, 0] == NONE
+            assert (index[env, 0], index[1 - env, 0]) == (reference.capture(sensor, target, float(now)), NONE)
         elif kind == "deliver" and reference.number:
             key = what[0] % reference.number
             records = torch.full((ENVS, 1), NONE)
@@ -177,8 +174,7 @@ def test_all_share_what_they_knew_before():
     assert book.known[0, 0].tolist() == [1, 1, 0]
     book.pass_on(book.all_known(links), links, now + 1.0)
     assert book.known[0, 0].tolist() == [1, 1, 1]
-    assert book.received[0, 0, :, 0].tolist() == [7.0, 7.0, 8.0]
-    assert book.exchanged[0, 0, 1] == 8.0
+    assert (book.received[0, 0, :, 0].tolist(), book.exchanged[0, 0, 1]) == ([7.0, 7.0, 8.0], 8.0)
     assert book.exchanged[0, 1, 0] == AGO
 
 

@@ -1,7 +1,5 @@
 """Rewards for images of resident space objects (RSO)."""
 
-from __future__ import annotations
-
 import random
 
 import pytest
@@ -10,12 +8,14 @@ import torch
 from bsk_torch.act import image_target
 from bsk_torch.tasks.objects import ImageRSO, RSOImageReward, RSOPriorityEvent
 from bsk_torch.tasks.objects.reward import NONE, _Images
+from tests.support.episodes import begun
 from tests.tasks.objects.objects import Imager, catalog, environment, play
+
+pytestmark = pytest.mark.compiled
 
 CHARGE, DOWNLINK, FIRST = 0, 1, 2
 
 
-@pytest.mark.compiled
 def test_acquisition_and_delivery_pay_once():
     seen = {}
 
@@ -23,8 +23,7 @@ def test_acquisition_and_delivery_pay_once():
         seen.update(record._asdict())
         return 0.5 * target.priority + 0.0 * record.quality
 
-    env = environment(rewarder=RSOImageReward(taken, quality_threshold=0.0, cooldown_s=400.0))
-    env.reset()
+    env = begun(environment(rewarder=RSOImageReward(taken, quality_threshold=0.0, cooldown_s=400.0)))
     reward = play(env, FIRST)
     assert reward[next(iter(env.group_map))]["reward"].flatten().tolist() == [1.0, 1.0]  # object 1 has the priority 2
     assert torch.equal(seen["capture_time"][:, 0], env.fleet.sim_time)
@@ -37,8 +36,7 @@ def test_acquisition_and_delivery_pay_once():
     for _ in range(3):
         play(env, DOWNLINK)
         total += env.rewarder.last_reward_components["delivery"].sum(1)
-    assert total.tolist() == [2.0, 2.0]
-    assert env.scenario.pending[0].tolist() == [0, 0, 0, 0]
+    assert (total.tolist(), env.scenario.pending[0].tolist()) == ([2.0, 2.0], [0, 0, 0, 0])
     assert torch.equal(env.scenario.cooldown_until[:, 1], captured + 400.0)
     ready = env.fleet.sim_time >= captured + 400.0
     assert torch.equal(env.scenario.eligible[:, 1], ready)
@@ -49,29 +47,24 @@ class Fixed(Imager):
     action_spec = (ImageRSO(3, 150.0, 5.0, require_illumination_during_hold=False, variable_duration_imaging=False),)
 
 
-@pytest.mark.compiled
 @pytest.mark.parametrize(("mode", "each"), [("shared", 1.0), ("per_imager", 2.0)])
 def test_images_of_one_step_share_their_reward_or_do_not(mode, each):
     """Steps of a fixed duration end with images of both imagers; the target has the priority 2."""
     rewarder = RSOImageReward(lambda record, target: target.priority, quality_threshold=0.0, multi_imager_credit=mode)
-    env = environment(imagers=2, kind=Fixed, rewarder=rewarder)
-    env.reset()
+    env = begun(environment(imagers=2, kind=Fixed, rewarder=rewarder))
     play(env, image_target(1), image_target(1))
     assert env.scenario.pending[:, 1].tolist() == [2, 2]
     assert env.rewarder.last_reward_components["acquisition"].tolist() == [[each, each]] * 2
 
 
-@pytest.mark.compiled
 def test_later_images_of_a_service_earn_nothing():
     rewarder = RSOImageReward(lambda record, target: target.priority, quality_threshold=0.0, multi_imager_credit="shared")
-    env = environment(imagers=2, rewarder=rewarder, block_pending_targets=False)
-    env.reset()
+    env = begun(environment(imagers=2, rewarder=rewarder, block_pending_targets=False))
     paid = []
     while int(env.scenario.pending[0, 1]) < 3:
         play(env, image_target(1), image_target(1))
         paid.append(env.rewarder.last_reward_components["acquisition"][0].sum().item())
-    assert sum(paid) == 2.0
-    assert paid[-1] == 0.0
+    assert (sum(paid), paid[-1]) == (2.0, 0.0)
 
 
 def fifo(products, gone):
@@ -86,11 +79,9 @@ def fifo(products, gone):
     return [product for product in products if product not in done], done
 
 
-@pytest.mark.compiled
 def test_products_are_delivered_in_the_order_of_their_capture():
     """Against lists, with random images and downlinks of several imagers."""
-    env = environment(imagers=2)
-    env.reset()
+    env = begun(environment(imagers=2))
     rewarder, numbers = env.rewarder, random.Random(3)
     known = [[[[] for _ in range(4)] for _ in range(2)] for _ in range(2)]
     for step in range(60):
@@ -121,12 +112,10 @@ def test_products_are_delivered_in_the_order_of_their_capture():
                 assert left[e, a].item() == sum(product["left"] for part in known[e][a] for product in part)
 
 
-@pytest.mark.compiled
 def test_priorities_of_rewards_are_those_before_the_changes_of_the_step():
     events = (RSOPriorityEvent(1.0, (("object 1", 50.0),)),)
     rewarder = RSOImageReward(lambda record, target: target.priority, quality_threshold=0.0)
-    env = environment(catalog=catalog(priority_events=events), rewarder=rewarder)
-    env.reset()
+    env = begun(environment(catalog=catalog(priority_events=events), rewarder=rewarder))
     play(env, FIRST)
     assert env.rewarder.last_reward_components["acquisition"].flatten().tolist() == [2.0, 2.0]
     assert env.scenario.priority[0, 1].item() == 50.0

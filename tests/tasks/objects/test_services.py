@@ -1,7 +1,5 @@
 """Imaging with services: replays of episodes on Basilisk with classes that do what a branch of bsk_rl's authors does."""
 
-from __future__ import annotations
-
 import itertools
 import json
 from collections import defaultdict

@@ -1,7 +1,5 @@
 """Rewards of a team of imagers that know different images."""
 
-from __future__ import annotations
-
 import copy
 import random
 
@@ -12,7 +10,10 @@ from bsk_torch import comm
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.tasks.objects import RSOTargets, RSOTeamReward
 from bsk_torch.tasks.objects.reward import NONE, _Images
+from tests.support.episodes import begun
 from tests.tasks.objects.objects import RADIUS, catalog, environment, play
+
+pytestmark = pytest.mark.compiled
 
 CHARGE, DOWNLINK, FIRST = 0, 1, 2
 
@@ -32,12 +33,10 @@ def ids(env, imager, count=4):
     return env.scenario.candidate_ids(env.satellites[0], imager, count)
 
 
-@pytest.mark.compiled
 @pytest.mark.parametrize("told", [False, True])
 def test_candidates_follow_from_what_an_imager_knows(told):
     """Imager 0 takes object 1. Imager 1 has it among its candidates until it is told."""
-    env = team(communicator=comm.FreeCommunication() if told else None)
-    env.reset()
+    env = begun(team(communicator=comm.FreeCommunication() if told else None))
     assert ids(env, 0)[0] == "object 1"
     while env.rewarder.counts()["captured"][0, 0] == 0:
         play(env, FIRST, CHARGE)
@@ -48,18 +47,15 @@ def test_candidates_follow_from_what_an_imager_knows(told):
     assert torch.equal(env.satellites[0].action_mask()[1, FIRST:].sum(), torch.tensor(3))
 
 
-@pytest.mark.compiled
 def test_delivery_share_splits_the_priority_between_capture_and_delivery():
-    env = team(RSOTeamReward(delivery_share=0.25, quality_threshold=0.0, cooldown_s=400.0))
-    env.reset()
+    env = begun(team(RSOTeamReward(delivery_share=0.25, quality_threshold=0.0, cooldown_s=400.0)))
     total = 0.0
     while env.rewarder.counts()["captured"][0, 0] == 0:
         total += play(env, FIRST, CHARGE)[next(iter(env.group_map))]["reward"].sum().item()
     assert total == 2 * 0.75 * 2.0  # two environments, priority 2
     while env.rewarder.counts()["delivered"][0, 0] == 0:
         total += play(env, DOWNLINK, CHARGE)[next(iter(env.group_map))]["reward"].sum().item()
-    assert total == 2 * 2.0
-    assert env.rewarder.counts()["services"].tolist() == [[1, 0]] * 2
+    assert (total, env.rewarder.counts()["services"].tolist()) == (2 * 2.0, [[1, 0]] * 2)
     assert env.rewarder.coverage["delivery"].tolist() == [0.25, 0.25]
     captured = env.scenario.records.capture[0, 0].item()
     assert bool(env.scenario.satisfied[0, 0, 1]) == (captured + 400.0 > env.fleet.sim_time[0].item())
@@ -69,19 +65,15 @@ def test_delivery_share_splits_the_priority_between_capture_and_delivery():
     assert "object 1" in ids(env, 0)
 
 
-@pytest.mark.compiled
 def test_the_cooldown_is_two_periods_by_default():
-    env = team(RSOTeamReward())
-    env.reset()
+    env = begun(team(RSOTeamReward()))
     period = 2.0 * torch.pi * (RADIUS**3 / MU_EARTH) ** 0.5
     assert env.scenario.service_time.tolist() == pytest.approx([2.0 * period] * 2, rel=1e-12)
 
 
-@pytest.mark.compiled
 def test_an_imager_that_learns_of_an_image_requires_another_task():
     """Both begin to image object 2 at different times; the later one is told, and has wasted its time."""
-    env = team(communicator=comm.FreeCommunication())
-    env.reset()
+    env = begun(team(communicator=comm.FreeCommunication()))
     stay = 5
     play(env, FIRST, FIRST)
     play(env, FIRST, FIRST)
@@ -91,8 +83,7 @@ def test_an_imager_that_learns_of_an_image_requires_another_task():
     took = env.fleet.sim_time[0].item()
     assert env.satellites[0].task.requires_retasking.tolist() == [True] * 4
     counts = env.rewarder.counts()
-    assert counts["captured"][0].sum() == 4
-    assert counts["duplicate_attempts"][0].tolist() == [0, 0]
+    assert (counts["captured"][0].sum(), counts["duplicate_attempts"][0].tolist()) == (4, [0, 0])
     loser = 1 - int(env.scenario.records.source[0, 3])
     before = env.rewarder.wasted_time[0, loser].item()
     play(env, CHARGE, CHARGE)
@@ -102,10 +93,8 @@ def test_an_imager_that_learns_of_an_image_requires_another_task():
         assert wasted == pytest.approx(took - began)
 
 
-@pytest.mark.compiled
 def test_without_messages_imagers_do_the_same_work_twice():
-    env = team()
-    env.reset()
+    env = begun(team())
     for _ in range(12):
         play(env, FIRST, FIRST)
     counts = env.rewarder.counts()
@@ -134,12 +123,10 @@ def ledger(images, last, cooldown, tolerance, share, priority):
     return paid, late
 
 
-@pytest.mark.compiled
 @pytest.mark.parametrize("stage", ["acquisition", "delivery"])
 def test_the_ledger_is_that_of_lists(stage):
     """With random images of a step, also several groups of a target in one step."""
-    env = team(RSOTeamReward(delivery_share=0.3, cooldown_s=10.0, same_time_s=1.0))
-    env.reset()
+    env = begun(team(RSOTeamReward(delivery_share=0.3, cooldown_s=10.0, same_time_s=1.0)))
     rewarder, numbers = env.rewarder, random.Random(5)
     last = [[-1e30] * 4 for _ in range(2)]
     for step in range(80):
@@ -168,7 +155,6 @@ def test_the_ledger_is_that_of_lists(stage):
     assert env.rewarder.counts()[name].sum() > 20
 
 
-@pytest.mark.compiled
 def test_episodes_do_not_depend_on_the_batch_and_continue_from_saved_states():
     few, many = team(communicator=comm.FreeCommunication()), team(communicator=comm.FreeCommunication(), num_envs=5)
     for env in (few, many):
@@ -177,8 +163,7 @@ def test_episodes_do_not_depend_on_the_batch_and_continue_from_saved_states():
             play(env, FIRST, FIRST)
     for name in ("target", "capture", "known", "received"):
         assert torch.equal(few.scenario.records[name], many.scenario.records[name][:2])
-    other = team(communicator=comm.FreeCommunication(), seed=4)
-    other.reset()
+    other = begun(team(communicator=comm.FreeCommunication(), seed=4))
     other.restore(few.get_state())
     branch = copy.deepcopy(few)
     for env in (few, other, branch):

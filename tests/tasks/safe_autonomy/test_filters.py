@@ -74,7 +74,7 @@ def test_deputies_on_the_axis_of_the_cone_of_blinding_are_filtered():
     assert force[1, 2] > 0.1  # leaves the cone along the orbit normal
 
 
-def test_what_is_not_a_number_is_not_safe():
+def test_rejects_states_that_are_not_numbers():
     x = some(deputies("inspection", 15.0, 15.0), slice(0, 3))
     lost = x._replace(r=torch.where(torch.arange(3).unsqueeze(1) == 1, torch.nan, x.r))
     with pytest.raises(FloatingPointError, match=r"is not finite for deputy 1 at \[nan"):

@@ -65,13 +65,10 @@ def test_directions_of_clusters(name, episodes):
     assert np.median((ours * theirs).sum(1)[there]) > math.cos(math.radians(25.0))
 
 
-def test_points():
+def test_points_and_clusters_are_those_of_the_original():
     points = np.load(RECORDINGS / "inspection.npz")["points"]
     np.testing.assert_allclose(sphere_points(100, 10.0).numpy(), points, rtol=0, atol=1e-14)
-
-
-def test_kmeans_is_that_of_the_original():
-    """From the same start, centers agree to rounding, unless a center is left without points, which scikit-learn moves."""
+    # From the same start, centers agree to rounding, unless a center is left without points, which scikit-learn moves.
     compared = 0
     for case in FITS:
         data, start = torch.as_tensor(case["data"]), torch.as_tensor(case["start"])
