@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 from math import isfinite
 from pathlib import Path
-from typing import Any
 
 import torch
 from matplotlib.artist import Artist
@@ -95,9 +94,9 @@ class InspectionEpisode(Tabular):
     def __post_init__(self) -> None:
         """ValueError for tensors whose shapes do not fit each other."""
         i, k, b, p = len(self.names), len(self.times), len(self.decisions), len(self.points)
-        needed = {"rho_H": (i, k, 3), "illumination": (k,), "fuel": (i, b), "points": (p, 3), "deaths": (i,)}
-        needed |= {"lit_at": (p,), "inspected_at": (p,)}
-        for name, shape in needed.items():
+        shapes = {"rho_H": (i, k, 3), "illumination": (k,), "fuel": (i, b), "points": (p, 3), "deaths": (i,)}
+        shapes |= {"lit_at": (p,), "inspected_at": (p,)}
+        for name, shape in shapes.items():
             value = getattr(self, name)
             if tuple(value.shape) != shape:
                 raise ValueError(f"{name} has shape {list(value.shape)}; it must be {list(shape)}")
@@ -118,12 +117,12 @@ class InspectionEpisode(Tabular):
     @property
     def outcome(self) -> str:
         """Summary of an inspection as text: points, completion, costs and deaths."""
-        known, lit = (int(torch.isfinite(at).sum()) for at in (self.inspected_at, self.lit_at))
-        done = f"{known} of {lit} lit points inspected"
+        inspected, lit = (int(torch.isfinite(at).sum()) for at in (self.inspected_at, self.lit_at))
+        summary = f"{inspected} of {lit} lit points inspected"
         end = f", complete after {self.completed / HOUR:.1f} h" if isfinite(self.completed) else ""
         dead = int(torch.isfinite(self.deaths).sum())
         died = "" if not dead else ", died" if len(self.names) == 1 else f", {dead} of {len(self.names)} died"
-        return f"{done}{end}, {float(self.spent.sum()):.2f} m/s{died}"
+        return f"{summary}{end}, {float(self.spent.sum()):.2f} m/s{died}"
 
     def to_numpy(self) -> Columns:
         """Return the episode as a table: a row for each inspector at each decision boundary, in the order of time.
@@ -146,10 +145,10 @@ class InspectionEpisode(Tabular):
             "lit": everyone * lit,
             "inspected": everyone * inspected,
         }
-        there = {name: values for name, values in numbers.items() if values is not None}
+        columns = {name: values for name, values in numbers.items() if values is not None}
         nothing = torch.empty(0, dtype=torch.float64)
         tasks = self.tasks or Tasks(nothing.long(), nothing.view(0, 2), nothing.long(), [])
-        return satellite_columns(self.names, self.decisions, self.deaths, tasks, there)
+        return satellite_columns(self.names, self.decisions, self.deaths, tasks, columns)
 
     def extent(self, near: bool) -> float:
         """Return the largest coordinate of the paths while inspectors lived, or for :data:`NEAR` of that time."""
@@ -228,22 +227,18 @@ def draw_paths(panel: Axes, episode: InspectionEpisode, x: int, y: int, near: bo
         rho = episode.rho_H[k, alive]
         panel.plot(rho[:, x], rho[:, y], color=color, linewidth=1.1, zorder=3)
         panel.plot(rho[0, x], rho[0, y], "o", color="white", markeredgecolor=color, markersize=6.0, zorder=5)
-        panel.plot(rho[-1, x], rho[-1, y], color=color, markeredgecolor="white", zorder=6, **_end(episode, k))
-        size, where = _maneuvers(episode, k)
-        area = SMALL + (LARGE - SMALL) * size / largest
+        marker, size = ("X", 9.0) if isfinite(float(episode.deaths[k])) else ("s", 6.0)
+        panel.plot(rho[-1, x], rho[-1, y], color=color, marker=marker, markeredgecolor="white", markersize=size, zorder=6)
+        dv, where = _maneuvers(episode, k)
+        area = SMALL + (LARGE - SMALL) * dv / largest
         panel.scatter(where[:, x], where[:, y], area, marker="^", color=color, edgecolors="white", linewidths=0.6, zorder=4)
-
-
-def _end(episode: InspectionEpisode, k: int) -> dict[str, Any]:
-    """Look of the end of a path."""
-    return dict(marker="X", markersize=9.0) if isfinite(float(episode.deaths[k])) else dict(marker="s", markersize=6.0)
 
 
 def _maneuvers(episode: InspectionEpisode, k: int) -> tuple[Tensor, Tensor]:
     """Return changes of velocity [M], m/s, and where they were made, [M, 3]."""
-    there = episode.spent[k] > 0.0
-    sample = torch.searchsorted(episode.times, episode.decisions[:-1][there]).clamp(max=len(episode.times) - 1)
-    return episode.spent[k, there], episode.rho_H[k, sample]
+    maneuvers = episode.spent[k] > 0.0
+    sample = torch.searchsorted(episode.times, episode.decisions[:-1][maneuvers]).clamp(max=len(episode.times) - 1)
+    return episode.spent[k, maneuvers], episode.rho_H[k, sample]
 
 
 # -- points ----------------------------------------------------------------------------------------------------------------------
@@ -259,13 +254,13 @@ def _map(panel: Axes, episode: InspectionEpisode, colors: str) -> None:
         panel.scatter(longitude[rows], latitude[rows], 26.0, color=color, edgecolors=LIT, linewidths=0.7, zorder=3)
     hours = episode.inspected_at[inspected] / HOUR
     last = float(episode.times[-1]) / HOUR
-    shown = panel.scatter(longitude[inspected], latitude[inspected], 34.0, c=hours, cmap=COLORS, vmin=0.0, vmax=last, zorder=4)
+    marks = panel.scatter(longitude[inspected], latitude[inspected], 34.0, c=hours, cmap=COLORS, vmin=0.0, vmax=last, zorder=4)
     panel.set_xticks([])
     panel.set_yticks([])
     panel.grid(False)
     for spine in panel.spines.values():
         spine.set_color(FAINT)
-    bar = panel.figure.colorbar(shown, ax=panel, orientation="horizontal", shrink=0.7, aspect=30, pad=0.03)
+    bar = panel.figure.colorbar(marks, ax=panel, orientation="horizontal", shrink=0.7, aspect=30, pad=0.03)
     bar.outline.set_visible(False)
     bar.ax.tick_params(colors=INK, labelsize=8.5, length=3)
     bar.set_label(colors, color=INK, fontsize=9)
@@ -289,8 +284,8 @@ def _counts(panel: Axes, episode: InspectionEpisode) -> None:
     """Numbers of points that have been lit, and inspected."""
     hours, last = (episode.decisions / HOUR).tolist(), len(episode.points)
     for at, color, width in ((episode.lit_at, LIT, 1.5), (episode.inspected_at, INK, 1.8)):
-        known = (at <= episode.decisions.unsqueeze(1)).sum(1).tolist()
-        panel.step(hours, known, where="post", color=color, linewidth=width)
+        counts = (at <= episode.decisions.unsqueeze(1)).sum(1).tolist()
+        panel.step(hours, counts, where="post", color=color, linewidth=width)
     if isfinite(episode.completed):
         panel.axvline(episode.completed / HOUR, color=PALETTE[2], linewidth=1.2, linestyle=(0, (2, 2)))
     panel.set_ylim(0.0, 1.05 * last)
@@ -315,7 +310,7 @@ def _legend(episode: InspectionEpisode) -> list[Artist]:
     names = [Line2D([], [], color=c, linewidth=2.0, label=name) for c, name in zip(episode.colors, episode.names, strict=True)]
     first = episode.colors[0] if len(names) == 1 else INK
     dead = torch.isfinite(episode.deaths)
-    there: list[tuple[bool, Artist]] = [
+    handles: list[tuple[bool, Artist]] = [
         (True, dot("o", "white", first, "start")),
         (not bool(dead.all()), dot("s", first, "white", "end")),
         (bool(dead.any()), dot("X", first, "white", "died")),
@@ -329,4 +324,4 @@ def _legend(episode: InspectionEpisode) -> list[Artist]:
         (isfinite(episode.completed), Line2D([], [], color=PALETTE[2], linewidth=1.2, linestyle=(0, (2, 2)), label="complete")),
         (bool((episode.illumination < DARK).any()), Patch(color=NIGHT, alpha=0.12, label="eclipse")),
     ]
-    return [*names, *(handle for shown, handle in there if shown)]
+    return [*names, *(handle for visible, handle in handles if visible)]

@@ -153,9 +153,9 @@ class RSOImagingEpisode(Tabular):
     def __post_init__(self) -> None:
         """ValueError for tensors whose shapes do not fit each other."""
         i, g, b, m = len(self.names), len(self.ids), len(self.decisions), len(self.taken)
-        needed: dict[str, tuple[int, ...]] = {"light": (g, b), "priority": (g, b), "rewards": (i, b - 1), "deaths": (i,)}
-        needed |= dict.fromkeys(("delivered", "imager", "target", "quality"), (m,))
-        for name, shape in needed.items():
+        shapes: dict[str, tuple[int, ...]] = {"light": (g, b), "priority": (g, b), "rewards": (i, b - 1), "deaths": (i,)}
+        shapes |= dict.fromkeys(("delivered", "imager", "target", "quality"), (m,))
+        for name, shape in shapes.items():
             _check_shape(name, getattr(self, name), shape)
         if b < 2:
             raise ValueError(f"decisions has {b} entries; an episode needs at least 2")
@@ -176,8 +176,8 @@ class RSOImagingEpisode(Tabular):
 
     def on_board(self) -> Tensor:
         """Return the number of images on board of each imager at each decision boundary, [I, B]."""
-        there = (self.taken.unsqueeze(1) <= self.decisions) & (self.decisions < self.delivered.unsqueeze(1))
-        return torch.zeros(len(self.names), len(self.decisions), dtype=torch.float64).index_add(0, self.imager, there.double())
+        aboard = (self.taken.unsqueeze(1) <= self.decisions) & (self.decisions < self.delivered.unsqueeze(1))
+        return torch.zeros(len(self.names), len(self.decisions), dtype=torch.float64).index_add(0, self.imager, aboard.double())
 
     def to_numpy(self) -> Columns:
         """Return the episode as a table: a row for each imager at each decision boundary, in the order of time.
@@ -215,8 +215,8 @@ def sky_figure(sky: Sky, path: Path, title: str = "", width: float = WIDTH) -> P
     area = SMALL + (LARGE - SMALL) * (sky.priority / sky.priority.max().clamp(min=1e-12)).clamp(min=0.0)
     lit = sky.light >= LIGHT
     for rows, color in ((lit, SUNLIT), (~lit, DARK)):
-        for seen, face in ((sky.in_sight, color), (~sky.in_sight, "white")):
-            now = rows & seen
+        for visible, face in ((sky.in_sight, color), (~sky.in_sight, "white")):
+            now = rows & visible
             panel.scatter(x[now], y[now], area[now], color=face, edgecolors=color, linewidths=1.1, zorder=3, clip_on=False)
     for rows, color in ((sky.imaged & (sky.pending == 0), IMAGED), (sky.pending > 0, PENDING)):
         panel.scatter(
@@ -246,16 +246,16 @@ def sky_figure(sky: Sky, path: Path, title: str = "", width: float = WIDTH) -> P
 
 def _keep_apart(numbers: Sequence[Annotation], names: Sequence[Text], scale: float) -> None:
     """Write each number at the first of the :data:`SIDES` of its mark, times ``scale``, at which it overlaps no other text."""
-    taken = [name.get_window_extent() for name in names]
+    boxes = [name.get_window_extent() for name in names]
     for number in numbers:
         for x, y in SIDES:
             number.xyann = (scale * x, scale * y)
             box = number.get_window_extent()
-            if not any(box.overlaps(other) for other in taken):
+            if not any(box.overlaps(other) for other in boxes):
                 break
         else:
             number.xyann = (scale * SIDES[0][0], scale * SIDES[0][1])
-        taken.append(number.get_window_extent())
+        boxes.append(number.get_window_extent())
 
 
 def _horizon(panel: Axes, sky: Sky) -> None:
@@ -275,7 +275,7 @@ def _horizon(panel: Axes, sky: Sky) -> None:
 
 def _sky_legend(sky: Sky) -> list[Artist]:
     lit, numbered = sky.light >= LIGHT, min(NUMBERED, len(sky.candidates))
-    there: list[tuple[bool, Artist]] = [
+    handles: list[tuple[bool, Artist]] = [
         (bool((lit & sky.in_sight).any()), dot("o", SUNLIT, SUNLIT, "lit")),
         (bool((~lit & sky.in_sight).any()), dot("o", DARK, DARK, "in eclipse")),
         (bool((lit & ~sky.in_sight).any()), dot("o", "white", SUNLIT, "lit, hidden by the Earth")),
@@ -297,7 +297,7 @@ def _sky_legend(sky: Sky) -> list[Artist]:
             ),
         ),
     ]
-    return [handle for shown, handle in there if shown]
+    return [handle for visible, handle in handles if visible]
 
 
 def _ring(color: str, name: str) -> Line2D:
@@ -315,10 +315,10 @@ def services_figure(episode: RSOImagingEpisode, path: Path, title: str = "", wid
     when the object was in eclipse. Below are the images on board of each imager, and the return. ``width`` is in inches, such as
     :data:`~bsk_torch.viz.figures.style.COLUMN`.
     """
-    shown = list(dict.fromkeys(episode.target.tolist()))
-    above = max(1.0, 0.5 + (ROW if width >= WIDTH else SMALLER * ROW) * len(shown))
+    targets = list(dict.fromkeys(episode.target.tolist()))
+    above = max(1.0, 0.5 + (ROW if width >= WIDTH else SMALLER * ROW) * len(targets))
     figure, (rows, board, value) = panels((above, 0.9 * share(width), 0.9 * share(width)), width)
-    _services(rows, episode, shown)
+    _services(rows, episode, targets)
     hours = (episode.decisions / HOUR).tolist()
     for k, color in enumerate(episode.colors):
         board.step(hours, episode.on_board()[k].tolist(), where="post", color=color, linewidth=1.6)
@@ -336,25 +336,25 @@ def services_figure(episode: RSOImagingEpisode, path: Path, title: str = "", wid
     return save(figure, path)
 
 
-def _services(panel: Axes, episode: RSOImagingEpisode, shown: Sequence[int]) -> None:
-    """Draw the rows of the objects ``shown``, the first one on top."""
-    row, last = {target: k for k, target in enumerate(shown)}, float(episode.decisions[-1])
+def _services(panel: Axes, episode: RSOImagingEpisode, targets: Sequence[int]) -> None:
+    """Draw the rows of the objects ``targets``, the first one on top."""
+    row, last = {target: k for k, target in enumerate(targets)}, float(episode.decisions[-1])
     hours = (episode.decisions / HOUR).tolist()
     for target, k in row.items():
         dark = (episode.light[target] < LIGHT).tolist()
         spans = [(a, b - a) for (a, b), night in zip(pairwise(hours), dark, strict=False) if night]
         panel.broken_barh(spans, (k - 0.5 * NARROW, NARROW), facecolors=NIGHT, alpha=0.2, linewidth=0)
     images = zip(*(getattr(episode, name).tolist() for name in ("taken", "delivered", "imager", "target")), strict=True)
-    for taken, delivered, imager, target in images:
+    for capture, delivered, imager, target in images:
         color, k = episode.colors[imager], row[target]
-        begin, end = taken / HOUR, min(delivered, last) / HOUR
+        begin, end = capture / HOUR, min(delivered, last) / HOUR
         panel.broken_barh([(begin, end - begin)], (k - 0.5 * WIDE, WIDE), facecolors=color, alpha=0.3, linewidth=0)
         panel.plot(begin, k, "o", color=color, markeredgecolor="white", markersize=6.0, zorder=4)
         if math.isfinite(delivered):
             panel.plot(end, k, "v", color=color, markeredgecolor="white", markersize=7.0, zorder=4)
-    size = 9.0 if len(shown) <= 30 else 6.0
-    panel.set_yticks(range(len(shown)), [str(episode.ids[target]) for target in shown], fontsize=size)
-    panel.set_ylim(max(len(shown), 1) - 0.4, -0.6)
+    size = 9.0 if len(targets) <= 30 else 6.0
+    panel.set_yticks(range(len(targets)), [str(episode.ids[target]) for target in targets], fontsize=size)
+    panel.set_ylim(max(len(targets), 1) - 0.4, -0.6)
     panel.grid(axis="y", color=FAINT, linewidth=0.6)
 
 
@@ -362,10 +362,10 @@ def _legend(episode: RSOImagingEpisode) -> list[Artist]:
     names = [Line2D([], [], color=c, linewidth=2.0, label=name) for c, name in zip(episode.colors, episode.names, strict=True)]
     first = episode.colors[0] if len(names) == 1 else INK
     dark = bool((episode.light[episode.target.unique()] < LIGHT).any())
-    there: list[tuple[bool, Artist]] = [
+    handles: list[tuple[bool, Artist]] = [
         (len(episode.taken) > 0, dot("o", first, "white", "image")),
         (len(episode.taken) > 0, Patch(color=first, alpha=0.3, label="on board")),
         (bool(torch.isfinite(episode.delivered).any()), dot("v", first, "white", "delivered")),
         (dark, Patch(color=NIGHT, alpha=0.2, label="object in eclipse")),
     ]
-    return [*names, *(handle for shown, handle in there if shown)]
+    return [*names, *(handle for visible, handle in handles if visible)]
