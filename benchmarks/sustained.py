@@ -131,7 +131,7 @@ def images_of(env: Any, bound: ImagingBound) -> ImageSequences:
     time = later.clamp(max=int(env.state.limit_ticks.max())).flatten() * env.simulator.h
     row = torch.arange(len(tick)).repeat_interleave(tick.shape[1] * NODES)
     nodes = satellite_positions(env.satellite, row, time).view(*tick.shape, NODES, 3)
-    return ImageSequences(tick, places, nodes, tick, bound.found, 0)
+    return ImageSequences(tick, places, nodes, tick, bound.lower, 0)
 
 
 def used(env: Any, bound: ImagingBound, envelope: Envelope) -> Tensor:

@@ -132,25 +132,25 @@ class Audit:
 
     def by_action(self) -> list[OfAction]:
         """Return the regret by the kind of the chosen action, that with the largest share first."""
-        regret, chosen, best = self.regret, self.kind(self.action), self.kind(self.best)
+        regret, kinds, best = self.regret, self.kind(self.action), self.kind(self.best)
         total, rows = float(regret.sum()), []
-        for name in dict.fromkeys(chosen):
-            here = torch.tensor([kind == name for kind in chosen])
-            better = Counter(best[k] for k in torch.nonzero(here & (self.best != self.action)).flatten().tolist())
-            lost = float(regret[here].sum())
-            share = lost / total if total else 0.0
+        for name in dict.fromkeys(kinds):
+            mask = torch.tensor([kind == name for kind in kinds])
+            better = Counter(best[k] for k in torch.nonzero(mask & (self.best != self.action)).flatten().tolist())
+            loss = float(regret[mask].sum())
+            share = loss / total if total else 0.0
             most = max(better, key=lambda kind: better[kind], default="")
-            rows.append(OfAction(name, int(here.sum()), lost / int(here.sum()), share, most))
+            rows.append(OfAction(name, int(mask.sum()), loss / int(mask.sum()), share, most))
         return sorted(rows, key=lambda row: -row.share)
 
     def by_situation(self) -> list[OfSituation]:
         """Return the regret in the lowest, middle and highest third of each quantity, the most unequal quantity first."""
         regret, rows = self.regret, []
         for name, value in self.situation.items():
-            known = ~value.isnan()
-            if not bool(known.any()):
+            valid = ~value.isnan()
+            if not bool(valid.any()):
                 continue
-            low, high = torch.quantile(value[known], torch.tensor([1.0 / 3.0, 2.0 / 3.0], dtype=value.dtype)).tolist()
+            low, high = torch.quantile(value[valid], torch.tensor([1.0 / 3.0, 2.0 / 3.0], dtype=value.dtype)).tolist()
             parts = (value <= low, (value > low) & (value <= high), value > high)
             means = [float(regret[part].mean()) if bool(part.any()) else float("nan") for part in parts]
             rows.append(OfSituation(name, (low, high), (means[0], means[1], means[2])))
@@ -211,8 +211,8 @@ def audit(env: Tasking, policy: Base = None, *, seeds: Sequence[int], **options:
     columns = {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
     order = torch.argsort(columns["episode"], stable=True)
     columns = {name: column[order] for name, column in columns.items()}
-    named = {name: columns.pop(name) for name in list(columns) if name not in ("episode", "time", "agent", "action", "values")}
-    return Audit(list(seeds), torch.cat(returns), situation=named, kinds=_kinds(env, judge.slots), **columns)
+    levels = {name: columns.pop(name) for name in list(columns) if name not in ("episode", "time", "agent", "action", "values")}
+    return Audit(list(seeds), torch.cat(returns), situation=levels, kinds=_kinds(env, judge.slots), **columns)
 
 
 def _decisions(env: Tasking, judge: ActionValues, seeds: Sequence[int], first: int) -> Iterator[dict[str, Tensor]]:
@@ -247,15 +247,15 @@ def _decisions(env: Tasking, judge: ActionValues, seeds: Sequence[int], first: i
 
 def _levels(env: Tasking) -> dict[str, Tensor]:
     """Return the :data:`LEVELS` of all satellites by label, [N, S]; NaN for satellites without."""
-    found = {}
+    levels = {}
     for name, label in LEVELS.items():
         parts = []
         for part in env.fleet.satellites:
             none = torch.full_like(part.dynamics.r_BN_N[:, 0], torch.nan)
             value = getattr(part.dynamics, name) if hasattr(type(part.dynamics), name) else none
             parts.append((value if value.ndim == 1 else value.amax(1)).double())
-        found[label] = env.fleet.joined(parts)
-    return found
+        levels[label] = env.fleet.joined(parts)
+    return levels
 
 
 def _satellites(env: Tasking, slots: AgentTable) -> Tensor:
@@ -268,11 +268,11 @@ def _satellites(env: Tasking, slots: AgentTable) -> Tensor:
 
 def _kinds(env: Tasking, slots: AgentTable) -> list[list[str]]:
     """Return the kinds of the actions of each agent."""
-    found = []
+    kinds = []
     for view, size in zip(member_views(env).values(), slots.sizes, strict=True):
         actions = view.satellite.actions
-        found += [[actions.entries[actions.entry_of(number)].name for number in range(actions.n_actions)]] * size
-    return found
+        kinds += [[actions.entries[actions.entry_of(number)].name for number in range(actions.n_actions)]] * size
+    return kinds
 
 
 def _best(value: Tensor, chosen: Tensor) -> Tensor:
@@ -288,8 +288,8 @@ def _at(value: Tensor, action: Tensor) -> Tensor:
 
 def _spread(means: Sequence[float]) -> float:
     """Return the difference of the largest and the smallest of the means that are known."""
-    known = [mean for mean in means if mean == mean]
-    return max(known) - min(known)
+    values = [mean for mean in means if mean == mean]
+    return max(values) - min(values)
 
 
 def _or_none(row: Sequence[float]) -> list[float | None]:

@@ -84,8 +84,8 @@ def most_power(env: SatelliteTasking, rows: Tensor) -> Tensor:
     """
     check_bounded(env)
     last = int(env.state.limit_ticks[rows].max())
-    known = env.simulator.orbit == "arc" and not env.simulator.has_tank
-    if not known or last * env.simulator.h > env.simulator.arcs.length:
+    fixed_orbit = env.simulator.orbit == "arc" and not env.simulator.has_tank
+    if not fixed_orbit or last * env.simulator.h > env.simulator.arcs.length:
         raise ValueError(f"time_limit={last * env.simulator.h:g} s: the bound needs orbits solved to the end at reset")
     lit, flux = sunlight(env, rows, torch.arange(1, last + 1, dtype=torch.float64, device=env.device))
     scalars = (name for name in NEEDED if not name.startswith("rw"))

@@ -97,22 +97,22 @@ def _random_runs(n: int, charge: int, count: int, length: int, seed: int) -> lis
     return runs
 
 
-def spliced(actions: Tensor, kept: Tensor, plans: Tensor) -> Tensor:
-    """Return the first ``kept`` [n] of the actions [n, T], then a plan [n, L] whose last action is repeated, [n, T + L]."""
+def spliced(actions: Tensor, count: Tensor, plans: Tensor) -> Tensor:
+    """Return the first ``count`` [n] of the actions [n, T], then a plan [n, L] whose last action is repeated, [n, T + L]."""
     column = torch.arange(actions.shape[1] + plans.shape[1])
     first = actions[:, column.clamp(max=actions.shape[1] - 1)]
-    after = (column - kept.unsqueeze(1)).clamp(0, plans.shape[1] - 1)
-    return torch.where(column < kept.unsqueeze(1), first, plans.gather(1, after))
+    after = (column - count.unsqueeze(1)).clamp(0, plans.shape[1] - 1)
+    return torch.where(column < count.unsqueeze(1), first, plans.gather(1, after))
 
 
-def try_plans(env: SatelliteTasking, seeds: Tensor, actions: Tensor, kept: Tensor, plans: Tensor) -> Counterfactual:
-    """Play the first ``kept`` [n] of the actions [n, T] in the episodes of ``seeds`` [n], then each plan of [P, L]."""
+def try_plans(env: SatelliteTasking, seeds: Tensor, actions: Tensor, count: Tensor, plans: Tensor) -> Counterfactual:
+    """Play the first ``count`` [n] of the actions [n, T] in the episodes of ``seeds`` [n], then each plan of [P, L]."""
     n, p = len(seeds), len(plans)
-    every = torch.arange(n).repeat_interleave(p)
-    whole = spliced(actions[every], kept[every], plans.repeat(n, 1))
-    flown = fly(env, seeds[every], whole)
-    returns, best = torch.where(flown.survived, flown.returns, -torch.inf).view(n, p).max(1)
-    return Counterfactual(returns > -torch.inf, whole.view(n, p, -1)[torch.arange(n), best], returns)
+    episode = torch.arange(n).repeat_interleave(p)
+    paths = spliced(actions[episode], count[episode], plans.repeat(n, 1))
+    flights = fly(env, seeds[episode], paths)
+    returns, best = torch.where(flights.survived, flights.returns, -torch.inf).view(n, p).max(1)
+    return Counterfactual(returns > -torch.inf, paths.view(n, p, -1)[torch.arange(n), best], returns)
 
 
 def last_chance(env: SatelliteTasking, seeds: Tensor, actions: Tensor, plans: Tensor) -> tuple[Tensor, Counterfactual]:
@@ -140,8 +140,8 @@ def last_chance(env: SatelliteTasking, seeds: Tensor, actions: Tensor, plans: Te
 # -- proofs ----------------------------------------------------------------------------------------------------------------------
 
 
-def exhaust(env: SatelliteTasking, seed: int, actions: Tensor, kept: int, bound: bool = True) -> Verdict:
-    """Try all possible actions after the first ``kept`` of the actions [T] in the episode of ``seed``.
+def exhaust(env: SatelliteTasking, seed: int, actions: Tensor, count: int, bound: bool = True) -> Verdict:
+    """Try all possible actions after the first ``count`` of the actions [T] in the episode of ``seed``.
 
     Breadth-first search: all actions from all states, without states in which the satellite is dead or, with ``bound``, has less
     charge than needed. The states are kept in the environment's rows. If there are too many, only permanent charging is tried
@@ -151,10 +151,10 @@ def exhaust(env: SatelliteTasking, seed: int, actions: Tensor, kept: int, bound:
     now = start_episodes(env, [seed])
     need = least_charge(most_power(env, rows[:1]) * env.simulator.h, longest_action(env))[0]
     need = need if bound else torch.full_like(need, -torch.inf)
-    for action in actions[:kept]:
+    for action in actions[:count]:
         now = env.play(torch.full_like(rows, int(action)), rows < 1)
     choices = torch.arange(env.satellite.actions.n_actions, device=env.device)
-    living, paths, states = _hopeful(env, need, rows[:1]), actions[:kept].expand(1, -1), 1
+    living, paths, states = _hopeful(env, need, rows[:1]), actions[:count].expand(1, -1), 1
     while 0 < len(living) * len(choices) <= len(rows):
         m = len(living) * len(choices)
         _put(env, living.repeat_interleave(len(choices)))

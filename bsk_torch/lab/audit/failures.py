@@ -110,18 +110,18 @@ def explain(
 def can_be_saved(env: SatelliteTasking, seeds: Tensor) -> Tensor:
     """Return whether a plan survives each episode of ``seeds`` [n] from its start, [n]; the least demanding plan is first."""
     plans = candidate_plans(env)
-    saved = fly(env, seeds, plans[LEAST_DEMANDING].expand(len(seeds), -1)).survived
-    left = torch.nonzero(~saved).squeeze(-1)
-    if len(left):
-        none = torch.zeros_like(left)
-        saved[left] = try_plans(env, seeds[left], none.unsqueeze(1), none, plans).saved
-    return saved
+    survived = fly(env, seeds, plans[LEAST_DEMANDING].expand(len(seeds), -1)).survived
+    remaining = torch.nonzero(~survived).squeeze(-1)
+    if len(remaining):
+        none = torch.zeros_like(remaining)
+        survived[remaining] = try_plans(env, seeds[remaining], none.unsqueeze(1), none, plans).saved
+    return survived
 
 
 def _failure(env: SatelliteTasking, flown: Flown, seed: int, row: int, last: int, rescue: Counterfactual) -> Failure:
     """Explain row ``row`` of the failures; ``last`` is the last decision from which a plan saves it, or OVER."""
     actions, decisions = flown.actions[row], int((flown.actions[row] != OVER).sum())
-    found = rescue.actions[row] if last > OVER else None
+    escape = rescue.actions[row] if last > OVER else None
     returns = [float(rescue.returns[row])] if last > OVER else []
     tried = last + 1
     while tried < decisions:
@@ -129,10 +129,10 @@ def _failure(env: SatelliteTasking, flown: Flown, seed: int, row: int, last: int
         if verdict.outcome == LOST:
             break
         if verdict.actions is not None:
-            again = fly(env, torch.tensor([seed]), verdict.actions.unsqueeze(0))
-            if not bool(again.survived):
+            repeat = fly(env, torch.tensor([seed]), verdict.actions.unsqueeze(0))
+            if not bool(repeat.survived):
                 raise RuntimeError(f"the actions that saved seed {seed} in the search do not when flown from the start")
-            last, found, returns = tried, verdict.actions, [*returns, float(again.returns)]
+            last, escape, returns = tried, verdict.actions, [*returns, float(repeat.returns)]
         tried += 1
     return Failure(
         seed=seed,
@@ -143,7 +143,7 @@ def _failure(env: SatelliteTasking, flown: Flown, seed: int, row: int, last: int
         last_chance=_moment(env, flown, row, last) if last > OVER else None,
         lost_from=tried,
         best_return=max(returns, default=None),
-        rescue=None if found is None else trimmed(found.tolist()),
+        rescue=None if escape is None else trimmed(escape.tolist()),
     )
 
 
@@ -155,12 +155,12 @@ def trimmed(actions: list[int]) -> list[int]:
 
 
 def _moment(env: SatelliteTasking, flown: Flown, row: int, decision: int) -> Moment:
-    there = {name: values[row, decision] for name, values in flown.series.items()}
+    state = {name: values[row, decision] for name, values in flown.series.items()}
     return Moment(
         decision=decision,
-        time=float(there["time"]),
+        time=float(state["time"]),
         action=env.satellite.action_description[int(flown.actions[row, decision])],
-        charge=float(there["charge_fraction"]),
-        wheel_rpm=float(there["wheel_speeds"].abs().max()) / RPM,
-        dark=float(there["dark"]),
+        charge=float(state["charge_fraction"]),
+        wheel_rpm=float(state["wheel_speeds"].abs().max()) / RPM,
+        dark=float(state["dark"]),
     )

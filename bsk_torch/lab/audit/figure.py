@@ -60,11 +60,11 @@ def shares(regret: Tensor) -> Shares:
     return Shares(torch.arange(len(summed), dtype=ordered.dtype) / max(len(regret), 1), summed)
 
 
-def regret_figure(found: Regrets, path: Path, title: str = "", width: float = WIDTH) -> Path:
+def regret_figure(audit: Regrets, path: Path, title: str = "", width: float = WIDTH) -> Path:
     """Draw the share of the regret in the worst decisions, the regret over time, and its share by chosen action.
 
     Args:
-        found: An audit.
+        audit: An audit.
         path: The picture, .png, .svg or .pdf.
         title: Headline; no headline if empty.
         width: Width, inches, such as :data:`~bsk_torch.viz.figures.style.COLUMN` for a paper, where the panels are stacked.
@@ -74,17 +74,17 @@ def regret_figure(found: Regrets, path: Path, title: str = "", width: float = WI
     lorenz, times, kinds = figure.subplots(*((3, 1) if narrow else (1, 3)))
     for panel in (lorenz, times, kinds):
         tidy(panel)
-    curve = shares(found.regret)
+    curve = shares(audit.regret)
     lorenz.plot(curve.decisions.tolist(), curve.regret.tolist(), color=PALETTE[0], linewidth=1.8)
     lorenz.plot([0.0, 1.0], [0.0, 1.0], color=FAINT, linewidth=1.0)
     lorenz.xaxis.set_major_formatter(PercentFormatter(1.0))
     lorenz.yaxis.set_major_formatter(PercentFormatter(1.0))
     lorenz.set_xlabel("decisions, the worst first", color=INK, fontsize=9.5)
     label(lorenz, "share of all regret")
-    times.scatter((found.time / 3600.0).tolist(), found.regret.tolist(), s=7.0, color=PALETTE[3], alpha=0.5, linewidth=0)
+    times.scatter((audit.time / 3600.0).tolist(), audit.regret.tolist(), s=7.0, color=PALETTE[3], alpha=0.5, linewidth=0)
     times.set_xlabel("time since reset, h", color=INK, fontsize=9.5)
     label(times, "regret of a decision")
-    rows = found.by_action()[:8][::-1]
+    rows = audit.by_action()[:8][::-1]
     kinds.barh([row.chosen for row in rows], [row.share for row in rows], color=PALETTE[0], height=0.6)
     kinds.xaxis.set_major_formatter(PercentFormatter(1.0))
     kinds.grid(axis="y", visible=False)

@@ -75,8 +75,8 @@ class Flown:
         )
         success, best = (torch.as_tensor(one, dtype=torch.float64).unsqueeze(0) for one in (self.success, self.best))
         energy = torch.tensor([self.energy], dtype=torch.float64)
-        found = task_measures(duration=duration, release=release, success=success, best=best, energy=energy)
-        return {name: float(value) for name, value in found.items()}
+        values = task_measures(duration=duration, release=release, success=success, best=best, energy=energy)
+        return {name: float(value) for name, value in values.items()}
 
 
 @dataclass(frozen=True)
@@ -87,26 +87,26 @@ class Comparison:
         measures: Measures here and on Basilisk.
         successes: Number of tasks that succeeded here, on Basilisk, and in both at the same second.
         seconds: Satellite-seconds that were flown, and those in which the second flight agrees.
-        away: Largest difference of attitudes (MRP) from Basilisk in the latter.
+        difference: Largest difference of attitudes (MRP) from Basilisk in the latter.
         sights: Tasks seen by satellites, counted in each second of the latter, here, and those seen on one side only.
     """
 
     measures: tuple[dict[str, float], dict[str, float]]
     successes: tuple[int, int, int]
     seconds: tuple[int, int]
-    away: float
+    difference: float
     sights: tuple[int, int]
 
     @property
     def agrees(self) -> bool:
         """Whether attitudes are close and sights equal as long as the second flight agrees."""
-        return self.away <= CLOSE and self.sights[1] == 0
+        return self.difference <= CLOSE and self.sights[1] == 0
 
     @property
     def same(self) -> bool:
         """Whether the same tasks succeeded at the same seconds."""
-        here, there, both = self.successes
-        return here == there == both
+        successes, reference, shared = self.successes
+        return successes == reference == shared
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ class BenchCertificate:
             "successes_agreed": [flight.successes[2] for flight in self.flights],
             "satellite_seconds": [flight.seconds[0] for flight in self.flights],
             "satellite_seconds_compared": [flight.seconds[1] for flight in self.flights],
-            "attitude_difference": [flight.away for flight in self.flights],
+            "attitude_difference": [flight.difference for flight in self.flights],
             "sights": [flight.sights[0] for flight in self.flights],
             "sights_different": [flight.sights[1] for flight in self.flights],
         }
@@ -163,29 +163,29 @@ def certify_bench(task: Task, entrant: Entrant, episodes: int, **options: object
         case = cases.take(torch.tensor([k]))
         crew = int(case.present.sum())
         content = case_content(case, 0)
-        here, twin = flown_here(env, replace(case, names=("0",)), table[k], content)
+        flight, twin = flown_here(env, replace(case, names=("0",)), table[k], content)
         assigned = partial(_assigned, table[k, :, :crew].cpu().numpy())
-        there = flown_there(content, assigned, table.shape[1], team.entry.sensor == "on")
-        compared.append(comparison(here, twin, there, content["taskset"]))
+        reference = flown_there(content, assigned, table.shape[1], team.entry.sensor == "on")
+        compared.append(comparison(flight, twin, reference, content["taskset"]))
     return BenchCertificate(tuple(seeds), tuple(compared))
 
 
-def comparison(here: Flown, twin: Flown, there: Flown, tasks: Sequence[dict[str, Any]]) -> Comparison:
+def comparison(flight: Flown, twin: Flown, reference: Flown, tasks: Sequence[dict[str, Any]]) -> Comparison:
     """Compare a flight here with that on Basilisk, as long as the second flight here, ``twin``, agrees."""
-    agrees = np.maximum.accumulate(np.abs(here.sigma - twin.sigma).max(2), axis=0) <= SAME_FLIGHT
-    away = np.where(agrees, np.abs(here.sigma - there.sigma).max(2), 0.0)
-    seen = here.sights & agrees[:, :, None]
-    both = (here.success == there.success) & (here.success >= 0)
+    agrees = np.maximum.accumulate(np.abs(flight.sigma - twin.sigma).max(2), axis=0) <= SAME_FLIGHT
+    difference = np.where(agrees, np.abs(flight.sigma - reference.sigma).max(2), 0.0)
+    sights = flight.sights & agrees[:, :, None]
+    matches = (flight.success == reference.success) & (flight.success >= 0)
     # sights are compared until the task succeeds on one side, perhaps by a satellite that is no longer compared
     second = np.arange(len(agrees))[:, None]
-    ongoing = np.logical_and.reduce([(one.success < 0) | (second < one.success) for one in (here, there)])
-    different = (here.sights != there.sights) & agrees[:, :, None] & ongoing[:, None, :]
+    ongoing = np.logical_and.reduce([(one.success < 0) | (second < one.success) for one in (flight, reference)])
+    different = (flight.sights != reference.sights) & agrees[:, :, None] & ongoing[:, None, :]
     return Comparison(
-        measures=(here.measures(tasks), there.measures(tasks)),
-        successes=(int((here.success >= 0).sum()), int((there.success >= 0).sum()), int(both.sum())),
+        measures=(flight.measures(tasks), reference.measures(tasks)),
+        successes=(int((flight.success >= 0).sum()), int((reference.success >= 0).sum()), int(matches.sum())),
         seconds=(agrees.size, int(agrees.sum())),
-        away=float(away.max()),
-        sights=(int(seen.sum()), int(different.sum())),
+        difference=float(difference.max()),
+        sights=(int(sights.sum()), int(different.sum())),
     )
 
 
@@ -195,12 +195,12 @@ def flown_here(env: ConstellationTasking, case: Cases, table: Tensor, content: d
     sigma = twice.satellites["sigma_init"].clone()
     sigma[1] += NUDGE
     twice = replace(twice, names=("0", "1"), satellites={**twice.satellites, "sigma_init": sigma})
-    again = replaying(env, twice, 2)
-    team, crew, jobs = task_team(again), len(content["constellation"]["satellites"]), len(content["taskset"])
+    twins = replaying(env, twice, 2)
+    team, crew, jobs = task_team(twins), len(content["constellation"]["satellites"]), len(content["taskset"])
     seconds = len(table)
     attitude = torch.zeros(seconds, 2, crew, 3, dtype=torch.float64)
     sights = torch.zeros(seconds, 2, crew, jobs, dtype=torch.bool)
-    replay, start = AssignedTasks(again, table.expand(2, -1, -1)).module(), start_episodes(again, range(2))
+    replay, start = AssignedTasks(twins, table.expand(2, -1, -1)).module(), start_episodes(twins, range(2))
 
     def note(second: int) -> None:
         attitude[second] = team.satellite.dynamics.sigma_BN.view(*team.scenario.fleet.shape, 3)[:, :crew].cpu()
@@ -208,12 +208,12 @@ def flown_here(env: ConstellationTasking, case: Cases, table: Tensor, content: d
         sights[second, row, satellite, task] = True
 
     note(0)
-    for second, _ in enumerate(play_episodes(again, replay, start), 1):
+    for second, _ in enumerate(play_episodes(twins, replay, start), 1):
         if second < seconds:
             note(second)
     memory = team.scenario.memory
     success, best, energy = (memory[name].cpu() for name in ("task_success", "task_best", "sensor_energy"))
-    both = (
+    flights = (
         Flown(
             sigma=attitude[:, k].numpy(),
             sights=sights[:, k].numpy(),
@@ -223,7 +223,7 @@ def flown_here(env: ConstellationTasking, case: Cases, table: Tensor, content: d
         )
         for k in range(2)
     )
-    return next(both), next(both)
+    return next(flights), next(flights)
 
 
 def _assigned(table: Array, flight: Flight, is_open: Array) -> Array:
@@ -256,6 +256,6 @@ def flown_there(content: dict[str, Any], choose: Callable[[Flight, Array], Array
         choice = choose(flight, is_open)
         progress.add(flight, access)
         energy += float(power @ (choice >= 0))
-        wanted = np.ones(len(choice), dtype=bool) if always_on else choice >= 0
-        flight.act(choice, wanted != flight.sensors_on)
+        on = np.ones(len(choice), dtype=bool) if always_on else choice >= 0
+        flight.act(choice, on != flight.sensors_on)
     return Flown(np.array(sigma), np.array(sights), progress.success, progress.most, energy)

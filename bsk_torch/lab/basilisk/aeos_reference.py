@@ -50,19 +50,19 @@ def place_P(latitude: float, longitude: float) -> Array:
 class Craft:
     """The modules of one satellite, added to its task in the benchmark's order."""
 
-    def __init__(self, base: Any, process: Any, bodies: Any, planets: tuple[Any, Any], given: Mapping[str, Any]) -> None:
+    def __init__(self, base: Any, process: Any, bodies: Any, planets: tuple[Any, Any], entries: Mapping[str, Any]) -> None:
         """Create the modules of a satellite with the fields of its file, and its orbit's."""
         earth, sun = planets
-        tag = f"satellite{given['id']}"
+        tag = f"satellite{entries['id']}"
         process.addTask(base.CreateNewTask(tag, macros.sec2nano(1.0)))
-        self.body = self._body(tag, given)
+        self.body = self._body(tag, entries)
         bodies.addBodiesTo(self.body)
         state = self.body.scStateOutMsg
         self.eclipse = eclipse.Eclipse()
         self.eclipse.addSpacecraftToModel(state)
         self.eclipse.addPlanetToModel(earth)
         self.eclipse.sunInMsg.subscribeTo(sun)
-        panel, sensor, store = given["solar_panel"], given["sensor"], given["battery"]
+        panel, sensor, store = entries["solar_panel"], entries["sensor"], entries["battery"]
         self.panel = simpleSolarPanel.SimpleSolarPanel()
         self.panel.setPanelParameters(panel["direction"], panel["area"], panel["efficiency"])
         self.panel.stateInMsg.subscribeTo(state)
@@ -89,7 +89,7 @@ class Craft:
         self.mapping.halfFieldOfView = math.radians(sensor["half_field_of_view"])
         self.mapping.scStateInMsg.subscribeTo(state)
         self.mapping.planetInMsg.subscribeTo(earth)
-        self._control(tag, given)
+        self._control(tag, entries)
         self.battery.addPowerNodeToModel(self.panel.nodePowerOutMsg)
         self.battery.addPowerNodeToModel(self.sensor.nodePowerOutMsg)
         for node in self.wheel_power:
@@ -100,49 +100,49 @@ class Craft:
                 module.ModelTag = f"{tag}module{k}"
             base.AddModelToTask(tag, module)
 
-    def _body(self, tag: str, given: Mapping[str, Any]) -> Any:
-        elements, orbit = orbitalMotion.ClassicElements(), given["orbit"]
+    def _body(self, tag: str, entries: Mapping[str, Any]) -> Any:
+        elements, orbit = orbitalMotion.ClassicElements(), entries["orbit"]
         elements.a, elements.e = orbit[ORBIT[0]], orbit[ORBIT[1]]
         elements.i, elements.Omega, elements.omega = (orbit[key] * macros.D2R for key in ORBIT[2:])
-        elements.f = given["true_anomaly"] * macros.D2R
+        elements.f = entries["true_anomaly"] * macros.D2R
         body = spacecraft.Spacecraft()
         body.ModelTag = tag
         body.hub.r_CN_NInit, body.hub.v_CN_NInit = orbitalMotion.elem2rv(MU_EARTH, elements)
-        body.hub.mHub, body.hub.r_BcB_B = given["mass"], [[x] for x in given["center_of_mass"]]
-        self.inertia = np.reshape(given["inertia"], (3, 3)).tolist()
+        body.hub.mHub, body.hub.r_BcB_B = entries["mass"], [[x] for x in entries["center_of_mass"]]
+        self.inertia = np.reshape(entries["inertia"], (3, 3)).tolist()
         # Basilisk rejects, when it initializes, moments that no body has; Flight replaces these before the first tick
         body.hub.IHubPntBc_B = np.eye(3).tolist()
-        body.hub.sigma_BNInit = [[x] for x in given["mrp_attitude_bn"]]
+        body.hub.sigma_BNInit = [[x] for x in entries["mrp_attitude_bn"]]
         return body
 
-    def _control(self, tag: str, given: Mapping[str, Any]) -> None:
-        factory, law = simIncludeRW.rwFactory(), given["mrp_control"]
-        for k, wheel in enumerate(given["reaction_wheels"]):
+    def _control(self, tag: str, entries: Mapping[str, Any]) -> None:
+        factory, law = simIncludeRW.rwFactory(), entries["mrp_control"]
+        for k, wheel in enumerate(entries["reaction_wheels"]):
             nominal = float(round(wheel["max_momentum"]))  # the factory takes those of its types only
-            options = {"maxMomentum": nominal, "Omega": wheel["rw_speed_init"], "label": f"{given['id']}W{k}"}
-            made = factory.create(wheel["rw_type"], wheel["rw_direction"], RWModel=messaging.BalancedWheels, **options)
+            options = {"maxMomentum": nominal, "Omega": wheel["rw_speed_init"], "label": f"{entries['id']}W{k}"}
+            device = factory.create(wheel["rw_type"], wheel["rw_direction"], RWModel=messaging.BalancedWheels, **options)
             if wheel["max_momentum"] != nominal:
-                made.Js *= wheel["max_momentum"] / nominal
+                device.Js *= wheel["max_momentum"] / nominal
         self.wheels = reactionWheelStateEffector.ReactionWheelStateEffector()
         factory.addToSpacecraft(tag, self.wheels, self.body)
-        self.kept = [factory.getConfigMessage()]
+        self.messages = [factory.getConfigMessage()]
         vehicle = messaging.VehicleConfigMsgPayload()
-        vehicle.ISCPntB_B = given["inertia"]
-        self.kept.append(messaging.VehicleConfigMsg().write(vehicle))
+        vehicle.ISCPntB_B = entries["inertia"]
+        self.messages.append(messaging.VehicleConfigMsg().write(vehicle))
         self.feedback = mrpFeedback.mrpFeedback()
         self.feedback.K, self.feedback.Ki, self.feedback.P = law["k"], law["ki"], law["p"]
         self.feedback.integralLimit = law["integral_limit"]
-        self.feedback.vehConfigInMsg.subscribeTo(self.kept[1])
+        self.feedback.vehConfigInMsg.subscribeTo(self.messages[1])
         self.feedback.guidInMsg.subscribeTo(self.pointing.attGuidOutMsg)
-        self.feedback.rwParamsInMsg.subscribeTo(self.kept[0])
+        self.feedback.rwParamsInMsg.subscribeTo(self.messages[0])
         self.feedback.rwSpeedsInMsg.subscribeTo(self.wheels.rwSpeedOutMsg)
         self.motors = rwMotorTorque.rwMotorTorque()
         self.motors.controlAxes_B = np.eye(3).ravel().tolist()
         self.motors.vehControlInMsg.subscribeTo(self.feedback.cmdTorqueOutMsg)
-        self.motors.rwParamsInMsg.subscribeTo(self.kept[0])
+        self.motors.rwParamsInMsg.subscribeTo(self.messages[0])
         self.wheels.rwMotorCmdInMsg.subscribeTo(self.motors.rwMotorTorqueOutMsg)
         self.wheel_power = []
-        for wheel, message in zip(given["reaction_wheels"], self.wheels.rwOutMsgs, strict=True):
+        for wheel, message in zip(entries["reaction_wheels"], self.wheels.rwOutMsgs, strict=True):
             node = ReactionWheelPower.ReactionWheelPower()
             node.basePowerNeed, node.mechToElecEfficiency = wheel["power"], wheel["efficiency"]
             node.rwStateInMsg.subscribeTo(message)
@@ -198,8 +198,8 @@ class Flight:
         self.base.AddModelToTask("world", self.spice)
         planets = self.spice.planetStateOutMsgs[0], self.spice.planetStateOutMsgs[1]
         orbits = {orbit["id"]: orbit for orbit in scenario["constellation"]["orbits"]}
-        given = [one | {"orbit": orbits[one["orbit"]]} for one in scenario["constellation"]["satellites"]]
-        self.crafts = [Craft(self.base, process, bodies, planets, one) for one in given]
+        satellites = [one | {"orbit": orbits[one["orbit"]]} for one in scenario["constellation"]["satellites"]]
+        self.crafts = [Craft(self.base, process, bodies, planets, one) for one in satellites]
         self.places_P = np.array([place_P(*task["coordinate"]) for task in scenario["taskset"]]).reshape(-1, 3)
         for craft in self.crafts:
             for place in self.places_P:
@@ -245,12 +245,12 @@ class Flight:
         """[S, K]: places in the cone and above their horizon."""
         return self.access_of(np.ones((len(self.crafts), len(self.places_P)), dtype=bool))
 
-    def access_of(self, wanted: Array) -> Array:
-        """Access [S, K] to the ``wanted`` pairs only, since reading messages takes most of the time; False for the others."""
-        found = np.zeros_like(wanted)
-        for s, k in np.argwhere(wanted):
-            found[s, k] = bool(self.crafts[s].mapping.accessOutMsgs[int(k)].read().hasAccess)
-        return found
+    def access_of(self, pairs: Array) -> Array:
+        """Access [S, K] to the ``pairs`` pairs only, since reading messages takes most of the time; False for the others."""
+        access = np.zeros_like(pairs)
+        for s, k in np.argwhere(pairs):
+            access[s, k] = bool(self.crafts[s].mapping.accessOutMsgs[int(k)].read().hasAccess)
+        return access
 
     def above(self, margin: float) -> Array:
         """[S, K]: places above the horizon of satellites, or less than ``margin`` meters below its plane."""
@@ -280,8 +280,8 @@ class Progress:
 
     def add(self, flight: Flight, access: Array) -> None:
         """Count a tick, before the actions that follow it."""
-        seen = (access & self.matches & flight.sensors_on[:, None]).any(0) & self.open(flight.tick)
-        self.count = np.where(seen, self.count + 1, 0)
+        sight = (access & self.matches & flight.sensors_on[:, None]).any(0) & self.open(flight.tick)
+        self.count = np.where(sight, self.count + 1, 0)
         self.most = np.maximum(self.most, self.count)
         self.success = np.where((self.count >= self.duration) & (self.success < 0), flight.tick, self.success)
 
@@ -292,7 +292,7 @@ def greedy_rule() -> Callable[[Flight, Array], Array]:
     It is a function of a flight and of which tasks are open, [T], and returns the task of each satellite, -1 for none, [S]. It
     remembers the tasks of the second before, so every flight needs another one.
     """
-    held: list[int] = []
+    previous: list[int] = []
 
     def reached(d: Any, r: Any) -> Any:
         return (d < R_EARTH) & ((d * d + r * r - R_EARTH**2) / (2 * d * r) > math.cos(math.pi / 3))
@@ -306,9 +306,9 @@ def greedy_rule() -> Callable[[Flight, Array], Array]:
             distance = np.linalg.norm(places - positions[:, None], axis=2)
             for s, (d, r) in enumerate(zip(distance, radius, strict=True)):
                 if reached(d.min(), r):  # else a task that is kept is lost too
-                    old: Array = np.flatnonzero(candidates == held[s]) if held else np.array([], dtype=int)
+                    old: Array = np.flatnonzero(candidates == previous[s]) if previous else np.array([], dtype=int)
                     choice[s] = candidates[old[0] if len(old) and reached(d[old[0]], r) else d.argmin()]
-        held[:] = choice.tolist()
+        previous[:] = choice.tolist()
         return choice
 
     return choose

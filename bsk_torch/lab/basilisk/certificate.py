@@ -115,25 +115,25 @@ def certify(task: Task, entrant: Entrant, episodes: int, **options: object) -> C
     if entered is None:
         return None
     env, policy = cast(SatelliteTasking, entered[0]), entered[1]
-    here, starts, actions = flown_here(env, policy, task.seeds(episodes))
+    batch, starts, actions = flown_here(env, policy, task.seeds(episodes))
     problem, form = problem_and_form(as_there, env)
-    known = {start.seed: actions[:k, row].numpy() for row, (start, k) in enumerate(zip(starts, here.decisions, strict=True))}
+    by_seed = {start.seed: actions[:k, row].numpy() for row, (start, k) in enumerate(zip(starts, batch.decisions, strict=True))}
     replayed = not decides_by_sight(policy)
-    pilot = replay_pilot(known) if replayed else sighted(policy, env, form)
-    there = flown_there(problem, starts, pilot)
+    pilot = replay_pilot(by_seed) if replayed else sighted(policy, env, form)
+    flights = flown_there(problem, starts, pilot)
     return Certificate(
         seeds=tuple(start.seed for start in starts),
         replayed=replayed,
-        returns=torch.stack([here.returns.cpu(), torch.tensor([flight.returns for flight in there], dtype=torch.float64)]),
-        survived=torch.stack([here.survived.cpu(), torch.tensor([flight.survived for flight in there])]),
-        decisions=torch.stack([here.decisions.cpu(), torch.tensor([flight.decisions for flight in there])]),
-        agreed=torch.tensor([agreed(known[flight.seed].tolist(), flight.actions.tolist()) for flight in there]),
+        returns=torch.stack([batch.returns.cpu(), torch.tensor([flight.returns for flight in flights], dtype=torch.float64)]),
+        survived=torch.stack([batch.survived.cpu(), torch.tensor([flight.survived for flight in flights])]),
+        decisions=torch.stack([batch.decisions.cpu(), torch.tensor([flight.decisions for flight in flights])]),
+        agreed=torch.tensor([agreed(by_seed[flight.seed].tolist(), flight.actions.tolist()) for flight in flights]),
     )
 
 
-def agreed(here: Sequence[int], there: Sequence[int]) -> int:
+def agreed(actions: Sequence[int], reference: Sequence[int]) -> int:
     """Number of first actions that are the same."""
-    pairs = list(zip(here, there, strict=False))
+    pairs = list(zip(actions, reference, strict=False))
     return next((k for k, (a, b) in enumerate(pairs) if a != b), len(pairs))
 
 
@@ -169,8 +169,8 @@ def flown_here(env: SatelliteTasking, policy: Policy, seeds: Sequence[int]) -> t
     return result, noted.starts, torch.stack(noted.actions)
 
 
-def problem_and_form(task: Task, env: SatelliteTasking) -> tuple[Problem, Callable[[Tensor], Any]]:
-    """What to build there, which observes a vector, and the function of that vector that the policy has been made for."""
+def problem_and_form(task: Task, env: SatelliteTasking) -> tuple[Problem, Callable[[Tensor], object]]:
+    """What bsk_rl is to build, which observes a vector, and the function of that vector that the policy has been made for."""
     if not isinstance(env.observation_spec["observation"], Composite):
         return problem_of(env, task.preset), lambda vector: vector
     shielded = {"shielded": env.satellite.shielded} if hasattr(env.satellite, "shielded") else {}
@@ -195,10 +195,10 @@ def sighted(policy: Policy, env: SatelliteTasking, form: Callable[[Tensor], obje
     """The decisions of a policy, called with its original batch size and the same observation in every row."""
     n, device, dtype = env.batch_size[0], env.device, env.dtype
 
-    def pilot(seen: TensorDict, seeds: Sequence[int], step: int) -> tuple[Tensor, Tensor]:
-        shown = TensorDict({"observation": form(seen["observation"].to(dtype)), "action_mask": seen["action_mask"]}, [1])
-        done = decide(policy, shown.expand(n).clone().to(device))
-        return done["action"][:1].cpu(), torch.zeros(1, 0, dtype=torch.float64)
+    def pilot(td: TensorDict, seeds: Sequence[int], step: int) -> tuple[Tensor, Tensor]:
+        inputs = TensorDict({"observation": form(td["observation"].to(dtype)), "action_mask": td["action_mask"]}, [1])
+        decision = decide(policy, inputs.expand(n).clone().to(device))
+        return decision["action"][:1].cpu(), torch.zeros(1, 0, dtype=torch.float64)
 
     return pilot
 
@@ -214,23 +214,23 @@ def flown_there(problem: Problem, starts: Sequence[Start], pilot: Pilot) -> list
 
 @contextmanager
 def names_kept() -> Iterator[None]:
-    """Keep the environments of Gymnasium's registry, whose names it gives to its own when it is imported."""
-    known = dict(gymnasium.registry)
+    """Keep the environments of Gymnasium's registry, whose names bsk_rl gives to its own when it is imported."""
+    environments = dict(gymnasium.registry)
     try:
         yield
     finally:
-        gymnasium.registry.update(known)
+        gymnasium.registry.update(environments)
 
 
 @contextmanager
 def quiet() -> Iterator[None]:
     """Discard what Basilisk prints to the standard output, past Python's."""
     sys.stdout.flush()
-    kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    stdout, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
     try:
         yield
     finally:
-        os.dup2(kept, 1)
-        os.close(kept)
+        os.dup2(stdout, 1)
+        os.close(stdout)
         os.close(nowhere)

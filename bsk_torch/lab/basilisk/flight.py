@@ -178,15 +178,15 @@ def plain(values: Tensor) -> list[Any]:
 
 def epochs_of(env: SatelliteTasking, seeds: Sequence[int]) -> list[str]:
     """The epochs as they were drawn, which the simulation keeps as numbers only; ValueError if that cannot be repeated."""
-    given, n = env.simulator.type.arguments.world_args.given["utc_init"], len(seeds)
-    if callable(given) and not isinstance(given, Distribution):
+    setting, n = env.simulator.type.arguments.world_args.given["utc_init"], len(seeds)
+    if callable(setting) and not isinstance(setting, Distribution):
         raise ValueError(
             "utc_init is a function, whose answers cannot be repeated; give a string or a distribution of bsk_torch.rand"
         )
     key = Key(torch.tensor(seeds), env.env_ids.cpu(), env.episode.cpu())
-    epochs = cast(list[str], given.draw(key.named("utc_init"))) if isinstance(given, Distribution) else [given] * n
-    known = env.simulator.state.arguments["utc_init"].expand(n).tolist()
-    if [parse_utc(epoch) for epoch in epochs] != known:
+    epochs = cast(list[str], setting.draw(key.named("utc_init"))) if isinstance(setting, Distribution) else [setting] * n
+    times = env.simulator.state.arguments["utc_init"].expand(n).tolist()
+    if [parse_utc(epoch) for epoch in epochs] != times:
         raise RuntimeError(f"the epochs drawn again, {epochs}, are not those of the episodes")
     return epochs
 
@@ -238,8 +238,8 @@ def flight_of(env: SatelliteTasking, log: list[tuple[Any, ...]], row: int, k: in
 def replay_pilot(actions: Mapping[int, NDArray[np.int64]]) -> Pilot:
     """The actions of known flights, by seed; the last one again where an episode has more decisions."""
 
-    def decide(seen: TensorDict, seeds: Sequence[int], step: int) -> tuple[Tensor, Tensor]:
-        known = [int(actions[seed][min(step, len(actions[seed]) - 1)]) for seed in seeds]
-        return torch.tensor(known), torch.zeros(len(seeds), 0, dtype=torch.float64)
+    def decide(observations: TensorDict, seeds: Sequence[int], step: int) -> tuple[Tensor, Tensor]:
+        numbers = [int(actions[seed][min(step, len(actions[seed]) - 1)]) for seed in seeds]
+        return torch.tensor(numbers), torch.zeros(len(seeds), 0, dtype=torch.float64)
 
     return decide

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from itertools import zip_longest
 from typing import Any
 
@@ -88,9 +88,9 @@ def environment(problem: Problem, start: Start, satellite: object, scenario: obj
         log_level="ERROR",
         **problem.settings,
     )
-    given = env.satellite.sat_args_generator | env.world_args_generator
-    if drawn := sorted(name for name, value in given.items() if callable(value) and name != "utc_init"):
-        raise ValueError(f"{drawn} would be drawn, which bsk_torch has not")
+    arguments = env.satellite.sat_args_generator | env.world_args_generator
+    if random := sorted(name for name, value in arguments.items() if callable(value) and name != "utc_init"):
+        raise ValueError(f"bsk_rl would draw {random}, which bsk_torch has not")
     return env
 
 
@@ -129,9 +129,9 @@ MODES = "action_charge", "action_downlink", "action_desat"
 
 def imaging(problem: Problem, start: Start) -> SatelliteTasking:
     """AEOS-v1 and AEOSCity-v1, or AEOSPower-v1 where the satellite may do more than image."""
-    powered, ahead = MODES[0] in problem.actions, sum(name not in MODES for name in problem.actions)
+    powered, candidates = MODES[0] in problem.actions, sum(name not in MODES for name in problem.actions)
     properties = entries(SATELLITE + (RESOURCES if powered else ()))
-    targets = obs.OpportunityProperties(*entries(TARGET), type="target", n_ahead_observe=ahead)
+    targets = obs.OpportunityProperties(*entries(TARGET), type="target", n_ahead_observe=candidates)
     modes = [act.Charge(duration=60.0), act.Downlink(duration=60.0), act.Desat(duration=60.0)]
     attributes = {
         "observation_spec": [
@@ -140,7 +140,7 @@ def imaging(problem: Problem, start: Start) -> SatelliteTasking:
             *((TargetDensity("density"), next_station(), obs.Eclipse(norm=ORBIT)) if powered else ()),
             obs.Time(),
         ],
-        "action_spec": [*(modes if powered else ()), act.Image(n_ahead_image=ahead)],
+        "action_spec": [*(modes if powered else ()), act.Image(n_ahead_image=candidates)],
         "dyn_type": dyn.GroundStationDynModel if powered else dyn.ImagingDynModel,
         "fsw_type": fsw.SteeringImagerFSWModel,
     }
@@ -163,9 +163,9 @@ def shield(satellite: Any, n_actions: int) -> NDArray[np.bool_]:
     """Legal actions [A] by the rule of AEOSPower-v1, from what is known; see :func:`bsk_torch.presets.aeos_power.shield`."""
     now = satellite.simulator.sim_time
     start, end = (time - now for time in satellite.trajectory.next_eclipse(now))
-    needed = RESERVE + max((end - start) - start, 0.0) / ORBIT
+    reserve = RESERVE + max((end - start) - start, 0.0) / ORBIT
     only = np.arange(n_actions)
-    if end >= start and satellite.dynamics.battery_charge_fraction < needed:
+    if end >= start and satellite.dynamics.battery_charge_fraction < reserve:
         return only == CHARGE
     if np.abs(satellite.dynamics.wheel_speeds_fraction).max() > FAST:
         return only == DESAT
@@ -204,11 +204,11 @@ def fly_there(problem: Problem, start: Start, pilot: Pilot, watch: Callable[[Any
     return Flight(start.seed, actions, np.array(observations), logits, rewards, seconds, penalty, deaths, fill)
 
 
-def check_names(what: str, here: tuple[str, ...], there: Any) -> None:
-    """ValueError for a difference between names on both sides; the message has the first one."""
-    for k, (mine, other) in enumerate(zip_longest(here, map(str, there), fillvalue="none")):
-        if mine != other:
-            raise ValueError(f"{what} differ: number {k} is {mine!r} in bsk_torch, and {other!r} in bsk_rl")
+def check_names(what: str, names: tuple[str, ...], reference: Iterable[object]) -> None:
+    """ValueError for a difference between bsk_torch's names and bsk_rl's; the message has the first one."""
+    for k, (name, counterpart) in enumerate(zip_longest(names, map(str, reference), fillvalue="none")):
+        if name != counterpart:
+            raise ValueError(f"{what} differ: number {k} is {name!r} in bsk_torch, and {counterpart!r} in bsk_rl")
 
 
 def causes(problem: Problem, satellite: Any) -> tuple[str, ...]:

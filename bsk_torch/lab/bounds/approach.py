@@ -23,8 +23,8 @@ def sector_from(before_P: Tensor, at_P: Tensor, sectors: int) -> Tensor:
         sectors: Number of sectors, each centered on its direction.
     """
     east, north = _horizon(at_P)
-    away = before_P - at_P
-    azimuth = torch.atan2((away * north).sum(-1), (away * east).sum(-1))
+    offset = before_P - at_P
+    azimuth = torch.atan2((offset * north).sum(-1), (offset * east).sum(-1))
     return torch.round(azimuth * (sectors / (2.0 * math.pi))).long() % sectors
 
 

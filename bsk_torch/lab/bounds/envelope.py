@@ -44,8 +44,8 @@ def lowest(angle: Tensor, ticks: Tensor, width: float, bins: int) -> Tensor:
     index = (angle / width).long().clamp(0, bins - 1)
     least = torch.full((bins,), NEVER, dtype=torch.int64).scatter_reduce(0, index, ticks, "amin")
     monotone = least.flip(0).cummin(0).values.flip(0)
-    known = monotone < NEVER
-    return torch.where(known, monotone, monotone[known].max() if bool(known.any()) else 1)
+    valid = monotone < NEVER
+    return torch.where(valid, monotone, monotone[valid].max() if bool(valid.any()) else 1)
 
 
 def median(angle: Tensor, ticks: Tensor, width: float, bins: int) -> Tensor:
@@ -158,13 +158,13 @@ class Envelope:
                 f"{len(angle)} transitions, {len(index)} in one step: no bin of the angle has {enough} of them, so no envelope "
                 "can be fitted; fly more episodes"
             )
-        every = lowest(angle, ticks, width, bins)
+        overall = lowest(angle, ticks, width, bins)
         direct = lowest(angle[one_step], ticks[one_step], width, bins)
-        every, direct = ((table - margin).clamp(min=SOONEST) for table in (torch.minimum(every, direct), direct))
+        overall, direct = ((table - margin).clamp(min=SOONEST) for table in (torch.minimum(overall, direct), direct))
         usual = median(angle[one_step], ticks[one_step], width, bins)
         last = torch.arange(bins).clamp(max=int(trusted[-1]))
-        every, direct, usual = every[last], direct[last], torch.maximum(usual, direct)[last]
-        tables = (tuple(table.tolist()) for table in (direct, every, usual))
+        overall, direct, usual = overall[last], direct[last], torch.maximum(usual, direct)[last]
+        tables = (tuple(table.tolist()) for table in (direct, overall, usual))
         one, several, typical = tables
         return cls(width, one, several, step, dict(arguments), len(angle), typical)
 

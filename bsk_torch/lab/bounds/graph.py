@@ -124,33 +124,33 @@ def image_graph(
     pair_from: list[Tensor] = []
     pair_to: list[Tensor] = []
     pair_cells: list[Tensor] = []
-    known = 0
+    total = 0
     pointings = _pointings(openings, window, cell, r_P, r_LP_P, envelope)
-    for left, right in _pairs(row, target, first, last, reach, rows):
-        leave, reached = r_LP_P[row[left], target[left]], r_LP_P[row[right], target[right]]
-        new = sector_from(leave, reached, envelope.sectors) if envelope.sectors else torch.zeros_like(left)
+    for origin, goal in _pairs(row, target, first, last, reach, rows):
+        leave, reached = r_LP_P[row[origin], target[origin]], r_LP_P[row[goal], target[goal]]
+        new = sector_from(leave, reached, envelope.sectors) if envelope.sectors else torch.zeros_like(origin)
         stays = (reached - leave).norm(dim=-1) < envelope.near
-        legs = _legs(openings, nodes, left, right, r_P, r_LP_P, closings, ticks)
-        least = torch.full_like(left, cells)
+        legs = _legs(openings, nodes, origin, goal, r_P, r_LP_P, closings, ticks)
+        least = torch.full_like(origin, cells)
         for sector in range(sectors):
             arrival = _arrivals(legs, pointings[sector], envelope, ticks)
-            source, destination, pair, shortest = _edges(nodes, left, right, arrival, cells, reach)
+            source, destination, pair, shortest = _edges(nodes, origin, goal, arrival, cells, reach)
             sources.append((source * sectors + sector).int())
             destinations.append((destination * sectors + torch.where(stays, sector, new)[pair]).int())
-            pairs.append((pair + known).int())
+            pairs.append((pair + total).int())
             least = torch.minimum(least, shortest)
-        pair_from.append(left)
-        pair_to.append(right)
+        pair_from.append(origin)
+        pair_to.append(goal)
         pair_cells.append(least)
-        known += len(left)
+        total += len(origin)
     none = torch.zeros(0, dtype=torch.int64)
     source, destination, pair = (torch.cat(parts or [none.int()]) for parts in (sources, destinations, pairs))
     destination, by = torch.sort(destination, stable=True)
-    every, offset = torch.arange(n * sectors) // sectors, torch.arange(n * sectors) % sectors
+    index, offset = torch.arange(n * sectors) // sectors, torch.arange(n * sectors) % sectors
     return ImageGraph(
-        ticks, cells, reach, rows, row, target, window[order][every], cell[order][every],
-        previous=torch.where(before[every] < 0, -1, before[every] * sectors + offset),
-        late=(cell * ticks - (openings.last - envelope.reserve)[window]).clamp(min=0)[order][every],
+        ticks, cells, reach, rows, row, target, window[order][index], cell[order][index],
+        previous=torch.where(before[index] < 0, -1, before[index] * sectors + offset),
+        late=(cell * ticks - (openings.last - envelope.reserve)[window]).clamp(min=0)[order][index],
         node_begin=torch.searchsorted(row[window][order], torch.arange(rows + 1)) * sectors,
         edge_begin=torch.searchsorted(destination, torch.arange(n * sectors + 1, dtype=torch.int32)),
         source=source[by], pair=pair[by],
@@ -168,8 +168,8 @@ def _pairs(row: Tensor, target: Tensor, first: Tensor, last: Tensor, reach: int,
         part = slice(begin, begin + count)
         opens, closes, kind = first[part], last[part], target[part]
         follows = (opens.unsqueeze(1) < closes) & (opens <= closes.unsqueeze(1) + reach) & (kind.unsqueeze(1) != kind)
-        left, right = torch.nonzero(follows, as_tuple=True)
-        yield from zip((left + begin).split(PAIRS), (right + begin).split(PAIRS), strict=True)
+        origin, goal = torch.nonzero(follows, as_tuple=True)
+        yield from zip((origin + begin).split(PAIRS), (goal + begin).split(PAIRS), strict=True)
         begin += count
 
 
@@ -193,23 +193,23 @@ def _closings(openings: Openings, rows: int, pause: int | None) -> _Closings:
     return _Closings(tick, window, pause)
 
 
-def _next_closing(closings: _Closings, row: Tensor, after: Tensor, left: Tensor, right: Tensor) -> Tensor:
-    """Return the first tick behind ``after`` [m] at which a window other than ``left`` and ``right`` closes, [m]."""
+def _next_closing(closings: _Closings, row: Tensor, after: Tensor, origin: Tensor, goal: Tensor) -> Tensor:
+    """Return the first tick behind ``after`` [m] at which a window other than ``origin`` and ``goal`` closes, [m]."""
     big = 1 << 41
     keys = (closings.tick + big * torch.arange(len(closings.tick)).unsqueeze(1)).flatten()
     at = torch.searchsorted(keys, after + 1 - 2 + big * row)  # two ticks of margin
     k = (at.unsqueeze(1) + torch.arange(LAST_CLOSINGS)).clamp(max=len(keys) - 1)
-    other = closings.window.flatten()[k]
-    mine = (other == left.unsqueeze(1)) | (other == right.unsqueeze(1))
-    return torch.where(mine, 1 << 40, closings.tick.flatten()[k]).amin(1)
+    window = closings.window.flatten()[k]
+    excluded = (window == origin.unsqueeze(1)) | (window == goal.unsqueeze(1))
+    return torch.where(excluded, 1 << 40, closings.tick.flatten()[k]).amin(1)
 
 
 def _pointings(openings: Openings, window: Tensor, cell: Tensor, r_P: Tensor, r_LP_P: Tensor, envelope: Envelope) -> list[Tensor]:
     """Return for every sector the direction of satellites that image the ``window`` [n] in a ``cell`` [n], [n, 3] each."""
     row = openings.row[window]
-    here, at = r_P[row, cell], r_LP_P[row, openings.target[window]]
+    eye, at = r_P[row, cell], r_LP_P[row, openings.target[window]]
     return [
-        pointing(here, at, torch.full_like(row, sector), envelope.lag, envelope.sectors) for sector in range(envelope.sectors + 1)
+        pointing(eye, at, torch.full_like(row, sector), envelope.lag, envelope.sectors) for sector in range(envelope.sectors + 1)
     ]
 
 
@@ -228,22 +228,22 @@ class _Legs(NamedTuple):
 def _legs(
     openings: Openings,
     nodes: _Nodes,
-    left: Tensor,
-    right: Tensor,
+    origin: Tensor,
+    goal: Tensor,
     r_P: Tensor,
     r_LP_P: Tensor,
     closings: _Closings | None,
     ticks: int,
 ) -> _Legs:
-    pair, k, _ = spans(nodes.length[left])
-    cell, row = nodes.first[left][pair] + k, openings.row[left][pair]
-    sight = torch.nn.functional.normalize(r_LP_P[row, openings.target[right][pair]] - r_P[row, cell], dim=-1)
+    pair, k, _ = spans(nodes.length[origin])
+    cell, row = nodes.first[origin][pair] + k, openings.row[origin][pair]
+    sight = torch.nn.functional.normalize(r_LP_P[row, openings.target[goal][pair]] - r_P[row, cell], dim=-1)
     closing = None
     if closings is not None:
-        closing = _next_closing(closings, row, cell * ticks, left[pair], right[pair])
+        closing = _next_closing(closings, row, cell * ticks, origin[pair], goal[pair])
         if closings.pause is not None:
             closing = torch.minimum(closing, cell * ticks + closings.pause)
-    return _Legs(nodes.begin[left][pair] + k, cell, sight, closing)
+    return _Legs(nodes.begin[origin][pair] + k, cell, sight, closing)
 
 
 def _arrivals(legs: _Legs, pointings: Tensor, envelope: Envelope, ticks: int) -> Tensor:
@@ -260,22 +260,22 @@ def _arrivals(legs: _Legs, pointings: Tensor, envelope: Envelope, ticks: int) ->
 
 
 def _edges(
-    nodes: _Nodes, left: Tensor, right: Tensor, arrival: Tensor, cells: int, reach: int
+    nodes: _Nodes, origin: Tensor, goal: Tensor, arrival: Tensor, cells: int, reach: int
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Return source, destination and pair of every edge, and the least cells of every pair."""
-    pair, k, _ = spans(nodes.length[left])
-    cell = nodes.first[left][pair] + k
-    span, offset, begin = spans(nodes.length[right])
-    to = (arrival - nodes.first[right][pair]).clamp(min=0)
-    inside = to < nodes.length[right][pair]
+    pair, k, _ = spans(nodes.length[origin])
+    cell = nodes.first[origin][pair] + k
+    span, offset, begin = spans(nodes.length[goal])
+    to = (arrival - nodes.first[goal][pair]).clamp(min=0)
+    inside = to < nodes.length[goal][pair]
     latest = torch.zeros(len(span), dtype=torch.int64)
     latest.scatter_reduce_(0, (begin[pair] + to)[inside], (cell + 1)[inside], "amax")
-    far = cells + 2
-    latest = torch.cummax(span * far + latest, 0).values - span * far - 1
-    time = nodes.first[right][span] + offset
-    kept = (latest >= 0) & (time - latest < reach)
-    least = torch.full((len(left),), cells, dtype=torch.int64).scatter_reduce(0, pair, arrival - cell, "amin")
-    span, time, latest = span[kept], time[kept], latest[kept]
-    i, j = left[span], right[span]
+    stride = cells + 2
+    latest = torch.cummax(span * stride + latest, 0).values - span * stride - 1
+    time = nodes.first[goal][span] + offset
+    valid = (latest >= 0) & (time - latest < reach)
+    least = torch.full((len(origin),), cells, dtype=torch.int64).scatter_reduce(0, pair, arrival - cell, "amin")
+    span, time, latest = span[valid], time[valid], latest[valid]
+    i, j = origin[span], goal[span]
     source = nodes.number[nodes.begin[i] + latest - nodes.first[i]]
     return source, nodes.number[nodes.begin[j] + time - nodes.first[j]], span, least

@@ -27,7 +27,7 @@ class ImagingBound:
     Attributes:
         upper: No policy collects more, under the assumptions of :func:`imaging_bound`, [N].
         in_view: What the targets pay that come into view at all, [N].
-        found: Return of the best schedule found in the relaxation, [N]; a satellite may be unable to fly it. The optimum of the
+        lower: Return of the best schedule found in the relaxation, [N]; a satellite may be unable to fly it. The optimum of the
             relaxation with these minimum times between images lies between this and ``upper``.
         multiplier: Multipliers of the targets, [N, T]: what an image of each is worth alongside others.
         target, tick: That schedule: targets by index, and the ticks at which their steps end, up to the reserve of the envelope
@@ -37,7 +37,7 @@ class ImagingBound:
 
     upper: Tensor
     in_view: Tensor
-    found: Tensor
+    lower: Tensor
     multiplier: Tensor
     target: Tensor
     tick: Tensor
@@ -74,7 +74,7 @@ def imaging_bound(
         iterations: Subgradients for the multipliers.
         bits: Neighbors that paths remember; each doubles the time.
         cell: Ticks in a cell, 1 or 2.
-        gap: Fraction by which ``upper`` and ``found`` may differ in the end.
+        gap: Fraction by which ``upper`` and ``lower`` may differ in the end.
 
     Raises:
         ValueError: For a task that the bound does not cover, before anything is computed, and for numbers out of range.
@@ -87,28 +87,28 @@ def imaging_bound(
             f"cell={cell}, bits={bits}: cells have 1 or 2 ticks, the least time between images; paths remember up to 8"
         )
     satellite = next(part for part in env.fleet.satellites if isinstance(part, BoundImagingSatellite))
-    paid, count = payment(env), satellite.simulator.state.count
+    payments, count = payment(env), satellite.simulator.state.count
     limit = satellite.simulator.state.of_env(env.state.limit_ticks)
-    every = openings(satellite, limit)
+    windows = openings(satellite, limit)
     pause, parts = shortest_pause(env, satellite), []
-    for envs in _batches(every, len(paid), count, WINDOWS // (envelope.sectors + 1)):
-        graph = graph_of(satellite, every, envs, count, envelope, cell, int(limit.max()), pause)
+    for envs in _batches(windows, len(payments), count, WINDOWS // (envelope.sectors + 1)):
+        graph = graph_of(satellite, windows, envs, count, envelope, cell, int(limit.max()), pause)
         budget = count * envelope.most_late(int(limit.max()))
-        paths = best_paths(graph, paid[envs], satellites=count, budget=budget, iterations=iterations, bits=bits, gap=gap)
+        paths = best_paths(graph, payments[envs], satellites=count, budget=budget, iterations=iterations, bits=bits, gap=gap)
         parts.append((paths, _schedule(graph, paths.nodes, count)))
-    shown = max(part[1][0].shape[1] for part in parts)
-    target, tick, whose = (torch.cat([_widened(part[1][k], shown) for part in parts]) for k in range(3))
-    seen = torch.zeros_like(paid)
-    seen[every.row // count, every.target] = 1.0
-    upper, found, multiplier = (
+    width = max(part[1][0].shape[1] for part in parts)
+    target, tick, owner = (torch.cat([_widened(part[1][k], width) for part in parts]) for k in range(3))
+    visible = torch.zeros_like(payments)
+    visible[windows.row // count, windows.target] = 1.0
+    upper, lower, multiplier = (
         torch.cat([getattr(part[0], name) for part in parts]) for name in ("upper", "lower", "multiplier")
     )
-    return ImagingBound(upper, (paid * seen).sum(1), found, multiplier, target, tick, whose)
+    return ImagingBound(upper, (payments * visible).sum(1), lower, multiplier, target, tick, owner)
 
 
-def _batches(every: Openings, envs: int, count: int, most: int) -> list[Tensor]:
+def _batches(windows: Openings, envs: int, count: int, most: int) -> list[Tensor]:
     """Return consecutive episodes with together at most so many windows, one episode at least."""
-    number = torch.bincount(every.row // count, minlength=envs).tolist()
+    number = torch.bincount(windows.row // count, minlength=envs).tolist()
     batches, size = [[0]], number[0]
     for k in range(1, envs):
         if size + number[k] > most:
@@ -121,7 +121,7 @@ def _batches(every: Openings, envs: int, count: int, most: int) -> list[Tensor]:
 
 def graph_of(
     satellite: BoundImagingSatellite,
-    every: Openings,
+    windows: Openings,
     envs: Tensor,
     count: int,
     envelope: Envelope,
@@ -133,7 +133,7 @@ def graph_of(
 
     Args:
         satellite: Satellites of the environment, ``count`` in each episode.
-        every: When images of all episodes may be completed.
+        windows: When images of all episodes may be completed.
         envs: Consecutive episodes, [n].
         count: Satellites of an episode.
         envelope: Least times between images.
@@ -143,8 +143,8 @@ def graph_of(
         pause: Ticks after which other actions than images may end; None if there are none.
     """
     rows = (envs.unsqueeze(1) * count + torch.arange(count)).flatten()
-    mine = (every.row >= rows[0]) & (every.row <= rows[-1])
-    row, target, first, last = (column[mine] for column in every)
+    inside = (windows.row >= rows[0]) & (windows.row <= rows[-1])
+    row, target, first, last = (column[inside] for column in windows)
     some = Openings(row - rows[0], target, first, last + envelope.reserve)
     cells, h = (limit + envelope.reserve) // cell + 1, satellite.simulator.h
     middle = (torch.arange(cells, dtype=torch.float64) * cell + 0.5 * (cell - 1)).clamp(max=float(limit)) * h
@@ -155,18 +155,18 @@ def graph_of(
 
 def _schedule(graph: ImageGraph, nodes: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
     """Return targets, ticks and satellites of the images at ``nodes`` [E, K], by satellite and time."""
-    there = nodes >= 0
-    width = max(1, int(there.sum(1).max()))
-    nodes, there = nodes[:, :width], there[:, :width]
+    exists = nodes >= 0
+    width = max(1, int(exists.sum(1).max()))
+    nodes, exists = nodes[:, :width], exists[:, :width]
     node = nodes.clamp(min=0)
     window = graph.window[node] if len(graph.window) else node
     row = graph.row[window] if len(graph.row) else node
     tick = (graph.cell[node] + 1) * graph.ticks - 1 if len(graph.window) else node
-    key = torch.where(there, row * (graph.cells * graph.ticks + 1) + tick, 1 << 60)
+    key = torch.where(exists, row * (graph.cells * graph.ticks + 1) + tick, 1 << 60)
     order = torch.argsort(key, dim=1)
-    there = there.gather(1, order)
+    exists = exists.gather(1, order)
     target = graph.target[window] if len(graph.row) else node
-    return tuple(torch.where(there, value.gather(1, order), -1) for value in (target, tick, row % count))  # type: ignore[return-value]
+    return tuple(torch.where(exists, value.gather(1, order), -1) for value in (target, tick, row % count))  # type: ignore[return-value]
 
 
 def _widened(table: Tensor, width: int) -> Tensor:

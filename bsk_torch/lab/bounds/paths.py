@@ -70,12 +70,12 @@ def neighbours(graph: ImageGraph, bits: int) -> Tensor:
     at = torch.searchsorted(key, back).clamp(max=pairs - 1)
     cycle = torch.where(key[at] == back, graph.pair_cells + graph.pair_cells[order][at], graph.cells * 2)
     usable = cycle < graph.cells
-    here, there, cycle = graph.pair_from[usable], graph.pair_to[usable], cycle[usable]
-    by = torch.argsort(here * (2 * graph.cells + 1) + cycle, stable=True)
-    here, there = here[by], there[by]
-    rank = torch.arange(len(here)) - torch.searchsorted(here, here)
-    near = rank < bits
-    memory[here[near], rank[near]] = there[near]
+    origin, goal, cycle = graph.pair_from[usable], graph.pair_to[usable], cycle[usable]
+    by = torch.argsort(origin * (2 * graph.cells + 1) + cycle, stable=True)
+    origin, goal = origin[by], goal[by]
+    rank = torch.arange(len(origin)) - torch.searchsorted(origin, origin)
+    close = rank < bits
+    memory[origin[close], rank[close]] = goal[close]
     return memory
 
 
@@ -101,14 +101,14 @@ def best_paths(
         gap: Fraction by which upper and lower bound of an episode may differ in the end.
     """
     episodes, targets = priority.shape
-    seen = torch.zeros_like(priority)
-    seen[graph.row // satellites, graph.target] = 1.0
-    paid = (priority * seen).clamp(min=0.0).double().contiguous()
-    upper, lower = paid.sum(1), torch.zeros(episodes, dtype=torch.float64)
-    multiplier = 0.9 * paid
+    visible = torch.zeros_like(priority)
+    visible[graph.row // satellites, graph.target] = 1.0
+    payments = (priority * visible).clamp(min=0.0).double().contiguous()
+    upper, lower = payments.sum(1), torch.zeros(episodes, dtype=torch.float64)
+    multiplier = 0.9 * payments
     unit = UNIT * max(1.0, float(graph.late.max()) if len(graph.late) else 1.0)
     price, most = torch.zeros_like(lower), torch.full_like(lower, budget / unit)
-    chosen = torch.full((episodes, MOST_IMAGES), -1, dtype=torch.int64)
+    nodes = torch.full((episodes, MOST_IMAGES), -1, dtype=torch.int64)
     memory = neighbours(graph, bits)
     arrays = (
         graph.target, graph.window, graph.cell, graph.previous, graph.node_begin, graph.edge_begin, graph.source, graph.pair,
@@ -117,7 +117,7 @@ def best_paths(
     sizes = episodes, satellites, targets, graph.cells, graph.reach, bits, len(graph.pair_from)
     run = entry(load(SOURCE.read_text(), "bound of images"), SIGNATURE)
     tolerance = torch.tensor([gap], dtype=torch.float64)
-    inputs = (*(a.contiguous() for a in arrays), paid)
-    run(*sizes, *inputs, iterations, tolerance, multiplier, price, lower, upper, chosen, MOST_IMAGES)
+    inputs = (*(a.contiguous() for a in arrays), payments)
+    run(*sizes, *inputs, iterations, tolerance, multiplier, price, lower, upper, nodes, MOST_IMAGES)
     upper = torch.maximum(upper, lower) * (1.0 + ROUNDING)
-    return Paths(upper, lower, multiplier, price / unit, chosen)
+    return Paths(upper, lower, multiplier, price / unit, nodes)

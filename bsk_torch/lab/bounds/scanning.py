@@ -125,10 +125,10 @@ def sunlight(env: SatelliteTasking, row: Tensor, ticks: Tensor) -> tuple[Tensor,
         nodes, tau = neighbours(ARC, arcs.flown, rows, tick * h - arcs.start[rows] + LEAD_NODES * NODE_SPACING)
         return positions(nodes, tau / NODE_SPACING)
 
-    sun, here = sun_position(arcs.et[rows] + ticks * h), place(ticks)
+    sun, position = sun_position(arcs.et[rows] + ticks * h), place(ticks)
     lit = illumination(Vec3.of(place(ticks - 1)), Vec3.of(sun))
-    flux = SOLAR_FLUX * AU * AU / (sun - here).square().sum(-1)
-    return lit * flux, angle_between(sun - here, -here)
+    flux = SOLAR_FLUX * AU * AU / (sun - position).square().sum(-1)
+    return lit * flux, angle_between(sun - position, -position)
 
 
 def _row_bound(
@@ -184,8 +184,8 @@ def _in_view(passes: list[Tensor], intervals: int, length: float, h: float) -> T
     """Seconds of each interval in which a station is in view, no more than sums over stations; a tick more for each pass."""
     begin = torch.arange(intervals, dtype=torch.float64) * length
     opens, close = passes
-    there = torch.isfinite(close)
-    opens, close = opens[there] - h, close[there] + h
+    valid = torch.isfinite(close)
+    opens, close = opens[valid] - h, close[valid] + h
     overlap = torch.minimum(close, begin.unsqueeze(1) + length) - torch.maximum(opens, begin.unsqueeze(1))
     return overlap.clamp(min=0.0).sum(1).clamp(max=length)
 
@@ -202,7 +202,7 @@ def _solve(
     store = args["dataStorageCapacity"] if math.isfinite(args["dataStorageCapacity"]) else 1e15
     eye, before, none = sparse.identity(k), sparse.eye(k, k=-1), sparse.csr_matrix((k, k))
     base = args["basePowerDraw"] - args["wheels"]
-    rate, sent = args["instrumentBaudRate"] / store, -args["transmitterBaudRate"] / store
+    rate, downlink = args["instrumentBaudRate"] / store, -args["transmitterBaudRate"] / store
     spent = (loss.numpy() + args["instrumentPowerDraw"]) / battery
     first = np.zeros(k)
     first[0] = 1.0
@@ -211,7 +211,7 @@ def _solve(
         [
             [eye, eye, None, None],
             [-rate * eye, None, None, eye - before],
-            [rate * eye, -sent * eye, None, before - eye],
+            [rate * eye, -downlink * eye, None, before - eye],
             [-sparse.diags(spent), -args["transmitterPowerDraw"] / battery * eye, eye - before, none],
         ],
         format="csr",
@@ -220,11 +220,11 @@ def _solve(
     limits = np.concatenate([length.numpy(), first * level, -first * level, energy])
     bounds = [*((0.0, float(t)) for t in length), *((0.0, float(t)) for t in view), *[(0.0, 1.0)] * (2 * k)]
     cost = np.concatenate([-np.ones(k), np.zeros(3 * k)])
-    found = linprog(cost, A_ub=unequal, b_ub=limits, bounds=bounds, method="highs")
-    if found.status == 2:  # no plan keeps the battery charged: dying, which pays nothing at most, is the best that there is
+    solution = linprog(cost, A_ub=unequal, b_ub=limits, bounds=bounds, method="highs")
+    if solution.status == 2:  # no plan keeps the battery charged: dying, which pays nothing at most, is the best that there is
         zeros = torch.zeros(k, dtype=torch.float64)
         return 0.0, zeros, zeros, zeros, zeros
-    if found.status != 0:
-        raise RuntimeError(f"HiGHS did not solve the linear program of the bound: {found.message}")
-    recorded, sending, charge, data = torch.from_numpy(found.x).view(4, k)
-    return -found.fun * value * (1.0 + 1e-9), recorded, sending, charge * battery, data * store
+    if solution.status != 0:
+        raise RuntimeError(f"HiGHS did not solve the linear program of the bound: {solution.message}")
+    recorded, sending, charge, data = torch.from_numpy(solution.x).view(4, k)
+    return -solution.fun * value * (1.0 + 1e-9), recorded, sending, charge * battery, data * store

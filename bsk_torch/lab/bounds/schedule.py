@@ -42,19 +42,19 @@ class Schedule(NamedTuple):
 
 def relaxed_schedule(env: SatelliteTasking, *, envelope: Envelope | None = None, iterations: int = 60) -> Schedule:
     """Return the best schedule that multipliers find with typical times between images; arguments as :func:`imaging_bound`'s."""
-    found = imaging_bound(env, envelope=(envelope or Envelope.load()).expected, iterations=iterations)
-    first_time = ~_repeated(found.target)
-    order = torch.argsort(torch.where(first_time & (found.target >= 0), found.tick, 1 << 60), dim=1, stable=True)
-    kept = (first_time & (found.target >= 0)).gather(1, order)
-    return Schedule(*(torch.where(kept, table.gather(1, order), -1) for table in (found.target, found.tick)))
+    bound = imaging_bound(env, envelope=(envelope or Envelope.load()).expected, iterations=iterations)
+    first_time = ~_repeated(bound.target)
+    order = torch.argsort(torch.where(first_time & (bound.target >= 0), bound.tick, 1 << 60), dim=1, stable=True)
+    valid = (first_time & (bound.target >= 0)).gather(1, order)
+    return Schedule(*(torch.where(valid, table.gather(1, order), -1) for table in (bound.target, bound.tick)))
 
 
 def _repeated(target: Tensor) -> Tensor:
     """Return which entries [N, K] have occurred before in their row."""
     order = torch.argsort(target, dim=1, stable=True)
     ordered = target.gather(1, order)
-    again = torch.cat([torch.zeros_like(ordered[:, :1], dtype=torch.bool), ordered[:, 1:] == ordered[:, :-1]], 1)
-    return torch.zeros_like(again).scatter(1, order, again)
+    repeats = torch.cat([torch.zeros_like(ordered[:, :1], dtype=torch.bool), ordered[:, 1:] == ordered[:, :-1]], 1)
+    return torch.zeros_like(repeats).scatter(1, order, repeats)
 
 
 def milp_schedule(env: SatelliteTasking, *, envelope: Envelope | None = None, seconds: float = 60.0) -> Schedule:
@@ -80,30 +80,30 @@ def milp_schedule(env: SatelliteTasking, *, envelope: Envelope | None = None, se
     if not isinstance(env, SatelliteTasking):
         raise ValueError("schedules by mixed-integer programs are those of one satellite; the environment has several")
     number("seconds", seconds, 0.0, unit="s", above=True)
-    every, paid = openings(cast(BoundImagingSatellite, env.satellite), env.state.limit_ticks), payment(env)
-    parts = [_program(env, every, paid[row], row, envelope, seconds) for row in range(len(paid))]
+    windows, payments = openings(cast(BoundImagingSatellite, env.satellite), env.state.limit_ticks), payment(env)
+    parts = [_program(env, windows, payments[row], row, envelope, seconds) for row in range(len(payments))]
     width = max(1, *(len(part[0]) for part in parts))
     padded = [[torch.nn.functional.pad(x, (0, width - len(x)), value=-1) for x in part] for part in parts]
     return Schedule(*(torch.stack(column) for column in zip(*padded, strict=True)))
 
 
 def _program(
-    env: SatelliteTasking, every: Openings, paid: Tensor, row: int, envelope: Envelope, seconds: float
+    env: SatelliteTasking, windows: Openings, payments: Tensor, row: int, envelope: Envelope, seconds: float
 ) -> tuple[Tensor, Tensor]:
     """Return targets and ticks of one episode's schedule, in order."""
     import numpy as np
     from scipy import sparse
     from scipy.optimize import Bounds, LinearConstraint, milp
 
-    mine = (every.row == row) & (paid[every.target] > 0.0)
-    target, first, last = every.target[mine], every.first[mine].double(), every.last[mine].double()
+    selection = (windows.row == row) & (payments[windows.target] > 0.0)
+    target, first, last = windows.target[selection], windows.first[selection].double(), windows.last[selection].double()
     n = len(target)
     if not n:
         return target, target
-    i, j, there, back = _pairs(env, row, target, first, last, envelope)
+    i, j, forth, back = _pairs(env, row, target, first, last, envelope)
     pairs, k = len(i), torch.arange(len(i))
     # columns: choices y [n], times t [n], orders z [pairs]
-    big_there, big_back = last[i] + there - first[j], last[j] + back - first[i]
+    big_forth, big_back = last[i] + forth - first[j], last[j] + back - first[i]
     rows = torch.cat([k, k, k, k, k])
     ones = torch.ones(pairs, dtype=torch.float64)
 
@@ -116,20 +116,20 @@ def _program(
     once = sparse.csr_matrix((np.ones(n), (target.numpy(), np.arange(n))), shape=(int(target.max()) + 1, 2 * n + pairs))
     constraints = [LinearConstraint(once, -np.inf, 1.0)]
     if pairs:
-        constraints.append(LinearConstraint(inequality(i, j, big_there, 1.0), (there - 3.0 * big_there).numpy(), np.inf))
+        constraints.append(LinearConstraint(inequality(i, j, big_forth, 1.0), (forth - 3.0 * big_forth).numpy(), np.inf))
         constraints.append(LinearConstraint(inequality(j, i, big_back, -1.0), (back - 2.0 * big_back).numpy(), np.inf))
     low = np.concatenate([np.zeros(n), first.numpy(), np.zeros(pairs)])
     high = np.concatenate([np.ones(n), last.numpy(), np.ones(pairs)])
-    whole = np.concatenate([np.ones(n), np.zeros(n), np.ones(pairs)])
-    cost = np.concatenate([-paid[target].numpy(), np.zeros(n + pairs)])
-    found = milp(cost, constraints=constraints, bounds=Bounds(low, high), integrality=whole, options={"time_limit": seconds})
-    if found.x is None:  # nothing found in time
+    kinds = np.concatenate([np.ones(n), np.zeros(n), np.ones(pairs)])
+    cost = np.concatenate([-payments[target].numpy(), np.zeros(n + pairs)])
+    plan = milp(cost, constraints=constraints, bounds=Bounds(low, high), integrality=kinds, options={"time_limit": seconds})
+    if plan.x is None:  # nothing found in time
         return target[:0], target[:0]
-    x = torch.from_numpy(found.x)
-    chosen = torch.nonzero(x[:n] > 0.5).flatten()
-    time = x[n : 2 * n][chosen]
+    x = torch.from_numpy(plan.x)
+    picks = torch.nonzero(x[:n] > 0.5).flatten()
+    time = x[n : 2 * n][picks]
     order = torch.argsort(time)
-    return target[chosen][order], time[order].long()
+    return target[picks][order], time[order].long()
 
 
 def _pairs(
@@ -141,9 +141,9 @@ def _pairs(
     i, j = torch.nonzero(near.triu(1), as_tuple=True)
     tick = 0.5 * (torch.maximum(first[i], first[j]) + torch.minimum(last[i], last[j]))
     satellite = cast(BoundImagingSatellite, env.satellite)
-    here = satellite_positions(satellite, torch.full_like(i, row), tick * env.simulator.h)
+    position = satellite_positions(satellite, torch.full_like(i, row), tick * env.simulator.h)
     places = env.simulator.scenario_state["target_r_LP_P"][row]
-    angle = angle_between(places[target[i]] - here, places[target[j]] - here)
+    angle = angle_between(places[target[i]] - position, places[target[j]] - position)
     slew = envelope.least(angle, direct=True).double()
     blocks = (last[i] - first[j] + slew > 0.0) & (last[j] - first[i] + slew > 0.0)
     blocks |= (first[j] < last[i] + slew) & (first[i] < last[j] + slew)
@@ -181,5 +181,5 @@ class ScheduledPolicy(TensorDictModuleBase):
         possible = (self.schedule.target >= 0) & torch.isfinite(closes) & (closes > now + 2 * h) & (opens <= time + GRACE)
         k = possible.long().argmax(1, keepdim=True)
         soon = possible.any(1) & ((opens.gather(1, k) - now).squeeze(1) <= self.env.max_step_duration)
-        wanted = image_target(target.gather(1, k).squeeze(1))
-        return tensordict.set("action", torch.where(soon, wanted, tensordict["action"]))
+        action = image_target(target.gather(1, k).squeeze(1))
+        return tensordict.set("action", torch.where(soon, action, tensordict["action"]))

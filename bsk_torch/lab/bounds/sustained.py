@@ -94,7 +94,7 @@ def record_images(env: SatelliteTasking, policy: Policy, seed: int) -> ImageSequ
     parts, carried, closing = [], 0, _closings(env, seed)
     returns = torch.zeros(len(env.env_ids), dtype=torch.float64)
     for step in image_steps(env, policy, seed):
-        row = torch.nonzero(step.own).flatten()
+        row = torch.nonzero(step.fresh).flatten()
         later = step.now[row].unsqueeze(1) + SPACING * torch.arange(NODES)
         time = later.clamp(max=int(env.state.limit_ticks.max())).flatten() * env.simulator.h
         nodes = satellite_positions(step.satellite, row.repeat_interleave(NODES), time).view(-1, NODES, 3)
@@ -119,15 +119,15 @@ def _closings(env: SatelliteTasking, seed: int) -> Callable[[Tensor, Tensor, Ten
     env.set_seed(seed)
     env.reset()
     limit = env.state.limit_ticks
-    every = openings(satellite, limit)
-    targets, ticks = int(every.target.max()) + 1, int(limit.max()) + 1
-    key, order = torch.sort((every.row * targets + every.target) * ticks + every.last)
+    windows = openings(satellite, limit)
+    targets, ticks = int(windows.target.max()) + 1, int(limit.max()) + 1
+    key, order = torch.sort((windows.row * targets + windows.target) * ticks + windows.last)
 
     def closing(row: Tensor, target: Tensor, tick: Tensor) -> Tensor:
         at = torch.searchsorted(key, (row * targets + target) * ticks + tick).clamp(max=len(key) - 1)
         window = order[at]
-        known = (every.row[window] == row) & (every.target[window] == target)
-        return torch.where(known, every.last[window], tick)  # an image outside of windows is as late as it is ahead
+        matches = (windows.row[window] == row) & (windows.target[window] == target)
+        return torch.where(matches, windows.last[window], tick)  # an image outside of windows is as late as it is ahead
 
     return closing
 
@@ -154,13 +154,13 @@ def leads(images: ImageSequences, envelope: Envelope) -> Leads:
     angle = torch.full(tick.shape, torch.nan, dtype=torch.float64)
     sector = sectors_of(images, envelope)
     for k in range(1, tick.shape[1]):  # the clock of an image starts from that of the one before; all flights at once
-        there, before = tick[:, k] >= 0, lead[:, k - 1]
-        here = _later(images.r_P[:, k - 1], before)
-        start = pointing(here, images.r_LP_P[:, k - 1], sector[:, k - 1], envelope.lag, envelope.sectors)
-        seen = angle_between(start, images.r_LP_P[:, k] - here)
-        ahead = before + envelope.least(seen.nan_to_num(), direct=True) - (tick[:, k] - tick[:, k - 1])
-        lead[:, k] = torch.where(there, ahead.clamp(min=0), 0)
-        angle[:, k] = torch.where(there, seen, torch.nan)
+        exists, before = tick[:, k] >= 0, lead[:, k - 1]
+        position = _later(images.r_P[:, k - 1], before)
+        start = pointing(position, images.r_LP_P[:, k - 1], sector[:, k - 1], envelope.lag, envelope.sectors)
+        slew = angle_between(start, images.r_LP_P[:, k] - position)
+        advance = before + envelope.least(slew.nan_to_num(), direct=True) - (tick[:, k] - tick[:, k - 1])
+        lead[:, k] = torch.where(exists, advance.clamp(min=0), 0)
+        angle[:, k] = torch.where(exists, slew, torch.nan)
     return Leads(lead, angle)
 
 
@@ -172,14 +172,14 @@ def lateness(images: ImageSequences, envelope: Envelope) -> Tensor:
 
 def sectors_of(images: ImageSequences, envelope: Envelope) -> Tensor:
     """Return the sector that each image is approached from, [R, K]; ``envelope.sectors`` as long as there is none."""
-    found = torch.full_like(images.tick, envelope.sectors)
+    sectors = torch.full_like(images.tick, envelope.sectors)
     if envelope.sectors:
         before, at = images.r_LP_P[:, :-1], images.r_LP_P[:, 1:]
         new = sector_from(before, at, envelope.sectors)
         stays = (at - before).norm(dim=-1) < envelope.near
-        for k in range(1, found.shape[1]):
-            found[:, k] = torch.where(stays[:, k - 1], found[:, k - 1], new[:, k - 1])
-    return found
+        for k in range(1, sectors.shape[1]):
+            sectors[:, k] = torch.where(stays[:, k - 1], sectors[:, k - 1], new[:, k - 1])
+    return sectors
 
 
 def _later(nodes: Tensor, ticks: Tensor) -> Tensor:
@@ -193,8 +193,8 @@ def _later(nodes: Tensor, ticks: Tensor) -> Tensor:
 
 def bins_of(angle: Tensor, width: float, bins: int) -> Tensor:
     """Return how many of the angles, of any shape, lie in each bin, [bins]; NaN count nowhere."""
-    known = angle[torch.isfinite(angle)]
-    return torch.bincount((known / width).long().clamp(0, bins - 1), minlength=bins)
+    values = angle[torch.isfinite(angle)]
+    return torch.bincount((values / width).long().clamp(0, bins - 1), minlength=bins)
 
 
 def sustained_envelope(
@@ -249,9 +249,9 @@ def sustained_envelope(
     if not 0.0 < share < 1.0:
         raise ValueError(f"share={share:g}: a share of the transitions lies between 0 and 1")
     soonest = (SOONEST,) * bins
-    known = Envelope(width, soonest, soonest, step, dict(arguments), images.transitions, lag=lag, sectors=sectors, near=near)
-    angle = leads(images, known).angle
-    there = torch.isfinite(angle[:, 1:])
+    base = Envelope(width, soonest, soonest, step, dict(arguments), images.transitions, lag=lag, sectors=sectors, near=near)
+    angle = leads(images, base).angle
+    valid = torch.isfinite(angle[:, 1:])
     number = bins_of(angle, width, bins)
     trusted = torch.nonzero(number >= max(1, enough)).flatten()
     if not len(trusted):
@@ -259,22 +259,22 @@ def sustained_envelope(
             f"{images.transitions} transitions: no bin of the angle has {enough} of them, so no times can be fitted; fly more "
             "episodes"
         )
-    usual = quantile(angle[:, 1:][there], images.tick.diff(dim=1)[there], width, bins, share).clamp(min=SOONEST)
+    usual = quantile(angle[:, 1:][valid], images.tick.diff(dim=1)[valid], width, bins, share).clamp(min=SOONEST)
     usual = usual[torch.arange(bins).clamp(max=int(trusted[-1]))]
     worth = (number if weight is None else weight).double()
     worth = worth / worth.sum() + 1e-6  # bins without weight are as long as the constraints allow
     table, rows, limits = usual, [], []
     for _ in range(rounds):
-        found = leads(images, _with(known, table))
-        counts, most = _constraints(images, found, reserve, width, bins)
+        growth = leads(images, _with(base, table))
+        counts, most = _constraints(images, growth, reserve, width, bins)
         if not len(most):
             break
         rows.append(counts)
         limits.append(most)
         table = _longest(torch.cat(rows), torch.cat(limits), worth, usual)
-    made = _with(known, table)
-    largest = int(leads(images, made).lead.max())
-    return replace(made, typical=tuple(usual.tolist()), reserve=largest + margin)
+    envelope = _with(base, table)
+    largest = int(leads(images, envelope).lead.max())
+    return replace(envelope, typical=tuple(usual.tolist()), reserve=largest + margin)
 
 
 def _with(envelope: Envelope, table: Tensor) -> Envelope:
@@ -282,24 +282,24 @@ def _with(envelope: Envelope, table: Tensor) -> Envelope:
     return replace(envelope, direct=ticks, any=ticks)
 
 
-def _constraints(images: ImageSequences, found: Leads, reserve: int, width: float, bins: int) -> tuple[Tensor, Tensor]:
+def _constraints(images: ImageSequences, growth: Leads, reserve: int, width: float, bins: int) -> tuple[Tensor, Tensor]:
     """Return constraints ``counts @ f <= most``, [c, bins] and [c], of the times in which leads grew beyond the reserve.
 
     One for the largest lead of each stretch without lead zero, of at most PEAKS stretches of a flight.
     """
-    lead, k = found.lead, torch.arange(found.lead.shape[1])
+    lead, k = growth.lead, torch.arange(growth.lead.shape[1])
     stretch = (lead == 0).cumsum(1)  # an image without lead starts a stretch
     start = torch.where(lead == 0, k, 0).cummax(1).values
     size = lead.shape[1] + 1
     top = torch.zeros(len(lead), size, dtype=torch.int64).scatter_reduce(1, stretch, lead, "amax")
-    kept = top.topk(min(PEAKS, size), 1)
-    row, column = torch.nonzero(kept.values > reserve, as_tuple=True)
-    inside = stretch[row] == kept.indices[row, column].unsqueeze(1)
+    peaks = top.topk(min(PEAKS, size), 1)
+    row, column = torch.nonzero(peaks.values > reserve, as_tuple=True)
+    inside = stretch[row] == peaks.indices[row, column].unsqueeze(1)
     peak = torch.where(inside, lead[row], -1).argmax(1)
     begin = start[row, peak]
-    used = (k > begin.unsqueeze(1)) & (k <= peak.unsqueeze(1))
-    index = (found.angle[row].nan_to_num() / width).long().clamp(0, bins - 1)
-    counts = torch.zeros(len(row), bins, dtype=torch.int64).scatter_add(1, index, used.long())
+    counted = (k > begin.unsqueeze(1)) & (k <= peak.unsqueeze(1))
+    index = (growth.angle[row].nan_to_num() / width).long().clamp(0, bins - 1)
+    counts = torch.zeros(len(row), bins, dtype=torch.int64).scatter_add(1, index, counted.long())
     return counts, reserve + images.tick[row, peak] - images.tick[row, begin]
 
 
@@ -311,10 +311,10 @@ def _longest(counts: Tensor, most: Tensor, worth: Tensor, usual: Tensor) -> Tens
 
     bins = len(usual)
     ascending = diags([np.ones(bins - 1), -np.ones(bins - 1)], [0, 1], shape=(bins - 1, bins))
-    left = vstack([ascending, csr_matrix(counts.double().numpy())]).tocsr()
-    right: np.ndarray = np.concatenate([np.zeros(bins - 1), most.double().numpy()])
+    matrix = vstack([ascending, csr_matrix(counts.double().numpy())]).tocsr()
+    limit: np.ndarray = np.concatenate([np.zeros(bins - 1), most.double().numpy()])
     limits = [(float(SOONEST), float(time)) for time in usual.tolist()]
-    found = linprog(-worth.numpy(), A_ub=left, b_ub=right, bounds=limits, method="highs")
-    if found.x is None:
-        raise ValueError(f"no times between images keep within the reserve: {found.message}")
-    return torch.from_numpy(np.floor(found.x + 1e-6)).long()
+    solution = linprog(-worth.numpy(), A_ub=matrix, b_ub=limit, bounds=limits, method="highs")
+    if solution.x is None:
+        raise ValueError(f"no times between images keep within the reserve: {solution.message}")
+    return torch.from_numpy(np.floor(solution.x + 1e-6)).long()

@@ -39,16 +39,16 @@ def agility(satellite: BoundImagingSatellite) -> dict[str, str]:
             f"{satellite.name} has {type(satellite).fsw_type.__name__}; least times between images are known for satellites with "
             "fsw.SteeringImagerFSWModel, such as AEOS-v1's"
         )
-    found = {}
+    arguments = {}
     for name in AGILITY:
         value = args[name].reshape(len(args[name]), -1)
         if bool((value != value[0]).any()):
             raise ValueError(f"{name!r} differs between episodes; least times between images need equally agile satellites")
-        found[name] = " ".join(f"{number:.9g}" for number in value[0].tolist())
+        arguments[name] = " ".join(f"{number:.9g}" for number in value[0].tolist())
     axis = args["oe"][..., 0]
-    found["a"] = f"{float(axis.mean()):.9g}"
-    found["sim_rate"] = f"{satellite.simulator.h:.9g}"
-    return found
+    arguments["a"] = f"{float(axis.mean()):.9g}"
+    arguments["sim_rate"] = f"{satellite.simulator.h:.9g}"
+    return arguments
 
 
 def check_satellite(satellite: BoundSatellite, envelope: Envelope) -> None:
@@ -59,15 +59,14 @@ def check_satellite(satellite: BoundSatellite, envelope: Envelope) -> None:
         raise ValueError(f"{satellite.name} has a list of instruments; the bound covers a single one")
     if satellite.sat_args.get("oe") is None:
         raise ValueError("the bound needs orbits given as elements, oe=...")
-    mine, known = agility(satellite), envelope.arguments
-    other = [name for name in mine if name != "a" and mine[name] != known.get(name)]
-    if other:
-        name = other[0]
-        raise ValueError(
-            f"{name}={mine[name]}: the envelope of least times between images was fitted with {name}={known.get(name)}; fit one "
-            "for this satellite with benchmarks/envelope.py, or with Envelope.below and record_transitions"
-        )
-    axis, base = satellite.sat_args["oe"][..., 0], float(known["a"])
+    arguments, expected = agility(satellite), envelope.arguments
+    for name, value in arguments.items():
+        if name != "a" and value != expected.get(name):
+            raise ValueError(
+                f"{name}={value}: the envelope of least times between images was fitted with {name}={expected.get(name)}; fit "
+                "one for this satellite with benchmarks/envelope.py, or with Envelope.below and record_transitions"
+            )
+    axis, base = satellite.sat_args["oe"][..., 0], float(expected["a"])
     if bool(((axis - base).abs() > ORBIT * base).any()) or bool((satellite.sat_args["oe"][..., 1] > ORBIT).any()):
         raise ValueError(
             f"the envelope was fitted on near-circular orbits with a={base:g} m; a={axis.tolist()[:3]} m is too far off"
@@ -119,7 +118,7 @@ def payment(env: Tasking) -> Tensor:
     """Return what the first image of each target pays, [N, T]; targets that do not exist pay nothing."""
     rewarder: Any = env.rewarder
     scenario: Any = env.scenario
-    paid = rewarder.reward_fn(scenario.priority)
+    payments = rewarder.reward_fn(scenario.priority)
     if isinstance(rewarder, CloudFreeImageReward):
-        paid = torch.where(scenario.cloud_cover > rewarder.threshold, 0.0, paid)
-    return paid.double().clamp(min=0.0)
+        payments = torch.where(scenario.cloud_cover > rewarder.threshold, 0.0, payments)
+    return payments.double().clamp(min=0.0)

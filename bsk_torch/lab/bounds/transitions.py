@@ -57,7 +57,7 @@ class ImageStep(NamedTuple):
     Attributes:
         satellite: The satellites.
         r_LP_P: Earth-fixed positions of the targets, [N, T, 3] m.
-        own: Whether the step ended with an image that was not carried over, [N].
+        fresh: Whether the step ended with an image that was not carried over, [N].
         carried: Whether it was credited with the image of the step before, [N].
         target: Latest target with an image, [N].
         before, now: Ticks at which it began and ended, [N].
@@ -66,7 +66,7 @@ class ImageStep(NamedTuple):
 
     satellite: BoundImagingSatellite
     r_LP_P: Tensor
-    own: Tensor
+    fresh: Tensor
     carried: Tensor
     target: Tensor
     before: Tensor
@@ -107,14 +107,14 @@ def record_transitions(env: SatelliteTasking, policy: Policy, seed: int) -> Tran
     ValueError for a satellite that takes no images.
     """
     rows = torch.arange(len(env.env_ids))
-    found, carried = [], 0
+    parts, carried = [], 0
     since, from_target = torch.full_like(rows, -1), torch.zeros_like(rows)
     for step in image_steps(env, policy, seed):
         carried += int(step.carried.sum())
-        row = rows[step.own & (since >= 0)]
-        here = satellite_positions(step.satellite, row, since[row] * env.simulator.h)
-        angle = angle_between(step.r_LP_P[row, from_target[row]] - here, step.r_LP_P[row, step.target[row]] - here)
-        found.append((angle, step.now[row] - since[row], step.before[row] == since[row]))
-        since, from_target = torch.where(step.own, step.now, since), torch.where(step.own, step.target, from_target)
-    angles, ticks, one_step = (torch.cat(column) for column in zip(*found, strict=True))
+        row = rows[step.fresh & (since >= 0)]
+        position = satellite_positions(step.satellite, row, since[row] * env.simulator.h)
+        angle = angle_between(step.r_LP_P[row, from_target[row]] - position, step.r_LP_P[row, step.target[row]] - position)
+        parts.append((angle, step.now[row] - since[row], step.before[row] == since[row]))
+        since, from_target = torch.where(step.fresh, step.now, since), torch.where(step.fresh, step.target, from_target)
+    angles, ticks, one_step = (torch.cat(column) for column in zip(*parts, strict=True))
     return Transitions(angles, ticks, one_step, carried)

@@ -66,7 +66,7 @@ def openings(satellite: BoundAccessSatellite, limit_ticks: Tensor) -> Openings:
     row, k = torch.nonzero(torch.isfinite(close), as_tuple=True)
     first = (torch.floor(opens[row, k] / h).long() - 1).clamp(min=1)
     last = torch.minimum(torch.ceil(close[row, k] / h).long() + 1, limit_ticks[row])
-    kept = first <= last
-    row, first, last, target = row[kept], first[kept], last[kept], place[row, k][kept]
+    valid = first <= last
+    row, first, last, target = row[valid], first[valid], last[valid], place[row, k][valid]
     order = torch.argsort(row * (int(limit_ticks.max()) + 1) + first, stable=True)
     return Openings(row[order], target[order], first[order], last[order])

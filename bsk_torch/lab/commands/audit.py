@@ -51,30 +51,30 @@ def audit_policy(
     check_writable(out)
     named, env, actor = flown(policy, preset, min(len(episodes), num_envs), preset_options(option) | options)
     with refusing(), working(f"valuing all actions of {named.label}"):
-        found = audit(env, actor, seeds=episodes, horizon=horizon, gamma=gamma, futures=futures, budget=budget)
+        result = audit(env, actor, seeds=episodes, horizon=horizon, gamma=gamma, futures=futures, budget=budget)
     title = f"{named.preset}, {named.label}, {len(episodes)} episodes, seeds {seeds}"
-    print_audit(found, title)
+    print_audit(result, title)
     if draw is not None:
-        figure.regret_figure(found, draw, title)
+        figure.regret_figure(result, draw, title)
     if out is not None:
-        content = {"preset": named.preset, "policy": named.label, "horizon": str(horizon), "gamma": gamma} | found.to_dict()
+        content = {"preset": named.preset, "policy": named.label, "horizon": str(horizon), "gamma": gamma} | result.to_dict()
         write_file(out, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
-def print_audit(found: Audit, title: str) -> None:
+def print_audit(audit: Audit, title: str) -> None:
     """Print the summary of an audit: by kind of action, by situation, and the worst decisions."""
     from bsk_torch.lab.audit.audit import WORST
     from bsk_torch.rl.evaluation.statistics import confidence
 
-    regret, lost = found.regret, found.regret > 0.0
+    regret, losses = audit.regret, audit.regret > 0.0
     echo(title)
     echo(
-        f"return {confidence(found.returns)}; regret of an episode, summed over its decisions: {found.regret_of_episodes}\n"
-        f"{len(regret)} decisions, of which {int(lost.sum())} have a regret"
+        f"return {confidence(audit.returns)}; regret of an episode, summed over its decisions: {audit.regret_of_episodes}\n"
+        f"{len(regret)} decisions, of which {int(losses.sum())} have a regret"
     )
-    if not bool(lost.any()):
+    if not bool(losses.any()):
         return
-    echo(f"the worst {WORST:.0%} of the decisions have {found.share_of_worst():.0%} of the regret\n")
+    echo(f"the worst {WORST:.0%} of the decisions have {audit.share_of_worst():.0%} of the regret\n")
     print_table(
         [
             {
@@ -84,25 +84,25 @@ def print_audit(found: Audit, title: str) -> None:
                 "share": f"{row.share:.0%}",
                 "mostly better": row.better,
             }
-            for row in found.by_action()
+            for row in audit.by_action()
         ],
         "Regret by chosen action",
         left=("chosen", "mostly better"),
     )
-    print_table([of_situation(row) for row in found.by_situation()], "Mean regret by situation", left=("quantity",))
-    names, best = found.kind(found.action), found.kind(found.best)
+    print_table([of_situation(row) for row in audit.by_situation()], "Mean regret by situation", left=("quantity",))
+    names, best = audit.kind(audit.action), audit.kind(audit.best)
     print_table(
         [
             {
-                "seed": f"{found.seeds[int(found.episode[k])]}",
-                "time, s": f"{float(found.time[k]):,.0f}",
-                "agent": f"{int(found.agent[k])}",
-                "chosen": f"{names[k]} ({int(found.action[k])})",
-                "best": f"{best[k]} ({int(found.best[k])})",
+                "seed": f"{audit.seeds[int(audit.episode[k])]}",
+                "time, s": f"{float(audit.time[k]):,.0f}",
+                "agent": f"{int(audit.agent[k])}",
+                "chosen": f"{names[k]} ({int(audit.action[k])})",
+                "best": f"{best[k]} ({int(audit.best[k])})",
                 "regret": f"{float(regret[k]):.4f}",
             }
-            for k in found.worst(SHOWN).tolist()
-            if lost[k]
+            for k in audit.worst(SHOWN).tolist()
+            if losses[k]
         ],
         "Largest regrets",
         ("agent",),

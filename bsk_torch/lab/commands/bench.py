@@ -113,9 +113,9 @@ def bench(
             if unknown:
                 fail(f"the results of {name!r} in {task.title} lack the measures {', '.join(sorted(unknown))}")
     for name in entrants:
-        if again := [task.title for task in tasks if task.title in results.get(name, {})]:
-            fail(f"{name!r} is also in the results of `--with`, for {', '.join(again)}; a task has one row for each policy")
-    known, failed = references(suite), Failures()
+        if repeats := [task.title for task in tasks if task.title in results.get(name, {})]:
+            fail(f"{name!r} is also in the results of `--with`, for {', '.join(repeats)}; a task has one row for each policy")
+    scale, failed = references(suite), Failures()
     try:
         for name, entrant in entrants.items():
             for task in tasks:
@@ -123,10 +123,10 @@ def bench(
                     score = play(task, entrant, counts[task.title], **options)
                     if score is None:
                         continue
-                    row = results.setdefault(name, {})[task.title] = told(score, known.get(task.title))
+                    row = results.setdefault(name, {})[task.title] = told(score, scale.get(task.title))
                     fly = certifiers.get(task.preset)
-                    flown = None if fly is None else fly(task, entrant, certify, **options)
-                    row |= {} if flown is None else {"basilisk": flown.summary()}
+                    flight = None if fly is None else fly(task, entrant, certify, **options)
+                    row |= {} if flight is None else {"basilisk": flight.summary()}
                 if out is not None:  # after each task, so that nothing is lost if the run is killed
                     content = document(suite, tasks, max(counts.values()), results) | ({"failed": failed} if failed else {})
                     write_file(out, json.dumps(content, indent=1) + "\n")
@@ -149,19 +149,19 @@ def certifiers_of(tasks: Sequence[Task], certify: int, episodes: int) -> dict[st
     from bsk_torch.lab.basilisk.aeos_certificate import BENCH, certify_bench
 
     certifiers = {**dict.fromkeys(basilisk.FLOWN, basilisk.certify), BENCH: certify_bench}
-    flown = [task for task in tasks if task.preset in certifiers]
+    candidates = [task for task in tasks if task.preset in certifiers]
     names = ", ".join(certifiers)
-    if not flown:
+    if not candidates:
         fail(f"--certify {certify}: none of {', '.join(task.preset for task in tasks)} can be flown on Basilisk; {names} can")
-    most = min(episodes, *(task.at_once for task in flown))
+    most = min(episodes, *(task.at_once for task in candidates))
     if certify > most:
         fail(f"--certify {certify} must be at most {most}, the number of episodes that are played side by side")
     if missing := basilisk.lacking():
         fail(f"--certify {certify}: {missing}")
     if warning := basilisk.absent_data(os.environ.get("BSK_SUPPORT_DATA_CACHE")):
         print_message(warning)
-    if left := [task.preset for task in tasks if task not in flown]:
-        print_message(f"not flown on Basilisk, as only {names} can be: {', '.join(left)}")
+    if excluded := [task.preset for task in tasks if task not in candidates]:
+        print_message(f"not flown on Basilisk, as only {names} can be: {', '.join(excluded)}")
     return certifiers
 
 
@@ -182,9 +182,9 @@ def read_earlier(files: Iterable[Path], suite: str, schema: Any) -> dict[str, di
     """
     results: dict[str, dict[str, Any]] = {}
     for path in files:
-        made, policies = read_result(path, schema)
-        if made != (FORMAT, suite):
-            fail(f"{str(path)!r} has format and suite {made}; this run has {(FORMAT, suite)}")
+        header, policies = read_result(path, schema)
+        if header != (FORMAT, suite):
+            fail(f"{str(path)!r} has format and suite {header}; this run has {(FORMAT, suite)}")
         add_results(results, policies)
     return results
 
@@ -192,10 +192,8 @@ def read_earlier(files: Iterable[Path], suite: str, schema: Any) -> dict[str, di
 def add_results(results: dict[str, dict[str, Any]], policies: Mapping[str, Mapping[str, Any]]) -> None:
     """Add the results of ``policies`` by task to ``results``, in place, unless those there have more episodes."""
     for name, rows in policies.items():
-        known = results.setdefault(name, {})
-        known |= {
-            task: row for task, row in rows.items() if task not in known or len(row["returns"]) >= len(known[task]["returns"])
-        }
+        best = results.setdefault(name, {})
+        best |= {task: row for task, row in rows.items() if task not in best or len(row["returns"]) >= len(best[task]["returns"])}
 
 
 def read_result(path: Path, schema: Any) -> tuple[tuple[int, str], dict[str, dict[str, Any]]]:
@@ -206,8 +204,8 @@ def read_result(path: Path, schema: Any) -> tuple[tuple[int, str], dict[str, dic
     from bsk_torch.untrusted import read_json
 
     with refusing(OSError, ValueError):
-        kept = read_json(path, schema, "is no result of bsk-torch bench")
-    return (kept["format"], kept["suite"]), kept["policies"]
+        content = read_json(path, schema, "is no result of bsk-torch bench")
+    return (content["format"], content["suite"]), content["policies"]
 
 
 def document(suite: str, tasks: Sequence[Task], episodes: int, results: Mapping[str, object]) -> dict[str, Any]:
@@ -244,8 +242,10 @@ def print_suite(
     for task in tasks:
         rows = {name: result[task.title] for name, result in results.items() if task.title in result}
         first = task.measures[0] if task.measures else "score"
-        lost = [{"policy": name, first: "failed"} for name, errors in failed.items() if task.title in errors and name not in rows]
-        table = played(rows, task) + lost
+        failures = [
+            {"policy": name, first: "failed"} for name, errors in failed.items() if task.title in errors and name not in rows
+        ]
+        table = played(rows, task) + failures
         if not table:
             continue
         gain = [name for name in table[0] if name.startswith("gain of ")]
@@ -306,6 +306,6 @@ def on_basilisk(row: Mapping[str, Any]) -> str:
     """Return how many episodes are the same on Basilisk, and the largest difference of their returns."""
     if "basilisk" not in row:
         return ""
-    flown = row["basilisk"]
-    how = ", replayed" if flown["decided"] == "in bsk_torch" else ""
-    return f"{flown['same']} of {len(flown['returns'])}{how}, {flown['largest_difference']:.1g}"
+    entry = row["basilisk"]
+    mode = ", replayed" if entry["decided"] == "in bsk_torch" else ""
+    return f"{entry['same']} of {len(entry['returns'])}{mode}, {entry['largest_difference']:.1g}"

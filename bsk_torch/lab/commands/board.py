@@ -41,55 +41,55 @@ class Board:
     def measures(self, method: str) -> dict[str, Interval]:
         """Return the aggregates of a method, and the probability that it is better than ``against``, with their intervals."""
         value, drawn = self.scores[method], self.replicates[method]
-        found = {name: interval(measure(value), measure(drawn)) for name, measure in AGGREGATES.items()}
+        values = {name: interval(measure(value), measure(drawn)) for name, measure in AGGREGATES.items()}
         if method != self.against:
             better = improvement(value, self.scores[self.against])
-            found["better"] = interval(better, improvement(drawn, self.replicates[self.against]))
-        return found
+            values["better"] = interval(better, improvement(drawn, self.replicates[self.against]))
+        return values
 
     def profiles(self) -> tuple[Tensor, dict[str, tuple[Tensor, Tensor, Tensor]]]:
         """Return thresholds [K], and for each method its performance profile with the ends of the interval, [K] each."""
-        every = torch.cat([one.flatten() for one in self.scores.values()])
-        first, last = float(every.min().clamp(max=0.0)), float(every.max().clamp(min=1.0))
-        thresholds = torch.linspace(first - MARGIN, last + MARGIN, THRESHOLDS, dtype=every.dtype)
+        scores = torch.cat([one.flatten() for one in self.scores.values()])
+        first, last = float(scores.min().clamp(max=0.0)), float(scores.max().clamp(min=1.0))
+        thresholds = torch.linspace(first - MARGIN, last + MARGIN, THRESHOLDS, dtype=scores.dtype)
         ends = {
-            name: profile(drawn, thresholds).quantile(every.new_tensor([0.025, 0.975]), dim=0)
+            name: profile(drawn, thresholds).quantile(scores.new_tensor([0.025, 0.975]), dim=0)
             for name, drawn in self.replicates.items()
         }
-        return thresholds, {name: (profile(self.scores[name], thresholds), *both) for name, both in ends.items()}
+        return thresholds, {name: (profile(self.scores[name], thresholds), *band) for name, band in ends.items()}
 
 
 def board_of(
     results: Mapping[str, Mapping[str, Any]],
     methods: Mapping[str, Sequence[str]],
     suite: str,
-    wanted: Sequence[str],
+    titles: Sequence[str],
     against: str | None,
 ) -> Board:
-    """Return the methods in the ``wanted`` tasks that all of them play; ends the program without one, or for another ``against``.
+    """Return the methods in the tasks ``titles`` that all of them play; ends the program without one or for another ``against``.
 
     In each task, policies that played fewer episodes than another policy of a method, such as planners, are left out.
     """
-    known = {policy for policies in methods.values() for policy in policies}
-    rows = {task: {policy: results[policy][task] for policy in known if task in results[policy]} for task in wanted}
+    members = {policy for policies in methods.values() for policy in policies}
+    rows = {task: {policy: results[policy][task] for policy in members if task in results[policy]} for task in titles}
     for task, played in rows.items():
         most = max((len(row["returns"]) for row in played.values()), default=0)
         for policy in [policy for policy, row in played.items() if len(row["returns"]) < most]:
             print_message(f"{task}: {policy} played {len(played.pop(policy)['returns'])} of {most} episodes, and is left out")
-    tasks = [task for task in wanted if all(any(policy in rows[task] for policy in mine) for mine in methods.values())]
+    tasks = [task for task in titles if all(any(policy in rows[task] for policy in group) for group in methods.values())]
     if not tasks:
         fail(f"no task is played by all of {', '.join(methods)}; combine policies of several presets with --method NAME=PATTERN")
-    if left := [task for task in wanted if rows[task] and task not in tasks]:
-        print_message(f"left out, as not all methods play them: {', '.join(left)}")
+    if excluded := [task for task in titles if rows[task] and task not in tasks]:
+        print_message(f"left out, as not all methods play them: {', '.join(excluded)}")
     if against is not None and against not in methods:
         fail(f"--against {against!r} is not a method; {nearest(against, methods)}")
-    runs = {name: {task: scored(rows[task], mine, suite, task) for task in tasks} for name, mine in methods.items()}
+    runs = {name: {task: scored(rows[task], group, suite, task) for task in tasks} for name, group in methods.items()}
     with refusing():
         replicates = bootstrap(runs)
     scores = {name: run_scores(one) for name, one in runs.items()}
     best = max(scores, key=lambda name: float(AGGREGATES["IQM"](scores[name])))
     flights = {
-        name: flown([rows[task][one] for task in tasks for one in mine if one in rows[task]]) for name, mine in methods.items()
+        name: flown([rows[task][one] for task in tasks for one in group if one in rows[task]]) for name, group in methods.items()
     }
     return Board(suite, scores, replicates, tasks, against or best, flights)
 

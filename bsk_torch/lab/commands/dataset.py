@@ -84,11 +84,11 @@ def dataset(
     usual = [PRETRAINED] if preset in makings() else []
     acting = None if behavior is None else [named_behavior(text, preset) for text in behavior]
     judged = {slug(text): named_policy(text, preset) for text in (usual if target is None else target)}
-    every = [one.policy for one in acting or ()] + [*judged.values()]
+    policies = [one.policy for one in acting or ()] + [*judged.values()]
     if acting is None:
-        every += [named_policy(name, preset) for name in usual]
+        policies += [named_policy(name, preset) for name in usual]
     backend, device, size = options.pop("backend"), options.pop("device"), min(len(episodes), num_envs)
-    options = trained_options(every) | preset_options(option) | options
+    options = trained_options(policies) | preset_options(option) | options
     env = environment(preset, size, options | {"backend": backend, "device": device, "env_ids": [0] * size})
     if acting is None:
         acting = [named_behavior(text, preset) for text in (RANDOM, *usual_rule(env), *usual)]
@@ -113,32 +113,32 @@ def named_behavior(text: str, preset: str) -> Named:
     """Return the behavior ``NAME[,random=P][,OPTION=VALUE...]``; ends the program for anything else."""
     from bsk_torch.cli.policies import named_actor, named_policy
 
-    name, *rest = text.split(",")
-    shares = [part for part in rest if part.startswith(SHARE)]
-    others = [part for part in rest if not part.startswith(SHARE)]
+    name, *parts = text.split(",")
+    shares = [part for part in parts if part.startswith(SHARE)]
+    extras = [part for part in parts if not part.startswith(SHARE)]
     try:
         share = float(shares[-1].removeprefix(SHARE)) if shares else 0.0
     except ValueError:
         fail(f"--behavior {text!r}: {shares[-1]!r} must be a probability, such as random=0.2")
     if name == RANDOM:
-        if rest:
+        if parts:
             fail(f"--behavior {text!r}: random actions have no options")
         return Named(text, None, 1.0)
     if name.startswith(PREFIX):
-        return Named(text, named_actor(name, preset, others), share)
-    if others:
-        fail(f"--behavior {text!r}: {others[0]!r} is not an option of a policy; give random=P, or a planner such as plan:rollout")
+        return Named(text, named_actor(name, preset, extras), share)
+    if extras:
+        fail(f"--behavior {text!r}: {extras[0]!r} is not an option of a policy; give random=P, or a planner such as plan:rollout")
     return Named(text, named_policy(name, preset), share)
 
 
 def trained_options(policies: Sequence[NamedPolicy | None]) -> dict[str, Any]:
     """Return the options of the environment with which the policies were trained; ends the program if they contradict."""
-    found: dict[str, Any] = {}
+    options: dict[str, Any] = {}
     for policy in policies:
         for name, value in ({} if policy is None else policy.options({})).items():
-            if found.setdefault(name, value) != value:
-                fail(f"the policies were trained with different options: {name}={found[name]!r} and {name}={value!r}")
-    return found
+            if options.setdefault(name, value) != value:
+                fail(f"the policies were trained with different options: {name}={options[name]!r} and {name}={value!r}")
+    return options
 
 
 def usual_rule(env: Tasking) -> list[str]:

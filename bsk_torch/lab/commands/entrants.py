@@ -28,15 +28,15 @@ def entrant_of(name: str, tasks: Sequence[Task] = ()) -> Entrant:
         return lambda preset, make: entered(named_policy(name, preset), make, drawn) if preset in makings() else None
     plain, *views = name.split(",")
     if plain.startswith(PREFIX):
-        seen = [text for text in views if text.partition("=")[0] in allowed]
-        options = [text for text in views if text not in seen]
+        choices = [text for text in views if text.partition("=")[0] in allowed]
+        options = [text for text in views if text not in choices]
         named_planner(plain, None, options)  # unknown names and options end the program before anything runs
-        chosen = dict(view_of(text, allowed) for text in seen)
+        chosen = dict(view_of(text, allowed) for text in choices)
         return lambda preset, make: planned(plain, options, chosen, preset, make)
     if plain in RULES:
         usual = {view: value for task in tasks for view, value in task.rules.get(plain, {}).items()}
-        given = usual | dict(view_of(view, allowed) for view in views)
-        return lambda preset, make: rule(plain, given, make)
+        settings = usual | dict(view_of(view, allowed) for view in views)
+        return lambda preset, make: rule(plain, settings, make)
     if ":" in plain and not Path(name).exists():
         return entrant_of_user(plain, views)
     policy = named_policy(name, None)

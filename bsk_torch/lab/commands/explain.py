@@ -62,7 +62,7 @@ def explain_failures(
     from bsk_torch.lab.audit.counterfactual import check_searchable
     from bsk_torch.lab.audit.failures import explain
 
-    episodes, begun = seed_range(seeds), None if starts is None else seed_range(starts, "--starts")
+    episodes, start_seeds = seed_range(seeds), None if starts is None else seed_range(starts, "--starts")
     figure = drawing(draw, "bsk_torch.viz.figures.timeline")
     check_writable(out)
     named, env, actor = flown_by(policy, preset, num_envs, options)
@@ -74,9 +74,9 @@ def explain_failures(
         with working(f"playing {len(episodes)} episodes") as show:
             flown, failures = explain(actor, env, torch.tensor(episodes), show)
             figures = summary(flown, failures)
-            if begun is not None:
-                show(f"searching for actions that survive {len(begun)} episodes")
-                figures["starts"] = survivable(env, begun)
+            if start_seeds is not None:
+                show(f"searching for actions that survive {len(start_seeds)} episodes")
+                figures["starts"] = survivable(env, start_seeds)
     activity.report()
     if failures:
         print_table([cells(failure) for failure in failures], expendable=EXPENDABLE, left=("cause", "action then"))
@@ -122,9 +122,9 @@ def survivable(env: SatelliteTasking, seeds: range) -> dict[str, Any]:
 
     from bsk_torch.lab.audit.failures import can_be_saved
 
-    saved, n = int(can_be_saved(env, torch.tensor(seeds)).sum()), len(seeds)
-    figures: dict[str, Any] = {"seeds": [seeds.start, seeds.stop], "survived": saved}
-    return figures | ({"lost_at_most": float(f"{1.0 - 0.05 ** (1.0 / n):.2g}")} if saved == n else {})
+    count, n = int(can_be_saved(env, torch.tensor(seeds)).sum()), len(seeds)
+    figures: dict[str, Any] = {"seeds": [seeds.start, seeds.stop], "survived": count}
+    return figures | ({"lost_at_most": float(f"{1.0 - 0.05 ** (1.0 / n):.2g}")} if count == n else {})
 
 
 def statistics(moments: Sequence[Moment]) -> dict[str, Any]:
@@ -158,18 +158,18 @@ def told(figures: Mapping[str, Any]) -> Iterator[str]:
 
 def cells(failure: Failure) -> dict[str, str]:
     """Return a row of the table: the last chance, and the number of decisions after which the episode is proven to be lost."""
-    then = failure.last_chance or failure.start
+    moment = failure.last_chance or failure.start
     return {
         "seed": f"{failure.seed}",
         "cause": failure.cause.replace("_valid", ""),
         "died (s)": f"{failure.died:.0f}",
         "outcome": failure.outcome,
-        "last chance (s)": f"{then.time:.0f}" if failure.last_chance else "none",
-        "action then": then.action.removeprefix("action_"),
-        "charge": f"{then.charge:.1%}",
-        "wheels (rpm)": f"{then.wheel_rpm:.0f}",
-        "dark (s)": f"{then.dark:.0f}",
-        LOST_AFTER: f"{failure.lost_from - then.decision}",
+        "last chance (s)": f"{moment.time:.0f}" if failure.last_chance else "none",
+        "action then": moment.action.removeprefix("action_"),
+        "charge": f"{moment.charge:.1%}",
+        "wheels (rpm)": f"{moment.wheel_rpm:.0f}",
+        "dark (s)": f"{moment.dark:.0f}",
+        LOST_AFTER: f"{failure.lost_from - moment.decision}",
     }
 
 
@@ -203,5 +203,5 @@ def rescued(env: Tasking, failure: Failure) -> str:
 def save(path: Path, figures: dict[str, Any], failures: Sequence[Failure]) -> None:
     """Write figures line by line, then a line for each failure."""
     lines = [f"{json.dumps(name)}: {json.dumps(value)}" for name, value in figures.items()]
-    listed = ",\n  ".join(json.dumps(dataclasses.asdict(failure)) for failure in failures)
-    write_file(path, "{\n " + ",\n ".join([*lines, f'"failures": [\n  {listed}\n ]']) + "\n}\n")
+    entries = ",\n  ".join(json.dumps(dataclasses.asdict(failure)) for failure in failures)
+    write_file(path, "{\n " + ",\n ".join([*lines, f'"failures": [\n  {entries}\n ]']) + "\n}\n")

@@ -76,18 +76,18 @@ def leaderboard(
     suite = published_suite or read_result(files[0], Results)[0][1]
     with refusing():
         tasks = [task.title for task in tasks_of(suite, presets)]
-        known = published(suite) if published_suite else {"policies": {}, "methods": {}}
+        reference = published(suite) if published_suite else {"policies": {}, "methods": {}}
     if not references(suite):
         fail(f"the tasks of the suite {suite} have measures, not scores, and cannot be aggregated")
-    mine, results = read_earlier(files, suite, Results), dict[str, dict[str, Any]]()
-    if files and not mine:
+    entries, results = read_earlier(files, suite, Results), dict[str, dict[str, Any]]()
+    if files and not entries:
         fail(f"{', '.join(map(str, files))} has no policies")
-    add_results(results, known["policies"])
-    add_results(results, mine)
-    methods = methods_of(results, method) if method else separate(mine)
-    if taken := [name for name in methods if name in known["methods"]]:
-        fail(f"{taken[0]!r} is a method of the published results; use another name in --method NAME=PATTERN")
-    board = board_of(results, known["methods"] | methods, suite, tasks, against)
+    add_results(results, reference["policies"])
+    add_results(results, entries)
+    methods = methods_of(results, method) if method else separate(entries)
+    if duplicates := [name for name in methods if name in reference["methods"]]:
+        fail(f"{duplicates[0]!r} is a method of the published results; use another name in --method NAME=PATTERN")
+    board = board_of(results, reference["methods"] | methods, suite, tasks, against)
     print_board(board)
     if draw is not None:
         figure.performance_profiles(*board.profiles(), draw, f"Performance profiles, suite {suite}, {len(board.tasks)} tasks")
@@ -98,25 +98,25 @@ def leaderboard(
 def separate(results: Mapping[str, Mapping[str, object]]) -> dict[str, list[str]]:
     """Return each policy that plays the most tasks as a method."""
     most = max((len(played) for played in results.values()), default=0)
-    if left := [name for name, played in results.items() if len(played) < most]:
-        print_message(f"left out, as others play more tasks: {', '.join(left)}; combine policies with --method NAME=PATTERN")
+    if fewer := [name for name, played in results.items() if len(played) < most]:
+        print_message(f"left out, as others play more tasks: {', '.join(fewer)}; combine policies with --method NAME=PATTERN")
     return {name: [name] for name, played in results.items() if len(played) == most}
 
 
-def methods_of(results: Mapping[str, Mapping[str, object]], given: Sequence[str]) -> dict[str, list[str]]:
+def methods_of(results: Mapping[str, Mapping[str, object]], texts: Sequence[str]) -> dict[str, list[str]]:
     """Return the policies of each method: those that match its patterns NAME=PATTERN.
 
     Ends the program for other texts, and for patterns of no policy.
     """
     methods: dict[str, list[str]] = {}
-    for text in given:
+    for text in texts:
         name, sign, pattern = text.partition("=")
         if not sign or not name or not pattern:
             fail(f"--method {text!r} must be NAME=PATTERN, such as ppo='runs/ppo/seed_*'")
-        found = [policy for policy in results if policy == pattern or fnmatchcase(policy, pattern)]
-        if not found:
+        matches = [policy for policy in results if policy == pattern or fnmatchcase(policy, pattern)]
+        if not matches:
             fail(f"--method {text!r}: no policy has this name or matches it; {nearest(pattern.strip(MATCHING), results)}")
-        methods[name] = list(dict.fromkeys((*methods.get(name, ()), *found)))
+        methods[name] = list(dict.fromkeys((*methods.get(name, ()), *matches)))
     return methods
 
 
@@ -127,13 +127,13 @@ def print_board(board: Board) -> None:
     measures = {name: board.measures(name) for name in board.scores}
     table, better = [], f"better than {board.against}"
     for name in sorted(measures, key=lambda name: -measures[name]["IQM"].value):
-        same, repeated = board.flights[name]
-        found = measures[name]
+        equal, repeated = board.flights[name]
+        values = measures[name]
         table.append(
             {"method": name, "runs": str(len(board.scores[name]))}
-            | {measure: told(found[measure]) for measure in AGGREGATES}
-            | {better: told(found["better"]) if "better" in found else ""}
-            | {"same on Basilisk": f"{same} of {repeated}" if repeated else ""}
+            | {measure: told(values[measure]) for measure in AGGREGATES}
+            | {better: told(values["better"]) if "better" in values else ""}
+            | {"same on Basilisk": f"{equal} of {repeated}" if repeated else ""}
         )
     title = f"suite {board.suite}, {len(board.tasks)} tasks: {', '.join(board.tasks)}"
     print_table(table, title, ("mean", "optimality gap", "same on Basilisk", better), left=("method",))
@@ -142,15 +142,15 @@ def print_board(board: Board) -> None:
     )
 
 
-def told(found: Interval) -> str:
+def told(interval: Interval) -> str:
     """Return a value with its interval."""
-    return f"{found.value:.3f} [{found.low:.3f}, {found.high:.3f}]"
+    return f"{interval.value:.3f} [{interval.low:.3f}, {interval.high:.3f}]"
 
 
 def document(board: Board) -> dict[str, Any]:
     """Return the content of the JSON file."""
     methods = {
-        name: {measure: found._asdict() for measure, found in board.measures(name).items()}
+        name: {measure: interval._asdict() for measure, interval in board.measures(name).items()}
         | {"scores": scores.tolist(), "basilisk": dict(zip(("same", "episodes"), board.flights[name], strict=True))}
         for name, scores in board.scores.items()
     }

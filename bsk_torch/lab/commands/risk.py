@@ -80,62 +80,62 @@ def estimate_risk(
         refusing(why=f"the risk in {named.preset} cannot be estimated: "),
         working(f"estimating the risk of {named.label}") as show,
     ):
-        found = risk(
+        estimate = risk(
             env, actor, event=event, level=level or None, method=method, episodes=episodes, repetitions=repetitions,
             smallest=smallest, pool=pool, seed=seed, tell=show,
         )  # fmt: skip
     activity.report()
-    echo("\n".join(told(found, f"{named.preset}, {named.label}")))
-    print_ways(found)
-    kept = {name: value for name, value in named.options(options).items() if name not in ("backend", "device")}
-    about = {"preset": named.preset, "policy": Path(policy).name, "options": kept}
-    if save is not None and found.ways:
-        save_paths(save, about | {"event": found.event}, found.paths(), found.actions)
+    echo("\n".join(told(estimate, f"{named.preset}, {named.label}")))
+    print_ways(estimate)
+    settings = {name: value for name, value in named.options(options).items() if name not in ("backend", "device")}
+    about = {"preset": named.preset, "policy": Path(policy).name, "options": settings}
+    if save is not None and estimate.ways:
+        save_paths(save, about | {"event": estimate.event}, estimate.paths(), estimate.actions)
         echo(f"{save}: a typical episode of each way")
     if out is not None:
-        write_file(out, json.dumps(about | found.to_dict(), indent=1, allow_nan=False, default=str) + "\n")
-    if draw is not None and found.ways:
-        draw_way(found, named, options, draw, figure)
+        write_file(out, json.dumps(about | estimate.to_dict(), indent=1, allow_nan=False, default=str) + "\n")
+    if draw is not None and estimate.ways:
+        draw_way(estimate, named, options, draw, figure)
     for path in (save, draw):
-        if path is not None and not found.ways:
+        if path is not None and not estimate.ways:
             echo(f"{path} was not written: the event was not seen")
 
 
-def told(found: Risk, title: str) -> Iterator[str]:
+def told(risk: Risk, title: str) -> Iterator[str]:
     """Yield the estimate in lines of at most 80 characters."""
     from bsk_torch.lab.risk.subset import RARER
 
-    mean, low, high = found.probability
-    screening, several = found.screening, f"{found.tally.episodes:,} episodes of {found.seconds:,.0f} s on average"
-    yield f"{title}: {found.event}"
+    mean, low, high = risk.probability
+    screening, several = risk.screening, f"{risk.tally.episodes:,} episodes of {risk.seconds:,.0f} s on average"
+    yield f"{title}: {risk.event}"
     if mean == 0.0:
         yield f"not seen; its probability is at most {high:.1e}, with a confidence of 95 %"
-        why = "smaller probabilities are not searched" if found.why == RARER else "no episode came nearer; --episodes may help"
-        yield f"the highest level is {found.highest:.4g}: {why}"
+        why = "smaller probabilities are not searched" if risk.why == RARER else "no episode came nearer; --episodes may help"
+        yield f"the highest level is {risk.highest:.4g}: {why}"
     else:
         yield f"probability {mean:.2e}, 95 % interval {low:.1e} to {high:.1e}"
-        if found.error * len(found.estimates) ** 0.5 > 1.0:
+        if risk.error * len(risk.estimates) ** 0.5 > 1.0:
             yield "single repetitions differ by more than their mean: use more --episodes"
     if screening is None:
-        yield f"{several}, {len(found.thresholds)} thresholds"
+        yield f"{several}, {len(risk.thresholds)} thresholds"
     else:
         yield f"{several}, {screening.learned:,} of them to learn from"
-        yield f"screened: {screening.pool:,} seeds in each of {len(found.estimates)} repetitions"
+        yield f"screened: {screening.pool:,} seeds in each of {len(risk.estimates)} repetitions"
         yield f"draws at reset explain {screening.explained:.0%} of the variance of levels"
         if screening.largest > CARRIED:
             yield f"one episode carries {screening.largest:.0%} of the estimate: do not rely on its interval"
-    if found.saved == found.saved:
-        yield f"as exact as {found.saved:,.1f} times as many simulated seconds of independent episodes"
+    if risk.saved == risk.saved:
+        yield f"as exact as {risk.saved:,.1f} times as many simulated seconds of independent episodes"
 
 
-def print_ways(found: Risk) -> None:
+def print_ways(risk: Risk) -> None:
     """Print the ways to the event, and the drawn quantities that differ most."""
-    if not found.ways:
+    if not risk.ways:
         return
     echo("")
-    print_table([of_way(way) for way in found.ways], "Ways to the event", left=("checks that fail",))
+    print_table([of_way(way) for way in risk.ways], "Ways to the event", left=("checks that fail",))
     print_table(
-        [of_shift(shift) for shift in found.shifts[:SHOWN]],
+        [of_shift(shift) for shift in risk.shifts[:SHOWN]],
         "What was drawn at reset (medians), and how often it is larger with the event",
         left=("quantity",),
     )
@@ -163,7 +163,7 @@ def of_shift(shift: Shift) -> dict[str, str]:
     }
 
 
-def draw_way(found: Risk, named: NamedPolicy, options: Mapping[str, Any], path: Path, figure: Any) -> None:
+def draw_way(risk: Risk, named: NamedPolicy, options: Mapping[str, Any], path: Path, figure: Any) -> None:
     """Draw the most typical episode over time, with the moment of the event."""
     import torch
 
@@ -171,12 +171,12 @@ def draw_way(found: Risk, named: NamedPolicy, options: Mapping[str, Any], path: 
     from bsk_torch.rl.evaluation.replay import script
 
     episodes = extra("bsk_torch.viz.episodes")
-    typical = found.paths().take(torch.tensor([0]))
-    time = found.ways[0].time
+    typical = risk.paths().take(torch.tensor([0]))
+    time = risk.ways[0].time
     seed = int(typical.seeds[0])
     with working("drawing"), blended(typical.blend()):
         one = made(named.preset, 1, named.options(options) | {"env_ids": [0]})
-        episode = episodes.record(script(torch.tensor(found.actions[0])[None, :, 0]), one, seed=seed)
+        episode = episodes.record(script(torch.tensor(risk.actions[0])[None, :, 0]), one, seed=seed)
     moment = float(typical.flown.notes["time"][0])
-    figure.timeline(episode, path, f"{named.preset}, {named.label}: {found.event}", [(moment, found.event)])
+    figure.timeline(episode, path, f"{named.preset}, {named.label}: {risk.event}", [(moment, risk.event)])
     echo(f"{path}: an episode with the event after {moment:,.0f} s; half of them are before {time[1]:,.0f} s")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -61,14 +60,14 @@ class PartlyRandom(TensorDictModuleBase):
         super().__init__()
         self.policy, self.share = policy, share
         self._uniform = RandomPolicy(torch.Generator())
-        own: list[Any] = [] if policy is None else policy.in_keys
-        self.in_keys = [*dict.fromkeys([*own, "action_mask", LOT])]
+        keys = [] if policy is None else policy.in_keys
+        self.in_keys = [*dict.fromkeys([*keys, "action_mask", LOT])]
         self.out_keys = ["action", LOG_PROB]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``action`` and ``action_log_prob`` [N], from the uniform numbers ``lot`` [N]."""
         mask, lot = tensordict["action_mask"], tensordict[LOT]
-        action = self._drawn(mask, lot) if self.share > 0.0 else torch.zeros_like(lot, dtype=torch.int64)
+        action = self._draw(mask, lot) if self.share > 0.0 else torch.zeros_like(lot, dtype=torch.int64)
         probability = torch.full_like(lot, self.share) / mask.sum(-1).clamp(min=1)
         if self.policy is not None:
             preferred = self.policy(tensordict)["action"]
@@ -76,7 +75,7 @@ class PartlyRandom(TensorDictModuleBase):
             probability = probability + (1.0 - self.share) * (action == preferred)
         return tensordict.update({"action": action, LOG_PROB: probability.log().float()})
 
-    def _drawn(self, mask: Tensor, lot: Tensor) -> Tensor:
+    def _draw(self, mask: Tensor, lot: Tensor) -> Tensor:
         """Return random legal actions, [N], for the part of ``lot`` below the share; the others are not used."""
         scaled = (lot / self.share).clamp(max=BELOW_ONE)
         return self._uniform(TensorDict({"action_mask": mask, LOT: scaled}, mask.shape[:-1]))["action"]

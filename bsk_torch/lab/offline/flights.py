@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -79,29 +79,29 @@ def play(
     def acting(td: TensorDictBase) -> TensorDictBase:
         number = next(numbers)
         lot = key.named(f"counterfactual {number}").uniform(1).squeeze(1).to(env.device)
-        here = rows & ~td["done"].squeeze(-1) & (lot < share)
-        judged = _judged(td, here, values)
+        lucky = rows & ~td["done"].squeeze(-1) & (lot < share)
+        judged = _judged(td, lucky, values)
         td = policy(td)
-        if bool(here.any()):
+        if bool(lucky.any()):
             part = td.select(*observed, "action", LOG_PROB).update(judged)
             part[EPISODE] = torch.arange(env.num_envs, device=env.device) + first
             part[DECISION] = torch.full_like(part[EPISODE], number)
-            sampled.append(part[here].to("cpu"))
+            sampled.append(part[lucky].to("cpu"))
         return td
 
     steps, played = [], []
     for playing, step in play_episodes(env, with_lots(acting, env), start, rows):
         steps.append(_transition(step, observed).cpu())
         played.append(playing.cpu())
-    taken = torch.stack(played, 1)
-    flown: Any = torch.stack(steps, 1)
-    flown[EPISODE] = (torch.arange(len(taken)) + first).unsqueeze(1).expand(taken.shape)
+    mask = torch.stack(played, 1)
+    transitions: TensorDictBase = torch.stack(steps, 1)
+    transitions[EPISODE] = (torch.arange(len(mask)) + first).unsqueeze(1).expand(mask.shape)
     count = len(seeds)
     return Flown(
-        flown[taken],
+        transitions[mask],
         _ordered(sampled),
         env.returns[:count].double().cpu().clone(),
-        taken.sum(1)[:count],
+        mask.sum(1)[:count],
         env.fleet.sim_time[:count].cpu().clone(),
     )
 
@@ -124,23 +124,23 @@ def first_observations(env: SatelliteTasking, seeds: Sequence[int]) -> TensorDic
     return start[: len(seeds)].cpu().clone()
 
 
-def _judged(td: TensorDictBase, here: Tensor, values: Mapping[str, ActionValues]) -> TensorDictBase:
-    """Return the returns of all actions in the rows ``here`` [N], and the actions of the targets, [N]."""
-    found = TensorDict({}, td.batch_size, device=td.device)
-    if not bool(here.any()):
-        return found
+def _judged(td: TensorDictBase, rows: Tensor, values: Mapping[str, ActionValues]) -> TensorDictBase:
+    """Return the returns of all actions in the ``rows`` [N], and the actions of the targets, [N]."""
+    judgments = TensorDict({}, td.batch_size, device=td.device)
+    if not bool(rows.any()):
+        return judgments
     for name, judge in values.items():
-        alone = td.clone(recurse=False).set("done", ~here.unsqueeze(-1))  # a planner decides where an episode has not ended
-        judged = judge(alone)
+        masked = td.clone(recurse=False).set("done", ~rows.unsqueeze(-1))  # a planner decides where an episode has not ended
+        judged = judge(masked)
         returns = judged[ACTION_VALUES].squeeze(1)
-        found[VALUE, name] = returns.mean(1)
+        judgments[VALUE, name] = returns.mean(1)
         if judge.futures is not None and judge.futures > 1:
-            found[ERROR, name] = returns.std(1) / judge.futures**0.5
-        found[TARGET_ACTION, name] = judged["action"]
-    return found
+            judgments[ERROR, name] = returns.std(1) / judge.futures**0.5
+        judgments[TARGET_ACTION, name] = judged["action"]
+    return judgments
 
 
-def _transition(step: TensorDictBase, observed: list[Any]) -> TensorDictBase:
+def _transition(step: TensorDictBase, observed: list[str | tuple[str, ...]]) -> TensorDictBase:
     """Return the entries of a step that are kept."""
     ends = ("done", "terminated", "truncated")
     after = [("next", *(key if isinstance(key, tuple) else (key,))) for key in (*observed, *ends, "reward")]
@@ -151,5 +151,5 @@ def _ordered(sampled: list[TensorDictBase]) -> TensorDict:
     """Return the sampled decisions, one episode after the other."""
     if not sampled:
         return TensorDict({}, [0])
-    joined: Any = torch.cat(sampled)
+    joined: TensorDictBase = torch.cat(sampled)
     return joined[torch.argsort(joined[EPISODE], stable=True)]

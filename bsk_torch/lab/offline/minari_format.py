@@ -40,8 +40,8 @@ def check_minari() -> None:
         ImportError: If Minari or h5py is missing, or the installed version does not read what it writes.
     """
     spaces = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32), gymnasium.spaces.Discrete(2)
-    seen, chosen = np.array([[0.0, 0.5], [0.25, 0.0], [1.0, -1.0]], dtype=np.float32), np.array([1, 0])
-    entries: dict[str, Any] = {"observations": seen, "actions": chosen, "rewards": np.array([0.5, -1.0])}
+    observations, actions = np.array([[0.0, 0.5], [0.25, 0.0], [1.0, -1.0]], dtype=np.float32), np.array([1, 0])
+    entries: dict[str, Any] = {"observations": observations, "actions": actions, "rewards": np.array([0.5, -1.0])}
     ends: dict[str, Any] = {
         "terminations": np.array([False, True]),
         "truncations": np.zeros(2, dtype=bool),
@@ -51,13 +51,13 @@ def check_minari() -> None:
         with tempfile.TemporaryDirectory() as folder, _root(Path(folder)) as minari:
             buffer = import_module("minari.data_collector").EpisodeBuffer(seed=7, **entries, **ends)
             minari.create_dataset_from_buffers(TRIAL, [buffer], observation_space=spaces[0], action_space=spaces[1])
-            found = next(iter(minari.load_dataset(TRIAL)))
-            same = all(np.array_equal(getattr(found, name), value) for name, value in (entries | ends).items() if name != "infos")
+            copy = next(iter(minari.load_dataset(TRIAL)))
+            equal = all(np.array_equal(getattr(copy, name), value) for name, value in (entries | ends).items() if name != "infos")
     except ModuleNotFoundError as error:
         raise ImportError(f"Minari's format needs {error.name}; pip install 'bsk_torch[minari]'") from error
     except Exception as error:
         raise ImportError(f"{_installed()} cannot write and read a dataset ({error}); pip install 'bsk_torch[minari]'") from error
-    if not same:
+    if not equal:
         raise ImportError(f"{_installed()} does not read what it writes; pip install 'bsk_torch[minari]'")
 
 
@@ -79,10 +79,10 @@ def write_minari(root: Path, transitions: TensorDict, recipe: Recipe, behavior: 
     sizes = torch.bincount(transitions[EPISODE]).tolist()
     with _root(root) as minari:
         about = f"Episodes of {recipe.preset} of bsk_torch with the policy {behavior.name}."
-        made = minari.create_dataset_from_buffers(
+        dataset = minari.create_dataset_from_buffers(
             name, [], env=spec, algorithm_name=behavior.name, description=about, requirements=["bsk_torch"]
         )
-        made.storage.update_episodes(_buffers(transitions, sizes, recipe))
+        dataset.storage.update_episodes(_buffers(transitions, sizes, recipe))
     return name
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from tensordict import TensorDictBase
@@ -42,8 +42,8 @@ class FittedQ:
     @torch.no_grad()
     def values(self, rows: TensorDictBase) -> Tensor:
         """Return the estimated returns of all actions, [n, A] float64, for rows [n] with observations."""
-        seen = (features(rows) - self.mean) / self.deviation
-        return torch.cat([self.network(part).double() for part in seen.split(ROWS)]) * self.scale
+        inputs = (features(rows) - self.mean) / self.deviation
+        return torch.cat([self.network(part).double() for part in inputs.split(ROWS)]) * self.scale
 
 
 class ImportanceEstimate(NamedTuple):
@@ -77,17 +77,17 @@ class Score(NamedTuple):
 
 def features(rows: TensorDictBase) -> Tensor:
     """Return the observations of rows [n] as one tensor, [n, F] float32; parts of a set are joined in order of their names."""
-    seen = rows["observation"]
-    if isinstance(seen, Tensor):
-        return seen.float()
-    leaves = sorted(seen.keys(True, True), key=str)
-    return torch.cat([seen[key].float().flatten(1) for key in leaves], 1)
+    observation = rows["observation"]
+    if isinstance(observation, Tensor):
+        return observation.float()
+    leaves = sorted(observation.keys(True, True), key=str)
+    return torch.cat([observation[key].float().flatten(1) for key in leaves], 1)
 
 
 def actions_of(policy: TensorDictModuleBase, rows: TensorDictBase) -> Tensor:
     """Return the most probable actions of a policy, [n], for rows [n] with observations and masks."""
-    known = [key for key in rows.keys(True, True) if key in policy.in_keys]
-    parts = rows.select(*known).split(ROWS)
+    keys = [key for key in rows.keys(True, True) if key in policy.in_keys]
+    parts = rows.select(*keys).split(ROWS)
     return torch.cat([decide(policy, part.clone())["action"] for part in parts])
 
 
@@ -129,28 +129,28 @@ def fitted_q(
     whole("iterations", iterations, 1)
     whole("batch_size", batch_size, 1)
     data = _Episodes.of(transitions, policy, gamma)
-    seen, after = features(transitions), features(transitions["next"])
-    mean, deviation = seen.mean(0), seen.std(0)
+    x, after = features(transitions), features(transitions["next"])
+    mean, deviation = x.mean(0), x.std(0)
     deviation = torch.where(deviation > 0.0, deviation, 1.0)
-    seen, after = (seen - mean) / deviation, (after - mean) / deviation
+    x, after = (x - mean) / deviation, (after - mean) / deviation
     scale = float(data.returns().std()) or 1.0
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        network = MLP(seen.shape[1], transitions["action_mask"].shape[-1], num_cells=list(hidden), activation_class=torch.nn.ReLU)
+        network = MLP(x.shape[1], transitions["action_mask"].shape[-1], num_cells=list(hidden), activation_class=torch.nn.ReLU)
     optimizer = torch.optim.Adam(network.parameters(), lr=learning_rate)
     generator = torch.Generator().manual_seed(seed)
-    found = FittedQ(network, mean, deviation, scale)
-    taken = transitions["action"].unsqueeze(1)
+    estimate = FittedQ(network, mean, deviation, scale)
+    actions = transitions["action"].unsqueeze(1)
     for _ in range(iterations):
         with torch.no_grad():
-            then = torch.cat([network(part) for part in after.split(ROWS)]).gather(1, data.next_action.unsqueeze(1)).squeeze(1)
-            wanted = data.backed_up(then.double() * scale, trace) / scale
-        for index in torch.randperm(len(seen), generator=generator).split(batch_size):
-            error = network(seen[index]).gather(1, taken[index]).squeeze(1) - wanted[index].float()
+            q = torch.cat([network(part) for part in after.split(ROWS)]).gather(1, data.next_action.unsqueeze(1)).squeeze(1)
+            targets = data.backed_up(q.double() * scale, trace) / scale
+        for index in torch.randperm(len(x), generator=generator).split(batch_size):
+            error = network(x[index]).gather(1, actions[index]).squeeze(1) - targets[index].float()
             optimizer.zero_grad()
             error.square().mean().backward()
             optimizer.step()
-    return found
+    return estimate
 
 
 def importance_sampling(transitions: TensorDictBase, policy: TensorDictModuleBase, *, gamma: float = 1.0) -> ImportanceEstimate:
@@ -182,16 +182,16 @@ def score(estimates: Tensor, truth: Tensor) -> Score:
     """Return the score of estimated action values [D, A] against returns [D, A], which are NaN for illegal actions."""
     legal = ~truth.isnan()
     error = (estimates - truth)[legal]
-    known = truth.nan_to_num(nan=0.0)
-    both = legal.unsqueeze(2) & legal.unsqueeze(1)
-    difference, guessed = known.unsqueeze(2) - known.unsqueeze(1), estimates.unsqueeze(2) - estimates.unsqueeze(1)
-    pairs = both & (difference > 0.0)
+    returns = truth.nan_to_num(nan=0.0)
+    comparable = legal.unsqueeze(2) & legal.unsqueeze(1)
+    difference, guessed = returns.unsqueeze(2) - returns.unsqueeze(1), estimates.unsqueeze(2) - estimates.unsqueeze(1)
+    pairs = comparable & (difference > 0.0)
     best = truth.nan_to_num(nan=-torch.inf).amax(1)
-    chosen = estimates.masked_fill(~legal, -torch.inf).argmax(1, keepdim=True)
+    action = estimates.masked_fill(~legal, -torch.inf).argmax(1, keepdim=True)
     return Score(
         float(error.square().mean().sqrt()),
         float((guessed[pairs] > 0.0).double().mean()),
-        float((best - truth.gather(1, chosen).squeeze(1)).mean()),
+        float((best - truth.gather(1, action).squeeze(1)).mean()),
     )
 
 
@@ -229,7 +229,7 @@ class _Episodes(NamedTuple):
             (number_of, torch.arange(len(episode)) - begins),
         )
 
-    def table(self, column: Tensor, fill: Any) -> Tensor:
+    def table(self, column: Tensor, fill: float) -> Tensor:
         """Return a column [T] as a table of episodes and decisions, [E, L], filled up at the ends of short episodes."""
         episodes, longest = (int(part.max()) + 1 for part in self.place)
         return torch.full((episodes, longest), fill, dtype=column.dtype).index_put(self.place, column)
@@ -238,12 +238,12 @@ class _Episodes(NamedTuple):
         """Return the sums of rewards, [E]."""
         return self.table(self.reward, 0.0).sum(1)
 
-    def backed_up(self, then: Tensor, trace: float) -> Tensor:
-        """Return the targets of a regression [T], with values ``then`` [T] of the states after the decisions."""
-        then = torch.where(self.done, 0.0, then)
+    def backed_up(self, following: Tensor, trace: float) -> Tensor:
+        """Return the targets of a regression [T], with values ``following`` [T] of the states after the decisions."""
+        following = torch.where(self.done, 0.0, following)
         if trace == 0.0:
-            return self.factor * (self.reward + then)
-        value, reward, factor = self.table(then, 0.0), self.table(self.reward, 0.0), self.table(self.factor, 1.0)
+            return self.factor * (self.reward + following)
+        value, reward, factor = self.table(following, 0.0), self.table(self.reward, 0.0), self.table(self.factor, 1.0)
         follows = trace * self.table(self.agrees.double(), 0.0)
         total, totals = torch.zeros_like(value[:, 0]), torch.zeros_like(value)
         share = torch.zeros_like(total)

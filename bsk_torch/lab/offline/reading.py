@@ -71,8 +71,8 @@ class OfflineDataset:
         Raises:
             ValueError: For an unknown behavior, with the nearest name.
         """
-        names = self._chosen(behaviors)
-        parts = [_loaded(self._path(name) / TRANSITIONS, EPISODE) for name in names]
+        names = self._names(behaviors)
+        parts = [_load(self._path(name) / TRANSITIONS, EPISODE) for name in names]
         return parts[0] if len(parts) == 1 else _joined(parts, [self.card["behaviors"][name]["episodes"] for name in names])
 
     def counterfactuals(self, *behaviors: str) -> TensorDict:
@@ -87,9 +87,9 @@ class OfflineDataset:
         Raises:
             ValueError: For an unknown behavior, with the nearest name, or without any sampled decision.
         """
-        names = self._chosen(behaviors)
+        names = self._names(behaviors)
         folders = [self._path(name) / COUNTERFACTUALS for name in names]
-        parts = [_loaded(folder, EPISODE) for folder in folders if folder.is_dir()]
+        parts = [_load(folder, EPISODE) for folder in folders if folder.is_dir()]
         if not parts:
             raise ValueError(
                 f"{str(self.folder)!r} has no sampled decisions of {', '.join(names)}; see share={self.card['share']}"
@@ -107,7 +107,7 @@ class OfflineDataset:
         """
         if not self.card["targets"]:
             raise ValueError(f"{str(self.folder)!r} was written without targets, and has no returns of other policies")
-        return _loaded(self.folder / STARTS, SEED)
+        return _load(self.folder / STARTS, SEED)
 
     def replay_buffer(self, *behaviors: str, batch_size: int, **options: Any) -> TensorDictReplayBuffer:
         """Return a replay buffer of TorchRL with the transitions of the ``behaviors`` (default: all), which cannot be extended.
@@ -126,7 +126,7 @@ class OfflineDataset:
             raise ValueError(f"there is no target {name!r}; {nearest(name, self.card['targets'])}")
         return name
 
-    def _chosen(self, behaviors: tuple[str, ...]) -> list[str]:
+    def _names(self, behaviors: tuple[str, ...]) -> list[str]:
         for name in behaviors:
             if name not in self.behaviors:
                 raise ValueError(f"there is no behavior {name!r}; {nearest(name, self.behaviors)}")
@@ -163,7 +163,7 @@ def open_dataset(folder: Path | str) -> OfflineDataset:
     return OfflineDataset(Path(folder), card)
 
 
-def _loaded(folder: Path, number: str) -> TensorDict:
+def _load(folder: Path, number: str) -> TensorDict:
     """Return the tensordict of a folder; ValueError for other content than tensors, or without the ``number`` of every row."""
     rows = read_memmap(folder)
     numbers = rows.get(number, None)
@@ -182,8 +182,8 @@ def _together(parts: list[TensorDict]) -> TensorDict:
 
 def _joined(parts: list[TensorDict], episodes: list[int]) -> TensorDict:
     """Return transitions of several behaviors with numbers of ``episodes``, so that no two have the same number."""
-    whole: Any = _together(parts)
+    table = _together(parts)
     first = torch.tensor(episodes).cumsum(0) - torch.tensor(episodes)
     sizes = torch.tensor([len(part) for part in parts])
-    whole[EPISODE] = whole[EPISODE] + first.repeat_interleave(sizes)
-    return whole
+    table[EPISODE] = table[EPISODE] + first.repeat_interleave(sizes)
+    return table

@@ -167,13 +167,13 @@ def _write_starts(folder: Path, env: SatelliteTasking, recipe: Recipe, progress:
 
 def _mapped(folder: Path, parts: list[TensorDict]) -> TensorDict:
     """Write tensordicts one after the other into a memory-mapped one, and return that."""
-    whole = parts[0][:1].expand(sum(map(len, parts))).memmap_like(str(folder))
+    table = parts[0][:1].expand(sum(map(len, parts))).memmap_like(str(folder))
     first = 0
     for part in parts:
         for key in part.keys(True, True):
-            whole[key][first : first + len(part)].copy_(part[key])
+            table[key][first : first + len(part)].copy_(part[key])
         first += len(part)
-    return whole
+    return table
 
 
 def _table(played: list[Played], recipe: Recipe) -> str:

@@ -70,6 +70,6 @@ class ActionValues(Rollout):
 
     def _improved(self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor) -> tuple[Tensor, Tensor]:
         """Note the returns of the legal actions; return those of the base policy."""
-        mine = self.slots.at(self.slots.chosen(td)[rows], slot)
-        self._values[rows, slot], simulated = self._returns(td, memory, rows, slot, self._tried(td, rows, slot, mine))
-        return mine, simulated
+        base = self.slots.at(self.slots.chosen(td)[rows], slot)
+        self._values[rows, slot], simulated = self._returns(td, memory, rows, slot, self._tried(td, rows, slot, base))
+        return base, simulated

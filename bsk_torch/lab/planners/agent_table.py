@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -51,7 +50,7 @@ class AgentTable:
         kinds = zip(self.titles, self.real, self.n_actions, strict=True)
         return [title for title, real, n in kinds if real or n > 1] or self.titles
 
-    def of(self, chosen: Sequence[bool], device: Any) -> Tensor:
+    def of(self, chosen: Sequence[bool], device: torch.device | None) -> Tensor:
         """Return which agents belong to the ``chosen`` groups, [S] booleans."""
         flags = [flag for flag, size in zip(chosen, self.sizes, strict=True) for _ in range(size)]
         return torch.tensor(flags, device=device)
@@ -110,10 +109,8 @@ class AgentTable:
 
     def actions(self, td: TensorDictBase) -> TensorDict:
         """Return copies of the actions in ``td``."""
-        parts: dict[Any, Any] = {}
-        for group in self.groups:
-            parts |= {"action": td["action"].clone()} if group is None else {(group, "action"): td[group, "action"].clone()}
-        return TensorDict(parts, td.batch_size, device=td.device)
+        keys = ["action" if group is None else (group, "action") for group in self.groups]
+        return TensorDict({key: td[key].clone() for key in keys}, td.batch_size, device=td.device)
 
     def put(self, td: TensorDictBase, slot: Tensor, value: Tensor, where: Tensor | None = None) -> None:
         """Write the action ``value`` of the agent ``slot`` [N] of each row, discrete [N] or continuous [N, W].
@@ -122,12 +119,12 @@ class AgentTable:
         """
         for group, first, size, bounds in zip(self.groups, self.first, self.sizes, self.bounds, strict=True):
             old = self._action(td, group)
-            here = slot.unsqueeze(1) == first + torch.arange(size, device=slot.device)
-            here = here if where is None else here & where.unsqueeze(1)
+            mask = slot.unsqueeze(1) == first + torch.arange(size, device=slot.device)
+            mask = mask if where is None else mask & where.unsqueeze(1)
             if value.ndim == 1 and not bounds:
-                new = torch.where(here, value.unsqueeze(1).to(old.dtype), old)
+                new = torch.where(mask, value.unsqueeze(1).to(old.dtype), old)
             elif value.ndim == 2 and bounds:
-                new = torch.where(here.unsqueeze(-1), value[:, : len(bounds)].unsqueeze(1).to(old.dtype), old)
+                new = torch.where(mask.unsqueeze(-1), value[:, : len(bounds)].unsqueeze(1).to(old.dtype), old)
             else:
                 continue
             td.set("action" if group is None else (group, "action"), new.squeeze(1) if group is None else new)

@@ -43,10 +43,10 @@ class Beam:
     def __init__(self, root: TensorDictBase, width: int, share: int, depth: int, n_actions: int) -> None:
         """Start with ``root`` [R], with space for ``share`` extensions of each."""
         roots, device = len(root), root.device
-        every = torch.arange(roots, device=device)
+        index = torch.arange(roots, device=device)
         self.share = share
-        self.node: Any = root.unsqueeze(1).expand(roots, width).clone()
-        self.place = every.unsqueeze(1) * (width + share) + torch.arange(width, device=device)
+        self.node: TensorDictBase = root.unsqueeze(1).expand(roots, width).clone()
+        self.place = index.unsqueeze(1) * (width + share) + torch.arange(width, device=device)
         self.valid = torch.arange(width, device=device).expand(roots, -1) == 0
         self.gained, self.elapsed = (torch.zeros(roots, width, dtype=torch.float64, device=device) for _ in range(2))
         self.path = torch.full((roots, width, depth), -1, device=device)
@@ -89,12 +89,12 @@ class Beam:
         table = self._table(r, number, total.masked_fill(flown.done, -torch.inf))
         best, which = torch.nn.functional.pad(table, (0, max(0, width - self.share)), value=-torch.inf).topk(width, 1)
         self.valid = best > -torch.inf
-        chosen = job.gather(1, which.clamp(max=self.share - 1))
-        self.elapsed = (self.elapsed[r, b] + flown.seconds)[chosen]
-        self.gained, self.path = gain[chosen], path[chosen]
-        assert flown.seen is not None
-        self.node = flown.seen[chosen]
-        child = (self.place[r, 0] + width + number)[chosen]
+        parents = job.gather(1, which.clamp(max=self.share - 1))
+        self.elapsed = (self.elapsed[r, b] + flown.seconds)[parents]
+        self.gained, self.path = gain[parents], path[parents]
+        assert flown.summary is not None
+        self.node = flown.summary[parents]
+        child = (self.place[r, 0] + width + number)[parents]
         return self.place[self.valid], child[self.valid]
 
     def _table(self, r: Tensor, number: Tensor, value: Tensor) -> Tensor:
@@ -165,11 +165,11 @@ class BeamSearch(Planner):
             jobs = self._extensions(beam, level, td, memory, real[r], (r, b, action))
             number = beam.number(r)
             flown = self.branches.fly(store, jobs, (store, beam.place[r, 0] + w + number), self._summary)
-            kept, child = beam.extend(level, (r, b, action), number, flown, self._discounting)
-            store.restore(store, kept, child)
-        mine = self.slots.at(self.slots.chosen(td)[rows], slot)
+            place, child = beam.extend(level, (r, b, action), number, flown, self._discounting)
+            store.restore(store, place, child)
+        base = self.slots.at(self.slots.chosen(td)[rows], slot)
         self._note(rows, slot, beam.q)
-        action, seconds = self._preferred(beam.q, mine), beam.simulated.view(len(rows), -1).sum(1)
+        action, seconds = self._preferred(beam.q, base), beam.simulated.view(len(rows), -1).sum(1)
         if not self._keeps_plans:
             return action, seconds
         worth = beam.q.gather(1, action.unsqueeze(1)).squeeze(1)
@@ -192,14 +192,14 @@ class BeamSearch(Planner):
         jobs = self._jobs(td, memory, real, beam.node["slot"][r, b], action.unsqueeze(1), beam.place[r, b])
         if level == 0:
             return jobs
-        kept = beam.node["memory"][r, b]
-        kept = kept if len(kept.keys()) else None
-        return jobs._replace(first=None, limit=None, carried=kept, judged=self._judged(beam.elapsed[r, b]))
+        state = beam.node["memory"][r, b]
+        state = state if len(state.keys()) else None
+        return jobs._replace(first=None, limit=None, carried=state, judged=self._judged(beam.elapsed[r, b]))
 
     def _tried(self, beam: Beam, share: int) -> Tensor:
         """Return the extensions to try, [R, W, A], at most ``share`` per root, including those of the base policy."""
         legal, prior = beam.node["legal"] & beam.valid.unsqueeze(-1), beam.node["prior"]
-        own = torch.nn.functional.one_hot(beam.node["mine"], legal.shape[-1]).bool()
-        weight = torch.where(own, 1.0 + prior, prior).masked_fill(~legal, -1.0).flatten(1)
+        base = torch.nn.functional.one_hot(beam.node["mine"], legal.shape[-1]).bool()
+        weight = torch.where(base, 1.0 + prior, prior).masked_fill(~legal, -1.0).flatten(1)
         best = weight.topk(min(share, weight.shape[1]), 1).indices
         return legal & torch.zeros_like(legal.flatten(1)).scatter(1, best, True).view_as(legal)

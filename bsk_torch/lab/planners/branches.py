@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -85,7 +85,7 @@ class Flown(NamedTuple):
         done: Whether the episode or the look-ahead ended with the first step, [J].
         rest: Return after the first step, discounted to its end, [J].
         simulated: Simulated time, [J] s.
-        seen: Result of ``watch`` after the first step, [J]; None without it.
+        summary: Result of ``watch`` after the first step, [J]; None without it.
         acted: For continuous actions, the first D actions of the agent, [J, D, W], and the number of executed ones, [J].
     """
 
@@ -94,24 +94,24 @@ class Flown(NamedTuple):
     done: Tensor
     rest: Tensor
     simulated: Tensor
-    seen: TensorDictBase | None
+    summary: TensorDictBase | None
     acted: tuple[Tensor, Tensor] | None
 
     @classmethod
     def joined(cls, parts: Sequence[Flown]) -> Flown:
         """Return the branches of all parts, in order."""
         columns = {name: torch.cat([getattr(part, name) for part in parts]) for name in cls._fields[:5]}
-        seen: Any = None if parts[0].seen is None else torch.cat([part.seen for part in parts])  # type: ignore[misc]
+        summary = None if parts[0].summary is None else torch.cat([part.summary for part in parts])  # type: ignore[misc]
         acted = [part.acted for part in parts if part.acted is not None]
-        both = (torch.cat([a for a, _ in acted]), torch.cat([n for _, n in acted])) if acted else None
-        return cls(**columns, seen=seen, acted=both)
+        numbers = (torch.cat([a for a, _ in acted]), torch.cat([n for _, n in acted])) if acted else None
+        return cls(**columns, summary=summary, acted=numbers)
 
     def take(self, first: int, end: int) -> Flown:
         """Return the branches from ``first`` on, before ``end``."""
         columns = {name: getattr(self, name)[first:end] for name in self._fields[:5]}
-        seen = None if self.seen is None else self.seen[first:end]
+        summary = None if self.summary is None else self.summary[first:end]
         acted = None if self.acted is None else (self.acted[0][first:end], self.acted[1][first:end])
-        return Flown(**columns, seen=seen, acted=acted)
+        return Flown(**columns, summary=summary, acted=acted)
 
 
 class Branches:
@@ -134,7 +134,7 @@ class Branches:
         """Create the rows; ``value`` evaluates the last states of branches cut after some time."""
         self.slots, self.base, self.discounting, self.value = slots, base, discounting, value
         self.model = env.like(rows)
-        self.every = torch.arange(rows, device=env.device)
+        self.all_rows = torch.arange(rows, device=env.device)
 
     def fly(
         self,
@@ -153,40 +153,41 @@ class Branches:
         """
         parts = [
             self._fly(source, jobs, index, keep, watch)
-            for index in torch.arange(len(jobs.rows), device=self.every.device).split(len(self.every))
+            for index in torch.arange(len(jobs.rows), device=self.all_rows.device).split(len(self.all_rows))
         ]
         return Flown.joined(parts)
 
-    def _fly(self, source: Tasking, jobs: Jobs, index: Tensor, keep: Any, watch: Any) -> Flown:
+    def _fly(self, source: Tasking, jobs: Jobs, index: Tensor, keep: tuple[Tasking, Tensor] | None, watch: Watch | None) -> Flown:
         model, slots, m = self.model, self.slots, len(index)
-        job = torch.nn.functional.pad(index, (0, len(self.every) - m), value=int(index[0]))  # spare rows repeat a job
-        flying = self.every < m
-        model.restore(source, self.every, jobs.rows[job])
+        job = torch.nn.functional.pad(index, (0, len(self.all_rows) - m), value=int(index[0]))  # spare rows repeat a job
+        flying = self.all_rows < m
+        model.restore(source, self.all_rows, jobs.rows[job])
         if jobs.limit is not None:
             model.state.limit_ticks = torch.minimum(model.state.limit_ticks, jobs.limit[job])
         slot, plan, env_ids = jobs.slot[job], jobs.plan[job], jobs.env_ids[job]
         real, length = plan.ndim == 3, plan.shape[1]
-        taken = torch.zeros_like(job)
+        count = torch.zeros_like(job)
         acted = torch.zeros_like(plan)
         now: TensorDictBase = model.observe()
         if jobs.carried is not None:
             now.update(jobs.carried[job])
         elapsed, total = torch.zeros_like(model.fleet.sim_time), torch.zeros_like(model.returns)
         edge: list[Tensor] = []
-        seen = None
+        summary = None
         while True:
-            now = self._decided(now, env_ids)
+            self._draw_lots(now, env_ids)
+            now = decide(self.base, now)
             if not edge and jobs.first is not None:
                 self._take(now, jobs.first[job], None if jobs.decided is None else jobs.decided[job])
-            theirs = (taken < length) & (flying if not edge else flying & self._decides(now, slot))
-            at = taken.clamp(max=length - 1)
-            given = plan[self.every, at]
-            slots.put(now, slot, given, theirs & (~torch.isnan(given).any(1) if real else self._allowed(now, slot, given)))
+            theirs = (count < length) & (flying if not edge else flying & self._decides(now, slot))
+            at = count.clamp(max=length - 1)
+            action = plan[self.all_rows, at]
+            slots.put(now, slot, action, theirs & (~torch.isnan(action).any(1) if real else self._allowed(now, slot, action)))
             if real:
-                mine = slots.at(slots.numbers(now), slot)
-                here = (at.unsqueeze(1) == torch.arange(length, device=at.device)) & theirs.unsqueeze(1)
-                acted = torch.where(here.unsqueeze(-1), mine.to(acted.dtype).unsqueeze(1), acted)
-            taken = taken + theirs.long()
+                numbers = slots.at(slots.numbers(now), slot)
+                place = (at.unsqueeze(1) == torch.arange(length, device=at.device)) & theirs.unsqueeze(1)
+                acted = torch.where(place.unsqueeze(-1), numbers.to(acted.dtype).unsqueeze(1), acted)
+            count = count + theirs.long()
             now, reward, lasted = self._step(now, flying)
             if edge:
                 gain = self.discounting.before(reward, lasted, torch.zeros_like(reward))
@@ -196,10 +197,10 @@ class Branches:
             if not edge:
                 edge = [reward, lasted, done]
                 if keep is not None:
-                    keep[0].restore(model, keep[1][index], self.every[:m])
+                    keep[0].restore(model, keep[1][index], self.all_rows[:m])
                 if watch is not None:
                     self._draw_lots(now, env_ids)
-                    seen = watch(now)[:m]
+                    summary = watch(now)[:m]
             flying = flying & ~done
             if jobs.judged is not None:
                 late = flying & (edge[1] + elapsed >= jobs.judged[job])
@@ -211,28 +212,23 @@ class Branches:
                 break
         reward, lasted, done = (part[:m] for part in edge)
         return Flown(
-            reward, lasted, done, total[:m], lasted + elapsed[:m], seen, (acted[:m], taken[:m].clone()) if real else None
+            reward, lasted, done, total[:m], lasted + elapsed[:m], summary, (acted[:m], count[:m].clone()) if real else None
         )
-
-    def _decided(self, now: TensorDictBase, env_ids: Tensor) -> TensorDictBase:
-        """Let the base policy decide."""
-        self._draw_lots(now, env_ids)
-        return decide(self.base, now)
 
     def _draw_lots(self, now: TensorDictBase, env_ids: Tensor) -> None:
         """Draw the random numbers of the base policy, determined by episode and time."""
         if LOT in self.base.in_keys:
-            key = present_key(self.model, self.every, env_ids, "lot of a branch")
+            key = present_key(self.model, self.all_rows, env_ids, "lot of a branch")
             now[LOT] = key.uniform(1).squeeze(1).to(self.model.device)
 
     @staticmethod
     def _take(now: TensorDictBase, first: TensorDictBase, where: Tensor | None) -> None:
         """Write the actions ``first`` [M] into the rows ``where`` [M]."""
         for key in first.keys(True, True):
-            given = first[key]
+            action = first[key]
             if where is not None:
-                given = torch.where(where.view(-1, *[1] * (given.ndim - 1)), given, now[key])
-            now.set(key, given)
+                action = torch.where(where.view(-1, *[1] * (action.ndim - 1)), action, now[key])
+            now.set(key, action)
 
     def _decides(self, now: TensorDictBase, slot: Tensor) -> Tensor:
         """Return whether the agent ``slot`` [M] needs a task."""
@@ -261,13 +257,13 @@ class Branches:
 def carried(td: TensorDictBase, base: TensorDictModuleBase, env: Tasking) -> TensorDictBase:
     """Return the memory of the base policy, [N]: inputs that are neither observed nor drawn."""
     observed = set(env.observation_spec.keys(True, True)) | {LOT}
-    known = set(td.keys(True, True))
-    keys = [key for key in base.in_keys if key in known and key not in observed and not _is_part(key, observed)]
-    memory = [key for key in (MEMORY,) if key in known]
+    present = set(td.keys(True, True))
+    keys = [key for key in base.in_keys if key in present and key not in observed and not _is_part(key, observed)]
+    memory = [key for key in (MEMORY,) if key in present]
     return TensorDict({key: td[key] for key in dict.fromkeys([*keys, *memory])}, td.batch_size, device=td.device)
 
 
-def _is_part(key: Any, observed: set[Any]) -> bool:
+def _is_part(key: str | tuple[str, ...], observed: set[str | tuple[str, ...]]) -> bool:
     """Return whether a key names a nested observation."""
     path = key if isinstance(key, tuple) else (key,)
     return any(isinstance(other, tuple) and other[: len(path)] == path for other in observed)

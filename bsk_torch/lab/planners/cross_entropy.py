@@ -16,7 +16,6 @@ from typing_extensions import override
 from bsk_torch._checks import number, whole
 from bsk_torch.env import Tasking
 from bsk_torch.lab.planners.base_policies import Base
-from bsk_torch.lab.planners.plan_cache import PlanCache
 from bsk_torch.lab.planners.planner import Planner
 from bsk_torch.lab.planners.resampling import present_key
 
@@ -75,8 +74,8 @@ class CrossEntropy(Planner):
         width = self.slots.most_numbers
         sides = [torch.tensor(bounds, dtype=torch.float64).view(-1, 2) for bounds in self.slots.bounds]
         padded = torch.stack([torch.nn.functional.pad(side, (0, 0, 0, width - len(side))) for side in sides])
-        each = padded.repeat_interleave(torch.tensor(self.slots.sizes), 0).to(env.device)
-        self._low, self._high = each.unbind(-1)  # of every agent, [S, W]
+        limits = padded.repeat_interleave(torch.tensor(self.slots.sizes), 0).to(env.device)
+        self._low, self._high = limits.unbind(-1)  # of every agent, [S, W]
 
     def _branching(self) -> int:
         return self.samples
@@ -86,27 +85,27 @@ class CrossEntropy(Planner):
         env, n, p = self.env, len(rows), self.samples
         low, high = self._low[slot].unsqueeze(1), self._high[slot].unsqueeze(1)  # [n, 1, W]
         half = 0.5 * (high - low)
-        taken = self.slots.at(self.slots.numbers(td)[rows], slot)
-        unsaid = torch.full((n, 1, self.depth, low.shape[-1]), torch.nan, dtype=taken.dtype, device=rows.device)
-        best_return, simulated, acted = self._flown(td, memory, rows, slot, unsaid)
+        base = self.slots.at(self.slots.numbers(td)[rows], slot)
+        unsaid = torch.full((n, 1, self.depth, low.shape[-1]), torch.nan, dtype=base.dtype, device=rows.device)
+        best_return, simulated, acted = self._simulate(td, memory, rows, slot, unsaid)
         best_return, plan = best_return.squeeze(1), acted[:, 0].double()
-        best, own = plan, torch.ones_like(best_return, dtype=torch.bool)
-        plan_cache = self._cached_plans(plan)
-        kept, there = plan_cache.look_up(env, rows, slot)
-        if bool(there.any()):
-            total, seconds, acted = self._flown(td, memory, rows, slot, kept.unsqueeze(1).to(taken.dtype))
+        best, by_base = plan, torch.ones_like(best_return, dtype=torch.bool)
+        plan_cache = self._cached_plans(torch.full_like(plan[0], torch.nan))
+        cached, exists = plan_cache.look_up(env, rows, slot)
+        if bool(exists.any()):
+            total, seconds, acted = self._simulate(td, memory, rows, slot, cached.unsqueeze(1).to(base.dtype))
             simulated = simulated + seconds
-            better = there & (total.squeeze(1) > best_return)
+            better = exists & (total.squeeze(1) > best_return)
             best_return = torch.where(better, total.squeeze(1), best_return)
             plan = best = torch.where(better.view(-1, 1, 1), acted[:, 0].double(), plan)
-            own = ~better
+            by_base = ~better
         deviation = self.spread * half.expand_as(plan)
         key = present_key(env, rows, env.env_ids[rows], "")
         for iteration in range(self.iterations):
-            drawn = key.named(f"samples {self.seed} {iteration}").normal(p * plan[0].numel()).to(rows.device)
-            samples = plan.unsqueeze(1) + deviation.unsqueeze(1) * drawn.view(n, p, *plan.shape[1:])
-            samples = torch.minimum(torch.maximum(samples, low.unsqueeze(1)), high.unsqueeze(1)).to(taken.dtype)
-            total, seconds, _ = self._flown(td, memory, rows, slot, samples)
+            noise = key.named(f"samples {self.seed} {iteration}").normal(p * plan[0].numel()).to(rows.device)
+            samples = plan.unsqueeze(1) + deviation.unsqueeze(1) * noise.view(n, p, *plan.shape[1:])
+            samples = torch.minimum(torch.maximum(samples, low.unsqueeze(1)), high.unsqueeze(1)).to(base.dtype)
+            total, seconds, _ = self._simulate(td, memory, rows, slot, samples)
             simulated = simulated + seconds
             top, which = total.topk(self.elites, 1)
             at = torch.arange(n, device=rows.device)
@@ -114,23 +113,16 @@ class CrossEntropy(Planner):
             better = top[:, 0] > best_return
             best_return = torch.where(better, top[:, 0], best_return)
             best = torch.where(better.view(-1, 1, 1), elite[:, 0], best)
-            own = own & ~better
+            by_base = by_base & ~better
             elite = torch.cat([elite, best.unsqueeze(1)], 1)  # the best sample so far remains among the samples
             mix = self.smoothing
             plan = mix * plan + (1.0 - mix) * elite.mean(1)
             deviation = mix * deviation + (1.0 - mix) * elite.std(1, correction=0)
-        action = torch.where(own.unsqueeze(1), taken, best[:, 0].to(taken.dtype))
-        plan_cache.keep(env, rows, slot, torch.where(own.view(-1, 1, 1), torch.nan, best))
+        action = torch.where(by_base.unsqueeze(1), base, best[:, 0].to(base.dtype))
+        plan_cache.keep(env, rows, slot, torch.where(by_base.view(-1, 1, 1), torch.nan, best))
         return action, simulated
 
-    def _cached_plans(self, plan: Tensor) -> PlanCache:
-        """Return the remainders of earlier plans, in the shape of ``plan`` [n, D, W]."""
-        found = self._made.get("plans")
-        if found is None:
-            self._made["plans"] = found = PlanCache(self.env.num_envs, torch.full_like(plan[0], torch.nan))
-        return found
-
-    def _flown(
+    def _simulate(
         self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor, plans: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Simulate ``plans`` [n, P, D, W] of agents ``slot`` [n] in ``rows`` [n]; NaN stands for the base policy's action.
@@ -139,15 +131,15 @@ class CrossEntropy(Planner):
             Returns [n, P], simulated seconds [n], and the actions taken in the first future, [n, P, D, W].
         """
         n, p, copies = len(rows), plans.shape[1], self._copies
-        each = torch.arange(n, device=rows.device).repeat_interleave(p * copies)
+        index = torch.arange(n, device=rows.device).repeat_interleave(p * copies)
         if self.futures is None:
-            source, places = self.env, rows[each]
+            source, places = self.env, rows[index]
         else:
             source = self._store(n * copies)
             self._plant(source, torch.arange(n * copies, device=rows.device), rows)
-            places = each * copies + torch.arange(copies, device=rows.device).repeat(n * p)
+            places = index * copies + torch.arange(copies, device=rows.device).repeat(n * p)
         plan = plans.flatten(0, 1).repeat_interleave(copies, 0)
-        jobs = self._jobs(td, memory, rows[each], slot[each], plan, places)
+        jobs = self._jobs(td, memory, rows[index], slot[index], plan, places)
         flown = self.branches.fly(source, jobs)
         total = self._discounting.before(flown.reward, flown.seconds, flown.rest)
         assert flown.acted is not None

@@ -24,26 +24,26 @@ def check_copyable(env: Tasking, slots: AgentTable) -> None:
             seed, or keeps values outside the state.
     """
     twins = env.like(2, env_ids=[0, 0])
-    begun = []
+    starts = []
     for _ in range(2):
         twins.set_seed(0)
         twins.reset()
-        begun.append(twins.get_state())
-    _compare(begun, "two episodes of the same seed begin with different")
-    seen = []
+        starts.append(twins.get_state())
+    _compare(starts, "two episodes of the same seed begin with different")
+    ends = []
     for _ in range(2):
-        twins.restore(begun[0])
+        twins.restore(starts[0])
         now: TensorDictBase = twins.observe()
         for _ in range(STEPS):
             slots.neutral(now)
             now = slots.play(twins, now, ~now["done"].squeeze(-1))
-        seen.append(now)
-    _compare(seen, "copies of one state are followed by different")
+        ends.append(now)
+    _compare(ends, "copies of one state are followed by different")
 
 
-def _compare(found: list[TensorDictBase], words: str) -> None:
+def _compare(states: list[TensorDictBase], words: str) -> None:
     """ValueError unless both tensordicts [2] are equal, and their rows, too."""
-    first, second = (dict(part.items(True, True)) for part in found)
+    first, second = (dict(part.items(True, True)) for part in states)
     for key, value in first.items():
         if not (_same(value[0], value[1]) and _same(value, second[key])):
             name = key if isinstance(key, str) else ".".join(key)

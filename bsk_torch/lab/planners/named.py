@@ -49,11 +49,11 @@ class NamedPlanner(NamedPolicy):
             return planner(self.name.removeprefix(PREFIX), env, **self.settings, **base)
 
 
-def named_planner(name: str, preset: str | None, given: Sequence[str]) -> NamedPlanner:
+def named_planner(name: str, preset: str | None, texts: Sequence[str]) -> NamedPlanner:
     """Return the planner ``plan:NAME`` with the options NAME=VALUE; ends the program for wrong ones."""
     check_policy(name, preset)
     short = name.removeprefix(PREFIX)
-    options = dict(_pair(text, short) for text in given)
+    options = dict(_pair(text, short) for text in texts)
     base = options.pop("base", None)
     if base is None:
         return NamedPlanner(name, preset or FIRST, settings=options)
@@ -66,13 +66,13 @@ def named_planner(name: str, preset: str | None, given: Sequence[str]) -> NamedP
 def _pair(text: str, planner_name: str) -> tuple[str, Any]:
     """Return an option and its value; ends the program for unknown ones."""
     name, equals, value = text.partition("=")
-    known = [option for option in options_of(planner_name) if option not in BY_HAND]
+    names = [option for option in options_of(planner_name) if option not in BY_HAND]
     if not equals or not value:
         fail(f"--plan {text!r} must be NAME=VALUE, such as horizon=240")
     if name in BY_HAND:
         fail(f"--plan {text!r}: {name!r} is a module or a function; give it in Python, to bsk_torch.lab.planners.planner")
-    if name not in known:
-        fail(f"--plan {text!r}: plan:{planner_name} has no option {name!r}; {nearest(name, known)}")
+    if name not in names:
+        fail(f"--plan {text!r}: plan:{planner_name} has no option {name!r}; {nearest(name, names)}")
     for kind in (int, float):
         try:
             return name, kind(value)

@@ -26,11 +26,11 @@ def find_planner(name: str) -> type[Planner]:
 
 def options_of(name: str) -> list[str]:
     """Return the arguments of a planner, without the environment; ValueError for an unknown planner."""
-    found: dict[str, inspect.Parameter] = {}
+    table: dict[str, inspect.Parameter] = {}
     for kind in reversed([kind for kind in find_planner(name).__mro__ if issubclass(kind, Planner)]):
-        found |= inspect.signature(vars(kind)["__init__"]).parameters
+        table |= inspect.signature(vars(kind)["__init__"]).parameters
     return [
-        name for name, parameter in found.items() if name not in ("self", "env") and parameter.kind is not parameter.VAR_KEYWORD
+        name for name, parameter in table.items() if name not in ("self", "env") and parameter.kind is not parameter.VAR_KEYWORD
     ]
 
 
@@ -46,10 +46,10 @@ def planner(name: str, env: Tasking, **options: Any) -> Planner:
         TypeError: For an unknown argument, with the nearest name; or from the planner.
         ValueError: For an unknown planner, with the nearest name; or from the planner.
     """
-    kind, known = find_planner(name), options_of(name)
+    kind, allowed = find_planner(name), options_of(name)
     for option in options:
-        if option not in known:
+        if option not in allowed:
             raise TypeError(
-                f"unexpected keyword argument {option!r}: planner {name!r} has no such option; {nearest(option, known)}"
+                f"unexpected keyword argument {option!r}: planner {name!r} has no such option; {nearest(option, allowed)}"
             )
     return kind(env, **options)

@@ -19,7 +19,7 @@ class PlanCache:
     Attributes:
         plan: Discrete actions [N, D], padded with -1, or continuous actions [N, D, W], padded with NaN.
         slot: Agent, [N].
-        made: Seed, episode and tick of the decision, [N, 3].
+        stamp: Seed, episode and tick of the decision, [N, 3].
     """
 
     def __init__(self, num_envs: int, blank: Tensor) -> None:
@@ -27,20 +27,20 @@ class PlanCache:
         self.blank = blank
         self.plan = blank.expand(num_envs, *blank.shape).clone()
         self.slot = torch.full((num_envs,), -1, device=blank.device)
-        self.made = torch.full((num_envs, 3), -1, device=blank.device)
+        self.stamp = torch.full((num_envs, 3), -1, device=blank.device)
 
     def keep(self, env: Tasking, rows: Tensor, slot: Tensor, plan: Tensor) -> None:
         """Keep the actions after the first one of ``plan`` [n, D, ...] for the episodes ``rows`` [n]."""
-        rest = torch.cat([plan[:, 1:], self.blank[:1].expand(len(rows), 1, *self.blank.shape[1:])], 1)
-        self.plan[rows], self.slot[rows], self.made[rows] = rest.to(self.plan.dtype), slot, self._now(env, rows)
+        remainder = torch.cat([plan[:, 1:], self.blank[:1].expand(len(rows), 1, *self.blank.shape[1:])], 1)
+        self.plan[rows], self.slot[rows], self.stamp[rows] = remainder.to(self.plan.dtype), slot, self._now(env, rows)
 
     def look_up(self, env: Tasking, rows: Tensor, slot: Tensor) -> tuple[Tensor, Tensor]:
         """Return plans [n, D, ...] of agents ``slot`` [n] from earlier in the same episode, and whether they exist, [n]."""
-        made, now, plan = self.made[rows], self._now(env, rows), self.plan[rows]
-        same = (made[:, :2] == now[:, :2]).all(1) & (made[:, 2] < now[:, 2]) & (self.slot[rows] == slot)
+        stamp, now, plan = self.stamp[rows], self._now(env, rows), self.plan[rows]
+        current = (stamp[:, :2] == now[:, :2]).all(1) & (stamp[:, 2] < now[:, 2]) & (self.slot[rows] == slot)
         first = plan[:, 0]
-        there = ~torch.isnan(first).any(1) if first.ndim == 2 else first >= 0
-        return plan, same & there
+        exists = ~torch.isnan(first).any(1) if first.ndim == 2 else first >= 0
+        return plan, current & exists
 
     @staticmethod
     def _now(env: Tasking, rows: Tensor) -> Tensor:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from tensordict import TensorDictBase
@@ -58,8 +58,8 @@ class Planner(TensorDictModuleBase):
     real: ClassVar[bool] = False
     """Whether the planner is for continuous actions."""
 
-    in_keys: list[Any]
-    out_keys: list[Any]
+    in_keys: list[str | tuple[str, ...]]
+    out_keys: list[str | tuple[str, ...]]
     _worth: Tensor
 
     def __init__(
@@ -123,7 +123,9 @@ class Planner(TensorDictModuleBase):
         self._outside = (env, slots)  # not a submodule: an environment is not part of its policy
         self.base, self._value = policy, value
         self._discounting = Discounting(gamma, reward_time == "end")
-        self._made: dict[str, Any] = {}
+        self._branches: Branches | None = None
+        self._stores: list[Tasking] = []  # one at most; in a list as it is not a submodule either
+        self._plans: PlanCache | None = None
         kinds = zip(slots.real, slots.n_actions, strict=True)
         self._plannable = slots.of([real if self.real else n > 1 for real, n in kinds], env.device)
         self.in_keys = list(policy.in_keys)
@@ -156,22 +158,24 @@ class Planner(TensorDictModuleBase):
     @property
     def branches(self) -> Branches:
         """Copies of episodes, created at the first decision, and again after changes of the environment's arguments."""
-        found = self._made.get("branches")
-        if found is None or not torch.equal(found.model.fingerprint, self.env.fingerprint):
-            found = Branches(self.env, self.slots, self.base, self._rows(), self._discounting, self._value)
-            self._made["branches"] = found
-        return found
+        if self._branches is None or not torch.equal(self._branches.model.fingerprint, self.env.fingerprint):
+            rows = min(self._most_rows, self.env.num_envs * (self.futures or 1) * self._branching())
+            self._branches = Branches(self.env, self.slots, self.base, rows, self._discounting, self._value)
+        return self._branches
 
     def _store(self, least: int) -> Tasking:
         """Return an environment for storing states, with at least ``least`` rows."""
-        store = self._made.get("store")
-        if store is None or store.num_envs < least or not torch.equal(store.fingerprint, self.env.fingerprint):
-            self._made["store"] = store = self.env.like(least)
-        return store
+        for store in self._stores:
+            if store.num_envs >= least and torch.equal(store.fingerprint, self.env.fingerprint):
+                return store
+        self._stores = [self.env.like(least)]
+        return self._stores[0]
 
-    def _rows(self) -> int:
-        """Number of copies simulated at once."""
-        return min(self._most_rows, self.env.num_envs * (self.futures or 1) * self._branching())
+    def _cached_plans(self, blank: Tensor) -> PlanCache:
+        """Return the remainders of earlier plans; ``blank`` is an empty plan, [D] or [D, W]."""
+        if self._plans is None:
+            self._plans = PlanCache(self.env.num_envs, blank)
+        return self._plans
 
     def _branching(self) -> int:
         """Return the largest number of branches of one episode simulated together."""
@@ -186,8 +190,8 @@ class Planner(TensorDictModuleBase):
         """
         env, slots = self.env, self.slots
         if tensordict.batch_size != env.batch_size:
-            given = list(tensordict.batch_size)
-            raise ValueError(f"the planner acts in an environment of {env.num_envs} episodes; the tensordict has {given}")
+            size = list(tensordict.batch_size)
+            raise ValueError(f"the planner acts in an environment of {env.num_envs} episodes; the tensordict has {size}")
         memory = carried(tensordict, self.base, env)
         decide(self.base, tensordict)
         memory = memory if len(memory.keys()) else carried(tensordict, self.base, env)
@@ -198,14 +202,14 @@ class Planner(TensorDictModuleBase):
         )
         order = deciding.cumsum(1)
         for turn in range(int(deciding.sum(1).max())):
-            mine = deciding & (order == turn + 1)
-            rows = torch.nonzero(mine.any(1)).squeeze(1)
-            slot = mine[rows].long().argmax(1)
+            acting = deciding & (order == turn + 1)
+            rows = torch.nonzero(acting.any(1)).squeeze(1)
+            slot = acting[rows].long().argmax(1)
             action, seconds = self._improved(tensordict, memory, rows, slot)
             simulated = simulated.index_add(0, rows, seconds)
             whole_batch = torch.zeros(env.num_envs, *action.shape[1:], dtype=action.dtype, device=env.device)
             everybody = torch.zeros_like(simulated, dtype=torch.int64).index_copy(0, rows, slot)
-            slots.put(tensordict, everybody, whole_batch.index_copy(0, rows, action), mine.any(1))
+            slots.put(tensordict, everybody, whole_batch.index_copy(0, rows, action), acting.any(1))
         if not self.real:
             tensordict.set(ACTION_VALUE, self._worth)
         return tensordict.set(SIMULATED, simulated)
@@ -242,11 +246,11 @@ class Planner(TensorDictModuleBase):
 
     def _plant(self, store: Tasking, places: Tensor, rows: Tensor) -> None:
         """Copy episodes ``rows`` [n] into the rows ``places`` [n * futures] of another environment, once per future."""
-        each = rows.repeat_interleave(self._copies)
-        store.restore(self.env, places, each)
+        sources = rows.repeat_interleave(self._copies)
+        store.restore(self.env, places, sources)
         if self.futures is not None:
             number = torch.arange(self._copies, device=rows.device).repeat(len(rows))
-            key = present_key(self.env, each, self.env.env_ids[each], f"future {self.seed}")
+            key = present_key(self.env, sources, self.env.env_ids[sources], f"future {self.seed}")
             lots = key.uniform(self._copies).gather(1, number.cpu().unsqueeze(1)).squeeze(1)
             reseed_copies(store, places, lots, key, self._redraw)
 
@@ -261,9 +265,9 @@ class Planner(TensorDictModuleBase):
             plan: Their actions, [J, D] or [J, D, W].
             rows: Rows of the copies from which the branches begin, [J].
         """
-        kept = memory[real] if len(memory.keys()) else None
+        carry = memory[real] if len(memory.keys()) else None
         judged = self._judged(torch.zeros_like(real, dtype=torch.float64))
-        return Jobs(rows, self.env.env_ids[real], slot, plan, self.slots.actions(td)[real], self._limit(real), kept, judged)
+        return Jobs(rows, self.env.env_ids[real], slot, plan, self.slots.actions(td)[real], self._limit(real), carry, judged)
 
     def _no_worse(
         self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor, action: Tensor, worth: Tensor, plan: Tensor
@@ -279,20 +283,17 @@ class Planner(TensorDictModuleBase):
             worth: Their returns, [n].
             plan: Sequences with these returns, [n, D]; -1 for decisions of the base policy.
         """
-        found = self._made.get("plans")
-        if found is None:
-            blank = torch.full_like(plan[0], -1)
-            self._made["plans"] = found = PlanCache(self.env.num_envs, blank)
-        kept, there = found.look_up(self.env, rows, slot)
-        index = torch.nonzero(there).squeeze(1)
+        plans = self._cached_plans(torch.full_like(plan[0], -1))
+        cached, exists = plans.look_up(self.env, rows, slot)
+        index = torch.nonzero(exists).squeeze(1)
         simulated = torch.zeros_like(worth)
         if len(index):
-            flown = self.branches.fly(self.env, self._jobs(td, memory, rows[index], slot[index], kept[index], rows[index]))
+            flown = self.branches.fly(self.env, self._jobs(td, memory, rows[index], slot[index], cached[index], rows[index]))
             total = self._discounting.before(flown.reward, flown.seconds, flown.rest)
             simulated[index] = flown.simulated
-            better = torch.zeros_like(there).index_copy(0, index, total > worth[index])
-            action, plan = torch.where(better, kept[:, 0], action), torch.where(better.unsqueeze(1), kept, plan)
-        found.keep(self.env, rows, slot, plan)
+            better = torch.zeros_like(exists).index_copy(0, index, total > worth[index])
+            action, plan = torch.where(better, cached[:, 0], action), torch.where(better.unsqueeze(1), cached, plan)
+        plans.keep(self.env, rows, slot, plan)
         return action, simulated
 
     @property
@@ -307,13 +308,13 @@ class Planner(TensorDictModuleBase):
         mean = q.view(len(rows), self._copies, -1).mean(1)
         self._worth[rows, slot] = mean.masked_fill(~torch.isfinite(mean), torch.nan)
 
-    def _preferred(self, q: Tensor, mine: Tensor) -> Tensor:
-        """Return the best action, [n]: the base policy's action ``mine`` [n] unless another one is better.
+    def _preferred(self, q: Tensor, base: Tensor) -> Tensor:
+        """Return the best action, [n]: the base policy's action ``base`` [n] unless another one is better.
 
         Args:
             q: Returns [n * futures, A]; minus infinity for untried actions.
-            mine: Actions of the base policy.
+            base: Actions of the base policy.
         """
-        mean = q.view(len(mine), self._copies, -1).mean(1)
+        mean = q.view(len(base), self._copies, -1).mean(1)
         best, action = mean.max(1)
-        return torch.where(best > mean.gather(1, mine.unsqueeze(1)).squeeze(1), action, mine)
+        return torch.where(best > mean.gather(1, base.unsqueeze(1)).squeeze(1), action, base)

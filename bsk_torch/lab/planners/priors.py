@@ -31,8 +31,8 @@ class Prior:
 
     def __call__(self, td: TensorDictBase, slot: Tensor, legal: Tensor) -> Tensor:
         """Return probabilities [n, A] of the ``legal`` actions [n, A] of the agents ``slot`` [n]; zero if none is legal."""
-        asked = td.clone(recurse=False)
-        decided = decide(self.policy, asked)
+        query = td.clone(recurse=False)
+        decided = decide(self.policy, query)
         if self.slots.groups == [None] and "logits" in decided.keys():  # noqa: SIM118  - a tensordict
             weight = decided["logits"].double().masked_fill(~legal, -torch.inf)
             return torch.nan_to_num(torch.softmax(weight, -1))
@@ -41,32 +41,32 @@ class Prior:
     def _by_rank(self, td: TensorDictBase, decided: TensorDictBase, slot: Tensor, legal: Tensor) -> Tensor:
         numbers = torch.arange(legal.shape[1], device=legal.device)
         weight = torch.ones(legal.shape, dtype=torch.float64, device=legal.device)
-        left = legal.clone()
+        remaining = legal.clone()
         for _ in range(min(self.ranked, legal.shape[1])):
             choice = self.slots.at(self.slots.chosen(decided), slot)
-            named = (numbers == choice.unsqueeze(1)) & left
-            left = left & ~named
-            weight = torch.where(left & named.any(1, keepdim=True), DECAY * weight, weight)
-            if not bool(left.any()):
+            top = (numbers == choice.unsqueeze(1)) & remaining
+            remaining = remaining & ~top
+            weight = torch.where(remaining & top.any(1, keepdim=True), DECAY * weight, weight)
+            if not bool(remaining.any()):
                 break
-            asked = td.clone()
-            self._mask(asked, slot, left)
-            decided = decide(self.policy, asked)
+            query = td.clone()
+            self._mask(query, slot, remaining)
+            decided = decide(self.policy, query)
         weight = weight * legal
         return weight / weight.sum(1, keepdim=True).clamp(min=1e-300)
 
-    def _mask(self, td: TensorDictBase, slot: Tensor, left: Tensor) -> None:
-        """Write the mask ``left`` [n, A] of the agents ``slot``, or the original mask if no action is left."""
-        some = left.any(1)
+    def _mask(self, td: TensorDictBase, slot: Tensor, allowed: Tensor) -> None:
+        """Write the mask ``allowed`` [n, A] of the agents ``slot``, or the original mask if no action is left."""
+        some = allowed.any(1)
         for group, first, size, n in zip(
             self.slots.groups, self.slots.first, self.slots.sizes, self.slots.n_actions, strict=True
         ):
             if not n:
                 continue
             if group is None:
-                td["action_mask"] = torch.where(some.unsqueeze(1), left, td["action_mask"])
+                td["action_mask"] = torch.where(some.unsqueeze(1), allowed, td["action_mask"])
                 continue
-            here = (slot.unsqueeze(1) == first + torch.arange(size, device=slot.device)) & some.unsqueeze(1)
+            agents = (slot.unsqueeze(1) == first + torch.arange(size, device=slot.device)) & some.unsqueeze(1)
             old = td[group, "action_mask"]
-            own = torch.where(here.unsqueeze(-1), left[:, :n].unsqueeze(1), old[..., :n])
-            td[group, "action_mask"] = torch.cat([own, old[..., n:]], -1)
+            new = torch.where(agents.unsqueeze(-1), allowed[:, :n].unsqueeze(1), old[..., :n])
+            td[group, "action_mask"] = torch.cat([new, old[..., n:]], -1)

@@ -63,7 +63,7 @@ def redraw_clouds(env: Tasking, envs: Tensor, key: Key, candidates: int = 64) ->
         raise ValueError(f"redraw=redraw_clouds needs scene.CloudyTargets; the scenario is {type(scenario).__name__}")
     forecast, sigma = scenario.cloud_forecast[envs], scenario.cloud_forecast_sigma[envs].clamp(min=1e-6)
     best = torch.full_like(forecast, -torch.inf)
-    chosen = forecast
+    clouds = forecast
     for k in range(candidates):  # in a loop, because all at once would need ``candidates`` times the memory
         cover = draw_numbers("cover", scenario.cover, key.named(f"redrawn cover {k}"), scenario.most_targets)
         cover = cover.clamp(0.0, 1.0).to(forecast.device)
@@ -72,6 +72,6 @@ def redraw_clouds(env: Tasking, envs: Tensor, key: Key, candidates: int = 64) ->
         weight = torch.where(forecast <= 0.0, below, torch.where(forecast >= 1.0, above, -0.5 * z.square() - sigma.log()))
         lot = key.named(f"redrawn lot {k}").uniform(forecast.shape[1]).to(forecast.device)
         weight = weight - torch.log(-torch.log(lot.clamp(1e-300, 1.0 - 1e-16)))  # Gumbel: the largest one is a draw by weights
-        chosen, best = torch.where(weight > best, cover, chosen), torch.maximum(weight, best)
-    env.fleet.scenario_state["cloud_cover"][envs] = chosen
+        clouds, best = torch.where(weight > best, cover, clouds), torch.maximum(weight, best)
+    env.fleet.scenario_state["cloud_cover"][envs] = clouds
     scenario.begin_episodes(envs)

@@ -49,12 +49,12 @@ class Rollout(Planner):
 
     @override
     def _improved(self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor) -> tuple[Tensor, Tensor]:
-        mine = self.slots.at(self.slots.chosen(td)[rows], slot)
-        tried = self._tried(td, rows, slot, mine)
+        base = self.slots.at(self.slots.chosen(td)[rows], slot)
+        tried = self._tried(td, rows, slot, base)
         totals, simulated = self._returns(td, memory, rows, slot, tried & (tried.sum(1, keepdim=True) > 1))
         q = totals.mean(1).nan_to_num(nan=-torch.inf).repeat_interleave(self._copies, 0)
         self._note(rows, slot, q)
-        return self._preferred(q, mine), simulated
+        return self._preferred(q, base), simulated
 
     def _returns(
         self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor, tried: Tensor
@@ -65,33 +65,33 @@ class Rollout(Planner):
         chosen = torch.nonzero(tried)
         if not len(chosen):
             return totals, seconds
-        total, simulated = self._flown(td, memory, rows, slot, chosen)
+        total, simulated = self._simulate(td, memory, rows, slot, chosen)
         totals[chosen[:, 0], :, chosen[:, 1]] = total
         return totals, seconds.index_add(0, chosen[:, 0], simulated)
 
-    def _tried(self, td: TensorDictBase, rows: Tensor, slot: Tensor, mine: Tensor) -> Tensor:
+    def _tried(self, td: TensorDictBase, rows: Tensor, slot: Tensor, base: Tensor) -> Tensor:
         """Return the actions to try, [n, A], including the base policy's."""
         legal = self.slots.at(self.slots.legal(td)[rows], slot)
-        own = torch.nn.functional.one_hot(mine, legal.shape[1]).bool()
+        is_base = torch.nn.functional.one_hot(base, legal.shape[1]).bool()
         if self.budget is None or self.budget >= legal.shape[1]:
-            return legal | own
-        weight = self._prior(td[rows], slot, legal).masked_fill(own, torch.inf)
+            return legal | is_base
+        weight = self._prior(td[rows], slot, legal).masked_fill(is_base, torch.inf)
         best = torch.zeros_like(legal).scatter(1, weight.topk(self.budget, 1).indices, True)
-        return (legal & best) | own
+        return (legal & best) | is_base
 
-    def _flown(
+    def _simulate(
         self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor, tried: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Return returns [J, futures] and simulated seconds [J]; ``tried`` [J, 2] has indices into ``rows`` and actions."""
         which, action = tried.unbind(1)
         if self.futures is None:
-            source, places, each = self.env, rows[which], which
+            source, places, index = self.env, rows[which], which
         else:
             source = self._store(len(rows) * self.futures)
             self._plant(source, torch.arange(len(rows) * self.futures, device=rows.device), rows)
             places = (which.unsqueeze(1) * self.futures + torch.arange(self.futures, device=rows.device)).flatten()
-            each, action = which.repeat_interleave(self.futures), action.repeat_interleave(self.futures)
-        jobs = self._jobs(td, memory, rows[each], slot[each], action.unsqueeze(1), places)
+            index, action = which.repeat_interleave(self.futures), action.repeat_interleave(self.futures)
+        jobs = self._jobs(td, memory, rows[index], slot[index], action.unsqueeze(1), places)
         flown = self.branches.fly(source, jobs)
         total = self._discounting.before(flown.reward, flown.seconds, flown.rest)
         shape = (len(which), self._copies)

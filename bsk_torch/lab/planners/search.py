@@ -83,62 +83,60 @@ class TreeSearch(Planner):
         self._plant(store, roots * most, rows)
         now = td[real].clone()
         now.update(memory[real])
-        known = self._summary.of_agent(now, slot.repeat_interleave(self._copies))
+        summary = self._summary.of_agent(now, slot.repeat_interleave(self._copies))
         exact = self._value is None and self.futures is None
-        trees = Trees(known, most, self._discounting, exact, self.exploration)
+        trees = Trees(summary, most, self._discounting, exact, self.exploration)
         simulated = torch.zeros(len(roots), dtype=torch.float64, device=rows.device)
-        mine = self.slots.at(self.slots.chosen(td)[rows], slot)
-        wave = [self._own(trees, known["mine"])]  # the base policy's action first
+        base = self.slots.at(self.slots.chosen(td)[rows], slot)
+        wave = [self._base_edges(trees, summary["mine"])]  # the base policy's action first
         while wave:
             for leaves, seconds in self._grown(trees, wave, store, td, memory, real):
                 simulated = simulated.index_add(0, leaves, seconds)
             trees.guess_roots()
-            left = self.budget - int(trees.count.min()) + 1
-            wave = [self._selected(trees) for _ in range(min(self.leaves, left))]
-            wave = [leaves for leaves in wave if bool(leaves.found.any())]
+            remaining = self.budget - int(trees.count.min()) + 1
+            wave = [
+                trees.select(trees.count + trees.waiting.flatten(1).sum(1) <= self.budget)
+                for _ in range(min(self.leaves, remaining))
+            ]
+            wave = [leaves for leaves in wave if bool(leaves.exists.any())]
         q = trees.returns()
         self._note(rows, slot, q)
         if not exact:
             q = self._by_visits(trees, q)
-        chosen, seconds = self._preferred(q, mine), simulated.view(len(rows), -1).sum(1)
+        action, seconds = self._preferred(q, base), simulated.view(len(rows), -1).sum(1)
         if not self._keeps_plans:
-            return chosen, seconds
-        worth = q.gather(1, chosen.unsqueeze(1)).squeeze(1)
-        chosen, more = self._no_worse(td, memory, rows, slot, chosen, worth, trees.plan(chosen, min(self.budget, LONGEST)))
-        return chosen, seconds + more
+            return action, seconds
+        worth = q.gather(1, action.unsqueeze(1)).squeeze(1)
+        action, more = self._no_worse(td, memory, rows, slot, action, worth, trees.plan(action, min(self.budget, LONGEST)))
+        return action, seconds + more
 
-    def _own(self, trees: Trees, mine: Tensor) -> Leaves:
+    def _base_edges(self, trees: Trees, base: Tensor) -> Leaves:
         """Return the edges of the base policy's actions, [R], at the roots."""
-        zero = torch.zeros_like(mine)
-        trees.visits[trees.every, 0, mine] += 1
-        return Leaves(zero, mine, torch.ones_like(mine, dtype=torch.bool))
-
-    def _selected(self, trees: Trees) -> Leaves:
-        """Return an edge of each tree with remaining budget."""
-        waiting = trees.waiting.flatten(1).sum(1)
-        return trees.select(trees.count + waiting <= self.budget)
+        zero = torch.zeros_like(base)
+        trees.visits[trees.all_trees, 0, base] += 1
+        return Leaves(zero, base, torch.ones_like(base, dtype=torch.bool))
 
     def _grown(
         self, trees: Trees, wave: list[Leaves], store: Tasking, td: TensorDictBase, memory: TensorDictBase, real: Tensor
     ) -> list[tuple[Tensor, Tensor]]:
         """Simulate a wave of leaves, at the roots with the actions in ``td``, and extend the trees; return seconds per tree."""
         most, flights = self.budget + 1, []
-        each = [torch.nonzero(leaves.found).squeeze(1) for leaves in wave]
-        number = torch.stack([leaves.found.long() for leaves in wave]).cumsum(0) - 1
-        root = torch.cat(each)
-        node = torch.cat([leaves.node[rows] for leaves, rows in zip(wave, each, strict=True)])
-        action = torch.cat([leaves.action[rows] for leaves, rows in zip(wave, each, strict=True)])
-        new = torch.cat([(trees.count + number[k])[rows] for k, rows in enumerate(each)])
+        indices = [torch.nonzero(leaves.exists).squeeze(1) for leaves in wave]
+        number = torch.stack([leaves.exists.long() for leaves in wave]).cumsum(0) - 1
+        root = torch.cat(indices)
+        node = torch.cat([leaves.node[rows] for leaves, rows in zip(wave, indices, strict=True)])
+        action = torch.cat([leaves.action[rows] for leaves, rows in zip(wave, indices, strict=True)])
+        new = torch.cat([(trees.count + number[k])[rows] for k, rows in enumerate(indices)])
         jobs = self._from_nodes(trees, td, memory, real, root, node, action)
         flown = self.branches.fly(store, jobs, (store, root * most + new), self._summary)
         first = 0
-        for leaves, rows in zip(wave, each, strict=True):
-            mine = flown.take(first, first + len(rows))
+        for leaves, rows in zip(wave, indices, strict=True):
+            part = flown.take(first, first + len(rows))
             if self._value is not None:  # too far ahead to be extended
-                late = trees.elapsed[rows, leaves.node[rows]] + mine.seconds >= self.horizon
-                mine = mine._replace(done=mine.done | late)
-            trees.grow(leaves, rows, mine)
-            flights.append((rows, mine.simulated))
+                late = trees.elapsed[rows, leaves.node[rows]] + part.seconds >= self.horizon
+                part = part._replace(done=part.done | late)
+            trees.grow(leaves, rows, part)
+            flights.append((rows, part.simulated))
             first += len(rows)
         return flights
 
@@ -147,10 +145,10 @@ class TreeSearch(Planner):
     ) -> Jobs:
         """Return the flights of actions [J] at nodes [J] of trees [J]; other agents act as decided at roots, else by the base."""
         jobs = self._jobs(
-            td, memory, real[root], trees.known["slot"][root, node], action.unsqueeze(1), root * (self.budget + 1) + node
+            td, memory, real[root], trees.nodes["slot"][root, node], action.unsqueeze(1), root * (self.budget + 1) + node
         )
-        kept = trees.known["memory"][root, node]
-        return jobs._replace(carried=kept if len(kept.keys()) else None, decided=node == 0)
+        state = trees.nodes["memory"][root, node]
+        return jobs._replace(carried=state if len(state.keys()) else None, decided=node == 0)
 
     def _by_visits(self, trees: Trees, q: Tensor) -> Tensor:
         """Return numbers that order actions by visits and, for equal visits, by returns, [R, A]."""

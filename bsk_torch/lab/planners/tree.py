@@ -25,14 +25,14 @@ class Leaves(NamedTuple):
 
     node: Tensor
     action: Tensor
-    found: Tensor
+    exists: Tensor
 
 
 class Trees:
     """R trees of at most K nodes with A actions each.
 
     Attributes:
-        known: :class:`~bsk_torch.lab.planners.tree_state.StateSummary` of every node, [R, K].
+        nodes: :class:`~bsk_torch.lab.planners.tree_state.StateSummary` of every node, [R, K].
         child: Child node of an edge, :data:`NONE` before the edge is followed, [R, K, A].
         visits: Number of simulations through an edge, [R, K, A].
         total: Sum of their returns from the node, [R, K, A].
@@ -57,9 +57,9 @@ class Trees:
         legal = root["legal"]
         r, a = legal.shape
         on: dict[str, Any] = {"device": legal.device}
-        self.every = torch.arange(r, **on)
+        self.all_trees = torch.arange(r, **on)
         edges, nodes = (r, most, a), (r, most)
-        self.known: TensorDict = root.unsqueeze(1).expand(r, most).clone()
+        self.nodes: TensorDict = root.unsqueeze(1).expand(r, most).clone()
         self.child = torch.full(edges, NONE, **on)
         self.visits = torch.zeros(edges, dtype=torch.int64, **on)
         self.total, self.reward, self.seconds = (torch.zeros(edges, dtype=torch.float64, **on) for _ in range(3))
@@ -76,7 +76,7 @@ class Trees:
         """Return the actions of ``node`` [R] that lead to untried actions or are untried themselves, [R, A]."""
         child = self._at(self.child, node)
         solved = self.solved.gather(1, child.clamp(min=0).flatten(1)).view_as(child)
-        return self._at(self.known["legal"], node) & ~self._at(self.waiting, node) & ~(solved & (child != NONE))
+        return self._at(self.nodes["legal"], node) & ~self._at(self.waiting, node) & ~(solved & (child != NONE))
 
     def score(self, node: Tensor) -> Tensor:
         """Return q + c p sqrt(n) / (1 + n_a) for the actions of ``node`` [R], [R, A]; minus infinity for closed ones.
@@ -84,7 +84,7 @@ class Trees:
         q is the return, normalized between the minimum (0) and maximum (1) of the node. Untried actions have the initial estimate
         of the node.
         """
-        visits, prior = self._at(self.visits, node), self._at(self.known["prior"], node)
+        visits, prior = self._at(self.visits, node), self._at(self.nodes["prior"], node)
         q = self._at(self.best, node) if self.exact else self._at(self.total, node) / visits.clamp(min=1)
         tried = torch.isfinite(self._at(self.best, node))
         guess = self.leaf.gather(1, node.unsqueeze(1))
@@ -94,22 +94,22 @@ class Trees:
         bonus = self.exploration * prior * visits.sum(1, keepdim=True).clamp(min=1).sqrt() / (1 + visits)
         return (q + bonus).masked_fill(~self.open(node), -torch.inf)
 
-    def select(self, wanted: Tensor) -> Leaves:
-        """Select an edge not yet followed in each of the trees ``wanted`` [R], and count visits along the paths to them."""
+    def select(self, active: Tensor) -> Leaves:
+        """Select an edge not yet followed in each of the trees ``active`` [R], and count visits along the paths to them."""
         node = torch.zeros_like(self.count)
-        walking, found = wanted & ~self.solved[:, 0], torch.zeros_like(wanted)
+        walking, exists = active & ~self.solved[:, 0], torch.zeros_like(active)
         at, action = node.clone(), node.clone()
         while bool(walking.any()):
             score, a = self.score(node).max(1)
             walking = walking & (score > -torch.inf)  # all open actions below are already being followed
-            following = self.child[self.every, node, a]
+            following = self.child[self.all_trees, node, a]
             new = walking & (following == NONE)
-            at, action, found = torch.where(new, node, at), torch.where(new, a, action), found | new
+            at, action, exists = torch.where(new, node, at), torch.where(new, a, action), exists | new
             walking = walking & ~new
             node = torch.where(walking, following, node)
-        self.waiting[self.every, at, action] |= found
-        self._visit(torch.nonzero(found).squeeze(1), at[found], action[found])
-        return Leaves(at, action, found)
+        self.waiting[self.all_trees, at, action] |= exists
+        self._visit(torch.nonzero(exists).squeeze(1), at[exists], action[exists])
+        return Leaves(at, action, exists)
 
     def _visit(self, rows: Tensor, node: Tensor, action: Tensor) -> None:
         """Count a visit of edges [J] and of their ancestors."""
@@ -125,8 +125,8 @@ class Trees:
         """Add the simulated nodes of ``leaves``, ``flown`` [J] in the trees ``rows`` [J], and back up their returns."""
         node, action = leaves.node[rows], leaves.action[rows]
         new = self.count[rows]
-        assert flown.seen is not None
-        self.known[rows, new] = flown.seen
+        assert flown.summary is not None
+        self.nodes[rows, new] = flown.summary
         self.child[rows, node, action] = new
         self.waiting[rows, node, action] = False
         self.reward[rows, node, action], self.seconds[rows, node, action] = flown.reward, flown.seconds
@@ -143,7 +143,7 @@ class Trees:
             value = self.discounting.before(self.reward[rows, before, action], self.seconds[rows, before, action], value)
             self.total[rows, before, action] += value
             self.best[rows, before, action] = torch.maximum(self.best[rows, before, action], value)
-            child, legal = self.child[rows, before], self.known["legal"][rows, before]
+            child, legal = self.child[rows, before], self.nodes["legal"][rows, before]
             finished = self.solved[rows.unsqueeze(1), child.clamp(min=0)] & (child != NONE)
             self.solved[rows, before] |= (finished | ~legal).all(1)
             up = before != 0
@@ -151,9 +151,9 @@ class Trees:
 
     def guess_roots(self) -> None:
         """Initialize the estimates of the roots with the return of the base policy's action, which is tried first."""
-        own = self.child[:, 0] == 1
-        first = self.total[:, 0].masked_fill(~own, 0.0).sum(1) / self.visits[:, 0].masked_fill(~own, 0).sum(1).clamp(min=1)
-        self.leaf[:, 0] = self.best[:, 0].masked_fill(~own, -torch.inf).amax(1) if self.exact else first
+        base = self.child[:, 0] == 1
+        first = self.total[:, 0].masked_fill(~base, 0.0).sum(1) / self.visits[:, 0].masked_fill(~base, 0).sum(1).clamp(min=1)
+        self.leaf[:, 0] = self.best[:, 0].masked_fill(~base, -torch.inf).amax(1) if self.exact else first
 
     def returns(self) -> Tensor:
         """Return the returns of the roots' actions, [R, A]; minus infinity for untried actions."""
@@ -162,17 +162,17 @@ class Trees:
 
     def plan(self, action: Tensor, depth: int) -> Tensor:
         """Return the sequences with the largest returns that start with actions [R] at the roots, [R, depth], padded with -1."""
-        node, steps = self.child[self.every, 0, action], [action]
+        node, steps = self.child[self.all_trees, 0, action], [action]
         for _ in range(depth - 1):
-            there = node != NONE
+            exists = node != NONE
             at = node.clamp(min=0)
             best, following = self._at(self.best, at).max(1)
-            there = there & (best >= self.leaf.gather(1, at.unsqueeze(1)).squeeze(1))  # else the base policy does better
-            steps.append(torch.where(there, following, -1))
-            node = torch.where(there, self.child[self.every, at, following], NONE)
+            exists = exists & (best >= self.leaf.gather(1, at.unsqueeze(1)).squeeze(1))  # else the base policy does better
+            steps.append(torch.where(exists, following, -1))
+            node = torch.where(exists, self.child[self.all_trees, at, following], NONE)
         return torch.stack(steps, 1)
 
     # -- tables -------------------------------------------------------------------------------------------------------
 
     def _at(self, table: Tensor, node: Tensor) -> Tensor:
-        return table[self.every, node]
+        return table[self.all_trees, node]

@@ -34,19 +34,19 @@ class StateSummary:
 
     def of_agent(self, td: TensorDictBase, slot: Tensor) -> TensorDict:
         """Return the same for the agents ``slot`` [n]."""
-        asked = td.clone(recurse=False)
-        memory = carried(asked, self.base, self.env)
-        mine = self.slots.at(self.slots.chosen(decide(self.base, asked)), slot)
+        query = td.clone(recurse=False)
+        memory = carried(query, self.base, self.env)
+        base = self.slots.at(self.slots.chosen(decide(self.base, query)), slot)
         idle = (slot == NO_AGENT).unsqueeze(1)
-        mine = torch.where(idle.squeeze(1), 0, mine)
-        own = torch.nn.functional.one_hot(mine, self.slots.most_actions).bool()
+        base = torch.where(idle.squeeze(1), 0, base)
+        is_base = torch.nn.functional.one_hot(base, self.slots.most_actions).bool()
         legal = self.slots.at(self.slots.legal(td), slot)
-        legal = torch.where(idle, own, legal | own)
+        legal = torch.where(idle, is_base, legal | is_base)
         prior = self.prior(td, slot, legal)
         if self.most is not None and self.most < legal.shape[1]:
-            best = prior.masked_fill(own, torch.inf).topk(self.most, 1).indices
+            best = prior.masked_fill(is_base, torch.inf).topk(self.most, 1).indices
             legal = legal & torch.zeros_like(legal).scatter(1, best, True)
             prior = prior * legal
             prior = prior / prior.sum(1, keepdim=True).clamp(min=1e-300)
-        found = {"slot": slot, "legal": legal, "prior": prior, "mine": mine, "memory": memory}
-        return TensorDict(found, td.batch_size, device=td.device)
+        entries = {"slot": slot, "legal": legal, "prior": prior, "mine": base, "memory": memory}
+        return TensorDict(entries, td.batch_size, device=td.device)

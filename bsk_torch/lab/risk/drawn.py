@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -35,29 +34,29 @@ def drawn_of_seeds(env: Tasking, seeds: Tensor) -> tuple[list[str], Tensor]:
     return _columns(env, env.builder.draw_arguments(env.fleet, Key(seeds, none, none)), len(seeds))
 
 
-def _columns(env: Tasking, values: Sequence[Mapping[str, Any]], n: int) -> tuple[list[str], Tensor]:
+def _columns(env: Tasking, values: Sequence[Mapping[str, Tensor]], n: int) -> tuple[list[str], Tensor]:
     """Return names and values [n, D] of the random ones among the arguments of ``n`` episodes, given for each type."""
-    found: dict[str, Tensor] = {}
-    for part, mine in zip(env.fleet.satellites, values, strict=True):
+    series: dict[str, Tensor] = {}
+    for part, draws in zip(env.fleet.satellites, values, strict=True):
         simulator, arguments = part.simulator, part.simulator.type.arguments
         for table, owned in ((arguments.sat_args, env.fleet.size > 1), (arguments.world_args, False)):
             for name in table.table:
                 if table.is_random(name) and name in simulator.state.arguments:
-                    value = mine[name].double()
-                    each = value.expand(n * simulator.count, *value.shape[1:]).reshape(n, simulator.count, -1)
+                    value = draws[name].double()
+                    flat = value.expand(n * simulator.count, *value.shape[1:]).reshape(n, simulator.count, -1)
                     for k, column in enumerate(simulator.columns if owned else simulator.columns[:1]):
                         owner = f"{env.names[column]}: " if owned else ""
-                        found |= {f"{owner}{name}{_component(name, j, each.shape[2])}": c for j, c in enumerate(each[:, k].T)}
-    values_of = torch.stack(list(found.values()), 1) if found else torch.zeros(n, 0, dtype=torch.float64)
-    return list(found), values_of
+                        series |= {f"{owner}{name}{_component(name, j, flat.shape[2])}": c for j, c in enumerate(flat[:, k].T)}
+    values_of = torch.stack(list(series.values()), 1) if series else torch.zeros(n, 0, dtype=torch.float64)
+    return list(series), values_of
 
 
 def _component(name: str, j: int, count: int) -> str:
     """Return the end of the name of a component."""
     if count == 1:
         return ""
-    known = COMPONENTS.get(name, ())
-    return f".{known[j]}" if len(known) == count else f"[{j}]"
+    components = COMPONENTS.get(name, ())
+    return f".{components[j]}" if len(components) == count else f"[{j}]"
 
 
 def suns(names: Sequence[str], drawn: Tensor) -> Tensor:
@@ -70,8 +69,8 @@ def suns(names: Sequence[str], drawn: Tensor) -> Tensor:
     owners = [name.removesuffix(ends[0]) for name in names if name.endswith(ends[0])]
     if EPOCH not in columns or not owners:
         return drawn[:, :0]
-    sun, found = Vec3(*sun_position(columns[EPOCH].contiguous()).T).unit(), list[Tensor]()
+    sun, directions = Vec3(*sun_position(columns[EPOCH].contiguous()).T).unit(), list[Tensor]()
     for owner in owners:
         frame = hill_frame(*elements_to_rv(Elements(*(columns[owner + end] for end in ends))))
-        found += [*(frame @ sun)]
-    return torch.stack(found, 1)
+        directions += [*(frame @ sun)]
+    return torch.stack(directions, 1)

@@ -76,7 +76,7 @@ class Way:
         cause: Names of the checks that failed at the end; empty without a death.
         share: Share of the probability of the event.
         time: :data:`QUANTILES` of the time of the event, s since reset.
-        row: Row of :attr:`Risk.found` with its most typical episode.
+        row: Row of :attr:`Risk.sample` with its most typical episode.
     """
 
     cause: tuple[str, ...]
@@ -119,12 +119,12 @@ class Risk:
         highest: Largest finite level of the last stage, or of the episodes learned from.
         tally: Flown episodes and simulated time, those of the first run or of learning included.
         seconds: Mean simulated time of an episode, s.
-        found: Episodes with the event.
+        sample: Episodes with the event.
         weight: Their weights, which sum to 1.
         ways: Ways to the event, the most likely one first.
         actions: Actions of all agents in the most typical episode of each way; see :meth:`Flights.actions`.
         shifts: Drawn numbers, the most different one first.
-        checks: Names of the aliveness checks, in the columns of the note ``failed`` of ``found``.
+        checks: Names of the aliveness checks, in the columns of the note ``failed`` of ``sample``.
         columns: Names of the drawn numbers, in the columns of its note ``drawn``.
         screening: How screened sampling went; None for subset simulation.
     """
@@ -139,7 +139,7 @@ class Risk:
     highest: float
     tally: Tally
     seconds: float
-    found: Sample = field(repr=False)
+    sample: Sample = field(repr=False)
     weight: Tensor = field(repr=False)
     ways: list[Way] = field(repr=False)
     actions: list[list[Any]] = field(repr=False)
@@ -150,7 +150,7 @@ class Risk:
 
     def paths(self) -> Sample:
         """Return the most typical episode of each way, the most likely way first."""
-        return self.found.take(torch.tensor([way.row for way in self.ways], dtype=torch.int64))
+        return self.sample.take(torch.tensor([way.row for way in self.ways], dtype=torch.int64))
 
     @property
     def error(self) -> float:
@@ -171,12 +171,12 @@ class Risk:
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the episodes, for JSON."""
-        known = self.error < float("inf")
+        finite = self.error < float("inf")
         return {
             "event": self.event,
             "probability": self.probability._asdict(),
             "estimates": self.estimates.tolist(),
-            "relative_error": self.error if known else None,
+            "relative_error": self.error if finite else None,
             "thresholds": self.thresholds,
             "steps": self.steps,
             "shares": self.shares.mean(0).tolist(),
@@ -185,8 +185,8 @@ class Risk:
             "screening": None if self.screening is None else _screening(self.screening),
             **asdict(self.tally),
             "seconds_per_episode": self.seconds,
-            "saved": self.saved if known and self.error > 0.0 else None,
-            "ways": [asdict(way) | {"seed": int(self.found.seeds[way.row])} for way in self.ways],
+            "saved": self.saved if finite and self.error > 0.0 else None,
+            "ways": [asdict(way) | {"seed": int(self.sample.seeds[way.row])} for way in self.ways],
             "shifts": [
                 {"name": s.name, "larger": s.larger, "event": _finite(s.event), "all": _finite(s.all)} for s in self.shifts
             ],
@@ -267,11 +267,11 @@ def interval(estimates: Tensor) -> Interval:
 
     The interval is symmetric on a logarithmic scale, with the relative half width of Student's interval.
     """
-    found = confidence(estimates)
-    if found.mean == 0.0:
+    estimate = confidence(estimates)
+    if estimate.mean == 0.0:
         return Interval(0.0, 0.0, 1.0)
-    factor = float(torch.tensor(found.half_width / found.mean, dtype=torch.float64).exp())
-    return Interval(found.mean, found.mean / factor, min(1.0, found.mean * factor))
+    factor = float(torch.tensor(estimate.half_width / estimate.mean, dtype=torch.float64).exp())
+    return Interval(estimate.mean, estimate.mean / factor, min(1.0, estimate.mean * factor))
 
 
 def _probability(repeated: Repetitions) -> Interval:
@@ -283,9 +283,9 @@ def _probability(repeated: Repetitions) -> Interval:
     """
     estimates, n = repeated.estimates, len(repeated.first.seeds)
     if repeated.shares.shape[1] == 1:  # independent episodes only
-        seen = int((repeated.first.flown.level == torch.inf).sum())
-        low, high = wilson(seen, n)
-        return Interval(seen / n, low, high) if seen else Interval(0.0, 0.0, 1.0 - 0.05 ** (1.0 / n))
+        count = int((repeated.first.flown.level == torch.inf).sum())
+        low, high = wilson(count, n)
+        return Interval(count / n, low, high) if count else Interval(0.0, 0.0, 1.0 - 0.05 ** (1.0 / n))
     if bool((estimates > 0.0).any()):
         return interval(estimates)
     return Interval(0.0, 0.0, min(1.0 - 0.025 ** (1.0 / n), interval(repeated.reached).high))
@@ -319,16 +319,16 @@ def _by_screening(flights: Flights, screen: Screen, screened: Screened, sampling
 
     The upper limit for an event that was not seen is Clopper and Pearson's for the flights that the surrogate did not choose.
     """
-    weight, seen = screened.weight, bool(len(screened.weight))
+    weight, happened = screened.weight, bool(len(screened.weight))
     unseen = Interval(0.0, 0.0, 1.0 - 0.05 ** (1.0 / screened.blind))
     return Risk(
         event=flights.event.title,
-        probability=interval(screened.estimates) if seen else unseen,
+        probability=interval(screened.estimates) if happened else unseen,
         estimates=screened.estimates,
         thresholds=[],
         steps=[],
         shares=screened.estimates.unsqueeze(1),
-        why=HAPPENS if seen else STUCK,
+        why=HAPPENS if happened else STUCK,
         highest=screen.highest,
         tally=sampling.tally,
         screening=Screening(
@@ -336,31 +336,31 @@ def _by_screening(flights: Flights, screen: Screen, screened: Screened, sampling
             learned=sampling.learned,
             seen=screen.seen,
             explained=screen.explained,
-            largest=float(weight.max() / weight.sum()) if seen else float("nan"),
+            largest=float(weight.max() / weight.sum()) if happened else float("nan"),
         ),
-        **_described(flights, screened.found, weight, screen.first),
+        **_described(flights, screened.sample, weight, screen.first),
     )
 
 
-def _described(flights: Flights, found: Sample, weight: Tensor, first: Sample) -> dict[str, Any]:
+def _described(flights: Flights, sample: Sample, weight: Tensor, first: Sample) -> dict[str, Any]:
     """Return the parts of a result that describe the ways to the event.
 
     Args:
         flights: Plays episodes.
-        found: Episodes with the event, [n].
+        sample: Episodes with the event, [n].
         weight: Their weights up to a factor, [n].
         first: Independent episodes.
     """
     weight = weight / weight.sum().clamp(min=torch.finfo(torch.float64).tiny)
     everywhere = first.flown.notes[DRAWN]
-    shifts = [] if not len(weight) else _shifts(flights.columns, found.flown.notes[DRAWN], weight, everywhere)
-    ways = _ways(flights, found, weight, everywhere, shifts)
-    typical = found.take(torch.tensor([way.row for way in ways], dtype=torch.int64))
+    shifts = [] if not len(weight) else _shifts(flights.columns, sample.flown.notes[DRAWN], weight, everywhere)
+    ways = _ways(flights, sample, weight, everywhere, shifts)
+    typical = sample.take(torch.tensor([way.row for way in ways], dtype=torch.int64))
     with blended(typical.blend()) if ways else nullcontext():
         actions = flights.actions(typical.seeds) if ways else []
     return dict(
         seconds=float(first.flown.seconds.mean()),
-        found=found,
+        sample=sample,
         weight=weight,
         ways=ways,
         actions=actions,
@@ -373,49 +373,49 @@ def _described(flights: Flights, found: Sample, weight: Tensor, first: Sample) -
 def _shifts(names: Sequence[str], drawn: Tensor, weight: Tensor, everywhere: Tensor) -> list[Shift]:
     """Return how numbers [n, D] with weights [n] differ from those of all episodes [P, D], the most different one first."""
     even = torch.full_like(everywhere[:, 0], 1.0 / max(len(everywhere), 1)) if everywhere.shape[1] else weight
-    found = []
-    for name, mine, others in zip(names, drawn.T, everywhere.T, strict=True):
-        larger = float((weight * _rank(mine, others)).sum())
-        found.append(Shift(name, larger, _quantiles(mine, weight), _quantiles(others, even)))
-    return sorted(found, key=lambda shift: -abs(shift.larger - 0.5))
+    shifts = []
+    for name, values, reference in zip(names, drawn.T, everywhere.T, strict=True):
+        larger = float((weight * _rank(values, reference)).sum())
+        shifts.append(Shift(name, larger, _quantiles(values, weight), _quantiles(reference, even)))
+    return sorted(shifts, key=lambda shift: -abs(shift.larger - 0.5))
 
 
-def _rank(values: Tensor, others: Tensor) -> Tensor:
-    """Return the share of ``others`` [P] below each of ``values`` [n], where equal ones count one half."""
-    ordered = others.sort().values
+def _rank(values: Tensor, reference: Tensor) -> Tensor:
+    """Return the share of ``reference`` [P] below each of ``values`` [n], where equal ones count one half."""
+    ordered = reference.sort().values
     below, upto = (torch.searchsorted(ordered, values.contiguous(), right=right) for right in (False, True))
-    return 0.5 * (below + upto).double() / len(others)
+    return 0.5 * (below + upto).double() / len(reference)
 
 
 def _quantiles(values: Tensor, weight: Tensor) -> tuple[float, ...]:
     """Return the :data:`QUANTILES` of ``values`` [n] with weights [n] that sum to 1; values may be infinite."""
     order = values.argsort()
-    reached = weight[order].cumsum(0)
-    places = [int(torch.searchsorted(reached, q).clamp(max=len(values) - 1)) for q in QUANTILES]
+    cumulative = weight[order].cumsum(0)
+    places = [int(torch.searchsorted(cumulative, q).clamp(max=len(values) - 1)) for q in QUANTILES]
     return tuple(float(values[order[place]]) for place in places)
 
 
-def _ways(flights: Flights, found: Sample, weight: Tensor, everywhere: Tensor, shifts: Sequence[Shift]) -> list[Way]:
+def _ways(flights: Flights, sample: Sample, weight: Tensor, everywhere: Tensor, shifts: Sequence[Shift]) -> list[Way]:
     """Return the ways to the event, the most likely one first.
 
     The most typical episode of a way has the least sum of differences from the way's median ranks of drawn numbers, each weighted
     by how much the number differs from all episodes.
     """
-    if not len(found.seeds):
+    if not len(sample.seeds):
         return []
-    failed, importance = found.flown.notes[FAILED], {shift.name: abs(shift.larger - 0.5) for shift in shifts}
+    failed, importance = sample.flown.notes[FAILED], {shift.name: abs(shift.larger - 0.5) for shift in shifts}
     ranks = [
-        _rank(mine, others) * importance[name]
-        for name, mine, others in zip(flights.columns, found.flown.notes[DRAWN].T, everywhere.T, strict=True)
+        _rank(values, reference) * importance[name]
+        for name, values, reference in zip(flights.columns, sample.flown.notes[DRAWN].T, everywhere.T, strict=True)
     ]
     place = torch.stack(ranks, 1) if ranks else torch.zeros(len(weight), 1, dtype=torch.float64)
     ways = []
     for kind in failed.unique(dim=0):
         rows = torch.nonzero((failed == kind).all(1)).squeeze(1)
         off = (place[rows] - place[rows].median(0).values).abs().sum(1)
-        time, mine = found.flown.notes[TIME][rows], weight[rows]
+        time, share = sample.flown.notes[TIME][rows], weight[rows]
         cause = tuple(name for name, wrong in zip(flights.checks, kind.tolist(), strict=True) if wrong)
-        ways.append(Way(cause, float(mine.sum()), _quantiles(time, mine / mine.sum()), int(rows[off.argmin()])))
+        ways.append(Way(cause, float(share.sum()), _quantiles(time, share / share.sum()), int(rows[off.argmin()])))
     return sorted(ways, key=lambda way: -way.share)
 
 

@@ -88,21 +88,21 @@ def rare_event(env: Tasking, event: str | Function, level: str | Sequence[str] |
     Raises:
         ValueError: For unknown names, an event without a level, and functions with wrong results.
     """
-    own: Function | None = None
+    nearness: Function | None = None
     threshold: float | None = None
     if callable(event):
         title, happens = getattr(event, "__name__", "event"), event
     elif event == DEATH:
         title, happens, threshold = DEATH, lambda env: env.dead.view(env.num_envs, -1).any(1), 1.0
     else:
-        title, happens, own, threshold = _comparison(env, str(event))
+        title, happens, nearness, threshold = _comparison(env, str(event))
     if callable(level):
-        own, threshold = level, None
-    elif level is not None or (own is None and event == DEATH):
-        own, threshold = _limits(env, level), 1.0 if event == DEATH else None
-    if own is None:
+        nearness, threshold = level, None
+    elif level is not None or (nearness is None and event == DEATH):
+        nearness, threshold = _limits(env, level), 1.0 if event == DEATH else None
+    if nearness is None:
         raise ValueError(f"event={event!r} needs level=, a function that grows toward it, or a name of {sorted(LIMITS)}")
-    return RareEvent(title, _checked("event", happens, torch.bool), _checked("level", own, torch.float64), threshold)
+    return RareEvent(title, _checked("event", happens, torch.bool), _checked("level", nearness, torch.float64), threshold)
 
 
 def _meant(text: str) -> str:
@@ -112,9 +112,9 @@ def _meant(text: str) -> str:
 
 def _comparison(env: Tasking, text: str) -> tuple[str, Function, Function, float]:
     """Return title, event, level and threshold of a comparison."""
-    found = COMPARISON.fullmatch(text)
+    match = COMPARISON.fullmatch(text)
     try:
-        name, sign, limit = found[1], found[2], float(found[3])  # type: ignore[index]
+        name, sign, limit = match[1], match[2], float(match[3])  # type: ignore[index]
     except (TypeError, ValueError):
         raise ValueError(
             f"event={text!r} must be 'death', or a property with a limit such as 'battery_charge_fraction<0.05'{_meant(text)}"
@@ -122,8 +122,8 @@ def _comparison(env: Tasking, text: str) -> tuple[str, Function, Function, float
     kinds = [type(part.dynamics) for part in env.fleet.satellites]
     having = [k for k, kind in enumerate(kinds) if isinstance(getattr(kind, name, None), property)]
     if not having:
-        known = {n for kind in kinds for n in dir(kind) if isinstance(getattr(kind, n, None), property)}
-        raise ValueError(f"event={text!r}: {name!r} is not a property of the dynamics model; {nearest(name, known)}")
+        names = {n for kind in kinds for n in dir(kind) if isinstance(getattr(kind, n, None), property)}
+        raise ValueError(f"event={text!r}: {name!r} is not a property of the dynamics model; {nearest(name, names)}")
     toward = 1.0 if sign == ">" else -1.0
 
     def level(env: Tasking) -> Tensor:
@@ -144,14 +144,14 @@ def _limits(env: Tasking, names: str | Sequence[str] | None) -> Function:
         for name, limit in LIMITS.items()
     }
     applying = {name: having for name, having in applying.items() if having}
-    wanted = list(applying) if names is None else [names] if isinstance(names, str) else list(names)
-    for name in wanted:
+    selection = list(applying) if names is None else [names] if isinstance(names, str) else list(names)
+    for name in selection:
         if name not in applying:
             raise ValueError(f"level={name!r} is not a limit of the satellites; {nearest(name, applying)}")
-    if not wanted:
+    if not selection:
         checks = sorted({check for part in parts for check in part.aliveness()})
         raise ValueError(f"none of the checks {checks} has a level that grows toward it; give level=, a function of env")
-    terms = [(LIMITS[name].nearness, applying[name]) for name in wanted]
+    terms = [(LIMITS[name].nearness, applying[name]) for name in selection]
     return lambda env: torch.stack([_largest(env, having, of) for of, having in terms]).amax(0)
 
 
@@ -170,13 +170,13 @@ def _checked(argument: str, function: Function, dtype: torch.dtype) -> Function:
 
     def result(env: Tasking) -> Tensor:
         value: Any = function(env)
-        wanted = f"a tensor [{env.num_envs}] of {'booleans' if dtype == torch.bool else 'numbers'}"
+        expected = f"a tensor [{env.num_envs}] of {'booleans' if dtype == torch.bool else 'numbers'}"
         fits = isinstance(value, Tensor) and value.shape == (env.num_envs,)
         if not fits or (value.dtype == torch.bool) != (dtype == torch.bool):
-            shown = f"{value.dtype} {list(value.shape)}" if isinstance(value, Tensor) else repr(value)
-            raise ValueError(f"{argument}= must return {wanted}; it returned {shown:.80}")
+            description = f"{value.dtype} {list(value.shape)}" if isinstance(value, Tensor) else repr(value)
+            raise ValueError(f"{argument}= must return {expected}; it returned {description:.80}")
         if bool(value.isnan().any()):
-            raise ValueError(f"{argument}= must return {wanted}; it returned NaN")
+            raise ValueError(f"{argument}= must return {expected}; it returned NaN")
         return value.to(dtype)
 
     return result

@@ -58,7 +58,7 @@ class Flights:
     def _fly(self, seeds: Tensor) -> Flown:
         env, m = self.env, len(seeds)
         start = start_episodes(env, seeds.tolist())
-        names, drawn = drawn_arguments(env)
+        names, values = drawn_arguments(env)
         player = with_lots(self.policy, env) if LOT in self.policy.in_keys else self.policy
         rows = torch.arange(env.num_envs, device=env.device) < m
         level, happened = self.event.level(env), self.event.happens(env)
@@ -72,7 +72,7 @@ class Flights:
         notes = {
             FAILED: torch.stack(list(failed.values()), 1) & env.dead.view(len(rows), -1).any(1, keepdim=True),
             TIME: time,
-            DRAWN: drawn,
+            DRAWN: values,
             RETURNS: env.returns.clone(),
         }
         level = torch.where(happened, torch.inf, level)
@@ -80,23 +80,23 @@ class Flights:
 
     def draws(self, seeds: Tensor) -> Tensor:
         """Return what is drawn at reset for ``seeds`` [m] without a reset, and the Sun's directions, [m, D + 3 S]."""
-        names, drawn = drawn_of_seeds(self.env, seeds)
-        return torch.cat([drawn, suns(names, drawn)], 1)
+        names, values = drawn_of_seeds(self.env, seeds)
+        return torch.cat([values, suns(names, values)], 1)
 
     def actions(self, seeds: Tensor) -> list[list[Any]]:
         """Return the actions of all agents in the episodes of ``seeds`` [m], a list of decisions for each."""
-        env, slots, found = self.env, AgentTable(self.env), list[list[Any]]()
+        env, slots, episodes = self.env, AgentTable(self.env), list[list[Any]]()
         for some in seeds.split(env.num_envs):
-            taken: list[list[Any]] = [[] for _ in some]
+            decisions: list[list[Any]] = [[] for _ in some]
             start = start_episodes(env, some.tolist())
             player = with_lots(self.policy, env) if LOT in self.policy.in_keys else self.policy
             rows = torch.arange(env.num_envs, device=env.device) < len(some)
             for playing, step in play_episodes(env, player, start, rows):
                 chosen = slots.numbers(step) if any(slots.real) else slots.chosen(step)
                 for row in torch.nonzero(playing).squeeze(1).tolist():
-                    taken[row].append(chosen[row].tolist())
-            found += taken
-        return found
+                    decisions[row].append(chosen[row].tolist())
+            episodes += decisions
+        return episodes
 
 
 # -- files --------------------------------------------------------------------------------------------------------------------
@@ -147,14 +147,14 @@ def save_paths(path: Path | str, about: Mapping[str, Any], sample: Sample, actio
     """
     lines = []
     for k, seed in enumerate(sample.seeds.tolist()):
-        used = sample.steps[k] != 0.0
-        blend = {name: getattr(sample, name)[k, used].tolist() for name in TABLES}
+        mask = sample.steps[k] != 0.0
+        blend = {name: getattr(sample, name)[k, mask].tolist() for name in TABLES}
         time = float(sample.flown.notes[TIME][k])
-        flown = {"time": None if isnan(time) else time, "return": float(sample.flown.notes[RETURNS][k])}
-        lines.append({"seed": seed, **blend, **flown, "actions": actions[k]})
+        outcome = {"time": None if isnan(time) else time, "return": float(sample.flown.notes[RETURNS][k])}
+        lines.append({"seed": seed, **blend, **outcome, "actions": actions[k]})
     head = ",\n ".join(f"{json.dumps(name)}: {json.dumps(value)}" for name, value in {"kind": KIND, **about}.items())
-    listed = ",\n  ".join(json.dumps(line) for line in lines)
-    write_file(path, f'{{\n {head},\n "episodes": [\n  {listed}\n ]\n}}\n')
+    entries = ",\n  ".join(json.dumps(line) for line in lines)
+    write_file(path, f'{{\n {head},\n "episodes": [\n  {entries}\n ]\n}}\n')
 
 
 def read_paths(path: Path | str) -> tuple[dict[str, Any], Blend]:
@@ -191,13 +191,13 @@ def play_again(env: Tasking, path: Path | str) -> Tensor:
         OSError, ValueError: See :func:`read_paths`.
     """
     content, blend = read_paths(path)
-    twin, episodes, found = env.like(env.num_envs, env_ids=[0] * env.num_envs), content["episodes"], list[Tensor]()
+    twin, episodes, returns = env.like(env.num_envs, env_ids=[0] * env.num_envs), content["episodes"], list[Tensor]()
     with blended(blend):
         for first in range(0, len(episodes), env.num_envs):
             some = episodes[first : first + env.num_envs]
             now = start_episodes(twin, [episode["seed"] for episode in some])
-            found.append(_repeated(twin, now, [episode["actions"] for episode in some]))
-    return torch.cat(found)
+            returns.append(_repeated(twin, now, [episode["actions"] for episode in some]))
+    return torch.cat(returns)
 
 
 def _repeated(env: Tasking, start: TensorDictBase, actions: Sequence[Sequence[Any]]) -> Tensor:
@@ -207,8 +207,8 @@ def _repeated(env: Tasking, start: TensorDictBase, actions: Sequence[Sequence[An
 
     def scripted(td: TensorDictBase) -> TensorDictBase:
         step = next(steps)
-        wanted = [list(taken[min(step, len(taken) - 1)]) for taken in actions]
-        table = torch.tensor(wanted + wanted[-1:] * (env.num_envs - len(wanted)), device=env.device)
+        current = [list(episode[min(step, len(episode) - 1)]) for episode in actions]
+        table = torch.tensor(current + current[-1:] * (env.num_envs - len(current)), device=env.device)
         if table.shape[1] != slots.size:
             raise ValueError(f"the episodes have actions of {table.shape[1]} agents; this environment has {slots.size}")
         slots.neutral(td)

@@ -73,13 +73,13 @@ class Screened:
 
     Attributes:
         estimates: Estimates of the probability, [R].
-        found: Flown episodes with the event, [n].
+        sample: Flown episodes with the event, [n].
         weight: What each of them adds to the mean of the estimates, [n].
         blind: Number of flights that were chosen independently of the surrogate, on average.
     """
 
     estimates: Tensor
-    found: Sample
+    sample: Sample
     weight: Tensor
     blind: float
 
@@ -113,7 +113,7 @@ class ScreenedSampling:
     def learn(self) -> Screen:
         """Fly independent episodes, then those that are predicted to come nearest to the event, and fit the surrogate."""
         size = max(2, round(FIRST_SHARE * self.learned))
-        sample = first = self._flown(self._seeds("first", 0, size))
+        sample = first = self._play(self._seeds("first", 0, size))
         for k in range(ROUNDS):
             count = (self.learned - size) * (k + 1) // ROUNDS - (self.learned - size) * k // ROUNDS
             if not count:
@@ -123,8 +123,8 @@ class ScreenedSampling:
             seeds = self._seeds("round", k, max(count, self.pool >> (ROUNDS - 1 - k)))
             predicted = self._predicted(surrogate, seeds)
             errors = surrogate.spread * self._key("round, errors", k).normal(len(seeds)).squeeze(0)
-            chosen = (predicted + DARING * errors).topk(count).indices
-            sample = Sample.joined(sample, self._flown(seeds[chosen]))
+            index = (predicted + DARING * errors).topk(count).indices
+            sample = Sample.joined(sample, self._play(seeds[index]))
         surrogate, level = self._fitted(sample, ROUNDS)
         threshold = float(level.max()) if self.threshold is None else self.threshold
         n = len(first.seeds)
@@ -147,8 +147,8 @@ class ScreenedSampling:
             seeds = self._seeds("repetition", k, self.pool)
             predicted = self._predicted(screen.surrogate, seeds)
             lots = self._lots("repetition, choice", k, self.size)
-            chosen, inclusion = _chosen(predicted, screen.chance(predicted), self.size, lots)
-            sample = self._flown(seeds[chosen])
+            index, inclusion = _choose(predicted, screen.chance(predicted), self.size, lots)
+            sample = self._play(seeds[index])
             rows = torch.nonzero(sample.flown.level == torch.inf).squeeze(1)
             weights.append(1.0 / (self.pool * inclusion[rows]))
             parts.append(sample.take(rows))
@@ -165,7 +165,7 @@ class ScreenedSampling:
         """Return the predicted levels of seeds [m]."""
         return torch.cat([surrogate(self.draws(some)) for some in seeds.split(AT_ONCE)])
 
-    def _flown(self, seeds: Tensor) -> Sample:
+    def _play(self, seeds: Tensor) -> Sample:
         flown = self.fly(seeds)
         self.tally.add(flown)
         return Sample.independent(seeds, flown)
@@ -184,7 +184,7 @@ class ScreenedSampling:
         return first + torch.arange(count)
 
 
-def _chosen(level: Tensor, chances: Tensor, count: int, lots: Tensor) -> tuple[Tensor, Tensor]:
+def _choose(level: Tensor, chances: Tensor, count: int, lots: Tensor) -> tuple[Tensor, Tensor]:
     """Return about ``count`` of M seeds, [n], and their probabilities of inclusion, [n].
 
     Args:
@@ -198,11 +198,11 @@ def _chosen(level: Tensor, chances: Tensor, count: int, lots: Tensor) -> tuple[T
     size = (chances * (CERTAIN - chances)).sqrt().clamp(min=torch.finfo(torch.float64).tiny)
     share = _proportional(size, (1.0 - BLIND) * count)
     order = level.argsort(stable=True)
-    reached = share[order].cumsum(0)
-    marks = lots[0] + torch.arange(int(float(reached[-1])) + 1)
-    marks = marks[marks < reached[-1]]
-    chosen = torch.cat([even, order[torch.searchsorted(reached, marks, right=True)]]).unique()
-    return chosen, 1.0 - (1.0 - blind) * (1.0 - share[chosen])
+    cumulative = share[order].cumsum(0)
+    marks = lots[0] + torch.arange(int(float(cumulative[-1])) + 1)
+    marks = marks[marks < cumulative[-1]]
+    index = torch.cat([even, order[torch.searchsorted(cumulative, marks, right=True)]]).unique()
+    return index, 1.0 - (1.0 - blind) * (1.0 - share[index])
 
 
 def _bernoulli(probability: float, count: int, lots: Tensor) -> Tensor:
@@ -219,10 +219,10 @@ def _proportional(size: Tensor, count: float) -> Tensor:
     share = torch.zeros_like(size)
     while True:
         sure = share >= 1.0
-        left = size[~sure]
-        if not len(left) or count <= float(sure.sum()):
+        remaining = size[~sure]
+        if not len(remaining) or count <= float(sure.sum()):
             return sure.double().clamp(min=torch.finfo(torch.float64).tiny)
-        share = torch.where(sure, 1.0, size * ((count - float(sure.sum())) / float(left.sum())))
+        share = torch.where(sure, 1.0, size * ((count - float(sure.sum())) / float(remaining.sum())))
         if not bool((share[~sure] > 1.0).any()):
             return share
         share = share.clamp(max=1.0)

@@ -217,13 +217,13 @@ class SubsetSimulation:
         Ends with a threshold above which a tenth of the episodes has the event, or with the last one that could be reached.
         """
         sample, stages, share = self._independent(1, "first run"), list[Stage](), 1.0
-        kept = self.size // CHAIN
+        count = self.size // CHAIN
         while True:
             level = sample.flown.level.sort(descending=True).values
             above = level[level > (stages[-1].threshold if stages else level[-1])]
             if not len(above):
                 return Climb(stages, sample, HAPPENS if bool(level[-1] == torch.inf) else STUCK)
-            threshold = float(torch.maximum(level[kept - 1], above[-1]))
+            threshold = float(torch.maximum(level[count - 1], above[-1]))
             if threshold == torch.inf:
                 return Climb(stages, sample, HAPPENS)
             if share <= smallest:
@@ -231,7 +231,7 @@ class SubsetSimulation:
             rows = torch.nonzero(sample.flown.level >= threshold).squeeze(1)
             share *= len(rows) / len(level)
             self.tell(f"first run: threshold {len(stages) + 1}, reached with a probability of {share:.0e}")
-            starts = sample.take(_drawn(rows, kept, self._key("first run, starts", len(stages), 1)))
+            starts = sample.take(_draw(rows, count, self._key("first run, starts", len(stages), 1)))
             first = Stage(threshold, stages[-1].step if stages else FIRST_STEP)
             sample, step = self._chains(starts, first, len(stages), None)
             stages.append(Stage(threshold, step))
@@ -249,18 +249,18 @@ class SubsetSimulation:
             if not len(going):
                 return Repetitions(shares, first, sample.take(going), repetition)
             lots = self._key("repetition, starts", k, count).take(repetition.tolist())
-            drawn = [
-                r * self.size + _drawn(torch.nonzero(above[r]).squeeze(1), self.size // CHAIN, lots.take([j]))
+            starts = [
+                r * self.size + _draw(torch.nonzero(above[r]).squeeze(1), self.size // CHAIN, lots.take([j]))
                 for j, r in enumerate(going.tolist())
             ]
-            sample, _ = self._chains(sample.take(torch.cat(drawn)), stage, k, repetition)
+            sample, _ = self._chains(sample.take(torch.cat(starts)), stage, k, repetition)
         shares[repetition, -1] = (sample.flown.level == torch.inf).view(-1, self.size).double().mean(1)
         return Repetitions(shares, first, sample, repetition.repeat_interleave(self.size))
 
     def _key(self, run: str, stage: int, count: int) -> Key:
         """Return a key of each of ``count`` repetitions."""
-        each = torch.arange(count)
-        return Key(torch.full_like(each, self.seed), each, torch.full_like(each, stage), f"subset simulation, {run}")
+        numbers = torch.arange(count)
+        return Key(torch.full_like(numbers, self.seed), numbers, torch.full_like(numbers, stage), f"subset simulation, {run}")
 
     def _independent(self, count: int, run: str) -> Sample:
         """Play n independent episodes for each of ``count`` repetitions."""
@@ -302,11 +302,11 @@ class SubsetSimulation:
 
     def _proposed(self, now: Sample, lots: Tensor, step: float) -> Sample:
         """Play proposals for the next states of chains, by ``lots`` [n, 3] in [0, 1)."""
-        new, own = (lots[:, :2] * SEEDS).long().unbind(1)
+        new, number = (lots[:, :2] * SEEDS).long().unbind(1)
         share = LEAST_SHARE ** lots[:, 2:]
         parts = torch.cat([now.parts, new.unsqueeze(1)], 1)
         steps = torch.cat([now.steps, torch.full_like(share, step)], 1)
-        seeds = FIRST_BLENDED + own
+        seeds = FIRST_BLENDED + number
         blend = Blend(seeds, *_packed(parts, steps, torch.cat([now.shares, share], 1)))
         order = torch.searchsorted(blend.seeds, seeds)
         with blended(blend):
@@ -314,7 +314,7 @@ class SubsetSimulation:
         return Sample(seeds, blend.parts[order], blend.steps[order], blend.shares[order], flown)
 
 
-def _drawn(rows: Tensor, count: int, key: Key) -> Tensor:
+def _draw(rows: Tensor, count: int, key: Key) -> Tensor:
     """Return ``count`` of ``rows`` [s] by systematic resampling in random order: each one count / s times on average."""
     lots = key.uniform(len(rows) + 1).squeeze(0)
     shuffled = rows[lots[1:].argsort(stable=True)]

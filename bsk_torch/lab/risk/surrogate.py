@@ -42,14 +42,14 @@ class Scaling:
     """Scaling of features, with the distance from the median as a second feature, since wheels may turn either way.
 
     Attributes:
-        used: Columns that vary, [F].
+        columns: Columns that vary, [F].
         low: Replacement of minus infinity, [F].
         high: That of infinity, such as the time of a fault that never begins, [F].
         median: Medians, [F].
         spread: Standard deviations, [F].
     """
 
-    used: Tensor
+    columns: Tensor
     low: Tensor
     high: Tensor
     median: Tensor
@@ -64,12 +64,12 @@ class Scaling:
         low, high = (low - width).nan_to_num(posinf=-1.0), (high + width).nan_to_num(neginf=1.0)
         clear = torch.minimum(torch.maximum(values, low), high)
         spread = (clear - clear.mean(0)).square().mean(0).sqrt()
-        used = torch.nonzero(spread > 1e-12 * clear.abs().amax(0)).squeeze(1)
-        return Scaling(used, low[used], high[used], clear[:, used].median(0).values, spread[used])
+        columns = torch.nonzero(spread > 1e-12 * clear.abs().amax(0)).squeeze(1)
+        return Scaling(columns, low[columns], high[columns], clear[:, columns].median(0).values, spread[columns])
 
     def __call__(self, values: Tensor) -> Tensor:
         """Return the features [n, 2 F] of values [n, D]."""
-        scaled = (torch.minimum(torch.maximum(values[:, self.used], self.low), self.high) - self.median) / self.spread
+        scaled = (torch.minimum(torch.maximum(values[:, self.columns], self.low), self.high) - self.median) / self.spread
         return torch.cat([scaled, scaled.abs()], 1)
 
 
@@ -148,8 +148,8 @@ def fitted(values: Tensor, level: Tensor, lots: Tensor) -> Surrogate:
     penalty[:c, :c] += noise / amplitude * _kernel(centers, centers)
     factor = torch.linalg.cholesky(terms.mT @ terms + penalty)
     weights = torch.cholesky_solve((terms.mT @ target).unsqueeze(1), factor).squeeze(1)
-    own = torch.linalg.solve_triangular(factor, terms.mT, upper=False).square().sum(0).clamp(max=1.0 - 1e-6)
-    left_out = (target - (target - terms @ weights) / (1.0 - own)) * size + mean
+    leverage = torch.linalg.solve_triangular(factor, terms.mT, upper=False).square().sum(0).clamp(max=1.0 - 1e-6)
+    left_out = (target - (target - terms @ weights) / (1.0 - leverage)) * size + mean
     weights = weights * size
     weights[-1] += mean
     return Surrogate(scaling, lengths, centers, weights, left_out, max(float((left_out - level).std()), 1e-12))
@@ -198,12 +198,12 @@ def _tail(surrogate: Surrogate, level: Tensor) -> tuple[float, float]:
 
     The surrogate learned the largest finite level from episodes with the event, whose errors may be larger.
     """
-    known = level < torch.inf
+    finite = level < torch.inf
     errors = level.clamp(max=largest_finite(level)) - surrogate.left_out
     begin = float(errors.quantile(1.0 - TAIL))
     beyond = errors > begin
     excess = float((errors[beyond] - begin).sum())
-    return begin, max(excess / max(int((beyond & known).sum()), 1), 1e-12)
+    return begin, max(excess / max(int((beyond & finite).sum()), 1), 1e-12)
 
 
 def _ordered(level: Tensor, lots: Tensor) -> Tensor:
@@ -228,10 +228,10 @@ def _terms(features: Tensor, lengths: Tensor, centers: Tensor) -> Tensor:
 def _tuned(features: Tensor, target: Tensor) -> tuple[Tensor, float, float]:
     """Return lengths, amplitude and variance of noise with the largest likelihood that a few steps find."""
     first = ([FIRST_LENGTH] * features.shape[1], 1.0, FIRST_NOISE)
-    found = [torch.tensor(value, dtype=torch.float64).log().requires_grad_() for value in first]
-    search, one = torch.optim.Adam(found, RATE), torch.eye(len(target), dtype=torch.float64)
+    parameters = [torch.tensor(value, dtype=torch.float64).log().requires_grad_() for value in first]
+    search, one = torch.optim.Adam(parameters, RATE), torch.eye(len(target), dtype=torch.float64)
     for _ in range(STEPS):
-        length, amplitude, noise = (value.exp() for value in found)
+        length, amplitude, noise = (value.exp() for value in parameters)
         scaled = features / length
         factor = torch.linalg.cholesky(amplitude * _kernel(scaled, scaled) + (noise + 1e-6) * one)
         white = torch.linalg.solve_triangular(factor, target.unsqueeze(1), upper=False)
@@ -239,5 +239,5 @@ def _tuned(features: Tensor, target: Tensor) -> tuple[Tensor, float, float]:
         search.zero_grad()
         loss.backward()
         search.step()
-    length, amplitude, noise = (value.detach().exp() for value in found)
+    length, amplitude, noise = (value.detach().exp() for value in parameters)
     return length, float(amplitude), float(noise)

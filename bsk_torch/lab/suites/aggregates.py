@@ -59,16 +59,16 @@ def profile(scores: Tensor, thresholds: Tensor) -> Tensor:
     return (scores.flatten(-2).unsqueeze(-2) > thresholds.unsqueeze(-1)).to(scores.dtype).mean(-1)
 
 
-def improvement(scores: Tensor, others: Tensor) -> Tensor:
+def improvement(scores: Tensor, rivals: Tensor) -> Tensor:
     """Return the probability that a run has a higher score than one of another method, on average over tasks, [...].
 
     Equal scores count as half.
 
     Args:
         scores: Scores of a method, [..., R, T].
-        others: Scores of the other method in the same tasks, [..., Q, T].
+        rivals: Scores of the other method in the same tasks, [..., Q, T].
     """
-    difference = scores.unsqueeze(-2) - others.unsqueeze(-3)
+    difference = scores.unsqueeze(-2) - rivals.unsqueeze(-3)
     return ((difference.sign() + 1.0) / 2.0).mean((-3, -2, -1))
 
 
@@ -113,9 +113,9 @@ def bootstrap(methods: Mapping[str, Runs], replicates: int = 2000, seed: int = 0
     for k, task in enumerate(tasks):
         episodes = next(iter(methods.values()))[task].shape[1]
         draws = torch.Generator().manual_seed(seed * len(tasks) + k)
-        chosen = torch.randint(episodes, (replicates, episodes), generator=draws)
+        picks = torch.randint(episodes, (replicates, episodes), generator=draws)
         weights = torch.zeros(replicates, episodes, dtype=torch.float64)
-        weights.scatter_add_(1, chosen, torch.full(chosen.shape, 1.0 / episodes, dtype=torch.float64))
+        weights.scatter_add_(1, picks, torch.full(picks.shape, 1.0 / episodes, dtype=torch.float64))
         state = draws.get_state()
         for name, runs in methods.items():
             draws.set_state(state)
@@ -138,8 +138,8 @@ def _check(methods: Mapping[str, Runs]) -> None:
     first = next(iter(methods))
     episodes = {task: scores.shape[1] for task, scores in methods[first].items()}
     for name, runs in methods.items():
-        found = {task: scores.shape[1] for task, scores in runs.items()}
-        if found != episodes or list(found) != list(episodes):
-            raise ValueError(f"{name} has tasks and episodes {found}, {first} has {episodes}; they must be the same")
+        counts = {task: scores.shape[1] for task, scores in runs.items()}
+        if counts != episodes or list(counts) != list(episodes):
+            raise ValueError(f"{name} has tasks and episodes {counts}, {first} has {episodes}; they must be the same")
         if not torch.isfinite(run_scores(runs)).all():
             raise ValueError(f"the scores of {name} must be finite")

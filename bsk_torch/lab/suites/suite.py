@@ -260,11 +260,11 @@ def tasks_of(suite: str, presets: str | None = None) -> tuple[Task, ...]:
     tasks = {task.title: task for task in SUITES[suite]}
     if presets is None:
         return tuple(tasks.values())
-    wanted = [name.strip() for name in presets.split(",")]
-    for name in wanted:
+    names = [name.strip() for name in presets.split(",")]
+    for name in names:
         if name not in tasks:
             raise ValueError(f"preset {name!r} is not in the suite {suite}; {nearest(name, tasks)}")
-    return tuple(tasks[name] for name in dict.fromkeys(wanted))
+    return tuple(tasks[name] for name in dict.fromkeys(names))
 
 
 Entrant = Callable[[str, Callable[..., Tasking]], tuple[Tasking, Policy] | None]
@@ -315,11 +315,11 @@ def enter(task: Task, entrant: Entrant, episodes: int | None = None, **options: 
     Raises:
         TypeError, ValueError: If the entrant returns anything else, or an environment of another task.
     """
-    made: list[Tasking] = []
+    environments: list[Tasking] = []
 
     def environment(**views: object) -> Tasking:
-        made.append(task.environment(episodes, **(options | views)))
-        return made[-1]
+        environments.append(task.environment(episodes, **(options | views)))
+        return environments[-1]
 
     entered = entrant(task.preset, environment)
     if entered is None:
@@ -327,7 +327,7 @@ def enter(task: Task, entrant: Entrant, episodes: int | None = None, **options: 
     if not isinstance(entered, tuple) or len(entered) != 2 or not callable(entered[1]):
         raise TypeError(f"for {task.preset}, the entrant returned {entered!r}; it must return (env, policy), or None")
     env, policy = entered
-    if not any(env is one for one in made):
+    if not any(env is one for one in environments):
         raise ValueError(f"for {task.preset}, the entrant returned an environment that make() has not returned to it")
     return env, as_policy(policy, env)
 

@@ -105,8 +105,8 @@ class PointAtTask(Action):
 
     def _candidates(self) -> tuple[Tensor, Tensor]:
         """Return the numbers of the candidates, and which of them exist, [N, n] each."""
-        fleet, found = self._scenario.fleet, self._scenario.candidates(self._choices - 1)
-        task, exists = (fleet.rows_of(self.satellite.type_index, part) for part in (found.task, found.exists))
+        fleet, candidates = self._scenario.fleet, self._scenario.candidates(self._choices - 1)
+        task, exists = (fleet.rows_of(self.satellite.type_index, part) for part in (candidates.task, candidates.exists))
         return task, exists
 
     @override
@@ -131,8 +131,8 @@ class PointAtTask(Action):
         duration = torch.full_like(simulator.sim_time, self.duration or simulator.h)
         if self.until_done:
             due = simulator.look_up(self._scenario.drawn("task_due"), task.clamp(min=0).unsqueeze(1)).squeeze(1)
-            left = (due - simulator.ticks.double() * simulator.h).clamp(min=0.0) + simulator.h
-            duration = torch.where(task >= 0, torch.minimum(duration, left), duration)
+            remaining = (due - simulator.ticks.double() * simulator.h).clamp(min=0.0) + simulator.h
+            duration = torch.where(task >= 0, torch.minimum(duration, remaining), duration)
         return Decision(mode, torch.ones_like(mask), duration, action, duration, task)
 
     def begin(self, mask: Tensor, decision: Decision) -> None:

@@ -147,8 +147,8 @@ def fly_cases(policy: TensorDictModuleBase, env: ConstellationTasking) -> Iterat
             seeds = range(first, min(first + size, len(cases)))
             flying = torch.arange(size, device=env.device) < len(seeds)
             parts.append(assigned_tasks(policy, env, start_episodes(env, seeds), flying)[flying])
-        again = replaying(env, cases, size)
-        yield from fly_cases(AssignedTasks(again, torch.cat(parts)).module(), again)
+        twin = replaying(env, cases, size)
+        yield from fly_cases(AssignedTasks(twin, torch.cat(parts)).module(), twin)
         return
     scenario, n = view.scenario, env.batch_size[0]
     for first in range(0, len(cases), n):
@@ -166,11 +166,11 @@ def fly_cases(policy: TensorDictModuleBase, env: ConstellationTasking) -> Iterat
         measures = env.rewarder.measures()
         for k, case in enumerate(seeds):
             crew, jobs = int(cases.present[case].sum()), int((cases.tasks["duration"][case] > 0.0).sum())
-            kept = {name: table[k, :, : jobs if name == PROGRESS else crew].clone() for name, table in tables.items()}
-            mine = episode == k
-            kept[VISIBLE] = torch.zeros(len(rows), crew, jobs, dtype=torch.bool)
-            kept[VISIBLE][second[mine], satellite[mine], task[mine]] = True
-            yield Trajectory(cases.names[case], kept, {name: float(value[k]) for name, value in measures.items()})
+            tensors = {name: table[k, :, : jobs if name == PROGRESS else crew].clone() for name, table in tables.items()}
+            mask = episode == k
+            tensors[VISIBLE] = torch.zeros(len(rows), crew, jobs, dtype=torch.bool)
+            tensors[VISIBLE][second[mask], satellite[mask], task[mask]] = True
+            yield Trajectory(cases.names[case], tensors, {name: float(value[k]) for name, value in measures.items()})
 
 
 def _present_of(view: TaskTeam) -> dict[str, Tensor]:
@@ -215,10 +215,10 @@ def export_annotations(flown: Sequence[Trajectory], folder: Path, split: str = "
         measures = {name: None if math.isnan(value) else value for name, value in one.measures.items()}
         write_file(stem.with_suffix(".json"), json.dumps(measures, indent=1) + "\n")
         paths += [stem.with_suffix(".pth"), stem.with_suffix(".json")]
-    listed = folder / "annotations" / f"{split}.json"
-    listed.parent.mkdir(parents=True, exist_ok=True)
-    write_file(listed, json.dumps({"ids": numbers, "epochs": [turn] * len(numbers)}) + "\n")
-    return [*paths, listed]
+    index = folder / "annotations" / f"{split}.json"
+    index.parent.mkdir(parents=True, exist_ok=True)
+    write_file(index, json.dumps({"ids": numbers, "epochs": [turn] * len(numbers)}) + "\n")
+    return [*paths, index]
 
 
 def _number(name: str) -> int:
@@ -258,10 +258,10 @@ def read_assignments(folder: str | Path, cases: Cases) -> Tensor:
             raise ValueError(f"{files[name]}: tasks from {int(table.min())} to {int(table.max())}, but case {name!r} has {jobs}")
         tables.append(table)
     longest = max(len(table) for table in tables)
-    found = torch.full((len(tables), longest, cases.n_satellites), NO_TASK)
+    assignments = torch.full((len(tables), longest, cases.n_satellites), NO_TASK)
     for k, table in enumerate(tables):
-        found[k, : len(table), : table.shape[1]] = table
-    return found
+        assignments[k, : len(table), : table.shape[1]] = table
+    return assignments
 
 
 def _trajectory(path: Path) -> Tensor:

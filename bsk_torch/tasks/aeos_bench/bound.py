@@ -44,7 +44,7 @@ def sight_bound(env: Tasking, *, interval: float = 10.0) -> Tensor:
     present = scenario.present_now.unsqueeze(2)
     spin = torch.tensor(EARTH_SPIN, dtype=r_P.dtype, device=r_P.device)
     v_P = v_P + torch.linalg.cross(spin.expand_as(r_P), r_P)  # of axes that do not turn with the Earth from now on
-    seen = torch.where(scenario.task_succeeded, torch.inf, 0.0)
+    longest = torch.where(scenario.task_succeeded, torch.inf, 0.0)
     run, was, elapsed = scenario.memory["task_progress"], _above(r_P, place, present), 0.0
     for _ in range(math.ceil((scenario.horizon - float(now.min())) / interval)):
         r_P, v_P = _coasted(r_P, v_P, interval)
@@ -54,9 +54,9 @@ def sight_bound(env: Tasking, *, interval: float = 10.0) -> Tensor:
         end = torch.minimum(due, now + elapsed).clamp(max=scenario.horizon)
         counted = (end - torch.maximum(release, now + elapsed - interval)).clamp(min=0.0)
         run = torch.where(above | was, run + counted, 0.0)
-        seen, was = torch.maximum(seen, run), above
+        longest, was = torch.maximum(longest, run), above
     exists = scenario.task_exists
-    return ((seen >= duration) & exists).sum(1) / exists.sum(1)
+    return ((longest >= duration) & exists).sum(1) / exists.sum(1)
 
 
 def _above(r_P: Tensor, place: Tensor, present: Tensor) -> Tensor:

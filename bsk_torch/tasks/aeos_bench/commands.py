@@ -29,8 +29,8 @@ def bench(cases: Cases, sensor: str, options: dict[str, object]) -> Constellatio
     from bsk_torch.env import ConstellationTasking
 
     size = min(len(cases), AT_ONCE)
-    given = {"folder": cases, "order": "listed", "sensor": sensor, "env_ids": [0] * size} | options
-    env = environment(PRESET, size, given)
+    settings = {"folder": cases, "order": "listed", "sensor": sensor, "env_ids": [0] * size} | options
+    env = environment(PRESET, size, settings)
     assert isinstance(env, ConstellationTasking)
     return env
 
@@ -58,14 +58,14 @@ def export_aeosbench(
 
     named = named_policy(policy, PRESET)
     with refusing():
-        given = read_cases(cases)
-        check_names(given)  # before hours are spent
-    env = bench(given, sensor, named.options(preset_options(option) | options))
+        scenarios = read_cases(cases)
+        check_names(scenarios)  # before hours are spent
+    env = bench(scenarios, sensor, named.options(preset_options(option) | options))
     actor = named.actor(env, options["device"])
     with working(f"flying {policy}"):
         with refusing():
-            flown = list(fly_cases(actor, env))
-        written = export_annotations(flown, out, split, turn)
+            flights = list(fly_cases(actor, env))
+        written = export_annotations(flights, out, split, turn)
     activity.report()
     echo(f"{written[-1]}: {(len(written) - 1) // 2} cases")
 
@@ -97,14 +97,14 @@ def import_aeosbench(
 
     check_writable(out, episodes_out)
     with refusing():
-        given = read_cases(cases)
-        table = read_assignments(assignments, given)
-    env, name = bench(given, sensor, options), assignments.as_posix()
-    seeds = range(len(given))
+        scenarios = read_cases(cases)
+        table = read_assignments(assignments, scenarios)
+    env, name = bench(scenarios, sensor, options), assignments.as_posix()
+    seeds = range(len(scenarios))
     with working(f"flying {name}"):
         results = {name: evaluate(AssignedTasks(env, table).module(), env, seeds=seeds)}
     activity.report()
-    print_results(results, f"{PRESET}, {len(given)} cases of {cases}")
+    print_results(results, f"{PRESET}, {len(scenarios)} cases of {cases}")
     if out is not None:
         save_results(results, out, name)
     if episodes_out is not None:

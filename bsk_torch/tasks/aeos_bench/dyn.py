@@ -31,7 +31,7 @@ from bsk_torch.vec3 import Mat3, Vec3
 def started(component: Component) -> Component:
     """Return a component that takes part in the tick at time zero."""
     fit = component.fit
-    fitted = None if fit is None else lambda given: dataclasses.replace(fit(given), at_start=True)
+    fitted = None if fit is None else lambda arguments: dataclasses.replace(fit(arguments), at_start=True)
     return dataclasses.replace(component, at_start=True, fit=fitted)
 
 
@@ -48,13 +48,13 @@ def charge_battery(bus: Bus) -> None:
     bus.charge = torch.minimum(charge, bus.battery_capacity)
 
 
-def _fitted_wheels(given: Mapping[str, Any]) -> Component:
-    wheels = described_wheels(given) or TRIAD
-    return started(wheel_set(wheel_form(given, wheels), wheels))
+def _fitted_wheels(arguments: Mapping[str, Any]) -> Component:
+    wheels = described_wheels(arguments) or TRIAD
+    return started(wheel_set(wheel_form(arguments, wheels), wheels))
 
 
-def _fitted_power(given: Mapping[str, Any]) -> Component:
-    return _with_balance(wheel_power(len(described_wheels(given) or TRIAD)))
+def _fitted_power(arguments: Mapping[str, Any]) -> Component:
+    return _with_balance(wheel_power(len(described_wheels(arguments) or TRIAD)))
 
 
 def _with_balance(component: Component) -> Component:

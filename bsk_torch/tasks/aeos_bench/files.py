@@ -108,8 +108,8 @@ def read_cases(folder: str | Path, satellites: int | None = None, tasks: int | N
     pairs = list(_pairs(Path(folder)))
     if not pairs:
         raise FileNotFoundError(f"{folder}: no constellation.json, NAME.constellation.json or constellations/ in it")
-    flown = [(name, _constellation(ours), _tasks(theirs)) for name, ours, theirs in pairs]
-    cases = stacked(flown, satellites, tasks)
+    entries = [(name, _constellation(ours), _tasks(theirs)) for name, ours, theirs in pairs]
+    cases = stacked(entries, satellites, tasks)
     strange, count = int((impossible(cases.satellites["inertia"]) & cases.present).sum()), int(cases.present.sum())
     if strange:
         logger.warning(
@@ -131,13 +131,13 @@ def _pairs(folder: Path) -> Iterator[tuple[str, Path, Path]]:
     """Yield name, constellation and task set of each case in a folder."""
     for path in sorted(folder.rglob(f"*{CONSTELLATION}.json")):
         stem = path.name.removesuffix(f"{CONSTELLATION}.json")
-        yield stem.rstrip(".") or path.parent.name, path, _there(path.with_name(f"{stem}{TASKS}.json"), path)
+        yield stem.rstrip(".") or path.parent.name, path, _require(path.with_name(f"{stem}{TASKS}.json"), path)
     for path in sorted(folder.rglob(f"{CONSTELLATION}s/**/*.json")):
         parts = [f"{TASKS}s" if part == f"{CONSTELLATION}s" else part for part in path.parts]
-        yield path.stem, path, _there(Path(*parts), path)
+        yield path.stem, path, _require(Path(*parts), path)
 
 
-def _there(path: Path, partner: Path) -> Path:
+def _require(path: Path, partner: Path) -> Path:
     if not path.exists():
         raise FileNotFoundError(f"{path}: the tasks of {partner} are missing")
     return path
@@ -333,8 +333,8 @@ Tasks = list[dict[str, float]]
 def _tasks(path: Path) -> Tasks:
     """Return the tasks of a file, sorted by their ids."""
     content: TaskSet | list[TaskEntry] = _read(path, TaskSet)
-    listed = content.tasks if isinstance(content, TaskSet) else content
-    return [_task(entry) for entry in sorted(listed, key=lambda entry: entry.id)]
+    entries = content.tasks if isinstance(content, TaskSet) else content
+    return [_task(entry) for entry in sorted(entries, key=lambda entry: entry.id)]
 
 
 def _task(entry: TaskEntry) -> dict[str, float]:
@@ -356,12 +356,12 @@ def _task(entry: TaskEntry) -> dict[str, float]:
 def stacked(cases: Sequence[tuple[str, Satellites, Tasks]], satellites: int | None, tasks: int | None) -> Cases:
     """Return cases, by name, with their satellites and tasks, as tables."""
     most = [max(len(part[k]) for part in cases) for k in (1, 2)]
-    wanted = {"satellites": satellites, "tasks": tasks}
+    limits = {"satellites": satellites, "tasks": tasks}
     sizes = [
-        biggest if size is None else whole(title, size, 1) for biggest, (title, size) in zip(most, wanted.items(), strict=True)
+        biggest if size is None else whole(title, size, 1) for biggest, (title, size) in zip(most, limits.items(), strict=True)
     ]
     for name, *parts in cases:
-        for title, part, size in zip(wanted, parts, sizes, strict=True):
+        for title, part, size in zip(limits, parts, sizes, strict=True):
             if len(part) > size:
                 raise ValueError(f"case {name!r} has {len(part)} {title}, more than {title}={size}")
 

@@ -43,8 +43,8 @@ _DEFAULTS = {"K": 8.0, "Ki": 0.005, "P": 24.0, "integralLimit": 0.01, "compensat
 """About the middle of the benchmark's distributions."""
 
 
-def _fitted_feedback(given: Mapping[str, Any]) -> Component:
-    return _of_benchmark(control.fitted_feedback(given))
+def _fitted_feedback(arguments: Mapping[str, Any]) -> Component:
+    return _of_benchmark(control.fitted_feedback(arguments))
 
 
 def _of_benchmark(law: Component) -> Component:

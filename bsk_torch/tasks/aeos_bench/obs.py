@@ -93,24 +93,24 @@ class TaskProperties(CandidateProperties):
         def of_task(table: Tensor) -> Tensor:
             return chosen(table.unsqueeze(1).expand(-1, fleet.size, -1))
 
-        known = {name: chosen(getattr(outlook, name)) for name in OUTLOOK}
-        known["slack"] = chosen(outlook.last) - known["end"]
-        known["duration"] = of_task(scenario.drawn("task_duration"))
-        known["progress"] = of_task(scenario.memory["task_progress"]) / known["duration"].clamp(min=1.0)
-        mine = task == held.unsqueeze(2)
+        values = {name: chosen(getattr(outlook, name)) for name in OUTLOOK}
+        values["slack"] = chosen(outlook.last) - values["end"]
+        values["duration"] = of_task(scenario.drawn("task_duration"))
+        values["progress"] = of_task(scenario.memory["task_progress"]) / values["duration"].clamp(min=1.0)
+        current = task == held.unsqueeze(2)
         holders = torch.zeros_like(scenario.memory["task_progress"]).scatter_add(1, held.clamp(min=0), (held >= 0).double())
-        known |= {"held": mine.double(), "held_by_others": of_task(holders) - mine.double()}
+        values |= {"held": current.double(), "held_by_others": of_task(holders) - current.double()}
         if "lead" in wanted:
-            known["lead"] = self._lead(torch.where(outlook.feasible, outlook.end, NEVER), task)
+            values["lead"] = self._lead(torch.where(outlook.feasible, outlook.end, NEVER), task)
         if MATCHED in wanted:
             place = match(candidates, scenario.n_tasks)
-            known[MATCHED] = (place.unsqueeze(2) == torch.arange(self.n_ahead_observe, device=place.device)).double()
+            values[MATCHED] = (place.unsqueeze(2) == torch.arange(self.n_ahead_observe, device=place.device)).double()
         rows = self.satellite.type_index
-        return {name: fleet.rows_of(rows, value) for name, value in known.items()}, fleet.rows_of(rows, candidates.exists)
+        return {name: fleet.rows_of(rows, value) for name, value in values.items()}, fleet.rows_of(rows, candidates.exists)
 
     @staticmethod
     def _lead(end: Tensor, task: Tensor) -> Tensor:
         """Return how much earlier satellites complete tasks than the first of the others, s, [N, S, n]."""
         first = torch.cat([end, torch.full_like(end[:, :1], NEVER)], 1).topk(2, 1, largest=False).values  # also of one satellite
-        own, best, second = (part.expand_as(end).gather(2, task) for part in (end, first[:, :1], first[:, 1:]))
-        return (torch.where(own > best, best, second) - own).clamp(-MOST_LEAD, MOST_LEAD)
+        ends, best, second = (part.expand_as(end).gather(2, task) for part in (end, first[:, :1], first[:, 1:]))
+        return (torch.where(ends > best, best, second) - ends).clamp(-MOST_LEAD, MOST_LEAD)

@@ -144,11 +144,11 @@ def find_outlook(scenario: AEOSBench) -> TaskOutlook:
     turn = turn_time(angle, cone, pace, acceleration)
     start = torch.maximum(turn, rise)
     progress = torch.where(angle > cone, 0.0, scenario.memory["task_progress"].unsqueeze(1))
-    left = scenario.drawn("task_duration").unsqueeze(1) - progress
+    remaining = scenario.drawn("task_duration").unsqueeze(1) - progress
     last = torch.minimum(below, scenario.drawn("task_due").unsqueeze(1).clamp(max=scenario.horizon - 1.0) - now)
-    in_time = torch.maximum(scenario.haste * turn, rise) + left <= last
+    in_time = torch.maximum(scenario.haste * turn, rise) + remaining <= last
     feasible = in_time & scenario.task_ongoing.unsqueeze(1) & scenario.present_now.unsqueeze(2)
-    return TaskOutlook(angle, turn, start, start + left, last, feasible)
+    return TaskOutlook(angle, turn, start, start + remaining, last, feasible)
 
 
 def _abilities(satellite: BoundSatellite) -> tuple[Tensor, Tensor]:
@@ -167,8 +167,8 @@ def find_candidates(outlook: TaskOutlook, held: Tensor, count: int) -> TaskCandi
         count: Number of candidates n of each satellite.
     """
     n_tasks = outlook.end.shape[2]
-    mine = held.unsqueeze(2) == torch.arange(n_tasks, device=held.device)
-    expected = outlook.end + LATE * (outlook.end > outlook.last) - KEEP * mine
+    current = held.unsqueeze(2) == torch.arange(n_tasks, device=held.device)
+    expected = outlook.end + LATE * (outlook.end > outlook.last) - KEEP * current
     cost = torch.where(outlook.feasible, expected, NEVER)
     cost, task = cost.sort(stable=True, dim=2)
     if n_tasks < count:

@@ -256,5 +256,5 @@ def aeos_bench(
 
 def of_form(values: torch.Tensor) -> Any:
     """Return the numbers of an argument [C, S, ...] of the satellite that has the most that are not zero."""
-    each = values.flatten(0, 1)
-    return each[int((each != 0.0).flatten(1).sum(1).argmax()) if each.ndim > 1 else 0].tolist()
+    rows = values.flatten(0, 1)
+    return rows[int((rows != 0.0).flatten(1).sum(1).argmax()) if rows.ndim > 1 else 0].tolist()

@@ -34,7 +34,7 @@ class Counts(NamedTuple):
         place: Which of the u tasks each of these is, [m].
         row: Episode of each task, from 0 to n - 1, [u].
         task: Its number, [u].
-        seen: By how many satellites it is seen, [u, K] float64.
+        viewers: By how many satellites it is seen, [u, K] float64.
         run: Its progress, [u, K]; see :func:`progress`.
         first: The tick at which it succeeds, [u], counted from one; :data:`NEVER` for none.
     """
@@ -43,7 +43,7 @@ class Counts(NamedTuple):
     place: Tensor
     row: Tensor
     task: Tensor
-    seen: Tensor
+    viewers: Tensor
     run: Tensor
     first: Tensor
 
@@ -63,14 +63,14 @@ def task_measures(*, duration: Tensor, release: Tensor, success: Tensor, best: T
         best: M of each task, s, [N, T].
         energy: Energy of sensors, W s, [N].
     """
-    done = success >= 0.0
-    number_of, whole = (duration > 0.0).sum(1).double(), duration.sum(1)
+    completed = success >= 0.0
+    number_of, total = (duration > 0.0).sum(1).double(), duration.sum(1)
     measures = {
-        "CR": done.sum(1) / number_of,
-        "WCR": (duration * done).sum(1) / whole,
+        "CR": completed.sum(1) / number_of,
+        "WCR": (duration * completed).sum(1) / total,
         "PCR": (best / duration.clamp(min=1.0)).sum(1) / number_of,
-        "WPCR": best.sum(1) / whole,
-        "TAT": ((success - release) * done).sum(1) / done.sum(1),
+        "WPCR": best.sum(1) / total,
+        "TAT": ((success - release) * completed).sum(1) / completed.sum(1),
         "PC": energy,
     }
     weights = zip(CLOSENESS, ("CR", "PCR", "WCR"), strict=True)
@@ -114,7 +114,7 @@ class TaskReward(GlobalReward):
     scenario: AEOSBench
 
     def __init__(self, progress_share: float = 0.0, end_when_closed: bool = False) -> None:
-        """ValueError unless ``progress_share`` is from 0 to 1."""
+        """Choose what is paid; ValueError unless ``progress_share`` is from 0 to 1."""
         self.progress_share = number("progress_share", progress_share, 0.0, 1.0)
         self.end_when_closed = switch("end_when_closed", end_when_closed)
 
@@ -143,8 +143,8 @@ class TaskReward(GlobalReward):
         awaited = (
             scenario.task_exists & ~scenario.task_succeeded & (scenario.task_time.unsqueeze(1) <= scenario.drawn("task_due"))
         )
-        left = awaited if self._traced else awaited | scenario.task_offered
-        return ~left.any(1, keepdim=True).expand(self.fleet.shape)
+        remaining = awaited if self._traced else awaited | scenario.task_offered
+        return ~remaining.any(1, keepdim=True).expand(self.fleet.shape)
 
     # -- counting -----------------------------------------------------------------------------------------------------
 
@@ -181,11 +181,11 @@ class TaskReward(GlobalReward):
         number_of = self.scenario.n_tasks
         key, place = (sights.episode * number_of + sights.task).unique(return_inverse=True)
         row, task = key // number_of, key % number_of
-        seen = torch.zeros(len(key), ticks, dtype=torch.float64, device=envs.device)
-        seen = seen.index_put((place, sights.tick), torch.ones_like(place, dtype=torch.float64), accumulate=True)
+        viewers = torch.zeros(len(key), ticks, dtype=torch.float64, device=envs.device)
+        viewers = viewers.index_put((place, sights.tick), torch.ones_like(place, dtype=torch.float64), accumulate=True)
         before, duration = self.memory["task_progress"], self.scenario.drawn("task_duration")
-        run, first = progress(seen > 0.0, before[envs[row], task], duration[envs[row], task])
-        return Counts(sights, place, row, task, seen, run, first)
+        run, first = progress(viewers > 0.0, before[envs[row], task], duration[envs[row], task])
+        return Counts(sights, place, row, task, viewers, run, first)
 
     def _add(self, envs: Tensor, ran: Tensor, counts: Counts) -> None:
         """Add what the episodes ``envs`` [n] have come to in ``ran`` ticks, [n]."""
@@ -197,17 +197,17 @@ class TaskReward(GlobalReward):
         growth = best.diff(dim=1) / scenario.drawn("task_duration")[where].unsqueeze(1)
         worth = ((1.0 - share) * fresh + share * growth) / scenario.task_exists.sum(1)[where[0]].unsqueeze(1)
         final = counts.run.gather(1, (ran[counts.row] - 1).unsqueeze(1)).squeeze(1)
-        when = (fleet.since[where[0]] + counts.first).double() * fleet.h
-        kept = torch.where((ran > 0).unsqueeze(1), 0.0, memory["task_progress"][envs])
-        memory["task_progress"] = memory["task_progress"].index_copy(0, envs, kept).index_put(where, final)
+        time = (fleet.since[where[0]] + counts.first).double() * fleet.h
+        before = torch.where((ran > 0).unsqueeze(1), 0.0, memory["task_progress"][envs])
+        memory["task_progress"] = memory["task_progress"].index_copy(0, envs, before).index_put(where, final)
         memory["task_best"] = memory["task_best"].index_put(where, best[:, -1])
-        success = torch.where(counts.first < NEVER, when, memory["task_success"][where])
+        success = torch.where(counts.first < NEVER, time, memory["task_success"][where])
         memory["task_success"] = memory["task_success"].index_put(where, success)
         energy = self._energy()[envs] * fleet.h * ran
         memory["sensor_energy"] = memory["sensor_energy"].index_add(0, envs, energy)
         row, at, satellite, _ = counts.sights
-        paid = (worth / counts.seen.clamp(min=1.0))[counts.place, at]
-        self._earned = self._earned.index_put((envs[row], satellite), paid, accumulate=True)
+        payments = (worth / counts.viewers.clamp(min=1.0))[counts.place, at]
+        self._earned = self._earned.index_put((envs[row], satellite), payments, accumulate=True)
 
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
         """See :meth:`GlobalReward.calculate_reward`; RuntimeError for steps longer than a tick of satellites without traces."""

@@ -60,7 +60,7 @@ class NearestTask:
     """
 
     def __init__(self, env: Tasking) -> None:
-        """ValueError as :func:`task_team`, and for satellites that choose among candidates."""
+        """Rule for ``env``; ValueError as :func:`task_team`, and for satellites that choose among candidates."""
         self.env, self.satellite, self.entry, self.scenario = task_team(env)
         if self.entry.n_candidates is not None:
             raise ValueError("nearest_task chooses among all tasks; make the environment without candidates")
@@ -90,8 +90,8 @@ class NearestTask:
         height = r_P @ (scenario.drawn(PLACES) * self.entry.offered.unsqueeze(2)).mT
         highest, nearest = height.max(2)
         old = self.satellite.simulator.memory[ASSIGNED].view(fleet.shape)
-        kept = height.gather(2, old.clamp(min=0).unsqueeze(2)).squeeze(2)
-        task = torch.where((old >= 0) & within_reach(kept, radius), old, nearest)
+        current = height.gather(2, old.clamp(min=0).unsqueeze(2)).squeeze(2)
+        task = torch.where((old >= 0) & within_reach(current, radius), old, nearest)
         return torch.where(within_reach(highest, radius), task, -1)
 
 

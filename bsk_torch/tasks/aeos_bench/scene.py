@@ -93,8 +93,8 @@ class AEOSBench(Scenario):
         """
         if order not in ORDERS:
             raise ValueError(f"order={order!r} must be one of {list(ORDERS)}; {nearest(str(order), ORDERS)}")
-        given = isinstance(cases, Cases | AEOSBenchGenerator)
-        if given and not (satellites is None and tasks is None):
+        in_memory = isinstance(cases, Cases | AEOSBenchGenerator)
+        if in_memory and not (satellites is None and tasks is None):
             raise ValueError(f"satellites={satellites} and tasks={tasks} pad cases of a folder; those given have their sizes")
         if isinstance(cases, AEOSBenchGenerator) and order != "random":
             raise ValueError(f"order={order!r} lists cases, but a generator draws them; leave it out")
@@ -102,7 +102,7 @@ class AEOSBench(Scenario):
         self.horizon = number("horizon", horizon, 0.0, unit="s", above=True)
         self.haste = number("haste", haste, 0.0, 1.0)
         self.order = order
-        self._found = Found()
+        self._memo = Found()
 
     def case_of(self, key: Key) -> Tensor:
         """Return the number of the case of each episode, [n]; -1 for cases of a generator."""
@@ -186,7 +186,7 @@ class AEOSBench(Scenario):
             timely = (self.drawn("task_release") <= now) & (now <= self.drawn("task_due"))
             return timely & self.task_exists & (now < self.horizon)
 
-        return self._found.once("timely", self.fleet, find)
+        return self._memo.once("timely", self.fleet, find)
 
     def timely(self, envs: Tensor, now: Tensor) -> Tensor:
         """Return which tasks of the episodes ``envs`` [n] are released and not overdue at times ``now`` [n, K] s, [n, K, T]."""
@@ -241,15 +241,12 @@ class AEOSBench(Scenario):
 
     def outlook(self) -> TaskOutlook:
         """Return what satellites can expect of tasks if they turn to them now."""
-        return self._found.once("outlook", self.fleet, lambda: find_outlook(self))
+        return self._memo.once("outlook", self.fleet, lambda: find_outlook(self))
 
     def candidates(self, count: int) -> TaskCandidates:
         """Return the first ``count`` tasks of each satellite, in the order of their costs."""
-
-        def found() -> TaskCandidates:
-            return find_candidates(self.outlook(), self.held_task, count)
-
-        return self._found.once(f"candidates {count}", self.fleet, found)
+        name = f"candidates {count}"
+        return self._memo.once(name, self.fleet, lambda: find_candidates(self.outlook(), self.held_task, count))
 
     @property
     def held_task(self) -> Tensor:
@@ -267,14 +264,14 @@ class AEOSBench(Scenario):
         """
         views, places, ongoing = self.views(), self.drawn(PLACES), self.task_ongoing if counted is None else counted
         near = near_cone(views, places * ongoing.unsqueeze(-1))
-        found = (near.closest > near.limit) & self.sensor_on & self.present_now
-        row, column = torch.nonzero(found, as_tuple=True)
+        looks = (near.closest > near.limit) & self.sensor_on & self.present_now
+        row, column = torch.nonzero(looks, as_tuple=True)
         pair, task = torch.nonzero(near.closeness[row, column] > near.limit[row, column].unsqueeze(1), as_tuple=True)
         episode, satellite = row[pair], column[pair]
         view = Views(*(part[episode, satellite] for part in views))
         fits = self.drawn("sensor_type")[episode, satellite] == self.drawn("task_type")[episode, task]
-        seen = in_access(view, places[episode, task]) & fits & ongoing[episode, task]
-        return episode[seen], satellite[seen], task[seen]
+        access = in_access(view, places[episode, task]) & fits & ongoing[episode, task]
+        return episode[access], satellite[access], task[access]
 
     def sights(self, envs: Tensor, views: Views, ran: Tensor, on: Tensor, ongoing: Tensor) -> Sights:
         """Return which tasks satellites see with their sensors at each of K ticks.
@@ -298,8 +295,8 @@ class AEOSBench(Scenario):
             pairs = torch.nonzero(above & count.any(1).unsqueeze(1) & looks & fits)
             for row, satellite, task in (some.unbind(1) for some in pairs.split(AT_ONCE)):
                 view = Views(*(part[row, satellite] for part in piece))
-                seen = in_access(view, places[row, task].unsqueeze(1)) & count[row, :, task]
-                pair, tick = torch.nonzero(seen, as_tuple=True)
+                access = in_access(view, places[row, task].unsqueeze(1)) & count[row, :, task]
+                pair, tick = torch.nonzero(access, as_tuple=True)
                 parts.append(torch.stack([row[pair], tick + start, satellite[pair], task[pair]]))
         return Sights(*torch.cat(parts, 1))
 
@@ -389,8 +386,8 @@ def above_horizon(r_P: Tensor, ran: Tensor, places: Tensor) -> Tensor:
     radius = r_P.norm(dim=-1)
     up = r_P / radius.clamp(min=1.0).unsqueeze(-1)
     middle = up[torch.arange(len(ran), device=ran.device), :, ran // 2]
-    known = (torch.arange(r_P.shape[2], device=ran.device) < ran.unsqueeze(1)).unsqueeze(1)
-    moved = torch.where(known, (up * middle.unsqueeze(2)).sum(-1), 1.0).amin(2).clamp(-1.0, 1.0).arccos()
-    highest = torch.where(known, radius, EARTH_RADIUS).amax(2)
+    valid = (torch.arange(r_P.shape[2], device=ran.device) < ran.unsqueeze(1)).unsqueeze(1)
+    moved = torch.where(valid, (up * middle.unsqueeze(2)).sum(-1), 1.0).amin(2).clamp(-1.0, 1.0).arccos()
+    highest = torch.where(valid, radius, EARTH_RADIUS).amax(2)
     reach = (EARTH_RADIUS / highest).clamp(max=1.0).arccos() + moved + 1e-3
     return middle @ (places.mT / EARTH_RADIUS) > reach.clamp(max=math.pi).cos().unsqueeze(-1)

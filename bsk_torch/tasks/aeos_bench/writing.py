@@ -41,28 +41,28 @@ def case_content(cases: Cases, row: int) -> dict[str, Any]:
     return {"constellation": {"orbits": orbits, "satellites": crafts}, "taskset": _tasks(cases, row)}
 
 
-def _satellite(given: dict[str, Any], number: int, sensor: float, enabled: bool) -> dict[str, Any]:
-    momenta = [J * TOP_SPEED * RPM for J in given["rwJs"]]
+def _satellite(craft: dict[str, Any], number: int, sensor: float, enabled: bool) -> dict[str, Any]:
+    momenta = [J * TOP_SPEED * RPM for J in craft["rwJs"]]
     wheels = zip(
-        given["rwAxes_B"], momenta, given["wheelSpeeds"], given["rwBasePower"], given["rwMechToElecEfficiency"], strict=True
+        craft["rwAxes_B"], momenta, craft["wheelSpeeds"], craft["rwBasePower"], craft["rwMechToElecEfficiency"], strict=True
     )
     kinds = {round(value): kind for kind, values in MOMENTA.items() for value in values}
     return {
         "id": number,
-        "inertia": given["inertia"],
-        "mass": given["mass"],
-        "center_of_mass": given["r_CB_B"],
+        "inertia": craft["inertia"],
+        "mass": craft["mass"],
+        "center_of_mass": craft["r_CB_B"],
         "orbit": number,
-        "solar_panel": {"direction": given["nHat_B"], "area": given["panelArea"], "efficiency": given["panelEfficiency"]},
+        "solar_panel": {"direction": craft["nHat_B"], "area": craft["panelArea"], "efficiency": craft["panelEfficiency"]},
         "sensor": {
             "type": int(sensor),
             "enabled": enabled,
-            "half_field_of_view": math.degrees(given["sensorFieldOfView"]),
-            "power": -given["sensorPower"],
+            "half_field_of_view": math.degrees(craft["sensorFieldOfView"]),
+            "power": -craft["sensorPower"],
         },
         "battery": {
-            "capacity": given["batteryStorageCapacity"],
-            "percentage": given["storedCharge_Init"] / given["batteryStorageCapacity"],
+            "capacity": craft["batteryStorageCapacity"],
+            "percentage": craft["storedCharge_Init"] / craft["batteryStorageCapacity"],
         },
         "reaction_wheels": [
             {
@@ -75,9 +75,9 @@ def _satellite(given: dict[str, Any], number: int, sensor: float, enabled: bool)
             }
             for axis, momentum, speed, power, efficiency in wheels
         ],
-        "mrp_control": {"k": given["K"], "ki": given["Ki"], "p": given["P"], "integral_limit": given["integralLimit"]},
-        "true_anomaly": math.degrees(given["oe"][5]),
-        "mrp_attitude_bn": given["sigma_init"],
+        "mrp_control": {"k": craft["K"], "ki": craft["Ki"], "p": craft["P"], "integral_limit": craft["integralLimit"]},
+        "true_anomaly": math.degrees(craft["oe"][5]),
+        "mrp_attitude_bn": craft["sigma_init"],
     }
 
 

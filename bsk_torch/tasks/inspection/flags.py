@@ -26,7 +26,7 @@ from bsk_torch.sim.component import Field, Layout, Track
 from bsk_torch.sim.orbit.builder import KernelBuilder
 from bsk_torch.sim.run.trace import Trace
 from bsk_torch.tasks.inspection.points import COLUMNS, Point, faces, in_view, sunlit
-from bsk_torch.vec3 import Vec3, only
+from bsk_torch.vec3 import Mat3, Vec3, only
 
 GROUP = 25
 """Points in a kernel; more run in further calls. Compilers take longer than in proportion to the length of a function: 100 points
@@ -84,7 +84,7 @@ class _Moment(NamedTuple):
 
     r_BN_N: Vec3
     sigma_BN: Vec3
-    illumination: Any
+    illumination: Tensor
     sun_N: Vec3
     pole_N: Vec3
     inspector_N: Vec3
@@ -95,7 +95,7 @@ class _Moment(NamedTuple):
         return _Moment(r_BN_N, sigma_BN, illumination, sun_N, pole_N, inspector["r_BN_N"])
 
 
-def _fields(layout: Layout, names: Sequence[str], planes: Sequence[Any], first: int = 0) -> dict[str, Any]:
+def _fields(layout: Layout, names: Sequence[str], planes: Sequence[Tensor], first: int = 0) -> dict[str, Any]:
     """Return fields by name, from the planes of a record that begins with plane ``first``."""
     parts = {name: planes[first + layout.slices[name].start : first + layout.slices[name].stop] for name in names}
     return {name: part[0] if len(part) == 1 else Vec3(*part) for name, part in parts.items()}
@@ -110,20 +110,20 @@ class _Limits(NamedTuple):
         light: Least illumination in which a point may be lit.
     """
 
-    reach2: Any
-    radius: Any
-    light: Any
+    reach2: Tensor
+    radius: Tensor
+    light: Tensor
 
 
 def _look(
     points: Sequence[Point],
     limits: _Limits,
     at: _Moment,
-    counts: Any,
-    lights: Any,
-    inspected: tuple[Any, ...],
-    lit: tuple[Any, ...],
-) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    counts: Tensor,
+    lights: Tensor,
+    inspected: tuple[Tensor, ...],
+    lit: tuple[Tensor, ...],
+) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
     """Return flags, 0 or 1 for each entry of ``points``, after a record.
 
     Args:
@@ -139,11 +139,11 @@ def _look(
     s_B, rho_N = BN @ at.sun_N.unit(), at.inspector_N - at.r_BN_N
     rho2 = rho_N.dot(rho_N)
 
-    def by_day() -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    def by_day() -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
         sun = [sunlit(point, s_B, at.illumination) for point in points]
         after = tuple(torch.where(lights & now, 1.0, before) for now, before in zip(sun, lit, strict=True))
 
-        def seen() -> tuple[Any, ...]:
+        def by_sight() -> tuple[Tensor, ...]:
             rho_B = BN @ rho_N
             facing = [faces(point, rho_B) for point in points]
             free = _free(points, limits, at, BN, rho2)
@@ -152,12 +152,12 @@ def _look(
                 for now, near, view, before in zip(sun, facing, free, inspected, strict=True)
             )
 
-        return only(counts & (rho2 <= limits.reach2), seen, inspected), after
+        return only(counts & (rho2 <= limits.reach2), by_sight, inspected), after
 
     return only(at.illumination >= limits.light, by_day, (inspected, lit))
 
 
-def _free(points: Sequence[Point], limits: _Limits, at: _Moment, BN: Any, rho2: Any) -> tuple[Any, ...]:
+def _free(points: Sequence[Point], limits: _Limits, at: _Moment, BN: Mat3, rho2: Tensor) -> tuple[Tensor, ...]:
     """Return 1 for points with a free line of sight to the inspector.
 
     The line lies within ``max(|rho|, radius)`` of the spacecraft's center; where all of that is outside of the Earth's equatorial
@@ -167,7 +167,7 @@ def _free(points: Sequence[Point], limits: _Limits, at: _Moment, BN: Any, rho2: 
     slack = torch.sqrt(r2) - (R_EARTH + 1.0)  # a meter, far more than rounding
     clear = (slack > limits.radius) & (slack * torch.abs(slack) > rho2)
 
-    def tested() -> tuple[Any, ...]:
+    def tested() -> tuple[Tensor, ...]:
         pole_B, r_B = BN @ at.pole_N, BN @ at.r_BN_N
         inspector_B = stretch(BN @ at.inspector_N, pole_B)
         return tuple(in_view(point, r_B, inspector_B, pole_B).to(one.dtype) for point in points)
@@ -201,7 +201,7 @@ def flags_kernel(source: str, chief_fields: tuple[Field, ...], inspector_fields:
     first = 3 if source == "own" else 0
     limits = _Limits(*builder.planes(source, 3, first))
     numbers = builder.planes(source, COLUMNS * GROUP, first + 3)
-    each = [Point.of(numbers[k::GROUP]) for k in range(GROUP)]
+    points = [Point.of(numbers[k::GROUP]) for k in range(GROUP)]
     inspected, lit = (tuple(builder.planes("state", GROUP, k * GROUP)) for k in range(2))
     change: Any = builder.planes("state", 1, 2 * GROUP)[0]
     chief, inspector = Layout(chief_fields), Layout(inspector_fields)
@@ -210,7 +210,7 @@ def flags_kernel(source: str, chief_fields: tuple[Field, ...], inspector_fields:
     number: Any = builder.program.input("ticks_now")
     change = torch.where(number >= last, change, after["storage"] - now["storage"])
     at = _Moment.of(_fields(chief, CHIEF_FIELDS, builder.records(1, chief.size)), now)
-    inspected, lit = _look(each, limits, at, change.ne(0.0) & (number >= seen_from), number >= lit_from, inspected, lit)
+    inspected, lit = _look(points, limits, at, change.ne(0.0) & (number >= seen_from), number >= lit_from, inspected, lit)
     tracks = Track("chief", 1.0, chief_fields, count=1), Track("inspector", 1.0, inspector_fields, count=2)
     outputs: list[Any] = [*inspected, *lit, change]
     return Kernel("inspection", Loop(builder.program, outputs, tracks))
@@ -224,16 +224,16 @@ def _run_kernels(columns: Tensor, records: Records) -> tuple[Tensor, Tensor]:
     # records are looked up half way between two
     tracks = [Samples(trace.table, torch.full((len(trace.table),), -0.5, dtype=torch.float64), rows) for trace, rows in pairs]
     kernel = flags_kernel(source, *(tuple(trace.layout.fields.values()) for trace, _ in pairs))
-    found = []
+    flags = []
     for group in _filled(columns).split(GROUP, -1):
         packs = torch.cat([_bounds(group), group.movedim(-1, 1).flatten(0, 1)])
-        given: dict[str, Any] = {"shared": packs, "own": limits}
+        arguments: dict[str, Any] = {"shared": packs, "own": limits}
         if source == "own":
-            given = {"own": torch.cat([limits, packs])}
+            arguments = {"own": torch.cat([limits, packs])}
         state = torch.zeros(2 * GROUP + 1, len(ticks), dtype=torch.float64)
-        kernel(state, ticks, tracks, ticks=torch.full_like(ticks, -1), nanoseconds=TICK_NS, **given)
-        found.append(state[:-1].unflatten(0, (2, GROUP)))
-    inspected, lit = torch.cat(found, 1)[:, : columns.shape[-1]].mT.contiguous()
+        kernel(state, ticks, tracks, ticks=torch.full_like(ticks, -1), nanoseconds=TICK_NS, **arguments)
+        flags.append(state[:-1].unflatten(0, (2, GROUP)))
+    inspected, lit = torch.cat(flags, 1)[:, : columns.shape[-1]].mT.contiguous()
     return inspected, lit
 
 

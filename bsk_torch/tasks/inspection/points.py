@@ -8,7 +8,8 @@ deep in the Earth's shadow. The spacecraft itself hides nothing beyond the cones
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -37,13 +38,13 @@ class Point(NamedTuple):
 
     r_PB_B: Vec3
     n_B: Vec3
-    cone: Any
-    range2: Any
-    sun: Any
-    light: Any
+    cone: Tensor
+    range2: Tensor
+    sun: Tensor
+    light: Tensor
 
     @staticmethod
-    def of(columns: Any) -> Point:
+    def of(columns: Tensor | Sequence[Tensor]) -> Point:
         """Return the points of :func:`point_columns`, whose first dimension is that of the columns; or of as many planes."""
         return Point(Vec3(*columns[:3]), Vec3(*columns[3:6]), *columns[6:])
 
@@ -81,7 +82,7 @@ def point_columns(
     return torch.stack([*r_PB_B.unbind(-1), *normal.unbind(-1), *limits]).double()
 
 
-def sunlit(point: Point, s_B: Vec3, illumination: Any) -> Any:
+def sunlit(point: Point, s_B: Vec3, illumination: Tensor) -> Tensor:
     """Return whether a point is lit: ``n . s >= cos(theta_solar_max)`` and ``f >= min_illumination_factor``.
 
     Args:
@@ -92,7 +93,7 @@ def sunlit(point: Point, s_B: Vec3, illumination: Any) -> Any:
     return (point.n_B.dot(s_B) >= point.sun) & (illumination >= point.light)
 
 
-def faces(point: Point, rho_B: Vec3) -> Any:
+def faces(point: Point, rho_B: Vec3) -> Tensor:
     """Return whether an inspector is within range and cone of a point: ``|d| <= range_max`` and ``n . d >= |d| cos(theta_max)``.
 
     ``d = rho - r_PB`` is the way from the point to the inspector. The cosine is compared as signed squares, without a root.
@@ -106,7 +107,7 @@ def faces(point: Point, rho_B: Vec3) -> Any:
     return (d2 <= point.range2) & (along * torch.abs(along) >= point.cone * d2)
 
 
-def in_view(point: Point, r_BN_B: Vec3, inspector_B: Vec3, pole_B: Vec3) -> Any:
+def in_view(point: Point, r_BN_B: Vec3, inspector_B: Vec3, pole_B: Vec3) -> Tensor:
     """Return whether the Earth leaves the line from a point to an inspector free; see :mod:`bsk_torch.sim.access.line_of_sight`.
 
     Args:

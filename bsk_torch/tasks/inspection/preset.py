@@ -257,8 +257,8 @@ def crew_member(n_inspectors: int, actions: str, tumbling: bool = False) -> type
     if actions not in ACTIONS:
         raise ValueError(f"actions={actions!r} must be one of {list(ACTIONS)}")
     kind = ACTIONS[actions]
-    others = (OtherInspectors(n_inspectors),) if n_inspectors > 1 else ()
-    more = (*others, *((rotation(),) if tumbling else ()))
+    peers = (OtherInspectors(n_inspectors),) if n_inspectors > 1 else ()
+    more = (*peers, *((rotation(),) if tumbling else ()))
     if not more:
         return kind
     members = {"observation_spec": (*kind.observation_spec, *more), "__doc__": kind.__doc__, "__module__": __name__}

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -40,11 +39,11 @@ def known_regions(inspected: Tensor, r_PB_B: Tensor, centers: Tensor, compiled: 
         compiled: Whether to use a kernel, on the CPU.
     """
     run = _run_kernel if compiled and inspected.device.type == "cpu" else _run_tensors
-    known, count = run(inspected, r_PB_B, centers.expand(len(inspected), *centers.shape[-2:]))
-    return known / count.clamp(min=1.0)
+    hits, count = run(inspected, r_PB_B, centers.expand(len(inspected), *centers.shape[-2:]))
+    return hits / count.clamp(min=1.0)
 
 
-def nearest(point: Vec3, centers: Sequence[Vec3], squares: Sequence[Any]) -> Any:
+def nearest(point: Vec3, centers: Sequence[Vec3], squares: Sequence[Tensor]) -> Tensor:
     """Return the index of the center that is nearest to a point, as a number: that of the smallest ``|c|^2 - 2 p . c``."""
     least = squares[0] - 2.0 * point.dot(centers[0])
     index = torch.zeros_like(least)
@@ -60,12 +59,12 @@ def _run_tensors(inspected: Tensor, r_PB_B: Tensor, centers: Tensor) -> tuple[Te
 
     Center by center: all distances at once, [N, P, R], and their ``argmin`` take longer.
     """
-    each = [Vec3(*center.unsqueeze(-1).unbind(1)) for center in centers.unbind(1)]
-    region = nearest(Vec3(*r_PB_B.unbind(-1)), each, [center.dot(center) for center in each]).long()
+    vectors = [Vec3(*center.unsqueeze(-1).unbind(1)) for center in centers.unbind(1)]
+    region = nearest(Vec3(*r_PB_B.unbind(-1)), vectors, [center.dot(center) for center in vectors]).long()
     # one sum for both numbers: an inspected point counts 2^20 and 1, another 1
     packed = torch.zeros_like(centers[..., 0]).scatter_add(-1, region.expand(inspected.shape), inspected * PACK + 1.0)
-    known = torch.floor(packed / PACK)
-    return known, packed - known * PACK
+    hits = torch.floor(packed / PACK)
+    return hits, packed - hits * PACK
 
 
 @cache
@@ -75,15 +74,15 @@ def regions_kernel(regions: int) -> Kernel:
     The state is the number of inspected points of each region, then that of all of its points.
     """
     builder = KernelBuilder()
-    known, count = (builder.planes("state", regions, k * regions) for k in range(2))
+    hits, count = (builder.planes("state", regions, k * regions) for k in range(2))
     centers = builder.vectors("own", regions)
     squares = builder.planes("own", regions, 3 * regions)
     (inspected,) = builder.records(2, 1)
     index = nearest(Vec3(*builder.records(1, 3)), centers, squares)
-    here = [index.eq(float(k)) for k in range(regions)]
-    known = [torch.where(now, before + inspected, before) for now, before in zip(here, known, strict=True)]
-    count = [torch.where(now, before + 1.0, before) for now, before in zip(here, count, strict=True)]
-    return Kernel("regions of points", Loop(builder.program, [*known, *count], (POINTS, FLAGS)))
+    members = [index.eq(float(k)) for k in range(regions)]
+    hits = [torch.where(now, before + inspected, before) for now, before in zip(members, hits, strict=True)]
+    count = [torch.where(now, before + 1.0, before) for now, before in zip(members, count, strict=True)]
+    return Kernel("regions of points", Loop(builder.program, [*hits, *count], (POINTS, FLAGS)))
 
 
 def _run_kernel(inspected: Tensor, r_PB_B: Tensor, centers: Tensor) -> tuple[Tensor, Tensor]:
@@ -96,9 +95,9 @@ def _run_kernel(inspected: Tensor, r_PB_B: Tensor, centers: Tensor) -> tuple[Ten
         Samples(table.contiguous(), torch.full((len(table),), -0.5, dtype=torch.float64), rows)
         for table, rows in ((points_of, owner), (inspected.unsqueeze(-1), None))
     ]
-    own = torch.cat([centers.permute(1, 2, 0).flatten(0, 1), centers.square().sum(-1).mT])
+    inputs = torch.cat([centers.permute(1, 2, 0).flatten(0, 1), centers.square().sum(-1).mT])
     state = torch.zeros(2 * regions, n, dtype=torch.float64)
     before = torch.full((n,), -1, dtype=torch.int64)
-    regions_kernel(regions)(state, points, tracks, own=own.contiguous(), ticks=before, nanoseconds=TICK_NS)
-    known, count = state.view(2, regions, n).mT
-    return known, count
+    regions_kernel(regions)(state, points, tracks, own=inputs.contiguous(), ticks=before, nanoseconds=TICK_NS)
+    hits, count = state.view(2, regions, n).mT
+    return hits, count

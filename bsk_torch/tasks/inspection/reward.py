@@ -46,7 +46,7 @@ class InspectionStore(NamedTuple):
     data: RSOInspectionData
 
 
-class _Found(NamedTuple):
+class _StepFlags(NamedTuple):
     """Points of a step: episodes that took part [N], and points [N, S, P] inspected, or seen lit, by satellites."""
 
     moved: Tensor
@@ -87,7 +87,7 @@ class RSOInspectionReward(GlobalReward):
         min_time_for_completion: float = 5700.0,
         terminate_on_completion: bool = True,
     ) -> None:
-        """ValueError for a wrong argument.
+        """Choose what is paid; ValueError for a wrong argument.
 
         Args:
             inspection_reward_scale: Reward for inspecting all points.
@@ -119,7 +119,7 @@ class RSOInspectionReward(GlobalReward):
                 f"{type(scenario).__name__}"
             )
         self._points: RSOPoints = scenario
-        self._found: _Found | None = None
+        self._step: _StepFlags | None = None
         shape = fleet.size, scenario.n_points
         for kind in KINDS:
             self.memory.declare(f"{kind}_points", False, shape[1])
@@ -132,25 +132,25 @@ class RSOInspectionReward(GlobalReward):
     def _look(self, flight: Flight) -> None:
         """Record the points of the episodes of a flight."""
         fleet, scenario = self.fleet, self._points
-        found = self._found
-        if found is None:
+        step = self._step
+        if step is None:
             none = torch.zeros(fleet.num_envs, fleet.size, scenario.n_points, dtype=torch.bool, device=fleet.device)
-            found = _Found(torch.zeros(fleet.num_envs, dtype=torch.bool, device=fleet.device), none, none.clone())
-            self._found = found
-        found.moved[flight.envs] = True
+            step = _StepFlags(torch.zeros(fleet.num_envs, dtype=torch.bool, device=fleet.device), none, none.clone())
+            self._step = step
+        step.moved[flight.envs] = True
         if not len(flight.envs) or not int(flight.ticks.max()):
             return
         n, points = len(flight.envs), scenario.columns
         for k in scenario.inspector_types:
             columns = points if points.ndim == 2 else points[:, flight.envs.repeat_interleave(flight.counts[k])]
             flags = find_flags(columns, self._records(flight, k), fleet.simulators[k].type.options.backend == "compiled")
-            for table, new in zip((found.inspected, found.illuminated), flags, strict=True):
-                seen = new.view(n, flight.counts[k], -1)
+            for table, new in zip((step.inspected, step.illuminated), flags, strict=True):
+                entries = new.view(n, flight.counts[k], -1)
                 if fleet.present is not None:
                     present = fleet.present[flight.envs]
                     pairs = present[:, fleet.columns[k]] & present[:, fleet.columns[scenario.rso_type]]
-                    seen = seen & pairs.unsqueeze(-1)
-                table[flight.envs.unsqueeze(-1), fleet.columns[k]] = seen
+                    entries = entries & pairs.unsqueeze(-1)
+                table[flight.envs.unsqueeze(-1), fleet.columns[k]] = entries
 
     def _records(self, flight: Flight, k: int) -> Records:
         """Return the records of the inspectors of type k in a flight."""
@@ -208,8 +208,8 @@ class RSOInspectionReward(GlobalReward):
     def share(self, links: Tensor) -> None:
         """See :meth:`GlobalReward.share`; knowledge spreads along one link in a step."""
         for kind in KINDS:
-            known = self.memory[f"known_{kind}"]
-            self.memory[f"known_{kind}"] = known | (torch.bmm(links.mT.float(), known.float()) > 0.5)
+            knowledge = self.memory[f"known_{kind}"]
+            self.memory[f"known_{kind}"] = knowledge | (torch.bmm(links.mT.float(), knowledge.float()) > 0.5)
 
     @override
     def recorded(self, env: int) -> RecordedProgress:
@@ -227,15 +227,15 @@ class RSOInspectionReward(GlobalReward):
 
     @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        found, self._found = self._found, None
+        step, self._step = self._step, None
         fleet, memory = self.fleet, self.memory
-        if found is None:  # a trial, without a run
+        if step is None:  # a trial, without a run
             return torch.zeros(fleet.num_envs, fleet.size, dtype=torch.float64, device=fleet.device)
-        new = (found.inspected & ~self.inspected.unsqueeze(1)).sum(2).double()
-        for kind, points in zip(KINDS, (found.inspected, found.illuminated), strict=True):
+        new = (step.inspected & ~self.inspected.unsqueeze(1)).sum(2).double()
+        for kind, points in zip(KINDS, (step.inspected, step.illuminated), strict=True):
             memory[f"{kind}_points"] = memory[f"{kind}_points"] | points.any(1)
             memory[f"known_{kind}"] = memory[f"known_{kind}"] | points
-        completed = self._completed() & found.moved & ~self.bonus_reward_yielded
+        completed = self._completed() & step.moved & ~self.bonus_reward_yielded
         memory["inspection_bonus_time"] = torch.where(completed, fleet.sim_time, memory["inspection_bonus_time"])
         reward = new * (self.inspection_reward_scale / self._points.n_points)
         bonus = self.completion_bonus * completed.double().unsqueeze(1)
@@ -252,5 +252,5 @@ class RSOInspectionReward(GlobalReward):
 
     def is_terminated(self) -> Tensor:
         """See :meth:`GlobalReward.is_terminated`; all satellites of completed episodes."""
-        ended = self.bonus_reward_yielded & self.terminate_on_completion
-        return ended.unsqueeze(1).expand(-1, self.fleet.size)
+        ends = self.bonus_reward_yielded & self.terminate_on_completion
+        return ends.unsqueeze(1).expand(-1, self.fleet.size)

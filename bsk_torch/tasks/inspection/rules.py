@@ -52,31 +52,31 @@ DRIFT = 600.0
 
 
 @dataclass(frozen=True)
-class Seen:
+class Situation:
     """Observations of N inspectors.
 
     Attributes:
         rho: Position in the Hill frame of the RSO, [N, 3] m.
         velocity: Velocity in that frame, [N, 3] m/s.
         sun: Direction of the Sun, [N, 3].
-        known: Fraction of inspected points in each region, [N, R].
+        inspected: Fraction of inspected points in each region, [N, R].
         centers: Directions of the regions, [R, 3].
     """
 
     rho: Tensor
     velocity: Tensor
     sun: Tensor
-    known: Tensor
+    inspected: Tensor
     centers: Tensor
 
     @staticmethod
-    def of(observation: Tensor, description: Sequence[str]) -> Seen:
+    def of(observation: Tensor, description: Sequence[str]) -> Situation:
         """Read an observation [N, F]; KeyError for a missing entry."""
         see = Columns(observation.double(), description)
-        known = see.all("imaged_regions")
-        centers = torch.as_tensor(fibonacci_sphere(known.shape[-1])).to(known.device)
+        inspected = see.all("imaged_regions")
+        centers = torch.as_tensor(fibonacci_sphere(inspected.shape[-1])).to(inspected.device)
         rho, velocity = see.all("r_DC_Hc_normd") * NEAR, see.all("v_DC_Hc_normd") * SLOW
-        return Seen(rho, velocity, see.all("sun_hat_Hc"), known, centers)
+        return Situation(rho, velocity, see.all("sun_hat_Hc"), inspected, centers)
 
     @property
     def n(self) -> Tensor:
@@ -91,21 +91,21 @@ def sun_at(sun: Tensor, angle: Tensor) -> Tensor:
     return torch.stack(torch.broadcast_tensors(c * x + s * y, c * y - s * x, z), -1)
 
 
-def new_regions(seen: Seen, ahead: Transfers) -> Tensor:
+def new_regions(situation: Situation, ahead: Transfers) -> Tensor:
     """Return the approximate number of uninspected regions revealed by transfers, [N, D, K].
 
     A region counts by the fraction of its points in view and lit at the best time of the transfer: fully below the first of the
     angles :data:`VIEW` and :data:`LIGHT` between its center and the inspector or the Sun, and not at all above the second.
     """
-    best = torch.zeros(*ahead.cost.shape, len(seen.centers), dtype=ahead.cost.dtype, device=ahead.cost.device)
+    best = torch.zeros(*ahead.cost.shape, len(situation.centers), dtype=ahead.cost.dtype, device=ahead.cost.device)
     for k in range(ahead.samples):  # a loop over few times, since computing all at once would need that many times the memory
         position = ahead.position(k)
         distance = torch.linalg.vector_norm(position, dim=-1, keepdim=True)
-        sun = sun_at(seen.sun[:, None], seen.n[:, None] * ahead.motion.time[k])
-        lit = part(sun @ seen.centers.mT, LIGHT) * (sun[..., :1] > SHADOW)
-        shown = part(position @ seen.centers.mT / distance, VIEW) * (distance < REACH)
-        best = torch.maximum(best, shown * lit[:, None])
-    return (best * (1.0 - seen.known)[:, None, None]).sum(-1)
+        sun = sun_at(situation.sun[:, None], situation.n[:, None] * ahead.motion.time[k])
+        lit = part(sun @ situation.centers.mT, LIGHT) * (sun[..., :1] > SHADOW)
+        visible = part(position @ situation.centers.mT / distance, VIEW) * (distance < REACH)
+        best = torch.maximum(best, visible * lit[:, None])
+    return (best * (1.0 - situation.inspected)[:, None, None]).sum(-1)
 
 
 def part(cosine: Tensor, angles: tuple[float, float]) -> Tensor:
@@ -114,13 +114,13 @@ def part(cosine: Tensor, angles: tuple[float, float]) -> Tensor:
     return ((cosine - low) / (high - low)).clamp(0.0, 1.0)
 
 
-def survey_worth(seen: Seen, ahead: Transfers, max_dv: float, time_cost: float) -> Tensor:
+def survey_worth(situation: Situation, ahead: Transfers, max_dv: float, time_cost: float) -> Tensor:
     """Return the values of transfers, [N, D, K]: revealed regions minus costs of fuel and time; unsafe transfers come last.
 
     ``time_cost`` is the cost of 1 s.
     """
     nearest, farthest = ahead.distances()
-    worth = POINT * new_regions(seen, ahead) - FUEL * ahead.cost - time_cost * ahead.motion.time[-1]
+    worth = POINT * new_regions(situation, ahead) - FUEL * ahead.cost - time_cost * ahead.motion.time[-1]
     unsafe = (nearest < CLOSE) | (farthest > FAR) | (ahead.cost > max_dv)
     # if none is safe, return from too far away
     return torch.where(unsafe, -1e3 - farthest, worth)
@@ -150,13 +150,13 @@ class InspectionRule:
 
     def survey(self, observation: Tensor, action_mask: Tensor | None = None) -> Tensor:
         """Choose the transfer with the highest value; see :func:`survey_worth`."""
-        seen = Seen.of(observation, self.description)
+        situation = Situation.of(observation, self.description)
         way = self.entry if isinstance(self.entry, HillWaypoint) else WAYPOINTS
-        most = torch.full_like(seen.n, self.entry.max_dv)
-        device = seen.n.device
-        motion = about_circle(seen.n, way.durations.to(device), SAMPLES)
-        ahead = transfers(motion, seen.rho, seen.velocity, way.waypoints.to(device), most)
-        worth = survey_worth(seen, ahead, self.entry.max_dv, self.time_cost).flatten(1)
+        most = torch.full_like(situation.n, self.entry.max_dv)
+        device = situation.n.device
+        motion = about_circle(situation.n, way.durations.to(device), SAMPLES)
+        ahead = transfers(motion, situation.rho, situation.velocity, way.waypoints.to(device), most)
+        worth = survey_worth(situation, ahead, self.entry.max_dv, self.time_cost).flatten(1)
         if action_mask is not None:
             return worth.masked_fill(~action_mask, -torch.inf).argmax(1)
         best = worth.argmax(1)
@@ -165,15 +165,15 @@ class InspectionRule:
 
     def circumnavigate(self, observation: Tensor) -> Tensor:
         """Stop the along-track drift, and fly around the RSO without further maneuvers."""
-        seen = Seen.of(observation, self.description)
-        dv = circumnavigation(seen.rho, seen.n) - seen.velocity
+        situation = Situation.of(observation, self.description)
+        dv = circumnavigation(situation.rho, situation.n) - situation.velocity
         dv[:, 2] = 0.0
         return torch.cat([dv, torch.full_like(dv[:, :1], DRIFT)], 1)
 
     def drift(self, observation: Tensor) -> Tensor:
         """Never thrust."""
-        seen = Seen.of(observation, self.description)
-        return torch.cat([torch.zeros_like(seen.rho), torch.full_like(seen.rho[:, :1], DRIFT)], 1)
+        situation = Situation.of(observation, self.description)
+        return torch.cat([torch.zeros_like(situation.rho), torch.full_like(situation.rho[:, :1], DRIFT)], 1)
 
     def module(self, name: str) -> TensorDictModule:
         """Return a method of the rule as a policy; ValueError for one that returns other actions than those of the satellites."""

@@ -99,8 +99,8 @@ class ImageRSO(Action):
     def target_actions(self) -> range:
         return range(self.n_actions)
 
+    @override
     def link_satellite(self, satellite: BoundSatellite) -> None:
-        """See :meth:`Action.link_satellite`; ValueError unless it is an imager of a catalog."""
         super().link_satellite(satellite)
         check_imager(satellite, f"ImageRSO {self.name!r}")
 
@@ -129,18 +129,18 @@ class ImageRSO(Action):
             ValueError: For a target chosen by its number that is not eligible.
         """
         simulator, column = self.satellite.simulator, index.unsqueeze(-1)
-        known = self._scenario.candidates(self.satellite, self.n_actions)
-        target, exists = (part.gather(1, column).squeeze(1) for part in known)
+        candidates = self._scenario.candidates(self.satellite, self.n_actions)
+        target, exists = (part.gather(1, column).squeeze(1) for part in candidates)
         by_number = mask & (action < 0)
         if bool(by_number.any()):
             target = torch.where(by_number, -1 - action, target)
             self._check(by_number, target)
-        chosen = exists | by_number
-        key = torch.where(chosen, -2 - target, NO_TARGET)
+        valid = exists | by_number
+        key = torch.where(valid, -2 - target, NO_TARGET)
         duration = torch.full_like(simulator.sim_time, self.max_duration)
         expected = duration.clamp(max=SLEW + self.min_pointing_hold_s) if self.variable_duration_imaging else duration
         mode = torch.full_like(target, simulator.mode_names.index("image_rso"))
-        return Decision(mode, chosen, duration, key, expected)
+        return Decision(mode, valid, duration, key, expected)
 
     def _check(self, rows: Tensor, target: Tensor) -> None:
         """Raise ValueError unless the targets [N] of ``rows`` [N] are eligible."""

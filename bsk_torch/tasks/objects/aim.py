@@ -25,15 +25,15 @@ class AimedNodes:
         self._mode = simulator.mode_names.index("image_rso")
         names = simulator.mode_names
         self._radio = names.index("transmit_rso") if "transmit_rso" in names else None
-        self._found = no_samples(RSO_TRACK, simulator.state.rows, simulator.device)
-        self._known: tuple[Tensor, int, int] | None = None
+        self._nodes = no_samples(RSO_TRACK, simulator.state.rows, simulator.device)
+        self._key: tuple[Tensor, int, int] | None = None
         self._end = -1.0
 
     def reach(self, time: Tensor) -> None:
         """See :meth:`bsk_torch.sim.run.tracks.TrackSource.reach`."""
         simulator, orbits = self._simulator, self._orbits
-        known = simulator.mode, simulator.memory.version, orbits.version
-        same = self._known is not None and known[0] is self._known[0] and known[1:] == self._known[1:]
+        key = simulator.mode, simulator.memory.version, orbits.version
+        same = self._key is not None and key[0] is self._key[0] and key[1:] == self._key[1:]
         aim, points = simulator.memory[AIM], simulator.mode == self._mode
         if self._radio is not None and PEER in simulator.memory:
             transmits = simulator.mode == self._radio
@@ -48,11 +48,11 @@ class AimedNodes:
             until = torch.full((len(points),), end, dtype=torch.float64, device=simulator.device)
             nodes = orbits.nodes(points // simulator.count, aim[points], until)
             owner[points] = torch.arange(len(points), device=simulator.device)
-            self._found = nodes._replace(owner=owner)
+            self._nodes = nodes._replace(owner=owner)
         else:
-            self._found = no_samples(RSO_TRACK, simulator.state.rows, simulator.device)
-        self._known, self._end = known, end
+            self._nodes = no_samples(RSO_TRACK, simulator.state.rows, simulator.device)
+        self._key, self._end = key, end
 
     def samples(self) -> Samples:
         """See :meth:`bsk_torch.sim.run.tracks.TrackSource.samples`."""
-        return self._found
+        return self._nodes

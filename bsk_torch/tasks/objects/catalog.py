@@ -52,8 +52,8 @@ MOST_TARGETS = 1000
 
 @functools.cache
 def _physical_defaults() -> dict[str, float]:
-    known = {arg.name: arg.default for part in BasicDynamicsModel.all_components() for arg in part.args}
-    return {name: float(known[name]) for name in sorted(PHYSICAL)}
+    defaults = {arg.name: arg.default for part in BasicDynamicsModel.all_components() for arg in part.args}
+    return {name: float(defaults[name]) for name in sorted(PHYSICAL)}
 
 
 def _three(title: str, value: object, bound: float = math.inf) -> tuple[float, float, float]:
@@ -69,24 +69,24 @@ def _three(title: str, value: object, bound: float = math.inf) -> tuple[float, f
     return x, y, z
 
 
-def _pairs(title: str, given: object) -> tuple[tuple[Any, Any], ...]:
+def _pairs(title: str, pairs: object) -> tuple[tuple[Any, Any], ...]:
     """Return pairs of a name and a number; ValueError for something else, which ``title`` names."""
     try:
-        items = given.items() if isinstance(given, Mapping) else given
-        listed = [tuple(pair) for pair in items]  # type: ignore[attr-defined]
+        items = pairs.items() if isinstance(pairs, Mapping) else pairs
+        entries = [tuple(pair) for pair in items]  # type: ignore[attr-defined]
     except TypeError:
-        listed = [()]
-    if isinstance(given, str | Tensor) or not all(len(pair) == 2 and isinstance(pair[0], str) for pair in listed):
-        raise ValueError(f"{title}={given!r} must be a list of pairs of a name and a number")
-    return tuple((name, value) for name, value in listed)
+        entries = [()]
+    if isinstance(pairs, str | Tensor) or not all(len(pair) == 2 and isinstance(pair[0], str) for pair in entries):
+        raise ValueError(f"{title}={pairs!r} must be a list of pairs of a name and a number")
+    return tuple((name, value) for name, value in entries)
 
 
-def _events(title: str, given: object) -> tuple[RSOPriorityEvent, ...]:
+def _events(title: str, events: object) -> tuple[RSOPriorityEvent, ...]:
     """Return changes of priorities as a tuple; ValueError for something else, which ``title`` names."""
-    listed = tuple(given) if isinstance(given, Iterable) and not isinstance(given, Tensor) else (None,)
-    if not all(isinstance(part, RSOPriorityEvent) for part in listed):
-        raise ValueError(f"{title}={given!r} must be a list of RSOPriorityEvent")
-    return listed
+    entries = tuple(events) if isinstance(events, Iterable) and not isinstance(events, Tensor) else (None,)
+    if not all(isinstance(part, RSOPriorityEvent) for part in entries):
+        raise ValueError(f"{title}={events!r} must be a list of RSOPriorityEvent")
+    return entries
 
 
 def _unique(names: Sequence[str], what: str) -> None:
@@ -145,15 +145,15 @@ class RSOTarget:
         object.__setattr__(self, "physical_parameters", tuple((_physical_defaults() | dict(pairs)).items()))
 
     def sat_args(self) -> dict[str, Any]:
-        """Return the arguments that the scenario of ``bsk_torch.bsk_rl`` gives the satellite in its place."""
-        given = {name: list(getattr(self, name)) for name in ("rN", "vN", "sigma_init", "omega_init")}
-        still = dict.fromkeys(("basePowerDraw", "rwBasePower"), 0.0)
+        """Return the arguments that bsk_rl's scenario, and that of ``bsk_torch.bsk_rl``, give the satellite in its place."""
+        state = {name: list(getattr(self, name)) for name in ("rN", "vN", "sigma_init", "omega_init")}
+        idle = dict.fromkeys(("basePowerDraw", "rwBasePower"), 0.0)
         full = dict.fromkeys(("batteryStorageCapacity", "storedCharge_Init"), FULL_CHARGE)
         turns = {"wheelSpeeds": list(self.wheel_speeds_rpm), "disturbance_vector": list(self.disturbance_torque_Nm)}
-        return {**given, "oe": None, **turns, **still, **full, **dict(self.physical_parameters)}
+        return {**state, "oe": None, **turns, **idle, **full, **dict(self.physical_parameters)}
 
 
-def check_orbits(r_N: Tensor, v_N: Tensor, title: Any) -> None:
+def check_orbits(r_N: Tensor, v_N: Tensor, title: Callable[[int], str]) -> None:
     """Raise ValueError for states [n, 3] m, m/s in N that are on no orbit above the atmosphere; ``title(row)`` names one."""
     lowest = top_radius(R_EARTH, 1.22, 8000.0)
     periapsis = periapsis_radius(Vec3.of(r_N), Vec3.of(v_N))
@@ -223,10 +223,10 @@ class RSOTargetCatalog:
 
     def __post_init__(self) -> None:
         """Check the values; ValueError for a wrong one."""
-        listed = tuple(self.targets) if isinstance(self.targets, Iterable) and not isinstance(self.targets, Tensor) else (None,)
-        if not all(isinstance(part, RSOTarget) for part in listed):
+        items = tuple(self.targets) if isinstance(self.targets, Iterable) and not isinstance(self.targets, Tensor) else (None,)
+        if not all(isinstance(part, RSOTarget) for part in items):
             raise ValueError(f"RSOTargetCatalog: targets={self.targets!r} must be a list of RSOTarget")
-        object.__setattr__(self, "targets", listed)
+        object.__setattr__(self, "targets", items)
         object.__setattr__(self, "priority_events", _events("RSOTargetCatalog: priority_events", self.priority_events))
         if not 0 < len(self.targets) <= MOST_TARGETS:
             raise ValueError(f"RSOTargetCatalog: targets has {len(self.targets)} entries; it must have 1 to {MOST_TARGETS}")
@@ -264,11 +264,11 @@ class RSOTargetCatalog:
         """Return the catalog of a dictionary; ValueError for another schema, frame or units, or missing or unknown entries."""
         if not isinstance(values, Mapping):
             raise ValueError(f"a catalog must be a dictionary, not {type(values).__name__}")
-        for name, wanted in HEADER.items():
-            if values.get(name) != wanted:
-                raise ValueError(f"a catalog has {name}={values.get(name)!r}; it must be {wanted!r}")
-        targets = _saved(RSOTarget, values, "targets")
-        return cls(targets, values.get("utc_init"), _saved(RSOPriorityEvent, values, "priority_events"))
+        for name, expected in HEADER.items():
+            if values.get(name) != expected:
+                raise ValueError(f"a catalog has {name}={values.get(name)!r}; it must be {expected!r}")
+        targets = _read(RSOTarget, values, "targets")
+        return cls(targets, values.get("utc_init"), _read(RSOPriorityEvent, values, "priority_events"))
 
     @classmethod
     def load(cls, path: str | Path) -> RSOTargetCatalog:
@@ -279,25 +279,25 @@ class RSOTargetCatalog:
             raise ValueError(f"{path}: {error}") from error
 
 
-def _saved(kind: Callable[..., Saved], values: Mapping[str, Any], name: str) -> tuple[Saved, ...]:
+def _read(kind: Callable[..., Saved], values: Mapping[str, Any], name: str) -> tuple[Saved, ...]:
     """Return the entries of ``values[name]`` as objects of a kind; ValueError for missing or unknown keys."""
-    listed, known = values.get(name), {part.name: part for part in fields(kind)}  # type: ignore[arg-type]
-    if not isinstance(listed, list | tuple) or not all(isinstance(saved, Mapping) for saved in listed):
-        raise ValueError(f"a catalog has {name}={listed!r}; it must be a list of dictionaries")
-    made = []
-    for k, saved in enumerate(map(_named_as_now, listed)):
-        for key in saved:
-            if key not in known:
-                raise ValueError(f"entry {k} of {name} has the key {key!r}; {nearest(str(key), known)}")
-        if missing := [key for key, part in known.items() if part.default is MISSING and key not in saved]:
+    entries, schema = values.get(name), {part.name: part for part in fields(kind)}  # type: ignore[arg-type]
+    if not isinstance(entries, list | tuple) or not all(isinstance(entry, Mapping) for entry in entries):
+        raise ValueError(f"a catalog has {name}={entries!r}; it must be a list of dictionaries")
+    objects = []
+    for k, entry in enumerate(map(_named_as_now, entries)):
+        for key in entry:
+            if key not in schema:
+                raise ValueError(f"entry {k} of {name} has the key {key!r}; {nearest(str(key), schema)}")
+        if missing := [key for key, part in schema.items() if part.default is MISSING and key not in entry]:
             raise ValueError(f"entry {k} of {name} lacks {missing}")
-        made.append(kind(**saved))
-    return tuple(made)
+        objects.append(kind(**entry))
+    return tuple(objects)
 
 
-def _named_as_now(saved: Mapping[str, Any]) -> dict[str, Any]:
+def _named_as_now(entry: Mapping[str, Any]) -> dict[str, Any]:
     """Return the entries of a target with the names of today; ValueError where old and new names disagree."""
-    target = dict(saved)
+    target = dict(entry)
     if "spacecraft_name" in target:
         old = target.pop("spacecraft_name")
         if target.setdefault("satellite_name", old) != old:
@@ -320,7 +320,7 @@ class RandomRSOCatalog:
         priority_events: Sequence[RSOPriorityEvent] = (),
         priority_sum: float | None = None,
     ) -> None:
-        """ValueError for a wrong argument.
+        """Choose what is drawn; ValueError for a wrong argument.
 
         Args:
             n_targets: Number of targets.
@@ -331,17 +331,17 @@ class RandomRSOCatalog:
             priority_sum: Sum of the priorities, to which they are scaled before changes; None for no scaling.
         """
         self.n_targets = whole("n_targets", n_targets, 1, MOST_TARGETS)
-        given = random_orbit(alt=700.0) if oe is None else oe
-        listed = [given] if isinstance(given, Distribution | RSOMixture) else given
-        mixed = isinstance(given, RSOMixture)
-        if not isinstance(listed, Sequence) or not all(mixed or isinstance(part, Distribution) for part in listed):
+        orbits = random_orbit(alt=700.0) if oe is None else oe
+        entries = [orbits] if isinstance(orbits, Distribution | RSOMixture) else orbits
+        mixed = isinstance(orbits, RSOMixture)
+        if not isinstance(entries, Sequence) or not all(mixed or isinstance(part, Distribution) for part in entries):
             raise ValueError(
                 f"oe={oe!r} must be a distribution of orbital elements, such as rand.random_orbit(), a list of them, or a "
                 "RSOMixture"
             )
-        if len(listed) not in (1, n_targets):
-            raise ValueError(f"oe lists {len(listed)} distributions; it must list one for each of {n_targets} targets")
-        self.oe, self.priority, self.priority_events = tuple(listed), priority, _events("priority_events", priority_events)
+        if len(entries) not in (1, n_targets):
+            raise ValueError(f"oe lists {len(entries)} distributions; it must list one for each of {n_targets} targets")
+        self.oe, self.priority, self.priority_events = tuple(entries), priority, _events("priority_events", priority_events)
         self.ids = tuple(f"rso-{k}" for k in range(n_targets))
         check_events(self.ids, self.priority_events)
         check_numbers("priority", priority, self.n_targets, low=0.0, high=FARTHEST)
@@ -369,12 +369,12 @@ class RandomRSOCatalog:
             return self.oe[0].draw(key, self.n_targets)
         oe = torch.empty(len(key), self.n_targets, 6, dtype=torch.float64)
         for distribution in dict.fromkeys(map(id, self.oe)):
-            mine = [k for k in range(self.n_targets) if id(self.oe[k % len(self.oe)]) == distribution]
-            drawn = self.oe[mine[0] % len(self.oe)].draw(key.of_satellites(torch.tensor(mine)))
+            targets = [k for k in range(self.n_targets) if id(self.oe[k % len(self.oe)]) == distribution]
+            drawn = self.oe[targets[0] % len(self.oe)].draw(key.of_satellites(torch.tensor(targets)))
             table = torch.as_tensor(drawn, dtype=torch.float64)
-            if table.shape != (len(key) * len(mine), 6):
+            if table.shape != (len(key) * len(targets), 6):
                 raise ValueError(f"oe draws {list(table.shape)}; it must draw six elements for each target, [n, 6]")
-            oe[:, mine] = table.view(len(key), len(mine), 6)
+            oe[:, targets] = table.view(len(key), len(targets), 6)
         return oe
 
 
@@ -383,9 +383,9 @@ def scaled_to(priority: Tensor, total: float) -> Tensor:
 
     ValueError if all priorities of an episode are zero.
     """
-    own = priority.sum(1, keepdim=True)
-    if total > 0.0 and not bool((own > 0.0).all()):
+    current = priority.sum(1, keepdim=True)
+    if total > 0.0 and not bool((current > 0.0).all()):
         raise ValueError(f"priority_sum={total:g}: all priorities of an episode are zero, which no factor scales")
-    scaled = priority * (total / own) if total > 0.0 else torch.zeros_like(priority)
+    scaled = priority * (total / current) if total > 0.0 else torch.zeros_like(priority)
     scaled[:, -1:] = (total - scaled[:, :-1].sum(1, keepdim=True)).clamp(min=0.0)
     return scaled

@@ -37,7 +37,7 @@ class CatalogCommunication(CommunicationMethod):
     _delivers_packets: ClassVar[bool] = True
 
     def __init__(self, delay_s: float = 0.0, loss_probability: float = 0.0, ttl_s: float = 600.0) -> None:
-        """ValueError for a wrong argument.
+        """Choose the radio; ValueError for a wrong argument.
 
         Args:
             delay_s: Time between sending and arrival, s.
@@ -61,12 +61,12 @@ class CatalogCommunication(CommunicationMethod):
                 f"{type(self).__name__} needs satellites with TransmitCatalog in their action_spec; there are {fleet.names[:5]}"
             )
         entries = [entry for satellite in fleet.satellites for entry in satellite.action_spec]
-        senders, others = [entry for entry in entries if isinstance(entry, TransmitCatalog)], self._records.sensors - 1
+        senders, peers = [entry for entry in entries if isinstance(entry, TransmitCatalog)], self._records.sensors - 1
         for entry in senders:
-            if entry.n_actions != others:
+            if entry.n_actions != peers:
                 raise ValueError(
-                    f"TransmitCatalog {entry.name!r} has n_peers={entry.n_actions}, but each of {others + 1} imagers has "
-                    f"{others} peers"
+                    f"TransmitCatalog {entry.name!r} has n_peers={entry.n_actions}, but each of {peers + 1} imagers has "
+                    f"{peers} peers"
                 )
         shortest = min(entry.min_hold_s for entry in senders)
         self._records.declare_queue(1 + math.ceil(self.delay_s / max(shortest, fleet.h)))
@@ -82,19 +82,19 @@ class CatalogCommunication(CommunicationMethod):
         age = fleet.sim_time.view(-1, 1, 1) - records.queue_time
         due = (records.queue_time < FINITE) & (age >= self.delay_s) & self.due.view(-1, 1, 1)
         receives = scenario.imagers_alive.unsqueeze(2).expand(-1, -1, records.slots).gather(1, records.queue_receiver)
-        links = records.deliver_packets(due, (age <= self.ttl_s) & receives & ~self._lost(), fleet.sim_time)
+        links = records.deliver_packets(due, (age <= self.ttl_s) & receives & ~self._losses(), fleet.sim_time)
         columns = torch.tensor(scenario.imager_columns, device=fleet.device)
         pairs = torch.zeros(fleet.num_envs, fleet.size, fleet.size, dtype=torch.bool, device=fleet.device)
         pairs[:, columns.unsqueeze(1), columns] = links
         return pairs
 
-    def _lost(self) -> Tensor:
+    def _losses(self) -> Tensor:
         """Return which packets of the queue are lost, [N, A, slots]; drawn for the number of the packet."""
         number = self._records.queue_number
         if self.loss_probability == 0.0:
             return torch.zeros_like(number, dtype=torch.bool)
         key, (n, sensors, slots) = self.fleet.key(), number.shape
         sender = torch.arange(sensors).repeat_interleave(slots)
-        each = key.named("loss of packets").of_satellites(sender)
-        drawn = replace(each, episode=each.episode + (number.cpu().flatten() << NUMBER_SHIFT)).uniform(1)
-        return drawn.view(n, sensors, slots).to(number.device) < self.loss_probability
+        keys = key.named("loss of packets").of_satellites(sender)
+        lots = replace(keys, episode=keys.episode + (number.cpu().flatten() << NUMBER_SHIFT)).uniform(1)
+        return lots.view(n, sensors, slots).to(number.device) < self.loss_probability

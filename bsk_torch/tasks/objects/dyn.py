@@ -239,8 +239,8 @@ def _with_small_packets(transmitter: Component) -> Component:
     fit = partitions.TRANSMITTER.fit
     assert fit is not None
 
-    def fitted(given: Mapping[str, Any]) -> Component:
-        return _with_small_packets(fit(given))
+    def fitted(arguments: Mapping[str, Any]) -> Component:
+        return _with_small_packets(fit(arguments))
 
     return dataclasses.replace(transmitter, args=args, fit=fitted)
 

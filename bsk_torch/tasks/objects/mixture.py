@@ -69,10 +69,10 @@ class RSOMixture:
             if self.shares == "LEO":
                 object.__setattr__(self, "shares", (1.0, 0.0, 0.0))
             return
-        listed = tuple(self.shares) if isinstance(self.shares, Sequence) else ()
-        if len(listed) != len(REGIMES):
+        entries = tuple(self.shares) if isinstance(self.shares, Sequence) else ()
+        if len(entries) != len(REGIMES):
             raise ValueError(f"shares={self.shares!r} must be three numbers, those of {list(REGIMES)}, or one of {list(SHARES)}")
-        object.__setattr__(self, "shares", tuple(number("shares", share, 0.0, 1.0) for share in listed))
+        object.__setattr__(self, "shares", tuple(number("shares", share, 0.0, 1.0) for share in entries))
         if abs(sum(self.shares) - 1.0) > 1e-9:
             raise ValueError(f"shares={self.shares!r} sum up to {sum(self.shares):g}; they must sum up to 1")
 
@@ -110,7 +110,7 @@ def largest_remainders(shares: Tensor, count: int) -> Tensor:
 
     Every share gets the whole part of its number; the rest goes to the largest remainders, the first of equal ones.
     """
-    wanted = shares * count
-    number = torch.floor(wanted + 1e-9).long()
-    order = (wanted - number).argsort(dim=1, descending=True, stable=True).argsort(dim=1, stable=True)
+    quota = shares * count
+    number = torch.floor(quota + 1e-9).long()
+    order = (quota - number).argsort(dim=1, descending=True, stable=True).argsort(dim=1, stable=True)
     return number + (order < (count - number.sum(1, keepdim=True)))

@@ -74,8 +74,8 @@ class RSOTargetProperties(CandidateProperties):
         """
         super().__init__(*properties, n_ahead_observe=n_ahead_observe, name=name, as_set=as_set)
 
+    @override
     def link_satellite(self, satellite: BoundSatellite) -> None:
-        """See :meth:`Observation.link_satellite`; ValueError unless it is an imager of a catalog."""
         super().link_satellite(satellite)
         check_imager(satellite, f"RSOTargetProperties {self.name!r}")
 
@@ -83,31 +83,31 @@ class RSOTargetProperties(CandidateProperties):
     def read_candidates(self, wanted: frozenset[str]) -> tuple[dict[str, Tensor], Tensor]:
         scenario: RSOTargets = self.satellite.scenario
         candidates = scenario.candidates(self.satellite, self.n_ahead_observe)
-        seen = scenario.views(self.satellite, candidates)
-        known = seen._asdict() | {
-            "valid": torch.ones_like(seen.target_distance),
+        views = scenario.views(self.satellite, candidates)
+        values = views._asdict() | {
+            "valid": torch.ones_like(views.target_distance),
             "priority": self.satellite.of_env(scenario.priority).gather(1, candidates.place),
         }
         if "in_sight" in wanted:
-            known["in_sight"] = scenario.in_sight(self.satellite, candidates).double()
+            values["in_sight"] = scenario.in_sight(self.satellite, candidates).double()
         if not wanted.isdisjoint((*Outlook._fields, EXPECTED_RATE)):
             outlook = scenario.outlook(self.satellite, candidates)
-            known |= outlook._asdict() | {EXPECTED_RATE: expected_rate(known["priority"], outlook)}
+            values |= outlook._asdict() | {EXPECTED_RATE: expected_rate(values["priority"], outlook)}
         if not wanted.isdisjoint(KNOWN):
-            known |= self._known(candidates.place)
-        return known, candidates.exists
+            values |= self._knowledge(candidates.place)
+        return values, candidates.exists
 
-    def _known(self, place: Tensor) -> dict[str, Tensor]:
+    def _knowledge(self, place: Tensor) -> dict[str, Tensor]:
         """Return what satellites know of targets, [N, n] each; see :data:`KNOWN`."""
         satellite, scenario = self.satellite, self.satellite.scenario
         records, now = scenario.known_records, satellite.simulator.sim_time.unsqueeze(1)
-        found: dict[str, Tensor] = {}
+        values: dict[str, Tensor] = {}
         for name, version in (("capture", CAPTURED), ("delivery", DELIVERED)):
             latest = scenario.of_imagers(satellite, records.latest(version)).gather(1, place)
-            there = latest > AGO
-            found |= {f"{name}_age": torch.where(there, now - latest, 0.0), f"{name}_known": there.double()}
+            exists = latest > AGO
+            values |= {f"{name}_age": torch.where(exists, now - latest, 0.0), f"{name}_known": exists.double()}
         pending = scenario.of_imagers(satellite, scenario.memory[OWN_PENDING]).gather(1, place)
         images = satellite.simulator.mode == satellite.simulator.mode_names.index("image_rso")
         busy = images & ~satellite.task.requires_retasking
-        mine = busy.unsqueeze(1) & (satellite.simulator.memory[AIM].unsqueeze(1) == place)
-        return found | {"on_board": (pending > 0).double(), "in_progress": mine.double()}
+        aimed = busy.unsqueeze(1) & (satellite.simulator.memory[AIM].unsqueeze(1) == place)
+        return values | {"on_board": (pending > 0).double(), "in_progress": aimed.double()}

@@ -79,8 +79,8 @@ class CatalogOrbits(StateTable):
     def catch_up(self, time: Tensor) -> None:
         """Bring all objects to the first step at or after ``time`` [num_envs] s; those of an episode are at the same one."""
         present = self.steps.view(self.num_envs, -1)[:, 0]
-        wanted = torch.ceil(time * (1.0 / MULTISTEP_STEP)).long().clamp(min=FIRST_STEP)
-        behind = present < wanted
+        goal = torch.ceil(time * (1.0 / MULTISTEP_STEP)).long().clamp(min=FIRST_STEP)
+        behind = present < goal
         if not bool(behind.any()):
             return
         new = torch.nonzero(present == NOT_STARTED).squeeze(-1)
@@ -88,13 +88,13 @@ class CatalogOrbits(StateTable):
         for envs in new.split(size):
             self._start(envs)
         present = torch.where(present == NOT_STARTED, FIRST_STEP, present)
-        counts = torch.where(behind, wanted - present, 0)
+        counts = torch.where(behind, goal - present, 0)
         if most := int(counts.max()):
-            every = torch.arange(self.num_envs, device=self.device)
-            owner = every.repeat_interleave(self.count)
-            around = _around(self.epoch.et(every), present, most)._replace(owner=owner)
+            index = torch.arange(self.num_envs, device=self.device)
+            owner = index.repeat_interleave(self.count)
+            around = _around(self.epoch.et(index), present, most)._replace(owner=owner)
             self.solver.advance(self.flights, present[owner], counts[owner], around)
-        self.steps = torch.maximum(present, wanted).repeat_interleave(self.count)
+        self.steps = torch.maximum(present, goal).repeat_interleave(self.count)
         self.touch()
 
     def _start(self, envs: Tensor) -> None:
@@ -130,9 +130,9 @@ class CatalogOrbits(StateTable):
             ago: Earlier times, [num_envs] s, by a tick.
         """
         flights = self.flights[:, envs.unsqueeze(-1) * self.count + place]
-        now, then = (self._since(moment)[envs] for moment in (time, ago))
-        found = positions(flights, now), velocities(flights, now), positions(flights, then)
-        return ObjectStates(*(part.movedim(0, -1) for part in found))
+        now, before = (self._since(moment)[envs] for moment in (time, ago))
+        motion = positions(flights, now), velocities(flights, now), positions(flights, before)
+        return ObjectStates(*(part.movedim(0, -1) for part in motion))
 
     def nodes(self, envs: Tensor, place: Tensor, until: Tensor) -> Samples:
         """Return the nodes of n objects, a minute apart, from before the step at which they are to behind ``until`` [n] s.
@@ -144,12 +144,12 @@ class CatalogOrbits(StateTable):
         odd = step % 2
         first = step - odd - 2 * (PAST_NODES - 1)
         back = first - step + 2 * torch.arange(PAST_NODES, device=self.device).unsqueeze(-1)
-        known = [positions(flights, since.double()).mT for since in back]
+        past = [positions(flights, since.double()).mT for since in back]
         most = int(((until + REACH_AROUND) * (1.0 / MULTISTEP_STEP)).ceil().long().sub(step).max().clamp(min=6)) + 2
         around = _around(self.epoch.et(envs), step, most)
         ahead = self.solver.fly(flights, step, most, around)
         index = 1 - odd.unsqueeze(-1) + 2 * torch.arange(most // 2, device=self.device)
-        nodes = torch.cat([torch.stack(known, 1), ahead.gather(1, index.unsqueeze(-1).expand(-1, -1, 3))], 1)
+        nodes = torch.cat([torch.stack(past, 1), ahead.gather(1, index.unsqueeze(-1).expand(-1, -1, 3))], 1)
         return Samples(nodes.contiguous(), first.double() * MULTISTEP_STEP)
 
 

@@ -125,8 +125,8 @@ def shield(satellite: BoundSatellite) -> Tensor:
     candidates = scenario.candidates(satellite, CANDIDATES)
     priority = satellite.of_env(scenario.priority).gather(1, candidates.place)
     images = (expected_rate(priority, scenario.outlook(satellite, candidates)) > 0.0) & (level < FULL).unsqueeze(1)
-    others = forbid(satellite.action_description[:-CANDIDATES], "action_downlink", where=level <= 0.0)
-    return torch.cat([others, images], 1)
+    modes = forbid(satellite.action_description[:-CANDIDATES], "action_downlink", where=level <= 0.0)
+    return torch.cat([modes, images], 1)
 
 
 def own_properties() -> tuple[obs.Observation, ...]:

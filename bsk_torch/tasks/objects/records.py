@@ -96,34 +96,34 @@ class RecordBook(StateTable):
 
     # -- records ------------------------------------------------------------------------------------------------------
 
-    def enter(self, there: Tensor, source: Tensor, target: Tensor, capture: Tensor, completion: Tensor, now: Tensor) -> Tensor:
+    def enter(self, exists: Tensor, source: Tensor, target: Tensor, capture: Tensor, completion: Tensor, now: Tensor) -> Tensor:
         """Enter captures of a step, which their sensors know; return the numbers of the records, [N, K], ``NONE`` for others.
 
         Args:
-            there: Whether there is a capture, [N, K].
+            exists: Whether there is a capture, [N, K].
             source: Its sensor, [N, K].
             target: Its target, [N, K].
             capture: Time of the capture, [N, K] s.
             completion: End of the step in which the exposure was completed, [N, K] s.
             now: The present, [N] s.
         """
-        used = (self.target != NONE).sum(1, keepdim=True)
-        number = used + there.long().cumsum(1) - 1
+        count = (self.target != NONE).sum(1, keepdim=True)
+        number = count + exists.long().cumsum(1) - 1
         self._make_room(int(number.max()) + 1)
         spare = self.target.shape[1]  # where what is not there is written
-        place = torch.where(there, number, spare)
+        place = torch.where(exists, number, spare)
         facts = {"target": target, "source": source, "capture": capture, "completion": completion}
         facts["epoch"] = self.epochs.gather(1, target)
         for name, value in facts.items():
             self[name] = _put(self[name], place, value)
-        mine = torch.nn.functional.one_hot(source, self.sensors)
-        self.known = _put(self.known, place, (mine * CAPTURED).to(torch.int8))
-        both = (mine.unsqueeze(-1) * mine.unsqueeze(-2) * CAPTURED).to(torch.int8)
-        self.told = _put(self.told, place, both)
-        first = torch.where(mine.bool(), now.view(-1, 1, 1), FINITE)
+        owner = torch.nn.functional.one_hot(source, self.sensors)
+        self.known = _put(self.known, place, (owner * CAPTURED).to(torch.int8))
+        pairs = (owner.unsqueeze(-1) * owner.unsqueeze(-2) * CAPTURED).to(torch.int8)
+        self.told = _put(self.told, place, pairs)
+        first = torch.where(owner.bool(), now.view(-1, 1, 1), FINITE)
         self.received = _put(self.received, place, torch.stack([first, torch.full_like(first, FINITE)], -1))
         self.touch()
-        return torch.where(there, number, NONE)
+        return torch.where(exists, number, NONE)
 
     def _make_room(self, records: int) -> None:
         """Make room for so many records."""
@@ -141,10 +141,10 @@ class RecordBook(StateTable):
         """Record the delivery of ``records`` [N, K], which may contain ``NONE``, at ``now`` [N] s; their sources know it."""
         spare = self.target.shape[1]
         place = torch.where(records == NONE, spare, records)
-        done = _put(torch.zeros_like(self.target, dtype=torch.bool), place, torch.ones_like(records, dtype=torch.bool))
-        self.delivery = torch.where(done, now.unsqueeze(1), self.delivery)
-        own = torch.nn.functional.one_hot(self.source, self.sensors).bool() & done.unsqueeze(-1)
-        self._learn(torch.where(own, DELIVERED, UNKNOWN).to(torch.int8), now)
+        delivered = _put(torch.zeros_like(self.target, dtype=torch.bool), place, torch.ones_like(records, dtype=torch.bool))
+        self.delivery = torch.where(delivered, now.unsqueeze(1), self.delivery)
+        sources = torch.nn.functional.one_hot(self.source, self.sensors).bool() & delivered.unsqueeze(-1)
+        self._learn(torch.where(sources, DELIVERED, UNKNOWN).to(torch.int8), now)
 
     def request_again(self, targets: Tensor) -> None:
         """Begin a new epoch of ``targets`` [N, G] bool: captures so far do not count any more."""
@@ -159,8 +159,8 @@ class RecordBook(StateTable):
         hears nothing of what it has captured.
         """
         foreign = torch.nn.functional.one_hot(self.source, self.sensors) == 0
-        known = self.known.unsqueeze(-1)
-        return torch.where((self.told < known) & foreign.unsqueeze(2), known, UNKNOWN).to(torch.int8)
+        versions = self.known.unsqueeze(-1)
+        return torch.where((self.told < versions) & foreign.unsqueeze(2), versions, UNKNOWN).to(torch.int8)
 
     def all_known(self, links: Tensor) -> Tensor:
         """Return messages of all that senders know, [N, R, A, A] int8, along ``links`` [N, A, A] bool."""
@@ -190,11 +190,11 @@ class RecordBook(StateTable):
     def queue_packets(self, ready: Tensor, now: Tensor) -> None:
         """Put packets that have been sent at ``now`` [N] s into the queue, where ``ready`` [N, A]."""
         slot = torch.nn.functional.one_hot((self.queue_time >= FINITE).byte().argmax(2), self.slots).bool()  # the first one free
-        here = slot & ready.unsqueeze(2)
-        self.queue = torch.where(here.unsqueeze(1), self.packet.unsqueeze(3), self.queue)
-        self.queue_receiver = torch.where(here, self.receiver.unsqueeze(2), self.queue_receiver)
-        self.queue_time = torch.where(here, now.view(-1, 1, 1), self.queue_time)
-        self.queue_number = torch.where(here, self.sent.unsqueeze(2), self.queue_number)
+        place = slot & ready.unsqueeze(2)
+        self.queue = torch.where(place.unsqueeze(1), self.packet.unsqueeze(3), self.queue)
+        self.queue_receiver = torch.where(place, self.receiver.unsqueeze(2), self.queue_receiver)
+        self.queue_time = torch.where(place, now.view(-1, 1, 1), self.queue_time)
+        self.queue_number = torch.where(place, self.sent.unsqueeze(2), self.queue_number)
         self.sent = self.sent + ready
         self.touch()
 

@@ -99,7 +99,7 @@ class Share:
 class _Images(NamedTuple):
     """Images of a step or on board, [N, R] each: whether there is one, its target, imager, time, quality, hold and record."""
 
-    there: Tensor
+    exists: Tensor
     target: Tensor
     imager: Tensor
     time: Tensor
@@ -144,7 +144,7 @@ class RSOImageReward(GlobalReward):
         delivery_share: float | None = None,
         advance: float = 0.0,
     ) -> None:
-        """ValueError for a wrong argument.
+        """Choose what is paid; ValueError for a wrong argument.
 
         Args:
             acquisition_reward_fn: Reward of images when they are taken, a function of :class:`RSOImageRecord` and
@@ -270,17 +270,17 @@ class RSOImageReward(GlobalReward):
             ValueError: If a user function gives a reward that is not finite.
         """
         old, new = ({name: value[:, self._columns] for name, value in log.items()} for log in (before, after))
-        captured, left, size = *self._taken(old, new), new["instrument_baud"]
+        captured, unfinished, size = *self._captures(old, new), new["instrument_baud"]
         captured = self._recorded(captured)
         stored = new["rso_stored_tick"] != old["rso_stored_tick"]
         target = new["target"].clamp(min=0).unsqueeze(-1)
         gone = old["partition_levels"] - new["partition_levels"]
         gone = gone.scatter_add(2, target, torch.where(stored, size, 0.0).unsqueeze(-1))
-        for images in (left, captured):
+        for images in (unfinished, captured):
             self._keep(images, size)
         delivered = self._deliver(gone)
-        self._serve(_both(captured, left), delivered)
-        sizes = size, size.unsqueeze(1).expand(-1, delivered.there.shape[1] // size.shape[1], -1).flatten(1)
+        self._serve(_Images(*(torch.cat(pair, 1) for pair in zip(captured, unfinished, strict=True))), delivered)
+        sizes = size, size.unsqueeze(1).expand(-1, delivered.exists.shape[1] // size.shape[1], -1).flatten(1)
         self._credit("acquisition", self.acquisition_reward_fn, captured, sizes[0], torch.full_like(captured.time, torch.nan))
         arrival = self.fleet.sim_time.unsqueeze(1).expand_as(delivered.time)
         self._credit("delivery", self.delivery_reward_fn, delivered, sizes[1], arrival)
@@ -288,29 +288,29 @@ class RSOImageReward(GlobalReward):
             self._settle(captured, delivered)
         return self.memory["rso_acquisition_reward"] + self.memory["rso_delivery_reward"]
 
-    def _taken(self, old: Log, new: Log) -> tuple[_Images, _Images]:
+    def _captures(self, old: Log, new: Log) -> tuple[_Images, _Images]:
         """Return the images whose attempts have ended in a step, and those that another command has left before their end.
 
         An attempt also ends with the episode: the image then counts like one at a deadline.
         """
         fleet, target = self.fleet, new["target"].clamp(min=0)
-        over = (fleet.sim_time + 0.5 * fleet.h >= fleet.state.time_limit).unsqueeze(1) & (new["rso_open"] > 0.0)
-        taken = (new["rso_images"] > old["rso_images"]) & (new["target"] >= 0)
-        imager = torch.arange(len(self._columns), device=taken.device).expand_as(taken)
+        final = (fleet.sim_time + 0.5 * fleet.h >= fleet.state.time_limit).unsqueeze(1) & (new["rso_open"] > 0.0)
+        captures = (new["rso_images"] > old["rso_images"]) & (new["target"] >= 0)
+        imager = torch.arange(len(self._columns), device=captures.device).expand_as(captures)
         unknown = torch.full_like(target, NONE)
         now = fleet.sim_time.unsqueeze(1).expand_as(new["rso_image_time"])
         captured = _Images(
-            taken | over,
+            captures | final,
             target,
             imager,
-            torch.where(over, now, new["rso_image_time"]),
-            torch.where(over, new["rso_light"].double(), new["rso_image_quality"]),
-            torch.where(over, new["rso_held"], new["rso_image_held"]),
+            torch.where(final, now, new["rso_image_time"]),
+            torch.where(final, new["rso_light"].double(), new["rso_image_quality"]),
+            torch.where(final, new["rso_held"], new["rso_image_held"]),
             unknown,
         )
         began = (fleet.since * fleet.simulators[0].h_ns).double().unsqueeze(1).expand_as(now) * NANO
-        left, none = new["rso_left"] > old["rso_left"], torch.zeros_like(began)
-        return captured, _Images(left, new["rso_left_target"].long().clamp(min=0), imager, began, none, none, unknown)
+        unfinished, none = new["rso_left"] > old["rso_left"], torch.zeros_like(began)
+        return captured, _Images(unfinished, new["rso_left_target"].long().clamp(min=0), imager, began, none, none, unknown)
 
     def _recorded(self, captured: _Images) -> _Images:
         """Return new images with the numbers of their records (default: none)."""
@@ -319,8 +319,8 @@ class RSOImageReward(GlobalReward):
     def _keep(self, captured: _Images, size: Tensor) -> None:
         """Add the products of new images, behind the older ones."""
         memory = self.memory
-        there = memory["rso_product_target"] != NONE
-        if bool((there.all(1) & captured.there).any()):
+        occupied = memory["rso_product_target"] != NONE
+        if bool((occupied.all(1) & captured.exists).any()):
             for name in PRODUCT:
                 table = memory[f"rso_product_{name}"]
                 padding = table.new_full(
@@ -328,37 +328,37 @@ class RSOImageReward(GlobalReward):
                 )
                 setattr(memory, f"rso_product_{name}", torch.cat([table, padding], 1))
             memory.touch()
-            there = memory["rso_product_target"] != NONE
-        slot = there.sum(1, keepdim=True).clamp(max=there.shape[1] - 1)  # products are in front
+            occupied = memory["rso_product_target"] != NONE
+        slot = occupied.sum(1, keepdim=True).clamp(max=occupied.shape[1] - 1)  # products are in front
         values = captured.target, captured.time, captured.quality, captured.held, size, captured.record
         for name, value in zip(PRODUCT, values, strict=True):
             table = memory[f"rso_product_{name}"]
-            new = torch.where(captured.there.unsqueeze(1), value.unsqueeze(1).to(table.dtype), table.gather(1, slot))
+            new = torch.where(captured.exists.unsqueeze(1), value.unsqueeze(1).to(table.dtype), table.gather(1, slot))
             memory[f"rso_product_{name}"] = table.scatter(1, slot, new)
 
     def _deliver(self, gone: Tensor) -> _Images:
         """Take the data ``gone`` [N, A, G], bit, from the products, oldest first; return those that are complete, [N, M * A]."""
         memory = self.memory
-        target, left = memory["rso_product_target"], memory["rso_product_left"]
-        there = target != NONE
+        target, remaining = memory["rso_product_target"], memory["rso_product_left"]
+        occupied = target != NONE
         # products are in the order of their capture, so a stable sort by target puts those of a target side by side
-        order = torch.where(there, target, self.scenario.n_targets).argsort(dim=1, stable=True)
-        by_target, bits = target.gather(1, order), torch.where(there, left, 0.0).gather(1, order)
+        order = torch.where(occupied, target, self.scenario.n_targets).argsort(dim=1, stable=True)
+        by_target, bits = target.gather(1, order), torch.where(occupied, remaining, 0.0).gather(1, order)
         older = torch.cumsum(bits, 1) - bits
         first = torch.ones_like(by_target, dtype=torch.bool)
         first[:, 1:] = by_target[:, 1:] != by_target[:, :-1]
         older = older - torch.where(first, older, -torch.inf).cummax(1).values
-        taken = gone.mT.gather(1, by_target.clamp(min=0))
-        rest = bits - torch.minimum((taken - older).clamp(min=0.0), bits)
-        left = torch.zeros_like(left).scatter(1, order, rest)
-        done = there & (left <= LEAST_BITS)
+        amount = gone.mT.gather(1, by_target.clamp(min=0))
+        bits_left = bits - torch.minimum((amount - older).clamp(min=0.0), bits)
+        remaining = torch.zeros_like(remaining).scatter(1, order, bits_left)
+        complete = occupied & (remaining <= LEAST_BITS)
         imager = torch.arange(target.shape[2], device=target.device).expand_as(target)
-        known = (memory[f"rso_product_{name}"] for name in ("time", "quality", "held", "record"))
-        delivered = _Images(*(part.flatten(1) for part in (done, target.clamp(min=0), imager, *known)))
-        kept = there & ~done
-        forward = (~kept).byte().argsort(dim=1, stable=True)
-        memory["rso_product_left"] = left
-        memory["rso_product_target"] = torch.where(kept, target, NONE)
+        columns = (memory[f"rso_product_{name}"] for name in ("time", "quality", "held", "record"))
+        delivered = _Images(*(part.flatten(1) for part in (complete, target.clamp(min=0), imager, *columns)))
+        valid = occupied & ~complete
+        forward = (~valid).byte().argsort(dim=1, stable=True)
+        memory["rso_product_left"] = remaining
+        memory["rso_product_target"] = torch.where(valid, target, NONE)
         for name in PRODUCT:
             memory[f"rso_product_{name}"] = memory[f"rso_product_{name}"].gather(1, forward)
         return delivered
@@ -371,25 +371,25 @@ class RSOImageReward(GlobalReward):
         new, gone = (_number(images, pending) for images in (captured, delivered))
         memory["rso_service"] = memory["rso_service"] + ((new > 0) & (pending == 0))
         memory[PENDING] = pending + new - gone
-        useful = delivered.there & (delivered.quality >= self.quality_threshold)
+        useful = delivered.exists & (delivered.quality >= self.quality_threshold)
         until = torch.where(useful, delivered.time + self.cooldown.unsqueeze(1), -FINITE)
         memory[COOLDOWN] = memory[COOLDOWN].scatter_reduce(1, delivered.target, until, "amax")
         for name, images in (("captured", captured), ("delivered", delivered)):
-            memory[f"rso_{name}"] = memory[f"rso_{name}"] + self._by_satellite(images, images.there.long())
+            memory[f"rso_{name}"] = memory[f"rso_{name}"] + self._by_satellite(images, images.exists.long())
 
     def _by_satellite(self, images: _Images, value: Tensor) -> Tensor:
         """Return the sums of values [N, R] of images over those of each satellite, [N, S]."""
-        each = value.new_zeros(len(value), len(self._columns)).scatter_add(1, images.imager, value)
-        return value.new_zeros(len(value), self.fleet.size).index_add(1, self._columns, each)
+        sums = value.new_zeros(len(value), len(self._columns)).scatter_add(1, images.imager, value)
+        return value.new_zeros(len(value), self.fleet.size).index_add(1, self._columns, sums)
 
     def _credit(self, stage: str, reward_fn: RewardFunction, images: _Images, size: Tensor, arrival: Tensor) -> None:
         """Pay for images of a step at a stage; see the class."""
         memory, scenario = self.memory, self.scenario
         shared = self.multi_imager_credit != "per_imager"
         scope = images.target if shared else images.target + scenario.n_targets * images.imager
-        paid, last = memory[f"rso_{stage}_service"], memory[f"rso_{stage}_time"]
+        services, last = memory[f"rso_{stage}_service"], memory[f"rso_{stage}_time"]
         service = memory["rso_service"].gather(1, images.target)
-        counts = images.there & (images.quality >= self.quality_threshold) & (paid.gather(1, scope) != service)
+        counts = images.exists & (images.quality >= self.quality_threshold) & (services.gather(1, scope) != service)
         number = torch.zeros_like(last).scatter_add(1, scope, counts.double())
         earliest = torch.full_like(last, FINITE).scatter_reduce(1, scope, torch.where(counts, images.time, FINITE), "amin")
         pays = (number > 0.0) & (earliest > last + SAME_TIME) & (earliest >= last + self.cooldown.unsqueeze(1))
@@ -398,7 +398,7 @@ class RSOImageReward(GlobalReward):
         memory[f"rso_{stage}_reward"] = self._by_satellite(images, torch.where(earns, value, 0.0))
         memory[f"rso_{stage}_time"] = torch.where(pays, earliest, last)
         of_scope = memory["rso_service"] if shared else memory["rso_service"].repeat(1, len(self._columns))
-        memory[f"rso_{stage}_service"] = torch.where(pays, of_scope, paid)
+        memory[f"rso_{stage}_service"] = torch.where(pays, of_scope, services)
 
     def _settle(self, captured: _Images, delivered: _Images) -> None:
         """Take advances back for images that have been delivered, and at the time limit for all others.
@@ -406,12 +406,12 @@ class RSOImageReward(GlobalReward):
         There is one imager, which cannot choose a target while its image is on board: a target has one advance at most.
         """
         memory = self.memory
-        paid = memory["rso_acquisition_reward"][:, self._columns]
-        open_ = memory["rso_advance"].scatter_add(1, captured.target, torch.where(captured.there, paid, 0.0))
-        gone = torch.zeros_like(open_).scatter_add(1, delivered.target, delivered.there.double()) > 0.0
-        over = (self.fleet.sim_time + 0.5 * self.fleet.h >= self.fleet.state.time_limit).unsqueeze(1)
-        back = torch.where(gone | over, open_, 0.0)
-        memory["rso_advance"] = open_ - back
+        advance = memory["rso_acquisition_reward"][:, self._columns]
+        advances = memory["rso_advance"].scatter_add(1, captured.target, torch.where(captured.exists, advance, 0.0))
+        gone = torch.zeros_like(advances).scatter_add(1, delivered.target, delivered.exists.double()) > 0.0
+        final = (self.fleet.sim_time + 0.5 * self.fleet.h >= self.fleet.state.time_limit).unsqueeze(1)
+        back = torch.where(gone | final, advances, 0.0)
+        memory["rso_advance"] = advances - back
         reward = memory["rso_delivery_reward"]
         memory["rso_delivery_reward"] = reward.index_add(1, self._columns, -back.sum(1, keepdim=True))
 
@@ -462,8 +462,8 @@ def _observable(name: str) -> Callable[[BoundSatellite], Tensor]:
     """Return a function that reads a property of imagers; AttributeError for other satellites."""
 
     def read(satellite: BoundSatellite) -> Tensor:
-        found = satellite.dynamics.rso_images
-        return found if name == "rso_images" else getattr(satellite.dynamics, name)
+        images = satellite.dynamics.rso_images
+        return images if name == "rso_images" else getattr(satellite.dynamics, name)
 
     return read
 
@@ -483,11 +483,6 @@ def _target(satellite: BoundSatellite) -> Tensor:
     return torch.where(satellite.dynamics.rso_images >= 0.0, satellite.memory[AIM], NONE)
 
 
-def _both(one: _Images, other: _Images) -> _Images:
-    """Return the images of both, [N, R + R']."""
-    return _Images(*(torch.cat(pair, 1) for pair in zip(one, other, strict=True)))
-
-
 def _number(images: _Images, like: Tensor) -> Tensor:
     """Return the number of images of each target, [N, G]."""
-    return torch.zeros_like(like).scatter_add(1, images.target, images.there.long())
+    return torch.zeros_like(like).scatter_add(1, images.target, images.exists.long())

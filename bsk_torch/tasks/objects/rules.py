@@ -62,27 +62,27 @@ class Upkeep:
 def whole_catalog(scenario: RSOTargets, satellite: BoundSatellite) -> tuple[Views, Tensor]:
     """Return how satellites see all objects of a catalog, and which are at an elevation from -21 to 90 degrees, [N, G] each."""
     number = torch.arange(scenario.n_targets, device=scenario.fleet.device).expand(satellite.simulator.state.rows, -1)
-    seen = scenario.views(satellite, Candidates(number, torch.ones_like(number, dtype=torch.bool)))
-    return seen, (seen.target_elevation_angle >= LOWEST) & (seen.target_elevation_angle <= HIGHEST)
+    views = scenario.views(satellite, Candidates(number, torch.ones_like(number, dtype=torch.bool)))
+    return views, (views.target_elevation_angle >= LOWEST) & (views.target_elevation_angle <= HIGHEST)
 
 
 def by_angle(scenario: RSOTargets, satellite: BoundSatellite) -> Tensor:
     """Rank objects by their angle from the instrument, those in view first."""
-    seen, in_view = whole_catalog(scenario, satellite)
-    return torch.where(in_view, seen.angle_to_target, TURNED + seen.angle_to_target)
+    views, in_view = whole_catalog(scenario, satellite)
+    return torch.where(in_view, views.angle_to_target, TURNED + views.angle_to_target)
 
 
 def by_angle_and_priority(scenario: RSOTargets, satellite: BoundSatellite) -> Tensor:
     """Rank objects by the ratio of angle and priority, those in view first."""
-    seen, in_view = whole_catalog(scenario, satellite)
-    ratio = seen.angle_to_target / satellite.of_env(scenario.priority).clamp(min=LEAST_PRIORITY)
-    return torch.where(in_view, ratio, TURNED + seen.angle_to_target)
+    views, in_view = whole_catalog(scenario, satellite)
+    ratio = views.angle_to_target / satellite.of_env(scenario.priority).clamp(min=LEAST_PRIORITY)
+    return torch.where(in_view, ratio, TURNED + views.angle_to_target)
 
 
 def by_distance(scenario: RSOTargets, satellite: BoundSatellite) -> Tensor:
     """Rank objects by distance; of the ten nearest, those in view come first."""
-    seen, in_view = whole_catalog(scenario, satellite)
-    distance = torch.where(scenario.eligible_for(satellite), seen.target_distance, torch.inf)
+    views, in_view = whole_catalog(scenario, satellite)
+    distance = torch.where(scenario.eligible_for(satellite), views.target_distance, torch.inf)
     place = distance.argsort(dim=1, stable=True).argsort(dim=1, stable=True)
     return torch.where(in_view & (place < NEAREST), place, place + scenario.n_targets).double()
 
@@ -166,8 +166,8 @@ class ServicingRule:
         names: Sequence[str] = self.satellite.action_description
         wish, exists = self.choose(observation, action_mask)
         wish = torch.where(exists, wish, names.index(self.wait))
-        for name, wanted in self.upkeep.wishes(see).items():
-            wish = torch.where(wanted, names.index(name), wish)
+        for name, mask in self.upkeep.wishes(see).items():
+            wish = torch.where(mask, names.index(name), wish)
         return wish
 
 
@@ -179,8 +179,8 @@ def first_of_catalog(satellite: BoundSatellite, order: Order) -> Callable[[Obser
 
     def choose(observation: Observation, action_mask: Tensor) -> tuple[Tensor, Tensor]:
         charge = Columns(observation, satellite.observation_description)["battery_charge_fraction"]
-        own = satellite.dynamics.battery_charge_fraction.to(charge.dtype)
-        if charge.numel() != own.numel() or not torch.equal(charge.flatten(), own):
+        battery = satellite.dynamics.battery_charge_fraction.to(charge.dtype)
+        if charge.numel() != battery.numel() or not torch.equal(charge.flatten(), battery):
             raise ValueError(
                 f"this rule looks at the whole catalog, and so decides in the environment that it was made for, "
                 f"{satellite.name!r}, for its present state only"

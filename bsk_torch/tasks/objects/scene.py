@@ -115,7 +115,7 @@ class RSOTargets(Scenario):
         knowledge: str = "common",
         order: Order | None = None,
     ) -> None:
-        """ValueError for a wrong argument.
+        """Choose targets and imagers; ValueError for a wrong argument.
 
         Args:
             catalog: Targets of all episodes, random ones, or ``rand.per_env`` of catalogs with equal ids and equal changes of
@@ -128,15 +128,15 @@ class RSOTargets(Scenario):
                 are in ascending order of their ranks, such as :func:`~bsk_torch.tasks.objects.by_priority_per_second` (default:
                 by their elevation, see above). Targets of infinite rank are no candidates.
         """
-        listed: list[Any] = list(catalog.values) if isinstance(catalog, PerEnv) else [catalog]
+        catalogs: list[Any] = list(catalog.values) if isinstance(catalog, PerEnv) else [catalog]
         kinds = (RSOTargetCatalog,) if isinstance(catalog, PerEnv) else (RSOTargetCatalog, RandomRSOCatalog)
-        if not listed or not all(isinstance(part, kinds) for part in listed):
+        if not catalogs or not all(isinstance(part, kinds) for part in catalogs):
             raise ValueError(f"catalog={catalog!r} must be a RSOTargetCatalog, a RandomRSOCatalog, or rand.per_env of catalogs")
-        first = listed[0]
-        for part in listed[1:]:
+        first = catalogs[0]
+        for part in catalogs[1:]:
             if part.ids != first.ids or part.priority_events != first.priority_events:
                 raise ValueError("rand.per_env: all catalogs must have the same ids in the same order, and equal priority_events")
-        self.given, self.ids = tuple(listed), first.ids
+        self.catalogs, self.ids = tuple(catalogs), first.ids
         self.per_env = isinstance(catalog, PerEnv)
         if isinstance(imager_names, str) or not isinstance(imager_names, Sequence) or not imager_names:
             raise ValueError(f"imager_names={imager_names!r} must be a list of names of satellites")
@@ -155,15 +155,15 @@ class RSOTargets(Scenario):
     @property
     @override
     def calls_user(self) -> bool:
-        return isinstance(self.given[0], RandomRSOCatalog) and self.given[0].calls_user
+        return isinstance(self.catalogs[0], RandomRSOCatalog) and self.catalogs[0].calls_user
 
     def draw(self, key: Key) -> dict[str, Tensor]:
         """See :meth:`Scenario.draw`; states and priorities of the targets."""
-        first = self.given[0]
+        first = self.catalogs[0]
         if isinstance(first, RandomRSOCatalog):
             values: tuple[Tensor, ...] = first.draw(key)
         else:
-            stacked = [torch.stack(part) for part in zip(*(part.tables() for part in self.given), strict=True)]
+            stacked = [torch.stack(part) for part in zip(*(part.tables() for part in self.catalogs), strict=True)]
             values = tuple(torch.as_tensor(PerEnv(part).draw(key)) if self.per_env else part for part in stacked)
         return dict(zip((POSITIONS, VELOCITIES, PRIORITIES), values, strict=True))
 
@@ -185,7 +185,7 @@ class RSOTargets(Scenario):
     def catalog_of(self, env: int) -> RSOTargetCatalog:
         """Return the catalog of the current episode of environment ``env``, with its epoch, to be saved."""
         r_N, v_N, priority = (self.drawn(name)[env].tolist() for name in (POSITIONS, VELOCITIES, PRIORITIES))
-        first = self.given[int(self.fleet.env_ids[env])] if self.per_env else self.given[0]
+        first = self.catalogs[int(self.fleet.env_ids[env])] if self.per_env else self.catalogs[0]
         utc_init = epoch_text(self._et[env].item())
         if isinstance(first, RSOTargetCatalog):
             return first if first.utc_init is not None else replace(first, utc_init=utc_init)
@@ -219,11 +219,11 @@ class RSOTargets(Scenario):
                     f"imager {name!r} must have SpaceToSpaceImagingDynModel and SpaceToSpaceImagingFSWModel; it has "
                     f"{kinds[0].__name__} and {kinds[1].__name__}"
                 )
-        others = [s.name for s in satellites if issubclass(s.get_dyn_type(), SpaceToSpaceImagingDynModel)]
-        if left_out := [name for name in others if name not in self.imager_names]:
+        imagers = [s.name for s in satellites if issubclass(s.get_dyn_type(), SpaceToSpaceImagingDynModel)]
+        if left_out := [name for name in imagers if name not in self.imager_names]:
             raise ValueError(f"satellites {left_out} have SpaceToSpaceImagingDynModel, but are not among imager_names")
-        taken = {target.satellite_name for part in self.given if isinstance(part, RSOTargetCatalog) for target in part.targets}
-        if both := sorted(taken & set(by_name)):
+        names = {target.satellite_name for part in self.catalogs if isinstance(part, RSOTargetCatalog) for target in part.targets}
+        if both := sorted(names & set(by_name)):
             raise ValueError(
                 f"satellites {both} have the names of targets of the catalog, which fly without satellites; leave them out"
             )
@@ -255,8 +255,8 @@ class RSOTargets(Scenario):
             simulator = fleet.simulators[k]
             simulator.memory.declare(AIM, NO_AIM, low=NO_AIM, high=self.n_targets - 1)
             simulator.sources[RSO_TRACK.name] = AimedNodes(simulator, self.orbits)
-        self._wanted = _epochs(self.given)
-        self._found = Found()
+        self._catalog_epochs = _epochs(self.catalogs)
+        self._memo = Found()
 
     @property
     def _et(self) -> Tensor:
@@ -266,12 +266,12 @@ class RSOTargets(Scenario):
 
     def _states(self, envs: Tensor) -> tuple[Tensor, Tensor]:
         """Return the states of the targets of episodes ``envs`` [n] at time zero; ValueError if the catalog has another epoch."""
-        if self._wanted is not None:
+        if self._catalog_epochs is not None:
             et, index = self._et[envs], self.fleet.env_ids[envs] if self.per_env else torch.zeros_like(envs)
-            wanted = self._wanted.to(et.device)[index]
-            wrong = torch.nonzero(~torch.isnan(wanted) & (wanted != et)).flatten()
+            expected = self._catalog_epochs.to(et.device)[index]
+            wrong = torch.nonzero(~torch.isnan(expected) & (expected != et)).flatten()
             if len(wrong):
-                env, name = int(envs[wrong[0]]), self.given[int(index[wrong[0]])].utc_init
+                env, name = int(envs[wrong[0]]), self.catalogs[int(index[wrong[0]])].utc_init
                 raise ValueError(
                     f"the catalog of environment {env} has utc_init={name!r}, but its world has another epoch; give "
                     f"world_args={{'utc_init': {name!r}}}, or a catalog with utc_init=None"
@@ -287,8 +287,8 @@ class RSOTargets(Scenario):
     def _initial_orbits(self, k: int) -> tuple[Tensor, Tensor]:
         """Return positions, m, and velocities, m/s, at time zero of the imagers of a type, [N, count, 3] each."""
         simulator = self.fleet.simulators[k]
-        found = initial_orbit(simulator.state.all_arguments)
-        r_N, v_N = (part.expand(simulator.state.rows, 3).view(-1, simulator.count, 3) for part in found)
+        orbit = initial_orbit(simulator.state.all_arguments)
+        r_N, v_N = (part.expand(simulator.state.rows, 3).view(-1, simulator.count, 3) for part in orbit)
         return r_N, v_N
 
     # -- targets ------------------------------------------------------------------------------------------------------
@@ -384,8 +384,8 @@ class RSOTargets(Scenario):
     def linked(self) -> Tensor:
         """Whether the segment between two imagers does not touch a sphere of the Earth's equatorial radius, [N, A, A]."""
         r_N, _ = self.imager_states()
-        here, there = (Vec3(*part.movedim(-1, 0)) for part in (r_N.unsqueeze(1), r_N.unsqueeze(2)))
-        return line_clearance(here, there) > 0.0
+        first, second = (Vec3(*part.movedim(-1, 0)) for part in (r_N.unsqueeze(1), r_N.unsqueeze(2)))
+        return line_clearance(first, second) > 0.0
 
     @property
     def imagers_alive(self) -> Tensor:
@@ -415,22 +415,22 @@ class RSOTargets(Scenario):
         return self._positions().movedim(0, -1)
 
     def _positions(self) -> Tensor:
-        def found() -> Tensor:
+        def find() -> Tensor:
             self.orbits.catch_up(self.fleet.sim_time)
             return self.orbits.positions(self.fleet.sim_time)[..., : self.n_targets]
 
-        return self._once(("positions",), found)
+        return self._once(("positions",), find)
 
     def _once(self, name: Hashable, find: Callable[[], Value]) -> Value:
         """Return what ``find`` returns, which is valid until the state changes."""
-        return self._found.once(name, self.fleet, find, (self.records.version,) if self.knowledge == "own" else ())
+        return self._memo.once(name, self.fleet, find, (self.records.version,) if self.knowledge == "own" else ())
 
     # -- candidates ---------------------------------------------------------------------------------------------------
 
     def candidates(self, satellite: BoundSatellite, count: int) -> Candidates:
         """Return the first ``count`` candidates of each satellite of a type, [n, count]."""
 
-        def found() -> Candidates:
+        def find() -> Candidates:
             eligible = self.eligible_for(satellite)
             if self.order is None:
                 r_TN_N = self._positions().repeat_interleave(satellite.simulator.count, 1)
@@ -441,11 +441,11 @@ class RSOTargets(Scenario):
                 raise ValueError(f"order(scenario, satellite) is NaN for some target of {satellite.name}; ranks must be numbers")
             return ranked(rank, eligible)
 
-        known = self._once(("candidates", satellite.type_index), found)
+        candidates = self._once(("candidates", satellite.type_index), find)
         missing = count - self.n_targets
         if missing <= 0:
-            return Candidates(known.place[:, :count], known.exists[:, :count])
-        return Candidates(*(torch.nn.functional.pad(part, (0, missing)) for part in known))
+            return Candidates(candidates.place[:, :count], candidates.exists[:, :count])
+        return Candidates(*(torch.nn.functional.pad(part, (0, missing)) for part in candidates))
 
     def views(self, satellite: BoundSatellite, candidates: Candidates) -> Views:
         """Return what satellites of a type see of their candidates, [n, k, ...] each."""
@@ -524,16 +524,16 @@ class RSOTargets(Scenario):
 
     def candidate_ids(self, satellite: BoundSatellite, row: int, count: int) -> list[str | None]:
         """Return the ids of the first ``count`` candidates of one satellite of a type; None for those that do not exist."""
-        found = self.candidates(satellite, count)
-        pairs = zip(found.place[row].tolist(), found.exists[row].tolist(), strict=True)
+        candidates = self.candidates(satellite, count)
+        pairs = zip(candidates.place[row].tolist(), candidates.exists[row].tolist(), strict=True)
         return [self.ids[place] if exists else None for place, exists in pairs]
 
 
 def sorted_peers(names: Sequence[str]) -> Tensor:
     """Return the numbers of the other imagers of each of A imagers, sorted by their ``names``, [1, A, A - 1]."""
     order = sorted(range(len(names)), key=lambda k: names[k])
-    others = [[other for other in order if other != k] for k in range(len(names))]
-    return torch.tensor(others, dtype=torch.int64).view(1, len(names), -1)
+    peers = [[peer for peer in order if peer != k] for k in range(len(names))]
+    return torch.tensor(peers, dtype=torch.int64).view(1, len(names), -1)
 
 
 def _event_table(catalog: RSOTargetCatalog | RandomRSOCatalog) -> tuple[Tensor, Tensor] | None:
@@ -552,10 +552,10 @@ def _event_table(catalog: RSOTargetCatalog | RandomRSOCatalog) -> tuple[Tensor, 
 
 def _epochs(catalogs: Sequence[RSOTargetCatalog | RandomRSOCatalog]) -> Tensor | None:
     """Return the epochs of catalogs, [E] s ET, NaN for those of none; None if none has one."""
-    given = [getattr(catalog, "utc_init", None) for catalog in catalogs]
-    if all(epoch is None for epoch in given):
+    epochs = [getattr(catalog, "utc_init", None) for catalog in catalogs]
+    if all(epoch is None for epoch in epochs):
         return None
-    return torch.tensor([torch.nan if epoch is None else parse_utc(epoch) for epoch in given], dtype=torch.float64)
+    return torch.tensor([torch.nan if epoch is None else parse_utc(epoch) for epoch in epochs], dtype=torch.float64)
 
 
 def check_imager(satellite: BoundSatellite, title: str) -> None:

@@ -81,8 +81,8 @@ class RSOTaskStatus(Observation):
         super().__init__(name)
         self.norm = number("norm", norm, 0.0, unit="s", above=True)
 
+    @override
     def link_satellite(self, satellite: BoundSatellite) -> None:
-        """See :meth:`Observation.link_satellite`; ValueError unless it is an imager of a catalog."""
         super().link_satellite(satellite)
         check_imager(satellite, f"RSOTaskStatus {self.name!r}")
 
@@ -99,28 +99,28 @@ class RSOTaskStatus(Observation):
         untold = (records.news() > 0).any(3).sum(1).double() / scenario.n_targets
         last = torch.maximum(records.exchanged, records.exchanged.mT).amax(2)
         last = scenario.of_imagers(satellite, last)
-        known = last > AGO
+        exchanged = last > AGO
         return {
             "task": kind,
             "elapsed": torch.where(busy > 0.0, task.task_duration - remaining, 0.0) / self.norm,
             "remaining": remaining / self.norm,
             "held": self._held() * busy,
             "untold": scenario.of_imagers(satellite, untold),
-            "exchange_age": torch.where(known, simulator.sim_time - last, 0.0) / self.norm,
-            "exchange_known": known.double(),
+            "exchange_age": torch.where(exchanged, simulator.sim_time - last, 0.0) / self.norm,
+            "exchange_known": exchanged.double(),
             "busy": busy,
         }
 
     def _held(self) -> Tensor:
         """Return the time held as a fraction of what is needed, [n]."""
         simulator = self.simulator
-        found = torch.zeros_like(simulator.sim_time)
-        for mode, held, needed in (("image_rso", "rso_held", "rso_hold"), ("transmit_rso", "radio_held", "radio_hold")):
+        share = torch.zeros_like(simulator.sim_time)
+        for mode, held, hold in (("image_rso", "rso_held", "rso_hold"), ("transmit_rso", "radio_held", "radio_hold")):
             if mode in simulator.mode_names:
-                fraction = simulator.state.read(held) / simulator.state.read(needed).clamp(min=simulator.h)
+                fraction = simulator.state.read(held) / simulator.state.read(hold).clamp(min=simulator.h)
                 on = simulator.mode == simulator.mode_names.index(mode)
-                found = torch.where(on, fraction.double().clamp(max=1.0), found)
-        return found
+                share = torch.where(on, fraction.double().clamp(max=1.0), share)
+        return share
 
 
 class RSOPeers(Observation):
@@ -145,8 +145,8 @@ class RSOPeers(Observation):
         super().__init__(name)
         self.n_peers = whole("n_peers", n_peers, 1)
 
+    @override
     def link_satellite(self, satellite: BoundSatellite) -> None:
-        """See :meth:`Observation.link_satellite`; ValueError unless it is an imager of a catalog."""
         super().link_satellite(satellite)
         check_imager(satellite, f"RSOPeers {self.name!r}")
 
@@ -156,30 +156,30 @@ class RSOPeers(Observation):
         scenario: RSOTargets = satellite.scenario
         records = scenario.known_records
         check_peers(satellite, self.n_peers, f"RSOPeers {self.name!r}")
-        mine = functools.partial(of_peers, satellite)
+        select = functools.partial(of_peers, satellite)
         r_N, v_N = scenario.imager_states()
-        rho, dv = (mine(part.unsqueeze(1) - part.unsqueeze(2)) for part in (r_N, v_N))
+        rho, dv = (select(part.unsqueeze(1) - part.unsqueeze(2)) for part in (r_N, v_N))
         dynamics = satellite.dynamics
         HN = hill_frame(Vec3.of(dynamics.r_BN_N), Vec3.of(dynamics.v_BN_N)).stack()
         distance = rho.norm(dim=-1)
         cosine = (rho * scenario.axis_N(satellite).unsqueeze(1)).sum(-1) / distance.clamp(min=1.0)
         news = (records.news() > 0).sum(1)
-        last = mine(torch.maximum(records.exchanged, records.exchanged.mT))
-        known = last > AGO
-        valid = mine((news > 0) & scenario.linked & scenario.imagers_alive.unsqueeze(1)).double()
+        last = select(torch.maximum(records.exchanged, records.exchanged.mT))
+        exchanged = last > AGO
+        valid = select((news > 0) & scenario.linked & scenario.imagers_alive.unsqueeze(1)).double()
         now = self.simulator.sim_time.unsqueeze(1)
         columns = {
             "r_H": (rho @ HN.mT) / DISTANCE,
             "v_H": (dv @ HN.mT) / SPEED,
             "angle": torch.rad2deg(torch.acos(cosine.clamp(-1.0, 1.0))) / 180.0,
             "distance": distance / DISTANCE,
-            "news": mine(news.double()) / scenario.n_targets,
-            "exchange_age": torch.where(known, now - last, 0.0) / LONG,
-            "exchange_known": known.double(),
+            "news": select(news.double()) / scenario.n_targets,
+            "exchange_age": torch.where(exchanged, now - last, 0.0) / LONG,
+            "exchange_known": exchanged.double(),
             "valid": valid,
         }
-        shown = {name: value * (valid.unsqueeze(-1) if value.ndim == 3 else valid) for name, value in columns.items()}
-        return {f"{self.name}_{k}": {name: value[:, k] for name, value in shown.items()} for k in range(self.n_peers)}
+        masked = {name: value * (valid.unsqueeze(-1) if value.ndim == 3 else valid) for name, value in columns.items()}
+        return {f"{self.name}_{k}": {name: value[:, k] for name, value in masked.items()} for k in range(self.n_peers)}
 
 
 class RSOTeamState(Observation):
@@ -224,14 +224,14 @@ class RSOTeamState(Observation):
         satellite, now = self.satellite, self.simulator.sim_time.unsqueeze(1)
         scenario: RSOTargets = satellite.scenario
         check_peers(satellite, self.n_peers, f"RSOTeamState {self.name!r}")
-        records, mine = scenario.known_records, functools.partial(of_peers, satellite)
-        last = mine(records.exchanged.mT)
-        known, heard = last > AGO, satellite.simulator.memory[HEARD]
-        heard = torch.where((last == now).unsqueeze(2), mine(states_by_peer(scenario)), heard)
+        records, select = scenario.known_records, functools.partial(of_peers, satellite)
+        last = select(records.exchanged.mT)
+        exchanged, heard = last > AGO, satellite.simulator.memory[HEARD]
+        heard = torch.where((last == now).unsqueeze(2), select(states_by_peer(scenario)), heard)
         satellite.simulator.memory[HEARD] = heard
         battery, storage, wheels, ends, kind = heard.unbind(2)
         r_N, v_N = scenario.imager_states()
-        rho, dv = (mine(part.unsqueeze(1) - part.unsqueeze(2)) for part in (r_N, v_N))
+        rho, dv = (select(part.unsqueeze(1) - part.unsqueeze(2)) for part in (r_N, v_N))
         distance = rho.norm(dim=-1)
         columns = {
             "distance": distance / DISTANCE,
@@ -241,12 +241,12 @@ class RSOTeamState(Observation):
             "wheels": wheels,
             "remaining": (ends - now).clamp(min=0.0) / self.norm,
             "message_age": (now - last) / self.norm,
-            "capture_age": (now - mine(latest_captures(records))) / self.norm,
-            "linked": mine(scenario.linked.double()),
+            "capture_age": (now - select(latest_captures(records))) / self.norm,
+            "linked": select(scenario.linked.double()),
         }
-        kinds = (kind.unsqueeze(2) == torch.arange(len(MODES) + 1, device=kind.device)) & known.unsqueeze(2)
-        shares = kinds.double().sum(1) / known.sum(1, keepdim=True).clamp(min=1)
-        return {name: mean_and_most(value, known) for name, value in columns.items()} | {"tasks": shares}
+        kinds = (kind.unsqueeze(2) == torch.arange(len(MODES) + 1, device=kind.device)) & exchanged.unsqueeze(2)
+        shares = kinds.double().sum(1) / exchanged.sum(1, keepdim=True).clamp(min=1)
+        return {name: mean_and_most(value, exchanged) for name, value in columns.items()} | {"tasks": shares}
 
 
 def states_by_peer(scenario: RSOTargets) -> Tensor:
@@ -275,9 +275,9 @@ def latest_captures(records: RecordBook) -> Tensor:
     return torch.where(counts, records.capture.view(*records.capture.shape, 1, 1), 0.0).amax(1)
 
 
-def mean_and_most(value: Tensor, known: Tensor) -> Tensor:
-    """Return mean and maximum, [n, 2], of the values [n, peers] of ``known`` peers [n, peers]; zeros where there are none."""
-    there = known.any(1)
-    mean = torch.where(known, value, 0.0).sum(1) / known.sum(1).clamp(min=1)
-    most = torch.where(known, value, -torch.inf).amax(1)
-    return torch.stack([mean, torch.where(there, most, 0.0)], 1)
+def mean_and_most(value: Tensor, valid: Tensor) -> Tensor:
+    """Return mean and maximum, [n, 2], of the values [n, peers] of ``valid`` peers [n, peers]; zeros where there are none."""
+    exists = valid.any(1)
+    mean = torch.where(valid, value, 0.0).sum(1) / valid.sum(1).clamp(min=1)
+    most = torch.where(valid, value, -torch.inf).amax(1)
+    return torch.stack([mean, torch.where(exists, most, 0.0)], 1)

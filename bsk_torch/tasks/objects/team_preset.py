@@ -229,10 +229,10 @@ KINDS = {
 """Sensors that observe candidates in one vector, as a set, or as a set with an outlook, by the number of those with a radio."""
 
 
-def choice(title: str, value: object, known: Sequence[str]) -> str:
-    """Return ``value``; ValueError, with the nearest name, unless it is one of the ``known``."""
-    if value not in known:
-        raise ValueError(f"{title}={value!r} must be one of {list(known)}; {nearest(str(value), known)}")
+def choice(title: str, value: object, options: Sequence[str]) -> str:
+    """Return ``value``; ValueError, with the nearest name, unless it is one of the ``options``."""
+    if value not in options:
+        raise ValueError(f"{title}={value!r} must be one of {list(options)}; {nearest(str(value), options)}")
     return str(value)
 
 
@@ -257,23 +257,23 @@ def team(
     choice("information", information, INFORMATION)
     choice("retasking", retasking, RETASKING)
     names = [f"SS{k + 1}" for k in range(len(orbits))]
-    started = servicing_args() | dict(storedCharge_Init=0.9 * BATTERY, wheelSpeeds=[0.0, 0.0, 0.0])
+    common = servicing_args() | dict(storedCharge_Init=0.9 * BATTERY, wheelSpeeds=[0.0, 0.0, 0.0])
     shield = switch("shielded", shielded)
     if switch("outlook", outlook) and not switch("as_set", as_set):
         raise ValueError("outlook=True needs as_set=True: what is expected of images is observed of candidates in a set")
     kind = KINDS[len(names) if information == "radio" else 0][as_set + outlook]
     observed_as = (dict if as_set else torch.Tensor) if obs_type is None else obs_type
     satellites = [
-        kind(name, started | orbit | (sat_args or {}), obs_type=observed_as) for name, orbit in zip(names, orbits, strict=True)
+        kind(name, common | orbit | (sat_args or {}), obs_type=observed_as) for name, orbit in zip(names, orbits, strict=True)
     ]
     for satellite in satellites:
         satellite.shielded = shield
-    told = {"independent": comm.NoCommunication, "ideal": comm.FreeCommunication, "radio": CatalogCommunication}
+    communicators = {"independent": comm.NoCommunication, "ideal": comm.FreeCommunication, "radio": CatalogCommunication}
     catalog = servicing_catalog(n_targets, mixture, exact_mixture=True, priority_event=False)
     defaults: dict[str, Any] = dict(
         scenario=RSOTargets(catalog, names, knowledge="own", order=ORDERS[order]),
         rewarder=(RSOTeamReward(delivery_share=delivery_share), data.OperationsPenalty(empty_downlink=-1.0)),
-        communicator=told[information](),
+        communicator=communicators[information](),
         time_limit=EPISODE,
         max_step_duration=300.0,
         failure_penalty=-1.0,

@@ -78,7 +78,7 @@ class RSOTeamReward(RSOImageReward):
         cooldown_s: float | None = None,
         same_time_s: float = SAME_TIME,
     ) -> None:
-        """ValueError for a wrong argument.
+        """Choose what is paid; ValueError for a wrong argument.
 
         Args:
             delivery_share: Share of the priority that is paid at the delivery.
@@ -144,33 +144,33 @@ class RSOTeamReward(RSOImageReward):
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
         attempts = self._attempts(after)
         reward = super().calculate_reward(before, after)
-        taken = (after["rso_images"] > before["rso_images"])[:, self._columns]
-        self._count_waste(attempts, taken)
+        captures = (after["rso_images"] > before["rso_images"])[:, self._columns]
+        self._count_waste(attempts, captures)
         return reward
 
     @override
     def _recorded(self, captured: _Images) -> _Images:
-        good = captured.there & (captured.quality >= self.quality_threshold)
+        good = captured.exists & (captured.quality >= self.quality_threshold)
         now = self.fleet.sim_time
-        ended = now.unsqueeze(1).expand_as(captured.time)
-        record = self.scenario.records.enter(good, captured.imager, captured.target, captured.time, ended, now)
+        completion = now.unsqueeze(1).expand_as(captured.time)
+        record = self.scenario.records.enter(good, captured.imager, captured.target, captured.time, completion, now)
         return captured._replace(record=record)
 
     def _serve(self, captured: _Images, delivered: _Images) -> None:
         """Update records, which targets wait for downlinks, coverage, and the counters of images."""
-        memory, own = self.memory, self.memory[OWN_PENDING]
-        change = torch.zeros_like(own).flatten(1)
+        memory, pending = self.memory, self.memory[OWN_PENDING]
+        change = torch.zeros_like(pending).flatten(1)
         for images, sign in ((captured, 1), (delivered, -1)):
             place = images.imager * self.scenario.n_targets + images.target
-            change = change.scatter_add(1, place, sign * images.there.long())
-        memory[OWN_PENDING] = own + change.view_as(own)
+            change = change.scatter_add(1, place, sign * images.exists.long())
+        memory[OWN_PENDING] = pending + change.view_as(pending)
         memory[PENDING] = memory[OWN_PENDING].sum(1)
-        records = torch.where(delivered.there, delivered.record, NONE)
+        records = torch.where(delivered.exists, delivered.record, NONE)
         self.scenario.records.deliver(records, self.fleet.sim_time)
         for stage, name, images in zip(STAGES, ("captured", "delivered"), (captured, delivered), strict=True):
-            good = images._replace(there=images.there & (images.quality >= self.quality_threshold))
+            good = images._replace(exists=images.exists & (images.quality >= self.quality_threshold))
             memory[f"rso_{stage}_covers"] = memory[f"rso_{stage}_covers"] | (_number(good, memory[PENDING]) > 0)
-            memory[f"rso_{name}"] = memory[f"rso_{name}"] + self._by_satellite(images, images.there.long())
+            memory[f"rso_{name}"] = memory[f"rso_{name}"] + self._by_satellite(images, images.exists.long())
 
     # -- ledger -------------------------------------------------------------------------------------------------------
 
@@ -180,23 +180,23 @@ class RSOTeamReward(RSOImageReward):
         An imager has at most one image of a target on board, so there are no more groups than imagers.
         """
         memory, cooldown, target = self.memory, self.scenario.service_time.unsqueeze(1), images.target
-        good = images.there & (images.quality >= self.quality_threshold)
+        good = images.exists & (images.quality >= self.quality_threshold)
         value = self._priority(images) * (self.delivery_share if stage == "delivery" else 1.0 - self.delivery_share)
-        paid, left = torch.zeros_like(images.time), images.there
-        late = torch.zeros_like(left)
+        payments, remaining = torch.zeros_like(images.time), images.exists
+        late = torch.zeros_like(remaining)
         last = memory[f"rso_{stage}_time"]
         for _ in range(len(self._columns)):
-            first = torch.full_like(last, FINITE).scatter_reduce(1, target, torch.where(left, images.time, FINITE), "amin")
-            group = left & (images.time <= first.gather(1, target) + self.same_time_s)
+            first = torch.full_like(last, FINITE).scatter_reduce(1, target, torch.where(remaining, images.time, FINITE), "amin")
+            group = remaining & (images.time <= first.gather(1, target) + self.same_time_s)
             fresh = first >= last + cooldown
             earns = group & good & fresh.gather(1, target)
             among = torch.zeros_like(last).scatter_add(1, target, earns.double())
             late = late | (group & ~fresh.gather(1, target))
-            paid = torch.where(earns, value / among.gather(1, target).clamp(min=1.0), paid)
+            payments = torch.where(earns, value / among.gather(1, target).clamp(min=1.0), payments)
             last = torch.where(among > 0.0, first, last)
-            left = left & ~group
+            remaining = remaining & ~group
         memory[f"rso_{stage}_time"] = last
-        memory[f"rso_{stage}_reward"] = self._by_satellite(images, paid)
+        memory[f"rso_{stage}_reward"] = self._by_satellite(images, payments)
         self._count(stage, images, good, late)
 
     def _count(self, stage: str, images: _Images, good: Tensor, late: Tensor) -> None:
@@ -218,22 +218,22 @@ class RSOTeamReward(RSOImageReward):
         tries = deadline > begin
         cooldown = scenario.service_time.unsqueeze(1)
         latest = scenario.records.latest()
-        known = latest.gather(2, target.unsqueeze(2)).squeeze(2) + cooldown
-        done = look_up(latest.amax(1), target) + cooldown
+        sensor_end = latest.gather(2, target.unsqueeze(2)).squeeze(2) + cooldown
+        true_end = look_up(latest.amax(1), target) + cooldown
         start, end = begin.double() * fleet.h, ends.double() * fleet.h
-        idle = torch.where(tries & (known <= start), (torch.minimum(done, end) - start).clamp(min=0.0), 0.0)
+        idle = torch.where(tries & (sensor_end <= start), (torch.minimum(true_end, end) - start).clamp(min=0.0), 0.0)
         return _Attempts(target, torch.where(tries, deadline, NO_ATTEMPT), idle, torch.where(tries, end - start - idle, 0.0))
 
-    def _count_waste(self, attempts: _Attempts, taken: Tensor) -> None:
-        """Add the time wasted in a step; ``taken`` [N, A] imagers took an image in it."""
+    def _count_waste(self, attempts: _Attempts, captures: Tensor) -> None:
+        """Add the time wasted in a step; ``captures`` [N, A] imagers took an image in it."""
         memory = self.memory
         before, useful = memory["rso_attempt_deadline"], memory["rso_attempt_useful"]
         given_up = (before != NO_ATTEMPT) & (attempts.deadline != before)
         useful = torch.where(attempts.deadline == before, useful, 0.0)
         wasted = attempts.idle + torch.where(given_up, memory["rso_attempt_useful"], 0.0)
-        over = taken | (attempts.deadline <= self.fleet.ticks.unsqueeze(1))
-        memory["rso_attempt_deadline"] = torch.where(over, NO_ATTEMPT, attempts.deadline)
-        memory["rso_attempt_useful"] = torch.where(over, 0.0, useful + attempts.useful)
+        ends = captures | (attempts.deadline <= self.fleet.ticks.unsqueeze(1))
+        memory["rso_attempt_deadline"] = torch.where(ends, NO_ATTEMPT, attempts.deadline)
+        memory["rso_attempt_useful"] = torch.where(ends, 0.0, useful + attempts.useful)
         memory["rso_wasted"] = memory["rso_wasted"].index_add(1, self._columns, wasted)
 
     # -- knowledge ----------------------------------------------------------------------------------------------------
@@ -253,9 +253,9 @@ def retask_satisfied(satellite: BoundSatellite, scenario: RSOTargets) -> None:
     """Let satellites of a type require another task that are imaging a target of which they know a recent capture."""
     task, simulator = satellite.task, satellite.simulator
     satisfied = scenario.of_imagers(satellite, scenario.satisfied)
-    known = satisfied.gather(1, simulator.memory[AIM].clamp(min=0, max=scenario.n_targets - 1).unsqueeze(1)).squeeze(1)
+    mask = satisfied.gather(1, simulator.memory[AIM].clamp(min=0, max=scenario.n_targets - 1).unsqueeze(1)).squeeze(1)
     images = simulator.mode == simulator.mode_names.index("image_rso")
-    task.requires_retasking = task.requires_retasking | (images & known & ~task.dead)
+    task.requires_retasking = task.requires_retasking | (images & mask & ~task.dead)
 
 
 def _deadline(satellite: BoundSatellite) -> Tensor:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -75,7 +75,7 @@ class TeamRule:
         if not fits or not isinstance(env.scenario, RSOTargets) or env.scenario.knowledge != "own":
             raise ValueError("rules of teams need RSOTargets with knowledge='own', satellites of one type, and an agent for each")
         self.env, self.name, self.upkeep = env, name, upkeep
-        self.satellite: Any = env.satellites[0]
+        self.satellite = env.satellites[0]
         self.scenario: RSOTargets = env.scenario
         self.images = self.satellite.action_description.index(f"{self._entry.name}_0")
         self.count = self.satellite.simulator.count
@@ -103,28 +103,28 @@ class TeamRule:
         names = self.satellite.action_description
         stay = action_mask.shape[-1] - 1
         decides = action_mask[..., :stay].any(-1)
-        wish = {name: wanted & decides for name, wanted in self.upkeep.wishes(see).items()}
+        wish = {name: mask & decides for name, mask in self.upkeep.wishes(see).items()}
         busy = torch.stack(list(wish.values())).any(0)
         choices = self._choices(action_mask)
         images = decides & ~busy
         slot = self._joint(choices, images, decides) if self.name == "centralized" else self._local(choices)
         action = torch.where(slot < choices.may.shape[2], self.images + slot, names.index("action_charge"))
-        for name, wanted in wish.items():
-            action = torch.where(wanted, names.index(name), action)
+        for name, mask in wish.items():
+            action = torch.where(mask, names.index(name), action)
         return torch.where(decides, action, stay)
 
     def _choices(self, action_mask: Tensor) -> Choices:
         satellite, scenario = self.satellite, self.scenario
-        found = scenario.candidates(satellite, self._entry.n_actions)
-        views = scenario.views(satellite, found)
-        of_target = found.place.unsqueeze(-1).expand(-1, -1, 3)
+        candidates = scenario.candidates(satellite, self._entry.n_actions)
+        views = scenario.views(satellite, candidates)
+        of_target = candidates.place.unsqueeze(-1).expand(-1, -1, 3)
         r_TN_N = satellite.of_env(scenario.r_TN_N).gather(1, of_target)
         r_BN_N = satellite.dynamics.r_BN_N.unsqueeze(1).expand_as(r_TN_N)
         sees = line_clearance(Vec3.of(r_BN_N), Vec3.of(r_TN_N)) > 0.0
-        latest = scenario.of_imagers(satellite, scenario.known_records.latest()).gather(1, found.place)
+        latest = scenario.of_imagers(satellite, scenario.known_records.latest()).gather(1, candidates.place)
         lit = views.target_illumination_factor >= LIT
-        priority = satellite.of_env(scenario.priority).gather(1, found.place)
-        columns = found.place, found.exists & sees & lit, latest == AGO, views.angle_to_target, priority
+        priority = satellite.of_env(scenario.priority).gather(1, candidates.place)
+        columns = candidates.place, candidates.exists & sees & lit, latest == AGO, views.angle_to_target, priority
         return Choices(*(column.view(*action_mask.shape[:2], -1) for column in columns))
 
     def _local(self, choices: Choices) -> Tensor:
@@ -149,10 +149,10 @@ class TeamRule:
         target, legal = of_options(choices.target, -1), of_options(may, True).all(2)
         for one, other in itertools.combinations(range(self.count), 2):
             legal &= (target[..., one] != target[..., other]) | (target[..., one] < 0)
-        taken = options < number
+        uses = options < number
         keys = (
             of_options(choices.new, False).sum(2).double(),
-            taken.sum(1).double().expand(len(may), -1),
+            uses.sum(1).double().expand(len(may), -1),
             -of_options(choices.angle, 0.0).sum(2),
             of_options(choices.priority, 0.0).sum(2),
         )
@@ -164,8 +164,8 @@ class TeamRule:
         images = simulator.mode == simulator.mode_names.index("image_rso")
         runs = (images & ~self.satellite.task.requires_retasking & ~self.satellite.task.dead).view_as(decides) & ~decides
         target = simulator.memory[AIM].clamp(min=0).view_as(decides)
-        found = torch.zeros(len(decides), self.scenario.n_targets, dtype=torch.int64, device=decides.device)
-        return found.scatter_add(1, target, runs.long()) > 0
+        counts = torch.zeros(len(decides), self.scenario.n_targets, dtype=torch.int64, device=decides.device)
+        return counts.scatter_add(1, target, runs.long()) > 0
 
 
 def best(legal: Tensor, keys: Iterable[Tensor]) -> Tensor:

@@ -174,8 +174,8 @@ def others(satellite: BoundSatellite) -> tuple[Tensor, Tensor]:
     fleet = satellite.fleet
     parts = [k for k, other in enumerate(fleet.satellites) if isinstance(other.dynamics, LinearMotionDynModel)]
     deputies = torch.cat([fleet.columns[k] for k in parts]).sort().values
-    own = fleet.columns[satellite.type_index].unsqueeze(1)
-    column = deputies.expand(len(own), -1)[deputies != own].view(len(own), -1)
+    index = fleet.columns[satellite.type_index].unsqueeze(1)
+    column = deputies.expand(len(index), -1)[deputies != index].view(len(index), -1)
 
     def read(name: str) -> Tensor:
         return fleet.each(attrgetter(f"dynamics.{name}"))[:, column].flatten(0, 1)
@@ -337,7 +337,7 @@ INSPECTION = (
 
 def crew_inspection(count: int) -> tuple[Barrier, ...]:
     """Return the barriers of each of ``count`` deputies that inspect together: their own, and three for each other deputy."""
-    own = (Barrier(safe_speed, 0.0, 0.1, -2e-3), INSPECTION[1], Barrier(within, 0.01, 0.001), *INSPECTION[3:])
+    barriers = (Barrier(safe_speed, 0.0, 0.1, -2e-3), INSPECTION[1], Barrier(within, 0.01, 0.001), *INSPECTION[3:])
     pairs = (
         (
             Barrier(apart_from(k), 0.01, 0.001),
@@ -346,7 +346,7 @@ def crew_inspection(count: int) -> tuple[Barrier, ...]:
         )
         for k in range(count - 1)
     )
-    return (*own, *itertools.chain(*pairs))
+    return (*barriers, *itertools.chain(*pairs))
 
 
 def nearest(wish: Tensor, weight: Tensor, bound: Tensor) -> Tensor:
@@ -377,16 +377,16 @@ def nearest(wish: Tensor, weight: Tensor, bound: Tensor) -> Tensor:
     crosses = torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)
     corner = sum(bound[:, m].unsqueeze(-1) * cross for m, cross in zip((i, j, k), crosses, strict=True))
     candidates.append(corner / dot(a, crosses[0]).unsqueeze(-1))
-    every = torch.cat(candidates, 1)
-    worst = torch.zeros_like(every[..., 0])
+    points = torch.cat(candidates, 1)
+    worst = torch.zeros_like(points[..., 0])
     for row, least in zip(weight.unbind(1), bound.unbind(1), strict=True):  # all at once would need M times the memory
-        worst = torch.maximum(worst, least.unsqueeze(1) - dot(every, row.unsqueeze(1)))
-    far = dot(every - wish.unsqueeze(1), every - wish.unsqueeze(1))
-    far = torch.where(worst <= CLEAR, far, math.inf)  # NaN of parallel inequalities is not smaller
-    best = far.argmin(1)
-    found = every.gather(1, best.view(-1, 1, 1).expand(-1, 1, 3)).squeeze(1)
-    found = torch.where(torch.isfinite(far.amin(1)).unsqueeze(1), found, wish)
-    return found.masked_fill(~finite(weight, bound).unsqueeze(1), math.nan)
+        worst = torch.maximum(worst, least.unsqueeze(1) - dot(points, row.unsqueeze(1)))
+    gap = dot(points - wish.unsqueeze(1), points - wish.unsqueeze(1))
+    gap = torch.where(worst <= CLEAR, gap, math.inf)  # NaN of parallel inequalities is not smaller
+    best = gap.argmin(1)
+    solution = points.gather(1, best.view(-1, 1, 1).expand(-1, 1, 3)).squeeze(1)
+    solution = torch.where(torch.isfinite(gap.amin(1)).unsqueeze(1), solution, wish)
+    return solution.masked_fill(~finite(weight, bound).unsqueeze(1), math.nan)
 
 
 def finite(weight: Tensor, bound: Tensor) -> Tensor:
@@ -503,13 +503,13 @@ class Backup:
             return -(gain @ now.v.unsqueeze(-1)).squeeze(-1).clamp(-x.most, x.most)
 
         ahead = x.after(wish, time)
-        safe = self._kept(ahead)
+        safe = self._holds(ahead)
         for _ in range(int(self.window / time)):  # one step after the other
             ahead = ahead.after(stop(ahead), time)
-            safe = safe & self._kept(ahead)
+            safe = safe & self._holds(ahead)
         return torch.where(safe.unsqueeze(1), wish, stop(x))
 
-    def _kept(self, x: Deputies) -> Tensor:
+    def _holds(self, x: Deputies) -> Tensor:
         return torch.stack([barrier(x) >= 0.0 for barrier in self.barriers], 1).all(1)
 
 

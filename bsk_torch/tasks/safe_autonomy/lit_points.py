@@ -87,24 +87,24 @@ def clustered(points: Tensor, chosen: Tensor, before: Clusters) -> Clusters:
 
     Further centers start at the chosen points farthest from the others. Where no point is chosen, no center is used.
     """
-    wanted = (chosen.sum(1) + (PER_CLUSTER - 1)) // PER_CLUSTER
-    return kmeans(points, chosen, seeded(points, chosen, before, wanted))
+    number = (chosen.sum(1) + (PER_CLUSTER - 1)) // PER_CLUSTER
+    return kmeans(points, chosen, seeded(points, chosen, before, number))
 
 
-def seeded(points: Tensor, chosen: Tensor, before: Clusters, wanted: Tensor) -> Clusters:
-    """Return clusters with ``wanted`` [N] centers: the first ones of those before, and chosen points far from the others."""
-    start = torch.minimum(before.number, wanted)
-    rows = torch.nonzero(start < wanted).squeeze(-1)  # in flights of the rule 'seek', 6 of 1,024 in a decision
+def seeded(points: Tensor, chosen: Tensor, before: Clusters, number: Tensor) -> Clusters:
+    """Return clusters with ``number`` [N] centers: the first ones of those before, and chosen points far from the others."""
+    start = torch.minimum(before.number, number)
+    rows = torch.nonzero(start < number).squeeze(-1)  # in flights of the rule 'seek', 6 of 1,024 in a decision
     if not len(rows):
-        return Clusters(before.centers, wanted)
-    start, end, mine = start[rows], wanted[rows], chosen[rows]
-    gap, placed = torch.full_like(mine, math.inf, dtype=points.dtype), []
+        return Clusters(before.centers, number)
+    start, end, mask = start[rows], number[rows], chosen[rows]
+    gap, placed = torch.full_like(mask, math.inf, dtype=points.dtype), []
     for k, center in enumerate(before.centers[rows].unbind(1)):  # one after the other: each is far from those before
-        farthest = points[gap.masked_fill(~mine, -1.0).argmax(1)]
+        farthest = points[gap.masked_fill(~mask, -1.0).argmax(1)]
         placed.append(torch.where(((k >= start) & (k < end)).unsqueeze(1), farthest, center))
         distance = squares(points - placed[-1].unsqueeze(1))
         gap = torch.where((k < end).unsqueeze(1), torch.minimum(gap, distance), gap)
-    return Clusters(before.centers.index_copy(0, rows, torch.stack(placed, 1)), wanted)
+    return Clusters(before.centers.index_copy(0, rows, torch.stack(placed, 1)), number)
 
 
 def kmeans(points: Tensor, chosen: Tensor, start: Clusters) -> Clusters:
@@ -113,11 +113,11 @@ def kmeans(points: Tensor, chosen: Tensor, start: Clusters) -> Clusters:
     The rules of scikit-learn's ``KMeans(max_iter=50)``, except that a center without points stays where it is.
     """
     centers, rows = start.centers, torch.arange(len(chosen), device=chosen.device)
-    label, mine = torch.full_like(chosen, -1, dtype=torch.int64), chosen
+    label, mask = torch.full_like(chosen, -1, dtype=torch.int64), chosen
     tolerance = SETTLED * spread(points, chosen)
     for _ in range(ROUNDS):
         now = centers[rows]
-        new = nearest_center(points, now, start.number[rows]).masked_fill(~mine, -1)
+        new = nearest_center(points, now, start.number[rows]).masked_fill(~mask, -1)
         moved = means(points, new, now)
         centers = centers.index_copy(0, rows, moved)
         shift = squares(moved - now).unbind(1)
@@ -125,7 +125,7 @@ def kmeans(points: Tensor, chosen: Tensor, start: Clusters) -> Clusters:
         goes_on = torch.nonzero((new != label).any(1) & (sum(shift) > tolerance[rows])).squeeze(-1)
         if not len(goes_on):
             break
-        rows, label, mine = rows[goes_on], new[goes_on], mine[goes_on]
+        rows, label, mask = rows[goes_on], new[goes_on], mask[goes_on]
     return Clusters(centers, start.number)
 
 
@@ -150,10 +150,10 @@ def nearest_center(points: Tensor, centers: Tensor, count: Tensor) -> Tensor:
 
 def means(points: Tensor, label: Tensor, centers: Tensor) -> Tensor:
     """Return the mean of the points with each ``label`` [N, P], or the center [N, K, 3] where there are none."""
-    found = []
+    centroids = []
     for k, center in enumerate(centers.unbind(1)):
         member = (label == k).to(points.dtype)
         size = member.sum(1, keepdim=True)
         total = torch.stack([(member * axis).sum(1) for axis in points.unbind(1)], 1)
-        found.append(torch.where(size > 0.0, total / size.clamp(min=1.0), center))
-    return torch.stack(found, 1)
+        centroids.append(torch.where(size > 0.0, total / size.clamp(min=1.0), center))
+    return torch.stack(centroids, 1)

@@ -129,7 +129,7 @@ class DockingReward(data.GlobalReward):
     @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
         rate = math.log(2.0) / self.half_distance
-        near, was = torch.exp(-rate * after["distance"]), torch.exp(-rate * before["distance"])
+        closeness, was = torch.exp(-rate * after["distance"]), torch.exp(-rate * before["distance"])
         excess = (after["relative_speed"] - after["speed_limit"]).clamp(min=0.0)
         fine = self.speeding_price * excess + self.speeding_fee * (excess > 0.0)
         mass = self.fleet.each(lambda satellite: satellite.simulator.argument("mass"))
@@ -139,7 +139,7 @@ class DockingReward(data.GlobalReward):
         memory["docked"] = memory["docked"] | docked
         time = self.fleet.sim_time.unsqueeze(1)
         late = time > LIMIT + self.grace * self.fleet.h  # half a tick, since times are rounded
-        reward = self.approach * (near - was) - self.price * after["force_H"].abs().sum(-1) / mass - fine
+        reward = self.approach * (closeness - was) - self.price * after["force_H"].abs().sum(-1) / mass - fine
         reward = reward + torch.where(docked, 2.0 - time / LIMIT, 0.0)
         return reward - late.double() - (after["distance"] > self.farthest).double()
 
@@ -171,8 +171,8 @@ class CrewDockingReward(DockingReward):
 
     @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        met = collided(self.fleet.each(attrgetter("dynamics.rho_H")), self.least)
-        self.memory["collided"] = self.memory["collided"] | (met & (self.step_duration > 0.0).unsqueeze(1))
+        collisions = collided(self.fleet.each(attrgetter("dynamics.rho_H")), self.least)
+        self.memory["collided"] = self.memory["collided"] | (collisions & (self.step_duration > 0.0).unsqueeze(1))
         return super().calculate_reward(before, after)
 
     @override
@@ -182,8 +182,8 @@ class CrewDockingReward(DockingReward):
     def is_terminated(self) -> Tensor:
         """See :meth:`bsk_torch.data.GlobalReward.is_terminated`: all, if one has docked, crashed or collided."""
         crashed = ~self.fleet.each(lambda satellite: satellite.dynamics.contact_valid())
-        over = self.memory["docked"] | self.memory["collided"] | crashed
-        return over.any(1, keepdim=True).expand_as(over)
+        ends = self.memory["docked"] | self.memory["collided"] | crashed
+        return ends.any(1, keepdim=True).expand_as(ends)
 
 
 class DockingDeputy(sats.Satellite):
@@ -259,7 +259,7 @@ def cw_docking(
     arguments = deputy_args() | dict(relative_position=Polar(100.0, 150.0), speedLimitDistance=0.5, dockingRadius=0.2)
     deputy, arguments = assured(DEPUTIES, assurance), arguments | (sat_args or {})
     if whole("deputies", deputies, 1) == 1:
-        alone: dict[str, Any] = dict(rewarder=DockingReward(), time_limit=LIMIT + 1.0, failure_penalty=-1.0)
-        return SatelliteTasking(deputy("Deputy", arguments), **(alone | options))
+        single: dict[str, Any] = dict(rewarder=DockingReward(), time_limit=LIMIT + 1.0, failure_penalty=-1.0)
+        return SatelliteTasking(deputy("Deputy", arguments), **(single | options))
     crew: dict[str, Any] = dict(rewarder=CrewDockingReward(), time_limit=LIMIT, failure_penalty=-1.0)
     return ConstellationTasking([deputy(name, arguments) for name in names_of(deputies)], **(crew | options))

@@ -119,18 +119,18 @@ class LitPointsReward(data.GlobalReward):
     def _inspect(self, log: Log, where: Tensor) -> None:
         """Inspect the lit points in view, and find the clusters of the others, in the episodes ``where`` [N]."""
         memory, rho, sun = self.memory, log["rho_H"], log["sun_hat_H"][:, 0]
-        known, light = memory["inspected"], lit(self.points, RADIUS, sun)
-        seen = in_view(self.points, RADIUS, rho) & (light & ~known & where.unsqueeze(1)).unsqueeze(1)
-        first = seen & (seen.cumsum(1) == 1)
+        inspected, light = memory["inspected"], lit(self.points, RADIUS, sun)
+        views = in_view(self.points, RADIUS, rho) & (light & ~inspected & where.unsqueeze(1)).unsqueeze(1)
+        first = views & (views.cumsum(1) == 1)
         memory["found"] = memory["found"] + first.sum(-1)
-        memory["inspected"] = known = known | seen.any(1)
-        left = light & ~known
+        memory["inspected"] = inspected = inspected | views.any(1)
+        remaining = light & ~inspected
         before = Clusters(memory["centers"], memory["clusters"])
-        after = clustered(self.points, left, before)
+        after = clustered(self.points, remaining, before)
         # without points left, the clusters of before are those that the next decision starts from
-        kept = where & left.any(1)
-        memory["centers"] = torch.where(kept.view(-1, 1, 1), after.centers, before.centers)
-        memory["clusters"] = torch.where(kept, after.number, before.number)
+        valid = where & remaining.any(1)
+        memory["centers"] = torch.where(valid.view(-1, 1, 1), after.centers, before.centers)
+        memory["clusters"] = torch.where(valid, after.number, before.number)
         nearest = after.nearest(rho)
         memory["nearest_cluster"] = torch.where(where.view(-1, 1, 1), nearest, memory["nearest_cluster"])
 
@@ -145,8 +145,8 @@ class LitPointsReward(data.GlobalReward):
         x, y, z = (after["rho_H"] * after["sun_hat_H"]).unbind(-1)
         sight = -(x + y + z) / after["distance"]
         wrong = {"speeding": after["relative_speed"] > after["speed_limit"], "blinded": sight > math.cos(BLIND)}
-        for name, found in wrong.items():
-            memory[name] = memory[name] + (found & moved.unsqueeze(1))
+        for name, mask in wrong.items():
+            memory[name] = memory[name] + (mask & moved.unsqueeze(1))
         shared = self.point * new + self.success * (total == len(self.points))
         return shared.double().unsqueeze(1) - self.price * after["force_H"].abs().sum(-1) / mass
 
@@ -179,8 +179,8 @@ class CrewLitPointsReward(LitPointsReward):
 
     @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        met = collided(after["rho_H"], self.least)
-        self.memory["collided"] = self.memory["collided"] | (met & (self.step_duration > 0.0).unsqueeze(1))
+        collisions = collided(after["rho_H"], self.least)
+        self.memory["collided"] = self.memory["collided"] | (collisions & (self.step_duration > 0.0).unsqueeze(1))
         return super().calculate_reward(before, after)
 
     @override
@@ -189,8 +189,8 @@ class CrewLitPointsReward(LitPointsReward):
 
     def is_terminated(self) -> Tensor:
         """See :meth:`bsk_torch.data.GlobalReward.is_terminated`: all, if all points are inspected, or one crashed or collided."""
-        over = self.memory["collided"] | ~self.fleet.each(lambda satellite: satellite.dynamics.distance_valid())
-        return super().is_terminated() | over.any(1, keepdim=True)
+        ends = self.memory["collided"] | ~self.fleet.each(lambda satellite: satellite.dynamics.distance_valid())
+        return super().is_terminated() | ends.any(1, keepdim=True)
 
 
 class SharedSun(formations.Formation):

@@ -44,10 +44,10 @@ def glide(see: Columns, most: float, share: float = SHARE) -> Tensor:
 def seek(see: Columns, most: float) -> Tensor:
     """Return forces [N, 3] N that lead around the chief, 60 m away, toward the nearest cluster of lit points, or stop."""
     r, v, goal = see.all("rho_H"), see.all("rho_dot_H"), see.all("nearest_cluster")
-    away = r / length(r)
-    aside = goal - (goal * away).sum(-1, keepdim=True) * away
+    outward = r / length(r)
+    aside = goal - (goal * outward).sum(-1, keepdim=True) * outward
     turn = aside / length(aside) * (length(aside) > 0.02) * (goal.abs().sum(-1, keepdim=True) > 0.0)
-    wish = SPEED * turn + RETURN * (DISTANCE - length(r)) * away
+    wish = SPEED * turn + RETURN * (DISTANCE - length(r)) * outward
     return (FIRM * (wish - v)).clamp(-most, most)
 
 

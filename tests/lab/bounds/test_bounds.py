@@ -200,7 +200,7 @@ def test_no_policy_images_more_than_the_bound(preset, name, n_targets):
     env.reset()
     bound = imaging_bound(env, iterations=25)
     assert bool((bound.upper <= bound.in_view * (1.0 + 1e-9)).all())
-    assert bool((bound.found <= bound.upper + 1e-9).all())
+    assert bool((bound.lower <= bound.upper + 1e-9).all())
     plain: Any = make(preset, **options)
     for where, policy in (
         (env, pretrained(name)),

@@ -92,14 +92,14 @@ def test_more_iterations_are_no_worse_at_a_decision(inspection):
     for iterations in (1, 3):
         planner = CrossEntropy(inspection, "drift", horizon=6000.0, budget=12 * iterations, iterations=iterations)
         flown = []
-        fly = planner._flown
+        fly = planner._simulate
 
         def watched(*given, fly=fly, flown=flown):
             found = fly(*given)
             flown.append(found[0])
             return found
 
-        planner._flown = watched
+        planner._simulate = watched
         planner(now.clone())
         worth.append(torch.cat(flown, 1).amax(1))
     assert bool((worth[1] >= worth[0]).all())

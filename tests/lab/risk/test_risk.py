@@ -38,8 +38,8 @@ def test_the_estimate_agrees_with_independent_episodes_whatever_the_batch(found)
     assert 0.0 < found.probability.mean < 0.2
     other = risk(scanning(7, 1200.0), "random", **SMALL)
     assert torch.equal(found.estimates, other.estimates)
-    assert torch.equal(found.found.seeds, other.found.seeds)
-    assert torch.equal(found.found.flown.notes[DRAWN], other.found.flown.notes[DRAWN])
+    assert torch.equal(found.sample.seeds, other.sample.seeds)
+    assert torch.equal(found.sample.flown.notes[DRAWN], other.sample.flown.notes[DRAWN])
     assert (found.ways, found.actions) == (other.ways, other.actions)
 
 
@@ -64,7 +64,7 @@ def test_both_methods_agree_and_describe_the_same_ways(found, screened):
 def test_screened_episodes_do_not_depend_on_the_batch_and_are_those_of_plain_seeds(screened):
     other = risk(scanning(7, 1200.0), "random", **SMALL, method="screen", pool=400)
     assert torch.equal(screened.estimates, other.estimates)
-    assert torch.equal(screened.found.seeds, other.found.seeds)
+    assert torch.equal(screened.sample.seeds, other.sample.seeds)
     assert screened.actions == other.actions
     env = scanning(3, 1200.0)
     paths = screened.paths()
@@ -125,4 +125,4 @@ def test_faults_are_followed_too():
     env = bsk_torch.make("FaultyScan-v1", num_envs=20, env_ids=[0] * 20, time_limit=600.0, kinds=["battery"], chance=0.5)
     found = risk(env, "rule", event="battery_charge_fraction<0.31", episodes=40, repetitions=4)
     assert found.probability.mean > 0.0
-    assert found.found.flown.notes[DRAWN][:, found.columns.index("battery.at")].isfinite().any()
+    assert found.sample.flown.notes[DRAWN][:, found.columns.index("battery.at")].isfinite().any()

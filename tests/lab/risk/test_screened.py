@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from bsk_torch.lab.risk.estimate import interval
-from bsk_torch.lab.risk.screened import BLIND, ScreenedSampling, _bernoulli, _chosen, _proportional
+from bsk_torch.lab.risk.screened import BLIND, ScreenedSampling, _bernoulli, _choose, _proportional
 from bsk_torch.lab.risk.subset import Flown
 from bsk_torch.lab.risk.surrogate import TAIL, chance, fitted
 from bsk_torch.rand import Key
@@ -54,7 +54,7 @@ def test_a_sum_of_drawn_numbers_exceeds_a_limit_as_often_as_it_must(probability,
     assert 1.0 / (probability * error**2) > sampling.tally.episodes
     assert sampling.tally.seconds == 2.0 * sampling.tally.episodes
     assert float(found.weight.sum()) == pytest.approx(mean)
-    assert bool((found.found.flown.level == torch.inf).all())
+    assert bool((found.sample.flown.level == torch.inf).all())
 
 
 @pytest.mark.parametrize("noise", [0.3, 1.0])
@@ -72,7 +72,7 @@ def test_inclusion_has_the_probabilities_that_weights_assume_and_that_add_up():
     known = torch.zeros(400, dtype=torch.float64)
     for k in range(runs):
         none = torch.tensor([k])
-        chosen, inclusion = _chosen(level, chances, 40, Key(none, none, none).uniform(200).squeeze(0))
+        chosen, inclusion = _choose(level, chances, 40, Key(none, none, none).uniform(200).squeeze(0))
         often[chosen] += 1.0
         known[chosen] = inclusion
     assert bool(((known > 0.0) & (known <= 1.0)).all())

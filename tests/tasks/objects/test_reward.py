@@ -104,7 +104,7 @@ def test_products_are_delivered_in_the_order_of_their_capture():
                     known[e][a][g], done = fifo(known[e][a][g], bits)
                     wanted |= {(e, a, g, product["time"]) for product in done}
         found = rewarder._deliver(gone)
-        rows = torch.nonzero(found.there).tolist()
+        rows = torch.nonzero(found.exists).tolist()
         assert {(e, int(found.imager[e, k]), int(found.target[e, k]), float(found.time[e, k])) for e, k in rows} == wanted
         left = rewarder.memory["rso_product_left"].where(rewarder.memory["rso_product_target"] != NONE, 0.0).sum(1)
         for e in range(2):

@@ -112,7 +112,7 @@ def test_the_catalog_of_an_episode_can_be_flown_again(tmp_path):
     assert again.utc_init is not None
     other = begun(environment(catalog=again, world_args={"utc_init": again.utc_init}))
     assert torch.equal(other.scenario.r_TN_N[0], env.scenario.r_TN_N[1])
-    named = environment().scenario.given[0]
+    named = environment().scenario.catalogs[0]
     assert dataclasses.replace(named, utc_init=None) == named
 
 
