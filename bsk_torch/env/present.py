@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import functools
+import itertools
 from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import whole
-from bsk_torch.data import checked
 from bsk_torch.env import messages
 from bsk_torch.env.episodes import Episodes
 from bsk_torch.env.satellite_group import SatelliteGroup
@@ -54,9 +53,12 @@ class Present(Episodes):
 
     def counts(self) -> dict[str, Tensor]:
         """Return the counters of satellites and rewarder, [N, S] each, by name."""
-        names = dict.fromkeys(name for satellite in self.satellites for name in satellite.counts())
-        counted = {name: self.fleet.each(functools.partial(_counted, name)) for name in names}
-        return counted | checked.counts(self.rewarder, counted)
+        each = [_counted(satellite) for satellite in self.satellites]
+        zeros = [torch.zeros_like(simulator.state.ticks) for simulator in self.fleet.simulators]
+        counted: dict[str, Tensor] = {}
+        for name in dict.fromkeys(itertools.chain(*each)):
+            counted[name] = self.fleet.joined([counts.get(name, zero) for counts, zero in zip(each, zeros, strict=True)])
+        return counted | self.checked.counts(counted)
 
     def record(
         self,
@@ -155,12 +157,11 @@ def pictures() -> Any:
         raise ModuleNotFoundError(f"render() needs {error.name}: pip install 'bsk_torch[viz]'", name=error.name) from error
 
 
-def _counted(name: str, satellite: SatelliteGroup) -> Tensor:
-    counts = satellite.counts()
-    if name not in counts:
-        raise AttributeError(f"{satellite.name} does not count {name!r}")
-    check_tensor(f"{type(satellite).__name__}.counts()[{name!r}]", counts[name], satellite.simulator.ticks.shape, torch.int64)
-    return counts[name]
+def _counted(satellite: SatelliteGroup) -> dict[str, Tensor]:
+    counts, shape = satellite.counts(), satellite.simulator.state.ticks.shape
+    for name, count in counts.items():
+        check_tensor(f"{type(satellite).__name__}.counts()[{name!r}]", count, shape, torch.int64)
+    return counts
 
 
 def _observables(satellite: SatelliteGroup) -> dict[str, Function]:

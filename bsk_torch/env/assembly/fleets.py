@@ -14,8 +14,8 @@ from bsk_torch.act.continuous import ContinuousAction
 from bsk_torch.astro.ephemeris import coverage, coverage_in_words
 from bsk_torch.codegen.kept import Kept
 from bsk_torch.constants import NANO
-from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward
+from bsk_torch.data.checked import CheckedRewarder
 from bsk_torch.env.assembly.randomizer import Randomizer
 from bsk_torch.env.assembly.types import check_names, check_world, grouped, world_arguments, world_components
 from bsk_torch.env.options import CONTINUOUS, ConstellationOptions, TaskingOptions
@@ -383,9 +383,11 @@ def check_ephemeris(drawn: EpisodeDraw, limit: Tensor) -> None:
             )
 
 
-def link(fleet: SatelliteFleet, scenario: Scenario, rewarder: GlobalReward) -> None:
-    """Link satellites, scenario and rewarder."""
+def link(fleet: SatelliteFleet, scenario: Scenario, rewarder: GlobalReward) -> CheckedRewarder:
+    """Link satellites, scenario and rewarder; return the hooks of the rewarder."""
     scenario.attach(fleet)
     for satellite in fleet.satellites:
         satellite.scenario, satellite.rewarder = scenario.seen_by(satellite.names), rewarder
-    checked.link(rewarder, scenario, fleet)
+    checked = CheckedRewarder(rewarder)
+    checked.link(scenario, fleet)
+    return checked

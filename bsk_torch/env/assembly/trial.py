@@ -13,7 +13,6 @@ import torch
 
 from bsk_torch._checks import no_gradient
 from bsk_torch.comm import CommunicationMethod
-from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.env.assembly.devices import check_memory
 from bsk_torch.env.assembly.fleets import FleetBuilder, link
@@ -107,8 +106,7 @@ class TrialFleet:
 
     def start(self, rewarder: GlobalReward, communicator: CommunicationMethod) -> list[list[UserFunction]]:
         """Start the episodes; return the user functions of each type, which keep their results from now on."""
-        self.rewarder = copy.copy(rewarder)
-        link(self.fleet, self.scenario, self.rewarder)
+        self.checked = link(self.fleet, self.scenario, copy.copy(rewarder))
         copy.copy(communicator).attach(self.fleet)  # it may declare what satellites observe
         functions = [satellite.user_functions() for satellite in self.satellites]
         for function in (each for some in functions for each in some):
@@ -130,12 +128,11 @@ class TrialFleet:
 
     def score(self) -> None:
         """Call hooks of rewarder and satellites once, for a step of zero duration; TypeError for results of wrong shapes."""
-        rewarder = self.rewarder
-        log = checked.log(rewarder)
-        checked.reward(rewarder, log, checked.log(rewarder))
-        checked.terminated(rewarder)
-        checked.truncated(rewarder)
-        checked.counts(rewarder)
+        checked = self.checked
+        checked.reward(checked.log(), checked.log())
+        checked.terminated()
+        checked.truncated()
+        checked.counts()
         for satellite in self.satellites:
             satellite.action_mask()
 

@@ -14,6 +14,7 @@ and if ``f(a) + f(b) <= -v (b - a)``, there is no line of sight within. All othe
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, NamedTuple
@@ -110,7 +111,7 @@ class SatellitePairs(NamedTuple):
 
     def take(self, index: Tensor) -> SatellitePairs:
         """Return the pairs ``index``, which may repeat."""
-        return SatellitePairs(*(part[index] for part in self))
+        return SatellitePairs(self.env[index], self.i[index], self.j[index])
 
 
 Margins = Callable[[SatellitePairs, Tensor], Tensor]
@@ -200,8 +201,9 @@ class LineOfSightSearch:
         n, s = len(envs), self.size
         env, satellite, at = envs.repeat_interleave(s), torch.arange(s, device=envs.device).repeat(n), tick.repeat_interleave(s)
         pole = self._pole(env, at)
-        both = (SatellitePositions.of(self._positions(env, satellite, t), pole) for t in (at, (at - 1).clamp(min=0)))
-        now, before = (positions.map(lambda x: x.view(n, 1, s)) for positions in both)
+        by_episode = operator.methodcaller("view", n, 1, s)
+        now = SatellitePositions.of(self._positions(env, satellite, at), pole).map(by_episode)
+        before = SatellitePositions.of(self._positions(env, satellite, (at - 1).clamp(min=0)), pole).map(by_episode)
         rows = []
         for mine in torch.arange(s, device=envs.device).split(max(1, self.block // (n * s))):
             own = now.map(lambda x, mine=mine: x[..., mine].mT)  # type: ignore[misc]
@@ -272,10 +274,10 @@ class LineOfSightSearch:
                 intervals._replace(last=middle, margin_last=margin),
                 intervals._replace(first=middle, margin_first=margin),
             )
-            intervals = TickIntervals(*(torch.cat(part) for part in zip(*halves, strict=True)))
+            intervals = TickIntervals(*map(torch.cat, zip(*halves, strict=True)))
             length = intervals.last - intervals.first
             total = intervals.margin_first + intervals.margin_last
             possible = (length > 1) & (total > -speed[intervals.pair] * length) & ~found[intervals.pair]
             index = torch.nonzero(possible).squeeze(-1)
-            intervals = TickIntervals(*(part[index] for part in intervals))
+            intervals = TickIntervals(*[part[index] for part in intervals])
         return found

@@ -24,7 +24,7 @@ from bsk_torch.astro.ephemeris import coverage, parse_utc
 from bsk_torch.codegen.kept import of_package
 from bsk_torch.rand import Distribution, Key, PerEnv, RandomEpoch, seeded
 from bsk_torch.sim.arguments.sources import Answers, Member, in_order, is_function, unknown
-from bsk_torch.sim.component import Arg, Component, Values
+from bsk_torch.sim.component import Arg, Component, Values, asked
 from bsk_torch.sim.names import nearest
 
 Overrides = Mapping[str, tuple[Tensor, Tensor]]
@@ -136,7 +136,12 @@ def is_fixed(arg: Arg) -> bool:
 
 
 class Arguments:
-    """Arguments of the satellites of one type, or of the world: their table, the given values, and their draws."""
+    """Arguments of the satellites of one type, or of the world: their table, the given values, and their draws.
+
+    Attributes:
+        table: The arguments by name.
+        random: Names of those that may differ between environments: they are drawn for each, or have been changed.
+    """
 
     def __init__(
         self,
@@ -208,8 +213,10 @@ class Arguments:
         return merged
 
     def _look(self) -> None:
-        """Find out which arguments are equal for all satellites, and asked of functions; forget constants."""
+        """Find out which arguments are random, equal for all satellites, and asked of functions; forget constants."""
         self._constants: dict[str, Any] = {}
+        drawn = [{n for n, v in values.items() if isinstance(v, Distribution) or callable(v)} for values in self._given]
+        self.random = frozenset(self._changed.union(*drawn))
         apart = {name for of_envs in self._of_envs for name in of_envs}
         self._asked = [
             in_order(name for name in self.table if any(map(is_function, self._values_of(k, name))))
@@ -217,7 +224,7 @@ class Arguments:
         ]
         apart |= {name for names in self._asked for name in names if not is_fixed(self.table[name])}
         self._alike = {
-            name: name not in apart and all(alike(values[name], self._given[0][name]) for values in self._given)
+            name: name not in apart and all(alike(values[name], self._given[0][name]) for values in self._given[1:])
             for name in self.table
         }
 
@@ -233,11 +240,6 @@ class Arguments:
     def calls_user(self) -> bool:
         """Whether a user function is called for each episode."""
         return any(self._asked)
-
-    def is_random(self, name: str) -> bool:
-        """Return whether the value may differ between environments: it is drawn for each, or has been changed."""
-        values = (values[name] for values in self._given)
-        return name in self._changed or any(isinstance(value, Distribution) or callable(value) for value in values)
 
     # -- changes ------------------------------------------------------------------------------------------------------
 
@@ -389,7 +391,7 @@ class Arguments:
         """Return the values of an argument given for each satellite, [n * S, ...]."""
         if is_fixed(arg):
             raise ValueError(f"{self.title}: {arg.name} must be the same for all satellites of a type")
-        if self.is_random(arg.name):
+        if arg.name in self.random:
             parts = self._each(arg, key, answers)
         elif arg.name in self._constants:
             parts = self._constants[arg.name]
@@ -519,9 +521,9 @@ def merge(values: Values, components: Iterable[Component], what: str) -> dict[st
     """
     merged: dict[str, Tensor] = {}
     own: dict[str, str] = {}  # slots of users' components by what they have returned
-    for component in components:
+    for component, share in asked([part for part in components if getattr(part, what) is not None], values):
         function = getattr(component, what)
-        found, is_own = function(values), not of_package([function])
+        found, is_own = function(share), not of_package([function])
         if is_own:
             _check_computed(component, what, found, values, merged)
         for name in found.keys() & (merged if is_own else own).keys():

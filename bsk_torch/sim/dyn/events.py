@@ -122,7 +122,7 @@ def with_failure_event(parts: Iterable[Component]) -> tuple[Component, ...]:
     turns = "Omega_WB_B" in fields
     return (
         *parts,
-        FAILURE if turns else dataclasses.replace(FAILURE, update=notice_empty_battery, params=(), prepare=lambda args: {}),
+        FAILURE if turns else dataclasses.replace(FAILURE, update=notice_empty_battery, params=(), prepare=None),
     )
 
 
@@ -133,6 +133,7 @@ FAILURE = Component(
     stops=True,
     state=(Field(FAILED, 1, "-", "1 after a failure, else 0", exact=True, limit=1.0),),
     params=(Field("fatal_wheel_speed", 1, "rad/s", exact=True),),
+    reads=("maxWheelSpeed",),
     initial=lambda args: {FAILED: torch.zeros(1, dtype=torch.float64)},
     prepare=lambda args: {"fatal_wheel_speed": args["maxWheelSpeed"] * RPM},
 )

@@ -30,6 +30,7 @@ from bsk_torch.sim.dyn.field import called_field, full_field
 from bsk_torch.vec3 import Mat3, Vec3, times
 
 BODY = ("mass", "width", "depth", "height")
+MOTION = ("inertia", *BODY, "omega_init")
 """Arguments that the inertia follows from."""
 
 STABLE_TURN = 2.0 * math.sqrt(2.0)

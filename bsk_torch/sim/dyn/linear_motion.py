@@ -89,6 +89,7 @@ LINEAR_MOTION = Component(
         vec("force_H", "N", "force of the thrusters, in H", exact=True),
     ),
     params=(Field("mean_motion", 1, "rad/s", exact=True), Field("inverse_mass", 1, "1/kg", exact=True)),
+    reads=("mass",),
     initial=_start,
     prepare=lambda args: {"mean_motion": args["meanMotion"], "inverse_mass": 1.0 / args["mass"]},
 )

@@ -177,7 +177,7 @@ def described_thrusters(given: Mapping[str, Any]) -> tuple[Thruster, ...] | None
     """
     listed = given["thrusters"]
     if listed is None:
-        if any(may_change(given, arg.name) for arg in ARGS[1:]):
+        if may_change(given, *(arg.name for arg in ARGS[1:])):
             return OCTET
         for arg in ARGS[1:]:
             if given[arg.name] is not None:

@@ -19,7 +19,15 @@ from bsk_torch.constants import RPM
 from bsk_torch.rand import Uniform
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values
 from bsk_torch.sim.dyn.friction import friction_torques
-from bsk_torch.sim.dyn.hub import body_inertia, body_momentum, check_turn, described_body, given_numbers, inertia_tensor
+from bsk_torch.sim.dyn.hub import (
+    MOTION,
+    body_inertia,
+    body_momentum,
+    check_turn,
+    described_body,
+    given_numbers,
+    inertia_tensor,
+)
 from bsk_torch.sim.dyn.wheel_types import TRIAD, Wheel
 from bsk_torch.sim.faults.declared import may_change
 from bsk_torch.vec3 import Mat3, Vec3
@@ -95,7 +103,7 @@ def described_wheels(given: Mapping[str, Any]) -> tuple[Wheel, ...] | None:
     wheels = given["wheels"]
     if wheels is None:
         described = any(given[arg.name] is not None for arg in NUMBERS) or given.get("rwAvailable") is not None
-        return TRIAD if described or any(may_change(given, name) for name in EACH) else None
+        return TRIAD if described or may_change(given, *EACH) else None
     if not isinstance(wheels, Sequence) or not all(isinstance(wheel, Wheel) for wheel in wheels):
         raise ValueError(f"sat_args: wheels={wheels!r} must be a list of wheels, such as [dyn.Wheel('BCT_RWP015', [1, 0, 0])]")
     if len(wheels) > MOST_WHEELS:
@@ -363,6 +371,7 @@ def wheel_set(form: WheelForm, wheels: tuple[Wheel, ...]) -> Component:
             *(Field(name, count, many=True) for name in parameters_of(form)),
             Field("wheel_axes_B", 3 * count, vectors=True),
         ),
+        reads=MOTION,
         initial=functools.partial(_initial, form),
         prepare=functools.partial(_prepare, form),
         check=functools.partial(_check, form),

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from bsk_torch.constants import RPM
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values, vec
-from bsk_torch.sim.dyn.hub import body_inertia, body_momentum, check_turn, described_body
+from bsk_torch.sim.dyn.hub import MOTION, body_inertia, body_momentum, check_turn, described_body
 from bsk_torch.sim.dyn.power import power_arg
 from bsk_torch.sim.dyn.wheel_set import ARGS, described_wheels, free_tensor_moments, wheel_form, wheel_set
 from bsk_torch.vec3 import Vec3
@@ -145,6 +145,7 @@ WHEELS = Component(
         vec("motor_torque_command_B", "N m", "torques commanded by the flight software"),
     ),
     params=(Field("max_motor_torque", 1, "N m"),),
+    reads=MOTION,
     initial=_initial,
     prepare=lambda args: {"max_motor_torque": args["u_max"]},
     check=_check_inertia,

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from bsk_torch.sim.arguments.sources import hint
 from bsk_torch.sim.arguments.values import is_fixed
-from bsk_torch.sim.component import Arg, Bus, Component, Field, Layout, Values
+from bsk_torch.sim.component import Arg, Bus, Component, Field, Layout, Values, asked
 from bsk_torch.sim.faults.declared import CHANGING, NEVER, Fault, ticks_of
 from bsk_torch.sim.names import check_unique
 
@@ -164,7 +164,8 @@ def _changed(faults: Sequence[Fault], numbers: Iterable[int], active: Mapping[in
 
 def _parameters(part: Component, values: Values) -> dict[str, Tensor]:
     """Return the parameters of a part, [n or 1, width] each."""
-    found = part.prepare(values)
+    [(_, own)] = asked([part], values)
+    found = part.prepare(own)  # type: ignore[misc]
     return {field.name: found[field.name].reshape(-1, field.width) for field in part.params}
 
 
@@ -326,8 +327,10 @@ def _acting(part: Component, plan: Plan) -> Component:
         params.append(Field(f"fault_values_{g}", group.events * len(group.planes), many=True, exact=group.exact))
         if group.grows:
             params.append(Field(f"fault_growth_{g}", group.events, "-", many=True, exact=True))
+    changed = (name for fault in plan.faults for name in fault.arguments)
+    reads = (*changed, *(name for members in plan.parts for member in members for name in member.arguments))
     return dataclasses.replace(
-        part, update=fault_update(plan.groups), params=tuple(params), prepare=plan.prepare, check=plan.check
+        part, update=fault_update(plan.groups), params=tuple(params), reads=reads, prepare=plan.prepare, check=plan.check
     )
 
 

@@ -50,7 +50,7 @@ def _fitted_feedback(given: Mapping[str, Any]) -> Component:
 def _of_benchmark(law: Component) -> Component:
     """Return a control law that runs at time zero, with other defaults; gains are not checked: some of the benchmark chatter."""
     args = tuple(dataclasses.replace(arg, default=_DEFAULTS.get(arg.name, arg.default)) for arg in law.args)
-    return dataclasses.replace(law, args=args, check_tick=lambda args, h: None, at_start=True, fit=_fitted_feedback)
+    return dataclasses.replace(law, args=args, check_tick=None, at_start=True, fit=_fitted_feedback)
 
 
 class AEOSBenchFSWModel(FSWModel):

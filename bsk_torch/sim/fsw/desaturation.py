@@ -226,7 +226,8 @@ def set_desaturation(count: int) -> Component:
     """Return the component that dumps momentum by ``count`` thrusters of any places and directions."""
     part = desaturation(count, lambda bus: bus.impulse_map, lambda bus: bus.thruster_thrust)
     params = (*part.params, Field("impulse_map", 3 * count, vectors=True), Field("thruster_thrust", count, "N", many=True))
-    return replace(part, params=params, prepare=_prepare_set, check=_check_set, check_tick=_check_set_in_tick)
+    reads = ("thrusterPositions_B", "thrusterDirections_B", "thrusterMaxThrust", "r_CB_B", "rwJs", "rwOmegaMax")
+    return replace(part, params=params, reads=reads, prepare=_prepare_set, check=_check_set, check_tick=_check_set_in_tick)
 
 
 def fitted_desaturation(given: Mapping[str, Any]) -> Component:

@@ -177,6 +177,7 @@ AXIS_TO_SUN = dataclasses.replace(
     SUN_POINTING,
     update=point_axis_at_sun,
     params=(vec("sun_axis_B"),),
+    reads=("nHat_B",),
     prepare=lambda args: {"sun_axis_B": unit_rows(args["nHat_B"])},
 )
 """Points the axis that the flight software knows: of several panels, or of one that a fault may turn."""

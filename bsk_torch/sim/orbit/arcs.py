@@ -133,11 +133,8 @@ class Arcs(StateTable):
 
     def tracks(self, tracks: Sequence[Track]) -> tuple[Samples, ...]:
         """Return the samples of the tracks of a tick."""
-        samples = {
-            EPHEMERIS_TRACK.name: self.ephemeris_samples,
-            ARC.name: Samples(self.flown, self.start - LEAD_NODES * NODE_SPACING),
-        }
-        return tuple(samples[track.name] for track in tracks)
+        sky, flown = Samples(self.ephemeris, self.start), Samples(self.flown, self.start - LEAD_NODES * NODE_SPACING)
+        return tuple([sky if track is EPHEMERIS_TRACK else flown for track in tracks])
 
     def solve(self, rows: Tensor, et: Tensor, r: Tensor, v: Tensor) -> Tensor:
         """Solve the arcs of ``rows`` [n] again from ET [n] and position and velocity [n, 3] at time zero.

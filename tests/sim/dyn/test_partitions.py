@@ -79,7 +79,12 @@ class Store:
         )
 
     def merged(self, what: str) -> dict[str, torch.Tensor]:
-        return {name: value for part in self.parts for name, value in getattr(part, what)(self.table.args).items()}
+        return {
+            name: value
+            for part in self.parts
+            if getattr(part, what)
+            for name, value in getattr(part, what)(self.table.args).items()
+        }
 
     def after(self, k: int) -> torch.Tensor:
         """Levels [cases, partitions] after tick number k + 1."""
