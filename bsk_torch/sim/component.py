@@ -290,9 +290,10 @@ class Component:
     ``at_start`` it takes part in the tick at time zero, whose length is zero; components of the world always do.
 
     ``initial`` and ``prepare`` compute, from the arguments of the rows being reset, the state and the tick parameters as float64
-    tensors [n or 1] and [n or 1, width]; ``check`` raises for arguments that do not fit together, ``check_tick`` for those that
-    do not fit the length of a tick, s, and returns words to be logged about those that hardly do. They get the arguments that the
-    component declares, and those of other components that it ``reads``, if there are any. ``overwrites`` lists fields
+    tensors [n or 1] and [n or 1, width]; fields that ``initial`` leaves out start at zero. ``check`` raises for arguments that do
+    not fit together, ``check_tick`` for those that do not fit the length of a tick, s, and returns words to be logged about those
+    that hardly do. They get the arguments that the component declares, and those of other components that it ``reads``, if there
+    are any. ``overwrites`` lists fields
     whose last value the update does not read, so that what a user writes into them is lost, each with advice what to do instead.
     ``integrated_only`` components run only where the orbit is integrated in the tick. ``fit`` returns the component to use, from
     the arguments as users gave them, defaults included, where its structure depends on them: it is called once, when the
@@ -523,8 +524,8 @@ class Layout:
         for name in self.fields:
             if name not in values:
                 raise ValueError(
-                    f"no component gives {name!r} a value when episodes start; return it from initial= of the component that "
-                    "lists it in state=, or from prepare= of the one that lists it in params="
+                    f"no component gives {name!r} a value when episodes start; return it from prepare= of the one that lists it "
+                    "in params="
                 )
         parts = [values[name].reshape(-1, f.width).mT.expand(-1, n) for name, f in self.fields.items()]
         return torch.cat(parts) if parts else torch.zeros(0, n, dtype=torch.float64)

@@ -223,7 +223,6 @@ def with_instruments(parts: Iterable[Component], listed: tuple[Instrument, ...])
         update=choose_among(len(listed), tuple(field for part in several for field in part.params)),
         args=(*INSTRUMENTS.args, *instrument_args(listed, table).values()),
         state=(Field(INDEX, 1, "-", "number of the instrument that the action has chosen", exact=True, limit=len(listed) - 1.0),),
-        initial=lambda args: {INDEX: torch.zeros(1, dtype=torch.float64)},
     )
     slots = {part.slot for part in several}
     return tuple(choice if part.slot == SLOT else _of_each(part, listed) if part.slot in slots else part for part in parts)

@@ -253,9 +253,8 @@ class Simulator:
             state.arguments[name][rows] = value.to(self.device)
         state.arguments.touch()
         [(acting, own)] = asked((part for part in self.type.arguments.parts if part.slot == SLOT), self._arguments_of(rows))
-        assert acting.check is not None and acting.prepare is not None
-        acting.check(own)
-        for name, value in acting.prepare(own).items():
+        acting.check(own)  # type: ignore[misc]
+        for name, value in acting.prepare(own).items():  # type: ignore[misc]
             planes = value.flatten(1).mT.expand(-1, len(rows))
             state.parameters[self.tick.own.slices[name]].index_copy_(1, rows, planes.to(self.device))
         state.touch()

@@ -513,11 +513,13 @@ def _check_stations(stations: Any) -> None:
                 raise ValueError(f"groundStationsData needs {key!r} in degrees within +-{bound:g}; got {station}")
 
 
-def merge(values: Values, components: Iterable[Component], what: str) -> dict[str, Tensor]:
+def merge(values: Values, components: Sequence[Component], what: str) -> dict[str, Tensor]:
     """Return all that the components' functions ``what``, ``initial`` or ``prepare``, compute from the values, by name.
 
+    Fields of the state that no component gives a value are zero.
+
     Raises:
-        TypeError, ValueError: For a user's component whose function does not return a number for each of its fields.
+        TypeError, ValueError: For a user's component whose function returns other names, or no number for a parameter.
     """
     merged: dict[str, Tensor] = {}
     own: dict[str, str] = {}  # slots of users' components by what they have returned
@@ -533,6 +535,9 @@ def merge(values: Values, components: Iterable[Component], what: str) -> dict[st
             )
         own.update(dict.fromkeys(found if is_own else (), component.slot))
         merged.update(found)
+    for field in (field for component in components for field in component.state) if what == "initial" else ():
+        if field.name not in merged:
+            merged[field.name] = torch.zeros(1, field.width, dtype=torch.float64)
     return merged
 
 
@@ -549,7 +554,7 @@ def _check_computed(component: Component, what: str, found: Any, values: Values,
     rows = max((len(value) for value in values.values() if isinstance(value, Tensor)), default=1)
     for name, field in fields.items():
         if name not in found:
-            if name in others:
+            if name in others or what == "initial":
                 continue
             raise ValueError(f"{title} lacks {name!r}, which {entry}= of the component lists")
         value, width = found[name], field.width

@@ -35,10 +35,7 @@ IMAGE_EVENT = Component(
         Field("image_level", 1, "bit", "level that an image must exceed", exact=True, limit=DISARMED),
         Field("images", 1, "-", "images taken since reset", exact=True),
     ),
-    initial=lambda args: {
-        "image_level": torch.full((1,), DISARMED, dtype=torch.float64),
-        "images": torch.zeros(1, dtype=torch.float64),
-    },
+    initial=lambda args: {"image_level": torch.full((1,), DISARMED, dtype=torch.float64)},
 )
 
 NO_IMAGE_EVENT = Component(slot="image_event")
@@ -78,10 +75,7 @@ EMPTY_STORE_EVENT = Component(
         Field(DOWNLINK_TICK, 1, "-", "tick from which on an empty store ends the downlink", exact=True, limit=DISARMED),
         Field(EMPTIED, 1, "-", "downlinks since reset that an empty store has ended", exact=True),
     ),
-    initial=lambda args: {
-        DOWNLINK_TICK: torch.full((1,), DISARMED, dtype=torch.float64),
-        EMPTIED: torch.zeros(1, dtype=torch.float64),
-    },
+    initial=lambda args: {DOWNLINK_TICK: torch.full((1,), DISARMED, dtype=torch.float64)},
     resets=((DOWNLINK_TICK, DISARMED),),
 )
 
@@ -134,6 +128,5 @@ FAILURE = Component(
     state=(Field(FAILED, 1, "-", "1 after a failure, else 0", exact=True, limit=1.0),),
     params=(Field("fatal_wheel_speed", 1, "rad/s", exact=True),),
     reads=("maxWheelSpeed",),
-    initial=lambda args: {FAILED: torch.zeros(1, dtype=torch.float64)},
     prepare=lambda args: {"fatal_wheel_speed": args["maxWheelSpeed"] * RPM},
 )

@@ -18,7 +18,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
+from bsk_torch.sim.component import Arg, Bus, Component, Field, vec
 from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.readout.observables import Now, observable, vital
 from bsk_torch.vec3 import Vec3
@@ -55,14 +55,6 @@ def move(bus: Bus) -> None:
     )
 
 
-def _start(args: Values) -> dict[str, Tensor]:
-    return {
-        "rho_H": args["relative_position"],
-        "rho_dot_H": args["relative_velocity"],
-        "force_H": torch.zeros(1, 3, dtype=torch.float64),
-    }
-
-
 LINEAR_MOTION = Component(
     slot="linear_motion",
     after="hub",
@@ -90,7 +82,7 @@ LINEAR_MOTION = Component(
     ),
     params=(Field("mean_motion", 1, "rad/s", exact=True), Field("inverse_mass", 1, "1/kg", exact=True)),
     reads=("mass",),
-    initial=_start,
+    initial=lambda args: {"rho_H": args["relative_position"], "rho_dot_H": args["relative_velocity"]},
     prepare=lambda args: {"mean_motion": args["meanMotion"], "inverse_mass": 1.0 / args["mass"]},
 )
 

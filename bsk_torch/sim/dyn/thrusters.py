@@ -280,7 +280,6 @@ def fitted_thrusters(given: Mapping[str, Any]) -> Component:
 
 def thrusters(count: int, effector: Effector) -> Component:
     """Return the component of ``count`` thrusters, or pairs of them, that fire together; ``effector`` pushes and turns."""
-    names = ("pulse", "pulse_command")
     return Component(
         slot="thrusters",
         update=latch_pulses,
@@ -289,7 +288,6 @@ def thrusters(count: int, effector: Effector) -> Component:
             Field("pulse", count, "-", "thrusters that fire in the first stage of the next tick", many=True),
             Field("pulse_command", count, "-", "full pulses commanded by the flight software in this tick", many=True),
         ),
-        initial=lambda args: {name: torch.zeros(1, count, dtype=torch.float64) for name in names},
         fit=fitted_thrusters,
         effector=effector,
     )

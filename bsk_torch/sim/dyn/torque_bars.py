@@ -104,7 +104,6 @@ def bar_set(listed: tuple[TorqueBar, ...]) -> Component:
         args=(ARGS[0], axes, dipoles),
         state=(Field("bar_command", count, "A m^2", "dipoles of the bars, of the flight software or a user", many=True),),
         params=(Field("bar_axes_B", 3 * count, vectors=True), Field("bar_max_dipole", count, "A m^2", many=True)),
-        initial=lambda args: {"bar_command": torch.zeros(1, count, dtype=torch.float64)},
         prepare=lambda args: {"bar_axes_B": unit_bars(args).flatten(-2), "bar_max_dipole": args["barMaxDipoles"]},
         check=_check_axes,
         effector=Effector(ambient=magnetic_torque),

@@ -263,9 +263,8 @@ def free_tensor_moments(args: Values) -> Tensor:
 
 
 def _initial(form: WheelForm, args: Values) -> dict[str, Tensor]:
-    count = len(form.axes)
-    zero, speeds = torch.zeros(1, count, dtype=torch.float64), args["wheelSpeeds"] * RPM
-    state = {"Omega_WB_B": speeds, "motor_torque_B": zero, "motor_torque_command_B": zero}
+    speeds = args["wheelSpeeds"] * RPM
+    state = {"Omega_WB_B": speeds}
     if form.stribeck:  # Basilisk evaluates its equations once before the first tick
         started = (speeds.abs() < 1e-5) & (args["rwBetaStatic"] > 0.0)
         state |= {"wheel_speed_before": speeds, "wheel_started": started.to(torch.float64)}

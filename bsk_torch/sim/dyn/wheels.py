@@ -31,11 +31,6 @@ SPIN_INERTIA = 50.0 / MAX_SPEED
 """Wheel inertia about its axis, kg m^2 (Honeywell HR16, 50 N m s)."""
 
 
-def _initial(args: Values) -> dict[str, Tensor]:
-    zero = torch.zeros(1, 3, dtype=torch.float64)
-    return {"Omega_WB_B": args["wheelSpeeds"] * RPM, "motor_torque_B": zero, "motor_torque_command_B": zero}
-
-
 def latch_motor_torque(bus: Bus) -> None:
     """Latch the commanded torque u, N m, which acts over the whole next tick, within the limits of motor and wheel.
 
@@ -146,7 +141,7 @@ WHEELS = Component(
     ),
     params=(Field("max_motor_torque", 1, "N m"),),
     reads=MOTION,
-    initial=_initial,
+    initial=lambda args: {"Omega_WB_B": args["wheelSpeeds"] * RPM},
     prepare=lambda args: {"max_motor_torque": args["u_max"]},
     check=_check_inertia,
     check_tick=_check_spin,

@@ -9,8 +9,6 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-import torch
-
 from bsk_torch.astro.frames import rotate_z
 from bsk_torch.sim.component import Bus, Component, vec
 from bsk_torch.sim.dyn.aeos_bench import AEOSBenchDynModel, started
@@ -34,7 +32,6 @@ TARGET = Component(
     slot="location_target",
     update=find_place,
     state=(vec("r_LP_P", "m", "place to point at, Earth-fixed; zero for the Earth's center", exact=True),),
-    initial=lambda args: {"r_LP_P": torch.zeros(1, 3, dtype=torch.float64)},
 )
 
 POINTING = dataclasses.replace(guidance.LOCATION_POINTING, update=point_sensor, resets=())

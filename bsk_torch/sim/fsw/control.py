@@ -85,7 +85,7 @@ def check_control_axes(args: Values) -> None:
 
 def initial_control(args: Values) -> dict[str, Tensor]:
     """Return the state of a controller that has never been called."""
-    return {"control_integral_B": torch.zeros(1, 3, dtype=torch.float64), "control_idle": -torch.ones(1, dtype=torch.float64)}
+    return {"control_idle": -torch.ones(1, dtype=torch.float64)}
 
 
 def feedback_law(args: Values, h: float) -> Law:

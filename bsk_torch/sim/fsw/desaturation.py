@@ -142,7 +142,6 @@ def desaturation(count: int, rows: Rows, thrusts: Callable[[Bus], Sequence[Any]]
         rows: See :func:`impulses`.
         thrusts: Returns the thrust of each thruster, N.
     """
-    widths = {"dump_momentum_B": 3, "dump_remaining": count, "dump_counter": 1, "dump_calls": 1}
 
     @functools.wraps(dump_momentum)
     def update(bus: Bus) -> None:
@@ -159,7 +158,6 @@ def desaturation(count: int, rows: Rows, thrusts: Callable[[Bus], Sequence[Any]]
             Field("dump_calls", 1, "-", "ticks since the mode was entered"),
         ),
         params=(Field("momentum_to_keep", 1, "N m s"), Field("dump_wait"), Field("shortest_pulse", 1, "s")),
-        initial=lambda args: {name: torch.zeros(1, width, dtype=torch.float64) for name, width in widths.items()},
         prepare=_prepare,
         check=_check,
         fit=fitted_desaturation,

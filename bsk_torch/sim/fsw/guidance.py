@@ -147,10 +147,6 @@ def _memory(task: str) -> tuple[Field, ...]:
     return vec(f"{task}_sigma_BR", "-", "attitude error of the last tick"), Field(f"{task}_fresh", 1, "-", "1 after a reset")
 
 
-def _forget(task: str) -> dict[str, Tensor]:
-    return {f"{task}_sigma_BR": torch.zeros(1, 3, dtype=torch.float64), f"{task}_fresh": torch.ones(1, dtype=torch.float64)}
-
-
 # modes that can be added to any flight software, such as hold_inertial, ask for attitude control, where there is a law and where
 # there is none
 NAVIGATION = Component(slot="navigation", update=navigate, flags=("control_on",))
@@ -168,7 +164,7 @@ SUN_POINTING = Component(
     slot="sun_pointing",
     update=point_at_sun,
     state=_memory("sun"),
-    initial=lambda args: _forget("sun"),
+    initial=lambda args: {"sun_fresh": torch.ones(1, dtype=torch.float64)},
     flags=("sun_on",),
     fit=fitted_sun_pointing,
 )
@@ -201,7 +197,7 @@ LOCATION_POINTING = Component(
     args=(INSTRUMENT_AXIS,),
     state=_memory("location"),
     params=(vec("instrument_axis_B"),),
-    initial=lambda args: _forget("location"),
+    initial=lambda args: {"location_fresh": torch.ones(1, dtype=torch.float64)},
     prepare=lambda args: {"instrument_axis_B": unit_rows(args["inst_pHat_B"])},
     check=check_axis("inst_pHat_B"),
     flags=("location_on",),

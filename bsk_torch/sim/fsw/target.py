@@ -84,6 +84,7 @@ def _check_elevation(args: Values) -> None:
 
 
 def first_place(args: Values) -> dict[str, Tensor]:
+    """Return a place for guidance until an action chooses one."""
     height = args["groundLocationPlanetRadius"] + FIRST_ALTITUDE
     return {"r_LP_P": torch.stack([height, torch.zeros_like(height), torch.zeros_like(height)], -1)}
 

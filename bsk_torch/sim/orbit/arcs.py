@@ -23,7 +23,6 @@ from bsk_torch.astro.interpolate import BEFORE, COUNT, coefficients, position, v
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.sim.component import Bus, Track
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, ephemeris_records
-from bsk_torch.sim.orbit.builder import ARC
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, LEAD_NODES, NODE_SPACING, NODES_PER_SEGMENT, PLAN_STEP, SAMPLES_PER_SEGMENT
 from bsk_torch.sim.orbit.solution import Solution, Solver
 from bsk_torch.sim.state import StateTable
