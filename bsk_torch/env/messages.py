@@ -32,11 +32,6 @@ RESET = {
 """Arguments of Gymnasium's ``reset``, and their replacements."""
 
 
-def no_attribute(kind: str, name: str) -> AttributeError:
-    """Return the error for one of :data:`ATTRIBUTES` of an environment of the class ``kind``."""
-    return AttributeError(f"{kind} has no attribute {name!r}, for it is an environment of TorchRL: {ATTRIBUTES[name]}")
-
-
 def check_reset(kind: str, arguments: dict[str, Any]) -> None:
     """Raise TypeError for arguments not accepted by ``reset`` of the class ``kind``."""
     for name in arguments:

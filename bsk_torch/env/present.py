@@ -17,7 +17,6 @@ from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.env.snapshots import rows_of
 from bsk_torch.sim.arguments.table import ArgumentTable
 from bsk_torch.sim.hooks import check_tensor
-from bsk_torch.sim.readout.observables import Function
 from bsk_torch.sim.run.recording import Recording
 
 
@@ -27,7 +26,8 @@ class Present(Episodes):
     def __getattr__(self, name: str) -> Any:
         """Look up attributes registered by torch modules; AttributeError with advice for names of Gymnasium's environments."""
         if name in messages.ATTRIBUTES:
-            raise messages.no_attribute(type(self).__name__, name)
+            why = f"for it is an environment of TorchRL: {messages.ATTRIBUTES[name]}"
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}, {why}")
         return super().__getattr__(name)
 
     @property
@@ -94,7 +94,9 @@ class Present(Episodes):
         names = self.names if satellites is None else (satellites,) if isinstance(satellites, str) else tuple(satellites)
         with self.guard:
             self.guard.check_begun("record()", torch.zeros_like(self.state.begun).index_fill(0, envs, True))
-            return Recording(self.fleet, fields, envs, every, names, [_observables(satellite) for satellite in self.satellites])
+            models = [(type(satellite.fsw), type(satellite.dynamics)) for satellite in self.satellites]
+            observables = [fsw.observables() | dynamics.observables() for fsw, dynamics in models]
+            return Recording(self.fleet, fields, envs, every, names, observables)
 
     def render(self, rows: int | Sequence[int] | None = None, height: int = 480) -> Tensor:
         """Draw the current state: the Earth, the satellites and their tasks. Rendering does not change the episodes.
@@ -162,8 +164,3 @@ def _counted(satellite: SatelliteGroup) -> dict[str, Tensor]:
     for name, count in counts.items():
         check_tensor(f"{type(satellite).__name__}.counts()[{name!r}]", count, shape, torch.int64)
     return counts
-
-
-def _observables(satellite: SatelliteGroup) -> dict[str, Function]:
-    """Return the properties of a satellite's models that are observables, by name; those of dynamics take precedence."""
-    return type(satellite.fsw).observables() | type(satellite.dynamics).observables()

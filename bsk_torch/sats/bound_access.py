@@ -19,7 +19,7 @@ from bsk_torch.sim.access.relative_geometry import SATELLITE_PROPERTIES, relativ
 from bsk_torch.sim.access.window_table import Windows, candidates
 from bsk_torch.sim.access.windows import MAX_SEGMENTS, AccessWindows
 from bsk_torch.sim.arguments.values import nearest
-from bsk_torch.sim.dyn.panels import unit_rows
+from bsk_torch.sim.dyn.axes import unit_rows
 from bsk_torch.sim.places import TARGET_KIND, is_target
 
 

@@ -65,7 +65,7 @@ class UserFunction:
         adapted: Whether it may be called for each satellite.
         mapped: Whether it is called for each satellite; None before the first call.
         why: Why it is mapped.
-        results: Results of a trial, kept if :meth:`begin_trial` was called.
+        results: Results of a trial, during which nothing is logged; None outside of trials.
     """
 
     def __init__(self, title: str, advice: str, function: object) -> None:
@@ -146,10 +146,6 @@ class UserFunction:
                            self.title, self.why, self.advice)  # fmt: skip
 
     # -- trials -------------------------------------------------------------------------------------------------------
-
-    def begin_trial(self) -> None:
-        """Keep results from now on, and write nothing to the log."""
-        self.results = []
 
     def dimensions(self) -> set[int]:
         """Return the sizes of all dimensions of the results but the first."""

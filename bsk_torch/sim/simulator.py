@@ -424,7 +424,8 @@ class Simulator:
         """Return a trace for a run of ``rows`` [n], or all, of at most so many ticks from now on, with its first record."""
         state = self.state
         trace = Trace.room(self.tick.recorded, state.ticks if rows is None else state.ticks[rows], ticks)
-        trace.table[:, 0] = self._planes_of(rows)[self.tick.recorded_planes].mT
+        planes = state.planes if rows is None else state.planes[:, rows]
+        trace.table[:, 0] = planes[self.tick.recorded_planes].mT
         return trace
 
     def run(
@@ -578,10 +579,6 @@ class Simulator:
             now = now + counts
             values[:, p] = fields[planes].mT
         return values
-
-    def _planes_of(self, rows: Tensor | None) -> Tensor:
-        """Return the fields of the components, [C, n], of ``rows`` [n], or of all."""
-        return self.state.planes if rows is None else self.state.planes[:, rows]
 
     def checkpoint(self, rows: Tensor | None = None) -> Checkpoint:
         """Return the fields of the components and the clocks of ``rows`` [n], or of all; see :meth:`rewind`."""

@@ -110,7 +110,7 @@ class TrialFleet:
         copy.copy(communicator).attach(self.fleet)  # it may declare what satellites observe
         functions = [satellite.user_functions() for satellite in self.satellites]
         for function in (each for some in functions for each in some):
-            function.begin_trial()
+            function.results = []
         self.builder.start(self.fleet, self.fleet.all_envs, *self.drawn)
         self.scenario.begin_episodes(self.fleet.all_envs)
         return functions

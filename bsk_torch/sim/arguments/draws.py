@@ -79,13 +79,9 @@ class TypeArguments:
         self._logged.add(about)
         return new
 
-    def arguments_with(self, name: str) -> Arguments:
-        """Return the arguments, of satellites or world, that have a name."""
-        return self.sat_args if name in self.sat_args.table else self.world_args
-
     def argument(self, name: str) -> Arg:
         """Return the entry of an argument of satellites or world."""
-        return self.arguments_with(name).table[name]
+        return self.sat_args.table[name] if name in self.sat_args.table else self.world_args.table[name]
 
     def draw(
         self,

@@ -18,6 +18,7 @@ from torch import Tensor
 from bsk_torch.constants import RPM
 from bsk_torch.rand import Uniform
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values
+from bsk_torch.sim.dyn.axes import check_axis, unit_rows
 from bsk_torch.sim.dyn.friction import friction_torques
 from bsk_torch.sim.dyn.hub import (
     MOTION,
@@ -247,19 +248,16 @@ def latch(form: WheelForm) -> Callable[[Bus], None]:
 
 def unit_axes(args: Values) -> Tensor:
     """Return the axes of the wheels, [n or 1, N, 3], of length one."""
-    axes: Tensor = args["rwAxes_B"]
-    return axes / axes.norm(dim=-1, keepdim=True)
-
-
-def spinning_inertia(args: Values) -> Tensor:
-    """Return the inertia [n or 1, 3, 3], kg m^2, that does not turn with the hub: ``sum_i J_i g_i g_i^T``."""
-    axes = unit_axes(args)
-    return (axes.mT * args["rwJs"].unsqueeze(-2)) @ axes
+    return unit_rows(args["rwAxes_B"])
 
 
 def free_tensor_moments(args: Values) -> Tensor:
-    """Return the principal moments [n or 1, 3], kg m^2, of the body without the spin of its wheels, in ascending order."""
-    return torch.linalg.eigvalsh(inertia_tensor(args) - spinning_inertia(args))
+    """Return the principal moments [n or 1, 3], kg m^2, of ``I - sum_i J_i g_i g_i^T``, in ascending order.
+
+    This is the inertia of the body without the spin of its wheels, of inertia J_i about axes g_i.
+    """
+    axes = unit_axes(args)
+    return torch.linalg.eigvalsh(inertia_tensor(args) - (axes.mT * args["rwJs"].unsqueeze(-2)) @ axes)
 
 
 def _initial(form: WheelForm, args: Values) -> dict[str, Tensor]:
@@ -301,8 +299,7 @@ def _prepare(form: WheelForm, args: Values) -> dict[str, Tensor]:
 
 def _check(form: WheelForm, args: Values) -> None:
     axes = args["rwAxes_B"]
-    if bool((axes.norm(dim=-1) <= 0.0).any()):
-        raise ValueError(f"rwAxes_B={axes[0].tolist()}: every axis needs a direction; give three numbers in B, not all zero")
+    check_axis("rwAxes_B")(args)
     if bool((args["rwBetaStatic"] == 0.0).any()):
         raise ValueError("rwBetaStatic=0 is not allowed: give the speed, rad/s, at which static friction decays, or -1 for none")
     for k, axis in enumerate(form.axes):

@@ -268,7 +268,9 @@ def planned(parts: Sequence[Component], faults: tuple[Fault, ...], values: Value
     homes: dict[str, Component] = {}
     others = [part for part in parts if part.slot != SLOT and part.params]
     for k, fault in enumerate(faults):
-        _check_changes(fault, values)
+        for name in fault.arguments:
+            if not isinstance(values[name], Tensor):
+                raise ValueError(f"fault {fault.name!r} changes {name}={values[name]!r}; give it a number in sat_args")
         found = [(part, *plane) for part in others for plane in _touched(part, faults, k, values)]
         if not found:
             where = f" in {list(fault.slots)}" if fault.slots is not None else ""
@@ -294,12 +296,6 @@ def planned(parts: Sequence[Component], faults: tuple[Fault, ...], values: Value
         members.append(tuple({homes[name].slot: homes[name] for name in names}.values()))
     plan = Plan(faults, tuple(groups), tuple(members), h_ns)
     return tuple(_acting(part, plan) if part.slot == SLOT else part for part in parts)
-
-
-def _check_changes(fault: Fault, values: Values) -> None:
-    for name in fault.arguments:
-        if not isinstance(values[name], Tensor):
-            raise ValueError(f"fault {fault.name!r} changes {name}={values[name]!r}; give it a number in sat_args")
 
 
 def _touched(part: Component, faults: Sequence[Fault], k: int, values: Values) -> list[tuple[Field, int]]:

@@ -18,8 +18,8 @@ from torch import Tensor
 from bsk_torch.astro.attitude import dcm_to_mrp, mrp_rate_to_omega, mrp_subtract, mrp_to_dcm
 from bsk_torch.astro.orbit import hill_frame
 from bsk_torch.sim.component import Arg, Bus, Component, Field, vec
+from bsk_torch.sim.dyn.axes import AXIS_BOUNDS, check_axis, unit_rows
 from bsk_torch.sim.dyn.navigation import navigated
-from bsk_torch.sim.dyn.panels import AXIS_BOUNDS, check_axis, unit_rows
 from bsk_torch.sim.faults.declared import may_change
 from bsk_torch.vec3 import Mat3, Vec3, only, select
 

@@ -23,6 +23,7 @@ from bsk_torch.astro.interpolate import BEFORE, COUNT, coefficients, position, v
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.sim.component import Bus, Track
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, ephemeris_records
+from bsk_torch.sim.orbit.builder import ARC
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, LEAD_NODES, NODE_SPACING, NODES_PER_SEGMENT, PLAN_STEP, SAMPLES_PER_SEGMENT
 from bsk_torch.sim.orbit.solution import Solution, Solver
 from bsk_torch.sim.state import StateTable
@@ -132,8 +133,9 @@ class Arcs(StateTable):
 
     def tracks(self, tracks: Sequence[Track]) -> tuple[Samples, ...]:
         """Return the samples of the tracks of a tick."""
-        sky, flown = Samples(self.ephemeris, self.start), Samples(self.flown, self.start - LEAD_NODES * NODE_SPACING)
-        return tuple([sky if track is EPHEMERIS_TRACK else flown for track in tracks])
+        flown = Samples(self.flown, self.start - LEAD_NODES * NODE_SPACING)
+        samples = {EPHEMERIS_TRACK.name: Samples(self.ephemeris, self.start), ARC.name: flown}
+        return tuple([samples[track.name] for track in tracks])
 
     def solve(self, rows: Tensor, et: Tensor, r: Tensor, v: Tensor) -> Tensor:
         """Solve the arcs of ``rows`` [n] again from ET [n] and position and velocity [n, 3] at time zero.
