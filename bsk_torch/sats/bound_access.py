@@ -130,8 +130,10 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
             self._last_generation(max_lookahead),
             may_see_nothing,
         )
-        if may_see_nothing:
-            windows = self._or_nothing(windows, found)
+        if may_see_nothing:  # then place 0 opens and closes now
+            some, instant = (found > 0).unsqueeze(-1), simulator.state.sim_time.unsqueeze(-1)
+            opens, close = torch.where(some, windows.open, instant), torch.where(some, windows.close, instant)
+            windows = Windows(opens, close, torch.where(some, windows.place, 0))
         opportunities = Opportunities(*windows, self.positions(kind, windows.place), found).of(self, kind)
         if count is None and plain and may_see_nothing == self.may_see_nothing:
             self._cache[(kind, n)] = now, opportunities
@@ -163,12 +165,6 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
     def objects(self, type: str, place: Tensor) -> Any:
         """Return the objects of places [N, n]: :class:`~bsk_torch.sats.objects.TargetObjects`, else names [N, n]."""
         return TargetObjects(self, place) if is_target(type) else place_names(self, type, place)
-
-    def _or_nothing(self, windows: Windows, found: Tensor) -> Windows:
-        """Return the windows [N, n], those of place 0 that open and close now where none was ``found`` [N]."""
-        there, now = (found > 0).unsqueeze(-1), self.simulator.state.sim_time.unsqueeze(-1)
-        opens, close = torch.where(there, windows.open, now), torch.where(there, windows.close, now)
-        return Windows(opens, close, torch.where(there, windows.place, 0))
 
     def _last_generation(self, max_lookahead: int) -> Tensor | None:
         """Return the time, [N] s, from which on queries generate no more windows."""
@@ -225,16 +221,13 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
             for owners, name in zip(self._geometry, SATELLITE_PROPERTIES, strict=True):
                 satellite += (getattr(owners[0], name) if owners else torch.zeros_like(self.dynamics.r_BN_P),)
             if instrument is not None:
-                axis = SATELLITE_PROPERTIES.index("c_hat_P")
-                satellite = (*satellite[:axis], self._axis_P(instrument), *satellite[axis + 1 :])
+                k, listed = SATELLITE_PROPERTIES.index("c_hat_P"), self.simulator.type.instruments
+                name = listed[instrument].argument("inst_pHat_B")
+                c_hat_P = self.dynamics.BP.mT @ unit_rows(self.simulator.argument(name)).unsqueeze(-1)
+                satellite = (*satellite[:k], c_hat_P.squeeze(-1), *satellite[k + 1 :])
             found_now = relative_geometries(satellite, opportunities.r_LP_P, observer.kernels)
             self._aims = opportunities, asked, found_now
         return self._aims[2]
-
-    def _axis_P(self, instrument: int) -> Tensor:
-        """Return the axis of an instrument in the Earth-fixed frame, [N, 3], of length one."""
-        axis = self.simulator.argument(self.simulator.type.instruments[instrument].argument("inst_pHat_B"))
-        return (self.dynamics.BP.mT @ unit_rows(axis).unsqueeze(-1)).squeeze(-1)
 
     def opportunities(self, type: str | None = None, *, types: str | Collection[str] | None = None) -> Windows:
         """Return all computed windows of a type, sorted by closing time, [N, W]; missing ones close at infinity.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -25,7 +25,7 @@ from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.arguments.sources import Answers, Member, expand, is_function
 from bsk_torch.sim.arguments.table import ArgumentTable
-from bsk_torch.sim.arguments.values import Overrides, convert, drawn_once
+from bsk_torch.sim.arguments.values import convert, drawn_once
 from bsk_torch.sim.assembly.composition import compose
 from bsk_torch.sim.assembly.satellite_type import SatelliteType, SimulationOptions, Ticks, Usage, satellite_type
 from bsk_torch.sim.component import Arg, Component, Field
@@ -197,7 +197,7 @@ class FleetBuilder:
                 watches=options.failures == CONTINUOUS,
                 controlled=_may_control(satellite),
                 segment=satellite.segment,
-                randomize=self._share_of(columns),
+                randomize=lambda key: {} if self.randomizer is None else share(self.randomizer(key), columns),
                 followed=followed,
                 recorded=("r_BN_N",) if self.pairs.watched.intersection(columns) else (),
                 drawn=frozenset(self._scenario_draw(min(2, options.num_envs))),
@@ -206,12 +206,6 @@ class FleetBuilder:
             world_type=self.world_type,
             ticks=ticks,
         )
-
-    def _share_of(self, columns: Sequence[int]) -> Callable[[Key], Overrides]:
-        """Return the sampler of the randomized arguments of the satellites ``columns``, numbered within their type."""
-        if self.randomizer is None:
-            return lambda key: {}
-        return lambda key: share(self.randomizer(key), columns)  # type: ignore[misc]
 
     @property
     def calls_user(self) -> bool:

@@ -19,7 +19,6 @@ from bsk_torch.env.assembly.fleets import FleetBuilder, link
 from bsk_torch.env.satellite_group import SatelliteGroup, groups_of
 from bsk_torch.obs.base import Values
 from bsk_torch.rand import first_key
-from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.assembly.composition import provided_by
@@ -136,12 +135,6 @@ class TrialFleet:
         for satellite in self.satellites:
             satellite.action_mask()
 
-    def become(self, other: SatelliteFleet) -> None:
-        """Replace the first environment by the first environment of another fleet."""
-        first = self.fleet.all_envs[:1]
-        self.fleet.state.copy_rows(first, other.state, first)
-        self.scenario.begin_episodes(first)
-
 
 def _observed(satellite: SatelliteGroup) -> Values:
     try:
@@ -183,6 +176,8 @@ def try_out(builder: FleetBuilder, rewarder: GlobalReward, communicator: Communi
     batched = together.start(rewarder, communicator)
     together.spread()
     together.observe()
-    alone.become(together.fleet)
+    first = fleet.all_envs[:1]
+    fleet.state.copy_rows(first, together.fleet.state, first)
+    alone.scenario.begin_episodes(first)
     alone.observe()
     return Trial(values, functions, batched, each, read)

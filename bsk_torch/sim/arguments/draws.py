@@ -131,7 +131,7 @@ class TypeArguments:
         checking = (part for part in self.parts if part.check or part.check_tick)
         pairs = asked([part for part in checking if part.slot not in constant & self._checked], values)
         for part, own in pairs:
-            if part.check is not None and (found := part.check(own)) is not None:  # type: ignore[func-returns-value]
+            if part.check is not None and (found := part.check(own)) is not None:
                 raise TypeError(
                     f"check(args) of the component in slot {part.slot!r} returns {found!r}; it must raise ValueError for "
                     "arguments that do not fit together, and return None"

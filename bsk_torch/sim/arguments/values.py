@@ -65,11 +65,6 @@ def _random_epochs(arg: Arg, epochs: RandomEpoch, key: Key) -> Tensor:
     return et if inside else convert(arg, epochs.draw(key), len(key))
 
 
-def has_shape(shape: Sequence[int], dims: Sequence[int | None]) -> bool:
-    """Return whether values of a shape are allowed where ``dims`` are; None there is any size."""
-    return len(shape) == len(dims) and all(size in (None, given) for given, size in zip(shape, dims, strict=True))
-
-
 def _shaped(arg: Arg, values: Tensor, rows: int) -> Tensor:
     values = values.cpu()
     if arg.kind == "matrix" and values.shape[1:] == (3, 3):
@@ -80,7 +75,8 @@ def _shaped(arg: Arg, values: Tensor, rows: int) -> Tensor:
         values = values.reshape(rows, *[1] * len(arg.dims)).expand(rows, *(size or 1 for size in arg.dims))
     if arg.diagonal and values.shape[1:] == arg.dims[:1]:
         values = torch.diag_embed(values)
-    if len(values) != rows or not has_shape(values.shape[1:], arg.dims):
+    fits = values.ndim == 1 + len(arg.dims) and all(map(lambda size, n: n in (None, size), values.shape[1:], arg.dims))
+    if len(values) != rows or not fits:
         sizes = ["any" if size is None else str(size) for size in arg.dims]
         what = f"numbers of shape [{', '.join(sizes)}]" if len(sizes) > 1 or "any" in sizes else f"{(*sizes, 1)[0]} numbers"
         what = what if sizes else "one number"
