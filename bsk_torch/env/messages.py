@@ -52,7 +52,7 @@ def given_action(tensordict: TensorDictBase, *key: str) -> Any:
 
 
 def reject_call(kind: str, key: str, given: object) -> NoReturn:
-    """Raise TypeError for an argument of ``step`` or ``reset`` that is no tensordict.
+    """Raise TypeError for an argument of ``step`` or ``reset`` other than a tensordict.
 
     ``kind`` is the class of the environment, and ``key`` the key of the action, for the message.
     """
