@@ -32,11 +32,11 @@ from torch import Tensor
 
 import bsk_torch
 from bsk_torch import rand
-from bsk_torch.basilisk import certify
 from bsk_torch.env import Tasking
+from bsk_torch.lab.basilisk import certify
+from bsk_torch.lab.suites.suite import Task
 from bsk_torch.presets.nadir_scan import BATTERY, CAPACITY
 from bsk_torch.rl.evaluation import Evaluation, evaluate
-from bsk_torch.rl.evaluation.suite import Task
 from bsk_torch.rl.policies import pretrained, pretrained_file, read_card
 from bsk_torch.rl.policies.files import networks_of
 from bsk_torch.rl.training import configure

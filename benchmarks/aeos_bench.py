@@ -25,10 +25,10 @@ from torch import Tensor
 
 import bsk_torch
 from bsk_torch import ConstellationTasking
-from bsk_torch.plan.bounds import sight_bound
 from bsk_torch.rl.policies.files import load_policy, read_card
 from bsk_torch.rl.policies.shared_policy import rule, shared
-from bsk_torch.scene import read_cases
+from bsk_torch.tasks.aeos_bench import read_cases
+from bsk_torch.tasks.aeos_bench.bound import sight_bound
 
 PRESET = "AEOSBench-v1"
 

@@ -19,7 +19,7 @@ import harness
 import torch
 
 import bsk_torch
-from bsk_torch.plan.bounds import imaging_bound, scanning_bound
+from bsk_torch.lab.bounds import imaging_bound, scanning_bound
 from bsk_torch.rl.evaluation import evaluate
 from bsk_torch.rl.policies import makings, pretrained
 from bsk_torch.rl.policies.shared_policy import shared

@@ -19,7 +19,7 @@ from torch import Tensor
 
 import bsk_torch
 from bsk_torch import comm
-from bsk_torch.plan.bounds.windows import openings
+from bsk_torch.lab.bounds.windows import openings
 from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.evaluation.statistics import confidence
 from bsk_torch.sats import ImagingSatellite

@@ -8,7 +8,7 @@ Several policies fly AEOS-v1, AEOSCity-v1 and AEOSPower-v1, among them some that
 leaves the satellite on its way. Rounds of fresh episodes follow one another until there are enough transitions. The envelope is
 fitted below all of them. Whether it says something of flights that it has not seen is shown by another one, fitted below the
 first round alone: the table tells how many of the later transitions lie below that. ``--scale`` multiplies the number of
-episodes; ``--envelope`` names the file for the fitted envelope, such as ``bsk_torch/plan/bounds/agile.json``.
+episodes; ``--envelope`` names the file for the fitted envelope, such as ``bsk_torch/lab/bounds/agile.json``.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ import torch
 from tensordict import TensorDictBase
 
 import bsk_torch
-from bsk_torch.plan.bounds import Envelope, Transitions, record_transitions
-from bsk_torch.plan.bounds.tasks import agility
+from bsk_torch.lab.bounds import Envelope, Transitions, record_transitions
+from bsk_torch.lab.bounds.tasks import agility
 from bsk_torch.rl.rules.baselines import BASELINES
 
 CASES: tuple[tuple[str, dict[str, Any], str | int, int], ...] = (

@@ -5,10 +5,11 @@ Usage:
         [--time-limit 2850] [--horizon 240] [--gamma 0.99] [--budget 8] [--temperature 0.02] [--planned 32]
         [--out FILE.json]
 
-In each round, the policy plays new episodes, and at each decision the actions that it prefers are flown in branches which follow
-it (``bsk_torch.plan.ActionValues``). The policy then learns from the decisions of all rounds the probabilities proportional to
-exp(value / temperature). The mean regret is the best value minus that of the chosen action. Gains over the policy of the package
-are paired by episode, in unseen episodes that are the same for all; the planner that takes the best action plays the first ones.
+In each round, the policy plays new episodes, and at each decision the actions that it prefers are flown in branches which
+follow it (``bsk_torch.lab.planners.ActionValues``). The policy then learns from the decisions of all rounds the probabilities
+proportional to exp(value / temperature). The mean regret is the best value minus that of the chosen action. Gains over the
+policy of the package are paired by episode, in unseen episodes that are the same for all; the planner that takes the best
+action plays the first ones.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ from torch import Tensor
 import bsk_torch
 from bsk_torch import SatelliteTasking
 from bsk_torch.env.rollout import play_episodes
-from bsk_torch.plan import ActionValues, Rollout
-from bsk_torch.plan.action_values import ACTION_VALUE
+from bsk_torch.lab.planners import ActionValues, Rollout
+from bsk_torch.lab.planners.action_values import ACTION_VALUE
 from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate, start_episodes
 from bsk_torch.rl.evaluation.statistics import confidence
 from bsk_torch.rl.policies.files import build_policy, read_card

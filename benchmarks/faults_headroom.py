@@ -23,7 +23,7 @@ from tensordict.nn import TensorDictModuleBase
 
 import bsk_torch
 from bsk_torch import SatelliteTasking
-from bsk_torch.plan import Rollout
+from bsk_torch.lab.planners import Rollout
 from bsk_torch.rl.evaluation import Evaluation, evaluate
 from bsk_torch.rl.policies.shared_policy import rule
 from bsk_torch.rl.training import configure

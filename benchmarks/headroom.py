@@ -33,14 +33,14 @@ from bsk_torch.cli.bench import entrant_of
 from bsk_torch.cli.planned import PREFIX
 from bsk_torch.env import SatelliteTasking, Tasking
 from bsk_torch.env.rollout import Policy
+from bsk_torch.lab.suites.suite import EPISODES, VIEWS, Entrant, Task, play, tasks_of
 from bsk_torch.rl.evaluation.evaluate import Evaluation
 from bsk_torch.rl.evaluation.statistics import confidence
-from bsk_torch.rl.evaluation.suite import EPISODES, VIEWS, Entrant, Task, play, tasks_of
 from bsk_torch.rl.policies.shared_policy import RULES, baseline_of_groups, shared
 from bsk_torch.rl.rules.baselines import ScanRule, ScienceRule, scan_rule
 from bsk_torch.rl.rules.imaging import ImagingRule, ranking_rule
-from bsk_torch.rl.rules.inspection import inspection_rule
 from bsk_torch.rl.rules.targets import Observation, TargetReader
+from bsk_torch.tasks.inspection.rules import inspection_rule
 
 ADMITTED = 0.2
 """Least share of head-room of a task."""

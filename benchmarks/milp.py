@@ -24,8 +24,8 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 import bsk_torch
-from bsk_torch.plan import planner
-from bsk_torch.plan.bounds import ScheduledPolicy, imaging_bound, milp_schedule, relaxed_schedule
+from bsk_torch.lab.bounds import ScheduledPolicy, imaging_bound, milp_schedule, relaxed_schedule
+from bsk_torch.lab.planners import planner
 from bsk_torch.rl.evaluation import evaluate
 from bsk_torch.rl.evaluation.statistics import confidence
 from bsk_torch.rl.policies import pretrained

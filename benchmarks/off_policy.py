@@ -4,7 +4,7 @@ Usage:
     python benchmarks/off_policy.py [--presets NadirScan-v1 AEOS-v1] [--seeds 3] [--episodes 48] [--share 0.004]
         [--iterations 200] [--time-limit S] [--backend compiled] [--out FILE.json]
 
-For each preset and seed, ``bsk_torch.offline.write_dataset`` writes a dataset of four behaviors in other episodes: random
+For each preset and seed, ``bsk_torch.lab.offline.write_dataset`` writes a dataset of four behaviors in other episodes: random
 actions, a rule, and the target with 30 % and 5 % random actions. The value of the target in the same episodes is estimated from
 each behavior alone: by fitted Q evaluation, the same with traces, and weighted importance sampling per decision. The error of an
 estimate is its difference from the mean return of the target. Values of actions are scored at the sampled decisions: the root
@@ -25,8 +25,8 @@ from tensordict.nn import TensorDictModuleBase
 
 import bsk_torch
 from bsk_torch.env import Tasking
-from bsk_torch.offline import Behavior, OfflineDataset, Recipe, open_dataset, write_dataset
-from bsk_torch.offline.off_policy import fitted_q, importance_sampling, score
+from bsk_torch.lab.offline import Behavior, OfflineDataset, Recipe, open_dataset, write_dataset
+from bsk_torch.lab.offline.off_policy import fitted_q, importance_sampling, score
 from bsk_torch.rl.policies.pretrained import pretrained
 from bsk_torch.rl.policies.shared_policy import rule
 

@@ -18,7 +18,7 @@ from tensordict.nn import TensorDictModuleBase
 
 import bsk_torch
 from bsk_torch.env import Tasking
-from bsk_torch.plan import planner
+from bsk_torch.lab.planners import planner
 from bsk_torch.rl.evaluation import Estimate, Evaluation, evaluate
 from bsk_torch.rl.policies import pretrained, pretrained_file, read_card
 from bsk_torch.rl.policies.shared_policy import shared

@@ -28,13 +28,13 @@ import torch
 from torch import Tensor
 
 import bsk_torch
-from bsk_torch.plan import planner
-from bsk_torch.plan.bounds import SUSTAINED, Envelope, lateness, record_images
-from bsk_torch.plan.bounds.graph import ImageGraph
-from bsk_torch.plan.bounds.imaging import graph_of
-from bsk_torch.plan.bounds.paths import best_paths
-from bsk_torch.plan.bounds.tasks import check_task, payment, shortest_pause
-from bsk_torch.plan.bounds.windows import openings
+from bsk_torch.lab.bounds import SUSTAINED, Envelope, lateness, record_images
+from bsk_torch.lab.bounds.graph import ImageGraph
+from bsk_torch.lab.bounds.imaging import graph_of
+from bsk_torch.lab.bounds.paths import best_paths
+from bsk_torch.lab.bounds.tasks import check_task, payment, shortest_pause
+from bsk_torch.lab.bounds.windows import openings
+from bsk_torch.lab.planners import planner
 from bsk_torch.rl.policies import pretrained
 
 PLANNER: dict[str, Any] = dict(name="beam", budget=800, horizon=400.0, gamma=0.994, width=16, depth=4)

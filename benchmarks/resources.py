@@ -16,8 +16,8 @@ import torch
 from torch import Tensor
 
 import bsk_torch
-from bsk_torch.plan.bounds.scanning import sunlight
-from bsk_torch.plan.bounds.windows import openings
+from bsk_torch.lab.bounds.scanning import sunlight
+from bsk_torch.lab.bounds.windows import openings
 
 PRESET = "AEOSPower-v1"
 

@@ -33,8 +33,8 @@ from tensordict.nn import TensorDictModuleBase
 import bsk_torch
 from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import play_episodes
-from bsk_torch.plan import planner, redraw_clouds
-from bsk_torch.plan.bounds import Schedule, ScheduledPolicy, milp_schedule, relaxed_schedule
+from bsk_torch.lab.bounds import Schedule, ScheduledPolicy, milp_schedule, relaxed_schedule
+from bsk_torch.lab.planners import planner, redraw_clouds
 from bsk_torch.rl.evaluation import Evaluation, evaluate
 from bsk_torch.rl.evaluation.evaluate import start_episodes
 from bsk_torch.rl.evaluation.statistics import confidence

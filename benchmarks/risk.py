@@ -23,12 +23,12 @@ from torch import Tensor
 
 import bsk_torch
 from bsk_torch.env import Tasking
-from bsk_torch.plan.base_policies import Base, base_of
-from bsk_torch.plan.rare_events import rare_event
-from bsk_torch.plan.rare_flights import Flights
-from bsk_torch.plan.risk import METHODS, SUBSET, Risk, interval, learned_from, risk
-from bsk_torch.plan.screened import ScreenedSampling
-from bsk_torch.plan.subset import Flown, SubsetSimulation, Tally
+from bsk_torch.lab.planners.base_policies import Base, base_of
+from bsk_torch.lab.risk.estimate import METHODS, SUBSET, Risk, interval, learned_from, risk
+from bsk_torch.lab.risk.rare_events import rare_event
+from bsk_torch.lab.risk.rare_flights import Flights
+from bsk_torch.lab.risk.screened import ScreenedSampling
+from bsk_torch.lab.risk.subset import Flown, SubsetSimulation, Tally
 from bsk_torch.rand import Key
 from bsk_torch.rl.evaluation.statistics import wilson
 from bsk_torch.rl.policies.pretrained import pretrained_file

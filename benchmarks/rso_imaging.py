@@ -27,8 +27,17 @@ import torch
 from harness import Player, Turn
 from torch import Tensor
 
-from bsk_torch import ConstellationTasking, act, data, obs, rand, sats, scene
-from bsk_torch.sim import dyn, fsw
+from bsk_torch import ConstellationTasking, act, obs, rand, sats
+from bsk_torch.sim import dyn
+from bsk_torch.tasks.objects import (
+    ImageRSO,
+    RandomRSOCatalog,
+    RSOImageReward,
+    RSOTargetProperties,
+    RSOTargets,
+    SpaceToSpaceImagingDynModel,
+    SpaceToSpaceImagingFSWModel,
+)
 
 ORBIT = 5700.0
 """Length of an episode, s."""
@@ -70,26 +79,26 @@ class Eye(sats.AccessSatellite):
 
     observation_spec = (
         obs.SatProperties(dict(prop="storage_level_fraction")),
-        obs.RSOTargetProperties(n_ahead_observe=10),
+        RSOTargetProperties(n_ahead_observe=10),
         obs.Time(),
     )
     action_spec = (
         act.Charge(duration=60.0),
         act.Downlink(duration=90.0),
-        act.ImageRSO(10, max_duration=200.0, min_pointing_hold_s=5.0),
+        ImageRSO(10, max_duration=200.0, min_pointing_hold_s=5.0),
     )
-    dyn_type = (dyn.SpaceToSpaceImagingDynModel, dyn.GroundStationDynModel)
-    fsw_type = fsw.SpaceToSpaceImagingFSWModel
+    dyn_type = (SpaceToSpaceImagingDynModel, dyn.GroundStationDynModel)
+    fsw_type = SpaceToSpaceImagingFSWModel
 
 
 def environment(batch: int, imagers: int, targets: int, limit: Any = ORBIT) -> ConstellationTasking:
     """Imagers and a random catalog of objects in a plane above theirs."""
     names = [f"Eye{k}" for k in range(imagers)]
-    catalog = scene.RandomRSOCatalog(targets, oe=rand.random_orbit(a=7050.0, i=90.0, Omega=17.0))
+    catalog = RandomRSOCatalog(targets, oe=rand.random_orbit(a=7050.0, i=90.0, Omega=17.0))
     return ConstellationTasking(
         [Eye(name, ARGUMENTS) for name in names],
-        scenario=scene.RSOTargets(catalog, names),
-        rewarder=data.RSOImageReward(multi_imager_credit="shared"),
+        scenario=RSOTargets(catalog, names),
+        rewarder=RSOImageReward(multi_imager_credit="shared"),
         time_limit=limit,
         num_envs=batch,
         seed=0,

@@ -32,7 +32,7 @@ from bsk_torch.rl.evaluation.statistics import confidence
 from bsk_torch.rl.marl.runs import read_config
 from bsk_torch.rl.policies.files import load_policy
 from bsk_torch.rl.rules.observation_columns import Columns
-from bsk_torch.rl.rules.thrusters import glide
+from bsk_torch.tasks.safe_autonomy.rules import glide
 
 SIDE = Path(__file__).with_name("safe_autonomy_side.py")
 

@@ -25,7 +25,7 @@ from bsk_torch import SatelliteTasking
 from bsk_torch.rl.evaluation import Evaluation, evaluate
 from bsk_torch.rl.policies.files import load_policy, read_card
 from bsk_torch.rl.policies.shared_policy import rule
-from bsk_torch.rl.rules.servicing import IDLE, ORDERS, WORTHS
+from bsk_torch.tasks.objects.rules import IDLE, ORDERS, WORTHS
 
 PRESET = "Services-v1"
 

@@ -19,8 +19,8 @@ import torch
 from torchrl.envs.utils import step_mdp
 
 import bsk_torch
-from bsk_torch.plan import planner
-from bsk_torch.plan.bounds import ScheduledPolicy, imaging_bound, milp_schedule
+from bsk_torch.lab.bounds import ScheduledPolicy, imaging_bound, milp_schedule
+from bsk_torch.lab.planners import planner
 from bsk_torch.rl.policies import pretrained
 from bsk_torch.rl.rules.baselines import BASELINES
 

@@ -26,8 +26,8 @@ from pathlib import Path
 from typing import Any
 
 from bsk_torch.cli.leaderboard import methods_of
-from bsk_torch.rl.evaluation.suite import SUITES, ranking
-from bsk_torch.rl.evaluation.suite import references as frozen
+from bsk_torch.lab.suites.suite import SUITES, ranking
+from bsk_torch.lab.suites.suite import references as frozen
 
 
 def merged(files: Sequence[Path]) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
@@ -82,7 +82,7 @@ def summaries(
 ) -> Iterator[dict[str, Any]]:
     """A row for each task and policy, the best first: score, return, paired gain of the best, survival and computation.
 
-    See :func:`~bsk_torch.rl.evaluation.suite.ranking`. Policies that played fewer than all episodes have no score.
+    See :func:`~bsk_torch.lab.suites.suite.ranking`. Policies that played fewer than all episodes have no score.
     """
     for preset, rows in results.items():
         whole = all_of[preset]
@@ -143,7 +143,7 @@ DIGITS = 7
 
 
 def public(head: Mapping[str, Any], results: Mapping[str, Mapping[str, Any]], methods: Sequence[str]) -> dict[str, Any]:
-    """Return the content of a file of published results, see :func:`~bsk_torch.rl.evaluation.suite.published`."""
+    """Return the content of a file of published results, see :func:`~bsk_torch.lab.suites.suite.published`."""
     policies: dict[str, dict[str, Any]] = {}
     for task, rows in results.items():
         for name, row in rows.items():

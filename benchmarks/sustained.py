@@ -13,7 +13,7 @@ target is nearer than ``--near`` meters. No time is longer than the quantile ``-
 angle by how often the best path of the bound uses it, in ``--window`` seconds of two episodes with 9,999 targets, and is solved
 ``--rounds`` times: the first weights are those of the flights. The times are then checked on as many other episodes of the
 planners, and half as many of the other policies. ``--scale`` multiplies the number of episodes of the policies; ``--envelope``
-names the file for the times, such as ``bsk_torch/plan/bounds/agile_sustained.json``. ``--fitted`` names times of an earlier run,
+names the file for the times, such as ``bsk_torch/lab/bounds/agile_sustained.json``. ``--fitted`` names times of an earlier run,
 which are only checked on the episodes of another ``--seed``: how late images come after their windows on the clock of these
 times, each and all of a flight together. ``--envelope`` then gets the times, multiplied by ``--lowered``, with a reserve
 ``--margin`` above the latest image, and ``--spare`` times the lateness of the latest flight; without lowering, neither is less
@@ -33,8 +33,7 @@ from envelope import Soonest
 from torch import Tensor
 
 import bsk_torch
-from bsk_torch.plan import planner
-from bsk_torch.plan.bounds import (
+from bsk_torch.lab.bounds import (
     Envelope,
     ImageSequences,
     ImagingBound,
@@ -44,10 +43,11 @@ from bsk_torch.plan.bounds import (
     record_images,
     sustained_envelope,
 )
-from bsk_torch.plan.bounds.envelope import SOONEST
-from bsk_torch.plan.bounds.sustained import NODES, SPACING, bins_of
-from bsk_torch.plan.bounds.tasks import agility
-from bsk_torch.plan.bounds.windows import satellite_positions
+from bsk_torch.lab.bounds.envelope import SOONEST
+from bsk_torch.lab.bounds.sustained import NODES, SPACING, bins_of
+from bsk_torch.lab.bounds.tasks import agility
+from bsk_torch.lab.bounds.windows import satellite_positions
+from bsk_torch.lab.planners import planner
 from bsk_torch.rl.policies import pretrained
 from bsk_torch.rl.rules.baselines import BASELINES
 

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, NoReturn
 
 import gymnasium
 
+from bsk_torch._rooms import resolve
 from bsk_torch.sim.names import nearest
 
 MODULE = "bsk_torch.wrappers"
@@ -40,41 +41,115 @@ SENSORS = ("candidate_priority", "candidate_rate", "candidate_rate_ahead", "prom
 
 
 class Listed(NamedTuple):
-    """Gymnasium's entry points of a preset, its task in one line, and its rules, some of which need an option of the preset."""
+    """A preset.
 
+    Attributes:
+        function: Module and name of the function that makes the environment.
+        views: Gymnasium's entry points.
+        task: Task in one line.
+        rules: Rules, some of which need an option of the preset.
+    """
+
+    function: str
     views: dict[str, str]
     task: str
     rules: tuple[str, ...]
 
 
 LISTED: dict[str, Listed] = {
-    "NadirScan-v1": Listed(ONE, "record the ground below; keep battery, wheels and data buffer within limits", SCANNING),
+    "NadirScan-v1": Listed(
+        "bsk_torch.presets.nadir_scan:nadir_scan",
+        ONE,
+        "record the ground below; keep battery, wheels and data buffer within limits",
+        SCANNING,
+    ),
     "NadirScience-v1": Listed(
-        ONE, "the same with ten observations, a large battery and a strong disturbance, of bsk_rl's suite", ("science",)
+        "bsk_torch.presets.nadir_science:nadir_science",
+        ONE,
+        "the same with ten observations, a large battery and a strong disturbance, of bsk_rl's suite",
+        ("science",),
     ),
-    "FaultyScan-v1": Listed(ONE, "NadirScan-v1 while wheels, panel, battery and transmitter fail at random times", SCANNING),
-    "AEOS-v1": Listed(ONE, "choose which of the next 32 targets to image, of 100 to 9,999", IMAGING),
-    "AEOSPower-v1": Listed(ONE, "AEOS-v1 with a small battery and data buffer, and weak wheels", IMAGING),
-    "AEOSCity-v1": Listed(ONE, "AEOS-v1 with cities as targets (extra: cities)", IMAGING),
-    "CloudyAEOS-v1": Listed(ONE, "AEOS-v1 under clouds, observed only as a forecast", IMAGING),
-    "Constellation-v1": Listed(MANY, "12 imagers that communicate along lines of sight", IMAGING),
-    "AEOSConstellation-v1": Listed(MANY, "three imagers in one plane that share all knowledge once a minute", IMAGING),
-    "RelayConstellation-v1": Listed(MANY, "four low imagers, two high relays; broadcasting is an action", IMAGING),
+    "FaultyScan-v1": Listed(
+        "bsk_torch.presets.faulty_scan:faulty_scan",
+        ONE,
+        "NadirScan-v1 while wheels, panel, battery and transmitter fail at random times",
+        SCANNING,
+    ),
+    "AEOS-v1": Listed(
+        "bsk_torch.presets.aeos:aeos", ONE, "choose which of the next 32 targets to image, of 100 to 9,999", IMAGING
+    ),
+    "AEOSPower-v1": Listed(
+        "bsk_torch.presets.aeos_power:aeos_power", ONE, "AEOS-v1 with a small battery and data buffer, and weak wheels", IMAGING
+    ),
+    "AEOSCity-v1": Listed("bsk_torch.presets.aeos:aeos_city", ONE, "AEOS-v1 with cities as targets (extra: cities)", IMAGING),
+    "CloudyAEOS-v1": Listed(
+        "bsk_torch.presets.aeos:cloudy_aeos", ONE, "AEOS-v1 under clouds, observed only as a forecast", IMAGING
+    ),
+    "Constellation-v1": Listed(
+        "bsk_torch.presets.constellation:constellation", MANY, "12 imagers that communicate along lines of sight", IMAGING
+    ),
+    "AEOSConstellation-v1": Listed(
+        "bsk_torch.presets.constellation:aeos_constellation",
+        MANY,
+        "three imagers in one plane that share all knowledge once a minute",
+        IMAGING,
+    ),
+    "RelayConstellation-v1": Listed(
+        "bsk_torch.presets.constellation:relay_constellation",
+        MANY,
+        "four low imagers, two high relays; broadcasting is an action",
+        IMAGING,
+    ),
     "HeteroCluster-v1": Listed(
-        MANY, "two optical satellites and a radar, to which clouds and night do not matter", (*IMAGING, "cooperative")
+        "bsk_torch.presets.hetero_cluster:hetero_cluster",
+        MANY,
+        "two optical satellites and a radar, to which clouds and night do not matter",
+        (*IMAGING, "cooperative"),
     ),
-    "RSOInspection-v1": Listed(SOLO, "fly around a spacecraft until its surface is inspected", INSPECTION),
-    "MultiInspection-v1": Listed(MANY, "the same with three inspectors that must not collide", INSPECTION),
+    "RSOInspection-v1": Listed(
+        "bsk_torch.tasks.inspection.preset:rso_inspection",
+        SOLO,
+        "fly around a spacecraft until its surface is inspected",
+        INSPECTION,
+    ),
+    "MultiInspection-v1": Listed(
+        "bsk_torch.tasks.inspection.preset:multi_inspection",
+        MANY,
+        "the same with three inspectors that must not collide",
+        INSPECTION,
+    ),
     "Services-v1": Listed(
+        "bsk_torch.tasks.objects.preset:services",
         ONE,
         "image 200 satellites and debris again and again; quality is verified on the ground",
         (*SERVICES, "candidate_rate_ahead", "prompt_ahead"),
     ),
-    "ThreeSensors-v1": Listed(MANY, "three imagers of objects in orbit, each of which knows only its images", SENSORS),
-    "Walker4-v1": Listed(MANY, "four imagers of objects in orbit that tell each other of images by radio", SENSORS),
-    "CWDocking-v1": Listed(ONE, "dock by thrusters, slowly enough at every distance; linear motion", ("glide",)),
-    "CWInspection-v1": Listed(ONE, "inspect lit points of a spacecraft by thrusters; linear motion", ("seek",)),
+    "ThreeSensors-v1": Listed(
+        "bsk_torch.tasks.objects.team_preset:three_sensors",
+        MANY,
+        "three imagers of objects in orbit, each of which knows only its images",
+        SENSORS,
+    ),
+    "Walker4-v1": Listed(
+        "bsk_torch.tasks.objects.team_preset:walker4",
+        MANY,
+        "four imagers of objects in orbit that tell each other of images by radio",
+        SENSORS,
+    ),
+    "CWDocking-v1": Listed(
+        "bsk_torch.tasks.safe_autonomy.preset_docking:cw_docking",
+        ONE,
+        "dock by thrusters, slowly enough at every distance; linear motion",
+        ("glide",),
+    ),
+    "CWInspection-v1": Listed(
+        "bsk_torch.tasks.safe_autonomy.preset_inspection:cw_inspection",
+        ONE,
+        "inspect lit points of a spacecraft by thrusters; linear motion",
+        ("seek",),
+    ),
     "AEOSBench-v1": Listed(
+        "bsk_torch.tasks.aeos_bench.preset:aeos_bench",
         MANY,
         "AEOS-Bench: point up to 50 satellites at tasks on the ground, second by second",
         ("nearest", "nearest_task", "soonest_task"),
@@ -86,7 +161,7 @@ RULES = tuple(dict.fromkeys(("random", *(rule for preset in LISTED.values() for 
 """Names of :data:`bsk_torch.rl.policies.shared_policy.RULES`."""
 
 PLANNERS = ("rollout", "beam", "mcts", "cem")
-"""Names of :data:`bsk_torch.plan.names.PLANNERS`."""
+"""Names of :data:`bsk_torch.lab.planners.names.PLANNERS`."""
 
 
 @cache
@@ -116,16 +191,12 @@ def no_policy(preset: str) -> str:
 
 def satellite_tasking(**options: Any) -> Any:
     """Return an environment of the user's satellite; the class is imported when it is needed."""
-    from bsk_torch.env import SatelliteTasking
-
-    return SatelliteTasking(**options)
+    return resolve("bsk_torch.env:SatelliteTasking")(**options)
 
 
 def general_satellite_tasking(**options: Any) -> Any:
     """Return an environment of the user's satellites, which are one agent; likewise."""
-    from bsk_torch.env import GeneralSatelliteTasking
-
-    return GeneralSatelliteTasking(**options)
+    return resolve("bsk_torch.env:GeneralSatelliteTasking")(**options)
 
 
 def refuse_constellation(**options: object) -> NoReturn:

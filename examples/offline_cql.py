@@ -30,14 +30,14 @@ from torchrl.modules import MLP, QValueActor
 from torchrl.objectives import DiscreteCQLLoss, SoftUpdate, ValueEstimators
 
 import bsk_torch
-from bsk_torch.offline import (
+from bsk_torch.lab.offline import (
     Behavior,
     OfflineDataset,
     Recipe,
     open_dataset,
     write_dataset,
 )
-from bsk_torch.offline.off_policy import fitted_q, importance_sampling, score
+from bsk_torch.lab.offline.off_policy import fitted_q, importance_sampling, score
 from bsk_torch.rl.evaluation import evaluate
 from bsk_torch.rl.policies import pretrained
 

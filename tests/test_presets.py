@@ -27,7 +27,7 @@ INSPECTIONS = {"RSOInspection-v1": 1, "MultiInspection-v1": 3}
 SCANNING = ("NadirScan-v1", "NadirScience-v1", "FaultyScan-v1")
 LINEAR = ("CWDocking-v1", "CWInspection-v1")  # see tests/safe_autonomy
 OBJECTS = ("Services-v1", "ThreeSensors-v1", "Walker4-v1")  # see tests/env/test_services.py, test_sensors.py
-BENCH = "AEOSBench-v1"  # see tests/scene/test_aeos_bench.py
+BENCH = "AEOSBench-v1"  # see tests/tasks/aeos_bench/test_scene.py
 IMAGING = sorted(set(PRESETS) - {BENCH, *SCANNING, *CONSTELLATIONS, *INSPECTIONS, *LINEAR, *OBJECTS})
 ACTIONS = {"AEOSPower-v1": 3 + AHEAD}
 

@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from tests.scene.aeos_cases import constellation, tasks, write
 from tests.support.programs import run_script
 from tests.support.rounding import ABSOLUTE, RELATIVE, to_rounding
+from tests.tasks.aeos_bench.aeos_cases import constellation, tasks, write
 
 ROOT = Path(__file__).parents[1]
 
@@ -233,7 +233,7 @@ STARTS: dict[str, list[Start]] = {
             r"(?s)\| 0.20 to 0.21 \| .*\| AEOS-v1/9999 \| rollout over trained \| \d+ \| .*\"reserve\": \d+\.\d",
         ),
         Start(
-            f"--fitted {ROOT}/bsk_torch/plan/bounds/agile_sustained.json --scale 0.01 --planned 1 --searched 1 --time-limit 600",
+            f"--fitted {ROOT}/bsk_torch/lab/bounds/agile_sustained.json --scale 0.01 --planned 1 --searched 1 --time-limit 600",
             r"(?s)\| rollout over trained \| \d+ \| [\d.]+ \| .*\| beam search over trained \| \d+ \| [\d.]+ \| .*\"found\": ",
         ),
     ],
@@ -422,10 +422,10 @@ ELSEWHERE = {
 """Scripts that other tests start, and where."""
 
 REPLAYED_ONLY = {
-    "scripts/recorders/record_afrl_crews.py": "tests/safe_autonomy/test_crews.py",
-    "scripts/recorders/record_afrl_docking.py": "tests/safe_autonomy/test_docking.py",
-    "scripts/recorders/record_afrl_filters.py": "tests/safe_autonomy/test_filters.py",
-    "scripts/recorders/record_afrl_inspection.py": "tests/safe_autonomy/test_inspection.py",
+    "scripts/recorders/record_afrl_crews.py": "tests/tasks/safe_autonomy/test_crews.py",
+    "scripts/recorders/record_afrl_docking.py": "tests/tasks/safe_autonomy/test_docking.py",
+    "scripts/recorders/record_afrl_filters.py": "tests/tasks/safe_autonomy/test_filters.py",
+    "scripts/recorders/record_afrl_inspection.py": "tests/tasks/safe_autonomy/test_inspection.py",
     "scripts/recorders/record_skyfield.py": "tests/sim/access/test_eclipses.py",
 }
 """Scripts that no test starts, because they need Skyfield or AFRL's programs, and what replays their recordings."""

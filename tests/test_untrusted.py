@@ -16,7 +16,7 @@ import pytest
 import torch
 from tensordict import NonTensorData, TensorDict
 
-from bsk_torch.offline import open_dataset
+from bsk_torch.lab.offline import open_dataset
 from bsk_torch.untrusted import MOST_ERRORS, Json, gunzip, parse_json, read_memmap, read_tensors
 from tests.support.readers import CARD, readers, write_dataset_rows
 from tests.support.refusals import check_refusals, refusal

@@ -17,7 +17,18 @@ if TYPE_CHECKING:
     from bsk_torch.sim.fsw.models import FSWModel
     from bsk_torch.sim.state import StateTable
 
-HOOKS = ("n_actions", "n_negative_actions", "link_satellite", "names", "table", "decide", "begin", "end", "mask")
+HOOKS = (
+    "n_actions",
+    "n_negative_actions",
+    "target_actions",
+    "link_satellite",
+    "names",
+    "table",
+    "decide",
+    "begin",
+    "end",
+    "mask",
+)
 """Members of :class:`Action` that subclasses may define."""
 
 MEMORY = (
@@ -191,6 +202,11 @@ class Action:
     def n_negative_actions(self) -> int:
         """Number of additional actions -1, -2, ... accepted by the entry; 0 by default."""
         return 0
+
+    @property
+    def target_actions(self) -> range:
+        """Numbers, within the entry, of the actions that choose among targets, in their observed order; none by default."""
+        return range(0)
 
     def names(self) -> list[str]:
         """Return the names of the entry's actions, ``n_actions`` of them."""

@@ -79,6 +79,11 @@ class Image(Action):
         self.mask_late = switch("mask_late", mask_late)
         self.max_duration = positive_duration("max_duration", max_duration, name, float("inf"))
 
+    @property
+    @override
+    def target_actions(self) -> range:
+        return range(self.n_actions)
+
     def link_satellite(self, satellite: BoundSatellite) -> None:
         """See :meth:`Action.link_satellite`; ValueError for one that cannot image, has no targets, or lacks the instrument."""
         super().link_satellite(satellite)

@@ -21,6 +21,7 @@ from bsk_torch.constants import R_EARTH
 from bsk_torch.rand import Distribution
 from bsk_torch.sim import dyn, fsw, world
 from bsk_torch.sim.component import Arg, Component
+from bsk_torch.tasks.objects.dyn import SpaceToSpaceImagingDynModel
 
 __all__ = ["sat_defaults", "world_defaults"]
 
@@ -54,7 +55,7 @@ DYN: dict[type, Methods] = {
         "setup_imaging_target": "imageTargetMaximumRange",
         "setup_storage_unit": "dataStorageCapacity storageUnitValidCheck storageInit",
     },
-    dyn.SpaceToSpaceImagingDynModel: {"setup_imaging_target": "imageTargetMaximumRange"},
+    SpaceToSpaceImagingDynModel: {"setup_imaging_target": "imageTargetMaximumRange"},
     dyn.LOSCommDynModel: {"setup_los_comms": "losMaximumRange"},
     dyn.ConjunctionDynModel: {"setup_conjunctions": "conjunction_radius conjunction_check_rate"},
     dyn.MaxRangeDynModel: {"setup_range": "max_range_radius chief_name enforce_range_on_chief"},

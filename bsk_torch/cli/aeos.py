@@ -10,10 +10,10 @@ from bsk_torch.cli.policies import named_policy
 from bsk_torch.cli.shared import check_writable, environment, environment_options, preset_options
 from bsk_torch.cli.terminal import activity, echo, fail, working
 from bsk_torch.env import ConstellationTasking
-from bsk_torch.rl.evaluation.aeos_annotations import AssignedTasks, check_names, export_annotations, fly_cases, read_assignments
 from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.evaluation.results import print_results, save_episodes, save_results
-from bsk_torch.scene import Cases, read_cases
+from bsk_torch.tasks.aeos_bench import Cases, read_cases
+from bsk_torch.tasks.aeos_bench.annotations import AssignedTasks, check_names, export_annotations, fly_cases, read_assignments
 
 PRESET = "AEOSBench-v1"
 

@@ -11,7 +11,7 @@ from bsk_torch.cli.policies import named_policy
 from bsk_torch.cli.shared import check_picture, check_writable, environment_options, extra, preset_options, seed_range
 from bsk_torch.cli.terminal import echo, fail, working
 from bsk_torch.files import write_file
-from bsk_torch.plan.audit import WORST, Audit, OfSituation, audit
+from bsk_torch.lab.audit.audit import WORST, Audit, OfSituation, audit
 from bsk_torch.rl.evaluation.statistics import confidence
 from bsk_torch.tables import print_table
 
@@ -43,7 +43,7 @@ def audit_policy(
         check_writable(path)
     if draw is not None:
         check_picture("--draw", draw)
-        extra("bsk_torch.viz.figures.regret")
+        extra("bsk_torch.lab.audit.figure")
     named = named_policy(policy, preset)
     env = named.environment(
         min(len(episodes), num_envs), preset_options(option) | environment_options(backend, device, time_limit)
@@ -57,7 +57,7 @@ def audit_policy(
     title = f"{named.preset}, {named.label}, {len(episodes)} episodes, seeds {seeds}"
     print_audit(found, title)
     if draw is not None:
-        extra("bsk_torch.viz.figures.regret").regret_figure(found, draw, title)
+        extra("bsk_torch.lab.audit.figure").regret_figure(found, draw, title)
     if out is not None:
         content = {"preset": named.preset, "policy": named.label, "horizon": str(horizon), "gamma": gamma} | found.to_dict()
         write_file(out, json.dumps(content, indent=1, allow_nan=False) + "\n")

@@ -16,9 +16,6 @@ from typing import Any
 
 import torch
 
-from bsk_torch.basilisk import FLOWN, absent_data, lacking
-from bsk_torch.basilisk import certify as certified
-from bsk_torch.basilisk.aeos_certificate import BENCH, certify_bench
 from bsk_torch.cli.functions import entrant_of_user, message_of
 from bsk_torch.cli.names import PREFIX, PRETRAINED
 from bsk_torch.cli.planned import named_planner
@@ -31,7 +28,10 @@ from bsk_torch.env import Tasking
 from bsk_torch.env.assembly.devices import existing_device
 from bsk_torch.env.rollout import Policy
 from bsk_torch.files import write_file
-from bsk_torch.rl.evaluation.suite import (
+from bsk_torch.lab.basilisk import FLOWN, absent_data, lacking
+from bsk_torch.lab.basilisk import certify as certified
+from bsk_torch.lab.basilisk.aeos_certificate import BENCH, certify_bench
+from bsk_torch.lab.suites.suite import (
     REMARKS,
     VIEWS,
     Entrant,

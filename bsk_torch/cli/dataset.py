@@ -15,12 +15,12 @@ from bsk_torch.cli.policies import named_policy
 from bsk_torch.cli.shared import environment, environment_options, preset_options, seed_range
 from bsk_torch.cli.terminal import activity, echo, fail, for_shell, working
 from bsk_torch.env import Tasking
-from bsk_torch.offline import Behavior, Recipe, write_dataset
-from bsk_torch.offline.behaviors import slug
-from bsk_torch.offline.layout import MINARI
-from bsk_torch.offline.minari_format import check_minari, minari_id
-from bsk_torch.offline.writing import check_folder
-from bsk_torch.plan.base_policies import USUAL
+from bsk_torch.lab.offline import Behavior, Recipe, write_dataset
+from bsk_torch.lab.offline.behaviors import slug
+from bsk_torch.lab.offline.layout import MINARI
+from bsk_torch.lab.offline.minari_format import check_minari, minari_id
+from bsk_torch.lab.offline.writing import check_folder
+from bsk_torch.lab.planners.base_policies import USUAL
 from bsk_torch.rl.policies.pretrained import makings
 from bsk_torch.rl.policies.shared_policy import shared_baselines
 from bsk_torch.tables import print_table
@@ -151,7 +151,7 @@ def print_dataset(card: dict[str, Any], folder: Path, minari: bool) -> None:
     ]
     print_table(rows, f"{card['preset']}; targets: {', '.join(card['targets']) or 'none'}", left=("behavior",))
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-    echo(f"{for_shell(folder)}: {size / 1e6:,.1f} MB; read it by bsk_torch.offline.open_dataset({str(folder)!r})")
+    echo(f"{for_shell(folder)}: {size / 1e6:,.1f} MB; read it by bsk_torch.lab.offline.open_dataset({str(folder)!r})")
     if minari:
         names = ", ".join(minari_id(card["preset"], name) for name in card["behaviors"])
         echo(f"in Minari, with MINARI_DATASETS_PATH={for_shell(folder / MINARI)}: {names}")

@@ -18,8 +18,8 @@ from bsk_torch.cli.shared import check_picture, check_writable, environment_opti
 from bsk_torch.cli.terminal import activity, echo, fail, working
 from bsk_torch.env import SatelliteTasking, Tasking
 from bsk_torch.files import write_file
-from bsk_torch.rl.evaluation.counterfactual import LOST, OPEN, SAVED, check_searchable
-from bsk_torch.rl.evaluation.failures import Failure, Moment, can_be_saved, explain
+from bsk_torch.lab.audit.counterfactual import LOST, OPEN, SAVED, check_searchable
+from bsk_torch.lab.audit.failures import Failure, Moment, can_be_saved, explain
 from bsk_torch.rl.evaluation.replay import Flown, script
 from bsk_torch.rl.evaluation.statistics import confidence
 from bsk_torch.tables import print_table

@@ -13,7 +13,7 @@ from typing import Any
 from torch import nn
 
 from bsk_torch.cli.terminal import Failure, fail
-from bsk_torch.rl.evaluation.suite import Entrant
+from bsk_torch.lab.suites.suite import Entrant
 from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.wrappers.policies import Model
 
@@ -28,7 +28,7 @@ def entrant_of_user(name: str, texts: Sequence[str] = ()) -> Entrant:
 
     A torch module, a model of Stable-Baselines3, and a function whose first argument is called ``observation`` or ``obs`` are
     policies. Any other function is called with the name of the preset, a function that makes its environment, and ``texts``, and
-    returns this environment and a policy; see :data:`~bsk_torch.rl.evaluation.suite.Entrant`.
+    returns this environment and a policy; see :data:`~bsk_torch.lab.suites.suite.Entrant`.
     """
     named = imported(*name.split(":", 1))
     if isinstance(named, nn.Module | Model) or first_argument(named) in OBSERVED:

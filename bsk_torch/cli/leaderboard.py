@@ -17,8 +17,8 @@ from bsk_torch.cli.results import Results
 from bsk_torch.cli.shared import check_picture, check_writable, extra
 from bsk_torch.cli.terminal import fail, print_message
 from bsk_torch.files import write_file
-from bsk_torch.rl.evaluation.aggregates import AGGREGATES, Interval, bootstrap, improvement, interval, profile, run_scores
-from bsk_torch.rl.evaluation.suite import published, references, tasks_of
+from bsk_torch.lab.suites.aggregates import AGGREGATES, Interval, bootstrap, improvement, interval, profile, run_scores
+from bsk_torch.lab.suites.suite import published, references, tasks_of
 from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.tables import print_table
 

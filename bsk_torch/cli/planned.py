@@ -12,7 +12,7 @@ from bsk_torch.cli.names import FIRST, PREFIX, PRETRAINED, check_policy
 from bsk_torch.cli.policies import NamedFunction, NamedPolicy, named_policy
 from bsk_torch.cli.terminal import fail
 from bsk_torch.env import Tasking
-from bsk_torch.plan.names import options_of, planner
+from bsk_torch.lab.planners.names import options_of, planner
 from bsk_torch.rl.rules.baselines import BASELINES
 from bsk_torch.sim.arguments.values import nearest
 
@@ -88,7 +88,7 @@ def _pair(text: str, planner_name: str) -> tuple[str, Any]:
     if not equals or not value:
         fail(f"--plan {text!r} must be NAME=VALUE, such as horizon=240")
     if name in BY_HAND:
-        fail(f"--plan {text!r}: {name!r} is a module or a function; give it in Python, to bsk_torch.plan.planner")
+        fail(f"--plan {text!r}: {name!r} is a module or a function; give it in Python, to bsk_torch.lab.planners.planner")
     if name not in known:
         fail(f"--plan {text!r}: plan:{planner_name} has no option {name!r}; {nearest(name, known)}")
     for kind in (int, float):

@@ -14,7 +14,7 @@ from bsk_torch.cli.names import FIRST, PRETRAINED, check_policy
 from bsk_torch.cli.shared import environment, made
 from bsk_torch.cli.terminal import fail
 from bsk_torch.env import Tasking
-from bsk_torch.rl.evaluation.suite import Entrant
+from bsk_torch.lab.suites.suite import Entrant
 from bsk_torch.rl.policies.files import build_policy, check_fits, read_card
 from bsk_torch.rl.policies.pretrained import pretrained_file
 from bsk_torch.rl.policies.shared_policy import RULES, as_policy, baseline, shared, shared_baselines

@@ -14,9 +14,9 @@ from bsk_torch.cli.shared import check_picture, check_writable, environment_opti
 from bsk_torch.cli.terminal import activity, echo, fail, working
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.files import write_file
-from bsk_torch.plan.rare_flights import save_paths
-from bsk_torch.plan.risk import Risk, Shift, Way, risk
-from bsk_torch.plan.subset import RARER
+from bsk_torch.lab.risk.estimate import Risk, Shift, Way, risk
+from bsk_torch.lab.risk.rare_flights import save_paths
+from bsk_torch.lab.risk.subset import RARER
 from bsk_torch.rand import blended
 from bsk_torch.rl.evaluation.replay import script
 from bsk_torch.tables import print_table

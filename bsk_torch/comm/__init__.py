@@ -2,13 +2,11 @@
 
 from bsk_torch.comm.base import CommunicationMethod, FreeCommunication, NoCommunication
 from bsk_torch.comm.broadcast import BroadcastCommunication
-from bsk_torch.comm.catalogs import CatalogCommunication
 from bsk_torch.comm.los import LOSCommunication, LOSMultiCommunication
 from bsk_torch.comm.multi import MultiDegreeCommunication
 
 __all__ = [
     "BroadcastCommunication",
-    "CatalogCommunication",
     "CommunicationMethod",
     "FreeCommunication",
     "LOSCommunication",

@@ -10,12 +10,14 @@ from torch import Tensor
 from typing_extensions import override
 
 from bsk_torch._checks import number
-from bsk_torch.sim.catalog.aim import PEER
 from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked, check_tensor, overrides
 from bsk_torch.sim.state import FINITE
 
 if TYPE_CHECKING:
     from bsk_torch.sats.fleet import SatelliteFleet
+
+PEER = "rso_peer"
+"""Memory of satellites that send packets with the number of the object that is the satellite to which they transmit."""
 
 LAST = "last_communication"
 """Memory name of the time of an episode's last communication, s since reset."""
@@ -142,8 +144,7 @@ class CommunicationMethod:
         """
         if not self._delivers_packets and any(PEER in simulator.memory for simulator in fleet.simulators):
             raise ValueError(
-                "act.TransmitCatalog needs communicator=comm.CatalogCommunication(), which delivers what is sent; it is "
-                f"{type(self).__name__}"
+                f"{type(self).__name__} does not deliver what satellites send by TransmitCatalog; use CatalogCommunication()"
             )
         self.link(fleet)
         check_linked(self, "link(fleet)", fleet)

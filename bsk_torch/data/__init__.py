@@ -5,16 +5,12 @@ from bsk_torch.data.clouds import CloudFreeImageReward
 from bsk_torch.data.composed import ComposedReward
 from bsk_torch.data.footprint import FootprintImageReward
 from bsk_torch.data.images import ImageReward, UniqueImageReward
-from bsk_torch.data.inspection import RSOInspectionData, RSOInspectionReward
 from bsk_torch.data.mapped import PerEnvironmentReward
 from bsk_torch.data.mixed import MixedReward
 from bsk_torch.data.operations import OperationsPenalty
 from bsk_torch.data.resources import ResourceReward
-from bsk_torch.data.rso_imaging import RSOImageRecord, RSOImageReward
-from bsk_torch.data.rso_team import RSOTeamReward
 from bsk_torch.data.scanning import ScanningTimeReward
 from bsk_torch.data.strips import StripImageReward
-from bsk_torch.data.task_reward import TaskReward
 from bsk_torch.data.time_penalty import TimePenalty
 from bsk_torch.data.unique_images import UniqueImageData
 
@@ -28,15 +24,9 @@ __all__ = [
     "NoReward",
     "OperationsPenalty",
     "PerEnvironmentReward",
-    "RSOImageRecord",
-    "RSOImageReward",
-    "RSOInspectionData",
-    "RSOInspectionReward",
-    "RSOTeamReward",
     "ResourceReward",
     "ScanningTimeReward",
     "StripImageReward",
-    "TaskReward",
     "TimePenalty",
     "UniqueImageData",
     "UniqueImageReward",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from typing import TYPE_CHECKING
 
 import torch
@@ -116,6 +116,11 @@ class GlobalReward:
         satellites.
         """
         self.scenario, self.fleet = scenario, fleet
+
+    @property
+    def observed_columns(self) -> Sequence[int]:
+        """Indices of the satellites of an episode whose flights count for the reward, other than by their own logs."""
+        return ()
 
     @property
     def memory(self) -> StateTable:

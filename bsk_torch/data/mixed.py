@@ -11,8 +11,6 @@ from torch import Tensor
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.data.checked import CheckedRewarder
 from bsk_torch.data.composed import ComposedReward
-from bsk_torch.data.inspection import RSOInspectionReward
-from bsk_torch.data.rso_imaging import RSOImageReward
 from bsk_torch.scene.mixed import MixedScenario, as_dictionary, check_known, check_same_keys, names_by_key
 from bsk_torch.sim.names import nearest
 
@@ -38,10 +36,6 @@ class Keeper(Protocol):
 
     def store_of_one(self, part: int, row: int) -> object:
         """Return the knowledge of one satellite."""
-
-
-OBSERVERS = (RSOInspectionReward, "inspector_columns"), (RSOImageReward, "imager_columns")
-"""Rewarders that read the flights of all satellites of a kind, and where their scenarios hold these."""
 
 
 def check_channels(
@@ -174,8 +168,7 @@ class MixedReward(ComposedReward):
 
     def _check_observers(self, key: str, rewarder: GlobalReward, fleet: SatelliteFleet) -> None:
         """Raise ValueError if a satellite whose flight counts for a rewarder is not in its channel."""
-        columns = next((getattr(rewarder.scenario, name) for kind, name in OBSERVERS if isinstance(rewarder, kind)), ())
-        if outside := sorted({fleet.names[column] for column in columns} - self.satellite_mapping[key]):
+        if outside := sorted({fleet.names[column] for column in rewarder.observed_columns} - self.satellite_mapping[key]):
             raise ValueError(
                 f"satellite_mapping[{key!r}] lacks {outside}, whose flights count for {type(rewarder).__name__}; add them"
             )

@@ -35,7 +35,7 @@ class OperationsPenalty(GlobalReward):
     - ``empty_downlink`` for a downlink with ``until_empty`` that it has begun in the step with no more than a bit stored.
 
     Satellites without battery, store or such an action get nothing. The terms are those of a branch of bsk_rl's authors. Add them
-    to other rewarders, as in ``rewarder=(data.RSOImageReward(), data.OperationsPenalty(empty_downlink=-1.0))``.
+    to other rewarders, as in ``rewarder=(RSOImageReward(), data.OperationsPenalty(empty_downlink=-1.0))``.
     """
 
     def __init__(

@@ -1,13 +1,10 @@
 """Observations: entries of a satellite's ``observation_spec``."""
 
-from bsk_torch.obs.aeos_tasks import TaskProperties
 from bsk_torch.obs.base import Observation
 from bsk_torch.obs.noisy import Noisy
 from bsk_torch.obs.opportunities import OpportunityProperties
 from bsk_torch.obs.relative_observations import RelativeProperties
 from bsk_torch.obs.resources import ResourceRewardWeight
-from bsk_torch.obs.rso_imaging import RSOTargetProperties
-from bsk_torch.obs.rso_team import RSOPeers, RSOTaskStatus, RSOTeamState
 from bsk_torch.obs.satellite import Eclipse, SatProperties, Time
 
 __all__ = [
@@ -15,13 +12,8 @@ __all__ = [
     "Noisy",
     "Observation",
     "OpportunityProperties",
-    "RSOPeers",
-    "RSOTargetProperties",
-    "RSOTaskStatus",
-    "RSOTeamState",
     "RelativeProperties",
     "ResourceRewardWeight",
     "SatProperties",
-    "TaskProperties",
     "Time",
 ]

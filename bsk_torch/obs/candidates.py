@@ -46,11 +46,13 @@ class CandidateProperties(Observation):
         properties: Allowed values of ``prop``.
         usual: Entries where none are given.
         title: Name of the class in messages.
+        in_orbit: Whether the candidates are objects in orbit.
     """
 
     properties: ClassVar[Sequence[str]] = ()
     usual: ClassVar[Sequence[dict[str, Any]]] = ()
     title: ClassVar[str] = ""
+    in_orbit: ClassVar[bool] = False
 
     def __init__(self, *properties: dict[str, Any], n_ahead_observe: int, name: str, as_set: bool) -> None:
         """Observe the first ``n_ahead_observe`` candidates; for the arguments, see the subclasses."""

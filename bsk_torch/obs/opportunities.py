@@ -105,6 +105,7 @@ class OpportunityProperties(Observation):
     """
 
     satellite: BoundAccessSatellite
+    in_orbit = False
 
     def __init__(
         self,

@@ -24,7 +24,6 @@ from bsk_torch.astro.relative import cd2hill, like, vectors
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.obs.base import ADVICE, Observation, Values
 from bsk_torch.obs.entries import is_own, parse_entries, scaled
-from bsk_torch.obs.inspected_regions import rso_imaged_regions
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.names import nearest
 from bsk_torch.vec3 import Mat3, Vec3
@@ -45,7 +44,6 @@ __all__ = [
     "r_DC_Hd",
     "r_DC_N",
     "r_Hs",
-    "rso_imaged_regions",
     "rso_omega_BH",
     "rso_sigma_BH",
     "sigma_DC",
@@ -230,7 +228,7 @@ FUNCTIONS: dict[str, RelativeFunction] = {
     for function in (
         *(r_DC_N, r_DC_C, r_DC_D, r_DC_Hc, r_DC_Hd, v_DC_N, v_DC_C, v_DC_D, v_DC_Hc, v_DC_Hd),
         *(sigma_DC, sigma_DHc, sigma_HdC, sigma_HdHc, rso_sigma_BH, rso_omega_BH),
-        *(sun_hat_Hc, r_Hs, h_Hs, eccentricity_Hs, rso_imaged_regions),
+        *(sun_hat_Hc, r_Hs, h_Hs, eccentricity_Hs),
     )
 }
 """Functions of deputy and chief, the allowed values of ``prop``."""

@@ -170,7 +170,6 @@ class TargetScenario(Scenario):
                 setattr(target, name.removeprefix("target_"), value.item() if value.ndim == 0 else value)
         return ((k, target) for k, target in enumerate(made) if exists[k])
 
-    @override
     def _forget_objects(self, rows: Tensor) -> None:
         if self._objects:
             for row in rows.tolist():

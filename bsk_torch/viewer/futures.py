@@ -12,8 +12,8 @@ from tensordict.nn import TensorDictModuleBase
 
 from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import ACTION_VALUE
-from bsk_torch.plan import ActionValues
-from bsk_torch.plan.planner import Planner
+from bsk_torch.lab.planners import ActionValues
+from bsk_torch.lab.planners.planner import Planner
 from bsk_torch.viewer.recorder import Flight, Flown, branched, recording_of
 from bsk_torch.viewer.recording import Recording, Scene
 from bsk_torch.viewer.scenes import crafts_of

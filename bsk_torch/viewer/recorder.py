@@ -19,16 +19,18 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from bsk_torch import __version__
-from bsk_torch.act import Image, ImageRSO, PointAtTask
-from bsk_torch.act.point_at_task import ASSIGNED
+from bsk_torch.act import Image
 from bsk_torch.env import NO_ACTION, ConstellationTasking, Tasking
 from bsk_torch.env.action_forms import acts, form, read
 from bsk_torch.env.rollout import ACTION_VALUE, Policy, decide, play_episodes
 from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.rl.evaluation.evaluate import LOT, with_lots
 from bsk_torch.rl.policies.shared_policy import GroupPolicies, SharedPolicy, as_policy
-from bsk_torch.scene import AEOSBench, RSOPoints, RSOTargets
-from bsk_torch.sim.catalog.aim import AIM
+from bsk_torch.tasks.aeos_bench import AEOSBench, PointAtTask
+from bsk_torch.tasks.aeos_bench.act import ASSIGNED
+from bsk_torch.tasks.inspection import RSOPoints
+from bsk_torch.tasks.objects import ImageRSO, RSOTargets
+from bsk_torch.tasks.objects.aim import AIM
 from bsk_torch.viewer.recording import Array, Branch, Death, Recording, Scene, Series, Track
 from bsk_torch.viewer.scenes import RELATIVE, crafts_of, inspected_of, is_relative, places_of, scene_of, station_elevation
 from bsk_torch.viz.recorders.constellation import quantities

@@ -10,12 +10,13 @@ import torch
 from torch import Tensor
 
 from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE
-from bsk_torch.data import RSOInspectionReward
 from bsk_torch.env import Tasking
 from bsk_torch.env.action_forms import form
-from bsk_torch.scene import AEOSBench, RSOPoints, RSOTargets
-from bsk_torch.scene.aeos_bench import PLACES as TASK_PLACES
 from bsk_torch.sim.places import FixedPlaces
+from bsk_torch.tasks.aeos_bench import AEOSBench
+from bsk_torch.tasks.aeos_bench.scene import PLACES as TASK_PLACES
+from bsk_torch.tasks.inspection import RSOInspectionReward, RSOPoints
+from bsk_torch.tasks.objects import RSOTargets
 from bsk_torch.viewer.recording import Array, Craft, Instrument, Places, Scene
 from bsk_torch.viz.recorders.inspection import rewarder_of as inspection_of
 from bsk_torch.viz.render.moment import stations_of

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from bsk_torch.act import Image
 from bsk_torch.env import ConstellationTasking, SatelliteTasking, Tasking
+from bsk_torch.tasks.inspection.figure import InspectionEpisode, inspection_figure
+from bsk_torch.tasks.objects.figure import RSOImagingEpisode, services_figure
 from bsk_torch.viz.figures.constellation import ConstellationEpisode, constellation_figure
 from bsk_torch.viz.figures.ground_track import ground_track
-from bsk_torch.viz.figures.inspection import InspectionEpisode, inspection_figure
-from bsk_torch.viz.figures.rso_imaging import RSOImagingEpisode, services_figure
 from bsk_torch.viz.figures.style import WIDTH
 from bsk_torch.viz.figures.timeline import timeline
 from bsk_torch.viz.recorders.constellation import record_constellation

@@ -21,8 +21,8 @@ import torch
 from matplotlib import pyplot
 
 import bsk_torch
-from bsk_torch.plan import Rollout
-from bsk_torch.plan.bounds import ScheduledPolicy, imaging_bound, milp_schedule
+from bsk_torch.lab.bounds import ScheduledPolicy, imaging_bound, milp_schedule
+from bsk_torch.lab.planners import Rollout
 from bsk_torch.rl.evaluation import evaluate
 from bsk_torch.rl.policies import pretrained
 

@@ -19,7 +19,16 @@ on pointing, light and line of sight have been met for ten seconds. An image cou
 import torch
 from tensordict.nn import TensorDictModule
 
-from bsk_torch import ConstellationTasking, act, data, dyn, fsw, obs, rand, sats, scene
+from bsk_torch import ConstellationTasking, act, dyn, obs, rand, sats
+from bsk_torch.tasks.objects import (
+    ImageRSO,
+    RandomRSOCatalog,
+    RSOImageReward,
+    RSOTargetProperties,
+    RSOTargets,
+    SpaceToSpaceImagingDynModel,
+    SpaceToSpaceImagingFSWModel,
+)
 
 # sphinx_gallery_thumbnail_number = 2
 OBJECTS = 60
@@ -30,11 +39,11 @@ torch.set_num_threads(1)
 
 
 class Imager(sats.AccessSatellite):
-    dyn_type = (dyn.SpaceToSpaceImagingDynModel, dyn.GroundStationDynModel)
-    fsw_type = fsw.SpaceToSpaceImagingFSWModel
+    dyn_type = (SpaceToSpaceImagingDynModel, dyn.GroundStationDynModel)
+    fsw_type = SpaceToSpaceImagingFSWModel
     observation_spec = [
         obs.SatProperties(dict(prop="storage_level_fraction")),
-        obs.RSOTargetProperties(n_ahead_observe=10),
+        RSOTargetProperties(n_ahead_observe=10),
         obs.OpportunityProperties(
             dict(prop="opportunity_open", norm=5700.0),
             dict(prop="opportunity_close", norm=5700.0),
@@ -46,13 +55,13 @@ class Imager(sats.AccessSatellite):
     action_spec = [
         act.Charge(duration=60.0),
         act.Downlink(duration=60.0),
-        act.ImageRSO(10, max_duration=120.0, min_pointing_hold_s=10.0),
+        ImageRSO(10, max_duration=120.0, min_pointing_hold_s=10.0),
     ]
 
 
 def make(num_envs, **options):
     radii = [7070.0 + 700.0 * k / OBJECTS for k in range(OBJECTS)]  # km
-    catalog = scene.RandomRSOCatalog(
+    catalog = RandomRSOCatalog(
         OBJECTS, oe=[rand.random_orbit(a=radius, i=60.0) for radius in radii]
     )
     imager = Imager(
@@ -68,8 +77,8 @@ def make(num_envs, **options):
     )
     return ConstellationTasking(
         [imager],
-        scenario=scene.RSOTargets(catalog, ["Scout"]),
-        rewarder=data.RSOImageReward(cooldown_s=3600.0),
+        scenario=RSOTargets(catalog, ["Scout"]),
+        rewarder=RSOImageReward(cooldown_s=3600.0),
         time_limit=SECONDS,
         num_envs=num_envs,
         **options,
@@ -128,7 +137,7 @@ print(episode.outcome)
 # horizontal upwards, whether they are hidden or not.
 from pathlib import Path
 
-from bsk_torch.viz.figures.rso_imaging import sky_figure
+from bsk_torch.tasks.objects.figure import sky_figure
 from bsk_torch.viz.recorders.rso_imaging import sky_of
 
 env.set_seed(4)

@@ -35,6 +35,13 @@ from bsk_torch import (  # bsk_rl: from bsk_rl import ConstellationTasking, act,
     scene,
 )
 from bsk_torch.sim import dyn, fsw  # bsk_rl: from bsk_rl.sim import dyn, fsw
+from bsk_torch.tasks.inspection import (
+    RSODynModel,
+    RSOInspectionReward,
+    RSOInspectorDynModel,
+    RSOInspectorFSWModel,
+    SphericalRSO,
+)
 
 ORBIT = 5700.0
 
@@ -63,7 +70,7 @@ class RSO(sats.Satellite):
 
     observation_spec = [obs.Time()]
     action_spec = [act.NadirPoint(duration=1e9)]
-    dyn_type = dyn.RSODynModel
+    dyn_type = RSODynModel
     fsw_type = fsw.FSWModel
 
 
@@ -81,8 +88,8 @@ class Inspector(sats.Satellite):
         act.DiscreteFSWAction("action_inspect_rso", name="inspect", duration=60.0),
         act.Charge(duration=60.0),
     ]
-    dyn_type = dyn.RSOInspectorDynModel
-    fsw_type = (fsw.BasicFSWModel, fsw.RSOInspectorFSWModel)
+    dyn_type = RSOInspectorDynModel
+    fsw_type = (fsw.BasicFSWModel, RSOInspectorFSWModel)
 
 
 CAMERA = dict(imageAttErrorRequirement=0.1, imageRateErrorRequirement=0.1, u_max=0.8)
@@ -114,7 +121,7 @@ def make(
         scenario=scene.MixedScenario(
             {
                 "ground_scene": scene.UniformTargets(1000),
-                "rso_scene": scene.SphericalRSO(
+                "rso_scene": SphericalRSO(
                     n_points=100, theta_max=1.4, theta_solar_max=1.5
                 ),
             },
@@ -123,7 +130,7 @@ def make(
         rewarder=data.MixedReward(
             {
                 "ground_images": data.UniqueImageReward(),
-                "inspection": data.RSOInspectionReward(
+                "inspection": RSOInspectionReward(
                     completion_bonus=1.0, completion_threshold=0.6
                 ),
             },

@@ -34,17 +34,23 @@ from bsk_torch import (  # bsk_rl: from bsk_rl import act, data, obs, sats, scen
     obs,
     rand,
     sats,
-    scene,
 )
 from bsk_torch.astro.clohessy_wiltshire import transfer
 
 # bsk_rl: from bsk_rl.utils.orbital import fibonacci_sphere
 from bsk_torch.astro.relative import fibonacci_sphere
+from bsk_torch.sim import dyn, fsw  # bsk_rl: from bsk_rl.sim import dyn, fsw
+from bsk_torch.tasks.inspection import (
+    RSODynModel,
+    RSOInspectionReward,
+    RSOInspectorDynModel,
+    RSOInspectorFSWModel,
+    SphericalRSO,
+)
 
 # bsk_rl: from bsk_rl.obs.relative_observations import ...
-from bsk_torch.obs.relative_observations import rso_imaged_regions
-from bsk_torch.presets.inspection import EccentricOrbit, RelativeState
-from bsk_torch.sim import dyn, fsw  # bsk_rl: from bsk_rl.sim import dyn, fsw
+from bsk_torch.tasks.inspection.obs import rso_imaged_regions
+from bsk_torch.tasks.inspection.preset import EccentricOrbit, RelativeState
 
 CHIEF = "RSO"
 ORBIT = 5700.0
@@ -61,7 +67,7 @@ class RSO(sats.Satellite):
 
     observation_spec = [obs.SatProperties(dict(prop="one", fn=one))]
     action_spec = [act.NadirPoint(duration=1e9)]
-    dyn_type = (dyn.ConjunctionDynModel, dyn.RSODynModel)
+    dyn_type = (dyn.ConjunctionDynModel, RSODynModel)
     fsw_type = fsw.FSWModel
 
 
@@ -92,11 +98,11 @@ class Inspector(sats.Satellite):
             fsw_action="action_inspect_rso",
         )
     ]
-    dyn_type = (dyn.MaxRangeDynModel, dyn.ConjunctionDynModel, dyn.RSOInspectorDynModel)
+    dyn_type = (dyn.MaxRangeDynModel, dyn.ConjunctionDynModel, RSOInspectorDynModel)
     fsw_type = (
         fsw.SteeringFSWModel,
         fsw.MagicOrbitalManeuverFSWModel,
-        fsw.RSOInspectorFSWModel,
+        RSOInspectorFSWModel,
     )
 
 
@@ -145,7 +151,7 @@ def make(
         CHIEF, EccentricOrbit(), {name: RelativeState() for name in names}
     )
     defaults = dict(
-        scenario=scene.SphericalRSO(
+        scenario=SphericalRSO(
             n_points=100,
             radius=1.0,
             theta_max=math.radians(30),
@@ -153,7 +159,7 @@ def make(
             theta_solar_max=math.radians(60),
         ),
         rewarder=(
-            data.RSOInspectionReward(completion_bonus=1.0, completion_threshold=0.90),
+            RSOInspectionReward(completion_bonus=1.0, completion_threshold=0.90),
             # bsk_rl: np.random.uniform(0.0, 0.5)
             data.ResourceReward(resource_fn=fuel, reward_weight=rand.Uniform(0.0, 0.5)),
         ),
@@ -214,7 +220,7 @@ def main() -> None:
         return td.set((inspectors, "action"), torch.cat([dv_H, drift], -1).float())
 
     if options.figure is not None:
-        from bsk_torch.viz.figures.inspection import inspection_figure
+        from bsk_torch.tasks.inspection.figure import inspection_figure
         from bsk_torch.viz.recorders.inspection import record_inspection
 
         inspection_figure(

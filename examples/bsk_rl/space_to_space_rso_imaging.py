@@ -30,13 +30,21 @@ from torch import Tensor
 from bsk_torch import (  # bsk_rl: from bsk_rl import ConstellationTasking, act, data, obs, sats, scene
     ConstellationTasking,
     act,
-    data,
     obs,
     rand,
     sats,
-    scene,
 )
-from bsk_torch.sim import dyn, fsw  # bsk_rl: from bsk_rl.sim import dyn, fsw
+from bsk_torch.sim import dyn  # bsk_rl: from bsk_rl.sim import dyn, fsw
+from bsk_torch.tasks.objects import (
+    ImageRSO,
+    RandomRSOCatalog,
+    RSOImageReward,
+    RSOTargetCatalog,
+    RSOTargetProperties,
+    RSOTargets,
+    SpaceToSpaceImagingDynModel,
+    SpaceToSpaceImagingFSWModel,
+)
 
 EPOCH = "2026 JUN 21 00:00:00.000 (UTC)"
 ORBIT = 5700.0
@@ -59,9 +67,9 @@ class NearbyOrbit(rand.Distribution):
         return torch.stack([*elements, 0.1 * u[:, 1]], -1)
 
 
-def random_catalog() -> scene.RandomRSOCatalog:
+def random_catalog() -> RandomRSOCatalog:
     """Return a catalog of three objects, on other orbits in each episode."""
-    return scene.RandomRSOCatalog(
+    return RandomRSOCatalog(
         3, oe=[NearbyOrbit(radius) for radius in RADII], priority=[1.0, 2.0, 3.0]
     )
 
@@ -71,7 +79,7 @@ class Imager(sats.AccessSatellite):
 
     observation_spec = [
         obs.SatProperties(dict(prop="storage_level_fraction")),
-        obs.RSOTargetProperties(
+        RSOTargetProperties(
             dict(prop="valid"),
             dict(prop="priority"),
             dict(prop="target_distance"),
@@ -83,7 +91,7 @@ class Imager(sats.AccessSatellite):
         act.Charge(duration=60.0),
         act.Downlink(duration=90.0),
         act.Desat(duration=60.0),
-        act.ImageRSO(
+        ImageRSO(
             3,
             max_duration=300.0,
             min_pointing_hold_s=10.0,
@@ -91,8 +99,8 @@ class Imager(sats.AccessSatellite):
             require_illumination_during_hold=False,
         ),
     ]
-    dyn_type = (dyn.SpaceToSpaceImagingDynModel, dyn.GroundStationDynModel)
-    fsw_type = fsw.SpaceToSpaceImagingFSWModel
+    dyn_type = (SpaceToSpaceImagingDynModel, dyn.GroundStationDynModel)
+    fsw_type = SpaceToSpaceImagingFSWModel
 
 
 class AmosImager(Imager):
@@ -112,13 +120,13 @@ class AmosImager(Imager):
             type="ground_station",
             n_ahead_observe=2,
         ),
-        obs.RSOTargetProperties(n_ahead_observe=10),
+        RSOTargetProperties(n_ahead_observe=10),
     ]
     action_spec = [
         act.Charge(duration=300.0),
         act.Downlink(duration=300.0),
         act.Desat(duration=150.0),
-        act.ImageRSO(
+        ImageRSO(
             10,
             max_duration=300.0,
             min_pointing_hold_s=10.0,
@@ -166,19 +174,19 @@ def make(
     profile: str = "compact",
     num_envs: int = 1,
     sat_args: dict[str, Any] | None = None,
-    catalog: scene.RSOTargetCatalog | scene.RandomRSOCatalog | None = None,
+    catalog: RSOTargetCatalog | RandomRSOCatalog | None = None,
     **options: Any,
 ) -> ConstellationTasking:
     """Return ``num_envs`` episodes of a profile of :data:`PROFILES`.
 
     ``sat_args`` of the imager replace its own, ``options`` those of the problem. ``catalog`` replaces the random one, such as a
-    file of bsk_rl read by ``scene.RSOTargetCatalog.load``.
+    file of bsk_rl read by ``RSOTargetCatalog.load``.
     """
     kind, arguments, acquired, delivered = PROFILES[profile]
     given = random_catalog() if catalog is None else catalog
     defaults = dict(
-        scenario=scene.RSOTargets(given, ["imager"]),
-        rewarder=data.RSOImageReward(
+        scenario=RSOTargets(given, ["imager"]),
+        rewarder=RSOImageReward(
             acquisition_reward_fn=lambda record, target: acquired * target.priority,
             delivery_reward_fn=lambda record, target: delivered * target.priority,
         ),
@@ -247,7 +255,7 @@ def main() -> None:
     )
     options = parser.parse_args()
     torch.manual_seed(0)
-    given = options.catalog and scene.RSOTargetCatalog.load(options.catalog)
+    given = options.catalog and RSOTargetCatalog.load(options.catalog)
     env = make(
         options.profile,
         options.num_envs,

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.random import RandomState
 from recording import Array, record_files, versions
 
-from bsk_torch.basilisk.aeos_reference import ORBIT, Flight, Progress, greedy_rule
+from bsk_torch.lab.basilisk.aeos_reference import ORBIT, Flight, Progress, greedy_rule
 
 NUDGE = 1e-14  # change of the initial attitude that tells how far a flight can be trusted
 MOMENTA = {"Honeywell_HR12": (12.0, 25.0, 50.0), "Honeywell_HR14": (25.0, 50.0, 75.0), "Honeywell_HR16": (50.0, 75.0, 100.0)}

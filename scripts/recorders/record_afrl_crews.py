@@ -176,5 +176,5 @@ def main(path):
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("path", help="file to write, such as those in tests/safe_autonomy/recordings")
+    parser.add_argument("path", help="file to write, such as those in tests/tasks/safe_autonomy/recordings")
     main(parser.parse_args().path)

@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 
 from bsk_torch.files import write_file
-from bsk_torch.scene.aeos_files import EARTH_RADIUS
-from bsk_torch.scene.aeos_generator import DIGITS, ORBIT_FIELDS
+from bsk_torch.tasks.aeos_bench.files import EARTH_RADIUS
+from bsk_torch.tasks.aeos_bench.generator import DIGITS, ORBIT_FIELDS
 
-FILE = Path(__file__).resolve().parents[2] / "bsk_torch/scene/tables/aeos_orbits.npz"
+FILE = Path(__file__).resolve().parents[2] / "bsk_torch/tasks/aeos_bench/tables/aeos_orbits.npz"
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""Make the pool of satellites of `bsk_torch.scene.AEOSBenchGenerator`: those that pass the filter of AEOS-Bench.
+"""Make the pool of satellites of `bsk_torch.tasks.aeos_bench.AEOSBenchGenerator`: those that pass the filter of AEOS-Bench.
 
     python scripts/tools/make_aeos_pool.py                     1,024 satellites, in a few minutes on one core
 
@@ -20,13 +20,12 @@ import torch
 from torch import Tensor
 
 from bsk_torch.files import write_file
-from bsk_torch.presets.aeos_bench import aeos_bench
 from bsk_torch.rand import Key, first_key
-from bsk_torch.rl.rules import NearestTask
-from bsk_torch.scene import AEOSBench, Cases
-from bsk_torch.scene.aeos_files import TOP_SPEED, on_sphere
+from bsk_torch.tasks.aeos_bench import AEOSBench, Cases, NearestTask
+from bsk_torch.tasks.aeos_bench.files import TOP_SPEED, on_sphere
+from bsk_torch.tasks.aeos_bench.preset import aeos_bench
 
-FILE = Path(__file__).resolve().parents[2] / "bsk_torch/scene/tables/aeos_pool.npz"
+FILE = Path(__file__).resolve().parents[2] / "bsk_torch/tasks/aeos_bench/tables/aeos_pool.npz"
 
 MOMENTA = (12.0, 25.0)
 """Momenta of the wheels, N m s."""

@@ -36,9 +36,9 @@ from bsk_torch.env.rollout import play_episodes
 from bsk_torch.presets import PRESETS
 from bsk_torch.rl.policies import pretrained, pretrained_file, read_card
 from bsk_torch.rl.policies.shared_policy import shared
+from bsk_torch.tasks.inspection.figure import draw_paths
 from bsk_torch.viewer.page import build_page
 from bsk_torch.viewer.recorder import record
-from bsk_torch.viz.figures.inspection import draw_paths
 from bsk_torch.viz.figures.style import save
 from bsk_torch.viz.recorders.inspection import record_inspection
 

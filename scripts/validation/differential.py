@@ -36,8 +36,8 @@ from differential_draw import FAMILIES, Case, draw_case
 from differential_flight import CORE, DROP_IN, FARTHER, NUDGE, REFERENCE, Library, fly
 from differential_program import as_program
 
-from bsk_torch.basilisk.certificate import names_kept, quiet
-from bsk_torch.basilisk.support_data import absent_data, lacking
+from bsk_torch.lab.basilisk.certificate import names_kept, quiet
+from bsk_torch.lab.basilisk.support_data import absent_data, lacking
 
 
 def arguments(given: list[str] | None) -> argparse.Namespace:

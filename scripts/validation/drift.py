@@ -34,9 +34,9 @@ from numpy.typing import NDArray
 from tensordict import TensorDict
 from torch import Tensor
 
-from bsk_torch.basilisk.flight import Flight, Problem, Start, fly_here, problem_of, replay_pilot
-from bsk_torch.basilisk.support_data import SUPPORT, absent_data, lacking
 from bsk_torch.files import write_file
+from bsk_torch.lab.basilisk.flight import Flight, Problem, Start, fly_here, problem_of, replay_pilot
+from bsk_torch.lab.basilisk.support_data import SUPPORT, absent_data, lacking
 from bsk_torch.sim.arguments.sources import RANKS
 from bsk_torch.sim.arguments.values import nearest
 
@@ -174,7 +174,7 @@ def enter(folder: str | None) -> None:
 
 def fly(episode: Episode) -> Track:
     """Fly an episode on the release of this process."""
-    from bsk_torch.basilisk.reference_env import fly_there
+    from bsk_torch.lab.basilisk.reference_env import fly_there
 
     rows: list[dict[str, Array]] = []
 

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from rich.table import Table
 
-from bsk_torch.basilisk.flight import NUDGE, Array, Flight
+from bsk_torch.lab.basilisk.flight import NUDGE, Array, Flight
 from bsk_torch.rl.evaluation.statistics import Estimate, confidence
 
 TOLERANCE = 1e-6
@@ -44,7 +44,7 @@ class Divergence:
 class Pair:
     """One episode, flown in bsk_torch and in Basilisk.
 
-    ``nudged`` is Basilisk once more, from an attitude that is :data:`~bsk_torch.basilisk.flight.NUDGE` away, where the two
+    ``nudged`` is Basilisk once more, from an attitude that is :data:`~bsk_torch.lab.basilisk.flight.NUDGE` away, where the two
     differ: its reaction is not a difference between the simulators.
     """
 

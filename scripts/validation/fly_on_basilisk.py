@@ -32,8 +32,8 @@ from flight_policy import Flyer, planner_pilot, recruit
 from rich.console import Console
 from rich.progress import track
 
-from bsk_torch.basilisk.flight import Flight, Problem, Start, fly_here, problem_of, replay_pilot
-from bsk_torch.basilisk.support_data import absent_data, lacking
+from bsk_torch.lab.basilisk.flight import Flight, Problem, Start, fly_here, problem_of, replay_pilot
+from bsk_torch.lab.basilisk.support_data import absent_data, lacking
 from bsk_torch.presets import PRESETS
 from bsk_torch.sim.arguments.values import nearest
 
@@ -87,7 +87,7 @@ def prepare(flyer: Flyer, problem: Problem, known: Mapping[int, np.ndarray]) -> 
     global _fly
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # Basilisk talks
     torch.set_num_threads(1)
-    from bsk_torch.basilisk.reference_env import fly_there
+    from bsk_torch.lab.basilisk.reference_env import fly_there
 
     _fly = functools.partial(fly_there, problem, pilot=replay_pilot(known) if flyer.plans else flyer.pilot(problem.observed))
 

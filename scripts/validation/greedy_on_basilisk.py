@@ -22,15 +22,15 @@ import torch
 
 import bsk_torch
 from bsk_torch import ConstellationTasking
-from bsk_torch.basilisk.aeos_certificate import NUDGE, flown_there
-from bsk_torch.basilisk.support_data import lacking
 from bsk_torch.files import write_file
-from bsk_torch.rl.evaluation.aeos_annotations import fly_cases
+from bsk_torch.lab.basilisk.aeos_certificate import NUDGE, flown_there
+from bsk_torch.lab.basilisk.support_data import lacking
 from bsk_torch.rl.evaluation.statistics import Estimate, known
 from bsk_torch.rl.policies.shared_policy import rule
-from bsk_torch.scene import Cases, read_cases
-from bsk_torch.scene.aeos_writing import case_content
 from bsk_torch.tables import print_table
+from bsk_torch.tasks.aeos_bench import Cases, read_cases
+from bsk_torch.tasks.aeos_bench.annotations import fly_cases
+from bsk_torch.tasks.aeos_bench.writing import case_content
 
 MEASURES = ("CR", "WCR", "PCR", "WPCR", "TAT", "PC", "CS")
 
@@ -64,7 +64,7 @@ def on_basilisk(cases: Cases, seconds: int) -> Iterator[dict[str, float]]:
     """Yield the measures of each case on Basilisk."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
-        from bsk_torch.basilisk.aeos_reference import greedy_rule
+        from bsk_torch.lab.basilisk.aeos_reference import greedy_rule
     for k in range(len(cases)):
         content = case_content(cases, k)
         yield flown_there(content, greedy_rule(), seconds, always_on=True).measures(content["taskset"])

@@ -29,17 +29,17 @@ from tensordict import TensorDict
 
 import bsk_torch
 from bsk_torch.astro.relative import fibonacci_sphere
-from bsk_torch.basilisk.flight import Array, Flight, Pilot, plain
-from bsk_torch.basilisk.support_data import absent_data, lacking
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.env.rollout import play_episodes
-from bsk_torch.presets.inspection import CHIEF, FUEL, LONGEST_THRUST, NEAR, ORBIT, REGIONS, SLOW, names_of
+from bsk_torch.lab.basilisk.flight import Array, Flight, Pilot, plain
+from bsk_torch.lab.basilisk.support_data import absent_data, lacking
 from bsk_torch.rand import Key
 from bsk_torch.rl.evaluation.evaluate import start_episodes
 from bsk_torch.rl.policies.files import load_policy
 from bsk_torch.rl.policies.pretrained import pretrained
 from bsk_torch.rl.policies.shared_policy import GroupPolicies, baseline
 from bsk_torch.sim.dyn.hub import initial_orbit
+from bsk_torch.tasks.inspection.preset import CHIEF, FUEL, LONGEST_THRUST, NEAR, ORBIT, REGIONS, SLOW, names_of
 
 PRESET = "RSOInspection-v1"
 

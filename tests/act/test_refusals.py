@@ -4,11 +4,12 @@ import math
 
 from bsk_torch import ConstellationTasking, act, data, dyn, fsw, scene
 from bsk_torch.act.waypoint import HillWaypoint
+from bsk_torch.tasks.objects import ImageRSO
 from tests.act import test_image_strip as strips
 from tests.act import test_thrust as thrusts
 from tests.act import test_waypoint as waypoints
 from tests.support.refusals import check_refusals, refusal
-from tests.support.rso_imaging import environment
+from tests.tasks.objects.objects import environment
 
 
 def test_rejects_wrong_strips():
@@ -35,7 +36,7 @@ def test_rejects_wrong_strips():
 
 
 def test_rejects_wrong_imaging_of_objects():
-    image = lambda **given: act.ImageRSO(**({"n_ahead_image": 3} | given))
+    image = lambda **given: ImageRSO(**({"n_ahead_image": 3} | given))
     imager = lambda **args: environment(sat_args=args, backend="eager")
     table = [
         refusal(lambda: image(n_ahead_image=0), ValueError, "n_ahead_image=0"),

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bsk_torch.basilisk.flight import Problem, Start
+from bsk_torch.lab.basilisk.flight import Problem, Start
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "validation"))
 

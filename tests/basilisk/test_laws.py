@@ -6,10 +6,8 @@ import itertools
 
 import pytest
 
-from tests.basilisk import test_aeos_bench as aeos_bench
 from tests.basilisk import test_constellation_parity as constellations
 from tests.basilisk import test_imaging_parity as images
-from tests.basilisk import test_inspection as inspection
 from tests.basilisk import test_manoeuvres as manoeuvres
 from tests.basilisk import test_models_parity as models
 from tests.basilisk import test_parity as scanning
@@ -17,6 +15,8 @@ from tests.basilisk import test_relative_parity as relative
 from tests.basilisk import test_setpoint_parity as setpoints
 from tests.examples import test_bsk_rl as examples
 from tests.support.levels import level, read_durations
+from tests.tasks.aeos_bench import test_recordings as aeos_bench
+from tests.tasks.inspection import test_recordings as inspection
 
 LAWS = {
     "orbits on arcs": [(scanning.test_arc, "nominal")],

@@ -9,10 +9,11 @@ from bsk_torch.bsk_rl.data import RSOInspectionReward
 from bsk_torch.bsk_rl.data.rso_inspection import RSOInspectionData
 from bsk_torch.bsk_rl.scene import SphericalRSO
 from bsk_torch.bsk_rl.sim.inspection import Found, Inspection
-from bsk_torch.sim import dyn, fsw
-from tests.basilisk.inspection import Episodes, environment, load, replay
+from bsk_torch.sim import fsw
+from bsk_torch.tasks.inspection import RSODynModel, RSOInspectorDynModel, RSOInspectorFSWModel
 from tests.bsk_rl.fakes import Fake, begin, step
 from tests.support.refusals import check_refusals, refusal
+from tests.tasks.inspection.replay import Episodes, environment, load, replay
 
 
 def one_episode(case, k):
@@ -46,15 +47,15 @@ def test_points_are_found_in_the_steps_of_the_recording(case):
 
 
 class Target(Fake):
-    dyn_type, fsw_type = dyn.RSODynModel, fsw.FSWModel
+    dyn_type, fsw_type = RSODynModel, fsw.FSWModel
 
 
 class Inspector(Fake):
-    dyn_type, fsw_type = dyn.RSOInspectorDynModel, fsw.RSOInspectorFSWModel
+    dyn_type, fsw_type = RSOInspectorDynModel, RSOInspectorFSWModel
 
     @property
     def fsw(self):
-        return object.__new__(fsw.RSOInspectorFSWModel)
+        return object.__new__(RSOInspectorFSWModel)
 
 
 class FakeInspection:
@@ -78,7 +79,7 @@ def crew(monkeypatch):
     simulator = SimpleNamespace(sim_time=0.0, fleet=None)
     satellites = [Target("RSO", simulator, core_row=(0, 0))]
     satellites += [Inspector(f"I{k}", simulator, core_row=(1, k)) for k in range(2)]
-    type(satellites[0]).dynamics = property(lambda self: object.__new__(dyn.RSODynModel))
+    type(satellites[0]).dynamics = property(lambda self: object.__new__(RSODynModel))
     scenario = SphericalRSO(n_points=10)
     scenario.link_satellites(satellites)
 
@@ -155,7 +156,7 @@ def test_rejects_wrong_satellites(crew):
         scenario.reset_pre_sim_init()
 
     table = [
-        refusal(blind, AssertionError, "I0", "fsw.RSOInspectorFSWModel"),
-        refusal(twice, AssertionError, ["RSO", "Second"], "dyn.RSODynModel"),
+        refusal(blind, AssertionError, "I0", "RSOInspectorFSWModel"),
+        refusal(twice, AssertionError, ["RSO", "Second"], "RSODynModel"),
     ]
     check_refusals(table)

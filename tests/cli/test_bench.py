@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from bsk_torch.rl.evaluation.suite import references
-from tests.scene.aeos_cases import constellation, tasks, write
+from bsk_torch.lab.suites.suite import references
+from tests.tasks.aeos_bench.aeos_cases import constellation, tasks, write
 
 pytestmark = pytest.mark.compiled
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from bsk_torch.offline import open_dataset
+from bsk_torch.lab.offline import open_dataset
 
 pytestmark = pytest.mark.compiled
 

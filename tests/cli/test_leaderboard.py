@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from bsk_torch.rl.evaluation import suite as suites
-from bsk_torch.rl.evaluation.suite import PUBLISHED, references, tasks_of
+from bsk_torch.lab.suites import suite as suites
+from bsk_torch.lab.suites.suite import PUBLISHED, references, tasks_of
 
 SCAN, POWER = "NadirScan-v1", "AEOSPower-v1"
 

@@ -7,7 +7,7 @@ import pytest
 
 import bsk_torch
 from bsk_torch._listed import LISTED, PLANNERS, RULES, makings
-from bsk_torch.plan import names
+from bsk_torch.lab.planners import names
 from bsk_torch.rl.policies import shared_policy
 
 WITH_OPTIONS = {

@@ -4,18 +4,19 @@ import math
 
 import torch
 
-from bsk_torch import act, comm, data
+from bsk_torch import act, comm
 from bsk_torch.sim import dyn
+from bsk_torch.tasks.objects import CatalogCommunication, RSOImageReward, TransmitCatalog
 from tests.comm.fleets import drawn_elements, make_fleet, states
-from tests.comm.test_catalogs import Sender, team
 from tests.comm.test_comm import ALL, Given, GivenBroadcast, linked
 from tests.comm.test_hooks_of_communicators import attached
 from tests.support.refusals import check_refusals, refusal
-from tests.support.rso_imaging import Imager
+from tests.tasks.objects.objects import Imager
+from tests.tasks.objects.test_comm import Sender, team
 
 
 def test_rejects_wrong_arguments():
-    transmit, catalogs = act.TransmitCatalog, comm.CatalogCommunication
+    transmit, catalogs = TransmitCatalog, CatalogCommunication
     broadcast = lambda seconds: act.Broadcast(duration=seconds)
     table = [
         *(refusal(lambda x=x: broadcast(x), ValueError, "'action_broadcast'", f"duration={x}") for x in (0.0, -3.0, math.nan)),
@@ -37,15 +38,15 @@ def test_rejects_teams_that_cannot_transmit():
         kind = type("Mine", (base,), {"action_spec": (*Imager.action_spec, *actions)})
         return team(kind=kind, backend="eager", **options)
 
-    one, again, delivery = act.TransmitCatalog(1), act.TransmitCatalog(1, name="again"), "communicator=comm.CatalogCommunication"
-    common = dict(knowledge="common", rewarder=data.RSOImageReward(multi_imager_credit="shared"))
+    one, again, delivery = TransmitCatalog(1), TransmitCatalog(1, name="again"), "communicator=CatalogCommunication"
+    common = dict(knowledge="common", rewarder=RSOImageReward(multi_imager_credit="shared"))
     table = [
-        refusal(lambda: crew(one, base=Imager), ValueError, "act.TransmitCatalog", "dyn.CatalogRadioDynModel"),
-        refusal(lambda: crew(one, again), ValueError, "'Imager0'", "two actions", "act.TransmitCatalog"),
-        refusal(lambda: crew(act.TransmitCatalog(2)), ValueError, "n_peers=2", "2 imagers", "1 peers"),
+        refusal(lambda: crew(one, base=Imager), ValueError, "TransmitCatalog", "CatalogRadioDynModel"),
+        refusal(lambda: crew(one, again), ValueError, "'Imager0'", "two actions", "TransmitCatalog"),
+        refusal(lambda: crew(TransmitCatalog(2)), ValueError, "n_peers=2", "2 imagers", "1 peers"),
         refusal(lambda: crew(one, communicator=None), ValueError, delivery),
         refusal(lambda: crew(one, communicator=comm.FreeCommunication()), ValueError, delivery, "FreeCommunication"),
-        refusal(lambda: crew(base=Imager), ValueError, "CatalogCommunication", "act.TransmitCatalog"),
+        refusal(lambda: crew(base=Imager), ValueError, "CatalogCommunication", "TransmitCatalog"),
         refusal(lambda: crew(one, **common), ValueError, "CatalogCommunication", "knowledge='own'"),
     ]
     check_refusals(table)

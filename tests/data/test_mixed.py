@@ -13,10 +13,13 @@ import torch
 from bsk_torch import ConstellationTasking, act, comm, data, obs, per_environment, sats, scene
 from bsk_torch.bsk_rl import data as bsk_rl_data
 from bsk_torch.sim import dyn, fsw
-from tests.support import inspecting as inspection
-from tests.support import rso_imaging as space
-from tests.support.inspecting import EPOCH, POINTS, RSO, TURNED, chief_args, inspector_args
+from bsk_torch.tasks.inspection import RSOInspectionReward, SphericalRSO
+from bsk_torch.tasks.inspection.obs import rso_imaged_regions
+from bsk_torch.tasks.objects import ImageRSO, RSOImageReward, RSOTargets
 from tests.support.refusals import check_refusals, refusal
+from tests.tasks.inspection import inspecting as inspection
+from tests.tasks.inspection.inspecting import EPOCH, POINTS, RSO, TURNED, chief_args, inspector_args
+from tests.tasks.objects import objects as space
 
 N, STEPS = 2, 7
 GROUPS = {"ground": ["EO", "Scout"], "rso": ["RSO", "Above"]}
@@ -35,7 +38,7 @@ class Imager(sats.ImagingSatellite):
 
 
 class Inspector(inspection.Inspector):
-    observation_spec = (obs.RelativeProperties(dict(prop="rso_imaged_regions"), chief_name="RSO"),)
+    observation_spec = (obs.RelativeProperties(dict(prop="rso_imaged_regions", fn=rso_imaged_regions), chief_name="RSO"),)
 
 
 def imager(name: str) -> sats.Satellite:
@@ -52,13 +55,13 @@ def targets() -> scene.Scenario:
 
 
 def points() -> scene.Scenario:
-    return scene.SphericalRSO(**POINTS)
+    return SphericalRSO(**POINTS)
 
 
 def mixed(**given: Any) -> dict[str, Any]:
     scenario = {"scenarios": {"ground": targets(), "rso": points()}, "satellite_mapping": GROUPS}
     reward = {
-        "rewarders": {"images": data.UniqueImageReward(), "points": data.RSOInspectionReward(**BONUS)},
+        "rewarders": {"images": data.UniqueImageReward(), "points": RSOInspectionReward(**BONUS)},
         "satellite_mapping": CHANNELS,
         "scenario_mapping": PLACES,
     }
@@ -106,7 +109,7 @@ def together():
 def test_rewards_are_those_of_each_scenario_alone(together):
     _, found = together
     images = fly(environment([imager("EO")], scenario=targets(), rewarder=data.UniqueImageReward()))
-    alone = environment(inspecting(), scenario=points(), rewarder=data.RSOInspectionReward(**BONUS))
+    alone = environment(inspecting(), scenario=points(), rewarder=RSOInspectionReward(**BONUS))
     inspection = fly(alone, 1)
     assert sum(float(reward.sum()) for reward in images["EO"][::2]) > 0.5
     for one, other in zip(found["EO"], images["EO"], strict=True):
@@ -158,7 +161,7 @@ def test_episodes_are_saved_and_do_not_depend_on_the_batch(together):
 
 
 class SpaceImager(space.Imager):
-    action_spec = (act.ImageRSO(3, max_duration=200.0, min_pointing_hold_s=5.0, require_illumination_during_hold=False),)
+    action_spec = (ImageRSO(3, max_duration=200.0, min_pointing_hold_s=5.0, require_illumination_during_hold=False),)
 
 
 @pytest.mark.compiled
@@ -171,7 +174,7 @@ def test_imaging_of_the_ground_and_of_objects_in_orbit():
         env = environment(imagers, **task, world_args=dict(utc_init=space.EPOCH, gsMinimumElevation=-0.5 * math.pi), orbit=None)
         return env, fly(env)
 
-    catalog, paid = scene.RSOTargets(space.catalog(), ["SDA"]), data.RSOImageReward(quality_threshold=0.0)
+    catalog, paid = RSOTargets(space.catalog(), ["SDA"]), RSOImageReward(quality_threshold=0.0)
     _, alone = fly_in_space([], scenario=catalog, rewarder=paid)
     scenario = scene.MixedScenario({"ground": targets(), "space": catalog}, {"ground": ["EO"], "space": ["SDA"]})
     channels = {"images": data.UniqueImageReward(), "objects": paid}, {"images": ["EO"], "objects": ["SDA"]}

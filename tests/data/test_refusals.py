@@ -7,19 +7,21 @@ import pytest
 import torch
 
 from bsk_torch import data, scene
+from bsk_torch.tasks.inspection import RSOInspectionReward
+from bsk_torch.tasks.objects import RSOImageReward, RSOTeamReward
 from tests.data import test_custom_rewards as custom
 from tests.data import test_footprint as footprint
 from tests.data import test_resources as resources
 from tests.data.test_radar import Optical, cluster
-from tests.data.test_rso_team import targets, team
 from tests.support.refusals import check_refusals, refusal
-from tests.support.rso_imaging import environment, play
+from tests.tasks.objects.objects import environment, play
+from tests.tasks.objects.test_team_reward import targets, team
 
 FIRST_IMAGE = 2
 
 
 def test_rejects_wrong_arguments():
-    image, shared, inspection = data.RSOImageReward, data.RSOTeamReward, data.RSOInspectionReward
+    image, shared, inspection = RSOImageReward, RSOTeamReward, RSOInspectionReward
     angles, weights = (0.0, -0.1, 2.0, math.nan, "wide", [0.1, 0.2]), (-1.0, math.nan, math.inf, "1")
     angle = data.FootprintImageReward
     table = [
@@ -48,7 +50,7 @@ def test_rejects_scenarios_that_do_not_fit():
     teamed = lambda **options: team(backend="eager", **options)
     table = [
         refusal(lambda: uncertain(uniform), ValueError, "FootprintImageReward", "scene.UncertainTargets", "UniformTargets"),
-        refusal(lambda: environment(scenario=nadir, backend="eager"), ValueError, "scene.RSOTargets"),
+        refusal(lambda: environment(scenario=nadir, backend="eager"), ValueError, "RSOTargets"),
         refusal(lambda: targets(knowledge="mine"), ValueError, "knowledge='mine'", "'common'", "'own'"),
         refusal(lambda: teamed(scenario=targets(knowledge="common")), ValueError, "knowledge='common'", "'own'"),
         refusal(lambda: teamed(scenario=targets(block_pending_targets=False)), ValueError, "block_pending_targets=True", False),
@@ -58,12 +60,12 @@ def test_rejects_scenarios_that_do_not_fit():
 
 def test_rejects_satellites_that_do_not_fit():
     radar = lambda **attributes: type("Radar", (Optical,), attributes)
-    crew = lambda: environment(imagers=2, rewarder=data.RSOImageReward(), backend="eager")
-    shared = lambda: team(rewarder=data.RSOImageReward(multi_imager_credit="shared"), backend="eager")
+    crew = lambda: environment(imagers=2, rewarder=RSOImageReward(), backend="eager")
+    shared = lambda: team(rewarder=RSOImageReward(multi_imager_credit="shared"), backend="eager")
     half = lambda: cluster(radar(sees_through_clouds=0.5), Optical, Optical)
     table = [
         refusal(lambda: crew(), ValueError, "multi_imager_credit", "'shared'", "'per_imager'"),
-        refusal(lambda: shared(), RuntimeError, "scene.RSOTargets", "knowledge='own'", "data.RSOTeamReward"),
+        refusal(lambda: shared(), RuntimeError, "RSOTargets", "knowledge='own'", "RSOTeamReward"),
         refusal(lambda: half(), ValueError, "Radar.sees_through_clouds=0.5", True, False),
         refusal(lambda: radar(sees_trough_clouds=True), TypeError, "sees_trough_clouds", "'sees_through_clouds'"),
     ]
@@ -83,7 +85,7 @@ def test_rejects_wrong_resources():
 
 @pytest.mark.compiled
 def test_rejects_wrong_results_of_functions():
-    image = lambda function: data.RSOImageReward(function, quality_threshold=0.0)
+    image = lambda function: RSOImageReward(function, quality_threshold=0.0)
     endless, summed = image(lambda record, target: target.priority / 0.0), image(lambda record, target: target.priority.sum())
     env = environment(rewarder=endless)
     env.reset()

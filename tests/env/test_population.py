@@ -16,13 +16,14 @@ from torchrl.envs.utils import check_env_specs
 import bsk_torch
 from bsk_torch import ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking, act, comm, data, obs, sats, scene
 from bsk_torch.env.assembly.fleets import between
-from bsk_torch.plan import Rollout
+from bsk_torch.lab.planners import Rollout
 from bsk_torch.rand import Key
 from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.marl.mappo import MAPPOConfig, MAPPOTraining
 from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.access.lookahead import LookAhead
+from bsk_torch.tasks.inspection import SphericalRSO
 from bsk_torch.viz.recorders.constellation import record_constellation
 from bsk_torch.wrappers import PettingZooEnv
 from tests.env.test_constellation import Linked, Relay
@@ -571,12 +572,12 @@ def test_nothing_meets_an_absent_satellite_or_sees_it(backend) -> None:
 def test_inspectors_that_are_absent_see_no_points_and_the_inspected_one_must_be_present() -> None:
     preset = "MultiInspection-v1"
 
-    class WithoutLast(scene.SphericalRSO):
+    class WithoutLast(SphericalRSO):
         def present(self, key: Key, names: Sequence[str]) -> Tensor:
             return (torch.arange(len(names)) < len(names) - 1).expand(len(key), -1)
 
     seen = []
-    for options in (dict(scenario=WithoutLast()), dict(scenario=scene.SphericalRSO(), n_inspectors=2)):
+    for options in (dict(scenario=WithoutLast()), dict(scenario=SphericalRSO(), n_inspectors=2)):
         env = bsk_torch.make(preset, num_envs=2, seed=0, **options)
         td = env.reset()
         for _ in range(2):

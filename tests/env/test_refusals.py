@@ -3,14 +3,15 @@
 import torch
 
 import bsk_torch
-from bsk_torch import SatelliteTasking, data, obs, scene
-from bsk_torch.basilisk.flight import problem_of
+from bsk_torch import SatelliteTasking, data, scene
 from bsk_torch.env.agents import agents_of, check_map
+from bsk_torch.lab.basilisk.flight import problem_of
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
-from bsk_torch.presets.sensors import KINDS, SensorOfThree
-from bsk_torch.presets.services import servicing_catalog
+from bsk_torch.tasks.objects import RSOImageReward, RSOTargets, RSOTeamState
+from bsk_torch.tasks.objects.preset import servicing_catalog
+from bsk_torch.tasks.objects.team_preset import KINDS, SensorOfThree
 from tests.support.refusals import check_refusals, refusal
-from tests.support.rso_imaging import environment
+from tests.tasks.objects.objects import environment
 
 TARGETS = 12
 
@@ -116,7 +117,7 @@ def test_rejects_wrong_options_of_services():
 
 
 def test_rejects_wrong_rewards_of_services():
-    penalty, advance = data.OperationsPenalty, data.RSOImageReward(advance=0.5, multi_imager_credit="shared")
+    penalty, advance = data.OperationsPenalty, RSOImageReward(advance=0.5, multi_imager_credit="shared")
     world = lambda rewarder, **options: environment(rewarder=rewarder, backend="eager", **options)
     names = ("low_battery", "full_storage", "empty_downlink")
     table = [
@@ -130,7 +131,7 @@ def test_rejects_wrong_rewards_of_services():
 
 def test_rejects_wrong_ranks_of_targets():
     def ranked(order):
-        return services(scenario=scene.RSOTargets(servicing_catalog(TARGETS, priority_event=False), ["SS1"], order=order))
+        return services(scenario=RSOTargets(servicing_catalog(TARGETS, priority_event=False), ["SS1"], order=order))
 
     nan = lambda scenario, satellite: torch.full_like(satellite.of_env(scenario.priority), torch.nan)
     table = [
@@ -155,7 +156,7 @@ def test_rejects_wrong_options_of_sensors():
 
 
 def test_rejects_rules_of_teams_without_a_team():
-    check_refusals([refusal(lambda: bsk_torch.rule("local", services()), ValueError, "scene.RSOTargets", "knowledge='own'")])
+    check_refusals([refusal(lambda: bsk_torch.rule("local", services()), ValueError, "RSOTargets", "knowledge='own'")])
 
 
 def test_rejects_states_of_teams_of_another_size(monkeypatch):
@@ -164,10 +165,10 @@ def test_rejects_states_of_teams_of_another_size(monkeypatch):
         monkeypatch.setitem(KINDS, 3, (kind,) * 3)
         services("ThreeSensors-v1", information="radio").reset()
 
-    state = obs.RSOTeamState
+    state = RSOTeamState
     table = [
-        refusal(lambda: team(state(2), state(2, name="again")), ValueError, "SS1", "obs.RSOTeamState"),
-        refusal(lambda: team(state(3)), ValueError, "obs.RSOTeamState", "n_peers=3", "2 peers"),
+        refusal(lambda: team(state(2), state(2, name="again")), ValueError, "SS1", "RSOTeamState"),
+        refusal(lambda: team(state(3)), ValueError, "RSOTeamState", "n_peers=3", "2 peers"),
         refusal(lambda: state(2, norm=0.0), ValueError, "norm", 0.0),
     ]
     check_refusals(table)

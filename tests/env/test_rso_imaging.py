@@ -7,13 +7,14 @@ import pytest
 import torch
 from torchrl.envs.utils import check_env_specs
 
-from bsk_torch import ConstellationTasking, SatelliteTasking, act, data, obs, rand, sats, scene
+from bsk_torch import ConstellationTasking, SatelliteTasking, act, obs, rand, sats
+from bsk_torch.tasks.objects import ImageRSO, RandomRSOCatalog, RSOImageReward, RSOTargets
 from tests.support.refusals import check_refusals, refusal
-from tests.support.rso_imaging import EPOCH, KEPT, Imager, catalog, environment, play, state
+from tests.tasks.objects.objects import EPOCH, KEPT, Imager, catalog, environment, play, state
 
 pytestmark = pytest.mark.compiled
 
-DRAWN = scene.RandomRSOCatalog(6, oe=rand.random_orbit(a=7100.0, i=90.0, Omega=17.0), priority=rand.Uniform(1.0, 2.0))
+DRAWN = RandomRSOCatalog(6, oe=rand.random_orbit(a=7100.0, i=90.0, Omega=17.0), priority=rand.Uniform(1.0, 2.0))
 
 
 def drawn(n, **options):
@@ -88,7 +89,7 @@ def test_what_begins_in_inference_mode_continues_outside():
 def test_one_imager_is_an_environment_of_one_agent():
     r_N, v_N = state(0.0)
     args = KEPT | dict(oe=None, rN=r_N.tolist(), vN=v_N.tolist())
-    scenario, rewarder = scene.RSOTargets(catalog(), ["Imager0"]), data.RSOImageReward()
+    scenario, rewarder = RSOTargets(catalog(), ["Imager0"]), RSOImageReward()
     env = SatelliteTasking(
         Imager("Imager0", args), scenario, rewarder, world_args=dict(utc_init=EPOCH), num_envs=4, time_limit=600.0, seed=0
     )
@@ -156,7 +157,7 @@ def test_imagers_may_integrate_their_orbits(orbit):
 
 class Quick(Imager):
     action_spec = (
-        act.ImageRSO(2, 100.0, 0.0, require_illumination_during_hold=False),
+        ImageRSO(2, 100.0, 0.0, require_illumination_during_hold=False),
         act.Downlink(duration=60.0),
     )
 
@@ -175,8 +176,8 @@ def test_imagers_of_several_types_share_a_catalog_with_other_satellites():
         satellites.append(kind(name, {key: value for key, value in args.items() if key in known}))
     env = ConstellationTasking(
         satellites,
-        scene.RSOTargets(catalog(), ["C", "A", "B"]),
-        data.RSOImageReward(lambda record, target: target.priority, quality_threshold=0.0, multi_imager_credit="per_imager"),
+        RSOTargets(catalog(), ["C", "A", "B"]),
+        RSOImageReward(lambda record, target: target.priority, quality_threshold=0.0, multi_imager_credit="per_imager"),
         world_args=dict(utc_init=EPOCH),
         num_envs=2,
         time_limit=900.0,

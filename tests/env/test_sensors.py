@@ -10,14 +10,14 @@ import pytest
 import torch
 
 import bsk_torch
-from bsk_torch import obs
 from bsk_torch.act import image_target
 from bsk_torch.cli.main import app
-from bsk_torch.presets.sensors import KINDS, SensorOfThree
 from bsk_torch.rl.policies.shared_policy import baseline, for_each_group, shared_baselines
-from bsk_torch.rl.rules.servicing import ORDERS, WORTHS
-from bsk_torch.rl.rules.team import Choices, TeamRule
-from bsk_torch.scene.rso_records import AGO, DELIVERED
+from bsk_torch.tasks.objects import RSOTeamState
+from bsk_torch.tasks.objects.records import AGO, DELIVERED
+from bsk_torch.tasks.objects.rules import ORDERS, WORTHS
+from bsk_torch.tasks.objects.team_preset import KINDS, SensorOfThree
+from bsk_torch.tasks.objects.team_rules import Choices, TeamRule
 
 pytestmark = pytest.mark.compiled
 
@@ -346,7 +346,7 @@ def test_a_busy_sensor_reserves_its_target():
 class Reporter(SensorOfThree):
     """Observes a summary of the others."""
 
-    observation_spec = (*SensorOfThree.observation_spec, obs.RSOTeamState(2))
+    observation_spec = (*SensorOfThree.observation_spec, RSOTeamState(2))
 
 
 def heard_state(imagers, row):

@@ -11,16 +11,17 @@ import torch
 from torchrl.envs.utils import step_mdp
 
 import bsk_torch
-from bsk_torch import act, data, scene
+from bsk_torch import act
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args, scanning_environment
-from bsk_torch.presets.services import EPISODE, IMAGE, ServicingImager, servicing_catalog
 from bsk_torch.rl.policies.shared_policy import rule
-from bsk_torch.rl.rules.servicing import ORDERS, WORTHS, whole_catalog
-from bsk_torch.sim.catalog.candidates import Candidates
-from bsk_torch.sim.catalog.outlook import coast
+from bsk_torch.tasks.objects import ImageRSO, RSOImageReward, RSOTargets, by_priority_per_second, by_priority_per_second_ahead
+from bsk_torch.tasks.objects.candidates import Candidates
+from bsk_torch.tasks.objects.outlook import coast
+from bsk_torch.tasks.objects.preset import EPISODE, IMAGE, ServicingImager, servicing_catalog
+from bsk_torch.tasks.objects.rules import ORDERS, WORTHS, whole_catalog
 from bsk_torch.vec3 import Vec3
-from tests.support.rso_imaging import Imager, environment, play
+from tests.tasks.objects.objects import Imager, environment, play
 
 pytestmark = pytest.mark.compiled
 
@@ -241,15 +242,15 @@ def test_penalties_of_a_low_battery_and_a_full_store():
 
 def test_wrong_rewards_are_named():
     with pytest.raises(ValueError, match="give one of them"):
-        data.RSOImageReward(delivery_share=0.5, delivery_reward_fn=lambda record, target: target.priority)
+        RSOImageReward(delivery_share=0.5, delivery_reward_fn=lambda record, target: target.priority)
     with pytest.raises(ValueError, match="give one of them"):
-        data.RSOImageReward(cooldown_s=1.0, cooldown_orbits=1.0)
+        RSOImageReward(cooldown_s=1.0, cooldown_orbits=1.0)
     with pytest.raises(ValueError, match="cooldown_orbits=-1"):
-        data.RSOImageReward(cooldown_orbits=-1.0)
+        RSOImageReward(cooldown_orbits=-1.0)
     with pytest.raises(ValueError, match="exposure='later' must be one of"):
-        act.ImageRSO(3, exposure="later")
+        ImageRSO(3, exposure="later")
     with pytest.raises(ValueError, match="give require_illumination_during_hold=False"):
-        act.ImageRSO(3, exposure="first")
+        ImageRSO(3, exposure="first")
     assert servicing_catalog(priority_event=False, n_targets=3).priority_events == ()
 
 
@@ -260,7 +261,7 @@ class Eager(Imager):
     action_spec = (
         act.Charge(duration=100.0),
         act.Downlink(duration=90.0),
-        act.ImageRSO(3, 900.0, 600.0, require_illumination_during_hold=False, exposure="first"),
+        ImageRSO(3, 900.0, 600.0, require_illumination_during_hold=False, exposure="first"),
     )
 
 
@@ -289,7 +290,7 @@ def test_an_image_whose_hold_another_command_ends_stays_in_the_store_without_qua
 
 
 def test_an_episode_that_ends_during_a_hold_counts_the_image():
-    env = environment(kind=Eager, time_limit=300.0, rewarder=data.RSOImageReward(quality_threshold=0.0, delivery_share=0.25))
+    env = environment(kind=Eager, time_limit=300.0, rewarder=RSOImageReward(quality_threshold=0.0, delivery_share=0.25))
     env.reset()
     out = play(env, FIRST - 1)
     opened = env.fleet.simulators[0].read("rso_open") > 0.0
@@ -371,7 +372,7 @@ def test_candidates_in_the_order_of_priority_per_second():
     chosen = bsk_torch.rule("rate", env)(td.clone())["action"]
     first = env.scenario.candidates(env.satellite, 40)
     assert torch.equal(-1 - chosen, first.place[:, 0])
-    rank = scene.by_priority_per_second(env.scenario, env.satellite).gather(1, first.place)
+    rank = by_priority_per_second(env.scenario, env.satellite).gather(1, first.place)
     assert first.exists.all()
     assert (rank[:, 1:] >= rank[:, :-1]).all()
     see = td["observation"][:, 14:].view(16, 10, 11)
@@ -431,7 +432,7 @@ def test_the_outlook_is_observed_and_ranks_candidates():
     assert images.any()
     assert torch.equal(place.gather(1, (chosen[0] - FIRST).clamp(min=0).unsqueeze(1)).squeeze(1)[images], first[images])
     every = sets.scenario.outlook(sets.satellite, everything(sets))
-    rank = scene.by_priority_per_second_ahead(sets.scenario, sets.satellite)
+    rank = by_priority_per_second_ahead(sets.scenario, sets.satellite)
     good = (every.expected_in_sight > 0.0) & (every.expected_illumination_factor >= 0.5)
     assert torch.equal(good, rank < 0.0)
     torch.testing.assert_close(-rank[good], (sets.scenario.priority / every.expected_duration)[good], rtol=1e-12, atol=0.0)
@@ -455,5 +456,5 @@ def test_objects_of_infinite_rank_are_no_candidates():
     def nothing(scenario, satellite):
         return torch.full_like(satellite.of_env(scenario.priority), torch.inf)
 
-    scenario = scene.RSOTargets(servicing_catalog(TARGETS, priority_event=False), ["SS1"], order=nothing)
+    scenario = RSOTargets(servicing_catalog(TARGETS, priority_event=False), ["SS1"], order=nothing)
     assert not make(scenario=scenario, backend="eager").reset()["action_mask"][:, FIRST:].any()

@@ -9,11 +9,13 @@ import sys
 import pytest
 import torch
 
-from bsk_torch import data, obs, scene
-from tests.basilisk import inspection as inspections
+from bsk_torch import data, obs
+from bsk_torch.tasks.inspection import RSOInspectionReward, SphericalRSO
+from bsk_torch.tasks.objects import RSOTargetCatalog
 from tests.basilisk import test_manoeuvres as manoeuvres
 from tests.examples.recorded import BY_NAME, FOLDER, Replay, example, load, start
 from tests.examples.scenarios import areas, beliefs, clouds, find_after
+from tests.tasks.inspection import replay as inspections
 
 pytestmark = pytest.mark.compiled
 
@@ -149,9 +151,9 @@ def test_rso_inspection():
     env = module.make(
         len(recorded),
         sat_args=[inspections.arguments(recorded.initial, k) for k in range(2)],
-        scenario=scene.SphericalRSO(**first["scenario"]),
+        scenario=SphericalRSO(**first["scenario"]),
         rewarder=(
-            data.RSOInspectionReward(**first["reward"]),
+            RSOInspectionReward(**first["reward"]),
             data.ResourceReward(reward_weight=first["fuel_weight"], resource_fn=module.fuel),
         ),
         world_args=dict(utc_init=first["utc_init"]),
@@ -193,7 +195,7 @@ def test_continuous_orbit_maneuvers():
 def test_space_to_space_rso_imaging(profile):
     """The imager; its targets, satellites in bsk_rl, do nothing. All three are imaged and delivered, and some again."""
     recorded = load(f"space_to_space_rso_imaging_{profile}").only("imager")
-    catalog = scene.RSOTargetCatalog.from_dict(recorded.setup["catalog"])
+    catalog = RSOTargetCatalog.from_dict(recorded.setup["catalog"])
     options = start(recorded) | dict(time_limit=recorded.setup["time_limit"], mask_busy=False)
     env = example("space_to_space_rso_imaging").make(profile, **(options | dict(catalog=catalog)))
     Replay(env, recorded).run()

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from bsk_torch import scene
+from bsk_torch.tasks.inspection import SphericalRSO
 from tests.examples.recorded import EXACT, example, load, start
 
 pytestmark = pytest.mark.compiled
@@ -16,7 +17,7 @@ OBSERVED = 1e-6
 @pytest.fixture(scope="module")
 def flown():
     recorded = load("mixed_environment")
-    points = scene.SphericalRSO(n_points=100, theta_max=1.4, theta_solar_max=1.5)
+    points = SphericalRSO(n_points=100, theta_max=1.4, theta_solar_max=1.5)
     groups = {"ground_scene": ["Ground"], "rso_scene": ["RSO", "Inspector"]}
     scenes = scene.MixedScenario({"ground_scene": recorded.targets, "rso_scene": points}, groups)
     env = example("mixed_environment").make(**start(recorded), scenario=scenes, mask_busy=False)

@@ -9,10 +9,10 @@ from tensordict.nn import TensorDictModule
 import bsk_torch
 from bsk_torch import dyn
 from bsk_torch.act import allow_only
-from bsk_torch.rl.evaluation.aggregates import bootstrap
-from bsk_torch.rl.evaluation.charge_bound import most_power
+from bsk_torch.lab.audit.charge_bound import most_power
+from bsk_torch.lab.suites.aggregates import bootstrap
+from bsk_torch.lab.suites.suite import EPISODES, play, tasks_of
 from bsk_torch.rl.evaluation.evaluate import evaluate, start_episodes
-from bsk_torch.rl.evaluation.suite import EPISODES, play, tasks_of
 from bsk_torch.rl.marl import MAPPOConfig
 from bsk_torch.rl.marl.mappo import MAPPOLearner
 from bsk_torch.rl.marl.runs import read_config

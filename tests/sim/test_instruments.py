@@ -13,7 +13,7 @@ from bsk_torch import SatelliteTasking, act, data, obs, rand, sats, scene
 from bsk_torch.bsk_rl import act as literal_act
 from bsk_torch.bsk_rl import obs as literal_obs
 from bsk_torch.bsk_rl import sats as literal_sats
-from bsk_torch.plan.bounds.windows import satellite_positions
+from bsk_torch.lab.bounds.windows import satellite_positions
 from bsk_torch.rl.rules.targets import image_actions
 from bsk_torch.sim import dyn, faults, fsw
 from bsk_torch.sim.arguments.sources import hint

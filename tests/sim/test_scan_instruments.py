@@ -13,9 +13,10 @@ from bsk_torch.bsk_rl import obs as literal_obs
 from bsk_torch.bsk_rl import sats as literal_sats
 from bsk_torch.bsk_rl.sim import dyn as literal_dyn
 from bsk_torch.bsk_rl.sim import fsw as literal_fsw
-from bsk_torch.plan.bounds.scanning import check_scanning
+from bsk_torch.lab.bounds.scanning import check_scanning
 from bsk_torch.presets.nadir_scan import ScanningSatellite
 from bsk_torch.sim import dyn, faults, fsw
+from bsk_torch.tasks.inspection import RSOInspectorDynModel
 from tests.sim.instrument_steps import assert_steps_are_equal, choose
 from tests.support.refusals import check_refusals, refusal
 
@@ -209,7 +210,7 @@ def test_rejects_wrong_instruments():
 
     class Inspector(ScanningSatellite):
         observation_spec, action_spec = (obs.Time(),), (act.Charge(),)
-        dyn_type, fsw_type = (dyn.RSOInspectorDynModel,), fsw.ContinuousImagingFSWModel
+        dyn_type, fsw_type = (RSOInspectorDynModel,), fsw.ContinuousImagingFSWModel
 
     class Scanner(literal_sats.Satellite):
         observation_spec, action_spec = (literal_obs.Time(),), (literal_act.Scan(duration=60.0),)

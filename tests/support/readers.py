@@ -18,21 +18,22 @@ from tensordict import TensorDict
 from bsk_torch.cli.results import PlayedResults, Results, Summary
 from bsk_torch.data.pickled import Pickler, Unpickler
 from bsk_torch.files import write_file
-from bsk_torch.offline import open_dataset
-from bsk_torch.plan.bounds.envelope import FILE, Envelope
-from bsk_torch.plan.rare_flights import KIND, read_paths
-from bsk_torch.rl.evaluation.aeos_annotations import TASK_ID, read_assignments
+from bsk_torch.lab.bounds.envelope import FILE, Envelope
+from bsk_torch.lab.offline import open_dataset
+from bsk_torch.lab.risk.rare_flights import KIND, read_paths
 from bsk_torch.rl.marl.runs import read_config
 from bsk_torch.rl.policies.checksummed import load_checksummed, save_checksummed
 from bsk_torch.rl.policies.files import load_policy
 from bsk_torch.rl.policies.pretrained import pretrained_file
 from bsk_torch.rl.training.config import PPOConfig, save_config
 from bsk_torch.rl.training.log import read_log
-from bsk_torch.scene import RSOTarget, RSOTargetCatalog, read_cases
+from bsk_torch.tasks.aeos_bench import read_cases
+from bsk_torch.tasks.aeos_bench.annotations import TASK_ID, read_assignments
+from bsk_torch.tasks.objects import RSOTarget, RSOTargetCatalog
 from bsk_torch.untrusted import Word, parse_json, read_json
 from bsk_torch.viewer.recording import MAGIC, decode
-from tests.scene import aeos_cases
 from tests.support.recordings import synthetic_recording
+from tests.tasks.aeos_bench import aeos_cases
 
 Change = Callable[[Any], Any]
 """Changes nested dictionaries and lists."""

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import bsk_torch
-from bsk_torch.plan import Rollout
+from bsk_torch.lab.planners import Rollout
 from bsk_torch.rl.policies.shared_policy import rule
 from bsk_torch.viewer import record
 from bsk_torch.viewer.futures import Futures

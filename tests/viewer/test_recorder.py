@@ -5,7 +5,7 @@ from tensordict.nn import TensorDictModule
 
 import bsk_torch
 from bsk_torch.env.rollout import play_episodes
-from bsk_torch.plan import BeamSearch, Rollout, TreeSearch
+from bsk_torch.lab.planners import BeamSearch, Rollout, TreeSearch
 from bsk_torch.rl.policies.files import build_policy, read_card
 from bsk_torch.rl.policies.pretrained import pretrained_file
 from bsk_torch.rl.policies.shared_policy import rule, shared

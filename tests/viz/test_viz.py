@@ -8,10 +8,10 @@ import torch
 from matplotlib.colors import to_rgb
 
 import bsk_torch
+from bsk_torch.lab.audit.figure import regret_figure
 from bsk_torch.rl.rules.baselines import scan_rule
 from bsk_torch.viz.figures.curves import learning_curve
 from bsk_torch.viz.figures.profiles import performance_profiles
-from bsk_torch.viz.figures.regret import regret_figure
 from bsk_torch.viz.figures.style import COLUMN, PALETTE, WIDTH, label, panels, save, spread
 from bsk_torch.viz.figures.timeline import record_episode, timeline
 from bsk_torch.viz.figures.track_map import track_map

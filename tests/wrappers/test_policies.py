@@ -8,7 +8,7 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 
 import bsk_torch
-from bsk_torch.plan import Rollout
+from bsk_torch.lab.planners import Rollout
 from bsk_torch.rl.evaluation import compare, evaluate
 from bsk_torch.rl.policies import as_policy
 from bsk_torch.wrappers.policies import ModelPolicy, policy_of_one

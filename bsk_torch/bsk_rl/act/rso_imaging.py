@@ -6,10 +6,10 @@ import warnings
 from typing import Any
 
 from bsk_torch._checks import number, whole
-from bsk_torch.act.rso_imaging import HOLD_MODES
 from bsk_torch.bsk_rl.act.discrete_actions import DiscreteAction
 from bsk_torch.bsk_rl.utils.rso_imaging import candidate_snapshot
 from bsk_torch.sim.names import nearest
+from bsk_torch.tasks.objects.act import HOLD_MODES
 
 __all__ = ["ImageRSO"]
 

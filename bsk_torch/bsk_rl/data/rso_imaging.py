@@ -11,7 +11,7 @@ from typing import Any
 from bsk_torch._checks import function, number
 from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
 from bsk_torch.bsk_rl.utils.rso_imaging import RSOImageRecord
-from bsk_torch.data.rso_imaging import LEAST_BITS, SAME_TIME
+from bsk_torch.tasks.objects.reward import LEAST_BITS, SAME_TIME
 
 __all__ = ["RSOImageData", "RSOImageReward", "RSOImageStore"]
 

@@ -12,7 +12,7 @@ from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
 from bsk_torch.bsk_rl.scene.rso_points import RSOPoint
 from bsk_torch.bsk_rl.sim.inspection import Found
 from bsk_torch.bsk_rl.utils import vizard
-from bsk_torch.sim.dyn import RSOInspectorDynModel
+from bsk_torch.tasks.inspection import RSOInspectorDynModel
 
 __all__ = ["RSOInspectionData", "RSOInspectionDataStore", "RSOInspectionReward"]
 

@@ -11,8 +11,8 @@ from bsk_torch._checks import whole
 from bsk_torch.bsk_rl.obs.observations import Observation
 from bsk_torch.bsk_rl.utils.orbital import rv2HN
 from bsk_torch.bsk_rl.utils.rso_imaging import candidate_snapshot, illumination_factor, target_geometry
-from bsk_torch.obs.rso_imaging import DEFAULT
 from bsk_torch.sim.names import nearest
+from bsk_torch.tasks.objects.obs import DEFAULT
 
 __all__ = ["RSOTargetProperties", "target_properties"]
 

@@ -14,8 +14,7 @@ from bsk_torch.bsk_rl.scene.scenario import Scenario
 from bsk_torch.bsk_rl.sim.inspection import Inspection
 from bsk_torch.bsk_rl.utils import vizard
 from bsk_torch.bsk_rl.utils.orbital import fibonacci_sphere
-from bsk_torch.sim.dyn import RSODynModel, RSOInspectorDynModel
-from bsk_torch.sim.fsw import RSOInspectorFSWModel
+from bsk_torch.tasks.inspection import RSODynModel, RSOInspectorDynModel, RSOInspectorFSWModel
 
 __all__ = ["RSOPoint", "RSOPoints", "SphericalRSO"]
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from bsk_torch.bsk_rl.scene.scenario import Scenario
-from bsk_torch.scene.rso_catalog import RSOPriorityEvent, RSOTarget, RSOTargetCatalog
-from bsk_torch.scene.rso_targets import partition_name
-from bsk_torch.sim.dyn import EclipseDynModel, SpaceToSpaceImagingDynModel
-from bsk_torch.sim.fsw import SpaceToSpaceImagingFSWModel
+from bsk_torch.sim.dyn import EclipseDynModel
 from bsk_torch.sim.names import nearest
+from bsk_torch.tasks.objects import SpaceToSpaceImagingDynModel, SpaceToSpaceImagingFSWModel
+from bsk_torch.tasks.objects.catalog import RSOPriorityEvent, RSOTarget, RSOTargetCatalog
+from bsk_torch.tasks.objects.scene import partition_name
 
 __all__ = ["RSOPriorityEvent", "RSOTarget", "RSOTargetCatalog", "RSOTargets"]
 

@@ -11,9 +11,9 @@ from torch import Tensor
 
 from bsk_torch.constants import NANO
 from bsk_torch.sim.fleet import Fleet
-from bsk_torch.sim.inspection.flags import Records, find_flags
-from bsk_torch.sim.inspection.points import point_columns
 from bsk_torch.sim.run.trace import Flight
+from bsk_torch.tasks.inspection.flags import Records, find_flags
+from bsk_torch.tasks.inspection.points import point_columns
 
 Place = tuple[int, int]
 """Type of a satellite, and its row among the satellites of the type."""
@@ -27,7 +27,7 @@ class Found(NamedTuple):
 
 
 class Inspection:
-    """Finds the flags of all points in the runs of an episode, by bsk_rl's rules (:mod:`bsk_torch.sim.inspection.flags`).
+    """Finds the flags of all points in the runs of an episode, by bsk_rl's rules (:mod:`bsk_torch.tasks.inspection.flags`).
 
     In the first two records of an episode the RSO has no attitude yet: they count as inspected, and as lit only where the length
     of the step, rounded, is not that of its records: bsk_rl's test of the beginning of an episode.

@@ -12,10 +12,10 @@ from bsk_torch.bsk_rl.utils.rso_imaging import RSOImageRecord
 from bsk_torch.constants import NANO
 from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sim.assembly.satellite_type import whole_nanoseconds
-from bsk_torch.sim.catalog.aim import AIM, NO_AIM, AimedNodes
-from bsk_torch.sim.catalog.orbits import CatalogOrbits, Epoch
-from bsk_torch.sim.dyn.rso_imaging import GATE_FIELDS, RSO_TRACK
 from bsk_torch.sim.orbit.flights import make_flights
+from bsk_torch.tasks.objects.aim import AIM, NO_AIM, AimedNodes
+from bsk_torch.tasks.objects.dyn import GATE_FIELDS, RSO_TRACK
+from bsk_torch.tasks.objects.orbits import CatalogOrbits, Epoch
 from bsk_torch.vec3 import Vec3
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ LONGEST = 1e9
 class Aims:
     """Supplies the orbits of satellites at which others point; ticks know no states of other satellites.
 
-    The orbits are those of the initial states, without drag; see :class:`bsk_torch.sim.catalog.orbits.CatalogOrbits`.
+    The orbits are those of the initial states, without drag; see :class:`bsk_torch.tasks.objects.orbits.CatalogOrbits`.
     """
 
     def __init__(self, fleet: SatelliteFleet) -> None:

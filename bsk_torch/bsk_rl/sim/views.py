@@ -20,11 +20,12 @@ from typing_extensions import override
 from bsk_torch.bsk_rl.sim import messages
 from bsk_torch.bsk_rl.sim.engine import row_mask
 from bsk_torch.bsk_rl.sim.rso_imaging import Capture, sees
-from bsk_torch.sim.dyn import GroundStationDynModel, LOSCommDynModel, SpaceToSpaceImagingDynModel
+from bsk_torch.sim.dyn import GroundStationDynModel, LOSCommDynModel
 from bsk_torch.sim.environment.world import station_arrays, station_names
 from bsk_torch.sim.fsw.setpoint import ATTITUDE_MRP, HOLD_INERTIAL
 from bsk_torch.sim.names import nearest
 from bsk_torch.sim.readout.observables import observable
+from bsk_torch.tasks.objects import SpaceToSpaceImagingDynModel
 
 if TYPE_CHECKING:
     from bsk_torch.bsk_rl.sim.simulator import Simulator

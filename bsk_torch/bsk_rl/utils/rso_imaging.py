@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bsk_torch.sim.catalog.candidates import HIGHEST, LOWEST
+from bsk_torch.tasks.objects.candidates import HIGHEST, LOWEST
 
 __all__ = ["CandidateSnapshot", "RSOImageRecord", "candidate_snapshot", "illumination_factor", "target_geometry"]
 

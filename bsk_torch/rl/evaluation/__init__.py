@@ -2,7 +2,6 @@
 
 from bsk_torch.rl.evaluation.comparison import compare, comparison_table
 from bsk_torch.rl.evaluation.evaluate import FRESH, Evaluation, evaluate, start_episodes
-from bsk_torch.rl.evaluation.failures import Failure, explain
 from bsk_torch.rl.evaluation.replay import Flown, fly
 from bsk_torch.rl.evaluation.statistics import Estimate, confidence, wilson
 
@@ -10,13 +9,11 @@ __all__ = [
     "FRESH",
     "Estimate",
     "Evaluation",
-    "Failure",
     "Flown",
     "compare",
     "comparison_table",
     "confidence",
     "evaluate",
-    "explain",
     "fly",
     "start_episodes",
     "wilson",

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from typing import cast
 
 import torch
@@ -13,12 +12,11 @@ from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.data import Binary, Composite
 
+from bsk_torch._rooms import Entries
 from bsk_torch.env import NO_ACTION, ConstellationTasking, SatelliteTasking, Tasking
 from bsk_torch.env.agents import AGENTS, Group
 from bsk_torch.env.satellite_group import SatelliteGroup
-from bsk_torch.rl.rules.baselines import BASELINES, random_policy
-from bsk_torch.rl.rules.nearest_task import NearestTask
-from bsk_torch.rl.rules.team import TEAM_RULES, TeamPolicy, TeamRule
+from bsk_torch.rl.rules.baselines import BASELINES, TeamPolicy, random_policy
 from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.wrappers.policies import Actor, WholePolicy, policy_of_one
 
@@ -26,10 +24,13 @@ TRAINED_WITH = "make it with the options that the policy was trained with, which
 """Advice for a policy that reads observations missing in the environment."""
 
 
-TOGETHER: dict[str, Callable[[Tasking], TeamRule | NearestTask]] = {
-    **{name: partial(TeamRule, name=name) for name in TEAM_RULES},
-    "nearest_task": NearestTask,
-}
+TOGETHER: Entries[Callable[[Tasking], TeamPolicy]] = Entries(
+    {
+        "local": "bsk_torch.tasks.objects.team_rules:local",
+        "centralized": "bsk_torch.tasks.objects.team_rules:centralized",
+        "nearest_task": "bsk_torch.tasks.aeos_bench.rules:nearest_task",
+    }
+)
 """Rules that decide for all satellites of an environment."""
 
 RULES = (*BASELINES, *TOGETHER)
@@ -174,7 +175,7 @@ def shared(policy: Actor, env: Tasking) -> TensorDictModuleBase:
     """Return a policy of one satellite, see :func:`~bsk_torch.wrappers.policies.policy_of_one`, for all satellites of ``env``.
 
     The result is the policy itself for one satellite, for a :class:`GroupPolicies` or a
-    :class:`~bsk_torch.rl.rules.team.TeamPolicy`, and a :class:`SharedPolicy` in a
+    :class:`~bsk_torch.rl.rules.baselines.TeamPolicy`, and a :class:`SharedPolicy` in a
     constellation with one group. ValueError for policies of other groups, a single-satellite policy in a constellation of several
     groups, or a policy that reads observations missing in the environment.
     """
@@ -219,7 +220,7 @@ def baseline(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
         KeyError, ValueError: If the rule applies to no group, or for an unknown name.
     """
     if name in TOGETHER:
-        return TOGETHER[name](env).module()
+        return TOGETHER[name](env)
     return baseline_of_groups(BASELINES[name], env, seed)
 
 

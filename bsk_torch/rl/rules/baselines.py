@@ -12,18 +12,19 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor
 
+from bsk_torch._rooms import Entries
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.rl.rules.continuous import Bounds, bounds_of, spread
 from bsk_torch.rl.rules.cooperative import CooperativeRule
 from bsk_torch.rl.rules.imaging import IMAGING_RULES, ImagingRule, ranking_rule
-from bsk_torch.rl.rules.inspection import HURRIED_SECOND, inspection_rule
 from bsk_torch.rl.rules.observation_columns import Columns
-from bsk_torch.rl.rules.servicing import ORDERS, WORTHS, servicing_rule
-from bsk_torch.rl.rules.soonest_task import SOONEST, soonest_rule
-from bsk_torch.rl.rules.thrusters import thruster_rule
 
 LOT = "lot"
 """Key of uniform numbers [N], written by evaluations so that random actions do not depend on the batch."""
+
+
+class TeamPolicy(TensorDictModule):
+    """A policy that decides for all satellites of an environment, by looking at all of them."""
 
 
 class RandomPolicy(TensorDictModuleBase):
@@ -164,19 +165,31 @@ RANKINGS: dict[str, Callable[[SatelliteTasking], ImagingRule]] = {
 }
 """Rules by name that rank all actions: functions of the environment."""
 
-BASELINES: dict[str, Callable[[SatelliteTasking, int], TensorDictModuleBase]] = {
-    "random": random_policy,
-    "rule": scan_rule,
-    "cautious": partial(scan_rule, thresholds=CAUTIOUS),
-    "science": science_rule,
-    **{name: ranking_rule(ranking) for name, ranking in RANKINGS.items()},
-    "drift": inspection_rule("drift"),
-    "circumnavigate": inspection_rule("circumnavigate"),
-    "survey": inspection_rule("survey"),
-    "hurried_survey": inspection_rule("survey", HURRIED_SECOND),
-    "glide": thruster_rule("glide"),
-    "seek": thruster_rule("seek"),
-    **{name: servicing_rule(name) for name in (*ORDERS, *WORTHS)},
-    SOONEST: soonest_rule,
-}
+SERVICING = (
+    "angle",
+    "priority_angle",
+    "distance",
+    "rate",
+    "rate_ahead",
+    "candidate_priority",
+    "candidate_rate",
+    "candidate_rate_ahead",
+    "prompt",
+    "prompt_ahead",
+)
+"""Names of the rules of :mod:`bsk_torch.tasks.objects.rules`."""
+
+BASELINES: Entries[Callable[[SatelliteTasking, int], TensorDictModuleBase]] = Entries(
+    {
+        "random": random_policy,
+        "rule": scan_rule,
+        "cautious": partial(scan_rule, thresholds=CAUTIOUS),
+        "science": science_rule,
+        **{name: ranking_rule(ranking) for name, ranking in RANKINGS.items()},
+        **{name: f"bsk_torch.tasks.inspection.rules:{name}" for name in ("drift", "circumnavigate", "survey", "hurried_survey")},
+        **{name: f"bsk_torch.tasks.safe_autonomy.rules:{name}_rule" for name in ("glide", "seek")},
+        **{name: f"bsk_torch.tasks.objects.rules:{name}" for name in SERVICING},
+        "soonest_task": "bsk_torch.tasks.aeos_bench.rules:soonest_rule",
+    }
+)
 """Baselines by name: functions of the environment and a seed, which raise KeyError or ValueError if they do not apply."""

@@ -11,7 +11,6 @@ from torch import Tensor
 
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.rollout import ACTION_VALUE
-from bsk_torch.obs import RSOTargetProperties
 from bsk_torch.rl.rules.targets import Observation, TargetReader, image_actions, read
 
 LEVEL, OPENS = "sat_props.storage_level_fraction", "ground_station.ground_station_0.opportunity_open_normd"
@@ -111,7 +110,7 @@ class ImagingRule:
         """Return the rule for an environment; ValueError or KeyError without targets or the required observations."""
         satellite = env.satellite
         see = TargetReader.of(env)
-        if isinstance(see.entry, RSOTargetProperties):
+        if see.entry.in_orbit:
             raise ValueError(f"{satellite.name} images objects in orbit, for which there are other rules, such as 'rate'")
         images = image_actions(env)[: see.n]
         return cls(see, images, worth, satellite.observation_description, satellite.action_description)

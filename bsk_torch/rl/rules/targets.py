@@ -8,7 +8,7 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
-from bsk_torch.act import Action, Image, ImageRSO, PointAtTask
+from bsk_torch.act import Action
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.action_forms import form
 from bsk_torch.obs import OpportunityProperties
@@ -32,11 +32,10 @@ def image_actions(env: SatelliteTasking) -> range:
         raise ValueError(f"{env.satellite.name} has several instruments, between which rules and scores of targets do not choose")
     first = 0
     for entry in env.satellite.actions.entries if form(env.satellite) is None else ():
-        if isinstance(entry, Image | ImageRSO):
-            return range(first, first + entry.n_actions)
-        if isinstance(entry, PointAtTask) and entry.n_candidates is not None and entry.sensor != "chosen":
-            return range(first + 1, first + entry.n_actions)
-        first += cast(Action, entry).n_actions
+        action = cast(Action, entry)
+        if targets := action.target_actions:
+            return range(first + targets.start, first + targets.stop)
+        first += action.n_actions
     raise ValueError(f"{env.satellite.name} images no targets; its actions are {env.satellite.action_description}")
 
 

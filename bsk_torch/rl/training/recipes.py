@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from bsk_torch._rooms import Entries
+
 TAUGHT: dict[str, Any] = dict(imitate="hasty", imitation=0.2)
 """What the rule ``hasty`` does is learned in a minute, and a good start."""
 
@@ -56,119 +58,29 @@ SCANNING_WITH_FAULTS = {
 }
 """A rule that survives most faults is a good start."""
 
-INSPECTION: dict[str, dict[str, Any]] = {
-    "attention": dict(
-        num_envs=256,
-        rollout=16,
-        hidden=(256, 256),
-        gamma=0.99999,
-        epochs=4,
-        minibatch=1024,
-        entropy=0.01,
-        evaluate_every=100_000,
-        options=dict(actions="waypoints"),
-    ),
-}
-"""For flying about a spacecraft from waypoint to waypoint. An inspection takes hours, and its end counts most."""
-
-CREW: dict[str, dict[str, Any]] = {
-    "attention": INSPECTION["attention"] | dict(num_envs=128, minibatch=512, imitate="survey", imitation=0.3)
-}
-"""For several inspectors, each step of whom takes longer: smaller batches, so that there are as many updates, and a rule to
-begin with."""
-
-SERVICES: dict[str, dict[str, Any]] = {
-    "attention": dict(
-        num_envs=128,
-        rollout=32,
-        hidden=(64,),
-        learning_rate=1e-3,
-        epochs=4,
-        minibatch=512,
-        gamma=0.9998,
-        lmbda=0.9,
-        entropy=0.001,
-        imitate="candidate_rate_ahead",
-        imitation=0.12,
-        evaluate_every=0,
-        options=dict(order="priority_per_second_ahead", as_set=True, outlook=True, shielded=True, advance=0.9),
-    )
-}
-"""For images that count when they have been verified on the ground: in training, most of the reward is paid in advance when an
-image is taken, and candidates that promise the most come first. The shield excludes what a policy would have to learn from few
-errors, such as images with a full store. The future of fifty decisions counts."""
-
-CW_DOCKING: dict[str, dict[str, Any]] = {
-    "mlp": dict(
-        num_envs=256, rollout=64, learning_rate=1e-3, gamma=0.998, lmbda=0.97, entropy=0.0, epochs=4, evaluate_every=500_000
-    )
-}
-"""For docking by thrusters, with a decision in each second: rewards for approaching come within minutes."""
-
-CW_INSPECTION: dict[str, dict[str, Any]] = {
-    "mlp": dict(num_envs=256, rollout=64, learning_rate=1e-3, gamma=0.9995, entropy=0.0, epochs=4, evaluate_every=200_000)
-}
-"""For inspections by thrusters, with a decision every 10 s. A discount of 0.9999 learned more slowly."""
-
-CREW_OF_SENSORS: dict[str, dict[str, Any]] = {
-    "attention": dict(
-        num_envs=64,
-        rollout=32,
-        hidden=(64,),
-        learning_rate=1e-3,
-        epochs=4,
-        minibatch=512,
-        gamma=0.9995,
-        entropy=0.002,
-        imitate="prompt_ahead",
-        imitation=0.4,
-        evaluate_every=0,
-        options=dict(as_set=True, outlook=True, shielded=True),
-    )
-}
-"""For imagers of the same objects in orbit, each of which knows its own images: a rule that reacts fast is the start, and the
-shield keeps empty downlinks from being explored. Evaluations take longer than the training, so there are none before its end."""
-
-BENCH: dict[str, dict[str, Any]] = {
-    "attention": dict(
-        num_envs=16,
-        rollout=36,
-        hidden=(64,),
-        learning_rate=5e-4,
-        epochs=2,
-        minibatch=1024,
-        gamma=0.995,
-        lmbda=0.9,
-        entropy=0.001,
-        imitate="soonest_task",
-        imitation=0.3,
-        evaluate_every=0,
-        options=dict(satellites=(4, 24), tasks=(60, 200), candidates=True, as_set=True, step_duration=10.0),
-    )
-}
-"""For satellites that share tasks on the ground: a rule that shares them is the start. The next minutes count."""
-
-RECIPES: dict[str, dict[str, dict[str, Any]]] = {
-    "NadirScan-v1": SCANNING,
-    "NadirScience-v1": SCIENCE,
-    "FaultyScan-v1": SCANNING_WITH_FAULTS,
-    "AEOS-v1": IMAGING,
-    "AEOSPower-v1": IMAGING,
-    "AEOSCity-v1": IMAGING,
-    "CloudyAEOS-v1": IMAGING,
-    "Constellation-v1": CREW_OF_IMAGERS,
-    "AEOSConstellation-v1": CREW_OF_IMAGERS,
-    "RelayConstellation-v1": CREW_WITH_RELAYS,
-    "HeteroCluster-v1": CLUSTER,
-    "Services-v1": SERVICES,
-    "ThreeSensors-v1": CREW_OF_SENSORS,
-    "Walker4-v1": CREW_OF_SENSORS,
-    "AEOSBench-v1": BENCH,
-    "RSOInspection-v1": INSPECTION,
-    "MultiInspection-v1": CREW,
-    "CWDocking-v1": CW_DOCKING,
-    "CWInspection-v1": CW_INSPECTION,
-}
+RECIPES: Entries[dict[str, dict[str, Any]]] = Entries(
+    {
+        "NadirScan-v1": SCANNING,
+        "NadirScience-v1": SCIENCE,
+        "FaultyScan-v1": SCANNING_WITH_FAULTS,
+        "AEOS-v1": IMAGING,
+        "AEOSPower-v1": IMAGING,
+        "AEOSCity-v1": IMAGING,
+        "CloudyAEOS-v1": IMAGING,
+        "Constellation-v1": CREW_OF_IMAGERS,
+        "AEOSConstellation-v1": CREW_OF_IMAGERS,
+        "RelayConstellation-v1": CREW_WITH_RELAYS,
+        "HeteroCluster-v1": CLUSTER,
+        "Services-v1": "bsk_torch.tasks.objects.recipe:IMAGER",
+        "ThreeSensors-v1": "bsk_torch.tasks.objects.recipe:TEAM",
+        "Walker4-v1": "bsk_torch.tasks.objects.recipe:TEAM",
+        "AEOSBench-v1": "bsk_torch.tasks.aeos_bench.recipe:TEAM",
+        "RSOInspection-v1": "bsk_torch.tasks.inspection.recipe:INSPECTOR",
+        "MultiInspection-v1": "bsk_torch.tasks.inspection.recipe:CREW",
+        "CWDocking-v1": "bsk_torch.tasks.safe_autonomy.recipe:DOCKING",
+        "CWInspection-v1": "bsk_torch.tasks.safe_autonomy.recipe:INSPECTION",
+    }
+)
 """Settings that differ from the defaults of :class:`PPOConfig` or :class:`MAPPOConfig`, by environment and network."""
 
 

@@ -1,11 +1,7 @@
 """Dynamics: the parts of a spacecraft and the models that compose them."""
 
-from bsk_torch.sim.dyn.aeos_bench import AEOSBenchDynModel, AEOSBenchTracedDynModel
-from bsk_torch.sim.dyn.catalog_radio import CatalogRadioDynModel
 from bsk_torch.sim.dyn.facets import Facet, box_facets
 from bsk_torch.sim.dyn.forces import add_force
-from bsk_torch.sim.dyn.inspection import RSODynModel, RSOInspectorDynModel
-from bsk_torch.sim.dyn.linear_motion import DockingDynModel, LinearInspectorDynModel, LinearMotionDynModel
 from bsk_torch.sim.dyn.models import (
     AtmosphericDragDynModel,
     BasicDynamicsModel,
@@ -26,7 +22,6 @@ from bsk_torch.sim.dyn.models import (
 from bsk_torch.sim.dyn.navigation import navigation_numbers
 from bsk_torch.sim.dyn.panels import Panel, best_direction
 from bsk_torch.sim.dyn.relative_motion import ConjunctionDynModel, MaxRangeDynModel
-from bsk_torch.sim.dyn.rso_imaging import SpaceToSpaceImagingDynModel
 from bsk_torch.sim.dyn.thrusters import THRUSTER_TYPES, Thruster
 from bsk_torch.sim.dyn.torque_bars import TorqueBar
 from bsk_torch.sim.dyn.wheel_types import WHEEL_TYPES, Wheel, WheelType, pyramid
@@ -37,15 +32,11 @@ from bsk_torch.sim.readout.observables import Now, observable, vital
 __all__ = [
     "THRUSTER_TYPES",
     "WHEEL_TYPES",
-    "AEOSBenchDynModel",
-    "AEOSBenchTracedDynModel",
     "AtmosphericDragDynModel",
     "BasicDynamicsModel",
-    "CatalogRadioDynModel",
     "ConjunctionDynModel",
     "ContinuousImagingDynModel",
     "DisturbanceTorqueDynModel",
-    "DockingDynModel",
     "DynamicsModel",
     "EclipseDynModel",
     "Facet",
@@ -55,16 +46,11 @@ __all__ = [
     "ImagingDynModel",
     "Instrument",
     "LOSCommDynModel",
-    "LinearInspectorDynModel",
-    "LinearMotionDynModel",
     "MaxRangeDynModel",
     "NavigationErrorsDynModel",
     "Now",
     "Panel",
-    "RSODynModel",
-    "RSOInspectorDynModel",
     "SolarPressureDynModel",
-    "SpaceToSpaceImagingDynModel",
     "StripImagingDynModel",
     "Thruster",
     "TorqueBar",

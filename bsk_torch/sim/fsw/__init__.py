@@ -1,8 +1,6 @@
 """Flight software: guidance, control, and the modes that actions switch between."""
 
-from bsk_torch.sim.fsw.aeos_bench import AEOSBenchFSWModel
 from bsk_torch.sim.fsw.gains import propose_gains
-from bsk_torch.sim.fsw.inspection import RSOInspectorFSWModel
 from bsk_torch.sim.fsw.models import (
     BasicFSWModel,
     ContinuousImagingFSWModel,
@@ -16,16 +14,13 @@ from bsk_torch.sim.fsw.models import (
 )
 from bsk_torch.sim.fsw.modes import Command, Mode
 from bsk_torch.sim.fsw.passive import TumblingFSWModel
-from bsk_torch.sim.fsw.rso_imaging import CatalogRadioFSWModel, SpaceToSpaceImagingFSWModel
 from bsk_torch.sim.fsw.setpoint import AttitudeSetpointFSWModel, InertialHoldFSWModel
 from bsk_torch.sim.fsw.strip import StripImagingFSWModel
 from bsk_torch.sim.fsw.tasks import Task, action
 
 __all__ = [
-    "AEOSBenchFSWModel",
     "AttitudeSetpointFSWModel",
     "BasicFSWModel",
-    "CatalogRadioFSWModel",
     "Command",
     "ContinuousImagingFSWModel",
     "EndedDownlinkFSWModel",
@@ -35,8 +30,6 @@ __all__ = [
     "MagicOrbitalManeuverFSWModel",
     "MagneticUnloadingFSWModel",
     "Mode",
-    "RSOInspectorFSWModel",
-    "SpaceToSpaceImagingFSWModel",
     "SteeringFSWModel",
     "SteeringImagerFSWModel",
     "StripImagingFSWModel",

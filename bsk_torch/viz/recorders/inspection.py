@@ -1,4 +1,4 @@
-"""Recorder of one inspection episode, for :func:`bsk_torch.viz.figures.inspection.inspection_figure`."""
+"""Recorder of one inspection episode, for :func:`bsk_torch.tasks.inspection.figure.inspection_figure`."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from bsk_torch.astro.relative import rv2HN
-from bsk_torch.data import ComposedReward, RSOInspectionReward
+from bsk_torch.data import ComposedReward
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.env.base import Tasking
 from bsk_torch.env.rollout import play_episodes
-from bsk_torch.scene import RSOPoints
-from bsk_torch.viz.figures.inspection import InspectionEpisode
+from bsk_torch.tasks.inspection import RSOInspectionReward, RSOPoints
+from bsk_torch.tasks.inspection.figure import InspectionEpisode
 from bsk_torch.viz.recorders.decisions import DecisionLog
 from bsk_torch.viz.recorders.episode import first_row
 

@@ -1,4 +1,4 @@
-"""Recorder of one episode of imaging in orbit, and of skies, for the figures of :mod:`bsk_torch.viz.figures.rso_imaging`."""
+"""Recorder of one episode of imaging in orbit, and of skies, for the figures of :mod:`bsk_torch.tasks.objects.figure`."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from torch import Tensor
 
 from bsk_torch._checks import whole
 from bsk_torch.constants import R_EARTH
-from bsk_torch.data import ComposedReward, RSOImageReward
-from bsk_torch.data.rso_imaging import NONE
+from bsk_torch.data import ComposedReward
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.env.base import Tasking
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.sats.bound import BoundSatellite
-from bsk_torch.scene import RSOTargets
-from bsk_torch.sim.catalog.candidates import Candidates, Views
 from bsk_torch.sim.names import nearest
-from bsk_torch.viz.figures.rso_imaging import RSOImagingEpisode, Sky
+from bsk_torch.tasks.objects import RSOImageReward, RSOTargets
+from bsk_torch.tasks.objects.candidates import Candidates, Views
+from bsk_torch.tasks.objects.figure import RSOImagingEpisode, Sky
+from bsk_torch.tasks.objects.reward import NONE
 from bsk_torch.viz.recorders.constellation import quantities
 from bsk_torch.viz.recorders.decisions import DecisionLog
 from bsk_torch.viz.recorders.episode import first_row

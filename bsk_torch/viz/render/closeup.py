@@ -12,7 +12,7 @@ from PIL import Image
 
 from bsk_torch.astro.clohessy_wiltshire import propagate
 from bsk_torch.astro.relative import cd2hill
-from bsk_torch.scene import RSOPoints
+from bsk_torch.tasks.inspection import RSOPoints
 from bsk_torch.viz.figures.style import INK, PALETTE
 from bsk_torch.viz.recorders.inspection import rewarder_of
 from bsk_torch.viz.render.marks import DONE, NAMED, Pen, color_of, shade

@@ -13,10 +13,10 @@ import torch
 from torch import Tensor
 
 from bsk_torch.astro.orbit import Elements, elements_to_rv, rv_to_elements
-from bsk_torch.scene import RSOTargets
-from bsk_torch.sim.catalog.aim import AIM
-from bsk_torch.sim.catalog.candidates import Candidates
 from bsk_torch.sim.places import FixedPlaces
+from bsk_torch.tasks.objects import RSOTargets
+from bsk_torch.tasks.objects.aim import AIM
+from bsk_torch.tasks.objects.candidates import Candidates
 from bsk_torch.vec3 import Vec3
 from bsk_torch.viz.recorders.episode import QUANTITIES
 

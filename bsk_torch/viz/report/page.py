@@ -15,10 +15,10 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from bsk_torch._text import visible
 from bsk_torch.files import write_file
+from bsk_torch.tasks.inspection.figure import InspectionEpisode, inspection_figure
+from bsk_torch.tasks.objects.figure import RSOImagingEpisode, services_figure
 from bsk_torch.viz.figures.constellation import ConstellationEpisode, constellation_figure
 from bsk_torch.viz.figures.ground_track import ground_track
-from bsk_torch.viz.figures.inspection import InspectionEpisode, inspection_figure
-from bsk_torch.viz.figures.rso_imaging import RSOImagingEpisode, services_figure
 from bsk_torch.viz.figures.timeline import timeline
 from bsk_torch.viz.figures.track_map import track_map
 from bsk_torch.viz.recorders.imaging import ImagingEpisode

@@ -176,7 +176,7 @@ def test_rejects_reads_that_nothing_answers():
         return build(Composed, {"dyn_type": tanks, "fsw_type": fsw.FSWModel, "observation_spec": spec})
 
     heard = "'radio'", "'station_access'", "world.GroundStationWorldModel"
-    charged = "dyn.BasicDynamicsModel", "dyn.AEOSBenchDynModel"
+    charged = "dyn.BasicDynamicsModel", "AEOSBenchDynModel"
     check_refusals(
         [
             refusal(lambda: build(Composed, mine), TypeError, *heard),

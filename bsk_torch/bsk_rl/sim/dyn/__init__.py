@@ -14,9 +14,8 @@ from bsk_torch.sim.dyn import (
     ImagingDynModel,
     LOSCommDynModel,
     MaxRangeDynModel,
-    RSODynModel,
-    RSOInspectorDynModel,
 )
+from bsk_torch.tasks.inspection import RSODynModel, RSOInspectorDynModel
 
 DynamicsModelABC = DynamicsModel
 

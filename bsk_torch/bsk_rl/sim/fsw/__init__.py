@@ -7,12 +7,12 @@ from bsk_torch.sim.fsw import (
     FSWModel,
     ImagingFSWModel,
     MagicOrbitalManeuverFSWModel,
-    RSOInspectorFSWModel,
     SteeringFSWModel,
     SteeringImagerFSWModel,
     Task,
     action,
 )
+from bsk_torch.tasks.inspection import RSOInspectorFSWModel
 
 FSWModelABC = FSWModel
 

@@ -1,5 +1,5 @@
 """Flight software of satellites that image others; counterpart of ``bsk_rl.sim.fsw.rso_imaging``."""
 
-from bsk_torch.sim.fsw import SpaceToSpaceImagingFSWModel
+from bsk_torch.tasks.objects import SpaceToSpaceImagingFSWModel
 
 __all__ = ["SpaceToSpaceImagingFSWModel"]

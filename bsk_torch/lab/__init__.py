@@ -1,0 +1,1 @@
+"""What one does with environments: planners, bounds, risks, audits, offline data, suites, and flights on Basilisk."""

@@ -1,0 +1,1 @@
+"""Audits of policies: regret of decisions, and explanations of deaths."""

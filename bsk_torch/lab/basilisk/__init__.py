@@ -1,0 +1,11 @@
+"""Flights of the same episodes on Basilisk itself, driven through bsk_rl, where these are installed.
+
+Only :mod:`bsk_torch.lab.basilisk.reference_env` imports Basilisk, when an episode is flown; :func:`lacking` lists what to
+install.
+"""
+
+from bsk_torch.lab.basilisk.certificate import Certificate, certify
+from bsk_torch.lab.basilisk.flight import FLOWN
+from bsk_torch.lab.basilisk.support_data import absent_data, lacking
+
+__all__ = ["FLOWN", "Certificate", "absent_data", "certify", "lacking"]

@@ -1,0 +1,240 @@
+"""A flown episode, its initial conditions, and its flight in bsk_torch.
+
+The same episode on Basilisk is in :mod:`bsk_torch.lab.basilisk.reference_env`; nothing here needs Basilisk.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDict
+from torch import Tensor
+
+from bsk_torch.astro.ephemeris import parse_utc
+from bsk_torch.env import SatelliteTasking
+from bsk_torch.env.rollout import play_episodes
+from bsk_torch.rand import Distribution, Key
+from bsk_torch.rl.evaluation.evaluate import start_episodes
+from bsk_torch.sim.dyn.hub import initial_orbit
+
+Array = NDArray[np.float64]
+
+FLOWN = "NadirScan-v1", "AEOS-v1", "AEOSPower-v1", "AEOSCity-v1"
+"""Presets that :mod:`bsk_torch.lab.basilisk.reference_env` can build."""
+
+TABLES = "target_r_LP_P", "target_priority", "target_exists"
+"""Tables of scenarios with targets: positions m, Earth-fixed, priorities, and whether a row is a target."""
+
+NUDGE = 1e-12
+"""Change of the initial attitude (MRP) by which the conditioning of an episode is tested."""
+
+LONGEST = 100_000
+"""Decisions after which an episode is given up."""
+
+Pilot = Callable[[TensorDict, Sequence[int], int], tuple[Tensor, Tensor]]
+"""From ``observation`` and ``action_mask`` of n episodes, their seeds and the number k of the decision to actions [n] and logits
+[n, A]; [n, 0] where there are none."""
+
+
+@dataclass(frozen=True)
+class Flight:
+    """An episode with k decisions.
+
+    Attributes:
+        seed: The episode is that of ``GymEnv.reset(seed=seed)``.
+        actions: [k].
+        observations: What was seen before each decision and at the end, [k + 1, F] float64.
+        logits: What the policy said, [k, A]; [k, 0] for policies that have none.
+        rewards: [k] float64.
+        seconds: Length of the episode, to the nanosecond.
+        penalty: What dying has cost.
+        deaths: Aliveness checks that failed; empty for a survivor.
+        fill: Data in the store at the end, fraction of its capacity; nan if there is no store.
+    """
+
+    seed: int
+    actions: NDArray[np.int64]
+    observations: Array
+    logits: Array
+    rewards: Array
+    seconds: float
+    penalty: float
+    deaths: tuple[str, ...]
+    fill: float
+
+    @property
+    def returns(self) -> float:
+        """Sum of rewards."""
+        return float(self.rewards.sum())
+
+    @property
+    def collected(self) -> float:
+        """Sum of rewards without the penalty for dying."""
+        return self.returns - self.penalty
+
+    @property
+    def decisions(self) -> int:
+        """Number of decisions."""
+        return len(self.actions)
+
+    @property
+    def survived(self) -> bool:
+        """Whether the satellite has outlived the episode."""
+        return not self.deaths
+
+
+@dataclass(frozen=True)
+class Start:
+    """Initial conditions of an episode, as arguments of bsk_rl; ``targets`` [T, 3] m Earth-fixed with priorities [T], if any."""
+
+    seed: int
+    sat_args: dict[str, Any]
+    world_args: dict[str, Any]
+    time_limit: float
+    targets: tuple[Array, Array] | None = None
+
+    def nudged(self) -> Start:
+        """The start with the first component of the attitude changed by :data:`NUDGE`."""
+        first, *rest = self.sat_args["sigma_init"]
+        return replace(self, sat_args={**self.sat_args, "sigma_init": [first + NUDGE, *rest]})
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Arguments of bsk_rl that all episodes of an environment share, and the names that must be the same on both sides."""
+
+    preset: str
+    settings: dict[str, Any]
+    scenario: dict[str, float]
+    shielded: bool
+    observed: tuple[str, ...]
+    actions: tuple[str, ...]
+    checks: tuple[str, ...]
+
+
+# -- what is flown ----------------------------------------------------------------------------------------------------
+
+
+def problem_of(env: SatelliteTasking, preset: str) -> Problem:
+    """Return the arguments by which bsk_rl builds an environment; ValueError for checks of failures that bsk_rl does not have."""
+    if env.options.failures != "step":
+        raise ValueError(f"failures={env.options.failures!r}: bsk_rl checks satellites at the end of steps; leave it out")
+    satellite, scenario = env.satellite, env.scenario
+    return Problem(
+        preset=preset,
+        settings={
+            "sim_rate": env.simulator.h,
+            "max_step_duration": env.max_step_duration,
+            "failure_penalty": env.failure_penalty,
+            "terminate_on_time_limit": env.terminate_on_time_limit,
+        },
+        scenario={name: getattr(scenario, name) for name in ("value_per_second",) if hasattr(scenario, name)},
+        shielded=bool(getattr(satellite, "shielded", False)),
+        observed=tuple(satellite.observation_description),
+        actions=tuple(satellite.action_description),
+        checks=tuple(satellite.aliveness()),
+    )
+
+
+def starts_of(env: SatelliteTasking, seeds: Sequence[int]) -> list[Start]:
+    """Return the initial conditions of episodes that have just been reset, one for each seed: all given and drawn arguments."""
+    simulator, n = env.simulator, len(seeds)
+    satellite, world = simulator.type.arguments.sat_args, simulator.type.arguments.world_args
+    given, arguments = env.builder.satellites[0].sat_args_generator, simulator.state.arguments
+    fixed = {name: satellite.given[name] for name in given if name not in satellite.random}
+    drawn = {name: plain(arguments[name]) for name in satellite.table if name in satellite.random and name != "oe"}
+    r, v = (plain(x.expand(n, 3)) for x in initial_orbit(simulator.state.all_arguments))
+    given_world = cast(Mapping[str, Any], env.options.world_args or {})
+    fixed_world = {name: value for name, value in given_world.items() if name not in world.random}
+    drawn_world = {name: plain(arguments[name]) for name in world.table if name in world.random and name != "utc_init"}
+    epochs = epochs_of(env, seeds)
+    return [
+        Start(
+            seed,
+            fixed | {name: rows[k] for name, rows in drawn.items()} | {"oe": None, "rN": r[k], "vN": v[k]},
+            fixed_world | {name: rows[k] for name, rows in drawn_world.items()} | {"utc_init": epochs[k]},
+            float(env.time_limit[k]),
+            targets_of(env, k),
+        )
+        for k, seed in enumerate(seeds)
+    ]
+
+
+def plain(values: Tensor) -> list[Any]:
+    """Rows as numbers and lists."""
+    return values.double().cpu().tolist()
+
+
+def epochs_of(env: SatelliteTasking, seeds: Sequence[int]) -> list[str]:
+    """The epochs as they were drawn, which the simulation keeps as numbers only; ValueError if that cannot be repeated."""
+    given, n = env.simulator.type.arguments.world_args.given["utc_init"], len(seeds)
+    if callable(given) and not isinstance(given, Distribution):
+        raise ValueError(
+            "utc_init is a function, whose answers cannot be repeated; give a string or a distribution of bsk_torch.rand"
+        )
+    key = Key(torch.tensor(seeds), env.env_ids.cpu(), env.episode.cpu())
+    epochs = cast(list[str], given.draw(key.named("utc_init"))) if isinstance(given, Distribution) else [given] * n
+    known = env.simulator.state.arguments["utc_init"].expand(n).tolist()
+    if [parse_utc(epoch) for epoch in epochs] != known:
+        raise RuntimeError(f"the epochs drawn again, {epochs}, are not those of the episodes")
+    return epochs
+
+
+def targets_of(env: SatelliteTasking, row: int) -> tuple[Array, Array] | None:
+    """Targets of an episode, in their order; None if there are none."""
+    tables = env.simulator.scenario_state
+    if TABLES[0] not in tables:
+        return None
+    position, priority, exists = (tables[name][row].double().cpu().numpy() for name in TABLES)
+    return position[exists > 0.5], priority[exists > 0.5]
+
+
+# -- flying in bsk_torch ----------------------------------------------------------------------------------------------
+
+
+def fly_here(env: SatelliteTasking, pilot: Pilot, seeds: Sequence[int]) -> tuple[list[Start], list[Flight]]:
+    """The episodes of the seeds [N], one in each row of the environment: what they start from, and how they went."""
+    start = start_episodes(env, seeds)
+    starts, log = starts_of(env, seeds), [(start["observation"].numpy(),)]
+    seconds, count = torch.zeros(len(seeds), dtype=torch.float64), torch.zeros(len(seeds), dtype=torch.int64)
+    numbers = itertools.count()
+
+    def policy(now: TensorDict) -> TensorDict:
+        action, logits = pilot(now.select("observation", "action_mask"), seeds, next(numbers))
+        return now.update({"action": action, "logits": logits})
+
+    for playing, step in play_episodes(env, policy, start, max_steps=LONGEST):
+        after = step["next"]
+        log.append(tuple(x.numpy() for x in (after["observation"], step["action"], step["logits"], after["reward"].squeeze(-1))))
+        seconds += torch.where(playing, after["duration"].squeeze(-1), 0.0)
+        count += playing
+    return starts, [flight_of(env, log, k, int(count[k]), float(seconds[k]), seed) for k, seed in enumerate(seeds)]
+
+
+def flight_of(env: SatelliteTasking, log: list[tuple[Any, ...]], row: int, k: int, seconds: float, seed: int) -> Flight:
+    """The episode of one row, which has ended after ``k`` decisions."""
+    observations = np.stack([step[0][row] for step in log[: k + 1]])
+    actions, logits, rewards = (np.stack([step[part][row] for step in log[1 : k + 1]]) for part in (1, 2, 3))
+    deaths = tuple(name for name, alive in env.satellite.aliveness().items() if not alive[row])
+    dynamics, dead = env.satellite.dynamics, bool(env.dead[row])
+    fill = float(dynamics.storage_level_fraction[row]) if hasattr(dynamics, "storage_level_fraction") else float("nan")
+    penalty = env.failure_penalty if dead else 0.0
+    return Flight(
+        seed, actions, observations, logits, rewards, round(seconds, 9), penalty, (deaths or ("unknown",)) if dead else (), fill
+    )
+
+
+def replay_pilot(actions: Mapping[int, NDArray[np.int64]]) -> Pilot:
+    """The actions of known flights, by seed; the last one again where an episode has more decisions."""
+
+    def decide(seen: TensorDict, seeds: Sequence[int], step: int) -> tuple[Tensor, Tensor]:
+        known = [int(actions[seed][min(step, len(actions[seed]) - 1)]) for seed in seeds]
+        return torch.tensor(known), torch.zeros(len(seeds), 0, dtype=torch.float64)
+
+    return decide

@@ -1,0 +1,155 @@
+"""Episodes of a behavior as transitions, with the returns of all actions at a sample of decisions."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+
+from bsk_torch.env import SatelliteTasking
+from bsk_torch.env.rollout import play_episodes
+from bsk_torch.lab.offline.behaviors import Behavior
+from bsk_torch.lab.offline.layout import DECISION, EPISODE, ERROR, LOG_PROB, TARGET_ACTION, VALUE
+from bsk_torch.lab.planners.action_values import ACTION_VALUES, ActionValues
+from bsk_torch.lab.planners.branches import Discounting
+from bsk_torch.rand import Key
+from bsk_torch.rl.evaluation.evaluate import start_episodes, with_lots
+
+
+class Flown(NamedTuple):
+    """Episodes of n seeds.
+
+    Attributes:
+        transitions: All T decisions in TorchRL's TED layout, [T], one episode after the other.
+        counterfactuals: The D sampled decisions, [D], in the same order.
+        returns: Sums of the rewards of the episodes, [n] float64.
+        decisions: Their numbers of decisions, [n].
+        seconds: Their lengths, [n] s.
+    """
+
+    transitions: TensorDict
+    counterfactuals: TensorDict
+    returns: Tensor
+    decisions: Tensor
+    seconds: Tensor
+
+
+def judges(
+    env: SatelliteTasking, targets: Mapping[str, TensorDictModuleBase], gamma: float, futures: int | None
+) -> dict[str, ActionValues]:
+    """Return planners that value all actions for each of the ``targets``.
+
+    Raises:
+        ValueError: If the environment cannot be copied; see also :class:`~bsk_torch.lab.planners.planner.Planner`.
+    """
+    return {
+        name: ActionValues(env, target, horizon=float("inf"), gamma=gamma, futures=futures) for name, target in targets.items()
+    }
+
+
+def play(
+    env: SatelliteTasking,
+    behavior: Behavior,
+    seeds: Sequence[int],
+    values: Mapping[str, ActionValues],
+    share: float,
+    first: int = 0,
+) -> Flown:
+    """Play the episodes of at most N seeds.
+
+    Args:
+        env: The environment, N episodes with ``env_ids=[0] * N``.
+        behavior: The policy that acts.
+        seeds: Seeds of the episodes.
+        values: Planners that value actions, by the name of their policy; see :func:`judges`.
+        share: Probability that a decision is sampled for its counterfactual returns.
+        first: Number of the first episode in the dataset.
+    """
+    start = start_episodes(env, seeds)
+    rows = torch.arange(env.num_envs, device=env.device) < len(seeds)
+    key = Key(env.state.seed.cpu(), env.env_ids.cpu(), env.episode.cpu())
+    observed = list(env.observation_spec.keys(True, True))
+    policy, sampled, numbers = behavior.module(), [], itertools.count()
+
+    def acting(td: TensorDictBase) -> TensorDictBase:
+        number = next(numbers)
+        lot = key.named(f"counterfactual {number}").uniform(1).squeeze(1).to(env.device)
+        here = rows & ~td["done"].squeeze(-1) & (lot < share)
+        judged = _judged(td, here, values)
+        td = policy(td)
+        if bool(here.any()):
+            part = td.select(*observed, "action", LOG_PROB).update(judged)
+            part[EPISODE] = torch.arange(env.num_envs, device=env.device) + first
+            part[DECISION] = torch.full_like(part[EPISODE], number)
+            sampled.append(part[here].to("cpu"))
+        return td
+
+    steps, played = [], []
+    for playing, step in play_episodes(env, with_lots(acting, env), start, rows):
+        steps.append(_transition(step, observed).cpu())
+        played.append(playing.cpu())
+    taken = torch.stack(played, 1)
+    flown: Any = torch.stack(steps, 1)
+    flown[EPISODE] = (torch.arange(len(taken)) + first).unsqueeze(1).expand(taken.shape)
+    count = len(seeds)
+    return Flown(
+        flown[taken],
+        _ordered(sampled),
+        env.returns[:count].double().cpu().clone(),
+        taken.sum(1)[:count],
+        env.fleet.sim_time[:count].cpu().clone(),
+    )
+
+
+def target_returns(env: SatelliteTasking, target: TensorDictModuleBase, seeds: Sequence[int], gamma: float) -> Tensor:
+    """Return the discounted returns of a policy in the episodes of at most N seeds, [n] float64."""
+    rows = torch.arange(env.num_envs, device=env.device) < len(seeds)
+    discounting = Discounting(gamma)
+    start = start_episodes(env, seeds)
+    total, earlier = torch.zeros_like(env.returns), env.returns.clone()
+    for playing, _ in play_episodes(env, target, start, rows):
+        gain = discounting.after(env.fleet.sim_time) * (env.returns - earlier)
+        total, earlier = total + torch.where(playing, gain, 0.0), env.returns.clone()
+    return total[: len(seeds)].cpu()
+
+
+def first_observations(env: SatelliteTasking, seeds: Sequence[int]) -> TensorDict:
+    """Return what is observed when the episodes of at most N seeds start, [n]."""
+    start = start_episodes(env, seeds).select(*env.observation_spec.keys(True, True))
+    return start[: len(seeds)].cpu().clone()
+
+
+def _judged(td: TensorDictBase, here: Tensor, values: Mapping[str, ActionValues]) -> TensorDictBase:
+    """Return the returns of all actions in the rows ``here`` [N], and the actions of the targets, [N]."""
+    found = TensorDict({}, td.batch_size, device=td.device)
+    if not bool(here.any()):
+        return found
+    for name, judge in values.items():
+        alone = td.clone(recurse=False).set("done", ~here.unsqueeze(-1))  # a planner decides where an episode has not ended
+        judged = judge(alone)
+        returns = judged[ACTION_VALUES].squeeze(1)
+        found[VALUE, name] = returns.mean(1)
+        if judge.futures is not None and judge.futures > 1:
+            found[ERROR, name] = returns.std(1) / judge.futures**0.5
+        found[TARGET_ACTION, name] = judged["action"]
+    return found
+
+
+def _transition(step: TensorDictBase, observed: list[Any]) -> TensorDictBase:
+    """Return the entries of a step that are kept."""
+    ends = ("done", "terminated", "truncated")
+    after = [("next", *(key if isinstance(key, tuple) else (key,))) for key in (*observed, *ends, "reward")]
+    return step.select(*observed, *ends, "action", LOG_PROB, *after)
+
+
+def _ordered(sampled: list[TensorDictBase]) -> TensorDict:
+    """Return the sampled decisions, one episode after the other."""
+    if not sampled:
+        return TensorDict({}, [0])
+    joined: Any = torch.cat(sampled)
+    return joined[torch.argsort(joined[EPISODE], stable=True)]

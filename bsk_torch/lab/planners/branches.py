@@ -1,0 +1,273 @@
+"""Simulation of branches, copies of episodes in another environment of the same kind; the model of all planners."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+
+from bsk_torch.env import Tasking
+from bsk_torch.env.rollout import decide
+from bsk_torch.lab.planners.agent_table import AgentTable
+from bsk_torch.lab.planners.resampling import present_key
+from bsk_torch.rl.networks.plans import MEMORY
+from bsk_torch.rl.rules.baselines import LOT
+
+Value = Callable[[TensorDictBase], TensorDictBase]
+"""Module that writes ``state_value`` [n, 1], the discounted future return, into tensordicts [n] with observations."""
+
+
+Watch = Callable[[TensorDictBase], TensorDictBase]
+"""Function from observations [M] to the values to record, [M]."""
+
+
+@dataclass(frozen=True)
+class Discounting:
+    """Returns of semi-Markov decision processes; see :mod:`bsk_torch.rl.training.advantages`.
+
+    Attributes:
+        gamma: Discount per second.
+        at_end: Whether the reward of a step counts at its end; otherwise at its start.
+    """
+
+    gamma: float = 1.0
+    at_end: bool = True
+
+    def after(self, seconds: Tensor) -> Tensor:
+        """Return gamma^t after t seconds, float64."""
+        return torch.full_like(seconds, self.gamma) ** seconds
+
+    def before(self, reward: Tensor, seconds: Tensor, rest: Tensor) -> Tensor:
+        """Return G = gamma^t (r + G'), or r + gamma^t G', for a step of t seconds with reward r, followed by a return G'."""
+        factor = self.after(seconds)
+        return factor * (reward + rest) if self.at_end else reward + factor * rest
+
+
+class Jobs(NamedTuple):
+    """J branches to simulate.
+
+    Attributes:
+        rows: Rows of the environment with the initial states, [J].
+        env_ids: Indices of the episodes in draws, [J].
+        slot: Agent whose actions are given, [J]; see :data:`bsk_torch.lab.planners.agent_table.NO_AGENT`.
+        plan: First D actions of the agent, discrete [J, D] or continuous [J, D, W]. The base policy decides after them, and
+            instead of actions that are illegal at their time, negative, or NaN.
+        first: Actions of all agents in the first step, [J]; None for those of the base policy.
+        limit: Ticks since reset at which branches are cut, [J]; None for the ends of episodes.
+        carried: Memory of the base policy, [J]; None for none.
+        judged: Time after which the value network evaluates the state, s, [J]; 0 for the end of the first step. None to count
+            all rewards up to the limit.
+        decided: Branches that take the actions ``first``, [J] (default: all).
+    """
+
+    rows: Tensor
+    env_ids: Tensor
+    slot: Tensor
+    plan: Tensor
+    first: TensorDictBase | None = None
+    limit: Tensor | None = None
+    carried: TensorDictBase | None = None
+    judged: Tensor | None = None
+    decided: Tensor | None = None
+
+
+class Flown(NamedTuple):
+    """Results of J branches.
+
+    Attributes:
+        reward: Reward of the first step, [J].
+        seconds: Duration of the first step, [J] s.
+        done: Whether the episode or the look-ahead ended with the first step, [J].
+        rest: Return after the first step, discounted to its end, [J].
+        simulated: Simulated time, [J] s.
+        seen: Result of ``watch`` after the first step, [J]; None without it.
+        acted: For continuous actions, the first D actions of the agent, [J, D, W], and the number of executed ones, [J].
+    """
+
+    reward: Tensor
+    seconds: Tensor
+    done: Tensor
+    rest: Tensor
+    simulated: Tensor
+    seen: TensorDictBase | None
+    acted: tuple[Tensor, Tensor] | None
+
+    @classmethod
+    def joined(cls, parts: Sequence[Flown]) -> Flown:
+        """Return the branches of all parts, in order."""
+        columns = {name: torch.cat([getattr(part, name) for part in parts]) for name in cls._fields[:5]}
+        seen: Any = None if parts[0].seen is None else torch.cat([part.seen for part in parts])  # type: ignore[misc]
+        acted = [part.acted for part in parts if part.acted is not None]
+        both = (torch.cat([a for a, _ in acted]), torch.cat([n for _, n in acted])) if acted else None
+        return cls(**columns, seen=seen, acted=both)
+
+    def take(self, first: int, end: int) -> Flown:
+        """Return the branches from ``first`` on, before ``end``."""
+        columns = {name: getattr(self, name)[first:end] for name in self._fields[:5]}
+        seen = None if self.seen is None else self.seen[first:end]
+        acted = None if self.acted is None else (self.acted[0][first:end], self.acted[1][first:end])
+        return Flown(**columns, seen=seen, acted=acted)
+
+
+class Branches:
+    """Simulates copies of episodes: one or several given actions, then the base policy to the end of the look-ahead.
+
+    Attributes:
+        model: The environment of the copies, with M rows.
+        discounting: Discounting of rewards.
+    """
+
+    def __init__(
+        self,
+        env: Tasking,
+        slots: AgentTable,
+        base: TensorDictModuleBase,
+        rows: int,
+        discounting: Discounting,
+        value: Value | None,
+    ) -> None:
+        """Create the rows; ``value`` evaluates the last states of branches cut after some time."""
+        self.slots, self.base, self.discounting, self.value = slots, base, discounting, value
+        self.model = env.like(rows)
+        self.every = torch.arange(rows, device=env.device)
+
+    def fly(
+        self,
+        source: Tasking,
+        jobs: Jobs,
+        keep: tuple[Tasking, Tensor] | None = None,
+        watch: Watch | None = None,
+    ) -> Flown:
+        """Simulate branches, M at a time; results are independent of each other.
+
+        Args:
+            source: Environment with their initial states.
+            jobs: The branches.
+            keep: Environment, and its rows [J], for the states after the first step.
+            watch: Function of the observations after the first step, [M].
+        """
+        parts = [
+            self._fly(source, jobs, index, keep, watch)
+            for index in torch.arange(len(jobs.rows), device=self.every.device).split(len(self.every))
+        ]
+        return Flown.joined(parts)
+
+    def _fly(self, source: Tasking, jobs: Jobs, index: Tensor, keep: Any, watch: Any) -> Flown:
+        model, slots, m = self.model, self.slots, len(index)
+        job = torch.nn.functional.pad(index, (0, len(self.every) - m), value=int(index[0]))  # spare rows repeat a job
+        flying = self.every < m
+        model.restore(source, self.every, jobs.rows[job])
+        if jobs.limit is not None:
+            model.state.limit_ticks = torch.minimum(model.state.limit_ticks, jobs.limit[job])
+        slot, plan, env_ids = jobs.slot[job], jobs.plan[job], jobs.env_ids[job]
+        real, length = plan.ndim == 3, plan.shape[1]
+        taken = torch.zeros_like(job)
+        acted = torch.zeros_like(plan)
+        now: TensorDictBase = model.observe()
+        if jobs.carried is not None:
+            now.update(jobs.carried[job])
+        elapsed, total = torch.zeros_like(model.fleet.sim_time), torch.zeros_like(model.returns)
+        edge: list[Tensor] = []
+        seen = None
+        while True:
+            now = self._decided(now, env_ids)
+            if not edge and jobs.first is not None:
+                self._take(now, jobs.first[job], None if jobs.decided is None else jobs.decided[job])
+            theirs = (taken < length) & (flying if not edge else flying & self._decides(now, slot))
+            at = taken.clamp(max=length - 1)
+            given = plan[self.every, at]
+            slots.put(now, slot, given, theirs & (~torch.isnan(given).any(1) if real else self._allowed(now, slot, given)))
+            if real:
+                mine = slots.at(slots.numbers(now), slot)
+                here = (at.unsqueeze(1) == torch.arange(length, device=at.device)) & theirs.unsqueeze(1)
+                acted = torch.where(here.unsqueeze(-1), mine.to(acted.dtype).unsqueeze(1), acted)
+            taken = taken + theirs.long()
+            now, reward, lasted = self._step(now, flying)
+            if edge:
+                gain = self.discounting.before(reward, lasted, torch.zeros_like(reward))
+                total = total + self.discounting.after(elapsed) * gain
+                elapsed = elapsed + lasted
+            done = now["done"].squeeze(-1)
+            if not edge:
+                edge = [reward, lasted, done]
+                if keep is not None:
+                    keep[0].restore(model, keep[1][index], self.every[:m])
+                if watch is not None:
+                    self._draw_lots(now, env_ids)
+                    seen = watch(now)[:m]
+            flying = flying & ~done
+            if jobs.judged is not None:
+                late = flying & (edge[1] + elapsed >= jobs.judged[job])
+                if bool(late.any()):
+                    worth = self._judge(now).to(total.dtype)
+                    total = torch.where(late, total + self.discounting.after(elapsed) * worth, total)
+                    flying = flying & ~late
+            if not bool(flying.any()):
+                break
+        reward, lasted, done = (part[:m] for part in edge)
+        return Flown(
+            reward, lasted, done, total[:m], lasted + elapsed[:m], seen, (acted[:m], taken[:m].clone()) if real else None
+        )
+
+    def _decided(self, now: TensorDictBase, env_ids: Tensor) -> TensorDictBase:
+        """Let the base policy decide."""
+        self._draw_lots(now, env_ids)
+        return decide(self.base, now)
+
+    def _draw_lots(self, now: TensorDictBase, env_ids: Tensor) -> None:
+        """Draw the random numbers of the base policy, determined by episode and time."""
+        if LOT in self.base.in_keys:
+            key = present_key(self.model, self.every, env_ids, "lot of a branch")
+            now[LOT] = key.uniform(1).squeeze(1).to(self.model.device)
+
+    @staticmethod
+    def _take(now: TensorDictBase, first: TensorDictBase, where: Tensor | None) -> None:
+        """Write the actions ``first`` [M] into the rows ``where`` [M]."""
+        for key in first.keys(True, True):
+            given = first[key]
+            if where is not None:
+                given = torch.where(where.view(-1, *[1] * (given.ndim - 1)), given, now[key])
+            now.set(key, given)
+
+    def _decides(self, now: TensorDictBase, slot: Tensor) -> Tensor:
+        """Return whether the agent ``slot`` [M] needs a task."""
+        return self.slots.at(self.slots.deciding(now), slot) & (slot >= 0)
+
+    def _allowed(self, now: TensorDictBase, slot: Tensor, action: Tensor) -> Tensor:
+        """Return whether ``action`` [M] is legal for the agent ``slot`` [M]."""
+        legal = self.slots.at(self.slots.legal(now), slot)
+        return legal.gather(1, action.clamp(min=0).unsqueeze(1)).squeeze(1) & (action >= 0)
+
+    def _step(self, now: TensorDictBase, flying: Tensor) -> tuple[TensorDictBase, Tensor, Tensor]:
+        """Step the rows ``flying`` [M]; return the next tensordict, rewards summed over satellites, and durations."""
+        model = self.model
+        returns, ticks = model.returns, model.fleet.ticks
+        following = self.slots.play(model, now, flying)
+        if "next" in now.keys():  # noqa: SIM118  - a tensordict; what the policy remembers
+            following.update(now["next"])
+        return following, model.returns - returns, (model.fleet.ticks - ticks).double() * model.fleet.h
+
+    def _judge(self, now: TensorDictBase) -> Tensor:
+        assert self.value is not None
+        with torch.no_grad():
+            return self.value(now.clone(recurse=False))["state_value"].squeeze(-1)
+
+
+def carried(td: TensorDictBase, base: TensorDictModuleBase, env: Tasking) -> TensorDictBase:
+    """Return the memory of the base policy, [N]: inputs that are neither observed nor drawn."""
+    observed = set(env.observation_spec.keys(True, True)) | {LOT}
+    known = set(td.keys(True, True))
+    keys = [key for key in base.in_keys if key in known and key not in observed and not _is_part(key, observed)]
+    memory = [key for key in (MEMORY,) if key in known]
+    return TensorDict({key: td[key] for key in dict.fromkeys([*keys, *memory])}, td.batch_size, device=td.device)
+
+
+def _is_part(key: Any, observed: set[Any]) -> bool:
+    """Return whether a key names a nested observation."""
+    path = key if isinstance(key, tuple) else (key,)
+    return any(isinstance(other, tuple) and other[: len(path)] == path for other in observed)

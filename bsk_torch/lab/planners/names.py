@@ -1,0 +1,55 @@
+"""Planners by name."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+from bsk_torch.env import Tasking
+from bsk_torch.lab.planners.beam import BeamSearch
+from bsk_torch.lab.planners.cross_entropy import CrossEntropy
+from bsk_torch.lab.planners.planner import Planner
+from bsk_torch.lab.planners.rollout import Rollout
+from bsk_torch.lab.planners.search import TreeSearch
+from bsk_torch.sim.arguments.values import nearest
+
+PLANNERS: dict[str, type[Planner]] = {kind.name: kind for kind in (Rollout, BeamSearch, TreeSearch, CrossEntropy)}
+"""Planners by their names on the command line."""
+
+
+def find_planner(name: str) -> type[Planner]:
+    """Return one of :data:`PLANNERS`; ValueError, with the nearest name, for an unknown name."""
+    if name not in PLANNERS:
+        raise ValueError(f"planner={name!r} must be one of {sorted(PLANNERS)}; {nearest(str(name), PLANNERS)}")
+    return PLANNERS[name]
+
+
+def options_of(name: str) -> list[str]:
+    """Return the arguments of a planner, without the environment; ValueError for an unknown planner."""
+    found: dict[str, inspect.Parameter] = {}
+    for kind in reversed([kind for kind in find_planner(name).__mro__ if issubclass(kind, Planner)]):
+        found |= inspect.signature(vars(kind)["__init__"]).parameters
+    return [
+        name for name, parameter in found.items() if name not in ("self", "env") and parameter.kind is not parameter.VAR_KEYWORD
+    ]
+
+
+def planner(name: str, env: Tasking, **options: Any) -> Planner:
+    """Return a planner by its name.
+
+    Args:
+        name: One of :data:`PLANNERS`.
+        env: The environment in which the planner acts.
+        **options: Arguments of the planner, such as ``base="hasty"`` and ``horizon=240.0``.
+
+    Raises:
+        TypeError: For an unknown argument, with the nearest name; or from the planner.
+        ValueError: For an unknown planner, with the nearest name; or from the planner.
+    """
+    kind, known = find_planner(name), options_of(name)
+    for option in options:
+        if option not in known:
+            raise TypeError(
+                f"unexpected keyword argument {option!r}: planner {name!r} has no such option; {nearest(option, known)}"
+            )
+    return kind(env, **options)

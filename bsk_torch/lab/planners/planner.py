@@ -1,0 +1,319 @@
+"""Base class of planners, policies that improve the decisions of a base policy, agent by agent."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, ClassVar
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+
+from bsk_torch._checks import number, whole
+from bsk_torch.env import Tasking
+from bsk_torch.env.rollout import ACTION_VALUE, decide
+from bsk_torch.lab.planners.agent_table import AgentTable
+from bsk_torch.lab.planners.base_policies import Base, base_of
+from bsk_torch.lab.planners.branches import Branches, Discounting, Jobs, Value, carried
+from bsk_torch.lab.planners.determinism import check_copyable
+from bsk_torch.lab.planners.plan_cache import PlanCache
+from bsk_torch.lab.planners.resampling import Redraw, present_key, reseed_copies
+from bsk_torch.rl.evaluation.evaluate import SIMULATED
+from bsk_torch.sim.arguments.values import nearest
+
+ROWS = 512
+"""Default number of copies simulated at once."""
+
+REWARD_TIMES = ("end", "start")
+"""Times at which the reward of a step counts in returns."""
+
+ENDLESS = 2**62
+"""Tick beyond the end of all branches."""
+
+
+class Planner(TensorDictModuleBase):
+    """Improves the decisions of a base policy by simulating copies of the current episodes. Subclasses select the branches.
+
+    A planner belongs to one environment, whose current episodes it copies. It writes the actions of all agents into the
+    tensordict returned by ``reset`` or ``step`` of this environment, and ``simulated_seconds`` [N], the simulated time of flight
+    for the decision. Planners of discrete actions also write ``action_value`` [N, S, A]: the return up to the horizon that they
+    have found for each action of the S agents, NaN where they have tried none. The environment itself is left unchanged, and
+    decisions do not depend on other rows.
+
+    In a constellation, agents deciding at the same time are improved one after the other, in the order of the groups. In the
+    branches of an agent, the agents before it take the actions already decided, and all others follow the base policy (Bertsekas,
+    "Multiagent rollout algorithms and reinforcement learning", 2019). Rewards are summed over all satellites.
+
+    By default, copies have the draws of the true episode, including future ones: if observations are noisy, faults are to come,
+    or part of the state is hidden, such as clouds, the planner has perfect information. In fully observed presets (most of them),
+    this makes no difference. With ``futures``, each decision is planned in several resampled futures and averaged over them:
+    copies get separate seeds, which determine the noise, faults that have not happened yet are drawn again, and ``redraw`` draws
+    hidden parts of the state. Faults that act are known to the planner, even if they are not observed.
+    """
+
+    name: ClassVar[str]
+    """Name on the command line, after ``plan:``."""
+
+    real: ClassVar[bool] = False
+    """Whether the planner is for continuous actions."""
+
+    in_keys: list[Any]
+    out_keys: list[Any]
+    _worth: Tensor
+
+    def __init__(
+        self,
+        env: Tasking,
+        base: Base = None,
+        *,
+        horizon: float,
+        gamma: float = 0.997,
+        reward_time: str = "end",
+        value: Value | None = None,
+        futures: int | None = None,
+        redraw: Redraw | None = None,
+        seed: int = 0,
+        rows: int = ROWS,
+    ) -> None:
+        """Check arguments, and that the environment can be copied; nothing is planned yet.
+
+        Args:
+            env: The environment in which the planner acts.
+            base: The base policy; see :func:`bsk_torch.lab.planners.base_of`.
+            horizon: Length of branches from the decision, s; infinity for the rest of the episode. Branches are cut there, even
+                during a task, so all branches are compared over the same time.
+            gamma: Discount per second; 1 for sums of rewards.
+            reward_time: When the reward of a step counts: at its ``"end"`` or its ``"start"``.
+            value: A module that writes ``state_value`` [n, 1] for observations [n], used instead of rewards beyond the horizon;
+                branches then end with the first step that reaches it.
+            futures: Number of futures drawn for each decision; None for the true one.
+            redraw: Redraws hidden parts of the state, such as :func:`bsk_torch.lab.planners.redraw_clouds`.
+            seed: Seed of futures and samples.
+            rows: Number of copies simulated at once, which affects memory and speed but not results.
+
+        Raises:
+            TypeError: If ``env`` is not an environment, or ``base`` is not a policy.
+            ValueError: For other invalid arguments, an environment that cannot be copied, or unsuitable actions.
+        """
+        super().__init__()
+        self.horizon = number("horizon", horizon, 0.0, unit="s", above=True, finite=False)
+        gamma = number("gamma", gamma, 0.0, 1.0, above=True)
+        if reward_time not in REWARD_TIMES:
+            raise ValueError(
+                f"reward_time={reward_time!r} must be one of {list(REWARD_TIMES)}; {nearest(str(reward_time), REWARD_TIMES)}"
+            )
+        if value is not None and not callable(value):
+            raise ValueError(f"value={value!r} must be a module that writes 'state_value', or None")
+        self.futures = None if futures is None else whole("futures", futures, 1)
+        if redraw is not None and not callable(redraw):
+            raise ValueError(f"redraw={redraw!r} must be a function of an environment, rows and a key, such as redraw_clouds")
+        if redraw is not None and futures is None:
+            raise ValueError("redraw= draws futures, and there are none: give futures=1 or more")
+        self.seed, self._redraw = whole("seed", seed, 0), redraw
+        self._most_rows = whole("rows", rows, 1)
+        if not isinstance(env, Tasking):
+            raise TypeError(f"env={env!r} must be an environment of bsk_torch; of a transformed one give base_env")
+        slots = AgentTable(env)
+        self._check_actions(env, slots)
+        if value is not None and slots.size > 1:
+            raise ValueError(f"value= judges observations of one satellite; the environment has {slots.size}")
+        policy = base_of(base, env)
+        check_copyable(env, slots)
+        self._outside = (env, slots)  # not a submodule: an environment is not part of its policy
+        self.base, self._value = policy, value
+        self._discounting = Discounting(gamma, reward_time == "end")
+        self._made: dict[str, Any] = {}
+        kinds = zip(slots.real, slots.n_actions, strict=True)
+        self._plannable = slots.of([real if self.real else n > 1 for real, n in kinds], env.device)
+        self.in_keys = list(policy.in_keys)
+        self.out_keys = list(dict.fromkeys([*policy.out_keys, SIMULATED, *([] if self.real else [ACTION_VALUE])]))
+
+    def _check_actions(self, env: Tasking, slots: AgentTable) -> None:
+        """Raise ValueError unless some agent has actions of the planner's kind."""
+        titles = ", ".join(dict.fromkeys(slots.acting))
+        if any(real and n for real, n in zip(slots.real, slots.n_actions, strict=True)):
+            raise ValueError(
+                f"planner {self.name!r}: the actions of {titles} have real numbers and a choice, which is not planned"
+            )
+        if self.real and not any(slots.real):
+            raise ValueError(f"planner {self.name!r} plans real numbers; {titles} chooses numbered actions: use 'rollout'")
+        if not self.real and not any(n > 1 for n in slots.n_actions):
+            raise ValueError(f"planner {self.name!r} tries numbered actions; those of {titles} are real numbers: use 'cem'")
+
+    # -- deciding -----------------------------------------------------------------------------------------------------
+
+    @property
+    def env(self) -> Tasking:
+        """The environment in which the planner acts."""
+        return self._outside[0]
+
+    @property
+    def slots(self) -> AgentTable:
+        """The agents of the environment."""
+        return self._outside[1]
+
+    @property
+    def branches(self) -> Branches:
+        """Copies of episodes, created at the first decision, and again after changes of the environment's arguments."""
+        found = self._made.get("branches")
+        if found is None or not torch.equal(found.model.fingerprint, self.env.fingerprint):
+            found = Branches(self.env, self.slots, self.base, self._rows(), self._discounting, self._value)
+            self._made["branches"] = found
+        return found
+
+    def _store(self, least: int) -> Tasking:
+        """Return an environment for storing states, with at least ``least`` rows."""
+        store = self._made.get("store")
+        if store is None or store.num_envs < least or not torch.equal(store.fingerprint, self.env.fingerprint):
+            self._made["store"] = store = self.env.like(least)
+        return store
+
+    def _rows(self) -> int:
+        """Number of copies simulated at once."""
+        return min(self._most_rows, self.env.num_envs * (self.futures or 1) * self._branching())
+
+    def _branching(self) -> int:
+        """Return the largest number of branches of one episode simulated together."""
+        raise NotImplementedError(f"{type(self).__name__} must implement _branching()")
+
+    @torch.no_grad()
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the actions, ``simulated_seconds`` and, if they are discrete, ``action_value``.
+
+        Raises:
+            ValueError: For a tensordict of another batch size than the planner's environment.
+        """
+        env, slots = self.env, self.slots
+        if tensordict.batch_size != env.batch_size:
+            given = list(tensordict.batch_size)
+            raise ValueError(f"the planner acts in an environment of {env.num_envs} episodes; the tensordict has {given}")
+        memory = carried(tensordict, self.base, env)
+        decide(self.base, tensordict)
+        memory = memory if len(memory.keys()) else carried(tensordict, self.base, env)
+        deciding = slots.deciding(tensordict) & self._plannable
+        simulated = torch.zeros(env.num_envs, dtype=torch.float64, device=env.device)
+        self._worth = torch.full(
+            (env.num_envs, slots.size, slots.most_actions), torch.nan, dtype=torch.float64, device=env.device
+        )
+        order = deciding.cumsum(1)
+        for turn in range(int(deciding.sum(1).max())):
+            mine = deciding & (order == turn + 1)
+            rows = torch.nonzero(mine.any(1)).squeeze(1)
+            slot = mine[rows].long().argmax(1)
+            action, seconds = self._improved(tensordict, memory, rows, slot)
+            simulated = simulated.index_add(0, rows, seconds)
+            whole_batch = torch.zeros(env.num_envs, *action.shape[1:], dtype=action.dtype, device=env.device)
+            everybody = torch.zeros_like(simulated, dtype=torch.int64).index_copy(0, rows, slot)
+            slots.put(tensordict, everybody, whole_batch.index_copy(0, rows, action), mine.any(1))
+        if not self.real:
+            tensordict.set(ACTION_VALUE, self._worth)
+        return tensordict.set(SIMULATED, simulated)
+
+    def _improved(self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor) -> tuple[Tensor, Tensor]:
+        """Return actions of the agents ``slot`` [n] in ``rows`` [n] of the environment, [n] or [n, W], and simulated seconds [n].
+
+        Args:
+            td: Observations of the agents, with the actions decided so far, [N].
+            memory: Memory of the base policy, [N].
+            rows: Episodes.
+            slot: Agents.
+        """
+        raise NotImplementedError(f"{type(self).__name__} must implement _improved(td, memory, rows, slot)")
+
+    # -- roots --------------------------------------------------------------------------------------------------------
+
+    @property
+    def _copies(self) -> int:
+        """Number of futures."""
+        return self.futures or 1
+
+    def _limit(self, rows: Tensor) -> Tensor | None:
+        """Return the ticks at which branches of episodes ``rows`` [n] are cut; None with a value network."""
+        if self._value is not None:
+            return None
+        if math.isinf(self.horizon):
+            return torch.full_like(rows, ENDLESS)
+        return self.env.fleet.ticks[rows] + max(1, round(self.horizon / self.env.fleet.h))
+
+    def _judged(self, elapsed: Tensor) -> Tensor | None:
+        """Return the time until the value network evaluates branches starting after ``elapsed`` [J] s; None without one."""
+        return None if self._value is None else (self.horizon - elapsed).clamp(min=0.0)
+
+    def _plant(self, store: Tasking, places: Tensor, rows: Tensor) -> None:
+        """Copy episodes ``rows`` [n] into the rows ``places`` [n * futures] of another environment, once per future."""
+        each = rows.repeat_interleave(self._copies)
+        store.restore(self.env, places, each)
+        if self.futures is not None:
+            number = torch.arange(self._copies, device=rows.device).repeat(len(rows))
+            key = present_key(self.env, each, self.env.env_ids[each], f"future {self.seed}")
+            lots = key.uniform(self._copies).gather(1, number.cpu().unsqueeze(1)).squeeze(1)
+            reseed_copies(store, places, lots, key, self._redraw)
+
+    def _jobs(self, td: TensorDictBase, memory: TensorDictBase, real: Tensor, slot: Tensor, plan: Tensor, rows: Tensor) -> Jobs:
+        """Return branches from the current states of episodes.
+
+        Args:
+            td: See :meth:`_improved`.
+            memory: See :meth:`_improved`.
+            real: Episodes of the environment, [J].
+            slot: Agents, [J].
+            plan: Their actions, [J, D] or [J, D, W].
+            rows: Rows of the copies from which the branches begin, [J].
+        """
+        kept = memory[real] if len(memory.keys()) else None
+        judged = self._judged(torch.zeros_like(real, dtype=torch.float64))
+        return Jobs(rows, self.env.env_ids[real], slot, plan, self.slots.actions(td)[real], self._limit(real), kept, judged)
+
+    def _no_worse(
+        self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor, action: Tensor, worth: Tensor, plan: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Return actions at least as good as the remainder of the last plan, [n], and simulated seconds [n].
+
+        Args:
+            td: See :meth:`_improved`.
+            memory: Likewise.
+            rows: Likewise.
+            slot: Likewise.
+            action: The best actions found, [n].
+            worth: Their returns, [n].
+            plan: Sequences with these returns, [n, D]; -1 for decisions of the base policy.
+        """
+        found = self._made.get("plans")
+        if found is None:
+            blank = torch.full_like(plan[0], -1)
+            self._made["plans"] = found = PlanCache(self.env.num_envs, blank)
+        kept, there = found.look_up(self.env, rows, slot)
+        index = torch.nonzero(there).squeeze(1)
+        simulated = torch.zeros_like(worth)
+        if len(index):
+            flown = self.branches.fly(self.env, self._jobs(td, memory, rows[index], slot[index], kept[index], rows[index]))
+            total = self._discounting.before(flown.reward, flown.seconds, flown.rest)
+            simulated[index] = flown.simulated
+            better = torch.zeros_like(there).index_copy(0, index, total > worth[index])
+            action, plan = torch.where(better, kept[:, 0], action), torch.where(better.unsqueeze(1), kept, plan)
+        found.keep(self.env, rows, slot, plan)
+        return action, simulated
+
+    @property
+    def _keeps_plans(self) -> bool:
+        """Whether returns are exact, and all actions of a sequence those of one agent."""
+        return self._value is None and self.futures is None and self.slots.size == 1
+
+    # -- decisions ----------------------------------------------------------------------------------------------------
+
+    def _note(self, rows: Tensor, slot: Tensor, q: Tensor) -> None:
+        """Keep the returns ``q`` [n * futures, A] of the agents ``slot`` [n] for ``action_value``."""
+        mean = q.view(len(rows), self._copies, -1).mean(1)
+        self._worth[rows, slot] = mean.masked_fill(~torch.isfinite(mean), torch.nan)
+
+    def _preferred(self, q: Tensor, mine: Tensor) -> Tensor:
+        """Return the best action, [n]: the base policy's action ``mine`` [n] unless another one is better.
+
+        Args:
+            q: Returns [n * futures, A]; minus infinity for untried actions.
+            mine: Actions of the base policy.
+        """
+        mean = q.view(len(mine), self._copies, -1).mean(1)
+        best, action = mean.max(1)
+        return torch.where(best > mean.gather(1, mine.unsqueeze(1)).squeeze(1), action, mine)

@@ -1,0 +1,17 @@
+"""Inspection of a spacecraft: impulsive maneuvers around it, until its surface has been seen in sunlight."""
+
+from bsk_torch.tasks.inspection.dyn import RSODynModel, RSOInspectorDynModel
+from bsk_torch.tasks.inspection.fsw import RSOInspectorFSWModel
+from bsk_torch.tasks.inspection.reward import RSOInspectionData, RSOInspectionReward
+from bsk_torch.tasks.inspection.scene import RSOPoint, RSOPoints, SphericalRSO
+
+__all__ = [
+    "RSODynModel",
+    "RSOInspectionData",
+    "RSOInspectionReward",
+    "RSOInspectorDynModel",
+    "RSOInspectorFSWModel",
+    "RSOPoint",
+    "RSOPoints",
+    "SphericalRSO",
+]

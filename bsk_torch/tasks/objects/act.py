@@ -1,0 +1,171 @@
+"""Action that images a resident space object (RSO) of a catalog."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+from typing_extensions import override
+
+from bsk_torch._checks import number, switch, text, whole
+from bsk_torch.act.base import Action, Decision, positive_duration
+from bsk_torch.act.image import NO_TARGET, SLEW
+from bsk_torch.sim.names import nearest
+from bsk_torch.tasks.objects.aim import AIM
+from bsk_torch.tasks.objects.scene import POSITIONS, RSOTargets, check_imager
+
+if TYPE_CHECKING:
+    from bsk_torch.sats.bound import BoundSatellite
+
+HOLD_MODES = ("cumulative", "continuous")
+
+EXPOSURES = ("held", "first")
+
+
+class ImageRSO(Action):
+    """Image the k-th candidate, for k from 0 to ``n_ahead_image`` - 1.
+
+    For their order, see :class:`~bsk_torch.tasks.objects.RSOTargets`. The satellite points at the target. The image is taken in
+    the first tick in which pointing, line of sight and light have been right for ``min_pointing_hold_s`` and the store has
+    room; see :func:`bsk_torch.tasks.objects.dyn.hold`. The action ends with it, or after ``max_duration``. Choosing the same
+    target again starts over.
+
+    With ``exposure="first"``, the image is taken in the tick after the first one in which pointing and line of sight are right,
+    and lost if the store is full then. The hold is checked afterward; see :func:`bsk_torch.tasks.objects.dyn.check_hold`. The
+    action ends when the image is stored and the hold complete. At the deadline, an image without a complete hold remains in the
+    store, with the light of that time as its quality; if another command comes before, with the quality zero.
+
+    Without as many candidates, the last actions wait for ``max_duration`` in the present mode; ``action_mask`` excludes them.
+    Actions -1, -2, ... select targets 0, 1, ... of the catalog, see :func:`~bsk_torch.act.image_target`; they must be eligible.
+    """
+
+    def __init__(
+        self,
+        n_ahead_image: int,
+        max_duration: float = 300.0,
+        min_pointing_hold_s: float = 10.0,
+        hold_mode: str = "cumulative",
+        require_illumination_during_hold: bool = True,
+        hold_illumination_threshold: float = 0.5,
+        variable_duration_imaging: bool = True,
+        name: str = "image_rso",
+        exposure: str = "held",
+    ) -> None:
+        """Provide ``n_ahead_image`` actions.
+
+        Args:
+            n_ahead_image: Number of candidates to choose from.
+            max_duration: Time until the deadline, s, at which no image is taken.
+            min_pointing_hold_s: Time for which the conditions must hold, s.
+            hold_mode: ``"cumulative"`` for a hold that breaks interrupt, ``"continuous"`` for one that they end.
+            require_illumination_during_hold: Whether light at the target is a condition.
+            hold_illumination_threshold: Least visible fraction of the Sun at the target.
+            variable_duration_imaging: Whether the action ends with the image; else at the deadline.
+            name: Name in ``action_description``.
+            exposure: ``"held"`` for an image at the end of the hold, ``"first"`` for one in the first valid tick, for which light
+                cannot be a condition.
+
+        Raises:
+            ValueError: For a wrong argument.
+        """
+        super().__init__(name)
+        self.n_actions = whole("n_ahead_image", n_ahead_image, 1)
+        self.max_duration = positive_duration("max_duration", max_duration, name, math.inf)
+        self.min_pointing_hold_s = number("min_pointing_hold_s", min_pointing_hold_s, 0.0, unit="s")
+        if text("hold_mode", hold_mode) not in HOLD_MODES:
+            raise ValueError(f"hold_mode={hold_mode!r} must be one of {list(HOLD_MODES)}; {nearest(hold_mode, HOLD_MODES)}")
+        self.hold_mode = hold_mode
+        self.require_illumination_during_hold = switch("require_illumination_during_hold", require_illumination_during_hold)
+        self.hold_illumination_threshold = number("hold_illumination_threshold", hold_illumination_threshold, 0.0, 1.0)
+        self.variable_duration_imaging = switch("variable_duration_imaging", variable_duration_imaging)
+        if text("exposure", exposure) not in EXPOSURES:
+            raise ValueError(f"exposure={exposure!r} must be one of {list(EXPOSURES)}; {nearest(exposure, EXPOSURES)}")
+        self.exposure = exposure
+        if exposure == "held" and self.min_pointing_hold_s >= self.max_duration:
+            raise ValueError(
+                f"action {name!r}: min_pointing_hold_s={min_pointing_hold_s} s must be below max_duration={max_duration} s, or "
+                "it takes no image"
+            )
+        if exposure == "first" and self.require_illumination_during_hold:
+            raise ValueError(
+                "exposure='first' takes images in any light; give require_illumination_during_hold=False with it, and the "
+                "rewarder a quality_threshold"
+            )
+
+    @property
+    @override
+    def target_actions(self) -> range:
+        return range(self.n_actions)
+
+    def link_satellite(self, satellite: BoundSatellite) -> None:
+        """See :meth:`Action.link_satellite`; ValueError unless it is an imager of a catalog."""
+        super().link_satellite(satellite)
+        check_imager(satellite, f"ImageRSO {self.name!r}")
+
+    @property
+    def _scenario(self) -> RSOTargets:
+        scenario: RSOTargets = self.satellite.scenario
+        return scenario
+
+    @property
+    def n_negative_actions(self) -> int:
+        """See :attr:`Action.n_negative_actions`; the number of targets."""
+        return self.satellite.simulator.scenario_state[POSITIONS].shape[1]
+
+    def mask(self) -> Tensor:
+        """See :meth:`Action.mask`; candidates that exist."""
+        return self._scenario.candidates(self.satellite, self.n_actions).exists
+
+    def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
+        """See :meth:`Action.decide`.
+
+        Raises:
+            ValueError: For a target chosen by its number that is not eligible.
+        """
+        simulator, column = self.satellite.simulator, index.unsqueeze(-1)
+        known = self._scenario.candidates(self.satellite, self.n_actions)
+        target, exists = (part.gather(1, column).squeeze(1) for part in known)
+        by_number = mask & (action < 0)
+        if bool(by_number.any()):
+            target = torch.where(by_number, -1 - action, target)
+            self._check(by_number, target)
+        chosen = exists | by_number
+        key = torch.where(chosen, -2 - target, NO_TARGET)
+        duration = torch.full_like(simulator.sim_time, self.max_duration)
+        expected = duration.clamp(max=SLEW + self.min_pointing_hold_s) if self.variable_duration_imaging else duration
+        mode = torch.full_like(target, simulator.mode_names.index("image_rso"))
+        return Decision(mode, chosen, duration, key, expected)
+
+    def _check(self, rows: Tensor, target: Tensor) -> None:
+        """Raise ValueError unless the targets [N] of ``rows`` [N] are eligible."""
+        eligible = self._scenario.eligible_for(self.satellite).gather(1, target.clamp(min=0).unsqueeze(-1)).squeeze(-1)
+        wrong = rows & ~eligible
+        if bool(wrong.any()):
+            row = int(torch.nonzero(wrong)[0])
+            number = int(target[row])
+            raise ValueError(
+                f"action {-1 - number} of {self.satellite.title(row)} selects target {number}, "
+                f"{self._scenario.ids[number]!r}, which waits for the downlink of an image, or cools down"
+            )
+
+    def begin(self, mask: Tensor, decision: Decision) -> None:
+        """See :meth:`Action.begin`: set the target of the pointing guidance, and the requirements of the gate."""
+        simulator, mask = self.satellite.simulator, mask & (decision.key != NO_TARGET)
+        target, ticks = -2 - decision.key, simulator.ticks.double()
+        simulator.memory[AIM] = torch.where(mask, target, simulator.memory[AIM])
+        if self._scenario.n_targets > 1:
+            simulator.write("data_partition", mask, target.double())
+        deadline = ticks + math.ceil(round(min(self.max_duration, 1e9) * 1e9) / simulator.h_ns)
+        least = self.hold_illumination_threshold if self.require_illumination_during_hold else -1.0
+        simulator.write("rso_deadline", mask, deadline)
+        task = {
+            "rso_hold": self.min_pointing_hold_s,
+            "rso_continuous": float(self.hold_mode == "continuous"),
+            "rso_least_light": least,
+            "rso_ends": float(self.variable_duration_imaging),
+            "rso_first": float(self.exposure == "first"),
+        }
+        for name, value in task.items():
+            simulator.write(name, mask, torch.full_like(ticks, value))

@@ -1,0 +1,58 @@
+"""Nodes of the objects at which satellites point, for their ticks."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from bsk_torch.codegen.kernel import Samples
+from bsk_torch.comm.base import PEER
+from bsk_torch.sim.run.tracks import no_samples
+from bsk_torch.sim.simulator import Simulator
+from bsk_torch.tasks.objects.dyn import RSO_TRACK
+from bsk_torch.tasks.objects.orbits import CatalogOrbits
+
+AIM, NO_AIM = "rso_target", -1
+"""Memory of satellites with the number of the object at which they point, and its value where they have pointed at none."""
+
+
+class AimedNodes:
+    """Supplies the nodes of the objects at which the satellites of a simulation point; see ``Simulator.sources``."""
+
+    def __init__(self, simulator: Simulator, orbits: CatalogOrbits) -> None:
+        """Supply the satellites of a simulation with objects on ``orbits``."""
+        self._simulator, self._orbits = simulator, orbits
+        self._mode = simulator.mode_names.index("image_rso")
+        names = simulator.mode_names
+        self._radio = names.index("transmit_rso") if "transmit_rso" in names else None
+        self._found = no_samples(RSO_TRACK, simulator.state.rows, simulator.device)
+        self._known: tuple[Tensor, int, int] | None = None
+        self._end = -1.0
+
+    def reach(self, time: Tensor) -> None:
+        """See :meth:`bsk_torch.sim.run.tracks.TrackSource.reach`."""
+        simulator, orbits = self._simulator, self._orbits
+        known = simulator.mode, simulator.memory.version, orbits.version
+        same = self._known is not None and known[0] is self._known[0] and known[1:] == self._known[1:]
+        aim, points = simulator.memory[AIM], simulator.mode == self._mode
+        if self._radio is not None and PEER in simulator.memory:
+            transmits = simulator.mode == self._radio
+            aim, points = torch.where(transmits, simulator.memory[PEER], aim), points | transmits
+        points = torch.nonzero(points & (aim != NO_AIM)).squeeze(-1)
+        end = float(time[points].max()) if len(points) else 0.0
+        if same and end <= self._end:
+            return
+        owner = torch.zeros_like(aim)
+        if len(points):
+            # all nodes reach equally far, so that longer runs need no others; what lies behind a run does not affect it
+            until = torch.full((len(points),), end, dtype=torch.float64, device=simulator.device)
+            nodes = orbits.nodes(points // simulator.count, aim[points], until)
+            owner[points] = torch.arange(len(points), device=simulator.device)
+            self._found = nodes._replace(owner=owner)
+        else:
+            self._found = no_samples(RSO_TRACK, simulator.state.rows, simulator.device)
+        self._known, self._end = known, end
+
+    def samples(self) -> Samples:
+        """See :meth:`bsk_torch.sim.run.tracks.TrackSource.samples`."""
+        return self._found

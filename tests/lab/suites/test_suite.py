@@ -1,0 +1,193 @@
+"""Suites: frozen episodes, the same for every policy, and scores."""
+
+import pytest
+import torch
+from tensordict.nn import TensorDictModule
+
+from bsk_torch.lab.suites.suite import EPISODES, SUITES, Timed, bench_folder, normalised, play, ranking, references, tasks_of
+from bsk_torch.presets import PRESETS
+from bsk_torch.rl.evaluation.evaluate import SUITE_SEEDS, evaluate
+from bsk_torch.rl.rules.baselines import random_policy
+from bsk_torch.rl.training.config import PPOConfig
+from tests.tasks.aeos_bench.aeos_cases import constellation, tasks, write
+
+NADIR = tasks_of("v1", "NadirScan-v1")[0]
+
+
+def idle(preset, make):
+    """Enters a policy that always scans."""
+    env = make()
+    return env, TensorDictModule(lambda x: torch.zeros(x.shape[0], dtype=torch.int64), ["observation"], ["action"])
+
+
+NEWER = {"FaultyScan-v1", "NadirScience-v1", "HeteroCluster-v1", "Services-v1", "ThreeSensors-v1", "Walker4-v1"}
+NEWER |= {"CWDocking-v1", "CWInspection-v1", "AEOSBench-v1"}
+"""Presets that were added after the suite was frozen."""
+
+
+def test_every_preset_is_in_the_suite_once_with_episodes_of_its_own():
+    tasks = SUITES["v1"]
+    assert sorted(task.preset for task in tasks) == sorted(set(PRESETS) - NEWER)
+    seeds = [seed for task in tasks for seed in task.seeds()]
+    assert len(set(seeds)) == len(seeds) == EPISODES * len(tasks)
+    assert all(seed in SUITE_SEEDS for seed in seeds)
+
+
+def test_frozen_seeds_stay():
+    # a suite is its seeds: published scores are of these
+    assert {task.preset: task.first_seed - 2**60 for task in SUITES["v1"]} == {
+        "NadirScan-v1": 0,
+        "AEOS-v1": 1024,
+        "AEOSPower-v1": 2048,
+        "AEOSCity-v1": 3072,
+        "CloudyAEOS-v1": 4096,
+        "Constellation-v1": 5120,
+        "AEOSConstellation-v1": 6144,
+        "RelayConstellation-v1": 7168,
+        "RSOInspection-v1": 8192,
+        "MultiInspection-v1": 9216,
+    }
+
+
+def test_the_second_suite_is_frozen():
+    # its published scores are of these episodes, whose seeds no other suite has
+    tasks = SUITES["v2"]
+    assert {task.title: (task.preset, task.first_seed - 2**60, task.episodes) for task in tasks} == {
+        "dim_scan": ("NadirScan-v1", 18 * 1024, 64),
+        "few_choices": ("AEOS-v1", 19 * 1024, 64),
+        "few_clouded": ("CloudyAEOS-v1", 20 * 1024, 64),
+        "few_shared": ("AEOSConstellation-v1", 21 * 1024, 64),
+        "hurried_inspection": ("RSOInspection-v1", 22 * 1024, 64),
+    }
+    mine = {seed for task in tasks for seed in task.seeds()}
+    assert not mine & {seed for name in set(SUITES) - {"v2"} for task in SUITES[name] for seed in task.seeds()}
+    assert mine <= set(SUITE_SEEDS[18 * 1024 : 23 * 1024])
+    known = references("v2")
+    assert known.keys() == {task.title for task in tasks}
+    assert all(one["low"]["return"] < one["high"]["return"] for one in known.values())
+
+
+@pytest.mark.compiled
+def test_a_harder_task_replaces_options_of_trainings():
+    task = tasks_of("v2", "few_choices")[0]
+    env = task.environment(1)
+    assert env.satellite.action_description == [f"action_image_{k}" for k in range(4)]
+    assert {"n_targets", "n_ahead", "time_limit"} == set(task.drawn)
+    with pytest.raises(ValueError, match="n_ahead=5 would change the task few_choices"):
+        task.environment(1, n_ahead=5)
+
+
+@pytest.mark.compiled
+def test_policies_choose_views_of_a_harder_task():
+    task = tasks_of("v2", "hurried_inspection")[0]
+    assert task.drawn == ("time_limit",)  # trained policies keep their actions
+    by_waypoints, by_thrust = task.environment(1), task.environment(1, actions="thrust")
+    assert "action_mask" in by_waypoints.reset()["waypoint_inspector"]
+    assert by_thrust.action_spec["inspector", "action"].shape == (1, 1, 4)
+
+
+def test_policies_are_ranked_by_what_they_gain_in_the_same_episodes():
+    best, gains = ranking({"low": [1.0, 1.0, 4.0], "high": [2.0, 1.0, 5.0], "lucky": [3.0], "short": [1.5, 1.0]})
+    assert best == "high"
+    assert list(gains) == ["lucky", "high", "short", "low"]
+    assert [gain.mean for gain in gains.values()] == pytest.approx([-1.0, 0.0, 0.25, 2 / 3])
+
+
+@pytest.mark.parametrize("seed", [2**60, 2**60 + 2**20 - 1, 2**60 - 1_000_003])
+def test_trainings_refuse_seeds_of_suites(seed):
+    with pytest.raises(ValueError, match="belong to suites"):
+        PPOConfig(seed=seed)
+    assert PPOConfig(seed=2**59).seed == 2**59
+
+
+@pytest.mark.compiled
+def test_a_score_is_that_of_the_frozen_episodes():
+    score = play(NADIR, idle, 3)
+    env = NADIR.environment(3)
+    again = evaluate(idle("", lambda: env)[1], env, seeds=range(2**60, 2**60 + 3))
+    assert score.evaluation.returns.tolist() == again.returns.tolist()
+    assert 0.0 < score.seconds < 1.0
+
+
+@pytest.mark.compiled
+def test_random_policies_are_timed_and_keep_their_lots():
+    def chance(preset, make):
+        env = make()
+        return env, random_policy(env, 0)
+
+    returns = [play(NADIR, chance, n).evaluation.returns[:2].tolist() for n in (2, 3)]
+    assert returns[0] == returns[1]
+
+
+def test_functions_may_be_policies():
+    timed = Timed(lambda tensordict: tensordict)
+    assert timed({}) == {}
+    assert timed.seconds > 0.0
+
+
+def test_entrants_that_have_no_policy_get_no_score():
+    assert play(NADIR, lambda preset, make: None, 2) is None
+
+
+def test_unknown_suites_and_presets_name_the_nearest():
+    with pytest.raises(ValueError, match="suite='v3' is not a suite; did you mean 'v"):
+        tasks_of("v3")
+    with pytest.raises(ValueError, match="preset 'AEOS-v2' is not in the suite v1; did you mean 'AEOS-v1'"):
+        tasks_of("v1", "NadirScan-v1,AEOS-v2")
+    assert [task.preset for task in tasks_of("v1", "AEOS-v1,NadirScan-v1,AEOS-v1")] == ["AEOS-v1", "NadirScan-v1"]
+
+
+@pytest.mark.compiled
+def test_scores_are_linear_in_returns():
+    evaluation = play(NADIR, idle, 3).evaluation
+    low, high = 0.25, 2.25
+    score = normalised(evaluation, {"low": {"return": low}, "high": {"return": high}})
+    assert score.mean == pytest.approx((evaluation.mean_return.mean - low) / 2.0, abs=1e-12)
+    assert score.half_width == pytest.approx(evaluation.mean_return.half_width / 2.0, rel=1e-9)
+
+
+def test_scenarios_of_aeos_bench_stay():
+    """Seeds of their own, and the sizes and the tasks that these draw."""
+    tasks = SUITES["aeosbench"]
+    assert [(task.title, task.first_seed - 2**60, task.episodes) for task in tasks] == [
+        ("random_orbits", 16384, 64),
+        ("real_orbits", 17408, 64),
+    ]
+    found = []
+    for task in tasks:
+        env = task.environment(2, backend="eager")
+        env.reseed(list(task.seeds(2)))
+        env.reset()
+        exists = env.scenario.task_exists
+        found.append([env.present.sum(1).tolist(), exists.sum(1).tolist(), int(env.scenario.drawn("task_due")[exists].sum())])
+    assert found == DRAWN
+
+
+DRAWN = [[[12, 2], [101, 293], 1069150], [[17, 21], [182, 294], 1269448]]
+"""Numbers of satellites and of tasks in the first two scenarios of each task, and the sum of due times, s."""
+
+
+def test_cases_of_a_folder_are_a_task_with_a_checksum(tmp_path):
+    write(tmp_path / "00001", constellation(2), tasks(5))
+    write(tmp_path / "00002", constellation(1), tasks(7))
+    task = bench_folder(tmp_path)
+    assert (task.episodes, list(task.seeds())) == (2, [0, 1])
+    assert task.about == bench_folder(tmp_path).about
+    write(tmp_path / "00002", constellation(1), tasks(6))
+    assert bench_folder(tmp_path).about != task.about
+    env = task.environment(backend="eager")
+    env.reseed([0, 1])
+    env.reset()
+    assert env.present.sum(1).tolist() == [2, 1]
+    with pytest.raises(ValueError, match="satellites=3 would change the task folder"):
+        task.environment(satellites=3)
+
+
+def test_references_are_sound():
+    assert references("aeosbench") == {}
+    known = references("v1")
+    assert known.keys() <= PRESETS.keys()
+    for reference in known.values():
+        assert reference["high"]["return"] > reference["low"]["return"]
+        assert reference["high"]["source"]
+        assert reference["low"]["source"]
