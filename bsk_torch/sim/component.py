@@ -41,8 +41,8 @@ class Own(dict[str, Any]):
     def __missing__(self, name: str) -> NoReturn:
         """Raise a KeyError with advice."""
         raise KeyError(
-            f"the component in slot {self.slot!r} reads the argument {name!r}, which it does not list; declare it in args=, or, if "
-            "another component declares it, name it in reads="
+            f"the component in slot {self.slot!r} reads the argument {name!r}, which it does not list; declare it in args=, "
+            "or, if another component declares it, name it in reads="
         )
 
 
