@@ -54,10 +54,11 @@ class Present(Episodes):
     def counts(self) -> dict[str, Tensor]:
         """Return the counters of satellites and rewarder, [N, S] each, by name."""
         each = [_counted(satellite) for satellite in self.satellites]
-        zeros = [torch.zeros_like(simulator.state.ticks) for simulator in self.fleet.simulators]
         counted: dict[str, Tensor] = {}
         for name in dict.fromkeys(itertools.chain(*each)):
-            counted[name] = self.fleet.joined([counts.get(name, zero) for counts, zero in zip(each, zeros, strict=True)])
+            parts = zip(each, self.satellites, strict=True)
+            tables = [counts[name] if name in counts else torch.zeros_like(group.task.ends) for counts, group in parts]
+            counted[name] = self.fleet.joined(tables)
         return counted | self.checked.counts(counted)
 
     def record(
