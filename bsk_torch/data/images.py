@@ -165,8 +165,7 @@ class UniqueImageReward(ImageReward):
         pays = taken & ~again
         reward = self.reward_fn(self.scenario.priority_of(target))
         if self.fleet.size > 1:
-            same = (target.unsqueeze(2) == target.unsqueeze(1)) & pays.unsqueeze(1)
-            reward = reward / same.sum(2).clamp(min=1)
+            reward = reward / self.sharers(target, pays)
             slot = target.unsqueeze(-1)
             known = self.known
             memory["known_images"] = known.scatter(2, slot, known.gather(2, slot) | taken.unsqueeze(-1))
@@ -175,6 +174,12 @@ class UniqueImageReward(ImageReward):
             memory["imaged_targets"] = imaged.scatter(1, target, taken | imaged.gather(1, target))
         memory["duplicates"] = memory["duplicates"] + again
         return torch.where(pays, reward, torch.zeros_like(reward))
+
+    @staticmethod
+    def sharers(target: Tensor, pays: Tensor) -> Tensor:
+        """Return how many satellites have imaged each satellite's target in this step, at least 1, [N, S]."""
+        same = (target.unsqueeze(2) == target.unsqueeze(1)) & pays.unsqueeze(1)
+        return same.sum(2).clamp(min=1)
 
     def share(self, links: Tensor) -> None:
         """See :meth:`GlobalReward.share`; knowledge spreads along one link in a step."""

@@ -193,8 +193,8 @@ class LineOfSightSearch:
 
     def _pole(self, env: Tensor, tick: Tensor) -> Vec3:
         """Return the Earth's axis in N at ticks [m] of episodes [m]; it moves by 1e-4 rad a year, so it is interpolated."""
-        since = (tick - self.first[env]).double()
-        return self.pole_start.map(lambda at, rate: at[env] + rate[env] * since, self.pole_rate)
+        since, row = (tick - self.first[env]).double(), operator.itemgetter(env)
+        return self.pole_start.map(row) + self.pole_rate.map(row) * since
 
     def all_margins(self, envs: Tensor, tick: Tensor) -> Tensor:
         """Return the margins of all ordered pairs, [n, S, S] m by sensor and other satellite, at ticks [n] of episodes [n]."""
@@ -215,11 +215,10 @@ class LineOfSightSearch:
     def pair_margins(self, pairs: SatellitePairs, tick: Tensor) -> Tensor:
         """Return the larger one of the two margins of each pair, [m] m, at a tick [m] each."""
         env, i, j = pairs
-        looks = (i, tick), (j, tick), (j, (tick - 1).clamp(min=0))
-        r_BN_N = self._positions(env.repeat(3), *(torch.cat(part) for part in zip(*looks, strict=True)))
-        pole = self._pole(env, tick)
-        thirds = zip(*(x.chunk(3) for x in r_BN_N), strict=True)
-        first, second, before = (SatellitePositions.of(Vec3(*part), pole) for part in thirds)
+        ticks = torch.cat([tick, tick, (tick - 1).clamp(min=0)])
+        r_BN_N, pole = self._positions(env.repeat(3), torch.cat([i, j, j]), ticks), self._pole(env, tick)
+        thirds = zip(*[x.chunk(3) for x in r_BN_N], strict=True)
+        first, second, before = [SatellitePositions.of(Vec3(*part), pole) for part in thirds]
         max_range = (None, None) if self.max_range is None else (self.max_range[env, i], self.max_range[env, j])
         return torch.maximum(visibility_margin(first, before, max_range[0]), visibility_margin(second, first, max_range[1]))
 
