@@ -29,10 +29,10 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from bsk_torch.cli.bench import entrant_of
-from bsk_torch.cli.planned import PREFIX
+from bsk_torch.cli.names import PREFIX
 from bsk_torch.env import SatelliteTasking, Tasking
 from bsk_torch.env.rollout import Policy
+from bsk_torch.lab.commands.entrants import entrant_of
 from bsk_torch.lab.suites.suite import EPISODES, VIEWS, Entrant, Task, play, tasks_of
 from bsk_torch.rl.evaluation.evaluate import Evaluation
 from bsk_torch.rl.evaluation.statistics import confidence

@@ -25,7 +25,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bsk_torch.cli.leaderboard import methods_of
+from bsk_torch.lab.commands.leaderboard import methods_of
 from bsk_torch.lab.suites.suite import SUITES, ranking
 from bsk_torch.lab.suites.suite import references as frozen
 

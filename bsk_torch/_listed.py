@@ -160,17 +160,17 @@ LISTED: dict[str, Listed] = {
 RULES = tuple(dict.fromkeys(("random", *(rule for preset in LISTED.values() for rule in preset.rules))))
 """Names of :data:`bsk_torch.rl.policies.shared_policy.RULES`."""
 
-PLANNERS = ("rollout", "beam", "mcts", "cem")
-"""Names of :data:`bsk_torch.lab.planners.names.PLANNERS`."""
+PLANNERS = dict.fromkeys(("rollout", "beam", "mcts", "cem"), "bsk_torch.lab.planners.named:named_planner")
+"""Names of :data:`bsk_torch.lab.planners.names.PLANNERS`, and the function by which the command line makes each of them."""
 
 
 @cache
 def makings() -> dict[str, dict[str, Any]]:
-    """Return the training and the score of each pretrained policy, by preset, as ``bsk-torch publish`` has written them.
+    """Return the training and the score of each pretrained policy, by preset.
 
-    Entries are ``command``, ``seed``, ``frames``, ``seconds`` and ``machine`` of the training; ``score`` with the mean
-    ``return``, the half width of its 95 % interval and the ``survival`` in ``episodes`` unseen episodes; and ``first``, the
-    returns of the first few episodes.
+    Entries, which ``scripts/tools/publish_policy.py`` has written, are ``command``, ``seed``, ``frames``, ``seconds`` and
+    ``machine`` of the training; ``score`` with the mean ``return``, the half width of its 95 % interval and the ``survival`` in
+    ``episodes`` unseen episodes; and ``first``, the returns of the first few episodes.
     """
     path = files("bsk_torch").joinpath("rl/policies/policies.json")  # of a package that would import torch
     return dict(json.loads(path.read_text()))

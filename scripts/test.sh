@@ -2,7 +2,8 @@
 # Makes .venv, installs bsk_torch with what the tests need, and runs linters, type checker and tests. Three levels:
 #   scripts/test.sh              before each commit: linters, types, contracts, fast tests, a slow test of each promise of the README
 #   scripts/test.sh --full       before a change lands: also all slower tests, documentation included
-#   scripts/test.sh --nightly    what takes long, too, and what needs Basilisk, Ray, RLlib or a browser; writes tests/durations.json
+#   scripts/test.sh --nightly    what takes long, too, what needs Basilisk, Ray, RLlib or a browser, and the package without each of
+#                                its rooms; writes tests/durations.json
 #
 #   scripts/test.sh [--full] [--shard 1/2] [pytest arguments]    only a part of the tests, which machines can share, or some tests:
 #                                                                scripts/test.sh tests/sim -k orbit
@@ -116,6 +117,7 @@ if [ "$level" = nightly ]; then
     test_basilisk || failed=1
     test_rllib || failed=1
     fly_random_problems || failed=1
+    .venv/bin/python scripts/tools/without_room.py || failed=1
 elif [ "$level" = full ] || [ $# -gt 0 ]; then
     "${pytest[@]}" --levels default,full "$@" || failed=1
 else

@@ -334,6 +334,12 @@ STARTS: dict[str, list[Start]] = {
     "scripts/tools/make_aeos_orbits.py": [Start("{orbits} --out orbits.npz", r"orbits.npz: 2 orbits, [\d,]+ bytes")],
     "scripts/tools/make_coastlines.py": [Start("{countries} --out land.geojson", "2 pieces of land", "coastlines")],
     "scripts/tools/make_tables.py": [Start("--samples --out .", "largest position error 0.49", "basilisk")],
+    "scripts/tools/without_room.py": [
+        Start(
+            "tasks/safe_autonomy --pytest tests/test_vec3.py",
+            r"tasks/safe_autonomy: left out are \d+ files .* tests",
+        ),
+    ],
     "scripts/tools/update_golden.py": [
         Start("--folder golden", "4 files in golden; written or changed: AEOS-v1.cpp, RSOInspection-v1.cpp")
     ],
@@ -413,6 +419,7 @@ ELSEWHERE = {
     "scripts/tools/check_prose.py": "tests/test_prose.py",
     "scripts/tools/make_three.py": "tests/viewer/test_page.py",
     "scripts/tools/publish_docs.py": "tests/docs/test_site.py",
+    "scripts/tools/publish_policy.py": "tests/cli/test_constellation.py",
     "scripts/recorders/record_arguments.py": "tests/test_scripts.py",
     "scripts/recorders/record_lost_passes.py": "tests/test_scripts.py",
     "scripts/recorders/record_drop_in.py": "tests/basilisk/test_drop_in.py",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bsk_torch.cli.declaration import Preset
 from bsk_torch.cli.shared import made
 from bsk_torch.tables import print_table
 
@@ -9,8 +10,12 @@ NAMES = {"argument": "argument", "here": "in this preset", "default": "default",
 """Headlines of the columns."""
 
 
-def show_arguments(preset: str) -> None:
-    """Print every argument of a preset's first satellite and world: its value there, default, unit and meaning."""
+def show_arguments(preset: Preset) -> None:
+    """Show the arguments of a preset's satellites and world: value in the preset, default and meaning.
+
+    Examples:
+        bsk-torch args NadirScan-v1
+    """
     env = made(preset, 1, {"backend": "eager"})
     for title, table in (("sat_args", env.default_sat_args()), ("world_args", env.default_world_args())):
         rows = [{NAMES[name]: cell for name, cell in with_unit(cells).items() if name in NAMES} for cells in table.cells()]

@@ -1,12 +1,7 @@
-"""How commands are declared: with what users see of them, and without torch.
-
-``command`` adds a function to the application. Its body is empty: the function of the same name in the module that is given there
-does the work, and is imported when the command runs.
-"""
+"""How functions become commands: their parameters are arguments and options, their docstrings the help, without torch."""
 
 from __future__ import annotations
 
-import functools
 import inspect
 import textwrap
 from collections.abc import Callable
@@ -16,96 +11,67 @@ from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand
+from typer.main import get_command
 
 from bsk_torch._listed import PLANNERS, RULES
 from bsk_torch.cli import terminal
 from bsk_torch.cli.names import check_names
 
-Parameters = list[inspect.Parameter]
-
 MACHINE = "Machine"
 """Panel of the help with options that do not change what a command does."""
 
+
+def flag(metavar: str, text: str, *names: str, **settings: Any) -> Any:
+    """Return an option of the command line with its placeholder and help, and perhaps other names than its parameter's."""
+    return typer.Option(*names, metavar=metavar, help=text, **settings)
+
+
+# -- arguments and options of several commands -----------------------------------------------------------------------------------
+
 Preset = Annotated[str, typer.Argument(help="Environment; 'bsk-torch list' names them.", show_default=False)]
 BASELINES = ", ".join(RULES)
-
-Policy = Annotated[
-    str,
-    typer.Argument(
-        help=f"Run folder, policy file, 'pretrained', your own function (package.module:function), or a baseline: {BASELINES}.",
-        show_default=False,
-    ),
-]
-PLANNED = (
-    f"Run folder, policy file, 'pretrained', your own function (package.module:function), a baseline ({BASELINES}), or a planner "
-    f"({', '.join(f'plan:{name}' for name in PLANNERS)})."
-)
+ANY = "Run folder, policy file, 'pretrained', your own function (package.module:function),"
+PLANNED = f"{ANY} a baseline ({BASELINES}), or a planner ({', '.join(f'plan:{name}' for name in PLANNERS)})."
+Policy = Annotated[str, typer.Argument(help=f"{ANY} or a baseline: {BASELINES}.", show_default=False)]
 PolicyOrPlanner = Annotated[str, typer.Argument(help=PLANNED, show_default=False)]
 PoliciesOrPlanners = Annotated[list[str], typer.Argument(help=PLANNED, show_default=False)]
-Changes = Annotated[
-    list[str] | None,
-    typer.Argument(
-        metavar="NAME=VALUE",
-        help="Settings that differ from the preset's recipe, such as learning_rate=1e-3, evaluate_every=500000, "
-        "collector=multi, or options.n_targets=1000 for the environment: the fields of bsk_torch.rl.training.PPOConfig and, "
-        "for constellations, bsk_torch.rl.marl.MAPPOConfig.",
-        show_default=False,
-    ),
-]
-Algorithm = Annotated[
-    str | None, typer.Option(metavar="NAME", help="'ppo' for one satellite; 'mappo' (default) or 'ippo' for constellations.")
-]
-Network = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME",
-        help="'mlp' (default for one satellite), 'gru' (with a memory), or 'attention' (for targets observed as a set, and "
-        "for constellations).",
-    ),
-]
-What = Annotated[str, typer.Argument(help="Preset, run folder, or recording (.bskview).", show_default=False)]
-WithPolicy = Annotated[
-    str | None,
-    typer.Option(
-        "--policy",
-        metavar="NAME",
-        help="Policy of a preset: 'pretrained' (default), a baseline, a run folder, or a planner such as plan:rollout.",
-    ),
-]
-Branches = Annotated[
-    list[str] | None,
-    typer.Option("--branch", metavar="DECISION:ACTION", help="Another future: take this action at that decision; repeatable."),
-]
-Run = Annotated[Path, typer.Argument(help="Run folder.", show_default=False)]
-OfPreset = Annotated[str | None, typer.Option(metavar="NAME", help="Environment; default: that of the run, or NadirScan-v1.")]
+OfPreset = Annotated[str | None, flag("NAME", "Environment; default: that of the run, or NadirScan-v1.")]
 Plan = Annotated[
-    list[str] | None,
-    typer.Option(metavar="NAME=VALUE", help="Option of a planner, such as base=hasty, horizon=240 or budget=64; repeatable."),
+    list[str] | None, flag("NAME=VALUE", "Option of a planner, such as base=hasty, horizon=240 or budget=64; repeatable.")
 ]
 Options = Annotated[
     list[str] | None,
-    typer.Option(
-        "--option", metavar="NAME=VALUE", help="Option of the environment, such as n_targets=1000 or folder=cases; repeatable."
-    ),
+    flag("NAME=VALUE", "Option of the environment, such as n_targets=1000 or folder=cases; repeatable.", "--option"),
 ]
-Sensor = Annotated[
-    str, typer.Option(metavar="NAME", help="When sensors are on: 'assigned', while a task is assigned, or 'on', always.")
-]
-Shield = Annotated[str | None, typer.Option(metavar="NAME", help="'safe', 'imager', or package.module:function.")]
-TimeLimit = Annotated[float | None, typer.Option(metavar="S", help="Length of an episode in seconds; default: the preset's.")]
-Threads = Annotated[int, typer.Option(metavar="N", min=1, help="Threads of torch.", rich_help_panel=MACHINE)]
-Backend = Annotated[
-    str, typer.Option(metavar="NAME", help="'compiled', or 'eager', which needs no compiler.", rich_help_panel=MACHINE)
-]
-Device = Annotated[str, typer.Option(metavar="NAME", help="Device of torch, such as 'cuda'.", rich_help_panel=MACHINE)]
-Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Show debug messages.", rich_help_panel=MACHINE)]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show results, warnings and errors only.", rich_help_panel=MACHINE)]
+Seed = Annotated[int, flag("N", "Seed of the episode.", min=0)]
+Seeds = Annotated[str, flag("A:B", "Episodes of the seeds A to B - 1, or of a single seed.")]
+Until = Annotated[float | None, flag("S", "Stop after S seconds of the episode.")]
+AtOnce = Annotated[int, flag("N", "Episodes at once.", min=1)]
+JsonFile = Annotated[Path | None, flag("FILE", "JSON file for the results.")]
 
-VERBOSITY: Parameters = [
-    inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=annotation)
-    for name, annotation in (("verbose", Verbose), ("quiet", Quiet))
-]
-"""Parameters that every command has."""
+SETTINGS: dict[str, tuple[object, object]] = {
+    "threads": (Annotated[int, flag("N", "Threads of torch.", min=1, rich_help_panel=MACHINE)], 1),
+    "backend": (
+        Annotated[str, flag("NAME", "'compiled', or 'eager', which needs no compiler.", rich_help_panel=MACHINE)],
+        "compiled",
+    ),
+    "device": (Annotated[str, flag("NAME", "Device of torch, such as 'cuda'.", rich_help_panel=MACHINE)], "cpu"),
+    "time_limit": (Annotated[float | None, flag("S", "Length of an episode in seconds; default: the preset's.")], None),
+    "verbose": (Annotated[bool, typer.Option("--verbose", "-v", help="Show debug messages.", rich_help_panel=MACHINE)], False),
+    "quiet": (
+        Annotated[bool, typer.Option("--quiet", "-q", help="Show results, warnings and errors only.", rich_help_panel=MACHINE)],
+        False,
+    ),
+}
+"""Annotation and default of options that :func:`command` adds."""
+
+EnvironmentOptions = Annotated[dict[str, Any], ("threads", "backend", "device", "time_limit")]
+MachineOptions = Annotated[dict[str, Any], ("threads", "backend", "device")]
+"""Kinds of the parameter ``options`` of a command, a dictionary of arguments of its environment, from the named options of the
+command line. Threads are set for torch, and not in the dictionary; nor are options without a value."""
+
+
+# -- commands --------------------------------------------------------------------------------------------------------------------
 
 
 class WithoutTypes:
@@ -126,32 +92,39 @@ class Command(WithoutTypes, TyperCommand):
 
 def unwrapped(text: str) -> str:
     """Return a docstring with one line for each paragraph, which the terminal's width breaks."""
-    return "\n\n".join(" ".join(part.split()) for part in inspect.cleandoc(text).split("\n\n"))
+    return "\n\n".join(" ".join(part.split()) for part in text.split("\n\n"))
 
 
-def command(app: typer.Typer, module: str, examples: str, name: str | None = None) -> Callable[[Callable[..., None]], object]:
-    """Return a decorator that adds a function to the application; see above.
+def command(name: str, function: Callable[..., None]) -> Any:
+    """Return the command ``name``, which calls a function.
 
-    Args:
-        app: The application.
-        module: Module of :mod:`bsk_torch.cli` whose function of the same name does the work.
-        examples: Commands, one a line, for the end of the help.
-        name: What users type; default: the function's name.
+    Its arguments and options are the parameters of the function, as their annotations declare them, those that its parameter
+    ``options`` stands for (:data:`EnvironmentOptions`), and ``--verbose`` and ``--quiet``. Its help is the docstring, which
+    ends with its section *Examples*.
     """
+    help_text, _, examples = inspect.cleandoc(function.__doc__ or "").partition("\n\nExamples:\n")
+    signature = inspect.signature(function, eval_str=True)
+    declared = dict(signature.parameters)
+    settings: tuple[str, ...] = declared.pop("options").annotation.__metadata__[0] if "options" in declared else ()
 
-    def add(declared: Callable[..., None]) -> object:
-        @functools.wraps(declared)
-        def start(*, verbose: bool, quiet: bool, **arguments: Any) -> None:
-            terminal.set_verbosity(verbose, quiet)
-            check_names(arguments)
+    def start(*, verbose: bool, quiet: bool, **arguments: Any) -> None:
+        terminal.set_verbosity(verbose, quiet)
+        check_names(arguments)
+        if settings:
             with terminal.working("starting"):  # importing torch takes seconds
-                work = getattr(import_module(f"bsk_torch.cli.{module}"), declared.__name__)
-            work(**arguments)
+                import_module("bsk_torch.env")
+            values = {setting: arguments.pop(setting) for setting in settings}
+            if "threads" in values:
+                import_module("torch").set_num_threads(values.pop("threads"))
+            arguments["options"] = {setting: value for setting, value in values.items() if value is not None}
+        function(**arguments)
 
-        signature = inspect.signature(declared, eval_str=True)
-        start.__signature__ = signature.replace(parameters=[*signature.parameters.values(), *VERBOSITY])  # type: ignore[attr-defined]
-        start.__annotations__ = {p.name: p.annotation for p in start.__signature__.parameters.values()}  # type: ignore[attr-defined]
-        epilog = "Examples:\n\n" + textwrap.dedent(examples).strip().replace("[", r"\[")
-        return app.command(name, cls=Command, help=unwrapped(declared.__doc__ or ""), epilog=epilog)(start)
-
-    return add
+    kind = inspect.Parameter.KEYWORD_ONLY
+    shared = ((setting, *SETTINGS[setting]) for setting in (*settings, "verbose", "quiet"))
+    parameters = [*declared.values(), *(inspect.Parameter(n, kind, annotation=a, default=d) for n, a, d in shared)]
+    start.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    start.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    alone = typer.Typer(add_completion=False, rich_markup_mode="rich")
+    epilog = "Examples:\n\n" + textwrap.dedent(examples).strip().replace("[", r"\[")
+    alone.command(name, cls=Command, help=unwrapped(help_text), epilog=epilog)(start)
+    return get_command(alone)

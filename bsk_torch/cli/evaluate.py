@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import torch
-from tensordict.nn import TensorDictModuleBase
+import typer
 
+from bsk_torch.cli.declaration import EnvironmentOptions, JsonFile, OfPreset, Options, Plan, PoliciesOrPlanners, Seeds, flag
 from bsk_torch.cli.names import PREFIX
-from bsk_torch.cli.planned import NamedPlanner, named_actor
-from bsk_torch.cli.policies import TRAINED
-from bsk_torch.cli.shared import check_writable, environment_options, preset_options, seed_range
-from bsk_torch.cli.terminal import activity, fail, working
-from bsk_torch.env import Tasking
-from bsk_torch.rl.evaluation.evaluate import evaluate
-from bsk_torch.rl.evaluation.results import print_results, save_episodes, save_results
-from bsk_torch.rl.marl.runs import is_constellation
-from bsk_torch.rl.policies.shared_policy import for_each_group, shared, shared_baselines
-from bsk_torch.rl.rules.shield import find_rule, shielded
+from bsk_torch.cli.shared import check_writable, preset_options, seed_range
+from bsk_torch.cli.terminal import activity, fail, refusing, working
+
+if TYPE_CHECKING:
+    from tensordict.nn import TensorDictModuleBase
+
+    from bsk_torch.env import Tasking
 
 MOST = 4096
 """Episodes at once, so that any number of them fits into memory."""
@@ -31,46 +30,58 @@ MOST_PLANNED = 64
 
 
 def evaluate_policy(
-    policies: list[str],
-    preset: str | None,
-    option: list[str] | None,
-    seeds: str,
-    shield: str | None,
-    plan: list[str] | None,
-    baselines: bool,
-    out: Path | None,
-    episodes_out: Path | None,
-    threads: int,
-    backend: str,
-    device: str,
-    time_limit: float | None,
+    policies: PoliciesOrPlanners,
+    preset: OfPreset = None,
+    option: Options = None,
+    seeds: Seeds = "0:1000",
+    shield: Annotated[str | None, flag("NAME", "'safe', 'imager', or package.module:function.")] = None,
+    plan: Plan = None,
+    baselines: Annotated[bool, typer.Option(help="Compare with all applicable baselines.")] = True,
+    out: JsonFile = None,
+    episodes_out: Annotated[Path | None, flag("FILE", "CSV file with a row for each episode.")] = None,
+    *,
+    options: EnvironmentOptions,
 ) -> None:
-    """Play the episodes of given seeds, the same for every policy, and compare; see :mod:`bsk_torch.cli.main`."""
-    torch.set_num_threads(threads)
+    """Compare policies in the same episodes: returns, survival, causes of death, and measures of the task.
+
+    The episode of seed 7 is the one that gymnasium.make("bsk_torch/PRESET").reset(seed=7) starts.
+
+    Examples:
+        bsk-torch eval runs/scan
+        bsk-torch eval runs/a runs/b my_package.policies:mine --seeds 0:256
+        bsk-torch eval pretrained --preset AEOS-v1 --seeds 0:256
+        bsk-torch eval runs/scan --shield safe --out results.json
+        bsk-torch eval plan:rollout --plan base=rule --plan horizon=1500 --seeds 0:8
+        bsk-torch eval nearest_task --preset AEOSBench-v1 --option sensor=on
+    """
+    from bsk_torch.cli.policies import TRAINED, named_actor
+    from bsk_torch.rl.evaluation.evaluate import evaluate
+    from bsk_torch.rl.evaluation.results import print_results, save_episodes, save_results
+    from bsk_torch.rl.marl.runs import is_constellation
+    from bsk_torch.rl.policies.shared_policy import shared, shared_baselines
+
     episodes = seed_range(seeds)
-    for path in (out, episodes_out):
-        check_writable(path)
+    check_writable(out, episodes_out)
+    guard = None if shield is None else _guard(shield)
     if out is not None and episodes_out is not None and out.absolute() == episodes_out.absolute():
         fail(f"--out and --episodes-out are the same file, {str(out)!r}")
     if shield is not None and (planner := next((name for name in policies if name.startswith(PREFIX)), None)):
         fail(f"--shield cannot stand before {planner!r}: the branches would not know of it")
     if len(set(policies)) < len(policies):
         fail(f"policies {' '.join(policies)}: name each once")
-    named = [
-        named_actor(name, preset, (plan or ()) if name.startswith(PREFIX) or len(policies) == 1 else ()) for name in policies
-    ]
+    named = [named_actor(name, preset, plan if name.startswith(PREFIX) or len(policies) == 1 else None) for name in policies]
     of_presets = {one.name: one.preset for one in named}
     if len(set(of_presets.values())) > 1:
         fail(f"the policies are for different presets: {', '.join(f'{k}: {v}' for k, v in of_presets.items())}; give --preset")
     title, most = named[0].preset, MOST_TEAMS if is_constellation(named[0].preset) else MOST
-    size = min(len(episodes), MOST_PLANNED if any(isinstance(one, NamedPlanner) for one in named) else most)
-    options = preset_options(option) | environment_options(backend, device, time_limit)
+    size = min(len(episodes), MOST_PLANNED if any(name.startswith(PREFIX) for name in policies) else most)
+    options, device = preset_options(option) | options, options["device"]
     actors: dict[str, tuple[TensorDictModuleBase, Tasking]] = {}
     for one in named:
         env = one.environment(size, options)
         label = one.label if len(named) == 1 or one.label != TRAINED else one.name
-        if shield is not None and not isinstance(one, NamedPlanner):
-            actors[f"{label} + {shield}"] = shared(_guarded(one.build(env, device), shield, env), env), env
+        if guard is not None:
+            actors[f"{label} + {shield}"] = shared(guard(one.build(env, device), env), env), env
         actors[label] = one.actor(env, device), env
     chosen, (_, env) = next(iter(actors.items()))
     if baselines:
@@ -87,14 +98,21 @@ def evaluate_policy(
         save_episodes(results, episodes, episodes_out)
 
 
-def _guarded(policy: TensorDictModuleBase, shield: str, env: Tasking) -> TensorDictModuleBase:
-    """Return a policy for one satellite, or for one of each group, behind a shield; ends the program if that fails."""
+def _guard(shield: str) -> Callable[[TensorDictModuleBase, Tasking], TensorDictModuleBase]:
+    """Return a function that puts a policy for one satellite, or for one of each group, behind a shield.
+
+    Ends the program if there is no such shield; so does the function if the shield does not fit the environment.
+    """
+    from bsk_torch.rl.policies.shared_policy import for_each_group
+    from bsk_torch.rl.rules.shield import find_rule, shielded
+
     if str(Path.cwd()) not in sys.path:
         sys.path.insert(0, str(Path.cwd()))  # where a user's module is, as python -m would find it
-    try:
+    with refusing():
         rule = find_rule(shield)
-        return for_each_group(lambda one, view: shielded(one, rule, view), policy, env)
-    except KeyError as error:
-        fail(f"the shield {shield!r} does not fit: {error.args[0]}")
-    except ValueError as error:
-        fail(str(error))
+
+    def guarded(policy: TensorDictModuleBase, env: Tasking) -> TensorDictModuleBase:
+        with refusing(KeyError, why=f"the shield {shield!r} does not fit: "), refusing():
+            return for_each_group(lambda one, view: shielded(one, rule, view), policy, env)
+
+    return guarded

@@ -7,20 +7,19 @@ import os
 import secrets
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-import torch
-from tensordict.nn import TensorDictModuleBase
 
-from bsk_torch.cli.pictures import EPISODES
-from bsk_torch.cli.planned import named_actor
-from bsk_torch.cli.shared import PICTURES, check_picture, check_writable, environment_options, extra
-from bsk_torch.cli.terminal import echo, fail, working
-from bsk_torch.env import ConstellationTasking, Tasking
-from bsk_torch.env.rollout import play_episodes
+from bsk_torch.cli.declaration import EnvironmentOptions, OfPreset, Plan, PolicyOrPlanner, Seed, Until, flag
+from bsk_torch.cli.shared import PICTURES, check_file, extra
+from bsk_torch.cli.terminal import echo, fail, refusing, working
 from bsk_torch.files import write_file
-from bsk_torch.rl.evaluation.evaluate import LOT, with_lots
+
+if TYPE_CHECKING:
+    from tensordict.nn import TensorDictModuleBase
+
+    from bsk_torch.env import Tasking
 
 FILMS = (".gif", ".webp", ".mp4")
 """What the names of films end with."""
@@ -30,37 +29,43 @@ Frame = np.ndarray[Any, np.dtype[np.uint8]]
 
 
 def film(
-    policy: str,
-    preset: str | None,
-    seed: int,
-    out: Path,
-    until: float | None,
-    every: float | None,
-    fps: float,
-    height: int,
-    plan: list[str] | None,
-    threads: int,
-    backend: str,
-    device: str,
-    time_limit: float | None,
+    policy: PolicyOrPlanner,
+    preset: OfPreset = None,
+    seed: Seed = 0,
+    out: Annotated[
+        Path, flag("FILE", "A film (.gif, .webp, .mp4), or a picture of the whole episode (.png, .svg, .pdf).")
+    ] = Path("film.gif"),
+    until: Until = None,
+    every: Annotated[float | None, flag("S", "A frame at least every S seconds; default: one for each decision.")] = None,
+    fps: Annotated[float, flag("N", "Frames per second.", min=0.1, max=50.0)] = 5.0,
+    height: Annotated[int, flag("N", "Height of a frame in pixels; the width is 4/3 of it.")] = 480,
+    plan: Plan = None,
+    *,
+    options: EnvironmentOptions,
 ) -> None:
-    """Film an episode of a policy, or draw it as one picture; see :mod:`bsk_torch.cli.main`."""
-    torch.set_num_threads(threads)
-    check_picture("--out", out, (*FILMS, *PICTURES))
-    check_writable(out)
-    extra("bsk_torch.viz.render.frames", "viz")
-    named = named_actor(policy, preset, plan or ())
-    options: dict[str, object] = environment_options(backend, device, time_limit)
-    if every is not None:
-        options["max_step_duration"] = every
-    env = named.environment(1, options)
+    """Film an episode of a policy, or draw it as one picture. Needs the extra viz; .mp4 needs video.
+
+    Examples:
+        bsk-torch film runs/scan
+        bsk-torch film pretrained --preset Constellation-v1 --until 1200
+        bsk-torch film rule --preset NadirScan-v1 --seed 7 --out episode.png
+        bsk-torch film random --preset Constellation-v1 --every 20 --out team.mp4
+    """
+    from bsk_torch.cli.policies import named_actor
+    from bsk_torch.env import ConstellationTasking
+    from bsk_torch.rl.evaluation.evaluate import LOT, with_lots
+
+    check_file("--out", out, (*FILMS, *PICTURES))
+    extra("bsk_torch.viz.render.frames")
+    named = named_actor(policy, preset, plan)
+    env = named.environment(1, options | ({} if every is None else {"max_step_duration": every}))
     if every is not None and not isinstance(env, ConstellationTasking):
         fail(f"--every {every:g} is for constellations, which continue their tasks; {named.preset} would decide more often")
-    actor = named.actor(env, device)
+    actor = named.actor(env, options["device"])
     player = with_lots(actor, env) if LOT in actor.in_keys else actor
     if out.suffix in PICTURES:
         with working("playing the episode"):
-            pictures = extra(EPISODES, "viz")
+            pictures = extra("bsk_torch.viz.episodes")
             pictures.draw(pictures.record(player, env, seed=seed), out, f"{named.preset}, seed {seed}, {named.label}")
         told = "the whole episode"
     else:
@@ -72,6 +77,8 @@ def film(
 
 def frames(env: Tasking, policy: TensorDictModuleBase, seed: int, until: float | None, height: int) -> Iterator[Frame]:
     """Yield a picture of the start of the first episode of ``seed``, and one after each decision, for ``until`` seconds."""
+    from bsk_torch.env.rollout import play_episodes
+
     env.set_seed(seed)
     start = env.reset()
     with working("filming") as show:
@@ -85,10 +92,8 @@ def frames(env: Tasking, policy: TensorDictModuleBase, seed: int, until: float |
 
 def shot(env: Tasking, height: int) -> Frame:
     """Return a picture of the present; ends the program for a wrong height."""
-    try:
+    with refusing():
         return np.asarray(env.render(0, height=height).cpu().numpy())
-    except ValueError as error:
-        fail(str(error))
 
 
 def save_animation(shots: Iterator[Frame], path: Path, fps: float) -> int:

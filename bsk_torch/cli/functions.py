@@ -13,22 +13,26 @@ from typing import Any
 from torch import nn
 
 from bsk_torch.cli.terminal import Failure, fail
-from bsk_torch.lab.suites.suite import Entrant
-from bsk_torch.sim.arguments.values import nearest
+from bsk_torch.env import Tasking
+from bsk_torch.sim.names import nearest
 from bsk_torch.wrappers.policies import Model
 
 logger = logging.getLogger(__name__)
+
+Enter = Callable[[str, Callable[..., Tasking]], Any]
+"""Enters a policy: a function of the name of a preset and of a function that makes its environment. It is to return this
+environment and a policy; what a user's function returns may be anything."""
 
 OBSERVED = ("observation", "obs")
 """Names of the first argument of functions that are policies themselves."""
 
 
-def entrant_of_user(name: str, texts: Sequence[str] = ()) -> Entrant:
+def entrant_of_user(name: str, texts: Sequence[str] = ()) -> Enter:
     """Return what enters the object ``package.module:name`` of the user's; ends the program if there is none.
 
     A torch module, a model of Stable-Baselines3, and a function whose first argument is called ``observation`` or ``obs`` are
     policies. Any other function is called with the name of the preset, a function that makes its environment, and ``texts``, and
-    returns this environment and a policy; see :data:`~bsk_torch.lab.suites.suite.Entrant`.
+    returns this environment and a policy.
     """
     named = imported(*name.split(":", 1))
     if isinstance(named, nn.Module | Model) or first_argument(named) in OBSERVED:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from bsk_torch._listed import LISTED, PLANNERS, RULES, makings, no_policy, unlisted
+from bsk_torch._rooms import absent_room, resolve
 from bsk_torch.cli.terminal import fail
 from bsk_torch.sim.names import nearest
 
@@ -18,6 +19,13 @@ PREFIX = "plan:"
 
 FIRST = next(iter(LISTED))
 """The environment unless the command line or a run names another."""
+
+
+def resolved(name: str, path: str) -> Any:
+    """Return the object at "module:function" that ``name`` stands for; ends the program if its room is not installed."""
+    if folder := absent_room(path):
+        fail(f"{name!r} is not installed: this copy of bsk_torch has no folder {folder}")
+    return resolve(path)
 
 
 def check_names(arguments: Mapping[str, Any]) -> None:

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
+from typing_extensions import override
 
-from bsk_torch.cli.functions import entrant_of_user
-from bsk_torch.cli.names import FIRST, PRETRAINED, check_policy
+from bsk_torch._listed import PLANNERS
+from bsk_torch.cli.functions import Enter, entrant_of_user
+from bsk_torch.cli.names import FIRST, PREFIX, PRETRAINED, check_policy, resolved
 from bsk_torch.cli.shared import environment, made
-from bsk_torch.cli.terminal import fail
+from bsk_torch.cli.terminal import fail, refusing
 from bsk_torch.env import Tasking
-from bsk_torch.lab.suites.suite import Entrant
 from bsk_torch.rl.policies.files import build_policy, check_fits, read_card
 from bsk_torch.rl.policies.pretrained import pretrained_file
 from bsk_torch.rl.policies.shared_policy import RULES, as_policy, baseline, shared, shared_baselines
@@ -24,14 +25,14 @@ TRAINED = "trained"
 """Name, in results, of the policy of a file."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class NamedPolicy:
     """A policy for one satellite, or for one of each group, and the environment that it is meant for.
 
     Attributes:
         name: As given on the command line.
         preset: Name of the environment.
-        card: Contents of the policy's file; empty for baselines.
+        card: Contents of the policy's file; empty for what has none.
     """
 
     name: str
@@ -65,11 +66,9 @@ class NamedPolicy:
             except (KeyError, ValueError) as error:
                 fitting = ", ".join(shared_baselines(env))
                 fail(f"the policy {self.name!r} does not fit {self.preset}: {error.args[0]}. Baselines that fit: {fitting}")
-        try:
+        with refusing():
             check_fits(self.card, env, self.preset)
             return build_policy(self.card, device)
-        except ValueError as error:
-            fail(str(error))
 
     def actor(self, env: Tasking, device: str = "cpu") -> TensorDictModuleBase:
         """Return the policy for all agents of ``env``; ends the program if it does not fit."""
@@ -77,67 +76,76 @@ class NamedPolicy:
 
 
 @dataclass
-class NamedFunction:
+class NamedFunction(NamedPolicy):
     """A policy of the user's, ``package.module:name``; see :func:`~bsk_torch.cli.functions.entrant_of_user`.
 
     Attributes:
-        name: As given on the command line.
-        preset: Name of the environment.
-        entrant: Enters the policy.
+        enter: Enters the policy.
         entered: The environment that was made last, and the policy for it.
     """
 
-    name: str
-    preset: str
-    entrant: Entrant
+    enter: Enter = field(kw_only=True)
     entered: tuple[Tasking, Actor] | None = None
-    card: Mapping[str, Any] = field(default_factory=dict)
 
     @property
+    @override
     def label(self) -> str:
-        """Name in results."""
         return self.name.rpartition(":")[2]
 
-    def options(self, given: Mapping[str, object]) -> dict[str, object]:
-        """Return the arguments of the environment."""
-        return dict(given)
-
+    @override
     def environment(self, num_envs: int, options: Mapping[str, object]) -> Tasking:
-        """Return the environments that the user's function has made; ends the program if that fails."""
         usual = {**options, "env_ids": [0] * num_envs}
         self.entered = self._enter(lambda **views: made(self.preset, num_envs, usual | views))
         return self.entered[0]
 
     def _enter(self, make: Callable[..., Tasking]) -> tuple[Tasking, Actor]:
         """Return what the user's function returns; ends the program for anything else."""
-        entered = self.entrant(self.preset, make)
+        entered = self.enter(self.preset, make)
         if not isinstance(entered, tuple) or len(entered) != 2 or not isinstance(entered[0], Tasking):
             what = "nothing" if entered is None else f"a {type(entered).__name__}"
             fail(f"{self.name} returns {what} for {self.preset}; it must return (env, policy)")
         return entered
 
+    @override
     def build(self, env: Tasking, device: str = "cpu") -> TensorDictModuleBase:
-        """Return the policy for all agents of ``env``; ends the program if it is none."""
         if self.entered is None or self.entered[0] is not env:
             self.entered = self._enter(lambda **views: env)
-        try:
+        with refusing(TypeError, ValueError, why=f"{self.name}: "):
             return as_policy(self.entered[1], env)
-        except (TypeError, ValueError) as error:
-            fail(f"{self.name}: {error}")
 
-    actor = build
+    actor = build  # which is for all agents
 
 
-def named_policy(name: str, preset: str | None) -> NamedPolicy | NamedFunction:
+def named_policy(name: str, preset: str | None) -> NamedPolicy:
     """Return the policy of that name, for ``preset`` if that is given; ends the program if there is none."""
     check_policy(name, preset)
     plain, *texts = name.split(",")
+    if plain.startswith(PREFIX):
+        fail(f"{name!r} is a planner; this is for policies")
     if plain in RULES:
         return NamedPolicy(plain, preset or FIRST)
     if ":" in plain and not Path(name).exists():
-        return NamedFunction(name, preset or FIRST, entrant_of_user(plain, texts))
-    try:
+        return NamedFunction(name, preset or FIRST, enter=entrant_of_user(plain, texts))
+    with refusing(FileNotFoundError, ValueError):
         card = read_card(pretrained_file(preset or FIRST) if name == PRETRAINED else name)
-    except (FileNotFoundError, ValueError) as error:
-        fail(str(error))
     return NamedPolicy(name, preset or card["preset"], card)
+
+
+def flown(
+    name: str, preset: str | None, num_envs: int, options: Mapping[str, object]
+) -> tuple[NamedPolicy, Tasking, TensorDictModuleBase]:
+    """Return a policy, environments for it, and the policy for all of their agents; ends the program if that fails."""
+    named = named_policy(name, preset)
+    env = named.environment(num_envs, options)
+    return named, env, named.actor(env, str(env.device))
+
+
+def named_actor(name: str, preset: str | None, plan: Sequence[str] | None) -> NamedPolicy:
+    """Return the planner or policy of that name; ends the program for options ``plan`` of what is not a planner."""
+    if name.startswith(PREFIX):
+        check_policy(name, preset)
+        planner: NamedPolicy = resolved(name, PLANNERS[name.removeprefix(PREFIX)])(name, preset, plan or ())
+        return planner
+    if plan:
+        fail(f"--plan {plan[0]!r} is for planners, such as plan:rollout; the policy is {name!r}")
+    return named_policy(name, preset)

@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
+import typer
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from bsk_torch._listed import LISTED, ONE, makings
+from bsk_torch._rooms import absent_room
 from bsk_torch.tables import line_width, print_table
 
 
-def list_presets(long: bool) -> None:
-    """Print a line about each preset, or a table with what its pretrained policy reaches."""
+def list_presets(
+    long: Annotated[bool, typer.Option("--long", help="Add score and training of the pretrained policies.")] = False,
+) -> None:
+    """List the environments with short descriptions.
+
+    Examples:
+        bsk-torch list
+        bsk-torch list --long
+    """
     if not long:
         table = Table.grid(padding=(0, 2))
         for name, preset in LISTED.items():
-            table.add_row(Text(name, style="bold"), Text(preset.task))
+            folder = absent_room(preset.function)
+            table.add_row(Text(name, style="bold"), Text(f"not installed: no folder {folder}" if folder else preset.task))
         Console(width=line_width()).print(table)
         return
     print_table(

@@ -2,32 +2,38 @@
 
 from __future__ import annotations
 
-from bsk_torch.cli.shared import environment_options
-from bsk_torch.cli.terminal import activity, echo, fail, working
-from bsk_torch.cli.train import configured
-from bsk_torch.rl.marl.runs import training_of
-from bsk_torch.rl.training.profile import advice, measure
+from typing import Annotated, Any
+
+from bsk_torch.cli.declaration import Preset, flag
+from bsk_torch.cli.terminal import activity, echo, refusing, working
+from bsk_torch.cli.train import Algorithm, Changes, Network
 from bsk_torch.tables import print_table
 
 
 def profile(
-    preset: str,
-    changes: list[str] | None,
-    algorithm: str | None,
-    network: str | None,
-    seconds: float,
-    backend: str,
-    device: str,
-    time_limit: float | None,
+    preset: Preset,
+    changes: Changes = None,
+    algorithm: Algorithm = None,
+    network: Network = None,
+    seconds: Annotated[float, flag("S", "CPU time to measure, without compilation.", min=0.01)] = 10.0,
+    *,
+    options: Annotated[dict[str, Any], ("backend", "device", "time_limit")],
 ) -> None:
-    """Train for a while, and print the CPU time of each phase and what to change; see :mod:`bsk_torch.cli.main`."""
-    options = environment_options(backend, device, time_limit)
+    """Print where the CPU time of a training goes, decisions per CPU-second, and what to change.
+
+    Nothing is kept. The training is in one process and one thread, without evaluations.
+
+    Examples:
+        bsk-torch profile NadirScan-v1
+        bsk-torch profile AEOS-v1 --network attention num_envs=512 'hidden=[32]'
+    """
+    from bsk_torch.cli.training import configured
+    from bsk_torch.rl.marl.runs import training_of
+    from bsk_torch.rl.training.profile import advice, measure
+
     config = configured(preset, algorithm, network, changes or [], options=options)
-    try:
-        with working(f"training {preset} for {seconds:g} s"):
-            found = measure(config, seconds, training_of)
-    except ValueError as error:
-        fail(str(error))
+    with refusing(), working(f"training {preset} for {seconds:g} s"):
+        found = measure(config, seconds, training_of)
     activity.report()
     spent = found.spent | {"all": found.total}
     rows = [

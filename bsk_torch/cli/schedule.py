@@ -1,18 +1,32 @@
-"""The order of a tick: all slots, or the components that run for the satellites of a preset."""
+"""``bsk-torch schedule``: the order of a tick, all slots, or the components that run for the satellites of a preset."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from bsk_torch.cli.shared import made
 from bsk_torch.cli.terminal import echo
-from bsk_torch.sim.component import Component
-from bsk_torch.sim.run.tick import Tick
 from bsk_torch.sim.schedule import SCHEDULE, Schedule, Slot
 
+if TYPE_CHECKING:
+    from bsk_torch.sim.component import Component
+    from bsk_torch.sim.run.tick import Tick
 
-def show_schedule(preset: str | None) -> None:
-    """Print the order of a tick: all slots, or the components that run in a preset."""
+
+def show_schedule(
+    preset: Annotated[
+        str | None, typer.Argument(help="Environment, such as AEOS-v1; default: all slots.", show_default=False)
+    ] = None,
+) -> None:
+    """Show the order of a tick: all slots, or the components that run in a preset.
+
+    Examples:
+        bsk-torch schedule
+        bsk-torch schedule NadirScan-v1
+    """
     if preset is None:
         echo("\n".join(slot_lines(SCHEDULE)))
         return

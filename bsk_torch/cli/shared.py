@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import ast
-import logging
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from bsk_torch.cli.terminal import described, fail, working
-from bsk_torch.env import Tasking
+from bsk_torch.cli.terminal import fail, refusing, working
 from bsk_torch.files import unwritable
-from bsk_torch.presets import make
-from bsk_torch.rl.policies.shared_policy import member_views
 
-logger = logging.getLogger(__name__)
+if TYPE_CHECKING:
+    from bsk_torch.env import Tasking
 
 LARGEST_SEED, MOST_SEEDS = 2**62, 10_000_000
 """Bounds of the seeds of episodes, and of their number, that a command plays."""
@@ -30,11 +26,6 @@ OF_COMMANDS = {
 }
 OF_COMMANDS |= dict.fromkeys(("num_envs", "env_ids", "seed"), "it follows from the episodes; choose these with --seeds")
 """Options of environments that commands set, and where to set them."""
-
-
-def environment_options(backend: str, device: str, time_limit: float | None) -> dict[str, Any]:
-    """Return the arguments of the environment that the command line sets."""
-    return {"backend": backend, "device": device} | ({} if time_limit is None else {"time_limit": time_limit})
 
 
 def preset_options(given: Sequence[str] | None) -> dict[str, Any]:
@@ -53,32 +44,25 @@ def preset_options(given: Sequence[str] | None) -> dict[str, Any]:
     return found
 
 
-@contextmanager
-def building(why: str = "") -> Iterator[None]:
-    """End the program for wrong arguments of an environment or a training that is built; ``why`` introduces unknown ones."""
-    try:
-        yield
-    except (KeyError, ImportError, TypeError, ValueError) as error:
-        logger.debug("building failed", exc_info=error)
-        fail(f"{why if isinstance(error, TypeError) else ''}{described(error)}")
-
-
 def made(preset: str, num_envs: int, options: Mapping[str, object], why: str = "") -> Tasking:
     """Return an environment of a preset; ends the program if its arguments are wrong. ``why`` introduces unknown ones.
 
     Some arguments are known to be wrong only when the first episodes draw them; see :func:`~bsk_torch.cli.terminal.of_arguments`.
     """
-    with working(f"building {preset}"), building(why):
-        return make(preset, num_envs=num_envs, **options)
+    with working(f"building {preset}"):
+        from bsk_torch.presets import make
+
+        with refusing(KeyError, ImportError, ValueError), refusing(TypeError, why=why):
+            return make(preset, num_envs=num_envs, **options)
 
 
 def environment(preset: str, num_envs: int, options: Mapping[str, object], why: str = "") -> Tasking:
     """Return an environment in which policies are trained and evaluated; ends the program for agents of many satellites."""
     env = made(preset, num_envs, options, why)
-    try:
+    from bsk_torch.rl.policies.shared_policy import member_views
+
+    with refusing(why=f"{preset} cannot be learned: "):
         member_views(env)
-    except ValueError as error:
-        fail(f"{preset} cannot be learned: {error}")
     return env
 
 
@@ -98,28 +82,36 @@ def seed_range(text: str, option: str = "--seeds") -> range:
     return seeds
 
 
-def check_writable(path: Path | None) -> None:
-    """End the program if a file could not be written, before an hour of work is lost."""
-    if path is None:
-        return
-    if path.is_dir():
-        fail(f"{str(path)!r} is a folder; name a file in it")
-    if not path.parent.is_dir():
-        fail(f"{str(path)!r} cannot be written: there is no folder {str(path.parent)!r}")
-    if path.is_symlink() or (path.exists() and not path.is_file()):
-        fail(f"{str(path)!r} is no ordinary file, which would be replaced; name another one")
-    if (why := unwritable(path.parent)) is not None:
-        fail(f"{str(path)!r} cannot be written: {why}")
+def check_writable(*files: Path | None) -> None:
+    """End the program if one of the files could not be written, before an hour of work is lost."""
+    for path in (path for path in files if path is not None):
+        if path.is_dir():
+            fail(f"{str(path)!r} is a folder; name a file in it")
+        if not path.parent.is_dir():
+            fail(f"{str(path)!r} cannot be written: there is no folder {str(path.parent)!r}")
+        if path.is_symlink() or (path.exists() and not path.is_file()):
+            fail(f"{str(path)!r} is no ordinary file, which would be replaced; name another one")
+        if (why := unwritable(path.parent)) is not None:
+            fail(f"{str(path)!r} cannot be written: {why}")
 
 
 PICTURES = (".png", ".svg", ".pdf")
 """What the names of pictures end with."""
 
 
-def check_picture(option: str, path: Path, kinds: Sequence[str] = PICTURES) -> None:
-    """End the program if a picture's name does not end with one of ``kinds``."""
+def check_file(option: str, path: Path, kinds: Sequence[str]) -> None:
+    """End the program if a file's name does not end with one of ``kinds``, or the file could not be written."""
     if path.suffix not in kinds:
         fail(f"{option} {str(path)!r} must end with {', '.join(kinds[:-1])} or {kinds[-1]}")
+    check_writable(path)
+
+
+def drawing(path: Path | None, figure: str) -> Any:
+    """Return the module ``figure``, which draws the picture ``--draw``, if any; ends the program if it could not be written."""
+    if path is None:
+        return None
+    check_file("--draw", path, PICTURES)
+    return extra(figure)
 
 
 def extra(module: str, extras: str = "viz") -> Any:

@@ -22,6 +22,8 @@ from rich.text import Text
 
 from bsk_torch._text import visible
 
+logger = logging.getLogger(__name__)
+
 screen = Console(stderr=True)
 """Where messages and activities are shown."""
 
@@ -52,6 +54,17 @@ def described(error: BaseException) -> str:
     if isinstance(error, KeyError) and error.args:  # which would be quoted
         return str(error.args[0])
     return str(error) or type(error).__name__
+
+
+@contextmanager
+def refusing(*kinds: type[Exception], why: str = "") -> Iterator[None]:
+    """End the program with the message of an error of these kinds (default: ValueError), which ``why`` introduces."""
+    kinds = kinds or (ValueError,)
+    try:
+        yield
+    except kinds as error:
+        logger.debug("refused", exc_info=error)
+        fail(f"{why}{described(error)}")
 
 
 def of_arguments(error: BaseException) -> bool:

@@ -4,47 +4,68 @@ from __future__ import annotations
 
 import re
 import webbrowser
-from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Annotated, Any
 
-import torch
+import typer
 
+from bsk_torch._listed import LISTED
+from bsk_torch.cli.declaration import EnvironmentOptions, Plan, Seed, Until, flag
 from bsk_torch.cli.film import FILMS
 from bsk_torch.cli.film import film as write_film
 from bsk_torch.cli.names import PRETRAINED
-from bsk_torch.cli.planned import named_actor
-from bsk_torch.cli.shared import check_writable, environment_options, extra
-from bsk_torch.cli.terminal import echo, fail, working
+from bsk_torch.cli.shared import check_file, extra
+from bsk_torch.cli.terminal import echo, fail, refusing, working
 from bsk_torch.files import write_file
-from bsk_torch.presets import PRESETS
-from bsk_torch.sim.arguments.values import nearest
+from bsk_torch.sim.names import nearest
 
 FILES = (".html", ".bskview", ".czml")
 """What the names of exported recordings end with."""
 
+What = Annotated[str, typer.Argument(help="Preset, run folder, or recording (.bskview).", show_default=False)]
+WithPolicy = Annotated[
+    str | None,
+    flag(
+        "NAME",
+        "Policy of a preset: 'pretrained' (default), a baseline, a run folder, or a planner such as plan:rollout.",
+        "--policy",
+    ),
+]
+Branches = Annotated[
+    list[str] | None, flag("DECISION:ACTION", "Another future: take this action at that decision; repeatable.", "--branch")
+]
+
 
 def view(
-    what: str,
-    policy: str | None,
-    seed: int,
-    until: float | None,
-    branch: list[str] | None,
-    out: Path | None,
-    host: str,
-    port: int,
-    browser: bool,
-    plan: list[str] | None,
-    threads: int,
-    backend: str,
-    device: str,
-    time_limit: float | None,
+    what: What,
+    policy: WithPolicy = None,
+    seed: Seed = 0,
+    until: Until = None,
+    branch: Branches = None,
+    out: Annotated[Path | None, flag("FILE", "Write a file (.html, .bskview, .czml) instead of starting a server.")] = None,
+    host: Annotated[str, flag("NAME", "Address of the server; others need a token.")] = "127.0.0.1",
+    port: Annotated[int, flag("N", "Port of the server, or the next free one.", min=1, max=65535)] = 8765,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
+    plan: Plan = None,
+    *,
+    options: EnvironmentOptions,
 ) -> None:
-    """Show an episode in the browser; see :mod:`bsk_torch.cli.main`."""
-    torch.set_num_threads(threads)
+    """Show an episode in the browser: a preset, a run or a recording.
+
+    The page of a server also shows the value of every action at a decision, and flies other futures from there. With --out, one
+    file plays without a server.
+
+    Examples:
+        bsk-torch view NadirScan-v1
+        bsk-torch view Constellation-v1 --until 1200 --out team.html
+        bsk-torch view NadirScan-v1 --policy rule --branch 12:1 --out futures.html
+        bsk-torch view runs/scan
+        bsk-torch view flight.bskview
+    """
     if out is not None:
-        _check_name(out, FILES)
-    source = _source(what, policy, seed, until, branch, plan, environment_options(backend, device, time_limit))
+        check_file("--out", out, FILES)
+    source = _source(what, policy, seed, until, branch, plan, options)
     if out is not None:
         _write(source, out)
         return
@@ -74,42 +95,39 @@ def _forwarding(url: str, folder: Path) -> str:
 
 
 def export(
-    what: str,
-    out: Path,
-    policy: str | None,
-    seed: int,
-    until: float | None,
-    branch: list[str] | None,
-    plan: list[str] | None,
-    threads: int,
-    backend: str,
-    device: str,
-    time_limit: float | None,
+    what: What,
+    out: Annotated[Path, flag("FILE", "A page (.html), recording (.bskview), CZML (.czml) or film (.mp4, .gif, .webp).")],
+    policy: WithPolicy = None,
+    seed: Seed = 0,
+    until: Until = None,
+    branch: Branches = None,
+    plan: Plan = None,
+    *,
+    options: EnvironmentOptions,
 ) -> None:
-    """Write an episode to a file; see :mod:`bsk_torch.cli.main`."""
-    torch.set_num_threads(threads)
-    _check_name(out, (*FILES, *FILMS))
+    """Write an episode of a preset, a run or a recording to a file.
+
+    Examples:
+        bsk-torch export NadirScan-v1 --out flight.html
+        bsk-torch export flight.bskview --out flight.czml
+        bsk-torch export runs/scan --seed 7 --out flight.mp4
+    """
+    check_file("--out", out, (*FILES, *FILMS))
     if out.suffix in FILMS:
         if what.endswith(".bskview") or branch:
             fail(f"--out {str(out)!r}: films show a preset or a run without branches; recordings become {', '.join(FILES)}")
         name, preset = _named(what, policy)
-        write_film(name, preset, seed, out, until, None, 5.0, 480, plan, threads, backend, device, time_limit)
+        write_film(name, preset, seed, out, until, plan=plan, options=options)
         return
-    _write(_source(what, policy, seed, until, branch, plan, environment_options(backend, device, time_limit)), out)
-
-
-def _check_name(out: Path, known: Sequence[str]) -> None:
-    if out.suffix not in known:
-        fail(f"--out {str(out)!r} must end with one of {', '.join(known)}; {nearest(out.suffix, known)}")
-    check_writable(out)
+    _write(_source(what, policy, seed, until, branch, plan, options), out)
 
 
 def _named(what: str, policy: str | None) -> tuple[str, str | None]:
     """Policy and preset that the argument and ``--policy`` name; ends the program if there are none."""
-    if what in PRESETS:
+    if what in LISTED:
         return policy or PRETRAINED, what
     if policy is not None:
-        fail(f"{what!r} is not a preset, for which --policy {policy} could fly; {nearest(what, PRESETS)}")
+        fail(f"{what!r} is not a preset, for which --policy {policy} could fly; {nearest(what, LISTED)}")
     return what, None
 
 
@@ -120,31 +138,29 @@ def _source(
     until: float | None,
     branch: list[str] | None,
     plan: list[str] | None,
-    options: dict[str, object],
+    options: dict[str, Any],
 ) -> object:
     """The flights to show: a recording, or flights with other futures."""
+    from bsk_torch.cli.policies import named_actor
+
     recordings = extra("bsk_torch.viewer.recording", "viz")
     if what.endswith(recordings.SUFFIX):
         if policy is not None or branch:
             fail(f"{what!r} is a recording, in which nothing flies any more; --policy and --branch are for presets and runs")
-        try:
+        with refusing():
             return recordings.load(what)
-        except ValueError as error:
-            fail(str(error))
     pairs = [_branch(text) for text in branch or ()]
     name, preset = _named(what, policy)
-    named = named_actor(name, preset, plan or ())
+    named = named_actor(name, preset, plan)
     env = named.environment(1, options)
-    actor = named.actor(env, str(options["device"]))
+    actor = named.actor(env, options["device"])
     futures = extra("bsk_torch.viewer.futures", "viz").Futures(env, actor, preset=named.preset, label=named.label, until=until)
     with working("flying the episode"):
         futures.episode(seed)
     for decision, action in pairs:
-        with working(f"flying another future from decision {decision}"):
-            try:
-                futures.branch(0, decision, action)
-            except (IndexError, ValueError) as error:
-                fail(f"--branch {decision}:{action}: {error.args[0]}")
+        why = f"--branch {decision}:{action}: "
+        with working(f"flying another future from decision {decision}"), refusing(IndexError, ValueError, why=why):
+            futures.branch(0, decision, action)
     return futures
 
 
@@ -163,10 +179,8 @@ def _write(source: object, out: Path) -> None:
     if out.suffix == ".html":
         content: bytes | str = recording.html()
     elif out.suffix == ".czml":
-        try:
+        with refusing():
             content = extra("bsk_torch.viewer.czml").czml(recording)
-        except ValueError as error:
-            fail(str(error))
     else:
         content = recording.encode()
     write_file(out, content)

@@ -22,13 +22,11 @@ SCHEDULED = ("NadirScan-v1", "AEOS-v1", "Constellation-v1")
 
 def commands() -> str:
     """Return every command of ``bsk-torch`` with its options."""
-    from typer.main import get_command
+    from bsk_torch.cli.main import COMMANDS, loaded
 
-    from bsk_torch.cli import app
-
-    group: Any = get_command(app)
     parts = []
-    for name, command in sorted(group.commands.items()):
+    for name in sorted(COMMANDS):
+        command = loaded(name)
         examples = command.epilog.partition("\n\n")[2].replace("\\[", "[")
         parts += [f"## bsk-torch {name}", paragraphs(command.help), block(usage(name, command)), block(examples, "bash")]
         rows = [parameter(p) for p in command.params if p.name != "help"]

@@ -167,8 +167,8 @@ except ValueError as error:
     print(str(error).replace(str(folder.parent), "..."))
 
 # %%
-# ``bsk-torch publish RUN --folder FOLDER`` evaluates the policy of a run, copies it to the folder, and records the command, time,
-# machine and score in ``policies.json``. The package's policies were published in this way:
+# In a clone, ``python scripts/tools/publish_policy.py RUN --folder FOLDER`` evaluates the policy of a run, copies it to the
+# folder, and records the command, time, machine and score in ``policies.json``. So were the package's policies published:
 from bsk_torch.rl.policies import makings
 
 for preset, making in makings().items():

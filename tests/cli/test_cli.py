@@ -28,14 +28,6 @@ def test_args_of_constellations_are_those_of_their_first_type(run):
     assert "losMaximumRange" in run("args", "RelayConstellation-v1").output
 
 
-@pytest.mark.parametrize("command", [("args",), ("train", *SHORT), ("eval", "rule", *SHORT, "--preset")])
-def test_an_unknown_preset_is_answered_with_the_nearest(run, command):
-    result = run(*command, "NadirScam-v1")
-    assert result.exit_code == 1
-    assert "did you mean 'NadirScan-v1'" in result.output
-    assert len(result.output.splitlines()) == 1
-
-
 def test_agents_of_several_satellites_are_refused(run):
     result = run("train", *SHORT, "RelayConstellation-v1", "options.joint=true", "options.as_set=false")
     assert result.exit_code == 1

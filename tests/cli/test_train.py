@@ -57,28 +57,8 @@ def test_train_with_attention_knows_the_targets_and_draws_them(run, tmp_path):
     assert again.exit_code == 0, again.output
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("AEOS-v1", "--network", "attetnion"), "did you mean 'attention'"),
-        (("NadirScan-v1", "--network", "attention"), "use network='mlp'"),
-        (("NadirScan-v1", "learning_rat=1e-3"), "did you mean 'learning_rate'"),
-        (("NadirScan-v1", "hidden=[a]"), "could not be converted to Integer"),
-        (("NadirScan-v1", "gamma=2"), "must lie in (0, 1]"),
-        (("NadirScan-v1", "--workers", "3"), "num_envs=1024 episodes cannot be shared out evenly among 3 processes"),
-        (("NadirScan-v1", "--workers", "many"), "workers='many' must be a whole number or 'auto'"),
-        (("nowhere", "--resume"), "'nowhere' is not a run folder"),
-    ],
-)
-def test_what_cannot_be_trained_is_refused(run, arguments, message):
-    result = run("train", *arguments, *SHORT)
-    assert result.exit_code == 1
-    assert message in result.output
-    assert len(result.output.splitlines()) == 1
-
-
 def test_without_matplotlib_pictures_are_left_out(run, tmp_path, monkeypatch):
-    monkeypatch.setattr("bsk_torch.cli.train.find_spec", lambda name: None)
+    monkeypatch.setattr("bsk_torch.cli.training.find_spec", lambda name: None)
     result = run("train", "NadirScan-v1", "--frames", 20, *SIZES, "--out", tmp_path, *SHORT)
     assert result.exit_code == 0, result.output
     assert result.output.count("no pictures were drawn: they need matplotlib; pip install 'bsk_torch[viz]'") == 1

@@ -37,7 +37,7 @@ def test_preset_becomes_page_recording_and_czml(tmp_path):
     ("arguments", "message"),
     [
         (("NadirScan-v2", "--out", "x.html"), "'NadirScan-v2' is neither a preset"),
-        (("NadirScan-v1", "--out", "x.htm"), "must end with one of"),
+        (("NadirScan-v1", "--out", "x.htm"), "must end with .html, .bskview"),
         (("NadirScan-v1", "--branch", "one", "--out", "x.html"), "must be DECISION:ACTION"),
         (("HeteroCluster-v1", "--out", "x.html"), "HeteroCluster-v1"),
         (("cut.bskview", "--out", "x.html"), "cut off"),

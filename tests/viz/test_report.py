@@ -15,7 +15,8 @@ from typer.testing import CliRunner
 
 import bsk_torch
 from bsk_torch.cli import app
-from bsk_torch.cli.report import command_of, extremes
+from bsk_torch.cli.report import extremes
+from bsk_torch.cli.run_folder import command_of
 from bsk_torch.rl.networks.plans import MLPPlan
 from bsk_torch.rl.policies.files import save_policy
 from bsk_torch.rl.training import configure
@@ -204,6 +205,12 @@ def test_what_is_no_run_is_refused(call, folder, monkeypatch):
         assert result.exit_code == 1
         return result.output
 
+    def missing(name):
+        raise ModuleNotFoundError(name="matplotlib")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("bsk_torch.cli.shared.import_module", missing)
+        assert "pip install 'bsk_torch[viz]'" in said(folder)
     assert "there is no folder 'nowhere'" in said("nowhere")
     (folder / "policy.pt").rename(folder / "kept")
     assert "has no policy.pt" in said(folder)
@@ -214,12 +221,6 @@ def test_what_is_no_run_is_refused(call, folder, monkeypatch):
     assert "hiden" in said(folder)
     (folder / "config.yaml").unlink()
     assert "it is not a run folder" in said(folder)
-
-    def missing(name):
-        raise ModuleNotFoundError(name="matplotlib")
-
-    monkeypatch.setattr("bsk_torch.cli.report.import_module", missing)
-    assert "pip install 'bsk_torch[viz]'" in said(folder)
 
 
 def test_the_extremes_of_few_episodes_are_shown_once():

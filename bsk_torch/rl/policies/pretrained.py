@@ -14,7 +14,7 @@ FOLDER = Path(__file__).parent
 """Folder of the policies, ``PRESET.pt``, and their metadata."""
 
 INDEX = "policies.json"
-"""Metadata file, written by ``bsk-torch publish``; :func:`~bsk_torch._listed.makings` reads it."""
+"""Metadata file, written by ``scripts/tools/publish_policy.py``; :func:`~bsk_torch._listed.makings` reads it."""
 
 
 def pretrained_file(preset: str) -> Path:

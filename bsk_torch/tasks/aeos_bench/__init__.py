@@ -1,15 +1,24 @@
-"""AEOS-Bench: up to 50 satellites point at tasks on the ground, second by second."""
+"""AEOS-Bench: up to 50 satellites point at tasks on the ground, second by second.
 
-from bsk_torch.tasks.aeos_bench.act import PointAtTask
-from bsk_torch.tasks.aeos_bench.dyn import AEOSBenchDynModel, AEOSBenchTracedDynModel
-from bsk_torch.tasks.aeos_bench.files import Cases, read_cases
-from bsk_torch.tasks.aeos_bench.fsw import AEOSBenchFSWModel
-from bsk_torch.tasks.aeos_bench.generator import AEOSBenchGenerator
-from bsk_torch.tasks.aeos_bench.obs import TaskProperties
-from bsk_torch.tasks.aeos_bench.reward import TaskReward
-from bsk_torch.tasks.aeos_bench.rules import NearestTask
-from bsk_torch.tasks.aeos_bench.scene import AEOSBench
-from bsk_torch.tasks.aeos_bench.writing import write_cases
+Attributes are imported when they are first read (PEP 562), so that the help of the commands does not wait for torch.
+"""
+
+from typing import TYPE_CHECKING
+
+from bsk_torch._rooms import resolve as _resolve
+from bsk_torch.sim.names import nearest as _nearest
+
+if TYPE_CHECKING:
+    from bsk_torch.tasks.aeos_bench.act import PointAtTask
+    from bsk_torch.tasks.aeos_bench.dyn import AEOSBenchDynModel, AEOSBenchTracedDynModel
+    from bsk_torch.tasks.aeos_bench.files import Cases, read_cases
+    from bsk_torch.tasks.aeos_bench.fsw import AEOSBenchFSWModel
+    from bsk_torch.tasks.aeos_bench.generator import AEOSBenchGenerator
+    from bsk_torch.tasks.aeos_bench.obs import TaskProperties
+    from bsk_torch.tasks.aeos_bench.reward import TaskReward
+    from bsk_torch.tasks.aeos_bench.rules import NearestTask
+    from bsk_torch.tasks.aeos_bench.scene import AEOSBench
+    from bsk_torch.tasks.aeos_bench.writing import write_cases
 
 __all__ = [
     "AEOSBench",
@@ -25,3 +34,26 @@ __all__ = [
     "read_cases",
     "write_cases",
 ]
+
+_MODULES = {
+    "PointAtTask": "act",
+    "AEOSBenchDynModel": "dyn",
+    "AEOSBenchTracedDynModel": "dyn",
+    "Cases": "files",
+    "read_cases": "files",
+    "AEOSBenchFSWModel": "fsw",
+    "AEOSBenchGenerator": "generator",
+    "TaskProperties": "obs",
+    "TaskReward": "reward",
+    "NearestTask": "rules",
+    "AEOSBench": "scene",
+    "write_cases": "writing",
+}
+"""Modules of the attributes."""
+
+
+def __getattr__(name: str) -> object:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; {_nearest(name, __all__)}")
+    value = globals()[name] = _resolve(f"{__name__}.{_MODULES[name]}:{name}")
+    return value

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bsk_torch.cli.bench import entrant_of
 from bsk_torch.lab.basilisk.aeos_certificate import CLOSE, Flown, certify_bench, comparison
+from bsk_torch.lab.commands.entrants import entrant_of
 from bsk_torch.lab.suites.suite import SUITES, bench_folder
 from tests.tasks.aeos_bench.aeos_cases import constellation, tasks, write
 

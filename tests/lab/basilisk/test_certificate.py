@@ -9,7 +9,6 @@ import pytest
 import torch
 from tensordict.nn import TensorDictModule
 
-from bsk_torch.cli.bench import entrant_of
 from bsk_torch.lab.basilisk import FLOWN, certify
 from bsk_torch.lab.basilisk.certificate import (
     TOLERANCE,
@@ -23,6 +22,7 @@ from bsk_torch.lab.basilisk.certificate import (
     sighted,
 )
 from bsk_torch.lab.basilisk.flight import fly_here, problem_of
+from bsk_torch.lab.commands.entrants import entrant_of
 from bsk_torch.lab.suites.suite import SUITES, enter, tasks_of
 
 

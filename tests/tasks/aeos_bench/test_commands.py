@@ -69,7 +69,7 @@ def test_errors(run, cases, arguments, message):
 
 def test_names_that_the_benchmark_does_not_have_are_refused_before_the_flight(run, tmp_path, monkeypatch):
     write(tmp_path / "cases/one", constellation(1), tasks(40))
-    monkeypatch.setattr("bsk_torch.cli.aeos.bench", lambda *given: pytest.fail("an environment was made"))
+    monkeypatch.setattr("bsk_torch.tasks.aeos_bench.commands.bench", lambda *given: pytest.fail("an environment was made"))
     result = run("export-aeosbench", "nearest_task", "--cases", tmp_path / "cases", "--out", tmp_path / "data")
     assert result.exit_code != 0
     assert "the benchmark names cases by numbers below 100,000" in " ".join(result.output.split())

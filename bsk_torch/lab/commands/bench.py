@@ -12,49 +12,20 @@ from dataclasses import asdict
 from datetime import datetime, timezone
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import torch
+import typer
 
-from bsk_torch.cli.functions import entrant_of_user, message_of
-from bsk_torch.cli.names import PREFIX, PRETRAINED
-from bsk_torch.cli.planned import named_planner
-from bsk_torch.cli.policies import NamedFunction, NamedPolicy, named_policy
-from bsk_torch.cli.results import PlayedResults
-from bsk_torch.cli.shared import check_writable, preset_options
-from bsk_torch.cli.terminal import Failure, fail, print_message, working
-from bsk_torch.codegen.inductor import BACKENDS
-from bsk_torch.env import Tasking
-from bsk_torch.env.assembly.devices import existing_device
-from bsk_torch.env.rollout import Policy
+from bsk_torch.cli.declaration import MachineOptions, flag
+from bsk_torch.cli.shared import check_writable
+from bsk_torch.cli.terminal import Failure, fail, print_message, refusing, working
 from bsk_torch.files import write_file
-from bsk_torch.lab.basilisk import FLOWN, absent_data, lacking
-from bsk_torch.lab.basilisk import certify as certified
-from bsk_torch.lab.basilisk.aeos_certificate import BENCH, certify_bench
-from bsk_torch.lab.suites.suite import (
-    REMARKS,
-    VIEWS,
-    Entrant,
-    Score,
-    Task,
-    bench_folder,
-    normalised,
-    play,
-    ranking,
-    references,
-    tasks_of,
-)
-from bsk_torch.rl.policies.pretrained import makings
-from bsk_torch.rl.policies.shared_policy import RULES, baseline, shared
-from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.tables import print_table
-from bsk_torch.untrusted import read_json
+
+if TYPE_CHECKING:
+    from bsk_torch.lab.suites.suite import Score, Task
 
 logger = logging.getLogger(__name__)
-
-CERTIFIERS = {**dict.fromkeys(FLOWN, certified), BENCH: certify_bench}
-"""Functions that fly episodes again on Basilisk, by preset."""
-
 
 FORMAT = 1
 """Version of the layout of the JSON file."""
@@ -66,6 +37,8 @@ class Failures(dict[str, dict[str, str]]):
     @contextmanager
     def of(self, name: str, task: Task) -> Iterator[None]:
         """Print and keep the error that ends the block, whatever a library raises; an interrupt ends the program."""
+        from bsk_torch.cli.functions import message_of
+
         try:
             yield
         except (Exception, SystemExit) as error:
@@ -77,33 +50,61 @@ class Failures(dict[str, dict[str, str]]):
 
 
 def bench(
-    policies: list[str],
-    suite: str,
-    presets: str | None,
-    folder: Path | None,
-    episodes: int | None,
-    earlier: list[Path] | None,
-    out: Path | None,
-    threads: int,
-    backend: str,
-    device: str,
-    certify: int,
+    policies: Annotated[
+        list[str],
+        typer.Argument(
+            help="'pretrained'; a baseline, also with a view of the presets such as survey,actions=waypoints; a policy file or "
+            "its folder; a planner with its options such as plan:rollout,base=hasty,horizon=240; or your own function as "
+            "package.module:function, with strings for it after commas.",
+            show_default=False,
+        ),
+    ],
+    suite: Annotated[str, flag("NAME", "Suite of fixed episodes.")] = "v1",
+    presets: Annotated[str | None, flag("NAMES", "Only some of its presets or other tasks, separated by commas.")] = None,
+    folder: Annotated[Path | None, flag("FOLDER", "Cases of AEOS-Bench, as another task of the suite aeosbench.")] = None,
+    episodes: Annotated[
+        int | None, flag("N", "Number of episodes per task, the first N; default: all.", min=1, show_default=False)
+    ] = None,
+    earlier: Annotated[
+        list[Path] | None, flag("FILE", "JSON file of an earlier run, whose policies are also shown; repeatable.", "--with")
+    ] = None,
+    out: Annotated[Path | None, flag("FILE", "JSON file for results and returns of all episodes.")] = None,
+    certify: Annotated[int, flag("N", "Repeat the first N episodes of each task on Basilisk, if it is installed.", min=0)] = 0,
+    *,
+    options: MachineOptions,
 ) -> None:
-    """Compare policies in the fixed episodes of a suite; see :mod:`bsk_torch.cli.main`."""
-    torch.set_num_threads(threads)
+    """Compare policies from any library in the fixed episodes of a suite.
+
+    Scores are returns, scaled to 0 for random actions and 1 for the best rule, policy or planner of the package when the suite
+    was created. Policies have no score for presets to which they do not apply. With --certify, the last column shows how many of
+    the episodes repeated on Basilisk have the same decisions and outcome, and the largest difference of their returns.
+
+    Examples:
+        bsk-torch bench pretrained hasty --presets AEOS-v1 --episodes 64
+        bsk-torch bench plan:rollout,base=hasty,horizon=240 --out results.json
+        bsk-torch bench my_package.policies:enter
+        bsk-torch bench hasty farsighted --suite v2 --presets few_choices
+        bsk-torch bench nearest_task soonest_task --suite aeosbench
+    """
+    from bsk_torch.cli.results import PlayedResults
+    from bsk_torch.codegen.inductor import BACKENDS
+    from bsk_torch.env.assembly.devices import existing_device
+    from bsk_torch.lab.commands.entrants import entrant_of
+    from bsk_torch.lab.suites.suite import bench_folder, play, references, tasks_of
+
     check_writable(out)
-    try:
-        tasks = chosen_tasks(suite, presets, folder)
-        existing_device(device)
-    except (ValueError, FileNotFoundError) as error:
-        fail(str(error))
-    if backend not in BACKENDS:
-        fail(f"backend={backend!r} must be one of {', '.join(BACKENDS)}")
+    if folder is not None and suite != "aeosbench":
+        fail(f"--folder {folder} has cases of AEOS-Bench, but the suite is {suite}; choose --suite aeosbench")
+    with refusing(ValueError, FileNotFoundError):
+        tasks = tasks_of(suite, presets) + (() if folder is None else (bench_folder(folder),))
+        existing_device(options["device"])
+    if options["backend"] not in BACKENDS:
+        fail(f"backend={options['backend']!r} must be one of {', '.join(BACKENDS)}")
     most = max(task.episodes for task in tasks)
     if episodes is not None and episodes > most:
         fail(f"--episodes {episodes} must be at most {most}, the number of episodes of each task")
     counts = {task.title: min(episodes or most, task.episodes) for task in tasks}
-    check_certifiable(tasks, certify, min(counts.values()))
+    certifiers = certifiers_of(tasks, certify, min(counts.values()))
     entrants = {name: entrant_of(name, tasks) for name in policies}
     results = read_earlier(earlier or [], suite, PlayedResults)
     for name, rows in results.items():
@@ -119,12 +120,12 @@ def bench(
         for name, entrant in entrants.items():
             for task in tasks:
                 with working(f"{name}: {task.title}"), failed.of(name, task):
-                    score = play(task, entrant, counts[task.title], backend=backend, device=device)
+                    score = play(task, entrant, counts[task.title], **options)
                     if score is None:
                         continue
                     row = results.setdefault(name, {})[task.title] = told(score, known.get(task.title))
-                    fly = CERTIFIERS.get(task.preset) if certify else None
-                    flown = None if fly is None else fly(task, entrant, certify, backend=backend, device=device)
+                    fly = certifiers.get(task.preset)
+                    flown = None if fly is None else fly(task, entrant, certify, **options)
                     row |= {} if flown is None else {"basilisk": flown.summary()}
                 if out is not None:  # after each task, so that nothing is lost if the run is killed
                     content = document(suite, tasks, max(counts.values()), results) | ({"failed": failed} if failed else {})
@@ -137,104 +138,37 @@ def bench(
         fail("failed: " + "; ".join(f"{name} in {', '.join(errors)}" for name, errors in failed.items()))
 
 
-def chosen_tasks(suite: str, presets: str | None, folder: Path | None) -> tuple[Task, ...]:
-    """Return the tasks of a suite that are played, and that of a folder; ValueError where the suite has no folders."""
-    tasks = tasks_of(suite, presets)
-    if folder is None:
-        return tasks
-    if suite != "aeosbench":
-        raise ValueError(f"--folder {folder} has cases of AEOS-Bench, but the suite is {suite}; choose --suite aeosbench")
-    return (*tasks, bench_folder(folder))
+def certifiers_of(tasks: Sequence[Task], certify: int, episodes: int) -> dict[str, Callable[..., Any]]:
+    """Return the functions that fly episodes again on Basilisk, by preset; none unless ``certify`` episodes are to be.
 
-
-def check_certifiable(tasks: Sequence[Task], certify: int, episodes: int) -> None:
-    """End the program if episodes cannot be flown on Basilisk; name the presets that will not be."""
+    Ends the program if that cannot be done, and names the presets for which it is not.
+    """
     if not certify:
-        return
-    flown = [task for task in tasks if task.preset in CERTIFIERS]
-    names = ", ".join(CERTIFIERS)
+        return {}
+    from bsk_torch.lab import basilisk
+    from bsk_torch.lab.basilisk.aeos_certificate import BENCH, certify_bench
+
+    certifiers = {**dict.fromkeys(basilisk.FLOWN, basilisk.certify), BENCH: certify_bench}
+    flown = [task for task in tasks if task.preset in certifiers]
+    names = ", ".join(certifiers)
     if not flown:
         fail(f"--certify {certify}: none of {', '.join(task.preset for task in tasks)} can be flown on Basilisk; {names} can")
     most = min(episodes, *(task.at_once for task in flown))
     if certify > most:
         fail(f"--certify {certify} must be at most {most}, the number of episodes that are played side by side")
-    if missing := lacking():
+    if missing := basilisk.lacking():
         fail(f"--certify {certify}: {missing}")
-    if warning := absent_data(os.environ.get("BSK_SUPPORT_DATA_CACHE")):
+    if warning := basilisk.absent_data(os.environ.get("BSK_SUPPORT_DATA_CACHE")):
         print_message(warning)
     if left := [task.preset for task in tasks if task not in flown]:
         print_message(f"not flown on Basilisk, as only {names} can be: {', '.join(left)}")
-
-
-def entrant_of(name: str, tasks: Sequence[Task] = ()) -> Entrant:
-    """Return what enters the policy that the command line names in ``tasks``; ends the program if there is none."""
-    allowed = tuple(dict.fromkeys(view for task in tasks for view in task.views)) or VIEWS
-    drawn = tuple(dict.fromkeys(option for task in tasks for option in task.drawn)) or ("time_limit",)
-    if name == PRETRAINED:
-        return lambda preset, make: entered(named_policy(name, preset), make, drawn) if preset in makings() else None
-    plain, *views = name.split(",")
-    if plain.startswith(PREFIX):
-        seen = [text for text in views if text.partition("=")[0] in allowed]
-        options = [text for text in views if text not in seen]
-        named_planner(plain, None, options)  # unknown names and options end the program before anything runs
-        chosen = dict(view_of(text, allowed) for text in seen)
-        return lambda preset, make: planned(plain, options, chosen, preset, make)
-    if plain in RULES:
-        usual = {view: value for task in tasks for view, value in task.rules.get(plain, {}).items()}
-        given = usual | dict(view_of(view, allowed) for view in views)
-        return lambda preset, make: rule(plain, given, make)
-    if ":" in plain and not Path(name).exists():
-        return entrant_of_user(plain, views)
-    policy = named_policy(name, None)
-    return lambda preset, make: entered(policy, make, drawn) if preset == policy.preset else None
-
-
-def entered(policy: NamedPolicy | NamedFunction, make: Callable[..., Tasking], drawn: Sequence[str]) -> tuple[Tasking, Policy]:
-    """Enter a policy of a file, in an environment with the views that it was trained with; see :func:`views_of`.
-
-    The program ends in tasks with other observations or actions than those of its training.
-    """
-    env = make(**views_of(policy, drawn))
-    return env, policy.actor(env, str(env.device))
-
-
-def views_of(policy: NamedPolicy | NamedFunction, drawn: Sequence[str] = ("time_limit",)) -> dict[str, Any]:
-    """Return the options of a policy's training, without those named in ``drawn``, such as the length of its episodes."""
-    return {name: value for name, value in policy.card.get("options", {}).items() if name not in drawn}
-
-
-def rule(name: str, views: Mapping[str, object], make: Callable[..., Tasking]) -> tuple[Tasking, Policy] | None:
-    """Enter a baseline; None where the preset has no such view, or the baseline is for other observations or actions."""
-    try:
-        env = make(**views)
-    except TypeError:  # no such option
-        return None
-    try:
-        return env, shared(baseline(name, env), env)
-    except (KeyError, ValueError):
-        return None
-
-
-def planned(
-    name: str, options: list[str], views: Mapping[str, object], preset: str, make: Callable[..., Tasking]
-) -> tuple[Tasking, Policy]:
-    """Enter a planner, in an environment with ``views`` and those of its base; ends the program where it does not fit."""
-    chosen = named_planner(name, preset, options)
-    of_base = {} if chosen.base is None else views_of(chosen.base)
-    env = make(**(of_base | dict(views)))
-    return env, chosen.actor(env, str(env.device))
-
-
-def view_of(text: str, allowed: Sequence[str]) -> tuple[str, Any]:
-    """Return name and value of ``NAME=VALUE``; ends the program for other texts and names."""
-    name, sign, _ = text.partition("=")
-    if not sign or name not in allowed:
-        fail(f"{text!r} must be NAME=VALUE with a NAME among {', '.join(allowed)}; {nearest(name, allowed)}")
-    return name, preset_options([text])[name]
+    return certifiers
 
 
 def told(score: Score, reference: Mapping[str, object] | None) -> dict[str, Any]:
     """Return what a file says about a score; the score proper where the suite has a reference for the task."""
+    from bsk_torch.lab.suites.suite import normalised
+
     evaluation = score.evaluation
     rated = {} if reference is None else {"score": asdict(normalised(evaluation, reference))}
     summary = {name: value for name, value in evaluation.summary().items() if name != "gain"}
@@ -269,15 +203,19 @@ def read_result(path: Path, schema: Any) -> tuple[tuple[int, str], dict[str, dic
 
     The ``schema`` is one of :mod:`bsk_torch.cli.results`.
     """
-    try:
+    from bsk_torch.untrusted import read_json
+
+    with refusing(OSError, ValueError):
         kept = read_json(path, schema, "is no result of bsk-torch bench")
-    except (OSError, ValueError) as error:
-        fail(str(error))
     return (kept["format"], kept["suite"]), kept["policies"]
 
 
 def document(suite: str, tasks: Sequence[Task], episodes: int, results: Mapping[str, object]) -> dict[str, Any]:
     """Return the content of the JSON file."""
+    import torch
+
+    from bsk_torch.lab.suites.suite import REMARKS
+
     about = {task.title: task.about for task in tasks if task.about}
     remarks = {"tasks": about, "remarks": REMARKS[suite]} if suite in REMARKS else {}
     return {
@@ -301,6 +239,8 @@ def print_suite(
     failed: Mapping[str, Mapping[str, str]],
 ) -> None:
     """Print a table for each task: policies, the paired gain of the best over each, survival or measures, and computation."""
+    from bsk_torch.lab.suites.suite import REMARKS
+
     for task in tasks:
         rows = {name: result[task.title] for name, result in results.items() if task.title in result}
         first = task.measures[0] if task.measures else "score"
@@ -321,6 +261,8 @@ def print_suite(
 
 def played(rows: Mapping[str, Mapping[str, Any]], task: Task) -> list[dict[str, str]]:
     """Return the cells of the policies that have played a task by column, the best policy last but for planners ahead of it."""
+    from bsk_torch.lab.suites.suite import ranking
+
     if not rows:
         return []
     best, gains = ranking({name: row["returns"] for name, row in rows.items()})

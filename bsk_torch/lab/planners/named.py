@@ -3,68 +3,50 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, TypeAlias
+from dataclasses import dataclass, field
+from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
+from typing_extensions import override
 
 from bsk_torch.cli.names import FIRST, PREFIX, PRETRAINED, check_policy
-from bsk_torch.cli.policies import NamedFunction, NamedPolicy, named_policy
-from bsk_torch.cli.terminal import fail
+from bsk_torch.cli.policies import NamedPolicy, named_policy
+from bsk_torch.cli.terminal import fail, refusing
 from bsk_torch.env import Tasking
 from bsk_torch.lab.planners.names import options_of, planner
 from bsk_torch.rl.rules.baselines import BASELINES
-from bsk_torch.sim.arguments.values import nearest
+from bsk_torch.sim.names import nearest
 
 BY_HAND = ("value", "redraw", "prior")
 """Options that are modules or functions, which the command line cannot name."""
 
 
-@dataclass(frozen=True)
-class NamedPlanner:
+@dataclass
+class NamedPlanner(NamedPolicy):
     """A planner, and the environment that its base policy is meant for.
 
     Attributes:
-        name: As given on the command line.
-        options: Arguments of the planner, without the base policy.
-        base: The base policy; None for the planner's choice.
-        preset: Name of the environment.
+        settings: Arguments of the planner, without the base policy.
+        base: The base policy, which has a card; None for the planner's choice.
     """
 
-    name: str
-    options: Mapping[str, Any]
-    base: NamedPolicy | NamedFunction | None
-    preset: str
+    settings: Mapping[str, Any] = field(kw_only=True)
+    base: NamedPolicy | None = None
 
     @property
+    @override
     def label(self) -> str:
-        """Name in results."""
         return self.name
 
+    @override
     def environment(self, num_envs: int, options: Mapping[str, object]) -> Tasking:
-        """Return environments as :meth:`NamedPolicy.environment` does."""
-        return (self.base or NamedPolicy("random", self.preset)).environment(num_envs, options)
+        return super().environment(num_envs, options) if self.base is None else self.base.environment(num_envs, options)
 
+    @override
     def actor(self, env: Tasking, device: str = "cpu") -> TensorDictModuleBase:
-        """Return the planner, which acts for all agents of ``env``; ends the program if it does not fit."""
         base = {} if self.base is None else {"base": self.base.actor(env, device)}
-        try:
-            return planner(self.name.removeprefix(PREFIX), env, **self.options, **base)
-        except (KeyError, TypeError, ValueError) as error:
-            fail(str(error.args[0]))
-
-
-NamedActor: TypeAlias = NamedPolicy | NamedFunction | NamedPlanner
-"""A policy or planner of the command line."""
-
-
-def named_actor(name: str, preset: str | None, plan: Sequence[str]) -> NamedActor:
-    """Return the planner or policy of that name; ends the program for options ``plan`` of what is not a planner."""
-    if name.startswith(PREFIX):
-        return named_planner(name, preset, plan)
-    if plan:
-        fail(f"--plan {plan[0]!r} is for planners, such as plan:rollout; the policy is {name!r}")
-    return named_policy(name, preset)
+        with refusing(KeyError, TypeError, ValueError):
+            return planner(self.name.removeprefix(PREFIX), env, **self.settings, **base)
 
 
 def named_planner(name: str, preset: str | None, given: Sequence[str]) -> NamedPlanner:
@@ -74,11 +56,11 @@ def named_planner(name: str, preset: str | None, given: Sequence[str]) -> NamedP
     options = dict(_pair(text, short) for text in given)
     base = options.pop("base", None)
     if base is None:
-        return NamedPlanner(name, options, None, preset or FIRST)
+        return NamedPlanner(name, preset or FIRST, settings=options)
     if base not in (*BASELINES, PRETRAINED) and not isinstance(base, str):
         fail(f"--plan base={base} must be a rule, 'pretrained', or the folder of a run")
     policy = named_policy(str(base), preset)
-    return NamedPlanner(name, options, policy, policy.preset)
+    return NamedPlanner(name, policy.preset, policy.card, settings=options, base=policy)
 
 
 def _pair(text: str, planner_name: str) -> tuple[str, Any]:

@@ -4,60 +4,58 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import torch
-
-from bsk_torch.cli.policies import named_policy
-from bsk_torch.cli.shared import check_picture, check_writable, environment_options, extra, preset_options, seed_range
-from bsk_torch.cli.terminal import echo, fail, working
+from bsk_torch.cli.declaration import AtOnce, EnvironmentOptions, OfPreset, Options, Policy, Seeds, flag
+from bsk_torch.cli.shared import check_writable, drawing, preset_options, seed_range
+from bsk_torch.cli.terminal import echo, refusing, working
 from bsk_torch.files import write_file
-from bsk_torch.lab.audit.audit import WORST, Audit, OfSituation, audit
-from bsk_torch.rl.evaluation.statistics import confidence
 from bsk_torch.tables import print_table
+
+if TYPE_CHECKING:
+    from bsk_torch.lab.audit.audit import Audit, OfSituation
 
 SHOWN = 5
 """Number of decisions in the list of the worst."""
 
 
 def audit_policy(
-    policy: str,
-    preset: str | None,
-    option: list[str] | None,
-    seeds: str,
-    horizon: float,
-    gamma: float,
-    futures: int | None,
-    budget: int | None,
-    num_envs: int,
-    draw: Path | None,
-    out: Path | None,
-    threads: int,
-    backend: str,
-    device: str,
-    time_limit: float | None,
+    policy: Policy,
+    preset: OfPreset = None,
+    option: Options = None,
+    seeds: Seeds = "0:8",
+    horizon: Annotated[float, flag("S", "Length of branches in seconds; default: to the end of the episode.")] = float("inf"),
+    gamma: Annotated[float, flag("G", "Discount per second.", min=0.0, max=1.0)] = 1.0,
+    futures: Annotated[int | None, flag("N", "Futures drawn for each decision; default: the true one.", min=2)] = None,
+    budget: Annotated[int | None, flag("N", "Number of actions to value, those that the policy prefers.", min=1)] = None,
+    num_envs: AtOnce = 16,
+    draw: Annotated[Path | None, flag("FILE", "Picture (.png, .svg, .pdf) of the regrets.")] = None,
+    out: Annotated[Path | None, flag("FILE", "JSON file for all decisions.")] = None,
+    *,
+    options: EnvironmentOptions,
 ) -> None:
-    """Value all actions at each decision of a policy, and print where it loses; see :mod:`bsk_torch.cli.main`."""
-    torch.set_num_threads(threads)
+    """Find the decisions at which a policy loses, by flying all other actions as well.
+
+    The regret of a decision is the return of the best action minus that of the chosen one, both followed by the policy.
+
+    Examples:
+        bsk-torch audit runs/scan --seeds 0:16 --draw regret.png
+        bsk-torch audit pretrained --preset AEOS-v1 --horizon 300 --budget 8
+        bsk-torch audit hasty --preset CloudyAEOS-v1 --horizon 300 --futures 8
+    """
+    from bsk_torch.cli.policies import flown
+    from bsk_torch.lab.audit.audit import audit
+
     episodes = seed_range(seeds)
-    for path in (draw, out):
-        check_writable(path)
-    if draw is not None:
-        check_picture("--draw", draw)
-        extra("bsk_torch.lab.audit.figure")
-    named = named_policy(policy, preset)
-    env = named.environment(
-        min(len(episodes), num_envs), preset_options(option) | environment_options(backend, device, time_limit)
-    )
-    actor = named.actor(env, device)
-    try:
-        with working(f"valuing all actions of {named.label}"):
-            found = audit(env, actor, seeds=episodes, horizon=horizon, gamma=gamma, futures=futures, budget=budget)
-    except ValueError as error:
-        fail(str(error))
+    figure = drawing(draw, "bsk_torch.lab.audit.figure")
+    check_writable(out)
+    named, env, actor = flown(policy, preset, min(len(episodes), num_envs), preset_options(option) | options)
+    with refusing(), working(f"valuing all actions of {named.label}"):
+        found = audit(env, actor, seeds=episodes, horizon=horizon, gamma=gamma, futures=futures, budget=budget)
     title = f"{named.preset}, {named.label}, {len(episodes)} episodes, seeds {seeds}"
     print_audit(found, title)
     if draw is not None:
-        extra("bsk_torch.lab.audit.figure").regret_figure(found, draw, title)
+        figure.regret_figure(found, draw, title)
     if out is not None:
         content = {"preset": named.preset, "policy": named.label, "horizon": str(horizon), "gamma": gamma} | found.to_dict()
         write_file(out, json.dumps(content, indent=1, allow_nan=False) + "\n")
@@ -65,6 +63,9 @@ def audit_policy(
 
 def print_audit(found: Audit, title: str) -> None:
     """Print the summary of an audit: by kind of action, by situation, and the worst decisions."""
+    from bsk_torch.lab.audit.audit import WORST
+    from bsk_torch.rl.evaluation.statistics import confidence
+
     regret, lost = found.regret, found.regret > 0.0
     echo(title)
     echo(

@@ -8,21 +8,20 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import torch
-from torch import Tensor
-
-from bsk_torch.cli.policies import named_policy
-from bsk_torch.cli.shared import check_picture, check_writable, environment_options, extra, made, seed_range
-from bsk_torch.cli.terminal import activity, echo, fail, working
-from bsk_torch.env import SatelliteTasking, Tasking
+from bsk_torch.cli.declaration import EnvironmentOptions, JsonFile, OfPreset, Policy, flag
+from bsk_torch.cli.shared import check_writable, drawing, extra, made, seed_range
+from bsk_torch.cli.terminal import activity, echo, fail, refusing, working
 from bsk_torch.files import write_file
-from bsk_torch.lab.audit.counterfactual import LOST, OPEN, SAVED, check_searchable
-from bsk_torch.lab.audit.failures import Failure, Moment, can_be_saved, explain
-from bsk_torch.rl.evaluation.replay import Flown, script
-from bsk_torch.rl.evaluation.statistics import confidence
 from bsk_torch.tables import print_table
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from bsk_torch.env import SatelliteTasking, Tasking
+    from bsk_torch.lab.audit.failures import Failure, Moment
+    from bsk_torch.rl.evaluation.replay import Flown
 
 LOST_AFTER = "lost after"
 """Column with the number of decisions from the last chance to the first that is proven to be too late."""
@@ -31,38 +30,46 @@ EXPENDABLE = ("dark (s)", "wheels (rpm)", LOST_AFTER, "charge", "outcome")
 """Columns to leave out where the terminal is narrow, the first one first."""
 
 
-FATES = {SAVED: "could be saved", LOST: "could not be saved", OPEN: "unknown whether it could be saved"}
-"""What a picture says of an episode, by the outcome of the search."""
-
-
 def explain_failures(
-    policy: str,
-    preset: str | None,
-    seeds: str,
-    starts: str | None,
-    num_envs: int,
-    draw: Path | None,
-    out: Path | None,
-    threads: int,
-    backend: str,
-    device: str,
-    time_limit: float | None,
+    policy: Policy,
+    preset: OfPreset = None,
+    seeds: Annotated[str, flag("A:B", "Episodes of the seeds A to B - 1, or of a single seed.", "--seeds", "--seed")] = "0:2000",
+    starts: Annotated[
+        str | None, flag("A:B", "Seeds of episodes in which to search for surviving actions, regardless of the policy.")
+    ] = None,
+    num_envs: Annotated[int, flag("N", "Episodes, or states of a search, at once.", min=1)] = 1024,
+    draw: Annotated[
+        Path | None, flag("FILE", "Picture (.png, .svg, .pdf) of the first death, with its cause and last chance.")
+    ] = None,
+    out: JsonFile = None,
+    *,
+    options: EnvironmentOptions,
 ) -> None:
-    """Search every episode in which the satellite dies for actions that survive it; see :mod:`bsk_torch.cli.main`."""
-    torch.set_num_threads(threads)
+    """Find actions that would have saved each lost satellite, or prove that none exist.
+
+    For each death, search for surviving actions from the start of the episode, and then from the latest possible decision. An
+    episode counts as lost only with a proof.
+
+    Examples:
+        bsk-torch explain runs/scan --seeds 0:200
+        bsk-torch explain runs/scan --seed 11 --draw death.png
+        bsk-torch explain random --preset NadirScan-v1 --seeds 0:50 --out deaths.json
+    """
+    import torch
+
+    from bsk_torch.cli.policies import flown as flown_by
+    from bsk_torch.env import SatelliteTasking
+    from bsk_torch.lab.audit.counterfactual import check_searchable
+    from bsk_torch.lab.audit.failures import explain
+
     episodes, begun = seed_range(seeds), None if starts is None else seed_range(starts, "--starts")
+    figure = drawing(draw, "bsk_torch.viz.figures.timeline")
     check_writable(out)
-    if draw is not None:
-        check_writable(draw)
-        check_picture("--draw", draw)
-    named = named_policy(policy, preset)
-    options = environment_options(backend, device, time_limit)
-    env = named.environment(num_envs, options)
+    named, env, actor = flown_by(policy, preset, num_envs, options)
     if not isinstance(env, SatelliteTasking):
         fail(f"{named.preset} has many satellites; failures are explained of one")
-    actor = named.actor(env, device)
     begin = time.perf_counter()
-    try:
+    with refusing(why=f"failures in {named.preset} cannot be explained: "):
         check_searchable(env)
         with working(f"playing {len(episodes)} episodes") as show:
             flown, failures = explain(actor, env, torch.tensor(episodes), show)
@@ -70,8 +77,6 @@ def explain_failures(
             if begun is not None:
                 show(f"searching for actions that survive {len(begun)} episodes")
                 figures["starts"] = survivable(env, begun)
-    except ValueError as error:
-        fail(f"failures in {named.preset} cannot be explained: {error}")
     activity.report()
     if failures:
         print_table([cells(failure) for failure in failures], expendable=EXPENDABLE, left=("cause", "action then"))
@@ -82,7 +87,7 @@ def explain_failures(
     if draw is not None and failures:
         with working("drawing"):
             one = made(named.preset, 1, named.options(options) | {"env_ids": [0]})
-            draw_failure(one, failures[0], flown.actions[episodes.index(failures[0].seed)], draw)
+            draw_failure(one, failures[0], flown.actions[episodes.index(failures[0].seed)], draw, figure)
         echo(f"{draw}: the death in the episode of seed {failures[0].seed}")
     elif draw is not None:
         echo(f"{draw} was not drawn: no satellite died")
@@ -90,6 +95,9 @@ def explain_failures(
 
 def summary(flown: Flown, failures: Sequence[Failure]) -> dict[str, Any]:
     """Return figures of all episodes: returns, deaths by cause and outcome, and bounds on the survival of the best policy."""
+    from bsk_torch.lab.audit.counterfactual import LOST, OPEN, SAVED
+    from bsk_torch.rl.evaluation.statistics import confidence
+
     outcomes, n = Counter(failure.outcome for failure in failures), len(flown.survived)
     returns = confidence(flown.returns)
     return {
@@ -110,6 +118,10 @@ def survivable(env: SatelliteTasking, seeds: range) -> dict[str, Any]:
 
     If that is all n of them, ``lost_at_most`` is the 95 % bound of Clopper and Pearson, 1 - 0.05^(1/n), on how often none does.
     """
+    import torch
+
+    from bsk_torch.lab.audit.failures import can_be_saved
+
     saved, n = int(can_be_saved(env, torch.tensor(seeds)).sum()), len(seeds)
     figures: dict[str, Any] = {"seeds": [seeds.start, seeds.stop], "survived": saved}
     return figures | ({"lost_at_most": float(f"{1.0 - 0.05 ** (1.0 / n):.2g}")} if saved == n else {})
@@ -117,6 +129,8 @@ def survivable(env: SatelliteTasking, seeds: range) -> dict[str, Any]:
 
 def statistics(moments: Sequence[Moment]) -> dict[str, Any]:
     """Return the least, median and largest value of the moments' numbers, and how often each action was chosen."""
+    import torch
+
     if not moments:
         return {}
     numbers = {
@@ -129,6 +143,8 @@ def statistics(moments: Sequence[Moment]) -> dict[str, Any]:
 
 def told(figures: Mapping[str, Any]) -> Iterator[str]:
     """Yield what :func:`summary` has found, in lines of at most 80 characters."""
+    from bsk_torch.lab.audit.counterfactual import LOST, OPEN, SAVED
+
     died, n, best = figures["died"], figures["episodes"], figures["survival_of_the_best"]
     yield f"{died} of {n} episodes end in death: survival {figures['survival']:.1%}"
     if died:
@@ -157,20 +173,26 @@ def cells(failure: Failure) -> dict[str, str]:
     }
 
 
-def draw_failure(env: Tasking, failure: Failure, actions: Tensor, path: Path) -> None:
+def draw_failure(env: Tasking, failure: Failure, actions: Tensor, path: Path, figure: Any) -> None:
     """Draw the episode of a failure over time, with its cause and its last chance, as a replay of ``actions`` [T] in ``env``."""
-    recorder, figure = extra("bsk_torch.viz.recorders.track"), extra("bsk_torch.viz.figures.timeline")
+    from bsk_torch.lab.audit.counterfactual import LOST, OPEN, SAVED
+    from bsk_torch.rl.evaluation.replay import script
+
+    fates = {SAVED: "could be saved", LOST: "could not be saved", OPEN: "unknown whether it could be saved"}
+    recorder = extra("bsk_torch.viz.recorders.track")
     episode = recorder.record_track(script(actions.clamp(min=0).unsqueeze(0)), env, seed=failure.seed)
     cause = failure.cause.replace("_valid", "")
     marks = [(failure.died, f"died: {cause}")]
     if failure.last_chance is not None:
         rescue = "" if failure.rescue is None else f": a rescue begins with {rescued(env, failure)}"
         marks.append((failure.last_chance.time, f"last chance{rescue}"))
-    figure.timeline(episode, path, f"Seed {failure.seed}, {FATES[failure.outcome]}", marks)
+    figure.timeline(episode, path, f"Seed {failure.seed}, {fates[failure.outcome]}", marks)
 
 
 def rescued(env: Tasking, failure: Failure) -> str:
     """Return the action at the last chance that the rescue takes instead of the policy's."""
+    from bsk_torch.env import SatelliteTasking
+
     assert failure.last_chance is not None
     assert failure.rescue is not None
     assert isinstance(env, SatelliteTasking)

@@ -5,21 +5,17 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import torch
-
-from bsk_torch.cli.policies import NamedFunction, NamedPolicy, named_policy
-from bsk_torch.cli.shared import check_picture, check_writable, environment_options, extra, made, preset_options
-from bsk_torch.cli.terminal import activity, echo, fail, working
-from bsk_torch.env import SatelliteTasking
+from bsk_torch.cli.declaration import AtOnce, EnvironmentOptions, JsonFile, OfPreset, Options, Policy, flag
+from bsk_torch.cli.shared import check_writable, drawing, extra, made, preset_options
+from bsk_torch.cli.terminal import activity, echo, fail, refusing, working
 from bsk_torch.files import write_file
-from bsk_torch.lab.risk.estimate import Risk, Shift, Way, risk
-from bsk_torch.lab.risk.rare_flights import save_paths
-from bsk_torch.lab.risk.subset import RARER
-from bsk_torch.rand import blended
-from bsk_torch.rl.evaluation.replay import script
 from bsk_torch.tables import print_table
+
+if TYPE_CHECKING:
+    from bsk_torch.cli.policies import NamedPolicy
+    from bsk_torch.lab.risk.estimate import Risk, Shift, Way
 
 SHOWN = 6
 """Number of drawn quantities in the table."""
@@ -29,47 +25,65 @@ CARRIED = 0.3
 
 
 def estimate_risk(
-    policy: str,
-    preset: str | None,
-    option: list[str] | None,
-    event: str,
-    level: list[str] | None,
-    method: str,
-    episodes: int,
-    repetitions: int,
-    smallest: float,
-    pool: int,
-    seed: int,
-    num_envs: int,
-    save: Path | None,
-    draw: Path | None,
-    out: Path | None,
-    threads: int,
-    backend: str,
-    device: str,
-    time_limit: float | None,
+    policy: Policy,
+    preset: OfPreset = None,
+    option: Options = None,
+    event: Annotated[str, flag("EVENT", "'death', or a property with a limit such as 'battery_charge_fraction<0.05'.")] = "death",
+    level: Annotated[
+        list[str] | None,
+        flag(
+            "NAME",
+            "What is followed toward a death: battery, wheels, buffer or distance; repeatable. Default: the nearest limit.",
+        ),
+    ] = None,
+    method: Annotated[
+        str,
+        flag(
+            "NAME", "subset: small steps of everything random. screen: flies the seeds whose draws at reset are most dangerous."
+        ),
+    ] = "subset",
+    episodes: Annotated[int, flag("N", "Episodes of a repetition, a multiple of 10.", min=20)] = 1000,
+    repetitions: Annotated[int, flag("R", "Independent repetitions.", min=4)] = 8,
+    smallest: Annotated[float, flag("P", "Probability at which subset simulation ends its search for the event.")] = 1e-9,
+    pool: Annotated[int, flag("N", "Seeds that each repetition screens.", min=40)] = 1_000_000,
+    seed: Annotated[int, flag("N", "Seed of the estimate.", min=0)] = 0,
+    num_envs: AtOnce = 512,
+    save: Annotated[Path | None, flag("FILE", "JSON file for a typical episode of each way, to fly it again.")] = None,
+    draw: Annotated[Path | None, flag("FILE", "Picture (.png, .svg, .pdf) of the most typical episode.")] = None,
+    out: JsonFile = None,
+    *,
+    options: EnvironmentOptions,
 ) -> None:
-    """Estimate the probability of an event, and print the ways to it; see :mod:`bsk_torch.cli.main`."""
-    torch.set_num_threads(threads)
-    for path in (save, draw, out):
-        check_writable(path)
-    if draw is not None:
-        check_picture("--draw", draw)
-        extra("bsk_torch.viz.figures.timeline")
-    named = named_policy(policy, preset)
-    options = preset_options(option) | environment_options(backend, device, time_limit)
-    env = named.environment(num_envs, options)
+    """Estimate the probability of a loss, down to 1e-6 and below, and show the ways to it.
+
+    Initial states, scenarios, faults and noise are followed in small steps toward the event (subset simulation). Where draws at
+    reset decide about the event, --method screen needs fewer simulated seconds. An event that never happens has an upper limit.
+
+    Examples:
+        bsk-torch risk pretrained --preset NadirScan-v1 --save deaths.json
+        bsk-torch risk rule --event 'battery_charge_fraction<0.05' --draw low.png
+        bsk-torch risk rule --time-limit 900 --method screen
+        bsk-torch risk runs/scan --level battery --episodes 1000 --out risk.json
+    """
+    from bsk_torch.cli.policies import flown
+    from bsk_torch.env import SatelliteTasking
+    from bsk_torch.lab.risk.estimate import risk
+    from bsk_torch.lab.risk.rare_flights import save_paths
+
+    figure = drawing(draw, "bsk_torch.viz.figures.timeline")
+    check_writable(save, out)
+    options = preset_options(option) | options
+    named, env, actor = flown(policy, preset, num_envs, options)
     if draw is not None and not isinstance(env, SatelliteTasking):
         fail(f"--draw shows the episode of one satellite; {named.preset} has many")
-    actor = named.actor(env, device)
-    try:
-        with working(f"estimating the risk of {named.label}") as show:
-            found = risk(
-                env, actor, event=event, level=level or None, method=method, episodes=episodes, repetitions=repetitions,
-                smallest=smallest, pool=pool, seed=seed, tell=show,
-            )  # fmt: skip
-    except ValueError as error:
-        fail(f"the risk in {named.preset} cannot be estimated: {error}")
+    with (
+        refusing(why=f"the risk in {named.preset} cannot be estimated: "),
+        working(f"estimating the risk of {named.label}") as show,
+    ):
+        found = risk(
+            env, actor, event=event, level=level or None, method=method, episodes=episodes, repetitions=repetitions,
+            smallest=smallest, pool=pool, seed=seed, tell=show,
+        )  # fmt: skip
     activity.report()
     echo("\n".join(told(found, f"{named.preset}, {named.label}")))
     print_ways(found)
@@ -81,7 +95,7 @@ def estimate_risk(
     if out is not None:
         write_file(out, json.dumps(about | found.to_dict(), indent=1, allow_nan=False, default=str) + "\n")
     if draw is not None and found.ways:
-        draw_way(found, named, options, draw)
+        draw_way(found, named, options, draw, figure)
     for path in (save, draw):
         if path is not None and not found.ways:
             echo(f"{path} was not written: the event was not seen")
@@ -89,6 +103,8 @@ def estimate_risk(
 
 def told(found: Risk, title: str) -> Iterator[str]:
     """Yield the estimate in lines of at most 80 characters."""
+    from bsk_torch.lab.risk.subset import RARER
+
     mean, low, high = found.probability
     screening, several = found.screening, f"{found.tally.episodes:,} episodes of {found.seconds:,.0f} s on average"
     yield f"{title}: {found.event}"
@@ -147,9 +163,14 @@ def of_shift(shift: Shift) -> dict[str, str]:
     }
 
 
-def draw_way(found: Risk, named: NamedPolicy | NamedFunction, options: Mapping[str, Any], path: Path) -> None:
+def draw_way(found: Risk, named: NamedPolicy, options: Mapping[str, Any], path: Path, figure: Any) -> None:
     """Draw the most typical episode over time, with the moment of the event."""
-    recorder, figure = extra("bsk_torch.viz.recorders.track"), extra("bsk_torch.viz.figures.timeline")
+    import torch
+
+    from bsk_torch.rand import blended
+    from bsk_torch.rl.evaluation.replay import script
+
+    recorder = extra("bsk_torch.viz.recorders.track")
     typical = found.paths().take(torch.tensor([0]))
     time = found.ways[0].time
     seed = int(typical.seeds[0])

@@ -1,0 +1,1 @@
+"""Commands of the lab: what they declare, without torch, and what they do."""

@@ -1,0 +1,86 @@
+"""Policies that the command line names, as they enter the tasks of a suite."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from bsk_torch._listed import makings
+from bsk_torch.cli.functions import entrant_of_user
+from bsk_torch.cli.names import PREFIX, PRETRAINED
+from bsk_torch.cli.policies import NamedPolicy, named_policy
+from bsk_torch.cli.shared import preset_options
+from bsk_torch.cli.terminal import fail
+from bsk_torch.env import Tasking
+from bsk_torch.env.rollout import Policy
+from bsk_torch.lab.planners.named import named_planner
+from bsk_torch.lab.suites.suite import VIEWS, Entrant, Task
+from bsk_torch.rl.policies.shared_policy import RULES, baseline, shared
+from bsk_torch.sim.names import nearest
+
+
+def entrant_of(name: str, tasks: Sequence[Task] = ()) -> Entrant:
+    """Return what enters the policy that the command line names in ``tasks``; ends the program if there is none."""
+    allowed = tuple(dict.fromkeys(view for task in tasks for view in task.views)) or VIEWS
+    drawn = tuple(dict.fromkeys(option for task in tasks for option in task.drawn)) or ("time_limit",)
+    if name == PRETRAINED:
+        return lambda preset, make: entered(named_policy(name, preset), make, drawn) if preset in makings() else None
+    plain, *views = name.split(",")
+    if plain.startswith(PREFIX):
+        seen = [text for text in views if text.partition("=")[0] in allowed]
+        options = [text for text in views if text not in seen]
+        named_planner(plain, None, options)  # unknown names and options end the program before anything runs
+        chosen = dict(view_of(text, allowed) for text in seen)
+        return lambda preset, make: planned(plain, options, chosen, preset, make)
+    if plain in RULES:
+        usual = {view: value for task in tasks for view, value in task.rules.get(plain, {}).items()}
+        given = usual | dict(view_of(view, allowed) for view in views)
+        return lambda preset, make: rule(plain, given, make)
+    if ":" in plain and not Path(name).exists():
+        return entrant_of_user(plain, views)
+    policy = named_policy(name, None)
+    return lambda preset, make: entered(policy, make, drawn) if preset == policy.preset else None
+
+
+def entered(policy: NamedPolicy, make: Callable[..., Tasking], drawn: Sequence[str]) -> tuple[Tasking, Policy]:
+    """Enter a policy of a file, in an environment with the views that it was trained with; see :func:`views_of`.
+
+    The program ends in tasks with other observations or actions than those of its training.
+    """
+    env = make(**views_of(policy, drawn))
+    return env, policy.actor(env, str(env.device))
+
+
+def views_of(policy: NamedPolicy, drawn: Sequence[str] = ("time_limit",)) -> dict[str, Any]:
+    """Return the options of a policy's training, without those named in ``drawn``, such as the length of its episodes."""
+    return {name: value for name, value in policy.card.get("options", {}).items() if name not in drawn}
+
+
+def rule(name: str, views: Mapping[str, object], make: Callable[..., Tasking]) -> tuple[Tasking, Policy] | None:
+    """Enter a baseline; None where the preset has no such view, or the baseline is for other observations or actions."""
+    try:
+        env = make(**views)
+    except TypeError:  # no such option
+        return None
+    try:
+        return env, shared(baseline(name, env), env)
+    except (KeyError, ValueError):
+        return None
+
+
+def planned(
+    name: str, options: list[str], views: Mapping[str, object], preset: str, make: Callable[..., Tasking]
+) -> tuple[Tasking, Policy]:
+    """Enter a planner, in an environment with ``views`` and those of its base; ends the program where it does not fit."""
+    chosen = named_planner(name, preset, options)
+    env = make(**(views_of(chosen) | dict(views)))
+    return env, chosen.actor(env, str(env.device))
+
+
+def view_of(text: str, allowed: Sequence[str]) -> tuple[str, Any]:
+    """Return name and value of ``NAME=VALUE``; ends the program for other texts and names."""
+    name, sign, _ = text.partition("=")
+    if not sign or name not in allowed:
+        fail(f"{text!r} must be NAME=VALUE with a NAME among {', '.join(allowed)}; {nearest(name, allowed)}")
+    return name, preset_options([text])[name]

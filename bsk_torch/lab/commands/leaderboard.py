@@ -1,0 +1,157 @@
+"""``bsk-torch leaderboard``: methods in all tasks of a suite, from files of ``bsk-torch bench``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from bsk_torch.cli.declaration import JsonFile, flag
+from bsk_torch.cli.shared import check_writable, drawing
+from bsk_torch.cli.terminal import fail, print_message, refusing, working
+from bsk_torch.files import write_file
+from bsk_torch.lab.commands.bench import add_results, read_earlier, read_result
+from bsk_torch.sim.names import nearest
+from bsk_torch.tables import print_table
+
+if TYPE_CHECKING:
+    from bsk_torch.lab.commands.board import Board
+    from bsk_torch.lab.suites.aggregates import Interval
+
+MATCHING = "*?["
+"""Characters of patterns, which a policy may have in its name."""
+
+
+def leaderboard(
+    files: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="FILE...",
+            help="JSON files of bsk-torch bench. Of a policy that played a task more than "
+            "once, the result of the most episodes counts, then that of the last file.",
+            show_default=False,
+        ),
+    ] = None,
+    method: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=PATTERN",
+            help="The policies whose names match PATTERN are runs of the method NAME, as many in each task; repeatable, also for "
+            "the same method. Default: each policy is a method.",
+            show_default=False,
+        ),
+    ] = None,
+    presets: Annotated[str | None, flag("NAMES", "Only some presets or other tasks of the suite, separated by commas.")] = None,
+    against: Annotated[str | None, flag("NAME", "Method with which the others are compared; default: the best.")] = None,
+    published_suite: Annotated[
+        str | None, flag("SUITE", "Also compare with the methods published for the suite, such as v2.", "--published")
+    ] = None,
+    draw: Annotated[Path | None, flag("FILE", "Picture (.png, .svg, .pdf) of the performance profiles.")] = None,
+    out: JsonFile = None,
+) -> None:
+    """Compare methods in all tasks of a suite, with the aggregates of Agarwal et al. (2021).
+
+    The interquartile mean (IQM) is the mean of the middle half of the scores of all runs and tasks, the optimality gap is how far
+    scores are below 1 on average. "better than" is the probability that a run has a higher score than one of the other method.
+
+    Examples:
+        bsk-torch leaderboard bench.json --draw profiles.png
+        bsk-torch leaderboard bench.json --published v2
+        bsk-torch leaderboard a.json b.json --method 'ppo=runs/ppo*/seed_*'
+    """
+    with working("starting"):
+        from bsk_torch.cli.results import Results
+        from bsk_torch.lab.commands.board import board_of
+        from bsk_torch.lab.suites.suite import published, references, tasks_of
+
+    figure = drawing(draw, "bsk_torch.viz.figures.profiles")
+    check_writable(out)
+    files = files or []
+    if published_suite is None and not files:
+        fail("no results: name a file of bsk-torch bench, or a suite with --published")
+    suite = published_suite or read_result(files[0], Results)[0][1]
+    with refusing():
+        tasks = [task.title for task in tasks_of(suite, presets)]
+        known = published(suite) if published_suite else {"policies": {}, "methods": {}}
+    if not references(suite):
+        fail(f"the tasks of the suite {suite} have measures, not scores, and cannot be aggregated")
+    mine, results = read_earlier(files, suite, Results), dict[str, dict[str, Any]]()
+    if files and not mine:
+        fail(f"{', '.join(map(str, files))} has no policies")
+    add_results(results, known["policies"])
+    add_results(results, mine)
+    methods = methods_of(results, method) if method else separate(mine)
+    if taken := [name for name in methods if name in known["methods"]]:
+        fail(f"{taken[0]!r} is a method of the published results; use another name in --method NAME=PATTERN")
+    board = board_of(results, known["methods"] | methods, suite, tasks, against)
+    print_board(board)
+    if draw is not None:
+        figure.performance_profiles(*board.profiles(), draw, f"Performance profiles, suite {suite}, {len(board.tasks)} tasks")
+    if out is not None:
+        write_file(out, json.dumps(document(board), indent=1) + "\n")
+
+
+def separate(results: Mapping[str, Mapping[str, object]]) -> dict[str, list[str]]:
+    """Return each policy that plays the most tasks as a method."""
+    most = max((len(played) for played in results.values()), default=0)
+    if left := [name for name, played in results.items() if len(played) < most]:
+        print_message(f"left out, as others play more tasks: {', '.join(left)}; combine policies with --method NAME=PATTERN")
+    return {name: [name] for name, played in results.items() if len(played) == most}
+
+
+def methods_of(results: Mapping[str, Mapping[str, object]], given: Sequence[str]) -> dict[str, list[str]]:
+    """Return the policies of each method: those that match its patterns NAME=PATTERN.
+
+    Ends the program for other texts, and for patterns of no policy.
+    """
+    methods: dict[str, list[str]] = {}
+    for text in given:
+        name, sign, pattern = text.partition("=")
+        if not sign or not name or not pattern:
+            fail(f"--method {text!r} must be NAME=PATTERN, such as ppo='runs/ppo/seed_*'")
+        found = [policy for policy in results if policy == pattern or fnmatchcase(policy, pattern)]
+        if not found:
+            fail(f"--method {text!r}: no policy has this name or matches it; {nearest(pattern.strip(MATCHING), results)}")
+        methods[name] = list(dict.fromkeys((*methods.get(name, ()), *found)))
+    return methods
+
+
+def print_board(board: Board) -> None:
+    """Print a row for each method, the best interquartile mean first."""
+    from bsk_torch.lab.suites.aggregates import AGGREGATES
+
+    measures = {name: board.measures(name) for name in board.scores}
+    table, better = [], f"better than {board.against}"
+    for name in sorted(measures, key=lambda name: -measures[name]["IQM"].value):
+        same, repeated = board.flights[name]
+        found = measures[name]
+        table.append(
+            {"method": name, "runs": str(len(board.scores[name]))}
+            | {measure: told(found[measure]) for measure in AGGREGATES}
+            | {better: told(found["better"]) if "better" in found else ""}
+            | {"same on Basilisk": f"{same} of {repeated}" if repeated else ""}
+        )
+    title = f"suite {board.suite}, {len(board.tasks)} tasks: {', '.join(board.tasks)}"
+    print_table(table, title, ("mean", "optimality gap", "same on Basilisk", better), left=("method",))
+    print_message(
+        "Brackets are 95 % intervals of a stratified bootstrap of runs and episodes; one run has those of its episodes."
+    )
+
+
+def told(found: Interval) -> str:
+    """Return a value with its interval."""
+    return f"{found.value:.3f} [{found.low:.3f}, {found.high:.3f}]"
+
+
+def document(board: Board) -> dict[str, Any]:
+    """Return the content of the JSON file."""
+    methods = {
+        name: {measure: found._asdict() for measure, found in board.measures(name).items()}
+        | {"scores": scores.tolist(), "basilisk": dict(zip(("same", "episodes"), board.flights[name], strict=True))}
+        for name, scores in board.scores.items()
+    }
+    return {"suite": board.suite, "tasks": list(board.tasks), "against": board.against, "methods": methods}

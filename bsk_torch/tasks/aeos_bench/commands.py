@@ -1,0 +1,111 @@
+"""``bsk-torch export-aeosbench`` and ``import-aeosbench``: flights of cases of AEOS-Bench in the files of the benchmark."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bsk_torch.cli.declaration import EnvironmentOptions, JsonFile, Options, Policy, flag
+from bsk_torch.cli.shared import check_writable, environment, preset_options
+from bsk_torch.cli.terminal import activity, echo, refusing, working
+
+if TYPE_CHECKING:
+    from bsk_torch.env import ConstellationTasking
+    from bsk_torch.tasks.aeos_bench import Cases
+
+CasesFolder = Annotated[Path, flag("FOLDER", "Folder of the cases: constellations and tasks.")]
+Sensor = Annotated[str, flag("NAME", "When sensors are on: 'assigned', while a task is assigned, or 'on', always.")]
+
+PRESET = "AEOSBench-v1"
+
+AT_ONCE = 16
+"""Cases in flight at once."""
+
+
+def bench(cases: Cases, sensor: str, options: dict[str, object]) -> ConstellationTasking:
+    """Return an environment for the cases in their order; ends the program for a wrong option."""
+    from bsk_torch.env import ConstellationTasking
+
+    size = min(len(cases), AT_ONCE)
+    given = {"folder": cases, "order": "listed", "sensor": sensor, "env_ids": [0] * size} | options
+    env = environment(PRESET, size, given)
+    assert isinstance(env, ConstellationTasking)
+    return env
+
+
+def export_aeosbench(
+    policy: Policy,
+    cases: CasesFolder,
+    out: Annotated[Path, flag("FOLDER", "Folder for the files.")],
+    split: Annotated[str, flag("NAME", "Part of the data set that the files are named after.")] = "test",
+    turn: Annotated[int, flag("E", "Round of annotation that the files are named after.", "--round", min=0)] = 0,
+    sensor: Sensor = "assigned",
+    option: Options = None,
+    *,
+    options: EnvironmentOptions,
+) -> None:
+    """Fly cases of AEOS-Bench, and write trajectories and annotations for its own evaluator.
+
+    Examples:
+        bsk-torch export-aeosbench runs/bench --cases cases --out data
+        bsk-torch export-aeosbench nearest_task --cases cases --out o --sensor on
+    """
+    from bsk_torch.cli.policies import named_policy
+    from bsk_torch.tasks.aeos_bench import read_cases
+    from bsk_torch.tasks.aeos_bench.annotations import check_names, export_annotations, fly_cases
+
+    named = named_policy(policy, PRESET)
+    with refusing():
+        given = read_cases(cases)
+        check_names(given)  # before hours are spent
+    env = bench(given, sensor, named.options(preset_options(option) | options))
+    actor = named.actor(env, options["device"])
+    with working(f"flying {policy}"):
+        with refusing():
+            flown = list(fly_cases(actor, env))
+        written = export_annotations(flown, out, split, turn)
+    activity.report()
+    echo(f"{written[-1]}: {(len(written) - 1) // 2} cases")
+
+
+def import_aeosbench(
+    assignments: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FOLDER", help="Folder of trajectories (.pth) or assignment_runs.json of all cases.", show_default=False
+        ),
+    ],
+    cases: CasesFolder,
+    sensor: Sensor = "assigned",
+    out: JsonFile = None,
+    episodes_out: Annotated[Path | None, flag("FILE", "CSV file with a row for each case.")] = None,
+    *,
+    options: EnvironmentOptions,
+) -> None:
+    """Fly the assigned tasks in files of AEOS-Bench, and show the measures of the benchmark.
+
+    Examples:
+        bsk-torch import-aeosbench data --cases cases
+        bsk-torch import-aeosbench flown --cases flown --sensor on
+    """
+    from bsk_torch.rl.evaluation.evaluate import evaluate
+    from bsk_torch.rl.evaluation.results import print_results, save_episodes, save_results
+    from bsk_torch.tasks.aeos_bench import read_cases
+    from bsk_torch.tasks.aeos_bench.annotations import AssignedTasks, read_assignments
+
+    check_writable(out, episodes_out)
+    with refusing():
+        given = read_cases(cases)
+        table = read_assignments(assignments, given)
+    env, name = bench(given, sensor, options), assignments.as_posix()
+    seeds = range(len(given))
+    with working(f"flying {name}"):
+        results = {name: evaluate(AssignedTasks(env, table).module(), env, seeds=seeds)}
+    activity.report()
+    print_results(results, f"{PRESET}, {len(given)} cases of {cases}")
+    if out is not None:
+        save_results(results, out, name)
+    if episodes_out is not None:
+        save_episodes(results, seeds, episodes_out)
