@@ -7,7 +7,7 @@ Messages name the argument, the value and what is allowed. These functions are f
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral, Real
 from typing import Any, TypeVar
 
@@ -122,6 +122,15 @@ def text(title: str, value: object) -> str:
     if isinstance(value, str) and value:
         return value
     raise ValueError(f"{title}={value!r} must be a string that is not empty")
+
+
+def vector(title: str, value: Sequence[float], zero: bool = False) -> tuple[float, float, float]:
+    """Return three numbers of the user as a tuple; ValueError for anything else, and for only zeros unless ``zero``."""
+    numbers = tuple(map(float, value))
+    length = math.hypot(*numbers)
+    if len(numbers) != 3 or not math.isfinite(length) or (length == 0.0 and not zero):
+        raise ValueError(f"{title}={value!r} must be three numbers{'' if zero else ', not all zero, such as [0, 0, 1]'}")
+    return numbers
 
 
 def function(title: str, value: object, what: str) -> Callable[..., Any]:

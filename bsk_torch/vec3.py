@@ -74,7 +74,7 @@ class Vec3(NamedTuple):
 
     def map(self, function: Callable[..., Tensor], *others: Vec3) -> Vec3:
         """Apply ``function`` to each component (and to those of ``others`` alongside it)."""
-        return Vec3(*(function(*parts) for parts in zip(self, *others, strict=True)))
+        return Vec3(*map(function, self, *others))
 
     def to(self, dtype: torch.dtype) -> Vec3:
         """The vector in another type."""
@@ -109,11 +109,11 @@ class Mat3(NamedTuple):
 
     def __add__(self, other: Mat3) -> Mat3:  # type: ignore[override]
         """Sum of two matrices."""
-        return Mat3(*(a + b for a, b in zip(self, other, strict=True)))
+        return Mat3(self.x + other.x, self.y + other.y, self.z + other.z)
 
     def __sub__(self, other: Mat3) -> Mat3:
         """Difference of two matrices."""
-        return Mat3(*(a - b for a, b in zip(self, other, strict=True)))
+        return Mat3(self.x - other.x, self.y - other.y, self.z - other.z)
 
     def solve(self, v: Vec3) -> Vec3:
         """Return x with ``M x = v`` by Cramer's rule: ``M^-1 = [y x z, z x x, x x y] / (x . (y x z))`` of the rows x, y and z."""
@@ -135,7 +135,7 @@ class Mat3(NamedTuple):
     @property
     def mT(self) -> Mat3:
         """Transposed matrix."""
-        return Mat3(*(Vec3(*column) for column in zip(*self, strict=True)))
+        return Mat3(*map(Vec3, *self))
 
     def to(self, dtype: torch.dtype) -> Mat3:
         """The matrix in another type."""
@@ -153,7 +153,7 @@ class Mat3(NamedTuple):
 
 def select(condition: Tensor, yes: Vec3, no: Vec3) -> Vec3:
     """``yes`` where ``condition`` holds, else ``no``."""
-    return Vec3(*(torch.where(condition, a, b) for a, b in zip(yes, no, strict=True)))
+    return Vec3(torch.where(condition, yes.x, no.x), torch.where(condition, yes.y, no.y), torch.where(condition, yes.z, no.z))
 
 
 def times(matrix: Vec3 | Mat3, v: Vec3) -> Vec3:

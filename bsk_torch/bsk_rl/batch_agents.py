@@ -16,7 +16,6 @@ from torch import Tensor
 
 from bsk_torch.bsk_rl.obs.observations import LARGEST
 from bsk_torch.bsk_rl.per_episode.views import satellites_of
-from bsk_torch.data import checked
 from bsk_torch.env import NO_ACTION
 from bsk_torch.env import ConstellationTasking as Constellation
 from bsk_torch.wrappers.core import as_numpy, begin
@@ -189,8 +188,8 @@ class BatchedAgentsVectorEnv:
     def _ends(self) -> tuple[Tensor, Tensor]:
         """Return which satellites are terminated, [N, S], and which episodes are truncated, [N]."""
         core = self.core
-        cut = core.truncated_by_time | (checked.truncated(core.rewarder) & core.present).any(1)
-        ended = core.dead | (checked.terminated(core.rewarder) & core.present)
+        cut = core.truncated_by_time | (core.checked.truncated() & core.present).any(1)
+        ended = core.dead | (core.checked.terminated() & core.present)
         return (ended | cut.unsqueeze(-1) if core.terminate_on_time_limit else ended), cut
 
     # -- results -------------------------------------------------------------------------------------------------------

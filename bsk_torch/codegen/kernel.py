@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 from typing import NamedTuple
@@ -120,14 +121,18 @@ class Kernel:
         """
         alike, stops = isinstance(counts, int), self.loop.stop is not None
         counts = torch.full(state.shape[1:], counts) if isinstance(counts, int) else counts
-        _check_tensors((state, counts, shared, own, mode, flags, ticks, schedule, *(part for t in tracks for part in t)))
-        self._check_tables(tracks)
+        _check_tensors((state, counts, shared, own, mode, flags, ticks, schedule, *itertools.chain(*tracks)))
+        for track, samples in zip(self.loop.tracks, tracks, strict=True):
+            if samples.table.shape[1] < track.count:
+                raise ValueError(
+                    f"a kernel got a table {list(samples.table.shape)}; it must have at least {track.count} records a row"
+                )
         if (written is None) == bool(self.loop.written):
             must = "must not" if written is None else "must"
             raise ValueError(f"the {self.name} writes {len(self.loop.written)} numbers a tick; written {must} be None")
         n, modes = len(counts), 1 if flags is None else flags.shape[1]
         if mode is not None and n:
-            low, high = (int(bound) for bound in torch.aminmax(mode))
+            low, high = map(int, torch.aminmax(mode))
             if low < 0 or high >= modes:
                 raise ValueError(f"a kernel got modes from {low} to {high}; they must lie in [0, {modes - 1}]")
         packs = n, state, shared, own, flags, modes, mode, ticks, nanoseconds, schedule
@@ -137,7 +142,8 @@ class Kernel:
             check_groups(counts, lockstep)
             tiles = in_tiles(counts, expected, mode, lockstep, entry.width, present)
             room = () if written is None else (written, written.stride(0))
-            entry.run(*tiles.size, _threads(tiles.size[0]), tiles.rows, tiles.groups, tiles.ends, *packs, *room, *records)
+            threads = max(1, min(tiles.size[0], torch.get_num_threads()))
+            entry.run(*tiles.size, threads, tiles.rows, tiles.groups, tiles.ends, *packs, *room, *records)
             return tiles.ends[:-1].repeat_interleave(lockstep)
         if present is not None:
             asked, alike = counts, False
@@ -145,16 +151,9 @@ class Kernel:
         rows, ends = in_blocks(counts, None if alike else expected, mode, modes, entry.width)
         blocks = len(rows) // entry.width
         stride = 0 if written is None else written.stride(0)
-        entry.run(blocks, _threads(blocks), rows, ends, *packs, written, stride, *records)
+        entry.run(blocks, max(1, min(blocks, torch.get_num_threads())), rows, ends, *packs, written, stride, *records)
         ran = torch.empty_like(counts).index_copy_(0, rows[:n], ends[:n]) if stops else counts
         return ran if present is None else torch.where(present, ran, asked)
-
-    def _check_tables(self, tracks: Sequence[Samples]) -> None:
-        for track, samples in zip(self.loop.tracks, tracks, strict=True):
-            if samples.table.shape[1] < track.count:
-                raise ValueError(
-                    f"a kernel got a table {list(samples.table.shape)}; it must have at least {track.count} records a row"
-                )
 
 
 def _check_tensors(tensors: Iterable[Tensor | None]) -> None:
@@ -163,7 +162,3 @@ def _check_tensors(tensors: Iterable[Tensor | None]) -> None:
             raise ValueError(f"a kernel got a tensor {list(tensor.shape)} with strides {tensor.stride()}; it must be contiguous")
         if tensor is not None and tensor.dtype not in (torch.float64, torch.int64):
             raise ValueError(f"a kernel got a tensor {list(tensor.shape)} of {tensor.dtype}; it must be float64 or int64")
-
-
-def _threads(parts: int) -> int:
-    return max(1, min(parts, torch.get_num_threads()))

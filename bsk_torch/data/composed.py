@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 from typing_extensions import override
 
-from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward, Log
+from bsk_torch.data.checked import CheckedRewarder
 from bsk_torch.scene.recorded import RecordedProgress
 
 if TYPE_CHECKING:
@@ -29,6 +29,9 @@ class ComposedReward(GlobalReward):
         rewarders: The parts.
         terms: Reward of each part for the last step, [N, S] each, by the names of :attr:`names`.
     """
+
+    checked: Sequence[CheckedRewarder] = ()
+    """The hooks of the parts, once they are linked."""
 
     def __init__(self, *rewarders: GlobalReward) -> None:
         """Add up ``rewarders``; ValueError without any."""
@@ -78,23 +81,24 @@ class ComposedReward(GlobalReward):
         super().link(scenario, fleet)
         looking: list[Any] = [part for part in fleet.satellites if hasattr(part, "access_filters")]
         before = [list(part.access_filters) for part in looking]
-        for rewarder in self.rewarders:
-            rewarder._in_channel = self._in_channel
-            checked.link(rewarder, scenario, fleet)
+        self.checked = tuple(map(CheckedRewarder, self.rewarders))
+        for part in self.checked:
+            part.rewarder._in_channel = self._in_channel
+            part.link(scenario, fleet)
         if fleet.simulators[0].type.compat:
-            for part, filters in zip(looking, before, strict=True):
-                part.access_filters = filters
+            for satellites, filters in zip(looking, before, strict=True):
+                satellites.access_filters = filters
 
     def read_log(self) -> Log:
         """See :meth:`GlobalReward.read_log`; the logs of all parts, under names such as ``0.storage_level``."""
-        return {f"{k}.{name}": value for k, part in enumerate(self.rewarders) for name, value in checked.log(part).items()}
+        return {f"{k}.{name}": value for k, part in enumerate(self.checked) for name, value in part.log().items()}
 
     @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        for k, (name, part) in enumerate(zip(self.names, self.rewarders, strict=True)):
+        for k, (name, part) in enumerate(zip(self.names, self.checked, strict=True)):
             own = f"{k}."
             logs = ({key[len(own) :]: value for key, value in log.items() if key.startswith(own)} for log in (before, after))
-            self.terms[name] = checked.reward(part, *logs)
+            self.terms[name] = part.reward(*logs)
         return torch.stack(list(self.terms.values())).sum(0)
 
     @property
@@ -110,26 +114,26 @@ class ComposedReward(GlobalReward):
 
     @override
     def share(self, links: Tensor) -> None:
-        for part in self.rewarders:
-            checked.share(part, links)
+        for part in self.checked:
+            part.share(links)
 
     def counts(self) -> dict[str, Tensor]:
         """See :meth:`GlobalReward.counts`; names used by several parts are numbered."""
-        pairs = [pair for part in self.rewarders for pair in checked.counts(part).items()]
+        pairs = [pair for part in self.checked for pair in part.counts().items()]
         return dict(zip(_numbered(name for name, _ in pairs), (count for _, count in pairs), strict=True))
 
     def measures(self) -> dict[str, Tensor]:
         """See :meth:`GlobalReward.measures`; names used by several parts are numbered."""
-        pairs = [pair for part in self.rewarders for pair in checked.measures(part).items()]
+        pairs = [pair for part in self.checked for pair in part.measures().items()]
         return dict(zip(_numbered(name for name, _ in pairs), (value for _, value in pairs), strict=True))
 
     @override
     def is_terminated(self) -> Tensor:
-        return torch.stack([checked.terminated(part) for part in self.rewarders]).any(0)
+        return torch.stack([part.terminated() for part in self.checked]).any(0)
 
     @override
     def is_truncated(self) -> Tensor:
-        return torch.stack([checked.truncated(part) for part in self.rewarders]).any(0)
+        return torch.stack([part.truncated() for part in self.checked]).any(0)
 
 
 def _numbered(names: Iterable[str]) -> list[str]:

@@ -148,18 +148,19 @@ class UniqueImageReward(ImageReward):
 
     @override
     def value(self, target: Tensor, taken: Tensor) -> Tensor:
-        again = taken & self.imaged.gather(1, target)
+        memory, imaged = self.memory, self.imaged
+        again = taken & imaged.gather(1, target)
         pays = taken & ~again
         reward = self.reward_fn(self.scenario.priority_of(target))
         if self.fleet.size > 1:
             reward = reward / self.sharers(target, pays)
             slot = target.unsqueeze(-1)
             known = self.known
-            self.memory["known_images"] = known.scatter(2, slot, known.gather(2, slot) | taken.unsqueeze(-1))
-            self.memory["imaged_targets"] = self.imaged | self.taken_by_any(target, pays, self.scenario.most_targets)
+            memory["known_images"] = known.scatter(2, slot, known.gather(2, slot) | taken.unsqueeze(-1))
+            memory["imaged_targets"] = imaged | self.taken_by_any(target, pays, self.scenario.most_targets)
         else:
-            self.memory["imaged_targets"] = self.imaged.scatter(1, target, taken | self.imaged.gather(1, target))
-        self.memory["duplicates"] = self.memory["duplicates"] + again
+            memory["imaged_targets"] = imaged.scatter(1, target, taken | imaged.gather(1, target))
+        memory["duplicates"] = memory["duplicates"] + again
         return torch.where(pays, reward, torch.zeros_like(reward))
 
     @staticmethod

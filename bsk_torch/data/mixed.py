@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
-from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward, Log
+from bsk_torch.data.checked import CheckedRewarder
 from bsk_torch.data.composed import ComposedReward
 from bsk_torch.scene.mixed import MixedScenario, as_dictionary, check_known, check_same_keys, names_by_key
 from bsk_torch.sim.names import nearest
@@ -144,15 +144,15 @@ class MixedReward(ComposedReward):
         looking: list[Looking] = [part for part in fleet.satellites if hasattr(part, "access_filters")]
         groups = self.satellite_mapping
         mine = {key: torch.tensor([name in groups[key] for name in fleet.names], device=fleet.device) for key in self._keys}
-        for key, rewarder in self.channels.items():
-            before = [list(part.access_filters) for part in looking]
-            place = self._scenario_of(key, scenario)
-            rewarder._in_channel = mine[key]
-            checked.link(rewarder, place, fleet)
-            self._check_observers(key, rewarder, fleet)
-            for part, filters in zip(looking, before, strict=True):
-                if self.satellite_mapping[key].isdisjoint(part.names):
-                    part.access_filters = filters
+        self.checked = tuple(map(CheckedRewarder, self.rewarders))
+        for key, part in zip(self._keys, self.checked, strict=True):
+            before = [list(satellites.access_filters) for satellites in looking]
+            part.rewarder._in_channel = mine[key]
+            part.link(self._scenario_of(key, scenario), fleet)
+            self._check_observers(key, part.rewarder, fleet)
+            for satellites, filters in zip(looking, before, strict=True):
+                if self.satellite_mapping[key].isdisjoint(satellites.names):
+                    satellites.access_filters = filters
         self._mine = torch.stack(list(mine.values())).unsqueeze(1)
 
     def _scenario_of(self, key: str, scenario: Scenario) -> Scenario:
@@ -192,11 +192,11 @@ class MixedReward(ComposedReward):
         Raises:
             ValueError: For a reward of a satellite outside of the channel.
         """
-        for k, (key, rewarder) in enumerate(self.channels.items()):
+        for k, (key, part) in enumerate(zip(self._keys, self.checked, strict=True)):
             own, mine = f"{k}.", self._mine[k]
             old, new = ({n.removeprefix(own): v for n, v in log.items() if n.startswith(own)} for log in (before, after))
             seen = {n: torch.where(mine.view(1, -1, *[1] * (v.ndim - 2)), v, old[n]) for n, v in new.items()}
-            self.terms[key] = checked.reward(rewarder, old, seen)
+            self.terms[key] = part.reward(old, seen)
         each = torch.stack(list(self.terms.values()))
         moved = (self.fleet.ticks > self.fleet.since).unsqueeze(1)
         outside = ~self._mine & moved & (each != 0.0)
@@ -212,8 +212,8 @@ class MixedReward(ComposedReward):
 
     def is_terminated(self) -> Tensor:
         """See :meth:`GlobalReward.is_terminated`; by the channels of each satellite."""
-        return (torch.stack([checked.terminated(part) for part in self.rewarders]) & self._mine).any(0)
+        return (torch.stack([part.terminated() for part in self.checked]) & self._mine).any(0)
 
     def is_truncated(self) -> Tensor:
         """See :meth:`GlobalReward.is_truncated`; by the channels of each satellite."""
-        return (torch.stack([checked.truncated(part) for part in self.rewarders]) & self._mine).any(0)
+        return (torch.stack([part.truncated() for part in self.checked]) & self._mine).any(0)

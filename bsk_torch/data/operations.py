@@ -64,8 +64,8 @@ class OperationsPenalty(GlobalReward):
         """See :meth:`GlobalReward.link`; ValueError if no satellite can earn a penalty that has been given."""
         super().link(scenario, fleet)
         needs: dict[str, tuple[str, Callable[[BoundSatellite], Tensor]]] = {
-            "low_battery": ("a battery", _charge),
-            "full_storage": ("a data store", _level),
+            "low_battery": ("a battery", lambda satellite: satellite.dynamics.battery_charge_fraction.double()),
+            "full_storage": ("a data store", lambda satellite: satellite.dynamics.storage_level_fraction.double()),
             "empty_downlink": ("act.Downlink(until_empty=True)", _empty_downlinks),
         }
         self._reads = {name: read for name, (_, read) in needs.items() if self.penalties[name] != 0.0}
@@ -88,14 +88,6 @@ class OperationsPenalty(GlobalReward):
                 times = (value < self.battery_below if name == "low_battery" else value > self.storage_above).double()
             reward = reward + self.penalties[name] * times
         return self.of_channel(reward)
-
-
-def _charge(satellite: BoundSatellite) -> Tensor:
-    return satellite.dynamics.battery_charge_fraction.double()
-
-
-def _level(satellite: BoundSatellite) -> Tensor:
-    return satellite.dynamics.storage_level_fraction.double()
 
 
 def _empty_downlinks(satellite: BoundSatellite) -> Tensor:

@@ -16,7 +16,7 @@ from torchrl.envs import EnvBase
 
 from bsk_torch.act.base import Decision
 from bsk_torch.comm import CommunicationMethod, NoCommunication
-from bsk_torch.data import checked, totals
+from bsk_torch.data import totals
 from bsk_torch.data.base import GlobalReward, NoReward
 from bsk_torch.data.composed import ComposedReward
 from bsk_torch.env import messages
@@ -30,7 +30,7 @@ from bsk_torch.env.guard import Origin, ResetNeededError, check_numbers
 from bsk_torch.env.log import StepLog, configure
 from bsk_torch.env.options import TaskingOptions, TimeLimit
 from bsk_torch.env.present import Present
-from bsk_torch.env.satellite_group import SatelliteGroup, command, decide, died, first_task_end, groups_of, settle_all, soonest
+from bsk_torch.env.satellite_group import SatelliteGroup, command, died, first_task_end, groups_of, settle_all, soonest
 from bsk_torch.env.snapshots import fingerprint
 from bsk_torch.obs.base import Values
 from bsk_torch.sats.dtypes import common_dtype
@@ -38,7 +38,6 @@ from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.assembly.satellite_type import whole_nanoseconds
 from bsk_torch.sim.fleet import Fleet
-from bsk_torch.sim.hooks import overrides
 from bsk_torch.sim.state import outside_inference
 
 __all__ = ["ResetNeededError", "StepResult", "Tasking", "TimeLimit"]
@@ -114,7 +113,7 @@ class Tasking(Present, MadeOfArguments):
         for simulator in self.fleet.simulators:
             simulator.type.arguments.check_per_env(self.env_ids)
         self.satellites = groups_of(self.builder.satellites, self.fleet)
-        link(self.fleet, self.scenario, self.rewarder)
+        self.checked = link(self.fleet, self.scenario, self.rewarder)
         totals.declare(self.rewarder, self.fleet)
         self.communicator.attach(self.fleet)
         recorded = options.log_level is not None or options.log_dir is not None
@@ -187,7 +186,8 @@ class Tasking(Present, MadeOfArguments):
 
     def _assert_tensordict_shape(self, tensordict: TensorDictBase) -> None:
         """Check the argument of ``step`` and ``reset``."""
-        messages.check_call(type(self).__name__, self._action_name, tensordict)
+        if not isinstance(tensordict, TensorDictBase):
+            messages.reject_call(type(self).__name__, self._action_name, tensordict)
         super()._assert_tensordict_shape(tensordict)
 
     @property
@@ -223,17 +223,15 @@ class Tasking(Present, MadeOfArguments):
             moves: Episodes that take part, [N].
             all_act: Whether all satellites of all episodes execute their actions.
         """
-        fleet, removed = self.fleet, self.state.removed
+        fleet, state, removed = self.fleet, self.state, self.state.removed
         start = fleet.since = fleet.ticks
-        before = checked.log(self.rewarder)
-        commanded = list(zip(self.satellites, actions, acts, strict=True))
-        decisions = [decide(satellite, action, mine) for satellite, action, mine in commanded]
-        commanded = [
-            (satellite, action, self._begins(satellite, mine, decision))
-            for (satellite, action, mine), decision in zip(commanded, decisions, strict=True)
-        ]
+        before = self.checked.log()
+        commanded = []
+        for satellite, action, mine in zip(self.satellites, actions, acts, strict=True):
+            decision = satellite.actions.decide(action, satellite.task.previous_action, mine)
+            commanded.append((satellite, action, self._begins(satellite, mine, decision), decision))
         self.guard.change(moves)
-        for (satellite, action, mine), decision in zip(commanded, decisions, strict=True):
+        for satellite, action, mine, decision in commanded:
             command(satellite, action, mine, decision, satellite.simulator.state.of_env(moves), all_act)
         log = self.log if self.log is not None and self.log.shows(logging.WARNING) else None
         if log is not None:
@@ -241,20 +239,21 @@ class Tasking(Present, MadeOfArguments):
             known = log.before()
         until = first_task_end(self.satellites, start + self.longest_ticks)
         expected = [soonest(satellite.task.expected, satellite.simulator.count) for satellite in self.satellites]
-        result = fleet.run(moves, self.state.limit_ticks, until, expected)
-        settle_all(self.satellites, result, moves, moves & self.truncated_by_time)
-        reward = checked.reward(self.rewarder, before, checked.log(self.rewarder))
+        result = fleet.run(moves, state.limit_ticks, until, expected)
+        last = fleet.ticks >= state.limit_ticks
+        settle_all(self.satellites, result, moves, moves & last)
+        reward = self.checked.reward(before, self.checked.log())
         if not all_act:
             reward = reward * moves.unsqueeze(-1)
         totals.add(self.rewarder, reward, moves)
         self.scenario.finish_step(fleet.sim_time)
         if not self.communicator.is_silent:
             self.links = self.communicator.exchange(moves)
-            checked.share(self.rewarder, self.links)
+            self.checked.share(self.links)
         for satellite in self.satellites:
             satellite.memory.touch()
             satellite.task.dead = satellite.task.dead | died(satellite)
-        outcome = self._judge(result.ticks.double() * fleet.h, reward, moves, removed)
+        outcome = self._judge(result.ticks.double() * fleet.h, reward, moves, removed, last)
         if log is not None:
             log.after(known, outcome, moves)
         return outcome
@@ -271,23 +270,32 @@ class Tasking(Present, MadeOfArguments):
             self.guard.origin = Origin.RESTORED_AND_STEPPED
         return outputs
 
-    def _judge(self, duration: Tensor, reward: Tensor, moves: Tensor, removed: Tensor) -> StepResult:
-        """Return the outcome of a step: adds failure penalties [N, S], and determines which episodes have ended."""
+    def _judge(self, duration: Tensor, reward: Tensor, moves: Tensor, removed: Tensor, last: Tensor) -> StepResult:
+        """Return the outcome of a step: adds failure penalties [N, S], and determines which episodes have ended.
+
+        ``last`` [N] are those at their time limit.
+        """
+        state = self.state
         dead = self.fleet.joined([satellite.task.dead for satellite in self.satellites])
         reward = reward + self.failure_penalty * (dead & moves.unsqueeze(-1)).to(reward.dtype)
         if self.fleet.size > 1:
             reward = torch.where(removed, 0.0, reward)
-        terminated, truncated = self._over(dead)
-        self.state.returns = self.state.returns + reward.sum(1)
+        terminated, truncated = self._over(dead, last)
+        state.returns = state.returns + reward.sum(1)
         return StepResult(duration, reward, terminated, truncated, removed)
 
-    def _over(self, dead: Tensor) -> tuple[Tensor, Tensor]:
-        """Return which episodes have ended, and which were truncated, [N] each, given the dead satellites, [N, S]."""
-        ended, truncated, present = dead, self.truncated_by_time, self.fleet.present
-        if not self.agents_stay and overrides(self.rewarder, GlobalReward, "is_terminated"):
-            ended = dead | checked.terminated(self.rewarder)
-        if overrides(self.rewarder, GlobalReward, "is_truncated"):
-            cut = checked.truncated(self.rewarder)
+    def _over(self, dead: Tensor, last: Tensor) -> tuple[Tensor, Tensor]:
+        """Return which episodes have ended, and which were truncated, [N] each.
+
+        Args:
+            dead: The dead satellites, [N, S].
+            last: Episodes at their time limit, [N].
+        """
+        ended, truncated, present = dead, last, self.fleet.present
+        if self.checked.terminates and not self.agents_stay:
+            ended = dead | self.checked.terminated()
+        if self.checked.truncates:
+            cut = self.checked.truncated()
             truncated = truncated | (cut if present is None else cut & present).any(1)
         terminated = self._all_agents_ended(ended if present is None else ended & present)
         return terminated | truncated if self.terminate_on_time_limit else terminated, truncated
@@ -327,7 +335,7 @@ class Tasking(Present, MadeOfArguments):
         with self.guard:
             self.guard.check_begun("observe()")
             dead = self.fleet.joined([satellite.task.dead for satellite in self.satellites])
-            terminated, truncated = (ended.unsqueeze(-1) for ended in self._over(dead))
+            terminated, truncated = (ended.unsqueeze(-1) for ended in self._over(dead, self.truncated_by_time))
             return self._outputs(None, done=terminated | truncated, terminated=terminated, truncated=truncated)
 
 

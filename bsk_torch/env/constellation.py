@@ -80,7 +80,7 @@ class ConstellationTasking(Tasking):
         given = {"satellites": satellites, "scenario": scenario, "rewarder": rewarder, "communicator": communicator}
         self._arguments = {**given, "sat_arg_randomizer": sat_arg_randomizer, **options}
 
-    @property
+    @functools.cached_property
     def joint(self) -> bool:
         """Whether one agent commands all satellites."""
         return self.options.joint

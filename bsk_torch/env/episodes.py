@@ -15,6 +15,7 @@ from bsk_torch._checks import whole
 from bsk_torch.astro.ephemeris import coverage
 from bsk_torch.constants import NANO
 from bsk_torch.data.base import GlobalReward
+from bsk_torch.data.checked import CheckedRewarder
 from bsk_torch.env.assembly.fleets import FleetBuilder
 from bsk_torch.env.guard import EpisodeGuard
 from bsk_torch.env.log import StepLog
@@ -103,6 +104,7 @@ class Episodes(EnvBase):
         env_ids: Index of each episode in the draws, [N].
         scenario: Task of the satellites.
         rewarder: Value of their data.
+        checked: Its hooks, with checks of their results.
         guard: Tracks which episodes can be stepped.
         log: Log of satellite events, if enabled.
     """
@@ -115,6 +117,7 @@ class Episodes(EnvBase):
     env_ids: Tensor
     scenario: Scenario
     rewarder: GlobalReward
+    checked: CheckedRewarder
     guard: EpisodeGuard
     log: StepLog | None
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NoReturn
 
 from tensordict import TensorDictBase
 
@@ -32,11 +32,6 @@ RESET = {
 """Arguments of Gymnasium's ``reset``, and their replacements."""
 
 
-def no_attribute(kind: str, name: str) -> AttributeError:
-    """Return the error for one of :data:`ATTRIBUTES` of an environment of the class ``kind``."""
-    return AttributeError(f"{kind} has no attribute {name!r}, for it is an environment of TorchRL: {ATTRIBUTES[name]}")
-
-
 def check_reset(kind: str, arguments: dict[str, Any]) -> None:
     """Raise TypeError for arguments not accepted by ``reset`` of the class ``kind``."""
     for name in arguments:
@@ -56,14 +51,13 @@ def given_action(tensordict: TensorDictBase, *key: str) -> Any:
     return action
 
 
-def check_call(kind: str, key: str, tensordict: object) -> None:
-    """Raise TypeError unless the argument of ``step`` or ``reset`` is a tensordict.
+def reject_call(kind: str, key: str, given: object) -> NoReturn:
+    """Raise TypeError for an argument of ``step`` or ``reset`` other than a tensordict.
 
     ``kind`` is the class of the environment, and ``key`` the key of the action, for the message.
     """
-    if not isinstance(tensordict, TensorDictBase):
-        raise TypeError(
-            f"{kind} is an environment of TorchRL, whose step and reset take a tensordict, not {tensordict!r}: "
-            f"td = env.reset(); td[{key}] = actions; td = env.step(td)['next']. For observation, reward, terminated, truncated, "
-            f"info = env.step(action): {VIEW}"
-        )
+    raise TypeError(
+        f"{kind} is an environment of TorchRL, whose step and reset take a tensordict, not {given!r}: td = env.reset(); "
+        f"td[{key}] = actions; td = env.step(td)['next']. For observation, reward, terminated, truncated, "
+        f"info = env.step(action): {VIEW}"
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import functools
+import itertools
 from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
@@ -11,14 +11,12 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import whole
-from bsk_torch.data import checked
 from bsk_torch.env import messages
 from bsk_torch.env.episodes import Episodes
 from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.env.snapshots import rows_of
 from bsk_torch.sim.arguments.table import ArgumentTable
 from bsk_torch.sim.hooks import check_tensor
-from bsk_torch.sim.readout.observables import Function
 from bsk_torch.sim.run.recording import Recording
 
 
@@ -28,7 +26,8 @@ class Present(Episodes):
     def __getattr__(self, name: str) -> Any:
         """Look up attributes registered by torch modules; AttributeError with advice for names of Gymnasium's environments."""
         if name in messages.ATTRIBUTES:
-            raise messages.no_attribute(type(self).__name__, name)
+            why = f"for it is an environment of TorchRL: {messages.ATTRIBUTES[name]}"
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}, {why}")
         return super().__getattr__(name)
 
     @property
@@ -54,9 +53,13 @@ class Present(Episodes):
 
     def counts(self) -> dict[str, Tensor]:
         """Return the counters of satellites and rewarder, [N, S] each, by name."""
-        names = dict.fromkeys(name for satellite in self.satellites for name in satellite.counts())
-        counted = {name: self.fleet.each(functools.partial(_counted, name)) for name in names}
-        return counted | checked.counts(self.rewarder, counted)
+        each = [_counted(satellite) for satellite in self.satellites]
+        counted: dict[str, Tensor] = {}
+        for name in dict.fromkeys(itertools.chain(*each)):
+            parts = zip(each, self.satellites, strict=True)
+            tables = [counts[name] if name in counts else torch.zeros_like(group.task.ends) for counts, group in parts]
+            counted[name] = self.fleet.joined(tables)
+        return counted | self.checked.counts(counted)
 
     def record(
         self,
@@ -92,7 +95,9 @@ class Present(Episodes):
         names = self.names if satellites is None else (satellites,) if isinstance(satellites, str) else tuple(satellites)
         with self.guard:
             self.guard.check_begun("record()", torch.zeros_like(self.state.begun).index_fill(0, envs, True))
-            return Recording(self.fleet, fields, envs, every, names, [_observables(satellite) for satellite in self.satellites])
+            models = [(type(satellite.fsw), type(satellite.dynamics)) for satellite in self.satellites]
+            observables = [fsw.observables() | dynamics.observables() for fsw, dynamics in models]
+            return Recording(self.fleet, fields, envs, every, names, observables)
 
     def render(self, rows: int | Sequence[int] | None = None, height: int = 480) -> Tensor:
         """Draw the current state: the Earth, the satellites and their tasks. Rendering does not change the episodes.
@@ -155,14 +160,8 @@ def pictures() -> Any:
         raise ModuleNotFoundError(f"render() needs {error.name}: pip install 'bsk_torch[viz]'", name=error.name) from error
 
 
-def _counted(name: str, satellite: SatelliteGroup) -> Tensor:
-    counts = satellite.counts()
-    if name not in counts:
-        raise AttributeError(f"{satellite.name} does not count {name!r}")
-    check_tensor(f"{type(satellite).__name__}.counts()[{name!r}]", counts[name], satellite.simulator.ticks.shape, torch.int64)
-    return counts[name]
-
-
-def _observables(satellite: SatelliteGroup) -> dict[str, Function]:
-    """Return the properties of a satellite's models that are observables, by name; those of dynamics take precedence."""
-    return type(satellite.fsw).observables() | type(satellite.dynamics).observables()
+def _counted(satellite: SatelliteGroup) -> dict[str, Tensor]:
+    counts, shape = satellite.counts(), satellite.simulator.state.ticks.shape
+    for name, count in counts.items():
+        check_tensor(f"{type(satellite).__name__}.counts()[{name!r}]", count, shape, torch.int64)
+    return counts

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 from collections.abc import Sequence
 
 import torch
@@ -43,7 +44,7 @@ class SatelliteGroup(BoundSatellite):
         vitals = (*self.dynamics.vitals().values(), *self.fsw.vitals().values())
         self.simulator.observer.want((*self.observations.observables, *vitals))
 
-    @property
+    @functools.cached_property
     def hears_ends(self) -> bool:
         """Whether satellites or actions have hooks for the ends of actions."""
         return self.actions.hears_ends or overrides(self, Satellite, "note_events")
@@ -66,7 +67,7 @@ class SatelliteGroup(BoundSatellite):
 def died(satellites: BoundSatellite) -> Tensor:
     """Return the satellites that fail a check now, [N]; absent satellites are not checked."""
     alive, present = satellites.is_alive(), satellites.simulator.present
-    check_tensor(f"{type(satellites).__name__}.is_alive()", alive, satellites.simulator.ticks.shape, torch.bool)
+    check_tensor(f"{type(satellites).__name__}.is_alive()", alive, satellites.task.dead.shape, torch.bool)
     failed = ~alive
     return failed if present is None else failed & present
 
@@ -78,11 +79,6 @@ def begin_tasks(satellites: BoundSatellite, envs: Tensor) -> None:
     task.dead = task.dead.index_copy(0, rows, died(satellites)[rows])
     if present is not None:
         task.requires_retasking = task.requires_retasking.index_copy(0, rows, present[rows])
-
-
-def decide(satellites: SatelliteGroup, action: Tensor, acts: Tensor) -> Decision:
-    """Return the commands of ``action`` [N] where ``acts`` [N] is true, without executing them."""
-    return satellites.actions.decide(action, satellites.task.previous_action, acts)
 
 
 def command(

@@ -117,14 +117,11 @@ class Snapshots(Episodes):
             state.guard.check_begun("restore(state)", torch.zeros_like(state.state.begun).index_fill(0, source, True))
             return other, envs, source
         rows = torch.arange(len(source), device=self.device)
-        used = other if torch.equal(source, other.all_rows) and not self._longer_than(other) else other.taken(source)
+        lengths = ((s.lookahead.arcs.length, lookahead_of(other, k).arcs.length) for k, s in enumerate(self.fleet.simulators))
+        whole = torch.equal(source, other.all_rows) and all(mine <= theirs for mine, theirs in lengths)
+        used = other if whole else other.taken(source)  # arcs that must be extended are written into
         check_values(self.fleet, used)
         return used, envs, rows
-
-    def _longer_than(self, other: StateTable) -> bool:
-        """Whether arcs of a saved state must be extended, which writes into its tensors."""
-        lengths = ((s.lookahead.arcs.length, lookahead_of(other, k).arcs.length) for k, s in enumerate(self.fleet.simulators))
-        return any(mine > theirs for mine, theirs in lengths)
 
     def get_extra_state(self) -> TensorDict | None:
         """Part of ``state_dict``: see :meth:`get_state`; None before the first reset."""

@@ -12,10 +12,11 @@ from torch import Tensor
 from torchrl.data import Composite, Unbounded
 
 from bsk_torch._checks import switch
+from bsk_torch.act.builders import ContinuousBuilder
 from bsk_torch.comm import CommunicationMethod
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.env import messages
-from bsk_torch.env.action_forms import action_spec, acts, form, mask_size, mask_spec, read
+from bsk_torch.env.action_forms import action_spec, acts, mask_size, mask_spec, read
 from bsk_torch.env.base import StepResult, Tasking
 from bsk_torch.env.guard import Origin
 from bsk_torch.env.options import TaskingOptions, parse, takes
@@ -119,7 +120,7 @@ class SatelliteTasking(Tasking):
         """Execute ``action`` as :meth:`play` does; return the entries as a dictionary, which is faster than a tensordict."""
         action = read("action", action, self.satellite, self.batch_size, ", one per environment")
         moves_all, moves = moves is None, torch.ones_like(self.dead) if moves is None else moves
-        goes_on = form(self.satellite) is not None  # numbers of actions have none that continues the task
+        goes_on = isinstance(self.satellite.actions, ContinuousBuilder)  # numbers of actions have none that continues the task
         mine, all_act = moves & acts(action, self.satellite) if goes_on else moves, moves_all and not goes_on
         with self.guard:
             self.guard.check_begun("step()")
@@ -145,7 +146,7 @@ class SatelliteTasking(Tasking):
         )
         duration = torch.zeros_like(self.fleet.sim_time) if result is None else result.duration
         parts["observation"] = observation
-        if mask_size(self.satellite):
+        if self.satellite.actions.n_actions:
             parts["action_mask"] = self.satellite.action_mask()
         parts["duration"] = duration.to(self.dtype).unsqueeze(-1)
         if counts := self.counts():

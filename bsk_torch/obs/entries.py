@@ -49,7 +49,7 @@ def _parsed(entry: object, number: int, allowed: set[str], title: str) -> dict[s
     if "fn" in given and not callable(given["fn"]):
         raise TypeError(f"{title}: fn={given['fn']!r} must be a function")
     norm = parse_norm(given.get("norm"), f"{title}: norm of {entry}")
-    default = str(given.get("prop", f"prop_{number}")) + ("_normd" if divides(norm) else "")
+    default = str(given.get("prop", f"prop_{number}")) + ("_normd" if isinstance(norm, Tensor) or norm != 1.0 else "")
     return {**given, "norm": norm, "name": str(given.get("name", default))}
 
 
@@ -63,11 +63,6 @@ def parse_norm(norm: object, title: str) -> Norm:
     if not bool(((table != 0.0) & torch.isfinite(table)).all()):
         raise ValueError(f"{title} is {norm!r}; it must not be zero, NaN or infinite")
     return table.item() if table.ndim == 0 else table
-
-
-def divides(norm: Norm) -> bool:
-    """Return whether a norm changes anything."""
-    return isinstance(norm, Tensor) or norm != 1.0
 
 
 def scaled(value: Tensor, norm: Norm) -> Tensor:

@@ -195,7 +195,9 @@ def _draw(distribution: Distribution, key: Key, count: int) -> Tensor:
     Raises:
         ValueError: For a distribution that returns another number of values.
     """
-    if dataclasses.is_dataclass(distribution) and getattr(distribution, "size", 0) is None and not _is_wide(distribution):
+    bounds = (getattr(distribution, name, 0.0) for name in ("low", "high"))
+    wide = any(not isinstance(bound, int | float) for bound in bounds)  # these set the number of values
+    if dataclasses.is_dataclass(distribution) and getattr(distribution, "size", 0) is None and not wide:
         if isinstance(distribution, Choice):
             return torch.as_tensor(Choice(distribution.options, count).draw(key), dtype=torch.float64)
         return torch.as_tensor(replace(distribution, size=count).draw(key), dtype=torch.float64)
@@ -204,12 +206,6 @@ def _draw(distribution: Distribution, key: Key, count: int) -> Tensor:
     if drawn.shape != (len(key), count):
         raise ValueError(f"obs.Noisy: {distribution!r} gives shape {list(drawn.shape)[1:]}; {count} numbers are observed")
     return drawn
-
-
-def _is_wide(distribution: Distribution) -> bool:
-    """Return whether bounds set the number of values."""
-    bounds = (getattr(distribution, name, 0.0) for name in ("low", "high"))
-    return any(not isinstance(bound, int | float) for bound in bounds)
 
 
 def _with_noise(values: Any, noise: Any) -> Any:

@@ -33,7 +33,7 @@ Preset = Callable[..., Tensor]
 
 def _relative(name: str) -> Preset:
     def seconds(satellite: BoundSatellite, opportunities: Opportunities) -> Tensor:
-        return getattr(opportunities, name) - satellite.simulator.sim_time.unsqueeze(-1)
+        return getattr(opportunities, name) - satellite.simulator.state.sim_time.unsqueeze(-1)
 
     return seconds
 
@@ -209,8 +209,9 @@ class OpportunityProperties(Observation):
                 column = self._call(entry["fn"], function, opportunities)
             columns[entry["name"]] = scaled(column, entry["norm"])
         if getattr(self.satellite, "may_see_nothing", False):
-            nothing = opportunities.found == 0
-            columns = {name: blank(column, nothing) for name, column in columns.items()}
+            nothing = (opportunities.found == 0).unsqueeze(-1)
+            for name, column in columns.items():
+                columns[name] = column.masked_fill(nothing if column.ndim == 2 else nothing.unsqueeze(-1), 0)
         return columns, opportunities
 
     def _call(self, given: Callable[..., object], function: UserFunction, opportunities: Opportunities) -> Tensor:
@@ -230,11 +231,6 @@ class OpportunityProperties(Observation):
         columns, opportunities = self._columns()
         rows = joined(columns).flatten(1)
         return torch.cat([rows, opportunities.mask.to(rows.dtype)], -1) if self.as_set else rows
-
-
-def blank(column: Tensor, rows: Tensor) -> Tensor:
-    """Return the column [N, ...] with zeros where ``rows`` [N] holds."""
-    return column.masked_fill(rows.view(-1, *[1] * (column.ndim - 1)), 0)
 
 
 def type_of(model: object) -> type:

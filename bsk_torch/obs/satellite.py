@@ -184,10 +184,8 @@ class Eclipse(Observation):
     @override
     def get_obs(self) -> Tensor:
         start, end = self.satellite.next_eclipse(self.sampled)
-        return (torch.stack([start, end], -1) - self.simulator.sim_time.unsqueeze(-1)) / self._divisor()
-
-    def _divisor(self) -> Any:
+        seconds = torch.stack([start, end], -1) - self.simulator.state.sim_time.unsqueeze(-1)
         if self.norm is not None:
-            return self.norm
+            return seconds / self.norm
         a, mu = self.satellite.dynamics.semi_major_axis, self.satellite.sat_args["mu"]
-        return (2.0 * math.pi * torch.sqrt(a**3 / mu)).unsqueeze(-1)
+        return seconds / (2.0 * math.pi * torch.sqrt(a**3 / mu)).unsqueeze(-1)

@@ -19,7 +19,7 @@ from bsk_torch.sim.access.relative_geometry import SATELLITE_PROPERTIES, relativ
 from bsk_torch.sim.access.window_table import Windows, candidates
 from bsk_torch.sim.access.windows import MAX_SEGMENTS, AccessWindows
 from bsk_torch.sim.arguments.values import nearest
-from bsk_torch.sim.dyn.panels import unit_rows
+from bsk_torch.sim.dyn.axes import unit_rows
 from bsk_torch.sim.places import TARGET_KIND, is_target
 
 
@@ -38,12 +38,15 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         self.access_filters = [given.bound(self.opportunity_types) for given in self.access_filters]
         self._cache: dict[tuple[str, int], tuple[tuple[int, int], Opportunities]] = {}
         self._lists: dict[tuple[str, bool], tuple[tuple[int, int], Windows]] = {}
+        models = self.dynamics, self.fsw
+        self._geometry = [[model for model in models if hasattr(type(model), name)][:1] for name in SATELLITE_PROPERTIES]
         self._aims: tuple[Opportunities, tuple[int, int | None], Tensor] | None = None
 
     @property
     def opportunity_types(self) -> tuple[str, ...]:
         """Kinds of opportunities that the satellites have."""
-        return tuple(self.simulator.access.kinds) if self.simulator.access is not None else ()
+        access = self.simulator.lookahead.access
+        return () if access is None else tuple(access.kinds)
 
     # -- filters ------------------------------------------------------------------------------------------------------
 
@@ -110,29 +113,31 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
             raise ValueError(f"n={n} opportunities: there must be at least 1")
         plain = filter is None and max_lookahead == MAX_SEGMENTS
         may_see_nothing = self.may_see_nothing if may_see_nothing is None else may_see_nothing
-        now = self.simulator.state.version, self.simulator.memory.version
+        now = self.simulator.state.version, self.memory.version
         known = self._cache.get((kind, n)) if plain else None
         if known is not None and known[0] == now and (count is None or bool((known[1].found >= count).all())):
-            return self._complete(known[1], pad)
+            return known[1] if pad else self._complete(known[1])
         wanted = count
         if self.removed is not None:
             wanted = torch.where(self.removed, 0, n if count is None else count)
         simulator = self.simulator
         windows, found = simulator.lookahead.next_windows(
             kind,
-            simulator.sim_time,
+            simulator.state.sim_time,
             n,
             self.allowed(kind) if filter is None else self._accepted(filter, kind),
             wanted,
             self._last_generation(max_lookahead),
             may_see_nothing,
         )
-        if may_see_nothing:
-            windows = self._or_nothing(windows, found)
+        if may_see_nothing:  # then place 0 opens and closes now
+            some, instant = (found > 0).unsqueeze(-1), simulator.state.sim_time.unsqueeze(-1)
+            opens, close = torch.where(some, windows.open, instant), torch.where(some, windows.close, instant)
+            windows = Windows(opens, close, torch.where(some, windows.place, 0))
         opportunities = Opportunities(*windows, self.positions(kind, windows.place), found).of(self, kind)
         if count is None and plain and may_see_nothing == self.may_see_nothing:
             self._cache[(kind, n)] = now, opportunities
-        return self._complete(opportunities, pad)
+        return opportunities if pad else self._complete(opportunities)
 
     def _accepted(self, filter: object, kind: str) -> Tensor:
         """Return the places [N, P] that pass a filter of a query, or are not among the indices that it excludes."""
@@ -144,28 +149,22 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         accepted[:, list(filter)] = False
         return accepted
 
-    def _complete(self, opportunities: Opportunities, pad: bool) -> Opportunities:
-        """Return the opportunities; RuntimeError if there are too few without ``pad``."""
+    def _complete(self, opportunities: Opportunities) -> Opportunities:
+        """Return the opportunities; RuntimeError if there are too few."""
         n = opportunities.place.shape[1]
-        if not pad and bool((opportunities.found < n).any()):
+        if bool((opportunities.found < n).any()):
             row = int((opportunities.found < n).nonzero()[0])
             raise RuntimeError(f"{int(opportunities.found[row])} of {n} opportunities found for {self.title(row)}, and pad=False")
         return opportunities
 
     def positions(self, type: str, place: Tensor) -> Tensor:
         """Return the current Earth-fixed positions, [N, n, 3] m, of places [N, n] of a type."""
-        rows, now = self.simulator.state.all_rows, self.simulator.sim_time.unsqueeze(-1)
-        return self.access_windows.kinds[type].position(rows, place, now)
+        state = self.simulator.state
+        return self.access_windows.kinds[type].position(state.all_rows, place, state.sim_time.unsqueeze(-1))
 
     def objects(self, type: str, place: Tensor) -> Any:
         """Return the objects of places [N, n]: :class:`~bsk_torch.sats.objects.TargetObjects`, else names [N, n]."""
         return TargetObjects(self, place) if is_target(type) else place_names(self, type, place)
-
-    def _or_nothing(self, windows: Windows, found: Tensor) -> Windows:
-        """Return the windows [N, n], those of place 0 that open and close now where none was ``found`` [N]."""
-        there, now = (found > 0).unsqueeze(-1), self.simulator.sim_time.unsqueeze(-1)
-        opens, close = (torch.where(there, time, now) for time in windows[:2])
-        return Windows(opens, close, torch.where(there, windows.place, 0))
 
     def _last_generation(self, max_lookahead: int) -> Tensor | None:
         """Return the time, [N] s, from which on queries generate no more windows."""
@@ -215,22 +214,17 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         """
         observer, asked = self.simulator.observer, (self.simulator.state.version, instrument)
         if self._aims is None or self._aims[0] is not opportunities or self._aims[1] != asked:
-            models, zero = (self.dynamics, self.fsw), torch.zeros_like(self.dynamics.r_BN_P)
-            found = (
-                [getattr(model, name) for model in models if hasattr(model.__class__, name)] for name in SATELLITE_PROPERTIES
-            )
-            satellite = tuple(values[0] if values else zero for values in found)
+            satellite: tuple[Tensor, ...] = ()
+            for owners, name in zip(self._geometry, SATELLITE_PROPERTIES, strict=True):
+                satellite += (getattr(owners[0], name) if owners else torch.zeros_like(self.dynamics.r_BN_P),)
             if instrument is not None:
-                axis = SATELLITE_PROPERTIES.index("c_hat_P")
-                satellite = (*satellite[:axis], self._axis_P(instrument), *satellite[axis + 1 :])
+                k, listed = SATELLITE_PROPERTIES.index("c_hat_P"), self.simulator.type.instruments
+                name = listed[instrument].argument("inst_pHat_B")
+                c_hat_P = self.dynamics.BP.mT @ unit_rows(self.simulator.argument(name)).unsqueeze(-1)
+                satellite = (*satellite[:k], c_hat_P.squeeze(-1), *satellite[k + 1 :])
             found_now = relative_geometries(satellite, opportunities.r_LP_P, observer.kernels)
             self._aims = opportunities, asked, found_now
         return self._aims[2]
-
-    def _axis_P(self, instrument: int) -> Tensor:
-        """Return the axis of an instrument in the Earth-fixed frame, [N, 3], of length one."""
-        axis = self.simulator.argument(self.simulator.type.instruments[instrument].argument("inst_pHat_B"))
-        return (self.dynamics.BP.mT @ unit_rows(axis).unsqueeze(-1)).squeeze(-1)
 
     def opportunities(self, type: str | None = None, *, types: str | Collection[str] | None = None) -> Windows:
         """Return all computed windows of a type, sorted by closing time, [N, W]; missing ones close at infinity.

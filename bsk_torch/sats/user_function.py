@@ -34,7 +34,7 @@ class UserFunction:
         title: What the function is, for messages.
         advice: How to write it for all satellites.
         works: Whether it has returned a result.
-        results: Results of a trial, kept if :meth:`begin_trial` was called.
+        results: Results of a trial; None outside of trials.
     """
 
     def __init__(self, title: str, advice: str) -> None:
@@ -69,10 +69,6 @@ class UserFunction:
         return result
 
     # -- trials -------------------------------------------------------------------------------------------------------
-
-    def begin_trial(self) -> None:
-        """Keep results from now on."""
-        self.results = []
 
     def dimensions(self) -> set[int]:
         """Return the sizes of all dimensions of the results but the first."""

@@ -14,7 +14,7 @@ import functools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import torch
 from torch import Tensor
@@ -28,6 +28,22 @@ __all__ = ["Arg", "Bus", "Component", "Field", "MissingMessageError", "Track", "
 
 Values = Mapping[str, Any]
 """Arguments of the rows being reset: tensors with leading dimension n, or 1 where all environments agree."""
+
+Computation = Callable[[Values], dict[str, Tensor]]
+"""Returns fields of the state, or parameters, by name."""
+
+
+class Own(dict[str, Any]):
+    """Arguments that the component in a slot reads, by name."""
+
+    slot: str
+
+    def __missing__(self, name: str) -> NoReturn:
+        """Raise a KeyError with advice."""
+        raise KeyError(
+            f"the component in slot {self.slot!r} reads the argument {name!r}, which it does not list; declare it in args=, "
+            "or, if another component declares it, name it in reads="
+        )
 
 
 class MissingMessageError(AttributeError):
@@ -193,7 +209,7 @@ class Track:
     count: int = 2
     before: int = 0
 
-    @property
+    @functools.cached_property
     def width(self) -> int:
         """Numbers in a record."""
         return sum(field.width for field in self.fields)
@@ -208,18 +224,6 @@ def neighbours(track: Track, table: Tensor, rows: Tensor, elapsed: Tensor) -> tu
     index = index.clamp(0, table.shape[1] - track.count)
     steps = torch.arange(track.count, device=table.device)
     return table[rows.unsqueeze(-1), index.long().unsqueeze(-1) + steps], elapsed - (index + track.before) * track.spacing
-
-
-def _nothing(_: Values) -> dict[str, Tensor]:
-    return {}
-
-
-def _accept(_: Values) -> None:
-    pass
-
-
-def _fits(_: Values, h: float) -> None:
-    pass
 
 
 @dataclass(frozen=True)
@@ -286,8 +290,10 @@ class Component:
     ``at_start`` it takes part in the tick at time zero, whose length is zero; components of the world always do.
 
     ``initial`` and ``prepare`` compute, from the arguments of the rows being reset, the state and the tick parameters as float64
-    tensors [n or 1] and [n or 1, width]; ``check`` raises for arguments that do not fit together, ``check_tick`` for those that
-    do not fit the length of a tick, s, and returns words to be logged about those that hardly do. ``overwrites`` lists fields
+    tensors [n or 1] and [n or 1, width]; fields that ``initial`` leaves out start at zero. ``check`` raises for arguments that do
+    not fit together, ``check_tick`` for those that do not fit the length of a tick, s, and returns words to be logged about those
+    that hardly do. They get the arguments that the component declares, and those of other components that it ``reads``, if there
+    are any. ``overwrites`` lists fields
     whose last value the update does not read, so that what a user writes into them is lost, each with advice what to do instead.
     ``integrated_only`` components run only where the orbit is integrated in the tick. ``fit`` returns the component to use, from
     the arguments as users gave them, defaults included, where its structure depends on them: it is called once, when the
@@ -315,10 +321,11 @@ class Component:
     args: tuple[Arg, ...] = ()
     state: tuple[Field, ...] = ()
     params: tuple[Field, ...] = ()
-    initial: Callable[[Values], dict[str, Tensor]] = _nothing
-    prepare: Callable[[Values], dict[str, Tensor]] = _nothing
-    check: Callable[[Values], None] = _accept
-    check_tick: Callable[[Values, float], str | None] = _fits
+    reads: tuple[str, ...] = ()
+    initial: Computation | None = None
+    prepare: Computation | None = None
+    check: Callable[[Values], None] | None = None
+    check_tick: Callable[[Values, float], str | None] | None = None
     overwrites: tuple[tuple[str, str], ...] = ()
     integrated_only: bool = False
     stops: bool = False
@@ -348,8 +355,14 @@ class Component:
                     f"such as {name}=({EXAMPLES[name]},)"
                 )
         for name in ("initial", "prepare", "check"):
-            if not callable(getattr(self, name)):
-                raise TypeError(f"the component in slot {self.slot!r} has {name}={getattr(self, name)!r}; it must be a function")
+            given = getattr(self, name)
+            if given is not None and not callable(given):
+                raise TypeError(f"the component in slot {self.slot!r} has {name}={given!r}; it must be a function")
+
+    @functools.cached_property
+    def arguments(self) -> tuple[str, ...]:
+        """Names of the arguments that the component reads: its own, and those of other components."""
+        return (*(arg.name for arg in self.args), *self.reads)
 
     def extended(
         self,
@@ -358,8 +371,9 @@ class Component:
         args: tuple[Arg, ...] = (),
         state: tuple[Field, ...] = (),
         params: tuple[Field, ...] = (),
-        initial: Callable[[Values], dict[str, Tensor]] | None = None,
-        prepare: Callable[[Values], dict[str, Tensor]] | None = None,
+        reads: tuple[str, ...] = (),
+        initial: Computation | None = None,
+        prepare: Computation | None = None,
         check: Callable[[Values], None] | None = None,
         flags: tuple[str, ...] = (),
         resets: tuple[tuple[str, float], ...] = (),
@@ -371,6 +385,7 @@ class Component:
             args: Further arguments; one with the name of an argument of the component replaces it.
             state: Further fields of the state, likewise.
             params: Further parameters, likewise.
+            reads: Further arguments of other components that the functions below read.
             initial: Values of the further fields at reset; those with the name of a field of the component replace its values.
             prepare: Values of the further parameters, likewise.
             check: Runs after the component's check.
@@ -383,6 +398,7 @@ class Component:
             "args": _merged(self.args, args),
             "state": _merged(self.state, state),
             "params": _merged(self.params, params),
+            "reads": (*self.reads, *reads),
             "initial": _united(self.initial, initial),
             "prepare": _united(self.prepare, prepare),
             "check": _one_after_the_other(self.check, check),
@@ -390,10 +406,20 @@ class Component:
             "resets": (*self.resets, *resets),
         }
         if own_fit is not None:  # the structure that the given arguments need gets the same additions
-            additions: dict[str, Any] = {"update": update, "args": args, "state": state, "params": params, "initial": initial}
-            additions |= {"prepare": prepare, "check": check, "flags": flags, "resets": resets}
+            additions: dict[str, Any] = {"update": update, "args": args, "state": state, "params": params, "reads": reads}
+            additions |= {"initial": initial, "prepare": prepare, "check": check, "flags": flags, "resets": resets}
             changes["fit"] = lambda given: own_fit(given).extended(**additions)
         return dataclasses.replace(self, **changes)
+
+
+def asked(components: Iterable[Component], values: Values) -> list[tuple[Component, Values]]:
+    """Return each component with those of the arguments that it reads."""
+    pairs: list[tuple[Component, Values]] = []
+    for component in components:
+        own = Own({name: values[name] for name in component.arguments if name in values})
+        own.slot = component.slot
+        pairs.append((component, own))
+    return pairs
 
 
 Call = TypeVar("Call", bound=Callable[[Any], None])
@@ -412,9 +438,11 @@ def _one_after_the_other(first: Call | None, second: Call | None) -> Call | None
     return both  # type: ignore[return-value]
 
 
-def _united(first: Callable[[Values], dict[str, Tensor]], second: Callable[[Values], dict[str, Tensor]] | None) -> Any:
+def _united(first: Computation | None, second: Computation | None) -> Computation | None:
     """Return a function with the values of both by name, those of the second where both have one."""
-    return first if second is None else lambda args: {**first(args), **second(args)}
+    if first is None or second is None:
+        return first if second is None else second
+    return lambda args: {**first(args), **second(args)}
 
 
 Named = TypeVar("Named", bound=Arg | Field)
@@ -496,8 +524,8 @@ class Layout:
         for name in self.fields:
             if name not in values:
                 raise ValueError(
-                    f"no component gives {name!r} a value when episodes start; return it from initial= of the component that "
-                    "lists it in state=, or from prepare= of the one that lists it in params="
+                    f"no component gives {name!r} a value when episodes start; return it from prepare= of the one that lists it "
+                    "in params="
                 )
         parts = [values[name].reshape(-1, f.width).mT.expand(-1, n) for name, f in self.fields.items()]
         return torch.cat(parts) if parts else torch.zeros(0, n, dtype=torch.float64)

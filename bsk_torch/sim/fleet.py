@@ -72,6 +72,8 @@ class Fleet:
             rewarders, communicators and users declare), and the state of each type.
         memory: The table ``memory`` of the state, [N, ...] each.
         scenario_state: The table ``scenario`` of the state, [N, ...] each.
+        h: Length of a tick, s.
+        traced: Whether satellites depend on one another within a tick, so that runs leave traces.
         since: Ticks since reset at the start of the current step, [N].
         varies: Whether some satellites are not present in some episodes; see :attr:`present`.
         env_ids: Index of each episode in draws, [N].
@@ -106,7 +108,7 @@ class Fleet:
         """
         self.simulators, self.names, self.draw_scenario = tuple(simulators), list(names), draw_scenario
         first = self.simulators[0]
-        self.num_envs, self.size, self.device = first.num_envs, len(names), first.device
+        self.num_envs, self.size, self.device, self.h = first.num_envs, len(names), first.device, first.h
         flown = sorted(column for simulator in self.simulators for column in simulator.columns)  # of a trial, one of each type
         position = {column: k for k, column in enumerate(flown)}
         self.columns = tuple(torch.tensor([position[c] for c in s.columns], device=self.device) for s in self.simulators)
@@ -130,6 +132,7 @@ class Fleet:
             self.state.add(f"satellites_{k}", simulator.state)
             if varies:
                 simulator.state.declare("present", True)
+        self.traced = any(simulator.records or simulator.followed for simulator in self.simulators)
         self.encounters = Encounters(self, pairs, compat)
 
     def place_of(self, name: str) -> tuple[int, int]:
@@ -141,23 +144,20 @@ class Fleet:
     # -- reading ------------------------------------------------------------------------------------------------------
 
     @property
-    def h(self) -> float:
-        """Length of a tick, s."""
-        return self.simulators[0].state.h
-
-    @property
     def ticks(self) -> Tensor:
         """Ticks since reset, [N]."""
         if self.varies:  # the clocks of satellites that are not present stay at zero
             return self.joined([simulator.state.ticks for simulator in self.simulators]).amax(1)
-        return self.first_of_each(self.simulators[0].state.ticks, self.simulators[0].count)
+        state = self.simulators[0].state
+        return state.ticks if state.count == 1 else self.first_of_each(state.ticks, state.count)
 
     @property
     def sim_time(self) -> Tensor:
         """Time since reset, [N] s."""
         if self.varies:
             return self.joined([simulator.state.sim_time for simulator in self.simulators]).amax(1)
-        return self.first_of_each(self.simulators[0].state.sim_time, self.simulators[0].count)
+        state = self.simulators[0].state
+        return state.sim_time if state.count == 1 else self.first_of_each(state.sim_time, state.count)
 
     @property
     def present(self) -> Tensor | None:
@@ -172,8 +172,10 @@ class Fleet:
         """Return the rows [N * count, ...] of all types by episode and satellite, [N, S, ...]."""
         if self.size == 1:
             return parts[0].unsqueeze(1)
-        views = [part.reshape(self.num_envs, -1, *part.shape[1:]) for part in parts]
-        whole = views[0] if len(views) == 1 else torch.cat(views, 1)
+        if len(parts) == 1:
+            whole = parts[0].reshape(self.num_envs, -1, *parts[0].shape[1:])
+        else:
+            whole = torch.cat([part.reshape(self.num_envs, -1, *part.shape[1:]) for part in parts], 1)
         return whole if self._order is None else whole[:, self._order]
 
     def rows_of(self, part: int, table: Tensor) -> Tensor:
@@ -282,16 +284,11 @@ class Fleet:
         probably = [ends] * len(self.simulators) if expected is None else [ticks - now for ticks in expected]
         parts = []
         for envs in parts_of(self, moves, ends):
-            parts.append(part := Part(self, envs, ends, left, probably))
+            parts.append(part := Part(self, envs, now, ends, left, probably))
             for call in part.calls():
                 simulator, rows = self.simulators[call.k], part.rows[call.k]
                 call.ran = simulator.run(call.ticks, call.expected, call.may_rewind, call.trace, call.followed, rows)
         return together(self, parts)
-
-    @property
-    def traced(self) -> bool:
-        """Whether satellites depend on one another within a tick, so that runs leave traces."""
-        return any(simulator.records or simulator.followed for simulator in self.simulators)
 
 
 def share(given: Mapping[str, tuple[Sequence[int], Tensor]], columns: Sequence[int]) -> Overrides:

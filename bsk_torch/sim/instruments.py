@@ -213,6 +213,8 @@ def with_instruments(parts: Iterable[Component], listed: tuple[Instrument, ...])
     if not listed:
         return parts
     differing = {name for part in listed for name in part.own}
+    own = tuple(part.argument(name) for part in listed for name in part.own)
+    parts = tuple(replace(p, reads=(*p.reads, *own)) if differing.intersection(p.arguments) else p for p in parts)
     several = [part for part in parts if part.params and differing & {arg.name for arg in part.args}]
     table = {arg.name: arg for part in parts for arg in part.args}
     choice = Component(
@@ -221,7 +223,6 @@ def with_instruments(parts: Iterable[Component], listed: tuple[Instrument, ...])
         update=choose_among(len(listed), tuple(field for part in several for field in part.params)),
         args=(*INSTRUMENTS.args, *instrument_args(listed, table).values()),
         state=(Field(INDEX, 1, "-", "number of the instrument that the action has chosen", exact=True, limit=len(listed) - 1.0),),
-        initial=lambda args: {INDEX: torch.zeros(1, dtype=torch.float64)},
     )
     slots = {part.slot for part in several}
     return tuple(choice if part.slot == SLOT else _of_each(part, listed) if part.slot in slots else part for part in parts)
@@ -257,7 +258,7 @@ def _of_each(part: Component, listed: tuple[Instrument, ...]) -> Component:
         return {**args, **{name: args[instrument.argument(name)] for name in instrument.own}}
 
     def prepare(args: Values) -> dict[str, Tensor]:
-        found = [part.prepare(values(args, instrument)) for instrument in listed]
+        found = [part.prepare(values(args, instrument)) for instrument in listed]  # type: ignore[misc]
         tables = {}
         for field in part.params:
             columns = [own[field.name].reshape(-1, field.width) for own in found]
@@ -268,14 +269,14 @@ def _of_each(part: Component, listed: tuple[Instrument, ...]) -> Component:
     def check(args: Values) -> None:
         for instrument in listed:
             try:
-                part.check(values(args, instrument))
+                part.check(values(args, instrument))  # type: ignore[misc]
             except ValueError as error:
                 raise ValueError(f"instrument {instrument.name!r}: {error}") from None
 
     params = (
         replace(f, name=_table_of(f), width=len(listed) * f.width, many=True, vectors=False, matrix=False) for f in part.params
     )
-    return replace(part, params=tuple(params), prepare=prepare, check=check)
+    return replace(part, params=tuple(params), prepare=prepare, check=part.check and check)
 
 
 def check_faults(listed: Sequence[Instrument], faults: Iterable[Fault]) -> None:

@@ -77,6 +77,7 @@ class SatelliteState(StateTable):
         parameters: Parameters of ticks that differ between rows, [C, rows] float64.
         ticks: Ticks since reset, [rows].
         mode: Index into the mode table, [rows].
+        h: Length of a tick, s.
         arguments: Drawn arguments of satellites and world, a table of tensors [rows, ...].
         constants: Arguments that are not numbers, the same for all rows.
         memory: Declared tensors of satellites' actions, rewarders and users, [rows, ...].
@@ -106,7 +107,7 @@ class SatelliteState(StateTable):
         :class:`~bsk_torch.sim.component.Component`.
         """
         super().__init__(num_envs, count, device)
-        self.layout, self.h_ns, self.overwritten = layout, h_ns, dict(overwritten or {})
+        self.layout, self.h_ns, self.h, self.overwritten = layout, h_ns, h_ns * NANO, dict(overwritten or {})
         self.declare("planes", None, layout.size, planes=True)
         self.declare("parameters", None, parameters.size, planes=True)
         self.declare("ticks", 0, low=0, high=LAST_TICK)
@@ -122,11 +123,6 @@ class SatelliteState(StateTable):
     # -- time ---------------------------------------------------------------------------------------------------------
 
     @property
-    def h(self) -> float:
-        """Length of a tick, s."""
-        return self.h_ns * NANO
-
-    @property
     def sim_time_ns(self) -> Tensor:
         """Time since reset, [rows] nanoseconds."""
         return self.ticks * self.h_ns
@@ -136,7 +132,7 @@ class SatelliteState(StateTable):
         """Time since reset, [rows] s, float64."""
         ticks, clock = self.ticks, self._clock
         if clock is None or clock.ticks is not ticks or clock.versions != (ticks._version, clock.time._version):
-            time = self.sim_time_ns.double() * NANO
+            time = (ticks * self.h_ns).double() * NANO
             if ticks.is_inference() or time.is_inference():  # which do not tell whether they were written to
                 return time
             clock = self.__dict__["_clock"] = Clock(ticks, time, (ticks._version, time._version))
@@ -160,8 +156,10 @@ class SatelliteState(StateTable):
 
     def read(self, name: str) -> Tensor:
         """Return a field of the components, [rows] or [rows, width]; KeyError for a name that none declares."""
-        view = self.layout.view(self.planes, self._known(name))
-        return view.mT.clone() if view.ndim == 2 else view.clone()
+        if name not in self.layout.fields:
+            raise KeyError(f"the satellite has no field {name!r}; {nearest(name, self.layout.fields)}")
+        part = self.planes[self.layout.slices[name]]
+        return part[0].clone() if len(part) == 1 else part.mT.clone()
 
     def write(self, name: str, rows: Tensor, value: Tensor) -> None:
         """Set a field of the components to ``value`` [rows] or [rows, width] where the mask ``rows`` is true.
@@ -174,18 +172,15 @@ class SatelliteState(StateTable):
         if name in self.overwritten:
             raise ValueError(f"write({name!r}) would be lost in the next tick: {self.overwritten[name]}")
         no_gradient(f"value of write({name!r}, rows, value)", value)
-        where, width = self.layout.slices[self._known(name)], self.layout.fields[name].width
+        if name not in self.layout.fields:
+            raise KeyError(f"the satellite has no field {name!r}; {nearest(name, self.layout.fields)}")
+        where, width = self.layout.slices[name], self.layout.fields[name].width
         if not isinstance(value, Tensor) or value.numel() != self.rows * width or value.shape[0] != self.rows:
             given = f"of shape {list(value.shape)}" if isinstance(value, Tensor) else repr(value)
             wanted = [self.rows] if width == 1 else [self.rows, width]
             raise ValueError(f"value of write({name!r}, rows, value) is {given}; it must be a tensor of shape {wanted}")
         self.planes[where] = torch.where(rows, value.reshape(self.rows, -1).mT, self.planes[where])
         self.touch()
-
-    def _known(self, name: str) -> str:
-        if name not in self.layout.fields:
-            raise KeyError(f"the satellite has no field {name!r}; {nearest(name, self.layout.fields)}")
-        return name
 
     def check_relations(self, path: str) -> None:
         """See :meth:`StateTable.check_relations`: limits of the components' fields, and arcs that cover the present."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -21,6 +21,7 @@ from bsk_torch.sim.access.windows import AccessWindows
 from bsk_torch.sim.arguments.values import merge, nearest
 from bsk_torch.sim.assembly.composition import commanded_by
 from bsk_torch.sim.assembly.satellite_type import SatelliteType
+from bsk_torch.sim.component import asked
 from bsk_torch.sim.draw_table import DrawTable
 from bsk_torch.sim.dyn import hub
 from bsk_torch.sim.dyn.events import ENDINGS, notice_image
@@ -70,6 +71,10 @@ class Simulator:
         lookahead: Arcs, eclipses and windows, which are part of the state.
         observer: Properties of the present, computed together.
         world: Sun, Earth and stations at the current time.
+        h: Length of a tick, s.
+        records: Whether runs leave traces.
+        has_events: Whether there are events that end an action.
+        ends_apart: Whether these end actions, but not runs.
         has_tank: Whether the satellites can change their velocity; see :meth:`thrust`.
         sources: What supplies the ``tracks`` that components read, by name; none in the tick at time zero.
     """
@@ -96,10 +101,14 @@ class Simulator:
         self.num_envs, self.count, self.device = num_envs, satellite_type.arguments.count, options.device
         self.columns, self.stops, self.followed = usage.columns, usage.stops, usage.followed
         self.orbit, self.has_tank, self.h_ns = satellite_type.orbit, satellite_type.has_tank, satellite_type.h_ns
+        self.h = self.h_ns * NANO
         self.mode_names, self.flag_table = satellite_type.mode_names, satellite_type.flag_table
         self.scenario_state = DrawTable(num_envs, 1, self.device) if scenario_state is None else scenario_state
         self.type, self.tick, self.runners = satellite_type, satellite_type.tick, satellite_type.runners
-        self.uniform = satellite_type.uniform
+        self.uniform, self.records = satellite_type.uniform, bool(self.tick.recorded)
+        self._endings = [name for name in ENDINGS if name in self.tick.state.fields]
+        self.has_events = bool(self._endings)
+        self.ends_apart = self.has_events and not self.stops
         self.state = SatelliteState(
             self.tick.state,
             self.tick.own,
@@ -114,7 +123,7 @@ class Simulator:
         self.lookahead = LookAhead(
             num_envs,
             self.count,
-            make_solver(self.h_ns * NANO, options.backend, self.device, satellite_type.gravity_degree),
+            make_solver(self.h, options.backend, self.device, satellite_type.gravity_degree),
             make_visibility(options.backend, self.device),
             place_kinds(
                 arguments.parts,
@@ -194,8 +203,7 @@ class Simulator:
         """Run Basilisk's tick at time zero in ``rows`` [n]; ``followed`` are traces of all rows."""
         state = self.state
         planes, mine = state.planes[:, rows], {name: rows_of_samples(trace, rows) for name, trace in followed.items()}
-        inputs = self._inputs(mine, rows)
-        inputs["present"] = None  # satellites that are not present have finite fields, too
+        inputs = self._inputs(mine, rows, None)  # satellites that are not present have finite fields, too
         self.runners.first_tick(planes, torch.ones_like(rows), **inputs)
         state.planes[:, rows] = planes
 
@@ -244,10 +252,9 @@ class Simulator:
         for name, value in values.items():
             state.arguments[name][rows] = value.to(self.device)
         state.arguments.touch()
-        known = self._arguments_of(rows)
-        acting = next(part for part in self.type.arguments.parts if part.slot == SLOT)
-        acting.check(known)
-        for name, value in acting.prepare(known).items():
+        [(acting, own)] = asked((part for part in self.type.arguments.parts if part.slot == SLOT), self._arguments_of(rows))
+        acting.check(own)  # type: ignore[misc]
+        for name, value in acting.prepare(own).items():  # type: ignore[misc]
             planes = value.flatten(1).mT.expand(-1, len(rows))
             state.parameters[self.tick.own.slices[name]].index_copy_(1, rows, planes.to(self.device))
         state.touch()
@@ -357,11 +364,6 @@ class Simulator:
     # -- reading ------------------------------------------------------------------------------------------------------
 
     @property
-    def h(self) -> float:
-        """Length of a tick, s."""
-        return self.state.h
-
-    @property
     def sim_time(self) -> Tensor:
         """Time since reset, [N] s, float64."""
         return self.state.sim_time
@@ -384,7 +386,7 @@ class Simulator:
     @property
     def present(self) -> Tensor | None:
         """Satellites that take part in their episodes, [N]; None if all do in all."""
-        return self.state["present"] if "present" in self.state.fields else None
+        return self.state.__dict__.get("present")
 
     @property
     def arcs(self) -> Arcs:
@@ -418,16 +420,12 @@ class Simulator:
 
     # -- running ------------------------------------------------------------------------------------------------------
 
-    @property
-    def records(self) -> bool:
-        """Whether runs leave traces."""
-        return bool(self.tick.recorded)
-
     def trace(self, ticks: int, rows: Tensor | None = None) -> Trace:
         """Return a trace for a run of ``rows`` [n], or all, of at most so many ticks from now on, with its first record."""
         state = self.state
         trace = Trace.room(self.tick.recorded, state.ticks if rows is None else state.ticks[rows], ticks)
-        trace.table[:, 0] = self._planes_of(rows)[self.tick.recorded_planes].mT
+        planes = state.planes if rows is None else state.planes[:, rows]
+        trace.table[:, 0] = planes[self.tick.recorded_planes].mT
         return trace
 
     def run(
@@ -453,58 +451,64 @@ class Simulator:
             followed: Traces of other satellites that components read, by slot.
             rows: The rows of whole environments, [n] indices in ascending order (default: all).
         """
-        state = self.state
+        state, present = self.state, self._present_of(rows)
         if self.records and trace is None:
             trace = self.trace(int(ticks.max()), rows)
         if isinstance(self.runners.run, Kernel) and int(ticks.max()) > (most := ticks_at_once(len(ticks))):
             if may_rewind:
-                self._reach(ticks, rows)
+                self._reach(ticks, rows, present)
             return self._run_in_pieces(ticks, most, trace, followed, rows)
-        self._reach(ticks, rows)
+        self._reach(ticks, rows, present)
         planes = state.planes if rows is None else state.planes[:, rows]
         written = None if trace is None else trace.table[:, 1:]
-        flown = self.runners.run(planes, ticks, expected_ticks=expected, written=written, **self._inputs(followed, rows))
+        flown = self.runners.run(planes, ticks, expected_ticks=expected, written=written, **self._inputs(followed, rows, present))
         many = isinstance(self.runners.run, TickLoop) and self.runners.run.ticks_run > MANY_TICKS
         if many and self.type.options.backend == "eager" and self.type.arguments.is_new("eager"):
             logger.warning(EAGER, MANY_TICKS)
+        passed = flown if present is None else torch.where(present, flown, 0)
         if rows is None:
-            state.ticks = state.ticks + self._of_present(flown, None)
+            state.ticks = state.ticks + passed
         else:
             state.planes[:, rows] = planes
-            state.ticks = state.ticks.index_add(0, rows, self._of_present(flown, rows))
+            state.ticks = state.ticks.index_add(0, rows, passed)
         state.touch()
         return flown
-
-    def _of_present(self, ticks: Tensor, rows: Tensor | None) -> Tensor:
-        """Return ``ticks`` [n] of ``rows`` [n], or all, zero for satellites that are not present."""
-        present = self._present_of(rows)
-        return ticks if present is None else torch.where(present, ticks, 0)
 
     def _present_of(self, rows: Tensor | None) -> Tensor | None:
         """Return which of ``rows`` [n], or all, are present, [n]; None if all always are."""
         present = self.present
         return present if present is None or rows is None else present[rows]
 
-    def _reach(self, ticks: Tensor, rows: Tensor | None) -> None:
-        """Solve arcs as far as runs of ``rows`` by ``ticks`` [n] may go."""
+    def _reach(self, ticks: Tensor, rows: Tensor | None, present: Tensor | None) -> None:
+        """Solve arcs as far as runs of ``rows`` by ``ticks`` [n] may go; of satellites that are not present, to now."""
         state = self.state
-        further = self._of_present(ticks, rows)
+        further = ticks if present is None else torch.where(present, ticks, 0)
         if rows is not None:
             further = torch.zeros_like(state.ticks).index_copy(0, rows, further)
-        time = state.sim_time + further.double() * state.h
-        self.lookahead.reach_in_flight(time, state.sim_time)
+        now = state.sim_time
+        time = now + further.double() * state.h
+        self.lookahead.reach_in_flight(time, now)
         for source in self.sources.values():
             source.reach(time)
 
-    def _inputs(self, followed: Mapping[str, Samples], rows: Tensor | None) -> RunInputs:
-        """Return what a run of ``rows`` [n], or all, reads apart from their fields; ``followed`` are traces of these rows."""
-        state, arcs = self.state, self.lookahead.flight.tracks(self.tick.arc_tracks)
+    def _inputs(self, followed: Mapping[str, Samples], rows: Tensor | None, present: Tensor | None) -> RunInputs:
+        """Return what a run of ``rows`` [n], or all, reads apart from their fields.
+
+        ``followed`` are traces of these rows, and ``present`` [n] those that run (default: all).
+        """
+        state, tracks = self.state, [*self.lookahead.flight.tracks(self.tick.arc_tracks)]
+        for track in self.tick.supplied:
+            source = self.sources.get(track.name)
+            tracks.append(no_samples(track, state.rows, self.device) if source is None else source.samples())
         own, mode, ticks = state.parameters, state.mode, state.ticks
         if rows is not None:
             own, mode, ticks = own[:, rows], mode[rows], ticks[rows]
-            arcs = tuple(rows_of_samples(track, rows) for track in arcs)
+            tracks = [rows_of_samples(track, rows) for track in tracks]
+        if self.tick.followed:  # between those of arcs and of components
+            at = len(self.tick.arc_tracks)
+            tracks[at:at] = [followed[name] for name in self.tick.followed]
         return {
-            "tracks": [*arcs, *(followed[name] for name in self.tick.followed), *self._supplied(rows)],
+            "tracks": tracks,
             "shared": self.uniform,
             "own": own,
             "mode": mode,
@@ -512,15 +516,8 @@ class Simulator:
             "ticks": ticks,
             "nanoseconds": self.h_ns,
             "lockstep": self.count,
-            "present": self._present_of(rows),
+            "present": present,
         }
-
-    def _supplied(self, rows: Tensor | None) -> Iterator[Samples]:
-        """Yield the samples of the tracks that components read, of ``rows`` [n] or of all."""
-        for track in self.tick.supplied:
-            source = self.sources.get(track.name)
-            found = no_samples(track, self.state.rows, self.device) if source is None else source.samples()
-            yield found if rows is None else rows_of_samples(found, rows)
 
     def _run_in_pieces(
         self, ticks: Tensor, most: int, trace: Trace | None, followed: Mapping[str, Samples], rows: Tensor | None
@@ -570,7 +567,7 @@ class Simulator:
         Returns:
             The fields, [n, P, w].
         """
-        fields, now, inputs = start.planes, since, self._inputs(followed, start.rows)
+        fields, now, inputs = start.planes, since, self._inputs(followed, start.rows, self._present_of(start.rows))
         values = fields.new_empty(*ticks.shape, len(planes))
         written = None
         for p, goal in enumerate(ticks.unbind(1)):
@@ -582,10 +579,6 @@ class Simulator:
             now = now + counts
             values[:, p] = fields[planes].mT
         return values
-
-    def _planes_of(self, rows: Tensor | None) -> Tensor:
-        """Return the fields of the components, [C, n], of ``rows`` [n], or of all."""
-        return self.state.planes if rows is None else self.state.planes[:, rows]
 
     def checkpoint(self, rows: Tensor | None = None) -> Checkpoint:
         """Return the fields of the components and the clocks of ``rows`` [n], or of all; see :meth:`rewind`."""
@@ -610,16 +603,6 @@ class Simulator:
             return torch.zeros_like(self.state.sim_time if rows is None else self.state.sim_time[rows])
         number = torch.stack([self.state.read(name) for name in self._endings]).sum(0)
         return number if rows is None else number[rows]
-
-    @property
-    def has_events(self) -> bool:
-        """Whether there are events that end an action."""
-        return bool(self._endings)
-
-    @property
-    def _endings(self) -> list[str]:
-        """Fields that count events which end actions."""
-        return [name for name in ENDINGS if name in self.tick.state.fields]
 
 
 def rows_of_samples(samples: Samples, rows: Tensor) -> Samples:

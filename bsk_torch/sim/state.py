@@ -87,6 +87,8 @@ class StateTable:
     count: int
     """Rows of each episode."""
     device: torch.device
+    rows: int
+    """Number of rows."""
     version: int
     """Number of changes; caches of queries compare it."""
 
@@ -94,7 +96,7 @@ class StateTable:
         """Make a table without fields for ``count`` rows in each of ``num_envs`` episodes."""
         own = self.__dict__
         own["num_envs"], own["count"], own["device"] = num_envs, count, torch.device(device)
-        own["fields"], own["tables"], own["version"] = {}, {}, 0
+        own["fields"], own["tables"], own["version"], own["rows"] = {}, {}, 0, num_envs * count
 
     fields: dict[str, StateField]
     tables: dict[str, StateTable]
@@ -165,11 +167,6 @@ class StateTable:
     # -- reading and writing ------------------------------------------------------------------------------------------
 
     @property
-    def rows(self) -> int:
-        """Number of rows."""
-        return self.num_envs * self.count
-
-    @property
     def is_empty(self) -> bool:
         """Whether the tree has no tensors."""
         return not self.fields and all(table.is_empty for table in self.tables.values())
@@ -186,9 +183,11 @@ class StateTable:
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Replace a declared tensor, or set an attribute that is not a tensor; AttributeError for another tensor."""
-        if isinstance(value, Tensor) and name not in self.fields:
-            raise AttributeError(f"tensor {name!r} is not declared as part of the state; call declare({name!r}, ...) first")
-        self.__dict__[name] = owned(value) if isinstance(value, Tensor) else value
+        if isinstance(value, Tensor):
+            if name not in self.fields:
+                raise AttributeError(f"tensor {name!r} is not declared as part of the state; call declare({name!r}, ...) first")
+            value = owned(value) if value.is_inference() else value
+        self.__dict__[name] = value
 
     def __getitem__(self, name: str) -> Tensor:
         """Return the tensor ``name``; KeyError if it is not declared."""
@@ -204,7 +203,7 @@ class StateTable:
         if value.shape != old.shape:
             raise ValueError(f"{name!r} has shape {list(old.shape)} in the state; it cannot become {list(value.shape)}")
         self.__dict__[name] = owned(value.to(old.dtype))
-        self.touch()
+        self.__dict__["version"] += 1
 
     def __contains__(self, name: object) -> bool:
         """Return whether a tensor of that name is declared."""
@@ -356,6 +355,7 @@ class StateTable:
         if len(numbers) > 1:
             raise ValueError(f"tensors of the saved state have {sorted(numbers)} episodes; they must have equally many")
         own["num_envs"] = numbers.pop() if numbers else self.num_envs
+        own["rows"] = own["num_envs"] * self.count
         for name in self.fields:
             own[name] = self._checked(name, saved[name])
         return other

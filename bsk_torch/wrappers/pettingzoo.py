@@ -15,7 +15,6 @@ from pettingzoo import ParallelEnv
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from bsk_torch.data import checked
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.env.action_forms import form, mask_size
 from bsk_torch.env.agents import Group
@@ -206,8 +205,8 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
     def _ends(self, seen: TensorDictBase) -> tuple[dict[str, bool], bool]:
         """Return which agents are terminated, and whether the episode is truncated."""
         core = self.core
-        cut = core.truncated_by_time | (checked.truncated(core.rewarder) & core.present).any(1)
-        ended = core.dead | (checked.terminated(core.rewarder) & core.present)
+        cut = core.truncated_by_time | (core.checked.truncated() & core.present).any(1)
+        ended = core.dead | (core.checked.terminated() & core.present)
         if core.terminate_on_time_limit:
             ended = ended | cut.unsqueeze(-1)
         return self._by_agent(ended), bool(cut)

@@ -100,7 +100,6 @@ NO_COMMAND = dataclasses.replace(
     instrument.IMAGE_CONTROLLER,
     update=None,
     state=instrument.IMAGE_CONTROLLER.state[1:],
-    initial=lambda args: {"image_taken": torch.zeros(1, dtype=torch.float64)},
 )
 """A controller that commands nothing; an instrument without a command is always on."""
 

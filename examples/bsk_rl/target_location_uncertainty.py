@@ -188,10 +188,9 @@ SEARCH_CONTROLLER = dataclasses.replace(
         *IMAGE_CONTROLLER.state,
         *(Field(name, 1, "-" if name == "given_up" else "s") for name in OWN_STATE),
     ),
-    initial=lambda args: (
-        IMAGE_CONTROLLER.initial(args)
-        | {name: torch.full((1,), x).double() for name, x in OWN_STATE.items()}
-    ),
+    initial=lambda args: {
+        name: torch.full((1,), x).double() for name, x in OWN_STATE.items()
+    },
 )
 
 

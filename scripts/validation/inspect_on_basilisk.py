@@ -84,7 +84,7 @@ def starts_of(env: ConstellationTasking, seeds: Sequence[int]) -> list[dict[str,
     for group, described in zip(env.satellites, env.builder.satellites, strict=True):
         state, given = group.simulator.state, group.simulator.type.arguments.sat_args
         names = [name for name in given.table if name not in ("oe", "rN", "vN", "mu")]
-        drawn = {name: plain(state.arguments[name]) for name in names if given.is_random(name) and name in state.arguments}
+        drawn = {name: plain(state.arguments[name]) for name in names if name in given.random and name in state.arguments}
         fixed = {name: given.given[name] for name in described.sat_args_generator if name in names and name not in drawn}
         r, v = (plain(x) for x in initial_orbit(state.all_arguments))
         rows = range(len(seeds))

@@ -10,7 +10,6 @@ from torchrl.envs.utils import check_env_specs
 
 from bsk_torch import NO_ACTION, ConstellationTasking, SatelliteTasking, act, data, obs, sats, scene
 from bsk_torch.env.action_forms import OpenBox, box
-from bsk_torch.env.satellite_group import decide
 from bsk_torch.sim import dyn, fsw
 from tests.act.thrust_image import ThrustImageBox, ThrustImageHybrid
 from tests.env.test_state import N, strays
@@ -131,7 +130,7 @@ class TestHooks:
         env = begun(alone(act.AttitudeSetpoint(control_period=5.0), models=(dyn.BasicDynamicsModel, fsw.BasicFSWModel)))
         same = torch.tensor([[0.1, 0.2, 0.3]] * 2, dtype=torch.float64)
         step(env, same)
-        decided = decide(env.satellite, same, torch.tensor([True, True]))
+        decided = env.satellite.actions.decide(same, env.satellite.task.previous_action, torch.tensor([True, True]))
         assert decided.retask.all()
 
 

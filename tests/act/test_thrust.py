@@ -8,7 +8,7 @@ from tensordict import TensorDict
 
 from bsk_torch import ConstellationTasking, SatelliteTasking, act, obs, sats
 from bsk_torch.astro.relative import rv2HN
-from bsk_torch.env.satellite_group import command, decide
+from bsk_torch.env.satellite_group import command
 from bsk_torch.sim import dyn, fsw
 from tests.support.episodes import begun
 from tests.support.refusals import check_refusals, refusal
@@ -34,7 +34,7 @@ def thrust(env, *rows, dtype=torch.float64):
     action = torch.tensor(rows, dtype=dtype)
     satellites, every = env.satellite, torch.ones(len(rows), dtype=torch.bool)
     action = satellites.actions.checked(action, every)
-    decision = decide(satellites, action, every)
+    decision = satellites.actions.decide(action, satellites.task.previous_action, every)
     command(satellites, action, every, decision, every)
     return env.simulator.read("delta_v_N"), decision.duration
 

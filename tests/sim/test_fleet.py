@@ -22,7 +22,7 @@ N = 3
 def part(*columns: int, n: int = N) -> SimpleNamespace:
     """A stand-in for the simulation of the satellites ``columns``."""
     tables = {"state": StateTable(n, len(columns)), "scenario_state": DrawTable(n)}
-    alone = {"followed": {}, "records": False, "stops": False}
+    alone = {"followed": {}, "records": False, "stops": False, "h": 1.0}
     return SimpleNamespace(num_envs=n, count=len(columns), columns=columns, device=torch.device("cpu"), **alone, **tables)
 
 
@@ -164,10 +164,12 @@ class Flyer:
 
     followed: ClassVar[dict[str, object]] = {}
     records = False
+    h = 1.0
 
     def __init__(self, column: int, event: list[int] | None = None, stops: bool = True) -> None:
         self.num_envs, self.count, self.columns, self.device = N, 1, (column,), torch.device("cpu")
         self.has_events, self.stops = event is not None, stops and event is not None
+        self.ends_apart = self.has_events and not self.stops
         self.state, self.scenario_state, self.event = Clock(), StateTable(N), torch.tensor(event or [FAR] * N)
         self.flights: list[list[int]] = []
 

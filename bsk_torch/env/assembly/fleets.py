@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -14,8 +14,8 @@ from bsk_torch.act.continuous import ContinuousAction
 from bsk_torch.astro.ephemeris import coverage, coverage_in_words
 from bsk_torch.codegen.kept import Kept
 from bsk_torch.constants import NANO
-from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward
+from bsk_torch.data.checked import CheckedRewarder
 from bsk_torch.env.assembly.randomizer import Randomizer
 from bsk_torch.env.assembly.types import check_names, check_world, grouped, world_arguments, world_components
 from bsk_torch.env.options import CONTINUOUS, ConstellationOptions, TaskingOptions
@@ -25,7 +25,7 @@ from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.arguments.sources import Answers, Member, expand, is_function
 from bsk_torch.sim.arguments.table import ArgumentTable
-from bsk_torch.sim.arguments.values import Overrides, convert, drawn_once
+from bsk_torch.sim.arguments.values import convert, drawn_once
 from bsk_torch.sim.assembly.composition import compose
 from bsk_torch.sim.assembly.satellite_type import SatelliteType, SimulationOptions, Ticks, Usage, satellite_type
 from bsk_torch.sim.component import Arg, Component, Field
@@ -197,7 +197,7 @@ class FleetBuilder:
                 watches=options.failures == CONTINUOUS,
                 controlled=_may_control(satellite),
                 segment=satellite.segment,
-                randomize=self._share_of(columns),
+                randomize=lambda key: {} if self.randomizer is None else share(self.randomizer(key), columns),
                 followed=followed,
                 recorded=("r_BN_N",) if self.pairs.watched.intersection(columns) else (),
                 drawn=frozenset(self._scenario_draw(min(2, options.num_envs))),
@@ -206,12 +206,6 @@ class FleetBuilder:
             world_type=self.world_type,
             ticks=ticks,
         )
-
-    def _share_of(self, columns: Sequence[int]) -> Callable[[Key], Overrides]:
-        """Return the sampler of the randomized arguments of the satellites ``columns``, numbered within their type."""
-        if self.randomizer is None:
-            return lambda key: {}
-        return lambda key: share(self.randomizer(key), columns)  # type: ignore[misc]
 
     @property
     def calls_user(self) -> bool:
@@ -383,9 +377,11 @@ def check_ephemeris(drawn: EpisodeDraw, limit: Tensor) -> None:
             )
 
 
-def link(fleet: SatelliteFleet, scenario: Scenario, rewarder: GlobalReward) -> None:
-    """Link satellites, scenario and rewarder."""
+def link(fleet: SatelliteFleet, scenario: Scenario, rewarder: GlobalReward) -> CheckedRewarder:
+    """Link satellites, scenario and rewarder; return the hooks of the rewarder."""
     scenario.attach(fleet)
     for satellite in fleet.satellites:
         satellite.scenario, satellite.rewarder = scenario.seen_by(satellite.names), rewarder
-    checked.link(rewarder, scenario, fleet)
+    checked = CheckedRewarder(rewarder)
+    checked.link(scenario, fleet)
+    return checked

@@ -13,14 +13,12 @@ import torch
 
 from bsk_torch._checks import no_gradient
 from bsk_torch.comm import CommunicationMethod
-from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.env.assembly.devices import check_memory
 from bsk_torch.env.assembly.fleets import FleetBuilder, link
 from bsk_torch.env.satellite_group import SatelliteGroup, groups_of
 from bsk_torch.obs.base import Values
 from bsk_torch.rand import first_key
-from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.assembly.composition import provided_by
@@ -93,12 +91,11 @@ class TrialFleet:
 
     def start(self, rewarder: GlobalReward, communicator: CommunicationMethod) -> list[UserFunction]:
         """Start the episodes; return the user functions, which keep their results from now on."""
-        self.rewarder = copy.copy(rewarder)
-        link(self.fleet, self.scenario, self.rewarder)
+        self.checked = link(self.fleet, self.scenario, copy.copy(rewarder))
         copy.copy(communicator).attach(self.fleet)  # it may declare what satellites observe
         functions = [function for satellite in self.satellites for function in satellite.user_functions()]
         for function in functions:
-            function.begin_trial()
+            function.results = []
         self.builder.start(self.fleet, self.fleet.all_envs, *self.drawn)
         self.scenario.begin_episodes(self.fleet.all_envs)
         return functions
@@ -116,20 +113,13 @@ class TrialFleet:
 
     def score(self) -> None:
         """Call hooks of rewarder and satellites once, for a step of zero duration; TypeError for results of wrong shapes."""
-        rewarder = self.rewarder
-        log = checked.log(rewarder)
-        checked.reward(rewarder, log, checked.log(rewarder))
-        checked.terminated(rewarder)
-        checked.truncated(rewarder)
-        checked.counts(rewarder)
+        checked = self.checked
+        checked.reward(checked.log(), checked.log())
+        checked.terminated()
+        checked.truncated()
+        checked.counts()
         for satellite in self.satellites:
             satellite.action_mask()
-
-    def become(self, other: SatelliteFleet) -> None:
-        """Replace the first environment by the first environment of another fleet."""
-        first = self.fleet.all_envs[:1]
-        self.fleet.state.copy_rows(first, other.state, first)
-        self.scenario.begin_episodes(first)
 
 
 def _observed(satellite: SatelliteGroup) -> Values:
@@ -172,7 +162,9 @@ def try_out(builder: FleetBuilder, rewarder: GlobalReward, communicator: Communi
     batched = together.start(rewarder, communicator)
     together.spread()
     together.observe()
-    alone.become(together.fleet)
+    first = fleet.all_envs[:1]
+    fleet.state.copy_rows(first, together.fleet.state, first)
+    alone.scenario.begin_episodes(first)
     alone.observe()
     for function, several in zip(functions, batched, strict=True):
         function.compare(several)

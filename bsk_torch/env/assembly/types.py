@@ -9,7 +9,7 @@ from bsk_torch.rand import MOST_SATELLITES
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sim.arguments.values import alike, is_fixed, nearest
 from bsk_torch.sim.assembly.composition import world_components as components_of_world
-from bsk_torch.sim.component import Arg, Component
+from bsk_torch.sim.component import Component
 from bsk_torch.sim.world import WorldModel
 
 OWN = ("name", "sat_args_generator")
@@ -47,14 +47,11 @@ def same_type(a: Satellite, b: Satellite) -> bool:
         return True
     table = type(a).default_sat_args().rows
     mine, theirs = ({name: x.sat_args_generator.get(name, arg.default) for name, arg in table.items()} for x in (a, b))
-    if any((mine[name] is None) != (theirs[name] is None) for name, arg in table.items() if _is_built(arg)):
+    # where None stands for no value, something is not built
+    built = (name for name, arg in table.items() if arg.missing is None and None not in arg.choices and arg.kind != "orbit")
+    if any((mine[name] is None) != (theirs[name] is None) for name in built):
         return False
     return all(alike(mine[name], theirs[name]) for name, arg in table.items() if is_fixed(arg))
-
-
-def _is_built(arg: Arg) -> bool:
-    """Return whether None as a value of an argument stands for no value, so that something is not built."""
-    return arg.missing is None and None not in arg.choices and arg.kind != "orbit"
 
 
 def grouped(satellites: Sequence[Satellite], group_of: Callable[[str], Hashable]) -> list[list[int]]:
@@ -62,17 +59,15 @@ def grouped(satellites: Sequence[Satellite], group_of: Callable[[str], Hashable]
 
     Satellites for which ``group_of`` returns different values, by their names, are of different types.
     """
-
-    def alike_in_all(a: Satellite, b: Satellite) -> bool:
-        return group_of(a.name) == group_of(b.name) and same_type(a, b)
-
     types: list[list[int]] = []
     for k, satellite in enumerate(satellites):
-        mine = next((columns for columns in types if alike_in_all(satellites[columns[0]], satellite)), None)
-        if mine is None:
-            types.append([k])
+        for columns in types:
+            first = satellites[columns[0]]
+            if group_of(first.name) == group_of(satellite.name) and same_type(first, satellite):
+                columns.append(k)
+                break
         else:
-            mine.append(k)
+            types.append([k])
     return types
 
 

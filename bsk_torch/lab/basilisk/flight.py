@@ -146,18 +146,13 @@ def starts_of(env: SatelliteTasking, seeds: Sequence[int]) -> list[Start]:
     """Return the initial conditions of episodes that have just been reset, one for each seed: all given and drawn arguments."""
     simulator, n = env.simulator, len(seeds)
     satellite, world = simulator.type.arguments.sat_args, simulator.type.arguments.world_args
-    fixed = {
-        name: satellite.given[name] for name in env.builder.satellites[0].sat_args_generator if not satellite.is_random(name)
-    }
-    drawn = {
-        name: plain(simulator.state.arguments[name]) for name in satellite.table if satellite.is_random(name) and name != "oe"
-    }
+    given, arguments = env.builder.satellites[0].sat_args_generator, simulator.state.arguments
+    fixed = {name: satellite.given[name] for name in given if name not in satellite.random}
+    drawn = {name: plain(arguments[name]) for name in satellite.table if name in satellite.random and name != "oe"}
     r, v = (plain(x.expand(n, 3)) for x in initial_orbit(simulator.state.all_arguments))
     given_world = cast(Mapping[str, Any], env.options.world_args or {})
-    fixed_world = {name: value for name, value in given_world.items() if not world.is_random(name)}
-    drawn_world = {
-        name: plain(simulator.state.arguments[name]) for name in world.table if world.is_random(name) and name != "utc_init"
-    }
+    fixed_world = {name: value for name, value in given_world.items() if name not in world.random}
+    drawn_world = {name: plain(arguments[name]) for name in world.table if name in world.random and name != "utc_init"}
     epochs = epochs_of(env, seeds)
     return [
         Start(

@@ -41,7 +41,7 @@ def _columns(env: Tasking, values: Sequence[Mapping[str, Tensor]], n: int) -> tu
         simulator, arguments = part.simulator, part.simulator.type.arguments
         for table, owned in ((arguments.sat_args, env.fleet.size > 1), (arguments.world_args, False)):
             for name in table.table:
-                if table.is_random(name) and name in simulator.state.arguments:
+                if name in table.random and name in simulator.state.arguments:
                     value = draws[name].double()
                     flat = value.expand(n * simulator.count, *value.shape[1:]).reshape(n, simulator.count, -1)
                     for k, column in enumerate(simulator.columns if owned else simulator.columns[:1]):

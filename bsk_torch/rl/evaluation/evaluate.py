@@ -12,7 +12,6 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from bsk_torch.data import checked
 from bsk_torch.env import ConstellationTasking, SatelliteTasking, Tasking
 from bsk_torch.env.rollout import Policy, play_episodes
 from bsk_torch.rand import Key
@@ -177,7 +176,7 @@ def _evaluated(policy: TensorDictModuleBase, env: Tasking, start: TensorDictBase
         deaths={name: of_team(failed)[:n] for name, failed in failed_checks(env).items()},
         counts={name: of_team(count)[:n].clone() for name, count in env.counts().items()},
         fill=None if level is None else level[:n].clone(),
-        measures={name: value[:n].clone() for name, value in checked.measures(env.rewarder).items()},
+        measures={name: value[:n].clone() for name, value in env.checked.measures().items()},
         simulated=simulated[:n] if SIMULATED in policy.out_keys else None,
     )
 

@@ -6,6 +6,7 @@ whether a line of sight is blocked is decided in stretched coordinates.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -38,11 +39,11 @@ class SatellitePositions(NamedTuple):
 
     def map(self, function: Callable[[Tensor], Tensor]) -> SatellitePositions:
         """Apply ``function`` to every component."""
-        return SatellitePositions(*(part.map(function) for part in self))
+        return SatellitePositions(self.r_BN_N.map(function), self.stretched.map(function))
 
     def where(self, condition: Tensor, other: SatellitePositions) -> SatellitePositions:
         """Return these positions where ``condition`` holds, and those of ``other`` elsewhere."""
-        return SatellitePositions(*(select(condition, mine, theirs) for mine, theirs in zip(self, other, strict=True)))
+        return SatellitePositions(*map(functools.partial(select, condition), self, other))
 
 
 def visibility_margin(own: SatellitePositions, other: SatellitePositions, max_range: Tensor | None) -> Tensor:

@@ -14,6 +14,7 @@ and if ``f(a) + f(b) <= -v (b - a)``, there is no line of sight within. All othe
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, NamedTuple
@@ -110,7 +111,7 @@ class SatellitePairs(NamedTuple):
 
     def take(self, index: Tensor) -> SatellitePairs:
         """Return the pairs ``index``, which may repeat."""
-        return SatellitePairs(*(part[index] for part in self))
+        return SatellitePairs(self.env[index], self.i[index], self.j[index])
 
 
 Margins = Callable[[SatellitePairs, Tensor], Tensor]
@@ -192,16 +193,17 @@ class LineOfSightSearch:
 
     def _pole(self, env: Tensor, tick: Tensor) -> Vec3:
         """Return the Earth's axis in N at ticks [m] of episodes [m]; it moves by 1e-4 rad a year, so it is interpolated."""
-        since = (tick - self.first[env]).double()
-        return self.pole_start.map(lambda at, rate: at[env] + rate[env] * since, self.pole_rate)
+        since, row = (tick - self.first[env]).double(), operator.itemgetter(env)
+        return self.pole_start.map(row) + self.pole_rate.map(row) * since
 
     def all_margins(self, envs: Tensor, tick: Tensor) -> Tensor:
         """Return the margins of all ordered pairs, [n, S, S] m by sensor and other satellite, at ticks [n] of episodes [n]."""
         n, s = len(envs), self.size
         env, satellite, at = envs.repeat_interleave(s), torch.arange(s, device=envs.device).repeat(n), tick.repeat_interleave(s)
         pole = self._pole(env, at)
-        both = (SatellitePositions.of(self._positions(env, satellite, t), pole) for t in (at, (at - 1).clamp(min=0)))
-        now, before = (positions.map(lambda x: x.view(n, 1, s)) for positions in both)
+        by_episode = operator.methodcaller("view", n, 1, s)
+        now = SatellitePositions.of(self._positions(env, satellite, at), pole).map(by_episode)
+        before = SatellitePositions.of(self._positions(env, satellite, (at - 1).clamp(min=0)), pole).map(by_episode)
         rows = []
         for mine in torch.arange(s, device=envs.device).split(max(1, self.block // (n * s))):
             own = now.map(lambda x, mine=mine: x[..., mine].mT)  # type: ignore[misc]
@@ -213,11 +215,10 @@ class LineOfSightSearch:
     def pair_margins(self, pairs: SatellitePairs, tick: Tensor) -> Tensor:
         """Return the larger one of the two margins of each pair, [m] m, at a tick [m] each."""
         env, i, j = pairs
-        looks = (i, tick), (j, tick), (j, (tick - 1).clamp(min=0))
-        r_BN_N = self._positions(env.repeat(3), *(torch.cat(part) for part in zip(*looks, strict=True)))
-        pole = self._pole(env, tick)
-        thirds = zip(*(x.chunk(3) for x in r_BN_N), strict=True)
-        first, second, before = (SatellitePositions.of(Vec3(*part), pole) for part in thirds)
+        ticks = torch.cat([tick, tick, (tick - 1).clamp(min=0)])
+        r_BN_N, pole = self._positions(env.repeat(3), torch.cat([i, j, j]), ticks), self._pole(env, tick)
+        thirds = zip(*[x.chunk(3) for x in r_BN_N], strict=True)
+        first, second, before = [SatellitePositions.of(Vec3(*part), pole) for part in thirds]
         max_range = (None, None) if self.max_range is None else (self.max_range[env, i], self.max_range[env, j])
         return torch.maximum(visibility_margin(first, before, max_range[0]), visibility_margin(second, first, max_range[1]))
 
@@ -272,10 +273,10 @@ class LineOfSightSearch:
                 intervals._replace(last=middle, margin_last=margin),
                 intervals._replace(first=middle, margin_first=margin),
             )
-            intervals = TickIntervals(*(torch.cat(part) for part in zip(*halves, strict=True)))
+            intervals = TickIntervals(*map(torch.cat, zip(*halves, strict=True)))
             length = intervals.last - intervals.first
             total = intervals.margin_first + intervals.margin_last
             possible = (length > 1) & (total > -speed[intervals.pair] * length) & ~found[intervals.pair]
             index = torch.nonzero(possible).squeeze(-1)
-            intervals = TickIntervals(*(part[index] for part in intervals))
+            intervals = TickIntervals(*[part[index] for part in intervals])
         return found

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
 import torch
 from tensordict import TensorDictBase
@@ -365,7 +365,11 @@ class LookAhead(StateTable):
         windows, found = windows.put(short, more), found.index_copy(0, short, number)
         none = [] if may_see_nothing else torch.nonzero((found == 0) & (wanted > 0)).squeeze(-1).tolist()
         if none:
-            self._raise_nothing_in_view(kind, [row // self.count for row in none])
+            envs, seconds = list(dict.fromkeys(row // self.count for row in none))[:5], MAX_SEGMENTS * access.segment
+            raise RuntimeError(
+                f"no {kind} comes into view of environments {envs} within {seconds:g} s; {access.kinds[kind].advice}, or build "
+                "the satellite with may_see_nothing=True"
+            )
         return windows, found
 
     def _reveal(self, kind: str, rows: Tensor, time: Tensor, wanted: Tensor, last: Tensor, allowed: Tensor | None) -> None:
@@ -414,14 +418,6 @@ class LookAhead(StateTable):
         """Raise RuntimeError for satellites that may be on no orbit."""
         if self.blind:
             raise RuntimeError("orbit='free' predicts nothing: windows and eclipses need orbit='arc' or orbit='integrated'")
-
-    def _raise_nothing_in_view(self, kind: str, envs: list[int]) -> NoReturn:
-        access: Any = self.access
-        seconds, advice = MAX_SEGMENTS * access.segment, access.kinds[kind].advice
-        raise RuntimeError(
-            f"no {kind} comes into view of environments {list(dict.fromkeys(envs))[:5]} within {seconds:g} s; {advice}, "
-            "or build the satellite with may_see_nothing=True"
-        )
 
 
 def _circling(r_N: Tensor, v_N: Tensor) -> Tensor:

@@ -7,11 +7,10 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
-import torch
 from torch import Tensor
 
 from bsk_torch.codegen.build import entry, load
-from bsk_torch.sim.hooks import check_tensor
+from bsk_torch.sim.access.next_windows import check_times
 
 SOURCE = Path(__file__).with_name("next_eclipses.cpp")
 
@@ -50,9 +49,7 @@ def next_eclipses(
         TypeError: For times that are not float64, or of another shape: kernels read addresses.
     """
     times = {"time": time, "begun": begun, "reached": reached, "sampled": sampled, "known": known}
-    for name, tensor in times.items():
-        if tensor is not None:
-            check_tensor(name, tensor, starts.shape[:1], torch.float64)
+    check_times(starts.shape[:1], times)
     start, end = time.new_empty(2, len(time)).unbind(0)
     late = ctypes.c_int64()
     next_eclipses_kernel()(

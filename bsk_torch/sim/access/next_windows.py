@@ -5,7 +5,7 @@ It is written in C++, not traced: kernels that are traced compute numbers elemen
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 
@@ -32,6 +32,13 @@ def next_windows_kernel() -> Callable[..., None]:
     return entry(load(SOURCE.read_text(), "search for the next windows"), SIGNATURE)
 
 
+def check_times(shape: torch.Size, times: Mapping[str, Tensor | None]) -> None:
+    """Raise TypeError for times of another shape, or that are not float64: kernels read addresses."""
+    for name, tensor in times.items():
+        if tensor is not None and (tensor.shape != shape or tensor.dtype != torch.float64):
+            check_tensor(name, tensor, shape, torch.float64)
+
+
 def next_windows(
     windows: Windows, time: Tensor, until: Tensor, width: int, allowed: Tensor | None, rows: Tensor | None = None
 ) -> tuple[Windows, Tensor]:
@@ -52,21 +59,15 @@ def next_windows(
         TypeError: For times that are not float64, or of another shape than the table's: kernels read addresses.
     """
     shape = windows.close.shape
-    for name, tensor, wanted in (
-        ("windows.open", windows.open, shape),
-        ("windows.close", windows.close, shape),
-        ("time", time, shape[:1]),
-        ("until", until, shape[:1]),
-    ):
-        check_tensor(name, tensor, wanted, torch.float64)
-    table = [part.contiguous() for part in windows]
+    check_times(shape, {"windows.open": windows.open, "windows.close": windows.close})
+    check_times(shape[:1], {"time": time, "until": until})
     n, columns = len(time) if rows is None else len(rows), shape[1]
-    opens, close = (time.new_empty(n, width) for _ in range(2))
+    opens, close = time.new_empty(n, width), time.new_empty(n, width)
     place, number = windows.place.new_empty(n, width), windows.place.new_empty(n)
     places = 0 if allowed is None else allowed.shape[1]
     next_windows_kernel()(
         n, max(1, min(n // ROWS_OF_A_THREAD, torch.get_num_threads())), None if rows is None else rows.contiguous(),
-        columns, *table,
+        columns, windows.open.contiguous(), windows.close.contiguous(), windows.place.contiguous(),
         time.contiguous(), until.contiguous(), None if allowed is None else allowed.contiguous(), places,
         width, is_long(columns, width), ROUNDING,
         opens, close, place, number,

@@ -37,12 +37,9 @@ def tabulate(row: Tensor, time: Tensor, n: int, *others: Tensor) -> tuple[Tensor
     width = max(1, int(counts.max()) if len(row) else 1)
 
     def table(column: Tensor) -> Tensor:
-        empty = torch.full((n, width), _padding(column), dtype=column.dtype, device=row.device)
+        padding = math.inf if column.is_floating_point() else 0
+        empty = torch.full((n, width), padding, dtype=column.dtype, device=row.device)
         empty[sorted_row, rank] = column[order]
         return empty
 
     return tuple(table(column) for column in (time, *others))
-
-
-def _padding(column: Tensor) -> float:
-    return math.inf if column.is_floating_point() else 0

@@ -75,7 +75,7 @@ def relative_geometries(satellite: tuple[Tensor, ...], r_LP_P: Tensor, compiled:
         r, v, c, omega = (Vec3.of(vector.unsqueeze(1)) for vector in satellite)
         values = relative_geometry(r, v, c, omega, Vec3.of(r_LP_P))
         return torch.stack([value.expand(batch) for value in values], -1)
-    own = torch.cat([*(vector.mT.unsqueeze(-1).expand(3, *batch) for vector in satellite), r_LP_P.permute(2, 0, 1)])
+    own = torch.cat([*[vector.mT.unsqueeze(-1).expand(3, *batch) for vector in satellite], r_LP_P.permute(2, 0, 1)])
     written = r_LP_P.new_empty(batch.numel(), 1, GEOMETRY_WIDTH)
     relative_geometry_kernel()(own.flatten(1)[:1], 1, (), own=own.flatten(1), written=written)
     return written.view(*batch, GEOMETRY_WIDTH)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -16,32 +16,12 @@ from bsk_torch.rand import Key, first_key
 from bsk_torch.sim.arguments.initial_orbits import check_orbits
 from bsk_torch.sim.arguments.sources import Answers
 from bsk_torch.sim.arguments.values import Arguments, Overrides, merge
-from bsk_torch.sim.component import Arg, Component
+from bsk_torch.sim.component import Arg, Component, asked
 
 logger = logging.getLogger(__name__)
 
 ArgumentChange = tuple[int, str, Any, Sequence[int] | None]
 """See :meth:`bsk_torch.sim.arguments.values.Arguments.changed`."""
-
-
-class Looked(dict[str, Any]):
-    """Values by name that remember which of them were looked at."""
-
-    def __init__(self, given: Mapping[str, Any]) -> None:
-        """Keep the values."""
-        super().__init__(given)
-        self.seen: set[str] = set()
-
-    def __getitem__(self, name: str) -> Any:
-        """Return a value."""
-        self.seen.add(name)
-        return super().__getitem__(name)
-
-    def get(self, name: str, default: Any = None) -> Any:
-        """Return a value, or the default."""
-        if name in self:
-            self.seen.add(name)
-        return super().get(name, default)
 
 
 class TrialDraw(NamedTuple):
@@ -85,8 +65,8 @@ class TypeArguments:
     lenient: bool = False
     _logged: set[str] = field(default_factory=set)
     """What has been logged about arguments."""
-    _fits: dict[str, Arguments] = field(default_factory=dict)
-    """Arguments known to fit the length of a tick, by slot."""
+    _checked: set[str] = field(default_factory=set)
+    """Slots of the components whose arguments have been checked."""
 
     @property
     def count(self) -> int:
@@ -99,13 +79,9 @@ class TypeArguments:
         self._logged.add(about)
         return new
 
-    def arguments_with(self, name: str) -> Arguments:
-        """Return the arguments, of satellites or world, that have a name."""
-        return self.sat_args if name in self.sat_args.table else self.world_args
-
     def argument(self, name: str) -> Arg:
         """Return the entry of an argument of satellites or world."""
-        return self.arguments_with(name).table[name]
+        return self.sat_args.table[name] if name in self.sat_args.table else self.world_args.table[name]
 
     def draw(
         self,
@@ -126,14 +102,14 @@ class TypeArguments:
             Values of satellites and world by name, [1, ...] or [n * count, ...].
         """
         around, count = self.world_args.draw(key, world, answers), self.count
-        random = (name for name in around if count > 1 and self.world_args.is_random(name))
+        random = self.world_args.random.intersection(around) if count > 1 else ()
         values = {**around, **{name: around[name].repeat_interleave(count, 0) for name in random}}
         values |= self.sat_args.draw(key, None, answers)
         for name, (columns, replaced) in (given or {}).items():
             values[name] = self.sat_args.override(name, values.get(name), columns, replaced)
         if taken := sorted(values.keys() & self.taken):
             raise ValueError(f"the scenario draws {taken}, which are arguments of satellite or world; give them other names")
-        self._check(values, bool(given))
+        self._check(values, given or ())
         return values
 
     def draw_some(self, names: Sequence[str], key: Key) -> dict[str, Any]:
@@ -144,16 +120,39 @@ class TypeArguments:
                 values[name] = self.sat_args.override(name, values[name], columns, replaced)
         return values
 
-    def _check(self, values: dict[str, Any], replaced: bool) -> None:
-        """Check what values mean together; ``replaced``: whether arguments of some satellites are replaced."""
-        for part in self.parts:
-            if (found := part.check(values)) is not None:  # type: ignore[func-returns-value]
+    def _check(self, values: dict[str, Any], replaced: Collection[str]) -> None:
+        """Ask components what values mean together, and for the length of a tick: once where they are constant.
+
+        ``replaced`` are the names of arguments that are replaced of some satellites. Marginal values are logged once for each
+        component.
+        """
+        changing = self.sat_args.random.union(self.world_args.random, replaced)
+        constant = {part.slot for part in self.parts if changing.isdisjoint(part.arguments)}
+        checking = (part for part in self.parts if part.check or part.check_tick)
+        pairs = asked([part for part in checking if part.slot not in constant & self._checked], values)
+        for part, own in pairs:
+            if part.check is not None and (found := part.check(own)) is not None:
                 raise TypeError(
                     f"check(args) of the component in slot {part.slot!r} returns {found!r}; it must raise ValueError for "
                     "arguments that do not fit together, and return None"
                 )
-        self._check_tick(values, replaced)
+        wrong = []
+        for part, own in pairs:
+            if part.check_tick is None or (part.slot == "control" and not self.controlled):
+                continue
+            try:
+                words = part.check_tick(own, self.h_ns * NANO)
+            except ValueError as error:
+                words = str(error)
+                if not self.lenient:
+                    wrong.append(words)
+                    continue
+            if words and self.is_new(part.slot):
+                logger.warning("sat_args: %s", words)
+        if wrong:
+            raise ValueError(f"sat_args: {'; and '.join(wrong)}")
         check_orbits(values, self.orbit)
+        self._checked.update(constant)
 
     def check_per_env(self, env_ids: Tensor) -> None:
         """Check the values of ``rand.per_env`` in all environments, [n] indices in draws, with those of the first for the rest.
@@ -173,32 +172,7 @@ class TypeArguments:
         }
         around = {name: value.repeat_interleave(self.count, 0) for name, value in around.items()}
         mine = {name: value for name, value in (around | own).items() if name not in given}
-        self._check(others | mine, bool(given))
-
-    def _check_tick(self, values: dict[str, Any], replaced: bool) -> None:
-        """Check that arguments fit the length of a tick; marginal values are logged once for each part of a model.
-
-        Parts whose check reads no random argument are checked once, unless arguments of some satellites are ``replaced``.
-        """
-        wrong = []
-        for part in self.parts:
-            known = self._fits.get(part.slot) is self.sat_args and not replaced
-            if known or (part.slot == "control" and not self.controlled):
-                continue
-            looked = Looked(values)
-            try:
-                words = part.check_tick(looked, self.h_ns * NANO)
-            except ValueError as error:
-                if not self.lenient:
-                    wrong.append(str(error))
-                    continue
-                words = str(error)
-            if not replaced and not any(self.arguments_with(name).is_random(name) for name in looked.seen):
-                self._fits[part.slot] = self.sat_args
-            if words and self.is_new(part.slot):
-                logger.warning("sat_args: %s", words)
-        if wrong:
-            raise ValueError(f"sat_args: {'; and '.join(wrong)}")
+        self._check(others | mine, given)
 
     def changed(self, own: Sequence[ArgumentChange], world: Sequence[ArgumentChange]) -> TypeArguments:
         """Return arguments with other values; these remain unchanged. KeyError, ValueError for wrong changes."""
@@ -214,9 +188,9 @@ class TypeArguments:
         parameters = merge(values, self.parts, "prepare")
         uniform = {name for name, value in parameters.items() if len(value) == 1}
         if num_envs * self.count == 1:  # a batch of one shows only so what follows from no random argument
-            random = {name for args in (self.sat_args, self.world_args) for name in args.table if args.is_random(name)}
+            random = self.sat_args.random.union(self.world_args.random, given)
             double = {
-                name: torch.cat([value, value]) if name in {*random, *given} and isinstance(value, Tensor) else value
+                name: torch.cat([value, value]) if name in random and isinstance(value, Tensor) else value
                 for name, value in values.items()
             }
             uniform &= {name for name, value in merge(double, self.parts, "prepare").items() if len(value) == 1}

@@ -24,7 +24,7 @@ from bsk_torch.astro.ephemeris import coverage, parse_utc
 from bsk_torch.codegen.kept import of_package
 from bsk_torch.rand import Distribution, Key, PerEnv, RandomEpoch, seeded
 from bsk_torch.sim.arguments.sources import Answers, Member, in_order, is_function, unknown
-from bsk_torch.sim.component import Arg, Component, Values
+from bsk_torch.sim.component import Arg, Component, Values, asked
 from bsk_torch.sim.names import nearest
 
 Overrides = Mapping[str, tuple[Tensor, Tensor]]
@@ -65,11 +65,6 @@ def _random_epochs(arg: Arg, epochs: RandomEpoch, key: Key) -> Tensor:
     return et if inside else convert(arg, epochs.draw(key), len(key))
 
 
-def has_shape(shape: Sequence[int], dims: Sequence[int | None]) -> bool:
-    """Return whether values of a shape are allowed where ``dims`` are; None there is any size."""
-    return len(shape) == len(dims) and all(size in (None, given) for given, size in zip(shape, dims, strict=True))
-
-
 def _shaped(arg: Arg, values: Tensor, rows: int) -> Tensor:
     values = values.cpu()
     if arg.kind == "matrix" and values.shape[1:] == (3, 3):
@@ -80,7 +75,8 @@ def _shaped(arg: Arg, values: Tensor, rows: int) -> Tensor:
         values = values.reshape(rows, *[1] * len(arg.dims)).expand(rows, *(size or 1 for size in arg.dims))
     if arg.diagonal and values.shape[1:] == arg.dims[:1]:
         values = torch.diag_embed(values)
-    if len(values) != rows or not has_shape(values.shape[1:], arg.dims):
+    fits = values.ndim == 1 + len(arg.dims) and all(map(lambda size, n: n in (None, size), values.shape[1:], arg.dims))
+    if len(values) != rows or not fits:
         sizes = ["any" if size is None else str(size) for size in arg.dims]
         what = f"numbers of shape [{', '.join(sizes)}]" if len(sizes) > 1 or "any" in sizes else f"{(*sizes, 1)[0]} numbers"
         what = what if sizes else "one number"
@@ -136,7 +132,12 @@ def is_fixed(arg: Arg) -> bool:
 
 
 class Arguments:
-    """Arguments of the satellites of one type, or of the world: their table, the given values, and their draws."""
+    """Arguments of the satellites of one type, or of the world: their table, the given values, and their draws.
+
+    Attributes:
+        table: The arguments by name.
+        random: Names of those that may differ between environments: they are drawn for each, or have been changed.
+    """
 
     def __init__(
         self,
@@ -208,8 +209,10 @@ class Arguments:
         return merged
 
     def _look(self) -> None:
-        """Find out which arguments are equal for all satellites, and asked of functions; forget constants."""
+        """Find out which arguments are random, equal for all satellites, and asked of functions; forget constants."""
         self._constants: dict[str, Any] = {}
+        drawn = [{n for n, v in values.items() if isinstance(v, Distribution) or callable(v)} for values in self._given]
+        self.random = frozenset(self._changed.union(*drawn))
         apart = {name for of_envs in self._of_envs for name in of_envs}
         self._asked = [
             in_order(name for name in self.table if any(map(is_function, self._values_of(k, name))))
@@ -217,7 +220,7 @@ class Arguments:
         ]
         apart |= {name for names in self._asked for name in names if not is_fixed(self.table[name])}
         self._alike = {
-            name: name not in apart and all(alike(values[name], self._given[0][name]) for values in self._given)
+            name: name not in apart and all(alike(values[name], self._given[0][name]) for values in self._given[1:])
             for name in self.table
         }
 
@@ -233,11 +236,6 @@ class Arguments:
     def calls_user(self) -> bool:
         """Whether a user function is called for each episode."""
         return any(self._asked)
-
-    def is_random(self, name: str) -> bool:
-        """Return whether the value may differ between environments: it is drawn for each, or has been changed."""
-        values = (values[name] for values in self._given)
-        return name in self._changed or any(isinstance(value, Distribution) or callable(value) for value in values)
 
     # -- changes ------------------------------------------------------------------------------------------------------
 
@@ -389,7 +387,7 @@ class Arguments:
         """Return the values of an argument given for each satellite, [n * S, ...]."""
         if is_fixed(arg):
             raise ValueError(f"{self.title}: {arg.name} must be the same for all satellites of a type")
-        if self.is_random(arg.name):
+        if arg.name in self.random:
             parts = self._each(arg, key, answers)
         elif arg.name in self._constants:
             parts = self._constants[arg.name]
@@ -511,17 +509,19 @@ def _check_stations(stations: Any) -> None:
                 raise ValueError(f"groundStationsData needs {key!r} in degrees within +-{bound:g}; got {station}")
 
 
-def merge(values: Values, components: Iterable[Component], what: str) -> dict[str, Tensor]:
+def merge(values: Values, components: Sequence[Component], what: str) -> dict[str, Tensor]:
     """Return all that the components' functions ``what``, ``initial`` or ``prepare``, compute from the values, by name.
 
+    Fields of the state that no component gives a value are zero.
+
     Raises:
-        TypeError, ValueError: For a user's component whose function does not return a number for each of its fields.
+        TypeError, ValueError: For a user's component whose function returns other names, or no number for a parameter.
     """
     merged: dict[str, Tensor] = {}
     own: dict[str, str] = {}  # slots of users' components by what they have returned
-    for component in components:
+    for component, share in asked([part for part in components if getattr(part, what) is not None], values):
         function = getattr(component, what)
-        found, is_own = function(values), not of_package([function])
+        found, is_own = function(share), not of_package([function])
         if is_own:
             _check_computed(component, what, found, values, merged)
         for name in found.keys() & (merged if is_own else own).keys():
@@ -531,6 +531,9 @@ def merge(values: Values, components: Iterable[Component], what: str) -> dict[st
             )
         own.update(dict.fromkeys(found if is_own else (), component.slot))
         merged.update(found)
+    for field in (field for component in components for field in component.state) if what == "initial" else ():
+        if field.name not in merged:
+            merged[field.name] = torch.zeros(1, field.width, dtype=torch.float64)
     return merged
 
 
@@ -547,7 +550,7 @@ def _check_computed(component: Component, what: str, found: Any, values: Values,
     rows = max((len(value) for value in values.values() if isinstance(value, Tensor)), default=1)
     for name, field in fields.items():
         if name not in found:
-            if name in others:
+            if name in others or what == "initial":
                 continue
             raise ValueError(f"{title} lacks {name!r}, which {entry}= of the component lists")
         value, width = found[name], field.width

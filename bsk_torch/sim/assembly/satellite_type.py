@@ -20,7 +20,7 @@ from torch import Tensor
 from bsk_torch._checks import number
 from bsk_torch.codegen.kept import Kept, of_package
 from bsk_torch.rand import Key
-from bsk_torch.sim.arguments.draws import ArgumentChange, Looked, TrialDraw, TypeArguments
+from bsk_torch.sim.arguments.draws import ArgumentChange, TrialDraw, TypeArguments
 from bsk_torch.sim.arguments.values import Arguments, Overrides, merge
 from bsk_torch.sim.assembly.composition import check_required_dyn, provided_by, world_components, world_of
 from bsk_torch.sim.component import Component, Field, MissingMessageError, declared
@@ -283,9 +283,7 @@ def satellite_type(
     tick = Tick(running, trial.uniform, h_ns, on_arc, *layout)
     return SatelliteType(
         arguments=drawing,
-        structural=frozenset(
-            name for args, given in zip(arguments, looked, strict=True) for name in given.seen if not args.is_random(name)
-        ),
+        structural=frozenset(looked[0].seen - arguments[0].random).union(looked[1].seen - arguments[1].random),
         world_type=world,
         schedule=dyn_type.schedule,
         modes=modes,
@@ -304,6 +302,26 @@ def satellite_type(
         flag_table=torch.tensor(on, device=options.device, dtype=torch.float64),
         resets=_resets(tick, modes, dict(reset for part in known for reset in part.resets), options.device),
     )
+
+
+class Looked(dict[str, Any]):
+    """Values by name that remember which of them were looked at."""
+
+    def __init__(self, given: Mapping[str, Any]) -> None:
+        """Keep the values."""
+        super().__init__(given)
+        self.seen: set[str] = set()
+
+    def __getitem__(self, name: str) -> Any:
+        """Return a value."""
+        self.seen.add(name)
+        return super().__getitem__(name)
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """Return a value, or the default."""
+        if name in self:
+            self.seen.add(name)
+        return super().get(name, default)
 
 
 def whole_nanoseconds(seconds: float) -> int:

@@ -9,6 +9,7 @@ from bsk_torch.sim.arguments.draws import TypeArguments
 from bsk_torch.sim.arguments.initial_orbits import check_orbits
 from bsk_torch.sim.arguments.values import merge
 from bsk_torch.sim.assembly.satellite_type import SatelliteType
+from bsk_torch.sim.component import asked
 from bsk_torch.sim.satellite_state import ArgumentState, SatelliteState
 
 CLOSE = 1e-9
@@ -35,11 +36,12 @@ def check_saved(satellite_type: SatelliteType, saved: SatelliteState, path: str)
             saved.refuse(f"{path}arguments.{name}", value, value != value[:1], "it must be the same in all episodes")
             values[name] = value[:1]
     on_host = {name: value.cpu() for name, value in values.items()} | saved.constants
-    for part in arguments.parts:
-        part.check(on_host)
+    for part, own in asked(arguments.parts, on_host):
+        if part.check is not None:
+            part.check(own)
     check_orbits(on_host, arguments.orbit)
-    own = satellite_type.tick.own.rows(merge(on_host, arguments.parts, "prepare"), saved.rows).to(saved.device).mT
-    wrong = ~torch.isclose(saved.parameters.mT, own, rtol=CLOSE, atol=0.0, equal_nan=True)
+    parameters = satellite_type.tick.own.rows(merge(on_host, arguments.parts, "prepare"), saved.rows).to(saved.device).mT
+    wrong = ~torch.isclose(saved.parameters.mT, parameters, rtol=CLOSE, atol=0.0, equal_nan=True)
     saved.refuse(f"{path}parameters", saved.parameters.mT, wrong, "it does not follow from the arguments of the satellite")
 
 

@@ -88,7 +88,7 @@ DRAG = Component(
     ),
     state=(Field("density", 1, "kg/m^3", "density that acts over the next tick"),),
     params=(Field("facet_areas", 4, "m^2"), Field("facet_offsets", 4, "m"), Field("drag_coefficient", 1, "-")),
-    initial=lambda args: {"density": torch.zeros(1, dtype=torch.float64)},
+    reads=("width", "depth", "height"),
     prepare=_facet_areas,
     integrated_only=True,
     at_start=True,

@@ -35,10 +35,7 @@ IMAGE_EVENT = Component(
         Field("image_level", 1, "bit", "level that an image must exceed", exact=True, limit=DISARMED),
         Field("images", 1, "-", "images taken since reset", exact=True),
     ),
-    initial=lambda args: {
-        "image_level": torch.full((1,), DISARMED, dtype=torch.float64),
-        "images": torch.zeros(1, dtype=torch.float64),
-    },
+    initial=lambda args: {"image_level": torch.full((1,), DISARMED, dtype=torch.float64)},
 )
 
 NO_IMAGE_EVENT = Component(slot="image_event")
@@ -78,10 +75,7 @@ EMPTY_STORE_EVENT = Component(
         Field(DOWNLINK_TICK, 1, "-", "tick from which on an empty store ends the downlink", exact=True, limit=DISARMED),
         Field(EMPTIED, 1, "-", "downlinks since reset that an empty store has ended", exact=True),
     ),
-    initial=lambda args: {
-        DOWNLINK_TICK: torch.full((1,), DISARMED, dtype=torch.float64),
-        EMPTIED: torch.zeros(1, dtype=torch.float64),
-    },
+    initial=lambda args: {DOWNLINK_TICK: torch.full((1,), DISARMED, dtype=torch.float64)},
     resets=((DOWNLINK_TICK, DISARMED),),
 )
 
@@ -122,7 +116,7 @@ def with_failure_event(parts: Iterable[Component]) -> tuple[Component, ...]:
     turns = "Omega_WB_B" in fields
     return (
         *parts,
-        FAILURE if turns else dataclasses.replace(FAILURE, update=notice_empty_battery, params=(), prepare=lambda args: {}),
+        FAILURE if turns else dataclasses.replace(FAILURE, update=notice_empty_battery, params=(), prepare=None),
     )
 
 
@@ -133,6 +127,6 @@ FAILURE = Component(
     stops=True,
     state=(Field(FAILED, 1, "-", "1 after a failure, else 0", exact=True, limit=1.0),),
     params=(Field("fatal_wheel_speed", 1, "rad/s", exact=True),),
-    initial=lambda args: {FAILED: torch.zeros(1, dtype=torch.float64)},
+    reads=("maxWheelSpeed",),
     prepare=lambda args: {"fatal_wheel_speed": args["maxWheelSpeed"] * RPM},
 )

@@ -14,8 +14,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import number
+from bsk_torch._checks import number, vector
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values
+from bsk_torch.sim.dyn.axes import check_axis, unit_rows
 from bsk_torch.vec3 import Mat3, Vec3
 
 SUN_PRESSURE = 1368.0 / 299792458.0 * 149597870700.0**2
@@ -57,13 +58,8 @@ class Facet:
                 f"Facet: diffuseCoeff={self.diffuseCoeff:g} and specularCoeff={self.specularCoeff:g} are shares of the same "
                 "light; their sum must be at most 1"
             )
-        normal, position = (tuple(float(x) for x in vector) for vector in (self.normal, self.position))
-        if len(normal) != 3 or not 0.0 < math.hypot(*normal) < math.inf:
-            raise ValueError(f"Facet: normal={self.normal!r} must be three numbers, not all zero, such as [0, 0, 1]")
-        if len(position) != 3 or not math.isfinite(math.hypot(*position)):
-            raise ValueError(f"Facet: position={self.position!r} must be three numbers, m in B")
-        object.__setattr__(self, "normal", normal)
-        object.__setattr__(self, "position", position)
+        object.__setattr__(self, "normal", vector("Facet: normal", self.normal))
+        object.__setattr__(self, "position", vector("Facet: position", self.position, zero=True))
 
 
 def box_facets(size: Sequence[float], center: Sequence[float] = (0.0, 0.0, 0.0), **coefficients: float) -> list[Facet]:
@@ -136,17 +132,10 @@ def _of_facets(arg: Arg, listed: Sequence[Facet]) -> Arg:
     return replace(arg, default=default, shape=(len(listed), *one), spread=not one)
 
 
-def _check_normals(args: Values) -> None:
-    if bool((args["facetNormals_B"].norm(dim=-1) <= 0.0).any()):
-        raise ValueError("facetNormals_B has a normal of length zero; give three numbers in B, not all zero")
-
-
 def _shape(args: Values) -> dict[str, Tensor]:
-    normals = args["facetNormals_B"]
-    unit = normals / normals.norm(dim=-1, keepdim=True)
     return {
         "facet_area": args["facetAreas"],
-        "facet_normals_B": unit.flatten(-2),
+        "facet_normals_B": unit_rows(args["facetNormals_B"]).flatten(-2),
         "facet_positions_B": args["facetPositions_B"].flatten(-2),
     }
 
@@ -189,7 +178,7 @@ def drag_of_facets(box: Component, listed: tuple[Facet, ...]) -> Component:
         args=tuple(args),
         params=(*_shape_fields(count), Field("facet_drag_coefficient", count, many=True)),
         prepare=lambda args: _shape(args) | {"facet_drag_coefficient": args["dragCoeff"]},
-        check=_check_normals,
+        check=check_axis("facetNormals_B"),
         effector=Effector(force=facet_drag),
     )
 
@@ -228,7 +217,7 @@ def sunlight_on_facets(listed: tuple[Facet, ...]) -> Component:
     count = len(listed)
 
     def check(args: Values) -> None:
-        _check_normals(args)
+        check_axis("facetNormals_B")(args)
         if bool((args["facetDiffuse"] + args["facetSpecular"] > 1.0).any()):
             raise ValueError("facetDiffuse and facetSpecular are shares of the same light; their sum must be at most 1")
 

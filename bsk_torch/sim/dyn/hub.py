@@ -30,6 +30,7 @@ from bsk_torch.sim.dyn.field import called_field, full_field
 from bsk_torch.vec3 import Mat3, Vec3, times
 
 BODY = ("mass", "width", "depth", "height")
+MOTION = ("inertia", *BODY, "omega_init")
 """Arguments that the inertia follows from."""
 
 STABLE_TURN = 2.0 * math.sqrt(2.0)
@@ -186,11 +187,7 @@ def lever(sigma_BN: Vec3, omega_BN_B: Vec3, r_CB_B: Vec3) -> tuple[Vec3, Vec3]:
     return NB @ r_CB_B, NB @ omega_BN_B.cross(r_CB_B)
 
 
-def _prepare_box(args: Values) -> dict[str, Tensor]:
-    return {"inertia_B": body_inertia(args), "mass": args["mass"]}
-
-
-def _prepare_diagonal(args: Values) -> dict[str, Tensor]:
+def _diagonal_inertia(args: Values) -> Tensor:
     tensor = inertia_tensor(args)
     diagonal = tensor.diagonal(dim1=-2, dim2=-1)
     if bool((tensor != torch.diag_embed(diagonal)).any()):
@@ -198,11 +195,7 @@ def _prepare_diagonal(args: Values) -> dict[str, Tensor]:
             f"inertia={shown_tensor(args['inertia'], 0)}: the first satellite of the type has no products of inertia, so none "
             "may have; give the first one products, too"
         )
-    return {"inertia_B": diagonal, "mass": args["mass"]}
-
-
-def _prepare_tensor(args: Values) -> dict[str, Tensor]:
-    return {"inertia_B": args["inertia"], "mass": args["mass"]}
+    return diagonal
 
 
 EffectorStates = list[tuple[Any, ...]]
@@ -442,7 +435,12 @@ def hub(inertia: str, lever: bool) -> Component:
     """
     field = Field("inertia_B", 9, "kg m^2", "inertia of the spacecraft, about its center of mass", matrix=True)
     diagonal = vec("inertia_B", "kg m^2", "principal inertia of the spacecraft, about the body axes")
-    own = {"box": _prepare_box, "diagonal": _prepare_diagonal, "tensor": _prepare_tensor}[inertia]
+    forms = {"box": body_inertia, "diagonal": _diagonal_inertia, "tensor": lambda args: args["inertia"]}
+
+    def prepare(args: Values) -> dict[str, Tensor]:
+        center = {"r_CB_B": args["r_CB_B"]} if lever else {}
+        return {"inertia_B": forms[inertia](args), "mass": args["mass"]} | center
+
     return Component(
         slot="hub",
         update=move,
@@ -459,7 +457,7 @@ def hub(inertia: str, lever: bool) -> Component:
             *((vec("r_CB_B", "m", "center of mass"),) if lever else ()),
         ),
         initial=_initial_of_origin if lever else _initial,
-        prepare=(lambda args: own(args) | {"r_CB_B": args["r_CB_B"]}) if lever else own,
+        prepare=prepare,
         check=_check if lever else _check_no_lever,
         check_tick=_check_spin,
         fit=fitted_hub,

@@ -14,31 +14,13 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import number
+from bsk_torch._checks import number, vector
 from bsk_torch.astro.attitude import mrp_to_dcm
 from bsk_torch.constants import AU, SOLAR_FLUX
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
+from bsk_torch.sim.dyn.axes import AXIS_BOUNDS, check_axis, unit_rows
 from bsk_torch.sim.faults.declared import Fault
 from bsk_torch.vec3 import Vec3
-
-AXIS_BOUNDS = -1e9, 1e9
-"""Bounds of the components of vectors of which only the direction counts."""
-
-
-def unit_rows(vectors: Tensor) -> Tensor:
-    """Return vectors [..., 3] scaled to length one."""
-    return vectors / vectors.norm(dim=-1, keepdim=True)
-
-
-def check_axis(name: str) -> Callable[[Values], None]:
-    """A check that the argument ``name`` has a direction."""
-
-    def check(args: Values) -> None:
-        if bool((args[name].norm(dim=-1) <= 0.0).any()):
-            raise ValueError(f"{name}=[0, 0, 0] has no direction; give a vector in B, such as [0, 0, 1]")
-
-    return check
-
 
 # -- description --------------------------------------------------------------------------------------------------------------
 
@@ -79,13 +61,13 @@ class Panel:
         number("Panel: area", self.area, 0.0, 1e6, unit="m^2")
         number("Panel: efficiency", self.efficiency, 0.0, 1.0)
         number("Panel: angle", self.angle, unit="rad")
-        object.__setattr__(self, "normal", _direction("normal", self.normal))
+        object.__setattr__(self, "normal", vector("Panel: normal", self.normal))
         if self.axis is None:
             for name, default in (("rate", None), ("stops", None), ("angle", 0.0)):
                 if getattr(self, name) != default:
                     raise ValueError(f"Panel: {name}={getattr(self, name)!r} is given without axis; give axis= to turn about")
             return
-        object.__setattr__(self, "axis", _direction("axis", self.axis))
+        object.__setattr__(self, "axis", vector("Panel: axis", self.axis))
         cosine = (
             sum(a * b for a, b in zip(self.axis, self.normal, strict=True)) / math.hypot(*self.axis) / math.hypot(*self.normal)
         )
@@ -116,13 +98,6 @@ class Panel:
 
 Kind = Literal["fixed", "free", "stopped"]
 """Whether a panel is fixed, turns freely, or turns between stops."""
-
-
-def _direction(name: str, value: Sequence[float]) -> Triple:
-    found = tuple(float(x) for x in value)
-    if len(found) != 3 or not 0.0 < math.hypot(*found) < math.inf:
-        raise ValueError(f"Panel: {name}={value!r} must be three numbers, not all zero, such as [0, 0, 1]")
-    return found
 
 
 PANELS_ARG = Arg("panels", None, "-", "solar panels, a list of dyn.Panel; None: one of panelArea with normal nHat_B", "constant")
@@ -383,10 +358,8 @@ def panel_set(listed: tuple[Panel, ...]) -> Component:
 def _check(listed: Sequence[Panel], args: Values) -> None:
     """Check the numbers of panels that were drawn, or given in place of those of the list."""
     check_axis("nHat_B")(args)
-    normals = args["panelNormals_B"]
-    if bool((normals.norm(dim=-1) <= 0.0).any()):
-        raise ValueError("panelNormals_B has a normal of length zero; give three numbers in B, not all zero")
-    cosine = (unit_rows(normals) * _axes(listed)).sum(-1).abs()
+    check_axis("panelNormals_B")(args)
+    cosine = (unit_rows(args["panelNormals_B"]) * _axes(listed)).sum(-1).abs()
     if bool((cosine > SQUARE).any()):
         raise ValueError(
             f"panelNormals_B: the normal of panel {int(cosine.amax(0).argmax())} is not perpendicular to the axis about which it "

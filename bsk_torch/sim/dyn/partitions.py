@@ -189,10 +189,6 @@ def store(bus: Bus) -> None:
 # -- components --------------------------------------------------------------------------------------------------------------
 
 
-def _zeros(*names: str) -> dict[str, Tensor]:
-    return {name: torch.zeros(1, dtype=torch.float64) for name in names}
-
-
 def transmitter(partitions: int) -> Component:
     """Return the transmitter of a store with this many partitions."""
     names = ("packet", "transmitter_time", *(("packet_partition",) if partitions > 1 else ()))
@@ -207,7 +203,6 @@ def transmitter(partitions: int) -> Component:
         update=transmit,
         args=(dataclasses.replace(rate, flown=None), *others),  # what a positive rate does to partitions is not that of Basilisk
         state=tuple(fields[name] for name in names),
-        initial=lambda args: _zeros(*names),
         fit=lambda given: transmitter(len(partition_names(given))),
     )
 
@@ -220,7 +215,7 @@ def partitioned_store(partitions: int, starts_with_data: bool = False) -> Compon
         levels = torch.zeros(len(total), partitions, dtype=torch.float64)
         if starts_with_data:
             levels[:, -1] = total
-        return {"storage": total, "partitions": levels} | (_zeros("data_partition") if partitions > 1 else {})
+        return {"storage": total, "partitions": levels}
 
     task = (Field("data_partition", 1, "-", "partition that the instrument writes to"),) if partitions > 1 else ()
     return dataclasses.replace(

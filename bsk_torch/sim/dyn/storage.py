@@ -130,7 +130,7 @@ TRANSMITTER = Component(
     ),
     state=(Field("packet", 1, "bit", "sent of the packet under way, negative", exact=True), Field("idle", 1, "s", exact=True)),
     params=(Field("transmitter_baud", 1, "bit/s", exact=True), Field("packet_size", 1, "bit", exact=True)),
-    initial=lambda args: {name: torch.zeros(1, dtype=torch.float64) for name in ("packet", "idle")},
+    reads=("instrumentBaudRate", "instruments"),
     prepare=_packet_size,
     flags=("transmitter_on",),
     idle_flags=("transmitter_on",),

@@ -23,9 +23,10 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import number
+from bsk_torch._checks import number, vector
 from bsk_torch.constants import NANO
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values
+from bsk_torch.sim.dyn.axes import check_axis, unit_rows
 from bsk_torch.sim.dyn.hub import given_numbers
 from bsk_torch.sim.faults.declared import may_change
 from bsk_torch.sim.names import nearest
@@ -131,14 +132,9 @@ class Thruster:
         if isinstance(self.thrust, str) and self.thrust not in THRUSTER_TYPES:
             raise ValueError(f"Thruster(thrust={self.thrust!r}) is unknown; {nearest(self.thrust, THRUSTER_TYPES)}")
         thrust = THRUSTER_TYPES[self.thrust] if isinstance(self.thrust, str) else self.thrust
-        position, direction = (tuple(float(x) for x in vector) for vector in (self.position, self.direction))
-        if len(position) != 3 or not math.isfinite(math.hypot(*position)):
-            raise ValueError(f"Thruster: position={self.position!r} must be three numbers, m in B")
-        if len(direction) != 3 or not 0.0 < math.hypot(*direction) < math.inf:
-            raise ValueError(f"Thruster: direction={self.direction!r} must be three numbers, not all zero, such as [0, 0, 1]")
-        found = {"position": position, "direction": direction, "thrust": number("Thruster: thrust", thrust, 0.0, above=True)}
-        for name, value in found.items():
-            object.__setattr__(self, name, value)
+        object.__setattr__(self, "position", vector("Thruster: position", self.position, zero=True))
+        object.__setattr__(self, "direction", vector("Thruster: direction", self.direction))
+        object.__setattr__(self, "thrust", number("Thruster: thrust", thrust, 0.0, above=True))
 
 
 OCTET = tuple(
@@ -177,7 +173,7 @@ def described_thrusters(given: Mapping[str, Any]) -> tuple[Thruster, ...] | None
     """
     listed = given["thrusters"]
     if listed is None:
-        if any(may_change(given, arg.name) for arg in ARGS[1:]):
+        if may_change(given, *(arg.name for arg in ARGS[1:])):
             return OCTET
         for arg in ARGS[1:]:
             if given[arg.name] is not None:
@@ -210,16 +206,14 @@ def _opposite(listed: Sequence[Thruster]) -> bool:
 
 def forces_and_arms(args: Values) -> tuple[Tensor, Tensor]:
     """Return thrusts with their directions, [n or 1, T, 3] N, and torques about B, [n or 1, T, 3] N m, of thrusters in B."""
-    directions = args["thrusterDirections_B"]
-    forces = directions / directions.norm(dim=-1, keepdim=True) * args["thrusterMaxThrust"].unsqueeze(-1)
+    forces = unit_rows(args["thrusterDirections_B"]) * args["thrusterMaxThrust"].unsqueeze(-1)
     places, forces = torch.broadcast_tensors(args["thrusterPositions_B"], forces)
     return forces, torch.linalg.cross(places, forces)
 
 
 def arms_about_center(args: Values) -> Tensor:
     """Return the torque about the center of mass for a force of one, [n or 1, T, 3] m."""
-    directions = args["thrusterDirections_B"]
-    unit = directions / directions.norm(dim=-1, keepdim=True)
+    unit = unit_rows(args["thrusterDirections_B"])
     places, unit = torch.broadcast_tensors(args["thrusterPositions_B"] - args["r_CB_B"].unsqueeze(-2), unit)
     return torch.linalg.cross(places, unit)
 
@@ -236,11 +230,6 @@ def _torque_of_set(bus: Bus, stage: int) -> Vec3 | None:
 def _thrust_of_set(bus: Bus, stage: int) -> tuple[Vec3, Vec3] | None:
     """Return the force of the thrusters that fire, N in B, and its torque about B, N m, in the first stage."""
     return (_fired(bus.pulse, bus.thruster_forces_B), _fired(bus.pulse, bus.thruster_torques_B)) if stage == 0 else None
-
-
-def _check_directions(args: Values) -> None:
-    if bool((args["thrusterDirections_B"].norm(dim=-1) <= 0.0).any()):
-        raise ValueError("thrusterDirections_B has a direction of length zero; give three numbers in B, not all zero")
 
 
 @functools.cache
@@ -268,7 +257,7 @@ def thruster_set(form: ThrusterForm, listed: tuple[Thruster, ...]) -> Component:
         args=(ARGS[0], *(of_set(arg) for arg in ARGS[1:])),
         params=tuple(Field(name, 3 * form.size, vectors=True) for name in vectors),
         prepare=prepare,
-        check=_check_directions,
+        check=check_axis("thrusterDirections_B"),
     )
 
 
@@ -280,7 +269,6 @@ def fitted_thrusters(given: Mapping[str, Any]) -> Component:
 
 def thrusters(count: int, effector: Effector) -> Component:
     """Return the component of ``count`` thrusters, or pairs of them, that fire together; ``effector`` pushes and turns."""
-    names = ("pulse", "pulse_command")
     return Component(
         slot="thrusters",
         update=latch_pulses,
@@ -289,17 +277,13 @@ def thrusters(count: int, effector: Effector) -> Component:
             Field("pulse", count, "-", "thrusters that fire in the first stage of the next tick", many=True),
             Field("pulse_command", count, "-", "full pulses commanded by the flight software in this tick", many=True),
         ),
-        initial=lambda args: {name: torch.zeros(1, count, dtype=torch.float64) for name in names},
         fit=fitted_thrusters,
         effector=effector,
     )
 
 
-def thruster_pairs(pairs: ThrusterPairs) -> Component:
-    """Return the component of pairs of thrusters."""
-    effector = Effector(torque=lambda bus, stage: pairs.torque(bus.pulse) if stage == 0 else None)
-    return thrusters(len(pairs.positions), effector)
-
-
-THRUSTERS = thruster_pairs(EIGHT_THRUSTERS)
+THRUSTERS = thrusters(
+    len(EIGHT_THRUSTERS.positions),
+    Effector(torque=lambda bus, stage: EIGHT_THRUSTERS.torque(bus.pulse) if stage == 0 else None),
+)
 """The eight default thrusters, unless the arguments describe others."""

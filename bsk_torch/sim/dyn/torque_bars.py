@@ -7,7 +7,6 @@ field is that of the position one tick ago, constant over a tick, and turns rela
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,8 +14,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import number
+from bsk_torch._checks import number, vector
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values
+from bsk_torch.sim.dyn.axes import check_axis, unit_rows
 from bsk_torch.vec3 import Mat3, Vec3
 
 MOST_BARS = 36
@@ -41,10 +41,7 @@ class TorqueBar:
     def __post_init__(self) -> None:
         """Check the numbers; the axis becomes a tuple, so that equal bars are equal."""
         number("TorqueBar: maxDipole", self.maxDipole, 0.0, above=True)
-        axis = tuple(float(x) for x in self.axis)
-        if len(axis) != 3 or not 0.0 < math.hypot(*axis) < math.inf:
-            raise ValueError(f"TorqueBar: axis={self.axis!r} must be three numbers, not all zero, such as [0, 0, 1]")
-        object.__setattr__(self, "axis", axis)
+        object.__setattr__(self, "axis", vector("TorqueBar: axis", self.axis))
 
 
 ARGS = (
@@ -71,8 +68,7 @@ def described_bars(given: Mapping[str, Any]) -> tuple[TorqueBar, ...]:
 
 def unit_bars(args: Values) -> Tensor:
     """Return the directions of the dipoles, [n or 1, T, 3], of length one."""
-    axes: Tensor = args["barAxes_B"]
-    return axes / axes.norm(dim=-1, keepdim=True)
+    return unit_rows(args["barAxes_B"])
 
 
 def magnetic_torque(bus: Bus, BN: Mat3, r_BN_N: Vec3) -> tuple[None, Vec3]:
@@ -87,11 +83,6 @@ def magnetic_torque(bus: Bus, BN: Mat3, r_BN_N: Vec3) -> tuple[None, Vec3]:
     return None, dipole.cross(BN @ bus.magnetic_field_N)
 
 
-def _check_axes(args: Values) -> None:
-    if bool((args["barAxes_B"].norm(dim=-1) <= 0.0).any()):
-        raise ValueError("barAxes_B has an axis of length zero; give three numbers in B, not all zero")
-
-
 @functools.cache
 def bar_set(listed: tuple[TorqueBar, ...]) -> Component:
     """Return the component of torque bars; ``listed`` are the defaults of its arguments."""
@@ -104,9 +95,8 @@ def bar_set(listed: tuple[TorqueBar, ...]) -> Component:
         args=(ARGS[0], axes, dipoles),
         state=(Field("bar_command", count, "A m^2", "dipoles of the bars, of the flight software or a user", many=True),),
         params=(Field("bar_axes_B", 3 * count, vectors=True), Field("bar_max_dipole", count, "A m^2", many=True)),
-        initial=lambda args: {"bar_command": torch.zeros(1, count, dtype=torch.float64)},
         prepare=lambda args: {"bar_axes_B": unit_bars(args).flatten(-2), "bar_max_dipole": args["barMaxDipoles"]},
-        check=_check_axes,
+        check=check_axis("barAxes_B"),
         effector=Effector(ambient=magnetic_torque),
     )
 

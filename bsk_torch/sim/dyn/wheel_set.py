@@ -18,8 +18,17 @@ from torch import Tensor
 from bsk_torch.constants import RPM
 from bsk_torch.rand import Uniform
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values
+from bsk_torch.sim.dyn.axes import check_axis, unit_rows
 from bsk_torch.sim.dyn.friction import friction_torques
-from bsk_torch.sim.dyn.hub import body_inertia, body_momentum, check_turn, described_body, given_numbers, inertia_tensor
+from bsk_torch.sim.dyn.hub import (
+    MOTION,
+    body_inertia,
+    body_momentum,
+    check_turn,
+    described_body,
+    given_numbers,
+    inertia_tensor,
+)
 from bsk_torch.sim.dyn.wheel_types import TRIAD, Wheel
 from bsk_torch.sim.faults.declared import may_change
 from bsk_torch.vec3 import Mat3, Vec3
@@ -95,7 +104,7 @@ def described_wheels(given: Mapping[str, Any]) -> tuple[Wheel, ...] | None:
     wheels = given["wheels"]
     if wheels is None:
         described = any(given[arg.name] is not None for arg in NUMBERS) or given.get("rwAvailable") is not None
-        return TRIAD if described or any(may_change(given, name) for name in EACH) else None
+        return TRIAD if described or may_change(given, *EACH) else None
     if not isinstance(wheels, Sequence) or not all(isinstance(wheel, Wheel) for wheel in wheels):
         raise ValueError(f"sat_args: wheels={wheels!r} must be a list of wheels, such as [dyn.Wheel('BCT_RWP015', [1, 0, 0])]")
     if len(wheels) > MOST_WHEELS:
@@ -239,25 +248,21 @@ def latch(form: WheelForm) -> Callable[[Bus], None]:
 
 def unit_axes(args: Values) -> Tensor:
     """Return the axes of the wheels, [n or 1, N, 3], of length one."""
-    axes: Tensor = args["rwAxes_B"]
-    return axes / axes.norm(dim=-1, keepdim=True)
-
-
-def spinning_inertia(args: Values) -> Tensor:
-    """Return the inertia [n or 1, 3, 3], kg m^2, that does not turn with the hub: ``sum_i J_i g_i g_i^T``."""
-    axes = unit_axes(args)
-    return (axes.mT * args["rwJs"].unsqueeze(-2)) @ axes
+    return unit_rows(args["rwAxes_B"])
 
 
 def free_tensor_moments(args: Values) -> Tensor:
-    """Return the principal moments [n or 1, 3], kg m^2, of the body without the spin of its wheels, in ascending order."""
-    return torch.linalg.eigvalsh(inertia_tensor(args) - spinning_inertia(args))
+    """Return the principal moments [n or 1, 3], kg m^2, of ``I - sum_i J_i g_i g_i^T``, in ascending order.
+
+    This is the inertia of the body without the spin of its wheels, of inertia J_i about axes g_i.
+    """
+    axes = unit_axes(args)
+    return torch.linalg.eigvalsh(inertia_tensor(args) - (axes.mT * args["rwJs"].unsqueeze(-2)) @ axes)
 
 
 def _initial(form: WheelForm, args: Values) -> dict[str, Tensor]:
-    count = len(form.axes)
-    zero, speeds = torch.zeros(1, count, dtype=torch.float64), args["wheelSpeeds"] * RPM
-    state = {"Omega_WB_B": speeds, "motor_torque_B": zero, "motor_torque_command_B": zero}
+    speeds = args["wheelSpeeds"] * RPM
+    state = {"Omega_WB_B": speeds}
     if form.stribeck:  # Basilisk evaluates its equations once before the first tick
         started = (speeds.abs() < 1e-5) & (args["rwBetaStatic"] > 0.0)
         state |= {"wheel_speed_before": speeds, "wheel_started": started.to(torch.float64)}
@@ -294,8 +299,7 @@ def _prepare(form: WheelForm, args: Values) -> dict[str, Tensor]:
 
 def _check(form: WheelForm, args: Values) -> None:
     axes = args["rwAxes_B"]
-    if bool((axes.norm(dim=-1) <= 0.0).any()):
-        raise ValueError(f"rwAxes_B={axes[0].tolist()}: every axis needs a direction; give three numbers in B, not all zero")
+    check_axis("rwAxes_B")(args)
     if bool((args["rwBetaStatic"] == 0.0).any()):
         raise ValueError("rwBetaStatic=0 is not allowed: give the speed, rad/s, at which static friction decays, or -1 for none")
     for k, axis in enumerate(form.axes):
@@ -363,6 +367,7 @@ def wheel_set(form: WheelForm, wheels: tuple[Wheel, ...]) -> Component:
             *(Field(name, count, many=True) for name in parameters_of(form)),
             Field("wheel_axes_B", 3 * count, vectors=True),
         ),
+        reads=MOTION,
         initial=functools.partial(_initial, form),
         prepare=functools.partial(_prepare, form),
         check=functools.partial(_check, form),

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
-from bsk_torch._checks import number
+from bsk_torch._checks import number, vector
 from bsk_torch.constants import RPM
 from bsk_torch.sim.names import nearest
 
@@ -95,10 +95,7 @@ class Wheel:
             if field.name not in ("type", "axis") and value is not None and not isinstance(value, bool):
                 title, lowest = f"Wheel({self.type!r}): {field.name}", 0.0 if field.name in POSITIVE else -math.inf
                 number(title, value, lowest, above=field.name in POSITIVE)
-        axis = tuple(float(x) for x in self.axis)
-        if len(axis) != 3 or not 0.0 < math.hypot(*axis) < math.inf:
-            raise ValueError(f"Wheel({self.type!r}): axis={list(axis)} must be three numbers, not all zero, such as [1, 1, 0.8]")
-        object.__setattr__(self, "axis", axis)
+        object.__setattr__(self, "axis", vector(f"Wheel({self.type!r}): axis", self.axis))
         for name in ("Js", "Omega_max", "u_max"):
             if self._known(name) is None and not (name == "u_max" and not self.useMaxTorque):
                 needed = "maxMomentum or Js" if name == "Js" else name

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from bsk_torch.constants import RPM
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values, vec
-from bsk_torch.sim.dyn.hub import body_inertia, body_momentum, check_turn, described_body
+from bsk_torch.sim.dyn.hub import MOTION, body_inertia, body_momentum, check_turn, described_body
 from bsk_torch.sim.dyn.power import power_arg
 from bsk_torch.sim.dyn.wheel_set import ARGS, described_wheels, free_tensor_moments, wheel_form, wheel_set
 from bsk_torch.vec3 import Vec3
@@ -29,11 +29,6 @@ MAX_SPEED = 6000.0 * RPM
 
 SPIN_INERTIA = 50.0 / MAX_SPEED
 """Wheel inertia about its axis, kg m^2 (Honeywell HR16, 50 N m s)."""
-
-
-def _initial(args: Values) -> dict[str, Tensor]:
-    zero = torch.zeros(1, 3, dtype=torch.float64)
-    return {"Omega_WB_B": args["wheelSpeeds"] * RPM, "motor_torque_B": zero, "motor_torque_command_B": zero}
 
 
 def latch_motor_torque(bus: Bus) -> None:
@@ -145,7 +140,8 @@ WHEELS = Component(
         vec("motor_torque_command_B", "N m", "torques commanded by the flight software"),
     ),
     params=(Field("max_motor_torque", 1, "N m"),),
-    initial=_initial,
+    reads=MOTION,
+    initial=lambda args: {"Omega_WB_B": args["wheelSpeeds"] * RPM},
     prepare=lambda args: {"max_motor_torque": args["u_max"]},
     check=_check_inertia,
     check_tick=_check_spin,

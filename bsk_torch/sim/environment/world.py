@@ -133,7 +133,6 @@ def ground_stations(count: int) -> Component:
         args=STATION_ARGS,
         state=(Field("station_access", 1, "-", "whether any station sees the spacecraft"),),
         params=tuple(Field(name, width, many=True, exact=True) for name, width in widths.items()),
-        initial=lambda args: {"station_access": torch.zeros(1, dtype=torch.float64)},
         overwrites=(("station_access", "it follows from orbit and stations"),),
         prepare=station_arrays,
         places=station_places,
@@ -208,7 +207,6 @@ MAGNETIC_FIELD = Component(
     args=MAGNETIC_ARGS,
     state=(vec("magnetic_field_N", "T", "magnetic field at the position of one tick ago"),),
     params=(vec("magnetic_dipole_P", "T", exact=True), Field("magnetic_radius", 1, "m", exact=True)),
-    initial=lambda args: {"magnetic_field_N": torch.zeros(1, 3, dtype=torch.float64)},
     overwrites=(("magnetic_field_N", "it follows from the orbit"),),
     prepare=_dipole,
 )

@@ -58,9 +58,10 @@ def _drawn_again(fault: Fault, values: Values, now: Tensor, h_ns: int, key: Key,
         happens = torch.where(comes[episodes].unsqueeze(1), begins, begins + drawn[lasts]) if lasts else begins
         fits = ticks_of(happens, h_ns) > now[episodes].unsqueeze(1)
         taken, first = fits.any(1) & waits[episodes], fits.long().argmax(1)
+        episode, satellite = torch.arange(len(episodes)).unsqueeze(1), torch.arange(now.shape[1])
         for name in names:
             where = taken & (open_ if name == lasts else comes)[episodes]
-            old, new = found[name][episodes], _of_candidate(drawn[name], first)
+            old, new = found[name][episodes], drawn[name][episode, first, satellite]
             found[name][episodes] = torch.where(where.view(*where.shape, *[1] * (new.ndim - 2)), new, old)
         waits = waits.index_copy(0, episodes, waits[episodes] & ~taken)
     return {name: value.flatten(0, 1) for name, value in found.items()}
@@ -73,9 +74,3 @@ def _candidates(names: Sequence[str], episodes: Tensor, several: int, count: int
     drawn = draw(names, dataclasses.replace(each, episode=each.episode + (number << 32)))
     shape = len(episodes), several, count
     return {name: drawn[name].expand(len(each) * count, *drawn[name].shape[1:]).unflatten(0, shape) for name in names}
-
-
-def _of_candidate(drawn: Tensor, which: Tensor) -> Tensor:
-    """Return what the candidate ``which`` [e, S] has of ``drawn`` [e, c, S, ...], [e, S, ...]."""
-    e, _, s = drawn.shape[:3]
-    return drawn[torch.arange(e).unsqueeze(1), which, torch.arange(s)]

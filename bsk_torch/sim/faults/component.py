@@ -20,7 +20,7 @@ from torch import Tensor
 
 from bsk_torch.sim.arguments.sources import hint
 from bsk_torch.sim.arguments.values import is_fixed
-from bsk_torch.sim.component import Arg, Bus, Component, Field, Layout, Values
+from bsk_torch.sim.component import Arg, Bus, Component, Field, Layout, Values, asked
 from bsk_torch.sim.faults.declared import CHANGING, NEVER, Fault, ticks_of
 from bsk_torch.sim.names import check_unique
 
@@ -164,7 +164,8 @@ def _changed(faults: Sequence[Fault], numbers: Iterable[int], active: Mapping[in
 
 def _parameters(part: Component, values: Values) -> dict[str, Tensor]:
     """Return the parameters of a part, [n or 1, width] each."""
-    found = part.prepare(values)
+    [(_, own)] = asked([part], values)
+    found = part.prepare(own)  # type: ignore[misc]
     return {field.name: found[field.name].reshape(-1, field.width) for field in part.params}
 
 
@@ -267,7 +268,9 @@ def planned(parts: Sequence[Component], faults: tuple[Fault, ...], values: Value
     homes: dict[str, Component] = {}
     others = [part for part in parts if part.slot != SLOT and part.params]
     for k, fault in enumerate(faults):
-        _check_changes(fault, values)
+        for name in fault.arguments:
+            if not isinstance(values[name], Tensor):
+                raise ValueError(f"fault {fault.name!r} changes {name}={values[name]!r}; give it a number in sat_args")
         found = [(part, *plane) for part in others for plane in _touched(part, faults, k, values)]
         if not found:
             where = f" in {list(fault.slots)}" if fault.slots is not None else ""
@@ -295,12 +298,6 @@ def planned(parts: Sequence[Component], faults: tuple[Fault, ...], values: Value
     return tuple(_acting(part, plan) if part.slot == SLOT else part for part in parts)
 
 
-def _check_changes(fault: Fault, values: Values) -> None:
-    for name in fault.arguments:
-        if not isinstance(values[name], Tensor):
-            raise ValueError(f"fault {fault.name!r} changes {name}={values[name]!r}; give it a number in sat_args")
-
-
 def _touched(part: Component, faults: Sequence[Fault], k: int, values: Values) -> list[tuple[Field, int]]:
     """Return the planes of the parameters of a part that a fault changes: with its value, or with others."""
     fault = faults[k]
@@ -326,8 +323,10 @@ def _acting(part: Component, plan: Plan) -> Component:
         params.append(Field(f"fault_values_{g}", group.events * len(group.planes), many=True, exact=group.exact))
         if group.grows:
             params.append(Field(f"fault_growth_{g}", group.events, "-", many=True, exact=True))
+    changed = (name for fault in plan.faults for name in fault.arguments)
+    reads = (*changed, *(name for members in plan.parts for member in members for name in member.arguments))
     return dataclasses.replace(
-        part, update=fault_update(plan.groups), params=tuple(params), prepare=plan.prepare, check=plan.check
+        part, update=fault_update(plan.groups), params=tuple(params), reads=reads, prepare=plan.prepare, check=plan.check
     )
 
 

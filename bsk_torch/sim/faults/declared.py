@@ -70,9 +70,9 @@ class Changing(Distribution):
 CHANGING = Changing()
 
 
-def may_change(given: Mapping[str, Any], name: str) -> bool:
-    """Return whether a fault may change an argument; its value is not looked at, so it does not become structural."""
-    return any(key == name and value is CHANGING for key, value in given.items())
+def may_change(given: Mapping[str, Any], *names: str) -> bool:
+    """Return whether a fault may change one of the arguments; values are not looked at, so they do not become structural."""
+    return any(value is CHANGING for key, value in given.items() if key in names)
 
 
 @dataclass(frozen=True)

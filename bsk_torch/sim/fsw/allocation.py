@@ -148,9 +148,10 @@ def wheel_allocation(count: int, null_motion: bool, some: bool) -> Component:
         after="control",
         args=tuple(args),
         params=tuple(params),
+        reads=("rwAxes_B", "rwJs"),
         prepare=prepare,
         check=check_axes,
-        check_tick=_check_null_motion if null_motion else lambda args, h: None,
+        check_tick=_check_null_motion if null_motion else None,
         allocation=Allocation(("motor_torque_command_B",), functools.partial(distribute, null_motion=null_motion)),
     )
 

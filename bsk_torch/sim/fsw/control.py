@@ -13,7 +13,7 @@ from torch import Tensor
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
 from bsk_torch.sim.dyn.hub import body_inertia
 from bsk_torch.sim.fsw.allocation import commands_for, write_commands
-from bsk_torch.sim.fsw.stability import Law, check_gains, has_wheels, in_words
+from bsk_torch.sim.fsw.stability import LOOP, Law, check_gains, has_wheels, in_words
 from bsk_torch.vec3 import Vec3, select, times
 
 
@@ -85,7 +85,7 @@ def check_control_axes(args: Values) -> None:
 
 def initial_control(args: Values) -> dict[str, Tensor]:
     """Return the state of a controller that has never been called."""
-    return {"control_integral_B": torch.zeros(1, 3, dtype=torch.float64), "control_idle": -torch.ones(1, dtype=torch.float64)}
+    return {"control_idle": -torch.ones(1, dtype=torch.float64)}
 
 
 def feedback_law(args: Values, h: float) -> Law:
@@ -126,14 +126,12 @@ def with_given_terms(law: Component, given: Mapping[str, Any]) -> Component:
 
 @functools.cache
 def _with_terms(law: Component, limited: bool, known: bool) -> Component:
-    params = [Field("integral_limit")] if limited else []
-    params += [vec("known_torque_B", "N m")] if known else []
-    names = [("integral_limit", "integralLimit")] * limited + [("known_torque_B", "knownTorquePntB_B")] * known
-
-    def prepare(args: Values) -> dict[str, Tensor]:
-        return law.prepare(args) | {name: args[argument] for name, argument in names}
-
-    return dataclasses.replace(law, params=(*law.params, *params), prepare=prepare) if params else law
+    if limited:
+        law = law.extended(params=(Field("integral_limit"),), prepare=lambda args: {"integral_limit": args["integralLimit"]})
+    if known:
+        torque = vec("known_torque_B", "N m")
+        law = law.extended(params=(torque,), prepare=lambda args: {"known_torque_B": args["knownTorquePntB_B"]})
+    return law
 
 
 def fitted_feedback(given: Mapping[str, Any]) -> Component:
@@ -160,6 +158,7 @@ MRP_FEEDBACK = Component(
         *LAW_ARGS,
     ),
     state=CONTROL_STATE,
+    reads=LOOP,
     params=(Field("K"), Field("Ki"), Field("P")),
     initial=initial_control,
     prepare=lambda args: {name: args[name] for name in ("K", "Ki", "P")},

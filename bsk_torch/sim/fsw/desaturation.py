@@ -142,7 +142,6 @@ def desaturation(count: int, rows: Rows, thrusts: Callable[[Bus], Sequence[Any]]
         rows: See :func:`impulses`.
         thrusts: Returns the thrust of each thruster, N.
     """
-    widths = {"dump_momentum_B": 3, "dump_remaining": count, "dump_counter": 1, "dump_calls": 1}
 
     @functools.wraps(dump_momentum)
     def update(bus: Bus) -> None:
@@ -159,7 +158,6 @@ def desaturation(count: int, rows: Rows, thrusts: Callable[[Bus], Sequence[Any]]
             Field("dump_calls", 1, "-", "ticks since the mode was entered"),
         ),
         params=(Field("momentum_to_keep", 1, "N m s"), Field("dump_wait"), Field("shortest_pulse", 1, "s")),
-        initial=lambda args: {name: torch.zeros(1, width, dtype=torch.float64) for name, width in widths.items()},
         prepare=_prepare,
         check=_check,
         fit=fitted_desaturation,
@@ -226,7 +224,8 @@ def set_desaturation(count: int) -> Component:
     """Return the component that dumps momentum by ``count`` thrusters of any places and directions."""
     part = desaturation(count, lambda bus: bus.impulse_map, lambda bus: bus.thruster_thrust)
     params = (*part.params, Field("impulse_map", 3 * count, vectors=True), Field("thruster_thrust", count, "N", many=True))
-    return replace(part, params=params, prepare=_prepare_set, check=_check_set, check_tick=_check_set_in_tick)
+    reads = ("thrusterPositions_B", "thrusterDirections_B", "thrusterMaxThrust", "r_CB_B", "rwJs", "rwOmegaMax")
+    return replace(part, params=params, reads=reads, prepare=_prepare_set, check=_check_set, check_tick=_check_set_in_tick)
 
 
 def fitted_desaturation(given: Mapping[str, Any]) -> Component:

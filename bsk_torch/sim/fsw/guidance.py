@@ -18,8 +18,8 @@ from torch import Tensor
 from bsk_torch.astro.attitude import dcm_to_mrp, mrp_rate_to_omega, mrp_subtract, mrp_to_dcm
 from bsk_torch.astro.orbit import hill_frame
 from bsk_torch.sim.component import Arg, Bus, Component, Field, vec
+from bsk_torch.sim.dyn.axes import AXIS_BOUNDS, check_axis, unit_rows
 from bsk_torch.sim.dyn.navigation import navigated
-from bsk_torch.sim.dyn.panels import AXIS_BOUNDS, check_axis, unit_rows
 from bsk_torch.sim.faults.declared import may_change
 from bsk_torch.vec3 import Mat3, Vec3, only, select
 
@@ -147,10 +147,6 @@ def _memory(task: str) -> tuple[Field, ...]:
     return vec(f"{task}_sigma_BR", "-", "attitude error of the last tick"), Field(f"{task}_fresh", 1, "-", "1 after a reset")
 
 
-def _forget(task: str) -> dict[str, Tensor]:
-    return {f"{task}_sigma_BR": torch.zeros(1, 3, dtype=torch.float64), f"{task}_fresh": torch.ones(1, dtype=torch.float64)}
-
-
 # modes that can be added to any flight software, such as hold_inertial, ask for attitude control, where there is a law and where
 # there is none
 NAVIGATION = Component(slot="navigation", update=navigate, flags=("control_on",))
@@ -168,7 +164,7 @@ SUN_POINTING = Component(
     slot="sun_pointing",
     update=point_at_sun,
     state=_memory("sun"),
-    initial=lambda args: _forget("sun"),
+    initial=lambda args: {"sun_fresh": torch.ones(1, dtype=torch.float64)},
     flags=("sun_on",),
     fit=fitted_sun_pointing,
 )
@@ -177,6 +173,7 @@ AXIS_TO_SUN = dataclasses.replace(
     SUN_POINTING,
     update=point_axis_at_sun,
     params=(vec("sun_axis_B"),),
+    reads=("nHat_B",),
     prepare=lambda args: {"sun_axis_B": unit_rows(args["nHat_B"])},
 )
 """Points the axis that the flight software knows: of several panels, or of one that a fault may turn."""
@@ -200,7 +197,7 @@ LOCATION_POINTING = Component(
     args=(INSTRUMENT_AXIS,),
     state=_memory("location"),
     params=(vec("instrument_axis_B"),),
-    initial=lambda args: _forget("location"),
+    initial=lambda args: {"location_fresh": torch.ones(1, dtype=torch.float64)},
     prepare=lambda args: {"instrument_axis_B": unit_rows(args["inst_pHat_B"])},
     check=check_axis("inst_pHat_B"),
     flags=("location_on",),

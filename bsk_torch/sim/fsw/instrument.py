@@ -47,7 +47,6 @@ SCANNING_CONTROLLER = Component(
     ),
     state=(Field("instrument_command", 1, "-", "command to the instrument, 0 or 1"),),
     params=(Field("attitude_tolerance"), Field("rate_tolerance", 1, "rad/s")),
-    initial=lambda args: {"instrument_command": torch.zeros(1, dtype=torch.float64)},
     prepare=lambda args: {
         "attitude_tolerance": args["imageAttErrorRequirement"],
         "rate_tolerance": args["imageRateErrorRequirement"],
@@ -62,5 +61,4 @@ IMAGE_CONTROLLER = dataclasses.replace(
     SCANNING_CONTROLLER,
     update=command_image,
     state=(*SCANNING_CONTROLLER.state, Field("image_taken", 1, "-", "1 after the image of a task, else 0")),
-    initial=lambda args: {name: torch.zeros(1, dtype=torch.float64) for name in ("instrument_command", "image_taken")},
 )

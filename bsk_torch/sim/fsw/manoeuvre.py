@@ -45,11 +45,7 @@ TANK = Component(
         Field("thrust_count", 1, "-", "maneuvers since reset", exact=True),
         vec("delta_v_N", "m/s", "change of velocity with which the next tick begins", exact=True),
     ),
-    initial=lambda args: {
-        "dv_available": args["dv_available_init"],
-        "thrust_count": torch.zeros(1, dtype=torch.float64),
-        "delta_v_N": torch.zeros(1, 3, dtype=torch.float64),
-    },
+    initial=lambda args: {"dv_available": args["dv_available_init"]},
 )
 """The tank of :class:`~bsk_torch.sim.fsw.models.MagicOrbitalManeuverFSWModel`."""
 

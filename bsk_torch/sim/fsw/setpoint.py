@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import torch
-
 from bsk_torch.astro.attitude import mrp_subtract
 from bsk_torch.sim.component import Bus, Component, vec
 from bsk_torch.sim.dyn.navigation import navigated
@@ -33,7 +31,6 @@ ATTITUDE_SETPOINT = Component(
     after="navigation",
     update=hold,
     state=(vec("sigma_RN", "-", "set-point, MRP; zero from every command until an action sets it"),),
-    initial=lambda args: {"sigma_RN": torch.zeros(1, 3, dtype=torch.float64)},
     resets=(("sigma_RN", 0.0),),
 )
 

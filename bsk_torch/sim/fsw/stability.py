@@ -183,6 +183,10 @@ def in_words(args: Values, *names: str) -> str:
     )
 
 
+LOOP = ("inertia", *BODY, "u_max", "rwJs", "rwOmegaMax", "rwAxes_B")
+"""Arguments of body and wheels that :func:`check_gains` reads."""
+
+
 def has_wheels(args: Values) -> bool:
     """Return whether the arguments are those of a body with wheels."""
     return all(name in args for name in (*BODY, "u_max"))

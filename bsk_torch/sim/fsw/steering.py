@@ -26,7 +26,7 @@ from bsk_torch.sim.fsw.control import (
     initial_control,
     with_given_terms,
 )
-from bsk_torch.sim.fsw.stability import Law, check_gains, has_wheels, in_words
+from bsk_torch.sim.fsw.stability import LOOP, Law, check_gains, has_wheels, in_words
 from bsk_torch.vec3 import Vec3, only, select, times
 
 
@@ -129,6 +129,7 @@ MRP_STEERING = Component(
         *LAW_ARGS,
     ),
     state=CONTROL_STATE,
+    reads=LOOP,
     params=tuple(Field(name) for name in GAINS),
     initial=initial_control,
     prepare=lambda args: {name: args[name] for name in GAINS},

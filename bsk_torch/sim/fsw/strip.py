@@ -16,7 +16,7 @@ from bsk_torch.sim.fsw.guidance import guided_angle
 from bsk_torch.sim.fsw.instrument import SCANNING_CONTROLLER
 from bsk_torch.sim.fsw.models import ImagingFSWModel
 from bsk_torch.sim.fsw.modes import Mode
-from bsk_torch.sim.fsw.target import IMAGE_TARGET, SUN_LIMITS, aim_at_place, lit_target
+from bsk_torch.sim.fsw.target import IMAGE_TARGET, SUN_LIMITS, aim_at_place, first_place, lit_target
 from bsk_torch.sim.instruments import differs
 from bsk_torch.sim.readout.observables import Now, observable
 from bsk_torch.vec3 import select
@@ -56,7 +56,7 @@ def aim_at_strip(minimum: bool, maximum: bool) -> Callable[[Bus], None]:
 
 def _first_strip(args: Values) -> dict[str, Tensor]:
     """Return a strip without a length or a speed at the first place."""
-    first = IMAGE_TARGET.initial(args)
+    first = first_place(args)
     middle, none = first["r_LP_P"], torch.zeros(1, dtype=torch.float64)
     along = middle.roll(1, -1)
     return first | dict(strip_middle=middle, strip_along=along, strip_angle=none, strip_half=none, strip_rate=none)

@@ -83,9 +83,15 @@ def _check_elevation(args: Values) -> None:
         raise ValueError(f"imageTargetMinimumElevation={value:g} rad must lie in [0, pi/2){hint}")
 
 
-def _first_place(args: Values) -> dict[str, Tensor]:
+def first_place(args: Values) -> dict[str, Tensor]:
+    """Return a place for guidance until an action chooses one."""
     height = args["groundLocationPlanetRadius"] + FIRST_ALTITUDE
     return {"r_LP_P": torch.stack([height, torch.zeros_like(height), torch.zeros_like(height)], -1)}
+
+
+def _limits(args: Values) -> dict[str, Tensor]:
+    elevation = args["imageTargetMinimumElevation"]
+    return {"target_range": args["imageTargetMaximumRange"], "target_sin2_elevation": elevation.sin() ** 2}
 
 
 MAXIMUM_RANGE = Arg("imageTargetMaximumRange", -1.0, "m", "longest range to the target; no limit where negative", endless=True)
@@ -119,7 +125,7 @@ def lit_target(minimum: bool, maximum: bool) -> Component:
     limits = {parameter: arg for parameter, arg, has in pairs if has}
 
     def prepare(args: Values) -> dict[str, Tensor]:
-        return IMAGE_TARGET.prepare(args) | {parameter: _sine(args, arg) for parameter, arg in limits.items()}
+        return _limits(args) | {parameter: _sine(args, arg) for parameter, arg in limits.items()}
 
     def check(args: Values) -> None:
         _check_elevation(args)
@@ -160,11 +166,8 @@ IMAGE_TARGET = Component(
     ),
     state=(vec("r_LP_P", "m", "place that the agent has chosen, Earth-fixed", exact=True),),
     params=(Field("target_range", 1, "m", exact=True), Field("target_sin2_elevation", 1, "-", exact=True)),
-    initial=_first_place,
-    prepare=lambda args: {
-        "target_range": args["imageTargetMaximumRange"],
-        "target_sin2_elevation": args["imageTargetMinimumElevation"].sin() ** 2,
-    },
+    initial=first_place,
+    prepare=_limits,
     check=_check_elevation,
     fit=fitted_target,
 )

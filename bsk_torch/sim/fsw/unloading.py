@@ -70,6 +70,7 @@ def unloading(count: int) -> Component:
         update=unload,
         args=ARGS,
         params=(Field("bar_gain", 1, "1/s"), Field("bar_map", 3 * count, vectors=True)),
+        reads=("barAxes_B",),
         prepare=_prepare,
         check_tick=_check_gain,
     )

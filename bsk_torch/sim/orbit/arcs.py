@@ -133,11 +133,9 @@ class Arcs(StateTable):
 
     def tracks(self, tracks: Sequence[Track]) -> tuple[Samples, ...]:
         """Return the samples of the tracks of a tick."""
-        samples = {
-            EPHEMERIS_TRACK.name: self.ephemeris_samples,
-            ARC.name: Samples(self.flown, self.start - LEAD_NODES * NODE_SPACING),
-        }
-        return tuple(samples[track.name] for track in tracks)
+        flown = Samples(self.flown, self.start - LEAD_NODES * NODE_SPACING)
+        samples = {EPHEMERIS_TRACK.name: Samples(self.ephemeris, self.start), ARC.name: flown}
+        return tuple([samples[track.name] for track in tracks])
 
     def solve(self, rows: Tensor, et: Tensor, r: Tensor, v: Tensor) -> Tensor:
         """Solve the arcs of ``rows`` [n] again from ET [n] and position and velocity [n, 3] at time zero.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import logging
+import operator
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 from weakref import WeakSet
@@ -121,7 +122,7 @@ class observable(property):  # noqa: N801  - a decorator
 
     def __init__(self, function: Function) -> None:
         """Decorate ``function``."""
-        super().__init__(lambda model: model.observed(function))
+        super().__init__(operator.methodcaller("observed", function))
         self.function, self.__name__ = function, function.__name__
         self.__doc__ = function.__doc__  # otherwise a subclass of property has the docstring of the class
 
@@ -191,12 +192,13 @@ class Observer:
             self._forget_the_past()
         value = self._values.get(function)
         if value is None:
-            kernel = self._built() if self.kernels and function in self.wanted else None
+            kernel = (self._kernel or self._built()) if self.kernels and function in self.wanted else None
             if kernel is None or function not in kernel.layout:
                 self.missed[function] = None
                 value = as_tensor(function(self.now))
             else:
-                value = kernel.column(self._read_all(kernel), function)
+                table = self._read_all(kernel) if self._table is None else self._table
+                value = kernel.column(table, function)
             self._values[function] = value
         return value
 
@@ -205,20 +207,19 @@ class Observer:
 
         This is faster than one :meth:`read` for each. None unless the kernel computes all of them, and all are of that kind.
         """
-        kernel = self._built() if self.kernels and functions else None
+        kernel = (self._kernel or self._built()) if self.kernels and functions else None
         columns = None if kernel is None else kernel.columns(functions, kind)
         if kernel is None or columns is None:
             return None
         if self._version != self.state.version:
             self._forget_the_past()
-        found = self._read_all(kernel)[:, columns]
+        found = (self._read_all(kernel) if self._table is None else self._table)[:, columns]
         return found > 0.5 if kind is bool else found
 
     def _read_all(self, kernel: ObserverKernel) -> Tensor:
-        """Return the table of all observables of the kernel now."""
-        if self._table is None:
-            self._table = kernel(self.state, self.arcs)
-        return self._table
+        """Return the table of all observables of the kernel now, and keep it."""
+        table = self._table = kernel(self.state, self.arcs)
+        return table
 
     @property
     def now(self) -> Now:

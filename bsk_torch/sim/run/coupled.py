@@ -48,6 +48,7 @@ class Dependencies:
     Attributes:
         depends_on: For each type, the type that it follows by slot.
         order: The types, those followed before those that follow them, and those whose events end steps first.
+        first: The types that run before the end of a step is known, in their order, by whether there are stop conditions.
     """
 
     def __init__(self, simulators: Sequence[Simulator]) -> None:
@@ -60,6 +61,7 @@ class Dependencies:
                 if k not in depth and all(other in depth for other in others.values()):
                     depth[k] = 1 + max((depth[other] for other in others.values()), default=0)
         self.order = sorted(depth, key=lambda k: (depth[k], not simulators[k].stops))
+        self.first = {watched: self._first(watched) for watched in (False, True)}
 
     def _owner(self, name: str) -> int:
         return next(
@@ -79,11 +81,10 @@ class Dependencies:
         """Return traces of the present alone that the satellites of type k follow, by slot."""
         return self.samples(k, {other: self.simulators[other].trace(0) for other in self.depends_on[k].values()})
 
-    def first(self, watched: bool) -> list[int]:
-        """Return the types that run before the end of a step is known, in their order.
+    def _first(self, watched: bool) -> list[int]:
+        """Return types whose events end steps, and those that they follow; with stop conditions, all that leave traces.
 
-        These are types whose events end steps, and those that they follow; with stop conditions (``watched``), all that leave
-        traces. Types whose events end no step are among them if they leave traces: see :meth:`Part._finish`.
+        Types whose events end no step are among them if they leave traces: see :meth:`Part._finish`.
         """
         needed: set[int] = set()
         for k in reversed(self.order):
@@ -125,20 +126,25 @@ class Part:
         events: For each type of satellites, whether an event ended the action of a row, [n * count], or None.
     """
 
-    def __init__(self, fleet: Fleet, envs: Tensor | None, ends: Tensor, left: Tensor, expected: Sequence[Tensor]) -> None:
+    def __init__(
+        self, fleet: Fleet, envs: Tensor | None, now: Tensor, ends: Tensor, left: Tensor, expected: Sequence[Tensor]
+    ) -> None:
         """Prepare the run.
 
         Args:
             fleet: The satellites.
             envs: The episodes, [n]; None for all.
-            ends: Most ticks of each episode of the fleet, [N].
+            now: Ticks since reset of each episode of the fleet, [N].
+            ends: Most ticks of each episode, [N].
             left: Ticks to the end of the episode, [N].
             expected: Probable ticks to an event that ends the step, [N] for each type.
         """
-        self.fleet, self.envs = fleet, envs
-        self.ends, self.left, self.expected = self._of(ends), self._of(left), [self._of(ticks) for ticks in expected]
-        some = envs if envs is not None and len(envs) < fleet.num_envs else None
-        self.rows = [None if some is None else simulator.state.rows_of(some) for simulator in fleet.simulators]
+        self.fleet, self.envs, self.since, self.ends, self.left, self.expected = fleet, envs, now, ends, left, expected
+        self.rows: list[Tensor | None] = [None] * len(fleet.simulators)
+        if envs is not None:
+            self.since, self.ends, self.left, *self.expected = (ticks[envs] for ticks in (now, ends, left, *expected))
+            if len(envs) < fleet.num_envs:
+                self.rows = [simulator.state.rows_of(envs) for simulator in fleet.simulators]
         self.events: list[Tensor | None] = [None] * len(self.rows)
         self.traces: dict[int, Trace] = {}
         self.checkpoints: dict[int, Checkpoint] = {}
@@ -152,26 +158,28 @@ class Part:
         have run too far are rewound and run again, and all others run, to the end.
         """
         fleet, simulators = self.fleet, self.fleet.simulators
-        since, longest = self._of(fleet.ticks), int(self.ends.max()) if fleet.traced else 0
-        self.traces = {k: s.trace(longest, self.rows[k]) for k, s in enumerate(simulators) if s.records}
+        if fleet.traced:
+            longest = int(self.ends.max())
+            self.traces = {k: s.trace(longest, self.rows[k]) for k, s in enumerate(simulators) if s.records}
         self.starts = [s.events(rows) if s.has_events else None for s, rows in zip(simulators, self.rows, strict=True)]
         recordings = [(recording, recording.prepare(self.envs)) for recording in fleet.recordings]
-        first = fleet.dependencies.first(bool(fleet.stop_conditions))
+        first = fleet.dependencies.first[bool(fleet.stop_conditions)]
         rewinds = len(first) > 1 or bool(fleet.stop_conditions)
         for k in first:
-            simulator, of_env = simulators[k], simulators[k].state.of_env
-            if rewinds or _ends_apart(simulator):
+            simulator = simulators[k]
+            if rewinds or simulator.ends_apart:
                 self.checkpoints[k] = simulator.checkpoint(self.rows[k])
-            call = self._call(k, of_env(self.ends), torch.minimum(of_env(self.expected[k]), of_env(self.ends)))
+            ends = simulator.state.of_env(self.ends)
+            call = self._call(k, ends, torch.minimum(simulator.state.of_env(self.expected[k]), ends))
             yield call
             self.ran[k] = call.ran.view(-1, simulator.count)[:, 0]
             self.ends = torch.minimum(self.ends, self.ran[k])
         for condition in fleet.stop_conditions:
-            self.ends = torch.minimum(self.ends, condition(self._flight(since)))
+            self.ends = torch.minimum(self.ends, condition(self._flight()))
         for k in fleet.dependencies.order:
             yield from self._finish(k)
         for observe in fleet.flight_observers:
-            observe(self._flight(since))
+            observe(self._flight())
         for recording, places in recordings:
             recording.add(self._episodes()[places], self.ends[places], self._followed(places))
         self.traces.clear()
@@ -183,7 +191,7 @@ class Part:
         after they have been read.
         """
         simulator, rows, start = self.fleet.simulators[k], self.rows[k], self.starts[k]
-        of_env, apart, goal = simulator.state.of_env, _ends_apart(simulator), self.ends
+        of_env, apart, goal = simulator.state.of_env, simulator.ends_apart, self.ends
         if start is not None:
             last = (self.ends >= self.left) & (self.ends > 0)
             goal = self.ends - last.long() if apart else self.ends
@@ -201,7 +209,8 @@ class Part:
             yield call
 
     def _call(self, k: int, ticks: Tensor, expected: Tensor | None = None) -> Call:
-        followed = self.fleet.dependencies.samples(k, self.traces)
+        dependencies = self.fleet.dependencies
+        followed = dependencies.samples(k, self.traces) if dependencies.depends_on[k] else {}
         may_rewind = k in self.checkpoints or bool(self.fleet.recordings)
         return Call(k, ticks, expected, may_rewind, self.traces.get(k), followed)
 
@@ -217,19 +226,10 @@ class Part:
     def _episodes(self) -> Tensor:
         return self.fleet.all_envs if self.envs is None else self.envs
 
-    def _of(self, table: Tensor) -> Tensor:
-        """Return the entries [n] of a table [N] of episodes."""
-        return table if self.envs is None else table[self.envs]
-
-    def _flight(self, since: Tensor) -> Flight:
+    def _flight(self) -> Flight:
         counts = tuple(simulator.count for simulator in self.fleet.simulators)
         traces = tuple(self.traces.get(k) for k in range(len(counts)))
-        return Flight(self._episodes(), since, self.ends, self.left, traces, counts)
-
-
-def _ends_apart(simulator: Simulator) -> bool:
-    """Return whether a type has events that end actions, but not runs."""
-    return simulator.has_events and not simulator.stops
+        return Flight(self._episodes(), self.since, self.ends, self.left, traces, counts)
 
 
 def parts_of(fleet: Fleet, moves: Tensor, ends: Tensor) -> Iterator[Tensor | None]:

@@ -261,7 +261,8 @@ class Encounters:
             relative = self._relative({column: track[:, early:stop] for column, track in tracks.items()})
             first = start - early
             now = Vec3(*(plane[..., first:] for plane in relative))
-            before = Vec3(*(plane[..., :-1] if start else _held_back(plane) for plane in relative))
+            # the first position is its own predecessor
+            before = Vec3(*(plane[..., :-1] if start else torch.cat([plane[..., :1], plane[..., :-1]], -1) for plane in relative))
             yield torch.arange(start, stop, device=self.fleet.device), before, now
 
     def first_tick(self, flight: Flight) -> Tensor:
@@ -319,8 +320,3 @@ class Encounters:
             valid[:, number] = ~(self.fleet.memory[LEFT][:, row] & enforced)
             checks[f"range_valid_{self.fleet.names[deputy]}"] = valid.flatten()
         return checks
-
-
-def _held_back(plane: Tensor) -> Tensor:
-    """Return the values [n, C, T] one tick before each; the first is its own predecessor."""
-    return torch.cat([plane[..., :1], plane[..., :-1]], -1)

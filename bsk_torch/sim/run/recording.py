@@ -296,7 +296,8 @@ class Recording:
         return sum(part.nbytes for chunk in self._chunks for part in chunk)
 
     def _joined(self) -> TensorDict:
-        chunks = self._chunks or [self._empty()]
+        none = self.envs[:0]
+        chunks = self._chunks or [_Chunk(none, none, none.unsqueeze(1), self._blank(0, 1))]
         there = [chunk.ticks != NO_TICK for chunk in chunks]
         pairs = list(zip(chunks, there, strict=True))
         envs, episodes = (
@@ -312,10 +313,6 @@ class Recording:
         fields = {name: value[..., 0] if value.shape[-1] == 1 else value for name, value in fields.items()}
         index = {"env": envs[order], "episode": episodes[order], "tick": ticks, "time": time}
         return TensorDict(index | fields, [len(time)])
-
-    def _empty(self) -> _Chunk:
-        none = self.envs[:0]
-        return _Chunk(none, none, none.unsqueeze(1), self._blank(0, 1))
 
     # -- until when ---------------------------------------------------------------------------------------------------
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol, TypedDict
+from typing import Any, NamedTuple, TypedDict
 
 import torch
 from torch import Tensor
@@ -39,7 +39,7 @@ def ticks_at_once(rows: int) -> int:
 
 
 class RunInputs(TypedDict):
-    """What a run of n rows reads apart from their fields; see :meth:`Runner.__call__`."""
+    """What a run of n rows reads apart from their fields; see :meth:`bsk_torch.codegen.kernel.Kernel.__call__`."""
 
     tracks: Sequence[Samples]
     shared: Tensor
@@ -52,53 +52,11 @@ class RunInputs(TypedDict):
     present: Tensor | None
 
 
-class Runner(Protocol):
-    """Runs ticks of rows; kernels are runners, see :meth:`bsk_torch.codegen.kernel.Kernel.__call__`."""
-
-    def __call__(
-        self,
-        state: Tensor,
-        counts: Tensor,
-        tracks: Sequence[Samples],
-        *,
-        expected_ticks: Tensor | None = None,
-        shared: Tensor,
-        own: Tensor,
-        mode: Tensor,
-        flags: Tensor,
-        ticks: Tensor,
-        nanoseconds: int,
-        lockstep: int = 1,
-        written: Tensor | None = None,
-        present: Tensor | None = None,
-    ) -> Tensor:
-        """Run each row for at most its number of ticks, or until it stops.
-
-        Args:
-            state: Fields of the components [C, N] float64, which change.
-            counts: Number of ticks [N].
-            tracks: Samples of quantities known in advance.
-            expected_ticks: Probable number of ticks [N], where stops make it differ from ``counts``; a matter of speed only.
-            shared: Uniform parameters [C, 1] float64.
-            own: Parameters of each row [C, N] float64.
-            mode: Column of ``flags`` for each row [N].
-            flags: Flags [F, M] of the modes.
-            ticks: Number of ticks since reset [N].
-            nanoseconds: Length of a tick.
-            lockstep: Rows of an episode, which end together in the tick in which the first of them stops.
-            written: Room for the fields that each tick records, [N, K, C].
-            present: Rows that run, [N] (default: all).
-
-        Returns:
-            Number of ticks that each row has run, [N]; of rows that are not present, that of their episode, or ``counts``.
-        """
-
-
 class Runners(NamedTuple):
-    """Runs ticks, and the tick at time zero, once for each row."""
+    """What runs ticks, and the tick at time zero, once for each row, as :meth:`bsk_torch.codegen.kernel.Kernel.__call__` does."""
 
-    run: Runner
-    first_tick: Runner
+    run: Kernel | TickLoop
+    first_tick: Kernel | FirstTick
 
     def build(self, lockstep: int) -> None:
         """Build kernels for groups of ``lockstep`` rows that end together, where they are not there yet."""
@@ -127,7 +85,7 @@ def make_runners(tick: Tick, backend: str, device: torch.device, lockstep: int =
 
 
 class FirstTick:
-    """The tick at time zero on tensors; a :class:`Runner`."""
+    """The tick at time zero on tensors."""
 
     def __init__(self, tick: Tick) -> None:
         """Run ``tick``."""
@@ -146,7 +104,7 @@ class FirstTick:
         ticks: Tensor,
         **_: Any,
     ) -> Tensor:
-        """See :class:`Runner`."""
+        """See :meth:`bsk_torch.codegen.kernel.Kernel.__call__`."""
         tables, starts = _of_rows([t.table for t in tracks], tracks), _of_rows([t.start for t in tracks], tracks)
         planes = self.tick.wake(self.tick.inputs(state, shared, own, flags[:, mode], tables, starts, ticks.double()))
         state.copy_(torch.stack([plane.expand(len(counts)).double() for plane in planes]))
@@ -154,10 +112,7 @@ class FirstTick:
 
 
 class TickLoop:
-    """A loop over ticks that holds the rows that have ended; shapes never change, so that graphs can be replayed.
-
-    A :class:`Runner`.
-    """
+    """A loop over ticks that holds the rows that have ended; shapes never change, so that graphs can be replayed."""
 
     def __init__(self, step: Callable[..., tuple[Tensor, Tensor]], stops: bool = False, recorded: Sequence[int] = ()) -> None:
         """Repeat ``step``, see :meth:`bsk_torch.sim.run.tick.Tick.step`, which may stop rows if it ``stops``.
@@ -182,7 +137,7 @@ class TickLoop:
         present: Tensor | None = None,
         **_: Any,
     ) -> Tensor:
-        """See :class:`Runner`."""
+        """See :meth:`bsk_torch.codegen.kernel.Kernel.__call__`."""
         runs = counts if present is None else torch.where(present, counts, 0)
         flags, end, now = flags[:, mode], (ticks + runs).double(), ticks.double()
         samples = *_of_rows([t.table for t in tracks], tracks), *_of_rows([t.start for t in tracks], tracks)

@@ -64,7 +64,6 @@ def _with_balance(component: Component) -> Component:
         update=balance_of_wheels,
         fit=_fitted_power,
         state=(Field("wheel_power", 1, "W", "power of the wheels, negative, which the battery takes in the next tick"),),
-        initial=lambda args: {"wheel_power": torch.zeros(1, dtype=torch.float64)},
         at_start=True,
     )
 
@@ -100,7 +99,6 @@ SENSOR_VIEW = Component(
         vec("r_sensor_P", "m", "position of the satellite, Earth-fixed", exact=True),
         vec("axis_sensor_P", "-", "axis of the sensor, Earth-fixed", exact=True),
     ),
-    initial=lambda args: {name: torch.zeros(1, 3, dtype=torch.float64) for name in VIEWS},
     overwrites=tuple((name, "it follows from orbit and attitude") for name in VIEWS),
     records=VIEWS,
 )

@@ -9,8 +9,6 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-import torch
-
 from bsk_torch.astro.frames import rotate_z
 from bsk_torch.sim.component import Bus, Component, vec
 from bsk_torch.sim.dyn.models import DynamicsModel
@@ -34,7 +32,6 @@ TARGET = Component(
     slot="location_target",
     update=find_place,
     state=(vec("r_LP_P", "m", "place to point at, Earth-fixed; zero for the Earth's center", exact=True),),
-    initial=lambda args: {"r_LP_P": torch.zeros(1, 3, dtype=torch.float64)},
 )
 
 POINTING = dataclasses.replace(guidance.LOCATION_POINTING, update=point_sensor, resets=())
@@ -50,7 +47,7 @@ def _fitted_feedback(arguments: Mapping[str, Any]) -> Component:
 def _of_benchmark(law: Component) -> Component:
     """Return a control law that runs at time zero, with other defaults; gains are not checked: some of the benchmark chatter."""
     args = tuple(dataclasses.replace(arg, default=_DEFAULTS.get(arg.name, arg.default)) for arg in law.args)
-    return dataclasses.replace(law, args=args, check_tick=lambda args, h: None, at_start=True, fit=_fitted_feedback)
+    return dataclasses.replace(law, args=args, check_tick=None, at_start=True, fit=_fitted_feedback)
 
 
 class AEOSBenchFSWModel(FSWModel):

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import torch
-from torch import Tensor
-
 from bsk_torch.astro.attitude import dcm_to_mrp
 from bsk_torch.astro.orbit import hill_frame, hill_rate
-from bsk_torch.sim.component import Bus, Component, Values, vec
+from bsk_torch.sim.component import Bus, Component, vec
 from bsk_torch.sim.dyn.models import ContinuousImagingDynModel, EclipseDynModel
 from bsk_torch.sim.instruments import NO_INSTRUMENTS
 from bsk_torch.vec3 import Vec3, only
@@ -38,10 +35,6 @@ def refer_to_past_hill(bus: Bus) -> None:
     bus.sigma_RN, bus.omega_RN_N = only(cleared, reference, (bus.sigma_RN, bus.omega_RN_N))
 
 
-def _unknown(_: Values) -> dict[str, Tensor]:
-    return {name: torch.zeros(1, 3, dtype=torch.float64) for name in ("sun_N", "pole_N")}
-
-
 RSO = Component(
     slot="rso",
     after="eclipse",
@@ -51,7 +44,6 @@ RSO = Component(
         vec("sun_N", "m", "Sun relative to the Earth", exact=True),
         vec("pole_N", "-", "unit vector along the Earth's axis", exact=True),
     ),
-    initial=_unknown,
     overwrites=(("sun_N", "it follows from the time"), ("pole_N", "it follows from the time")),
     records=("r_BN_N", "sigma_BN", "illumination", "sun_N", "pole_N"),
 )

@@ -208,9 +208,6 @@ GATE = Component(
     args=(Arg("imageTargetMaximumRange", -1.0, "m", "longest range to the target; no limit where negative", endless=True),),
     state=(*GATE_FIELDS, *TASK_FIELDS, *IMAGE_FIELDS),
     params=(Field("target_range", 1, "m", exact=True),),
-    initial=lambda args: {
-        field.name: torch.zeros(1, dtype=torch.float64) for field in (*GATE_FIELDS, *TASK_FIELDS, *IMAGE_FIELDS)
-    },
     prepare=lambda args: {"target_range": args["imageTargetMaximumRange"]},
     check=_check_range,
     tracks=(RSO_TRACK,),
@@ -222,7 +219,6 @@ RSO_IMAGE_EVENT = Component(
     update=end_with_image,
     stops=True,
     state=(Field("images", 1, "-", "images since reset that ended a step", exact=True),),
-    initial=lambda args: {"images": torch.zeros(1, dtype=torch.float64)},
 )
 
 RSO_IMAGER = dataclasses.replace(

@@ -35,9 +35,7 @@ def judge_pointing(bus: Bus) -> None:
 
 RSO_AIM = Component(slot="location_target", after="navigation", update=aim_at_rso)
 
-POINTING_JUDGE = dataclasses.replace(
-    SCANNING_CONTROLLER, update=judge_pointing, state=(), initial=lambda args: {}, flags=("controller_on",), stops=True
-)
+POINTING_JUDGE = dataclasses.replace(SCANNING_CONTROLLER, update=judge_pointing, state=(), flags=("controller_on",), stops=True)
 
 
 class SpaceToSpaceImagingFSWModel(ImagingFSWModel):

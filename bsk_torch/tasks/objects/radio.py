@@ -60,7 +60,6 @@ LINK = Component(
     update=transmit_packet,
     stops=True,
     state=(*LINK_FIELDS, *TASK_FIELDS),
-    initial=lambda args: {field.name: torch.zeros(1, dtype=torch.float64) for field in (*LINK_FIELDS, *TASK_FIELDS)},
     resets=tuple((field.name, 0.0) for field in LINK_FIELDS),
 )
 

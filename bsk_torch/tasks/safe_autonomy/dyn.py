@@ -18,7 +18,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
+from bsk_torch.sim.component import Arg, Bus, Component, Field, vec
 from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.readout.observables import Now, observable, vital
 from bsk_torch.vec3 import Vec3
@@ -55,14 +55,6 @@ def move(bus: Bus) -> None:
     )
 
 
-def _start(args: Values) -> dict[str, Tensor]:
-    return {
-        "rho_H": args["relative_position"],
-        "rho_dot_H": args["relative_velocity"],
-        "force_H": torch.zeros(1, 3, dtype=torch.float64),
-    }
-
-
 LINEAR_MOTION = Component(
     slot="linear_motion",
     after="hub",
@@ -89,7 +81,8 @@ LINEAR_MOTION = Component(
         vec("force_H", "N", "force of the thrusters, in H", exact=True),
     ),
     params=(Field("mean_motion", 1, "rad/s", exact=True), Field("inverse_mass", 1, "1/kg", exact=True)),
-    initial=_start,
+    reads=("mass",),
+    initial=lambda args: {"rho_H": args["relative_position"], "rho_dot_H": args["relative_velocity"]},
     prepare=lambda args: {"mean_motion": args["meanMotion"], "inverse_mass": 1.0 / args["mass"]},
 )
 

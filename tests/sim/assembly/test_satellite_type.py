@@ -44,4 +44,4 @@ def test_changed_arguments_make_another_type(env):
     assert freed <= set(mass.tick.own.fields)
     for name in mass.tick.shared.fields:
         assert torch.equal(mass.tick.shared.view(mass.uniform, name), old.tick.shared.view(old.uniform, name))
-    assert "mass" not in {name for name in old.arguments.sat_args.table if old.arguments.sat_args.is_random(name)}
+    assert "mass" not in old.arguments.sat_args.random

@@ -7,6 +7,7 @@ import torch
 
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.sim import dyn
+from bsk_torch.sim.arguments.values import merge
 from bsk_torch.sim.component import Bus, Component, Field
 from bsk_torch.sim.dyn import events, partitions, storage
 from bsk_torch.sim.environment import world
@@ -65,8 +66,8 @@ class Store:
         self.table, self.parts = table, parts(table)
         self.tick = Tick(self.parts, set(), table.h_ns, on_arc=False, dtype=torch.float64, opaque_field=False)
         self.runners: Runners = make_runners(self.tick, backend, torch.device("cpu"))
-        n, start = len(table.parameters), {name: torch.zeros(1) for name in ("instrument_command", "station_access")}
-        self.state = self.tick.state.rows(start | self.merged("initial"), n).double().contiguous()
+        n = len(table.parameters)
+        self.state = self.tick.state.rows(self.merged("initial"), n).double().contiguous()
         self.own = self.tick.own.rows(self.merged("prepare"), n).contiguous()
         self.flags = torch.zeros(self.tick.flags.size, 2, dtype=torch.float64)
         self.flags[list(self.tick.flags.fields).index("transmitter_on"), 1] = 1.0
@@ -75,7 +76,7 @@ class Store:
         )
 
     def merged(self, what: str) -> dict[str, torch.Tensor]:
-        return {name: value for part in self.parts for name, value in getattr(part, what)(self.table.args).items()}
+        return merge(self.table.args, self.parts, what)
 
     def after(self, k: int) -> torch.Tensor:
         """Levels [cases, partitions] after tick number k + 1."""

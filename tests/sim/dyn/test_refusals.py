@@ -140,7 +140,7 @@ def test_rejects_wheels_that_do_not_exist():
         refusal(lambda: dyn.Wheel("Honeywell_HR61", [1, 0, 0]), ValueError, "'Honeywell_HR61'", "'Honeywell_HR16'"),
         refusal(lambda: dyn.Wheel("Honeywell_HR16", [1, 0, 0]), ValueError, "'Honeywell_HR16'", "maxMomentum", "Js", momenta),
         refusal(lambda: dyn.Wheel("Honeywell_HR16", [1, 0, 0], 60.0), ValueError, "maxMomentum=60 N m s", momenta),
-        refusal(lambda: dyn.Wheel("BCT_RWP015", ZERO), ValueError, "'BCT_RWP015'", "axis=[0.0, 0.0, 0.0]", "three numbers"),
+        refusal(lambda: dyn.Wheel("BCT_RWP015", ZERO), ValueError, "'BCT_RWP015'", "axis=[0, 0, 0]", "three numbers"),
         refusal(lambda: custom(maxMomentum=1.0, Js=0.1, u_max=1.0), ValueError, "'custom'", "Js=0.1", "maxMomentum=1"),
         refusal(lambda: custom(Js=0.1), ValueError, "'custom'", "u_max"),
         refusal(lambda: custom(Js=-0.1, u_max=1.0), ValueError, "'custom'", "Js=-0.1"),
@@ -170,7 +170,7 @@ def test_rejects_wrong_arguments_of_wheels():
         refusal(lambda: fitted(rwJs=500.0), ValueError, "mass=330", "500, 500, 500, 500 kg m^2"),
         refusal(lambda: fitted(u_max=500.0), ValueError, "u_max=500 N m", "one tick", "sim_rate"),
         refusal(lambda: fly({"nullSpaceGain": 0.01}, ()), ValueError, "nullSpaceGain=0.01", "three wheels"),
-        refusal(lambda: fitted(rwAxes_B=[*ahead, [0.0, 0, 0]]), ValueError, "rwAxes_B=[[1.0, 0.0, 0.0], ", "direction"),
+        refusal(lambda: fitted(rwAxes_B=[*ahead, [0.0, 0, 0]]), ValueError, "rwAxes_B", "length zero"),
         refusal(lambda: two({"rwFCoulomb": 0.0}, {"rwFCoulomb": 1e-3}), ValueError, "rwFCoulomb=0.001", "type"),
         refusal(lambda: two({"rwAxes_B": axes}, {"rwAxes_B": tilted}), ValueError, "rwAxes_B", "wheel 2", "axis 2", "type"),
     )

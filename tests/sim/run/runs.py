@@ -4,14 +4,14 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from bsk_torch.codegen.kernel import Samples
-from bsk_torch.sim.run.runners import Runner
+from bsk_torch.codegen.kernel import Kernel, Samples
+from bsk_torch.sim.run.runners import TickLoop
 from bsk_torch.sim.simulator import Simulator
 
 
 @dataclass(frozen=True)
 class Start:
-    """Arguments of a :class:`bsk_torch.sim.run.runners.Runner`."""
+    """Arguments of what runs ticks."""
 
     state: Tensor
     shared: Tensor
@@ -25,7 +25,7 @@ class Start:
     lockstep: int = 1
     present: Tensor | None = None
 
-    def run(self, runner: Runner, counts: Tensor) -> Tensor:
+    def run(self, runner: Kernel | TickLoop, counts: Tensor) -> Tensor:
         """Run from here, which changes ``state``; returns the number of ticks of each row."""
         names = ("expected_ticks", "shared", "own", "mode", "flags", "ticks", "nanoseconds", "lockstep", "present")
         return runner(self.state, counts, self.tracks, **{name: getattr(self, name) for name in names})

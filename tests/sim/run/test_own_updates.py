@@ -112,7 +112,7 @@ def test_rejects_what_components_compute_at_reset():
         refusal(lambda: returning({"heater_power": one * torch.nan}), ValueError, "'heater_power'", "NaN", "row 0"),
         refusal(lambda: returning({"heater_power": one, "z": one}), ValueError, "'z'", "params=", "heater_power"),
         refusal(lambda: build(initial=lambda args: {"e": torch.zeros(1)}), ValueError, "initial(args)", "'e'", "state="),
-        refusal(lambda: build(state=(Field("e"),)), ValueError, "'e'", "initial=", "prepare="),
+        refusal(lambda: build(prepare=None), ValueError, "'heater_power'", "prepare=", "params="),
         refusal(lambda: build(**charge), ValueError, "initial(args)", "slot 'heater'", "'charge'"),
         refusal(lambda: build(check=lambda args: False), TypeError, "check(args)", "slot 'heater'", "False", "ValueError"),
     )
