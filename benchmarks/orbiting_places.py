@@ -22,8 +22,8 @@ from torch import Tensor
 
 from bsk_torch.astro.mean_orbit import mean_elements, mean_position
 from bsk_torch.astro.orbit import Elements, elements_to_rv
-from bsk_torch.sim.access.passes import GroundTrack
-from bsk_torch.sim.access.sampled_passes import find_passes
+from bsk_torch.sim.access.passes.passes import GroundTrack
+from bsk_torch.sim.access.passes.sampled_passes import find_passes
 from bsk_torch.sim.draw_table import DrawTable
 from bsk_torch.sim.orbit.arcs import Arcs, segments_for
 from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING, PLAN_STEP

@@ -13,7 +13,7 @@ from bsk_torch.sim.schedule import SCHEDULE, Schedule, Slot
 
 if TYPE_CHECKING:
     from bsk_torch.sim.component import Component
-    from bsk_torch.sim.run.tick import Tick
+    from bsk_torch.sim.tick.loop import Tick
 
 
 def show_schedule(

@@ -10,8 +10,8 @@ from typing_extensions import override
 
 from bsk_torch.comm.base import CommunicationMethod
 from bsk_torch.comm.multi import MultiDegreeCommunication
-from bsk_torch.sim.access.line_of_sight import speed_bound
-from bsk_torch.sim.access.line_of_sight_search import PAIRS_PER_BATCH, FlownOrbits, LineOfSightSearch
+from bsk_torch.sim.access.links.line_of_sight import speed_bound
+from bsk_torch.sim.access.links.line_of_sight_search import PAIRS_PER_BATCH, FlownOrbits, LineOfSightSearch
 from bsk_torch.sim.access.visibility.kernels import KernelVisibility
 from bsk_torch.sim.dyn import LOSCommDynModel
 from bsk_torch.vec3 import Vec3

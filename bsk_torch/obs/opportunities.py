@@ -15,7 +15,7 @@ from bsk_torch.astro.frames import sin_elevation
 from bsk_torch.obs.base import Observation, Values, joined
 from bsk_torch.obs.entries import is_own, parse_entries, scaled
 from bsk_torch.sats.user_function import UserFunction
-from bsk_torch.sim.access.relative_geometry import SATELLITE_PROPERTIES
+from bsk_torch.sim.access.links.relative_geometry import SATELLITE_PROPERTIES
 from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.sim.instruments import number_of
 from bsk_torch.sim.places import STATION_KIND, FixedPlaces, instrument_kind, is_target

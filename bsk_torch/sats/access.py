@@ -22,7 +22,7 @@ LONGEST_AT_RESET = 1e7
 
 
 class AccessSatellite(Satellite):
-    """Adds access windows; see :mod:`bsk_torch.sim.access.windows`.
+    """Adds access windows; see :mod:`bsk_torch.sim.access.windows.search`.
 
     In an environment, it has the queries of :class:`bsk_torch.sats.bound_access.BoundAccessSatellite`.
     """

@@ -15,9 +15,9 @@ from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sats.objects import TargetObjects, place_names
 from bsk_torch.sats.opportunities import Opportunities
 from bsk_torch.sats.user_function import UserFunction
-from bsk_torch.sim.access.relative_geometry import SATELLITE_PROPERTIES, relative_geometries
-from bsk_torch.sim.access.window_table import Windows, candidates
-from bsk_torch.sim.access.windows import MAX_SEGMENTS, AccessWindows
+from bsk_torch.sim.access.links.relative_geometry import SATELLITE_PROPERTIES, relative_geometries
+from bsk_torch.sim.access.windows.search import MAX_SEGMENTS, AccessWindows
+from bsk_torch.sim.access.windows.table import Windows, candidates
 from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.sim.dyn.axes import unit_rows
 from bsk_torch.sim.places import TARGET_KIND, is_target
@@ -209,8 +209,8 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
     def aims(self, opportunities: Opportunities, instrument: int | None = None) -> Tensor:
         """Return the geometry of places relative to the satellite now, [N, n, 5].
 
-        See :mod:`bsk_torch.sim.access.relative_geometry` for the five numbers and their units. Angles are those of the instrument
-        with a number, or of the one chosen last.
+        See :mod:`bsk_torch.sim.access.links.relative_geometry` for the five numbers and their units. Angles are those of the
+        instrument with a number, or of the one chosen last.
         """
         observer, asked = self.simulator.observer, (self.simulator.state.version, instrument)
         if self._aims is None or self._aims[0] is not opportunities or self._aims[1] != asked:

@@ -299,12 +299,12 @@ class Component:
     the arguments as users gave them, defaults included, where its structure depends on them: it is called once, when the
     simulation is built. A component that ``mends`` an error of recordings does not run under ``compat="bsk_rl"``.
 
-    ``records`` names fields of the state kept at every tick of a run, see :mod:`bsk_torch.sim.run.trace`. ``follows``
+    ``records`` names fields of the state kept at every tick of a run, see :mod:`bsk_torch.sim.tick.trace`. ``follows``
     names a slot: the component reads, as ``bus.<slot>[0].<field>``, what the one satellite of the episode whose model has that
     slot records, at the end of the same tick.
 
     ``tracks`` are samples that the component reads as ``bus.<track>``; what knows them supplies them to the simulation, see
-    :class:`bsk_torch.sim.run.tracks.TrackSource`.
+    :class:`bsk_torch.sim.tick.tracks.TrackSource`.
 
     ``flags`` are what flight modes may switch on: ``bus.<flag>`` is 1 in the modes that list it, else 0. Those of ``idle_flags``
     are 1 before the first command, too. ``resets`` lists fields of the state with the values to which every command sets them.

@@ -15,9 +15,9 @@ from bsk_torch.codegen.kernel import Kernel, Samples
 from bsk_torch.constants import NANO
 from bsk_torch.rand import Key
 from bsk_torch.sim.access.lookahead import LookAhead, Manoeuvres
-from bsk_torch.sim.access.places import PlaceKinds, place_kinds
 from bsk_torch.sim.access.visibility.backend import make_visibility
-from bsk_torch.sim.access.windows import AccessWindows
+from bsk_torch.sim.access.windows.places import PlaceKinds, place_kinds
+from bsk_torch.sim.access.windows.search import AccessWindows
 from bsk_torch.sim.arguments.values import merge, nearest
 from bsk_torch.sim.assembly.composition import commanded_by
 from bsk_torch.sim.assembly.satellite_type import SatelliteType
@@ -32,11 +32,11 @@ from bsk_torch.sim.fsw.models import IDLE
 from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.orbit.solvers import make_solver
 from bsk_torch.sim.readout.observables import Observer
-from bsk_torch.sim.run.runners import RunInputs, TickLoop, ticks_at_once
-from bsk_torch.sim.run.trace import Trace
-from bsk_torch.sim.run.tracks import TrackSource, no_samples
 from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.state import StateTable
+from bsk_torch.sim.tick.runners import RunInputs, TickLoop, ticks_at_once
+from bsk_torch.sim.tick.trace import Trace
+from bsk_torch.sim.tick.tracks import TrackSource, no_samples
 
 logger = logging.getLogger(__name__)
 

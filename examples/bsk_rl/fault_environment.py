@@ -38,7 +38,7 @@ from bsk_torch.astro.frames import angle_between
 from bsk_torch.constants import R_EARTH, RPM  # bsk_rl: orbitalMotion.REQ_EARTH * 1e3
 from bsk_torch.sim import dyn, fsw  # bsk_rl: from bsk_rl.sim import dyn, fsw
 from bsk_torch.sim.component import Bus
-from bsk_torch.sim.dyn import partitions
+from bsk_torch.sim.dyn.storage import partitions
 from bsk_torch.sim.fsw import instrument
 
 AXES = ([1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1])

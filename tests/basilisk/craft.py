@@ -15,7 +15,7 @@ from bsk_torch import SatelliteTasking, act, obs, sats
 from bsk_torch.astro.attitude import mrp_add
 from bsk_torch.constants import RPM
 from bsk_torch.sim import dyn, faults, fsw
-from bsk_torch.sim.dyn.thrusters import OCTET
+from bsk_torch.sim.dyn.effectors.thrusters import OCTET
 from bsk_torch.vec3 import Vec3
 from tests.basilisk.replay import RECORDINGS
 

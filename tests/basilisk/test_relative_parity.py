@@ -12,7 +12,7 @@ from bsk_torch import ConstellationTasking, act, dyn, fsw, obs, rand, sats
 from bsk_torch.astro.relative import rv2HN
 from bsk_torch.obs.relative_observations import FUNCTIONS
 from bsk_torch.sim.run.encounters import first_ticks
-from bsk_torch.sim.run.trace import Flight
+from bsk_torch.sim.tick.trace import Flight
 from tests.conftest import RECORDINGS
 
 CASES = sorted(path.stem for path in RECORDINGS.glob("inspection_*.npz"))

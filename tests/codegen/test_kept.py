@@ -5,7 +5,8 @@ import functools
 import pytest
 
 from bsk_torch.codegen.kept import Kept, of_package
-from bsk_torch.sim.dyn import hub, power
+from bsk_torch.sim.dyn import hub
+from bsk_torch.sim.dyn.power import balance as power
 
 
 def test_the_values_that_were_used_last_are_kept_but_none_whose_making_fails():

@@ -13,7 +13,7 @@ from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
 import bsk_torch
-from bsk_torch.sim.run.runners import TickLoop
+from bsk_torch.sim.tick.runners import TickLoop
 from tests.sim.run.runs import start_of
 
 WAITS = 5

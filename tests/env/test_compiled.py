@@ -19,8 +19,8 @@ from bsk_torch.rand import first_key
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.assembly import satellite_type
 from bsk_torch.sim.component import Component, Field
-from bsk_torch.sim.run.tick import Tick
 from bsk_torch.sim.simulator import Simulator
+from bsk_torch.sim.tick.loop import Tick
 from tests.sim.simulators import make_simulator
 
 pytestmark = pytest.mark.compiled

@@ -11,7 +11,7 @@ import bsk_torch
 from bsk_torch import SatelliteTasking, act, data, fsw, obs, rand, sats, scene
 from bsk_torch.obs.base import ObservationBuilder
 from bsk_torch.presets.aeos import agile_args
-from bsk_torch.sim.access.window_table import next_to_close
+from bsk_torch.sim.access.windows.table import next_to_close
 from tests.support.episodes import begun
 from tests.support.refusals import check_refusals, refusal
 

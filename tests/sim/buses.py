@@ -5,7 +5,7 @@ from typing import Any
 import torch
 
 from bsk_torch.sim.component import Bus
-from bsk_torch.sim.dyn.wheels import WHEELS
+from bsk_torch.sim.dyn.effectors.wheels import WHEELS
 from bsk_torch.sim.fsw.allocation import BODY_AXIS_WHEELS
 from bsk_torch.vec3 import Vec3
 

@@ -23,7 +23,7 @@ from bsk_torch.sats.bound_access import BoundAccessSatellite
 from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sats.imaging import ImagingSatellite
 from bsk_torch.sats.objects import names_of, target_names
-from bsk_torch.sim.access.windows import MAX_SEGMENTS
+from bsk_torch.sim.access.windows.search import MAX_SEGMENTS
 from bsk_torch.sim.hooks import is_of_package
 from bsk_torch.sim.names import nearest
 from bsk_torch.sim.places import is_target

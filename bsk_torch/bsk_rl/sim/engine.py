@@ -25,10 +25,10 @@ from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sats.satellite import Satellite as CoreSatellite
 from bsk_torch.scene.base import Scenario as CoreScenario
-from bsk_torch.sim.arguments.initial_orbits import HIGHEST_APOAPSIS, LOWEST_PERIAPSIS
 from bsk_torch.sim.arguments.table import ArgumentTable
 from bsk_torch.sim.arguments.values import is_fixed
 from bsk_torch.sim.assembly.composition import compose
+from bsk_torch.sim.assembly.initial_orbits import HIGHEST_APOAPSIS, LOWEST_PERIAPSIS
 from bsk_torch.sim.component import Arg
 from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.fsw.models import FSWModel, MagicOrbitalManeuverFSWModel

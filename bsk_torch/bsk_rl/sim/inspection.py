@@ -11,7 +11,7 @@ from torch import Tensor
 
 from bsk_torch.constants import NANO
 from bsk_torch.sim.fleet import Fleet
-from bsk_torch.sim.run.trace import Flight
+from bsk_torch.sim.tick.trace import Flight
 from bsk_torch.tasks.inspection.flags import Records, find_flags
 from bsk_torch.tasks.inspection.points import point_columns
 

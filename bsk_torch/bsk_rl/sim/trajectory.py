@@ -17,7 +17,7 @@ from bsk_torch.astro.interpolate import COUNT
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.constants import MU_EARTH
-from bsk_torch.sim.access.literal_search import Interpolator
+from bsk_torch.sim.access.passes.literal_search import Interpolator
 from bsk_torch.sim.access.visibility.backend import make_visibility
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits, position_between, take_rows
 from bsk_torch.sim.arguments.values import convert

@@ -17,7 +17,7 @@ from bsk_torch.astro.interpolate import positions
 from bsk_torch.constants import AU, SOLAR_FLUX
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.sim.component import neighbours
-from bsk_torch.sim.dyn.wheels import base_power_of_wheels
+from bsk_torch.sim.dyn.effectors.wheels import base_power_of_wheels
 from bsk_torch.sim.orbit.builder import ARC
 from bsk_torch.sim.orbit.grid import NODE_SPACING
 from bsk_torch.vec3 import Vec3

@@ -19,7 +19,7 @@ from bsk_torch.data import ScanningTimeReward
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.sats import BoundAccessSatellite
 from bsk_torch.sim.component import neighbours
-from bsk_torch.sim.dyn.wheels import base_power_of_wheels
+from bsk_torch.sim.dyn.effectors.wheels import base_power_of_wheels
 from bsk_torch.sim.fsw import ContinuousImagingFSWModel
 from bsk_torch.sim.orbit.builder import ARC
 from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING

@@ -12,11 +12,11 @@ from typing_extensions import override
 
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.constants import MU_EARTH
-from bsk_torch.sim.access.eclipses import SEARCH_STEP, SEARCHES, EclipseTable, search_range
+from bsk_torch.sim.access.light.eclipses import SEARCH_STEP, SEARCHES, EclipseTable, search_range
 from bsk_torch.sim.access.visibility.backend import Visibility
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits
-from bsk_torch.sim.access.window_table import Windows
-from bsk_torch.sim.access.windows import BEFORE_SEARCH, BEHIND_SEARCH, MAX_SEGMENTS, AccessWindows
+from bsk_torch.sim.access.windows.search import BEFORE_SEARCH, BEHIND_SEARCH, MAX_SEGMENTS, AccessWindows
+from bsk_torch.sim.access.windows.table import Windows
 from bsk_torch.sim.orbit.arcs import PLANNED_SEGMENTS, REACH_AROUND, Arcs, segments_for
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, PLAN_STEP
 from bsk_torch.sim.orbit.restartable import RestartableArcs
@@ -88,7 +88,7 @@ class LookAhead(StateTable):
             horizon: Seconds for which windows are generated at reset.
             segment: Seconds by which windows are extended.
             compat: Whether eclipses are those of samples, and windows, see
-                :class:`~bsk_torch.sim.access.windows.AccessWindows`.
+                :class:`~bsk_torch.sim.access.windows.search.AccessWindows`.
             manoeuvres: Objects that follow maneuvers.
             blind: Whether the satellites may be on no orbit, so that queries raise a RuntimeError.
         """
@@ -334,7 +334,7 @@ class LookAhead(StateTable):
             allowed: Which places count, [N, P]; all of them by default.
             count: Number of windows that each row needs, [N], at most ``width``, which it is by default.
             last: Time, [N] s, from which on no segments are added; in any case no more than
-                :data:`~bsk_torch.sim.access.windows.MAX_SEGMENTS` are.
+                :data:`~bsk_torch.sim.access.windows.search.MAX_SEGMENTS` are.
             may_see_nothing: Whether there may be none at all; look-ahead then ends as many segments from now, so that queries in
                 vain do not add segments again and again.
 

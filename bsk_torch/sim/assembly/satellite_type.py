@@ -20,20 +20,20 @@ from torch import Tensor
 from bsk_torch._checks import number
 from bsk_torch.codegen.kept import Kept, of_package
 from bsk_torch.rand import Key
-from bsk_torch.sim.arguments.draws import ArgumentChange, TrialDraw, TypeArguments
 from bsk_torch.sim.arguments.values import Arguments, Overrides, merge
 from bsk_torch.sim.assembly.composition import check_required_dyn, provided_by, world_components, world_of
+from bsk_torch.sim.assembly.draws import ArgumentChange, TrialDraw, TypeArguments
 from bsk_torch.sim.component import Component, Field, MissingMessageError, declared
 from bsk_torch.sim.dyn.events import with_failure_event
-from bsk_torch.sim.dyn.field import prepare
+from bsk_torch.sim.dyn.forces.field import prepare
 from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.faults.component import SLOT, changing, declared_faults, planned, with_faults
 from bsk_torch.sim.fsw.models import Command, FSWModel, MagicOrbitalManeuverFSWModel
 from bsk_torch.sim.fsw.modes import Mode, mode_table
 from bsk_torch.sim.instruments import Instrument, check_faults, described_instruments, instrument_args, with_instruments
-from bsk_torch.sim.run.runners import Runners, TickLoop, make_runners
-from bsk_torch.sim.run.tick import ARC_ORBIT, Tick
 from bsk_torch.sim.schedule import Schedule
+from bsk_torch.sim.tick.loop import ARC_ORBIT, Tick
+from bsk_torch.sim.tick.runners import Runners, TickLoop, make_runners
 from bsk_torch.sim.world import WorldModel
 
 logger = logging.getLogger(__name__)
@@ -85,7 +85,7 @@ class Usage:
         controlled: Whether actions may switch attitude control on, so that its gains matter.
         segment: Seconds by which look-ahead windows are extended.
         randomize: Draws arguments that replace those of some satellites.
-        followed: Fields that the satellites record which components follow, by their slot; see :mod:`bsk_torch.sim.run.trace`.
+        followed: Fields that the satellites record which components follow, by their slot; see :mod:`bsk_torch.sim.tick.trace`.
         recorded: Fields of the hub that runs record, those of components aside.
         drawn: Names of what the scenario draws.
     """

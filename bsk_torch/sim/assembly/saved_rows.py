@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from bsk_torch.sim.arguments.draws import TypeArguments
-from bsk_torch.sim.arguments.initial_orbits import check_orbits
 from bsk_torch.sim.arguments.values import merge
+from bsk_torch.sim.assembly.draws import TypeArguments
+from bsk_torch.sim.assembly.initial_orbits import check_orbits
 from bsk_torch.sim.assembly.satellite_type import SatelliteType
 from bsk_torch.sim.component import asked
 from bsk_torch.sim.satellite_state import ArgumentState, SatelliteState

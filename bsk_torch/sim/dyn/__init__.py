@@ -1,7 +1,10 @@
 """Dynamics: the parts of a spacecraft and the models that compose them."""
 
-from bsk_torch.sim.dyn.facets import Facet, box_facets
-from bsk_torch.sim.dyn.forces import add_force
+from bsk_torch.sim.dyn.effectors.thrusters import THRUSTER_TYPES, Thruster
+from bsk_torch.sim.dyn.effectors.torque_bars import TorqueBar
+from bsk_torch.sim.dyn.effectors.wheel_types import WHEEL_TYPES, Wheel, WheelType, pyramid
+from bsk_torch.sim.dyn.forces.facets import Facet, box_facets
+from bsk_torch.sim.dyn.forces.force import add_force
 from bsk_torch.sim.dyn.models import (
     AtmosphericDragDynModel,
     BasicDynamicsModel,
@@ -20,11 +23,8 @@ from bsk_torch.sim.dyn.models import (
     TorqueBarsDynModel,
 )
 from bsk_torch.sim.dyn.navigation import navigation_numbers
-from bsk_torch.sim.dyn.panels import Panel, best_direction
+from bsk_torch.sim.dyn.power.panels import Panel, best_direction
 from bsk_torch.sim.dyn.relative_motion import ConjunctionDynModel, MaxRangeDynModel
-from bsk_torch.sim.dyn.thrusters import THRUSTER_TYPES, Thruster
-from bsk_torch.sim.dyn.torque_bars import TorqueBar
-from bsk_torch.sim.dyn.wheel_types import WHEEL_TYPES, Wheel, WheelType, pyramid
 from bsk_torch.sim.instruments import Instrument
 from bsk_torch.sim.readout.model import aliveness_checker
 from bsk_torch.sim.readout.observables import Now, observable, vital

@@ -26,7 +26,7 @@ from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.rand import Distribution, Uniform, random_orbit
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
-from bsk_torch.sim.dyn.field import called_field, full_field
+from bsk_torch.sim.dyn.forces.field import called_field, full_field
 from bsk_torch.vec3 import Mat3, Vec3, times
 
 BODY = ("mass", "width", "depth", "height")

@@ -16,20 +16,13 @@ from bsk_torch.astro.orbit import Elements
 from bsk_torch.constants import RPM
 from bsk_torch.sim import world
 from bsk_torch.sim.component import Arg, Component, collect
-from bsk_torch.sim.dyn import (
-    drag,
-    events,
-    facets,
-    hub,
-    navigation,
-    panels,
-    partitions,
-    power,
-    storage,
-    thrusters,
-    torque_bars,
-    wheels,
-)
+from bsk_torch.sim.dyn import events, hub, navigation
+from bsk_torch.sim.dyn.effectors import thrusters, torque_bars, wheels
+from bsk_torch.sim.dyn.forces import drag, facets
+from bsk_torch.sim.dyn.power import balance as power
+from bsk_torch.sim.dyn.power import panels
+from bsk_torch.sim.dyn.storage import partitions
+from bsk_torch.sim.dyn.storage import store as storage
 from bsk_torch.sim.faults.component import FAULTS, severities
 from bsk_torch.sim.instruments import INSTRUMENTS, argument_now
 from bsk_torch.sim.readout.model import Model, Simulation
@@ -272,7 +265,7 @@ class NavigationErrorsDynModel(DynamicsModel):
 
 
 class AtmosphericDragDynModel(DynamicsModel):
-    """Adds drag by an exponential atmosphere for integrated orbits; see :mod:`bsk_torch.sim.dyn.drag`."""
+    """Adds drag by an exponential atmosphere for integrated orbits; see :mod:`bsk_torch.sim.dyn.forces.drag`."""
 
     components: ClassVar[tuple[Component, ...]] = (drag.DRAG,)
     requires_world: ClassVar[tuple[type[world.WorldModel], ...]] = (world.AtmosphereWorldModel,)

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from bsk_torch.constants import RPM
 from bsk_torch.sim.component import Allocation, Arg, Bus, Component, Field, Values
-from bsk_torch.sim.dyn.wheel_set import along, described_wheels, unit_axes
+from bsk_torch.sim.dyn.effectors.wheel_set import along, described_wheels, unit_axes
 from bsk_torch.sim.fsw.stability import NULL_SHARE
 from bsk_torch.vec3 import Vec3, select
 

@@ -1,7 +1,7 @@
 """Momentum dumping: thruster pulses that take the wheels' momentum away.
 
 Basilisk's chain thrMomentumManagement, thrForceMapping, thrMomentumDumping, on the thrusters of
-:mod:`bsk_torch.sim.dyn.thrusters`: pairs, or any set.
+:mod:`bsk_torch.sim.dyn.effectors.thrusters`: pairs, or any set.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import torch
 from torch import Tensor
 
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
-from bsk_torch.sim.dyn.thrusters import EIGHT_THRUSTERS, ThrusterPairs, arms_about_center, described_thrusters
-from bsk_torch.sim.dyn.wheels import largest_momentum
+from bsk_torch.sim.dyn.effectors.thrusters import EIGHT_THRUSTERS, ThrusterPairs, arms_about_center, described_thrusters
+from bsk_torch.sim.dyn.effectors.wheels import largest_momentum
 from bsk_torch.vec3 import Vec3, only, select
 
 Pairs = tuple[Tensor, ...]

@@ -11,10 +11,10 @@ from torch import Tensor
 from bsk_torch._checks import no_gradient, number
 from bsk_torch.constants import RPM
 from bsk_torch.sim.component import Values
+from bsk_torch.sim.dyn.effectors.thrusters import Thruster, forces_and_arms
+from bsk_torch.sim.dyn.effectors.wheel_set import check_inertia, free_tensor_moments, wheel_defaults
+from bsk_torch.sim.dyn.effectors.wheel_types import Wheel
 from bsk_torch.sim.dyn.hub import body_inertia, check_tensor
-from bsk_torch.sim.dyn.thrusters import Thruster, forces_and_arms
-from bsk_torch.sim.dyn.wheel_set import check_inertia, free_tensor_moments, wheel_defaults
-from bsk_torch.sim.dyn.wheel_types import Wheel
 from bsk_torch.sim.fsw.allocation import check_axes, wheel_map
 from bsk_torch.sim.fsw.stability import NULL_SHARE, attitude_rate, gains_at, rate_gain
 from bsk_torch.sim.names import nearest

@@ -21,8 +21,8 @@ import torch
 from torch import Tensor
 
 from bsk_torch.sim.component import Values
+from bsk_torch.sim.dyn.effectors.wheels import free_moments, largest_momentum
 from bsk_torch.sim.dyn.hub import BODY, body_inertia
-from bsk_torch.sim.dyn.wheels import free_moments, largest_momentum
 
 RATE_SHARE = 0.36
 """``P h / J`` of proposed gains with rate gain P and the smallest moment J: roots ``z^2 - z + 0.36`` of the rate loop are 0.6."""

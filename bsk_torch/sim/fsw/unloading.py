@@ -11,7 +11,7 @@ from torch import Tensor
 
 from bsk_torch.astro.attitude import mrp_to_dcm
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
-from bsk_torch.sim.dyn.torque_bars import described_bars, unit_bars
+from bsk_torch.sim.dyn.effectors.torque_bars import described_bars, unit_bars
 from bsk_torch.sim.fsw.desaturation import stored_momentum
 
 NO_FIELD = 1e-20

@@ -75,7 +75,7 @@ class WithinRange:
 class ClearOfEarth:
     """The line of sight keeps ``altitude`` m above the Earth, the ellipsoid of lines of sight between satellites.
 
-    Its polar radius is 0.98 of the equatorial one; see :mod:`bsk_torch.sim.access.line_of_sight`. For places in
+    Its polar radius is 0.98 of the equatorial one; see :mod:`bsk_torch.sim.access.links.line_of_sight`. For places in
     orbit: a place on the ground lies below the ellipsoid nowhere but near the poles.
     """
 

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from bsk_torch.codegen.kernel import Samples
-from bsk_torch.sim.run.trace import Flight, Trace
 from bsk_torch.sim.simulator import Checkpoint, Simulator, rows_of_samples
+from bsk_torch.sim.tick.trace import Flight, Trace
 
 if TYPE_CHECKING:
     from bsk_torch.sim.fleet import Fleet

@@ -17,7 +17,7 @@ from torch import Tensor
 from bsk_torch.constants import NANO
 from bsk_torch.sim.dyn.relative_motion import ConjunctionDynModel, MaxRangeDynModel
 from bsk_torch.sim.names import nearest
-from bsk_torch.sim.run.trace import Flight
+from bsk_torch.sim.tick.trace import Flight
 from bsk_torch.vec3 import Vec3
 
 if TYPE_CHECKING:

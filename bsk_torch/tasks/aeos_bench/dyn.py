@@ -17,12 +17,13 @@ from torch import Tensor
 
 from bsk_torch.astro.attitude import mrp_to_dcm
 from bsk_torch.sim.component import Arg, Bus, Component, Field, vec
-from bsk_torch.sim.dyn import panels, power
+from bsk_torch.sim.dyn.effectors.wheel_set import described_wheels, wheel_form, wheel_set
+from bsk_torch.sim.dyn.effectors.wheel_types import TRIAD
+from bsk_torch.sim.dyn.effectors.wheels import WHEELS, draw_power_of_wheels, wheel_power
 from bsk_torch.sim.dyn.hub import HUB
 from bsk_torch.sim.dyn.models import BasicDynamicsModel, EclipseDynModel
-from bsk_torch.sim.dyn.wheel_set import described_wheels, wheel_form, wheel_set
-from bsk_torch.sim.dyn.wheel_types import TRIAD
-from bsk_torch.sim.dyn.wheels import WHEELS, draw_power_of_wheels, wheel_power
+from bsk_torch.sim.dyn.power import balance as power
+from bsk_torch.sim.dyn.power import panels
 from bsk_torch.sim.readout.observables import Now, observable
 from bsk_torch.sim.schedule import SCHEDULE, Schedule
 from bsk_torch.vec3 import Mat3, Vec3

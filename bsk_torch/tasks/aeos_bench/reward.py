@@ -18,7 +18,7 @@ from bsk_torch.tasks.aeos_bench.scene import ASSIGNED, AWAITED, AEOSBench, Sight
 if TYPE_CHECKING:
     from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.scene.base import Scenario
-    from bsk_torch.sim.run.trace import Flight
+    from bsk_torch.sim.tick.trace import Flight
 
 WATT_HOUR = 3600.0
 

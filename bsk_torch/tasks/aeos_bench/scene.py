@@ -25,7 +25,7 @@ from bsk_torch.tasks.aeos_bench.outlook import EARTH_SPIN, TaskCandidates, TaskO
 if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite
     from bsk_torch.sats.fleet import SatelliteFleet
-    from bsk_torch.sim.run.trace import Flight
+    from bsk_torch.sim.tick.trace import Flight
 
 FARTHEST = 1e9
 """Range, m, of the benchmark's access."""

@@ -24,7 +24,7 @@ from bsk_torch.codegen.kernel import Kernel, Samples
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.component import Field, Layout, Track
 from bsk_torch.sim.orbit.builder import KernelBuilder
-from bsk_torch.sim.run.trace import Trace
+from bsk_torch.sim.tick.trace import Trace
 from bsk_torch.tasks.inspection.points import COLUMNS, Point, faces, in_view, sunlit
 from bsk_torch.vec3 import Mat3, Vec3, only
 

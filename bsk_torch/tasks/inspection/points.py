@@ -108,7 +108,9 @@ def faces(point: Point, rho_B: Vec3) -> Tensor:
 
 
 def in_view(point: Point, r_BN_B: Vec3, inspector_B: Vec3, pole_B: Vec3) -> Tensor:
-    """Return whether the Earth leaves the line from a point to an inspector free; see :mod:`bsk_torch.sim.access.line_of_sight`.
+    """Return whether the Earth leaves the line from a point to an inspector free.
+
+    See :mod:`bsk_torch.sim.access.links.line_of_sight`.
 
     Args:
         point: The point.

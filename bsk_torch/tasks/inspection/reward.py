@@ -12,8 +12,8 @@ from bsk_torch._checks import number, switch
 from bsk_torch.constants import NANO
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.scene.recorded import RecordedProgress
-from bsk_torch.sim.run.trace import Flight
 from bsk_torch.sim.state import FINITE
+from bsk_torch.sim.tick.trace import Flight
 from bsk_torch.tasks.inspection.flags import Records, find_flags
 from bsk_torch.tasks.inspection.scene import RSOPoints
 

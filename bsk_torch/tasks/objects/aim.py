@@ -7,8 +7,8 @@ from torch import Tensor
 
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.comm.base import PEER
-from bsk_torch.sim.run.tracks import no_samples
 from bsk_torch.sim.simulator import Simulator
+from bsk_torch.sim.tick.tracks import no_samples
 from bsk_torch.tasks.objects.dyn import RSO_TRACK
 from bsk_torch.tasks.objects.orbits import CatalogOrbits
 
@@ -30,7 +30,7 @@ class AimedNodes:
         self._end = -1.0
 
     def reach(self, time: Tensor) -> None:
-        """See :meth:`bsk_torch.sim.run.tracks.TrackSource.reach`."""
+        """See :meth:`bsk_torch.sim.tick.tracks.TrackSource.reach`."""
         simulator, orbits = self._simulator, self._orbits
         key = simulator.mode, simulator.memory.version, orbits.version
         same = self._key is not None and key[0] is self._key[0] and key[1:] == self._key[1:]
@@ -54,5 +54,5 @@ class AimedNodes:
         self._key, self._end = key, end
 
     def samples(self) -> Samples:
-        """See :meth:`bsk_torch.sim.run.tracks.TrackSource.samples`."""
+        """See :meth:`bsk_torch.sim.tick.tracks.TrackSource.samples`."""
         return self._nodes

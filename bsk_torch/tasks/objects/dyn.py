@@ -22,8 +22,9 @@ from bsk_torch.astro.interpolate import BEFORE, COUNT, coefficients, position
 from bsk_torch.astro.sight import line_clearance, stretch
 from bsk_torch.constants import NANO
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Track, Values, vec
-from bsk_torch.sim.dyn import partitions, storage
 from bsk_torch.sim.dyn.models import ImagingDynModel
+from bsk_torch.sim.dyn.storage import partitions
+from bsk_torch.sim.dyn.storage import store as storage
 from bsk_torch.sim.instruments import NO_INSTRUMENTS
 from bsk_torch.sim.orbit.grid import NODE_SPACING
 from bsk_torch.sim.readout.observables import Now, observable

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from bsk_torch.astro.sight import line_clearance
 from bsk_torch.sim.component import Bus, Component, Field
-from bsk_torch.sim.dyn.power import power_arg
+from bsk_torch.sim.dyn.power.balance import power_arg
 from bsk_torch.tasks.objects.dyn import HELD, SpaceToSpaceImagingDynModel
 
 LINK_FIELDS = (

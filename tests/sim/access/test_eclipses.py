@@ -11,7 +11,7 @@ from bsk_torch.astro.ephemeris import parse_utc, sun_position
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.constants import MU_EARTH, R_EARTH
-from bsk_torch.sim.access.eclipses import NOT_FOUND, SHORTEST_SEARCH, EclipseTable, search_range
+from bsk_torch.sim.access.light.eclipses import NOT_FOUND, SHORTEST_SEARCH, EclipseTable, search_range
 from bsk_torch.sim.access.lookahead import LookAhead
 from bsk_torch.sim.access.visibility.backend import make_visibility
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits, position_between

@@ -5,8 +5,8 @@ import math
 import pytest
 import torch
 
-from bsk_torch.sim.access.light import PIECE, parts_where
-from bsk_torch.sim.access.passes import Passes
+from bsk_torch.sim.access.light.light import PIECE, parts_where
+from bsk_torch.sim.access.passes.passes import Passes
 
 RATE = 2.0 * math.pi / 86164.0
 """Rotation of the Earth, rad/s: the Sun's elevation varies like a cosine of this rate."""

@@ -9,9 +9,9 @@ from bsk_torch.comm import los
 from bsk_torch.comm.los import flown_orbits, make_search, visible_pairs
 from bsk_torch.constants import MU_EARTH, R_EARTH
 from bsk_torch.sats.fleet import SatelliteFleet
-from bsk_torch.sim.access import line_of_sight_search
-from bsk_torch.sim.access.line_of_sight import SatellitePositions, speed_bound, visibility_margin
-from bsk_torch.sim.access.line_of_sight_search import SatellitePairs, pole_directions
+from bsk_torch.sim.access.links import line_of_sight_search
+from bsk_torch.sim.access.links.line_of_sight import SatellitePositions, speed_bound, visibility_margin
+from bsk_torch.sim.access.links.line_of_sight_search import SatellitePairs, pole_directions
 from bsk_torch.sim.environment.ephemeris import pole_matrix
 from bsk_torch.vec3 import Vec3
 from tests.comm.fleets import drawn_elements, make_fleet, recorded, states, step, with_ranges

@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from bsk_torch.sim.access.padded import tabulate
+from bsk_torch.sim.access.windows.padded import tabulate
 
 INF = math.inf
 

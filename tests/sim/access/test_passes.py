@@ -10,12 +10,12 @@ import torch
 from bsk_torch.astro.orbit import Elements
 from bsk_torch.astro.sight import max_central_angle
 from bsk_torch.constants import R_EARTH
-from bsk_torch.sim.access import passes as module
-from bsk_torch.sim.access.generation import GenerationIntervals, long_spans, windows_by_interval, windows_of_short_spans
-from bsk_torch.sim.access.passes import SHORTEST_PASS, GroundTrack, Passes, PassSearch, coarse_screen
+from bsk_torch.sim.access.passes import passes as module
+from bsk_torch.sim.access.passes.passes import SHORTEST_PASS, GroundTrack, Passes, PassSearch, coarse_screen
 from bsk_torch.sim.access.visibility.geometry import SAMPLES_PER_CELL
 from bsk_torch.sim.access.visibility.kernels import KernelVisibility
 from bsk_torch.sim.access.visibility.tensors import TensorVisibility
+from bsk_torch.sim.access.windows.generation import GenerationIntervals, long_spans, windows_by_interval, windows_of_short_spans
 from bsk_torch.sim.orbit.grid import PLAN_STEP
 from bsk_torch.sim.places import Sites
 from tests.sim.orbit.arcs import at, every, fixed_samples, places_of, sine_of_elevation, sines_of_elevation

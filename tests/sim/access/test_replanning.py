@@ -5,7 +5,7 @@ import torch
 
 from bsk_torch.astro.eclipse import in_umbra
 from bsk_torch.astro.ephemeris import earth_orientation, sun_position
-from bsk_torch.sim.access.line_of_sight_search import flown_positions
+from bsk_torch.sim.access.links.line_of_sight_search import flown_positions
 from bsk_torch.vec3 import Vec3
 from tests.sim.orbit.arcs import sine_of_elevation
 from tests.support.episodes import begun

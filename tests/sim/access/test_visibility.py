@@ -11,7 +11,7 @@ from bsk_torch.astro.frames import lla_to_fixed
 from bsk_torch.astro.sight import elevation_clearance
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.constants import R_EARTH
-from bsk_torch.sim.access.passes import GroundTrack
+from bsk_torch.sim.access.passes.passes import GroundTrack
 from bsk_torch.sim.access.visibility.backend import Visibility, make_visibility
 from bsk_torch.sim.access.visibility.geometry import (
     ABOVE_LIMIT,

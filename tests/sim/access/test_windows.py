@@ -9,12 +9,12 @@ import torch
 from bsk_torch.astro.ephemeris import earth_orientation
 from bsk_torch.astro.frames import lla_to_fixed
 from bsk_torch.constants import R_EARTH
-from bsk_torch.sim.access import window_table
-from bsk_torch.sim.access import windows as module
-from bsk_torch.sim.access.next_windows import next_windows
 from bsk_torch.sim.access.visibility.backend import make_visibility
-from bsk_torch.sim.access.window_table import Windows, next_to_close
-from bsk_torch.sim.access.windows import BEFORE_SEARCH, BEHIND_SEARCH, SEARCH_AHEAD, AccessWindows
+from bsk_torch.sim.access.windows import search as module
+from bsk_torch.sim.access.windows import table as window_table
+from bsk_torch.sim.access.windows.next_windows import next_windows
+from bsk_torch.sim.access.windows.search import BEFORE_SEARCH, BEHIND_SEARCH, SEARCH_AHEAD, AccessWindows
+from bsk_torch.sim.access.windows.table import Windows, next_to_close
 from bsk_torch.sim.environment.world import DEFAULT_STATIONS, station_arrays
 from bsk_torch.sim.orbit.arcs import segments_for
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT

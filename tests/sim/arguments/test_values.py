@@ -12,10 +12,10 @@ from bsk_torch.rand import Key
 from bsk_torch.sim.arguments.values import Arguments, convert, merge, nearest
 from bsk_torch.sim.component import Arg, asked
 from bsk_torch.sim.dyn.hub import HUB
-from bsk_torch.sim.dyn.panels import PANEL
-from bsk_torch.sim.dyn.partitions import transmitter
-from bsk_torch.sim.dyn.power import BATTERY
-from bsk_torch.sim.dyn.storage import TRANSMITTER
+from bsk_torch.sim.dyn.power.balance import BATTERY
+from bsk_torch.sim.dyn.power.panels import PANEL
+from bsk_torch.sim.dyn.storage.partitions import transmitter
+from bsk_torch.sim.dyn.storage.store import TRANSMITTER
 from bsk_torch.sim.environment.world import EPHEMERIS, GROUND_STATIONS
 from bsk_torch.sim.fsw.control import MRP_FEEDBACK
 from bsk_torch.sim.fsw.desaturation import DESATURATION

@@ -7,7 +7,8 @@ from bsk_torch import ConstellationTasking, SatelliteTasking, act, dyn, fsw, obs
 from bsk_torch.astro.attitude import mrp_to_dcm
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.sim.component import Bus
-from bsk_torch.sim.dyn import hub, wheels
+from bsk_torch.sim.dyn import hub
+from bsk_torch.sim.dyn.effectors import wheels
 from bsk_torch.sim.dyn.hub import HUB, fitted_hub
 from bsk_torch.vec3 import Mat3, Vec3
 from tests.sim.buses import N, vectors, write

@@ -8,7 +8,12 @@ import torch
 from bsk_torch.astro.attitude import mrp_to_dcm
 from bsk_torch.constants import AU, RPM
 from bsk_torch.sim.component import Bus
-from bsk_torch.sim.dyn import drag, hub, panels, power, storage, thrusters, wheels
+from bsk_torch.sim.dyn import hub
+from bsk_torch.sim.dyn.effectors import thrusters, wheels
+from bsk_torch.sim.dyn.forces import drag
+from bsk_torch.sim.dyn.power import balance as power
+from bsk_torch.sim.dyn.power import panels
+from bsk_torch.sim.dyn.storage import store as storage
 from bsk_torch.vec3 import Mat3, Vec3
 from tests.sim.buses import write
 

@@ -9,7 +9,8 @@ from bsk_torch import SatelliteTasking, dyn, fsw, rand
 from bsk_torch.astro.attitude import mrp_to_dcm
 from bsk_torch.presets.nadir_scan import ScanningSatellite
 from bsk_torch.sim.component import Allocation, Arg, Bus, Component, Effector, Field, vec
-from bsk_torch.sim.dyn import hub, wheels
+from bsk_torch.sim.dyn import hub
+from bsk_torch.sim.dyn.effectors import wheels
 from bsk_torch.vec3 import Mat3, Vec3, times
 from tests.sim.buses import N, vectors, write
 

@@ -3,7 +3,7 @@
 import torch
 
 from bsk_torch.sim.component import Bus, Effector
-from bsk_torch.sim.dyn.torque_bars import magnetic_torque
+from bsk_torch.sim.dyn.effectors.torque_bars import magnetic_torque
 from bsk_torch.sim.fsw.unloading import unload
 from bsk_torch.vec3 import Mat3, Vec3
 from tests.sim.buses import N, vectors, write

@@ -10,8 +10,8 @@ from torch import Tensor
 from bsk_torch import dyn, faults, rand
 from bsk_torch.constants import AU
 from bsk_torch.sim.component import Bus
-from bsk_torch.sim.dyn.drag import DRAG, fitted_drag
-from bsk_torch.sim.dyn.panels import PANEL, best_direction, fitted_panels, panel_set, turned
+from bsk_torch.sim.dyn.forces.drag import DRAG, fitted_drag
+from bsk_torch.sim.dyn.power.panels import PANEL, best_direction, fitted_panels, panel_set, turned
 from bsk_torch.sim.fsw.guidance import SUN_POINTING, fitted_sun_pointing
 from bsk_torch.vec3 import Vec3
 from tests.sim.buses import plane, vectors, write

@@ -9,11 +9,13 @@ from bsk_torch.codegen.kernel import Samples
 from bsk_torch.sim import dyn
 from bsk_torch.sim.arguments.values import merge
 from bsk_torch.sim.component import Bus, Component, Field
-from bsk_torch.sim.dyn import events, partitions, storage
+from bsk_torch.sim.dyn import events
+from bsk_torch.sim.dyn.storage import partitions
+from bsk_torch.sim.dyn.storage import store as storage
 from bsk_torch.sim.environment import world
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK
-from bsk_torch.sim.run.runners import Runners, make_runners
-from bsk_torch.sim.run.tick import Tick
+from bsk_torch.sim.tick.loop import Tick
+from bsk_torch.sim.tick.runners import Runners, make_runners
 from tests.sim.buses import plane, write
 from tests.sim.run.runs import Start
 

@@ -6,8 +6,8 @@ import torch
 
 from bsk_torch import ConstellationTasking, SatelliteTasking, act, dyn, faults, fsw, obs, sats
 from bsk_torch.presets.nadir_scan import ScanningSatellite
-from bsk_torch.sim.dyn.partitions import partition_names
-from bsk_torch.sim.dyn.thrusters import OCTET
+from bsk_torch.sim.dyn.effectors.thrusters import OCTET
+from bsk_torch.sim.dyn.storage.partitions import partition_names
 from tests.sim.dyn.flights import fly
 from tests.support.refusals import check_refusals, refusal
 

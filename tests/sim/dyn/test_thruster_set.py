@@ -9,7 +9,7 @@ import torch
 
 from bsk_torch import dyn, rand
 from bsk_torch.sim.component import Bus
-from bsk_torch.sim.dyn.thrusters import (
+from bsk_torch.sim.dyn.effectors.thrusters import (
     ARGS,
     DIRECTIONS,
     EIGHT_THRUSTERS,

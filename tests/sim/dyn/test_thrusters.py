@@ -5,7 +5,7 @@ import torch
 
 from bsk_torch.codegen.inductor import just_in_time
 from bsk_torch.sim.component import Bus
-from bsk_torch.sim.dyn import thrusters
+from bsk_torch.sim.dyn.effectors import thrusters
 from tests.codegen.columns import mapped
 
 SECOND = 1_000_000_000

@@ -16,9 +16,10 @@ from bsk_torch.astro.attitude import mrp_to_dcm
 from bsk_torch.constants import RPM
 from bsk_torch.presets.nadir_scan import ScanningSatellite
 from bsk_torch.sim.component import Bus
-from bsk_torch.sim.dyn import hub, wheels
-from bsk_torch.sim.dyn.friction import LINEAR_BELOW, friction_torques
-from bsk_torch.sim.dyn.wheel_set import WheelForm, latch, wheel_effector
+from bsk_torch.sim.dyn import hub
+from bsk_torch.sim.dyn.effectors import wheels
+from bsk_torch.sim.dyn.effectors.friction import LINEAR_BELOW, friction_torques
+from bsk_torch.sim.dyn.effectors.wheel_set import WheelForm, latch, wheel_effector
 from bsk_torch.sim.fsw.allocation import distribute, wheel_map
 from bsk_torch.vec3 import Mat3, Vec3
 from tests.sim.buses import N, plane, vectors, write

@@ -1,8 +1,8 @@
 import torch
 
 from bsk_torch.sim.component import Bus
+from bsk_torch.sim.dyn.effectors.wheels import SPIN_INERTIA
 from bsk_torch.sim.dyn.hub import box_inertia
-from bsk_torch.sim.dyn.wheels import SPIN_INERTIA
 from bsk_torch.sim.fsw import control, guidance
 from bsk_torch.sim.fsw.steering import MRP_STEERING, fitted_steering
 from bsk_torch.vec3 import Vec3

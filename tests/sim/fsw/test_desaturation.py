@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from bsk_torch.sim.component import Bus
-from bsk_torch.sim.dyn.thrusters import EIGHT_THRUSTERS, THRUST
-from bsk_torch.sim.dyn.wheels import SPIN_INERTIA
+from bsk_torch.sim.dyn.effectors.thrusters import EIGHT_THRUSTERS, THRUST
+from bsk_torch.sim.dyn.effectors.wheels import SPIN_INERTIA
 from bsk_torch.sim.fsw import desaturation
 from bsk_torch.vec3 import Vec3
 from tests.sim.buses import N, plane, vectors, with_wheels, write

@@ -10,7 +10,7 @@ import torch
 
 from bsk_torch import SatelliteTasking, act, dyn, fsw, obs, rand, sats
 from bsk_torch.constants import RPM
-from bsk_torch.sim.dyn.thrusters import OCTET
+from bsk_torch.sim.dyn.effectors.thrusters import OCTET
 from tests.sim.dyn.test_body import random_tensors
 
 HR16 = [dyn.Wheel("Honeywell_HR16", axis, 50.0) for axis in torch.eye(3).tolist()]

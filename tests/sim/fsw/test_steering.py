@@ -7,7 +7,7 @@ import torch
 
 from bsk_torch.astro.attitude import mrp_rate
 from bsk_torch.sim.component import Bus
-from bsk_torch.sim.dyn.wheels import SPIN_INERTIA
+from bsk_torch.sim.dyn.effectors.wheels import SPIN_INERTIA
 from bsk_torch.sim.fsw import BasicFSWModel, SteeringFSWModel, SteeringImagerFSWModel, guidance, steering
 from bsk_torch.vec3 import Vec3
 from tests.sim.buses import N, plane, vectors, with_wheels, write

@@ -9,7 +9,7 @@ from bsk_torch.astro.ephemeris import earth_orientation
 from bsk_torch.astro.interpolate import coefficients, position, velocity
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.constants import R_EARTH
-from bsk_torch.sim.access.passes import GroundTrack
+from bsk_torch.sim.access.passes.passes import GroundTrack
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits, position_between
 from bsk_torch.sim.component import neighbours
 from bsk_torch.sim.orbit.arcs import ARC, Arcs

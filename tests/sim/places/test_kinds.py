@@ -11,9 +11,9 @@ from bsk_torch.astro.ephemeris import earth_orientation, sun_position
 from bsk_torch.astro.mean_orbit import mean_elements, mean_position
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.constants import R_EARTH
-from bsk_torch.sim.access.light import in_light
-from bsk_torch.sim.access.passes import GroundTrack, Passes, PassSearch
-from bsk_torch.sim.access.sampled_passes import find_passes
+from bsk_torch.sim.access.light.light import in_light
+from bsk_torch.sim.access.passes.passes import GroundTrack, Passes, PassSearch
+from bsk_torch.sim.access.passes.sampled_passes import find_passes
 from bsk_torch.sim.access.visibility.tensors import TensorVisibility
 from bsk_torch.sim.draw_table import DrawTable
 from bsk_torch.sim.orbit.grid import PLAN_STEP
@@ -261,5 +261,5 @@ def test_windows_of_a_row_do_not_depend_on_others(world, kind, monkeypatch):
     one = GroundTrack(*(part[2:3] for part in world.track))
     alone = listed(find_passes(places(), torch.tensor([2]), one))
     assert {pair[1]: windows for pair, windows in whole.items() if pair[0] == 2} == {k[1]: w for k, w in alone.items()}
-    monkeypatch.setattr("bsk_torch.sim.access.sampled_passes.SCREENED", 1)
+    monkeypatch.setattr("bsk_torch.sim.access.passes.sampled_passes.SCREENED", 1)
     assert listed(find_passes(places(), torch.arange(SATELLITES), world.track)) == whole

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from bsk_torch.codegen.kernel import Kernel, Samples
-from bsk_torch.sim.run.runners import TickLoop
 from bsk_torch.sim.simulator import Simulator
+from bsk_torch.sim.tick.runners import TickLoop
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ import torch
 
 import bsk_torch
 from bsk_torch.env.base import ResetNeededError
-from tests.sim.run.test_trace import build
+from tests.sim.tick.test_trace import build
 from tests.support.refusals import check_refusals, refusal
 
 FIELDS = ("sigma_BN", "omega_BN_B", "Omega_WB_B")

@@ -8,7 +8,7 @@ import torch
 from bsk_torch.astro.ephemeris import earth_orientation, parse_utc, sun_position
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.component import Field, vec
-from bsk_torch.sim.run.trace import Trace
+from bsk_torch.sim.tick.trace import Trace
 from bsk_torch.tasks.inspection.flags import GROUP, Records, find_flags
 from bsk_torch.tasks.inspection.points import Point, faces, point_columns
 from bsk_torch.vec3 import Vec3

@@ -4,7 +4,7 @@ It propagates its trajectory by one interval at a time. In each interval it samp
 near the place, and takes the first and the last of these for the ends of a window or searches for a crossing next to them. That
 has consequences which agents see, and which ``compat="bsk_rl"`` reproduces: an interval that lies within a pass gives no window,
 a pass that rises in an interval and outlasts it can be taken for one that sets, and passes are lost where the satellite is near
-the place for more than a quarter of a revolution (:mod:`bsk_torch.sim.access.literal_search`).
+the place for more than a quarter of a revolution (:mod:`bsk_torch.sim.access.passes.literal_search`).
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bsk_torch.sim.access.literal_search import NEAR, searched_by_interval
-from bsk_torch.sim.access.passes import SHORTEST_PASS, GroundTrack, Passes, PassSearch
+from bsk_torch.sim.access.passes.literal_search import NEAR, searched_by_interval
+from bsk_torch.sim.access.passes.passes import SHORTEST_PASS, GroundTrack, Passes, PassSearch
 from bsk_torch.sim.orbit.grid import PLAN_STEP
 
 LONG_SPAN = 1.3

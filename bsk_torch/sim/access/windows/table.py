@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from bsk_torch.sim.access.passes import Passes
+from bsk_torch.sim.access.passes.passes import Passes
 
 TIME_ROUNDING = 1e-12
 """Windows that close less than this, s, after a query count as closed."""

@@ -13,9 +13,9 @@ from torch import Tensor
 
 from bsk_torch.constants import NANO
 from bsk_torch.rand import Key, first_key
-from bsk_torch.sim.arguments.initial_orbits import check_orbits
 from bsk_torch.sim.arguments.sources import Answers
 from bsk_torch.sim.arguments.values import Arguments, Overrides, merge
+from bsk_torch.sim.assembly.initial_orbits import check_orbits
 from bsk_torch.sim.component import Arg, Component, asked
 
 logger = logging.getLogger(__name__)

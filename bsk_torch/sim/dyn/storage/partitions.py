@@ -17,7 +17,7 @@ from torch import Tensor
 
 from bsk_torch.constants import NANO
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
-from bsk_torch.sim.dyn import storage
+from bsk_torch.sim.dyn.storage import store as storage
 from bsk_torch.vec3 import only
 
 STORED_DATA = "STORED DATA"

@@ -13,15 +13,15 @@ import torch
 from torch import Tensor
 
 from bsk_torch.astro.interpolate import BEFORE, COUNT
-from bsk_torch.sim.access.generation import GenerationIntervals, true_windows, windows_by_interval
-from bsk_torch.sim.access.light import in_light
-from bsk_torch.sim.access.next_windows import next_windows
-from bsk_torch.sim.access.padded import tabulate
-from bsk_torch.sim.access.passes import GroundTrack, Passes, PassSearch
-from bsk_torch.sim.access.sampled_passes import find_passes
+from bsk_torch.sim.access.light.light import in_light
+from bsk_torch.sim.access.passes.passes import GroundTrack, Passes, PassSearch
+from bsk_torch.sim.access.passes.sampled_passes import find_passes
 from bsk_torch.sim.access.visibility.backend import Visibility
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits
-from bsk_torch.sim.access.window_table import Windows, candidates, join_at, next_to_close
+from bsk_torch.sim.access.windows.generation import GenerationIntervals, true_windows, windows_by_interval
+from bsk_torch.sim.access.windows.next_windows import next_windows
+from bsk_torch.sim.access.windows.padded import tabulate
+from bsk_torch.sim.access.windows.table import Windows, candidates, join_at, next_to_close
 from bsk_torch.sim.hooks import check_tensor
 from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, PLAN_STEP
@@ -46,7 +46,7 @@ PASSES_PER_SECOND = 1.2e-5
 
 
 class WindowState(StateTable):
-    """Windows [N, W] over the places of one kind, see :class:`~bsk_torch.sim.access.window_table.Windows`."""
+    """Windows [N, W] over the places of one kind, see :class:`~bsk_torch.sim.access.windows.table.Windows`."""
 
     open: Tensor
     close: Tensor
@@ -157,7 +157,7 @@ class AccessWindows(StateTable):
     def next(
         self, kind: str, time: Tensor, width: int, allowed: Tensor | None = None, rows: Tensor | None = None
     ) -> tuple[Windows, Tensor]:
-        """Return the windows that close next; see :func:`~bsk_torch.sim.access.window_table.next_to_close`.
+        """Return the windows that close next; see :func:`~bsk_torch.sim.access.windows.table.next_to_close`.
 
         ``time`` [N] and ``allowed`` [N, P] belong to all rows; the answer is that of ``rows`` [m], or of all.
 

@@ -11,8 +11,8 @@ from bsk_torch.codegen.kernel import Samples
 from bsk_torch.sim.component import Component, Field, vec
 from bsk_torch.sim.environment.ephemeris import ephemeris_records
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT
-from bsk_torch.sim.run.runners import Runners, TickLoop, make_runners
-from bsk_torch.sim.run.tick import Tick
+from bsk_torch.sim.tick.loop import Tick
+from bsk_torch.sim.tick.runners import Runners, TickLoop, make_runners
 from bsk_torch.vec3 import Vec3, only
 from tests.sim.run.runs import Start, start_of
 from tests.support.refusals import check_refusals, refusal

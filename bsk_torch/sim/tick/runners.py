@@ -1,6 +1,6 @@
 """Repeat the tick until each row's own end.
 
-The longest duration of each row is known when a step starts; a tick that stops (see :class:`bsk_torch.sim.run.tick.Tick`) may
+The longest duration of each row is known when a step starts; a tick that stops (see :class:`bsk_torch.sim.tick.loop.Tick`) may
 end it earlier, and with it the other satellites of its episode. Kernels work on blocks of rows with similar durations; elsewhere
 a loop over ticks holds the rows that have ended. It does not wait for the device while it runs, unless ticks may stop: then once
 in :data:`CHECK_EVERY` ticks, whether there is any row left.
@@ -18,7 +18,7 @@ from torch import Tensor
 from bsk_torch.codegen.inductor import BACKENDS, just_in_time
 from bsk_torch.codegen.ir import UntraceableError
 from bsk_torch.codegen.kernel import Kernel, Samples
-from bsk_torch.sim.run.tick import Tick
+from bsk_torch.sim.tick.loop import Tick
 
 logger = logging.getLogger(__name__)
 
@@ -115,7 +115,7 @@ class TickLoop:
     """A loop over ticks that holds the rows that have ended; shapes never change, so that graphs can be replayed."""
 
     def __init__(self, step: Callable[..., tuple[Tensor, Tensor]], stops: bool = False, recorded: Sequence[int] = ()) -> None:
-        """Repeat ``step``, see :meth:`bsk_torch.sim.run.tick.Tick.step`, which may stop rows if it ``stops``.
+        """Repeat ``step``, see :meth:`bsk_torch.sim.tick.loop.Tick.step`, which may stop rows if it ``stops``.
 
         Planes that are ``recorded`` are written in every tick.
         """

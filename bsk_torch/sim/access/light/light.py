@@ -14,7 +14,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from bsk_torch.sim.access.passes import Passes
+from bsk_torch.sim.access.passes.passes import Passes
 from bsk_torch.sim.places import FixedPlaces, SunElevation
 from bsk_torch.vec3 import Vec3
 

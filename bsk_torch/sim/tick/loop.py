@@ -20,11 +20,11 @@ from bsk_torch.codegen.kernel import Kernel
 from bsk_torch.codegen.trace import Tracer
 from bsk_torch.constants import NANO
 from bsk_torch.sim.component import Bus, Component, Field, Layout, Track, neighbours
-from bsk_torch.sim.dyn.forces import check_force
+from bsk_torch.sim.dyn.forces.force import check_force
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, put_track
 from bsk_torch.sim.orbit.arcs import ARC, follow_arc
-from bsk_torch.sim.run.own_updates import WatchedBus, check_read, update_checked
-from bsk_torch.sim.run.trace import recorded, trace_track
+from bsk_torch.sim.tick.own_updates import WatchedBus, check_read, update_checked
+from bsk_torch.sim.tick.trace import recorded, trace_track
 
 _ON_ARC = "the orbit was computed in advance; pass orbit='integrated' to the environment"
 
@@ -66,7 +66,7 @@ class Tick:
     ) -> None:
         """Lay out the packs of ``components``, which are in the order of a tick of ``h_ns`` nanoseconds.
 
-        ``followed`` are the fields that satellites record which components follow; see :mod:`bsk_torch.sim.run.trace`. ``flags``
+        ``followed`` are the fields that satellites record which components follow; see :mod:`bsk_torch.sim.tick.trace`. ``flags``
         are what modes may switch on, those that the components declare aside. ``gravity_degree`` is that of the Earth's field
         where orbits are not solved in advance.
         """
@@ -128,7 +128,7 @@ class Tick:
     def advance(self, inputs: Inputs, checked: bool = False) -> tuple[list[Any], Any]:
         """Return the planes of the state at the end of the tick, and the mask of rows that end their run with it, or None.
 
-        Updates are ``checked`` as :mod:`bsk_torch.sim.run.own_updates` describes.
+        Updates are ``checked`` as :mod:`bsk_torch.sim.tick.own_updates` describes.
         """
         bus = self.bus(inputs)
         if checked:

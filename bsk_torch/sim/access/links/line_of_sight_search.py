@@ -27,7 +27,7 @@ from bsk_torch.astro.sight import POLAR_STRETCH
 from bsk_torch.codegen.ir import Loop
 from bsk_torch.codegen.kernel import Kernel, Samples
 from bsk_torch.constants import NANO
-from bsk_torch.sim.access.line_of_sight import SatellitePositions, visibility_margin
+from bsk_torch.sim.access.links.line_of_sight import SatellitePositions, visibility_margin
 from bsk_torch.sim.component import Bus, neighbours
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, orient_pole, put_track
 from bsk_torch.sim.orbit.arcs import Arcs

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
-from bsk_torch.sim.dyn.power import power_arg, sink
+from bsk_torch.sim.dyn.power.balance import power_arg, sink
 from bsk_torch.sim.instruments import each_value
 
 MOST_BITS = 2.0**53

@@ -9,10 +9,10 @@ from torch import Tensor
 
 from bsk_torch.astro.roots import find_root
 from bsk_torch.constants import MU_EARTH
-from bsk_torch.sim.access.next_eclipses import next_eclipses
-from bsk_torch.sim.access.padded import tabulate
+from bsk_torch.sim.access.light.next_eclipses import next_eclipses
 from bsk_torch.sim.access.visibility.backend import Visibility
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits
+from bsk_torch.sim.access.windows.padded import tabulate
 from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, PLAN_STEP, SAMPLES_PER_SEGMENT
 from bsk_torch.sim.state import StateTable

@@ -10,7 +10,7 @@ from pathlib import Path
 from torch import Tensor
 
 from bsk_torch.codegen.build import entry, load
-from bsk_torch.sim.access.next_windows import check_times
+from bsk_torch.sim.access.windows.next_windows import check_times
 
 SOURCE = Path(__file__).with_name("next_eclipses.cpp")
 
@@ -33,7 +33,7 @@ def next_eclipses(
     sampled: Tensor,
     known: Tensor,
 ) -> tuple[Tensor, Tensor] | None:
-    """Return the same as :meth:`~bsk_torch.sim.access.eclipses.EclipseTable.query`, bit for bit; None if arcs are too short.
+    """Return the same as ``EclipseTable.query``, bit for bit; None if arcs are too short.
 
     Args:
         constants: The struct ``Constants`` of the kernel.

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.codegen.build import entry, load
-from bsk_torch.sim.access.window_table import TIME_ROUNDING, Windows, is_long
+from bsk_torch.sim.access.windows.table import TIME_ROUNDING, Windows, is_long
 from bsk_torch.sim.hooks import check_tensor
 
 SOURCE = Path(__file__).with_name("next_windows.cpp")
@@ -42,7 +42,7 @@ def check_times(shape: torch.Size, times: Mapping[str, Tensor | None]) -> None:
 def next_windows(
     windows: Windows, time: Tensor, until: Tensor, width: int, allowed: Tensor | None, rows: Tensor | None = None
 ) -> tuple[Windows, Tensor]:
-    """Return the same as :func:`~bsk_torch.sim.access.window_table.next_to_close`, bit for bit.
+    """Return the same as :func:`~bsk_torch.sim.access.windows.table.next_to_close`, bit for bit.
 
     The first windows that have not closed and are not cut come in the order of the table; only where they are too few, those that
     are cut are sorted.

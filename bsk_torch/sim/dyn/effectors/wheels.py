@@ -1,9 +1,9 @@
-"""Three reaction wheels on the body axes, and the power that wheels draw; others are in :mod:`bsk_torch.sim.dyn.wheel_set`.
+"""Three reaction wheels on the body axes, and the power that wheels draw.
 
-Basilisk's reactionWheelStateEffector and ReactionWheelPower. As the wheels' axes are those of B, three speeds, or torques, are
-the components of a vector in B. With the inertia Js of a wheel about its axis, kg m^2, its speed Omega relative to the hub,
-rad/s, and the motor torque u, N m (Schaub and Junkins, section 4.5), the wheels load the hub with ``u + Js omega x Omega``, and
-``Omega' = u / Js - omega'``.
+Others are in :mod:`bsk_torch.sim.dyn.effectors.wheel_set`. Basilisk's reactionWheelStateEffector and ReactionWheelPower. As the
+wheels' axes are those of B, three speeds, or torques, are the components of a vector in B. With the inertia Js of a wheel about
+its axis, kg m^2, its speed Omega relative to the hub, rad/s, and the motor torque u, N m (Schaub and Junkins, section 4.5), the
+wheels load the hub with ``u + Js omega x Omega``, and ``Omega' = u / Js - omega'``.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from torch import Tensor
 
 from bsk_torch.constants import RPM
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values, vec
+from bsk_torch.sim.dyn.effectors.wheel_set import ARGS, described_wheels, free_tensor_moments, wheel_form, wheel_set
 from bsk_torch.sim.dyn.hub import MOTION, body_inertia, body_momentum, check_turn, described_body
-from bsk_torch.sim.dyn.power import power_arg
-from bsk_torch.sim.dyn.wheel_set import ARGS, described_wheels, free_tensor_moments, wheel_form, wheel_set
+from bsk_torch.sim.dyn.power.balance import power_arg
 from bsk_torch.vec3 import Vec3
 
 MAX_SPEED = 6000.0 * RPM

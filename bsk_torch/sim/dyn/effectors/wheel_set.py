@@ -1,7 +1,7 @@
 """Any number of reaction wheels about any axes, with friction: Basilisk's reactionWheelStateEffector, balanced wheels.
 
-The three wheels of :mod:`bsk_torch.sim.dyn.wheels` are the special case that is compiled to fewer operations. What wheels have,
-friction for example, is fixed when the tick is built, by :class:`WheelForm`; their numbers are parameters.
+The three wheels of :mod:`bsk_torch.sim.dyn.effectors.wheels` are the special case that is compiled to fewer operations. What
+wheels have, friction for example, is fixed when the tick is built, by :class:`WheelForm`; their numbers are parameters.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from bsk_torch.constants import RPM
 from bsk_torch.rand import Uniform
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values
 from bsk_torch.sim.dyn.axes import check_axis, unit_rows
-from bsk_torch.sim.dyn.friction import friction_torques
+from bsk_torch.sim.dyn.effectors.friction import friction_torques
+from bsk_torch.sim.dyn.effectors.wheel_types import TRIAD, Wheel
 from bsk_torch.sim.dyn.hub import (
     MOTION,
     body_inertia,
@@ -29,7 +30,6 @@ from bsk_torch.sim.dyn.hub import (
     given_numbers,
     inertia_tensor,
 )
-from bsk_torch.sim.dyn.wheel_types import TRIAD, Wheel
 from bsk_torch.sim.faults.declared import may_change
 from bsk_torch.vec3 import Mat3, Vec3
 

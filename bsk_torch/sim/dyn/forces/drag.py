@@ -15,8 +15,8 @@ from torch import Tensor
 
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values, vec
-from bsk_torch.sim.dyn.facets import AT_REST, DRAG_COEFFICIENT, FACETS_ARG, NUMBERS, described_facets, drag_of_facets
-from bsk_torch.sim.dyn.panels import AREA, Panel, described_panels, of_panels
+from bsk_torch.sim.dyn.forces.facets import AT_REST, DRAG_COEFFICIENT, FACETS_ARG, NUMBERS, described_facets, drag_of_facets
+from bsk_torch.sim.dyn.power.panels import AREA, Panel, described_panels, of_panels
 from bsk_torch.vec3 import Vec3, times
 
 

@@ -1,0 +1,1 @@
+"""Eclipses of satellites, and light at places."""

@@ -1,0 +1,1 @@
+"""Windows of satellites over places."""

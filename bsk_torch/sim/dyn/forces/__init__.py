@@ -1,0 +1,1 @@
+"""Forces on the body: gravity, drag, sunlight, and those of users."""

@@ -1,0 +1,1 @@
+"""Data on board, whole or in partitions."""
