@@ -294,7 +294,7 @@ class Blend:
         place = torch.searchsorted(self.seeds, key.seed).clamp(max=len(self.seeds) - 1)
         itself = (self.parts[:, 0] == self.seeds) & (self.steps[:, 1:] == 0.0).all(1)
         rows = torch.nonzero((self.seeds[place] == key.seed) & ~itself[place]).squeeze(1)
-        found = [torch.zeros(0, count, dtype=torch.float64)]
+        totals = [torch.zeros(0, count, dtype=torch.float64)]
         for some in rows.split(max(1, MOST_BLENDED // (self.parts.shape[1] * max(count, 1)))):
             parts, steps, shares = (table[place[some]] for table in (self.parts, self.steps, self.shares))
             each = replace(key._rows(some.repeat_interleave(parts.shape[1])), seed=parts.flatten())
@@ -304,8 +304,8 @@ class Blend:
             total = torch.zeros(len(some), count, dtype=torch.float64)
             for j in range(parts.shape[1]):
                 total = keep[:, j, None] * total + step[:, j, None] * numbers[:, j]
-            found.append(total)
-        return rows, torch.cat(found)
+            totals.append(total)
+        return rows, torch.cat(totals)
 
 
 _blend: Blend | None = None
@@ -390,9 +390,9 @@ MOST = 1e300
 """Bound of the numbers of distributions: their differences are finite."""
 
 
-def _check_numbers(**given: object) -> None:
+def _check_numbers(**arguments: object) -> None:
     """Raise ValueError for numbers, or sequences of them, that are not finite; the names are those of the arguments."""
-    for name, value in given.items():
+    for name, value in arguments.items():
         if type(value) is float and -MOST <= value <= MOST:
             continue
         no_gradient(name, value)
@@ -561,8 +561,8 @@ def random_orbit(
     """
     if alt is not None:
         if (a, e, omega) != (6871.0, 0.0, None):
-            given = f"a={a}, e={e} and omega={omega}"
-            logger.warning("random_orbit(alt=%g): %s do not count, the orbit is circular, as in bsk_rl", alt, given)
+            ignored = f"a={a}, e={e} and omega={omega}"
+            logger.warning("random_orbit(alt=%g): %s do not count, the orbit is circular, as in bsk_rl", alt, ignored)
         return random_circular_orbit(i, alt, r_body, Omega, f)
     for name, angle in (("i", i), ("Omega", Omega), ("omega", omega), ("f", f)):
         if angle is not None:
@@ -666,6 +666,6 @@ MAKERS = (random_orbit, random_circular_orbit, random_unit_vector, random_epoch)
 """Functions that return a distribution where they are called without arguments."""
 
 
-def as_value(given: Any) -> Any:
+def as_value(value: Any) -> Any:
     """Return the value of an argument, which for :func:`random_orbit` and the like, given uncalled, is what they return."""
-    return given() if any(given is maker for maker in MAKERS) else given
+    return value() if any(value is maker for maker in MAKERS) else value

@@ -219,12 +219,12 @@ def read_tensors(content: bytes, entry: str | None = None, device: torch.device 
 
 def _tensors(values: object) -> Iterator[Tensor]:
     """Yield the tensors in nested dictionaries, lists, tuples and sets; parts that are there twice are walked once."""
-    waiting, seen = [values], set[int]()
+    waiting, visited = [values], set[int]()
     while waiting:
         part = waiting.pop()
-        if id(part) in seen and not isinstance(part, Tensor):
+        if id(part) in visited and not isinstance(part, Tensor):
             continue
-        seen.add(id(part))
+        visited.add(id(part))
         if isinstance(part, Tensor):
             yield part
         elif isinstance(part, Mapping):
@@ -257,7 +257,7 @@ def read_memmap(folder: Path) -> TensorDict:
 
 
 def _check_memmap(folder: Path, batch: tuple[int, ...]) -> None:
-    """ValueError unless a folder holds a tensordict of tensors, all of whose shapes begin with ``batch``."""
+    """Raise ValueError unless a folder holds a tensordict of tensors, all of whose shapes begin with ``batch``."""
     meta = parse_json(read_bytes(folder / META, MOST_JSON), dict[str, Json])
     kind, device, shape = meta.pop("_type", None), meta.pop("device", None), _shape(meta.pop("shape", None), batch)
     if kind != TENSORDICT or device not in ("cpu", "None", None):
@@ -270,16 +270,16 @@ def _check_memmap(folder: Path, batch: tuple[int, ...]) -> None:
             continue
         if not isinstance(entry, dict) or entry.get("dtype") not in TORCH_TYPES or entry.get("is_nested"):
             raise ValueError(f"its entry {name!r:.80} is no tensor")
-        whole = _shape(entry.get("shape"), shape)
+        dims = _shape(entry.get("shape"), shape)
         size = TORCH_TYPES[str(entry["dtype"])].itemsize
-        for length in whole:
+        for length in dims:
             size *= length
         file = path.with_name(f"{path.name}.memmap")
         stored = file.stat().st_size if file.is_file() else 0
         if size != stored:
-            raise ValueError(f"its entry {name!r:.80} of shape {_short(whole)} has {stored:,} bytes instead of {_short(size)}")
+            raise ValueError(f"its entry {name!r:.80} of shape {_short(dims)} has {stored:,} bytes instead of {_short(size)}")
         if not size and all(shape):
-            raise ValueError(f"its entry {name!r:.80} of shape {_short(whole)} is empty")
+            raise ValueError(f"its entry {name!r:.80} of shape {_short(dims)} is empty")
     for path in nested:
         _check_memmap(path, shape)
     if not meta:

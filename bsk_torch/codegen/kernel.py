@@ -140,14 +140,14 @@ class Kernel:
             entry.run(*tiles.size, _threads(tiles.size[0]), tiles.rows, tiles.groups, tiles.ends, *packs, *room, *records)
             return tiles.ends[:-1].repeat_interleave(lockstep)
         if present is not None:
-            asked, alike = counts, False
+            all_counts, alike = counts, False
             counts, expected = (torch.where(present, ticks, 0) for ticks in (counts, expected))
         rows, ends = in_blocks(counts, None if alike else expected, mode, modes, entry.width)
         blocks = len(rows) // entry.width
         stride = 0 if written is None else written.stride(0)
         entry.run(blocks, _threads(blocks), rows, ends, *packs, written, stride, *records)
         ran = torch.empty_like(counts).index_copy_(0, rows[:n], ends[:n]) if stops else counts
-        return ran if present is None else torch.where(present, ran, asked)
+        return ran if present is None else torch.where(present, ran, all_counts)
 
     def _check_tables(self, tracks: Sequence[Samples]) -> None:
         for track, samples in zip(self.loop.tracks, tracks, strict=True):

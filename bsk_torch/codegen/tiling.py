@@ -71,8 +71,8 @@ def check_groups(counts: Tensor, group: int) -> None:
     uneven = torch.nonzero((counts.view(-1, group) != counts[::group, None]).any(1))
     if len(uneven):
         first = int(uneven[0])
-        found = counts.view(-1, group)[first].unique().tolist()
-        raise ValueError(f"counts of group {first} are {found}; rows in lockstep must have the same number of ticks")
+        numbers = counts.view(-1, group)[first].unique().tolist()
+        raise ValueError(f"counts of group {first} are {numbers}; rows in lockstep must have the same number of ticks")
 
 
 def in_tiles(

@@ -119,14 +119,14 @@ class FunctionPolicy(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``action``, [B] or [B, A]; ValueError for results of another shape."""
-        seen = self._seen(tensordict["observation"])
+        inputs = self._inputs(tensordict["observation"])
         mask = [tensordict["action_mask"]] if self.with_mask else []
-        return tensordict.set("action", self._action(self._chosen(seen, *mask), tensordict))
+        return tensordict.set("action", self._action(self._result(inputs, *mask), tensordict))
 
-    def _chosen(self, seen: Any, *mask: Tensor) -> Any:
-        return self.function(seen, *mask)
+    def _result(self, inputs: Any, *mask: Tensor) -> Any:
+        return self.function(inputs, *mask)
 
-    def _seen(self, observation: Any) -> Any:
+    def _inputs(self, observation: Any) -> Any:
         """Return the observation in the type of a module's weights."""
         weights = next(self.function.parameters(), None) if isinstance(self.function, nn.Module) else None
         return map_leaves(observation, lambda part: part if weights is None else part.to(weights))
@@ -145,8 +145,10 @@ class FunctionPolicy(TensorDictModuleBase):
             return chosen.masked_fill(~tensordict["action_mask"], -torch.inf).argmax(-1)
         if not self.is_real and not chosen.is_floating_point() and chosen.shape in (shape, (*shape, 1)):
             return chosen.reshape(shape).long()
-        wanted = f"real numbers {list(scores)}" if self.is_real else f"numbers of actions {list(shape)}, or scores {list(scores)}"
-        raise ValueError(f"{self.title} returns {chosen.dtype} {list(chosen.shape)}; it must return {wanted}")
+        allowed = (
+            f"real numbers {list(scores)}" if self.is_real else f"numbers of actions {list(shape)}, or scores {list(scores)}"
+        )
+        raise ValueError(f"{self.title} returns {chosen.dtype} {list(chosen.shape)}; it must return {allowed}")
 
 
 class ModelPolicy(FunctionPolicy):
@@ -158,16 +160,16 @@ class ModelPolicy(FunctionPolicy):
         super().__init__(model.predict, satellite, masked and form(satellite) is None)
         self.title = f"the model {type(model).__name__}"
 
-    def _seen(self, observation: Any) -> Any:
+    def _inputs(self, observation: Any) -> Any:
         """Return the observation as :class:`~bsk_torch.wrappers.stable_baselines3.SB3VecEnv` does."""
         if isinstance(observation, Tensor):
             return observation.cpu().numpy()
         dims = len(observation.batch_size)
         return {name: leaf if leaf.ndim > dims else leaf[..., np.newaxis] for name, leaf in numpy_leaves(observation).items()}
 
-    def _chosen(self, seen: Any, *mask: Tensor) -> Any:
+    def _result(self, inputs: Any, *mask: Tensor) -> Any:
         masks = {"action_masks": mask[0].cpu().numpy()} if mask else {}
-        action, state = self.function(seen, deterministic=exploration_type() is not ExplorationType.RANDOM, **masks)
+        action, state = self.function(inputs, deterministic=exploration_type() is not ExplorationType.RANDOM, **masks)
         if state is not None:
             raise TypeError(f"{self.title} has a memory, which is not passed on between decisions; {WRITE}")
         return action

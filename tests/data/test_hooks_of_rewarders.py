@@ -13,7 +13,7 @@ import bsk_torch
 from bsk_torch import ConstellationTasking, comm, data, rand, scene
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
 from bsk_torch.rl.evaluation.evaluate import evaluate
-from bsk_torch.rl.evaluation.statistics import known
+from bsk_torch.rl.evaluation.statistics import nan_confidence
 from bsk_torch.rl.policies.shared_policy import rule
 from tests.support.refusals import check_refusals, refusal
 
@@ -181,8 +181,8 @@ def test_rejects_measures_that_do_not_fit():
 
 def test_measures_without_a_value_do_not_count():
     known_values = torch.tensor([1.0, math.nan, 3.0], dtype=torch.float64)
-    assert known(known_values).mean == 2.0
-    assert math.isnan(known(known_values[1:2]).mean)
+    assert nan_confidence(known_values).mean == 2.0
+    assert math.isnan(nan_confidence(known_values[1:2]).mean)
 
 
 def test_rejects_choices_and_counters_that_do_not_fit():

@@ -70,7 +70,7 @@ def _fly(env: SatelliteTasking, seeds: Tensor, numbers: Tensor, player: Policy |
         returns += torch.where(playing, step["next", "reward"].squeeze(-1).double(), 0.0)
         if notes:
             noted.append(look(env))
-    series = {name: torch.stack([there[name][:m] for there in noted], 1) for name in (noted[0] if noted else ())}
+    series = {name: torch.stack([entry[name][:m] for entry in noted], 1) for name in (noted[0] if noted else ())}
     deaths = {name: ~alive[:m] for name, alive in env.satellite.aliveness().items()}
     return Flown(~env.dead[:m], returns[:m], torch.stack(actions, 1), series, deaths)
 

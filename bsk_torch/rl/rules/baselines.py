@@ -101,8 +101,8 @@ class ScanRule:
         """Return actions [N] for ``observation`` [N, F], whose entries are named by ``description``."""
         see = Columns(observation, description)
         wish = torch.full_like(see["storage_level_fraction"], actions.index("action_nadir_scan"), dtype=torch.int64)
-        for name, wanted in self.wishes(see).items():
-            wish = torch.where(wanted, actions.index(name), wish)
+        for name, rows in self.wishes(see).items():
+            wish = torch.where(rows, actions.index(name), wish)
         return wish
 
     def wishes(self, see: Columns) -> dict[str, Tensor]:

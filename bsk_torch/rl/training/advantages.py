@@ -97,7 +97,7 @@ def estimate_advantages(
     advantages.set_keys(steps_to_next_obs=("next", "duration"), done=done, terminated=terminated)
     judged = batch.select("next").clone(recurse=False)
     judged["state_value"], judged["next", "state_value"] = (
-        found if value_norm is None else value_norm.denormalize(found.double()).to(found.dtype) for found in values(batch, critic)
+        value if value_norm is None else value_norm.denormalize(value.double()).to(value.dtype) for value in values(batch, critic)
     )
     judged["next", "reward"] = timed(reward, seconds, gamma, reward_time)
     advantages(judged)

@@ -47,8 +47,8 @@ def write(module: TensorDictModuleBase, sample: TensorDictBase) -> None:
     if type(module) not in PLAIN:
         module(sample)
         return
-    found = module.module(*(sample[key] for key in module.in_keys))
-    for key, value in zip(module.out_keys, found if isinstance(found, tuple) else (found,), strict=True):
+    outputs = module.module(*(sample[key] for key in module.in_keys))
+    for key, value in zip(module.out_keys, outputs if isinstance(outputs, tuple) else (outputs,), strict=True):
         sample[key] = value
 
 

@@ -41,7 +41,7 @@ VALUED = ("advantage", "value_target")
 """Further keys, where values are learned."""
 
 
-def there(keys: Iterable[str], batch: TensorDictBase) -> list[str]:
+def existing_keys(keys: Iterable[str], batch: TensorDictBase) -> list[str]:
     """Return the keys without ``"action_mask"`` where a batch has none."""
     masked = "action_mask" in batch.keys()  # noqa: SIM118  - a tensordict
     return [key for key in keys if masked or key != "action_mask"]
@@ -92,10 +92,6 @@ class Learner:
         return self.config.rollout if self.recurrent else 1
 
     @property
-    def _minibatch(self) -> int:
-        return max(min(self.config.minibatch, self.config.batch), self._length)
-
-    @property
     def learning_rate(self) -> float:
         """Present step of the optimizer."""
         return float(self.optimiser.param_groups[0]["lr"])
@@ -129,7 +125,7 @@ class Learner:
         """Networks, normalizers and optimizer."""
         return {name: getattr(self, name).state_dict() for name in LEARNED} | {NORMALISER: self.networks.normaliser.state_dict()}
 
-    def _settings(self) -> list[dict[str, Any]]:
+    def _settings(self) -> list[dict[str, object]]:
         """Return the settings of the optimizer, but for the learning rate, which follows a schedule."""
         return [{k: v for k, v in group.items() if k not in ("lr", "params")} for group in self.optimiser.param_groups]
 
@@ -163,7 +159,7 @@ class Learner:
             self._estimate(batch)
         if self.imitates:
             batch[TAUGHT] = taught(self.teacher, batch)
-        keys = [*there(LEARNED_FROM, batch), *self._further_keys(), *((MEMORY, INIT) if self.recurrent else ())]
+        keys = [*existing_keys(LEARNED_FROM, batch), *self._further_keys(), *((MEMORY, INIT) if self.recurrent else ())]
         learned = batch.select(*keys)
         with set_recurrent_mode(self.recurrent):
             reports = [self._descend(sample) for sample in self._samples(learned if self.recurrent else learned.reshape(-1))]
@@ -194,7 +190,7 @@ class Learner:
 
     def _samples(self, learned: TensorDictBase) -> Iterator[TensorDictBase]:
         """Yield the samples of all gradient steps: every pass visits each decision once, in random order."""
-        size = self._minibatch // self._length
+        size = max(min(self.config.minibatch, self.config.batch), self._length) // self._length
         count = len(learned) // size
         for _ in range(self.config.epochs):
             order = torch.randperm(len(learned))[: count * size].to(learned.device)
