@@ -69,13 +69,13 @@ TORCH_TYPES = {str(kind): kind for kind in vars(torch).values() if isinstance(ki
 
 def _checked_numbers(value: object) -> object:
     """Return what JSON holds; ValueError for a number that is not finite, or a whole one of more than 64 bits."""
-    waiting = [value]
-    while waiting:
-        part = waiting.pop()
+    stack = [value]
+    while stack:
+        part = stack.pop()
         if isinstance(part, dict):
-            waiting += part.values()
+            stack += part.values()
         elif isinstance(part, list):
-            waiting += part
+            stack += part
         elif isinstance(part, int | float) and not -(2**63) <= part < 2**63 and (isinstance(part, int) or not isfinite(part)):
             raise ValueError(f"it holds the number {_short(part)}, which is not finite, or has more than 64 bits")
     return value
@@ -134,10 +134,10 @@ def _reason(error: Any) -> str:
     if first["type"] == "missing":
         where = f"{_place(place[:-1])} lacks" if place[:-1] else "it lacks"
         return f"{where} {place[-1]!r}; {nearest(str(place[-1]), value if isinstance(value, Mapping) else ())}"
-    said = first["msg"].removeprefix("Value error, ")
+    sentence = first["msg"].removeprefix("Value error, ")
     if first["type"] in ("value_error", "json_invalid"):
-        return f"{_place(place)}: {said}" if place else said
-    return f"{_place(place) or 'its content'}={_short(value)}: {said}"
+        return f"{_place(place)}: {sentence}" if place else sentence
+    return f"{_place(place) or 'its content'}={_short(value)}: {sentence}"
 
 
 def one_line(text: str) -> str:
@@ -219,18 +219,18 @@ def read_tensors(content: bytes, entry: str | None = None, device: torch.device 
 
 def _tensors(values: object) -> Iterator[Tensor]:
     """Yield the tensors in nested dictionaries, lists, tuples and sets; parts that are there twice are walked once."""
-    waiting, visited = [values], set[int]()
-    while waiting:
-        part = waiting.pop()
+    stack, visited = [values], set[int]()
+    while stack:
+        part = stack.pop()
         if id(part) in visited and not isinstance(part, Tensor):
             continue
         visited.add(id(part))
         if isinstance(part, Tensor):
             yield part
         elif isinstance(part, Mapping):
-            waiting += [*part.keys(), *part.values()]
+            stack += [*part.keys(), *part.values()]
         elif isinstance(part, list | tuple | set | frozenset):
-            waiting += part
+            stack += part
 
 
 # -- memory-mapped tensordicts ------------------------------------------------------------------------------------------------

@@ -56,7 +56,7 @@ class Transfers(NamedTuple):
 
     def some(self, rows: Tensor | slice) -> Transfers:
         """Return the transfers of some deputies, by their numbers."""
-        dv, start, velocity = (_rows(x, rows) for x in (self.dv, self.start, self.velocity))
+        dv, start, velocity = (vector.map(lambda x: x[..., rows]) for vector in (self.dv, self.start, self.velocity))
         return Transfers(dv, self.cost[rows], self.motion.some(rows), start, velocity)
 
     def along(self, motion: LinearMotion) -> Transfers:
@@ -157,7 +157,7 @@ def closest(a: Vec3, b: Vec3) -> Tensor:
 
 
 def _closest(a: Vec3, b: Vec3, square: Tensor) -> Tensor:
-    """See :func:`closest`, for a known ``square`` of the distance of a."""
+    """Return :func:`closest` for a known ``square`` of the distance of a."""
     way = b - a
     along, length = _dot(a, way), _dot(way, way)
     part = (along / length.clamp(min=SMALLEST)).neg_().clamp_(0.0, 1.0)
@@ -173,10 +173,6 @@ def _dot(a: Vec3, b: Vec3) -> Tensor:
 def _plus_dot(start: Tensor, a: Vec3, b: Vec3) -> Tensor:
     """Return a number plus a scalar product, likewise."""
     return torch.addcmul(torch.addcmul(torch.addcmul(start, a.x, b.x), a.y, b.y), a.z, b.z)
-
-
-def _rows(vector: Vec3, rows: Tensor | slice) -> Vec3:
-    return vector.map(lambda x: x[..., rows])
 
 
 def _rows_first(values: Tensor) -> Tensor:

@@ -127,7 +127,7 @@ def load(source: str, name: str) -> ctypes.CDLL:
 
 def _shipped(parts: list[str]) -> ctypes.CDLL | None:
     """Return the library of a kernel from the folders of shipped ones, or None."""
-    isas = [chosen] if (chosen := _chosen_isa()) else shipped.can_run()
+    isas = [isa] if (isa := _chosen_isa()) else shipped.can_run()
     return next((library for path in shipped.candidates(parts, isas) if (library := _cached(path))), None)
 
 
@@ -257,10 +257,10 @@ def _not_shipped() -> str:
 def _chosen_isa() -> str:
     if (target := shipped.BUILDING.get()) is not None:
         return target.isa
-    chosen = os.environ.get("BSK_TORCH_ISA", "")
-    if chosen not in ("", *ISAS):
-        raise ValueError(f"BSK_TORCH_ISA={chosen} must be one of {', '.join(ISAS)}")
-    return chosen
+    isa = os.environ.get("BSK_TORCH_ISA", "")
+    if isa not in ("", *ISAS):
+        raise ValueError(f"BSK_TORCH_ISA={isa} must be one of {', '.join(ISAS)}")
+    return isa
 
 
 def _vector_isa() -> VecISA:
@@ -271,5 +271,5 @@ def _vector_isa() -> VecISA:
     from torch._inductor import cpu_vec_isa
 
     isas = {"avx512": cpu_vec_isa.VecAVX512(), "avx2": cpu_vec_isa.VecAVX2(), "default": cpu_vec_isa.invalid_vec_isa}
-    chosen = _chosen_isa() or IN_USE.get(torch.backends.cpu.get_cpu_capability(), "")
-    return isas[chosen] if chosen else cpu_vec_isa.pick_vec_isa()
+    isa = _chosen_isa() or IN_USE.get(torch.backends.cpu.get_cpu_capability(), "")
+    return isas[isa] if isa else cpu_vec_isa.pick_vec_isa()

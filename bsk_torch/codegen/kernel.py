@@ -118,7 +118,7 @@ class Kernel:
             ValueError: For a tensor that is not contiguous or of another type, a table with too few records, a mode without
                 flags, groups that do not fit the rows, or no room for what the kernel writes.
         """
-        alike, stops = isinstance(counts, int), self.loop.stop is not None
+        is_uniform, stops = isinstance(counts, int), self.loop.stop is not None
         counts = torch.full(state.shape[1:], counts) if isinstance(counts, int) else counts
         _check_tensors((state, counts, shared, own, mode, flags, ticks, schedule, *(part for t in tracks for part in t)))
         self._check_tables(tracks)
@@ -140,9 +140,9 @@ class Kernel:
             entry.run(*tiles.size, _threads(tiles.size[0]), tiles.rows, tiles.groups, tiles.ends, *packs, *room, *records)
             return tiles.ends[:-1].repeat_interleave(lockstep)
         if present is not None:
-            all_counts, alike = counts, False
+            all_counts, is_uniform = counts, False
             counts, expected = (torch.where(present, ticks, 0) for ticks in (counts, expected))
-        rows, ends = in_blocks(counts, None if alike else expected, mode, modes, entry.width)
+        rows, ends = in_blocks(counts, None if is_uniform else expected, mode, modes, entry.width)
         blocks = len(rows) // entry.width
         stride = 0 if written is None else written.stride(0)
         entry.run(blocks, _threads(blocks), rows, ends, *packs, written, stride, *records)

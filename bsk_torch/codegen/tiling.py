@@ -112,9 +112,9 @@ def in_tiles(
 
 def _groups_of_a_tile(groups: int, group: int, width: int) -> int:
     """Return the number of groups in a tile: as few as fill its blocks, or a multiple; tiles larger than a cache are slower."""
-    few = next(k for k in range(1, width + 1) if -(k * group) % width <= SPARE * k * group)
-    times = min(BLOCKS * width // (few * group), groups // (few * TILES))
-    return max(1, min(groups, few * max(1, times)))
+    least = next(k for k in range(1, width + 1) if -(k * group) % width <= SPARE * k * group)
+    times = min(BLOCKS * width // (least * group), groups // (least * TILES))
+    return max(1, min(groups, least * max(1, times)))
 
 
 def _filled(values: Tensor, filler: int, shape: tuple[int, int]) -> Tensor:

@@ -62,10 +62,10 @@ def build(core: Kind | str | Callable[..., Kind], options: dict[str, Any], kind:
     if kind is SatelliteTasking and isinstance(env, ConstellationTasking) and len(deciding(env)) == 1:
         return cast(Kind, SoloTasking(env))
     if not isinstance(env, kind):
-        named = f"core={core!r} makes" if isinstance(core, str) else "core is or makes"
+        subject = f"core={core!r} makes" if isinstance(core, str) else "core is or makes"
         needs = f"this view needs a {kind.__name__}"
         fitting = next((f"; use {views}" for cls, views in FITTING.items() if isinstance(env, cls)), "")
-        raise TypeError(f"{named} a {type(env).__name__}; {needs}{fitting}")
+        raise TypeError(f"{subject} a {type(env).__name__}; {needs}{fitting}")
     return env
 
 

@@ -64,10 +64,12 @@ class EpisodeDataLogger:
         view = self.env.unwrapped
         metrics = dict(self.episode_data_callback(view)) if self.episode_data_callback else {}
         if self.satellite_data_callback:
-            each = {satellite.name: dict(self.satellite_data_callback(view, satellite)) for satellite in view.satellites}
-            metrics |= {f"{name}/{key}": value for name, values in each.items() for key, value in values.items()}
-            keys = dict.fromkeys(key for values in each.values() for key in values)
-            metrics |= {f"mean/{key}": float(np.mean([values[key] for values in each.values() if key in values])) for key in keys}
+            parts = {satellite.name: dict(self.satellite_data_callback(view, satellite)) for satellite in view.satellites}
+            metrics |= {f"{name}/{key}": value for name, values in parts.items() for key, value in values.items()}
+            keys = dict.fromkeys(key for values in parts.values() for key in values)
+            metrics |= {
+                f"mean/{key}": float(np.mean([values[key] for values in parts.values() if key in values])) for key in keys
+            }
         return {name: float(value) for name, value in metrics.items()}
 
     def log(self) -> dict[str, float]:

@@ -261,16 +261,16 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
     def _infos(self, results: TensorDictBase, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
         self.latest_step_duration = float(results["duration"])
         step = {"d_ts": self.latest_step_duration}
-        each, legal = satellite_infos(self.core, results), legal_tasks(self.core)
-        infos = {agent: self._info(agent, each, self._masks(results, agent, legal)) | step for agent in agents}
+        by_satellite, legal = satellite_infos(self.core, results), legal_tasks(self.core)
+        infos = {agent: self._info(agent, by_satellite, self._masks(results, agent, legal)) | step for agent in agents}
         return infos | ({COMMON: step} if self._common else {})
 
-    def _info(self, agent: str, each: Sequence[dict[str, Any]], masks: tuple[np.ndarray | None, ...]) -> dict[str, Any]:
+    def _info(self, agent: str, by_satellite: Sequence[dict[str, Any]], masks: tuple[np.ndarray | None, ...]) -> dict[str, Any]:
         group, _, members, _ = self._seats[agent]
         if not group.is_meta:
-            return each[members[0]] | ({} if masks[0] is None else {"action_mask": masks[0]})
-        info = {"requires_retasking": any(each[k]["requires_retasking"] for k in members), "action_mask": masks}
-        return info | {self.core.names[k]: each[k] for k in members}
+            return by_satellite[members[0]] | ({} if masks[0] is None else {"action_mask": masks[0]})
+        info = {"requires_retasking": any(by_satellite[k]["requires_retasking"] for k in members), "action_mask": masks}
+        return info | {self.core.names[k]: by_satellite[k] for k in members}
 
     def _masks(self, results: TensorDictBase, agent: str, legal: Sequence[np.ndarray | None]) -> tuple[np.ndarray | None, ...]:
         """Return the legal actions of each satellite of an agent; None of real numbers."""

@@ -209,10 +209,10 @@ def _deciding_agents(env: Tasking, step: TensorDictBase) -> Tensor:
 def failed_checks(env: Tasking) -> dict[str, Tensor]:
     """Return the present satellites that fail each aliveness check, [N, S] booleans by the name of the check."""
     checks = [part.aliveness() for part in env.fleet.satellites]
-    passed = [torch.ones_like(rows[0], dtype=torch.bool) for rows in ([*alive.values()] for alive in checks)]
+    ones = [torch.ones_like(rows[0], dtype=torch.bool) for rows in ([*alive.values()] for alive in checks)]
     names = dict.fromkeys(name for alive in checks for name in alive)
     return {
-        name: env.present & env.fleet.joined([~alive.get(name, every) for alive, every in zip(checks, passed, strict=True)])
+        name: env.present & env.fleet.joined([~alive.get(name, every) for alive, every in zip(checks, ones, strict=True)])
         for name in names
     }
 

@@ -104,7 +104,7 @@ def deciding(agents: TensorDictBase) -> Tensor:
     return agents["requires_retasking"].squeeze(-1)
 
 
-def _acted(agents: TensorDictBase, decides: Tensor, bounds: Bounds) -> dict[str, Tensor]:
+def _actions(agents: TensorDictBase, decides: Tensor, bounds: Bounds) -> dict[str, Tensor]:
     """Return the actions of agents, and the mask of numbered ones; those that do not decide get one that they could take."""
     if bounds:
         middle = torch.tensor(bounds, dtype=agents["action"].dtype, device=decides.device).mean(-1)
@@ -129,7 +129,7 @@ def team_batch(batch: TensorDictBase, group: str = AGENTS, other_groups: Sequenc
     parts = {
         "seen": _observations(batch, group, other_groups),
         DECIDES: decides,
-        **_acted(agents, decides, bounds),
+        **_actions(agents, decides, bounds),
         "action_log_prob": agents["action_log_prob"],
         "next": {
             "seen": _observations(batch["next"], group, other_groups),
@@ -224,12 +224,12 @@ class GroupLearner(Learner):
         critic = ValueOperator(judge, in_keys=[*keys, ALIVE, *parts, CLOCK]).to(env.device)
         self.bounds: Bounds = getattr(self.plan, "bounds", ())
         parameters = self.networks.actor[0]  # of the distribution
-        acting, read = DecidingOnly(parameters.module), [*parameters.in_keys, DECIDES]
+        acting, inputs = DecidingOnly(parameters.module), [*parameters.in_keys, DECIDES]
         if self.bounds:
-            actor = real_actor(TensorDictModule(acting, in_keys=read, out_keys=["loc", "scale"]), self.bounds)
+            actor = real_actor(TensorDictModule(acting, in_keys=inputs, out_keys=["loc", "scale"]), self.bounds)
         else:
             actor = ProbabilisticActor(
-                TensorDictModule(acting, in_keys=read, out_keys=["logits"]),
+                TensorDictModule(acting, in_keys=inputs, out_keys=["logits"]),
                 in_keys={"logits": "logits", "mask": "action_mask"},
                 distribution_class=MaskedCategorical,
                 return_log_prob=True,
@@ -336,7 +336,7 @@ class MAPPOLearner:
 
     def load_policy_state(self, state: Mapping[str, object]) -> None:
         """Restore what :meth:`policy_state` returned."""
-        for name, part in self._each(state).items():
+        for name, part in self._by_group(state).items():
             self.groups[name].load_policy_state(part)
 
     def save_policy(self, path: Path) -> None:
@@ -355,10 +355,10 @@ class MAPPOLearner:
 
     def load_state_dict(self, state: Mapping[str, object]) -> None:
         """Restore what :meth:`state_dict` returned."""
-        for name, part in self._each(state).items():
+        for name, part in self._by_group(state).items():
             self.groups[name].load_state_dict(part)
 
-    def _each(self, state: Mapping[str, object]) -> Mapping[str, Any]:
+    def _by_group(self, state: Mapping[str, object]) -> Mapping[str, Any]:
         """Return what :func:`joined` was given."""
         return {next(iter(self.groups)): state} if len(self.groups) == 1 else state
 

@@ -24,12 +24,12 @@ class DecidingOnly(nn.Module):
     def forward(self, *inputs: Tensor) -> Tensor | tuple[Tensor, Tensor]:
         """Outputs [..., S, A] for what satellites see, [..., S, ...] each, of which the last, ``decides`` [..., S], decide."""
         *parts, decides = inputs
-        some = self.network(*(part[decides] for part in parts))
-        if isinstance(some, tuple):
-            loc, scale = some
+        outputs = self.network(*(part[decides] for part in parts))
+        if isinstance(outputs, tuple):
+            loc, scale = outputs
             shape = *decides.shape, loc.shape[-1]
             return loc.new_zeros(shape).index_put((decides,), loc), loc.new_ones(shape).index_put((decides,), scale)
-        return some.new_zeros(*decides.shape, some.shape[-1]).index_put((decides,), some)
+        return outputs.new_zeros(*decides.shape, outputs.shape[-1]).index_put((decides,), outputs)
 
 
 class Gist(nn.Module):

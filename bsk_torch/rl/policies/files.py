@@ -126,7 +126,7 @@ def read_card(path: Path | str, device: torch.device | str = "cpu") -> dict[str,
     for part in networks_of(card).values():
         check_network(part["network"])
         try:
-            _check_weights(part)
+            _checked_plan(part)
         except UNFIT as error:
             raise ValueError(
                 f"{str(path)!r} is no policy of this version of bsk_torch ({__version__}): {one_line(str(error))}"
@@ -222,27 +222,19 @@ def build_policy(card: Mapping[str, Any], device: torch.device | str = "cpu") ->
     policies = {}
     for group, part in networks_of(card).items():
         try:
-            networks = _built(part).to(device)
+            plan = _checked_plan(part)
+            networks = plan.build().to(device)
             networks.load_policy_state(part)
         except UNFIT as error:
             raise ValueError(f"the policy of {card['preset']} does not fit this version of bsk_torch: {error}") from error
         policies[group] = networks.policy
-        policies[group].register_forward_pre_hook(Origin(origin_of(card), _plan(part)))
+        policies[group].register_forward_pre_hook(Origin(origin_of(card), plan))
     return of_groups(policies)
 
 
-def _plan(part: Mapping[str, Any]) -> Plan:
-    return PLANS[part["network"]](**part["plan"])
-
-
-def _built(part: Mapping[str, Any]) -> Networks:
-    """Return new networks by the plan of a file; ValueError before they are built if its weights do not fit."""
-    return _check_weights(part).build()
-
-
-def _check_weights(part: Mapping[str, Any]) -> Plan:
+def _checked_plan(part: Mapping[str, Any]) -> Plan:
     """Return the plan of a file; ValueError if its weights have other shapes or types, or are not finite."""
-    plan = _plan(part)
+    plan = PLANS[part["network"]](**part["plan"])
     with torch.device("meta"):  # takes no memory, whatever the plan asks for
         planned = plan.build().policy_state()
     for name in (NORMALISER, ACTOR):

@@ -44,8 +44,8 @@ class RandomPolicy(TensorDictModuleBase):
         if lot is None:
             lot = torch.rand(mask.shape[:-1], dtype=torch.float64, device=mask.device, generator=self.generator)
         rank = mask.cumsum(-1)
-        chosen = mask & (rank == (lot.unsqueeze(-1) * rank[..., -1:]).long() + 1)
-        return tensordict.set("action", chosen.long().argmax(-1))
+        choice = mask & (rank == (lot.unsqueeze(-1) * rank[..., -1:]).long() + 1)
+        return tensordict.set("action", choice.long().argmax(-1))
 
 
 class RandomNumbers(TensorDictModuleBase):

@@ -37,9 +37,9 @@ LEAST = 0.05
 """Fraction of learning rate and entropy weight left at the end of a schedule."""
 
 SCHEDULES: dict[str, Callable[[float], float]] = {
-    "constant": lambda used: 1.0,
-    "linear": lambda used: max(LEAST, 1.0 - used),
-    "cosine": lambda used: LEAST + (1.0 - LEAST) * 0.5 * (1.0 + math.cos(math.pi * used)),
+    "constant": lambda fraction: 1.0,
+    "linear": lambda fraction: max(LEAST, 1.0 - fraction),
+    "cosine": lambda fraction: LEAST + (1.0 - LEAST) * 0.5 * (1.0 + math.cos(math.pi * fraction)),
 }
 """Remaining fraction of a setting, by the used fraction of the budget."""
 
@@ -252,8 +252,8 @@ class PPOConfig:
             "precision": PRECISIONS,
             "collector": COLLECTORS,
         }
-        chosen = [(name, getattr(self, name)) for name in allowed] + [("loggers", name) for name in self.loggers]
-        for name, value in chosen:
+        choices = [(name, getattr(self, name)) for name in allowed] + [("loggers", name) for name in self.loggers]
+        for name, value in choices:
             names = list(allowed.get(name, LOGGERS))
             if value not in names:
                 raise ValueError(f"{name}={value!r} must be one of {names}; {nearest(str(value), names)}")
@@ -387,13 +387,13 @@ def read_settings(path: Path) -> dict[str, Any]:
     try:
         text = read_bytes(path, LONGEST).decode()
         _check_plain(text)
-        read = OmegaConf.to_container(OmegaConf.create(text), resolve=False)
-        if not isinstance(read, dict) or not read:
+        settings = OmegaConf.to_container(OmegaConf.create(text), resolve=False)
+        if not isinstance(settings, dict) or not settings:
             raise ValueError("it holds no settings by name")
-        _check_settings(read)
+        _check_settings(settings)
     except (OmegaConfBaseException, yaml.YAMLError, ValueError) as error:
         raise ValueError(f"{path} is no configuration: {str(error).splitlines()[0]}") from error
-    return {str(name): value for name, value in read.items()}
+    return {str(name): value for name, value in settings.items()}
 
 
 def _check_plain(text: str) -> None:

@@ -160,9 +160,9 @@ class Learner:
         if self.imitates:
             batch[TAUGHT] = taught(self.teacher, batch)
         keys = [*existing_keys(LEARNED_FROM, batch), *self._further_keys(), *((MEMORY, INIT) if self.recurrent else ())]
-        learned = batch.select(*keys)
+        rows = batch.select(*keys)
         with set_recurrent_mode(self.recurrent):
-            reports = [self._descend(sample) for sample in self._samples(learned if self.recurrent else learned.reshape(-1))]
+            reports = [self._descend(sample) for sample in self._samples(rows if self.recurrent else rows.reshape(-1))]
         self.networks.normaliser.update(batch)  # afterwards: networks learn from what they saw when they decided
         return averages(reports)
 
@@ -188,13 +188,13 @@ class Learner:
         """Return the keys of a batch that gradient steps need in addition to :data:`LEARNED_FROM`."""
         return [*(VALUED if self.judges else ()), *([TAUGHT] if self.imitates else ())]
 
-    def _samples(self, learned: TensorDictBase) -> Iterator[TensorDictBase]:
+    def _samples(self, rows: TensorDictBase) -> Iterator[TensorDictBase]:
         """Yield the samples of all gradient steps: every pass visits each decision once, in random order."""
         size = max(min(self.config.minibatch, self.config.batch), self._length) // self._length
-        count = len(learned) // size
+        count = len(rows) // size
         for _ in range(self.config.epochs):
-            order = torch.randperm(len(learned))[: count * size].to(learned.device)
-            shuffled = learned.apply(partial(torch.index_select, dim=0, index=order), batch_size=[len(order), *learned.shape[1:]])
+            order = torch.randperm(len(rows))[: count * size].to(rows.device)
+            shuffled = rows.apply(partial(torch.index_select, dim=0, index=order), batch_size=[len(order), *rows.shape[1:]])
             yield from shuffled.split(size)  # of one copy: rows of every key for each sample would take twice as long
 
     def counts(self, sample: TensorDictBase) -> Tensor | None:
