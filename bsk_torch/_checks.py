@@ -80,11 +80,11 @@ def number(
     Raises:
         ValueError: For anything else.
     """
-    found = _real(no_gradient(title, value))
-    within = found is not None and low <= found <= high and not (above and found == low)
-    if found is None or not within or (finite and math.isinf(found)):
+    result = _real(no_gradient(title, value))
+    within = result is not None and low <= result <= high and not (above and result == low)
+    if result is None or not within or (finite and math.isinf(result)):
         raise ValueError(f"{title}={value!r} must be {interval(low, high, unit, above, finite)}{', or None' if none else ''}")
-    return found
+    return result
 
 
 def _real(value: object) -> float | None:
@@ -103,11 +103,11 @@ def _real(value: object) -> float | None:
 
 def whole(title: str, value: object, low: int, high: int | None = None) -> int:
     """Return a whole number of the user from ``low`` to ``high`` as an int; ValueError for anything else, floats included."""
-    found = int(value) if isinstance(value, Integral) and not isinstance(value, bool | np.bool_) else None
-    if found is None or found < low or (high is not None and found > high):
+    result = int(value) if isinstance(value, Integral) and not isinstance(value, bool | np.bool_) else None
+    if result is None or result < low or (high is not None and result > high):
         allowed = f"from {low} on" if high is None else f"from {low} to {high}"
         raise ValueError(f"{title}={value!r} must be a whole number {allowed}")
-    return found
+    return result
 
 
 def switch(title: str, value: object) -> bool:

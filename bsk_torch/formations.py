@@ -106,9 +106,9 @@ class Formation:
                 )
             shape = values.shape[:2] if isinstance(values, Tensor) else ()
             if tuple(shape) != (len(key), len(indices)):
-                given = f"a tensor of shape {list(values.shape)}" if isinstance(values, Tensor) else repr(values)
+                description = f"a tensor of shape {list(values.shape)}" if isinstance(values, Tensor) else repr(values)
                 raise ValueError(
-                    f"{type(self).__name__}.draw(key, names) sets {name!r} to {given}; it must be a tensor "
+                    f"{type(self).__name__}.draw(key, names) sets {name!r} to {description}; it must be a tensor "
                     f"[{len(key)}, {len(indices)}, ...]: by environment and satellite"
                 )
         return drawn
@@ -315,8 +315,8 @@ def _turned(angle: Tensor, key: Key) -> Tensor:
     return torch.remainder(angle + 2.0 * math.pi * key.uniform(1), 2.0 * math.pi)
 
 
-def _arguments(title: str, args: Sequence[Arg], given: Mapping[str, object]) -> Arguments:
-    return Arguments([Component(slot="formation", args=tuple(args))], given, title)
+def _arguments(title: str, args: Sequence[Arg], values: Mapping[str, object]) -> Arguments:
+    return Arguments([Component(slot="formation", args=tuple(args))], values, title)
 
 
 @dataclass(eq=False, kw_only=True)
@@ -401,8 +401,8 @@ class _Train(Formation):
             Arg("Omega", None, "deg", "ascending node", low=-MOST_TURNS, high=MOST_TURNS),
             Arg("f", None, "deg", "angle of the first satellite from the node", low=-MOST_TURNS, high=MOST_TURNS),
         )
-        given = {name: getattr(self, name) for name in ("altitude", "inc", "Omega", "f")}
-        self.args = _arguments("train_args", (*ORBIT_ARGS, *angles), given)
+        values = {name: getattr(self, name) for name in ("altitude", "inc", "Omega", "f")}
+        self.args = _arguments("train_args", (*ORBIT_ARGS, *angles), values)
 
     @override
     def draw(self, key: Key, names: Sequence[str]) -> Settings:
@@ -414,9 +414,9 @@ class _Train(Formation):
         return {"oe": (range(len(names)), oe)}
 
     @staticmethod
-    def _angle(given: Tensor | None, key: Key) -> Tensor:
+    def _angle(angle: Tensor | None, key: Key) -> Tensor:
         """Return a drawn angle, or a uniform one where none is given, [n, 1] degrees."""
-        return 360.0 * key.uniform(1) if given is None else given.unsqueeze(-1).expand(len(key), 1)
+        return 360.0 * key.uniform(1) if angle is None else angle.unsqueeze(-1).expand(len(key), 1)
 
     def _gaps(self, key: Key, count: int) -> Tensor:
         """Return the angles between neighbors, [n or 1, count] degrees."""
@@ -483,13 +483,13 @@ class _Relative(Formation):
         if self.chief_name in self.deputy_relative_state:
             raise ValueError(f"deputy_relative_state[{self.chief_name!r}] is the chief; a deputy is another satellite")
         self.states = {f"deputy_relative_state[{name!r}]": state for name, state in self.deputy_relative_state.items()}
-        given = {"chief_orbit": self.chief_orbit, **self.states}
-        units = dict.fromkeys(given, "m, m/s") | {"chief_orbit": "m, -, rad"}
-        args = [Arg(name, None, units[name], "six numbers", kind="orbit") for name in given]
-        for name, value in given.items():
+        values = {"chief_orbit": self.chief_orbit, **self.states}
+        units = dict.fromkeys(values, "m, m/s") | {"chief_orbit": "m, -, rad"}
+        args = [Arg(name, None, units[name], "six numbers", kind="orbit") for name in values]
+        for name, value in values.items():
             if value is None:
                 raise ValueError(f"relative_to_chief: {name}=None is not allowed; give six numbers ({units[name]})")
-        self.args = _arguments("relative_to_chief", args, given)
+        self.args = _arguments("relative_to_chief", args, values)
 
     @override
     def check(self, names: Sequence[str]) -> None:
@@ -560,10 +560,10 @@ class _Together(Formation):
         parts: dict[str, list[tuple[list[int], Tensor]]] = {}
         for members, formation in self.formations.items():
             columns = [names.index(name) for name in members]
-            own = key.of_satellites(torch.tensor(columns[:1]))  # so that equal formations draw different numbers
-            for name, (within, values) in formation.draw_checked(own, members).items():
+            part_key = key.of_satellites(torch.tensor(columns[:1]))  # so that equal formations draw different numbers
+            for name, (within, values) in formation.draw_checked(part_key, members).items():
                 parts.setdefault(name, []).append(([columns[k] for k in within], values))
         return {
-            name: ([column for columns, _ in found for column in columns], torch.cat([values for _, values in found], 1))
-            for name, found in parts.items()
+            name: ([column for columns, _ in entries for column in columns], torch.cat([values for _, values in entries], 1))
+            for name, entries in parts.items()
         }

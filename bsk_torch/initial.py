@@ -100,17 +100,17 @@ def hill_frame_attitude(r_N: Numeric, v_N: Numeric, spin_config: Mapping[str, ob
     return like(sigma, r_N, v_N), HillSpin(tuple(hill_rate.tolist()), low, high, unit)
 
 
-def _checked(given: Mapping[str, object]) -> dict[str, Any]:
+def _checked(settings: Mapping[str, object]) -> dict[str, Any]:
     """Return the settings of a spin; ValueError for wrong ones."""
-    known = ("type", "rate", "low", "high", "axis")
-    for name in given:
-        if name not in known:
-            raise ValueError(f"spin_config[{name!r}] is unknown; {nearest(str(name), known)}")
-    spin = SPIN | dict(given)
+    names = ("type", "rate", "low", "high", "axis")
+    for name in settings:
+        if name not in names:
+            raise ValueError(f"spin_config[{name!r}] is unknown; {nearest(str(name), names)}")
+    spin = SPIN | dict(settings)
     if spin["type"] not in ("fixed", "uniform"):
         raise ValueError(f"spin_config['type']={spin['type']!r} must be 'fixed' or 'uniform'")
     if spin["type"] == "uniform" and not ("low" in spin and "high" in spin and spin["low"] <= spin["high"]):
-        raise ValueError(f"spin_config={dict(given)} needs 'low' <= 'high', in degrees per second")
+        raise ValueError(f"spin_config={dict(settings)} needs 'low' <= 'high', in degrees per second")
     return spin
 
 
@@ -169,9 +169,9 @@ def balancedHR16Triad(
         randomBounds: Bounds of the random ones, rpm.
         wheelSpeeds: Those that are not random, rpm.
     """
-    for name, given, count in (("randomBounds", randomBounds, 2), ("wheelSpeeds", wheelSpeeds, 3)):
-        if not isinstance(given, Sequence | np.ndarray) or isinstance(given, str) or len(given) != count:
-            raise ValueError(f"{name}={given!r} must be {count} numbers, rpm")
-        for value in given:
+    for name, values, count in (("randomBounds", randomBounds, 2), ("wheelSpeeds", wheelSpeeds, 3)):
+        if not isinstance(values, Sequence | np.ndarray) or isinstance(values, str) or len(values) != count:
+            raise ValueError(f"{name}={values!r} must be {count} numbers, rpm")
+        for value in values:
             number(name, value, unit="rpm")
     return WheelTriad(Uniform(*randomBounds, 3) if switch("useRandom", useRandom) else list(wheelSpeeds))

@@ -294,18 +294,18 @@ class Blend:
         place = torch.searchsorted(self.seeds, key.seed).clamp(max=len(self.seeds) - 1)
         itself = (self.parts[:, 0] == self.seeds) & (self.steps[:, 1:] == 0.0).all(1)
         rows = torch.nonzero((self.seeds[place] == key.seed) & ~itself[place]).squeeze(1)
-        found = [torch.zeros(0, count, dtype=torch.float64)]
-        for some in rows.split(max(1, MOST_BLENDED // (self.parts.shape[1] * max(count, 1)))):
-            parts, steps, shares = (table[place[some]] for table in (self.parts, self.steps, self.shares))
-            each = replace(key._rows(some.repeat_interleave(parts.shape[1])), seed=parts.flatten())
-            changes = each.named(f"{key.name} changes")._independent(1).view(parts.shape) < shares
+        totals = [torch.zeros(0, count, dtype=torch.float64)]
+        for block in rows.split(max(1, MOST_BLENDED // (self.parts.shape[1] * max(count, 1)))):
+            parts, steps, shares = (table[place[block]] for table in (self.parts, self.steps, self.shares))
+            part_key = replace(key._rows(block.repeat_interleave(parts.shape[1])), seed=parts.flatten())
+            changes = part_key.named(f"{key.name} changes")._independent(1).view(parts.shape) < shares
             step = torch.where(changes, steps, 0.0)
-            keep, numbers = (1.0 - step.square()).sqrt(), normal(each).view(*parts.shape, count)
-            total = torch.zeros(len(some), count, dtype=torch.float64)
+            keep, numbers = (1.0 - step.square()).sqrt(), normal(part_key).view(*parts.shape, count)
+            total = torch.zeros(len(block), count, dtype=torch.float64)
             for j in range(parts.shape[1]):
                 total = keep[:, j, None] * total + step[:, j, None] * numbers[:, j]
-            found.append(total)
-        return rows, torch.cat(found)
+            totals.append(total)
+        return rows, torch.cat(totals)
 
 
 _blend: Blend | None = None
@@ -390,9 +390,9 @@ MOST = 1e300
 """Bound of the numbers of distributions: their differences are finite."""
 
 
-def _check_numbers(**given: object) -> None:
+def _check_numbers(**arguments: object) -> None:
     """Raise ValueError for numbers, or sequences of them, that are not finite; the names are those of the arguments."""
-    for name, value in given.items():
+    for name, value in arguments.items():
         if type(value) is float and -MOST <= value <= MOST:
             continue
         no_gradient(name, value)
@@ -462,7 +462,10 @@ class Normal(Distribution):
 
 @dataclass(frozen=True)
 class Choice(Distribution):
-    """One of ``options`` with equal probability; ``size`` of them each (repeats allowed), or one if None."""
+    """One of ``options`` with equal probability; ``size`` of them each (repeats allowed), or one if None.
+
+    Drawn values are a list, or a tensor [n, size] if a size is set and all options are numbers.
+    """
 
     options: tuple[Any, ...]
     size: int | None = field(default=None, repr=False)
@@ -477,8 +480,8 @@ class Choice(Distribution):
         object.__setattr__(self, "options", tuple(options))
         object.__setattr__(self, "size", size)
 
+    @override
     def draw(self, key: Key) -> Tensor | list[Any]:
-        """See :meth:`Distribution.draw`; a tensor [n, size] if a size is given and all options are numbers."""
         picks = (key.uniform(self.size or 1) * len(self.options)).long()
         if self.size is None:
             return [self.options[i] for i in picks.squeeze(-1).tolist()]
@@ -494,7 +497,7 @@ class PerEnv(Distribution):
     values: Any
 
     def draw(self, key: Key) -> Tensor | list[Any]:
-        """See :meth:`Distribution.draw`; ValueError if there are fewer rows than environments."""
+        """Return the rows of the key's environments; ValueError if there are too few."""
         if int(key.env_id.max()) >= len(self.values):
             of = f"{key.name}: " if key.name else ""
             raise ValueError(f"{of}per_env has {len(self.values)} rows, but environment {int(key.env_id.max())} needs one")
@@ -561,8 +564,8 @@ def random_orbit(
     """
     if alt is not None:
         if (a, e, omega) != (6871.0, 0.0, None):
-            given = f"a={a}, e={e} and omega={omega}"
-            logger.warning("random_orbit(alt=%g): %s do not count, the orbit is circular", alt, given)
+            ignored = f"a={a}, e={e} and omega={omega}"
+            logger.warning("random_orbit(alt=%g): %s do not count, the orbit is circular", alt, ignored)
         return random_circular_orbit(i, alt, r_body, Omega, f)
     for name, angle in (("i", i), ("Omega", Omega), ("omega", omega), ("f", f)):
         if angle is not None:
@@ -633,7 +636,7 @@ class RandomEpoch(Distribution):
     def draw(self, key: Key) -> list[str]:
         return self.at(key.uniform(7))
 
-    def at(self, u: Tensor | np.ndarray[Any, Any]) -> list[str]:
+    def at(self, u: Tensor | np.ndarray) -> list[str]:
         """Return the epochs for uniform numbers in [0, 1), [n, 7]."""
         rows = self._dates(u).tolist()
         return [f"{y} {MONTHS[mo - 1]} {d:02d} {h:02d}:{mi:02d}:{s:02d}.{ms:03d} (UTC)" for y, mo, d, h, mi, s, ms in rows]
@@ -642,7 +645,7 @@ class RandomEpoch(Distribution):
         """Return the same epochs as :meth:`draw` as ET, [n] s past J2000, without a word in between."""
         return et_of_dates(self._dates(key.uniform(7)))
 
-    def _dates(self, u: Tensor | np.ndarray[Any, Any]) -> Tensor:
+    def _dates(self, u: Tensor | np.ndarray) -> Tensor:
         """Return year, month, day, hour, minute, second and millisecond for uniform numbers in [0, 1), [n, 7]."""
         spans = torch.tensor([self.end - self.start, 12, 27, 23, 59, 59, 999])
         return (torch.as_tensor(u).cpu() * spans).long() + torch.tensor([self.start, 1, 1, 0, 0, 0, 0])
@@ -666,6 +669,6 @@ MAKERS = (random_orbit, random_circular_orbit, random_unit_vector, random_epoch)
 """Functions that return a distribution where they are called without arguments."""
 
 
-def as_value(given: Any) -> Any:
+def as_value(value: Any) -> Any:
     """Return the value of an argument, which for :func:`random_orbit` and the like, given uncalled, is what they return."""
-    return given() if any(given is maker for maker in MAKERS) else given
+    return value() if any(value is maker for maker in MAKERS) else value

@@ -44,7 +44,7 @@ def print_table(
     )
     order = [name for name in expendable if name in columns]
     dropped: list[str] = []
-    while order and _needed(console, _table(rows, columns, title, left, whole)) > console.width:
+    while order and _natural_width(console, _table(rows, columns, title, left, whole)) > console.width:
         dropped.append(order.pop(0))
         columns.remove(dropped[-1])
     console.print(_table(rows, columns, title, left, whole))
@@ -68,6 +68,6 @@ def _cell(text: str) -> Text:
     return Text(visible(text))
 
 
-def _needed(console: Console, table: Table) -> int:
+def _natural_width(console: Console, table: Table) -> int:
     """Return the characters of the longest line of a table that breaks none."""
     return console.measure(table, options=console.options.update(max_width=10 * WIDE)).maximum

@@ -69,13 +69,13 @@ TORCH_TYPES = {str(kind): kind for kind in vars(torch).values() if isinstance(ki
 
 def _checked_numbers(value: object) -> object:
     """Return what JSON holds; ValueError for a number that is not finite, or a whole one of more than 64 bits."""
-    waiting = [value]
-    while waiting:
-        part = waiting.pop()
+    stack = [value]
+    while stack:
+        part = stack.pop()
         if isinstance(part, dict):
-            waiting += part.values()
+            stack += part.values()
         elif isinstance(part, list):
-            waiting += part
+            stack += part
         elif isinstance(part, int | float) and not -(2**63) <= part < 2**63 and (isinstance(part, int) or not isfinite(part)):
             raise ValueError(f"it holds the number {_short(part)}, which is not finite, or has more than 64 bits")
     return value
@@ -134,10 +134,10 @@ def _reason(error: Any) -> str:
     if first["type"] == "missing":
         where = f"{_place(place[:-1])} lacks" if place[:-1] else "it lacks"
         return f"{where} {place[-1]!r}; {nearest(str(place[-1]), value if isinstance(value, Mapping) else ())}"
-    said = first["msg"].removeprefix("Value error, ")
+    sentence = first["msg"].removeprefix("Value error, ")
     if first["type"] in ("value_error", "json_invalid"):
-        return f"{_place(place)}: {said}" if place else said
-    return f"{_place(place) or 'its content'}={_short(value)}: {said}"
+        return f"{_place(place)}: {sentence}" if place else sentence
+    return f"{_place(place) or 'its content'}={_short(value)}: {sentence}"
 
 
 def one_line(text: str) -> str:
@@ -219,18 +219,18 @@ def read_tensors(content: bytes, entry: str | None = None, device: torch.device 
 
 def _tensors(values: object) -> Iterator[Tensor]:
     """Yield the tensors in nested dictionaries, lists, tuples and sets; parts that are there twice are walked once."""
-    waiting, seen = [values], set[int]()
-    while waiting:
-        part = waiting.pop()
-        if id(part) in seen and not isinstance(part, Tensor):
+    stack, visited = [values], set[int]()
+    while stack:
+        part = stack.pop()
+        if id(part) in visited and not isinstance(part, Tensor):
             continue
-        seen.add(id(part))
+        visited.add(id(part))
         if isinstance(part, Tensor):
             yield part
         elif isinstance(part, Mapping):
-            waiting += [*part.keys(), *part.values()]
+            stack += [*part.keys(), *part.values()]
         elif isinstance(part, list | tuple | set | frozenset):
-            waiting += part
+            stack += part
 
 
 # -- memory-mapped tensordicts ------------------------------------------------------------------------------------------------
@@ -257,7 +257,7 @@ def read_memmap(folder: Path) -> TensorDict:
 
 
 def _check_memmap(folder: Path, batch: tuple[int, ...]) -> None:
-    """ValueError unless a folder holds a tensordict of tensors, all of whose shapes begin with ``batch``."""
+    """Raise ValueError unless a folder holds a tensordict of tensors, all of whose shapes begin with ``batch``."""
     meta = parse_json(read_bytes(folder / META, MOST_JSON), dict[str, Json])
     kind, device, shape = meta.pop("_type", None), meta.pop("device", None), _shape(meta.pop("shape", None), batch)
     if kind != TENSORDICT or device not in ("cpu", "None", None):
@@ -270,16 +270,16 @@ def _check_memmap(folder: Path, batch: tuple[int, ...]) -> None:
             continue
         if not isinstance(entry, dict) or entry.get("dtype") not in TORCH_TYPES or entry.get("is_nested"):
             raise ValueError(f"its entry {name!r:.80} is no tensor")
-        whole = _shape(entry.get("shape"), shape)
+        dims = _shape(entry.get("shape"), shape)
         size = TORCH_TYPES[str(entry["dtype"])].itemsize
-        for length in whole:
+        for length in dims:
             size *= length
         file = path.with_name(f"{path.name}.memmap")
         stored = file.stat().st_size if file.is_file() else 0
         if size != stored:
-            raise ValueError(f"its entry {name!r:.80} of shape {_short(whole)} has {stored:,} bytes instead of {_short(size)}")
+            raise ValueError(f"its entry {name!r:.80} of shape {_short(dims)} has {stored:,} bytes instead of {_short(size)}")
         if not size and all(shape):
-            raise ValueError(f"its entry {name!r:.80} of shape {_short(whole)} is empty")
+            raise ValueError(f"its entry {name!r:.80} of shape {_short(dims)} is empty")
     for path in nested:
         _check_memmap(path, shape)
     if not meta:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -56,7 +55,7 @@ class ClassicElements:
         return 1.0 / self.a
 
 
-def elem2rv(mu: float, elements: object) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+def elem2rv(mu: float, elements: object) -> tuple[np.ndarray, np.ndarray]:
     """Return position [3], m, and velocity [3], m/s, of elements; see :func:`bsk_torch.astro.orbit.elements_to_rv`."""
     numbers = (torch.tensor(float(getattr(elements, name)), dtype=torch.float64) for name in Elements._fields)
     r, v = elements_to_rv(Elements(*numbers), mu)

@@ -83,24 +83,24 @@ class _UnknownFormError(ValueError):
     """The text has none of the forms."""
 
 
-def read_epoch(given: str | datetime) -> Epoch:
+def read_epoch(value: str | datetime) -> Epoch:
     """Return an epoch; ``datetime`` objects without a time zone are UTC.
 
     Raises:
         ValueError: For a text of another form, or one that names no date or time.
     """
-    if isinstance(given, datetime):
-        utc = given.astimezone(timezone.utc).replace(tzinfo=None) if given.tzinfo else given
+    if isinstance(value, datetime):
+        utc = value.astimezone(timezone.utc).replace(tzinfo=None) if value.tzinfo else value
         return Epoch(utc.replace(second=0, microsecond=0), utc.second + utc.microsecond * 1e-6, "UTC")
-    text = " ".join(given.upper().split())
+    text = " ".join(value.upper().split())
     try:
         return _standard(text) or _julian(text) or _iso(text) or _calendar(text)
     except _UnknownFormError as error:
         reason = f" ({error})" if str(error) else ""
-        words = f"epoch {given!r} is not a UTC time of a form that SPICE knows{reason}; one like it is {_like(text)!r}"
+        words = f"epoch {value!r} is not a UTC time of a form that SPICE knows{reason}; one like it is {_like(text)!r}"
         raise ValueError(words) from None
     except (ValueError, OverflowError) as error:
-        raise ValueError(f"epoch {given!r} is not a valid UTC time, expected one like {_like(text)!r}: {error}") from error
+        raise ValueError(f"epoch {value!r} is not a valid UTC time, expected one like {_like(text)!r}: {error}") from error
 
 
 def _like(text: str) -> str:
@@ -127,19 +127,19 @@ def _standard(text: str) -> Epoch | None:
 
 
 def _julian(text: str) -> Epoch | None:
-    found, scale = text, "UTC"
-    if label := LABEL.search(found):
+    number, scale = text, "UTC"
+    if label := LABEL.search(number):
         if label[2]:
             return None
-        rest = f"{found[: label.start()]}{found[label.end() :]}".strip()
+        rest = f"{number[: label.start()]}{number[label.end() :]}".strip()
         if "JD" in rest:
-            found, scale = rest, label[1]
-    match = JULIAN.fullmatch(found)
+            number, scale = rest, label[1]
+    match = JULIAN.fullmatch(number)
     if match is None:
         return None
     seconds = (Fraction(match[2] or match[3]) - JD_J2000) * 86400
-    whole = seconds // 60
-    return Epoch(J2000 + timedelta(minutes=int(whole)), float(seconds - whole * 60), _scale(match[1] or match[4] or scale))
+    minutes = seconds // 60
+    return Epoch(J2000 + timedelta(minutes=int(minutes)), float(seconds - minutes * 60), _scale(match[1] or match[4] or scale))
 
 
 def _scale(label: str) -> str:
@@ -190,22 +190,22 @@ def _clock(text: str) -> tuple[int, int, float]:
 
 def _calendar(text: str) -> Epoch:
     """Return an epoch of a date, in any usual order, and a clock before or behind it."""
-    scale, ahead, half, left = "UTC", timedelta(0), "", text
-    if match := LABEL.search(left):
-        scale, left = _scale(match[1]), _without(left, match)
+    scale, ahead, half, rest = "UTC", timedelta(0), "", text
+    if match := LABEL.search(rest):
+        scale, rest = _scale(match[1]), _without(rest, match)
         if match[2]:
             if scale != "UTC":
                 raise _UnknownFormError("only UTC has offsets")
             ahead = _offset(match[2])
-    elif match := ZONE.search(left):
-        ahead, left = timedelta(hours=ZONES[match[1]]), _without(left, match)
-    if match := HALF.search(left):
-        half, left = match[1], _without(left, match)
-    if match := ERA.search(left):
-        left = _without(left, match)
-    time = TIME.search(left)
-    date = left if time is None else _without(left, time)
-    day, hours = _date(date, time is not None and left[: time.start()].rstrip(" ").endswith("/"))
+    elif match := ZONE.search(rest):
+        ahead, rest = timedelta(hours=ZONES[match[1]]), _without(rest, match)
+    if match := HALF.search(rest):
+        half, rest = match[1], _without(rest, match)
+    if match := ERA.search(rest):
+        rest = _without(rest, match)
+    time = TIME.search(rest)
+    date = rest if time is None else _without(rest, time)
+    day, hours = _date(date, time is not None and rest[: time.start()].rstrip(" ").endswith("/"))
     if time is not None and hours is not None:
         raise _UnknownFormError
     hour, minute, second = _clock(hours or "0") if time is None else _clock(time[0])
@@ -253,10 +253,10 @@ def _date(text: str, slash: bool) -> tuple[datetime, str | None]:
     return _of_month(_names(words[0], MONTHS), numbers, month_first=first[0].isalpha()), hours
 
 
-def _names(word: str, known: tuple[str, ...]) -> int:
+def _names(word: str, names: tuple[str, ...]) -> int:
     """Return the number, from 1, of the known name that a word of at least three letters begins, else 0."""
     word = word.rstrip(".")
-    return next((k for k, name in enumerate(known, 1) if len(word) >= 3 and name.startswith(word)), 0)
+    return next((k for k, name in enumerate(names, 1) if len(word) >= 3 and name.startswith(word)), 0)
 
 
 def _is_year(number: str) -> bool:

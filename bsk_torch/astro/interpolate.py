@@ -22,8 +22,8 @@ def _from_differences() -> tuple[tuple[float, ...], ...]:
     processor. As ``sum_j l_j(s) = 1``, ``r(s) = r_m + sum_j (r_j - r_m) l_j(s)`` with the middle node m.
     """
     polynomials = lagrange(tuple(k - BEFORE for k in range(COUNT)))
-    others = [terms for k, terms in enumerate(polynomials) if k != BEFORE]
-    return tuple(tuple(float(terms[power]) for terms in others) for power in range(1, COUNT))
+    columns = [terms for k, terms in enumerate(polynomials) if k != BEFORE]
+    return tuple(tuple(float(terms[power]) for terms in columns) for power in range(1, COUNT))
 
 
 def coefficients(nodes: list[Vec3]) -> list[Vec3]:

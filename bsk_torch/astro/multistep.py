@@ -46,7 +46,7 @@ def position_weights(nodes: Sequence[int], start: int, end: int) -> list[float]:
 
     def moment(k: int) -> Fraction:
         """Integral of (end - s) s^k from start to end."""
-        whole = Fraction(end ** (k + 1) - start ** (k + 1), k + 1) * end
-        return whole - Fraction(end ** (k + 2) - start ** (k + 2), k + 2)
+        constant = Fraction(end ** (k + 1) - start ** (k + 1), k + 1) * end
+        return constant - Fraction(end ** (k + 2) - start ** (k + 2), k + 2)
 
     return [float(sum(c * moment(k) for k, c in enumerate(terms))) for terms in lagrange(tuple(nodes))]

@@ -27,19 +27,19 @@ GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 """Angle between neighbors on Fibonacci's spiral, rad."""
 
 
-def like(results: Tensor, *given: Numeric) -> Any:
-    """Return ``results`` as a tensor if one of the ``given`` arguments is, else as an array, or a number without dimensions."""
-    return results if any(isinstance(value, Tensor) for value in given) else results.numpy()[()]
+def like(results: Tensor, *arguments: Numeric) -> Any:
+    """Return ``results`` as a tensor if one of the ``arguments`` is, else as an array, or a number without dimensions."""
+    return results if any(isinstance(value, Tensor) for value in arguments) else results.numpy()[()]
 
 
-def float64(*given: Numeric) -> list[Tensor]:
+def float64(*values: Numeric) -> list[Tensor]:
     """Return numbers, sequences, arrays or tensors as float64 tensors."""
-    return [torch.as_tensor(np.asarray(x) if not isinstance(x, Tensor) else x, dtype=torch.float64) for x in given]
+    return [torch.as_tensor(np.asarray(x) if not isinstance(x, Tensor) else x, dtype=torch.float64) for x in values]
 
 
-def vectors(*given: Numeric) -> list[Vec3]:
+def vectors(*values: Numeric) -> list[Vec3]:
     """Return vectors [..., 3]; ValueError for another last dimension."""
-    tensors = float64(*given)
+    tensors = float64(*values)
     for tensor in tensors:
         if not tensor.ndim or tensor.shape[-1] != 3:
             raise ValueError(f"a vector has shape {list(tensor.shape)}; it must be [3] or [..., 3]")
@@ -115,8 +115,8 @@ def cd2hill(rc_N: Numeric, vc_N: Numeric, rd_N: Numeric, vd_N: Numeric) -> tuple
     HN, rate = hill_frame(r_C, v_C), hill_rate(r_C, v_C)
     rho = HN @ (r_D - r_C)
     velocity = HN @ (v_D - v_C) - Vec3(-rho.y * rate, rho.x * rate, torch.zeros_like(rho.z))
-    given = (rc_N, vc_N, rd_N, vd_N)
-    return like(rho.stack(), *given), like(velocity.stack(), *given)
+    arguments = (rc_N, vc_N, rd_N, vd_N)
+    return like(rho.stack(), *arguments), like(velocity.stack(), *arguments)
 
 
 def hill2cd(rc_N: Numeric, vc_N: Numeric, rho_H: Numeric, rho_deriv_H: Numeric) -> tuple[Any, Any]:
@@ -128,9 +128,9 @@ def hill2cd(rc_N: Numeric, vc_N: Numeric, rho_H: Numeric, rho_deriv_H: Numeric) 
         rho_H: Relative position in the chief's Hill frame, m [..., 3].
         rho_deriv_H: Relative velocity as seen in that frame, m/s [..., 3].
     """
-    given = (rc_N, vc_N, rho_H, rho_deriv_H)
-    r, v = hill_to_inertial(*vectors(*given))
-    return like(r.stack(), *given), like(v.stack(), *given)
+    arguments = (rc_N, vc_N, rho_H, rho_deriv_H)
+    r, v = hill_to_inertial(*vectors(*arguments))
+    return like(r.stack(), *arguments), like(v.stack(), *arguments)
 
 
 def fibonacci_sphere(n_points: int) -> np.ndarray:

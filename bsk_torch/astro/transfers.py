@@ -56,7 +56,7 @@ class Transfers(NamedTuple):
 
     def some(self, rows: Tensor | slice) -> Transfers:
         """Return the transfers of some deputies, by their numbers."""
-        dv, start, velocity = (_rows(x, rows) for x in (self.dv, self.start, self.velocity))
+        dv, start, velocity = (vector.map(lambda x: x[..., rows]) for vector in (self.dv, self.start, self.velocity))
         return Transfers(dv, self.cost[rows], self.motion.some(rows), start, velocity)
 
     def along(self, motion: LinearMotion) -> Transfers:
@@ -78,7 +78,7 @@ class Transfers(NamedTuple):
             rho: Their positions, [N, O, 3] m.
             velocity: Their velocities as seen in the Hill frame, [N, O, 3] m/s.
         """
-        return self._passed(rho, velocity)[0]
+        return self._distances(rho, velocity)[0]
 
     def extremes(self, rho: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor]:
         """Return the smallest distances from the chief, then from deputies that drift on, and the largest from the chief.
@@ -91,29 +91,29 @@ class Transfers(NamedTuple):
             Smallest distances, [N, 1 + O, D, K] m, and largest ones, [N, D, K] m.
         """
         chief = torch.zeros_like(self.start.stack()).unsqueeze(1)
-        return self._passed(torch.cat([chief, rho], 1), torch.cat([chief, velocity], 1))
+        return self._distances(torch.cat([chief, rho], 1), torch.cat([chief, velocity], 1))
 
-    def _passed(self, rho: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor]:
+    def _distances(self, rho: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor]:
         """Return the smallest distances from deputies, [N, O, D, K] m, and the largest from the first one, [N, D, K] m."""
-        others = [Vec3.of(each.transpose(0, 1).unsqueeze(1)) for each in (rho, velocity)]
-        before = (self.start - others[0]).map(lambda x: x.unsqueeze(2))
+        deputies = [Vec3.of(each.transpose(0, 1).unsqueeze(1)) for each in (rho, velocity)]
+        before = (self.start - deputies[0]).map(lambda x: x.unsqueeze(2))
         square = before.dot(before)
         nearest = torch.full((rho.shape[1], *self.dv.x.shape), torch.inf, dtype=rho.dtype, device=rho.device)
         farthest = square[0].expand_as(self.dv.x)
         for moment in range(self.samples):  # few, and each a batch: all at once would take that many times the memory
-            now = self._at(moment, others)
+            now = self._at(moment, deputies)
             square, last = _dot(now, now), square
             nearest = torch.minimum(nearest, _closest(before, now, last))
             farthest = torch.maximum(farthest, square[0])
             before = now
         return torch.sqrt(nearest).permute(3, 0, 2, 1), _rows_first(torch.sqrt(farthest))
 
-    def _at(self, moment: int, others: Sequence[Vec3] = ()) -> Vec3:
+    def _at(self, moment: int, deputies: Sequence[Vec3] = ()) -> Vec3:
         """Return positions at a moment, components [K, D, N] m; [O, K, D, N] relative to others, [O, 1, N], that drift on."""
         motion = self.motion
         drift = motion.at(moment, self.start, self.velocity)
-        if others:
-            drift = drift - motion.at(moment, *others)
+        if deputies:
+            drift = drift - motion.at(moment, *deputies)
         rv = Mat3(*(row.map(lambda x: x[moment].unsqueeze(1)) for row in motion.rv))
         return Vec3(*(_plus_dot(start.unsqueeze(-2), row, self.dv) for start, row in zip(drift, rv, strict=True)))
 
@@ -157,7 +157,7 @@ def closest(a: Vec3, b: Vec3) -> Tensor:
 
 
 def _closest(a: Vec3, b: Vec3, square: Tensor) -> Tensor:
-    """See :func:`closest`, for a known ``square`` of the distance of a."""
+    """Return :func:`closest` for a known ``square`` of the distance of a."""
     way = b - a
     along, length = _dot(a, way), _dot(way, way)
     part = (along / length.clamp(min=SMALLEST)).neg_().clamp_(0.0, 1.0)
@@ -173,10 +173,6 @@ def _dot(a: Vec3, b: Vec3) -> Tensor:
 def _plus_dot(start: Tensor, a: Vec3, b: Vec3) -> Tensor:
     """Return a number plus a scalar product, likewise."""
     return torch.addcmul(torch.addcmul(torch.addcmul(start, a.x, b.x), a.y, b.y), a.z, b.z)
-
-
-def _rows(vector: Vec3, rows: Tensor | slice) -> Vec3:
-    return vector.map(lambda x: x[..., rows])
 
 
 def _rows_first(values: Tensor) -> Tensor:

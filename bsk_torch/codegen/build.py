@@ -120,21 +120,21 @@ def load(source: str, name: str) -> ctypes.CDLL:
         key = hashlib.sha256("\n".join([*parts, processor(), _chosen_isa()]).encode()).hexdigest()[:32]
         path = cache_folder() / f"{key}.so"
     if path.name not in LOADED:
-        found = _shipped(parts) if target is None else None
-        LOADED[path.name] = found or _kept(path) or _built(source, path, name)
+        library = _shipped(parts) if target is None else None
+        LOADED[path.name] = library or _cached(path) or _built(source, path, name)
     return LOADED[path.name]
 
 
 def _shipped(parts: list[str]) -> ctypes.CDLL | None:
     """Return the library of a kernel from the folders of shipped ones, or None."""
-    isas = [chosen] if (chosen := _chosen_isa()) else shipped.can_run()
-    return next((library for path in shipped.candidates(parts, isas) if (library := _kept(path))), None)
+    isas = [isa] if (isa := _chosen_isa()) else shipped.can_run()
+    return next((library for path in shipped.candidates(parts, isas) if (library := _cached(path))), None)
 
 
 # -- building ----------------------------------------------------------------------------------------------------------------
 
 
-def _kept(path: Path) -> ctypes.CDLL | None:
+def _cached(path: Path) -> ctypes.CDLL | None:
     """Return the library in the cache, or None if it is missing, damaged or not to be trusted."""
     if not path.parent.exists():
         return None
@@ -199,12 +199,12 @@ def _build(source: str, path: Path, name: str, command: list[str]) -> None:
         code.write_text(source)
         run = _run(command, folder, path.parent)
         if run.returncode:
-            kept = path.with_suffix(".cpp")
-            os.replace(code, kept)
+            source_file = path.with_suffix(".cpp")
+            os.replace(code, source_file)
             complaint = "\n".join(run.stdout.splitlines()[-SHOWN_LINES:])
             advice = f"\n{INSTALL_OPENMP}" if NO_OPENMP.search(run.stdout) else ""
             raise RuntimeError(
-                f"{command[0]} cannot compile the {name}:\n{complaint}{advice}\nThe source is kept in {kept}. {WITHOUT}"
+                f"{command[0]} cannot compile the {name}:\n{complaint}{advice}\nThe source is kept in {source_file}. {WITHOUT}"
             )
         with library.open("ab") as file:
             file.write(_seal(path.name, library.read_bytes()))
@@ -215,10 +215,10 @@ def _build(source: str, path: Path, name: str, command: list[str]) -> None:
         os.replace(library, path)
 
 
-def _run(command: list[str], folder: Path, kept: Path) -> subprocess.CompletedProcess[str]:
+def _run(command: list[str], folder: Path, cache_dir: Path) -> subprocess.CompletedProcess[str]:
     """Run the compiler in a folder, the faster way first if there is one."""
     gcc = shipped.BUILDING.get() is None and re.match(r"(.*-)?g\+\+(-\d+)?$", Path(command[0]).name)
-    quick = prepared.faster(command, kept, processor()) if gcc else None
+    quick = prepared.faster(command, cache_dir, processor()) if gcc else None
     for attempt in [quick, command] if quick else [command]:
         run = subprocess.run(attempt, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace")
         if not run.returncode:
@@ -234,9 +234,9 @@ def _command(name: str) -> list[str]:
         compiler = cpp_builder.get_cpp_compiler()
     except (exc.InvalidCxxCompiler, OSError) as error:
         choices = config.cpp.cxx if isinstance(config.cpp.cxx, list | tuple) else [config.cpp.cxx]
-        wanted = " or ".join(str(choice) for choice in choices if choice)
+        compilers = " or ".join(str(choice) for choice in choices if choice)
         raise RuntimeError(
-            f"the {name} needs a C++ compiler, but {wanted} does not run here; install it or let CXX name another one"
+            f"the {name} needs a C++ compiler, but {compilers} does not run here; install it or let CXX name another one"
             f"{_not_shipped()}. {WITHOUT}"
         ) from error
     flags = [*FLAGS, *(GCC_FLAGS if cpp_builder.is_gcc() else ()), f"-I{shlex.quote(str(HEADERS[0].parent))}"]
@@ -257,10 +257,10 @@ def _not_shipped() -> str:
 def _chosen_isa() -> str:
     if (target := shipped.BUILDING.get()) is not None:
         return target.isa
-    chosen = os.environ.get("BSK_TORCH_ISA", "")
-    if chosen not in ("", *ISAS):
-        raise ValueError(f"BSK_TORCH_ISA={chosen} must be one of {', '.join(ISAS)}")
-    return chosen
+    isa = os.environ.get("BSK_TORCH_ISA", "")
+    if isa not in ("", *ISAS):
+        raise ValueError(f"BSK_TORCH_ISA={isa} must be one of {', '.join(ISAS)}")
+    return isa
 
 
 def _vector_isa() -> VecISA:
@@ -270,6 +270,6 @@ def _vector_isa() -> VecISA:
     """
     from torch._inductor import cpu_vec_isa
 
-    known = {"avx512": cpu_vec_isa.VecAVX512(), "avx2": cpu_vec_isa.VecAVX2(), "default": cpu_vec_isa.invalid_vec_isa}
-    chosen = _chosen_isa() or IN_USE.get(torch.backends.cpu.get_cpu_capability(), "")
-    return known[chosen] if chosen else cpu_vec_isa.pick_vec_isa()
+    isas = {"avx512": cpu_vec_isa.VecAVX512(), "avx2": cpu_vec_isa.VecAVX2(), "default": cpu_vec_isa.invalid_vec_isa}
+    isa = _chosen_isa() or IN_USE.get(torch.backends.cpu.get_cpu_capability(), "")
+    return isas[isa] if isa else cpu_vec_isa.pick_vec_isa()

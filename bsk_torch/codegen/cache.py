@@ -48,8 +48,8 @@ PRIVATE = 0o700
 
 def cache_folder() -> Path:
     """Return the absolute path of the folder of the cache: that of ``BSK_TORCH_CACHE``, or the user's own one."""
-    given = os.environ.get(VARIABLE)
-    return Path(os.path.abspath(Path(given).expanduser())) if given else platformdirs.user_cache_path("bsk_torch")
+    setting = os.environ.get(VARIABLE)
+    return Path(os.path.abspath(Path(setting).expanduser())) if setting else platformdirs.user_cache_path("bsk_torch")
 
 
 def check_owner(folder: Path) -> None:
@@ -59,8 +59,8 @@ def check_owner(folder: Path) -> None:
         if not os.environ.get(VARIABLE) and not _foreign(status):  # made under a lenient umask
             folder.chmod(PRIVATE)
             return
-        own = POSIX and status.st_uid == os.geteuid() and not status.st_mode & stat.S_ISVTX
-        advice = f", or run chmod go-w {shlex.quote(str(folder))} if it is yours alone" if own else ""
+        is_own = POSIX and status.st_uid == os.geteuid() and not status.st_mode & stat.S_ISVTX
+        advice = f", or run chmod go-w {shlex.quote(str(folder))} if it is yours alone" if is_own else ""
         raise PermissionError(
             f"the kernel cache {folder} {complaint}, and libraries placed there by others would run with your permissions; let "
             f"{VARIABLE} name a folder that only you can write to{advice}"

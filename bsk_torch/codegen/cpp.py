@@ -220,7 +220,7 @@ def _look_up(t: int, record: Record) -> Lines:
     """
     shape = record.shape
     row = f"(owner_{t} ? owner_{t}[row[l]] : row[l]) * records_{t} + int64_t(index[l])"
-    found = [
+    lines = [
         f"const D none(0), most(double(records_{t} - {shape.count})), spacing({shape.spacing!r}), before({shape.before}.0);",
         f"const D endless(std::numeric_limits<double>::infinity()), found = (elapsed_{t} / spacing).floor() - before;",
         "// what is no number compares false and gets the first record",
@@ -242,7 +242,7 @@ def _look_up(t: int, record: Record) -> Lines:
     ]
     return [
         f"const D elapsed_{t} = time_now - start_{t};",
-        *_block(f"if (k == 1 || any(either(lt(elapsed_{t}, from_{t}), ge(elapsed_{t}, until_{t}))))", found),
+        *_block(f"if (k == 1 || any(either(lt(elapsed_{t}, from_{t}), ge(elapsed_{t}, until_{t}))))", lines),
         f"const D tau_{t} = elapsed_{t} - base_{t};",
     ]
 
@@ -309,7 +309,7 @@ def _independent(loop: LoweredLoop) -> Lines:
         *_section(
             line
             for t, record in enumerate(loop.records, 1)
-            for line in (*_track_start(t), *_statements(Declare(value) for value in record.kept))
+            for line in (*_track_start(t), *_statements(Declare(value) for value in record.outputs))
         ),
         *_section(_remember() if loop.stop is not None else []),
         *_block("for (int64_t k = 1; k <= last; ++k)", ticks),

@@ -42,13 +42,13 @@ def just_in_time(function: Kernel, name: str) -> Kernel:
         function: Function of tensors that returns tensors.
         name: What messages call it.
     """
-    known: dict[Any, Kernel] = {}
+    kernels: dict[tuple[object, ...], Kernel] = {}
 
     def call(*tensors: Tensor) -> Tensor:
         key = tuple((tensor.shape, tensor.dtype, tensor.device) for tensor in tensors)
-        if key not in known:
-            known[key] = _compiled(function, name, tensors)
-        return known[key](*tensors)
+        if key not in kernels:
+            kernels[key] = _compiled(function, name, tensors)
+        return kernels[key](*tensors)
 
     return call
 

@@ -36,8 +36,8 @@ class UntraceableError(TypeError):
 
 def shortest(lifetimes: Iterable[int]) -> int:
     """Return the lifetime of a value whose arguments have these ``lifetimes``; that of values from several tracks is one tick."""
-    left = set(lifetimes) - {CALL}
-    return CALL if not left else left.pop() if len(left) == 1 else TICK
+    tracks = set(lifetimes) - {CALL}
+    return CALL if not tracks else tracks.pop() if len(tracks) == 1 else TICK
 
 
 def require_dtype(dtype: torch.dtype) -> torch.dtype:
@@ -94,7 +94,7 @@ class Region:
         """Make a region inside ``parent``; the root of a program has neither mask nor parent."""
         self.mask, self.parent = mask, parent
         self.statements: list[Value | Region] = []
-        self.known: dict[Any, Value] = {}
+        self.values: dict[tuple[object, ...], Value] = {}
         self.merges: list[Value] = []
 
     def chain(self) -> Iterator[Region]:
@@ -194,10 +194,10 @@ class Program(Generic[V]):
         home = self.region if lifetime == TICK and op != "input" else self.root
         home.require_visible(args)
         for scope in home.chain():
-            if key in scope.known:
-                return scope.known[key]  # type: ignore[return-value]
+            if key in scope.values:
+                return scope.values[key]  # type: ignore[return-value]
         value = self._new(op, args, attr, dtype, lifetime, home)
-        home.known[key] = value
+        home.values[key] = value
         return value
 
     def _new(self, op: str, args: tuple[Value, ...], attr: Any, dtype: torch.dtype, lifetime: int, region: Region) -> V:
@@ -314,14 +314,14 @@ Statement = Define | Declare | Update | Store | Branch
 class Record(NamedTuple):
     """Values that hold as long as a record of a track.
 
-    When another record is looked up, ``inputs`` are loaded and ``computed`` follow from them; ``kept`` outlive the look-up and
+    When another record is looked up, ``inputs`` are loaded and ``computed`` follow from them; ``outputs`` outlive the look-up and
     ``local`` are needed only there.
     """
 
     shape: TrackShape
     inputs: tuple[Value, ...]
     computed: tuple[Value, ...]
-    kept: tuple[Value, ...]
+    outputs: tuple[Value, ...]
     local: tuple[Value, ...] = ()
 
 

@@ -119,7 +119,7 @@ class Kernel:
             ValueError: For a tensor that is not contiguous or of another type, a table with too few records, a mode without
                 flags, groups that do not fit the rows, or no room for what the kernel writes.
         """
-        alike, stops = isinstance(counts, int), self.loop.stop is not None
+        is_uniform, stops = isinstance(counts, int), self.loop.stop is not None
         counts = torch.full(state.shape[1:], counts) if isinstance(counts, int) else counts
         _check_tensors((state, counts, shared, own, mode, flags, ticks, schedule, *itertools.chain(*tracks)))
         for track, samples in zip(self.loop.tracks, tracks, strict=True):
@@ -146,14 +146,14 @@ class Kernel:
             entry.run(*tiles.size, threads, tiles.rows, tiles.groups, tiles.ends, *packs, *room, *records)
             return tiles.ends[:-1].repeat_interleave(lockstep)
         if present is not None:
-            asked, alike = counts, False
+            all_counts, is_uniform = counts, False
             counts, expected = (torch.where(present, ticks, 0) for ticks in (counts, expected))
-        rows, ends = in_blocks(counts, None if alike else expected, mode, modes, entry.width)
+        rows, ends = in_blocks(counts, None if is_uniform else expected, mode, modes, entry.width)
         blocks = len(rows) // entry.width
         stride = 0 if written is None else written.stride(0)
         entry.run(blocks, max(1, min(blocks, torch.get_num_threads())), rows, ends, *packs, written, stride, *records)
         ran = torch.empty_like(counts).index_copy_(0, rows[:n], ends[:n]) if stops else counts
-        return ran if present is None else torch.where(present, ran, asked)
+        return ran if present is None else torch.where(present, ran, all_counts)
 
 
 def _check_tensors(tensors: Iterable[Tensor | None]) -> None:

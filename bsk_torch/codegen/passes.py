@@ -52,19 +52,20 @@ def lower(loop: Loop, lockstep: bool = False) -> LoweredLoop:
     carried, commit = None, _commit(live, changes)
     written: tuple[Value | Variable, ...] = tuple(loop.written)
     if lockstep:
-        _require_new_state(loop)
+        if not set(loop.written) <= set(loop.outputs):  # other values do not outlast a tick
+            raise ValueError("a kernel whose rows run in lockstep writes rows of the new state only")
         outliving = read_elsewhere(live, loop.results)
         records = [_split(record, outliving) for record in records]
         copies, stores, variables = carried_state(live, changes)
         body, commit = schedule_stores([*copies, *body], stores), []
         results = list(zip((k for k, _ in changes), variables, strict=True))
         carried = _carried(live, outliving, records, variables)
-        kept = {value: variable for (_, value), variable in zip(changes, variables, strict=True)}
-        written = tuple(kept.get(value, value) for value in loop.written)
+        replacements = {value: variable for (_, value), variable in zip(changes, variables, strict=True)}
+        written = tuple(replacements.get(value, value) for value in loop.written)
     return LoweredLoop(
         mixed=any(value.dtype == torch.float32 for value in live),
         loads=tuple(value for source in LOADED for value in live if value.is_input(source)),
-        constants=tuple(value for value in live if value.lifetime == CALL and not _is_leaf(value)),
+        constants=tuple(value for value in live if value.lifetime == CALL and value.op not in ("input", "constant")),
         records=tuple(records),
         body=tuple(body),
         stop=loop.stop,
@@ -75,12 +76,6 @@ def lower(loop: Loop, lockstep: bool = False) -> LoweredLoop:
         schedule=loop.schedule,
         carried=carried,
     )
-
-
-def _require_new_state(loop: Loop) -> None:
-    """Raise ValueError if a loop writes something else than rows of the new state: other values do not outlast a tick."""
-    if not set(loop.written) <= set(loop.outputs):
-        raise ValueError("a kernel whose rows run in lockstep writes rows of the new state only")
 
 
 # -- dead code ---------------------------------------------------------------------------------------------------------------
@@ -112,22 +107,18 @@ def _values(region: Region) -> Iterator[Value]:
             yield item
 
 
-def _is_leaf(value: Value) -> bool:
-    return value.op in ("input", "constant")
-
-
 # -- regions -----------------------------------------------------------------------------------------------------------------
 
 
 def statements(region: Region, live: set[Value]) -> list[Statement]:
     """Return statements for the live values of a region that hold for one tick; others are computed elsewhere."""
-    found: list[Statement] = []
+    body: list[Statement] = []
     for item in region.statements:
         if isinstance(item, Region):
-            found += _branch(item, live)
+            body += _branch(item, live)
         elif item in live and item.lifetime == TICK and item.op not in ("input", "constant", "merge"):
-            found.append(Define(item))
-    return found
+            body.append(Define(item))
+    return body
 
 
 def _branch(region: Region, live: set[Value]) -> list[Statement]:
@@ -258,8 +249,8 @@ def writes(statement: Statement) -> Iterator[Value | Variable]:
 
 def _split(record: Record, outliving: set[Value]) -> Record:
     """Return a record of which only the values are kept that ticks read."""
-    kept = tuple(value for value in record.kept if value in outliving)
-    return record._replace(kept=kept, local=tuple(value for value in record.kept if value not in outliving))
+    outputs = tuple(value for value in record.outputs if value in outliving)
+    return record._replace(outputs=outputs, local=tuple(value for value in record.outputs if value not in outliving))
 
 
 def _carried(live: Sequence[Value], outliving: set[Value], records: Sequence[Record], variables: Sequence[Variable]) -> Carried:
@@ -276,5 +267,5 @@ def _carried(live: Sequence[Value], outliving: set[Value], records: Sequence[Rec
     return Carried(
         common=tuple(value for value in constants if value in uniform),
         initial=initial,
-        block=(*initial, *(value for record in records for value in record.kept), *results),
+        block=(*initial, *(value for record in records for value in record.outputs), *results),
     )

@@ -68,13 +68,13 @@ def faster(command: Sequence[str], folder: Path, machine: str) -> list[str] | No
     """
     if not sys.platform.startswith("linux"):
         return None
-    made = folder / f"{FOLDERS}{_key(tuple(command), machine)}"
+    headers = folder / f"{FOLDERS}{_key(tuple(command), machine)}"
     _built[folder] += 1
-    if not made.is_dir() and (_built[folder] <= PAYS_FROM or not _prepare(made, tuple(command))):
+    if not headers.is_dir() and (_built[folder] <= PAYS_FROM or not _prepare(headers, tuple(command))):
         return None
     try:
-        check_owner(made)
-        os.utime(made)
+        check_owner(headers)
+        os.utime(headers)
     except PermissionError as error:
         logger.warning("precompiled headers are not used: %s", error)
         return None
@@ -82,7 +82,7 @@ def faster(command: Sequence[str], folder: Path, machine: str) -> list[str] | No
         return None
     rest = [word for word in command[1:] if word not in LINKED]
     linked = ("-Wl,--push-state,--no-as-needed", f"-l{LIBRARY}", "-Wl,--pop-state")
-    return [command[0], f"-L{made}", "-include", str(made / HEADER), *rest, *linked]
+    return [command[0], f"-L{headers}", "-include", str(headers / HEADER), *rest, *linked]
 
 
 @cache
@@ -103,12 +103,12 @@ def _last_use(folder: Path) -> float:
 
 
 @cache
-def _prepare(made: Path, command: tuple[str, ...]) -> bool:
+def _prepare(headers: Path, command: tuple[str, ...]) -> bool:
     """Precompile the headers and make the empty library; return whether they are there. It is tried once in a process."""
     options = [word for word in command[1 : command.index("-o")] if not word.endswith(".cpp")]
     header = [command[0], *options, "-x", "c++-header", HEADER, "-o", f"{HEADER}.gch"]
     empty = [command[0], "-shared", "-x", "c", os.devnull, f"-Wl,-soname,lib{LIBRARY}.so", "-o", f"lib{LIBRARY}.so"]
-    with build_folder(made.parent) as place:
+    with build_folder(headers.parent) as place:
         new = place / "new-headers"
         new.mkdir(mode=PRIVATE)
         (new / HEADER).write_text(INCLUDES)
@@ -117,11 +117,11 @@ def _prepare(made: Path, command: tuple[str, ...]) -> bool:
             if run.returncode:
                 logger.info("headers are not precompiled: %s", run.stdout.strip())
                 return False
-        for old in made.parent.glob(f"{FOLDERS}*"):  # of another compiler or version, which no process has used for long
-            if old != made and time.time() - _last_use(old) > UNUSED:
+        for old in headers.parent.glob(f"{FOLDERS}*"):  # of another compiler or version, which no process has used for long
+            if old != headers and time.time() - _last_use(old) > UNUSED:
                 shutil.rmtree(old, ignore_errors=True)
         try:
-            new.rename(made)
+            new.rename(headers)
         except OSError:  # another process was faster
-            return made.is_dir()
+            return headers.is_dir()
     return True

@@ -101,10 +101,10 @@ def candidates(parts: Sequence[str], isas: Sequence[str]) -> list[Path]:
         FileNotFoundError: For a folder that does not exist.
         PermissionError: For one that others own or may write to.
     """
-    given = os.environ.get(VARIABLE)
-    if not given:
+    setting = os.environ.get(VARIABLE)
+    if not setting:
         return []
-    folders = [Path(os.path.abspath(Path(name).expanduser())) for name in given.split(os.pathsep) if name]
+    folders = [Path(os.path.abspath(Path(name).expanduser())) for name in setting.split(os.pathsep) if name]
     for folder in folders:
         if not folder.is_dir():
             raise FileNotFoundError(f"{VARIABLE} names the folder {folder}, which does not exist")

@@ -71,8 +71,8 @@ def check_groups(counts: Tensor, group: int) -> None:
     uneven = torch.nonzero((counts.view(-1, group) != counts[::group, None]).any(1))
     if len(uneven):
         first = int(uneven[0])
-        found = counts.view(-1, group)[first].unique().tolist()
-        raise ValueError(f"counts of group {first} are {found}; rows in lockstep must have the same number of ticks")
+        numbers = counts.view(-1, group)[first].unique().tolist()
+        raise ValueError(f"counts of group {first} are {numbers}; rows in lockstep must have the same number of ticks")
 
 
 def in_tiles(
@@ -112,9 +112,9 @@ def in_tiles(
 
 def _groups_of_a_tile(groups: int, group: int, width: int) -> int:
     """Return the number of groups in a tile: as few as fill its blocks, or a multiple; tiles larger than a cache are slower."""
-    few = next(k for k in range(1, width + 1) if -(k * group) % width <= SPARE * k * group)
-    times = min(BLOCKS * width // (few * group), groups // (few * TILES))
-    return max(1, min(groups, few * max(1, times)))
+    least = next(k for k in range(1, width + 1) if -(k * group) % width <= SPARE * k * group)
+    times = min(BLOCKS * width // (least * group), groups // (least * TILES))
+    return max(1, min(groups, least * max(1, times)))
 
 
 def _filled(values: Tensor, filler: int, shape: tuple[int, int]) -> Tensor:

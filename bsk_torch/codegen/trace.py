@@ -80,26 +80,26 @@ def _program(args: Sequence[Any]) -> Program[Proxy]:
     return next(arg.program for arg in args if isinstance(arg, Proxy))
 
 
-def as_value(program: Program[Proxy], given: Any, dtype: torch.dtype) -> Proxy:
+def as_value(program: Program[Proxy], value: Any, dtype: torch.dtype) -> Proxy:
     """Return a value, a number or a tensor without dimensions as a value of a type."""
-    if isinstance(given, Proxy):
-        return program.cast(given, dtype)
-    if isinstance(given, torch.Tensor):
-        if given.ndim:
+    if isinstance(value, Proxy):
+        return program.cast(value, dtype)
+    if isinstance(value, torch.Tensor):
+        if value.ndim:
             raise UntraceableError("a kernel cannot hold a tensor with dimensions; make it a parameter of the component")
-        given = given.item()
-    if not isinstance(given, int | float):
-        raise UntraceableError(f"{given!r} is neither a number nor a value of a kernel")
-    return program.constant(given, dtype)
+        value = value.item()
+    if not isinstance(value, int | float):
+        raise UntraceableError(f"{value!r} is neither a number nor a value of a kernel")
+    return program.constant(value, dtype)
 
 
-def _literal_dtype(given: Any) -> torch.dtype:
+def _literal_dtype(value: Any) -> torch.dtype:
     """Return the type of a number or a tensor without dimensions among booleans: torch's, as long as its default is float32."""
-    if isinstance(given, torch.Tensor):
-        return require_dtype(given.dtype)
-    if isinstance(given, bool):
+    if isinstance(value, torch.Tensor):
+        return require_dtype(value.dtype)
+    if isinstance(value, bool):
         return torch.bool
-    return require_dtype(torch.float32 if isinstance(given, float) else torch.int64)
+    return require_dtype(torch.float32 if isinstance(value, float) else torch.int64)
 
 
 def _common(program: Program[Proxy], args: Sequence[Any]) -> tuple[Proxy, ...]:

@@ -71,10 +71,10 @@ def make(name: str, **options: object) -> Any:
     try:
         return PRESETS[name](**options)
     except TypeError as error:
-        own = [parameter.name for parameter in parameters]
+        names = [parameter.name for parameter in parameters]
         for option in options:
-            if str(error).startswith(f"unexpected keyword argument {option!r}") and difflib.get_close_matches(option, own):
+            if str(error).startswith(f"unexpected keyword argument {option!r}") and difflib.get_close_matches(option, names):
                 raise TypeError(
-                    f"unexpected keyword argument {option!r}: {name} has no such option; {nearest(option, own)}"
+                    f"unexpected keyword argument {option!r}: {name} has no such option; {nearest(option, names)}"
                 ) from None
         raise

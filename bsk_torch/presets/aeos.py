@@ -163,9 +163,9 @@ def _listing(name: str, n_ahead: int) -> type[AgileSatellite]:
 def __getattr__(name: str) -> type[AgileSatellite]:
     """Return a class of :func:`looking_ahead` by its name, as saved environments refer to it."""
     kind, _, number = name.rpartition(LIST)
-    known = globals().get(kind)
-    if number.isdecimal() and isinstance(known, type) and issubclass(known, AgileSatellite):
-        return looking_ahead(known, int(number))
+    base = globals().get(kind)
+    if number.isdecimal() and isinstance(base, type) and issubclass(base, AgileSatellite):
+        return looking_ahead(base, int(number))
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

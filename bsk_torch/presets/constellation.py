@@ -153,17 +153,17 @@ def constellation(
     """
     kind: type[LinkedImager] = LinkedSetImager if as_set else LinkedImager
     arguments = steady_args() | options.pop("sat_args", {})
-    kept = {"obs_type": options.pop("obs_type", dict if as_set else torch.Tensor)}
-    kept |= {"variable_interval": options.pop("variable_interval", True), "may_see_nothing": True}
-    satellites = [kind(f"EO{k + 1}", arguments, **kept) for k in range(n_satellites)]
-    own = dict(
+    settings = {"obs_type": options.pop("obs_type", dict if as_set else torch.Tensor)}
+    settings |= {"variable_interval": options.pop("variable_interval", True), "may_see_nothing": True}
+    satellites = [kind(f"EO{k + 1}", arguments, **settings) for k in range(n_satellites)]
+    parts = dict(
         scenario=scene.UniformTargets(n_targets),
         communicator=comm.LOSCommunication(),
         sat_arg_randomizer=formations.walker_delta_args(
             n_planes, phasing=min(1, n_planes - 1) if phasing is None else phasing, altitude=ALTITUDE / 1e3, inc=45.0
         ),
     )
-    return ConstellationTasking(satellites, **(defaults() | own | options))
+    return ConstellationTasking(satellites, **(defaults() | parts | options))
 
 
 def aeos_constellation(
@@ -183,13 +183,13 @@ def aeos_constellation(
     arguments = {name: value for name, value in agile_args(benchmark).items() if name != "oe"} | options.pop("sat_args", {})
     obs_type = options.pop("obs_type", dict if as_set else torch.Tensor)
     satellites = [kind(f"EO{k + 1}", arguments, obs_type=obs_type, may_see_nothing=True) for k in range(n_satellites)]
-    own = dict(
+    parts = dict(
         scenario=scene.UniformTargets(n_targets),
         communicator=comm.FreeCommunication(min_period=60.0),
         sat_arg_randomizer=formations.walker_delta_args(1, altitude=ALTITUDE / 1e3, inc=45.0),
         sim_rate=0.5,
     )
-    return ConstellationTasking(satellites, **(defaults() | own | options))
+    return ConstellationTasking(satellites, **(defaults() | parts | options))
 
 
 def relay_constellation(
@@ -218,7 +218,7 @@ def relay_constellation(
     obs_type = dict if as_set else torch.Tensor
     imagers = [kind(f"EO{k + 1}", arguments, obs_type=obs_type, may_see_nothing=True) for k in range(n_imagers)]
     relays = [Relay(f"Relay{k + 1}", relay_args) for k in range(n_relays)]
-    own = dict(
+    parts = dict(
         scenario=scene.UniformTargets(n_targets),
         communicator=BroadcastInSight(),
         sat_arg_randomizer=formations.together(
@@ -229,4 +229,4 @@ def relay_constellation(
         ),
         failure_penalty=-1.0,
     )
-    return ConstellationTasking([*imagers, *relays], **(defaults() | own | options))
+    return ConstellationTasking([*imagers, *relays], **(defaults() | parts | options))

@@ -111,5 +111,5 @@ def faulty_scan(
         ValueError: For an unknown kind of fault, and a chance out of range.
     """
     arguments = scanning_args() | dict(faults=scanning_faults(kinds, chance)) | (sat_args or {})
-    own = FaultObservingSatellite if observed else ScanningSatellite
-    return scanning_environment(own("Scanner1", arguments, obs_type=obs_type), options)
+    kind = FaultObservingSatellite if observed else ScanningSatellite
+    return scanning_environment(kind("Scanner1", arguments, obs_type=obs_type), options)

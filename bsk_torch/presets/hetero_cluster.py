@@ -100,8 +100,8 @@ def claimed(satellite: sats.BoundSatellite, targets: sats.Opportunities) -> Tens
     """Return how many other satellites are about to image each target, [N, n]."""
     tasks = satellite.fleet.each(task_in_progress)
     keys = act.Image.keys(targets.place).unsqueeze(-1)
-    others = (satellite.of_env(tasks).unsqueeze(1) == keys).sum(-1) - (satellite.rows_of(tasks).view(-1, 1, 1) == keys).sum(-1)
-    return others.to(targets.close.dtype)
+    claims = (satellite.of_env(tasks).unsqueeze(1) == keys).sum(-1) - (satellite.rows_of(tasks).view(-1, 1, 1) == keys).sum(-1)
+    return claims.to(targets.close.dtype)
 
 
 def observed(as_set: bool) -> tuple[obs.Observation, ...]:
@@ -154,8 +154,8 @@ class RadarSetImager(OpticalSetImager):
 
 def optical_args() -> dict[str, Any]:
     """Return the arguments of the satellite of AEOSPower-v1 with gains that are stable with ticks of 1 s, for lit targets."""
-    kept = {name: value for name, value in power_args().items() if name != "oe"}
-    return kept | dict(K1=0.5, K3=3.0, servo_Ki=5.0, imageTargetMinimumSunElevation=LIT)
+    arguments = {name: value for name, value in power_args().items() if name != "oe"}
+    return arguments | dict(K1=0.5, K3=3.0, servo_Ki=5.0, imageTargetMinimumSunElevation=LIT)
 
 
 def radar_args() -> dict[str, Any]:
@@ -189,8 +189,8 @@ def hetero_cluster(*, n_targets: int | tuple[int, int] = 5000, as_set: bool = Fa
     """
     kinds = (OpticalSetImager, RadarSetImager) if as_set else (OpticalImager, RadarImager)
     optical, radar = optical_args() | options.pop("sat_args", {}), radar_args() | options.pop("radar_args", {})
-    kept: dict[str, Any] = {"obs_type": options.pop("obs_type", dict if as_set else torch.Tensor), "may_see_nothing": True}
-    satellites = [*(kinds[0](f"EO{k + 1}", optical, **kept) for k in range(2)), kinds[1]("SAR1", radar, **kept)]
+    settings: dict[str, Any] = {"obs_type": options.pop("obs_type", dict if as_set else torch.Tensor), "may_see_nothing": True}
+    satellites = [*(kinds[0](f"EO{k + 1}", optical, **settings) for k in range(2)), kinds[1]("SAR1", radar, **settings)]
     defaults: dict[str, Any] = dict(
         scenario=scene.CloudyTargets(scene.UniformTargets(n_targets)),
         rewarder=data.CloudFreeImageReward(),

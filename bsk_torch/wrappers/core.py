@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from typing import Any, TypeVar, cast
+from typing import Any, TypeAlias, TypeVar, cast
 
 import gymnasium
 import numpy as np
@@ -31,8 +31,12 @@ FITTING: dict[type[Tasking], str] = {
 }
 """Views of each kind of environment, named in messages."""
 
-SEEN = ("observation", "action_mask", "duration", "counts")
+RESULTS = ("observation", "action_mask", "duration", "counts")
 """Results of a step that environments keep while others are reset."""
+
+
+Results: TypeAlias = "Mapping[str, Any] | TensorDictBase"
+"""Results of a reset or step by name."""
 
 
 def build(core: Kind | str | Callable[..., Kind], options: dict[str, Any], kind: type[Kind]) -> Kind:
@@ -58,10 +62,10 @@ def build(core: Kind | str | Callable[..., Kind], options: dict[str, Any], kind:
     if kind is SatelliteTasking and isinstance(env, ConstellationTasking) and len(deciding(env)) == 1:
         return cast(Kind, SoloTasking(env))
     if not isinstance(env, kind):
-        named = f"core={core!r} makes" if isinstance(core, str) else "core is or makes"
+        subject = f"core={core!r} makes" if isinstance(core, str) else "core is or makes"
         needs = f"this view needs a {kind.__name__}"
-        fitting = next((f"; use {views}" for made, views in FITTING.items() if isinstance(env, made)), "")
-        raise TypeError(f"{named} a {type(env).__name__}; {needs}{fitting}")
+        fitting = next((f"; use {views}" for cls, views in FITTING.items() if isinstance(env, cls)), "")
+        raise TypeError(f"{subject} a {type(env).__name__}; {needs}{fitting}")
     return env
 
 
@@ -74,31 +78,35 @@ def check_options(options: dict[str, Any] | None, allowed: Collection[str]) -> d
     return options
 
 
-def begin(core: Tasking, mask: Tensor, seen: TensorDictBase | None = None, state: TensorDictBase | None = None) -> TensorDictBase:
+def begin(
+    core: Tasking, mask: Tensor, results: TensorDictBase | None = None, state: TensorDictBase | None = None
+) -> TensorDictBase:
     """Start new episodes, or restore a state of ``core.get_state()``.
 
     Args:
         core: The environment.
         mask: Environments to start, [N] bool.
-        seen: Last results of all environments. Without it TorchRL's reset returns zeros for those outside ``mask``.
+        results: Last results of all environments. Without it TorchRL's reset returns zeros for those outside ``mask``.
         state: State to restore; None for new episodes.
 
     Returns:
-        Results for all environments; ``seen`` itself is left alone.
+        Results for all environments; ``results`` itself is left alone.
     """
-    call = TensorDict({}, core.batch_size, device=core.device) if seen is None else seen.select(*SEEN, strict=False).clone()
+    call = (
+        TensorDict({}, core.batch_size, device=core.device) if results is None else results.select(*RESULTS, strict=False).clone()
+    )
     call["_reset"] = mask.unsqueeze(-1)
     if state is not None:
         call["state"] = state.clone()
     return core.reset(call, set_state=state is not None)
 
 
-def read_values(where: str, given: object, satellite: SatelliteGroup, rows: tuple[int, ...] = ()) -> Tensor:
+def read_values(where: str, action: object, satellite: SatelliteGroup, rows: tuple[int, ...] = ()) -> Tensor:
     """Return continuous actions, [*rows, A], or hybrid actions with the choice last, [*rows, A + 1].
 
     Args:
         where: Name of the argument, for messages.
-        given: Array or tensor, whose type is kept; nested sequences of numbers, which are float64; for hybrid actions also a
+        action: Array or tensor, whose type is kept; nested sequences of numbers, which are float64; for hybrid actions also a
             mapping of ``"values"`` and ``"choice"``. None, or ``NO_ACTION`` in all numbers, continues the task, without
             ``rows``.
         satellite: The satellite.
@@ -108,22 +116,22 @@ def read_values(where: str, given: object, satellite: SatelliteGroup, rows: tupl
         TypeError: For another type.
         ValueError: For another shape.
     """
-    if not rows and is_no_action(given):
+    if not rows and is_no_action(action):
         builder = form(satellite)
         return torch.full((0 if builder is None else builder.width,), float(NO_ACTION), dtype=torch.float64)
-    if isinstance(given, Mapping):
-        return read(where, {name: _tensor(where, part) for name, part in given.items()}, satellite, rows)
-    return read(where, _tensor(where, given, torch.float64), satellite, rows)
+    if isinstance(action, Mapping):
+        return read(where, {name: _tensor(where, part) for name, part in action.items()}, satellite, rows)
+    return read(where, _tensor(where, action, torch.float64), satellite, rows)
 
 
-def _tensor(where: str, given: object, dtype: torch.dtype | None = None) -> Tensor:
+def _tensor(where: str, value: object, dtype: torch.dtype | None = None) -> Tensor:
     """Return an array or tensor as a tensor of its type, and numbers in sequences in ``dtype``; TypeError for anything else."""
     try:
-        if isinstance(given, np.ndarray | np.generic | Tensor):
-            return torch.as_tensor(given)
-        return torch.as_tensor(np.asarray(given, dtype=float if dtype is not None else None))
+        if isinstance(value, np.ndarray | np.generic | Tensor):
+            return torch.as_tensor(value)
+        return torch.as_tensor(np.asarray(value, dtype=float if dtype is not None else None))
     except (TypeError, ValueError) as error:
-        raise TypeError(f"{where} is {given!r}; it must be numeric: {error}") from error
+        raise TypeError(f"{where} is {value!r}; it must be numeric: {error}") from error
 
 
 def as_action(core: Tasking, action: object) -> Tensor:
@@ -154,9 +162,9 @@ def as_numpy(value: Tensor) -> np.ndarray:
     return value.cpu().numpy().copy()
 
 
-def counts(seen: Mapping[str, Any] | TensorDictBase) -> dict[str, Tensor]:
+def counts(results: Results) -> dict[str, Tensor]:
     """Return the counters of an environment, such as images, by name; [N, S] int64 each."""
-    return dict(seen["counts"].items()) if "counts" in seen.keys() else {}  # noqa: SIM118  - a tensordict
+    return dict(results["counts"].items()) if "counts" in results.keys() else {}  # noqa: SIM118  - a tensordict
 
 
 def parse_render_mode(mode: str | None) -> str | None:

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
-import gymnasium
-import numpy as np
 import torch
 from gymnasium import spaces
-from gymnasium.error import ResetNeeded
-from tensordict import TensorDictBase
 
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.env.action_forms import form
-from bsk_torch.wrappers.core import RENDERING, as_numpy, begin, build, check_options, parse_render_mode, snapshots
-from bsk_torch.wrappers.episode import EpisodeView
+from bsk_torch.wrappers.core import Results, as_numpy, build, parse_render_mode
+from bsk_torch.wrappers.episode import GymEpisode
 from bsk_torch.wrappers.spaces import action_space, unbounded
 from bsk_torch.wrappers.tasks import legal_tasks, read_one, read_task, satellite_infos
 
@@ -23,7 +19,7 @@ Core = ConstellationTasking | str | Callable[..., ConstellationTasking]
 """An environment with ``joint=True``, the name of a preset, or a function that returns an environment."""
 
 
-class GymJointEnv(EpisodeView, gymnasium.Env[tuple[Any, ...], Sequence[Any]]):
+class GymJointEnv(GymEpisode):
     """One episode at a time, as ``gymnasium.Env``, with tuples of observations and actions.
 
     Observations and actions are tuples with an entry for each satellite; ``None`` or ``NO_ACTION`` continues the satellite's
@@ -36,8 +32,6 @@ class GymJointEnv(EpisodeView, gymnasium.Env[tuple[Any, ...], Sequence[Any]]):
         >>> observation, info = env.reset(seed=0)
         >>> observation, reward, terminated, truncated, info = env.step((0, None, 5))
     """
-
-    metadata: ClassVar[dict[str, Any]] = RENDERING  # type: ignore[misc]
 
     def __init__(self, core: Core, *, render_mode: str | None = None, **options: object) -> None:
         """Wrap one environment.
@@ -62,24 +56,8 @@ class GymJointEnv(EpisodeView, gymnasium.Env[tuple[Any, ...], Sequence[Any]]):
         self.observation_space = spaces.Tuple([unbounded((width,), self.core.dtype) for width in self._widths])
         self.action_space = spaces.Tuple([action_space(part) for part in self._parts])
         self._every = torch.ones(1, dtype=torch.bool, device=self.core.device)
-        self._running = False
 
     core: ConstellationTasking
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[tuple[Any, ...], dict[str, Any]]:
-        """Start an episode.
-
-        Args:
-            seed: Begin with the first episode of this seed; None for the next episode of the present seed.
-            options: ``{"state": state}`` starts from a state of ``core.get_state()`` instead.
-        """
-        options = check_options(options, ("state",))
-        super().reset(seed=seed)
-        if seed is not None:
-            self.core.reseed(seed)
-        seen = begin(self.core, self._every, state=options.get("state"))
-        self._running = True
-        return self._observation(seen), self._info(seen)
 
     def step(self, action: Sequence[object]) -> tuple[tuple[Any, ...], float, bool, bool, dict[str, Any]]:
         """Carry out the actions until the first satellite has finished its task.
@@ -89,17 +67,8 @@ class GymJointEnv(EpisodeView, gymnasium.Env[tuple[Any, ...], Sequence[Any]]):
             ValueError: For a wrong number of actions, or one out of range; no state has changed then.
             TypeError: For an action that is not an integer.
         """
-        if not self._running:
-            raise ResetNeeded("step() needs a running episode; call reset() first")
-        seen = self.core.play([self._decoded(action)], self._every)
-        terminated, truncated = bool(seen["terminated"]), bool(seen["truncated"])
-        self._running = not (terminated or truncated)
-        return self._observation(seen), float(seen["reward"]), terminated, truncated, self._info(seen)
-
-    def render(self) -> np.ndarray | None:
-        """Return a picture of the current state, [480, 640, 3] uint8; see :meth:`bsk_torch.env.base.Tasking.render`."""
-        pictures = snapshots(self.core, self.render_mode)
-        return pictures[0] if pictures else None
+        self._check_running()
+        return self._ended(self.core.play([self._decoded(action)], self._every))
 
     def _decoded(self, action: Sequence[object]) -> Any:
         """Return the actions [1, S], or by the names of the satellites where some are real numbers."""
@@ -112,11 +81,11 @@ class GymJointEnv(EpisodeView, gymnasium.Env[tuple[Any, ...], Sequence[Any]]):
             return torch.tensor([values], dtype=torch.int64, device=device)
         return {name: read_one(f"action of {name!r}", value, part).unsqueeze(0).to(device) for name, value, part in triples}
 
-    def _observation(self, seen: TensorDictBase) -> tuple[Any, ...]:
-        return tuple(as_numpy(part) for part in seen["observation"][0].split(self._widths))
+    def _observation(self, results: Results) -> tuple[Any, ...]:
+        return tuple(as_numpy(part) for part in results["observation"][0].split(self._widths))
 
-    def _info(self, seen: TensorDictBase) -> dict[str, Any]:
-        legal, infos = legal_tasks(self.core), satellite_infos(self.core, seen)
+    def _info(self, results: Results) -> dict[str, Any]:
+        legal, infos = legal_tasks(self.core), satellite_infos(self.core, results)
         masks = tuple(None if (mask := legal[t]) is None else mask[row].copy() for t, row in self._rows)
-        self.latest_step_duration = float(seen["duration"])
+        self.latest_step_duration = float(results["duration"])
         return dict(zip(self.core.names, infos, strict=True)) | {"d_ts": self.latest_step_duration, "action_mask": masks}

@@ -62,22 +62,24 @@ class EpisodeDataLogger:
     def collect(self) -> dict[str, float]:
         """Return the metrics of the current moment by name."""
         view = self.env.unwrapped
-        found = dict(self.episode_data_callback(view)) if self.episode_data_callback else {}
+        metrics = dict(self.episode_data_callback(view)) if self.episode_data_callback else {}
         if self.satellite_data_callback:
             pairs = ((satellite.name, self.satellite_data_callback(view, satellite)) for satellite in view.satellites)
-            each = {name: {key: float(value) for key, value in values.items()} for name, values in pairs}
-            found |= {f"{name}/{key}": value for name, values in each.items() for key, value in values.items()}
-            keys = dict.fromkeys(key for values in each.values() for key in values)
-            found |= {f"mean/{key}": float(np.mean([values[key] for values in each.values() if key in values])) for key in keys}
-        return {name: float(value) for name, value in found.items()}
+            parts = {name: {key: float(value) for key, value in values.items()} for name, values in pairs}
+            metrics |= {f"{name}/{key}": value for name, values in parts.items() for key, value in values.items()}
+            keys = dict.fromkeys(key for values in parts.values() for key in values)
+            metrics |= {
+                f"mean/{key}": float(np.mean([values[key] for values in parts.values() if key in values])) for key in keys
+            }
+        return {name: float(value) for name, value in metrics.items()}
 
     def log(self) -> dict[str, float]:
         """Give the metrics to the logger, if there is one, and return them."""
-        found = self.collect()
+        metrics = self.collect()
         if self.metrics_logger is not None:
-            for name, value in found.items():
+            for name, value in metrics.items():
                 self.metrics_logger.log_value(name, value, reduce="mean", window=WINDOW)
-        return found
+        return metrics
 
 
 class EpisodeDataWrapper(EpisodeDataLogger, gymnasium.Wrapper[Any, Any, Any, Any]):
@@ -124,9 +126,9 @@ class EpisodeDataParallelWrapper(EpisodeDataLogger, BaseParallelWrapper):
         had = bool(self.env.agents)
         results = self.env.step(actions)
         if had and not self.env.agents:
-            found = self.log()
+            metrics = self.log()
             for info in results[4].values():
-                info[METRICS] = found
+                info[METRICS] = metrics
         return results
 
 
@@ -147,33 +149,33 @@ class EpisodeMetrics(Transform):
         super().__init__()
         self.metrics = metrics
 
-    def _found(self) -> TensorDict:
+    def _values(self) -> TensorDict:
         core: Any = self.parent.base_env  # type: ignore[union-attr]
         values = read_metrics(self.metrics, core)
         return TensorDict({name: value.unsqueeze(-1) for name, value in values.items()}, core.batch_size, device=core.device)
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        return tensordict_reset.set(METRICS, self._found())
+        return tensordict_reset.set(METRICS, self._values())
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return next_tensordict.set(METRICS, self._found())
+        return next_tensordict.set(METRICS, self._values())
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the metrics; the environment must have been reset once, so that there is something to read."""
-        found, shape = self._found(), observation_spec.shape
-        parts = {name: Unbounded((*shape, 1), dtype=value.dtype, device=value.device) for name, value in found.items()}
+        values, shape = self._values(), observation_spec.shape
+        parts = {name: Unbounded((*shape, 1), dtype=value.dtype, device=value.device) for name, value in values.items()}
         observation_spec[METRICS] = Composite(parts, shape=shape)
         return observation_spec
 
 
 def read_metrics(metrics: BatchCallback, core: Tasking) -> dict[str, Tensor]:
     """Return the metrics of a batch, [N] float64 each by name; TypeError for values of another shape."""
-    n, found = core.num_envs, {}
+    n, values = core.num_envs, {}
     for name, value in metrics(core).items():
         numbers = torch.as_tensor(value, device=core.device).to(torch.float64, copy=True)
         if numbers.shape != (n,):
             raise TypeError(
                 f"metrics(env)[{name!r}] has shape {list(numbers.shape)}; it must be [{n}], one number for each episode"
             )
-        found[name] = numbers
-    return found
+        values[name] = numbers
+    return values

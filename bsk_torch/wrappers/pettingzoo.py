@@ -27,7 +27,6 @@ from bsk_torch.wrappers.core import (
     begin,
     build,
     parse_render_mode,
-    snapshots,
 )
 from bsk_torch.wrappers.episode import EpisodeView
 from bsk_torch.wrappers.spaces import action_space, map_leaves, observation_space, unbounded
@@ -113,7 +112,7 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
         self.possible_agents: list[str] = list(self.core.agents)
         self.agents: list[str] = []
         self._make_spaces()
-        self._seen: TensorDictBase | None = None
+        self._results: TensorDictBase | None = None
 
     def _seats_of(self, group: Group) -> list[tuple[str, Seat]]:
         parts = tuple(self.core.satellites[t] for t in group.types)
@@ -139,13 +138,13 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
         """Space of an agent's observations, the same object in every call."""
-        return self.observation_spaces[self._known(agent, "agent")]
+        return self.observation_spaces[self._checked_agent(agent, "agent")]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
         """Space of an agent's actions, the same object in every call."""
-        return self.action_spaces[self._known(agent, "agent")]
+        return self.action_spaces[self._checked_agent(agent, "agent")]
 
-    def _known(self, agent: str, what: str) -> str:
+    def _checked_agent(self, agent: str, what: str) -> str:
         if agent not in self._seats:
             raise ValueError(f"{what} {agent!r} is not in possible_agents; {nearest(str(agent), self._seats)}")
         return agent
@@ -165,11 +164,11 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
         every = torch.ones(1, dtype=torch.bool, device=self.core.device)
         if seed is not None:
             self.core.reseed(seed)
-        seen = self._seen = begin(self.core, every, state=(options or {}).get("state"))
+        results = self._results = begin(self.core, every, state=(options or {}).get("state"))
         dead, stays = self._by_agent(self.core.dead), self._by_agent(~self.core.fleet.state.removed)
         self.agents = [agent for agent in self.possible_agents if stays[agent] and not dead[agent]]
         self._warned = False
-        return {agent: self._observation(seen, agent) for agent in self.agents}, self._infos(seen, self.agents)
+        return {agent: self._observation(results, agent) for agent in self.agents}, self._infos(results, self.agents)
 
     def step(self, actions: Mapping[str, object]) -> Steps:
         """Execute ``actions`` until the first satellite finishes its task.
@@ -179,30 +178,25 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
             ValueError: For an unknown agent, or an action out of range; no state has changed then.
             TypeError: For an action that is not an integer, or actions that are not given by agent.
         """
-        if self._seen is None:
+        if self._results is None:
             raise ResetNeeded("step() needs a running episode; call reset() first")
-        given = self._decoded(actions)
+        tables = self._decoded(actions)
         live = self.agents
         if not live:
             return {}, {}, {}, {}, {COMMON: {"d_ts": 0.0}} if self._common else {}
-        seen = self._seen = self.core.play(given, torch.ones(1, dtype=torch.bool, device=self.core.device))
-        terminated, truncated = self._ends(seen)
-        gone = self._by_agent(self.core.dead) if self.core.agents_stay else terminated
-        self.agents = [agent for agent in live if not (gone[agent] or truncated)]
+        results = self._results = self.core.play(tables, torch.ones(1, dtype=torch.bool, device=self.core.device))
+        terminated, truncated = self._ends()
+        removed = self._by_agent(self.core.dead) if self.core.agents_stay else terminated
+        self.agents = [agent for agent in live if not (removed[agent] or truncated)]
         return (
-            {agent: self._observation(seen, agent) for agent in live},
-            {agent: float(self._of(seen, agent, "reward")) for agent in live},
+            {agent: self._observation(results, agent) for agent in live},
+            {agent: float(self._of(results, agent, "reward")) for agent in live},
             {agent: terminated[agent] for agent in live},
             dict.fromkeys(live, truncated),
-            self._infos(seen, live),
+            self._infos(results, live),
         )
 
-    def render(self) -> np.ndarray | None:
-        """Return a picture of the current state, [480, 640, 3] uint8; see :meth:`bsk_torch.env.base.Tasking.render`."""
-        pictures = snapshots(self.core, self.render_mode)
-        return pictures[0] if pictures else None
-
-    def _ends(self, seen: TensorDictBase) -> tuple[dict[str, bool], bool]:
+    def _ends(self) -> tuple[dict[str, bool], bool]:
         """Return which agents are terminated, and whether the episode is truncated."""
         core = self.core
         cut = core.truncated_by_time | (core.checked.truncated() & core.present).any(1)
@@ -223,7 +217,7 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
         if not isinstance(actions, Mapping):
             raise TypeError(f"actions={actions!r} must be a dictionary of actions by agent; agents are {self.possible_agents}")
         for agent in actions:
-            self._known(agent, "actions: agent")
+            self._checked_agent(agent, "actions: agent")
         live = set(self.agents)
         if self.agents and (late := [agent for agent in actions if agent not in live]) and not self._warned:
             self._warned = True  # once in an episode: some trainers send actions for everybody
@@ -232,8 +226,8 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
         for group in self.core.groups:
             part = self.core.satellites[group.types[0]]
             if form(part) is not None:
-                given = [(agent, actions.get(agent) if agent in live else None) for agent in group.agents]
-                values = [read_one(f"actions[{agent!r}]", action, part, self._continues) for agent, action in given]
+                pairs = [(agent, actions.get(agent) if agent in live else None) for agent in group.agents]
+                values = [read_one(f"actions[{agent!r}]", action, part, self._continues) for agent, action in pairs]
                 tables.append(torch.stack(promoted(values)).unsqueeze(0).to(self.core.device))
                 continue
             rows = [self._row(agent, actions.get(agent) if agent in live else None) for agent in group.agents]
@@ -255,51 +249,51 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
 
     # -- results -------------------------------------------------------------------------------------------------------
 
-    def _of(self, seen: TensorDictBase, agent: str, name: str) -> Any:
+    def _of(self, results: TensorDictBase, agent: str, name: str) -> Any:
         """Return an agent's entry of the results of its group."""
         group, number, *_ = self._seats[agent]
-        return seen[group.name, name][0, number]
+        return results[group.name, name][0, number]
 
-    def _observation(self, seen: TensorDictBase, agent: str) -> Any:
-        return map_leaves(self._of(seen, agent, "observation"), as_numpy)
+    def _observation(self, results: TensorDictBase, agent: str) -> Any:
+        return map_leaves(self._of(results, agent, "observation"), as_numpy)
 
-    def _infos(self, seen: TensorDictBase, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
-        self.latest_step_duration = float(seen["duration"])
+    def _infos(self, results: TensorDictBase, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
+        self.latest_step_duration = float(results["duration"])
         step = {"d_ts": self.latest_step_duration}
-        each, legal = satellite_infos(self.core, seen), legal_tasks(self.core)
-        infos = {agent: self._info(agent, each, self._masks(seen, agent, legal)) | step for agent in agents}
+        by_satellite, legal = satellite_infos(self.core, results), legal_tasks(self.core)
+        infos = {agent: self._info(agent, by_satellite, self._masks(results, agent, legal)) | step for agent in agents}
         return infos | ({COMMON: step} if self._common else {})
 
-    def _info(self, agent: str, each: Sequence[dict[str, Any]], masks: tuple[np.ndarray | None, ...]) -> dict[str, Any]:
+    def _info(self, agent: str, by_satellite: Sequence[dict[str, Any]], masks: tuple[np.ndarray | None, ...]) -> dict[str, Any]:
         group, _, members, _ = self._seats[agent]
         if not group.is_meta:
-            return each[members[0]] | ({} if masks[0] is None else {"action_mask": masks[0]})
-        own = {"requires_retasking": any(each[k]["requires_retasking"] for k in members), "action_mask": masks}
-        return own | {self.core.names[k]: each[k] for k in members}
+            return by_satellite[members[0]] | ({} if masks[0] is None else {"action_mask": masks[0]})
+        info = {"requires_retasking": any(by_satellite[k]["requires_retasking"] for k in members), "action_mask": masks}
+        return info | {self.core.names[k]: by_satellite[k] for k in members}
 
-    def _masks(self, seen: TensorDictBase, agent: str, legal: Sequence[np.ndarray | None]) -> tuple[np.ndarray | None, ...]:
+    def _masks(self, results: TensorDictBase, agent: str, legal: Sequence[np.ndarray | None]) -> tuple[np.ndarray | None, ...]:
         """Return the legal actions of each satellite of an agent; None of real numbers."""
         group, number, _, parts = self._seats[agent]
         if not mask_size(parts[0]):
             return (None,)
         if self._continues:
-            flags = self._of(seen, agent, "action_mask").split([self._size(part) for part in parts])
+            flags = self._of(results, agent, "action_mask").split([self._size(part) for part in parts])
             return tuple(as_numpy(flag).astype(np.int8) for flag in flags)
         pairs = zip(group.types, group.within, strict=True)
         return tuple(None if (mask := legal[t]) is None else mask[int(within[number])].copy() for t, within in pairs)
 
     def state(self) -> np.ndarray:
         """Return the observations of all agents side by side, in the order of ``possible_agents``; zeros for removed agents."""
-        if self._seen is None:
+        if self._results is None:
             raise ResetNeeded("state() needs an episode; call reset() first")
-        observed = [(self.observation_spaces[a], self._observation(self._seen, a)) for a in self.possible_agents]
+        observed = [(self.observation_spaces[a], self._observation(self._results, a)) for a in self.possible_agents]
         return np.concatenate([spaces.flatten(space, value) for space, value in observed])
 
 
 def promoted(values: Sequence[Tensor]) -> list[Tensor]:
     """Return tensors in the narrowest type that holds all of them; ``NO_ACTION`` takes that of the others."""
-    given = [value.dtype for value in values if not is_no_action(value)]
-    dtype = functools.reduce(torch.promote_types, given) if given else torch.float64
+    dtypes = [value.dtype for value in values if not is_no_action(value)]
+    dtype = functools.reduce(torch.promote_types, dtypes) if dtypes else torch.float64
     return [value.to(dtype) for value in values]
 
 

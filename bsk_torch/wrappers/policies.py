@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
-import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
@@ -15,7 +14,7 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 
 from bsk_torch.env.action_forms import form
 from bsk_torch.env.satellite_group import SatelliteGroup
-from bsk_torch.wrappers.spaces import flat, map_leaves
+from bsk_torch.wrappers.spaces import flat_rows, map_leaves
 
 
 @runtime_checkable
@@ -79,8 +78,8 @@ def positional(actor: Callable[..., Any]) -> list[str]:
     except ValueError:  # of a function that is not written in Python
         return ["observation"]
     kinds = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
-    needed = [p.name for p in parameters if p.kind in kinds and (p.default is p.empty or p.name == "action_mask")]
-    return needed or [p.name for p in parameters if p.kind is p.VAR_POSITIONAL]
+    names = [p.name for p in parameters if p.kind in kinds and (p.default is p.empty or p.name == "action_mask")]
+    return names or [p.name for p in parameters if p.kind is p.VAR_POSITIONAL]
 
 
 def described(actor: object) -> str:
@@ -119,14 +118,14 @@ class FunctionPolicy(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``action``, [B] or [B, A]; ValueError for results of another shape."""
-        seen = self._seen(tensordict["observation"])
+        inputs = self._inputs(tensordict["observation"])
         mask = [tensordict["action_mask"]] if self.with_mask else []
-        return tensordict.set("action", self._action(self._chosen(seen, *mask), tensordict))
+        return tensordict.set("action", self._action(self._result(inputs, *mask), tensordict))
 
-    def _chosen(self, seen: Any, *mask: Tensor) -> Any:
-        return self.function(seen, *mask)
+    def _result(self, inputs: Any, *mask: Tensor) -> Any:
+        return self.function(inputs, *mask)
 
-    def _seen(self, observation: Any) -> Any:
+    def _inputs(self, observation: Any) -> Any:
         """Return the observation in the type of a module's weights."""
         weights = next(self.function.parameters(), None) if isinstance(self.function, nn.Module) else None
         return map_leaves(observation, lambda part: part if weights is None else part.to(weights))
@@ -135,18 +134,20 @@ class FunctionPolicy(TensorDictModuleBase):
         """Return the result of the function as actions."""
         shape, device = tuple(tensordict.batch_size), tensordict.device
         try:
-            chosen = torch.as_tensor(result, device=device)
+            action = torch.as_tensor(result, device=device)
         except (TypeError, ValueError, RuntimeError) as error:
             raise TypeError(f"{self.title} returns {described(result)}; it must return a tensor of actions") from error
         scores = (*shape, self.n_actions)
-        if self.is_real and chosen.shape == scores:
-            return chosen.to(torch.float32)
-        if not self.is_real and chosen.is_floating_point() and chosen.shape == scores:
-            return chosen.masked_fill(~tensordict["action_mask"], -torch.inf).argmax(-1)
-        if not self.is_real and not chosen.is_floating_point() and chosen.shape in (shape, (*shape, 1)):
-            return chosen.reshape(shape).long()
-        wanted = f"real numbers {list(scores)}" if self.is_real else f"numbers of actions {list(shape)}, or scores {list(scores)}"
-        raise ValueError(f"{self.title} returns {chosen.dtype} {list(chosen.shape)}; it must return {wanted}")
+        if self.is_real and action.shape == scores:
+            return action.to(torch.float32)
+        if not self.is_real and action.is_floating_point() and action.shape == scores:
+            return action.masked_fill(~tensordict["action_mask"], -torch.inf).argmax(-1)
+        if not self.is_real and not action.is_floating_point() and action.shape in (shape, (*shape, 1)):
+            return action.reshape(shape).long()
+        allowed = (
+            f"real numbers {list(scores)}" if self.is_real else f"numbers of actions {list(shape)}, or scores {list(scores)}"
+        )
+        raise ValueError(f"{self.title} returns {action.dtype} {list(action.shape)}; it must return {allowed}")
 
 
 class ModelPolicy(FunctionPolicy):
@@ -158,21 +159,15 @@ class ModelPolicy(FunctionPolicy):
         super().__init__(model.predict, satellite, masked and form(satellite) is None)
         self.title = f"the model {type(model).__name__}"
 
-    def _seen(self, observation: Any) -> Any:
+    def _inputs(self, observation: Any) -> Any:
         """Return the observation as :class:`~bsk_torch.wrappers.stable_baselines3.SB3VecEnv` does."""
         if isinstance(observation, Tensor):
             return observation.cpu().numpy()
-        dims = len(observation.batch_size)
-        return {name: leaf if leaf.ndim > dims else leaf[..., np.newaxis] for name, leaf in numpy_leaves(observation).items()}
+        return flat_rows(map_leaves(observation, lambda part: part.cpu().numpy()), len(observation.batch_size))
 
-    def _chosen(self, seen: Any, *mask: Tensor) -> Any:
+    def _result(self, inputs: Any, *mask: Tensor) -> Any:
         masks = {"action_masks": mask[0].cpu().numpy()} if mask else {}
-        action, state = self.function(seen, deterministic=exploration_type() is not ExplorationType.RANDOM, **masks)
+        action, state = self.function(inputs, deterministic=exploration_type() is not ExplorationType.RANDOM, **masks)
         if state is not None:
             raise TypeError(f"{self.title} has a memory, which is not passed on between decisions; {WRITE}")
         return action
-
-
-def numpy_leaves(observation: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the parts of a named observation as arrays, by their joined names."""
-    return flat(map_leaves(observation, lambda part: part.cpu().numpy()))

@@ -25,9 +25,9 @@ def register() -> None:
     """
     register_listed()
     for name, preset in PRESETS.items():
-        made = get_type_hints(preset).get("return")
-        if made is None:
+        annotation = get_type_hints(preset).get("return")
+        if annotation is None:
             raise TypeError(f"preset {name!r} has no return annotation; write def {preset.__name__}(...) -> SatelliteTasking")
-        usual = next(iter(get_args(made)), made)
+        usual = next(iter(get_args(annotation)), annotation)
         views = MANY if issubclass(usual, ConstellationTasking) else ONE
         register_once(f"bsk_torch/{name}", **views, kwargs={"core": name})

@@ -63,9 +63,9 @@ def constellation_tasking(env_config: Mapping[str, object]) -> Any:
 
 def _split(env_config: Mapping[str, object]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the arguments of the environment, and the callbacks."""
-    given = dict(env_config)
-    callbacks = {name: given.pop(name) for name in CALLBACKS if name in given}
-    return given, callbacks
+    arguments = dict(env_config)
+    callbacks = {name: arguments.pop(name) for name in CALLBACKS if name in arguments}
+    return arguments, callbacks
 
 
 if all(map(find_spec, ("ray", "tree"))):  # Ray without RLlib lacks the latter
@@ -79,7 +79,7 @@ if all(map(find_spec, ("ray", "tree"))):  # Ray without RLlib lacks the latter
         """Gives RLlib's logger to the wrappers of :mod:`bsk_torch.wrappers.metrics` in each environment."""
 
         def on_environment_created(self, *, env: object = None, metrics_logger: object = None, **_: object) -> None:
-            """See RLlib's ``RLlibCallback``."""
+            """Pass the logger on; RLlib calls this."""
             each = [env.par_env] if hasattr(env, "par_env") else getattr(env, "envs", [env])
             for one in each:
                 while not hasattr(one, "set_metrics_logger"):

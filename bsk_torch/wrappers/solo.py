@@ -40,7 +40,7 @@ class SoloTasking:
         self.satellite: SatelliteGroup = parts[self._column]
         widths = [len(part.observation_description) for part in parts]
         begin = sum(widths[: self._column])
-        self._seen = slice(begin, begin + widths[self._column])
+        self._slice = slice(begin, begin + widths[self._column])
         self._all_numbered = all(form(part) is None for part in parts)
 
     def __getattr__(self, name: str) -> Any:
@@ -56,8 +56,8 @@ class SoloTasking:
     @property
     def observation_spec(self) -> Composite:
         """Spec of the observation of the deciding satellite."""
-        seen = self.team.observation_spec["observation"][..., self._seen]
-        return Composite({"observation": seen}, shape=self.team.batch_size, device=self.team.device)
+        spec = self.team.observation_spec["observation"][..., self._slice]
+        return Composite({"observation": spec}, shape=self.team.batch_size, device=self.team.device)
 
     @property
     def dead(self) -> Tensor:
@@ -88,27 +88,27 @@ class SoloTasking:
         tasks = torch.where(self.team.requires_retasking, 0, NO_ACTION)
         if self._all_numbered:
             tasks[:, self._column] = action
-            given: Any = tasks
+            actions: Any = tasks
         else:
-            given = {name: tasks[:, k] for k, name in enumerate(self.team.names)} | {self.team.names[self._column]: action}
-        return self._columns(self.team.play([given], moves))
+            actions = {name: tasks[:, k] for k, name in enumerate(self.team.names)} | {self.team.names[self._column]: action}
+        return self._columns(self.team.play([actions], moves))
 
-    def _columns(self, seen: TensorDictBase) -> Columns:
+    def _columns(self, results: TensorDictBase) -> Columns:
         """Return the results of the deciding satellite among those of the constellation."""
-        own = {"observation": seen["observation"][:, self._seen]}
-        own |= {name: seen[name] for name in ("reward", "terminated", "truncated", "duration") if name in seen.keys()}  # noqa: SIM118
+        columns = {"observation": results["observation"][:, self._slice]}
+        columns |= {name: results[name] for name in ("reward", "terminated", "truncated", "duration") if name in results.keys()}  # noqa: SIM118
         if mask_size(self.satellite):
-            own["action_mask"] = self.satellite.action_mask()
-        if "counts" in seen.keys():  # noqa: SIM118
-            own["counts"] = {name: count[:, [self._column]] for name, count in seen["counts"].items()}
-        return own
+            columns["action_mask"] = self.satellite.action_mask()
+        if "counts" in results.keys():  # noqa: SIM118
+            columns["counts"] = {name: count[:, [self._column]] for name, count in results["counts"].items()}
+        return columns
 
     @staticmethod
     def _merged(new: Columns, call: TensorDictBase, rows: Tensor) -> TensorDict:
         """Return ``new`` results in ``rows`` [N], and those of ``call`` in the others, where it has them."""
         merged = TensorDict(new, call.batch_size, device=rows.device)
-        kept = call.select(*new, strict=False)
-        for name in kept.keys(include_nested=True, leaves_only=True):
+        earlier = call.select(*new, strict=False)
+        for name in earlier.keys(include_nested=True, leaves_only=True):
             merged[name] = merged[name].clone()
-            merged[name][~rows] = kept[name][~rows]
+            merged[name][~rows] = earlier[name][~rows]
         return merged

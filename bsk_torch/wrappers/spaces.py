@@ -27,6 +27,11 @@ def flat(tree: Mapping[str, object]) -> dict[str, Any]:
     return leaves
 
 
+def flat_rows(observation: Mapping[str, object], batch_dims: int = 1) -> dict[str, np.ndarray]:
+    """Return the arrays of a named observation as Stable-Baselines3 takes them: by joined names, and single numbers as [1]."""
+    return {name: leaf if leaf.ndim > batch_dims else leaf[..., np.newaxis] for name, leaf in flat(observation).items()}
+
+
 def map_leaves(value: Any, function: Callable[[Tensor], Any]) -> Any:
     """Return ``function`` of an observation, or of every part of a named one, as nested dictionaries."""
     if isinstance(value, Tensor):

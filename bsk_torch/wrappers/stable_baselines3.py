@@ -16,7 +16,7 @@ from bsk_torch.wrappers.core import check_options
 from bsk_torch.wrappers.gymnasium.single import Core
 from bsk_torch.wrappers.gymnasium.vector import GymVectorEnv
 from bsk_torch.wrappers.metrics import METRICS, BatchCallback
-from bsk_torch.wrappers.spaces import flat
+from bsk_torch.wrappers.spaces import flat, flat_rows
 
 __all__ = ["MetricsCallback", "SB3VecEnv"]
 
@@ -41,9 +41,9 @@ def _at_least_1d(box: Any) -> spaces.Box:
 
 def by_row(columns: Mapping[str, Any], rows: Sequence[int] | slice = slice(None)) -> list[dict[str, Any]]:
     """Return a vector environment's info [N, ...] as a dictionary for each of ``rows``, without the boolean companions."""
-    chosen = {name: column[rows] for name, column in columns.items() if not name.startswith(("_", "final_"))}
-    values = [column.tolist() if column.ndim == 1 else list(column) for column in chosen.values()]
-    return [dict(zip(chosen, row, strict=True)) for row in zip(*values, strict=True)]
+    entries = {name: column[rows] for name, column in columns.items() if not name.startswith(("_", "final_"))}
+    values = [column.tolist() if column.ndim == 1 else list(column) for column in entries.values()]
+    return [dict(zip(entries, row, strict=True)) for row in zip(*values, strict=True)]
 
 
 logger = logging.getLogger(__name__)
@@ -160,9 +160,9 @@ class SB3VecEnv(VecEnv):
         """Warn once about masked actions [N], which are executed nevertheless."""
         if self._legal is None or np.shape(actions) != (self.num_envs,):
             return
-        rows, chosen = np.arange(self.num_envs), np.asarray(actions)
-        inside = (chosen >= 0) & (chosen < self._legal.shape[1])
-        if not self._legal[rows[inside], chosen[inside].astype(np.int64)].all():
+        rows, choices = np.arange(self.num_envs), np.asarray(actions)
+        inside = (choices >= 0) & (choices < self._legal.shape[1])
+        if not self._legal[rows[inside], choices[inside].astype(np.int64)].all():
             self._warned, self._legal = True, None
             logger.warning(
                 "the policy chooses actions that the mask forbids: Stable-Baselines3's own algorithms ignore masks; train with "
@@ -177,10 +177,7 @@ class SB3VecEnv(VecEnv):
 
     def _observed(self, observation: object, batch_dims: int = 1) -> Any:
         """Return an observation in the form of the observation space."""
-        if not isinstance(observation, Mapping):
-            return observation
-        leaves = flat(observation).items()
-        return {name: leaf if leaf.ndim > batch_dims else leaf[..., np.newaxis] for name, leaf in leaves}
+        return flat_rows(observation, batch_dims) if isinstance(observation, Mapping) else observation
 
     def close(self) -> None:
         """Close the views; nothing else needs closing."""

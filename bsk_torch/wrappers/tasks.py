@@ -6,13 +6,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from tensordict import TensorDictBase
 from torch import Tensor
 
 from bsk_torch.env import NO_ACTION, ConstellationTasking
 from bsk_torch.env.action_forms import form, mask_size
 from bsk_torch.env.satellite_group import SatelliteGroup
-from bsk_torch.wrappers.core import as_numpy, counts, read_values
+from bsk_torch.wrappers.core import Results, as_numpy, counts, read_values
 
 
 def read_task(where: str, value: object, satellite: SatelliteGroup, extra: int = 0) -> int:
@@ -58,8 +57,8 @@ def legal_tasks(core: ConstellationTasking) -> list[np.ndarray | None]:
     return [as_numpy(part.action_mask()).astype(np.int8) if mask_size(part) else None for part in core.satellites]
 
 
-def satellite_infos(core: ConstellationTasking, seen: TensorDictBase) -> list[dict[str, Any]]:
+def satellite_infos(core: ConstellationTasking, results: Results) -> list[dict[str, Any]]:
     """Return the info of each satellite: whether it needs a task, and its counters."""
-    counted = {name: count[0].tolist() for name, count in counts(seen).items()}
+    counted = {name: count[0].tolist() for name, count in counts(results).items()}
     idle = core.requires_retasking[0].tolist()
     return [{"requires_retasking": idle[k], **{name: count[k] for name, count in counted.items()}} for k in range(len(idle))]

@@ -25,7 +25,7 @@ from bsk_torch import ConstellationTasking
 from bsk_torch.files import write_file
 from bsk_torch.lab.basilisk.aeos_certificate import NUDGE, flown_there
 from bsk_torch.lab.basilisk.support_data import lacking
-from bsk_torch.rl.evaluation.statistics import Estimate, known
+from bsk_torch.rl.evaluation.statistics import Estimate, nan_confidence
 from bsk_torch.rl.policies.shared_policy import rule
 from bsk_torch.tables import print_table
 from bsk_torch.tasks.aeos_bench import Cases, read_cases
@@ -93,7 +93,9 @@ def differences(rows: list[Row]) -> dict[str, dict[str, Estimate]]:
 
 def estimates(found: list[dict[str, float]]) -> dict[str, Estimate]:
     """Return the mean of each measure over those that have it."""
-    return {name: known(torch.tensor([one[name] for one in found if name in one], dtype=torch.float64)) for name in MEASURES}
+    return {
+        name: nan_confidence(torch.tensor([one[name] for one in found if name in one], dtype=torch.float64)) for name in MEASURES
+    }
 
 
 def cell(value: Estimate) -> str:

@@ -130,7 +130,7 @@ class TestLifetimes:
         (record,) = loop.records
         assert same(record.inputs, [first, second])
         assert [value.op for value in record.computed] == ["sub", "mul"]
-        assert same(record.kept, [first, second, *record.computed])
+        assert same(record.outputs, [first, second, *record.computed])
         assert outline(loop.body) == ["define mul", "define add"]
 
     def test_inputs_are_loaded_by_source(self, program):
@@ -251,8 +251,8 @@ class TestLockstep:
         loop = self.loop(program)
         (plain,), (record,) = (lower(loop, lockstep).records for lockstep in (False, True))
         assert plain.local == ()
-        assert [value.op for value in plain.kept] == ["input", "input", "sub"]
-        assert [value.op for value in record.kept] == ["sub"]
+        assert [value.op for value in plain.outputs] == ["input", "input", "sub"]
+        assert [value.op for value in record.outputs] == ["sub"]
         assert same(record.local, record.inputs)
 
     def test_state_is_stored_in_the_course_of_the_tick(self, program):

@@ -11,7 +11,6 @@ import bsk_torch
 from bsk_torch import ConstellationTasking, comm, data, rand, scene
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
 from bsk_torch.rl.evaluation.evaluate import evaluate
-from bsk_torch.rl.evaluation.statistics import known
 from bsk_torch.rl.policies.shared_policy import rule
 from tests.support.refusals import check_refusals, refusal
 
@@ -160,8 +159,8 @@ def test_measures_of_parts_are_numbered_and_those_without_a_value_do_not_count()
     assert {name: value.tolist() for name, value in result.measures.items()} == {"share": [0.5] * 4, "share_2": [1.0] * 4}
     assert result.summary()["measures"]["share_2"]["mean"] == 1.0
     known_values = torch.tensor([1.0, math.nan, 3.0], dtype=torch.float64)
-    assert known(known_values).mean == 2.0
-    assert math.isnan(known(known_values[1:2]).mean)
+    assert nan_confidence(known_values).mean == 2.0
+    assert math.isnan(nan_confidence(known_values[1:2]).mean)
 
 
 def test_rejects_measures_that_do_not_fit():

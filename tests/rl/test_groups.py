@@ -64,7 +64,7 @@ def test_every_group_is_seen_by_its_satellites_and_acts_at_random_without_a_rule
 
 def test_a_central_critic_observes_the_living_of_all_groups():
     torch.manual_seed(0)
-    critic = ConstellationCritic(2, 3, 8, True, others=[(4, 0)])
+    critic = ConstellationCritic(2, 3, 8, True, other_sizes=[(4, 0)])
     own = [
         torch.randn(1, 2, 2),
         torch.randn(1, 2, 5, 3),
@@ -135,7 +135,7 @@ def test_all_groups_learn_and_only_central_critics_observe_the_others(collected)
     report = learner.learn(batch.clone())
     assert 0.0 < report["entropy"] <= float(torch.tensor(17.0).log())
     for name, group in learner.groups.items():
-        assert group.others == ([other for other in learner.groups if other != name] if algorithm == "mappo" else [])
+        assert group.other_groups == ([other for other in learner.groups if other != name] if algorithm == "mappo" else [])
         assert any(not torch.equal(old, new) for old, new in zip(before[name], weights(group), strict=True))
         assert all(bool(new.isfinite().all()) for new in weights(group))
         assert float(group.networks.normaliser.own.count) == float((~batch[name, "action_mask"][..., -1]).sum())

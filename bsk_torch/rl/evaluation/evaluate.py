@@ -8,14 +8,14 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from bsk_torch.env import ConstellationTasking, SatelliteTasking, Tasking
 from bsk_torch.env.rollout import Policy, play_episodes
 from bsk_torch.rand import Key
-from bsk_torch.rl.evaluation.statistics import Estimate, confidence, known, mean, wilson
+from bsk_torch.rl.evaluation.statistics import Estimate, confidence, mean, nan_confidence, wilson
 from bsk_torch.rl.policies.shared_policy import TRAINED_WITH, as_policy, check_reads
 from bsk_torch.rl.rules.baselines import LOT
 from bsk_torch.wrappers.policies import Actor
@@ -90,8 +90,8 @@ class Evaluation:
         counts = {name: int(failed.sum()) for name, failed in self.deaths.items()}
         return {name: count for name, count in counts.items() if count}
 
-    def summary(self, others: Mapping[str, Evaluation] | None = None) -> dict[str, Any]:
-        """Return means and counts as plain numbers, with the paired gain over each of the ``others`` by name."""
+    def summary(self, baselines: Mapping[str, Evaluation] | None = None) -> dict[str, Any]:
+        """Return means and counts as plain numbers, with the paired gain over each of the ``baselines`` by name."""
         return {
             "episodes": len(self.returns),
             "return": asdict(self.mean_return),
@@ -103,8 +103,12 @@ class Evaluation:
             **({} if self.simulated is None else {"simulated_per_decision": self.simulated_per_decision}),
             "deaths": self.causes,
             "counts": {name: mean(count) for name, count in self.counts.items()},
-            **({"measures": {name: asdict(known(value)) for name, value in self.measures.items()}} if self.measures else {}),
-            "gain": {name: asdict(self.gain_over(other)) for name, other in (others or {}).items()},
+            **(
+                {"measures": {name: asdict(nan_confidence(value)) for name, value in self.measures.items()}}
+                if self.measures
+                else {}
+            ),
+            "gain": {name: asdict(self.gain_over(other)) for name, other in (baselines or {}).items()},
         }
 
 
@@ -162,7 +166,7 @@ def _evaluated(policy: TensorDictModuleBase, env: Tasking, start: TensorDictBase
     decisions = torch.zeros_like(rows, dtype=torch.int64)
     simulated = torch.zeros_like(env.returns)
     for playing, step in play_episodes(env, player, start, rows):
-        decisions += torch.where(playing, _asked(env, step), 0)
+        decisions += torch.where(playing, _deciding_agents(env, step), 0)
         if SIMULATED in policy.out_keys:
             simulated += torch.where(playing, step[SIMULATED], 0.0)
     returns, dead = env.returns[:n].clone(), env.dead[:n].view(n, -1)
@@ -193,21 +197,21 @@ def with_lots(policy: Policy, env: Tasking) -> Policy:
     return draw
 
 
-def _asked(env: Tasking, step: TensorDictBase) -> Tensor:
+def _deciding_agents(env: Tasking, step: TensorDictBase) -> Tensor:
     """Return the number of deciding agents in each episode, [N]."""
     if not isinstance(env, ConstellationTasking):
         return torch.ones(env.batch_size, dtype=torch.int64, device=env.device)
-    keys: list[Any] = ["requires_retasking"] if env.joint else [(group, "requires_retasking") for group in env.group_map]
+    keys: list[NestedKey] = ["requires_retasking"] if env.joint else [(group, "requires_retasking") for group in env.group_map]
     return torch.cat([step[key].flatten(1) for key in keys], 1).sum(1)
 
 
 def failed_checks(env: Tasking) -> dict[str, Tensor]:
     """Return the present satellites that fail each aliveness check, [N, S] booleans by the name of the check."""
     checks = [part.aliveness() for part in env.fleet.satellites]
-    passed = [torch.ones_like(rows[0], dtype=torch.bool) for rows in ([*alive.values()] for alive in checks)]
+    ones = [torch.ones_like(rows[0], dtype=torch.bool) for rows in ([*alive.values()] for alive in checks)]
     names = dict.fromkeys(name for alive in checks for name in alive)
     return {
-        name: env.present & env.fleet.joined([~alive.get(name, every) for alive, every in zip(checks, passed, strict=True)])
+        name: env.present & env.fleet.joined([~alive.get(name, every) for alive, every in zip(checks, ones, strict=True)])
         for name in names
     }
 

@@ -64,13 +64,13 @@ def _fly(env: SatelliteTasking, seeds: Tensor, numbers: Tensor, player: Policy |
     start = start_episodes(env, seeds[numbers].tolist())
     rows = torch.arange(m + spare, device=env.device) < m
     returns = torch.zeros(len(rows), dtype=torch.float64, device=env.device)
-    actions, noted = [], [look(env)] if notes else []
+    actions, entries = [], [look(env)] if notes else []
     for playing, step in play_episodes(env, policy, start, rows):
         actions.append(torch.where(playing, step["action"], OVER)[:m])
         returns += torch.where(playing, step["next", "reward"].squeeze(-1).double(), 0.0)
         if notes:
-            noted.append(look(env))
-    series = {name: torch.stack([there[name][:m] for there in noted], 1) for name in (noted[0] if noted else ())}
+            entries.append(look(env))
+    series = {name: torch.stack([entry[name][:m] for entry in entries], 1) for name in (entries[0] if entries else ())}
     deaths = {name: ~alive[:m] for name, alive in env.satellite.aliveness().items()}
     return Flown(~env.dead[:m], returns[:m], torch.stack(actions, 1), series, deaths)
 

@@ -12,7 +12,7 @@ import torch
 
 from bsk_torch.files import write_file
 from bsk_torch.rl.evaluation.evaluate import Evaluation
-from bsk_torch.rl.evaluation.statistics import Estimate, known, mean
+from bsk_torch.rl.evaluation.statistics import Estimate, mean, nan_confidence
 from bsk_torch.tables import print_table
 
 EVALUATION = "evaluation.json"
@@ -46,7 +46,7 @@ def _row(result: Evaluation, mortal: bool) -> dict[str, str]:
     row |= {"collected": f"{mean(result.collected):.3f}"} if mortal else {}
     row |= {} if result.fill is None else {"fill": f"{mean(result.fill):.0%}"}
     row |= {"decisions": f"{mean(result.decisions):.0f}"} | {name: f"{mean(n):.1f}" for name, n in result.counts.items()}
-    row |= {name: f"{known(value).mean:,.4g}" for name, value in result.measures.items()}
+    row |= {name: f"{nan_confidence(value).mean:,.4g}" for name, value in result.measures.items()}
     deaths = ", ".join(f"{n} {cause.removesuffix('_valid')}" for cause, n in result.causes.items())
     return row | ({"deaths": deaths or "none"} if mortal else {})
 
@@ -57,9 +57,9 @@ def _signed(gain: Estimate) -> str:
 
 def save_results(results: Mapping[str, Evaluation], path: Path, chosen: str) -> None:
     """Write the :meth:`Evaluation.summary` of every policy, with the paired gain of the ``chosen`` one over the others."""
-    others = {name: result for name, result in results.items() if name != chosen}
-    told = {name: result.summary(others if name == chosen else None) for name, result in results.items()}
-    write_file(path, json.dumps(told, indent=2) + "\n")
+    baselines = {name: result for name, result in results.items() if name != chosen}
+    summaries = {name: result.summary(baselines if name == chosen else None) for name, result in results.items()}
+    write_file(path, json.dumps(summaries, indent=2) + "\n")
 
 
 def save_episodes(results: Mapping[str, Evaluation], seeds: Sequence[int], path: Path) -> None:

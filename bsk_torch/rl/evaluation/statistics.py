@@ -47,10 +47,10 @@ def confidence(samples: Tensor, level: float = 0.95) -> Estimate:
     return Estimate(mean(samples), student_quantile(0.5 + 0.5 * level, n - 1) * float(samples.double().std()) / n**0.5)
 
 
-def known(samples: Tensor) -> Estimate:
+def nan_confidence(samples: Tensor) -> Estimate:
     """Return the mean of the ``samples`` [n] that are not NaN with its 95 % confidence interval; NaN if all are."""
-    kept = samples[~samples.isnan()]
-    return confidence(kept) if len(kept) else Estimate(float("nan"), float("nan"))
+    numbers = samples[~samples.isnan()]
+    return confidence(numbers) if len(numbers) else Estimate(float("nan"), float("nan"))
 
 
 def wilson(successes: int, trials: int, level: float = 0.95) -> tuple[float, float]:

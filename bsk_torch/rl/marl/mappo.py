@@ -41,7 +41,7 @@ from bsk_torch.rl.rules.targets import image_actions
 from bsk_torch.rl.training.advantages import FINAL, estimate_advantages, final, standardize
 from bsk_torch.rl.training.config import EVALUATE_EVERY, PPOConfig
 from bsk_torch.rl.training.imitation import TAUGHT, taught
-from bsk_torch.rl.training.ppo import REPORTED, Learner, averages, there
+from bsk_torch.rl.training.ppo import REPORTED, Learner, averages, existing_keys
 from bsk_torch.rl.training.trainer import VALIDATION, Training
 from bsk_torch.sim.arguments.values import nearest
 
@@ -84,12 +84,12 @@ class MAPPOConfig(PPOConfig):
     options: dict[str, Any] = dataclasses.field(default_factory=lambda: {"as_set": True})
     algorithm: str = "mappo"
 
-    def _default_interval(self) -> int:
-        """See :meth:`PPOConfig._default_interval`; a step of a constellation takes longer."""
+    @override
+    def _default_interval(self) -> int:  # a step of a constellation takes longer
         return min(EVALUATE_EVERY // 5, super()._default_interval())
 
     def __post_init__(self) -> None:
-        """Raise the errors of :class:`PPOConfig`, and ValueError for unknown algorithms and networks."""
+        """Complete and check the settings as :class:`PPOConfig`; ValueError also for unknown algorithms and networks."""
         super().__post_init__()
         if self.algorithm not in CRITICS:
             raise ValueError(f"algorithm={self.algorithm!r} must be one of {sorted(CRITICS)}; {nearest(self.algorithm, CRITICS)}")
@@ -104,7 +104,7 @@ def deciding(agents: TensorDictBase) -> Tensor:
     return agents["requires_retasking"].squeeze(-1)
 
 
-def _acted(agents: TensorDictBase, decides: Tensor, bounds: Bounds) -> dict[str, Tensor]:
+def _actions(agents: TensorDictBase, decides: Tensor, bounds: Bounds) -> dict[str, Tensor]:
     """Return the actions of agents, and the mask of numbered ones; those that do not decide get one that they could take."""
     if bounds:
         middle = torch.tensor(bounds, dtype=agents["action"].dtype, device=decides.device).mean(-1)
@@ -115,24 +115,24 @@ def _acted(agents: TensorDictBase, decides: Tensor, bounds: Bounds) -> dict[str,
     return {"action_mask": mask, "action": torch.where(decides, agents["action"], 0)}
 
 
-def team_batch(batch: TensorDictBase, group: str = AGENTS, others: Sequence[str] = (), bounds: Bounds = ()) -> TensorDict:
+def team_batch(batch: TensorDictBase, group: str = AGENTS, other_groups: Sequence[str] = (), bounds: Bounds = ()) -> TensorDict:
     """Return observations, actions and rewards [N, T, S, ...] of a group in a batch [N, T] without the level of the group.
 
     ``decides`` [N, T, S] marks satellites that had to decide; the others could only take the first action, and did. Under
     ``next``, ``done`` [N, T, 1] is the end of the episode, ``removed`` [N, T, S, 1] that of a satellite, by death or with the
     episode, and ``satellite_terminated`` [N, T, S, 1] an end after which nothing is expected: a death, or what
-    :func:`~bsk_torch.rl.training.advantages.final` found, which is under ``next`` of ``batch``. What the ``others``, further
-    groups, see is at ``("seen", "others", name)``. Real numbers as actions have ``bounds``, and no mask.
+    :func:`~bsk_torch.rl.training.advantages.final` found, which is under ``next`` of ``batch``. What ``other_groups`` see is at
+    ``("seen", "others", name)``. Real numbers as actions have ``bounds``, and no mask.
     """
     agents, following = batch[group], batch["next", group]
     decides = deciding(agents)
     parts = {
-        "seen": _seen(batch, group, others),
+        "seen": _observations(batch, group, other_groups),
         DECIDES: decides,
-        **_acted(agents, decides, bounds),
+        **_actions(agents, decides, bounds),
         "action_log_prob": agents["action_log_prob"],
         "next": {
-            "seen": _seen(batch["next"], group, others),
+            "seen": _observations(batch["next"], group, other_groups),
             "reward": following["reward"],
             "duration": following["duration"],
             "done": batch["next", "done"],
@@ -143,12 +143,12 @@ def team_batch(batch: TensorDictBase, group: str = AGENTS, others: Sequence[str]
     return TensorDict(parts, batch.batch_size, names=[None, "time"], device=batch.device)
 
 
-def _seen(situations: TensorDictBase, group: str, others: Sequence[str] = ()) -> TensorDict:
+def _observations(situations: TensorDictBase, group: str, other_groups: Sequence[str] = ()) -> TensorDict:
     """Return the normalized observations of each agent [N, T, S], as a tensordict [N, T]."""
     agents = situations[group]
     parts = {**agents["seen"], "alive": agents["mask"]}
-    if others:
-        parts["others"] = {name: _seen(situations, name) for name in others}
+    if other_groups:
+        parts["others"] = {name: _observations(situations, name) for name in other_groups}
     return TensorDict(parts, situations.batch_size)
 
 
@@ -214,7 +214,7 @@ class GroupLearner(Learner):
         self.lmbda = config.lmbda ** (1.0 / env.fleet.size)
         sees_all = config.algorithm == "mappo"
         plans = {name: group_plan(config, view) for name, view in views.items() if sees_all and name != group}
-        self.others = list(plans)
+        self.other_groups = list(plans)
         sizes = [observed_sizes(plan) for plan in plans.values()]
         n_own, n_features = observed_sizes(self.plan)
         with float32_weights():
@@ -224,12 +224,12 @@ class GroupLearner(Learner):
         critic = ValueOperator(judge, in_keys=[*keys, ALIVE, *parts, CLOCK]).to(env.device)
         self.bounds: Bounds = getattr(self.plan, "bounds", ())
         parameters = self.networks.actor[0]  # of the distribution
-        acting, read = DecidingOnly(parameters.module), [*parameters.in_keys, DECIDES]
+        acting, inputs = DecidingOnly(parameters.module), [*parameters.in_keys, DECIDES]
         if self.bounds:
-            actor = real_actor(TensorDictModule(acting, in_keys=read, out_keys=["loc", "scale"]), self.bounds)
+            actor = real_actor(TensorDictModule(acting, in_keys=inputs, out_keys=["loc", "scale"]), self.bounds)
         else:
             actor = ProbabilisticActor(
-                TensorDictModule(acting, in_keys=read, out_keys=["logits"]),
+                TensorDictModule(acting, in_keys=inputs, out_keys=["logits"]),
                 in_keys={"logits": "logits", "mask": "action_mask"},
                 distribution_class=MaskedCategorical,
                 return_log_prob=True,
@@ -240,16 +240,17 @@ class GroupLearner(Learner):
     def make_plan(self, env: SatelliteTasking) -> Plan:
         return group_plan(self.config, env)
 
+    @override
     def make_teacher(self, env: SatelliteTasking) -> TensorDictModuleBase | None:
-        """See :meth:`Learner.make_teacher`; also None, with a warning, for a group that the rule does not fit."""
+        """Return the rule to imitate first; None without one, or, with a warning, for a group that it does not fit."""
         try:
             return super().make_teacher(env)
         except ValueError as error:
             logger.warning("%s; these satellites learn by themselves", error)
             return None
 
+    @override
     def counts(self, sample: TensorDictBase) -> Tensor:
-        """See :meth:`Learner.counts`: those of satellites that decided."""
         return sample[DECIDES]
 
     def normalise(self, batch: TensorDictBase) -> None:
@@ -269,24 +270,23 @@ class GroupLearner(Learner):
         ``decisions`` is the number of decisions learned from: 0, and nothing else is reported, where the satellites of
         the group were busy but for one decision at most, which has no standardized advantage.
         """
-        team = team_batch(batch, self.group, self.others, self.bounds)
+        team = team_batch(batch, self.group, self.other_groups, self.bounds)
         decisions = int(team[DECIDES].sum())
         if decisions < 2:
             return {"decisions": 0}
         if self.judges:
             team_advantages(team, self.critic, self.config.gamma, self.lmbda, self.value_norm, self.config.reward_time)
         if self.imitates:
-            team[TAUGHT] = taught(self.teacher, _asked(batch[self.group], team))
-        keys = [*there(LEARNED_FROM, team), *self._further_keys()]
+            team[TAUGHT] = taught(self.teacher, _teacher_inputs(batch[self.group], team))
+        keys = [*existing_keys(LEARNED_FROM, team), *self._further_keys()]
         samples = self._samples(team.select(*keys).reshape(-1))
         reports = [self._descend(sample) for sample in samples if bool(sample[DECIDES].any())]
         return averages(reports) | {"decisions": decisions} if reports else {"decisions": 0}
 
 
-def _asked(agents: TensorDictBase, team: TensorDictBase) -> TensorDict:
-    """Return what a rule decides by, of each satellite: its observation, and its legal actions but for the one of busy ones."""
-    decides = team[DECIDES]
-    return TensorDict({"observation": agents["observation"], "action_mask": team["action_mask"]}, decides.shape)
+def _teacher_inputs(agents: TensorDictBase, team: TensorDictBase) -> TensorDict:
+    """Return the inputs of the teacher by satellite: the observation, and the mask without the action of busy satellites."""
+    return TensorDict({"observation": agents["observation"], "action_mask": team["action_mask"]}, team[DECIDES].shape)
 
 
 def observed_parts(plan: Plan) -> list[str]:
@@ -336,7 +336,7 @@ class MAPPOLearner:
 
     def load_policy_state(self, state: Mapping[str, object]) -> None:
         """Restore what :meth:`policy_state` returned."""
-        for name, part in self._each(state).items():
+        for name, part in self._by_group(state).items():
             self.groups[name].load_policy_state(part)
 
     def save_policy(self, path: Path) -> None:
@@ -345,20 +345,20 @@ class MAPPOLearner:
         save_policy(path, plan, networks, self.config.preset, self.config.options)
 
     def anneal(self, fraction: float) -> None:
-        """See :meth:`Learner.anneal`."""
+        """Set what depends on the used ``fraction`` of the budget, in all groups."""
         for group in self.groups.values():
             group.anneal(fraction)
 
     def state_dict(self) -> dict[str, Any]:
-        """See :meth:`Learner.state_dict`."""
+        """Networks, normalizers and optimizers."""
         return joined({name: group.state_dict() for name, group in self.groups.items()})
 
     def load_state_dict(self, state: Mapping[str, object]) -> None:
         """Restore what :meth:`state_dict` returned."""
-        for name, part in self._each(state).items():
+        for name, part in self._by_group(state).items():
             self.groups[name].load_state_dict(part)
 
-    def _each(self, state: Mapping[str, object]) -> Mapping[str, Any]:
+    def _by_group(self, state: Mapping[str, object]) -> Mapping[str, Any]:
         """Return what :func:`joined` was given."""
         return {next(iter(self.groups)): state} if len(self.groups) == 1 else state
 
@@ -416,8 +416,9 @@ class MAPPOTraining(Training):
     def rewards(self, batch: TensorDictBase) -> Tensor:
         return torch.stack([batch["next", group, "reward"].sum((-2, -1)) for group in self.learner.groups]).sum(0)
 
+    @override
     def survived(self, batch: TensorDictBase) -> Tensor:
-        """See :meth:`Training.survived`: all satellites; a rewarder may end episodes in which none has died."""
+        """Return where all satellites have survived, [N, T]; a rewarder may end episodes in which none has died."""
         groups = self.learner.groups
         if not self.env.fleet.varies:
             return torch.stack([batch["next", group, "mask"].all(-1) for group in groups]).all(0)

@@ -21,15 +21,15 @@ class DecidingOnly(nn.Module):
         super().__init__()
         self.network = network
 
-    def forward(self, *seen: Tensor) -> Tensor | tuple[Tensor, Tensor]:
+    def forward(self, *inputs: Tensor) -> Tensor | tuple[Tensor, Tensor]:
         """Outputs [..., S, A] for what satellites see, [..., S, ...] each, of which the last, ``decides`` [..., S], decide."""
-        *parts, decides = seen
-        some = self.network(*(part[decides] for part in parts))
-        if isinstance(some, tuple):
-            loc, scale = some
+        *parts, decides = inputs
+        outputs = self.network(*(part[decides] for part in parts))
+        if isinstance(outputs, tuple):
+            loc, scale = outputs
             shape = *decides.shape, loc.shape[-1]
             return loc.new_zeros(shape).index_put((decides,), loc), loc.new_ones(shape).index_put((decides,), scale)
-        return some.new_zeros(*decides.shape, some.shape[-1]).index_put((decides,), some)
+        return outputs.new_zeros(*decides.shape, outputs.shape[-1]).index_put((decides,), outputs)
 
 
 class Gist(nn.Module):
@@ -44,32 +44,34 @@ class Gist(nn.Module):
         self.gist = nn.Linear(2 * width if n_features else width, width)
         self.n_inputs = 3 if n_features else 1
 
-    def embed(self, own: Tensor, *targets: Tensor) -> Tensor:
-        """Vectors [..., S, W] by ``own`` [..., S, D] and, of a set, rows [..., S, K, F] and their mask [..., S, K]."""
-        parts = [relu(self.own(own))]
+    def embed(self, satellite: Tensor, *targets: Tensor) -> Tensor:
+        """Vectors [..., S, W] by ``satellite`` [..., S, D] and, of a set, rows [..., S, K, F] and their mask [..., S, K]."""
+        parts = [relu(self.own(satellite))]
         if targets:
             rows, mask = targets
-            parts.append(mean_where(relu(self.row(rows) + self.context(own).unsqueeze(-2)), mask))
+            parts.append(mean_where(relu(self.row(rows) + self.context(satellite).unsqueeze(-2)), mask))
         return relu(self.gist(torch.cat(parts, -1)))
 
 
 class ConstellationCritic(Gist):
     """Value of the state of each satellite of a group, from its own observation and, in MAPPO, the mean over all alive."""
 
-    def __init__(self, n_own: int, n_features: int, width: int, sees_all: bool, others: Sequence[tuple[int, int]] = ()) -> None:
-        """Expect what :class:`Gist` does; ``others`` are the same two numbers of each other observed group."""
+    def __init__(
+        self, n_own: int, n_features: int, width: int, sees_all: bool, other_sizes: Sequence[tuple[int, int]] = ()
+    ) -> None:
+        """Expect what :class:`Gist` does; ``other_sizes`` are the same two numbers of each other observed group."""
         super().__init__(n_own, n_features, width)
         self.sees_all = sees_all
         self.value = nn.Sequential(nn.Linear((1 + sees_all) * width, width), nn.ReLU(), nn.Linear(width, 1))
-        self.others = nn.ModuleList(Gist(*sizes, width) for sizes in others)
+        self.others = nn.ModuleList(Gist(*sizes, width) for sizes in other_sizes)
 
-    def forward(self, *seen: Tensor) -> Tensor:
+    def forward(self, *inputs: Tensor) -> Tensor:
         """Values [..., S, 1] by what each group sees, its own first: the arguments of :meth:`embed`, then who is alive."""
-        given = iter(seen)
+        parts = iter(inputs)
         gists, alive = [], []
         for group in (self, *self.others):
-            gists.append(group.embed(*islice(given, group.n_inputs)))
-            alive.append(next(given))
+            gists.append(group.embed(*islice(parts, group.n_inputs)))
+            alive.append(next(parts))
         each = gists[0]
         if not self.sees_all:
             return self.value(each)

@@ -47,10 +47,10 @@ def is_constellation(preset: str, options: Mapping[str, Any] | None = None) -> b
     """
     if preset not in PRESETS:
         return False
-    made = inspect.signature(PRESETS[preset], eval_str=True).return_annotation
-    if made is inspect.Signature.empty or not isinstance(made, type):
+    annotation = inspect.signature(PRESETS[preset], eval_str=True).return_annotation
+    if annotation is inspect.Signature.empty or not isinstance(annotation, type):
         return isinstance(make(preset, **({"num_envs": 1, "backend": "eager"} | dict(options or {}))), ConstellationTasking)
-    return issubclass(made, ConstellationTasking)
+    return issubclass(annotation, ConstellationTasking)
 
 
 def configure(preset: str, network: str | None = None, algorithm: str | None = None, **changes: Any) -> PPOConfig:
@@ -153,8 +153,8 @@ def _completed(run: Training, episodes: int, quiet: bool, before: Collection[str
     env = make(config.preset, num_envs=episodes, **config.options)
     results = {name: evaluate(shared(run.policy, env), env, seed=config.seed + FRESH) for name in before}
     policy = run.run(bar=not quiet)
-    found = compare({TRAINED: shared(policy, env)}, env, config.seed)
-    results = {name: found[name] for name in found if name != TRAINED} | results | {TRAINED: found[TRAINED]}
+    comparison = compare({TRAINED: shared(policy, env)}, env, config.seed)
+    results = {name: comparison[name] for name in comparison if name != TRAINED} | results | {TRAINED: comparison[TRAINED]}
     save_results(results, run.out / EVALUATION, TRAINED)
     if not quiet:
         print_results(results, f"{config.preset}, {episodes} unseen episodes", TRAINED)

@@ -48,10 +48,10 @@ class Encoder(nn.Module):
         self.blocks = nn.ModuleList(Block(width, heads) for _ in range(blocks))
         self.norm = nn.LayerNorm(width)
 
-    def forward(self, own: Tensor, rows: Tensor, mask: Tensor) -> Tensor:
-        """Return the tokens [B, 1 + K, W] of ``own`` [B, D] and ``rows`` [B, K, F], with existing rows ``mask`` [B, K]."""
-        targets = self.mix(relu(self.row(rows) + self.context(own).unsqueeze(-2)))
-        tokens = torch.cat([self.own(own).unsqueeze(-2), targets], -2)
+    def forward(self, satellite: Tensor, rows: Tensor, mask: Tensor) -> Tensor:
+        """Return the tokens [B, 1 + K, W] of ``satellite`` [B, D] and ``rows`` [B, K, F], with existing rows ``mask`` [B, K]."""
+        targets = self.mix(relu(self.row(rows) + self.context(satellite).unsqueeze(-2)))
+        tokens = torch.cat([self.own(satellite).unsqueeze(-2), targets], -2)
         exists = torch.cat([torch.ones_like(mask[:, :1]), mask], -1)
         for block in self.blocks:
             tokens = block(tokens, exists)
@@ -78,15 +78,15 @@ class SetActor(nn.Module):
                 layer.weight.normal_(0.0, scale * width**-0.5)
                 layer.bias.zero_()
 
-    def forward(self, own: Tensor, rows: Tensor, mask: Tensor, legal: Tensor) -> Tensor:
+    def forward(self, satellite: Tensor, rows: Tensor, mask: Tensor, legal: Tensor) -> Tensor:
         """Return logits [..., A] of the actions with the mask ``legal`` [..., A]; for the others, see :meth:`Encoder.forward`."""
-        batch, n_images = own.shape[:-1], legal.shape[-1] - self.n_others
-        own, rows, mask = own.flatten(0, -2), rows.flatten(0, -3), mask.flatten(0, -2)
-        tokens = self.encoder(own, rows, mask)
+        batch, n_images = satellite.shape[:-1], legal.shape[-1] - self.n_others
+        satellite, rows, mask = satellite.flatten(0, -2), rows.flatten(0, -3), mask.flatten(0, -2)
+        tokens = self.encoder(satellite, rows, mask)
         images = self.image(tokens[:, 1 : 1 + n_images]).squeeze(-1)
         images = images.masked_fill(~mask[:, :n_images], LEAST)
-        others = tokens[:, 0, :0] if self.other is None else self.other(tokens[:, 0])
-        logits = torch.cat([others[:, : self.first], images, others[:, self.first :]], -1)
+        scores = tokens[:, 0, :0] if self.other is None else self.other(tokens[:, 0])
+        logits = torch.cat([scores[:, : self.first], images, scores[:, self.first :]], -1)
         return logits.view(*batch, -1)
 
 
@@ -99,11 +99,11 @@ class SetCritic(nn.Module):
         self.encoder = encoder
         self.value = nn.Sequential(nn.Linear(2 * width, width), nn.ReLU(), nn.Linear(width, 1))
 
-    def forward(self, own: Tensor, rows: Tensor, mask: Tensor) -> Tensor:
+    def forward(self, satellite: Tensor, rows: Tensor, mask: Tensor) -> Tensor:
         """Return the value [..., 1]; for the arguments, with any leading dimensions, see :meth:`Encoder.forward`."""
-        batch = own.shape[:-1]
-        own, rows, mask = own.flatten(0, -2), rows.flatten(0, -3), mask.flatten(0, -2)
-        tokens = self.encoder(own, rows, mask)
+        batch = satellite.shape[:-1]
+        satellite, rows, mask = satellite.flatten(0, -2), rows.flatten(0, -3), mask.flatten(0, -2)
+        tokens = self.encoder(satellite, rows, mask)
         weight = mask.unsqueeze(-1).to(tokens.dtype)
         mean = (tokens[:, 1:] * weight).sum(1) / weight.sum(1).clamp(min=1.0)
         return self.value(torch.cat([tokens[:, 0], mean], -1)).view(*batch, 1)

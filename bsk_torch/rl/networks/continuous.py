@@ -26,9 +26,9 @@ class NormalParameters(nn.Module):
         self.network = network
         self.log_scale = nn.Parameter(torch.full((width,), math.log(INITIAL_SCALE), dtype=torch.float32))
 
-    def forward(self, *seen: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, *inputs: Tensor) -> tuple[Tensor, Tensor]:
         """Return means and standard deviations, [..., A] each; float32, whatever the precision of the network."""
-        loc = self.network(*seen).float()
+        loc = self.network(*inputs).float()
         low, high = map(math.log, SCALES)
         return loc, self.log_scale.clamp(low, high).exp().expand_as(loc)
 

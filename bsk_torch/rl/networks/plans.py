@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
 from torch import Tensor, nn
 from torchrl.data import Composite
@@ -166,10 +166,10 @@ class Clocked(nn.Module):
         super().__init__()
         self.network = network
 
-    def forward(self, own: Tensor, *others: Tensor) -> Tensor:
+    def forward(self, satellite: Tensor, *others: Tensor) -> Tensor:
         """Return values [..., 1] of the inputs, of which the last is the clock [..., 2]."""
-        *others_seen, clock = others
-        return self.network(torch.cat([own, clock], -1), *others_seen)
+        *parts, clock = others
+        return self.network(torch.cat([satellite, clock], -1), *parts)
 
 
 class Recall(TensorDictModuleBase):
@@ -226,9 +226,11 @@ class AttentionPlan:
         images = image_actions(env)
         if len(images) > n_rows:
             raise ValueError(f"network='attention': {len(images)} targets can be chosen, but only {n_rows} are observed")
-        own = {key: shape[1:].numel() for key, shape in leaves.items() if key[:-1] != sets[0]}
+        widths = {key: shape[1:].numel() for key, shape in leaves.items() if key[:-1] != sets[0]}
         n_actions = env.satellite.actions.n_actions
-        return cls(sets[0], tuple(own), sum(own.values()), n_features, n_actions, (images.start, images.stop), tuple(hidden))
+        return cls(
+            sets[0], tuple(widths), sum(widths.values()), n_features, n_actions, (images.start, images.stop), tuple(hidden)
+        )
 
     def __post_init__(self) -> None:
         """Raise ValueError for widths that cannot be divided among heads, and too many blocks."""
@@ -286,12 +288,12 @@ def _leaves(env: SatelliteTasking) -> dict[tuple[str, ...], torch.Size]:
     return {("observation", *key): spec[key].shape for key in keys}
 
 
-def _actor(network: nn.Module, in_keys: list[Any], bounds: Bounds = ()) -> ProbabilisticActor:
+def _actor(network: nn.Module, in_keys: list[NestedKey], bounds: Bounds = ()) -> ProbabilisticActor:
     """Return the distribution of actions from a network for logits [..., A] or means [..., A]."""
     return _distributed(_parameters(network, in_keys, bounds), bounds)
 
 
-def _parameters(network: nn.Module, in_keys: list[Any], bounds: Bounds) -> TensorDictModule:
+def _parameters(network: nn.Module, in_keys: list[NestedKey], bounds: Bounds) -> TensorDictModule:
     """Return a module that writes the parameters of a distribution."""
     if not bounds:
         return TensorDictModule(network, in_keys=in_keys, out_keys=["logits"])

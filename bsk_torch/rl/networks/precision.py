@@ -30,7 +30,7 @@ def has_bfloat16(device: torch.device) -> bool:
     """Whether a device multiplies matrices of bfloat16, instead of converting them to float32 and back."""
     if device.type == "cuda":
         return torch.cuda.is_bf16_supported(including_emulation=False)
-    return any(bool(there) for name, there in torch.cpu.get_capabilities().items() if "bf16" in name)
+    return any(bool(available) for name, available in torch.cpu.get_capabilities().items() if "bf16" in name)
 
 
 def reduced(precision: str, device: torch.device) -> AbstractContextManager[object]:

@@ -79,7 +79,7 @@ def save_policy(
 
 def _described(plan: Plan, networks: Networks) -> dict[str, Any]:
     """Return the entries :data:`NETWORK`."""
-    kind = next(name for name, known in PLANS.items() if type(plan) is known)
+    kind = next(name for name, cls in PLANS.items() if type(plan) is cls)
     described = dataclasses.asdict(plan)
     if not described.get("bounds", True):
         del described["bounds"]  # files of discrete actions remain as they were before
@@ -126,7 +126,7 @@ def read_card(path: Path | str, device: torch.device | str = "cpu") -> dict[str,
     for part in networks_of(card).values():
         check_network(part["network"])
         try:
-            _check_weights(part)
+            _checked_plan(part)
         except UNFIT as error:
             raise ValueError(
                 f"{str(path)!r} is no policy of this version of bsk_torch ({__version__}): {one_line(str(error))}"
@@ -194,18 +194,18 @@ def check_fits(card: Mapping[str, Any], env: Tasking, preset: str | None = None)
         match needed, plan.get("images"):
             case AttentionPlan(), (int(first), int(end)):
                 needed = needed.with_images(end - first)
-        here = dataclasses.asdict(needed)
-        known = {name: plan.get(name, ()) for name in here}
-        differing = [name for name in here if _listed(here[name]) != _listed(known[name])]
+        expected = dataclasses.asdict(needed)
+        stored = {name: plan.get(name, ()) for name in expected}
+        differing = [name for name in expected if _listed(expected[name]) != _listed(stored[name])]
         if differing:
-            theirs, ours = (", ".join(f"{name}={values[name]}" for name in differing) for values in (known, here))
+            theirs, ours = (", ".join(f"{name}={values[name]}" for name in differing) for values in (stored, expected))
             of_group = f" in group {group}" if len(parts) > 1 else ""
             raise ValueError(f"the policy was trained for {trained} with {theirs}{of_group}; {where} has {ours}")
     if card["bsk_torch"] not in SAME_EPISODES:
         logger.warning("the policy is of bsk_torch %s; this is %s", card["bsk_torch"], __version__)
 
 
-def _listed(value: object) -> Any:
+def _listed(value: object) -> object:
     return [_listed(part) for part in value] if isinstance(value, list | tuple) else value
 
 
@@ -222,36 +222,28 @@ def build_policy(card: Mapping[str, Any], device: torch.device | str = "cpu") ->
     policies = {}
     for group, part in networks_of(card).items():
         try:
-            networks = _built(part).to(device)
+            plan = _checked_plan(part)
+            networks = plan.build().to(device)
             networks.load_policy_state(part)
         except UNFIT as error:
             raise ValueError(f"the policy of {card['preset']} does not fit this version of bsk_torch: {error}") from error
         policies[group] = networks.policy
-        policies[group].register_forward_pre_hook(Origin(origin_of(card), _plan(part)))
+        policies[group].register_forward_pre_hook(Origin(origin_of(card), plan))
     return of_groups(policies)
 
 
-def _plan(part: Mapping[str, Any]) -> Plan:
-    return PLANS[part["network"]](**part["plan"])
-
-
-def _built(part: Mapping[str, Any]) -> Networks:
-    """Return new networks by the plan of a file; ValueError before they are built if its weights do not fit."""
-    return _check_weights(part).build()
-
-
-def _check_weights(part: Mapping[str, Any]) -> Plan:
+def _checked_plan(part: Mapping[str, Any]) -> Plan:
     """Return the plan of a file; ValueError if its weights have other shapes or types, or are not finite."""
-    plan = _plan(part)
+    plan = PLANS[part["network"]](**part["plan"])
     with torch.device("meta"):  # takes no memory, whatever the plan asks for
         planned = plan.build().policy_state()
     for name in (NORMALISER, ACTOR):
-        wanted, found = (
+        expected, stored = (
             {key: (tuple(value.shape), value.dtype) for key, value in state[name].items()} for state in (planned, part)
         )
-        for key in dict.fromkeys((*wanted, *found)):
-            if wanted.get(key) != found.get(key):
-                raise ValueError(f"{name}.{key} has shape and type {found.get(key)}, its plan {wanted.get(key)}")
+        for key in dict.fromkeys((*expected, *stored)):
+            if expected.get(key) != stored.get(key):
+                raise ValueError(f"{name}.{key} has shape and type {stored.get(key)}, its plan {expected.get(key)}")
         for key, value in part[name].items():
             if not bool(value.isfinite().all()):
                 raise ValueError(f"{name}.{key} has numbers that are not finite")

@@ -31,18 +31,18 @@ class Origin:
         if fault:
             raise ValueError(f"this policy was trained for {self.trained}; {fault}")
 
-    def fault(self, seen: TensorDictBase) -> str | None:
+    def fault(self, situations: TensorDictBase) -> str | None:
         """Return what does not fit; None if all does."""
-        plan, observation = self.plan, seen.get("observation", None)
+        plan, observation = self.plan, situations.get("observation", None)
         if observation is None:
             return "in a constellation, bsk_torch.rl.marl.shared(policy, env) lets it decide for each satellite"
         if isinstance(plan, AttentionPlan):
-            rows = seen.get((*plan.set_key, "rows"), None) if isinstance(observation, TensorDictBase) else None
+            rows = situations.get((*plan.set_key, "rows"), None) if isinstance(observation, TensorDictBase) else None
             return None if rows is not None and rows.shape[-1] == plan.n_features else "this environment has other observations"
         if not isinstance(observation, Tensor) or observation.shape[-1] != plan.n_observed:
             numbers = f"{observation.shape[-1]} numbers" if isinstance(observation, Tensor) else "named parts"
             return f"it observes {plan.n_observed} numbers, and this environment has {numbers}"
-        mask = seen.get("action_mask", None)
+        mask = situations.get("action_mask", None)
         if mask is not None and mask.shape[-1] != plan.n_actions:
             return f"it chooses among {plan.n_actions} actions, and this environment has {mask.shape[-1]}"
         return None

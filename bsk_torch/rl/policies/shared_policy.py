@@ -62,12 +62,14 @@ def member_views(env: Tasking) -> dict[str, SatelliteTasking]:
 
 
 def _view(env: ConstellationTasking, group: Group) -> SatelliteTasking:
-    seen, satellite = env.observation_spec[group.name][:, 0], env.satellites[group.types[0]]
+    member, satellite = env.observation_spec[group.name][:, 0], env.satellites[group.types[0]]
     n = satellite.actions.n_actions
-    parts = {"observation": seen["observation"]}
+    parts = {"observation": member["observation"]}
     if n:
-        parts["action_mask"] = Binary(n, shape=(*seen.shape, n), dtype=torch.bool, device=env.device)  # without that to continue
-    spec = Composite(parts, shape=seen.shape, device=env.device)
+        parts["action_mask"] = Binary(
+            n, shape=(*member.shape, n), dtype=torch.bool, device=env.device
+        )  # without that to continue
+    spec = Composite(parts, shape=member.shape, device=env.device)
     return cast(SatelliteTasking, MemberView(satellite, spec, env.device))
 
 
@@ -85,9 +87,9 @@ def member_view(env: Tasking) -> SatelliteTasking:
 
 def check_reads(policy: object, spec: Composite, hint: str = TRAINED_WITH) -> None:
     """Raise ValueError, ending with ``hint``, if a policy reads observations by name that are missing in ``spec``."""
-    known = {_path(key) for key in spec.keys(include_nested=True)}
+    paths = {_path(key) for key in spec.keys(include_nested=True)}
     for path in (_path(key) for key in getattr(policy, "in_keys", ())):
-        if "observation" in path and path not in known:
+        if "observation" in path and path not in paths:
             raise ValueError(f"the policy reads {'.'.join(path)}, which this environment does not have; {hint}")
 
 
@@ -116,13 +118,13 @@ class SharedPolicy(TensorDictModuleBase):
         """Write ``out_keys``; the log-probability is 0 for satellites that continue."""
         if (self.group, "action_mask") not in tensordict.keys(include_nested=True):
             return self._write_real(tensordict)
-        seen = tensordict[self.group].select("observation", "action_mask")
-        legal = seen["action_mask"]
+        situations = tensordict[self.group].select("observation", "action_mask")
+        legal = situations["action_mask"]
         decides = ~legal[..., -1]
         action = torch.full(decides.shape, legal.shape[-1] - 1, device=legal.device)
         log_prob = torch.zeros(decides.shape, dtype=torch.float32, device=legal.device)
         if bool(decides.any()):  # after the longest step, all may still be busy
-            deciding = seen[decides]
+            deciding = situations[decides]
             deciding["action_mask"] = deciding["action_mask"][..., :-1]
             decided = self.policy(deciding)
             action[decides] = decided["action"]
@@ -235,17 +237,17 @@ def baseline_of_groups(
         KeyError, ValueError: If the rule applies to no group.
     """
     views = member_views(env)
-    found: dict[str, TensorDictModuleBase] = {}
+    policies: dict[str, TensorDictModuleBase] = {}
     errors: list[Exception] = []
     for k, (group, view) in enumerate(views.items()):
         try:
-            found[group] = rule(view, seed + k)
+            policies[group] = rule(view, seed + k)
         except (KeyError, ValueError) as error:
             errors.append(error)
-            found[group] = random_policy(view, seed + k)
+            policies[group] = random_policy(view, seed + k)
     if len(errors) == len(views):
         raise errors[0]
-    return of_groups(found)
+    return of_groups(policies)
 
 
 def rule(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:

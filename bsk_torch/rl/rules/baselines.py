@@ -44,8 +44,8 @@ class RandomPolicy(TensorDictModuleBase):
         if lot is None:
             lot = torch.rand(mask.shape[:-1], dtype=torch.float64, device=mask.device, generator=self.generator)
         rank = mask.cumsum(-1)
-        chosen = mask & (rank == (lot.unsqueeze(-1) * rank[..., -1:]).long() + 1)
-        return tensordict.set("action", chosen.long().argmax(-1))
+        choice = mask & (rank == (lot.unsqueeze(-1) * rank[..., -1:]).long() + 1)
+        return tensordict.set("action", choice.long().argmax(-1))
 
 
 class RandomNumbers(TensorDictModuleBase):
@@ -101,8 +101,8 @@ class ScanRule:
         """Return actions [N] for ``observation`` [N, F], whose entries are named by ``description``."""
         see = Columns(observation, description)
         wish = torch.full_like(see["storage_level_fraction"], actions.index("action_nadir_scan"), dtype=torch.int64)
-        for name, wanted in self.wishes(see).items():
-            wish = torch.where(wanted, actions.index(name), wish)
+        for name, rows in self.wishes(see).items():
+            wish = torch.where(rows, actions.index(name), wish)
         return wish
 
     def wishes(self, see: Columns) -> dict[str, Tensor]:

@@ -49,7 +49,7 @@ def spread(lot: Tensor, bounds: Bounds) -> Tensor:
     values, digits = [], 2.0 ** (48 // len(bounds))
     for low, high in bounds:
         lot = lot * digits
-        whole = lot.floor()
-        lot = lot - whole
-        values.append(low + (whole + 0.5) / digits * (high - low))
+        digit = lot.floor()
+        lot = lot - digit
+        values.append(low + (digit + 0.5) / digits * (high - low))
     return torch.stack(values, -1)

@@ -20,7 +20,7 @@ class Sharing:
     Args:
         cloudy: Forecast of the cloud cover at which half of the optical images are useful.
         spread: Standard deviation of the forecast.
-        left: Part of the value of a clear target that satellites which see through clouds leave to the others.
+        discount: Part of the value of a clear target that satellites which see through clouds leave to the others.
         charge: Value of charging with an empty battery in sunlight, in priorities; it falls to zero with a full battery.
         slew: Time for a turn of one radian, s; it grows with the square root of the angle.
         full: Store above which a pass is used for downlink, as a fraction of the capacity.
@@ -28,7 +28,7 @@ class Sharing:
 
     cloudy: float = 0.7
     spread: float = 0.03
-    left: float = 0.5
+    discount: float = 0.5
     charge: float = 0.3
     slew: float = 46.0
     full: float = 0.5
@@ -61,10 +61,10 @@ class CooperativeRule(ImagingRule):
         return cls(plain.see, plain.images, by_tour, plain.description, plain.actions, sees_through, chosen)
 
     def worths(self, observation: Observation, action_mask: Tensor) -> Tensor:
-        """See :meth:`ImagingRule.worths`; charging has a value between zero and that of an image."""
-        seen, numbers = Columns(observation, self.description), self.numbers
-        start, end = seen.all("eclipse").unbind(-1)
-        charge = numbers.charge * (1.0 - seen["battery_charge_fraction"]) * (start <= end)
+        """Return what each action is worth, [N, A]; charging has a value between zero and that of an image."""
+        columns, numbers = Columns(observation, self.description), self.numbers
+        start, end = columns.all("eclipse").unbind(-1)
+        charge = numbers.charge * (1.0 - columns["battery_charge_fraction"]) * (start <= end)
         level, opens = (read(observation, self.description, path) for path in (LEVEL, OPENS))
         worths = torch.full(action_mask.shape, -URGENCY, dtype=charge.dtype, device=charge.device)
         worths[:, self.actions.index("action_charge")] = charge
@@ -77,5 +77,5 @@ class CooperativeRule(ImagingRule):
         """Return the values of tours that start with each target, [N, n]."""
         priority, forecast, claims = (self.see.read(observation, name) for name in ("priority", "cloud_forecast", "claimed"))
         clear = torch.special.ndtr((self.numbers.cloudy - forecast) / self.numbers.spread)
-        useful = 1.0 - self.numbers.left * clear if self.sees_through else clear
+        useful = 1.0 - self.numbers.discount * clear if self.sees_through else clear
         return tours(self.see, observation, priority * useful * (claims <= 0.0), self.numbers.slew)

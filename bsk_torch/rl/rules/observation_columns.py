@@ -20,14 +20,16 @@ class Columns:
 
     def all(self, name: str) -> Tensor:
         """Return the entries named ``name`` or ``name[k]``, [..., width]; KeyError if there is none."""
-        found = [k for k, entry in enumerate(self.description) if _last(entry) == name]
-        if not found:
+        indices = [k for k, entry in enumerate(self.description) if _last(entry) == name]
+        if not indices:
             raise KeyError(f"{name!r} is not observed; {nearest(name, map(_last, self.description))}")
-        seen = self.observation
-        if isinstance(seen, Tensor):
-            return seen[..., found]
-        parts = [seen[path] for path in dict.fromkeys(_path(self.description[k]) for k in found)]
-        return torch.cat([part.unsqueeze(-1) if part.ndim == seen.ndim else part.flatten(seen.ndim) for part in parts], -1)
+        observation = self.observation
+        if isinstance(observation, Tensor):
+            return observation[..., indices]
+        parts = [observation[path] for path in dict.fromkeys(_path(self.description[k]) for k in indices)]
+        return torch.cat(
+            [part.unsqueeze(-1) if part.ndim == observation.ndim else part.flatten(observation.ndim) for part in parts], -1
+        )
 
     def __getitem__(self, name: str) -> Tensor:
         """Return the first entry of that name, [...]."""

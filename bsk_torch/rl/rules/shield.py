@@ -41,7 +41,7 @@ class SafeRule:
     fast: float = 0.2
 
     def __call__(self, see: Columns, actions: Sequence[str]) -> Tensor:
-        """See :data:`Rule`."""
+        """Return the mask of allowed actions."""
         fast = see.all("wheel_speeds_fraction").abs().amax(-1) > self.fast
         low = ~fast & (see["battery_charge_fraction"] < self.low)
         return allow_only(actions, "action_charge", where=low) & allow_only(actions, "action_desat", where=fast)
@@ -63,7 +63,7 @@ class ImagerRule:
     low: float = 0.2
 
     def __call__(self, see: Columns, actions: Sequence[str]) -> Tensor:
-        """See :data:`Rule`."""
+        """Return the mask of allowed actions."""
         full = see["storage_level_fraction"] > self.full
         low = ~full & (see["battery_charge_fraction"] < self.low)
         return allow_only(actions, "action_downlink", where=full) & allow_only(actions, "action_charge", where=low)
@@ -83,17 +83,17 @@ def shield(rule: Rule, env: SatelliteTasking) -> TensorDictModule:
     description, actions = env.satellite.observation_description, env.satellite.action_description
 
     def narrow(observation: object, action_mask: Tensor) -> Tensor:
-        left = action_mask & rule(Columns(observation, description), actions)
-        return torch.where(left.any(-1, keepdim=True), left, action_mask)
+        legal = action_mask & rule(Columns(observation, description), actions)
+        return torch.where(legal.any(-1, keepdim=True), legal, action_mask)
 
     zero = env.observation_spec.zero()
     if "action_mask" not in zero.keys():  # noqa: SIM118  - a tensordict
         raise ValueError(f"a shield masks numbered actions; those of {env.satellite.name} are real numbers")
     allowed = rule(Columns(zero["observation"], description), actions)
     if not isinstance(allowed, Tensor) or (allowed.dtype, allowed.shape) != (torch.bool, zero["action_mask"].shape):
-        given = f"{allowed.dtype} {list(allowed.shape)}" if isinstance(allowed, Tensor) else repr(allowed)
-        wanted = list(zero["action_mask"].shape)
-        raise ValueError(f"the rule of a shield gives {given}; it must give booleans {wanted}, one for each of {actions}")
+        result = f"{allowed.dtype} {list(allowed.shape)}" if isinstance(allowed, Tensor) else repr(allowed)
+        shape = list(zero["action_mask"].shape)
+        raise ValueError(f"the rule of a shield gives {result}; it must give booleans {shape}, one for each of {actions}")
     return TensorDictModule(narrow, in_keys=["observation", "action_mask"], out_keys=["action_mask"])
 
 
@@ -118,8 +118,8 @@ def find_rule(name: str) -> Rule:
     except (ImportError, TypeError, ValueError) as error:  # TypeError: a relative name
         raise ValueError(f"shield={name!r}: {error}") from error
     if not callable(rule):
-        known = [key for key, value in vars(import_module(module)).items() if callable(value)]
-        raise ValueError(f"shield={name!r}: {module!r} has no function {function!r}; {nearest(function, known)}")
+        functions = [key for key, value in vars(import_module(module)).items() if callable(value)]
+        raise ValueError(f"shield={name!r}: {module!r} has no function {function!r}; {nearest(function, functions)}")
     try:
         inspect.signature(rule).bind(None, None)
     except TypeError as error:

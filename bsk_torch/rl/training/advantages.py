@@ -95,14 +95,14 @@ def estimate_advantages(
     discount = torch.tensor(gamma, dtype=torch.float64, device=reward.device)
     advantages = estimator(gamma=discount, lmbda=lmbda, value_network=None, device=reward.device)
     advantages.set_keys(steps_to_next_obs=("next", "duration"), done=done, terminated=terminated)
-    judged = batch.select("next").clone(recurse=False)
-    judged["state_value"], judged["next", "state_value"] = (
-        found if value_norm is None else value_norm.denormalize(found.double()).to(found.dtype) for found in values(batch, critic)
+    estimates = batch.select("next").clone(recurse=False)
+    estimates["state_value"], estimates["next", "state_value"] = (
+        value if value_norm is None else value_norm.denormalize(value.double()).to(value.dtype) for value in values(batch, critic)
     )
-    judged["next", "reward"] = timed(reward, seconds, gamma, reward_time)
-    advantages(judged)
+    estimates["next", "reward"] = timed(reward, seconds, gamma, reward_time)
+    advantages(estimates)
     for key in ("advantage", "value_target"):
-        batch[key] = judged[key].to(reward.dtype)
+        batch[key] = estimates[key].to(reward.dtype)
 
 
 def standardize(batch: TensorDictBase, value_norm: ValueNorm, counts: Tensor | None = None) -> None:
@@ -114,10 +114,10 @@ def standardize(batch: TensorDictBase, value_norm: ValueNorm, counts: Tensor | N
         counts: Decisions to learn from, [...]; None for all.
     """
     advantage, target = batch["advantage"], batch["value_target"].double()
-    chosen = (advantage, target) if counts is None else (advantage[counts], target[counts])
-    deviation, mean = torch.std_mean(chosen[0])
+    samples = (advantage, target) if counts is None else (advantage[counts], target[counts])
+    deviation, mean = torch.std_mean(samples[0])
     batch["advantage"] = (advantage - mean) / deviation.clamp(min=LEAST_ADVANTAGE)
-    value_norm.update(chosen[1])
+    value_norm.update(samples[1])
     batch["value_target"] = value_norm.normalize(target).to(advantage.dtype)
 
 

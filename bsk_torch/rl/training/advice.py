@@ -51,10 +51,10 @@ def hardships(config: PPOConfig, env: Tasking, reward: Tensor, seconds: Tensor) 
 
 
 def _discounts(config: PPOConfig, env: Tasking, limit: float, mean: float) -> Iterator[str]:
-    left = config.gamma**mean
-    if left < LEAST_LEFT:
+    discount = config.gamma**mean
+    if discount < LEAST_LEFT:
         yield (
-            f"gamma={config.gamma:g} is a discount per second: a mean decision takes {mean:.3g} s, after which {left:.1g} is "
+            f"gamma={config.gamma:g} is a discount per second: a mean decision takes {mean:.3g} s, after which {discount:.1g} is "
             f"left; gamma={config.gamma ** (1.0 / mean):.6g} is {config.gamma:g} per decision"
         )
     if not config.beyond_limit or env.terminate_on_time_limit or math.isinf(limit):

@@ -62,9 +62,9 @@ class Clock(Transform):
     def _read(self, situations: TensorDictBase) -> TensorDictBase:
         env = _environment(self)
         limit = env.time_limit
-        left = (1.0 - env.fleet.sim_time / limit).clamp(min=0.0)
+        remaining = (1.0 - env.fleet.sim_time / limit).clamp(min=0.0)
         size = torch.where(limit.isinf(), 0.0, (limit / HOUR).log10())
-        return situations.set(COLLECTED_CLOCK, torch.stack([left, size], -1).float())
+        return situations.set(COLLECTED_CLOCK, torch.stack([remaining, size], -1).float())
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         return self._read(next_tensordict)
@@ -125,9 +125,9 @@ class Bookmark(Transform):
         That is not observed again: an eclipse that was out of sight of the first query may be known to the second.
         """
         state, generator = _environment(self).get_state().to_dict(), torch.get_rng_state()
-        return {"state": state, "generator": generator, "seen": self._seen().to_dict()}
+        return {"state": state, "generator": generator, "seen": self._situation().to_dict()}
 
-    def _seen(self) -> TensorDictBase:
+    def _situation(self) -> TensorDictBase:
         """What the last step left, and the beginnings of episodes after it."""
         if self._begun is None:
             return self._last
@@ -157,8 +157,8 @@ class Bookmark(Transform):
         env = _environment(self)
         env.restore(saved["state"])
         torch.set_rng_state(saved["generator"].cpu())
-        seen = TensorDict(saved["seen"], env.batch_size).select(*tensordict_reset.keys(True, True), strict=False)
-        self._last, self._begun = tensordict_reset.update(seen).copy(), None
+        situation = TensorDict(saved["seen"], env.batch_size).select(*tensordict_reset.keys(True, True), strict=False)
+        self._last, self._begun = tensordict_reset.update(situation).copy(), None
         return tensordict_reset.update(saved["carried"])
 
 
@@ -217,7 +217,7 @@ def make_collector(
     if config.collector == "single":
         return Collector(prepared(env, config, marks[0]), actor, track_traj_ids=False, **common, **each)
     share = config.num_envs // count
-    starts: list[Callable[..., Any]] = [partial(start_worker, config, k * share, share, mark) for k, mark in enumerate(marks)]
+    starts: list[Callable[[], TransformedEnv]] = [partial(start_worker, config, k * share, share, m) for k, m in enumerate(marks)]
     if config.collector == "multi":
         weights: dict[str, WeightSyncScheme] = {"policy": SharedWeights()}
         return MultiSyncCollector(starts, actor, cat_results="stack", weight_sync_schemes=weights, **common, **each)
@@ -274,9 +274,9 @@ class Batches:
         self._next = self._thread.submit(self._collect)
         return batch
 
-    def newest(self, taken: TensorDictBase) -> TensorDictBase:
-        """Return the batch that was collected last, when it is complete: the one after ``taken``, or that itself."""
-        return self._next.result() if self.ahead else taken
+    def newest(self, batch: TensorDictBase) -> TensorDictBase:
+        """Return the batch that was collected last, when it is complete: the one after ``batch``, or that itself."""
+        return self._next.result() if self.ahead else batch
 
     def close(self) -> None:
         """Wait for a batch that is being collected; it is dropped."""
@@ -288,7 +288,7 @@ def merged(batch: TensorDictBase) -> TensorDictBase:
     return batch.flatten(0, 1) if batch.ndim > 2 else batch
 
 
-def bookmarks(collector: BaseCollector, batch: TensorDictBase) -> list[Any]:
+def bookmarks(collector: BaseCollector, batch: TensorDictBase) -> list[dict[str, Any]]:
     """Return the state from which a collector continues after its last ``batch`` [N, T], for each of its processes."""
     state = collector.state_dict()
     parts = state if isinstance(state, list) else [part for name, part in state.items() if name.startswith("worker")] or [state]

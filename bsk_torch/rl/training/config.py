@@ -37,9 +37,9 @@ LEAST = 0.05
 """Fraction of learning rate and entropy weight left at the end of a schedule."""
 
 SCHEDULES: dict[str, Callable[[float], float]] = {
-    "constant": lambda used: 1.0,
-    "linear": lambda used: max(LEAST, 1.0 - used),
-    "cosine": lambda used: LEAST + (1.0 - LEAST) * 0.5 * (1.0 + math.cos(math.pi * used)),
+    "constant": lambda fraction: 1.0,
+    "linear": lambda fraction: max(LEAST, 1.0 - fraction),
+    "cosine": lambda fraction: LEAST + (1.0 - LEAST) * 0.5 * (1.0 + math.cos(math.pi * fraction)),
 }
 """Remaining fraction of a setting, by the used fraction of the budget."""
 
@@ -186,12 +186,12 @@ class PPOConfig:
     options: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Raise ValueError for invalid settings before anything is built."""
+        """Complete the settings and check them before anything is built; ValueError for invalid ones."""
         for name in ("hidden", "loggers"):  # files and command lines bring lists
-            given = getattr(self, name)
-            if isinstance(given, str) or not isinstance(given, Iterable):
-                raise ValueError(f"{name}={given!r} must be a list")
-            object.__setattr__(self, name, tuple(given))
+            value = getattr(self, name)
+            if isinstance(value, str) or not isinstance(value, Iterable):
+                raise ValueError(f"{name}={value!r} must be a list")
+            object.__setattr__(self, name, tuple(value))
         if self.evaluate_every is None:
             object.__setattr__(self, "evaluate_every", self._default_interval())
         check_network(str(self.network))
@@ -252,8 +252,8 @@ class PPOConfig:
             "precision": PRECISIONS,
             "collector": COLLECTORS,
         }
-        chosen = [(name, getattr(self, name)) for name in allowed] + [("loggers", name) for name in self.loggers]
-        for name, value in chosen:
+        choices = [(name, getattr(self, name)) for name in allowed] + [("loggers", name) for name in self.loggers]
+        for name, value in choices:
             names = list(allowed.get(name, LOGGERS))
             if value not in names:
                 raise ValueError(f"{name}={value!r} must be one of {names}; {nearest(str(value), names)}")
@@ -296,7 +296,7 @@ def _check_whole(name: str, value: object, least: int, most: int, optional: bool
 
 
 def _check_within(name: str, value: object, interval: str, optional: bool = False) -> None:
-    """ValueError unless a number lies in an interval such as ``"(0, 1]"``; nan lies in none."""
+    """Raise ValueError unless a number lies in an interval such as ``"(0, 1]"``; nan lies in none."""
     if value is None and optional:
         return
     if not isinstance(value, int | float) or isinstance(value, bool):
@@ -310,10 +310,10 @@ def _check_within(name: str, value: object, interval: str, optional: bool = Fals
 
 def check_setting(name: str, kind: type[PPOConfig]) -> None:
     """Raise ValueError, with the nearest name, unless ``name`` is a field of ``kind``; options of environments are named so."""
-    known = [field.name for field in dataclasses.fields(kind)]
-    if name in known:
+    names = [field.name for field in dataclasses.fields(kind)]
+    if name in names:
         return
-    hint = nearest(name, known)
+    hint = nearest(name, names)
     if name in TIMES:
         hint = f"seconds={TIMES[name]} limits the training"
     elif name.isidentifier() and not hint.startswith("did you mean"):
@@ -335,12 +335,12 @@ def override(config: Config, changes: Iterable[str]) -> Config:
         setting, _, value = change.partition("=")
         name = setting.split(".")[0]
         if "=" not in change:
-            known = [field.name for field in dataclasses.fields(config)]
-            raise ValueError(f"{change!r} must read name=value, such as learning_rate=1e-3; {nearest(name, known)}")
+            names = [field.name for field in dataclasses.fields(config)]
+            raise ValueError(f"{change!r} must read name=value, such as learning_rate=1e-3; {nearest(name, names)}")
         check_setting(name, type(config))
         _check_literal(setting, value)
-    named = {change.partition("=")[0] for change in changes}
-    if "frames" in named and "seconds" not in named:
+    settings = {change.partition("=")[0] for change in changes}
+    if "frames" in settings and "seconds" not in settings:
         changes.append("seconds=null")
     try:
         return _to_object(OmegaConf.merge(OmegaConf.structured(config), OmegaConf.from_dotlist(changes)))
@@ -367,7 +367,7 @@ def save_config(config: PPOConfig, path: Path) -> None:
     write_file(path, OmegaConf.to_yaml(OmegaConf.structured(dataclasses.replace(config, options=options))))
 
 
-def _plain(value: object) -> Any:
+def _plain(value: object) -> object:
     try:
         OmegaConf.create({"value": value})
     except OmegaConfBaseException:
@@ -387,17 +387,17 @@ def read_settings(path: Path) -> dict[str, Any]:
     try:
         text = read_bytes(path, LONGEST).decode()
         _check_plain(text)
-        read = OmegaConf.to_container(OmegaConf.create(text), resolve=False)
-        if not isinstance(read, dict) or not read:
+        settings = OmegaConf.to_container(OmegaConf.create(text), resolve=False)
+        if not isinstance(settings, dict) or not settings:
             raise ValueError("it holds no settings by name")
-        _check_settings(read)
+        _check_settings(settings)
     except (OmegaConfBaseException, yaml.YAMLError, ValueError) as error:
         raise ValueError(f"{path} is no configuration: {str(error).splitlines()[0]}") from error
-    return {str(name): value for name, value in read.items()}
+    return {str(name): value for name, value in settings.items()}
 
 
 def _check_plain(text: str) -> None:
-    """ValueError for YAML that is larger, when read, than it looks."""
+    """Raise ValueError for YAML that is larger, when read, than it looks."""
     depth = values = 0
     for event in yaml.parse(text, Loader=yaml.SafeLoader):
         values += isinstance(event, yaml.NodeEvent)
@@ -415,7 +415,7 @@ def _check_plain(text: str) -> None:
 
 
 def _check_settings(settings: Mapping[Any, object]) -> None:
-    """ValueError for values that stand for others, and options that are not read from files."""
+    """Raise ValueError for values that stand for others, and options that are not read from files."""
     for name, value in _leaves("", settings):
         if isinstance(value, str):
             _check_literal(name, value)
@@ -425,7 +425,7 @@ def _check_settings(settings: Mapping[Any, object]) -> None:
 
 
 def _check_literal(name: str, text: str) -> None:
-    """ValueError for text that OmegaConf would replace by another setting, a variable of the environment, or the like."""
+    """Raise ValueError for text that OmegaConf would replace by another setting, a variable of the environment, or the like."""
     if "${" in text or text == MISSING:
         raise ValueError(
             f"{name}={text!r} would be replaced; settings are literal values: numbers, true, false, null, text without ${{, and "
@@ -433,7 +433,7 @@ def _check_literal(name: str, text: str) -> None:
         )
 
 
-def _leaves(name: str, value: object) -> Iterator[tuple[str, Any]]:
+def _leaves(name: str, value: object) -> Iterator[tuple[str, object]]:
     """Yield what is nested in a value, with dotted names."""
     if isinstance(value, Mapping):
         for key, part in value.items():

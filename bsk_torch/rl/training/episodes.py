@@ -61,8 +61,8 @@ class RecentEpisodes:
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state for a checkpoint."""
-        kept = {name: getattr(self, name) for name in ("returns", "decisions", "first", "count")}
-        return kept | {"ended": list(self.ended)}
+        state = {name: getattr(self, name) for name in ("returns", "decisions", "first", "count")}
+        return state | {"ended": list(self.ended)}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Restore what :meth:`state_dict` returned; ValueError if it is of another number of environments."""

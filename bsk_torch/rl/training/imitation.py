@@ -37,7 +37,7 @@ TAUGHT = "taught"
 
 
 def check_teacher(name: str, temperature: float) -> None:
-    """ValueError, with the nearest name, unless there is such a rule, to which actions have a worth if ``temperature`` > 0."""
+    """Raise ValueError unless there is such a rule, to which actions have a worth if ``temperature`` > 0."""
     if name not in TEACHERS:
         raise ValueError(f"imitate={name!r} must be one of {list(TEACHERS)}; {nearest(str(name), TEACHERS)}")
     if temperature and name not in RANKED:
@@ -85,8 +85,8 @@ def find_teacher(name: str, env: SatelliteTasking, temperature: float = 0.0) -> 
 @torch.no_grad()
 def taught(teacher: TensorDictModuleBase, situations: TensorDictBase) -> Tensor:
     """Return what a teacher writes, [...] or [..., A], in ``situations`` [...] with ``observation`` and ``action_mask``."""
-    asked = situations.select("observation", "action_mask").reshape(-1)
-    lesson = torch.cat([teacher(part)[teacher.out_keys[0]] for part in asked.split(CHUNK)])
+    inputs = situations.select("observation", "action_mask").reshape(-1)
+    lesson = torch.cat([teacher(part)[teacher.out_keys[0]] for part in inputs.split(CHUNK)])
     return lesson.view(*situations.batch_size, *lesson.shape[1:])
 
 

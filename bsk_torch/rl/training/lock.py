@@ -64,10 +64,10 @@ def _check(path: Path, status: os.stat_result) -> None:
     """Raise PermissionError for a file whose content may be someone's work: a link, or a file of another user."""
     kind = "a symbolic link" if stat.S_ISLNK(status.st_mode) else "no ordinary file"
     if stat.S_ISREG(status.st_mode):
-        others = hasattr(os, "geteuid") and status.st_uid != os.geteuid()
-        if status.st_nlink == 1 and not others:
+        is_foreign = hasattr(os, "geteuid") and status.st_uid != os.geteuid()
+        if status.st_nlink == 1 and not is_foreign:
             return
-        kind = f"a file of user {status.st_uid}" if others else f"a hard link, one of {status.st_nlink} names of a file"
+        kind = f"a file of user {status.st_uid}" if is_foreign else f"a hard link, one of {status.st_nlink} names of a file"
     raise PermissionError(f"{str(path)!r} is {kind}, and is not overwritten; delete it if no process works in the folder")
 
 

@@ -60,10 +60,10 @@ class CsvLog:
         self.path, self.columns = path, tuple(columns)
         self._file: io.RawIOBase | None = None
         self._warned = False
-        self._waiting = _lines([self.columns, *self._kept(keep)])
+        self._waiting = _lines([self.columns, *self._earlier_rows(keep)])
         self._flush()
 
-    def _kept(self, frames: float) -> list[Sequence[str]]:
+    def _earlier_rows(self, frames: float) -> list[Sequence[str]]:
         """Return the rows of the current file to keep."""
         if not self.path.exists():
             return []

@@ -47,12 +47,12 @@ def write(module: TensorDictModuleBase, sample: TensorDictBase) -> None:
     if type(module) not in PLAIN:
         module(sample)
         return
-    found = module.module(*(sample[key] for key in module.in_keys))
-    for key, value in zip(module.out_keys, found if isinstance(found, tuple) else (found,), strict=True):
+    outputs = module.module(*(sample[key] for key in module.in_keys))
+    for key, value in zip(module.out_keys, outputs if isinstance(outputs, tuple) else (outputs,), strict=True):
         sample[key] = value
 
 
-def _judged(actor: ProbabilisticTensorDictSequential, sample: TensorDictBase) -> tuple[Tensor, Tensor]:
+def _probability_and_entropy(actor: ProbabilisticTensorDictSequential, sample: TensorDictBase) -> tuple[Tensor, Tensor]:
     """Return the log-probability of the actions in ``sample``, and the entropy of the distributions, [...] each."""
     write(actor[0], sample)
     logits = sample.get("logits", None)
@@ -60,13 +60,13 @@ def _judged(actor: ProbabilisticTensorDictSequential, sample: TensorDictBase) ->
         table = log_probabilities(logits, sample["action_mask"])
         return log_probability(table, sample["action"]), -(table.exp() * table).sum(-1)
     distribution = actor.build_dist_from_params(sample)
-    drawn = distribution.rsample()  # a squashed normal distribution has no entropy in closed form
-    return distribution.log_prob(sample["action"]), -distribution.log_prob(drawn)
+    sampled_action = distribution.rsample()  # a squashed normal distribution has no entropy in closed form
+    return distribution.log_prob(sample["action"]), -distribution.log_prob(sampled_action)
 
 
 def unjudged(actor: ProbabilisticTensorDictSequential, sample: TensorDictBase, counts: Tensor | None = None) -> Terms:
     """Return the terms that need no advantages and values, and nan for the others; arguments as for :func:`clipped_loss`."""
-    log_prob, entropy = _judged(actor, sample)
+    log_prob, entropy = _probability_and_entropy(actor, sample)
     parts = log_prob - sample["action_log_prob"], entropy
     log_ratio, entropy = parts if counts is None else (part[counts] for part in parts)
     unknown = entropy.new_tensor(torch.nan)
@@ -92,7 +92,7 @@ def clipped_loss(
         clip: Distance from one at which ratios of probabilities are clipped.
         counts: Decisions that count, [...]; None for all.
     """
-    log_prob, entropy = _judged(actor, sample)
+    log_prob, entropy = _probability_and_entropy(actor, sample)
     write(critic, sample)
     parts = (
         log_prob - sample["action_log_prob"],

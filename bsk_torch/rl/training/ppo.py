@@ -41,7 +41,7 @@ VALUED = ("advantage", "value_target")
 """Further keys, where values are learned."""
 
 
-def there(keys: Iterable[str], batch: TensorDictBase) -> list[str]:
+def existing_keys(keys: Iterable[str], batch: TensorDictBase) -> list[str]:
     """Return the keys without ``"action_mask"`` where a batch has none."""
     masked = "action_mask" in batch.keys()  # noqa: SIM118  - a tensordict
     return [key for key in keys if masked or key != "action_mask"]
@@ -92,10 +92,6 @@ class Learner:
         return self.config.rollout if self.recurrent else 1
 
     @property
-    def _minibatch(self) -> int:
-        return max(min(self.config.minibatch, self.config.batch), self._length)
-
-    @property
     def learning_rate(self) -> float:
         """Present step of the optimizer."""
         return float(self.optimiser.param_groups[0]["lr"])
@@ -129,7 +125,7 @@ class Learner:
         """Networks, normalizers and optimizer."""
         return {name: getattr(self, name).state_dict() for name in LEARNED} | {NORMALISER: self.networks.normaliser.state_dict()}
 
-    def _settings(self) -> list[dict[str, Any]]:
+    def _settings(self) -> list[dict[str, object]]:
         """Return the settings of the optimizer, but for the learning rate, which follows a schedule."""
         return [{k: v for k, v in group.items() if k not in ("lr", "params")} for group in self.optimiser.param_groups]
 
@@ -163,10 +159,10 @@ class Learner:
             self._estimate(batch)
         if self.imitates:
             batch[TAUGHT] = taught(self.teacher, batch)
-        keys = [*there(LEARNED_FROM, batch), *self._further_keys(), *((MEMORY, INIT) if self.recurrent else ())]
-        learned = batch.select(*keys)
+        keys = [*existing_keys(LEARNED_FROM, batch), *self._further_keys(), *((MEMORY, INIT) if self.recurrent else ())]
+        rows = batch.select(*keys)
         with set_recurrent_mode(self.recurrent):
-            reports = [self._descend(sample) for sample in self._samples(learned if self.recurrent else learned.reshape(-1))]
+            reports = [self._descend(sample) for sample in self._samples(rows if self.recurrent else rows.reshape(-1))]
         self.networks.normaliser.update(batch)  # afterwards: networks learn from what they saw when they decided
         return averages(reports)
 
@@ -192,13 +188,13 @@ class Learner:
         """Return the keys of a batch that gradient steps need in addition to :data:`LEARNED_FROM`."""
         return [*(VALUED if self.judges else ()), *([TAUGHT] if self.imitates else ())]
 
-    def _samples(self, learned: TensorDictBase) -> Iterator[TensorDictBase]:
+    def _samples(self, rows: TensorDictBase) -> Iterator[TensorDictBase]:
         """Yield the samples of all gradient steps: every pass visits each decision once, in random order."""
-        size = self._minibatch // self._length
-        count = len(learned) // size
+        size = max(min(self.config.minibatch, self.config.batch), self._length) // self._length
+        count = len(rows) // size
         for _ in range(self.config.epochs):
-            order = torch.randperm(len(learned))[: count * size].to(learned.device)
-            shuffled = learned.apply(partial(torch.index_select, dim=0, index=order), batch_size=[len(order), *learned.shape[1:]])
+            order = torch.randperm(len(rows))[: count * size].to(rows.device)
+            shuffled = rows.apply(partial(torch.index_select, dim=0, index=order), batch_size=[len(order), *rows.shape[1:]])
             yield from shuffled.split(size)  # of one copy: rows of every key for each sample would take twice as long
 
     def counts(self, sample: TensorDictBase) -> Tensor | None:

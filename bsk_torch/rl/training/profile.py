@@ -158,8 +158,8 @@ def measure(config: PPOConfig, seconds: float, training_of: Callable[[PPOConfig,
     Raises:
         ValueError: If the environment does not fit the networks.
     """
-    alone = dict(collector="single", workers=1, ahead=False, evaluate_every=0, patience=None, loggers=("csv",))
-    config = dataclasses.replace(config, seconds=None, frames=10**12, **alone)  # type: ignore[arg-type]
+    settings = dict(collector="single", workers=1, ahead=False, evaluate_every=0, patience=None, loggers=("csv",))
+    config = dataclasses.replace(config, seconds=None, frames=10**12, **settings)  # type: ignore[arg-type]
     with one_thread(), tempfile.TemporaryDirectory() as folder:
         training = training_of(config, Path(folder) / "run")
         try:
@@ -171,16 +171,16 @@ def measure(config: PPOConfig, seconds: float, training_of: Callable[[PPOConfig,
     return Profile({phase: 1e6 * cost / count for phase, cost in ordered})
 
 
-def advice(found: Profile) -> list[str]:
+def advice(profile: Profile) -> list[str]:
     """Return what to change: the largest phase, and what other cores can bring at most."""
-    largest = next(iter(found.spent))
-    cheaper = next((told for kind, told in ADVICE.items() if largest.startswith(kind)), "")
-    collecting, learning = found.part(COLLECTING), found.total - found.part(COLLECTING)
-    gains = [found.total / (learning + collecting / workers) for workers in (2, 8)]
+    largest = next(iter(profile.spent))
+    cheaper = next((setting for kind, setting in ADVICE.items() if largest.startswith(kind)), "")
+    collecting, learning = profile.part(COLLECTING), profile.total - profile.part(COLLECTING)
+    gains = [profile.total / (learning + collecting / workers) for workers in (2, 8)]
     return [
         f"largest part: {largest}" + (f"; less with {cheaper}" if cheaper else ""),
-        f"learning, in one process: {learning / found.total:.0%}; so workers=2 is at most {gains[0]:.1f} times as fast, "
-        f"workers=8 {gains[1]:.1f} times, any number {found.total / learning:.1f} times",
+        f"learning, in one process: {learning / profile.total:.0%}; so workers=2 is at most {gains[0]:.1f} times as fast, "
+        f"workers=8 {gains[1]:.1f} times, any number {profile.total / learning:.1f} times",
         "collector=multi workers=1 ahead=true, on two cores: at most "
-        f"{found.total / max(learning, collecting):.1f} times as fast",
+        f"{profile.total / max(learning, collecting):.1f} times as fast",
     ]

@@ -45,14 +45,14 @@ class Progress:
     @property
     def fraction(self) -> float:
         """Used part of the budget, 1 at the end."""
-        used = (self.seconds, self.config.clock), (self.frames, self.config.frames)
-        return min(1.0, max(amount / limit for amount, limit in used if limit is not None))
+        budgets = (self.seconds, self.config.clock), (self.frames, self.config.frames)
+        return min(1.0, max(amount / limit for amount, limit in budgets if limit is not None))
 
     @property
-    def left(self) -> float:
+    def remaining(self) -> float:
         """Expected time to the end, s; infinite before the first iteration."""
-        used = self.fraction
-        return self.seconds * (1.0 - used) / used if used else float("inf")
+        fraction = self.fraction
+        return self.seconds * (1.0 - fraction) / fraction if fraction else float("inf")
 
 
 class TrainingBar(rich.progress.Progress):
@@ -66,8 +66,8 @@ class TrainingBar(rich.progress.Progress):
         columns = TextColumn("training"), BarColumn(None), TaskProgressColumn(), TextColumn("{task.fields[speed]}")
         self.means, self.tenths = Text("waiting for the first episodes to end"), 0
         console = Console(stderr=True)
-        self.seen = console.is_terminal or console.is_jupyter
-        super().__init__(*columns, console=console, expand=True, disable=not (shown and self.seen))
+        self.is_seen = console.is_terminal or console.is_jupyter
+        super().__init__(*columns, console=console, expand=True, disable=not (shown and self.is_seen))
         self.task = self.add_task("", total=1.0, speed="")
 
     def get_renderables(self) -> Iterator[RenderableType]:
@@ -77,11 +77,11 @@ class TrainingBar(rich.progress.Progress):
 
     def show(self, progress: Progress, row: Mapping[str, float], count: int) -> None:
         """Show the figures of a row of the log, whose means are over ``count`` episodes."""
-        speed = f"{duration(progress.left)} left, {row['frames'] / row['seconds']:,.0f} decisions/s"
+        speed = f"{duration(progress.remaining)} left, {row['frames'] / row['seconds']:,.0f} decisions/s"
         self.update(self.task, completed=progress.fraction, speed=speed)
         if count:
             self.means = Text(f"last {count:,} episodes: return {row['return']:.3f}, survival {row['survival']:.0%}")
-        if not self.seen and int(10.0 * progress.fraction) > self.tenths:
+        if not self.is_seen and int(10.0 * progress.fraction) > self.tenths:
             self.tenths = int(10.0 * progress.fraction)
             logger.info("training %.0f%%, %s; %s", 100.0 * progress.fraction, speed, self.means)
 

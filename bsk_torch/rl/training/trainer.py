@@ -104,10 +104,10 @@ class Training:
         self.best: dict[str, Any] = {"return": float("-inf"), "waited": 0, "networks": None}
         torch.manual_seed(config.seed)
         self.env = config.make_env() if config.collector == "single" else config.make_env(0, 1)
-        self.judge = self._make_judge()
+        self.judge: Any = config.make_env(0, config.evaluate_episodes) if config.evaluate_every else None
         self.learner = self.make_learner()
         self.progress, self.recent = Progress(config), RecentEpisodes(config.num_envs, self.env.failure_penalty)
-        self.marks: list[Any] | None = None
+        self.marks: list[dict[str, Any]] | None = None
         self.begun: TensorDictBase | None = None
         if saved is not None:
             self._restore(saved)
@@ -144,8 +144,8 @@ class Training:
     def fill(self, batch: TensorDictBase) -> Tensor | None:
         """Return the level of the data buffer after each step, fraction [N, T]; None if no vector shows it."""
         names = [name.split(".")[-1] for name in self.env.satellite.observation_description]
-        seen = batch["next", "observation"]
-        return seen[..., names.index(LEVEL)] if LEVEL in names and isinstance(seen, Tensor) else None
+        observation = batch["next", "observation"]
+        return observation[..., names.index(LEVEL)] if LEVEL in names and isinstance(observation, Tensor) else None
 
     # -- running ------------------------------------------------------------------------------------------------------
 
@@ -281,10 +281,6 @@ class Training:
 
     # -- evaluation ---------------------------------------------------------------------------------------------------
 
-    def _make_judge(self) -> Any:
-        """The environment of evaluations during training; None if there are none."""
-        return self.config.make_env(0, self.config.evaluate_episodes) if self.config.evaluate_every else None
-
     def _judge(self) -> dict[str, float]:
         """Evaluate the current policy, and keep it if it is the best so far; a row of the log."""
         with torch.random.fork_rng(devices=[]):  # seeding an environment seeds torch
@@ -327,7 +323,7 @@ class Training:
         with self._collecting(batches.collector):
             newest = batches.newest(batch)
             marks = bookmarks(batches.collector, newest)
-        kept = {
+        state = {
             "bsk_torch": __version__,
             **fixed(self.config),
             "learner": self.learner.state_dict(),
@@ -339,7 +335,7 @@ class Training:
             "best": self.best,
         }
         with self._unless_last(last, CHECKPOINT):
-            save_checksummed(self.out / CHECKPOINT, kept)
+            save_checksummed(self.out / CHECKPOINT, state)
 
     @contextmanager
     def _unless_last(self, last: bool, name: str) -> Iterator[None]:
@@ -391,7 +387,7 @@ def _alike(state: Any, other: Any) -> bool:
     return isinstance(state, torch.Tensor) and (state.shape, state.dtype) == (other.shape, other.dtype)
 
 
-def _finite(state: Any) -> bool:
+def _finite(state: dict[str, Any] | Tensor) -> bool:
     """Return whether all tensors of nested dictionaries are finite."""
     return all(map(_finite, state.values())) if isinstance(state, dict) else bool(state.isfinite().all())
 
@@ -401,7 +397,7 @@ def resumption(out: Path) -> str:
     return f"resume from the last checkpoint with: bsk-torch train {shlex.quote(str(out))} --resume"
 
 
-def shut_down(collector: Any) -> None:
+def shut_down(collector: BaseCollector) -> None:
     """End a collector and its processes; that some are lost already is no separate error."""
     try:
         collector.shutdown()
@@ -422,8 +418,8 @@ def check_folder(out: Path) -> None:
     if (out / LOCK).exists():
         FolderLock(out).release()
     check_empty(out)
-    there = next(folder for folder in (out, *out.absolute().parents) if folder.exists())
-    if (why := unwritable(there) if there.is_dir() else f"{str(there)!r} is not a folder") is not None:
+    parent = next(folder for folder in (out, *out.absolute().parents) if folder.exists())
+    if (why := unwritable(parent) if parent.is_dir() else f"{str(parent)!r} is not a folder") is not None:
         raise PermissionError(f"{str(out)!r} cannot be written: {why}")
 
 
@@ -452,12 +448,12 @@ def read_checkpoint(out: Path, config: PPOConfig) -> dict[str, Any] | None:
         logger.warning("%s holds no %s; the run begins again", out, CHECKPOINT)
         return None
     saved = load_checksummed(path, "checkpoint")
-    for name, here in {"bsk_torch": __version__, **fixed(config)}.items():
+    for name, value in {"bsk_torch": __version__, **fixed(config)}.items():
         try:
-            differs = bool(saved.get(name) != here)
+            differs = bool(saved.get(name) != value)
         except (RecursionError, RuntimeError):  # of tensors, or deep lists, in the place of settings
             differs = True
         if differs:
-            theirs = reprlib.repr(saved.get(name))
-            raise ValueError(f"the checkpoint in {str(out)!r} has {name}={theirs}, and cannot be resumed as {here!r}")
+            stored = reprlib.repr(saved.get(name))
+            raise ValueError(f"the checkpoint in {str(out)!r} has {name}={stored}, and cannot be resumed as {value!r}")
     return saved

@@ -33,7 +33,7 @@ class Cores(NamedTuple):
     """Number of cores that can be used, and what they are."""
 
     number: int
-    told: str
+    description: str
 
 
 def available_cores() -> Cores:
@@ -64,7 +64,7 @@ def with_workers(config: Config) -> Config:
         "workers=auto: collector=%s workers=%d, for %s%s and num_envs=%d in processes of at least %d%s",
         collector,
         workers,
-        cores.told,
+        cores.description,
         ", of which the learner takes one" if config.ahead else "",
         config.num_envs,
         SMALLEST_SHARE,
@@ -88,7 +88,7 @@ def warn_of_few_cores(config: PPOConfig) -> None:
         logger.warning(
             "workers=%d is more than %s: the processes share them; workers=%d is as fast and needs less memory",
             config.processes,
-            cores.told,
+            cores.description,
             max(count for count in range(1, cores.number + 1) if config.num_envs % count == 0),
         )
 

@@ -2,40 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from collections.abc import Callable
+from typing import Any
 
-import gymnasium
 import numpy as np
-import torch
-from gymnasium.error import ResetNeeded
-from tensordict import TensorDictBase
 
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.action_forms import form
 from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.wrappers.core import (
-    RENDERING,
+    Results,
     as_action,
     as_numpy,
-    begin,
     build,
     check_begun,
-    check_options,
     counts,
     parse_render_mode,
     read_actions,
     read_values,
-    snapshots,
 )
-from bsk_torch.wrappers.episode import EpisodeView
+from bsk_torch.wrappers.episode import GymEpisode
 from bsk_torch.wrappers.spaces import action_space, map_leaves, observation_space
 
 Core = SatelliteTasking | str | Callable[..., SatelliteTasking]
 """An environment, the name of a preset, or a function that returns an environment."""
 
 
-class GymEnv(EpisodeView, gymnasium.Env[Any, Any]):
+class GymEnv(GymEpisode):
     """One episode at a time, as ``gymnasium.Env``.
 
     The action space is Discrete, a Box where actions are real numbers, or for hybrid actions a Dict of both, ``values`` and
@@ -52,8 +45,6 @@ class GymEnv(EpisodeView, gymnasium.Env[Any, Any]):
         >>> observation, reward, terminated, truncated, info = env.step(env.action_space.sample(info["action_mask"]))
     """
 
-    metadata: ClassVar[dict[str, Any]] = RENDERING  # type: ignore[misc]
-
     def __init__(self, core: Core, *, render_mode: str | None = None, **options: object) -> None:
         """Wrap an environment of one episode.
 
@@ -69,7 +60,6 @@ class GymEnv(EpisodeView, gymnasium.Env[Any, Any]):
             raise ValueError(f"core has num_envs={self.core.batch_size[0]}; GymEnv needs 1, GymVectorEnv takes more")
         self.observation_space = observation_space(self.core.observation_spec["observation"])
         self.action_space = action_space(self.core.satellite)
-        self._running = False
 
     core: SatelliteTasking
 
@@ -77,21 +67,6 @@ class GymEnv(EpisodeView, gymnasium.Env[Any, Any]):
     def satellite(self) -> BoundSatellite:
         """The satellite, whose properties are tensors [1, ...]."""
         return self.core.satellite
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Start an episode.
-
-        Args:
-            seed: Begin with the first episode of this seed; None for the next episode of the present seed.
-            options: ``{"state": state}`` starts from a state of ``core.get_state()`` instead.
-        """
-        options = check_options(options, ("state",))
-        super().reset(seed=seed)
-        if seed is not None:
-            self.core.reseed(seed)
-        seen = begin(self.core, torch.ones_like(self.core.dead), state=options.get("state"))
-        self._running = True
-        return self._observation(seen), self._info(seen)
 
     def step(self, action: object) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Execute ``action`` until it ends, or an event, the time limit or ``max_step_duration`` ends the step.
@@ -101,37 +76,28 @@ class GymEnv(EpisodeView, gymnasium.Env[Any, Any]):
             ValueError: For an action out of range, of another shape, or that is not finite.
             TypeError: For an action of another type than those of the space.
         """
-        if not self._running:
-            raise ResetNeeded("step() needs a running episode; call reset() first")
+        self._check_running()
         if form(self.core.satellite) is None:
             actions = read_actions(self.core, as_action(self.core, action).reshape(-1))
         else:
             actions = read_values("action", action, self.core.satellite).unsqueeze(0).to(self.core.device)
-        seen = self.core.played(actions)
-        terminated, truncated = bool(seen["terminated"]), bool(seen["truncated"])
-        self._running = not (terminated or truncated)
-        return self._observation(seen), float(seen["reward"]), terminated, truncated, self._info(seen)
-
-    def render(self) -> np.ndarray | None:
-        """Return a picture of the current state, [480, 640, 3] uint8; see :meth:`bsk_torch.env.base.Tasking.render`."""
-        pictures = snapshots(self.core, self.render_mode)
-        return pictures[0] if pictures else None
+        return self._ended(self.core.played(actions))
 
     def action_masks(self) -> np.ndarray:
         """Return which actions are legal now, [n] bool; sb3-contrib calls a method of this name."""
         check_begun(self.core, "action_masks()")
         return as_numpy(self.core.satellite.action_mask()[0])
 
-    def _observation(self, seen: Mapping[str, Any] | TensorDictBase) -> Any:
-        return map_leaves(seen["observation"][0], as_numpy)
+    def _observation(self, results: Results) -> Any:
+        return map_leaves(results["observation"][0], as_numpy)
 
-    def _info(self, seen: Mapping[str, Any] | TensorDictBase) -> dict[str, Any]:
-        duration = self.latest_step_duration = float(seen["duration"])
-        legal = {"action_mask": as_numpy(seen["action_mask"][0]).astype(np.int8)} if "action_mask" in seen.keys() else {}  # noqa: SIM118
+    def _info(self, results: Results) -> dict[str, Any]:
+        duration = self.latest_step_duration = float(results["duration"])
+        legal = {"action_mask": as_numpy(results["action_mask"][0]).astype(np.int8)} if "action_mask" in results.keys() else {}  # noqa: SIM118
         return {
             **legal,
             "duration": duration,
             "d_ts": duration,
             "requires_retasking": bool(self.core.requires_retasking[0]),
-            **{name: int(count) for name, count in counts(seen).items()},
+            **{name: int(count) for name, count in counts(results).items()},
         }

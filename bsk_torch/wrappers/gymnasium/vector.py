@@ -19,7 +19,7 @@ from bsk_torch.env.base import Tasking
 from bsk_torch.sats import Satellite
 from bsk_torch.wrappers.core import (
     RENDERING,
-    SEEN,
+    RESULTS,
     as_numpy,
     begin,
     build,
@@ -93,7 +93,7 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._make_spaces()
         self._every = torch.ones_like(self.core.dead)
         self._over = ~self._every
-        self._seen: Any = None
+        self._results: Any = None
         self._metrics = metrics
 
     def _make_spaces(self) -> None:
@@ -125,9 +125,9 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         super().reset(seed=seed if isinstance(seed, int) else None)
         if seed is not None:
             self.core.reseed(seed, rows)
-        self._seen = begin(self.core, rows, self._seen, options.get("state"))
+        self._results = begin(self.core, rows, self._results, options.get("state"))
         self._over = self._over & ~rows
-        return self._observation(self._seen), self._info(self._seen, self._every)
+        return self._observation(self._results), self._info(self._results, self._every)
 
     def _rows(self, mask: object) -> Tensor:
         """Return which environments to reset, [N] bool."""
@@ -139,7 +139,7 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
                 f"options['reset_mask'] has dtype {rows.dtype}, shape {list(rows.shape)} and {int(rows.sum())} entries that are "
                 f"true; it must have dtype bool, shape [{self.num_envs}] and at least one"
             )
-        if self._seen is None and not bool(rows.all()):
+        if self._results is None and not bool(rows.all()):
             raise ResetNeeded("the first reset() must start all environments; leave out options['reset_mask']")
         return rows
 
@@ -150,20 +150,21 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._check_ready()
         same = self.autoreset_mode is AutoresetMode.SAME_STEP
         waiting = self._over
-        seen = self._move(read_actions(self.core, actions), waiting)
-        ended = (seen["terminated"] | seen["truncated"]).squeeze(-1)
+        results = self._move(read_actions(self.core, actions), waiting)
+        ended = (results["terminated"] | results["truncated"]).squeeze(-1)
         starting = ended if same else waiting
         self._over = torch.zeros_like(ended) if same else ended
-        results = [self._number(seen["reward"]), *(self._export(seen[name].squeeze(-1)) for name in ("terminated", "truncated"))]
+        reward = self._number(results["reward"])
+        terminated, truncated = (self._export(results[name].squeeze(-1)) for name in ("terminated", "truncated"))
         info = self._measured(ended & ~waiting) if self._metrics is not None else {}
         if bool(starting.any()):
-            info |= self._final(seen, ended) if same else {}
-            seen = begin(self.core, starting, seen)
-        self._seen = seen
-        return self._observation(seen), results[0], results[1], results[2], info | self._info(seen, self._every)
+            info |= self._final(results, ended) if same else {}
+            results = begin(self.core, starting, results)
+        self._results = results
+        return self._observation(results), reward, terminated, truncated, info | self._info(results, self._every)
 
     def _check_ready(self) -> None:
-        if self._seen is None:
+        if self._results is None:
             raise ResetNeeded("step() needs running episodes; call reset() first")
         if self.autoreset_mode is AutoresetMode.DISABLED and bool(self._over.any()):
             rows = torch.nonzero(self._over).squeeze(-1).tolist()
@@ -175,12 +176,12 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """Step the environments that are not ``waiting`` [N] for a reset; zero reward and flags for the others."""
         if not bool(waiting.any()):
             return self.core.step(TensorDict({"action": action}, self.core.batch_size, device=self.core.device))["next"]
-        call = self._seen.select(*SEEN, strict=False)  # TorchRL returns these for environments that take no step
+        call = self._results.select(*RESULTS, strict=False)  # TorchRL returns these for environments that take no step
         call["action"], call["_step"] = action.masked_fill(waiting.view(-1, *[1] * (action.ndim - 1)), 0), ~waiting
-        seen = self.core.step(call)["next"]
+        results = self.core.step(call)["next"]
         for name in ("reward", "terminated", "truncated"):
-            seen[name] = seen[name].masked_fill(waiting.unsqueeze(-1), 0)
-        return seen
+            results[name] = results[name].masked_fill(waiting.unsqueeze(-1), 0)
+        return results
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Return a picture of every environment, [480, 640, 3] uint8 each; ``core.render(rows=0)`` draws one of many."""
@@ -200,20 +201,20 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """Return numbers [N] of a column [N, 1]; Gymnasium's arrays of rewards are float64."""
         return self._export(value.squeeze(-1) if self.output == "torch" else value.squeeze(-1).double())
 
-    def _observation(self, seen: TensorDictBase) -> Any:
-        return map_leaves(seen["observation"], self._export)
+    def _observation(self, results: TensorDictBase) -> Any:
+        return map_leaves(results["observation"], self._export)
 
-    def _info(self, seen: TensorDictBase, rows: Tensor) -> dict[str, Any]:
+    def _info(self, results: TensorDictBase, rows: Tensor) -> dict[str, Any]:
         """Return the info of the environments ``rows`` [N] bool, with companions; zero elsewhere."""
-        others = ~rows.unsqueeze(-1)
-        duration = seen["duration"].masked_fill(others, 0)
-        legal = seen.get("action_mask", None)
+        elsewhere = ~rows.unsqueeze(-1)
+        duration = results["duration"].masked_fill(elsewhere, 0)
+        legal = results.get("action_mask", None)
         values = {
-            **({} if legal is None else {"action_mask": self._export(legal.to(torch.int8).masked_fill(others, 0))}),
+            **({} if legal is None else {"action_mask": self._export(legal.to(torch.int8).masked_fill(elsewhere, 0))}),
             "duration": self._number(duration),
             "d_ts": self._number(duration),
             "requires_retasking": self._export(self.core.requires_retasking & rows),
-            **{name: self._export(count.squeeze(-1).masked_fill(~rows, 0)) for name, count in counts(seen).items()},
+            **{name: self._export(count.squeeze(-1).masked_fill(~rows, 0)) for name, count in counts(results).items()},
         }
         return values | {f"_{name}": self._export(rows) for name in values}
 
@@ -221,14 +222,14 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """Return the metrics of the episodes that have ``ended`` [N] bool; nothing where none has."""
         if not bool(ended.any()):
             return {}
-        found = read_metrics(self._metrics, self.core)  # type: ignore[arg-type]
-        return {METRICS: {name: self._export(value.masked_fill(~ended, 0)) for name, value in found.items()}} | {
+        metrics = read_metrics(self._metrics, self.core)  # type: ignore[arg-type]
+        return {METRICS: {name: self._export(value.masked_fill(~ended, 0)) for name, value in metrics.items()}} | {
             f"_{METRICS}": self._export(ended)
         }
 
-    def _final(self, seen: TensorDictBase, ended: Tensor) -> dict[str, Any]:
+    def _final(self, results: TensorDictBase, ended: Tensor) -> dict[str, Any]:
         """Return the last results of the environments that have ``ended`` [N] bool."""
-        values = {"final_obs": self._last_observation(seen["observation"], ended), "final_info": self._info(seen, ended)}
+        values = {"final_obs": self._last_observation(results["observation"], ended), "final_info": self._info(results, ended)}
         return values | {f"_{name}": self._export(ended) for name in values}
 
     def _last_observation(self, observation: Any, ended: Tensor) -> Any:
