@@ -270,14 +270,10 @@ class Effector:
 
 @dataclass(frozen=True)
 class Allocation:
-    """How the torque on the body that a control law asks for is distributed among actuators.
+    """How the torque on the body that a control law asks for is distributed among actuators."""
 
-    Attributes:
-        commands: Fields of the state that hold the commands to the actuators.
-        distribute: ``distribute(bus, torque_B)`` returns their values for a torque on the body, N m in B.
-    """
-
-    commands: tuple[str, ...]
+    commands: tuple[str, ...]  # fields of the state that hold the commands to the actuators
+    # `distribute(bus, torque_B)` returns their values for a torque on the body, N m in B
     distribute: Callable[[Bus, Vec3], tuple[Any, ...]]
 
 

@@ -182,9 +182,6 @@ def differs(given: Mapping[str, Any], name: str) -> bool:
     return given[name] is not None or any(name in part.own for part in parts if isinstance(part, Instrument))
 
 
-# -- at a decision boundary ---------------------------------------------------------------------------------------------------
-
-
 def argument_now(state: Any, name: str) -> Tensor:
     """Return an argument of the instrument chosen last, [rows, ...], or of the single one."""
     value: Tensor = state.argument(name)
@@ -202,9 +199,6 @@ def axis_now(now: Any) -> Vec3:
         if "inst_pHat_B" in part.own:
             axis = select(now.instrument_index == float(k), getattr(now.args, part.argument("inst_pHat_B")).unit(), axis)
     return axis
-
-
-# -- components ---------------------------------------------------------------------------------------------------------------
 
 
 def with_instruments(parts: Iterable[Component], listed: tuple[Instrument, ...]) -> tuple[Component, ...]:

@@ -120,8 +120,6 @@ class SatelliteState(StateTable):
         self._clock: Clock | None = None
         self._argument_planes: dict[tuple[str, ...], tuple[int, Tensor]] = {}
 
-    # -- time ---------------------------------------------------------------------------------------------------------
-
     @property
     def sim_time_ns(self) -> Tensor:
         """Time since reset, [rows] nanoseconds."""
@@ -137,8 +135,6 @@ class SatelliteState(StateTable):
                 return time
             clock = self.__dict__["_clock"] = Clock(ticks, time, (ticks._version, time._version))
         return clock.time
-
-    # -- fields of the components --------------------------------------------------------------------------------------
 
     def described(self, title: str) -> Iterator[str]:
         """See :meth:`StateTable.described`: the fields of the components; arguments and results of searches are left out."""
@@ -196,8 +192,6 @@ class SatelliteState(StateTable):
         epoch = self.tables["arguments"]["utc_init"]
         self.refuse(f"{path}lookahead.arcs.et", ahead.arcs.et, ahead.arcs.et != epoch, "it must be the argument utc_init")
 
-    # -- arguments ----------------------------------------------------------------------------------------------------
-
     def set_arguments(self, rows: Tensor, values: Mapping[str, Any]) -> None:
         """Keep the drawn arguments [1, ...] or [n, ...] of ``rows`` [n]."""
         for name, value in values.items():
@@ -228,8 +222,6 @@ class SatelliteState(StateTable):
             planes = torch.cat([self.arguments[name].reshape(self.rows, -1) for name in names], 1).mT.contiguous()
             self._argument_planes[names] = self.arguments.version, planes
         return planes
-
-    # -- episodes and rows --------------------------------------------------------------------------------------------
 
     def of_env(self, table: Tensor) -> Tensor:
         """Return values [N, ...] of the episodes for each of their satellites, [rows, ...]."""

@@ -49,17 +49,11 @@ EAGER = (
 
 
 class Checkpoint(NamedTuple):
-    """A state of rows of a simulation to which they can be rewound.
+    """A state of rows of a simulation to which they can be rewound."""
 
-    Attributes:
-        planes: Fields of the components, [C, n].
-        ticks: Ticks since reset, [n].
-        rows: The rows, [n] indices; None for all.
-    """
-
-    planes: Tensor
-    ticks: Tensor
-    rows: Tensor | None
+    planes: Tensor  # fields of the components, [C, n]
+    ticks: Tensor  # ticks since reset, [n]
+    rows: Tensor | None  # the rows, [n] indices; None for all
 
 
 class Simulator:

@@ -56,23 +56,16 @@ def owned(value: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class StateField:
-    """A declared tensor [rows, *shape].
+    """A declared tensor [rows, *shape]."""
 
-    Attributes:
-        name: Attribute of the table, and key of saved states.
-        initial: Value at the start of an episode; None where the owner of the table writes it.
-        grows: Whether the dimension behind the rows may become longer, filled up with ``initial``.
-        planes: Whether rows are the last dimension of the stored tensor, as kernels read it; saved states have them first.
-        low: Smallest value that a saved state may hold; None for no bound. A field with a bound holds no NaN.
-        high: Largest one, likewise.
-    """
-
-    name: str
-    initial: float | bool | None = None
-    grows: bool = False
+    name: str  # attribute of the table, and key of saved states
+    initial: float | bool | None = None  # value at the start of an episode; None where the owner of the table writes it
+    grows: bool = False  # whether the dimension behind the rows may become longer, filled up with `initial`
+    # whether rows are the last dimension of the stored tensor, as kernels read it; saved states have them first
     planes: bool = False
+    # smallest value that a saved state may hold; None for no bound. A field with a bound holds no NaN.
     low: float | None = None
-    high: float | None = None
+    high: float | None = None  # largest one, likewise
 
 
 class StateTable:

@@ -33,19 +33,12 @@ Answers = dict[Any, Any]
 
 @dataclass(frozen=True)
 class Member:
-    """One argument of a function that returns a dictionary.
-
-    Attributes:
-        function: The function.
-        name: The argument.
-        trial: Its value in the call that told the names.
-        names: Names that the function sets.
-    """
+    """One argument of a function that returns a dictionary."""
 
     function: Callable[[], Mapping[str, Any]]
     name: str
-    trial: Any = field(compare=False)
-    names: frozenset[str] = field(compare=False)
+    trial: Any = field(compare=False)  # its value in the call that told the names
+    names: frozenset[str] = field(compare=False)  # names that the function sets
 
     def __call__(self) -> Any:
         """Return the value of a call of the function for this argument alone."""

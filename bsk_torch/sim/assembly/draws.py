@@ -25,44 +25,26 @@ ArgumentChange = tuple[int, str, Any, Sequence[int] | None]
 
 
 class TrialDraw(NamedTuple):
-    """What a trial draw shows.
+    """What a trial draw shows."""
 
-    Attributes:
-        values: Arguments of one or two environments by name.
-        parameters: Parameters that follow from them by name.
-        uniform: Names of the parameters that are the same for all rows.
-    """
-
-    values: dict[str, Any]
-    parameters: dict[str, Tensor]
-    uniform: set[str]
+    values: dict[str, Any]  # arguments of one or two environments by name
+    parameters: dict[str, Tensor]  # parameters that follow from them by name
+    uniform: set[str]  # names of the parameters that are the same for all rows
 
 
 @dataclass(frozen=True)
 class TypeArguments:
-    """Arguments of the satellites of one type and of their world, and their draws.
+    """Arguments of the satellites of one type and of their world, and their draws."""
 
-    Attributes:
-        sat_args: Arguments of the models.
-        world_args: Arguments of the world.
-        parts: Components of world and satellites, which check them, in the order of a tick.
-        h_ns: Length of a tick, ns.
-        orbit: How orbits are computed: ``"arc"``, ``"integrated"`` or ``"free"``.
-        controlled: Whether actions may switch attitude control on, so that its gains matter.
-        randomize: Draws arguments that replace those of some satellites.
-        taken: Names of what the scenario draws.
-        lenient: Whether values that do not fit the length of a tick are logged only, as Basilisk runs with them.
-    """
-
-    sat_args: Arguments
+    sat_args: Arguments  # arguments of the models
     world_args: Arguments
-    parts: tuple[Component, ...]
-    h_ns: int
-    orbit: str
-    controlled: bool
-    randomize: Callable[[Key], Overrides]
-    taken: frozenset[str]
-    lenient: bool = False
+    parts: tuple[Component, ...]  # components of world and satellites, which check them, in the order of a tick
+    h_ns: int  # length of a tick, ns
+    orbit: str  # how orbits are computed: `"arc"`, `"integrated"` or `"free"`
+    controlled: bool  # whether actions may switch attitude control on, so that its gains matter
+    randomize: Callable[[Key], Overrides]  # draws arguments that replace those of some satellites
+    taken: frozenset[str]  # names of what the scenario draws
+    lenient: bool = False  # whether values that do not fit the length of a tick are logged only, as Basilisk runs with them
     _logged: set[str] = field(default_factory=set)
     """What has been logged about arguments."""
     _checked: set[str] = field(default_factory=set)

@@ -53,98 +53,57 @@ pass over the nodes of arcs."""
 
 @dataclass(frozen=True, kw_only=True)
 class SimulationOptions:
-    """How satellites are simulated; all satellites of an environment have the same.
+    """How satellites are simulated; all satellites of an environment have the same."""
 
-    Attributes:
-        device: Device of all tensors.
-        dtype: Type of attitude, wheels and flight software; everything is stored, and the rest computed, in float64.
-        sim_rate: Length of a tick, s.
-        orbit: ``"arc"``, ``"integrated"``, ``"free"``, or None for the default of the dynamics model.
-        backend: ``"compiled"`` or ``"eager"``.
-        compat: ``"bsk_rl"`` for the errors of recordings.
-        replan: Whether windows and eclipses follow maneuvers.
-    """
-
-    device: torch.device
+    device: torch.device  # device of all tensors
+    # type of attitude, wheels and flight software; everything is stored, and the rest computed, in float64
     dtype: torch.dtype = torch.float64
-    sim_rate: float = 1.0
-    orbit: str | None = None
-    backend: str = "compiled"
-    compat: str | None = None
-    replan: bool = True
+    sim_rate: float = 1.0  # length of a tick, s
+    orbit: str | None = None  # `"arc"`, `"integrated"`, `"free"`, or None for the default of the dynamics model
+    backend: str = "compiled"  # `"compiled"` or `"eager"`
+    compat: str | None = None  # `"bsk_rl"` for the errors of recordings
+    replan: bool = True  # whether windows and eclipses follow maneuvers
 
 
 @dataclass(frozen=True, kw_only=True)
 class Usage:
-    """How an environment uses the satellites of one type.
+    """How an environment uses the satellites of one type."""
 
-    Attributes:
-        columns: Numbers of the satellites among all those of an environment, of other types too.
-        stops: Whether events such as an image end a run.
-        watches: Whether failures end a run, too.
-        controlled: Whether actions may switch attitude control on, so that its gains matter.
-        segment: Seconds by which look-ahead windows are extended.
-        randomize: Draws arguments that replace those of some satellites.
-        followed: Fields that the satellites record which components follow, by their slot; see :mod:`bsk_torch.sim.tick.trace`.
-        recorded: Fields of the hub that runs record, those of components aside.
-        drawn: Names of what the scenario draws.
-    """
-
-    columns: tuple[int, ...] = (0,)
-    stops: bool = False
-    watches: bool = False
-    controlled: bool = True
-    segment: float = 600.0
-    randomize: Callable[[Key], Overrides] = lambda key: {}
+    columns: tuple[int, ...] = (0,)  # numbers of the satellites among all those of an environment, of other types too
+    stops: bool = False  # whether events such as an image end a run
+    watches: bool = False  # whether failures end a run, too
+    controlled: bool = True  # whether actions may switch attitude control on, so that its gains matter
+    segment: float = 600.0  # seconds by which look-ahead windows are extended
+    randomize: Callable[[Key], Overrides] = lambda key: {}  # draws arguments that replace those of some satellites
+    # fields that the satellites record which components follow, by their slot; see bsk_torch.sim.tick.trace
     followed: Mapping[str, Sequence[Field]] = field(default_factory=dict)
-    recorded: tuple[str, ...] = ()
-    drawn: frozenset[str] = frozenset()
+    recorded: tuple[str, ...] = ()  # fields of the hub that runs record, those of components aside
+    drawn: frozenset[str] = frozenset()  # names of what the scenario draws
 
 
 @dataclass(frozen=True)
 class SatelliteType:
-    """Satellites of one type: what their simulations share.
+    """Satellites of one type: what their simulations share."""
 
-    Attributes:
-        arguments: Arguments of satellites and world, and their draws.
-        structural: Names of arguments for which components were built, so that they cannot change.
-        world_type: World model.
-        schedule: The order of a tick.
-        modes: Flight modes by name.
-        commands: Commands of the flight software by name.
-        has_tank: Whether the satellites can change their velocity.
-        instruments: Several instruments, of which actions choose; none if there is a single one.
-        h_ns: Length of a tick, ns.
-        orbit: ``"arc"``, ``"integrated"`` or ``"free"``.
-        gravity_degree: Degree of the Earth's field.
-        options: How they are simulated.
-        usage: How the environment uses them.
-        trial: Arguments of a trial draw, by whose shapes states are laid out.
-        tick: Their tick.
-        runners: What runs it.
-        uniform: Values of the parameters of ``tick.shared``, [C, 1].
-        flag_table: Flags of the modes, [F, M].
-        resets: Planes [P] of the state that some mode resets, masks of the modes that do, and the values, [P, M] each.
-    """
-
-    arguments: TypeArguments
-    structural: frozenset[str]
+    arguments: TypeArguments  # arguments of satellites and world, and their draws
+    structural: frozenset[str]  # names of arguments for which components were built, so that they cannot change
     world_type: type[WorldModel]
     schedule: Schedule
     modes: Mapping[str, Mode]
-    commands: Mapping[str, Command]
-    has_tank: bool
-    instruments: tuple[Instrument, ...]
-    h_ns: int
-    orbit: str
-    gravity_degree: int
-    options: SimulationOptions
-    usage: Usage
-    trial: Mapping[str, Any]
+    commands: Mapping[str, Command]  # commands of the flight software by name
+    has_tank: bool  # whether the satellites can change their velocity
+    instruments: tuple[Instrument, ...]  # several instruments, of which actions choose; none if there is a single one
+    h_ns: int  # length of a tick, ns
+    orbit: str  # `"arc"`, `"integrated"` or `"free"`
+    gravity_degree: int  # degree of the Earth's field
+    options: SimulationOptions  # how they are simulated
+    usage: Usage  # how the environment uses them
+    trial: Mapping[str, Any]  # arguments of a trial draw, by whose shapes states are laid out
     tick: Tick
-    runners: Runners
-    uniform: Tensor
-    flag_table: Tensor
+    runners: Runners  # what runs it
+    uniform: Tensor  # values of the parameters of `tick.shared`, [C, 1]
+    flag_table: Tensor  # flags of the modes, [F, M]
+    # planes [P] of the state that some mode resets, masks of the modes that do, and the values, [P, M] each
     resets: tuple[Tensor, Tensor, Tensor]
 
     @property

@@ -35,9 +35,6 @@ def modulo(product: Tensor, modulus: float) -> Tensor:
     return torch.where(rest >= modulus, rest - modulus, rest)
 
 
-# -- MRG32k3a ----------------------------------------------------------------------------------------------------------------
-
-
 def combined_start(share: Tensor) -> Tensor:
     """Return states [n, 6] of the generator for numbers in [0, 1), [n, 6]: from 1 to below the moduli."""
     moduli = torch.tensor(MODULI, dtype=torch.float64).repeat_interleave(3)
@@ -67,9 +64,6 @@ def combined_normals(state: Planes, pairs: int) -> tuple[list[Tensor], Planes]:
         radius, angle = torch.sqrt(-2.0 * torch.log(first)), 2.0 * math.pi * second
         normals += [radius * torch.cos(angle), radius * torch.sin(angle)]
     return normals, state
-
-
-# -- Basilisk's generator ----------------------------------------------------------------------------------------------------
 
 
 class Polar(NamedTuple):

@@ -75,29 +75,16 @@ def navigation_numbers(
     return [*numbers, *[0.0] * (ERRORS - len(numbers))]
 
 
-# -- in a tick ---------------------------------------------------------------------------------------------------------------
-
-
 class WalkForm(NamedTuple):
-    """What decides the operations of a tick.
+    """What decides the operations of a tick."""
 
-    Attributes:
-        matrix: Whether ``PMatrix`` is given as a matrix, otherwise as its diagonal.
-        full: Whether numbers off its diagonal act.
-        position: Whether errors of velocity are added to those of position.
-        attitude: Whether errors of rate are added to those of attitude.
-        seeded: Whether the random numbers are Basilisk's.
-        biased: Whether there are constant errors.
-        scaled: Whether P is multiplied by a factor.
-    """
-
-    matrix: bool = False
-    full: bool = False
-    position: bool = False
-    attitude: bool = False
-    seeded: bool = False
-    biased: bool = False
-    scaled: bool = False
+    matrix: bool = False  # whether `PMatrix` is given as a matrix, otherwise as its diagonal
+    full: bool = False  # whether numbers off its diagonal act
+    position: bool = False  # whether errors of velocity are added to those of position
+    attitude: bool = False  # whether errors of rate are added to those of attitude
+    seeded: bool = False  # whether the random numbers are Basilisk's
+    biased: bool = False  # whether there are constant errors
+    scaled: bool = False  # whether P is multiplied by a factor
 
 
 def _steps(bus: Bus, form: WalkForm, normals: Sequence[Tensor]) -> list[Tensor]:
@@ -153,8 +140,6 @@ def walk(form: WalkForm) -> Callable[[Bus], None]:
 
     return err
 
-
-# -- the component -----------------------------------------------------------------------------------------------------------
 
 ZEROS = (0.0,) * ERRORS
 

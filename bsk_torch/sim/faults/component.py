@@ -36,29 +36,18 @@ UNLIMITED = ("u_max", "rwPMax", "rwOmegaMax")
 
 
 class Group(NamedTuple):
-    """Parameters of a tick that the same faults change.
+    """Parameters of a tick that the same faults change."""
 
-    Attributes:
-        faults: Numbers of the faults.
-        fields: Fields of the parameters.
-        planes: Planes of these fields that change, in their :class:`Layout`.
-        events: Number of times at which faults of the group begin or end.
-        grows: Whether some changes grow over time.
-    """
-
-    faults: tuple[int, ...]
+    faults: tuple[int, ...]  # numbers of the faults
     fields: tuple[Field, ...]
-    planes: tuple[int, ...]
-    events: int
-    grows: bool
+    planes: tuple[int, ...]  # planes of these fields that change, in their Layout
+    events: int  # number of times at which faults of the group begin or end
+    grows: bool  # whether some changes grow over time
 
     @property
     def exact(self) -> bool:
         """Whether the parameters are always float64."""
         return self.fields[0].exact
-
-
-# -- declaration --------------------------------------------------------------------------------------------------------------
 
 
 def declared_faults(given: Mapping[str, Any], table: Mapping[str, Arg]) -> tuple[Fault, ...]:
@@ -128,9 +117,6 @@ def _drawn_args(fault: Fault, table: Mapping[str, Arg]) -> list[Arg]:
     return args
 
 
-# -- changed arguments --------------------------------------------------------------------------------------------------------
-
-
 def _value_of(fault: Fault, name: str, old: Tensor, drawn: Tensor) -> Tensor:
     """Return the value [n or 1, ...] of an argument with a fault; ``drawn`` is the new value, or the factor, of the rows."""
     where = slice(None) if fault.index is None else fault.index
@@ -169,24 +155,14 @@ def _parameters(part: Component, values: Values) -> dict[str, Tensor]:
     return {field.name: found[field.name].reshape(-1, field.width) for field in part.params}
 
 
-# -- what changes -------------------------------------------------------------------------------------------------------------
-
-
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """What the faults of a type of satellites change.
-
-    Attributes:
-        faults: The faults.
-        groups: Groups of parameters.
-        parts: Components with parameters of each group.
-        h_ns: Length of a tick, ns.
-    """
+    """What the faults of a type of satellites change."""
 
     faults: tuple[Fault, ...]
     groups: tuple[Group, ...]
-    parts: tuple[tuple[Component, ...], ...]
-    h_ns: int
+    parts: tuple[tuple[Component, ...], ...]  # components with parameters of each group
+    h_ns: int  # length of a tick, ns
 
     def prepare(self, values: Values) -> dict[str, Tensor]:
         """Return the ticks at which parameters change, and their values from there on; see :func:`fault_update`."""
@@ -330,9 +306,6 @@ def _acting(part: Component, plan: Plan) -> Component:
     )
 
 
-# -- in a tick ----------------------------------------------------------------------------------------------------------------
-
-
 @functools.cache
 def fault_update(groups: tuple[Group, ...]) -> Callable[[Bus], None]:
     """Return the update that replaces parameters by those of the faults that act."""
@@ -358,9 +331,6 @@ def fault_update(groups: tuple[Group, ...]) -> Callable[[Bus], None]:
             layout.put(bus, planes)
 
     return let_faults_act
-
-
-# -- at a decision boundary ---------------------------------------------------------------------------------------------------
 
 
 def severities(faults: Sequence[Fault], values: Values, ticks: Tensor, h_ns: int) -> Tensor:

@@ -51,17 +51,11 @@ TANK = Component(
 
 
 class Burn(NamedTuple):
-    """Maneuvers of N satellites as the tank allows them.
+    """Maneuvers of N satellites as the tank allows them."""
 
-    Attributes:
-        dv_N: Change of velocity in N, [N, 3] m/s.
-        left: What is left in the tank, [N] m/s.
-        clipped: Whether the request exceeded the tank, [N].
-    """
-
-    dv_N: Tensor
-    left: Tensor
-    clipped: Tensor
+    dv_N: Tensor  # change of velocity in N, [N, 3] m/s
+    left: Tensor  # what is left in the tank, [N] m/s
+    clipped: Tensor  # whether the request exceeded the tank, [N]
 
 
 def burn(dv_N: Tensor, available: Tensor) -> Burn:

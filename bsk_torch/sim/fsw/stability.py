@@ -70,19 +70,12 @@ Polynomial = Sequence[Tensor | float]
 
 
 class Law(NamedTuple):
-    """A control law near its reference: torque ``(a0 + a1 I) s + (r0 + r1 I) w`` with the sum I over ticks, [n or 1, 3] each.
+    """A control law near its reference: torque ``(a0 + a1 I) s + (r0 + r1 I) w`` with the sum I over ticks, [n or 1, 3] each."""
 
-    Attributes:
-        a0: Torque for an error, N m.
-        a1: The same, summed over ticks, N m.
-        r0: Torque for a rate, N m s.
-        r1: The same, summed over ticks, N m s.
-    """
-
-    a0: Tensor
-    a1: Tensor
-    r0: Tensor
-    r1: Tensor
+    a0: Tensor  # torque for an error, N m
+    a1: Tensor  # the same, summed over ticks, N m
+    r0: Tensor  # torque for a rate, N m s
+    r1: Tensor  # the same, summed over ticks, N m s
 
 
 def _times(p: Polynomial, q: Polynomial) -> list[Tensor | float]:

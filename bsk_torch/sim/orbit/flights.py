@@ -151,9 +151,6 @@ def _packed(vectors: list[Vec3]) -> Tensor:
     return torch.stack([component for vector in vectors for component in vector])
 
 
-# -- between steps -------------------------------------------------------------------------------------------------------------
-
-
 @cache
 def _integrals(device: torch.device) -> tuple[Tensor, Tensor]:
     """Return coefficients of the integrals of Lagrange's polynomials over the remembered steps, [MULTISTEP_ORDER, P] each.

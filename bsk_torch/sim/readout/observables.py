@@ -285,17 +285,11 @@ def _tell(function: Function, why: str) -> None:
 
 
 class Moments(NamedTuple):
-    """Satellites at times of the current episodes.
+    """Satellites at times of the current episodes."""
 
-    Attributes:
-        rows: The satellites, [M], which may repeat.
-        time: Seconds since reset, [M].
-        planes: Fields of the state then, [C, M].
-    """
-
-    rows: Tensor
-    time: Tensor
-    planes: Tensor
+    rows: Tensor  # the satellites, [M], which may repeat
+    time: Tensor  # seconds since reset, [M]
+    planes: Tensor  # fields of the state then, [C, M]
 
 
 def now_on_tensors(state: SatelliteState, arcs: Arcs, moments: Moments | None = None) -> Now:

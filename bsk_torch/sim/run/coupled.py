@@ -30,15 +30,11 @@ FlightObserver = Callable[[Flight], None]
 
 
 class RunResult(NamedTuple):
-    """What the simulation of N episodes to their next event has come to.
+    """What the simulation of N episodes to their next event has come to."""
 
-    Attributes:
-        ticks: Ticks that each episode has run, [N].
-        events: For each type of satellites, whether an event such as an image ended the action of a row, [N * count]; None for
-            types without such events.
-    """
-
-    ticks: Tensor
+    ticks: Tensor  # ticks that each episode has run, [N]
+    # for each type of satellites, whether an event such as an image ended the action of a row, [N * count]; None for types
+    # without such events
     events: tuple[Tensor | None, ...]
 
 
@@ -96,25 +92,15 @@ class Dependencies:
 
 @dataclass
 class Call:
-    """A run of one type that is due, from the current state.
-
-    Attributes:
-        k: The type.
-        ticks: Most ticks of each row, [n * count].
-        expected: Probable number of them, [n * count]; None if no event is expected.
-        may_rewind: Whether the rows may be rewound to where they are now.
-        trace: Where it records fields.
-        followed: Traces that it reads, by slot.
-        ran: Ticks that the rows have run, [n * count], once they have.
-    """
+    """A run of one type that is due, from the current state."""
 
     k: int
-    ticks: Tensor
-    expected: Tensor | None
-    may_rewind: bool
-    trace: Trace | None
-    followed: dict[str, Samples]
-    ran: Tensor = field(init=False)
+    ticks: Tensor  # most ticks of each row, [n * count]
+    expected: Tensor | None  # probable number of them, [n * count]; None if no event is expected
+    may_rewind: bool  # whether the rows may be rewound to where they are now
+    trace: Trace | None  # where it records fields
+    followed: dict[str, Samples]  # traces that it reads, by slot
+    ran: Tensor = field(init=False)  # ticks that the rows have run, [n * count], once they have
 
 
 class Part:

@@ -39,19 +39,11 @@ MET, LEFT = "conjunctions_met", "ranges_left"
 """Tensors of the fleet's memory: pairs that have met, [N, P], and deputies that have left their chief's surroundings, [N, Q]."""
 
 
-# -- who is with whom ------------------------------------------------------------------------------------------------------------
-
-
 class EncounterPairs(NamedTuple):
-    """Pairs of satellites whose distance matters, by their numbers in an episode.
+    """Pairs of satellites whose distance matters, by their numbers in an episode."""
 
-    Attributes:
-        conjunctions: Pairs that may collide, the later satellite of the list first.
-        ranges: Deputies, each with its chief.
-    """
-
-    conjunctions: tuple[tuple[int, int], ...]
-    ranges: tuple[tuple[int, int], ...]
+    conjunctions: tuple[tuple[int, int], ...]  # pairs that may collide, the later satellite of the list first
+    ranges: tuple[tuple[int, int], ...]  # deputies, each with its chief
 
     @property
     def watched(self) -> set[int]:
@@ -105,25 +97,15 @@ def find_pairs(
     )
 
 
-# -- when ------------------------------------------------------------------------------------------------------------------------
-
-
 class Limits(NamedTuple):
-    """Conditions on the distance of satellites in n episodes.
+    """Conditions on the distance of satellites in n episodes."""
 
-    Attributes:
-        pair: Number of the pair of satellites whose distance each condition is about, C of them.
-        distance: Distance of the condition, [n, C] m.
-        beyond: Whether it holds from this distance on, C of them; else up to it.
-        every: Ticks from one look to the next, [n, C].
-        between: Whether the smallest distance since the last tick counts, if satellites move uniformly within it, [n, C]. A
-            largest distance is always that of a tick.
-    """
-
-    pair: tuple[int, ...]
-    distance: Tensor
-    beyond: tuple[bool, ...]
-    every: Tensor
+    pair: tuple[int, ...]  # number of the pair of satellites whose distance each condition is about, C of them
+    distance: Tensor  # distance of the condition, [n, C] m
+    beyond: tuple[bool, ...]  # whether it holds from this distance on, C of them; else up to it
+    every: Tensor  # ticks from one look to the next, [n, C]
+    # whether the smallest distance since the last tick counts, if satellites move uniformly within it, [n, C]. A largest
+    # distance is always that of a tick.
     between: Tensor
 
 
@@ -174,9 +156,6 @@ def first_ticks(pieces: Iterator[tuple[Tensor, Vec3, Vec3]], limits: Limits, las
     return first
 
 
-# -- in a fleet ------------------------------------------------------------------------------------------------------------------
-
-
 class Encounters:
     """Conjunctions and ranges of the satellites of a fleet.
 
@@ -204,8 +183,6 @@ class Encounters:
         if every:
             fleet.stop_conditions.append(self.first_tick)
             fleet.flight_observers.append(self.book)
-
-    # -- conditions -----------------------------------------------------------------------------------------------------
 
     def _of(self, column: int, name: str) -> Tensor:
         """Return an argument of a satellite, [N]."""
@@ -285,8 +262,6 @@ class Encounters:
             if name in self.fleet.memory:
                 known = self.fleet.memory[name]
                 self.fleet.memory[name] = known.index_copy(0, flight.envs, known[flight.envs] | mine)
-
-    # -- what has happened ----------------------------------------------------------------------------------------------
 
     def conjunctions(self, k: int) -> Tensor:
         """Return with whom each satellite of type k is booked to have collided, [rows, S]."""

@@ -31,39 +31,23 @@ KEYS = ("env", "episode", "tick", "time")
 
 
 class _Chunk(NamedTuple):
-    """Records of n episodes at P ticks.
+    """Records of n episodes at P ticks."""
 
-    Attributes:
-        envs: Environments, [n].
-        episodes: Numbers of their episodes, [n].
-        ticks: Ticks since reset, [n, P]; :data:`NO_TICK` where there is no record.
-        values: Fields of the recorded satellites, [n, P, S, W].
-    """
-
-    envs: Tensor
-    episodes: Tensor
-    ticks: Tensor
-    values: Tensor
+    envs: Tensor  # environments, [n]
+    episodes: Tensor  # numbers of their episodes, [n]
+    ticks: Tensor  # ticks since reset, [n, P]; NO_TICK where there is no record
+    values: Tensor  # fields of the recorded satellites, [n, P, S, W]
 
 
 class _Type(NamedTuple):
-    """What is recorded of the satellites of one type.
-
-    Attributes:
-        k: The type.
-        numbers: The recorded satellites, by their numbers within the type, [s].
-        places: Their places among all recorded satellites, [s, 1].
-        planes: Planes of the type's state, [w].
-        columns: Places of these planes among the recorded numbers of a satellite, [w].
-        properties: Observables computed from the state, with their places among these numbers.
-    """
+    """What is recorded of the satellites of one type."""
 
     k: int
-    numbers: Tensor
-    places: Tensor
-    planes: Tensor
-    columns: Tensor
-    properties: tuple[tuple[Function, slice], ...]
+    numbers: Tensor  # the recorded satellites, by their numbers within the type, [s]
+    places: Tensor  # their places among all recorded satellites, [s, 1]
+    planes: Tensor  # planes of the type's state, [w]
+    columns: Tensor  # places of these planes among the recorded numbers of a satellite, [w]
+    properties: tuple[tuple[Function, slice], ...]  # observables computed from the state, with their places among these numbers
 
 
 class Recording:

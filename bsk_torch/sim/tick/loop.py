@@ -173,8 +173,6 @@ class Tick:
         """Slots of the components that run in the tick, in their order."""
         return tuple(component.slot for component in self.components if component.update is not None)
 
-    # -- on tensors -----------------------------------------------------------------------------------------------------
-
     def inputs(
         self,
         state: Tensor,
@@ -225,8 +223,6 @@ class Tick:
         runs = ticks <= end
         after = [torch.where(runs, new.to(old.dtype), old) for new, old in zip(planes, state.unbind(0), strict=True)]
         return torch.stack(after), end if stop is None else torch.where(runs & stop, ticks, end)
-
-    # -- as a kernel ----------------------------------------------------------------------------------------------------
 
     def trace(self, wakes: bool = False) -> Loop:
         """Return the traced tick, or that at time zero; UntraceableError for tensor code that has no kernel."""

@@ -138,9 +138,6 @@ def _check_kind(slot: str, name: str, old: object, new: object) -> None:
         raise UpdateError(f"{title} of shape {list(new.shape)}; it must be a number of each environment")
 
 
-# -- one environment, alone and in a batch ----------------------------------------------------------------------------
-
-
 def _mapped(value: Any, function: Callable[[Tensor], Tensor]) -> Any:
     """Return a message in which ``function`` has replaced each plane."""
     if isinstance(value, Tensor):

@@ -40,17 +40,11 @@ def trace_track(name: str, fields: Sequence[Field], h: float) -> Track:
 
 
 class Trace(NamedTuple):
-    """Recorded fields of rows in a run: record k holds them k ticks after its start.
-
-    Attributes:
-        layout: The fields.
-        table: Their values, [N, K + 1, C]; those behind the end of a row have no meaning.
-        start: Ticks since reset at record 0, [N].
-    """
+    """Recorded fields of rows in a run: record k holds them k ticks after its start."""
 
     layout: Layout
-    table: Tensor
-    start: Tensor
+    table: Tensor  # their values, [N, K + 1, C]; those behind the end of a row have no meaning
+    start: Tensor  # ticks since reset at record 0, [N]
 
     @staticmethod
     def room(fields: Sequence[Field], start: Tensor, ticks: int) -> Trace:
@@ -77,23 +71,15 @@ class Trace(NamedTuple):
 
 
 class Flight(NamedTuple):
-    """A run of some episodes, with the traces of all types of satellites.
-
-    Attributes:
-        envs: The episodes, [n].
-        since: Ticks since reset at its start, [n].
-        ticks: Ticks that it took, [n].
-        left: Ticks to the end of the episode, [n]: there the clock stops before any event is evaluated.
-        traces: Trace of each type of satellites, of the rows of these episodes; None for one that records nothing.
-        counts: Number of satellites of each type in an episode.
-    """
+    """A run of some episodes, with the traces of all types of satellites."""
 
     envs: Tensor
-    since: Tensor
-    ticks: Tensor
-    left: Tensor
+    since: Tensor  # ticks since reset at its start, [n]
+    ticks: Tensor  # ticks that it took, [n]
+    left: Tensor  # ticks to the end of the episode, [n]: there the clock stops before any event is evaluated
+    # trace of each type of satellites, of the rows of these episodes; None for one that records nothing
     traces: tuple[Trace | None, ...]
-    counts: tuple[int, ...]
+    counts: tuple[int, ...]  # number of satellites of each type in an episode
 
     def read(self, k: int, name: str) -> Tensor:
         """Return a field of the satellites of type k, [n, count, K + 1], or [n, count, K + 1, width]."""

@@ -143,8 +143,6 @@ class EclipseTable(StateTable):
         start, end = (torch.where(table > now, table, torch.inf).amin(1) for table in (self.starts, self.ends))
         return torch.minimum(start, limit), torch.minimum(end, limit)
 
-    # -- on samples --------------------------------------------------------------------------------------------------
-
     def sample_to(self, time: Tensor) -> None:
         """Note that samples have been propagated to ``time`` [N] s, but for orbits that have restarted."""
         later, begun = torch.maximum(self.sampled, time), self.arcs.begun

@@ -42,27 +42,16 @@ PAIRS_PER_BATCH = 1 << 22
 """Pairs of which margins are kept together, unless one episode has more."""
 
 
-# -- positions -----------------------------------------------------------------------------------------------------------------
-
-
 class FlownOrbits(NamedTuple):
-    """Flown orbits of the satellites of one type, ``count`` in each of N episodes.
-
-    Attributes:
-        arcs: Their arcs, which hold N * count rows.
-        columns: Their numbers among the S satellites of an episode, [count].
-        max_range: Range of their sensors, [N * count] m; no limit if it is not positive.
-        max_speed: Bound of their speeds, [N * count] m/s.
-        use_kernels: Whether kernels compute positions.
-        present: Those that take part in their episodes, [N * count]; None if all do. The arcs of the others do not cover the
-            searched ticks.
-    """
+    """Flown orbits of the satellites of one type, ``count`` in each of N episodes."""
 
     arcs: Arcs
-    columns: Tensor
-    max_range: Tensor
-    max_speed: Tensor
+    columns: Tensor  # their numbers among the S satellites of an episode, [count]
+    max_range: Tensor  # range of their sensors, [N * count] m; no limit if it is not positive
+    max_speed: Tensor  # bound of their speeds, [N * count] m/s
     use_kernels: bool
+    # those that take part in their episodes, [N * count]; None if all do. The arcs of the others do not cover the searched
+    # ticks.
     present: Tensor | None = None
 
     def positions(self, rows: Tensor, time: Tensor) -> Tensor:
@@ -97,9 +86,6 @@ def pole_directions(arcs: Arcs, rows: Tensor, time: Tensor, h_ns: int) -> Tensor
     put_track(bus, EPHEMERIS_TRACK, records.flatten(1).unbind(-1), tau)
     orient_pole(bus)
     return bus.EN.z.stack()
-
-
-# -- the search ----------------------------------------------------------------------------------------------------------------
 
 
 class SatellitePairs(NamedTuple):

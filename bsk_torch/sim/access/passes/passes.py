@@ -75,9 +75,6 @@ class Passes(NamedTuple):
     close: Tensor
 
 
-# -- the coarse screen -----------------------------------------------------------------------------------------------------------
-
-
 def coarse_screen(track: GroundTrack, places: Sites) -> tuple[Tensor, Tensor, Tensor]:
     """Return row, place and cell, [m] each, of all pairs that may be visible from within a cell; a superset of those that are.
 
@@ -123,9 +120,6 @@ def _products_above(middle: Tensor, places: Tensor, limit: Tensor) -> tuple[Tens
         found.append((row + first, place, cell))
     row, place, cell = (torch.cat(parts) for parts in zip(*found, strict=True))
     return row, place, cell
-
-
-# -- the search ------------------------------------------------------------------------------------------------------------------
 
 
 class PassSearch:

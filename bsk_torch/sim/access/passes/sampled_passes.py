@@ -77,8 +77,6 @@ class _Search:
         self.places, self.rows, self.track = places, rows, track
         self.samples = track.r_BP_P.shape[1]
 
-    # -- where satellites and places are --------------------------------------------------------------------------------
-
     def sight(self, row: Tensor, place: Tensor, time: Tensor, r_BP_P: Tensor) -> Sight:
         """Return the sight of places [m, ...] from rows [m] of the search, at positions [m, ..., 3] m."""
         r_LP_P = self.places.position(self.rows[row], place, time)
@@ -100,8 +98,6 @@ class _Search:
             return clearance.margin(Sight(rows, places, time.unsqueeze(-1), r_BP_P, r_LP_P, self.places.tables)).squeeze(-1)
 
         return margin
-
-    # -- the coarse screen ----------------------------------------------------------------------------------------------
 
     def screened(self) -> tuple[Tensor, Tensor, Tensor]:
         """Return row, place and stretch, [m] each and in this order, of all that may hold a window."""
@@ -131,8 +127,6 @@ class _Search:
         end = torch.cat([begin[1:], begin.new_tensor([len(row)])])[: len(begin)] - 1
         last = ((cell[end] + 1) * CELL_SAMPLES).clamp(max=self.samples - 1)
         return Runs(row[begin], place[begin], cell[begin] * CELL_SAMPLES, last), run
-
-    # -- the close look -------------------------------------------------------------------------------------------------
 
     def passes(self) -> Passes:
         """Return the passes of the part."""

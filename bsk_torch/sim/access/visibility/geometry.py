@@ -23,19 +23,12 @@ CULMINATION_TOLERANCE = 1e-4
 
 
 class SearchCells(NamedTuple):
-    """Cells whose samples are to be classified: times in s, [m] each.
-
-    Attributes:
-        first: First sample.
-        end: End of the cell.
-        search_begin: First sample of the whole search.
-        search_end: Last sample of the whole search.
-    """
+    """Cells whose samples are to be classified: times in s, [m] each."""
 
     first: Tensor
     end: Tensor
-    search_begin: Tensor
-    search_end: Tensor
+    search_begin: Tensor  # first sample of the whole search
+    search_end: Tensor  # last sample of the whole search
 
 
 def classify(before: Any, here: Any, after: Any, is_first: Any, is_last: Any) -> tuple[Any, Any, Any]:

@@ -75,9 +75,6 @@ class KernelVisibility:
         return 0.5 * (state[1] + state[2])
 
 
-# -- running -------------------------------------------------------------------------------------------------------------------
-
-
 def _run_pairs(
     kernel: Kernel,
     pairs: PlacePairs,
@@ -94,9 +91,6 @@ def _run_samples(kernel: Kernel, orbits: PlannedOrbits, start: Tensor, count: in
     written = torch.empty(len(start), count, width, dtype=torch.float64)
     kernel(start.unsqueeze(0).clone(), count, (orbits.ephemeris, orbits.samples), written=written)
     return written
-
-
-# -- kernels of one satellite: one tick for each sample --------------------------------------------------------------------------
 
 
 def _sample_kernel(name: str, function: Callable[[Any, Bus], list[Any]]) -> Kernel:
@@ -117,9 +111,6 @@ def umbra_kernel() -> Kernel:
 def ground_track_kernel() -> Kernel:
     """Return the kernel that writes the Earth-fixed position."""
     return _sample_kernel("ground track", lambda r_BN_N, ephemeris: list(fixed(ephemeris, r_BN_N)))
-
-
-# -- kernels of pairs: one tick for each sample or iteration ---------------------------------------------------------------------
 
 
 def _time_and_clearance(builder: KernelBuilder, track: Track) -> tuple[Any, Any]:

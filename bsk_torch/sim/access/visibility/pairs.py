@@ -21,17 +21,11 @@ GROUND_TRACK = Track("path", PLAN_STEP, (vec("r_BN_P", "m", exact=True),), COUNT
 
 
 class PlacePairs(NamedTuple):
-    """Pairs of a satellite and a place.
+    """Pairs of a satellite and a place."""
 
-    Attributes:
-        track: Earth-fixed samples of the satellite of each pair.
-        r_LP_P: Earth-fixed position of each place, [m, 3] m.
-        sin_min_elevation: Sine of the minimum elevation at each place, [m].
-    """
-
-    track: Samples
-    r_LP_P: Tensor
-    sin_min_elevation: Tensor
+    track: Samples  # Earth-fixed samples of the satellite of each pair
+    r_LP_P: Tensor  # Earth-fixed position of each place, [m, 3] m
+    sin_min_elevation: Tensor  # sine of the minimum elevation at each place, [m]
 
     def take(self, index: Tensor) -> PlacePairs:
         """Return the pairs ``index``, which may repeat."""

@@ -17,15 +17,10 @@ from bsk_torch.vec3 import Vec3
 
 
 class PlannedOrbits(NamedTuple):
-    """Planned orbits of n satellites as tables; see :class:`bsk_torch.sim.orbit.arcs.Arcs`.
+    """Planned orbits of n satellites as tables; see :class:`bsk_torch.sim.orbit.arcs.Arcs`."""
 
-    Attributes:
-        samples: Positions in N, m, every 30 s.
-        ephemeris: Records of the Sun and of the Earth's orientation.
-    """
-
-    samples: Samples
-    ephemeris: Samples
+    samples: Samples  # positions in N, m, every 30 s
+    ephemeris: Samples  # records of the Sun and of the Earth's orientation
 
     def take(self, rows: Tensor) -> PlannedOrbits:
         """Return the orbits of ``rows`` [m], which may repeat."""

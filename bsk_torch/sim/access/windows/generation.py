@@ -28,19 +28,12 @@ That point, 2.118 L from the middle, must lie within half a revolution of it: L 
 
 
 class GenerationIntervals(NamedTuple):
-    """Intervals for which windows are generated: one up to ``first``, and the others, of equal length, up to ``end``.
+    """Intervals for which windows are generated: one up to ``first``, and the others, of equal length, up to ``end``."""
 
-    Attributes:
-        begin: Begin of the first interval and of the search, [n] s.
-        first: End of the first interval, [n] s.
-        end: End of the last interval, [n] s.
-        segment: Length of the others, s.
-    """
-
-    begin: Tensor
-    first: Tensor
-    end: Tensor
-    segment: float
+    begin: Tensor  # begin of the first interval and of the search, [n] s
+    first: Tensor  # end of the first interval, [n] s
+    end: Tensor  # end of the last interval, [n] s
+    segment: float  # length of the others, s
 
     def number(self, row: Tensor, time: Tensor) -> Tensor:
         """Return the number of the interval that holds a time [m] s of a row [m]."""

@@ -26,16 +26,10 @@ BLOCK_GROWTH = 4
 
 
 class Windows(NamedTuple):
-    """Windows of n satellites, [n, W] each, sorted by closing time.
+    """Windows of n satellites, [n, W] each, sorted by closing time."""
 
-    Attributes:
-        open: Opening time, s since reset.
-        close: Closing time, s since reset; infinity for the padding of rows that have fewer windows than others.
-        place: Index of the place.
-    """
-
-    open: Tensor
-    close: Tensor
+    open: Tensor  # opening time, s since reset
+    close: Tensor  # closing time, s since reset; infinity for the padding of rows that have fewer windows than others
     place: Tensor
 
     def take(self, rows: Tensor) -> Windows:
@@ -52,17 +46,11 @@ class Windows(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """Windows [n, K] as a query sees them: cut at the end of what has been generated.
-
-    Attributes:
-        windows: The windows.
-        valid: Whether each of them answers the query.
-        is_cut: Whether the end of what has been generated cuts them, those that close there included.
-    """
+    """Windows [n, K] as a query sees them: cut at the end of what has been generated."""
 
     windows: Windows
-    valid: Tensor
-    is_cut: Tensor
+    valid: Tensor  # whether each of them answers the query
+    is_cut: Tensor  # whether the end of what has been generated cuts them, those that close there included
 
     @property
     def sort_key(self) -> Tensor:

@@ -54,17 +54,11 @@ def _arm(position: Sequence[float], direction: Sequence[float]) -> Triple:
 
 @dataclass(frozen=True)
 class ThrusterPairs:
-    """Pairs of thrusters of one kind.
+    """Pairs of thrusters of one kind."""
 
-    Attributes:
-        positions: Position of one thruster of each pair, m in B; the other one sits opposite.
-        directions: Directions of their forces in B, of length one; those of the others are opposite.
-        thrust: Thrust of each thruster, N.
-    """
-
-    positions: tuple[Triple, ...]
-    directions: tuple[Triple, ...]
-    thrust: float
+    positions: tuple[Triple, ...]  # position of one thruster of each pair, m in B; the other one sits opposite
+    directions: tuple[Triple, ...]  # directions of their forces in B, of length one; those of the others are opposite
+    thrust: float  # thrust of each thruster, N
 
     @cached_property
     def arms(self) -> tuple[Triple, ...]:
@@ -154,15 +148,10 @@ ARGS = (
 
 
 class ThrusterForm(NamedTuple):
-    """What decides the operations of a tick with thrusters.
-
-    Attributes:
-        size: Number of thrusters.
-        pushes: Whether they may exert a net force.
-    """
+    """What decides the operations of a tick with thrusters."""
 
     size: int
-    pushes: bool
+    pushes: bool  # whether they may exert a net force
 
 
 def described_thrusters(given: Mapping[str, Any]) -> tuple[Thruster, ...] | None:

@@ -78,21 +78,13 @@ EACH = ("u_max", "rwBasePower", "rwMechToElecEfficiency", "rwElecToMechEfficienc
 
 
 class WheelForm(NamedTuple):
-    """What decides the operations of a tick with wheels.
+    """What decides the operations of a tick with wheels."""
 
-    Attributes:
-        axes: For each wheel the number of the axis of B about which it turns, None for another direction.
-        least: Whether small torques become zero.
-        power: Whether power is limited.
-        friction: Whether there is friction.
-        stribeck: Whether some of it is Stribeck friction.
-    """
-
-    axes: tuple[int | None, ...]
-    least: bool
-    power: bool
-    friction: bool
-    stribeck: bool
+    axes: tuple[int | None, ...]  # for each wheel the number of the axis of B about which it turns, None for another direction
+    least: bool  # whether small torques become zero
+    power: bool  # whether power is limited
+    friction: bool  # whether there is friction
+    stribeck: bool  # whether some of it is Stribeck friction
 
 
 def described_wheels(given: Mapping[str, Any]) -> tuple[Wheel, ...] | None:
@@ -145,9 +137,6 @@ def _axis_number(row: Tensor) -> int | None:
     return int(nonzero[0]) if len(nonzero) == 1 and bool(row[nonzero[0]] > 0.0) else None
 
 
-# -- along the axes of wheels -------------------------------------------------------------------------------------------------
-
-
 def axes_on(bus: Bus, form: WheelForm) -> list[Axis]:
     """Return the axes of the wheels."""
     return [bus.wheel_axes_B[k] if axis is None else axis for k, axis in enumerate(form.axes)]
@@ -165,9 +154,6 @@ def along(axes: Sequence[Axis], values: Sequence[Tensor]) -> Vec3:
 def component(axis: Axis, v: Vec3) -> Tensor:
     """Return the component of a vector along an axis, ``g . v``."""
     return axis.dot(v) if isinstance(axis, Vec3) else v[axis]
-
-
-# -- dynamics -----------------------------------------------------------------------------------------------------------------
 
 
 @functools.cache
@@ -241,9 +227,6 @@ def latch(form: WheelForm) -> Callable[[Bus], None]:
             bus.wheel_speed_before = bus.Omega_WB_B
 
     return latch_motor_torques
-
-
-# -- the component ------------------------------------------------------------------------------------------------------------
 
 
 def unit_axes(args: Values) -> Tensor:

@@ -145,8 +145,6 @@ def _shape_fields(count: int) -> tuple[Field, ...]:
     return (Field("facet_area", count, "m^2", many=True), *vectors)
 
 
-# -- drag ---------------------------------------------------------------------------------------------------------------------
-
 AT_REST = 1e-30
 """Square of a speed, m^2/s^2, below which there is no flow."""
 
@@ -181,9 +179,6 @@ def drag_of_facets(box: Component, listed: tuple[Facet, ...]) -> Component:
         check=check_axis("facetNormals_B"),
         effector=Effector(force=facet_drag),
     )
-
-
-# -- sunlight -----------------------------------------------------------------------------------------------------------------
 
 
 def sunlight_pressure(bus: Bus, BN: Mat3, r_BN_N: Vec3) -> tuple[Vec3, Vec3]:

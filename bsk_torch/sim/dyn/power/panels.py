@@ -22,8 +22,6 @@ from bsk_torch.sim.dyn.axes import AXIS_BOUNDS, check_axis, unit_rows
 from bsk_torch.sim.faults.declared import Fault
 from bsk_torch.vec3 import Vec3
 
-# -- description --------------------------------------------------------------------------------------------------------------
-
 SQUARE = 1e-6
 """Largest cosine of the angle between the normal of a turning panel and its axis."""
 
@@ -148,8 +146,6 @@ def of_panels(arg: Arg, listed: Sequence[Panel]) -> Arg:
     return replace(arg, default=defaults[arg.name], shape=(len(listed), *one), spread=spread)
 
 
-# -- the direction to point at the Sun ----------------------------------------------------------------------------------------
-
 STARTS, ASCENTS = 256, 200
 """Directions, evenly distributed, from which the best one is searched for, and largest number of steps from each."""
 
@@ -222,9 +218,6 @@ def _axes(listed: Sequence[Panel]) -> Tensor:
     return table / table.norm(dim=-1, keepdim=True).clamp(min=1e-300)
 
 
-# -- power --------------------------------------------------------------------------------------------------------------------
-
-
 def _sun_in_B(bus: Bus) -> tuple[Vec3, Tensor]:
     """Return the direction of the Sun in B, of length one, and the square of its distance, m^2."""
     to_sun = bus.r_SN_N - bus.r_BN_N
@@ -292,9 +285,6 @@ def sunlight_on_panels(kinds: tuple[Kind, ...]) -> Callable[[Bus], None]:
         bus.power = (SOLAR_FLUX * AU * AU / distance2).to(bus.dtype) * bus.illumination * gains
 
     return collect
-
-
-# -- the component ------------------------------------------------------------------------------------------------------------
 
 
 def _check_faults(given: Mapping[str, Any], listed: Sequence[Panel]) -> None:

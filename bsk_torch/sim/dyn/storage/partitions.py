@@ -30,9 +30,6 @@ Levels = tuple[Tensor, ...]
 """Data in every partition, bit."""
 
 
-# -- which partitions --------------------------------------------------------------------------------------------------------
-
-
 def partition_names(given: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the names of the partitions that the arguments ask for, in order; ValueError if they do not fit together."""
     names, count = given["bufferNames"], given["transmitterNumBuffers"]
@@ -66,9 +63,6 @@ def _starts_with_data(given: Mapping[str, Any]) -> bool:
     return not (isinstance(level, Real) and level == 0)
 
 
-# -- instrument --------------------------------------------------------------------------------------------------------------
-
-
 def take_images(bus: Bus) -> None:
     """Write the data rate of the instrument, bit/s, at which an image takes one tick: ``image / h`` where the command is 1.
 
@@ -77,9 +71,6 @@ def take_images(bus: Bus) -> None:
     """
     rate = bus.instrument_baud / bus.h
     bus.instrument_rate = rate * bus.instrument_command if bus.has("instrument_command") else rate
-
-
-# -- transmitter -------------------------------------------------------------------------------------------------------------
 
 
 def _time(bus: Bus, ago: int = 0) -> Tensor:
@@ -149,9 +140,6 @@ def _send(bus: Bus, source: Tensor, now: Tensor) -> tuple[Tensor, Tensor, Tensor
     return torch.where(works & ~dry, bus.transmitter_baud, zero), torch.where(works, progress, zero), source
 
 
-# -- store -------------------------------------------------------------------------------------------------------------------
-
-
 def _whole(bits: Tensor) -> Tensor:
     """Return bits, which are not negative, rounded half up."""
     down = torch.floor(bits)
@@ -184,9 +172,6 @@ def store(bus: Bus) -> None:
         return _changed(levels, bus.packet_partition, removed), total + removed
 
     bus.partitions, bus.storage = only(bus.transmitter_rate < 0.0, drained, (levels, total))
-
-
-# -- components --------------------------------------------------------------------------------------------------------------
 
 
 def transmitter(partitions: int) -> Component:
