@@ -39,7 +39,6 @@ class Own(dict[str, Any]):
     slot: str
 
     def __missing__(self, name: str) -> NoReturn:
-        """Raise a KeyError with advice."""
         raise KeyError(
             f"the component in slot {self.slot!r} reads the argument {name!r}, which it does not list; declare it in args=, "
             "or, if another component declares it, name it in reads="
@@ -69,13 +68,11 @@ class Bus:
         self.gravity_degree = gravity_degree
 
     def __getattr__(self, name: str) -> Any:
-        """Raise a MissingMessageError: no component has written ``name``."""
         raise MissingMessageError(f"no component has written {name!r} to the bus before it is read", name=name, obj=self)
 
     if TYPE_CHECKING:  # components write messages as attributes
 
-        def __setattr__(self, name: str, value: Any) -> None:
-            """Write a message."""
+        def __setattr__(self, name: str, value: Any) -> None: ...
 
     def has(self, name: str) -> bool:
         """Return whether some component has written ``name``."""
@@ -128,7 +125,6 @@ class Arg:
     flown: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Check the shape; ValueError unless it is a tuple of sizes, or if another kind is given."""
         if self.shape is None:
             return
         sizes = self.shape if isinstance(self.shape, tuple) else (0,)
@@ -185,7 +181,6 @@ class Field:
     matrix: bool = False
 
     def __post_init__(self) -> None:
-        """Check the name and the width; ValueError for wrong ones."""
         text("name of a Field", self.name)
         whole(f"field {self.name!r}: width", self.width, 1)
 
@@ -341,7 +336,6 @@ class Component:
     places: Callable[[Any], Mapping[str, object]] | None = None
 
     def __post_init__(self) -> None:
-        """Check the slot and the lists; ValueError or TypeError for wrong ones."""
         text("slot of a Component", self.slot)
         for name, kind in (("args", Arg), ("state", Field), ("params", Field), ("flags", str), ("resets", tuple)):
             given = getattr(self, name)
@@ -435,7 +429,6 @@ def _one_after_the_other(first: Call | None, second: Call | None) -> Call | None
 
 
 def _united(first: Computation | None, second: Computation | None) -> Computation | None:
-    """Return a function with the values of both by name, those of the second where both have one."""
     if first is None or second is None:
         return first if second is None else second
     return lambda args: {**first(args), **second(args)}
@@ -445,7 +438,6 @@ Named = TypeVar("Named", bound=Arg | Field)
 
 
 def _merged(first: tuple[Named, ...], second: tuple[Named, ...]) -> tuple[Named, ...]:
-    """Return the entries of both by name, those of the second where both have one."""
     replaced_by = {entry.name for entry in second}
     return (*(entry for entry in first if entry.name not in replaced_by), *second)
 

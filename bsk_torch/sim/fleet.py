@@ -95,16 +95,11 @@ class Fleet:
         compat: bool = False,
         varies: bool = False,
     ) -> None:
-        """Put simulations of the same environments together.
+        """Put simulations of the same environments together; ``names`` are those of all satellites.
 
-        Args:
-            simulators: Simulation of each type.
-            names: Name of every satellite.
-            draw_scenario: Draws for episodes to come; see :meth:`bsk_torch.scene.base.Scenario.draw`.
-            places: See the attribute (default: those of ``names``).
-            pairs: Satellites whose distance ends steps, by their numbers among ``names``; their hubs record positions.
-            compat: Whether conjunctions are booked with the errors of recordings.
-            varies: Whether some satellites are not present in some episodes.
+        ``draw_scenario`` draws for episodes to come, see :meth:`bsk_torch.scene.base.Scenario.draw`. ``pairs`` are satellites,
+        by their numbers among ``names``, whose distance ends steps, and whose hubs record positions; with ``compat``
+        conjunctions are booked with the errors of recordings.
         """
         self.simulators, self.names, self.draw_scenario = tuple(simulators), list(names), draw_scenario
         first = self.simulators[0]
@@ -218,14 +213,11 @@ class Fleet:
         answers: Sequence[Answers] | None = None,
         scenario: dict[str, Tensor] | None = None,
     ) -> EpisodeDraw:
-        """Return the draws of the key's environments; raises before anything has changed.
+        """Return the draws of the key's n environments; raises before anything has changed.
 
-        Args:
-            key: Key of the n environments.
-            given: Arguments of satellites of all types that replace others: by name, the satellites [c] and values [n, c, ...].
-            answers: What user functions returned for each of the environments (see :meth:`ask`); by default, they are
-                called now.
-            scenario: Draws of the scenario, if they have been made.
+        ``given`` are arguments of satellites of all types that replace others: by name, the satellites [c] and values [n, c,
+        ...]. User functions are called now, unless ``answers`` has what they returned (:meth:`ask`), and the scenario draws
+        unless given.
         """
         drawn = self.draw_scenario(key) if scenario is None else scenario
         world: dict[str, Any] = {}
@@ -238,14 +230,7 @@ class Fleet:
         return EpisodeDraw(drawn, values)
 
     def reset(self, envs: Tensor, drawn: EpisodeDraw, durations: Sequence[Tensor], time_limit: Tensor) -> None:
-        """Start new episodes in ``envs`` [n].
-
-        Args:
-            envs: Episodes, [n].
-            drawn: Their draws.
-            durations: Seconds for which windows are generated, [n] for each type.
-            time_limit: Their time limits, [n] s.
-        """
+        """Start drawn episodes in ``envs`` [n], with windows for ``durations``, [n] s of each type, and time limits, [n] s."""
         self.state.reset(envs)
         self.state.time_limit = self.state.time_limit.index_copy(0, envs, time_limit)
         for name, value in drawn.scenario.items():
@@ -270,13 +255,9 @@ class Fleet:
         """Simulate the episodes ``moves`` [N] to a given tick, to the first event that ends a step, or to the episode's end.
 
         Types whose events end no step run last. Where a later one of two types ends a step early, the earlier one runs again.
-
-        Args:
-            moves: Episodes that take part, [N].
-            limit_ticks: Last tick of each episode, [N].
-            until: Tick since reset at which the step ends unless an event does, [N].
-            expected: For each type of satellites, the tick since reset at which its events will probably end the step, [N];
-                ``until`` by default. A matter of speed only.
+        ``limit_ticks`` [N] is the last tick of each episode, ``until`` [N] the tick since reset at which the step ends unless
+        an event does, and ``expected`` [N] that at which events of each type of satellites will probably end it; a matter of
+        speed only.
         """
         now = self.ticks
         left = (limit_ticks - now).clamp(min=0)

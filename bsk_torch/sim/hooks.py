@@ -56,18 +56,12 @@ def is_of_package(function: object) -> bool:
 
 
 def check_class(cls: type, base: type, hooks: Sequence[str], unused: Mapping[str, str] = NOTHING) -> None:
-    """Raise an error for definitions of a subclass that would never be used; call from ``base.__init_subclass__``.
+    """Raise TypeError for definitions of a subclass that would never be used; call from ``base.__init_subclass__``.
 
-    Args:
-        cls: The class that is being defined. Its bases that do not derive from ``base`` are checked with it.
-        base: Class that declares the hooks.
-        hooks: Names of the hooks.
-        unused: Names that a user may expect to be hooks, each with advice what to write instead.
-
-    Raises:
-        TypeError: For a name in ``unused``; for a hook of classes for one episode; for a method of the base class that is final;
-            for a public method spelled almost like a hook and callable like it; for a hook of
-            another kind than the base class's, or not callable with the arguments of the hook.
+    Bases of the class that do not derive from ``base``, which declares the ``hooks``, are checked with it. ``unused`` are names
+    that a user may expect to be hooks, each with advice what to write instead. Others that are wrong: a hook of classes for one
+    episode, a method of the base class that is final, a public method spelled almost like a hook and callable like it, and a
+    hook of another kind than the base class's, or not callable with the arguments of the hook.
     """
     for owner in cls.__mro__:
         if owner is object or (owner is not cls and issubclass(owner, base)):
@@ -121,7 +115,6 @@ def _kind(value: object) -> str:
 
 
 def _check_hook(title: str, value: object, declared: object) -> None:
-    """Raise TypeError if a definition cannot be used as the hook that is ``declared``."""
     if (_kind(value) == "method") != (_kind(declared) == "method"):
         raise TypeError(f"{title} is a {_kind(value)}; it must be a {_kind(declared)}")
     if _kind(declared) == "method" and not _callable_like(value, declared):
@@ -131,7 +124,6 @@ def _check_hook(title: str, value: object, declared: object) -> None:
 
 
 def _misspelled(cls: type, owner: type, name: str, value: object, base: type, hooks: Sequence[str]) -> str | None:
-    """Return the hook that a public method or property was probably meant to be; None for all others."""
     if name.startswith("_") or _kind(value) == "value" or isinstance(value, type):
         return None
     if any(name in vars(other) for other in cls.__mro__ if other is not owner):
@@ -148,12 +140,10 @@ def _function(value: Any) -> Callable[..., Any]:
 
 
 def _parameters(declared: object) -> list[str]:
-    """Return the names of the arguments of a method, without ``self``."""
     return list(inspect.signature(_function(declared)).parameters)[0 if isinstance(declared, staticmethod) else 1 :]
 
 
 def _callable_like(value: object, declared: object) -> bool:
-    """Return whether a method accepts the positional arguments of the ``declared`` one."""
     try:
         signature = inspect.signature(_function(value))
     except (TypeError, ValueError):
@@ -184,15 +174,9 @@ class ChangeGuard:
         self._seen: dict[str, tuple[Tensor, int]] = {}
 
     def check(self, instance: object, advice: str, exempt: Sequence[str] = ()) -> None:
-        """Compare with the last check.
+        """Compare with the last check; TypeError if an attribute holds another tensor, or one that was changed in place.
 
-        Args:
-            instance: The object; attributes whose names begin with an underscore are ignored.
-            advice: What to do instead.
-            exempt: Attributes of the base class that may change.
-
-        Raises:
-            TypeError: If an attribute holds another tensor than at the last check, or the tensor was changed in place.
+        Attributes whose names begin with an underscore, and ``exempt`` ones, may change; ``advice`` says what to do instead.
         """
         for name, value in vars(instance).items():
             if not isinstance(value, Tensor) or name.startswith("_") or name in exempt:

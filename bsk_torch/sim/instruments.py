@@ -73,7 +73,6 @@ class Instrument:
     instrumentPowerDraw: Given = None
 
     def __post_init__(self) -> None:
-        """Check the name; lists become tuples, so that equal instruments are equal."""
         title = f"Instrument({text('Instrument: name', self.name)!r})"
         for field in dataclasses.fields(self):
             value = as_value(no_gradient(f"{title}: {field.name}", getattr(self, field.name)))
@@ -107,14 +106,9 @@ NO_INSTRUMENTS = Component(slot=SLOT, after="faults")
 
 
 def described_instruments(given: Mapping[str, Any], table: Mapping[str, Arg]) -> tuple[Instrument, ...]:
-    """Return the instruments that arguments as given describe; none for the single one of ``inst_pHat_B``.
+    """Return the instruments that arguments as given, with entries in a ``table``, describe; none for that of ``inst_pHat_B``.
 
-    Args:
-        given: Values of all arguments.
-        table: Their entries.
-
-    Raises:
-        ValueError: For entries that are not instruments, equal names, and arguments that the satellite does not have.
+    ValueError for entries that are not instruments, equal names, and arguments that the satellite does not have.
     """
     listed = _listed(given)
     check_unique([part.name for part in listed], "instruments")
@@ -126,7 +120,6 @@ def described_instruments(given: Mapping[str, Any], table: Mapping[str, Arg]) ->
 
 
 def _listed(given: Mapping[str, Any]) -> tuple[Instrument, ...]:
-    """Return the instruments in arguments, none for None; ValueError for anything but a list of instruments."""
     listed = given.get(SLOT)
     if listed is None:
         return ()
@@ -150,8 +143,7 @@ def instrument_args(listed: Sequence[Instrument], table: Mapping[str, Arg]) -> d
 def number_of(listed: Sequence[Instrument], instrument: str | int | None, title: str) -> int:
     """Return the number of an instrument that a user has named, by name or number.
 
-    Raises:
-        ValueError: For an unknown one, or none if there are several; ``title`` names who asks.
+    ValueError for an unknown one, or none if there are several; ``title`` names who asks.
     """
     names = [part.name for part in listed]
     if not names:
@@ -223,7 +215,6 @@ def with_instruments(parts: Iterable[Component], listed: tuple[Instrument, ...])
 
 
 def _table_of(field: Field) -> str:
-    """Return the name of the parameters of all instruments, side by side."""
     return f"{field.name}_of_instruments"
 
 
@@ -246,8 +237,6 @@ def choose_among(count: int, fields: tuple[Field, ...]) -> Callable[[Bus], None]
 
 
 def _of_each(part: Component, listed: tuple[Instrument, ...]) -> Component:
-    """Return a component with parameters of all instruments."""
-
     def values(args: Values, instrument: Instrument) -> Values:
         return {**args, **{name: args[instrument.argument(name)] for name in instrument.own}}
 

@@ -43,7 +43,6 @@ class ArgumentState(StateTable):
         self.declare("values", None, first, planes=True, low=-math.inf)
 
     def __getitem__(self, name: str) -> Tensor:
-        """Return the argument ``name``, a view [rows, ...]; KeyError for an unknown name."""
         if name not in self.places:
             raise KeyError(f"no argument is called {name!r}; {nearest(name, self.places)}")
         place, shape = self.places[name], self.shapes[name]
@@ -53,11 +52,9 @@ class ArgumentState(StateTable):
         return numbers if len(shape) == 1 else numbers.unflatten(-1, shape)
 
     def __contains__(self, name: object) -> bool:
-        """Whether an argument of that name is drawn."""
         return name in self.places
 
     def __iter__(self) -> Iterator[str]:
-        """Names of the arguments."""
         return iter(self.places)
 
 

@@ -66,8 +66,7 @@ class Schedule(tuple[Slot, ...]):
     def place(self, component: Placed) -> tuple[int, int]:
         """Return the place of a component, as a key to sort by: number of a slot; -1, 0 or 1 for before, in, after it.
 
-        Raises:
-            ValueError: For a component that has neither a slot of the schedule nor one to run after or before.
+        ValueError for a component that has neither a slot of the schedule nor one to run after or before.
         """
         anchor, side = anchored(component)
         if anchor in self.numbers:
@@ -83,11 +82,7 @@ class Schedule(tuple[Slot, ...]):
         )
 
     def ordered(self, components: Iterable[P]) -> tuple[P, ...]:
-        """Return components in the order of the schedule; those with the same place stay in the given order.
-
-        Raises:
-            ValueError: See :meth:`place`.
-        """
+        """Return components in the order of the schedule, :meth:`place`; those with the same place stay in the given order."""
         return tuple(sorted(components, key=self.place))
 
     def listed(self, components: Iterable[P]) -> tuple[P, ...]:
@@ -101,8 +96,7 @@ class Schedule(tuple[Slot, ...]):
     def moved(self, name: str, *, after: str | None = None, before: str | None = None) -> Schedule:
         """Return the schedule with one of its slots after, or before, another one.
 
-        Raises:
-            ValueError: For a slot that is not in the schedule, or unless exactly one of ``after`` and ``before`` is given.
+        ValueError for a slot that is not in the schedule, or unless exactly one of ``after`` and ``before`` is given.
         """
         slot = self[self._number("name", name)]
         return Schedule(other for other in self if other is not slot).with_slot(slot, after=after, before=before)
@@ -110,9 +104,7 @@ class Schedule(tuple[Slot, ...]):
     def with_slot(self, slot: Slot, *, after: str | None = None, before: str | None = None) -> Schedule:
         """Return the schedule with another slot after, or before, one of its slots.
 
-        Raises:
-            ValueError: For a slot that is there already, a neighbor that is not, or unless one of ``after`` and ``before`` is
-                given.
+        ValueError for a slot that is there already, a neighbor that is not, or unless one of ``after`` and ``before`` is given.
         """
         if slot.name in self.numbers:
             raise ValueError(f"slot {slot.name!r} is in the schedule already; Schedule.moved() changes its place")

@@ -82,14 +82,9 @@ class Simulator:
         scenario_state: DrawTable | None = None,
         places: PlaceKinds = lambda tables: {},
     ) -> None:
-        """Make room for the state of satellites; :meth:`reset` fills it.
+        """Make room for the state of satellites, with windows for ``horizon`` s generated at reset; :meth:`reset` fills it.
 
-        Args:
-            satellite_type: Their type.
-            num_envs: Number of environments.
-            horizon: Seconds for which windows are generated at reset.
-            scenario_state: The scenario's draws.
-            places: Returns the kinds of places that the scenario declares.
+        ``scenario_state`` are the draws of the scenario, and ``places`` returns the kinds of places that it declares.
         """
         options, usage, arguments = satellite_type.options, satellite_type.usage, satellite_type.arguments
         self.num_envs, self.count, self.device = num_envs, satellite_type.arguments.count, options.device
@@ -204,11 +199,7 @@ class Simulator:
     # -- faults ------------------------------------------------------------------------------------------------------
 
     def strike(self, fault: str, rows: Tensor) -> None:
-        """Let a declared fault begin now in ``rows`` [n], unless it acts there already.
-
-        Raises:
-            ValueError: For a fault that is not declared.
-        """
+        """Let a declared fault begin now in ``rows`` [n], unless it acts there already; ValueError for one not declared."""
         declared = self.state.argument("faults") or ()
         names = [known.name for known in declared]
         if fault not in names:
@@ -225,8 +216,7 @@ class Simulator:
     def draw_faults_again(self, envs: Tensor, key: Key) -> None:
         """Draw again which faults are still to come in the episodes ``envs`` [n]; see :mod:`bsk_torch.sim.faults.coming`.
 
-        Raises:
-            ValueError: For drawn values that are not allowed.
+        ValueError for drawn values that are not allowed.
         """
         declared = self.state.argument("faults") or ()
         if not declared:
@@ -236,7 +226,6 @@ class Simulator:
         self._set_faults(rows, drawn_again(declared, values, ticks, self.h_ns, key, self.type.arguments.draw_some))
 
     def _arguments_of(self, rows: Tensor) -> dict[str, Any]:
-        """Return the arguments of ``rows`` [n] by name, on the CPU."""
         known = self.state.all_arguments.items()
         return {name: value[rows].cpu() if isinstance(value, Tensor) else value for name, value in known}
 
@@ -469,7 +458,6 @@ class Simulator:
         return flown
 
     def _present_of(self, rows: Tensor | None) -> Tensor | None:
-        """Return which of ``rows`` [n], or all, are present, [n]; None if all always are."""
         present = self.present
         return present if present is None or rows is None else present[rows]
 
@@ -486,10 +474,7 @@ class Simulator:
             source.reach(time)
 
     def _inputs(self, followed: Mapping[str, Samples], rows: Tensor | None, present: Tensor | None) -> RunInputs:
-        """Return what a run of ``rows`` [n], or all, reads apart from their fields.
-
-        ``followed`` are traces of these rows, and ``present`` [n] those that run (default: all).
-        """
+        """Return what a run of ``rows`` [n], or all, reads apart from their fields; ``followed`` are traces of these rows."""
         state, tracks = self.state, [*self.lookahead.flight.tracks(self.tick.arc_tracks)]
         for track in self.tick.supplied:
             source = self.sources.get(track.name)
@@ -548,18 +533,11 @@ class Simulator:
         return torch.where(goes_on, piece, ran), ~goes_on
 
     def replay(self, start: Checkpoint, since: Tensor, ticks: Tensor, planes: Tensor, followed: Mapping[str, Samples]) -> Tensor:
-        """Run the rows of a checkpoint again, from there, and return their fields on the way; the state does not change.
+        """Run the rows of a checkpoint again, and return their ``planes`` [w] on the way, [n, P, w]; the state does not change.
 
-        Args:
-            start: Where the n rows begin; it is used up.
-            since: Ticks since reset there, [n], also of satellites that are not present.
-            ticks: Ticks since reset at which the fields are read, in ascending order, [n, P]; what is read at earlier ones than
-                those before is meaningless.
-            planes: Planes of the fields, [w].
-            followed: Traces of other satellites that components read, by slot.
-
-        Returns:
-            The fields, [n, P, w].
+        ``start``, which is used up, lies ``since`` [n] ticks after reset, also of satellites that are not present. ``ticks``
+        [n, P] since reset are those at which fields are read, in ascending order; what is read at earlier ones than those
+        before is meaningless. ``followed`` are traces of other satellites that components read, by slot.
         """
         fields, now, inputs = start.planes, since, self._inputs(followed, start.rows, self._present_of(start.rows))
         values = fields.new_empty(*ticks.shape, len(planes))

@@ -139,16 +139,7 @@ class StateTable:
         self.fields[name] = replace(self.fields[name], low=low, high=high)
 
     def add(self, name: str, table: StateTable) -> None:
-        """Add a table of the same episodes.
-
-        Args:
-            name: Name of the table.
-            table: The table.
-
-        Raises:
-            TypeError: For something that is not a table.
-            ValueError: For a name already in use, or a table of other episodes.
-        """
+        """Add a table of the same episodes; TypeError for something else, ValueError for a name in use or other episodes."""
         if not isinstance(table, StateTable):
             raise TypeError(f"table={table!r} must be a StateTable; declare(name, initial) adds a tensor")
         if name in self.fields or name in self.tables:
@@ -170,12 +161,10 @@ class StateTable:
         return torch.arange(self.rows, device=self.device)
 
     def __getattr__(self, name: str) -> Any:
-        """Raise AttributeError for a name that is not declared."""
         known = sorted((*self.__dict__.get("fields", ()), *self.__dict__.get("tables", ())))
         raise AttributeError(f"no field of the state is called {name!r}; declared are {known}")
 
     def __setattr__(self, name: str, value: Any) -> None:
-        """Replace a declared tensor, or set an attribute that is not a tensor; AttributeError for another tensor."""
         if isinstance(value, Tensor):
             if name not in self.fields:
                 raise AttributeError(f"tensor {name!r} is not declared as part of the state; call declare({name!r}, ...) first")
@@ -183,13 +172,11 @@ class StateTable:
         self.__dict__[name] = value
 
     def __getitem__(self, name: str) -> Tensor:
-        """Return the tensor ``name``; KeyError if it is not declared."""
         if name not in self.fields:
             raise KeyError(f"no field of the state is called {name!r}; declared are {sorted(self.fields)}")
         return getattr(self, name)
 
     def __setitem__(self, name: str, value: Tensor) -> None:
-        """Replace the tensor ``name``, keeping its type; ValueError for another shape, TypeError for what is no tensor."""
         old = self[name]
         if not isinstance(value, Tensor):
             raise TypeError(f"{name!r} of the state cannot become {value!r}; it must be a tensor of shape {list(old.shape)}")
@@ -199,11 +186,9 @@ class StateTable:
         self.__dict__["version"] += 1
 
     def __contains__(self, name: object) -> bool:
-        """Return whether a tensor of that name is declared."""
         return name in self.fields
 
     def __iter__(self) -> Iterator[str]:
-        """Iterate over the names of the tensors."""
         return iter(self.fields)
 
     def touch(self) -> None:
@@ -326,10 +311,8 @@ class StateTable:
     def over(self: Table, saved: Mapping[str, Any] | TensorDictBase) -> Table:
         """Return a table of the same kind over saved tensors, which are not copied; :meth:`check` checks their values.
 
-        Raises:
-            KeyError: If a field or a table is missing in ``saved``, or one of them is unknown.
-            TypeError: For something else in the place of a table or a tensor.
-            ValueError: For a tensor of another shape or type, or one that requires a gradient.
+        KeyError for missing or unknown names, TypeError for what is no table or tensor, ValueError for another shape or type,
+        or a tensor that requires a gradient.
         """
         if not isinstance(saved, Mapping | TensorDictBase):
             raise TypeError(f"the saved state has {saved!r} in the place of {sorted({*self.fields, *self.tables})}")
@@ -354,7 +337,6 @@ class StateTable:
         return other
 
     def _checked(self, name: str, value: Tensor) -> Tensor:
-        """Return a saved tensor as this table stores it."""
         field, mine = self.fields[name], getattr(self, name)
         no_gradient(f"{name!r} of the saved state", value)
         if value.dtype != mine.dtype:

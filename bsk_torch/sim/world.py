@@ -32,7 +32,6 @@ class WorldModel(World):
     only_where_required: ClassVar[bool] = False
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Raise TypeError, with advice, for definitions that would never be used."""
         super().__init_subclass__(**options)
         check_model(cls, WorldModel)
 

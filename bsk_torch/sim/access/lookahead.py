@@ -79,18 +79,9 @@ class LookAhead(StateTable):
     ) -> None:
         """Make room for ``count`` satellites in each of ``num_envs`` episodes.
 
-        Args:
-            num_envs: Number of episodes.
-            count: Satellites in each.
-            solver: Solver of the arcs.
-            visibility: Geometry of visibility under the back end.
-            places: Places by kind.
-            horizon: Seconds for which windows are generated at reset.
-            segment: Seconds by which windows are extended.
-            compat: Whether eclipses are those of samples, and windows, see
-                :class:`~bsk_torch.sim.access.windows.search.AccessWindows`.
-            manoeuvres: Objects that follow maneuvers.
-            blind: Whether the satellites may be on no orbit, so that queries raise a RuntimeError.
+        Windows are generated for ``horizon`` s at reset and extended by ``segment`` s. With ``compat``, eclipses are those of
+        samples, and windows those of :class:`~bsk_torch.sim.access.windows.search.AccessWindows`. ``blind`` satellites may be
+        on no orbit, so that queries raise a RuntimeError.
         """
         super().__init__(num_envs, count, solver.device)
         self.blind, self.compat = blind, compat
@@ -113,14 +104,9 @@ class LookAhead(StateTable):
     # -- rows ---------------------------------------------------------------------------------------------------------
 
     def solve(self, rows: Tensor, et: Tensor, r_N: Tensor, v_N: Tensor, duration: Tensor) -> None:
-        """Solve new arcs of ``rows`` [n] and search them for eclipses and windows.
+        """Solve new arcs of ``rows`` [n] and search them for eclipses and windows of ``duration`` [n] s.
 
-        Args:
-            rows: Satellites, [n].
-            et: ET at time zero, [n] s.
-            r_N: Position at time zero, [n, 3] m.
-            v_N: Velocity at time zero, [n, 3] m/s.
-            duration: Seconds for which windows are generated, [n].
+        ``et`` [n] is ET at time zero, s, ``r_N`` and ``v_N`` [n, 3] are position, m, and velocity, m/s, then.
         """
         if self.blind:
             v_N = _circling(r_N, v_N)
@@ -415,7 +401,6 @@ class LookAhead(StateTable):
         return True
 
     def _check_sight(self) -> None:
-        """Raise RuntimeError for satellites that may be on no orbit."""
         if self.blind:
             raise RuntimeError("orbit='free' predicts nothing: windows and eclipses need orbit='arc' or orbit='integrated'")
 

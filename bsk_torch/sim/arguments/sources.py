@@ -145,13 +145,11 @@ class Given(dict[str, Any]):
         return Given, (dict(self), self.defaults, self.title)
 
     def __setitem__(self, name: str, value: object) -> None:
-        """Give an argument; KeyError for an unknown name, ValueError for a tensor that requires a gradient."""
         if name not in self.defaults:
             raise KeyError(unknown(self.title, name, self.defaults))
         super().__setitem__(name, no_gradient(f"{self.title}[{name!r}]", as_value(value)))
 
     def __missing__(self, name: str) -> Any:
-        """Return the default of an argument; KeyError for an unknown name."""
         if name not in self.defaults:
             raise KeyError(unknown(self.title, name, self.defaults))
         return self.defaults[name]

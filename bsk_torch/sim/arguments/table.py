@@ -22,11 +22,7 @@ class ArgumentTable(dict[str, Any]):
     """
 
     def __init__(self, components: Iterable[Component], overrides: Mapping[str, Any] = EMPTY, title: str = "sat_args") -> None:
-        """Collect the arguments of ``components``, with the values of ``overrides`` in place of their defaults.
-
-        Raises:
-            KeyError: For an override that is not an argument; ``title`` is the name of the dictionary in the message.
-        """
+        """Collect the arguments of components, with ``overrides`` of defaults; KeyError, with ``title``, for unknown ones."""
         self.rows, self.here = {arg.name: arg for component in components for arg in component.args}, dict[str, Any]()
         super().__init__({name: arg.default for name, arg in self.rows.items()})
         for name, value in overrides.items():
@@ -50,7 +46,6 @@ class ArgumentTable(dict[str, Any]):
         return found
 
     def __repr__(self) -> str:
-        """Return one line for each argument, and a headline if there are values of an environment."""
         lines = self.cells()
         if self.here:
             lines.insert(0, {name: name for name in lines[0]})

@@ -92,16 +92,7 @@ def _shaped(arg: Arg, values: Tensor, rows: int) -> Tensor:
 
 
 def convert(arg: Arg, values: Any, rows: int) -> Any:
-    """Return given values of an argument as a tensor [rows, ...] of its kind and unit.
-
-    Args:
-        arg: The argument.
-        values: One value for each row.
-        rows: Number of rows.
-
-    Raises:
-        ValueError: For values that are not of the argument's kind, beyond its bounds, or that require a gradient.
-    """
+    """Return given values of an argument, one for each row, as a tensor [rows, ...] of its kind; ValueError for others."""
     no_gradient(arg.name, values)
     if arg.kind == "choice":
         return torch.tensor([_index(arg, v) for v in values], dtype=torch.float64)
@@ -147,17 +138,11 @@ class Arguments:
         columns: Sequence[int] = (0,),
         as_flown: bool = False,
     ) -> None:
-        """Merge the table of ``components`` with the ``given`` values.
+        """Merge the table of ``components`` with the ``given`` values, of all satellites of an environment or of each of them.
 
-        Args:
-            components: Components, which declare the arguments.
-            given: The user's values: of all satellites of an environment, or of each of them.
-            title: Name of the dictionary that the user gives, for messages.
-            columns: Numbers of the satellites within an environment; draws depend on them.
-            as_flown: Whether bounds are those of what Basilisk takes; see :class:`~bsk_torch.sim.component.Arg`.
-
-        Raises:
-            KeyError: For an unknown name.
+        ``title`` is what the user calls the dictionary; draws depend on ``columns``, the numbers of the satellites within an
+        environment. Bounds ``as_flown`` are those of what Basilisk takes, see :class:`~bsk_torch.sim.component.Arg`. KeyError
+        for an unknown name.
         """
         self.as_flown = as_flown
         self.title, self.columns = title, tuple(columns)
@@ -191,7 +176,6 @@ class Arguments:
         return {arg.name: arg.as_flown if self.as_flown else arg for arg in args}
 
     def _merged(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the values of one satellite, with defaults for those that are not given."""
         for name in given:
             if name not in self.table:
                 raise KeyError(unknown(self.title, name, self.table))
@@ -242,12 +226,8 @@ class Arguments:
     def changed(self, changes: Iterable[tuple[int, str, Any, Sequence[int] | None]]) -> Arguments:
         """Return arguments with other values; these remain unchanged.
 
-        Args:
-            changes: Index of a satellite within the type, name, value, and the environments that get it; None for all.
-
-        Raises:
-            KeyError: For an unknown name.
-            ValueError: For an argument that decides what is built.
+        A change has the index of a satellite within the type, a name, a value, and the environments that get it, None for all.
+        KeyError for an unknown name, ValueError for an argument that decides what is built.
         """
         new = copy.copy(self)
         new._given, new._changed = [dict(values) for values in self._given], set(self._changed)
@@ -349,17 +329,10 @@ class Arguments:
         return any(isinstance(value, PerEnv) for value in values) and not any(map(is_function, values))
 
     def override(self, name: str, values: Any, columns: Tensor, given: Tensor) -> Tensor:
-        """Return values [n * S, ...] of the argument ``name``, with those of some satellites replaced.
+        """Return drawn values of an argument, or None, with those of some satellites replaced, [n * S, ...].
 
-        Args:
-            name: Argument.
-            values: Its drawn values, [1, ...] or [n * S, ...], or None.
-            columns: Indices of the satellites, within the type, that get others, [c].
-            given: Their values, [n, c, ...].
-
-        Raises:
-            KeyError: For an unknown name.
-            ValueError: For values that are not allowed, or if only some satellites have one.
+        ``given`` [n, c, ...] are the values of the satellites ``columns`` [c] of the type. KeyError for an unknown name,
+        ValueError for values that are not allowed, or if only some satellites have one.
         """
         if name not in self.table:
             raise KeyError(f"sat_arg_randomizer sets {name!r}, which is unknown; {nearest(name, self.table)}")
@@ -512,10 +485,8 @@ def _check_stations(stations: Any) -> None:
 def merge(values: Values, components: Sequence[Component], what: str) -> dict[str, Tensor]:
     """Return all that the components' functions ``what``, ``initial`` or ``prepare``, compute from the values, by name.
 
-    Fields of the state that no component gives a value are zero.
-
-    Raises:
-        TypeError, ValueError: For a user's component whose function returns other names, or no number for a parameter.
+    Fields of the state that no component gives a value are zero. TypeError or ValueError for a user's function that returns
+    other names, or no number for a parameter.
     """
     merged: dict[str, Tensor] = {}
     own: dict[str, str] = {}  # slots of users' components by what they have returned

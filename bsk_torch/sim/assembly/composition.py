@@ -36,16 +36,9 @@ HOMES: dict[type, Home] = {
 def compose(given: object, base: Class, owner: str = "") -> Class:
     """Return the class that a model class, or a tuple or list of them, stands for.
 
-    Members of the first of several classes win. Duplicates, and classes of which others are subclasses, are left out; ``base``
-    comes last. A single remaining class is used directly.
-
-    Args:
-        given: What the user wrote.
-        base: Base class of the models: ``DynamicsModel``, ``FSWModel`` or ``WorldModel``.
-        owner: Name of the class or object that the user gave it to, for messages.
-
-    Raises:
-        TypeError: For an entry that is not a model of the kind, or classes that Python cannot order.
+    Members of the first of several classes win. Duplicates, and classes of which others are subclasses, are left out; ``base``,
+    ``DynamicsModel``, ``FSWModel`` or ``WorldModel``, comes last. A single remaining class is used directly. TypeError for an
+    entry that is not a model of the kind, or classes that Python cannot order; ``owner`` names what the user gave it to.
     """
     parts = tuple(given) if isinstance(given, tuple | list) else (given,)
     for part in parts:
@@ -86,8 +79,7 @@ def _composed(parts: tuple[type, ...], base: type) -> Any:
 def world_of(dyn_type: type[DynamicsModel], world_type: type[WorldModel] | None = None) -> type[WorldModel]:
     """Return the world model of satellites: the given one, or what their dynamics model requires.
 
-    Raises:
-        TypeError: If the given one lacks a world model that the dynamics model requires.
+    TypeError if the given one lacks a world model that the dynamics model requires.
     """
     required = dyn_type.all_required_worlds()
     if world_type is None:

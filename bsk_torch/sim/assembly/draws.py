@@ -74,14 +74,9 @@ class TypeArguments:
     ) -> dict[str, Any]:
         """Return the arguments from which episodes of the key's n environments start; raises before anything has changed.
 
-        Args:
-            key: Key of the environments.
-            world: Arguments of the world that have been drawn already, such as by a simulation of other satellites.
-            given: Arguments that replace those of some satellites.
-            answers: What user functions returned for each environment; by default, they are called now.
-
-        Returns:
-            Values of satellites and world by name, [1, ...] or [n * count, ...].
+        Values of satellites and world are [1, ...] or [n * count, ...] by name. Arguments of the ``world`` may have been drawn
+        already, such as by a simulation of other satellites; ``given`` ones replace those of some satellites. User functions
+        are called now, unless ``answers`` has what they returned for each environment.
         """
         around, count = self.world_args.draw(key, world, answers), self.count
         random = self.world_args.random.intersection(around) if count > 1 else ()
@@ -139,8 +134,7 @@ class TypeArguments:
     def check_per_env(self, env_ids: Tensor) -> None:
         """Check the values of ``rand.per_env`` in all environments, [n] indices in draws, with those of the first for the rest.
 
-        Raises:
-            ValueError: For too few rows, and values that are not allowed.
+        ValueError for too few rows, and values that are not allowed.
         """
         key = dataclasses.replace(first_key(len(env_ids)), env_id=env_ids.cpu())
         around, own = self.world_args.draw_per_env(key), self.sat_args.draw_per_env(key)

@@ -27,14 +27,9 @@ DENSEST_AIR = 10.0
 def check_orbits(values: Mapping[str, Any], orbit: str) -> None:
     """Check the initial orbits of drawn arguments.
 
-    Args:
-        values: The arguments.
-        orbit: ``"arc"`` for orbits solved in advance, without drag; ``"integrated"``; or ``"free"`` for satellites that
-            may be at rest, fall, or leave.
-
-    Raises:
-        ValueError: For positions and velocities without an orbit around the Earth, or an orbit that needs the other value of
-            ``orbit``.
+    ``orbit`` is ``"arc"`` for orbits solved in advance, without drag; ``"integrated"``; or ``"free"`` for satellites that may
+    be at rest, fall, or leave. ValueError for positions and velocities without an orbit around the Earth, or an orbit that
+    needs another value of ``orbit``.
     """
     r, v = (Vec3.of(x) for x in hub.initial_orbit(values))
     if orbit == "free":
@@ -97,5 +92,4 @@ def _lowest_periapsis(values: Mapping[str, Any], r: Vec3, v: Vec3) -> float:
 
 
 def _first(values: Tensor, where: Tensor) -> float:
-    """Return the first value [n or 1] of those ``where`` [n] says."""
     return float(values.expand_as(where)[where][0])

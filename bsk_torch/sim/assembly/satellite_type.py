@@ -126,10 +126,7 @@ class SatelliteType:
     def changed(self, own: Sequence[ArgumentChange], world: Sequence[ArgumentChange], num_envs: int) -> SatelliteType:
         """Return the type with other arguments of satellites and world, which a trial draw for a batch of ``num_envs`` checks.
 
-        Its tick is the same, unless parameters that all rows shared may differ now.
-
-        Raises:
-            KeyError, ValueError: For wrong changes.
+        Its tick is the same, unless parameters that all rows shared may differ now. KeyError or ValueError for wrong changes.
         """
         for _, name, _, _ in (*own, *world):
             if name in self.structural:
@@ -169,18 +166,11 @@ def satellite_type(
     world_type: type[WorldModel] | None = None,
     ticks: Ticks | None = None,
 ) -> SatelliteType:
-    """Build the tick of satellites, and check their arguments with trial draws.
+    """Build the tick of satellites of a dynamics and a flight-software model, and check their arguments with trial draws.
 
-    Args:
-        models: Dynamics model and flight-software model.
-        sat_args: Arguments of both by name: those of all satellites, or of each.
-        world_args: Arguments of the world by name.
-        options: How the satellites are simulated.
-        usage: How the environment uses them.
-        num_envs: Number of environments of the batch for which the type is made.
-        world_type: World model; None for what the dynamics model requires.
-        ticks: Ticks of users' components made by types of the same environment, for reuse; see
-            :mod:`bsk_torch.codegen.kept`.
+    ``sat_args`` are those of all satellites, or of each. The type is for batches of ``num_envs`` environments; ``world_type``
+    is None for what the dynamics model requires. ``ticks`` are those of users' components made by types of the same
+    environment, for reuse; see :mod:`bsk_torch.codegen.kept`.
 
     Raises:
         TypeError: For models that do not fit together, or a component that reads what none writes.
@@ -272,7 +262,6 @@ class Looked(dict[str, Any]):
         self.seen: set[str] = set()
 
     def __getitem__(self, name: str) -> Any:
-        """Return a value."""
         self.seen.add(name)
         return super().__getitem__(name)
 
@@ -329,7 +318,6 @@ def _runners(tick: Tick, trial: TrialDraw, arguments: TypeArguments, options: Si
 def _resets(
     tick: Tick, modes: Mapping[str, Mode], always: Mapping[str, float], device: torch.device
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the planes of the state that some mode resets; see :class:`SatelliteType`."""
     layout, rows = tick.state, []
     for name in sorted({name for mode in modes.values() for name in mode.resets} | set(always)):
         if name in layout.fields:

@@ -19,8 +19,7 @@ CLOSE = 1e-9
 def check_saved(satellite_type: SatelliteType, saved: SatelliteState, path: str) -> None:
     """Check that arguments and parameters of a saved state are such as are drawn here; ``path`` is its place in the state.
 
-    Raises:
-        ValueError: For arguments that are not allowed, or parameters that do not follow from them.
+    ValueError for arguments that are not allowed, or parameters that do not follow from them.
     """
     arguments = satellite_type.arguments
     drawn = saved.tables["arguments"]

@@ -119,21 +119,11 @@ def check_tensor(args: Values) -> None:
 
 
 def check_turn(args: Values, H: Tensor, J: Tensor, h: float, cause: str) -> None:
-    """Check that ticks of h s resolve the rates to which a momentum can bring the body.
+    """Check that ticks of h s resolve the rates to which a momentum H, [n or 1, 3] N m s, can bring the body; else ValueError.
 
-    A body turns about its momentum H, N m s, at up to ``|H| / J``. The Runge-Kutta method of order four is stable up to
-    ``2 sqrt(2)`` rad in a step (Hairer and Wanner, "Solving ordinary differential equations II", section IV.2), and numbers
-    overflow beyond.
-
-    Args:
-        args: Drawn arguments.
-        H: Initial momentum, [n or 1, 3].
-        J: Moments of inertia that turn with the body, [n or 1, 3] kg m^2.
-        h: Length of a tick, s.
-        cause: The arguments that turn the body, and the verb, for the message.
-
-    Raises:
-        ValueError: If ticks are too long.
+    A body turns about its momentum at up to ``|H| / J`` with its moments J, [n or 1, 3] kg m^2. The Runge-Kutta method of order
+    four is stable up to ``2 sqrt(2)`` rad in a step (Hairer and Wanner, "Solving ordinary differential equations II", section
+    IV.2), and numbers overflow beyond. ``cause`` names the arguments that turn the body, and the verb, for the message.
     """
     turn = h * H.norm(dim=-1) / J.min(-1).values
     row = int(turn.argmax())
@@ -203,7 +193,6 @@ EffectorStates = list[tuple[Any, ...]]
 
 
 def _leaves(states: EffectorStates) -> State:
-    """Return the vectors and planes of the states of effectors, one after another."""
     return tuple(leaf for state in states for field in state for leaf in (field if _has_parts(field) else (field,)))
 
 
@@ -212,7 +201,6 @@ def _has_parts(field: Any) -> bool:
 
 
 def _regrouped(states: EffectorStates, leaves: State) -> EffectorStates:
-    """Return vectors and planes in the form of the states of effectors."""
     left = list(leaves)
 
     def taken(field: Any) -> Any:
@@ -427,11 +415,9 @@ def _check_no_lever(args: Values) -> None:
 
 @functools.cache
 def hub(inertia: str, lever: bool) -> Component:
-    """Return the component of a hub.
+    """Return the component of a hub, whose center of mass may lie off the origin of B where there is a ``lever``.
 
-    Args:
-        inertia: ``"box"``, ``"diagonal"`` or ``"tensor"``: what the inertia follows from, and its form.
-        lever: Whether the center of mass may lie off the origin of B.
+    ``inertia`` is ``"box"``, ``"diagonal"`` or ``"tensor"``: what it follows from, and its form.
     """
     field = Field("inertia_B", 9, "kg m^2", "inertia of the spacecraft, about its center of mass", matrix=True)
     diagonal = vec("inertia_B", "kg m^2", "principal inertia of the spacecraft, about the body axes")

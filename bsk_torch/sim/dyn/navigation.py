@@ -88,7 +88,6 @@ class WalkForm(NamedTuple):
 
 
 def _steps(bus: Bus, form: WalkForm, normals: Sequence[Tensor]) -> list[Tensor]:
-    """Return ``P n``."""
     if form.full:
         rows = [bus.nav_P[k : k + ERRORS] for k in range(0, ERRORS * ERRORS, ERRORS)]
         steps = [functools.reduce(operator.add, (p * n for p, n in zip(row, normals, strict=True))) for row in rows]
@@ -98,7 +97,6 @@ def _steps(bus: Bus, form: WalkForm, normals: Sequence[Tensor]) -> list[Tensor]:
 
 
 def _walked(bus: Bus, form: WalkForm, normals: Sequence[Tensor]) -> Planes:
-    """Return the errors of this tick, ``A x + P n`` within their bounds."""
     x = list(bus.nav_errors)
     moved = list(x)
     for to, source, on in ((0, 3, form.position), (6, 9, form.attitude)):

@@ -17,7 +17,6 @@ SHORTEST = 1e-9
 
 
 def _check_looks(args: Values) -> None:
-    """Check that looks between ticks and fewer looks than ticks are not both requested."""
     rate, exact = torch.broadcast_tensors(args["conjunction_check_rate"], args["conjunction_exact"])
     both = (exact > 0.0) & (rate > SHORTEST)
     if bool(both.any()):

@@ -20,20 +20,13 @@ Draw = Callable[[Sequence[str], Key], Values]
 
 
 def drawn_again(faults: Sequence[Fault], values: Values, ticks: Tensor, h_ns: int, key: Key, draw: Draw) -> dict[str, Tensor]:
-    """Return the arguments of faults, [n * S, ...] by name, with what has not happened yet drawn again.
+    """Return the arguments of faults, [n * S, ...] by name, with what has not happened yet drawn again with a key of n.
 
     A fault that has not begun gets another beginning, duration and change; one that acts another duration, if it has one. These
     follow the given distributions on the condition that nothing happens before now: of candidates drawn from the distributions,
     the first one that fits is taken (rejection sampling). What has happened remains, and so do beginnings and durations that no
-    candidate fits, which are the last instants in which something can happen at all.
-
-    Args:
-        faults: Faults of the satellites.
-        values: Arguments of S satellites in n episodes, [n * S, ...] each.
-        ticks: Ticks since reset, [n * S].
-        h_ns: Length of a tick, ns.
-        key: Key of the draws, [n].
-        draw: Draws arguments.
+    candidate fits, which are the last instants in which something can happen at all. ``values`` are arguments of S satellites
+    in n episodes, [n * S, ...] each, which are ``ticks`` [n * S] of ``h_ns`` nanoseconds old.
     """
     found: dict[str, Tensor] = {}
     for fault in faults:
@@ -42,7 +35,6 @@ def drawn_again(faults: Sequence[Fault], values: Values, ticks: Tensor, h_ns: in
 
 
 def _drawn_again(fault: Fault, values: Values, now: Tensor, h_ns: int, key: Key, draw: Draw) -> dict[str, Tensor]:
-    """Return the arguments of a fault; see :func:`drawn_again`. ``now`` is the number of ticks since reset, [n, S]."""
     at, lasts = fault.drawn("at"), fault.drawn("lasts") if fault.ends else None
     names = [at, *([lasts] if lasts else ()), *map(fault.drawn, fault.arguments)]
     found: dict[str, Tensor] = {name: values[name].unflatten(0, now.shape).clone() for name in names}

@@ -51,14 +51,9 @@ class Group(NamedTuple):
 
 
 def declared_faults(given: Mapping[str, Any], table: Mapping[str, Arg]) -> tuple[Fault, ...]:
-    """Return the faults that arguments as given declare.
+    """Return the faults that arguments as given, with their entries in a ``table``, declare.
 
-    Args:
-        given: Values of all arguments.
-        table: Their entries.
-
-    Raises:
-        ValueError: For entries that are not faults, equal names, and arguments that do not exist or cannot change.
+    ValueError for entries that are not faults, equal names, and arguments that do not exist or cannot change.
     """
     listed = given[SLOT]
     if listed is None:
@@ -149,7 +144,6 @@ def _changed(faults: Sequence[Fault], numbers: Iterable[int], active: Mapping[in
 
 
 def _parameters(part: Component, values: Values) -> dict[str, Tensor]:
-    """Return the parameters of a part, [n or 1, width] each."""
     [(_, own)] = asked([part], values)
     found = part.prepare(own)  # type: ignore[misc]
     return {field.name: found[field.name].reshape(-1, field.width) for field in part.params}
@@ -226,16 +220,9 @@ class Plan:
 
 
 def planned(parts: Sequence[Component], faults: tuple[Fault, ...], values: Values, h_ns: int) -> tuple[Component, ...]:
-    """Return the parts with the component that lets faults act.
+    """Return the parts, with the arguments of :func:`with_faults`, with the component that lets faults act.
 
-    Args:
-        parts: Components, with the arguments of :func:`with_faults`.
-        faults: The faults.
-        values: Arguments of a trial draw, which show what depends on what.
-        h_ns: Length of a tick, ns.
-
-    Raises:
-        ValueError: For a fault that changes nothing in a tick.
+    The ``values`` of a trial draw show what depends on what. ValueError for a fault that changes nothing in a tick.
     """
     if not faults:
         return tuple(parts)
@@ -292,7 +279,6 @@ def _touched(part: Component, faults: Sequence[Fault], k: int, values: Values) -
 
 
 def _acting(part: Component, plan: Plan) -> Component:
-    """Return the component of faults with the parameters of a plan."""
     params = []
     for g, group in enumerate(plan.groups):
         params.append(Field(f"fault_ticks_{g}", group.events, "-", many=True, exact=True))

@@ -26,7 +26,6 @@ class Hazard(Distribution):
     rate: float
 
     def __post_init__(self) -> None:
-        """Check the rate."""
         object.__setattr__(self, "rate", number("Hazard: rate", self.rate, 0.0, unit="1/s", above=True))
 
     @override
@@ -47,7 +46,6 @@ class Sometimes(Distribution):
     at: float | Distribution
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         object.__setattr__(self, "chance", number("Sometimes: chance", self.chance, 0.0, 1.0))
         if not isinstance(self.at, Distribution):
             object.__setattr__(self, "at", number("Sometimes: at", self.at, 0.0, unit="s"))
@@ -111,7 +109,6 @@ class Fault:
     name: str = ""
 
     def __post_init__(self) -> None:
-        """Check what does not depend on the satellite; lists become tuples, so that equal faults are equal."""
         if not self.arguments or not all(isinstance(name, str) and name for name in self.arguments):
             raise ValueError(f"Fault(argument={self.argument!r}) must be the name of an argument in sat_args, or several")
         if not self.name:

@@ -159,8 +159,7 @@ def wheel_allocation(count: int, null_motion: bool, some: bool) -> Component:
 def fitted_allocation(given: Mapping[str, Any]) -> Component:
     """Return the component that distributes torques among the wheels that the arguments as given describe.
 
-    Raises:
-        ValueError: For none, or null motion of three.
+    ValueError for none, or null motion of three.
     """
     wheels, null_motion = described_wheels(given) if "wheels" in given else None, given["nullSpaceGain"] is not None
     if wheels is not None and not wheels:

@@ -54,11 +54,7 @@ def impulses(dH: Vec3, rows: Iterable[Sequence[Any]]) -> Pairs:
     """Return the impulse, N s, of each thruster for the change of momentum dH, N m s in B: Basilisk's thrForceMapping.
 
     ``F = D^T (D D^T)^-1 dH``, of least norm, then ``F - min(0, min F)``: thrusters only push, and equal impulses of all of them
-    have no torque, if the thrusters are symmetric.
-
-    Args:
-        dH: Change of momentum.
-        rows: The rows of ``D^T (D D^T)^-1``, of :func:`impulse_map`.
+    have no torque, if the thrusters are symmetric. The ``rows`` are those of :func:`impulse_map`.
     """
     wanted = [dH.x * a + dH.y * b + dH.z * c for a, b, c in rows]
     least = torch.clamp(_least(wanted), max=0.0)
@@ -66,7 +62,6 @@ def impulses(dH: Vec3, rows: Iterable[Sequence[Any]]) -> Pairs:
 
 
 def _least(values: Sequence[Tensor]) -> Tensor:
-    """Return the least of several planes, by pairs of halves."""
     if len(values) == 1:
         return values[0]
     half = len(values) // 2
@@ -135,12 +130,9 @@ DESATURATION_ARGS = (
 
 
 def desaturation(count: int, rows: Rows, thrusts: Callable[[Bus], Sequence[Any]]) -> Component:
-    """Return the component that dumps momentum by ``count`` thrusters, or pairs of them.
+    """Return the component that dumps momentum by ``count`` thrusters, or pairs of them, with these thrusts, N.
 
-    Args:
-        count: Number of commands.
-        rows: See :func:`impulses`.
-        thrusts: Returns the thrust of each thruster, N.
+    The ``rows`` are those of the map, see :func:`impulses`.
     """
 
     @functools.wraps(dump_momentum)
@@ -188,7 +180,6 @@ def _prepare_set(args: Values) -> dict[str, Tensor]:
 
 
 def _check_set(args: Values) -> None:
-    """Check that the thrusters can exert a torque about every axis."""
     _check(args)
     values = torch.linalg.svdvals(arms_about_center(args))
     rank = (values > 1e-9 * values[:, :1].clamp(min=1e-30)).sum(-1)

@@ -125,7 +125,6 @@ def propose_gains(
 
 
 def _described(inertia: object, wheels: Sequence[Wheel]) -> Values:
-    """Return the arguments of a checked body with wheels, as those of one environment."""
     if not isinstance(wheels, Sequence) or not wheels or not all(isinstance(wheel, Wheel) for wheel in wheels):
         raise ValueError(
             f"propose_gains: wheels={wheels!r} must be a list of dyn.Wheel, such as dyn.Wheel('BCT_RWP015', [1, 0, 0])"
@@ -159,7 +158,6 @@ def _weakest(args: Values) -> tuple[float, float]:
 
 
 def _integral(args: Values, gains: dict[str, float], law: str) -> dict[str, float]:
-    """Return the arguments of the integral, which is off where no wheel has friction."""
     each: Tensor = args["rwFCoulomb"] + args["rwCViscous"] * (0.5 * RPM) * args["rwOmegaMax"]
     axes = args["rwAxes_B"].abs()
     friction = float((axes * each.unsqueeze(-1)).sum(-2).max())

@@ -47,22 +47,17 @@ def navigate(bus: Bus) -> None:
 def point_at(bus: Bus, axis_B: Vec3, r_TN_N: Vec3, task: str, damped: bool = True) -> None:
     """Write the error of pointing an axis p of B at a target T, both directions in B (Basilisk's locationPointing).
 
-    With the direction ``x = [BN] (r_TN - r_BN) / |r_TN - r_BN|`` of the target and the angle phi between p and x::
+    With the direction ``x = [BN] (r_TN - r_BN) / |r_TN - r_BN|`` of the target, at r_TN_N, m, and the angle phi between p, of
+    length one, and x::
 
         sigma_BR = -tan(phi / 4) (p x x) / |p x x|
         omega_BR_B = 4 B^-1(sigma_BR) (sigma_BR - sigma_BR(t - h)) / h + (x . omega_BN_B) x
         omega_RN_B = omega_BN_B - omega_BR_B,  domega_RN_B = 0
 
     The rotation about the shortest way turns p to x; the rate error is a difference of attitude errors, see
-    :func:`bsk_torch.astro.attitude.mrp_rate_to_omega`, and its last term damps the rate about the line of sight where ``damped``.
-    In the first tick after a reset, where ``<task>_fresh`` is 1, there is no difference to take and its term is zero.
-
-    Args:
-        bus: Messages of the tick.
-        axis_B: Unit vector p in B.
-        r_TN_N: Position of the target in N, m.
-        task: ``"sun"`` or ``"location"``, whose flag switches the law on and whose memory it uses.
-        damped: Whether the rate about the line of sight is damped.
+    :func:`bsk_torch.astro.attitude.mrp_rate_to_omega`, and its last term damps the rate about the line of sight where
+    ``damped``. In the first tick after a reset, where ``<task>_fresh`` is 1, there is no difference to take and its term is
+    zero. The flag ``<task>_on`` of the ``task``, ``"sun"`` or ``"location"``, switches the law on.
     """
     known = navigated(bus)
     on, memory, fresh = getattr(bus, f"{task}_on") > 0.0, getattr(bus, f"{task}_sigma_BR"), getattr(bus, f"{task}_fresh")

@@ -28,7 +28,6 @@ class Mode:
     resets: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Raise a ValueError for a string in place of a tuple of flags."""
         if isinstance(self.on, str):
             raise ValueError(f"on={self.on!r} must be a tuple of flags: write on=({self.on!r},)")
         for name, value in self.resets.items():
@@ -43,7 +42,6 @@ class Command:
     choice: str | None = None
 
     def __post_init__(self) -> None:
-        """Raise a ValueError unless there is a mode, or several and the argument that chooses one."""
         if isinstance(self.modes, str) or not self.modes:
             raise ValueError(f"modes={self.modes!r} must be a tuple of names, such as modes=('safe',)")
         if self.choice is None and len(self.modes) > 1:
@@ -51,14 +49,9 @@ class Command:
 
 
 def mode_table(modes: Mapping[str, Mode], components: Iterable[Component]) -> dict[str, Mode]:
-    """Return the modes of satellites with all flags named.
+    """Return the modes of satellites with all flags named, from rows of the mode table and the models' components.
 
-    Args:
-        modes: Rows of the mode table.
-        components: The components that the models of the satellites declare.
-
-    Raises:
-        ValueError: For a mode that switches on a flag, or resets a field, that no component declares.
+    ValueError for a mode that switches on a flag, or resets a field, that no component declares.
     """
     declared = list(components)
     flags = dict.fromkeys(flag for part in declared for flag in part.flags)

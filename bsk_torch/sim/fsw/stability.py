@@ -79,7 +79,6 @@ class Law(NamedTuple):
 
 
 def _times(p: Polynomial, q: Polynomial) -> list[Tensor | float]:
-    """Return the product of two polynomials, highest powers first."""
     product: list[Tensor | float] = [0.0] * (len(p) + len(q) - 1)
     for i, a in enumerate(p):
         for k, b in enumerate(q):
@@ -109,11 +108,7 @@ def roots_within(polynomial: Polynomial, radius: float = 1.0) -> Tensor:
 def is_stable(law: Law, J: Tensor, h: float, growth: float = 1.0) -> Tensor:
     """Return whether a tick multiplies the errors of each axis by less than ``growth``, however the rate is measured, [n, 3].
 
-    Args:
-        law: The control law.
-        J: Moments of inertia without the wheels' spin, [n or 1, 3] kg m^2.
-        h: Length of a tick, s.
-        growth: A factor; 1 for stability.
+    J are the moments of inertia without the wheels' spin, [n or 1, 3] kg m^2, and h is the length of a tick, s.
     """
     scale = h * h / (4.0 * J)
     a0, a1, r0, r1 = law.a0 * scale, law.a1 * scale, law.r0 * scale * 4.0 / h, law.r1 * scale * 4.0 / h
@@ -133,15 +128,8 @@ def is_stable(law: Law, J: Tensor, h: float, growth: float = 1.0) -> Tensor:
 def check_gains(args: Values, h: float, law: Law, gains: str, suggested: str) -> str | None:
     """Return words about a loop that is unstable at the length h of a tick, s, to be logged; None if all are stable.
 
-    Args:
-        args: Drawn arguments; without those of a body with wheels nothing is checked.
-        h: Length of a tick, s.
-        law: The control law.
-        gains: The gains as text.
-        suggested: Stable gains as text, with the names of :func:`gains_at` in braces.
-
-    Raises:
-        ValueError: If nothing keeps the growing rates bounded, so that numbers overflow.
+    ``gains`` are those of the law as text, ``suggested`` stable ones, with the names of :func:`gains_at` in braces. ValueError
+    if nothing keeps the growing rates bounded, so that numbers overflow.
     """
     J = free_moments(args)
     unstable = ~is_stable(law, J, h).all(-1)

@@ -15,7 +15,6 @@ class Task:
     """Base class of tasks; deriving from it raises TypeError."""
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Raise TypeError."""
         raise TypeError(f"{cls.__qualname__} is a task, which is never run here; {ADVICE}")
 
 

@@ -140,8 +140,8 @@ class Arcs(StateTable):
     def solve(self, rows: Tensor, et: Tensor, r: Tensor, v: Tensor) -> Tensor:
         """Solve the arcs of ``rows`` [n] again from ET [n] and position and velocity [n, 3] at time zero.
 
-        Returns:
-            Samples [n, 2 Q - 1, 3] of the whole planned arcs, every 30 s from time zero on, of which ``planned`` keeps the last.
+        Return samples [n, 2 Q - 1, 3] of the whole planned arcs, every 30 s from time zero on, of which ``planned`` keeps the
+        last.
         """
         self.start[rows], self.et[rows] = 0.0, et
         ephemeris = ephemeris_records(et, self.ephemeris.shape[1])
@@ -166,7 +166,6 @@ class Arcs(StateTable):
         return found
 
     def _check_finite(self, rows: Tensor, planned: Tensor, flown: Tensor) -> None:
-        """Raise FloatingPointError if new positions of ``rows`` [n] are not finite."""
         wrong = ~torch.isfinite(planned).flatten(1).all(1) | ~torch.isfinite(flown[:, -1]).all(1)
         wrong = wrong & (self.et[rows] != 0.0)  # where no episode has begun, there is no orbit yet
         if bool(wrong.any()):

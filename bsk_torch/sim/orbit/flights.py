@@ -45,23 +45,16 @@ class Flights(Protocol):
     device: torch.device
 
     def start(self, r: Tensor, v: Tensor, ephemeris: Samples) -> Tensor:
-        """Return flights at step :data:`FIRST_STEP`.
+        """Return flights at step :data:`FIRST_STEP`, from positions, [n, 3] m, and velocities, [n, 3] m/s, in N at the epoch.
 
-        Args:
-            r: Positions in N at the epoch, [n, 3] m.
-            v: Velocities in N there, [n, 3] m/s.
-            ephemeris: Records of Sun and Earth from the epoch on.
+        ``ephemeris`` holds the records of Sun and Earth from the epoch on.
         """
 
     def advance(self, flight: Tensor, step: Tensor, counts: Tensor, ephemeris: Samples) -> None:
         """Advance flights [C, n], in place, from ``step`` [n] by ``counts`` [n] steps."""
 
     def fly(self, flight: Tensor, step: Tensor, count: int, ephemeris: Samples) -> Tensor:
-        """Advance flights [C, n], in place, from ``step`` [n] by ``count`` steps.
-
-        Returns:
-            Their positions at the steps on the way, [n, count, 3] m.
-        """
+        """Advance flights [C, n] in place from ``step`` [n] by ``count`` steps; return the positions there, [n, count, 3] m."""
 
 
 def make_flights(step: float, backend: str, device: torch.device, degree: int = DEGREE) -> Flights:
@@ -131,7 +124,6 @@ class TensorFlights:
         return flown
 
     def _after(self, flight: Tensor, step: Tensor, ephemeris: Samples) -> Tensor:
-        """Return flights [C, n] at the next step, ``step`` [n]."""
         r, v, *accelerations = (Vec3(*part) for part in flight.split(3))
         around = functools.partial(self._around, MULTISTEP_STEP * step.double(), ephemeris)
         after = flown_step(r, v, accelerations, around, self.stretch, self.degree)
@@ -141,7 +133,6 @@ class TensorFlights:
         return acceleration(self._around(time, ephemeris), r, self.stretch, self.degree)
 
     def _around(self, time: Tensor, ephemeris: Samples) -> Bus:
-        """Return Sun and Earth at times [n], s since the epoch."""
         rows = torch.arange(len(time), device=self.device) if ephemeris.owner is None else ephemeris.owner
         records, tau = neighbours(EPHEMERIS_TRACK, ephemeris.table, rows, time - ephemeris.start[rows])
         return ephemeris_at(records.flatten(1).unbind(-1), tau)

@@ -103,12 +103,8 @@ class KernelSolver:
 def start_flight(degree: int, stretches: Tensor, r: Tensor, v: Tensor, around: Samples) -> tuple[Tensor, Tensor]:
     """Return the state [C, n] of the flown arc's kernel at the last of the start's nodes, and the positions on the way there.
 
-    Args:
-        degree: Degree of the Earth's field.
-        stretches: Stretch of the flown arc, first.
-        r: Position in N at the epoch, [n, 3] m.
-        v: Velocity in N there, [n, 3] m/s.
-        around: Records of Sun and Earth from the epoch on.
+    r and v are position, [n, 3] m, and velocity, [n, 3] m/s, in N at the epoch, ``around`` the records of Sun and Earth from
+    there on. Of the ``stretches``, the first is that of the flown arc.
     """
     schedule, lead = flown_arc.start_schedule(), 2 * LEAD_NODES
     n, ticks = len(r), len(schedule)

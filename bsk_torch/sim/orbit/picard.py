@@ -62,17 +62,12 @@ def pack(vector: Vec3) -> Tensor:
 
 
 def relax(guess: Tensor, ballistic: Tensor, rest: Tensor, twice: Tensor, stretch: Tensor) -> Tensor:
-    """Return the guess after :data:`PER_ROUND` Picard iterations in the zonal field.
+    """Return the guess, positions at the nodes [K, 3, n], m, after :data:`PER_ROUND` Picard iterations in the zonal field.
 
-    Each is ``r_k <- r0 + v0 t_k + sum_j A_kj (a_z(r_j) + rest_j)``, where the matrix A integrates accelerations at the nodes
-    twice and ``rest`` is the acceleration that the zonal field a_z lacks, held constant.
-
-    Args:
-        guess: Positions at the nodes [K, 3, n], m.
-        ballistic: Positions without acceleration, ``r0 + v0 t_k``, [K, 3, n], m.
-        rest: Accelerations that the zonal field lacks [K, 3, n], m/s^2.
-        twice: Matrix A [K, K], s^2.
-        stretch: Stretch of equatorial components, []; see :func:`bsk_torch.sim.orbit.equations.frame_stretch`.
+    Each is ``r_k <- r0 + v0 t_k + sum_j A_kj (a_z(r_j) + rest_j)``. The matrix A, ``twice`` [K, K] s^2, integrates
+    accelerations at the nodes twice, ``rest`` [K, 3, n], m/s^2, is the acceleration that the zonal field a_z lacks, held
+    constant, and ``ballistic`` [K, 3, n], m, is ``r0 + v0 t_k``. ``stretch`` [] is that of
+    :func:`bsk_torch.sim.orbit.equations.frame_stretch`.
     """
     for _ in range(PER_ROUND):
         acceleration = pack(zonal_field(vector(guess), stretch)) + rest
@@ -199,7 +194,6 @@ class PicardSolver:
         return path, rest
 
     def _plan(self, path: Tensor, r: Tensor, v: Tensor, rest: Tensor, extra_v: Tensor) -> Tensor:
-        """Accelerations of the planned arc at the Chebyshev nodes."""
         ballistic = self._ballistic(r, v) + ARC_SEGMENT * _integrate(self.inside.velocity, extra_v)
         for _ in range(PLAN_ROUNDS):
             path = self.kernels.relax(path, ballistic, rest, self.twice, self.plan_stretch)
@@ -217,7 +211,6 @@ class PicardSolver:
 
 
 def _integrate(matrix: Tensor, values: Tensor) -> Tensor:
-    """Matrix [M, K] times a pack [K, 3, n]."""
     return (matrix @ values.flatten(1)).view(-1, *values.shape[1:])
 
 

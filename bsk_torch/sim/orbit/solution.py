@@ -28,31 +28,18 @@ class Solver(Protocol):
     tail: int
 
     def begin(self, et: Tensor, r: Tensor, v: Tensor, ephemeris: Tensor, nodes: int) -> Solution:
-        """Both arcs from the epoch on.
+        """Both arcs from the epoch on: positions [n, LEAD_NODES + nodes, 3], and planned ones [n, 2 nodes - 1, 3].
 
-        Args:
-            et: ET at the epoch, [n].
-            r: Position in N, [n, 3] m.
-            v: Velocity in N, [n, 3] m/s.
-            ephemeris: Records [n, H, 16] of Sun and Earth from the epoch on.
-            nodes: Number of nodes, a minute apart: whole hours and one.
-
-        Returns:
-            Positions [n, LEAD_NODES + nodes, 3], planned ones [n, 2 nodes - 1, 3] from the epoch on.
+        ET at the epoch is [n], position and velocity in N are [n, 3], m and m/s, and records of Sun and Earth from the epoch on
+        [n, H, 16]; nodes lie a minute apart: whole hours and one.
         """
 
     def extend(self, et: Tensor, tail: Tensor, start: Tensor, ephemeris: Tensor, flown: Tensor) -> Solution:
-        """The next hour.
+        """The next hour: flown positions with it, [n, Q + 60, 3], and planned ones of that hour, [n, 120, 3].
 
-        Args:
-            et: ET at the epoch, [n].
-            tail: What the last call left, [n, T].
-            start: Time of the first node and of the first record of the ephemeris, [n] s since the epoch.
-            ephemeris: Records [n, H, 16] of Sun and Earth.
-            flown: Flown nodes so far, [n, Q, 3], of which ``LEAD_NODES`` before ``start``.
-
-        Returns:
-            Flown positions with the next hour, [n, Q + 60, 3], and planned ones of that hour, [n, 120, 3].
+        ``tail`` [n, T] is what the last call left, ``start`` [n] the time of the first node and of the first record [n, H, 16]
+        of Sun and Earth, s since the epoch, and ``flown`` [n, Q, 3] are the nodes so far, of which ``LEAD_NODES`` before
+        ``start``.
         """
 
     def accelerations(self, nodes: Tensor, ephemeris: Samples) -> Tensor:

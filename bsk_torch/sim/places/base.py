@@ -271,7 +271,6 @@ class FixedPlaces(Places):
 
     @property
     def _may_lack(self) -> bool:
-        """Whether some places may not exist."""
         return self._exists is not None
 
     def max_speed(self, rows: Tensor) -> Tensor:

@@ -69,15 +69,10 @@ SIMILAR = 0.85
 
 
 def check_model(cls: type, base: type) -> None:
-    """Raise an error for a class of models with definitions that would never be used.
+    """Raise an error for a class of models, derived from ``base``, with definitions that would never be used.
 
-    Args:
-        cls: The class that is being defined.
-        base: Base class of the models.
-
-    Raises:
-        TypeError: For hooks that do not exist here, misspelled tables, and tables that are not made of what they hold.
-        ValueError: For a component that has no place in the tick.
+    TypeError for hooks that do not exist here, misspelled tables, and tables that are not made of what they hold; ValueError
+    for a component that has no place in the tick.
     """
     check_class(cls, base, (), UNUSED)
     for owner in cls.__mro__:
@@ -138,14 +133,12 @@ def _check_method(title: str, name: str, value: object, base: type) -> None:
 
 
 def _required(function: Callable[..., object]) -> list[str]:
-    """Return the names of the parameters of a method without a default."""
     given = list(inspect.signature(function).parameters.values())[1:]
     variable = inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD
     return [each.name for each in given if each.default is inspect.Parameter.empty and each.kind not in variable]
 
 
 def _check_table(title: str, name: str, value: object) -> None:
-    """Raise TypeError for a table that is not made of what it holds."""
     example = f"it must be written like {TABLES[name].example}"
     if name in ("components", "world_components"):
         if not isinstance(value, tuple | list) or not all(isinstance(entry, Component) for entry in value):
@@ -162,7 +155,6 @@ def _check_table(title: str, name: str, value: object) -> None:
 
 
 def _misspelled(cls: type, name: str) -> str | None:
-    """Return the table that a value was probably meant to be; None for all others."""
     if any(hasattr(parent, name) for parent in cls.__bases__):
         return None
     return next(iter(difflib.get_close_matches(name, TABLES, n=1, cutoff=SIMILAR)), None)

@@ -43,7 +43,6 @@ class Model:
     components: ClassVar[tuple[Component, ...]] = ()
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Raise TypeError, with advice, for definitions that would never be used."""
         super().__init_subclass__(**options)
         check_model(cls, Model)
 
@@ -80,7 +79,6 @@ class Model:
         return {name: together[name] if name in together else self._checked(name) for name in self.checks()}
 
     def _checked(self, name: str) -> Tensor:
-        """Return the result [N] of an aliveness checker; TypeError for one of another shape or type."""
         found, state = getattr(self, name)(), self.simulator.state
         check_tensor(f"{type(self).__name__}.{name}()", found, (state.rows,), torch.bool)
         return found

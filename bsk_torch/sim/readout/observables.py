@@ -71,7 +71,6 @@ class Now:
         return self._ephemeris()
 
     def __getattr__(self, name: str) -> Any:
-        """Raise a MissingMessageError: the state has no field ``name``."""
         raise MissingMessageError(f"the satellite has no state {name!r}", name=name)
 
     @functools.cached_property
@@ -183,7 +182,6 @@ class Observer:
         self._values, self._table = {}, None
 
     def _forget_the_past(self) -> None:
-        """Drop the values read before the state changed."""
         self._values, self._table, self._now, self._version = {}, None, None, self.state.version
 
     def read(self, function: Function) -> Tensor:
@@ -217,7 +215,6 @@ class Observer:
         return found > 0.5 if kind is bool else found
 
     def _read_all(self, kernel: ObserverKernel) -> Tensor:
-        """Return the table of all observables of the kernel now, and keep it."""
         table = self._table = kernel(self.state, self.arcs)
         return table
 
@@ -231,7 +228,6 @@ class Observer:
         return self._now
 
     def _built(self) -> ObserverKernel | None:
-        """Return the kernel of the wanted functions that have one; None if none has."""
         if self._kernel is None:
             functions = tuple(function for function in self.wanted if of_package([function]) or self._has_kernel(function))
             try:
@@ -364,12 +360,10 @@ class ObserverProgram:
 
 
 def _planes(value: Any) -> list[Any]:
-    """Return the planes of a value: itself, or those of a vector or of the rows of a matrix."""
     return [plane for part in value for plane in _planes(part)] if isinstance(value, tuple) else [value]
 
 
 def _traced(value: Any) -> Any:
-    """Return what a traced function has returned; UntraceableError unless it is a value or a vector of values."""
     if not all(isinstance(plane, Proxy) for plane in _planes(value)):
         raise UntraceableError(f"it returns {type(value).__name__}, which does not follow from the present")
     return value

@@ -115,15 +115,10 @@ class Part:
     def __init__(
         self, fleet: Fleet, envs: Tensor | None, now: Tensor, ends: Tensor, left: Tensor, expected: Sequence[Tensor]
     ) -> None:
-        """Prepare the run.
+        """Prepare the run of the episodes ``envs`` [n], or all, which are ``now`` [N] ticks old, by at most ``ends`` [N] ticks.
 
-        Args:
-            fleet: The satellites.
-            envs: The episodes, [n]; None for all.
-            now: Ticks since reset of each episode of the fleet, [N].
-            ends: Most ticks of each episode, [N].
-            left: Ticks to the end of the episode, [N].
-            expected: Probable ticks to an event that ends the step, [N] for each type.
+        ``left`` [N] are the ticks to the end of the episode, ``expected`` [N], for each type, those to an event that ends the
+        step.
         """
         self.fleet, self.envs, self.since, self.ends, self.left, self.expected = fleet, envs, now, ends, left, expected
         self.rows: list[Tensor | None] = [None] * len(fleet.simulators)
@@ -201,7 +196,6 @@ class Part:
         return Call(k, ticks, expected, may_rewind, self.traces.get(k), followed)
 
     def _followed(self, places: Tensor) -> dict[int, dict[str, Samples]]:
-        """Return the traces that the satellites of each type follow in some of the episodes, by slot."""
         found = {}
         for k, simulator in enumerate(self.fleet.simulators):
             rows = simulator.state.rows_of(places)

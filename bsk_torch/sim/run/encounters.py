@@ -69,9 +69,7 @@ def find_pairs(
 ) -> EncounterPairs:
     """Return the pairs of satellites of the given names, dynamics models and values of ``chief_name``.
 
-    Raises:
-        ValueError: For a chief that is not a satellite, or an order of satellites in which its steps raise, if it is
-            repeated.
+    ValueError for a chief that is not a satellite, or an order of satellites in which BSK-RL's steps raise, if it is repeated.
     """
     for name, model, chief in zip(names, models, chiefs, strict=True):
         if not issubclass(model, MaxRangeDynModel):
@@ -141,11 +139,8 @@ def looked(ticks: Tensor, limits: Limits) -> Tensor:
 def first_ticks(pieces: Iterator[tuple[Tensor, Vec3, Vec3]], limits: Limits, last: Tensor) -> Tensor:
     """Return the first tick at which each condition holds when it is looked at, [n, C]; ``NEVER`` where it does not.
 
-    Args:
-        pieces: Ticks [T] of a piece of the run, and the relative positions [n, P, T], m, one tick before each and at it; the tick
-            before the start is the start itself.
-        limits: The conditions.
-        last: Last tick looked at, [n]; negative for none.
+    Each piece of the run has its ticks [T], and the relative positions [n, P, T], m, one tick before each and at it; the tick
+    before the start is the start itself. ``last`` [n] is the last tick looked at; negative for none.
     """
     first = torch.full_like(limits.every, NEVER)
     for ticks, before, now in pieces:
@@ -185,7 +180,6 @@ class Encounters:
             fleet.flight_observers.append(self.book)
 
     def _of(self, column: int, name: str) -> Tensor:
-        """Return an argument of a satellite, [N]."""
         k, number = self._places[column]
         simulator = self.fleet.simulators[k]
         return simulator.state.arguments[name].view(-1, simulator.count)[:, number]
@@ -230,7 +224,6 @@ class Encounters:
         return Vec3.of(found)
 
     def _pieces(self, flight: Flight) -> Iterator[tuple[Tensor, Vec3, Vec3]]:
-        """Yield the relative positions during a flight piece by piece; see :func:`first_ticks`."""
         tracks, count = self._tracks(flight), 1 + int(flight.ticks.max())
         length = max(1, AT_ONCE // max(1, len(flight.envs) * len(self._distances)))
         for start in range(0, count, length):

@@ -74,16 +74,8 @@ class Recording:
     ) -> None:
         """Record from now on; see :meth:`bsk_torch.env.base.Tasking.record`.
 
-        Args:
-            fleet: All satellites.
-            fields: Names of fields of the state, or of observables.
-            envs: Environments to record, [n].
-            every: Ticks from one record to the next.
-            satellites: Names of satellites to record.
-            properties: Observables of each type of satellites, by name.
-
-        Raises:
-            ValueError: For a field that none of the satellites has.
+        ``fields`` are names of fields of the state, or of observables: ``properties`` are those of each type of satellites, by
+        name. ValueError for a field that none of the ``satellites`` has.
         """
         self.fleet, self.fields, self.satellites = fleet, tuple(fields), tuple(satellites)
         self.envs, self.every = envs, every
@@ -140,11 +132,7 @@ class Recording:
             self._add(envs, number, values)
 
     def prepare(self, envs: Tensor | None) -> Tensor:
-        """Note where a run of the episodes ``envs`` [n], or of all (None), begins.
-
-        Returns:
-            Places of the recorded ones among them.
-        """
+        """Note where a run of the episodes ``envs`` [n], or all, begins; return the places of the recorded ones among them."""
         if envs is None:
             where = self.envs
         else:
@@ -159,12 +147,9 @@ class Recording:
         return where
 
     def add(self, envs: Tensor, ticks: Tensor, followed: Mapping[int, Mapping[str, Samples]]) -> None:
-        """Record a run of ``ticks`` [n] from where :meth:`prepare` was called.
+        """Record a run of the recorded episodes ``envs`` [n] by ``ticks`` [n] from where :meth:`prepare` was called.
 
-        Args:
-            envs: The recorded episodes, [n].
-            ticks: Ticks that they have run, [n].
-            followed: Traces of other satellites that the rows of each type read, by slot.
+        ``followed`` are traces of other satellites that the rows of each type read, by slot.
         """
         since = self.fleet.ticks[envs] - ticks
         first = since // self.every + 1
@@ -182,7 +167,6 @@ class Recording:
         self._add(envs, number, values)
 
     def _recorded(self, ticks: Tensor) -> Tensor:
-        """Return the recorded ticks; for others :data:`NO_TICK`."""
         return torch.where(ticks % self.every == 0, ticks, NO_TICK)
 
     def _needed(self, kind: _Type) -> Tensor:
@@ -197,12 +181,8 @@ class Recording:
     def _fill(self, values: Tensor, kind: _Type, rows: Tensor, ticks: Tensor, planes: Tensor) -> None:
         """Write the fields and properties of a type into values [n, P, S, W].
 
-        Args:
-            values: Where they go.
-            kind: The type.
-            rows: Its satellites, [n * count].
-            ticks: Ticks since reset, [n, P].
-            planes: Their planes then, [n * count, P, w]; all of the state, for types with properties.
+        ``planes`` [n * count, P, w] are those of its ``rows`` [n * count] at ``ticks`` [n, P] since reset; all of the state,
+        for types with properties.
         """
 
         def put(table: Tensor, columns: Tensor) -> None:
@@ -248,11 +228,7 @@ class Recording:
         return data
 
     def of(self, env: int, episode: int | None = None) -> TensorDict:
-        """Return the records of one episode of an environment (default: the last recorded one).
-
-        Raises:
-            KeyError: If nothing of it has been recorded.
-        """
+        """Return the records of one episode of an environment (default: the last recorded one); KeyError if there are none."""
         data = self.data
         data = data[data["env"] == env]
         if episode is None and len(data):
@@ -306,15 +282,12 @@ class Recording:
             self.fleet.recordings.remove(self)
 
     def __enter__(self) -> Recording:
-        """Return the recording."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        """Stop it."""
         self.stop()
 
     def __repr__(self) -> str:
-        """Return a description of the recording."""
         named = f"{list(self.fields)} of {', '.join(self.satellites)}"
         return f"Recording({named}, every={self.every}, {len(self.envs)} environments)"
 

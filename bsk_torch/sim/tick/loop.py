@@ -159,9 +159,8 @@ class Tick:
     def check_updates(self, state: Tensor, shared: Tensor, own: Tensor) -> None:
         """Run the components once on tensors: state [C, n], parameters [C, 1] and [C, n].
 
-        Raises:
-            MissingMessageError: For a component that reads what none writes, with the name and the component's slot.
-            TypeError: For an update of a user's component that cannot be used.
+        MissingMessageError for a component that reads what none writes, with the name and the component's slot; TypeError for
+        an update of a user's component that cannot be used.
         """
         n = state.shape[1]
         tables = [state.new_zeros(n, track.count, track.width) for track in self.tracks]
@@ -209,14 +208,9 @@ class Tick:
     ) -> tuple[Tensor, Tensor]:
         """Return the state [C, n] after one tick, and the new ``end`` [n]; rows whose time is up keep both, bit for bit.
 
-        Args:
-            state: State pack [C, n].
-            shared: Shared parameters [C, 1].
-            own: Own parameters [C, n].
-            flags: Flags of the flight mode [C, n].
-            ticks: Number of this tick since reset, [n] float64.
-            end: Number of each row's last tick, [n] float64.
-            *tracks: Records [n, R, C] of each track, then the time [n], s since reset, of the first records of each.
+        Shared parameters are [C, 1], own ones and flags [C, n]. ``ticks`` [n] is the number of this tick since reset, ``end``
+        [n] that of each row's last one, both float64. ``tracks`` are records [n, R, C] of each track, then the times [n], s
+        since reset, of the first records of each.
         """
         tables, starts = tracks[: len(self.tracks)], tracks[len(self.tracks) :]
         planes, stop = self.advance(self.inputs(state, shared, own, flags, tables, starts, ticks))

@@ -39,7 +39,6 @@ class WatchedBus(Bus):
     """Slots of users' components by the messages that they have written and nothing has read."""
 
     def __getattribute__(self, name: str) -> Any:
-        """Return a message, which has now been read."""
         known = object.__getattribute__(self, "__dict__")
         if name in known.get("unread", ()):
             del known["unread"][name]
@@ -53,10 +52,8 @@ class WatchedBus(Bus):
 def update_checked(bus: WatchedBus, component: Component) -> None:
     """Run the update of a component, and check it if it is a user's.
 
-    Raises:
-        MissingMessageError: For an update that reads what none writes, with the name and the component's slot.
-        TypeError: For an update that fails, returns a value, or writes a message of another kind than before, that depends on
-            other environments, or into a message in place.
+    MissingMessageError for an update that reads what none writes, with the name and the component's slot. TypeError for one
+    that fails, returns a value, writes a message of another kind than before, or in place, or depends on other environments.
     """
     update, slot = component.update, component.slot
     if update is None:
@@ -139,7 +136,6 @@ def _check_kind(slot: str, name: str, old: object, new: object) -> None:
 
 
 def _mapped(value: Any, function: Callable[[Tensor], Tensor]) -> Any:
-    """Return a message in which ``function`` has replaced each plane."""
     if isinstance(value, Tensor):
         return function(value) if value.ndim else value
     if isinstance(value, tuple | list):
@@ -153,7 +149,6 @@ def _mapped(value: Any, function: Callable[[Tensor], Tensor]) -> Any:
 
 
 def _planes(value: Any) -> list[Tensor]:
-    """Return the planes of a message."""
     if isinstance(value, Tensor):
         return [value]
     parts = value if isinstance(value, tuple | list) else vars(value).values() if isinstance(value, SimpleNamespace | Bus) else ()
@@ -190,13 +185,11 @@ def _first(plane: Tensor) -> Tensor:
 
 
 def _with_another(first: Tensor) -> Tensor:
-    """Return the number of an environment, and that of another one, [2]."""
     other = first * 1.01 + 0.01 if first.is_floating_point() else ~first if first.dtype == torch.bool else first + 1
     return torch.cat([first, other])
 
 
 def _copied(bus: Bus, function: Callable[[Tensor], Tensor]) -> Bus:
-    """Return a bus, unwatched, of which ``function`` has replaced the planes."""
     other = Bus.__new__(Bus)
     vars(other).update((name, _mapped(value, function)) for name, value in vars(bus).items() if name != "unread")
     return other

@@ -66,10 +66,9 @@ class Runners(NamedTuple):
 
 
 def make_runners(tick: Tick, backend: str, device: torch.device, lockstep: int = 1) -> Runners:
-    """Return the runners of ``tick`` under a back end; runs in groups of other sizes may have to wait for the compiler.
+    """Return the runners of ``tick`` under a back end; ValueError for an unknown one.
 
-    Raises:
-        ValueError: For an unknown back end.
+    Runs in groups of other sizes than ``lockstep`` may have to wait for the compiler.
     """
     if backend not in BACKENDS:
         raise ValueError(f"backend={backend!r} must be one of {list(BACKENDS)}")

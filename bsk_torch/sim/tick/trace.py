@@ -23,8 +23,7 @@ from bsk_torch.sim.names import nearest
 def recorded(components: Sequence[Component]) -> tuple[Field, ...]:
     """Return the fields that the components of a model record, in the order in which they are first named.
 
-    Raises:
-        ValueError: For a name that is not a field of the state.
+    ValueError for a name that is not a field of the state.
     """
     known = {field.name: field for component in components for field in component.state}
     names = dict.fromkeys(name for component in components for name in component.records)

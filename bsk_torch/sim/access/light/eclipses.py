@@ -79,13 +79,9 @@ class EclipseTable(StateTable):
         self.declare("ends", math.inf, 1, grows=True, low=0.0)
 
     def search(self, rows: Tensor, orbits: PlannedOrbits, ahead: Tensor, duration: Tensor) -> None:
-        """Find the transitions of new arcs of ``rows`` [n].
+        """Find the transitions of new planned arcs of ``rows`` [n]; queries look ``ahead`` [n] s.
 
-        Args:
-            rows: The rows.
-            orbits: Their planned arcs.
-            ahead: How far queries look ahead, [n] s.
-            duration: Seconds for which windows have been generated, [n].
+        ``duration`` [n] are the seconds for which windows have been generated.
         """
         self.ahead[rows], self.sampled[rows], self.known[rows] = ahead, duration, 0.0
         starts, ends = self._transitions(orbits, torch.zeros_like(duration), round(self.arcs.length / PLAN_STEP))

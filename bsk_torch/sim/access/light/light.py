@@ -55,9 +55,7 @@ def _margin_of(condition: SunElevation, places: FixedPlaces, rows: Tensor, passe
 def parts_where(margin: Margin, passes: Passes) -> Passes:
     """Return the parts of passes in which the margin is positive, in the order of the passes and of time.
 
-    Args:
-        margin: A function of time that is nearly ``A + R cos(w t - phi)`` with the rate w of the Sun, and R at most 1.
-        passes: Passes.
+    The margin is nearly ``A + R cos(w t - phi)`` with the rate w of the Sun, and R at most 1.
     """
     pieces = torch.ceil((passes.close - passes.open) / PIECE).clamp(min=1.0).long()
     number = torch.repeat_interleave(pieces)  # of the pass to which each piece belongs

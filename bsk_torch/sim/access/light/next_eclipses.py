@@ -35,18 +35,9 @@ def next_eclipses(
 ) -> tuple[Tensor, Tensor] | None:
     """Return the same as ``EclipseTable.query``, bit for bit; None if arcs are too short.
 
-    Args:
-        constants: The struct ``Constants`` of the kernel.
-        starts: Times of transitions into the umbra, [N, W] s.
-        ends: Times of transitions out of it, likewise.
-        time: Time of the query, [N] s.
-        begun: Time at which the current orbit began, [N] s; None for zero on orbits that never restart.
-        reached: Time which the arcs reach, [N] s, compared with what the query needs; None if they are known to be long enough.
-        sampled: Time up to which samples have been propagated, [N] s; changes.
-        known: Time up to which their transitions have been recorded, [N] s; changes.
-
-    Raises:
-        TypeError: For times that are not float64, or of another shape: kernels read addresses.
+    ``constants`` is the struct ``Constants`` of the kernel. The current orbit began at ``begun`` [N] s, None for zero on orbits
+    that never restart; arcs go to ``reached`` [N] s, None if they are known to be long enough. ``sampled`` and ``known`` [N] s,
+    as in the table, change. TypeError for times that are not float64, or of another shape: kernels read addresses.
     """
     times = {"time": time, "begun": begun, "reached": reached, "sampled": sampled, "known": known}
     check_times(starts.shape[:1], times)

@@ -47,15 +47,10 @@ class SatellitePositions(NamedTuple):
 
 
 def visibility_margin(own: SatellitePositions, other: SatellitePositions, max_range: Tensor | None) -> Tensor:
-    """Return a margin, m, that is positive if ``other`` is visible from ``own``.
+    """Return a margin, m, that is positive if ``other`` is visible from ``own``, whose sensor has a range, m, or no limit.
 
     The margin is ``min(clearance, (max_range - |r_other - r_own|) / 2)``. Both parts change by no more than the larger
     displacement of the two satellites, which is what the search for lines of sight needs.
-
-    Args:
-        own: Position of the satellite with the sensor.
-        other: Position of the other satellite.
-        max_range: Range of the sensor, m; None for no limit.
     """
     clearance = line_clearance(own.stretched, other.stretched)
     if max_range is None:

@@ -120,11 +120,7 @@ class LineOfSightSearch:
     def __init__(self, types: Sequence[FlownOrbits], first: Tensor, last: Tensor, h_ns: int) -> None:
         """Gather ranges, [N, S] m, speeds, [N, S] m per tick in stretched coordinates, and the Earth's axis.
 
-        Args:
-            types: Orbits of the satellites of each type.
-            first: First tick of each episode, [N].
-            last: Last tick of each episode, [N].
-            h_ns: Length of a tick, ns.
+        The ticks ``first`` to ``last`` [N], of ``h_ns`` nanoseconds, of each episode are searched.
         """
         self.types, self.first, self.last, self.h_ns = types, first, last, h_ns
         self.size = sum(len(part.columns) for part in types)
@@ -163,7 +159,6 @@ class LineOfSightSearch:
         return found
 
     def _time(self, tick: Tensor) -> Tensor:
-        """Return the time after so many ticks, s since reset, float64."""
         return (tick * self.h_ns).double() * NANO
 
     def _positions(self, env: Tensor, satellite: Tensor, tick: Tensor) -> Vec3:
@@ -219,11 +214,9 @@ class LineOfSightSearch:
         return visibility_margin(own, other, None if self.max_range is None else self.max_range[env, i])
 
     def visible_pairs(self, envs: Tensor, directed: bool = False) -> Tensor:
-        """Return the pairs with a line of sight at any tick of episodes [n]; [n, S, S] booleans.
+        """Return the pairs with a line of sight at any tick of episodes ``envs`` [n]; [n, S, S] booleans.
 
-        Args:
-            envs: Numbers of the episodes, [n].
-            directed: Whether the result is that of each sensor, [n, sensor, other], or that of either sensor of a pair.
+        With ``directed`` the result is that of each sensor, [n, sensor, other], else that of either sensor of a pair.
         """
         first, last, speed = self.first[envs], self.last[envs], self.speed[envs]
         ends = self.all_margins(envs, first), self.all_margins(envs, last)

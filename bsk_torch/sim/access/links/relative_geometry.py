@@ -24,24 +24,15 @@ GEOMETRY_WIDTH = 5
 def relative_geometry(r_BN_P: Vec3, v_BN_P: Vec3, c_hat_P: Vec3, omega_BP_P: Vec3, r_LP_P: Vec3) -> list[Any]:
     """Return position, pointing error and tracking rate of a place L relative to a satellite B, all in Earth-fixed axes.
 
-    With the line of sight ``rho = r_LP - r_BN``::
+    With the line of sight ``rho = r_LP - r_BN``, m, the velocity v relative to the rotating Earth, m/s, and the body's rate
+    omega_BP, rad/s::
 
-        r_LB_H = [HP] rho                              Hill frame: radial, along-track, orbit normal of the inertial velocity
-        angle  = acos(c_hat . rho / |rho|)
-        rate   = |omega_BP - v x rho / |rho|^2|        v is the velocity relative to the Earth
+        r_LB_H = [HP] rho, m                           Hill frame: radial, along-track, orbit normal of the inertial velocity
+        angle  = acos(c_hat . rho / |rho|), rad        of the instrument's direction c_hat
+        rate   = |omega_BP - v x rho / |rho|^2|, rad/s
 
     ``v x rho / |rho|^2`` is the angular velocity of the line of sight to a fixed place in Earth-fixed axes, without spin about
     itself.
-
-    Args:
-        r_BN_P: Position of the satellite, m.
-        v_BN_P: Velocity of the satellite relative to the rotating Earth, m/s.
-        c_hat_P: Direction of the instrument.
-        omega_BP_P: Angular velocity of the body relative to the Earth, rad/s.
-        r_LP_P: Position of the place, m.
-
-    Returns:
-        The three components of r_LB_H, m; the angle between instrument and line of sight, rad in [0, pi]; and the rate, rad/s.
     """
     rho = r_LP_P - r_BN_P
     zero = torch.zeros_like(r_BN_P.x)
@@ -63,12 +54,10 @@ def relative_geometry_kernel() -> Kernel:
 
 
 def relative_geometries(satellite: tuple[Tensor, ...], r_LP_P: Tensor, compiled: bool) -> Tensor:
-    """Return the :func:`relative_geometry` of every satellite and its places, [N, n, GEOMETRY_WIDTH].
+    """Return the :func:`relative_geometry` of every satellite and its places, [N, n, 3] m, [N, n, GEOMETRY_WIDTH].
 
-    Args:
-        satellite: The properties :data:`SATELLITE_PROPERTIES`, [N, 3] each.
-        r_LP_P: Positions of the places, [N, n, 3] m.
-        compiled: Whether the kernel computes them.
+    ``satellite`` are the properties :data:`SATELLITE_PROPERTIES`, [N, 3] each; the kernel computes the result where
+    ``compiled``.
     """
     batch = r_LP_P.shape[:2]
     if not compiled:

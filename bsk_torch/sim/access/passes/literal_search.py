@@ -99,13 +99,9 @@ def near_spans(near: NDArray[np.bool_], times: Vector) -> list[Window]:
 
 
 def windows_in(error: Callable[[float], float], span: Window, bounds: Window, log: logging.Logger = logger) -> Iterator[Window]:
-    """Yield the windows, s, within a span; those that reach a bound of the search are cut there.
+    """Yield the windows, s, within one of :func:`near_spans`, in which the :func:`elevation_error` is negative.
 
-    Args:
-        error: See :func:`elevation_error`.
-        span: One of :func:`near_spans`.
-        bounds: Begin and end of the search, s.
-        log: Gets a warning where a window is longer than the search.
+    Those that reach a bound of the search are cut there; ``log`` gets a warning where a window is longer than the search.
     """
     from scipy.optimize import minimize_scalar, root_scalar
 
@@ -133,12 +129,8 @@ def searched_by_interval(
 ) -> list[tuple[int, float, float]]:
     """Return the windows found over places in one interval after another: place, opening and closing, s.
 
-    Args:
-        samples: Earth-fixed positions every 30 s, [K, 3] m.
-        start: Time of the first sample, s.
-        edges: Begin of the first interval, and the ends of all, s.
-        places: Earth-fixed positions, [P, 3] m.
-        least: Least elevations, [P] rad.
+    ``samples`` [K, 3] are Earth-fixed positions, m, every 30 s from ``start`` s on, ``edges`` the begin of the first interval
+    and the ends of all, s, ``places`` [P, 3] Earth-fixed positions, m, and ``least`` [P] the least elevations, rad.
     """
     times, found = start + PLAN_STEP * np.arange(len(samples), dtype=np.float64), dict[int, list[Window]]()
     for begin, end in itertools.pairwise(edges):

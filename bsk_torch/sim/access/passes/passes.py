@@ -154,7 +154,6 @@ class PassSearch:
         return Passes(*(torch.cat(parts) for parts in zip(long, self._short_passes(), strict=True)))
 
     def _with_code(self, bit: int) -> tuple[Tensor, ...]:
-        """Return row, place and sample of the events whose code has a bit."""
         return tuple(part[(self._codes & bit) > 0] for part in self._events)
 
     def _above_limit_at(self, sample: int) -> CrossingEvents:
@@ -164,7 +163,6 @@ class PassSearch:
         return CrossingEvents(row[there], place[there], self.track.time(row, k)[there])
 
     def _crossings(self, bit: int) -> CrossingEvents:
-        """Return the rises, or the sets, between samples."""
         row, place, k = self._with_code(bit)
         a, b = self.track.time(row, k - 1), self.track.time(row, k)
         pairs = self.pairs(row, place)
@@ -172,7 +170,6 @@ class PassSearch:
         return CrossingEvents(row, place, self.visibility.crossings(pairs, brackets))
 
     def _short_passes(self) -> Passes:
-        """Return the passes that lie between two samples."""
         row, place, k = self._with_code(SHORT_PASS)
         a, b = self.track.time(row, k - 2), self.track.time(row, k)
         pairs = self.pairs(row, place)
@@ -187,7 +184,6 @@ class PassSearch:
         return Passes(*(x[long] for x in (row, place, opens, closes)))
 
     def _sorted(self, *parts: CrossingEvents) -> CrossingEvents:
-        """Return events by row, then place, then time."""
         row, place, time = (torch.cat(columns) for columns in zip(*parts, strict=True))
         order = argsort_by_group(row * self.places.r_LP_P.shape[1] + place, time)
         return CrossingEvents(row[order], place[order], time[order])

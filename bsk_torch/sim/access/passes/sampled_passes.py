@@ -56,10 +56,7 @@ class Edges(NamedTuple):
 def find_passes(places: Places, rows: Tensor, track: GroundTrack) -> Passes:
     """Return the passes of satellites ``rows`` [n], with their ground track, over their places, in no particular order.
 
-    Passes in progress at either end of the track are cut there.
-
-    Raises:
-        FloatingPointError: For positions that are not finite.
+    Passes in progress at either end of the track are cut there. FloatingPointError for positions that are not finite.
     """
     cells = -(-(track.r_BP_P.shape[1] - 1) // CELL_SAMPLES)
     at_once = max(1, SCREENED // (cells * places.count))
@@ -194,5 +191,4 @@ class _Search:
 
 
 def _signs(positive: Tensor, like: Tensor) -> Tensor:
-    """Return 1 where the mask holds and -1 elsewhere, in the type of another tensor."""
     return 2.0 * positive.to(like.dtype) - 1.0

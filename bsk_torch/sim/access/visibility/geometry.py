@@ -32,26 +32,17 @@ class SearchCells(NamedTuple):
 
 
 def classify(before: Any, here: Any, after: Any, is_first: Any, is_last: Any) -> tuple[Any, Any, Any]:
-    """Classify three successive clearances: a rise or a set between the last two, or a possible short pass.
+    """Classify three successive clearances, of which the first may be NaN: rise or set of the last two, possible short pass.
 
-    A short pass lies between two samples: no sample is above the limit, but the culmination may be. With the samples at x = -1, 0
-    and 1, the parabola through them has its maximum f_max at x_max::
+    A short pass lies between two samples: no sample is above the limit, but the culmination may be: ``f_max`` is above
+    -:data:`CULMINATION_TOLERANCE`. With the samples at x = -1, 0 and 1, the parabola through them has its maximum f_max at
+    x_max::
 
         bend = 2 f(0) - f(-1) - f(1)     slope = f(1) - f(-1)
         x_max = slope / (2 bend)         f_max = f(0) + slope^2 / (8 bend)
 
-    Each culmination belongs to the triple in whose middle the largest sample is. The first and the last triple of a search
-    also cover maxima near its two ends, for which no such triple exists.
-
-    Args:
-        before: Clearance at the first sample; may be NaN.
-        here: Clearance at the middle sample.
-        after: Clearance at the last sample.
-        is_first: Whether this is the first triple of a search.
-        is_last: Whether this is the last triple of a search.
-
-    Returns:
-        Three flags: rise, set, possible short pass (``f_max`` above -:data:`CULMINATION_TOLERANCE`).
+    Each culmination belongs to the triple in whose middle the largest sample is. The first and the last triple of a search also
+    cover maxima near its two ends, for which no such triple exists.
     """
     bend, slope = torch.clamp(2.0 * here - before - after, min=1e-12), after - before
     x_max, f_max = slope / (2.0 * bend), here + slope * slope / (8.0 * bend)
@@ -63,16 +54,9 @@ def classify(before: Any, here: Any, after: Any, is_first: Any, is_last: Any) ->
 
 
 def event_code(before: Any, here: Any, after: Any, time: Any, cells: SearchCells) -> Any:
-    """Return the event code of three successive clearances, as a sum of bits in floating point.
+    """Return the event code of three successive clearances, the last at ``time`` s, as a sum of bits in floating point.
 
     Events behind the end of the cell (which the next cell reports) or of the search are left out.
-
-    Args:
-        before: Clearance at the first of the samples.
-        here: Clearance at the middle one.
-        after: Clearance at the last one.
-        time: Time of the last one, s.
-        cells: The cell to which the samples belong.
     """
     half = 0.5 * PLAN_STEP  # sample times are compared half a step off, out of reach of rounding
     is_first, is_last = time < cells.search_begin + 5.0 * half, time > cells.search_end - half

@@ -49,16 +49,9 @@ def close_from_start(search: PassSearch, row: Tensor, place: Tensor, start: Tens
     """Return whether the close samples of an interval begin with the interval, [m].
 
     Close samples are those at a distance below ``1.1 (R - |r_LP|) / sin(e_min)``, 1.1 times the slant range at the minimum
-    elevation over a flat Earth, where R is the largest distance from the Earth's center in the interval. The sample at the start
-    itself does not matter.
-
-    Args:
-        search: Ground track and places.
-        row: Satellite of each pass.
-        place: Place of each pass.
-        start: Begin of the interval, s.
-        end: End of the interval, s.
-        rise: Time of the rise within the interval, s.
+    elevation over a flat Earth, where R is the largest distance from the Earth's center in the interval. The sample at the
+    start itself does not matter. Pass m of satellite ``row`` over ``place`` rises at ``rise`` s within an interval from
+    ``start`` to ``end`` s.
     """
     first = ((start - search.track.start[row]) / PLAN_STEP).round().long().unsqueeze(-1)
     count = ((end - start) / PLAN_STEP).round().long().unsqueeze(-1)

@@ -42,21 +42,11 @@ def check_times(shape: torch.Size, times: Mapping[str, Tensor | None]) -> None:
 def next_windows(
     windows: Windows, time: Tensor, until: Tensor, width: int, allowed: Tensor | None, rows: Tensor | None = None
 ) -> tuple[Windows, Tensor]:
-    """Return the same as :func:`~bsk_torch.sim.access.windows.table.next_to_close`, bit for bit.
+    """Return the same as :func:`~bsk_torch.sim.access.windows.table.next_to_close`, bit for bit, of ``rows`` [n], or of all.
 
-    The first windows that have not closed and are not cut come in the order of the table; only where they are too few, those that
-    are cut are sorted.
-
-    Args:
-        windows: The table, [N, W].
-        time: Time of the query, [N] s.
-        until: End of what has been generated, [N] s.
-        width: Number of windows.
-        allowed: Places that count, [N, P]; None for all.
-        rows: Rows that are asked, [n]; None for all.
-
-    Raises:
-        TypeError: For times that are not float64, or of another shape than the table's: kernels read addresses.
+    The first windows that have not closed and are not cut come in the order of the table; only where they are too few, those
+    that are cut are sorted. TypeError for times that are not float64, or of another shape than the table's: kernels read
+    addresses.
     """
     shape = windows.close.shape
     check_times(shape, {"windows.open": windows.open, "windows.close": windows.close})

@@ -24,19 +24,10 @@ def place_kinds(
     declared: PlaceKinds,
     instruments: Sequence[Instrument] = (),
 ) -> dict[str, Places]:
-    """Return the places that satellites can see, by kind.
+    """Return the places that satellites can see, by kind: those of ``parts``, and those ``declared`` by the scenario.
 
-    Args:
-        parts: Components of world and satellites, some of which bring places.
-        world_args: Arguments of the world.
-        scenario: Draws of the scenario, [num_envs, ...] each.
-        arguments: Arguments of the satellites, [N, ...] each.
-        declared: Returns the kinds of the scenario.
-        instruments: Several instruments of the satellites; none if they have a single one.
-
-    Raises:
-        TypeError: For something else than places.
-        ValueError: For a name already in use, or places without clearances.
+    The draws of the scenario are [num_envs, ...] each, the arguments of the satellites [N, ...]. TypeError for something else
+    than places, ValueError for a name already in use, or places without clearances.
     """
     bringing = [part for part in parts if part.places]
     tables = PlaceTables(scenario, arguments, world_args.draw(first_key(1)) if bringing else {}, instruments)

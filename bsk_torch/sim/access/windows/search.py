@@ -130,13 +130,10 @@ class AccessWindows(StateTable):
         self.ahead = max(1, round(min(SEARCH_AHEAD, self._expected) / self.segment))
 
     def generate(self, rows: Tensor, orbits: PlannedOrbits, duration: Tensor) -> None:
-        """Generate windows of ``rows`` [n] on new orbits from time zero on.
+        """Generate windows of ``rows`` [n], which were reset, on new planned orbits from time zero on.
 
-        Args:
-            rows: Rows that were reset.
-            orbits: Their planned orbits.
-            duration: Seconds for which windows are generated, [n], whole segments; 0 for none. Segments beyond are searched as
-                far as the arcs reach: queries will ask for them.
+        They are generated for ``duration`` [n] s, whole segments; 0 for none. Segments beyond are searched as far as the arcs
+        reach: queries will ask for them.
         """
         longest = min(self.arcs.length - BEHIND_SEARCH, float(duration.max()) + self.ahead * self.segment)
         longest = max(longest, float(self.arcs.planned_from[rows].max()) + self.segment + BEFORE_SEARCH)
@@ -159,10 +156,8 @@ class AccessWindows(StateTable):
     ) -> tuple[Windows, Tensor]:
         """Return the windows that close next; see :func:`~bsk_torch.sim.access.windows.table.next_to_close`.
 
-        ``time`` [N] and ``allowed`` [N, P] belong to all rows; the answer is that of ``rows`` [m], or of all.
-
-        Raises:
-            TypeError: For an ``allowed`` of another shape or type: the kernel does not look for places beyond it.
+        ``time`` [N] and ``allowed`` [N, P] belong to all rows; the answer is that of ``rows`` [m], or of all. TypeError for an
+        ``allowed`` of another shape or type: the kernel does not look for places beyond it.
         """
         if allowed is not None:
             check_tensor(f"what filters allow of {kind!r}", allowed, (len(time), self.kinds[kind].count), torch.bool)
@@ -176,18 +171,11 @@ class AccessWindows(StateTable):
     def reveal(
         self, kind: str, rows: Tensor, time: Tensor, count: Tensor, last: Tensor | None = None, allowed: Tensor | None = None
     ) -> Tensor:
-        """Extend what queries see by as many searched segments as needed to see ``count`` windows.
+        """Extend what queries see by as many searched segments as needed to see ``count`` [m] windows.
 
-        Args:
-            kind: Kind of place.
-            rows: Rows [m] that see too few windows.
-            time: Time of the query, [m] s.
-            count: Number of windows to be seen, [m].
-            last: Time, [m] s, from which on no segment may begin; None for no limit.
-            allowed: Places that count, [m, P]; None for all.
-
-        Returns:
-            Rows for which the searched segments are not enough though more may be added.
+        ``rows`` [m] see too few at the ``time`` [m] s of a query; places that are ``allowed`` [m, P] count (default: all). No
+        segment may begin from ``last`` [m] s on. Return the rows for which the searched segments are not enough though more may
+        be added.
         """
         windows = self._windows_of(kind).take(rows)
         valid = candidates(windows, time, torch.full_like(time, torch.inf), allowed).valid
@@ -216,14 +204,8 @@ class AccessWindows(StateTable):
     def uncertain(self, kind: str, rows: Tensor, time: Tensor, count: Tensor, allowed: Tensor | None = None) -> Tensor:
         """Return those of ``rows`` [m] in which fewer than ``count`` [m] of the windows that queries see are certain.
 
-        Certain are windows that close before the end of the search.
-
-        Args:
-            kind: Kind of place.
-            rows: Different rows in ascending order, [m].
-            time: Time of the query, [m] s.
-            count: Number of windows, [m].
-            allowed: Places that count, [m, P]; None for all.
+        Certain are windows that close before the end of the search. Rows ascend; ``time`` [m] s is that of the query, and
+        places that are ``allowed`` [m, P] count (default: all).
         """
         until, ready = self.until[rows], self.ready[rows]
         windows = self._windows_of(kind)

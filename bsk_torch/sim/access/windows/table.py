@@ -63,11 +63,8 @@ class Candidates(NamedTuple):
 def candidates(windows: Windows, time: Tensor, until: Tensor, allowed: Tensor | None) -> Candidates:
     """Return the windows [n, K] as a query at ``time`` [n] s sees them.
 
-    Args:
-        windows: The windows.
-        time: Time of the query: windows that have closed do not count.
-        until: End of what has been generated, [n] s: windows that open later do not count, those in progress are cut.
-        allowed: Places that count, [n, P]; None for all.
+    Windows that have closed do not count, nor those that open after ``until`` [n] s, the end of what has been generated, where
+    those in progress are cut. Of places, those count that are ``allowed`` [n, P]; all for None.
     """
     end = until.unsqueeze(-1)
     now = (time + TIME_ROUNDING).unsqueeze(-1)
@@ -81,19 +78,12 @@ def candidates(windows: Windows, time: Tensor, until: Tensor, allowed: Tensor | 
 def next_to_close(
     windows: Windows, time: Tensor, until: Tensor, width: int, allowed: Tensor | None, block: int | None = None
 ) -> tuple[Windows, Tensor]:
-    """Return the windows that close next, [n, width] each, and their number, [n].
+    """Return the windows that close next after ``time`` [n] s, [n, width] each, and their number, [n].
 
-    The last window is repeated where there are fewer than ``width``. Tables of many targets hold hundreds of windows, of which a
-    query wants a few, and sorting them dominates its cost. But uncut windows are sorted already, so a ``block`` of them from the
-    first that has not closed is enough for most rows; the remaining rows get longer blocks.
-
-    Args:
-        windows: The table.
-        time: Time of the query, [n] s.
-        until: End of what has been generated, [n] s.
-        width: Number of windows.
-        allowed: Places that count, [n, P]; None for all.
-        block: Length of the first block; None for ``width + BLOCK_MARGIN``.
+    The last window is repeated where there are fewer than ``width``. Tables of many targets hold hundreds of windows, of which
+    a query wants a few, and sorting them dominates its cost. But uncut windows are sorted already, so a ``block`` of them from
+    the first that has not closed (default: ``width + BLOCK_MARGIN``) is enough for most rows; the remaining rows get longer
+    blocks. ``until`` [n] s and ``allowed`` [n, P] are those of :func:`candidates`.
     """
     total, block = windows.close.shape[1], block or width + BLOCK_MARGIN
     if not is_long(total, width):

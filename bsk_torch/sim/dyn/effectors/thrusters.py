@@ -122,7 +122,6 @@ class Thruster:
     thrust: float | str
 
     def __post_init__(self) -> None:
-        """Check the numbers; vectors become tuples, so that equal thrusters are equal."""
         if isinstance(self.thrust, str) and self.thrust not in THRUSTER_TYPES:
             raise ValueError(f"Thruster(thrust={self.thrust!r}) is unknown; {nearest(self.thrust, THRUSTER_TYPES)}")
         thrust = THRUSTER_TYPES[self.thrust] if isinstance(self.thrust, str) else self.thrust
@@ -157,8 +156,7 @@ class ThrusterForm(NamedTuple):
 def described_thrusters(given: Mapping[str, Any]) -> tuple[Thruster, ...] | None:
     """Return the thrusters that arguments as given describe; None for the default pairs, whose numbers are fixed.
 
-    Raises:
-        ValueError: For entries that are not thrusters, and for numbers of thrusters without ``thrusters``.
+    ValueError for entries that are not thrusters, and for numbers of thrusters without ``thrusters``.
     """
     listed = given["thrusters"]
     if listed is None:
@@ -212,7 +210,6 @@ def _fired(pulses: Sequence[Tensor], vectors: Sequence[Vec3]) -> Vec3:
 
 
 def _torque_of_set(bus: Bus, stage: int) -> Vec3 | None:
-    """Return the torque of the thrusters that fire, N m in B, in the first stage."""
     return _fired(bus.pulse, bus.thruster_torques_B) if stage == 0 else None
 
 

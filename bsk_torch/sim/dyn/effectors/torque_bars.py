@@ -39,7 +39,6 @@ class TorqueBar:
     maxDipole: float
 
     def __post_init__(self) -> None:
-        """Check the numbers; the axis becomes a tuple, so that equal bars are equal."""
         number("TorqueBar: maxDipole", self.maxDipole, 0.0, above=True)
         object.__setattr__(self, "axis", vector("TorqueBar: axis", self.axis))
 

@@ -90,8 +90,7 @@ class WheelForm(NamedTuple):
 def described_wheels(given: Mapping[str, Any]) -> tuple[Wheel, ...] | None:
     """Return the wheels that arguments as given describe; None for the three default ones, all of whose numbers are fixed.
 
-    Raises:
-        ValueError: For entries that are not wheels.
+    ValueError for entries that are not wheels.
     """
     wheels = given["wheels"]
     if wheels is None:
@@ -360,6 +359,5 @@ def wheel_set(form: WheelForm, wheels: tuple[Wheel, ...]) -> Component:
 
 
 def _for_each(arg: Arg, count: int, default: Any) -> Arg:
-    """Return an argument of which there is one for each wheel; a single number stands for all."""
     one = arg.dims[1:] if arg.shape else ()
     return dataclasses.replace(arg, kind="scalar", default=default, shape=(count, *one), spread=not one)

@@ -87,7 +87,6 @@ class Wheel:
     useMaxTorque: bool = True
 
     def __post_init__(self) -> None:
-        """Check the numbers; the axis becomes a tuple, so that equal wheels are equal."""
         if self.type not in (*WHEEL_TYPES, CUSTOM):
             raise ValueError(f"Wheel(type={self.type!r}) is unknown; {nearest(str(self.type), (*WHEEL_TYPES, CUSTOM))}")
         for field in fields(self):

@@ -89,7 +89,6 @@ AXIAL_INERTIA = Vec3(SPIN_INERTIA, SPIN_INERTIA, SPIN_INERTIA)  # type: ignore[a
 
 
 def _check_inertia(args: Values) -> None:
-    """Check that the body is heavier than its wheels: the inertia of the box is that of hub and wheels together."""
     smallest = body_inertia(args).min(-1).values
     if bool((smallest <= SPIN_INERTIA).any()):
         row = int(smallest.argmin())

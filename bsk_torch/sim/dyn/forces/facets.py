@@ -50,7 +50,6 @@ class Facet:
     specularCoeff: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the numbers; vectors become tuples, so that equal facets are equal."""
         for name in ("area", "dragCoeff", "diffuseCoeff", "specularCoeff"):
             number(f"Facet: {name}", getattr(self, name), 0.0)
         if self.diffuseCoeff + self.specularCoeff > 1.0:
@@ -110,8 +109,7 @@ ATTRIBUTES = {
 def described_facets(given: Mapping[str, Any]) -> tuple[Facet, ...] | None:
     """Return the facets that arguments as given describe; None for the default box.
 
-    Raises:
-        ValueError: For entries that are not facets, and for numbers of facets without ``facets``.
+    ValueError for entries that are not facets, and for numbers of facets without ``facets``.
     """
     listed = given["facets"]
     if listed is None:
@@ -126,7 +124,6 @@ def described_facets(given: Mapping[str, Any]) -> tuple[Facet, ...] | None:
 
 
 def _of_facets(arg: Arg, listed: Sequence[Facet]) -> Arg:
-    """Return an argument of which there is one for each facet."""
     default = tuple(getattr(facet, ATTRIBUTES[arg.name]) for facet in listed)
     one = (arg.shape or (None,))[1:]
     return replace(arg, default=default, shape=(len(listed), *one), spread=not one)

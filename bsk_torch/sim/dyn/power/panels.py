@@ -55,7 +55,6 @@ class Panel:
     angle: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the numbers; vectors become tuples, so that equal panels are equal."""
         number("Panel: area", self.area, 0.0, 1e6, unit="m^2")
         number("Panel: efficiency", self.efficiency, 0.0, 1.0)
         number("Panel: angle", self.angle, unit="rad")
@@ -117,8 +116,7 @@ SUN_AXIS = Arg("nHat_B", (0.0, 0.0, -1.0), "-", "panel normal in B", "vector", *
 def described_panels(given: Mapping[str, Any]) -> tuple[Panel, ...] | None:
     """Return the panels that arguments as given describe; None for the default one.
 
-    Raises:
-        ValueError: For entries that are not panels, and for numbers of panels without ``panels``.
+    ValueError for entries that are not panels, and for numbers of panels without ``panels``.
     """
     listed = given.get("panels")
     if listed is None:
@@ -207,7 +205,6 @@ def _around(count: int) -> Tensor:
 
 
 def _each(listed: Sequence[Panel], name: str) -> Tensor:
-    """Return an attribute of the panels, [P, 1]."""
     return torch.tensor([getattr(part, name) for part in listed], dtype=torch.float64).unsqueeze(-1)
 
 
@@ -253,7 +250,6 @@ def turned(angle: Tensor, wanted: Tensor, most: Tensor, stops: tuple[Tensor, Ten
 
 
 def _wrapped(angle: Tensor) -> Tensor:
-    """Return an angle in [-pi, pi]."""
     return angle - _TURN * torch.round(angle * (1.0 / _TURN))
 
 
@@ -346,7 +342,6 @@ def panel_set(listed: tuple[Panel, ...]) -> Component:
 
 
 def _check(listed: Sequence[Panel], args: Values) -> None:
-    """Check the numbers of panels that were drawn, or given in place of those of the list."""
     check_axis("nHat_B")(args)
     check_axis("panelNormals_B")(args)
     cosine = (unit_rows(args["panelNormals_B"]) * _axes(listed)).sum(-1).abs()

@@ -80,7 +80,6 @@ def _time(bus: Bus, ago: int = 0) -> Tensor:
 
 
 def _level(levels: Levels, index: Tensor) -> Tensor:
-    """Return the level of the partition number ``index``."""
     level = levels[0]
     for k, other in enumerate(levels[1:], 1):
         level = torch.where(index == k, other, level)
@@ -147,7 +146,6 @@ def _whole(bits: Tensor) -> Tensor:
 
 
 def _changed(levels: Levels, index: Any, change: Tensor) -> Levels:
-    """Return the levels with ``change`` added to the partition number ``index``."""
     if len(levels) == 1:
         return (levels[0] + change,)
     return tuple(torch.where(index == k, level + change, level) for k, level in enumerate(levels))
