@@ -16,6 +16,7 @@ from bsk_torch.constants import NANO
 from bsk_torch.rand import Key
 from bsk_torch.sim.access.lookahead import LookAhead, Manoeuvres
 from bsk_torch.sim.access.visibility.backend import make_visibility
+from bsk_torch.sim.access.visibility.planned import take_rows
 from bsk_torch.sim.access.windows.places import PlaceKinds, place_kinds
 from bsk_torch.sim.access.windows.search import AccessWindows
 from bsk_torch.sim.arguments.values import merge, nearest
@@ -191,7 +192,7 @@ class Simulator:
     def _first_tick(self, rows: Tensor, followed: Mapping[str, Samples]) -> None:
         """Run Basilisk's tick at time zero in ``rows`` [n]; ``followed`` are traces of all rows."""
         state = self.state
-        planes, mine = state.planes[:, rows], {name: rows_of_samples(trace, rows) for name, trace in followed.items()}
+        planes, mine = state.planes[:, rows], {name: take_rows(trace, rows) for name, trace in followed.items()}
         inputs = self._inputs(mine, rows, None)  # satellites that are not present have finite fields, too
         self.runners.first_tick(planes, torch.ones_like(rows), **inputs)
         state.planes[:, rows] = planes
@@ -482,7 +483,7 @@ class Simulator:
         own, mode, ticks = state.parameters, state.mode, state.ticks
         if rows is not None:
             own, mode, ticks = own[:, rows], mode[rows], ticks[rows]
-            tracks = [rows_of_samples(track, rows) for track in tracks]
+            tracks = [take_rows(track, rows) for track in tracks]
         if self.tick.followed:  # between those of arcs and of components
             at = len(self.tick.arc_tracks)
             tracks[at:at] = [followed[name] for name in self.tick.followed]
@@ -575,8 +576,3 @@ class Simulator:
             return torch.zeros_like(self.state.sim_time if rows is None else self.state.sim_time[rows])
         number = torch.stack([self.state.read(name) for name in self._endings]).sum(0)
         return number if rows is None else number[rows]
-
-
-def rows_of_samples(samples: Samples, rows: Tensor) -> Samples:
-    """Return the samples of ``rows`` [n] of a run."""
-    return samples._replace(owner=rows if samples.owner is None else samples.owner[rows])
