@@ -4,18 +4,24 @@ from bsk_torch.sim.places.base import (
     STATION_KIND,
     TARGET_KIND,
     TARGETS,
-    Clearance,
     DrawnPlaces,
     DrawnTargets,
     FixedPlaces,
     Places,
-    PlaceTables,
-    Sight,
     Sites,
     instrument_kind,
     is_target,
 )
-from bsk_torch.sim.places.clearance import AboveElevation, ClearOfEarth, Lit, SunElevation, WithinRange
+from bsk_torch.sim.places.clearance import (
+    AboveElevation,
+    Clearance,
+    ClearOfEarth,
+    Lit,
+    PlaceTables,
+    Sight,
+    SunElevation,
+    WithinRange,
+)
 from bsk_torch.sim.places.moving import GreatCirclePlaces
 from bsk_torch.sim.places.orbiting import OrbitingPlaces
 

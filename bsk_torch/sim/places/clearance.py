@@ -1,14 +1,16 @@
-"""Conditions of a clear view between a satellite and a place; see :class:`bsk_torch.sim.places.base.Clearance`."""
+"""Conditions of a clear view between a satellite and a place, and the tables that they read."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
 
 from bsk_torch.astro.eclipse import sunlight_margin
+from bsk_torch.astro.ephemeris import earth_fixed_sun, earth_orientation
 from bsk_torch.astro.frames import sin_elevation
 from bsk_torch.astro.sight import (
     POLAR_STRETCH,
@@ -18,11 +20,88 @@ from bsk_torch.astro.sight import (
     stretch,
 )
 from bsk_torch.constants import R_EARTH
-from bsk_torch.sim.places.base import PlaceTables, Sight
+from bsk_torch.sim.component import Values
+from bsk_torch.sim.draw_table import DrawTable
+from bsk_torch.sim.instruments import Instrument
+from bsk_torch.sim.state import StateTable
 from bsk_torch.vec3 import Vec3
 
 SLACK = 1e-5
 """Angle, rad, or fraction by which screens are wider than bounds, which covers rounding."""
+
+
+class PlaceTables(NamedTuple):
+    """Tables that kinds of places read; N rows of satellites in ``num_envs`` environments.
+
+    Attributes:
+        drawn: Draws of the scenario, [num_envs, ...] each; read whenever positions are requested, since they change at resets.
+        arguments: Arguments of satellites and world, [N, ...] each; likewise.
+        world: Arguments of the world that are the same in all environments, such as the ground stations.
+        instruments: Several instruments of the satellites; none if they have a single one.
+    """
+
+    drawn: DrawTable
+    arguments: StateTable
+    world: Values
+    instruments: Sequence[Instrument] = ()
+
+    def of_rows(self, name: str, rows: Tensor, place: Tensor) -> Tensor:
+        """Return the draws ``name`` [num_envs, P, ...] for satellites ``rows`` [n] and places [n, ...]; [n, ..., ...]."""
+        table, row = self.drawn.shared(name)
+        envs = rows // self.arguments.count
+        envs = envs if row is None else row[envs]
+        return table[envs.view(-1, *[1] * (place.ndim - 1)), place]
+
+    def of_envs(self, name: str, rows: Tensor) -> Tensor:
+        """Return the draws ``name`` [num_envs, ...] of the environments of satellites ``rows`` [n], [n, ...]."""
+        return self.drawn.of_envs(name, rows // self.arguments.count)
+
+    def orientation(self, rows: Tensor, time: Tensor) -> Tensor:
+        """Return the matrix [PN] at times [n, ...] s since the reset of satellites ``rows`` [n], [n, ..., 3, 3]."""
+        return earth_orientation(self._et(rows, time))
+
+    def sun(self, rows: Tensor, time: Tensor) -> Tensor:
+        """Return the Earth-fixed position of the Sun, [n, ..., 3] m, at times [n, ...] s since the reset of ``rows`` [n]."""
+        return earth_fixed_sun(self._et(rows, time))
+
+    def _et(self, rows: Tensor, time: Tensor) -> Tensor:
+        return self.arguments["utc_init"][rows].view(-1, *[1] * (time.ndim - 1)) + time
+
+
+class Sight(NamedTuple):
+    """Satellites B and places L at the same times; all tensors broadcast to [n, ...].
+
+    Attributes:
+        rows: Rows of the satellites, [n].
+        place: Numbers of the places.
+        time: Times, s since reset.
+        r_BP_P: Earth-fixed position of the satellite, m.
+        r_LP_P: Earth-fixed position of the place, m.
+        tables: Tables of the kind, for the position of the Sun.
+    """
+
+    rows: Tensor
+    place: Tensor
+    time: Tensor
+    r_BP_P: Vec3
+    r_LP_P: Vec3
+    tables: PlaceTables
+
+
+class Clearance(Protocol):
+    """One condition of a clear view."""
+
+    def margin(self, sight: Sight) -> Tensor:
+        """Return a smooth, dimensionless measure, [n, ...], that is positive where the condition holds.
+
+        The search samples it every 30 s, and looks for extremes between three samples by the parabola through them.
+        """
+
+    def reachable(self, sight: Sight, moved_B: Tensor, moved_L: Tensor) -> Tensor:
+        """Return False, [n, ...], where the condition cannot hold as long as neither satellite nor place is further away.
+
+        The satellite moves by up to ``moved_B``, the place by up to ``moved_L`` m. True is always right, but slow.
+        """
 
 
 Limit = float | Callable[[Tensor], Tensor]

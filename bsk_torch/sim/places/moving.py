@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 from typing_extensions import override
 
-from bsk_torch.sim.places.base import Clearance, DrawnPlaces, Places, PlaceTables
+from bsk_torch.sim.places.base import DrawnPlaces, Places
+from bsk_torch.sim.places.clearance import Clearance, PlaceTables
 
 
 class GreatCirclePlaces(DrawnPlaces):

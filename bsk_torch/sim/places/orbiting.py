@@ -11,7 +11,8 @@ from typing_extensions import override
 from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE
 from bsk_torch.astro.mean_orbit import mean_position
 from bsk_torch.constants import MU_EARTH
-from bsk_torch.sim.places.base import Clearance, DrawnPlaces, Places, PlaceTables
+from bsk_torch.sim.places.base import DrawnPlaces, Places
+from bsk_torch.sim.places.clearance import Clearance, PlaceTables
 from bsk_torch.vec3 import Mat3
 
 SPEED_MARGIN = 1.02

@@ -123,7 +123,9 @@ class Recording(Recorder):
     def begin(self, envs: Tensor) -> None:
         envs = envs[torch.isin(envs, self.envs)]
         if len(envs):
-            values, number = self._blank(len(envs), 1), self._recorded(self.fleet.ticks[envs]).unsqueeze(1)
+            ticks = self.fleet.ticks[envs]
+            number = torch.where(ticks % self.every == 0, ticks, NO_TICK).unsqueeze(1)
+            values = self._blank(len(envs), 1)
             for kind in self._types:
                 state = self.fleet.simulators[kind.k].state
                 rows = state.rows_of(envs)
@@ -161,9 +163,6 @@ class Recording(Recorder):
             found = simulator.replay(self._starts[kind.k], of_env(since), of_env(number), self._needed(kind), followed[kind.k])
             self._fill(values, kind, simulator.state.rows_of(envs), number, found)
         self._add(envs, number, values)
-
-    def _recorded(self, ticks: Tensor) -> Tensor:
-        return torch.where(ticks % self.every == 0, ticks, NO_TICK)
 
     def _needed(self, kind: _Type) -> Tensor:
         """Return the planes from which records of a type are made: those of the fields, or all for properties."""
