@@ -21,13 +21,9 @@ LAST_TICK = 2**53
 
 
 class ArgumentState(StateTable):
-    """Drawn arguments of satellites and world, [rows, ...] each by name, as views of one tensor: rows are copied at once.
+    """Drawn arguments of satellites and world, [rows, ...] each by name, as views of one tensor: rows are copied at once."""
 
-    Attributes:
-        values: All arguments as planes, [C, rows] float64.
-    """
-
-    values: Tensor
+    values: Tensor  # all arguments as planes, [C, rows] float64
 
     def __init__(self, num_envs: int, count: int, device: torch.device, trial: Mapping[str, Tensor]) -> None:
         """Make room for arguments like those of a ``trial`` draw, [n or 1] or [n or 1, width] each."""

@@ -183,11 +183,7 @@ SCHEDULE = Schedule(
             ("desaturation", "thruster pulses", "thrMomentumManagement, thrForceMapping, thrMomentumDumping"),
             ("location_pointing", "guidance: instrument to its target", "locationPointing"),
             ("instrument_controller", "command to the instrument", "scanningInstrumentController, simpleInstrumentController"),
-            (
-                "control",
-                "motor torque command",
-                "mrpFeedback or mrpSteering with rateServoFullNonlinear, rwMotorTorque",
-            ),
+            ("control", "motor torque command", "mrpFeedback or mrpSteering with rateServoFullNonlinear, rwMotorTorque"),
         ),
     )
 )

@@ -49,19 +49,12 @@ NONE = Manoeuvres(False, False)
 
 
 class LookAhead(StateTable):
-    """Arcs, eclipses and windows of the satellites of one type.
+    """Arcs, eclipses and windows of the satellites of one type."""
 
-    Attributes:
-        arcs: Where the satellites will be, or, where look-ahead follows no maneuver, would have been without any.
-        flight: Where they will be; the same object unless look-ahead follows no maneuver.
-        eclipses: When they will be in the umbra.
-        access: When places will see them; None without places.
-    """
-
-    arcs: Arcs
-    flight: Arcs
-    eclipses: EclipseTable
-    access: AccessWindows | None
+    arcs: Arcs  # where the satellites will be, or, where look-ahead follows no maneuver, would have been without any
+    flight: Arcs  # where they will be; the same object unless look-ahead follows no maneuver
+    eclipses: EclipseTable  # when they will be in the umbra
+    access: AccessWindows | None  # when places will see them; None without places
 
     def __init__(
         self,

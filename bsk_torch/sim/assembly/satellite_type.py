@@ -207,15 +207,7 @@ def satellite_type(
     flags = dict.fromkeys(flag for part in known for flag in part.flags)
     on = [[float(flag in (mode.on or ())) for mode in modes.values()] for flag in flags]
     drawing = TypeArguments(
-        arguments[1],
-        arguments[0],
-        parts,
-        h_ns,
-        orbit,
-        usage.controlled,
-        usage.randomize,
-        frozenset(usage.drawn),
-        lenient=lenient,
+        arguments[1], arguments[0], parts, h_ns, orbit, usage.controlled, usage.randomize, frozenset(usage.drawn), lenient=lenient
     )
     trial = drawing.trial(num_envs)
     if faults:

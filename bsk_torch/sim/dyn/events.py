@@ -114,10 +114,7 @@ def with_failure_event(parts: Iterable[Component]) -> tuple[Component, ...]:
     if "charge" not in fields:
         return parts
     turns = "Omega_WB_B" in fields
-    return (
-        *parts,
-        FAILURE if turns else dataclasses.replace(FAILURE, update=notice_empty_battery, params=(), prepare=None),
-    )
+    return (*parts, FAILURE if turns else dataclasses.replace(FAILURE, update=notice_empty_battery, params=(), prepare=None))
 
 
 FAILURE = Component(

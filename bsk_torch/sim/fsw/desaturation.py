@@ -158,11 +158,7 @@ def desaturation(count: int, rows: Rows, thrusts: Callable[[Bus], Sequence[Any]]
 
 
 def _prepare(args: Values) -> dict[str, Tensor]:
-    return {
-        "momentum_to_keep": args["hs_min"],
-        "dump_wait": args["maxCounterValue"],
-        "shortest_pulse": args["thrMinFireTime"],
-    }
+    return {"momentum_to_keep": args["hs_min"], "dump_wait": args["maxCounterValue"], "shortest_pulse": args["thrMinFireTime"]}
 
 
 @functools.cache

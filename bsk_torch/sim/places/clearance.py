@@ -12,13 +12,7 @@ from torch import Tensor
 from bsk_torch.astro.eclipse import sunlight_margin
 from bsk_torch.astro.ephemeris import earth_fixed_sun, earth_orientation
 from bsk_torch.astro.frames import sin_elevation
-from bsk_torch.astro.sight import (
-    POLAR_STRETCH,
-    elevation_clearance,
-    line_clearance,
-    max_central_angle,
-    stretch,
-)
+from bsk_torch.astro.sight import POLAR_STRETCH, elevation_clearance, line_clearance, max_central_angle, stretch
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.component import Values
 from bsk_torch.sim.draw_table import DrawTable

@@ -51,21 +51,14 @@ class EclipseTable(StateTable):
 
     Transitions on samples are those behind these. Samples are propagated only as far as queries need, and answers depend on how
     far that is. So the table also keeps the progress of that propagation.
-
-    Attributes:
-        starts: Times of transitions into the umbra, [N, W] s since reset, padded with infinity.
-        ends: Times of transitions out of it, likewise.
-        ahead: How far queries look ahead, [N] s; see :func:`search_range`.
-        sampled: Time up to which samples have been propagated, [N] s.
-        known: Time up to which their transitions have been recorded, [N] s.
     """
 
     searched: Tensor
-    ahead: Tensor
-    sampled: Tensor
-    known: Tensor
-    starts: Tensor
-    ends: Tensor
+    ahead: Tensor  # how far queries look ahead, [N] s; see search_range
+    sampled: Tensor  # time up to which samples have been propagated, [N] s
+    known: Tensor  # time up to which their transitions have been recorded, [N] s
+    starts: Tensor  # times of transitions into the umbra, [N, W] s since reset, padded with infinity
+    ends: Tensor  # times of transitions out of it, likewise
 
     def __init__(self, arcs: Arcs, visibility: Visibility) -> None:
         """Prepare an empty table for ``arcs``."""

@@ -248,10 +248,7 @@ class LineOfSightSearch:
             middle = (intervals.first + intervals.last) // 2
             margin = margins(pairs.take(intervals.pair), middle)
             found[intervals.pair[margin > 0.0]] = True
-            halves = (
-                intervals._replace(last=middle, margin_last=margin),
-                intervals._replace(first=middle, margin_first=margin),
-            )
+            halves = (intervals._replace(last=middle, margin_last=margin), intervals._replace(first=middle, margin_first=margin))
             intervals = TickIntervals(*map(torch.cat, zip(*halves, strict=True)))
             length = intervals.last - intervals.first
             total = intervals.margin_first + intervals.margin_last

@@ -21,15 +21,7 @@ from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values
 from bsk_torch.sim.dyn.axes import check_axis, unit_rows
 from bsk_torch.sim.dyn.effectors.friction import friction_torques
 from bsk_torch.sim.dyn.effectors.wheel_types import TRIAD, Wheel
-from bsk_torch.sim.dyn.hub import (
-    MOTION,
-    body_inertia,
-    body_momentum,
-    check_turn,
-    described_body,
-    given_numbers,
-    inertia_tensor,
-)
+from bsk_torch.sim.dyn.hub import MOTION, body_inertia, body_momentum, check_turn, described_body, given_numbers, inertia_tensor
 from bsk_torch.sim.faults.declared import may_change
 from bsk_torch.vec3 import Mat3, Vec3
 
@@ -345,10 +337,7 @@ def wheel_set(form: WheelForm, wheels: tuple[Wheel, ...]) -> Component:
         update=latch(form),
         args=args,
         state=tuple(state),
-        params=(
-            *(Field(name, count, many=True) for name in parameters_of(form)),
-            Field("wheel_axes_B", 3 * count, vectors=True),
-        ),
+        params=(*(Field(name, count, many=True) for name in parameters_of(form)), Field("wheel_axes_B", 3 * count, vectors=True)),
         reads=MOTION,
         initial=functools.partial(_initial, form),
         prepare=functools.partial(_prepare, form),

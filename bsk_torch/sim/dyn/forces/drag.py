@@ -80,12 +80,7 @@ def drag_with_panels(several: tuple[Panel, ...]) -> Component:
 DRAG = Component(
     slot="drag",
     update=_latch_density,
-    args=(
-        DRAG_COEFFICIENT,
-        AREA,
-        FACETS_ARG,
-        *NUMBERS,
-    ),
+    args=(DRAG_COEFFICIENT, AREA, FACETS_ARG, *NUMBERS),
     state=(Field("density", 1, "kg/m^3", "density that acts over the next tick"),),
     params=(Field("facet_areas", 4, "m^2"), Field("facet_offsets", 4, "m"), Field("drag_coefficient", 1, "-")),
     reads=("width", "depth", "height"),
