@@ -17,7 +17,6 @@ from bsk_torch.rand import Key
 from bsk_torch.sim.access.lookahead import LookAhead, Manoeuvres
 from bsk_torch.sim.access.visibility.backend import make_visibility
 from bsk_torch.sim.access.visibility.planned import take_rows
-from bsk_torch.sim.access.windows.places import PlaceKinds, place_kinds
 from bsk_torch.sim.access.windows.search import AccessWindows
 from bsk_torch.sim.arguments.values import merge, nearest
 from bsk_torch.sim.assembly.composition import commanded_by
@@ -32,6 +31,7 @@ from bsk_torch.sim.fsw.manoeuvre import burn
 from bsk_torch.sim.fsw.models import IDLE
 from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.orbit.solvers import make_solver
+from bsk_torch.sim.places.base import PlaceKinds, place_kinds
 from bsk_torch.sim.readout.observables import Observer
 from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.state import StateTable

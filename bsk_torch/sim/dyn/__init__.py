@@ -3,8 +3,8 @@
 from bsk_torch.sim.dyn.effectors.thrusters import THRUSTER_TYPES, Thruster
 from bsk_torch.sim.dyn.effectors.torque_bars import TorqueBar
 from bsk_torch.sim.dyn.effectors.wheel_types import WHEEL_TYPES, Wheel, WheelType, pyramid
+from bsk_torch.sim.dyn.forces.drag import add_force
 from bsk_torch.sim.dyn.forces.facets import Facet, box_facets
-from bsk_torch.sim.dyn.forces.force import add_force
 from bsk_torch.sim.dyn.models import (
     AtmosphericDragDynModel,
     BasicDynamicsModel,

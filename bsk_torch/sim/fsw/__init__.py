@@ -11,12 +11,13 @@ from bsk_torch.sim.fsw.models import (
     MagneticUnloadingFSWModel,
     SteeringFSWModel,
     SteeringImagerFSWModel,
+    Task,
+    TumblingFSWModel,
+    action,
 )
 from bsk_torch.sim.fsw.modes import Command, Mode
-from bsk_torch.sim.fsw.passive import TumblingFSWModel
 from bsk_torch.sim.fsw.setpoint import AttitudeSetpointFSWModel, InertialHoldFSWModel
 from bsk_torch.sim.fsw.strip import StripImagingFSWModel
-from bsk_torch.sim.fsw.tasks import Task, action
 
 __all__ = [
     "AttitudeSetpointFSWModel",

@@ -1,8 +1,9 @@
-"""Flight-software models: tasks, mode tables and commands."""
+"""Flight-software models: mode tables and commands; deriving from BSK-RL's tasks raises errors with advice."""
 
 from __future__ import annotations
 
-from typing import ClassVar
+from collections.abc import Callable
+from typing import Any, ClassVar
 
 from torch import Tensor
 
@@ -221,3 +222,38 @@ class MagicOrbitalManeuverFSWModel(FSWModel):
     def fuel_remaining(now: Now) -> Tensor:
         """Whether more than 1e-8 m/s of delta-v remain, [N]."""
         return now.dv_available > manoeuvre.EMPTY
+
+
+NO_GUIDANCE = Component(slot="nadir_pointing")
+"""Nothing in the slot: for satellites that point nowhere."""
+
+
+class TumblingFSWModel(FSWModel):
+    """A passive satellite, rotated only by external torques.
+
+    Its attitude starts from ``sigma_init`` and ``omega_init`` and follows Euler's equation ``I omega' = L - omega x (I omega)``
+    with the inertia ``I`` of a uniform box of ``mass``, ``width``, ``depth`` and ``height``, or ``inertia`` (Schaub and Junkins,
+    section 4.2). ``L`` is zero without disturbance or drag. Its only command is ``drift``. BSK-RL has no such model: it
+    imposes the attitudes of satellites without actuators, see :class:`FSWModel`.
+    """
+
+    components: ClassVar[tuple[Component, ...]] = (imposed.ACTUATORS, NO_GUIDANCE)
+    modes: ClassVar[dict[str, Mode | None]] = {"nadir_point": None}
+
+
+NO_TASKS = (
+    "flight software is a Component with update(bus), listed in components of the model, and a row of its table modes, which "
+    "act.DiscreteFSWAction enters; see docs/how_to/own_fsw_mode.md"
+)
+
+
+class Task:
+    """Base class of tasks; deriving from it raises TypeError."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        raise TypeError(f"{cls.__qualname__} is a task, which is never run here; {NO_TASKS}")
+
+
+def action(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorator of commands; raises TypeError."""
+    raise TypeError(f"@action {function.__name__} is a command, which is never run here; {NO_TASKS}")

@@ -8,6 +8,10 @@ Basilisk turns positions into Earth-fixed axes with a matrix C that it extrapola
 orthonormal: equatorial components come out longer by the factor ``1 + (w dt)^2 / 2``, where w is the Earth's rotation rate. Arcs
 have no steps of that kind, so this *stretch* is part of their equations of motion; it is worth 7.5 cm an orbit for ticks of one
 second and 28 m for the look-ahead.
+
+BSK-RL's look-ahead is a Runge-Kutta propagation in steps of 30 s. Its truncation error, meters per orbit, moves windows by
+milliseconds, so it is reproduced: the error of one step, divided by the length of the step, is a rate of position and velocity,
+and the planned arc solves ``r' = v + e_r, v' = a(r, t) + e_v``.
 """
 
 from __future__ import annotations
@@ -20,8 +24,10 @@ from torch import Tensor
 from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE, coverage, earth_angles, sun_state
 from bsk_torch.astro.frames import rotate_z
 from bsk_torch.astro.gravity import DEGREE, J2, field, field_weights, third_body
+from bsk_torch.astro.integrate import State, rk4_step
 from bsk_torch.constants import MU_EARTH, R_EARTH
 from bsk_torch.sim.environment.ephemeris import pole_rate
+from bsk_torch.sim.orbit.grid import PLAN_STEP
 from bsk_torch.vec3 import Mat3, Vec3
 
 
@@ -108,3 +114,32 @@ def full_field(r: Vec3, around: Surroundings, dt: Tensor, stretch: float | Tenso
     f = rotate_z(stretched(field(stretched(p, stretch), field_weights(degree)), stretch), cos, -sin)
     sun = Vec3(*around.r_SN_E.unbind(0)) + Vec3(*around.v_SN_E.unbind(0)) * dt
     return f + tilt.cross(f) + third_body(r, sun)
+
+
+def step_defect(r: Vec3, v: Vec3, stretch: float | Tensor, growth: float | Tensor) -> tuple[Vec3, Vec3]:
+    """Return the error per second, m/s and m/s^2, of the step of ``PLAN_STEP`` that ends at r, m, and v, m/s, in axes E.
+
+    Let y0 be the state from which the exact solution arrives at (r, v), found by a step backwards. Then::
+
+        e = (256 / 255) (y_1 - y_4) / PLAN_STEP
+
+    with the results y_1 of one step and y_4 of four steps of a quarter from y0: the error of a fourth-order method's step is of
+    the fifth order, so four quarter steps have 4 / 4^5 = 1/256 of it (Richardson extrapolation; Hairer, Norsett and Wanner,
+    "Solving Ordinary Differential Equations I", section II.4).
+
+    The single step's stages take the Earth's orientation of its beginning, so their stretch is ``growth * dt^2``; the exact
+    solution has ``stretch``, the mean of it; see :func:`bsk_torch.sim.orbit.equations.frame_stretch`.
+    """
+
+    def step(y: State, h: float, stretch: float | Tensor, growth: float | Tensor) -> State:
+        def rates(stage: int, offset: float, at: State) -> State:
+            return at[1], zonal_field(at[0], stretch + growth * (offset * offset))
+
+        return rk4_step(rates, y, h)
+
+    before = step((r, v), -PLAN_STEP, stretch, 0.0)
+    coarse, fine = step(before, PLAN_STEP, 0.0, growth), before
+    for _ in range(4):
+        fine = step(fine, PLAN_STEP / 4.0, stretch, 0.0)
+    scale = (256.0 / 255.0) / PLAN_STEP
+    return (coarse[0] - fine[0]) * scale, (coarse[1] - fine[1]) * scale

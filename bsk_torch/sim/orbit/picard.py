@@ -28,11 +28,18 @@ from bsk_torch.codegen.kernel import Samples
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.sim.component import neighbours
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, ephemeris_at, pole_matrix
-from bsk_torch.sim.orbit.equations import Surroundings, frame_growth, frame_stretch, full_field, surroundings, zonal_field
+from bsk_torch.sim.orbit.equations import (
+    Surroundings,
+    frame_growth,
+    frame_stretch,
+    full_field,
+    step_defect,
+    surroundings,
+    zonal_field,
+)
 from bsk_torch.sim.orbit.flown_arc import acceleration
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, LEAD_NODES, NODE_SPACING, NODES_PER_SEGMENT, PLAN_STEP
 from bsk_torch.sim.orbit.solution import Solution
-from bsk_torch.sim.orbit.step_error import step_defect
 from bsk_torch.vec3 import Mat3, Vec3
 
 PICARD_DEGREE = 44

@@ -13,9 +13,8 @@ from bsk_torch.astro.interpolate import position, velocity
 from bsk_torch.codegen.kernel import Kernel
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK
 from bsk_torch.sim.orbit.builder import ARC, KernelBuilder
-from bsk_torch.sim.orbit.equations import frame_growth, zonal_field
+from bsk_torch.sim.orbit.equations import frame_growth, step_defect, zonal_field
 from bsk_torch.sim.orbit.grid import NODE_SPACING, PLAN_STEP
-from bsk_torch.sim.orbit.step_error import step_defect
 from bsk_torch.vec3 import Vec3
 
 DIFFERENCE_STEP = 2.0 * NODE_SPACING
@@ -31,7 +30,7 @@ def planned_kernel() -> Kernel:
 
     With the flown arc r, the difference d of position and e of velocity follow ``d' = e + e_r`` and
     ``e' = a_z(r + d) - a_z(r) + e_v``, where a_z is the zonal field, each with the stretch of its arc, and e_r and e_v are the
-    errors per second of a step (:func:`bsk_torch.sim.orbit.step_error.step_defect`). Steps are of the Runge-Kutta kind, in
+    errors per second of a step (:func:`bsk_torch.sim.orbit.equations.step_defect`). Steps are of the Runge-Kutta kind, in
     the axes E of the end of each; samples within are on the cubic through both ends.
     """
     builder = KernelBuilder()

@@ -20,7 +20,7 @@ from bsk_torch.codegen.kernel import Kernel
 from bsk_torch.codegen.trace import Tracer
 from bsk_torch.constants import NANO
 from bsk_torch.sim.component import Bus, Component, Field, Layout, Track, neighbours
-from bsk_torch.sim.dyn.forces.force import check_force
+from bsk_torch.sim.dyn.forces.drag import check_force
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, put_track
 from bsk_torch.sim.orbit.arcs import ARC, follow_arc
 from bsk_torch.sim.tick.own_updates import WatchedBus, check_read, update_checked
