@@ -124,6 +124,13 @@ def text(title: str, value: object) -> str:
     raise ValueError(f"{title}={value!r} must be a string that is not empty")
 
 
+def parts(title: str, value: object, kind: type[Value], what: str, empty: bool = False) -> tuple[Value, ...]:
+    """Return a list of the user as a tuple; ValueError, which asks for ``what``, unless all its entries are of a kind."""
+    if isinstance(value, Sequence) and (value or empty) and all(isinstance(part, kind) for part in value):
+        return tuple(value)
+    raise ValueError(f"{title}={value!r} must be {what}")
+
+
 def vector(title: str, value: Sequence[float], zero: bool = False) -> tuple[float, float, float]:
     """Return three numbers of the user as a tuple; ValueError for anything else, and for only zeros unless ``zero``."""
     numbers = tuple(map(float, value))

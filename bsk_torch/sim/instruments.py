@@ -15,7 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import no_gradient, text
+from bsk_torch._checks import no_gradient, parts, text
 from bsk_torch.rand import Distribution, as_value
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Layout, Values
 from bsk_torch.sim.faults.declared import Fault
@@ -120,15 +120,9 @@ def described_instruments(given: Mapping[str, Any], table: Mapping[str, Arg]) ->
 
 
 def _listed(given: Mapping[str, Any]) -> tuple[Instrument, ...]:
+    what = "a list of instruments, such as [dyn.Instrument('wide'), dyn.Instrument('narrow', instrumentBaudRate=2e6)]"
     listed = given.get(SLOT)
-    if listed is None:
-        return ()
-    if not isinstance(listed, Sequence) or not listed or not all(isinstance(part, Instrument) for part in listed):
-        raise ValueError(
-            f"sat_args: instruments={listed!r} must be a list of instruments, such as [dyn.Instrument('wide'), "
-            "dyn.Instrument('narrow', instrumentBaudRate=2e6)]"
-        )
-    return tuple(listed)
+    return () if listed is None else parts("sat_args: instruments", listed, Instrument, what)
 
 
 def instrument_args(listed: Sequence[Instrument], table: Mapping[str, Arg]) -> dict[str, Arg]:

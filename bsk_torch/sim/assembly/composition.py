@@ -6,7 +6,7 @@ import dis
 import functools
 import inspect
 import types
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 from bsk_torch.sim.component import Component, replaced
@@ -110,41 +110,39 @@ def check_required_dyn(dyn_type: type[DynamicsModel], fsw_type: type[FSWModel]) 
             )
 
 
+def _models(condition: Callable[[type], bool], *bases: type) -> list[str]:
+    """Return the package's models for which a condition holds, as users write them."""
+    models = ((base, cls) for base in bases for cls in _subclasses(base))
+    return [
+        f"{HOMES[base].attribute.removesuffix('_type')}.{cls.__name__}"
+        for base, cls in models
+        if cls.__module__.startswith("bsk_torch.sim.") and condition(cls)
+    ]
+
+
 def providers(name: str) -> Sequence[str]:
-    """Return the package's models whose components write the message, field or parameter ``name``, as users write them."""
-    found = []
-    for base, module in ((DynamicsModel, "dyn"), (FSWModel, "fsw"), (WorldModel, "world")):
-        for cls in _subclasses(base):
-            own = vars(cls).get("components", ())
-            if cls.__module__.startswith("bsk_torch.sim.") and any(name in written(component) for component in own):
-                found.append(f"{module}.{cls.__name__}")
-    return found
+    """Return the package's models whose components write the message, field or parameter ``name``."""
+    return _models(lambda cls: any(name in written(part) for part in vars(cls).get("components", ())), *HOMES)
 
 
 def provided_by(name: str) -> str:
     """Return advice for a model that lacks the message, field or parameter ``name``."""
-    known = providers(name)
-    return f"{' or '.join(known)} provides it" if known else "list a Component that provides it, too"
+    models = providers(name)
+    return f"{' or '.join(models)} provides it" if models else "list a Component that provides it, too"
 
 
 def having(name: str) -> Sequence[str]:
-    """Return the package's models that define the property or method ``name``, as users write them."""
-    found = []
-    for base, module in ((DynamicsModel, "dyn"), (FSWModel, "fsw")):
-        for cls in _subclasses(base):
-            if cls.__module__.startswith("bsk_torch.sim.") and name in vars(cls):
-                found.append(f"{module}.{cls.__name__}")
-    return found
+    """Return the package's models that define the property or method ``name``."""
+    return _models(lambda cls: name in vars(cls), DynamicsModel, FSWModel)
 
 
 def commanded_by(command: str) -> Sequence[str]:
-    """Return the package's flight-software models that bring a command, as users write them."""
-    found = []
-    for cls in _subclasses(FSWModel):
-        modes, commands = (vars(cls).get(table, {}) for table in ("modes", "commands"))
-        if cls.__module__.startswith("bsk_torch.sim.") and (modes.get(command) or command in commands):
-            found.append(f"fsw.{cls.__name__}")
-    return found
+    """Return the package's flight-software models that bring a command."""
+
+    def commands(cls: type) -> bool:
+        return bool(vars(cls).get("modes", {}).get(command)) or command in vars(cls).get("commands", {})
+
+    return _models(commands, FSWModel)
 
 
 def _subclasses(base: type) -> list[type]:

@@ -1,12 +1,16 @@
-"""Vectors of which only the direction counts, in arguments of satellites."""
+"""Arguments of satellites: vectors of which only the direction counts, and lists of parts."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, TypeVar
 
 from torch import Tensor
 
-from bsk_torch.sim.component import Values
+from bsk_torch._checks import parts
+from bsk_torch.sim.component import Arg, Values
+
+Part = TypeVar("Part")
 
 AXIS_BOUNDS = -1e9, 1e9
 """Bounds of their components."""
@@ -25,3 +29,18 @@ def check_axis(name: str) -> Callable[[Values], None]:
             raise ValueError(f"{name}=[0, 0, 0] has length zero; give three numbers in B, not all zero, such as [0, 0, 1]")
 
     return check
+
+
+def described(
+    given: Mapping[str, Any], name: str, numbers: Iterable[Arg], kind: type[Part], what: str
+) -> tuple[Part, ...] | None:
+    """Return the parts that the argument ``name`` lists, ``what`` in messages; None for the default ones.
+
+    ValueError for entries of another kind, and for their ``numbers`` without them.
+    """
+    if given.get(name) is not None:
+        return parts(f"sat_args: {name}", given[name], kind, what)
+    for arg in numbers:
+        if given.get(arg.name) is not None:
+            raise ValueError(f"sat_args: {arg.name} is given without {name}; give {name}=[dyn.{kind.__name__}(...), ...]")
+    return None

@@ -135,11 +135,6 @@ def check_turn(args: Values, H: Tensor, J: Tensor, h: float, cause: str) -> None
         )
 
 
-def _check_spin(args: Values, h: float) -> None:
-    """Check that ticks of h s resolve the initial rate of the body; components with momentum check theirs."""
-    check_turn(args, body_momentum(args), body_inertia(args), h, "omega_init turns")
-
-
 def body_momentum(args: Values) -> Tensor:
     """Return the initial momentum of the spacecraft without the spin of its wheels, [n or 1, 3] N m s in B."""
     if args["inertia"] is None:
@@ -445,15 +440,17 @@ def hub(inertia: str, lever: bool) -> Component:
         initial=_initial_of_origin if lever else _initial,
         prepare=prepare,
         check=_check if lever else _check_no_lever,
-        check_tick=_check_spin,
+        check_tick=lambda args, h: check_turn(args, body_momentum(args), body_inertia(args), h, "omega_init turns"),
         fit=fitted_hub,
     )
 
 
 def fitted_hub(given: Mapping[str, Any]) -> Component:
     """Return the hub for the arguments as given: of a tensor with zeros off its diagonal, in all rows, the diagonal is used."""
-    inertia, place = given["inertia"], given["r_CB_B"]
-    return hub("box" if inertia is None else "diagonal" if _is_diagonal(inertia) else "tensor", not _is_zero(place))
+    inertia, place = given_numbers(given["inertia"]), given_numbers(given["r_CB_B"])
+    diagonal = inertia is not None and inertia.numel() == 9 and not bool(inertia.flatten()[[1, 2, 3, 5, 6, 7]].any())
+    form = "box" if given["inertia"] is None else "diagonal" if diagonal else "tensor"
+    return hub(form, place is None or bool(place.any()))
 
 
 def given_numbers(value: Any) -> Tensor | None:
@@ -464,16 +461,6 @@ def given_numbers(value: Any) -> Tensor | None:
         return torch.as_tensor(np.asarray(value, dtype=np.float64))
     except (TypeError, ValueError):
         return None
-
-
-def _is_zero(value: Any) -> bool:
-    numbers = given_numbers(value)
-    return numbers is not None and not bool(numbers.any())
-
-
-def _is_diagonal(value: Any) -> bool:
-    numbers = given_numbers(value)
-    return numbers is not None and numbers.numel() == 9 and not bool(numbers.flatten()[[1, 2, 3, 5, 6, 7]].any())
 
 
 HUB = hub("box", False)

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from bsk_torch import _checks
 from bsk_torch.sim.arguments.sources import hint
 from bsk_torch.sim.arguments.values import is_fixed
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Layout, Values, asked
@@ -55,11 +56,10 @@ def declared_faults(given: Mapping[str, Any], table: Mapping[str, Arg]) -> tuple
 
     ValueError for entries that are not faults, equal names, and arguments that do not exist or cannot change.
     """
-    listed = given[SLOT]
-    if listed is None:
+    if given[SLOT] is None:
         return ()
-    if not isinstance(listed, Sequence) or not all(isinstance(fault, Fault) for fault in listed):
-        raise ValueError(f"sat_args: faults={listed!r} must be a list of faults, such as [faults.wheel_torque(0, at=600.0)]")
+    what = "a list of faults, such as [faults.wheel_torque(0, at=600.0)]"
+    listed = _checks.parts("sat_args: faults", given[SLOT], Fault, what, empty=True)
     check_unique([fault.name for fault in listed], "faults")
     for fault in listed:
         for name in fault.arguments:
@@ -70,7 +70,7 @@ def declared_faults(given: Mapping[str, Any], table: Mapping[str, Arg]) -> tuple
                     f"fault {fault.name!r} changes {name!r}, which is used only when an environment is built, or an episode "
                     "starts; faults change numbers that a tick reads"
                 )
-    return tuple(listed)
+    return listed
 
 
 def changing(given: Mapping[str, Any], faults: Iterable[Fault]) -> dict[str, Any]:

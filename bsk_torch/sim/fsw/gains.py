@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import no_gradient, number
+from bsk_torch._checks import no_gradient, number, parts
 from bsk_torch.constants import RPM
 from bsk_torch.sim.component import Values
 from bsk_torch.sim.dyn.effectors.thrusters import Thruster, forces_and_arms
@@ -125,10 +125,7 @@ def propose_gains(
 
 
 def _described(inertia: object, wheels: Sequence[Wheel]) -> Values:
-    if not isinstance(wheels, Sequence) or not wheels or not all(isinstance(wheel, Wheel) for wheel in wheels):
-        raise ValueError(
-            f"propose_gains: wheels={wheels!r} must be a list of dyn.Wheel, such as dyn.Wheel('BCT_RWP015', [1, 0, 0])"
-        )
+    parts("propose_gains: wheels", wheels, Wheel, "a list of dyn.Wheel, such as dyn.Wheel('BCT_RWP015', [1, 0, 0])")
     try:
         tensor = torch.as_tensor(no_gradient("propose_gains: inertia", inertia), dtype=torch.float64)
     except (TypeError, ValueError, RuntimeError):
@@ -169,8 +166,7 @@ def _integral(args: Values, gains: dict[str, float], law: str) -> dict[str, floa
 
 def _wait(thrusters: Sequence[Thruster], L: float, h: float) -> float:
     """Return the ticks between pulses of thrusters after which wheels with the torque L, N m, have taken up their momentum."""
-    if not all(isinstance(part, Thruster) for part in thrusters):
-        raise ValueError(f"propose_gains: thrusters={thrusters!r} must be a list of dyn.Thruster")
+    parts("propose_gains: thrusters", thrusters, Thruster, "a list of dyn.Thruster")
     places, directions = (
         torch.tensor([[getattr(part, name) for part in thrusters]], dtype=torch.float64) for name in ("position", "direction")
     )

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
-from typing import Any
 
 import torch
-from torch import Tensor
 
 from bsk_torch.astro.attitude import mrp_to_dcm
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
@@ -43,10 +40,6 @@ def unload(bus: Bus) -> None:
     bus.bar_command = tuple(torch.where(there, dipole * scale, none) for dipole in dipoles)
 
 
-def _prepare(args: Values) -> dict[str, Tensor]:
-    return {"bar_gain": args["barGain"], "bar_map": torch.linalg.pinv(unit_bars(args).mT).flatten(-2)}
-
-
 def _check_gain(args: Values, h: float) -> str | None:
     """Return words about a gain that takes more than all momentum away within a tick."""
     gain = args["barGain"].max().item()
@@ -71,14 +64,12 @@ def unloading(count: int) -> Component:
         args=ARGS,
         params=(Field("bar_gain", 1, "1/s"), Field("bar_map", 3 * count, vectors=True)),
         reads=("barAxes_B",),
-        prepare=_prepare,
+        prepare=lambda args: {"bar_gain": args["barGain"], "bar_map": torch.linalg.pinv(unit_bars(args).mT).flatten(-2)},
         check_tick=_check_gain,
     )
 
 
-def _fitted(given: Mapping[str, Any]) -> Component:
-    return unloading(len(described_bars(given)))
-
-
-UNLOADING = Component(slot="unloading", after="control", update=unload, args=ARGS, fit=_fitted)
+UNLOADING = Component(
+    slot="unloading", after="control", update=unload, args=ARGS, fit=lambda given: unloading(len(described_bars(given)))
+)
 """The cross-product law, for the bars of the dynamics model."""

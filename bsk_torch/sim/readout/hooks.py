@@ -82,7 +82,7 @@ def check_model(cls: type, base: type) -> None:
             _check_member(cls, owner, base, name, value)
     schedules = (vars(model).get("schedule") for model in (base, *_subclasses(base)))
     known = {slot.name for schedule in schedules if isinstance(schedule, Schedule) for slot in schedule}
-    for component in _listed(cls):
+    for component in (*vars(cls).get("components", ()), *vars(cls).get("world_components", ())):
         if anchored(component)[0] not in known:  # of another dynamics model: the environment that has both looks again
             vars(cls).get("schedule", SCHEDULE).place(component)
 
@@ -158,8 +158,3 @@ def _misspelled(cls: type, name: str) -> str | None:
     if any(hasattr(parent, name) for parent in cls.__bases__):
         return None
     return next(iter(difflib.get_close_matches(name, TABLES, n=1, cutoff=SIMILAR)), None)
-
-
-def _listed(cls: type) -> Iterator[Component]:
-    yield from vars(cls).get("components", ())
-    yield from vars(cls).get("world_components", ())

@@ -172,7 +172,8 @@ def _compare(update: Callable[[Bus], None], slot: str, bus: Bus) -> None:
         if before.get(name) is value:
             continue
         for one, first in zip(_planes(getattr(alone, name)), _planes(value), strict=True):
-            if not _alike(one, first[:1] if first.ndim else first):
+            again = (first[:1] if first.ndim else first).double()
+            if not bool(torch.isclose(one.double(), again, rtol=TOLERANCE, atol=TOLERANCE, equal_nan=True).all()):
                 raise UpdateError(
                     f"the component in slot {slot!r} gives an environment another bus.{name} next to a second environment; it "
                     f"must follow from the numbers of that environment, without random numbers: {ELEMENTWISE}"
@@ -193,7 +194,3 @@ def _copied(bus: Bus, function: Callable[[Tensor], Tensor]) -> Bus:
     other = Bus.__new__(Bus)
     vars(other).update((name, _mapped(value, function)) for name, value in vars(bus).items() if name != "unread")
     return other
-
-
-def _alike(a: Tensor, b: Tensor) -> bool:
-    return bool(torch.isclose(a.double(), b.double(), rtol=TOLERANCE, atol=TOLERANCE, equal_nan=True).all())

@@ -26,7 +26,7 @@ from torch import Tensor
 from bsk_torch._checks import number, vector
 from bsk_torch.constants import NANO
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values
-from bsk_torch.sim.dyn.axes import check_axis, unit_rows
+from bsk_torch.sim.dyn.axes import check_axis, described, unit_rows
 from bsk_torch.sim.dyn.hub import given_numbers
 from bsk_torch.sim.faults.declared import may_change
 from bsk_torch.sim.names import nearest
@@ -154,23 +154,11 @@ class ThrusterForm(NamedTuple):
 
 
 def described_thrusters(given: Mapping[str, Any]) -> tuple[Thruster, ...] | None:
-    """Return the thrusters that arguments as given describe; None for the default pairs, whose numbers are fixed.
-
-    ValueError for entries that are not thrusters, and for numbers of thrusters without ``thrusters``.
-    """
-    listed = given["thrusters"]
-    if listed is None:
-        if may_change(given, *(arg.name for arg in ARGS[1:])):
-            return OCTET
-        for arg in ARGS[1:]:
-            if given[arg.name] is not None:
-                raise ValueError(f"sat_args: {arg.name} is given without thrusters; give thrusters=[dyn.Thruster(...), ...]")
-        return None
-    if not isinstance(listed, Sequence) or not listed or not all(isinstance(part, Thruster) for part in listed):
-        raise ValueError(
-            f"sat_args: thrusters={listed!r} must be a list of thrusters, such as [dyn.Thruster([0, 0.5, 1], [1, 0, 0], 0.9)]"
-        )
-    return tuple(listed)
+    """Return the thrusters that arguments as given describe; None for the default pairs, whose numbers are fixed."""
+    if given["thrusters"] is None and may_change(given, *(arg.name for arg in ARGS[1:])):
+        return OCTET
+    what = "a list of thrusters, such as [dyn.Thruster([0, 0.5, 1], [1, 0, 0], 0.9)]"
+    return described(given, "thrusters", ARGS[1:], Thruster, what)
 
 
 def thruster_form(given: Mapping[str, Any], listed: Sequence[Thruster]) -> ThrusterForm:

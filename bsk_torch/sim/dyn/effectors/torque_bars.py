@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import number, vector
+from bsk_torch._checks import number, parts, vector
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values
 from bsk_torch.sim.dyn.axes import check_axis, unit_rows
 from bsk_torch.vec3 import Mat3, Vec3
@@ -53,16 +53,12 @@ ARGS = (
 
 def described_bars(given: Mapping[str, Any]) -> tuple[TorqueBar, ...]:
     """Return the bars that arguments as given describe; ValueError for none, and for entries that are not bars."""
-    listed = given["torqueBars"]
-    bars = isinstance(listed, Sequence) and bool(listed) and all(isinstance(part, TorqueBar) for part in listed)
-    if not bars:
-        raise ValueError(
-            f"sat_args: torqueBars={listed!r} must be a list of bars for dyn.TorqueBarsDynModel, such as "
-            "[dyn.TorqueBar(axis, 0.2) for axis in ([1, 0, 0], [0, 1, 0], [0, 0, 1])]"
-        )
+    example = "[dyn.TorqueBar(axis, 0.2) for axis in ([1, 0, 0], [0, 1, 0], [0, 0, 1])]"
+    what = f"a list of bars for dyn.TorqueBarsDynModel, such as {example}"
+    listed = parts("sat_args: torqueBars", given["torqueBars"], TorqueBar, what)
     if len(listed) > MOST_BARS:
         raise ValueError(f"sat_args: torqueBars has {len(listed)} bars; at most {MOST_BARS} are allowed")
-    return tuple(listed)
+    return listed
 
 
 def unit_bars(args: Values) -> Tensor:

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import parts
 from bsk_torch.constants import RPM
 from bsk_torch.rand import Uniform
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values
@@ -84,15 +85,14 @@ def described_wheels(given: Mapping[str, Any]) -> tuple[Wheel, ...] | None:
 
     ValueError for entries that are not wheels.
     """
-    wheels = given["wheels"]
-    if wheels is None:
+    if given["wheels"] is None:
         described = any(given[arg.name] is not None for arg in NUMBERS) or given.get("rwAvailable") is not None
         return TRIAD if described or may_change(given, *EACH) else None
-    if not isinstance(wheels, Sequence) or not all(isinstance(wheel, Wheel) for wheel in wheels):
-        raise ValueError(f"sat_args: wheels={wheels!r} must be a list of wheels, such as [dyn.Wheel('BCT_RWP015', [1, 0, 0])]")
+    what = "a list of wheels, such as [dyn.Wheel('BCT_RWP015', [1, 0, 0])]"
+    wheels = parts("sat_args: wheels", given["wheels"], Wheel, what, empty=True)
     if len(wheels) > MOST_WHEELS:
         raise ValueError(f"sat_args: wheels has {len(wheels)} wheels; at most {MOST_WHEELS} are allowed")
-    return tuple(wheels)
+    return wheels
 
 
 def wheel_defaults(wheels: Sequence[Wheel]) -> dict[str, tuple[Any, ...]]:

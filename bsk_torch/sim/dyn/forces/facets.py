@@ -16,7 +16,7 @@ from torch import Tensor
 
 from bsk_torch._checks import number, vector
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values
-from bsk_torch.sim.dyn.axes import check_axis, unit_rows
+from bsk_torch.sim.dyn.axes import check_axis, described, unit_rows
 from bsk_torch.vec3 import Mat3, Vec3
 
 SUN_PRESSURE = 1368.0 / 299792458.0 * 149597870700.0**2
@@ -107,20 +107,9 @@ ATTRIBUTES = {
 
 
 def described_facets(given: Mapping[str, Any]) -> tuple[Facet, ...] | None:
-    """Return the facets that arguments as given describe; None for the default box.
-
-    ValueError for entries that are not facets, and for numbers of facets without ``facets``.
-    """
-    listed = given["facets"]
-    if listed is None:
-        for arg in NUMBERS:
-            if given[arg.name] is not None:
-                raise ValueError(f"sat_args: {arg.name} is given without facets; give facets=[dyn.Facet(...), ...]")
-        return None
-    if not isinstance(listed, Sequence) or not listed or not all(isinstance(part, Facet) for part in listed):
-        example = "[dyn.Facet(0.06, [1, 0, 0], [0.1, 0, 0])], or dyn.box_facets([0.2, 0.1, 0.34])"
-        raise ValueError(f"sat_args: facets={listed!r} must be a list of facets, such as {example}")
-    return tuple(listed)
+    """Return the facets that arguments as given describe; None for the default box."""
+    what = "a list of facets, such as [dyn.Facet(0.06, [1, 0, 0], [0.1, 0, 0])], or dyn.box_facets([0.2, 0.1, 0.34])"
+    return described(given, "facets", NUMBERS, Facet, what)
 
 
 def _of_facets(arg: Arg, listed: Sequence[Facet]) -> Arg:

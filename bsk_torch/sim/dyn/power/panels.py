@@ -18,7 +18,7 @@ from bsk_torch._checks import number, vector
 from bsk_torch.astro.attitude import mrp_to_dcm
 from bsk_torch.constants import AU, SOLAR_FLUX
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
-from bsk_torch.sim.dyn.axes import AXIS_BOUNDS, check_axis, unit_rows
+from bsk_torch.sim.dyn.axes import AXIS_BOUNDS, check_axis, described, unit_rows
 from bsk_torch.sim.faults.declared import Fault
 from bsk_torch.vec3 import Vec3
 
@@ -114,19 +114,9 @@ SUN_AXIS = Arg("nHat_B", (0.0, 0.0, -1.0), "-", "panel normal in B", "vector", *
 
 
 def described_panels(given: Mapping[str, Any]) -> tuple[Panel, ...] | None:
-    """Return the panels that arguments as given describe; None for the default one.
-
-    ValueError for entries that are not panels, and for numbers of panels without ``panels``.
-    """
-    listed = given.get("panels")
-    if listed is None:
-        for arg in NUMBERS:
-            if given.get(arg.name) is not None:
-                raise ValueError(f"sat_args: {arg.name} is given without panels; give panels=[dyn.Panel(...), ...]")
-        return None
-    if not isinstance(listed, Sequence) or not listed or not all(isinstance(part, Panel) for part in listed):
-        raise ValueError(f"sat_args: panels={listed!r} must be a list of panels, such as [dyn.Panel([0, 0, -1], 0.12, 0.29)]")
-    return tuple(listed)
+    """Return the panels that arguments as given describe; None for the default one."""
+    what = "a list of panels, such as [dyn.Panel([0, 0, -1], 0.12, 0.29)]"
+    return described(given, "panels", NUMBERS, Panel, what)
 
 
 def of_panels(arg: Arg, listed: Sequence[Panel]) -> Arg:
