@@ -29,8 +29,7 @@ __all__ = ["Arg", "Bus", "Component", "Field", "MissingMessageError", "Track", "
 Values = Mapping[str, Any]
 """Arguments of the rows being reset: tensors with leading dimension n, or 1 where all environments agree."""
 
-Computation = Callable[[Values], dict[str, Tensor]]
-"""Returns fields of the state, or parameters, by name."""
+Computation = Callable[[Values], dict[str, Tensor]]  # returns fields of the state, or parameters, by name
 
 
 class Own(dict[str, Any]):

@@ -10,8 +10,7 @@ from typing_extensions import override
 
 from bsk_torch.sim.state import StateTable, owned
 
-SHARED_FROM = 2
-"""Copies of each episode, on average, from which draws are stored once per episode."""
+SHARED_FROM = 2  # copies of each episode, on average, from which draws are stored once per episode
 
 
 class DrawTable(StateTable):

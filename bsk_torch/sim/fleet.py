@@ -18,8 +18,7 @@ from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
 
-NEVER = 2**62
-"""Number of a tick that does not come."""
+NEVER = 2**62  # number of a tick that does not come
 
 
 class EpisodeDraw(NamedTuple):

@@ -16,8 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-SIMILAR = 0.8
-"""Similarity of two names (``difflib``'s ratio) from which one counts as a misspelling of the other."""
+SIMILAR = 0.8  # similarity of two names (`difflib`'s ratio) from which one counts as a misspelling of the other
 
 FLEET_MEMORY = (
     "keep values that are reset with every episode in self.fleet.memory, where link(fleet) declares them: "

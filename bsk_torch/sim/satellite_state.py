@@ -16,8 +16,7 @@ from bsk_torch.sim.component import Layout
 from bsk_torch.sim.names import nearest, same
 from bsk_torch.sim.state import StateTable, described, look_up
 
-LAST_TICK = 2**53
-"""Largest number of a tick: the tick counts in float64."""
+LAST_TICK = 2**53  # largest number of a tick: the tick counts in float64
 
 
 class ArgumentState(StateTable):

@@ -41,8 +41,7 @@ from bsk_torch.sim.tick.tracks import TrackSource, no_samples
 
 logger = logging.getLogger(__name__)
 
-MANY_TICKS = 5000
-"""Ticks with ``backend="eager"`` after which a warning tells what they cost."""
+MANY_TICKS = 5000  # ticks with `backend="eager"` after which a warning tells what they cost
 
 EAGER = (
     "more than %d ticks with backend='eager', which is for debugging: compiled kernels, the default, are about 300 times as fast"

@@ -26,11 +26,8 @@ Table = TypeVar("Table", bound="StateTable")
 Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")
 
-FINITE = 1e30
-"""Bound of a field whose numbers may be any but NaN and infinities; they are finite in float32, too."""
-
-SHOWN = 5
-"""Number of wrong rows that a message lists."""
+FINITE = 1e30  # bound of a field whose numbers may be any but NaN and infinities; they are finite in float32, too
+SHOWN = 5  # number of wrong rows that a message lists
 
 
 def outside_inference(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:

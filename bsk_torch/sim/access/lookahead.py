@@ -27,14 +27,12 @@ from bsk_torch.sim.state import StateTable, outside_inference
 MARGIN = SEARCH_STEP * (SEARCHES - 1) + 2.0 * PLAN_STEP
 """Seconds that arcs reach beyond the requested time: the range of the search for eclipses."""
 
-KEPT_PAST = ARC_SEGMENT
-"""Seconds of the past that an arc keeps when it moves on."""
+KEPT_PAST = ARC_SEGMENT  # seconds of the past that an arc keeps when it moves on
 
 CHUNK, DEVICE_CHUNK = 256, 16384
 """Rows solved at once on the CPU, where they should fit into its cache, and on other devices, where memory bounds them."""
 
-SEARCHED, DEVICE_SEARCHED = 1 << 18, 1 << 24
-"""Pairs of satellite and place whose windows are searched at once, likewise."""
+SEARCHED, DEVICE_SEARCHED = 1 << 18, 1 << 24  # pairs of satellite and place whose windows are searched at once, likewise
 
 
 class Manoeuvres(NamedTuple):
@@ -44,8 +42,7 @@ class Manoeuvres(NamedTuple):
     lookahead: bool
 
 
-NONE = Manoeuvres(False, False)
-"""Nothing: of satellites that do not maneuver."""
+NONE = Manoeuvres(False, False)  # nothing: of satellites that do not maneuver
 
 
 class LookAhead(StateTable):

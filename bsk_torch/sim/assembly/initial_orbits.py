@@ -17,11 +17,8 @@ from bsk_torch.vec3 import Vec3
 LOWEST_PERIAPSIS, HIGHEST_APOAPSIS = 6.35e6, 1e9
 """Bounds of the radii of initial orbits, m: the Earth's polar radius is 6.357e6, and the Moon, which is not modeled, at 4e8."""
 
-FARTHEST = 1e12
-"""Largest initial distance from the Earth's center of a satellite that is not in orbit, m."""
-
-DENSEST_AIR = 10.0
-"""Largest density, kg/m^3, at an initial position."""
+FARTHEST = 1e12  # largest initial distance from the Earth's center of a satellite that is not in orbit, m
+DENSEST_AIR = 10.0  # largest density, kg/m^3, at an initial position
 
 
 def check_orbits(values: Mapping[str, Any], orbit: str) -> None:

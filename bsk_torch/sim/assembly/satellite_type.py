@@ -38,11 +38,8 @@ from bsk_torch.sim.world import WorldModel
 
 logger = logging.getLogger(__name__)
 
-Ticks = Kept[tuple[Tick, Runners]]
-"""Ticks, with what runs them, by their identity."""
-
-TICKS: Ticks = Kept(32)
-"""Ticks of components of the package that the process has made last: there are fewer presets."""
+Ticks = Kept[tuple[Tick, Runners]]  # ticks, with what runs them, by their identity
+TICKS: Ticks = Kept(32)  # ticks of components of the package that the process has made last: there are fewer presets
 
 ORBITS = ("arc", "integrated", "free")
 

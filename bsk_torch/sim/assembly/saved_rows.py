@@ -12,8 +12,7 @@ from bsk_torch.sim.assembly.satellite_type import SatelliteType
 from bsk_torch.sim.component import asked
 from bsk_torch.sim.satellite_state import ArgumentState, SatelliteState
 
-CLOSE = 1e-9
-"""Relative difference of parameters that two machines compute from the same arguments."""
+CLOSE = 1e-9  # relative difference of parameters that two machines compute from the same arguments
 
 
 def check_saved(satellite_type: SatelliteType, saved: SatelliteState, path: str) -> None:

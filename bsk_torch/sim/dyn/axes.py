@@ -12,8 +12,7 @@ from bsk_torch.sim.component import Arg, Values
 
 Part = TypeVar("Part")
 
-AXIS_BOUNDS = -1e9, 1e9
-"""Bounds of their components."""
+AXIS_BOUNDS = -1e9, 1e9  # bounds of their components
 
 
 def unit_rows(vectors: Tensor) -> Tensor:

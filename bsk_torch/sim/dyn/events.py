@@ -12,8 +12,7 @@ from bsk_torch.constants import RPM
 from bsk_torch.sim.component import Bus, Component, Field
 from bsk_torch.vec3 import Vec3
 
-DISARMED = 1e300
-"""Level that no store reaches, bit; finite, so that infinities in a state are errors."""
+DISARMED = 1e300  # level that no store reaches, bit; finite, so that infinities in a state are errors
 
 
 def notice_image(bus: Bus) -> None:
@@ -38,21 +37,14 @@ IMAGE_EVENT = Component(
     initial=lambda args: {"image_level": torch.full((1,), DISARMED, dtype=torch.float64)},
 )
 
-NO_IMAGE_EVENT = Component(slot="image_event")
-"""Nothing in the slot: for models whose data are no images."""
-
-
-LEFT_OVER = 1.0
-"""Data up to which a store counts as empty, bit."""
+NO_IMAGE_EVENT = Component(slot="image_event")  # nothing in the slot: for models whose data are no images
+LEFT_OVER = 1.0  # data up to which a store counts as empty, bit
 
 EMPTIED, DOWNLINK_TICK = "emptied", "downlink_tick"
 """Fields with the number of downlinks that an empty store has ended, and with the tick from which on one may end."""
 
-EMPTY_DOWNLINKS = "empty_downlinks"
-"""Memory of satellites with the number of downlinks that began with an empty store."""
-
-ENDINGS = "images", EMPTIED
-"""Fields that count events which end actions, where a satellite has them."""
+EMPTY_DOWNLINKS = "empty_downlinks"  # memory of satellites with the number of downlinks that began with an empty store
+ENDINGS = "images", EMPTIED  # fields that count events which end actions, where a satellite has them
 
 
 def notice_empty_store(bus: Bus) -> None:
@@ -80,8 +72,7 @@ EMPTY_STORE_EVENT = Component(
 )
 
 
-FAILED = "failed"
-"""Field that holds whether a satellite has failed in the episode, 1 or 0."""
+FAILED = "failed"  # field that holds whether a satellite has failed in the episode, 1 or 0
 
 
 def notice_empty_battery(bus: Bus) -> None:

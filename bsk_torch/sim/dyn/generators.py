@@ -16,16 +16,12 @@ from bsk_torch.vec3 import only
 
 Planes = tuple[Tensor, ...]
 
-MINSTD, MINSTD_FACTOR = 2147483647.0, 48271.0
-"""Modulus and factor of C++'s ``minstd_rand``."""
+MINSTD, MINSTD_FACTOR = 2147483647.0, 48271.0  # modulus and factor of C++'s `minstd_rand`
 
 MINSTD_RANGE = MINSTD - 1.0
 
-ATTEMPTS = 48
-"""Pairs that :func:`polar_normals` draws at most for nine normal pairs: fewer suffice but for once in 1e20 ticks."""
-
-MODULI = 4294967087.0, 4294944443.0
-"""Moduli of both parts of MRG32k3a."""
+ATTEMPTS = 48  # pairs that polar_normals draws at most for nine normal pairs: fewer suffice but for once in 1e20 ticks
+MODULI = 4294967087.0, 4294944443.0  # moduli of both parts of MRG32k3a
 
 
 def modulo(product: Tensor, modulus: float) -> Tensor:

@@ -30,11 +30,8 @@ from bsk_torch.sim.dyn.forces.field import called_field, full_field
 from bsk_torch.vec3 import Mat3, Vec3, times
 
 BODY = ("mass", "width", "depth", "height")
-MOTION = ("inertia", *BODY, "omega_init")
-"""Arguments that the inertia follows from."""
-
-STABLE_TURN = 2.0 * math.sqrt(2.0)
-"""Angle, rad, that a Runge-Kutta step of order four resolves."""
+MOTION = ("inertia", *BODY, "omega_init")  # arguments that the inertia follows from
+STABLE_TURN = 2.0 * math.sqrt(2.0)  # angle, rad, that a Runge-Kutta step of order four resolves
 
 
 def box_inertia(mass: Tensor, width: Tensor, depth: Tensor, height: Tensor) -> Tensor:
@@ -183,8 +180,7 @@ def _diagonal_inertia(args: Values) -> Tensor:
     return diagonal
 
 
-EffectorStates = list[tuple[Any, ...]]
-"""State of each effector: a tuple of its fields on the bus."""
+EffectorStates = list[tuple[Any, ...]]  # state of each effector: a tuple of its fields on the bus
 
 
 def _leaves(states: EffectorStates) -> State:
@@ -463,5 +459,4 @@ def given_numbers(value: Any) -> Tensor | None:
         return None
 
 
-HUB = hub("box", False)
-"""The hub of a box with its center of mass at the origin of B."""
+HUB = hub("box", False)  # the hub of a box with its center of mass at the origin of B

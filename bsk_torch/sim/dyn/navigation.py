@@ -244,5 +244,4 @@ def navigation_errors(form: WalkForm) -> Component:
     )
 
 
-NAVIGATION_ERRORS = navigation_errors(WalkForm())
-"""Errors of navigation; what acts follows from the arguments."""
+NAVIGATION_ERRORS = navigation_errors(WalkForm())  # errors of navigation; what acts follows from the arguments

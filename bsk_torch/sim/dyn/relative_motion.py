@@ -12,8 +12,7 @@ from bsk_torch.sim.component import Arg, Component, Values
 from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.readout.model import aliveness_checker
 
-SHORTEST = 1e-9
-"""Smallest radius, m, and time between two looks, s."""
+SHORTEST = 1e-9  # smallest radius, m, and time between two looks, s
 
 
 def _check_looks(args: Values) -> None:

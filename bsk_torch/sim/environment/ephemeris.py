@@ -25,8 +25,7 @@ from bsk_torch.astro.frames import rotate_z
 from bsk_torch.sim.component import Bus, Field, Layout, Track, vec
 from bsk_torch.vec3 import Mat3, Vec3
 
-RECORD_SPACING = 3600.0
-"""Seconds between two records."""
+RECORD_SPACING = 3600.0  # seconds between two records
 
 EPHEMERIS_TRACK = Track(
     name="ephemeris",

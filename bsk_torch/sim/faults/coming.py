@@ -12,8 +12,7 @@ from bsk_torch.rand import Key
 from bsk_torch.sim.component import Values
 from bsk_torch.sim.faults.declared import Fault, ticks_of
 
-ROUNDS = 14
-"""Rounds of candidates, 1, 2, 4 ... for each episode that has none that fits: 16,383 in all."""
+ROUNDS = 14  # rounds of candidates, 1, 2, 4 ... for each episode that has none that fits: 16,383 in all.
 
 Draw = Callable[[Sequence[str], Key], Values]
 """Function that returns the arguments of some names, drawn for the key's n environments: [n * S, ...], or [1, ...] if equal."""

@@ -29,11 +29,8 @@ SLOT = "faults"
 
 FAULTS_ARG = Arg(SLOT, None, "-", "faults that may happen, a list of faults.Fault", "constant")
 
-FAULTS = Component(slot=SLOT, args=(FAULTS_ARG,))
-"""No faults, unless the arguments declare some: :func:`with_faults`."""
-
-UNLIMITED = ("u_max", "rwPMax", "rwOmegaMax")
-"""Arguments that mean no limit where they are not positive."""
+FAULTS = Component(slot=SLOT, args=(FAULTS_ARG,))  # no faults, unless the arguments declare some: with_faults
+UNLIMITED = ("u_max", "rwPMax", "rwOmegaMax")  # arguments that mean no limit where they are not positive
 
 
 class Group(NamedTuple):

@@ -155,8 +155,7 @@ class Fault:
         return self.lasts is not None
 
 
-NEVER = 2.0**53
-"""Number of a tick that does not come."""
+NEVER = 2.0**53  # number of a tick that does not come
 
 
 def ticks_of(seconds: Tensor, h_ns: int) -> Tensor:

@@ -7,8 +7,7 @@ from typing import Any
 
 from bsk_torch.sim.faults.declared import Fault
 
-NOTHING = 1e-12
-"""Limit of a torque, N m, or thrust, N, that is lost: zero would mean that there is no limit."""
+NOTHING = 1e-12  # limit of a torque, N m, or thrust, N, that is lost: zero would mean that there is no limit
 
 
 def _named(title: str, part: int | str | None, given: dict[str, Any]) -> dict[str, Any]:

@@ -63,8 +63,7 @@ def wheel_map(args: Values) -> Tensor:
 SMOOTH = 0.3
 """Largest ``k h / J`` of null motion with gain k, N m s, tick h, s, and wheel inertia J, kg m^2, that does not oscillate."""
 
-RANK_TOLERANCE = 1e-9
-"""Share of the largest singular value below which axes are dependent."""
+RANK_TOLERANCE = 1e-9  # share of the largest singular value below which axes are dependent
 
 
 def distribute(bus: Bus, torque_B: Vec3, null_motion: bool) -> Commands:

@@ -68,8 +68,7 @@ def _least(values: Sequence[Tensor]) -> Tensor:
     return torch.minimum(_least(values[:half]), _least(values[half:]))
 
 
-Rows = Callable[[Bus], Iterable[Sequence[Any]]]
-"""Returns the rows of the map of impulses, three numbers or planes each."""
+Rows = Callable[[Bus], Iterable[Sequence[Any]]]  # returns the rows of the map of impulses, three numbers or planes each
 
 
 def dump_momentum(bus: Bus, rows: Rows, thrusts: Callable[[Bus], Sequence[Any]]) -> None:

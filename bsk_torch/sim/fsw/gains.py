@@ -22,17 +22,10 @@ from bsk_torch.sim.names import nearest
 LAWS = {"feedback": ("K", "P"), "steering": ("K1", "K3", "servo_P")}
 """Control laws, and their gains of :func:`bsk_torch.sim.fsw.stability.gains_at`, without those of the integral."""
 
-MOMENTUM_SHARE = 0.5
-"""Part of the wheels' momentum that a slew uses; the rest is for what they have stored."""
-
-NULL_TORQUE_SHARE = 0.25
-"""Part of a wheel's torque that null motion uses at its top speed."""
-
-PULSE_TORQUE_SHARE = 0.5
-"""Part of the wheels' torque that takes up the pulses of the thrusters, on average."""
-
-LEAST_WAIT = 4
-"""Least proposed ticks between pulses, the default."""
+MOMENTUM_SHARE = 0.5  # part of the wheels' momentum that a slew uses; the rest is for what they have stored
+NULL_TORQUE_SHARE = 0.25  # part of a wheel's torque that null motion uses at its top speed
+PULSE_TORQUE_SHARE = 0.5  # part of the wheels' torque that takes up the pulses of the thrusters, on average
+LEAST_WAIT = 4  # least proposed ticks between pulses, the default
 
 
 def propose_gains(

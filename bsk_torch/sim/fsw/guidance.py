@@ -146,8 +146,7 @@ def _memory(task: str) -> tuple[Field, ...]:
 # there is none
 NAVIGATION = Component(slot="navigation", update=navigate, flags=("control_on",))
 
-SUN_RESET = {"sun_fresh": 1.0, "sun_sigma_BR": 0.0}
-"""What a mode resets in which pointing at the Sun begins."""
+SUN_RESET = {"sun_fresh": 1.0, "sun_sigma_BR": 0.0}  # what a mode resets in which pointing at the Sun begins
 
 
 def fitted_sun_pointing(given: Mapping[str, Any]) -> Component:

@@ -54,8 +54,7 @@ SCANNING_CONTROLLER = Component(
     flags=("controller_on",),
 )
 
-IMAGE_RESET = {"image_taken": 0.0}
-"""What a mode resets in which an image is to be taken."""
+IMAGE_RESET = {"image_taken": 0.0}  # what a mode resets in which an image is to be taken
 
 IMAGE_CONTROLLER = dataclasses.replace(
     SCANNING_CONTROLLER,

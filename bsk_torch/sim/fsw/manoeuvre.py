@@ -14,11 +14,8 @@ from torch import Tensor
 from bsk_torch.sim.component import Arg, Bus, Component, Field, vec
 from bsk_torch.vec3 import Vec3
 
-EMPTY = 1e-8
-"""Change of velocity, m/s, up to which a tank counts as empty."""
-
-MOST_FUEL = 1e6
-"""Largest tank, m/s."""
+EMPTY = 1e-8  # change of velocity, m/s, up to which a tank counts as empty
+MOST_FUEL = 1e6  # largest tank, m/s
 
 
 def change_velocity(bus: Bus) -> None:

@@ -224,8 +224,7 @@ class MagicOrbitalManeuverFSWModel(FSWModel):
         return now.dv_available > manoeuvre.EMPTY
 
 
-NO_GUIDANCE = Component(slot="nadir_pointing")
-"""Nothing in the slot: for satellites that point nowhere."""
+NO_GUIDANCE = Component(slot="nadir_pointing")  # nothing in the slot: for satellites that point nowhere
 
 
 class TumblingFSWModel(FSWModel):

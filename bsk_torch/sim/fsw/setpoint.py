@@ -12,8 +12,7 @@ from bsk_torch.sim.fsw.models import FSWModel
 from bsk_torch.sim.fsw.modes import Mode
 from bsk_torch.vec3 import Vec3
 
-ATTITUDE_MRP = "attitude_mrp"
-"""Command that follows a set-point."""
+ATTITUDE_MRP = "attitude_mrp"  # command that follows a set-point
 
 
 def hold(bus: Bus) -> None:
@@ -45,8 +44,7 @@ class AttitudeSetpointFSWModel(FSWModel):
     modes: ClassVar[dict[str, Mode | None]] = {ATTITUDE_MRP: Mode(("control_on",))}
 
 
-HOLD_INERTIAL = "hold_inertial"
-"""Command to turn to the attitude of N."""
+HOLD_INERTIAL = "hold_inertial"  # command to turn to the attitude of N
 
 
 class InertialHoldFSWModel(FSWModel):

@@ -57,8 +57,7 @@ def gains_at(rate: float, P: float) -> dict[str, float]:
     return found | {"servo_P": P, "servo_Ki": rate * P, "K1": 4.0 * rate, "K3": 4.0 / 3.0 * rate}
 
 
-GROWTH = 1.001
-"""Factor by which a tick must multiply errors for a loop to grow without bound, and not only to keep them."""
+GROWTH = 1.001  # factor by which a tick must multiply errors for a loop to grow without bound, and not only to keep them
 
 UNBOUNDED = 7.0
 """Ratio ``50 N m s h / J`` above which a growing loop makes numbers overflow, in spite of the limit of the torque.
@@ -164,8 +163,7 @@ def in_words(args: Values, *names: str) -> str:
     )
 
 
-LOOP = ("inertia", *BODY, "u_max", "rwJs", "rwOmegaMax", "rwAxes_B")
-"""Arguments of body and wheels that :func:`check_gains` reads."""
+LOOP = ("inertia", *BODY, "u_max", "rwJs", "rwOmegaMax", "rwAxes_B")  # arguments of body and wheels that check_gains reads
 
 
 def has_wheels(args: Values) -> bool:

@@ -21,11 +21,8 @@ from bsk_torch.sim.instruments import differs
 from bsk_torch.sim.readout.observables import Now, observable
 from bsk_torch.vec3 import select
 
-STRIP_MODE = "image_strip"
-"""Flight mode in which strips are recorded."""
-
-ROUNDING = 1e-12
-"""Angle by which rounding may put a place before the start of its strip, rad; 6 micrometers on the ground."""
+STRIP_MODE = "image_strip"  # flight mode in which strips are recorded
+ROUNDING = 1e-12  # angle by which rounding may put a place before the start of its strip, rad; 6 micrometers on the ground
 
 
 @functools.cache

@@ -23,8 +23,7 @@ from bsk_torch.vec3 import Vec3, only
 
 QUARTER = 0.5 * math.pi
 
-FIRST_ALTITUDE = 1000.0
-"""Height, m, of the place on the equator that is the target until the first task."""
+FIRST_ALTITUDE = 1000.0  # height, m, of the place on the equator that is the target until the first task
 
 
 @functools.cache
@@ -102,8 +101,7 @@ SUN_LIMITS = (
 )
 """Light in which targets can be imaged; None: any."""
 
-SUN_PARAMETERS = ("target_least_sun", "target_most_sun")
-"""Parameters of the tick, the sines of :data:`SUN_LIMITS`."""
+SUN_PARAMETERS = ("target_least_sun", "target_most_sun")  # parameters of the tick, the sines of SUN_LIMITS
 
 
 def fitted_target(given: Mapping[str, Any]) -> Component:

@@ -11,8 +11,7 @@ from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
 from bsk_torch.sim.dyn.effectors.torque_bars import described_bars, unit_bars
 from bsk_torch.sim.fsw.desaturation import stored_momentum
 
-NO_FIELD = 1e-20
-"""Square of a magnetic field, T^2, below which bars are not used."""
+NO_FIELD = 1e-20  # square of a magnetic field, T^2, below which bars are not used
 
 
 def unload(bus: Bus) -> None:

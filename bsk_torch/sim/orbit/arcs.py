@@ -28,8 +28,7 @@ from bsk_torch.sim.orbit.grid import ARC_SEGMENT, LEAD_NODES, NODE_SPACING, NODE
 from bsk_torch.sim.orbit.solution import Solution, Solver
 from bsk_torch.sim.state import StateTable
 
-PLANNED_SEGMENTS = 5
-"""Number of stored hours of the planned arc."""
+PLANNED_SEGMENTS = 5  # number of stored hours of the planned arc
 
 
 def follow_arc(bus: Bus) -> None:
@@ -45,8 +44,7 @@ def follow_arc(bus: Bus) -> None:
 REACH_AROUND = (COUNT - BEFORE) * NODE_SPACING
 """Seconds behind a time that arcs must cover so that the interpolation at that time is not one-sided."""
 
-FARTHEST = 1e13
-"""Largest number, in m, m/s or s, that arcs may hold; the Sun is 1.5e11 m away."""
+FARTHEST = 1e13  # largest number, in m, m/s or s, that arcs may hold; the Sun is 1.5e11 m away
 
 
 class Arcs(StateTable):

@@ -17,8 +17,7 @@ from bsk_torch.vec3 import Vec3
 ARC = Track("arc", NODE_SPACING, (vec("r_BN_N", "m", exact=True),), COUNT, BEFORE)
 """Nodes of an arc, as ticks and searches see it."""
 
-FINE = Track("fine", PLAN_STEP, (vec("r_BN_N", "m", exact=True),), count=1)
-"""Samples of the planned arc."""
+FINE = Track("fine", PLAN_STEP, (vec("r_BN_N", "m", exact=True),), count=1)  # samples of the planned arc
 
 
 class KernelBuilder:

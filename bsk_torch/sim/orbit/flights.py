@@ -32,11 +32,8 @@ from bsk_torch.sim.orbit.grid import LEAD_NODES
 from bsk_torch.sim.orbit.kernel_solver import continue_flight, start_flight
 from bsk_torch.vec3 import Vec3
 
-FIRST_STEP = START_STEPS[-1]
-"""Step after the epoch at which a flight starts."""
-
-REMEMBERED = MULTISTEP_ORDER - 1
-"""Steps before the one it is at for which a flight remembers accelerations."""
+FIRST_STEP = START_STEPS[-1]  # step after the epoch at which a flight starts
+REMEMBERED = MULTISTEP_ORDER - 1  # steps before the one it is at for which a flight remembers accelerations
 
 
 class Flights(Protocol):

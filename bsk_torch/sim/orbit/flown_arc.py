@@ -21,14 +21,9 @@ from bsk_torch.sim.orbit.equations import central_gradient, stretched
 from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING
 from bsk_torch.vec3 import Vec3, select
 
-MULTISTEP_STEP = NODE_SPACING / 2.0
-"""Step, s, of the multistep method: two for each stored node."""
-
-MULTISTEP_ORDER = 12
-"""Accelerations that the multistep method remembers."""
-
-START_SWEEPS = 8
-"""Iterations over the first nodes; each wins two digits."""
+MULTISTEP_STEP = NODE_SPACING / 2.0  # step, s, of the multistep method: two for each stored node
+MULTISTEP_ORDER = 12  # accelerations that the multistep method remembers
+START_SWEEPS = 8  # iterations over the first nodes; each wins two digits
 
 
 def weighted(weights: list[Any], vectors: list[Vec3]) -> Vec3:
@@ -57,11 +52,8 @@ START_STEPS = (*range(-2 * LEAD_NODES, 0), *range(1, MULTISTEP_ORDER - 2 * LEAD_
 START_STATE = 6 + 3 + 6 * MULTISTEP_ORDER + 6
 """Planes: r and v at the epoch, acceleration there, those of the last and of this sweep, r and v of the node last visited."""
 
-FLOWN_STATE = 6 + 3 * MULTISTEP_ORDER
-"""Planes: r and v at the last node, and the last accelerations, oldest first."""
-
-SCHEDULED = 3 + 2 * (MULTISTEP_ORDER + 1)
-"""Numbers that each tick of the start needs."""
+FLOWN_STATE = 6 + 3 * MULTISTEP_ORDER  # planes: r and v at the last node, and the last accelerations, oldest first
+SCHEDULED = 3 + 2 * (MULTISTEP_ORDER + 1)  # numbers that each tick of the start needs
 
 
 @cache
@@ -160,8 +152,7 @@ def flown_step(
     return r, v + weighted(_scaled(velocity_weights(after, 0, 1), MULTISTEP_STEP), remembered), remembered
 
 
-NODE = Track("node", NODE_SPACING, (vec("r_BN_N", "m", exact=True),), count=1)
-"""Nodes of an arc, one by one."""
+NODE = Track("node", NODE_SPACING, (vec("r_BN_N", "m", exact=True),), count=1)  # nodes of an arc, one by one
 
 
 @cache

@@ -13,8 +13,7 @@ from bsk_torch.sim.orbit.solution import Solution
 
 MINUTE_NS, DIFFERENCE_STEP_NS = round(NODE_SPACING * 1e9), round(planned_arc.DIFFERENCE_STEP * 1e9)
 
-SAMPLES_PER_STEP = round(planned_arc.DIFFERENCE_STEP / PLAN_STEP)
-"""Samples of the planned arc in a step of its kernel."""
+SAMPLES_PER_STEP = round(planned_arc.DIFFERENCE_STEP / PLAN_STEP)  # samples of the planned arc in a step of its kernel
 
 
 class KernelSolver:

@@ -42,20 +42,11 @@ from bsk_torch.sim.orbit.grid import ARC_SEGMENT, LEAD_NODES, NODE_SPACING, NODE
 from bsk_torch.sim.orbit.solution import Solution
 from bsk_torch.vec3 import Mat3, Vec3
 
-PICARD_DEGREE = 44
-"""Degree of the interpolated accelerations; with the rounds below arcs are solved to 0.03 mm."""
-
-ROUNDS = (3, 2, 1, 1)
-"""Calls of :func:`relax` before the full field is first evaluated, and after each time that it is."""
-
-PLAN_ROUNDS = 3
-"""Calls of :func:`relax` for the planned arc, which starts from the flown one."""
-
-PER_ROUND = 4
-"""Picard iterations in one call of :func:`relax`."""
-
-COLUMN_BLOCK = 48
-"""A multiple of the column blocks of the usual matrix-product kernels."""
+PICARD_DEGREE = 44  # degree of the interpolated accelerations; with the rounds below arcs are solved to 0.03 mm
+ROUNDS = (3, 2, 1, 1)  # calls of relax before the full field is first evaluated, and after each time that it is
+PLAN_ROUNDS = 3  # calls of relax for the planned arc, which starts from the flown one
+PER_ROUND = 4  # Picard iterations in one call of relax
+COLUMN_BLOCK = 48  # a multiple of the column blocks of the usual matrix-product kernels
 
 
 def vector(pack: Tensor) -> Vec3:

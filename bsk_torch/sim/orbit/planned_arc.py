@@ -17,11 +17,8 @@ from bsk_torch.sim.orbit.equations import frame_growth, step_defect, zonal_field
 from bsk_torch.sim.orbit.grid import NODE_SPACING, PLAN_STEP
 from bsk_torch.vec3 import Vec3
 
-DIFFERENCE_STEP = 2.0 * NODE_SPACING
-"""Step, s, of the difference between the arcs: of meters, it needs four digits."""
-
-PLANNED_STATE = 12
-"""Planes: position and velocity relative to the flown arc, and the error rates of both at the last node."""
+DIFFERENCE_STEP = 2.0 * NODE_SPACING  # step, s, of the difference between the arcs: of meters, it needs four digits
+PLANNED_STATE = 12  # planes: position and velocity relative to the flown arc, and the error rates of both at the last node
 
 
 @cache

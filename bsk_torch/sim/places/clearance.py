@@ -20,8 +20,7 @@ from bsk_torch.sim.instruments import Instrument
 from bsk_torch.sim.state import StateTable
 from bsk_torch.vec3 import Vec3
 
-SLACK = 1e-5
-"""Angle, rad, or fraction by which screens are wider than bounds, which covers rounding."""
+SLACK = 1e-5  # angle, rad, or fraction by which screens are wider than bounds, which covers rounding
 
 
 class PlaceTables(NamedTuple):

@@ -15,8 +15,7 @@ from bsk_torch.sim.places.base import DrawnPlaces, Places
 from bsk_torch.sim.places.clearance import Clearance, PlaceTables
 from bsk_torch.vec3 import Mat3
 
-SPEED_MARGIN = 1.02
-"""Factor of the bound of speeds, for the short-period terms of J2."""
+SPEED_MARGIN = 1.02  # factor of the bound of speeds, for the short-period terms of J2
 
 
 class OrbitingPlaces(DrawnPlaces):

@@ -61,11 +61,8 @@ UNUSED: dict[str, str] = {
 LEAST_DEGREE = 2
 """Least degree of the Earth's field, apart from the point mass: solvers of arcs are built around its oblateness."""
 
-DEGREES = (0, *range(LEAST_DEGREE, DEGREE + 1))
-"""Degrees of the Earth's field."""
-
-SIMILAR = 0.85
-"""Similarity of two names of values from which one counts as a misspelling of the other."""
+DEGREES = (0, *range(LEAST_DEGREE, DEGREE + 1))  # degrees of the Earth's field
+SIMILAR = 0.85  # similarity of two names of values from which one counts as a misspelling of the other
 
 
 def check_model(cls: type, base: type) -> None:

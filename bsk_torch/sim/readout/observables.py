@@ -147,14 +147,9 @@ def as_tensor(value: Any) -> Tensor:
     return value.clone() if value._is_view() else value
 
 
-KERNELS: Kept[ObserverKernel] = Kept(32)
-"""Kernels of observables of the package."""
-
-TOLD: WeakSet[Function] = WeakSet()
-"""User functions whose reason for running in torch has been logged."""
-
-ROUNDING = 1e-6
-"""Difference between a kernel and torch that counts as rounding, absolute and relative to the largest value."""
+KERNELS: Kept[ObserverKernel] = Kept(32)  # kernels of observables of the package
+TOLD: WeakSet[Function] = WeakSet()  # user functions whose reason for running in torch has been logged
+ROUNDING = 1e-6  # difference between a kernel and torch that counts as rounding, absolute and relative to the largest value
 
 
 class Observer:

@@ -25,8 +25,7 @@ On the CPU, larger traces get new pages of memory for every part, which takes lo
 StopCondition = Callable[[Flight], Tensor]
 """Returns the first tick of a flight, [n], at which something ends the step; more than all ticks where nothing does."""
 
-FlightObserver = Callable[[Flight], None]
-"""Called with the flights that a step consists of, each episode in one of them."""
+FlightObserver = Callable[[Flight], None]  # called with the flights that a step consists of, each episode in one of them
 
 
 class RunResult(NamedTuple):

@@ -24,14 +24,9 @@ from bsk_torch.vec3 import Vec3
 
 logger = logging.getLogger(__name__)
 
-NEVER = 2**62
-"""Number of a tick that does not come."""
-
-AT_ONCE = 1 << 18
-"""Distances computed in one go: few enough to stay in a processor's cache."""
-
-AT_REST = 1e-300
-"""Square of a distance, m^2, below which two satellites do not move relative to each other within a tick."""
+NEVER = 2**62  # number of a tick that does not come
+AT_ONCE = 1 << 18  # distances computed in one go: few enough to stay in a processor's cache
+AT_REST = 1e-300  # square of a distance, m^2, below which two satellites do not move relative to each other within a tick
 
 MET, LEFT = "conjunctions_met", "ranges_left"
 """Tensors of the fleet's memory: pairs that have met, [N, P], and deputies that have left their chief's surroundings, [N, Q]."""
@@ -58,8 +53,7 @@ class EncounterPairs(NamedTuple):
         return EncounterPairs(within(self.conjunctions), within(self.ranges))
 
 
-NO_PAIRS = EncounterPairs((), ())
-"""No pairs."""
+NO_PAIRS = EncounterPairs((), ())  # no pairs
 
 
 def find_pairs(

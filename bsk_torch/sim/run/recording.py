@@ -22,11 +22,8 @@ from bsk_torch.sim.readout.observables import Function, Moments, as_tensor, now_
 from bsk_torch.sim.run.coupled import Recorder, Satellites
 from bsk_torch.sim.simulator import Checkpoint
 
-NO_TICK = -1
-"""Number of a tick that is not recorded."""
-
-KEYS = ("env", "episode", "tick", "time")
-"""Entries of recorded data other than fields."""
+NO_TICK = -1  # number of a tick that is not recorded
+KEYS = ("env", "episode", "tick", "time")  # entries of recorded data other than fields
 
 
 class _Chunk(NamedTuple):

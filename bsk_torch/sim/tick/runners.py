@@ -22,15 +22,13 @@ from bsk_torch.sim.tick.loop import Tick
 
 logger = logging.getLogger(__name__)
 
-CHECK_EVERY = 64
-"""Number of ticks between two checks whether all rows have ended."""
+CHECK_EVERY = 64  # number of ticks between two checks whether all rows have ended
 
 
 WORK = 2**23
 """Ticks of rows that a thread runs in one call of a kernel: about a third of a second, in which Ctrl-C has to wait."""
 
-LANES = 8
-"""Rows that take as long as one."""
+LANES = 8  # rows that take as long as one
 
 
 def ticks_at_once(rows: int) -> int:

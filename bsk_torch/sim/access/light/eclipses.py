@@ -20,8 +20,7 @@ from bsk_torch.sim.state import StateTable
 SHORTEST_SEARCH, LONGEST_SEARCH, REVOLUTIONS = 12_000.0, 172_800.0, 1.1
 """A search looks ahead for more than a revolution, as the Sun and the node move meanwhile; these are its bounds, s."""
 
-ITERATIONS = 8
-"""Iterations of regula falsi that find a transition between two samples, to a microsecond."""
+ITERATIONS = 8  # iterations of regula falsi that find a transition between two samples, to a microsecond
 
 INSIDE = 1e-6
 """Distance, in steps of the grid, that transitions keep from its samples, so that rounding does not put them before or behind."""
@@ -29,11 +28,8 @@ INSIDE = 1e-6
 SEARCH_STEP, SEARCHES = 6000.0, 3
 """Searches go up to 0, 6000 and 12000 s after the query; what the third one finds is ignored."""
 
-ROUNDING = 1e-9
-"""Error of times by rounding, in steps of the grid."""
-
-NOT_FOUND = 1.0
-"""The answer to a query whose searches all fail: one second after the epoch."""
+ROUNDING = 1e-9  # error of times by rounding, in steps of the grid
+NOT_FOUND = 1.0  # the answer to a query whose searches all fail: one second after the epoch
 
 CONSTANTS = torch.tensor([PLAN_STEP, SEARCH_STEP, SEARCHES, ROUNDING, NOT_FOUND], dtype=torch.float64)
 """What the kernel of such queries has to know."""

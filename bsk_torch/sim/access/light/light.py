@@ -18,8 +18,7 @@ from bsk_torch.sim.access.passes.passes import Passes
 from bsk_torch.sim.places import FixedPlaces, SunElevation
 from bsk_torch.vec3 import Vec3
 
-PIECE = 300.0
-"""Longest piece of a pass, s, on which three values determine the sine: to 6e-11, as its rate varies by 4e-4."""
+PIECE = 300.0  # longest piece of a pass, s, on which three values determine the sine: to 6e-11, as its rate varies by 4e-4
 
 FASTEST = 7.32e-5
 """Bound of the rate of the sine, 1/s.
@@ -27,8 +26,7 @@ FASTEST = 7.32e-5
 The Earth's rotation, 7.292e-5 rad/s, the Sun's motion, at most 2.1e-7 rad/s, and its parallax, 4.3e-5 times both.
 """
 
-RATE = 2.0 * math.pi / 86400.0
-"""Mean rate at which the Sun moves about the Earth, rad/s."""
+RATE = 2.0 * math.pi / 86400.0  # mean rate at which the Sun moves about the Earth, rad/s
 
 NEWTON_STEPS = 2
 """Steps of Newton's method from the crossing of the cosine, which is 1e-6 s off where the sine changes quickly."""

@@ -38,8 +38,7 @@ from bsk_torch.vec3 import Vec3
 PAIRS_PER_BLOCK, DEVICE_PAIRS_PER_BLOCK = 1 << 15, 1 << 22
 """Pairs evaluated together: on the CPU, so that they fit into its cache, and on other devices, which memory limits."""
 
-PAIRS_PER_BATCH = 1 << 22
-"""Pairs of which margins are kept together, unless one episode has more."""
+PAIRS_PER_BATCH = 1 << 22  # pairs of which margins are kept together, unless one episode has more
 
 
 class FlownOrbits(NamedTuple):
@@ -100,8 +99,7 @@ class SatellitePairs(NamedTuple):
         return SatellitePairs(self.env[index], self.i[index], self.j[index])
 
 
-Margins = Callable[[SatellitePairs, Tensor], Tensor]
-"""Returns the margins of pairs, [m] m, at a tick [m] each."""
+Margins = Callable[[SatellitePairs, Tensor], Tensor]  # returns the margins of pairs, [m] m, at a tick [m] each
 
 
 class TickIntervals(NamedTuple):

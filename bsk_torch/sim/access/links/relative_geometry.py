@@ -17,8 +17,7 @@ from bsk_torch.vec3 import Mat3, Vec3
 SATELLITE_PROPERTIES = ("r_BN_P", "v_BN_P", "c_hat_P", "omega_BP_P")
 """Properties of a satellite that the relative geometry depends on."""
 
-GEOMETRY_WIDTH = 5
-"""Numbers that :func:`relative_geometry` returns for each place."""
+GEOMETRY_WIDTH = 5  # numbers that relative_geometry returns for each place
 
 
 def relative_geometry(r_BN_P: Vec3, v_BN_P: Vec3, c_hat_P: Vec3, omega_BP_P: Vec3, r_LP_P: Vec3) -> list[Any]:

@@ -23,11 +23,8 @@ logger = logging.getLogger(__name__)
 Vector = NDArray[np.float64]
 Window = tuple[float, float]
 
-SHORTEST = 0.1
-"""Seconds that a window within the search must last."""
-
-NEAR = 1.1
-"""Factor of the slant range over a flat Earth within which samples are near a place."""
+SHORTEST = 0.1  # seconds that a window within the search must last
+NEAR = 1.1  # factor of the slant range over a flat Earth within which samples are near a place
 
 
 class Interpolator:

@@ -22,8 +22,7 @@ from bsk_torch.sim.orbit.grid import PLAN_STEP
 from bsk_torch.sim.places import Sites
 from bsk_torch.sim.state import entries
 
-SHORTEST_PASS = 0.1
-"""Passes between two samples that last no longer than this, s, are dropped."""
+SHORTEST_PASS = 0.1  # passes between two samples that last no longer than this, s, are dropped
 
 SCREEN_PRODUCTS, DEVICE_SCREEN_PRODUCTS = 1 << 20, 1 << 26
 """Products of the coarse screen held at once: on the CPU, so that they fit into its cache, and on other devices."""

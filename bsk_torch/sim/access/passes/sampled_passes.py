@@ -26,14 +26,12 @@ from bsk_torch.sim.orbit.grid import PLAN_STEP
 from bsk_torch.sim.places import Clearance, Places, Sight
 from bsk_torch.vec3 import Vec3
 
-CELL_SAMPLES = 4
-"""Samples of a stretch: shorter ones are screened more sharply, longer ones less often."""
+CELL_SAMPLES = 4  # samples of a stretch: shorter ones are screened more sharply, longer ones less often
 
 BISECTIONS, ROOT_ITERATIONS = 4, 10
 """Steps of the search for a crossing: bisections until the margin is nearly straight, then regula falsi."""
 
-SCREENED = 1 << 19
-"""Stretches of pairs screened at once, so that memory is bounded."""
+SCREENED = 1 << 19  # stretches of pairs screened at once, so that memory is bounded
 
 
 class Runs(NamedTuple):

@@ -22,8 +22,7 @@ SIGNATURE = "iip" + "ippp" + "pppi" + "iip" + "pppp"
 
 ROUNDING = torch.tensor(TIME_ROUNDING, dtype=torch.float64)
 
-ROWS_OF_A_THREAD = 512
-"""Rows below which a further thread would take longer to start than to run."""
+ROWS_OF_A_THREAD = 512  # rows below which a further thread would take longer to start than to run
 
 
 @cache

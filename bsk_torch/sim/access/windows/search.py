@@ -28,11 +28,8 @@ from bsk_torch.sim.orbit.grid import ARC_SEGMENT, PLAN_STEP
 from bsk_torch.sim.places import FixedPlaces, Places
 from bsk_torch.sim.state import StateTable
 
-MAX_SEGMENTS = 100
-"""Segments that a query may add before it gives up."""
-
-SEARCH_AHEAD = 10800.0
-"""Maximum time, s, searched at once beyond the range of queries; see :meth:`AccessWindows.expect`."""
+MAX_SEGMENTS = 100  # segments that a query may add before it gives up
+SEARCH_AHEAD = 10800.0  # maximum time, s, searched at once beyond the range of queries; see AccessWindows.expect
 
 BEFORE_SEARCH, BEHIND_SEARCH = (BEFORE + 2) * PLAN_STEP, (COUNT - BEFORE) * PLAN_STEP
 """Seconds of the ground track around an interval of the search: with them, what is found in it does not depend on its ends.
@@ -41,8 +38,7 @@ A crossing is interpolated between :data:`~bsk_torch.astro.interpolate.COUNT` sa
 sample's two neighbors.
 """
 
-PASSES_PER_SECOND = 1.2e-5
-"""Typical rate of passes of a low orbit over one place, 1/s."""
+PASSES_PER_SECOND = 1.2e-5  # typical rate of passes of a low orbit over one place, 1/s
 
 
 class WindowState(StateTable):

@@ -9,8 +9,7 @@ from torch import Tensor
 
 from bsk_torch.sim.access.passes.passes import Passes
 
-TIME_ROUNDING = 1e-12
-"""Windows that close less than this, s, after a query count as closed."""
+TIME_ROUNDING = 1e-12  # windows that close less than this, s, after a query count as closed
 
 TIE_BREAK = 1e-7
 """Windows that are cut at the same time are sorted by place, as if each closed so much later, s, than the one before."""
@@ -18,11 +17,8 @@ TIE_BREAK = 1e-7
 FULL_SORT_MARGIN = 48
 """Tables of at most twice as many windows as a query wants and so many more are sorted as a whole: that is the faster way."""
 
-BLOCK_MARGIN = 16
-"""Of longer tables, the first block has so many windows more than the query wants."""
-
-BLOCK_GROWTH = 4
-"""Ratio of the lengths of successive blocks."""
+BLOCK_MARGIN = 16  # of longer tables, the first block has so many windows more than the query wants
+BLOCK_GROWTH = 4  # ratio of the lengths of successive blocks
 
 
 class Windows(NamedTuple):

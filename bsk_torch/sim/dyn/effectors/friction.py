@@ -13,8 +13,7 @@ from torch import Tensor
 
 from bsk_torch.sim.component import Bus
 
-LINEAR_BELOW = 1e-4
-"""Speed, rad/s, below which friction is proportional to the speed (Basilisk's ``omegaLimitCycle``)."""
+LINEAR_BELOW = 1e-4  # speed, rad/s, below which friction is proportional to the speed (Basilisk's `omegaLimitCycle`)
 
 Planes = tuple[Tensor, ...]
 

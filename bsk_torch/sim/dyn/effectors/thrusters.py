@@ -32,8 +32,7 @@ from bsk_torch.sim.faults.declared import may_change
 from bsk_torch.sim.names import nearest
 from bsk_torch.vec3 import Vec3
 
-THRUST = 0.9
-"""Thrust of one thruster, N (idealised Monarc-1)."""
+THRUST = 0.9  # thrust of one thruster, N (idealised Monarc-1)
 
 _NEAR, _FAR, _HIGH, _SLANT = 0.03874945160902288, 1.206182747348013, 0.85245, math.sqrt(0.5)
 
@@ -75,8 +74,7 @@ class ThrusterPairs:
         return Vec3(*(functools.reduce(operator.add, parts) for parts in terms))
 
 
-EIGHT_THRUSTERS = ThrusterPairs(POSITIONS, DIRECTIONS, THRUST)
-"""The eight default thrusters."""
+EIGHT_THRUSTERS = ThrusterPairs(POSITIONS, DIRECTIONS, THRUST)  # the eight default thrusters
 
 
 def latch_pulses(bus: Bus) -> None:

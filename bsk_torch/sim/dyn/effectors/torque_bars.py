@@ -19,8 +19,7 @@ from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values
 from bsk_torch.sim.dyn.axes import check_axis, unit_rows
 from bsk_torch.vec3 import Mat3, Vec3
 
-MOST_BARS = 36
-"""Length of the arrays in Basilisk's messages."""
+MOST_BARS = 36  # length of the arrays in Basilisk's messages
 
 
 @dataclass(frozen=True)

@@ -26,13 +26,11 @@ from bsk_torch.sim.dyn.hub import MOTION, body_inertia, body_momentum, check_tur
 from bsk_torch.sim.faults.declared import may_change
 from bsk_torch.vec3 import Mat3, Vec3
 
-Axis = int | Vec3
-"""A wheel's axis: the number of the axis of B that it is, or a unit vector in B."""
+Axis = int | Vec3  # a wheel's axis: the number of the axis of B that it is, or a unit vector in B
 
 Planes = tuple[Tensor, ...]
 
-MOST_WHEELS = 36
-"""Length of the arrays in Basilisk's messages."""
+MOST_WHEELS = 36  # length of the arrays in Basilisk's messages
 
 NUMBERS = (
     Arg("rwAxes_B", None, "-", "spin axes of the wheels in B, of any length", "scalar", -1e9, 1e9, shape=(None, 3)),

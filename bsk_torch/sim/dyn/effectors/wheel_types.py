@@ -39,8 +39,7 @@ WHEEL_TYPES: dict[str, WheelType] = {
 }
 """Types of wheels by name: those of Basilisk's rwFactory. Programs may add others."""
 
-CUSTOM = "custom"
-"""Type of a wheel all of whose numbers are given."""
+CUSTOM = "custom"  # type of a wheel all of whose numbers are given
 
 POSITIVE = ("maxMomentum", "Js", "Omega_max")
 

@@ -24,11 +24,8 @@ from bsk_torch.sim.dyn.hub import MOTION, body_inertia, body_momentum, check_tur
 from bsk_torch.sim.dyn.power.balance import power_arg
 from bsk_torch.vec3 import Vec3
 
-MAX_SPEED = 6000.0 * RPM
-"""Speed, rad/s, at which a wheel takes no more accelerating torque (Honeywell HR16)."""
-
-SPIN_INERTIA = 50.0 / MAX_SPEED
-"""Wheel inertia about its axis, kg m^2 (Honeywell HR16, 50 N m s)."""
+MAX_SPEED = 6000.0 * RPM  # speed, rad/s, at which a wheel takes no more accelerating torque (Honeywell HR16)
+SPIN_INERTIA = 50.0 / MAX_SPEED  # wheel inertia about its axis, kg m^2 (Honeywell HR16, 50 N m s)
 
 
 def latch_motor_torque(bus: Bus) -> None:

@@ -131,8 +131,7 @@ def _shape_fields(count: int) -> tuple[Field, ...]:
     return (Field("facet_area", count, "m^2", many=True), *vectors)
 
 
-AT_REST = 1e-30
-"""Square of a speed, m^2/s^2, below which there is no flow."""
+AT_REST = 1e-30  # square of a speed, m^2/s^2, below which there is no flow
 
 
 def facet_drag(bus: Bus, v_BN_B: Vec3) -> tuple[Vec3, Vec3]:

@@ -7,8 +7,7 @@ import torch
 from bsk_torch.rand import Uniform
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
 
-MOST_POWER = 1e12
-"""Bound of powers, W."""
+MOST_POWER = 1e12  # bound of powers, W
 
 
 def charge_battery(bus: Bus) -> None:

@@ -22,8 +22,7 @@ from bsk_torch.sim.dyn.axes import AXIS_BOUNDS, check_axis, described, unit_rows
 from bsk_torch.sim.faults.declared import Fault
 from bsk_torch.vec3 import Vec3
 
-SQUARE = 1e-6
-"""Largest cosine of the angle between the normal of a turning panel and its axis."""
+SQUARE = 1e-6  # largest cosine of the angle between the normal of a turning panel and its axis
 
 Triple = tuple[float, float, float]
 
@@ -93,8 +92,7 @@ class Panel:
         return "fixed" if self.axis is None else "free" if self.stops is None else "stopped"
 
 
-Kind = Literal["fixed", "free", "stopped"]
-"""Whether a panel is fixed, turns freely, or turns between stops."""
+Kind = Literal["fixed", "free", "stopped"]  # whether a panel is fixed, turns freely, or turns between stops
 
 
 PANELS_ARG = Arg("panels", None, "-", "solar panels, a list of dyn.Panel; None: one of panelArea with normal nHat_B", "constant")

@@ -20,14 +20,9 @@ from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
 from bsk_torch.sim.dyn.storage import store as storage
 from bsk_torch.vec3 import only
 
-STORED_DATA = "STORED DATA"
-"""The partition, after all others, that holds what the store starts with."""
-
-NUM_BUFFERS = 100
-"""Partitions where the user names none."""
-
-Levels = tuple[Tensor, ...]
-"""Data in every partition, bit."""
+STORED_DATA = "STORED DATA"  # the partition, after all others, that holds what the store starts with
+NUM_BUFFERS = 100  # partitions where the user names none
+Levels = tuple[Tensor, ...]  # data in every partition, bit
 
 
 def partition_names(given: Mapping[str, Any]) -> tuple[str, ...]:

@@ -14,11 +14,8 @@ from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
 from bsk_torch.sim.dyn.power.balance import power_arg, sink
 from bsk_torch.sim.instruments import each_value
 
-MOST_BITS = 2.0**53
-"""Bound of data and of data rates, bit and bit/s: above it whole bits are not exact."""
-
-MOST_BUFFERS = 1000
-"""Bound of the number of partitions, each of which is part of the state."""
+MOST_BITS = 2.0**53  # bound of data and of data rates, bit and bit/s: above it whole bits are not exact
+MOST_BUFFERS = 1000  # bound of the number of partitions, each of which is part of the state
 
 
 def run_instrument(bus: Bus) -> None:
