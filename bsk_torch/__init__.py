@@ -45,19 +45,20 @@ _HOMES = {
     "ConstellationTasking": "bsk_torch.env",
     "GeneralSatelliteTasking": "bsk_torch.env",
     "SatelliteTasking": "bsk_torch.env",
-    "dyn": "bsk_torch.sim",
-    "faults": "bsk_torch.sim",
-    "fsw": "bsk_torch.sim",
+    "dyn": "bsk_torch.sim.dyn",
+    "faults": "bsk_torch.sim.faults",
+    "fsw": "bsk_torch.sim.fsw",
     "make": "bsk_torch.presets",
     "rule": "bsk_torch.rl.policies.shared_policy",
 }
-"""Modules of the names that are not modules of the package."""
+"""Modules that have, or are, what is not a module of the package itself."""
 
 
 def __getattr__(name: str) -> object:
     """Import an attribute: a name of ``_HOMES``, or a module of the package."""
     if name in _HOMES:
-        found: object = getattr(_import_module(_HOMES[name]), name)
+        home = _import_module(_HOMES[name])
+        found: object = home if home.__name__.endswith(f".{name}") else getattr(home, name)
     elif not name.startswith("__") and _find_spec(f"{__name__}.{name}") is not None:
         found = _import_module(f"{__name__}.{name}")
     else:

@@ -38,3 +38,9 @@ def test_modules_can_be_imported_first():
     assert len(MODULES) >= 50
     run = subprocess.run([sys.executable, "-c", CODE, *MODULES], capture_output=True, text=True, check=True)
     assert sorted(run.stdout.splitlines()) == [f"ok {module}" for module in sorted(MODULES)]
+
+
+def test_modules_of_sim_can_be_imported_first_from_the_package():
+    code = "from bsk_torch import dyn, faults, fsw; print(dyn.Wheel.__name__, faults.Fault.__name__, fsw.Mode.__name__)"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.split() == ["Wheel", "Fault", "Mode"]
