@@ -154,9 +154,6 @@ def aeos_bench(h: float = 1.0, law: str = "feedback", max_momentum: float = 50.0
         h: Length of a tick, s.
         law: ``"feedback"`` or ``"steering"``.
         max_momentum: Momentum of each wheel at 6000 rpm, N m s: 12, 25, 50, 75 or 100.
-
-    Raises:
-        ValueError: For another momentum.
     """
     if max_momentum not in BENCH_MOMENTA:
         raise ValueError(f"aeos_bench: max_momentum={max_momentum!r} N m s must be one of {list(BENCH_MOMENTA)}")

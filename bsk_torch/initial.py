@@ -81,9 +81,6 @@ def hill_frame_attitude(r_N: Numeric, v_N: Numeric, spin_config: Mapping[str, ob
         spin_config: ``type`` ``"fixed"`` with ``rate``, or ``"uniform"`` with ``low`` and ``high``, in degrees per second;
             ``axis`` ``"radial"``, ``"tangential"``, ``"normal"``, ``"velocity"``, ``"random"``, or a vector in the Hill frame.
             No spin by default.
-
-    Raises:
-        ValueError: For an unknown or missing entry, a zero axis, or an orbit without Hill frame.
     """
     spin = _checked(spin_config or {})
     sigma, hill_rate, HN = aligned_with_hill(r_N, v_N)
@@ -101,7 +98,6 @@ def hill_frame_attitude(r_N: Numeric, v_N: Numeric, spin_config: Mapping[str, ob
 
 
 def _checked(settings: Mapping[str, object]) -> dict[str, Any]:
-    """Return the settings of a spin; ValueError for wrong ones."""
     names = ("type", "rate", "low", "high", "axis")
     for name in settings:
         if name not in names:
@@ -140,11 +136,9 @@ class WheelTriad(Sequence[Any]):
         self.speeds = speeds
 
     def __len__(self) -> int:
-        """Three."""
         return 3
 
     def __getitem__(self, index: int | slice) -> Any:
-        """Return the speeds for 2 or -1."""
         if index in (2, -1):
             return self.speeds
         return _no_effector()

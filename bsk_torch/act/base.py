@@ -41,11 +41,7 @@ SHORTEST = 1e-9
 
 
 def positive_duration(title: str, duration: object, name: str, default: float) -> float:
-    """Return the duration of the action ``name``, s; ``default`` for None, and at most ``default``.
-
-    Raises:
-        ValueError: Unless it is at least :data:`SHORTEST`.
-    """
+    """Return the duration of the action ``name``, s; ``default`` for None, and at most ``default``."""
     if duration is None:
         return default
     return min(number(f"action {name!r}: {title}", duration, SHORTEST, unit="s", finite=False, none=True), default)
@@ -85,11 +81,7 @@ def check_decision(title: str, decision: Decision, rows: int) -> None:
 
 
 def checked_durations(title: str, decision: Decision, acts: Tensor, satellite: BoundSatellite) -> Decision:
-    """Return a decision with durations of at most :data:`LONGEST` where ``acts`` [N] holds, and that elsewhere.
-
-    Raises:
-        ValueError: For a duration that is NaN, or shorter than :data:`SHORTEST`.
-    """
+    """Return a decision with durations of at most :data:`LONGEST` where ``acts`` [N] holds, and that elsewhere."""
     for name, seconds in (("duration", decision.duration), ("expected", decision.expected)):
         wrong = acts & ~(seconds >= SHORTEST)
         if bool(wrong.any()):
@@ -156,7 +148,6 @@ class Action:
         self.name = text("name", name)
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
         if "table" in vars(cls) and "decide" in vars(cls):
             raise TypeError(f"{cls.__name__} defines both table() and decide(), but only one would be called; define one")
@@ -235,12 +226,7 @@ class ActionBuilder:
     """
 
     def __init__(self, spec: Sequence[Action], satellite: BoundSatellite) -> None:
-        """Link every entry to the satellite.
-
-        Raises:
-            ValueError: For inconsistent numbers and names of actions.
-            TypeError: For an entry whose ``link_satellite`` does not call that of its base class.
-        """
+        """Link every entry to the satellite."""
         for entry in spec:
             _link(entry, satellite)
         self.entries, self.satellite = tuple(spec), satellite
@@ -293,11 +279,7 @@ class ActionBuilder:
         return self.description[int(action)] if action >= 0 else "a target by its index"
 
     def checked(self, action: Tensor, acts: Tensor | None) -> Tensor:
-        """Return a copy of the actions [N] as int64, with 0 if they are ignored.
-
-        Raises:
-            ValueError: For an action out of range where the mask ``acts`` [N] is true, everywhere for None.
-        """
+        """Return a copy of the actions [N] as int64, with 0 if they are ignored."""
         n, negative, action = self.n_actions, self.n_negative_actions, action.to(torch.int64, copy=True)
         action = action if acts is None else torch.where(acts, action, 0)
         low, high = torch.stack(torch.aminmax(action)).tolist()
@@ -335,12 +317,7 @@ class ActionBuilder:
         return ActionTable(mode, torch.zeros_like(forever, dtype=torch.bool), forever)
 
     def _checked_table(self, k: int) -> ActionTable:
-        """Return the table of the k-th entry.
-
-        Raises:
-            TypeError: If it is not a table, or for fields of a wrong shape or dtype.
-            ValueError: For non-positive durations.
-        """
+        """Return the table of the k-th entry."""
         entry, table = self.entries[k], self.entries[k].table()
         if not isinstance(table, ActionTable):
             raise TypeError(f"{type(entry).__name__}.table() returns {table!r}; it must return an act.ActionTable")
@@ -369,10 +346,6 @@ class ActionBuilder:
         """Return the commands of ``action`` [N] after actions with the keys ``previous`` [N].
 
         Commands of rows outside ``acts`` [N] bool are undefined.
-
-        Raises:
-            TypeError: For a subclass's commands of wrong shape or dtype.
-            ValueError: For modes that do not exist, and durations that are not positive.
         """
         if len(self._deciding) == len(self.entries) == 1:
             return self._decided(0, acts, action, previous)
@@ -410,11 +383,7 @@ class ActionBuilder:
             self.entries[k].end(self._rows_of(k, action) & ended, decision, event)
 
     def mask(self) -> Tensor:
-        """Return which actions are legal now, [N, n_actions] bool; a view, to be read only.
-
-        Raises:
-            TypeError: For a subclass's mask of wrong shape or dtype.
-        """
+        """Return which actions are legal now, [N, n_actions] bool; a view, to be read only."""
         if not self._masking:
             return self._all_legal
         parts = []
@@ -428,7 +397,6 @@ class ActionBuilder:
 
 
 def _merged(mask: Tensor, new: Decision, old: Decision) -> Decision:
-    """Return the commands of one decision where ``mask`` [N] holds, and of another elsewhere."""
     pairs = ((getattr(new, name), getattr(old, name)) for name in Decision._fields[: len(DTYPES)])
     return Decision(*(torch.where(mask, mine, other) for mine, other in pairs))
 

@@ -21,11 +21,7 @@ LARGEST = torch.finfo(torch.float64).max
 
 
 def action_builder(spec: Sequence[Any], satellite: BoundSatellite) -> ActionBuilder | ContinuousBuilder:
-    """Return the action space of an ``action_spec``.
-
-    Raises:
-        ValueError: For an empty spec, an entry that is not an action, or a continuous entry among others.
-    """
+    """Return the action space of an ``action_spec``."""
     title = f"{type(satellite).__name__}.action_spec"
     if not spec:
         raise ValueError(f"{title} is empty; list at least one action, such as act.Charge()")
@@ -59,12 +55,7 @@ class ContinuousBuilder:
     some_legal = False
 
     def __init__(self, entry: ContinuousAction, satellite: BoundSatellite) -> None:
-        """Link the entry to the satellite.
-
-        Raises:
-            ValueError: For inconsistent bounds and names.
-            TypeError: For an entry whose ``link_satellite`` does not call that of its base class.
-        """
+        """Link the entry to the satellite."""
         self.entries, self.entry, self.satellite = (entry,), entry, satellite
         link_entry(entry, satellite)
         ticks = satellite.simulator.ticks
@@ -109,12 +100,7 @@ class ContinuousBuilder:
         task.declare("action", 0.0, self.width, low=-LARGEST, high=LARGEST)
 
     def checked(self, action: Tensor, acts: Tensor | None) -> Tensor:
-        """Return actions [N, A] or [N, A + 1] as float64, 0 if they are ignored, and store their dtype in the entry.
-
-        Raises:
-            ValueError: For infinite or NaN values, or an invalid choice, where the mask ``acts`` [N] is true, everywhere for
-                None.
-        """
+        """Return actions [N, A] or [N, A + 1] as float64, 0 if they are ignored, and store their dtype in the entry."""
         self.entry.given_dtype, action = action.dtype, action.to(torch.float64, copy=True)
         action = action if acts is None else torch.where(acts.unsqueeze(-1), action, 0.0)
         wrong = ~torch.isfinite(action)
@@ -141,12 +127,7 @@ class ContinuousBuilder:
         return overrides(self.entry, ContinuousAction, "end")
 
     def decide(self, action: Tensor, previous: Tensor, acts: Tensor) -> Decision:
-        """Return the commands of ``action`` [N, A] where ``acts`` [N] bool; those of other rows are undefined.
-
-        Raises:
-            TypeError: For a subclass's commands of wrong shape or dtype.
-            ValueError: For non-positive durations.
-        """
+        """Return the commands of ``action`` [N, A] where ``acts`` [N] bool; those of other rows are undefined."""
         title, decision = type(self.entry).__name__, self.entry.decide(action, acts)
         check_decision(title, decision, len(action))
         return checked_durations(title, decision, acts, self.satellite)

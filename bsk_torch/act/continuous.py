@@ -45,7 +45,6 @@ class ContinuousAction:
         self.name = text("name", name)
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
         check_class(cls, ContinuousAction, [hook for hook in HOOKS if hook in vars(ContinuousAction)])
 
@@ -110,7 +109,6 @@ class HybridAction(ContinuousAction):
     """
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
         check_class(cls, HybridAction, HOOKS)
 

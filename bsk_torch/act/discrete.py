@@ -39,7 +39,6 @@ def choose_instrument(satellite: BoundSatellite, number: int, mask: Tensor) -> N
 
 
 def _warn_of_axis(satellite: BoundSatellite, title: str) -> None:
-    """Log once that the instrument does not look at nadir while B is aligned with the Hill frame."""
     kind = satellite.simulator.type
     if not isinstance(satellite.fsw, ImagingFSWModel) or kind.compat:
         return
@@ -72,9 +71,6 @@ class DiscreteFSWAction(Action):
             name: Name in ``action_description`` (default: the name of the command).
             duration: Time until the action ends, s; None for 1e9 s.
             reset_task: Whether a repeated action enters the mode again.
-
-        Raises:
-            ValueError: For a non-positive duration, or a name that is not a string.
         """
         super().__init__(text("fsw_action", fsw_action) if name is None else name)
         self.fsw_action, self.reset_task = text("fsw_action", fsw_action), switch("reset_task", reset_task)

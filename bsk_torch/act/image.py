@@ -68,9 +68,6 @@ class Image(Action):
             mask_late: Whether ``action_mask`` excludes windows that open at the time limit of the episode or later. A satellite
                 that chooses one is busy until the end, and images nothing. Without effect under ``compat="bsk_rl"``.
             instrument: Name or number of the instrument, of a satellite with several.
-
-        Raises:
-            ValueError: For fewer than one target or a duration that is not positive.
         """
         super().__init__(name if instrument is None else f"{name}_{instrument}")
         self.instrument = instrument
@@ -172,11 +169,7 @@ class Image(Action):
         return (self._number or 0) * self.n_negative_actions
 
     def _by_index(self, mask: Tensor, action: Tensor, *found: Tensor) -> tuple[Tensor, ...]:
-        """Replace target and window where ``mask`` [N] holds, in which actions name a target by its index.
-
-        Raises:
-            ValueError: For a target without a known window.
-        """
+        """Replace target and window where ``mask`` [N] holds, in which actions name a target by its index."""
         target = torch.where(mask, -1 - action, 0)
         window = self.satellite.window_of(target, self.kind)
         missing = mask & torch.isinf(window[1])

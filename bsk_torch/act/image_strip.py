@@ -45,9 +45,6 @@ class ImageStrip(Image):
             name: Name in ``action_description``.
             mask_repeated: See :class:`Image`.
             mask_late: See :class:`Image`.
-
-        Raises:
-            ValueError: For fewer than one target or a negative time.
         """
         super().__init__(n_ahead_image, None, name, mask_repeated, mask_late)
         self.pre_imaging_time = number("pre_imaging_time", pre_imaging_time, 0.0, 1e5, unit="s")

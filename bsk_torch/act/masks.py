@@ -21,9 +21,6 @@ def allow_only(actions: Sequence[str], *names: str, where: Tensor) -> Tensor:
 
     Returns:
         Mask, [..., A] bool.
-
-    Raises:
-        ValueError: For a name that is not in ``actions``; the message has the nearest one.
     """
     return ~where.unsqueeze(-1) | _is_named(tuple(actions), names, where.device)
 
@@ -35,7 +32,6 @@ def forbid(actions: Sequence[str], *names: str, where: Tensor) -> Tensor:
 
 @lru_cache
 def _is_named(actions: tuple[str, ...], names: tuple[str, ...], device: torch.device) -> Tensor:
-    """Return whether each action is one of ``names``, [A] bool."""
     for name in names:
         if name not in actions:
             raise ValueError(f"{name!r} is not an action; {nearest(name, actions)}")

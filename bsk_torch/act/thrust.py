@@ -66,9 +66,6 @@ class ImpulsiveThrust(ContinuousAction):
             max_dv: Maximum velocity change, m/s.
             max_drift_duration: Maximum drift, s.
             fsw_action: Flight-software command during the drift, such as ``"nadir_scan"``, or ``"action_nadir_scan"``.
-
-        Raises:
-            ValueError: For a non-positive limit, or a name that is not a string.
         """
         super().__init__(name)
         title = f"action {self.name!r}: "

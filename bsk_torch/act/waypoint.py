@@ -102,9 +102,6 @@ class HillWaypoint(Action):
             keep_apart: Minimum distance from other satellites on the way, m.
             fsw_action: Flight-software command during the transfer.
             name: Name of the entry.
-
-        Raises:
-            ValueError: For limits, durations or positions that are not positive or finite.
         """
         super().__init__(name)
         title = f"action {self.name!r}: "

@@ -54,7 +54,6 @@ class CommunicationMethod:
         self.min_period = number("min_period", min_period, 0.0, unit="s", finite=False)
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
         check_class(cls, CommunicationMethod, HOOKS)
 
@@ -92,9 +91,6 @@ class CommunicationMethod:
 
         Returns:
             Pairs, [N, S, S] booleans by episode, sender and receiver; False for all pairs of episodes that are not due.
-
-        Raises:
-            TypeError: If the pairs are not booleans [N, S, S].
         """
         time, memory = self.fleet.sim_time, self.fleet.memory
         self.due = moves & (time - memory[LAST] >= self.min_period)
@@ -112,12 +108,7 @@ class CommunicationMethod:
 
     @final
     def attach(self, fleet: SatelliteFleet) -> None:
-        """Call :meth:`link`; not to be overridden.
-
-        Raises:
-            TypeError: If an override does not call ``super().link(fleet)``.
-            ValueError: If satellites send packets that this method does not deliver.
-        """
+        """Call :meth:`link`; not to be overridden."""
         if not self._delivers_packets and any(PEER in simulator.memory for simulator in fleet.simulators):
             raise ValueError(
                 f"{type(self).__name__} does not deliver what satellites send by TransmitCatalog; use CatalogCommunication()"
@@ -132,11 +123,7 @@ class CommunicationMethod:
 
     @final
     def exchange(self, moves: Tensor) -> Tensor:
-        """Call :meth:`communicate` and check its result; not to be overridden.
-
-        Raises:
-            TypeError: If the result is not a bool tensor [N, S, S], or a public tensor attribute has changed.
-        """
+        """Call :meth:`communicate` and check its result; not to be overridden."""
         links, n, s = self.communicate(moves), self.fleet.num_envs, self.fleet.size
         check_tensor(f"the result of {type(self).__name__}.communicate(moves)", links, (n, s, s), torch.bool)
         self.__dict__.setdefault("_guard", ChangeGuard()).check(self, FLEET_MEMORY, exempt=("due",))

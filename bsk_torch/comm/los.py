@@ -74,9 +74,6 @@ def visible_pairs(fleet: SatelliteFleet, asked: Tensor, directed: bool = False) 
         fleet: The satellites.
         asked: Episodes to search, [N]; the result is False for all others.
         directed: Whether the result is that of each sensor, [N, sensor, other], or that of either sensor of a pair.
-
-    Raises:
-        RuntimeError: If arcs have advanced so far that they no longer cover the step.
     """
     found = torch.zeros(fleet.num_envs, fleet.size, fleet.size, dtype=torch.bool, device=fleet.device)
     envs = torch.nonzero(asked & (fleet.ticks > fleet.since)).squeeze(-1)

@@ -46,7 +46,6 @@ class GlobalReward:
     """Satellites of the channel of a rewarder in a :class:`bsk_torch.data.MixedReward`, [S] bool; None elsewhere."""
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
         check_class(cls, GlobalReward, HOOKS)
 

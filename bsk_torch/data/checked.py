@@ -107,12 +107,7 @@ class CheckedRewarder:
         return found
 
     def counts(self, taken: Collection[str] = ()) -> dict[str, Tensor]:
-        """Return the counters of the rewarder, [N, S] int64 each.
-
-        Raises:
-            TypeError: For a counter with a wrong shape or dtype.
-            ValueError: For a counter with a name already ``taken`` by the satellites.
-        """
+        """Return the counters of the rewarder, [N, S] int64 each."""
         found = self.rewarder.counts()
         if not isinstance(found, dict):
             raise TypeError(f"{self._name}.counts() returns {found!r}; it must return a dictionary of tensors")

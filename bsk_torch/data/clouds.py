@@ -37,9 +37,6 @@ class CloudFreeImageReward(UniqueImageReward):
         Args:
             threshold: Maximum cloud cover of rewarded images, a fraction of the sky.
             reward_fn: Function from priorities [N, S] to rewards [N, S].
-
-        Raises:
-            ValueError: For a threshold outside [0, 1].
         """
         super().__init__(reward_fn)
         self.threshold = number("threshold", threshold, 0.0, 1.0, unit="of the sky")

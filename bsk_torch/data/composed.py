@@ -44,13 +44,11 @@ class ComposedReward(GlobalReward):
         self.terms: dict[str, Tensor] = {}
 
     def __copy__(self) -> ComposedReward:
-        """Return a copy, including the parts; every environment makes one."""
         new = type(self).__new__(type(self))
         new.__dict__ |= self.__dict__ | {"rewarders": tuple(map(copy.copy, self.rewarders)), "terms": {}}
         return new
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute of a part; AttributeError if no part has it, or several parts with different values."""
         found = [getattr(rewarder, name) for rewarder in self.__dict__.get("rewarders", ()) if hasattr(rewarder, name)]
         if not found:
             raise AttributeError(f"neither {type(self).__name__} nor one of its rewarders has {name!r}")
@@ -59,7 +57,6 @@ class ComposedReward(GlobalReward):
         return found[0]
 
     def __setattr__(self, name: str, value: object) -> None:
-        """Set an attribute of the sum; AttributeError for attributes of parts, which would not change."""
         parts = self.__dict__.get("rewarders", ())
         of_part = any(name in vars(part) or isinstance(getattr(type(part), name, None), property) for part in parts)
         of_part = of_part and not hasattr(type(self), name)
@@ -137,7 +134,6 @@ class ComposedReward(GlobalReward):
 
 
 def _numbered(names: Iterable[str]) -> list[str]:
-    """Return the names with numbers appended to repeated ones, as in ``NoReward_2``."""
     found: list[str] = []
     for name in names:
         unique, number = name, 1

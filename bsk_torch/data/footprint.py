@@ -37,9 +37,6 @@ class FootprintImageReward(UniqueImageReward):
                 the inverse tangent of ``imageAttErrorRequirement``, 0.04 rad by default.
             hide_missed: Whether a target is hidden after an image that does not show it, as after one that does.
             reward_fn: Function from priorities [N, S] to rewards [N, S].
-
-        Raises:
-            ValueError: For an angle outside (0, pi / 2].
         """
         super().__init__(reward_fn)
         self.half_angle = number("half_angle", half_angle, 0.0, 0.5 * math.pi, unit="rad", above=True)

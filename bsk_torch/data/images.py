@@ -52,7 +52,6 @@ class ImageReward(GlobalReward):
             part.add_access_filter(functools.partial(self._selectable_by, part.type_index), part.target_types)
 
     def _selectable_by(self, part: int) -> Tensor:
-        """Return the targets that the satellites of one type may still choose, [N * count, T] bool."""
         found, shape = self.selectable(), (self.fleet.num_envs, self.fleet.size, self.scenario.most_targets)
         check_tensor(f"{type(self).__name__}.selectable()", found, shape, torch.bool)
         return self.fleet.rows_of(part, found)

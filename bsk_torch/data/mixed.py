@@ -65,9 +65,6 @@ def scenario_id(
         group: Names of its satellites.
         scenario_mapping: Ids of scenarios by channel, as the user gave them.
         groups: Names of the satellites of each scenario, by id.
-
-    Raises:
-        ValueError: For a missing or unknown id, and for satellites that do not take part in the scenario.
     """
     if scenario_mapping is None:
         raise ValueError(f"scenario_mapping is missing; give each channel one of the scenarios {sorted(groups)}")
@@ -106,9 +103,6 @@ class MixedReward(ComposedReward):
             satellite_mapping: Names of the satellites that collect the data of each channel; some may collect none.
             scenario_mapping: Id of the scenario of each channel in a :class:`bsk_torch.scene.MixedScenario`; None with other
                 scenarios.
-
-        Raises:
-            ValueError: For mappings with other channels, a value that is not a rewarder, and a rewarder under two channels.
         """
         rewarders = as_dictionary("rewarders", rewarders)
         super().__init__(*rewarders.values())
@@ -156,7 +150,6 @@ class MixedReward(ComposedReward):
         self._mine = torch.stack(list(mine.values())).unsqueeze(1)
 
     def _scenario_of(self, key: str, scenario: Scenario) -> Scenario:
-        """Return the scenario of a channel; ValueError for one that does not fit."""
         if not isinstance(scenario, MixedScenario):
             check_no_ids(self.scenario_mapping, scenario)
             return scenario
@@ -187,11 +180,7 @@ class MixedReward(ComposedReward):
         return mine[keys[0]]
 
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        """See :meth:`GlobalReward.calculate_reward`; to a channel, the logs of other satellites do not change.
-
-        Raises:
-            ValueError: For a reward of a satellite outside of the channel.
-        """
+        """See :meth:`GlobalReward.calculate_reward`; to a channel, the logs of other satellites do not change."""
         for k, (key, part) in enumerate(zip(self._keys, self.checked, strict=True)):
             own, mine = f"{k}.", self._mine[k]
             old, new = ({n.removeprefix(own): v for n, v in log.items() if n.startswith(own)} for log in (before, after))

@@ -97,7 +97,6 @@ def _empty_downlinks(satellite: BoundSatellite) -> Tensor:
 
 
 def _has(satellite: BoundSatellite, read: Callable[[BoundSatellite], Tensor]) -> bool:
-    """Return whether a satellite has what a function reads."""
     try:
         read(satellite)
     except AttributeError:

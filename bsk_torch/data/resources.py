@@ -43,10 +43,6 @@ class ResourceReward(GlobalReward):
                 before each call of the function.
             resource_fn: Function that returns the resource of the satellites of a type, [N], such as
                 ``lambda sat: sat.dynamics.battery_charge_fraction``.
-
-        Raises:
-            TypeError: If ``resource_fn`` is not a function.
-            ValueError: For a weight that is neither a finite number, a distribution nor a function.
         """
         if not callable(resource_fn):
             advice = "; write resource_fn= before it: the first argument is the weight" if callable(reward_weight) else ""
@@ -77,7 +73,6 @@ class ResourceReward(GlobalReward):
         return torch.full((fleet.num_envs,), self.weight, dtype=torch.float64, device=fleet.device)  # type: ignore[arg-type]
 
     def _draw(self, envs: Tensor) -> None:
-        """Draw the weights of the environments ``envs`` [n], whose episodes have begun."""
         memory, name = self.fleet.memory, str(self._name)
         drawn = draw_weights(self.weight, self.fleet.key().named(name), envs.tolist())
         memory[name] = memory[name].index_copy(0, envs, drawn.to(memory.device))
@@ -92,7 +87,6 @@ class ResourceReward(GlobalReward):
         return {"resource": self.fleet.each(self._resource)}
 
     def _resource(self, satellite: BoundSatellite) -> Tensor:
-        """Return the resource of the satellites of a type, [N]."""
         simulator = satellite.simulator
         function = self._functions.setdefault(id(satellite), UserFunction("resource_fn of data.ResourceReward", ADVICE))
         rows = len(simulator.ticks)
@@ -107,11 +101,7 @@ class ResourceReward(GlobalReward):
 
 
 def draw_weights(weight: Any, key: Key, rows: list[int]) -> Tensor:
-    """Draw weights for some ``rows`` of a key, [len(rows)] float64.
-
-    Raises:
-        ValueError: For a weight that is not a number.
-    """
+    """Draw weights for some ``rows`` of a key, [len(rows)] float64."""
     part = key.take(rows)
     if isinstance(weight, Distribution):
         drawn = torch.as_tensor(weight.draw(part), dtype=torch.float64)

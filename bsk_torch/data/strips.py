@@ -34,9 +34,6 @@ class StripImageReward(UniqueImageReward):
         Args:
             fraction: Share of a strip that must be recorded, in (0, 1].
             reward_fn: Function from priorities [N, S] to rewards [N, S].
-
-        Raises:
-            ValueError: For another share.
         """
         super().__init__(reward_fn)
         self.fraction = number("fraction", fraction, 0.0, 1.0, above=True)

@@ -107,10 +107,6 @@ def read(title: str, given: object, satellite: SatelliteGroup, shape: Sequence[i
         satellite: The satellite.
         shape: Leading dimensions.
         each: Meaning of the dimensions, for messages.
-
-    Raises:
-        TypeError: For a wrong type.
-        ValueError: For a wrong shape, or actions that require a gradient.
     """
     builder = form(satellite)
     if builder is not None:

@@ -61,11 +61,7 @@ class Group:
 
 
 def agents_of(names: Sequence[str], groupings: Mapping[str, Sequence[str]] | None) -> dict[str, list[str]]:
-    """Return the satellites of every agent: first those of ``groupings``, then one agent for each other satellite.
-
-    Raises:
-        ValueError: For an agent without satellites, an unknown satellite, or a satellite of two agents.
-    """
+    """Return the satellites of every agent: first those of ``groupings``, then one agent for each other satellite."""
     agents: dict[str, list[str]] = {}
     taken: dict[str, str] = {}
     if groupings is not None and not isinstance(groupings, Mapping):
@@ -107,9 +103,6 @@ def make_groups(
         types: Indices of the satellites of each type.
         titles: Name of each type.
         group_map: Agents of each group (default: by type).
-
-    Raises:
-        ValueError: For a ``group_map`` with unknown, missing or repeated agents, or with different agents in one group.
     """
     place = {names[column]: (t, k) for t, columns in enumerate(types) for k, column in enumerate(columns)}
     signature = {agent: tuple(place[member][0] for member in members) for agent, members in agents.items()}

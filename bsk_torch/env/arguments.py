@@ -81,7 +81,6 @@ class MadeOfArguments(Snapshots):
         self.fingerprint = fingerprint(self.fleet)
 
     def _show_arguments(self) -> None:
-        """Provide dictionaries in which users read and set arguments."""
         for simulator, satellite in zip(self.fleet.simulators, self.satellites, strict=True):
             satellite.sat_args_generator = LiveArguments(  # type: ignore[assignment]  # of the description: Given
                 functools.partial(_sat_args_of, simulator),
@@ -161,7 +160,6 @@ class MadeOfArguments(Snapshots):
         return other
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the arguments and the state, not the compiled tick."""
         state = self.state.seed, self.episode, self.get_extra_state()
         return _rebuild, (type(self), self._arguments, *state, self._changes)
 

@@ -82,7 +82,6 @@ class Tasking(Present, MadeOfArguments):
         sat_arg_randomizer: Any,
         options: TaskingOptions,
     ) -> None:
-        """Build everything; nothing is simulated before the first reset."""
         EnvBase.__init__(self, device=existing_device(options.device), batch_size=(options.num_envs,))
         for name, value, kind in (("scenario", scenario, Scenario), ("communicator", communicator, CommunicationMethod)):
             if value is not None and not isinstance(value, kind):
@@ -129,7 +128,6 @@ class Tasking(Present, MadeOfArguments):
         self.set_seed(options.seed)
 
     def __repr__(self) -> str:
-        """Return the number of environments, and the observations and actions of each type of satellite."""
         if "satellites" not in self.__dict__:  # in an error while it is built
             return f"{type(self).__name__}()"
         lines = [f"{type(self).__name__}: {self.num_envs} environments on {self.device}, scenario {type(self.scenario).__name__}"]
@@ -145,9 +143,6 @@ class Tasking(Present, MadeOfArguments):
 
         Args:
             device: Device of the environment.
-
-        Raises:
-            ValueError: For another device: kernels, tables and arcs are made for one.
         """
         wanted, own = existing_device(device), torch.device(self.device)
         if wanted.type != own.type or (wanted.index or 0) != (own.index or 0):
@@ -170,7 +165,6 @@ class Tasking(Present, MadeOfArguments):
         raise NotImplementedError(f"{type(self).__name__} must implement _make_specs(trial)")
 
     def _tree(self, values: Values, shape: Sequence[int]) -> Composite:
-        """Spec of named observations [1, ...], with ``shape`` in front."""
         parts = {n: self._tree(v, shape) if isinstance(v, dict) else self._leaf(v, shape) for n, v in values.items()}
         return Composite(parts, shape=shape, device=self.device)
 
@@ -185,14 +179,12 @@ class Tasking(Present, MadeOfArguments):
     # -- reset --------------------------------------------------------------------------------------------------------
 
     def _assert_tensordict_shape(self, tensordict: TensorDictBase) -> None:
-        """Check the argument of ``step`` and ``reset``."""
         if not isinstance(tensordict, TensorDictBase):
             messages.reject_call(type(self).__name__, self._action_name, tensordict)
         super()._assert_tensordict_shape(tensordict)
 
     @property
     def _action_name(self) -> str:
-        """Action key, formatted for messages."""
         return "'action'"
 
     def _reset(self, tensordict: TensorDictBase | None = None, *, set_state: bool = False, **unknown: Any) -> TensorDict:
@@ -314,12 +306,10 @@ class Tasking(Present, MadeOfArguments):
 
     @staticmethod
     def _ends(result: StepResult) -> dict[str, Tensor]:
-        """Return ``done``, ``terminated`` and ``truncated``, [N, 1] each."""
         terminated, truncated = result.terminated.unsqueeze(-1), result.truncated.unsqueeze(-1)
         return {"terminated": terminated, "truncated": truncated, "done": terminated | truncated}
 
     def _cast(self, values: Values, shape: Sequence[int]) -> TensorDict:
-        """Named observations of rows, [*shape, ...] each."""
         parts = {
             name: self._cast(v, shape) if isinstance(v, dict) else v.to(self.dtype, copy=True).view(*shape, *v.shape[1:])
             for name, v in values.items()

@@ -35,11 +35,7 @@ class Change(NamedTuple):
 
 
 def of_satellites(args: Any, names: Sequence[str], envs: tuple[int, ...] | None) -> list[Change]:
-    """Return the changes specified by ``args``: arguments of all satellites, or dictionaries by name of the satellite.
-
-    Raises:
-        ValueError: For a mixture of satellite names and argument names.
-    """
+    """Return the changes specified by ``args``: arguments of all satellites, or dictionaries by name of the satellite."""
     if not (isinstance(args, Mapping) and any(name in names for name in args)):
         given = expand(args, "sat_args")
         return [Change(k, name, value, envs) for k in range(len(names)) for name, value in given.items()]
@@ -103,9 +99,6 @@ def changed(types: Sequence[SatelliteType], changes: Sequence[Change], env_ids: 
     """Return the types of satellites with changed arguments, checked by trial draws.
 
     ``env_ids`` are the indices of the environments in draws, [N].
-
-    Raises:
-        KeyError, ValueError: For invalid changes.
     """
     new = []
     for satellite_type in types:
@@ -129,7 +122,6 @@ class LiveArguments(MutableMapping[str, Any]):
         return {name: value for arguments in reversed(self._arguments()) for name, value in arguments.given.items()}
 
     def __getitem__(self, name: str) -> Any:
-        """Return the value of all environments."""
         table = self._table()
         if name not in table:
             raise KeyError(f"{self._title}[{name!r}] is unknown; {nearest(str(name), table)}")
@@ -137,21 +129,16 @@ class LiveArguments(MutableMapping[str, Any]):
         return value if not isinstance(value, Member) else value.function
 
     def __setitem__(self, name: str, value: object) -> None:
-        """Set the value of all environments."""
         self._write({name: as_value(value)})
 
     def __delitem__(self, name: str) -> None:
-        """Raise TypeError: every argument has a value."""
         raise TypeError(f"{self._title}[{name!r}] cannot be deleted; set it to another value instead")
 
     def __iter__(self) -> Iterator[str]:
-        """Iterate over the names."""
         return iter(self._table())
 
     def __len__(self) -> int:
-        """Return the number of arguments."""
         return len(self._table())
 
     def __repr__(self) -> str:
-        """Return the values as a dictionary."""
         return repr(dict(self))

@@ -186,7 +186,6 @@ class ConstellationTasking(Tasking):
         return self.joint and any(form(self.satellites[t]) is not None for t in group.types)
 
     def _names_of(self, group: Group) -> list[str]:
-        """Return the names of the satellites of the first agent of a group."""
         return [self.names[k] for k in group.members[0].tolist()]
 
     @property
@@ -268,7 +267,6 @@ class ConstellationTasking(Tasking):
         return checked, rows
 
     def _begins(self, satellites: SatelliteGroup, acts: Tensor, decision: Decision) -> Tensor:
-        """See :meth:`Tasking._begins`; without those that repeat their action, under ``continue_repeated``."""
         if not self.options.continue_repeated or not isinstance(satellites.actions, ActionBuilder):
             return acts
         task = satellites.task
@@ -285,7 +283,6 @@ class ConstellationTasking(Tasking):
         return action, counts
 
     def _checked(self, group: Group, action: Any) -> list[Tensor]:
-        """Return the actions [N, A, ...] of each member of the agents of a group; TypeError or ValueError for invalid ones."""
         what = "action" if self.joint else f"({group.name!r}, 'action')"
         members, shape = [self.satellites[t] for t in group.types], (*self.batch_size, *self._agents_shape(group))
         if self._by_name(group):

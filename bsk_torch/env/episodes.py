@@ -171,9 +171,6 @@ class Episodes(EnvBase):
         Args:
             seeds: Seed of all environments, or one for each of the N, where None keeps the current seed.
             mask: Environments to seed, [N] bool (default: all).
-
-        Raises:
-            ValueError: For a seed that is not an integer from 0 to 2**63 - 1, or a wrong number of seeds.
         """
         count = self.num_envs
         several = isinstance(seeds, Sequence | Tensor | np.ndarray) and not isinstance(seeds, str)
@@ -189,7 +186,6 @@ class Episodes(EnvBase):
         self.state.episode = self.episode.masked_fill(rows, -1)
 
     def _begin(self, envs: Tensor) -> None:
-        """Start new episodes in ``envs`` [n]."""
         state = self.state
         seeds, episodes, begun = state.seed, state.episode + 1, self.guard.replace()
         if self.pool is not None and not self.fleet.calls_user:
@@ -214,7 +210,6 @@ class Episodes(EnvBase):
         self._show(envs)
 
     def _show(self, envs: Tensor) -> None:
-        """Pass the episodes ``envs`` [n], which have begun or been restored, to recordings."""
         for recording in self.fleet.recordings:
             recording.begin(envs)
 

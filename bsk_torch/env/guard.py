@@ -53,7 +53,6 @@ class EpisodeGuard:
     # -- calls --------------------------------------------------------------------------------------------------------
 
     def __enter__(self) -> None:
-        """Enter; RuntimeError while another thread is inside."""
         if not self._lock.acquire(blocking=False):
             raise RuntimeError(
                 f"the environment is in use by thread {self._inside!r}, and {threading.current_thread().name!r} called it at the "
@@ -67,7 +66,6 @@ class EpisodeGuard:
         torch.set_grad_enabled(False)
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        """Leave; after an ``error``, mark the episodes being changed as not begun."""
         try:
             changing, self._changing = self._changing, None
             if error is not None and changing is not None:
@@ -106,14 +104,11 @@ class EpisodeGuard:
     # -- checks -------------------------------------------------------------------------------------------------------
 
     def check_begun(self, call: str, envs: Tensor | None = None) -> None:
-        """Check that episodes have begun.
+        """Raise ResetNeededError for episodes that have not begun, or whose last step was interrupted.
 
         Args:
             call: Name of the method called by the user, for the message.
             envs: Mask [N] of the episodes to check (default: all).
-
-        Raises:
-            ResetNeededError: For episodes that have not begun, or whose last step was interrupted.
         """
         if self.all_begun:
             return

@@ -57,9 +57,6 @@ def configure(level: int | str | None, file: str | Path | None) -> None:
     Args:
         level: Level of the logger ``bsk_torch``, such as ``"INFO"``; None leaves it unchanged.
         file: Path of the file (``log_dir`` of an environment), or None.
-
-    Raises:
-        ValueError: For an unknown level, or a folder instead of a file.
     """
     logger = logging.getLogger(ROOT)
     if level is not None or file is not None:
@@ -221,7 +218,6 @@ class StepLog:
     # -- reading ------------------------------------------------------------------------------------------------------
 
     def _rows(self, k: int) -> list[tuple[int, str, int]]:
-        """Return environment, name and row of each present satellite of type ``k`` in the recorded environments."""
         names = self.satellites[k].names
         rows = [(env, name, env * len(names) + m) for env in self.envs for m, name in enumerate(names)]
         present = self.fleet.simulators[k].present
@@ -229,11 +225,9 @@ class StepLog:
 
     @staticmethod
     def _images(satellite: SatelliteGroup, action: Any) -> bool:
-        """Return whether an action chooses a target."""
         entry = satellite.actions.entries[satellite.actions.entry_of(action)]
         return hasattr(satellite, "latest_target") and getattr(entry, "n_negative_actions", 0) > 0
 
     def _target(self, satellite: SatelliteGroup, env: int, row: int) -> str | None:
-        """Return the name of the target last chosen by a satellite."""
         target = int(cast(BoundImagingSatellite, satellite).latest_target[row])
         return None if target < 0 else cast(TargetScenario, self.scenario).names(env)[target]

@@ -113,7 +113,6 @@ class TaskingOptions:
     log_envs: Sequence[int] = (0,)
 
     def __post_init__(self) -> None:
-        """Check values, and convert the type of observations."""
         penalty = number("failure_penalty", self.failure_penalty, -MOST_PENALTY, MOST_PENALTY)
         checked = {
             "num_envs": whole("num_envs", self.num_envs, 1, 2**31 - 1),
@@ -175,7 +174,6 @@ class ConstellationOptions(TaskingOptions):
     population: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
-        """Check switches, and options that exclude each other."""
         super().__post_init__()
         switches = ("joint", "only_retask_idle_meta_agent_members", "generate_obs_retasking_only", "mask_busy")
         for name in (*switches, "continue_repeated"):

@@ -24,7 +24,6 @@ class Present(Episodes):
     """Part of an environment: information on its satellites and its current episodes."""
 
     def __getattr__(self, name: str) -> Any:
-        """Look up attributes registered by torch modules; AttributeError with advice for names of Gymnasium's environments."""
         if name in messages.ATTRIBUTES:
             why = f"for it is an environment of TorchRL: {messages.ATTRIBUTES[name]}"
             raise AttributeError(f"{type(self).__name__} has no attribute {name!r}, {why}")

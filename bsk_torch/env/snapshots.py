@@ -151,11 +151,7 @@ def fingerprint(fleet: SatelliteFleet) -> Tensor:
 
 
 def over_saved(fleet: Fleet, mine: Tensor, state: Mapping[str, Any] | TensorDictBase) -> StateTable:
-    """Return the tables of a saved state for a fleet whose fingerprint is ``mine``; :func:`check_values` checks their rows.
-
-    Raises:
-        KeyError, TypeError, ValueError: For an invalid state, or a state of another kind of environment.
-    """
+    """Return the tables of a saved state for a fleet whose fingerprint is ``mine``; :func:`check_values` checks their rows."""
     if not isinstance(state, Mapping | TensorDictBase):
         raise TypeError(
             f"state={state!r} must be a state of get_state(), as a TensorDict or nested dictionaries, or an environment"
@@ -174,11 +170,7 @@ def over_saved(fleet: Fleet, mine: Tensor, state: Mapping[str, Any] | TensorDict
 
 
 def check_values(fleet: Fleet, saved: StateTable) -> None:
-    """Check all rows of saved tables.
-
-    Raises:
-        ValueError: For a value impossible in this kind of environment, or an episode that has not begun.
-    """
+    """Raise ValueError for saved rows impossible in this kind of environment, and for an episode that has not begun."""
     saved.refuse("begun", saved["begun"], ~saved["begun"], "such episodes cannot continue")
     saved.check()
     et = lookahead_of(saved, 0).arcs.et.view(saved.num_envs, -1)[:, 0]
@@ -215,11 +207,7 @@ def check_fingerprint(mine: Tensor, theirs: Tensor) -> None:
 
 
 def rows_of(name: str, rows: Any, count: int, device: torch.device) -> Tensor:
-    """Return the indices of episodes given in the argument ``name``, [n] int64.
-
-    Raises:
-        IndexError: For anything but a list of indices from 0 to ``count`` - 1.
-    """
+    """Return the indices of episodes given in the argument ``name``, [n] int64."""
     index = torch.as_tensor(rows, device=device)
     listed = index.ndim == 1 and (not index.numel() or not (index.dtype == torch.bool or index.is_floating_point()))
     if not listed or (len(index) and (int(index.min()) < 0 or int(index.max()) >= count)):

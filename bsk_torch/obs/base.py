@@ -57,7 +57,6 @@ class Observation:
         self.name = snake(type(self).__name__) if name is None else text("name", name)
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
         check_class(cls, Observation, HOOKS)
         if "get_vector" in vars(cls) and "get_obs" not in vars(cls):
@@ -112,11 +111,7 @@ def side_by_side(name: str, value: Tensor | Values, count: int) -> Tensor:
 
 
 def flatten(values: Values, count: int | None = None, prefix: str = "") -> Iterator[tuple[str, Tensor]]:
-    """Yield the leaves in order, as dotted names and tensors [N, width].
-
-    Raises:
-        TypeError: For a leaf that is not a tensor [N] or [N, ...], with N = ``count`` if given.
-    """
+    """Yield the leaves in order, as dotted names and tensors [N, width]."""
     for name, value in values.items():
         path = f"{prefix}{name}"
         if isinstance(value, dict):
@@ -174,11 +169,7 @@ class Reader:
         return self._function((len(simulator.ticks),), simulator.device, entry.get_obs)
 
     def vector(self) -> Tensor:
-        """Return the observation as a vector, [N, width].
-
-        Raises:
-            TypeError: At the first call, if the vector of a user's class and its named observations differ in width.
-        """
+        """Return the observation as a vector, [N, width]."""
         if not self._has_vector:
             return self._flat()
         vector = self.entry.get_vector()
@@ -199,12 +190,7 @@ class ObservationBuilder:
     """
 
     def __init__(self, spec: Sequence[Observation], satellite: BoundSatellite) -> None:
-        """Link every entry to the satellite.
-
-        Raises:
-            ValueError: For an empty spec or an entry that is not an observation.
-            TypeError: For an entry whose ``link_satellite`` does not call that of its base class.
-        """
+        """Link every entry to the satellite."""
         if not spec:
             raise ValueError(f"{type(satellite).__name__}.observation_spec is empty; list at least one, such as obs.Time()")
         for entry in spec:
@@ -230,12 +216,7 @@ class ObservationBuilder:
         return [function for entry in self.entries for function in entry.observables()]
 
     def get_dict(self) -> Values:
-        """Return all observations by name; repeated names get a number, as in ``target_2``.
-
-        Raises:
-            TypeError: For a leaf of a wrong shape.
-            FloatingPointError: For NaN or infinity, where functions or classes of users take part.
-        """
+        """Return all observations by name; repeated names get a number, as in ``target_2``."""
         values: Values = {}
         for reader in self._readers:
             values[reader.entry.unique_name] = reader.values()

@@ -21,10 +21,6 @@ def parse_entries(entries: Iterable[dict[str, Any]], allowed: set[str], title: s
 
     ``fn`` takes precedence over ``prop``, which is then just the label. Names are ``name``; else ``prop``, or
     ``prop_0`` and so on for a function without one, with ``_normd`` where a norm divides it.
-
-    Raises:
-        ValueError: Without entries, for unknown keys, missing ``prop`` and ``fn``, a norm that is 0 or no number, or equal names.
-        TypeError: For an entry that is not a dictionary, or a ``fn`` that is not a function.
     """
     parsed = tuple(_parsed(entry, number, allowed, title) for number, entry in enumerate(entries))
     if not parsed:

@@ -51,9 +51,6 @@ class Noisy(Observation):
                 dictionary of these by the names of properties; other properties have no noise.
             bias: Noise drawn once for each episode, likewise.
             name: Name of the entry (default: that of the observation).
-
-        Raises:
-            ValueError: For an invalid observation or noise, or a negative standard deviation.
         """
         if not isinstance(observation, Observation):
             raise ValueError(f"obs.Noisy({observation!r}): it must be an observation; write obs.Time(), with parentheses")
@@ -65,7 +62,6 @@ class Noisy(Observation):
         self._plans: list[list[tuple[Distribution, list[int]]]] | None = None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Noisy:
-        """Return a copy, including the observation; every environment makes one."""
         made = copy.copy(self)
         made.observation = copy.deepcopy(self.observation, memo)
         return made
@@ -105,7 +101,6 @@ class Noisy(Observation):
     # -- random numbers -----------------------------------------------------------------------------------------------
 
     def _noise(self, leaves: list[tuple[str, Tensor]]) -> Tensor:
-        """Return the noise of the concatenated observed numbers, [N, width]."""
         if self._plans is None:
             columns = _columns(leaves, getattr(self.observation, "exact", ()))
             self._plans = [_plan(part, columns, self.name) for part, _ in self._parts]
@@ -133,13 +128,11 @@ class Noisy(Observation):
         memory[OWNER] = memory[OWNER].index_copy(0, rows, state.of_env(self.satellite.fleet.env_ids)[rows])
 
     def _key(self) -> Key:
-        """Return the key of the satellites' episodes, [N]."""
         fleet, k = self.satellite.fleet, self.satellite.type_index
         key = fleet.key().of_satellites(fleet.columns[k].cpu())
         return replace(key, env_id=self.simulator.memory[OWNER].cpu())
 
     def _now(self, key: Key) -> Key:
-        """Return a key of the current time."""
         return replace(key, moment=self.simulator.ticks.cpu())
 
 
@@ -174,11 +167,7 @@ def _columns(leaves: list[tuple[str, Tensor]], exact: tuple[str, ...]) -> list[t
 def _plan(
     part: dict[str | None, Distribution], columns: list[tuple[str, list[int]]], title: str
 ) -> list[tuple[Distribution, list[int]]]:
-    """Return each distribution with the columns that it is drawn for.
-
-    Raises:
-        ValueError: For a name that is not observed.
-    """
+    """Return each distribution with the columns that it is drawn for."""
     plan = []
     for name, distribution in part.items():
         mine = [own for path, own in columns if name is None or name in path.split(".") or name == path]
@@ -190,11 +179,7 @@ def _plan(
 
 
 def _draw(distribution: Distribution, key: Key, count: int) -> Tensor:
-    """Draw ``count`` numbers for each row of the key, [n, count].
-
-    Raises:
-        ValueError: For a distribution that returns another number of values.
-    """
+    """Draw ``count`` numbers for each row of the key, [n, count]."""
     bounds = (getattr(distribution, name, 0.0) for name in ("low", "high"))
     wide = any(not isinstance(bound, int | float) for bound in bounds)  # these set the number of values
     if dataclasses.is_dataclass(distribution) and getattr(distribution, "size", 0) is None and not wide:

@@ -126,9 +126,6 @@ class OpportunityProperties(Observation):
                 numbers, for permutation-invariant policies.
             instrument: Name or number of one of several ``instruments``: opportunities are its own, and angles those of its axis
                 (default: of the instrument chosen last).
-
-        Raises:
-            ValueError: For unknown keys or presets, equal names, or fewer than one opportunity.
         """
         kind = text("type", type)
         known = kind if instrument is None else f"{kind}_{instrument}"
@@ -186,7 +183,6 @@ class OpportunityProperties(Observation):
             access.expect(self.n_ahead_observe, places.count)
 
     def _needs(self) -> list[str]:
-        """Return names of the satellite properties read by the entries."""
         props = (entry["prop"] for entry in self.entries if "fn" not in entry)
         return [name for prop in props for name in NEEDS.get(prop, ())]
 
@@ -215,7 +211,6 @@ class OpportunityProperties(Observation):
         return columns, opportunities
 
     def _call(self, given: Callable[..., object], function: UserFunction, opportunities: Opportunities) -> Tensor:
-        """Call a user's function of the satellite and its opportunities; return [N, n] or [N, n, width]."""
         shape = tuple(opportunities.open.shape)
         return function(shape, self.simulator.device, lambda: given(self.satellite, opportunities))
 

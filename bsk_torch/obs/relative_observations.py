@@ -68,13 +68,11 @@ def _orbit(satellite: SatelliteLike) -> tuple[Any, Any]:
 
 
 def _times(a: Mat3, b: Mat3) -> Mat3:
-    """Return the product of two matrices."""
     columns = b.mT
     return Mat3(*(columns @ row for row in a))
 
 
 def _body(satellite: SatelliteLike) -> Mat3:
-    """Return the DCM [BN] of a satellite."""
     return mrp_to_dcm(*vectors(satellite.dynamics.sigma_BN))
 
 
@@ -246,9 +244,6 @@ class RelativeProperties(Observation):
             *entries: See the class.
             chief_name: Name of the chief.
             name: Name of the observation.
-
-        Raises:
-            ValueError: For unknown keys or properties, or equal names; when an environment is built, for an unknown chief.
         """
         super().__init__(name)
         self.chief_name = text("chief_name", chief_name)
@@ -297,5 +292,4 @@ class RelativeProperties(Observation):
         return values
 
     def _call(self, call: RelativeFunction, chief: SatelliteLike, function: UserFunction) -> Tensor:
-        """Call a user's function."""
         return function((len(self.simulator.ticks),), self.simulator.device, lambda: call(self.satellite, chief))

@@ -116,7 +116,6 @@ class SatProperties(Observation):
         return torch.cat(parts, -1)
 
     def _column(self, k: int) -> Tensor:
-        """Return the k-th entry, [N, width]."""
         entry = self.entries[k]
         value = scaled(self._reads[k](), entry["norm"])
         return side_by_side(f"{self.name}.{entry['name']}", value, self.simulator.state.rows)
@@ -130,7 +129,6 @@ class SatProperties(Observation):
         return self._norms[functions]
 
     def _call(self, entry: dict[str, Any], module: object, function: UserFunction) -> Tensor:
-        """Call a user's function or property."""
         call = partial(entry["fn"], self.satellite) if module is None else partial(getattr, module, entry["prop"])
         return function((len(self.simulator.ticks),), self.simulator.device, call)
 

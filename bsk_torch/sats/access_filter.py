@@ -38,7 +38,6 @@ class AllPlaces:
         self.differs = False  # whether something has been read that differs between places
 
     def __getitem__(self, key: str) -> Any:
-        """Return an item of the places; KeyError for windows."""
         if key == "type":
             return self._kind
         self.differs = True
@@ -76,11 +75,9 @@ class AccessFilter:
         return UserFunction(f"the access filter {self.function!r}", ADVICE)
 
     def __eq__(self, other: object) -> bool:
-        """Whether it is the same function for the same types: satellites with equal filters are of one type."""
         return isinstance(other, AccessFilter) and (self.function, self.types) == (other.function, other.types)
 
     def __hash__(self) -> int:
-        """Agree with equality."""
         return hash((self.function, self.types))
 
     def concerns(self, kind: str) -> bool:

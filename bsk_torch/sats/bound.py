@@ -72,7 +72,6 @@ class BoundSatellite(Satellite):
         return made
 
     def _join(self, fleet: SatelliteFleet, type_index: int) -> None:
-        """Set the attributes of a copy of the user's description."""
         self.fleet, self.type_index, self.simulator = fleet, type_index, fleet.simulators[type_index]
         self.names = tuple(fleet.names[column] for column in fleet.columns[type_index].tolist())
         self.dynamics, self.fsw = self.dyn_type(self.simulator), self.fsw_type(self.simulator)
@@ -201,16 +200,13 @@ class Arguments(Mapping[str, Any]):
         self._state = state
 
     def __getitem__(self, name: str) -> Any:
-        """Return an argument, [N, ...]; KeyError for an unknown name."""
         try:
             return self._state.argument(name)
         except KeyError:
             raise KeyError(f"sat_args has no {name!r}; {nearest(name, self)}") from None
 
     def __iter__(self) -> Iterator[str]:
-        """Iterate over the names."""
         return iter((*self._state.arguments, *self._state.constants))
 
     def __len__(self) -> int:
-        """Number of arguments."""
         return len(self._state.arguments.places) + len(self._state.constants)

@@ -150,7 +150,6 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         return accepted
 
     def _complete(self, opportunities: Opportunities) -> Opportunities:
-        """Return the opportunities; RuntimeError if there are too few."""
         n = opportunities.place.shape[1]
         if bool((opportunities.found < n).any()):
             row = int((opportunities.found < n).nonzero()[0])

@@ -16,11 +16,7 @@ DEFAULT = torch.float32
 
 
 def as_dtype(given: Any) -> torch.dtype | None:
-    """Return a floating-point type of torch from one of torch or NumPy (``np.float32``, ``"float32"``), or None for None.
-
-    Raises:
-        ValueError: For anything else.
-    """
+    """Return a floating-point type of torch from one of torch or NumPy (``np.float32``, ``"float32"``), or None for None."""
     if given is None:
         return None
     found = given
@@ -37,11 +33,7 @@ def as_dtype(given: Any) -> torch.dtype | None:
 
 
 def common_dtype(given: Any, satellites: Iterable[Any]) -> torch.dtype:
-    """Return the type of observations of an environment: ``given`` or, if None, the one that its satellites name.
-
-    Raises:
-        ValueError: For satellites that name different types.
-    """
+    """Return the type of observations of an environment: ``given`` or, if None, the one that its satellites name."""
     if (own := as_dtype(given)) is not None:
         return own
     named = {satellite.name: satellite.dtype for satellite in satellites if satellite.dtype is not None}

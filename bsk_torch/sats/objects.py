@@ -41,11 +41,9 @@ class TargetObjects:
     __hash__ = None  # type: ignore[assignment]
 
     def __eq__(self, other: object) -> bool:
-        """Raise TypeError: several targets are neither equal to one nor a member of a list."""
         raise TypeError("these are targets of all satellites; compare their index: opportunity['object'].id == ...")
 
     def __getattr__(self, name: str) -> Tensor:
-        """Return a value of the targets, [N, n, ...]; AttributeError for an unknown name."""
         if name.startswith("_"):
             raise AttributeError(name)
         return self._satellite.simulator.look_up(self._satellite.scenario.target_attribute(name), self.id)

@@ -48,7 +48,6 @@ class Opportunities(_Opportunities):
         return self
 
     def __getitem__(self, key: Any) -> Any:
-        """Return an item by name, or an entry of the tuple by number."""
         if not isinstance(key, str):
             return super().__getitem__(key)
         if key == "window":

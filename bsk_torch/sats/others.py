@@ -57,21 +57,17 @@ class Aligned:
     _take: Take
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute, aligned; AttributeError if there is none."""
         if name.startswith("__"):
             raise AttributeError(name)
         return aligned(getattr(self._whole, name), self._rows, self._take)
 
     def __getitem__(self, name: object) -> Any:
-        """Return an entry, aligned, such as an argument by its name."""
         return aligned(self._whole[name], self._rows, self._take)
 
     def __setattr__(self, name: str, value: object) -> None:
-        """Raise AttributeError: views are read-only."""
         raise AttributeError(f"{name!r} cannot be set: another satellite is shown to be read")
 
     def __repr__(self) -> str:
-        """Name the class that is viewed."""
         return f"<{type(self._whole).__name__} of another satellite>"
 
 
@@ -103,14 +99,11 @@ class Others(Mapping[str, OtherSatellite]):
         self._satellite, self._fleet = satellite, satellite.fleet
 
     def __getitem__(self, name: str) -> OtherSatellite:
-        """Return a satellite; KeyError for an unknown name, with the nearest one."""
         whole, number = self._fleet.found(name)
         return OtherSatellite(whole, number, self._satellite.simulator.count)
 
     def __iter__(self) -> Iterator[str]:
-        """Names of the satellites, in their order."""
         return iter(self._fleet.places)
 
     def __len__(self) -> int:
-        """Number of satellites in an episode."""
         return len(self._fleet.places)

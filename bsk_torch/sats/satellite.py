@@ -45,7 +45,6 @@ class Satellite:
     bound_type: ClassVar[type[BoundSatellite]]
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
         check_satellite(cls, Satellite)
         cls._compose_models()
@@ -88,11 +87,7 @@ class Satellite:
 
     @classmethod
     def default_sat_args(cls, **overrides: object) -> ArgumentTable:
-        """Return every argument accepted in ``sat_args``, with its default or the given value.
-
-        Raises:
-            KeyError: For a value of an unknown argument.
-        """
+        """Return every argument accepted in ``sat_args``, with its default or the given value."""
         cls._compose_models()
         return ArgumentTable((*cls.dyn_type.all_components(), *cls.fsw_type.all_components()), overrides)
 

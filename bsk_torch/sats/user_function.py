@@ -75,11 +75,7 @@ class UserFunction:
         return {size for tree in self.results or () for tensor in leaves_of(tree) for size in tensor.shape[1:]}
 
     def compare(self, together: UserFunction) -> None:
-        """Compare trials with one environment and with several that begin with the same.
-
-        Raises:
-            TypeError: If the result of an environment depends on the others, or on anything but its state.
-        """
+        """Raise TypeError if a trial of one environment differs from the first of several that begin with the same."""
         if not self.results or not together.results:
             return
         alone, batch = self.results[-1], together.results[-1]
@@ -122,9 +118,6 @@ def as_batch(title: str, value: object, lead: Sequence[int], device: torch.devic
     """Return the result for all satellites as tensors [*lead, ...].
 
     Tensors and NumPy arrays are returned unchanged; a list of tensors [*lead] and numbers becomes [*lead, len(list)].
-
-    Raises:
-        TypeError: For a result without the leading dimensions.
     """
     if isinstance(value, dict):
         return {str(name): as_batch(f"{title}[{name!r}]", part, lead, device) for name, part in value.items()}

@@ -42,7 +42,6 @@ HOOKS = (
 
 
 def _same(one: Any, other: Any) -> bool:
-    """Return whether two states of NumPy's global generator are equal."""
     return one[2:] == other[2:] and bool((one[1] == other[1]).all())
 
 
@@ -109,7 +108,6 @@ class Scenario:
     _tried: frozenset[str] = frozenset()
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
         check_class(cls, Scenario, HOOKS)
 
@@ -187,11 +185,7 @@ class Scenario:
         return self.fleet.memory
 
     def drawn(self, name: str) -> Tensor:
-        """Return a value drawn by :meth:`draw` for the current episodes, [N, ...].
-
-        Raises:
-            KeyError: If ``draw`` returns no value of this name.
-        """
+        """Return a value drawn by :meth:`draw` for the current episodes, [N, ...]; KeyError for an unknown name."""
         return self.fleet.scenario_state[name]
 
     def recorded_targets(self, env: int) -> RecordedTargets | None:
@@ -223,11 +217,7 @@ class Scenario:
 
     @final
     def attach(self, fleet: SatelliteFleet) -> None:
-        """Call :meth:`link`; not to be overridden.
-
-        Raises:
-            TypeError: If an override does not call ``super().link(fleet)`` though its base class depends on that.
-        """
+        """Call :meth:`link`; not to be overridden."""
         self.link(fleet)
         if self._link_needs_super:
             check_linked(self, "link(fleet)", fleet)
@@ -247,14 +237,7 @@ class Scenario:
 
     @final
     def draw_checked(self, key: Key) -> dict[str, Tensor]:
-        """Call :meth:`draw`; not to be overridden.
-
-        Raises:
-            TypeError: If the first call used torch's global generator, or any call NumPy's though ``calls_user`` is False, or for
-                anything but a dictionary of tensors.
-            ValueError: If names or shapes differ from those of the first call, which would leave values of other episodes in
-                place; for a value without a row for each environment, that is NaN, or requires a gradient.
-        """
+        """Call :meth:`draw`; not to be overridden."""
         values = self._drawn_from_key("draw(key)", lambda: self.draw(key))
         self._check_drawn(values, len(key))
         form = {name: value.shape[1:] for name, value in values.items()}
@@ -287,12 +270,7 @@ class Scenario:
 
     @final
     def present_checked(self, key: Key, names: Sequence[str]) -> Tensor:
-        """Call :meth:`present`; not to be overridden.
-
-        Raises:
-            TypeError: If NumPy's global generator was used though ``calls_user`` is False, or the result is no mask [n, S].
-            ValueError: For an episode without satellites.
-        """
+        """Call :meth:`present`; not to be overridden."""
         title = f"{type(self).__name__}.present(key, names)"
         present = self._drawn_from_key("present(key, names)", lambda: self.present(key, names))
         check_tensor(f"the result of {title}", present, (len(key), len(names)), torch.bool)
@@ -304,12 +282,7 @@ class Scenario:
         return present
 
     def _drawn_from_key(self, call: str, draw: Callable[[], Drawn]) -> Drawn:
-        """Return the values drawn by a hook.
-
-        Raises:
-            TypeError: If its first call has used torch's global generator, or any call NumPy's though ``calls_user`` is False.
-            ValueError: For a value that requires a gradient.
-        """
+        """Return the values drawn by a hook."""
         # once, since another thread, such as that of a learner, may draw numbers at the same time
         torch_before = None if call in self._tried or is_of_package(type(self)) else torch.get_rng_state()
         before = None if self.calls_user else np.random.get_state()

@@ -37,9 +37,6 @@ def count_range(what: str, count: Count) -> tuple[int, int]:
     Args:
         what: Name of the user's argument, for messages.
         count: The argument.
-
-    Raises:
-        ValueError: Unless every number in the range is at least 0.
     """
     try:
         low, end = map(operator.index, count if isinstance(count, Sequence) else (count, count + 1))
@@ -116,9 +113,6 @@ def draw_numbers(
         low: Minimum.
         high: Maximum.
         unit: Unit, for messages.
-
-    Raises:
-        ValueError: If the argument does not give ``count`` finite numbers within the bounds.
     """
     no_gradient(what, value)
     try:

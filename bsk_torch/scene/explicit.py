@@ -52,11 +52,7 @@ class Targets(TargetScenario):
         return super().target_names if self.given_names is None else self.given_names
 
     def draw(self, key: Key) -> dict[str, Tensor]:
-        """See :class:`TargetScenario`.
-
-        Raises:
-            ValueError: If ``rand.per_env`` has fewer rows than there are environments.
-        """
+        """See :class:`TargetScenario`."""
         given = self.positions, self.exists
         r_LP_P, exists = (as_numbers(PerEnv(x).draw(key)) if self.per_env else x for x in given)
         priority = draw_numbers("priority", self.priorities, key.named("target_priority"), self.most_targets)
@@ -87,7 +83,6 @@ def _table(rows: object, of: str) -> Tensor:
 
 
 def _priorities(given: PerEnv, counts: list[int]) -> PerEnv:
-    """Return the priorities of each environment, padded with zeros to the largest number of targets."""
     rows = [_numbers(f"priority of environment {i}", row) for i, row in enumerate(given.values)]
     if all(row.ndim == 0 for row in rows):
         return PerEnv(torch.stack(rows)) if rows else given

@@ -71,10 +71,6 @@ class MixedScenario(Scenario):
             scenarios: Scenarios by id.
             satellite_mapping: Names of the satellites that take part in each, including those that are observed. Groups may
                 overlap.
-
-        Raises:
-            ValueError: For other ids in the mapping than in the scenarios, a value that is not a scenario, and a scenario that
-                draws which satellites are present.
         """
         self.scenarios: dict[str, Scenario] = as_dictionary("scenarios", scenarios)
         self.satellite_mapping = names_by_key("satellite_mapping", satellite_mapping)
@@ -86,14 +82,12 @@ class MixedScenario(Scenario):
                 raise ValueError(f"scenarios[{key!r}] draws which satellites are present, which concerns all scenarios")
 
     def __copy__(self) -> MixedScenario:
-        """Return a copy, including the scenarios; every environment makes one."""
         new = type(self).__new__(type(self))
         copies = {id(scenario): copy.copy(scenario) for scenario in self.scenarios.values()}
         new.__dict__ |= self.__dict__ | {"scenarios": {key: copies[id(part)] for key, part in self.scenarios.items()}}
         return new
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute that one scenario has; AttributeError if none or several have it."""
         if name.startswith("_"):
             raise AttributeError(f"{type(self).__name__} has no {name!r}")
         having = [part for part in self._parts() if hasattr(part, name)]
@@ -105,7 +99,6 @@ class MixedScenario(Scenario):
         return getattr(having[0], name)
 
     def _parts(self) -> list[Scenario]:
-        """Return each scenario once."""
         return list({id(part): part for part in self.__dict__.get("scenarios", {}).values()}.values())
 
     def members(self, scenario: Scenario) -> set[str]:
@@ -147,7 +140,6 @@ class MixedScenario(Scenario):
         return mine[0] if len(mine) == 1 else self
 
     def _own_arguments(self, satellite: Satellite) -> dict[str, Any]:
-        """See :meth:`Scenario._own_arguments`; of the scenarios in which the satellite takes part."""
         mine = [part for part in self._parts() if satellite.name in self.members(part)]
         return {name: value for part in mine for name, value in part._own_arguments(satellite).items()}
 

@@ -35,11 +35,9 @@ class Target:
     """Environment and index of a target in an environment, used for comparison."""
 
     def __eq__(self, other: object) -> bool:
-        """Whether both are the same target of the same environment; other targets are compared by identity."""
         return self is other if self._place is None else getattr(other, "_place", None) == self._place
 
     def __hash__(self) -> int:
-        """Return a hash consistent with equality."""
         return id(self) if self._place is None else hash(self._place)
 
     @property
@@ -48,5 +46,4 @@ class Target:
         return f"{self.name}_{id(self)}"
 
     def __repr__(self) -> str:
-        """Return the name in parentheses."""
         return f"{type(self).__name__}({self.name})"

@@ -150,11 +150,7 @@ class FleetBuilder:
         return self._scenario_draws[n]
 
     def _leaders_first(self) -> Iterator[tuple[int, dict[str, int]]]:
-        """Yield the types of satellites in order of dependence, each with the types that it follows, by slot.
-
-        Raises:
-            ValueError: Unless exactly one satellite has the slot followed by a component, or if types follow each other.
-        """
+        """Yield the types of satellites in order of dependence, each with the types that it follows, by slot."""
         parts = [
             [*s.dyn_type.all_components(), *s.fsw_type.all_components()] for s in (self.satellites[c[0]] for c in self.types)
         ]
@@ -167,7 +163,6 @@ class FleetBuilder:
             yield ready, waiting.pop(ready)
 
     def _leader(self, slot: str, parts: Sequence[Sequence[Component]]) -> int:
-        """Return the type of the only satellite whose model has a slot."""
         having = [k for k, own in enumerate(parts) if any(part.slot == slot for part in own)]
         names = [self.names[column] for k in having for column in self.types[k]]
         if len(names) != 1:
@@ -269,11 +264,7 @@ class FleetBuilder:
         return self.population is not None or self.scenario.varies_population
 
     def draw_present(self, fleet: Fleet, key: Key, answers: Sequence[Answers]) -> Tensor | None:
-        """Return which satellites are present in the episodes of the key's environments, [n, S]; None if all always are.
-
-        Raises:
-            ValueError: For an episode without satellites, or without a satellite that others follow.
-        """
+        """Return which satellites are present in the episodes of the key's environments, [n, S]; None if all always are."""
         if not fleet.varies:
             return None
         if self.population is not None:
