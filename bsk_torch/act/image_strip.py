@@ -10,8 +10,9 @@ from typing_extensions import override
 
 from bsk_torch._checks import number
 from bsk_torch.act.base import Decision
+from bsk_torch.act.candidates import NO_TARGET
 from bsk_torch.act.continuous import HybridAction
-from bsk_torch.act.image import NO_TARGET, Image
+from bsk_torch.act.image import Image
 from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.scene.strips import StripTargets
 from bsk_torch.sim.fsw.strip import STRIP_MODE
@@ -79,8 +80,7 @@ class ImageStrip(Image):
         strip = {"middle": middle, "along": along, "half": half, "rate": rate, "angle": -half - rate * before}
         for name, value in strip.items():
             simulator.write(f"strip_{name}", mask, value)
-        memory = simulator.memory
-        memory["latest_target"] = torch.where(mask, target, memory["latest_target"])
+        self.remember(mask, target)
 
     def end(self, mask: Tensor, decision: Decision, event: Tensor) -> None:
         """See :meth:`Image.end`; the rewarder finds out whether the strip was recorded."""
