@@ -12,23 +12,13 @@ from bsk_torch._checks import number, text
 from bsk_torch.sim.hooks import check_class, check_tensor, defined_first, is_of_package, overrides
 
 if TYPE_CHECKING:
-    from bsk_torch.act.continuous import ContinuousAction
     from bsk_torch.sats.bound import BoundSatellite
     from bsk_torch.sim.fsw.models import FSWModel
     from bsk_torch.sim.state import StateTable
 
 HOOKS = (
-    "n_actions",
-    "n_negative_actions",
-    "target_actions",
-    "link_satellite",
-    "names",
-    "table",
-    "decide",
-    "begin",
-    "end",
-    "mask",
-    "aimed_at",
+    *("n_actions", "n_negative_actions", "target_actions", "link_satellite", "names"),
+    *("table", "decide", "begin", "end", "mask", "aimed_at"),
 )
 """Members of :class:`Action` that subclasses may define."""
 
@@ -124,34 +114,21 @@ class ActionTable(NamedTuple):
         return Decision(mode, (action != previous) | self.reset[column], duration, action, duration)
 
 
-class Action:
-    """One entry of an ``action_spec``: ``n_actions`` consecutive numbers of the discrete action space.
-
-    N is the number of satellites of the type. Subclasses define :meth:`table` if their commands are constant until the next
-    reset, and :meth:`decide` otherwise; the other hooks are optional. All hooks of a subclass are called in every environment.
+class Entry:
+    """An entry of an ``action_spec``. N is the number of satellites of the type.
 
     Attributes:
-        name: Name of the entry in ``action_description``.
+        name: Name of the entry.
         satellite: The satellites, once an environment has been built.
-        n_actions: Number of actions.
         fsw_type: Flight software added to the satellite's by the action; None for none.
-        first_is_legal: Whether :meth:`mask` always allows the first action; then rows need no check for a legal one.
     """
 
-    n_actions: int = 1
     satellite: BoundSatellite
     fsw_type: type[FSWModel] | None = None
-    first_is_legal: bool = False
 
     def __init__(self, name: str) -> None:
-        """Name the entry; ValueError unless the name is a string."""
+        """Name the entry."""
         self.name = text("name", name)
-
-    def __init_subclass__(cls, **options: object) -> None:
-        super().__init_subclass__(**options)
-        if "table" in vars(cls) and "decide" in vars(cls):
-            raise TypeError(f"{cls.__name__} defines both table() and decide(), but only one would be called; define one")
-        check_class(cls, Action, HOOKS)
 
     def link_satellite(self, satellite: BoundSatellite) -> None:
         """Prepare for a satellite; called once when an environment is built.
@@ -160,6 +137,39 @@ class Action:
         something needed by the action.
         """
         self.satellite = satellite
+
+    def begin(self, mask: Tensor, decision: Decision) -> None:
+        """Called after the entry's actions have been commanded, in the rows ``mask`` [N] bool."""
+
+    def end(self, mask: Tensor, decision: Decision, event: Tensor) -> None:
+        """Called after the entry's actions have ended within an episode, in the rows ``mask`` [N] bool.
+
+        Args:
+            mask: Rows in which a duration or an event has ended an action of the entry.
+            decision: Current mode, duration and key of the actions; ``retask`` equals the rows in which an action has ended.
+            event: Whether an event ended the action, [N] bool, and not its duration.
+        """
+
+
+class Action(Entry):
+    """``n_actions`` consecutive numbers of the discrete action space.
+
+    Subclasses define :meth:`table` if their commands are constant until the next reset, and :meth:`decide` otherwise; the other
+    hooks are optional. All hooks of a subclass are called in every environment.
+
+    Attributes:
+        n_actions: Number of actions.
+        first_is_legal: Whether :meth:`mask` always allows the first action; then rows need no check for a legal one.
+    """
+
+    n_actions: int = 1
+    first_is_legal: bool = False
+
+    def __init_subclass__(cls, **options: object) -> None:
+        super().__init_subclass__(**options)
+        if "table" in vars(cls) and "decide" in vars(cls):
+            raise TypeError(f"{cls.__name__} defines both table() and decide(), but only one would be called; define one")
+        check_class(cls, Action, HOOKS)
 
     @property
     def n_negative_actions(self) -> int:
@@ -189,18 +199,6 @@ class Action:
             previous: Key of the previous action, [N] int64; -1 for none.
         """
         return self.table().decision(index, action, previous)
-
-    def begin(self, mask: Tensor, decision: Decision) -> None:
-        """Called after the entry's actions have been commanded, in the rows ``mask`` [N] bool."""
-
-    def end(self, mask: Tensor, decision: Decision, event: Tensor) -> None:
-        """Called after the entry's actions have ended within an episode, in the rows ``mask`` [N] bool.
-
-        Args:
-            mask: Rows in which a duration or an event has ended an action of the entry.
-            decision: Current mode, duration and key of the actions; ``retask`` equals the rows in which an action has ended.
-            event: Whether an event ended the action, [N] bool, and not its duration.
-        """
 
     def aimed_at(self) -> Tensor | None:
         """Return the target that each satellite has chosen last with the entry, [N] int64, -1 for none; None without targets."""
@@ -401,7 +399,7 @@ def _merged(mask: Tensor, new: Decision, old: Decision) -> Decision:
     return Decision(*(torch.where(mask, mine, other) for mine, other in pairs))
 
 
-def link_entry(entry: Action | ContinuousAction, satellite: BoundSatellite) -> None:
+def link_entry(entry: Entry, satellite: BoundSatellite) -> None:
     """Link an entry of an ``action_spec``; TypeError if linking failed."""
     entry.link_satellite(satellite)
     if getattr(entry, "satellite", None) is not satellite:

@@ -14,7 +14,7 @@ from bsk_torch.act.candidates import NO_TARGET
 from bsk_torch.act.continuous import HybridAction
 from bsk_torch.act.image import Image
 from bsk_torch.sats.bound import BoundSatellite
-from bsk_torch.scene.strips import StripTargets
+from bsk_torch.scene.overlaid import StripTargets
 from bsk_torch.sim.fsw.strip import STRIP_MODE
 
 

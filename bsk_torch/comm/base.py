@@ -1,4 +1,4 @@
-"""Base class of communication methods, and the two trivial ones."""
+"""Base class of communication methods, and those that need no lines of sight."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ from torch import Tensor
 from typing_extensions import final, override
 
 from bsk_torch._checks import number
+from bsk_torch.act.discrete import PENDING
 from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked, check_tensor, overrides
 from bsk_torch.sim.state import FINITE
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.bound import SatelliteFleet
+
 
 PEER = "rso_peer"
 """Memory of satellites that send packets with the number of the object that is the satellite to which they transmit."""
@@ -155,3 +157,60 @@ class FreeCommunication(CommunicationMethod):
     @override
     def communication_pairs(self) -> Tensor:
         return ~torch.eye(self.fleet.size, dtype=torch.bool, device=self.fleet.device).expand(self.fleet.num_envs, -1, -1)
+
+
+def connected(pairs: Tensor) -> Tensor:
+    """Return the pairs of nodes connected by a path along ``pairs`` [N, S, S], in either direction; [N, S, S] booleans.
+
+    Each node is connected to itself. Repeated squaring of the connection matrix finds paths of up to 1, 2, 4, ... links until
+    there are no more: the transitive closure of the undirected graph.
+    """
+    size = pairs.shape[-1]
+    near = pairs | pairs.mT | torch.eye(size, dtype=torch.bool, device=pairs.device)
+    for _ in range(max(0, size - 2).bit_length()):
+        links = near.float()  # counts of paths may round, but never to zero
+        before, near = near, links @ links > 0.5
+        if torch.equal(near, before):
+            break
+    return near
+
+
+class MultiDegreeCommunication(CommunicationMethod):
+    """Refines another method: all satellites connected by a chain of its pairs communicate in the same step."""
+
+    refines: ClassVar[bool] = True
+
+    @override
+    def communication_pairs(self) -> Tensor:
+        own = torch.eye(self.fleet.size, dtype=torch.bool, device=self.fleet.device)
+        return connected(self.of_present(super().communication_pairs())) & ~own
+
+
+class BroadcastCommunication(CommunicationMethod):
+    """Refines another method: only satellites that chose :class:`~bsk_torch.act.Broadcast` send.
+
+    They send at the end of the first step with communication in their episode, whether or not their action has ended and whether
+    or not any satellite receives the message.
+    """
+
+    refines: ClassVar[bool] = True
+
+    def link(self, fleet: SatelliteFleet) -> None:
+        """See :meth:`CommunicationMethod.link`; ValueError if no satellite can broadcast."""
+        super().link(fleet)
+        if not any(PENDING in simulator.memory for simulator in fleet.simulators):
+            raise ValueError(
+                f"{type(self).__name__} needs a satellite with act.Broadcast() in its action_spec; there are {fleet.names[:5]}"
+            )
+
+    def communication_pairs(self) -> Tensor:
+        """See :meth:`CommunicationMethod.communication_pairs`; pending messages of episodes that are due are sent thereby."""
+        links = super().communication_pairs()
+        pending = []
+        for simulator in self.fleet.simulators:
+            if PENDING in simulator.memory:
+                pending.append(simulator.memory[PENDING])
+                simulator.memory[PENDING] = pending[-1] & ~simulator.of_env(self.due)
+            else:
+                pending.append(torch.zeros_like(simulator.ticks, dtype=torch.bool))
+        return links & self.fleet.joined(pending).unsqueeze(-1)

@@ -8,8 +8,7 @@ import torch
 from torch import Tensor
 from typing_extensions import override
 
-from bsk_torch.comm.base import CommunicationMethod
-from bsk_torch.comm.multi import MultiDegreeCommunication
+from bsk_torch.comm.base import CommunicationMethod, MultiDegreeCommunication
 from bsk_torch.sim.access.links.line_of_sight import speed_bound
 from bsk_torch.sim.access.links.line_of_sight_search import PAIRS_PER_BATCH, FlownOrbits, LineOfSightSearch
 from bsk_torch.sim.access.visibility.kernels import KernelVisibility
@@ -17,7 +16,7 @@ from bsk_torch.sim.dyn import LOSCommDynModel
 from bsk_torch.vec3 import Vec3
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.bound import SatelliteFleet
     from bsk_torch.sim.simulator import Simulator
 
 MAX_RANGE = "losMaximumRange"

@@ -13,7 +13,7 @@ from bsk_torch.scene.recorded import RecordedProgress
 from bsk_torch.sim.hooks import check_class, check_tensor
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.bound import SatelliteFleet
     from bsk_torch.scene.base import Scenario
     from bsk_torch.sim.state import StateTable
 
@@ -40,7 +40,7 @@ class GlobalReward:
     fleet: SatelliteFleet
 
     total_name: str
-    """Field of the state with :attr:`cum_reward`; see :mod:`bsk_torch.data.totals`."""
+    """Field of the state with :attr:`cum_reward`; see :mod:`bsk_torch.data.composed`."""
 
     _in_channel: Tensor | None = None
     """Satellites of the channel of a rewarder in a :class:`bsk_torch.data.MixedReward`, [S] bool; None elsewhere."""

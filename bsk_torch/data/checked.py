@@ -19,7 +19,7 @@ from bsk_torch.sim.hooks import ChangeGuard, check_linked, check_tensor, is_of_p
 from bsk_torch.sim.state import SHOWN
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.bound import SatelliteFleet
     from bsk_torch.scene.base import Scenario
 
 

@@ -13,9 +13,9 @@ from bsk_torch._checks import number, switch
 from bsk_torch.data.images import UniqueImageReward, identity, spread
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.bound import SatelliteFleet
     from bsk_torch.scene.base import Scenario
-    from bsk_torch.scene.clouds import CloudyTargets
+    from bsk_torch.scene.overlaid import CloudyTargets
 
 
 class CloudFreeImageReward(UniqueImageReward):

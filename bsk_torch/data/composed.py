@@ -1,9 +1,9 @@
-"""Sums of several rewards."""
+"""Sums of several rewards, and total rewards of the current episodes."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -12,10 +12,12 @@ from typing_extensions import override
 
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.data.checked import CheckedRewarder
+from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.scene.recorded import RecordedProgress
+from bsk_torch.sim.state import FINITE
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.bound import SatelliteFleet
     from bsk_torch.scene.base import Scenario
 
 
@@ -142,3 +144,31 @@ def _numbered(names: Iterable[str]) -> list[str]:
             unique = f"{name}_{number}"
         found.append(unique)
     return found
+
+
+TOTAL = "cum_reward"
+"""Field of the state with the sums of a rewarder, [N, S]; the fields of its parts are numbered."""
+
+
+def declare_totals(rewarder: GlobalReward, fleet: SatelliteFleet) -> None:
+    """Declare the sums of a rewarder and of its parts in the state of a fleet."""
+    for k, part in enumerate(_parts(rewarder)):
+        name = f"{TOTAL}_{k}" if k else TOTAL
+        fleet.state.declare(name, 0.0, fleet.size, low=-FINITE, high=FINITE)
+        part.__dict__["total_name"] = name
+
+
+def add_totals(rewarder: GlobalReward, reward: Tensor, moves: Tensor) -> None:
+    """Add the rewards [N, S] of a step to the sums of a rewarder and its parts; ``moves`` [N] are the episodes that took it."""
+    state = rewarder.fleet.state
+    state[rewarder.total_name] = state[rewarder.total_name] + reward
+    if isinstance(rewarder, ComposedReward):
+        for part, term in zip(rewarder.rewarders, rewarder.terms.values(), strict=True):
+            add_totals(part, term * moves.unsqueeze(-1), moves)
+
+
+def _parts(rewarder: GlobalReward) -> Iterator[GlobalReward]:
+    yield rewarder
+    if isinstance(rewarder, ComposedReward):
+        for part in rewarder.rewarders:
+            yield from _parts(part)

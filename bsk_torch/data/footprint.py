@@ -14,9 +14,9 @@ from bsk_torch._checks import number, switch
 from bsk_torch.data.images import UniqueImageReward, identity
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.bound import SatelliteFleet
     from bsk_torch.scene.base import Scenario
-    from bsk_torch.scene.uncertain import UncertainTargets
+    from bsk_torch.scene.overlaid import UncertainTargets
 
 
 class FootprintImageReward(UniqueImageReward):

@@ -4,20 +4,39 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 from torch import Tensor
 from typing_extensions import override
 
 from bsk_torch.data.base import GlobalReward, Log
-from bsk_torch.data.unique_images import Known, UniqueImages
 from bsk_torch.sim.hooks import check_class, check_tensor
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.bound import SatelliteFleet
     from bsk_torch.scene.base import Scenario
     from bsk_torch.scene.targets import TargetScenario
+
+
+class UniqueImages(NamedTuple):
+    """Image knowledge, shared by all satellites [N, ...] or per satellite of one type [N * count, ...].
+
+    Attributes:
+        imaged: Targets known to be imaged, [N, T] bool.
+        known: Existing targets, [N, T] bool.
+        duplicates: Number of images without a reward, [N] int64.
+    """
+
+    imaged: Tensor
+    known: Tensor
+    duplicates: Tensor
+
+
+class Known(NamedTuple):
+    """The ``data_store`` of satellites; ``data`` is its content."""
+
+    data: UniqueImages
 
 
 class ImageReward(GlobalReward):

@@ -16,7 +16,7 @@ from bsk_torch.sim.names import nearest
 
 if TYPE_CHECKING:
     from bsk_torch.sats.access_filter import AccessFilter
-    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.bound import SatelliteFleet
     from bsk_torch.scene.base import Scenario
 
 

@@ -1,4 +1,4 @@
-"""Penalties for states of satellites that operators avoid."""
+"""Penalties for time, and for states of satellites that operators avoid."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.sim.dyn.events import EMPTY_DOWNLINKS
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
-    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
     from bsk_torch.scene.base import Scenario
+
 
 LOW_BATTERY, FULL_STORAGE = 0.1, 0.991
 """Charge below which, and data above which, a satellite is penalized, as fractions of its capacities."""
@@ -102,3 +102,23 @@ def _has(satellite: BoundSatellite, read: Callable[[BoundSatellite], Tensor]) ->
     except AttributeError:
         return False
     return True
+
+
+MOST_PENALTY = 1e30
+"""Bound of the weight, so that a sum of several rewards stays finite in float32."""
+
+
+class TimePenalty(GlobalReward):
+    """Pays every satellite ``-weight`` times the duration of the step, s, as a branch of BSK-RL's authors does.
+
+    Add it to other rewarders for tasks that shall be done early: ``rewarder=(data.UniqueImageReward(), data.TimePenalty(1e-4))``.
+    """
+
+    def __init__(self, weight: float = 1.0) -> None:
+        """Charge ``weight`` for each second, from 0 to 1e30; ValueError for anything else."""
+        self.weight = number("weight", weight, 0.0, MOST_PENALTY)
+
+    @override
+    def calculate_reward(self, before: Log, after: Log) -> Tensor:
+        price = -self.weight * self.step_duration
+        return self.of_channel(price.unsqueeze(1).expand(self.fleet.shape).to(torch.float64))

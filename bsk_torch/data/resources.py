@@ -16,8 +16,7 @@ from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.state import FINITE
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
-    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
     from bsk_torch.scene.base import Scenario
 
 ADVICE = (

@@ -14,9 +14,8 @@ from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.sim.readout.observables import observable
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
-    from bsk_torch.scene.base import Scenario
-    from bsk_torch.scene.scanning import UniformNadirScanning
+    from bsk_torch.sats.bound import SatelliteFleet
+    from bsk_torch.scene.base import Scenario, UniformNadirScanning
 
 
 class ScanningTimeReward(GlobalReward):

@@ -14,9 +14,9 @@ from bsk_torch.data.base import Log
 from bsk_torch.data.images import UniqueImageReward, identity
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.bound import SatelliteFleet
     from bsk_torch.scene.base import Scenario
-    from bsk_torch.scene.strips import StripTargets
+    from bsk_torch.scene.overlaid import StripTargets
 
 
 class StripImageReward(UniqueImageReward):

@@ -15,17 +15,8 @@ AGENTS = "agents"
 """Name of the only group."""
 
 ROOT = (
-    "observation",
-    "action",
-    "action_mask",
-    "reward",
-    "done",
-    "terminated",
-    "truncated",
-    "duration",
-    "counts",
-    "state",
-    "next",
+    *("observation", "action", "action_mask", "reward", "done", "terminated", "truncated", "duration"),
+    *("counts", "state", "next"),
 )
 """Names not allowed for groups."""
 

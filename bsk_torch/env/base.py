@@ -16,9 +16,8 @@ from torchrl.envs import EnvBase
 
 from bsk_torch.act.base import Decision
 from bsk_torch.comm import CommunicationMethod, NoCommunication
-from bsk_torch.data import totals
 from bsk_torch.data.base import GlobalReward, NoReward
-from bsk_torch.data.composed import ComposedReward
+from bsk_torch.data.composed import ComposedReward, add_totals, declare_totals
 from bsk_torch.env import messages
 from bsk_torch.env.arguments import MadeOfArguments
 from bsk_torch.env.assembly.devices import existing_device
@@ -33,8 +32,7 @@ from bsk_torch.env.present import Present
 from bsk_torch.env.satellite_group import SatelliteGroup, command, died, first_task_end, groups_of, settle_all, soonest
 from bsk_torch.env.snapshots import fingerprint
 from bsk_torch.obs.base import Values
-from bsk_torch.sats.dtypes import common_dtype
-from bsk_torch.sats.satellite import Satellite
+from bsk_torch.sats.satellite import Satellite, common_dtype
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.assembly.satellite_type import whole_nanoseconds
 from bsk_torch.sim.fleet import Fleet
@@ -113,7 +111,7 @@ class Tasking(Present, MadeOfArguments):
             simulator.type.arguments.check_per_env(self.env_ids)
         self.satellites = groups_of(self.builder.satellites, self.fleet)
         self.checked = link(self.fleet, self.scenario, self.rewarder)
-        totals.declare(self.rewarder, self.fleet)
+        declare_totals(self.rewarder, self.fleet)
         self.communicator.attach(self.fleet)
         recorded = options.log_level is not None or options.log_dir is not None
         self.log = StepLog(self.fleet, self.satellites, self.scenario, options.log_envs) if recorded else None
@@ -237,7 +235,7 @@ class Tasking(Present, MadeOfArguments):
         reward = self.checked.reward(before, self.checked.log())
         if not all_act:
             reward = reward * moves.unsqueeze(-1)
-        totals.add(self.rewarder, reward, moves)
+        add_totals(self.rewarder, reward, moves)
         self.scenario.finish_step(fleet.sim_time)
         if not self.communicator.is_silent:
             self.links = self.communicator.exchange(moves)

@@ -21,7 +21,7 @@ from bsk_torch.env.guard import EpisodeGuard
 from bsk_torch.env.log import StepLog
 from bsk_torch.env.satellite_group import SatelliteGroup, begin_tasks
 from bsk_torch.rand import Key
-from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.assembly.satellite_type import SatelliteType
 from bsk_torch.sim.fleet import Fleet, FleetState

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from bsk_torch._text import visible
 from bsk_torch.env.satellite_group import SatelliteGroup
-from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sats.imaging import BoundImagingSatellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.targets import TargetScenario

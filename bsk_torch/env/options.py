@@ -15,7 +15,7 @@ from bsk_torch._checks import number, switch, whole
 from bsk_torch.act.base import SHORTEST
 from bsk_torch.codegen.inductor import BACKENDS
 from bsk_torch.rand import Distribution
-from bsk_torch.sats.dtypes import as_dtype
+from bsk_torch.sats.satellite import as_dtype
 from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.sim.assembly.satellite_type import LONGEST_TICK, ORBITS, SHORTEST_TICK
 from bsk_torch.sim.world import WorldModel

@@ -13,8 +13,7 @@ from typing_extensions import override
 from bsk_torch.act.base import ActionBuilder, Decision
 from bsk_torch.act.builders import ContinuousBuilder, action_builder
 from bsk_torch.obs.base import ObservationBuilder
-from bsk_torch.sats.bound import BoundSatellite
-from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.dyn.events import DISARMED, DOWNLINK_TICK

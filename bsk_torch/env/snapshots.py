@@ -13,7 +13,7 @@ from torch import Tensor
 
 from bsk_torch.env.episodes import Episodes, whole_limit
 from bsk_torch.env.guard import Origin
-from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sim.access.lookahead import LookAhead
 from bsk_torch.sim.assembly.saved_rows import check_saved
 from bsk_torch.sim.fleet import Fleet, FleetState

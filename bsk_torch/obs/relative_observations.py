@@ -29,33 +29,7 @@ from bsk_torch.sim.names import nearest
 from bsk_torch.vec3 import Mat3, Vec3
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
-    from bsk_torch.sats.others import SatelliteLike
-
-__all__ = [
-    "FUNCTIONS",
-    "RelativeProperties",
-    "eccentricity_Hs",
-    "h_Hs",
-    "r_DC_C",
-    "r_DC_D",
-    "r_DC_Hc",
-    "r_DC_Hd",
-    "r_DC_N",
-    "r_Hs",
-    "rso_omega_BH",
-    "rso_sigma_BH",
-    "sigma_DC",
-    "sigma_DHc",
-    "sigma_HdC",
-    "sigma_HdHc",
-    "sun_hat_Hc",
-    "v_DC_C",
-    "v_DC_D",
-    "v_DC_Hc",
-    "v_DC_Hd",
-    "v_DC_N",
-]
+    from bsk_torch.sats.bound import BoundSatellite, SatelliteLike
 
 
 def states(*satellites: SatelliteLike) -> list[Vec3]:
@@ -234,7 +208,7 @@ class RelativeProperties(Observation):
     ``prop`` by default, with ``_normd`` where a norm divides. With ``fn``, ``prop`` is just the label.
 
     The chief may be any satellite, the deputy itself included. Functions see it as
-    :class:`~bsk_torch.sats.others.OtherSatellite`; see :class:`bsk_torch.sats.user_function.UserFunction`.
+    :class:`~bsk_torch.sats.bound.OtherSatellite`; see :class:`bsk_torch.sats.user_function.UserFunction`.
     """
 
     def __init__(self, *entries: dict[str, Any], chief_name: str, name: str = "rel_props") -> None:

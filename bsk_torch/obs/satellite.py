@@ -187,3 +187,24 @@ class Eclipse(Observation):
             return seconds / self.norm
         a, mu = self.satellite.dynamics.semi_major_axis, self.satellite.sat_args["mu"]
         return seconds / (2.0 * math.pi * torch.sqrt(a**3 / mu)).unsqueeze(-1)
+
+
+class ResourceRewardWeight(Observation):
+    """Weights of all :class:`bsk_torch.data.ResourceReward` of the environment in their order, divided by ``norm``; [N, K]."""
+
+    def __init__(self, name: str = "resource_reward_weight", norm: object = 1.0) -> None:
+        """Observe weights; ``norm`` is a number, or one for each weight."""
+        super().__init__(name)
+        self.norm = parse_norm(norm, "obs.ResourceRewardWeight: norm")
+
+    def get_obs(self) -> Tensor:
+        """See :meth:`Observation.get_obs`; ValueError without a resource reward, or for a wrong number of norms."""
+        weights = getattr(self.satellite.rewarder, "resource_weights", ())
+        if not weights:
+            raise ValueError(
+                f"{self.name!r} observes weights of data.ResourceReward, which the rewarder, a "
+                f"{type(self.satellite.rewarder).__name__}, does not have"
+            )
+        if isinstance(self.norm, Tensor) and len(self.norm) != len(weights):
+            raise ValueError(f"{self.name!r} has {len(self.norm)} norms for {len(weights)} weights; there must be equally many")
+        return scaled(self.simulator.of_env(torch.stack(weights, -1)), self.norm)

@@ -1,26 +1,211 @@
-"""The satellites of one type in an environment: what hooks and user functions read."""
+"""The satellites of an environment: a fleet of several types, the satellites of one type, and views of single ones."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Mapping
-from functools import cache
-from typing import TYPE_CHECKING, Any, TypeVar
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache, cached_property
+from typing import Any, TypeAlias, TypeVar
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from bsk_torch.sats.others import Others, OtherSatellite
 from bsk_torch.sats.satellite import Satellite
-from bsk_torch.sats.task_state import TaskState
 from bsk_torch.sats.user_function import UserFunction
+from bsk_torch.sim.fleet import NEVER, Fleet
 from bsk_torch.sim.names import nearest
 from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
 
-if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
+
+class SatelliteFleet(Fleet):
+    """The satellites of N episodes, S in each.
+
+    Attributes:
+        satellites: The satellites of each type, once an environment has made them.
+    """
+
+    satellites: tuple[BoundSatellite, ...] = ()
+
+    @cached_property
+    def shape(self) -> tuple[int, int]:
+        """Number of episodes N and of satellites S, of tables [N, S]."""
+        return self.num_envs, self.size
+
+    def found(self, name: str) -> tuple[BoundSatellite, int]:
+        """Return the satellites of the type of a named one, and the number of that one within the type.
+
+        Raises:
+            KeyError: For an unknown name.
+            RuntimeError: While the satellites are being made.
+        """
+        k, number = self.place_of(name)
+        if not self.satellites:
+            raise RuntimeError(f"satellite {name!r} is not there yet: others are seen in get_obs(), not in link_satellite()")
+        return self.satellites[k], number
+
+    def satellite(self, name: str) -> OtherSatellite:
+        """Return a satellite of every episode by its name: its tensors are [N, ...], a row for each episode.
+
+        See :class:`bsk_torch.sats.bound.OtherSatellite`; KeyError for an unknown name, with the nearest one.
+        """
+        whole, number = self.found(name)
+        return whole.member(number)
+
+    def each(self, read: Callable[[Any], Tensor], missing: float = 0.0) -> Tensor:
+        """Return the value of ``read`` for every satellite, [N, S, ...]; ``missing`` for types without such an attribute.
+
+        Raises:
+            AttributeError: If no type has it.
+        """
+        if len(self.satellites) == 1:
+            return self.joined([read(self.satellites[0])])
+        found: list[Tensor | None] = []
+        lacking: AttributeError | None = None
+        for satellite in self.satellites:
+            try:
+                found.append(read(satellite))
+            except AttributeError as error:
+                found.append(None)
+                lacking = error
+        there = [value for value in found if value is not None]
+        if not there:
+            raise lacking or AttributeError("there are no satellites")
+        blank = there[0].new_full((1, *there[0].shape[1:]), missing)
+        return self.joined(
+            [
+                blank.expand(simulator.state.rows, *blank.shape[1:]) if value is None else value
+                for value, simulator in zip(found, self.simulators, strict=True)
+            ]
+        )
+
+
+SatelliteLike: TypeAlias = "BoundSatellite | OtherSatellite"
+"""What functions of satellites get: all of a type, or another one of each episode."""
+
+PLAIN = (int, float, str, bytes, type(None), type, np.ndarray, np.generic, torch.dtype, torch.device)
+"""Values that are the same for all rows."""
+
+Take = Callable[[Any], Any]
+
+
+def aligned(value: object, rows: int, take: Take) -> Any:
+    """Return a value whose tensors of ``rows`` rows are replaced by what ``take`` makes of them, also within containers.
+
+    Functions give aligned results, and objects show aligned attributes.
+    """
+    if isinstance(value, Tensor):
+        return take(value) if value.ndim and len(value) == rows else value
+    if isinstance(value, PLAIN):
+        return value
+    if isinstance(value, tuple | list):
+        parts = [aligned(part, rows, take) for part in value]
+        return type(value)(*parts) if hasattr(value, "_fields") else type(value)(parts)
+    if isinstance(value, dict):
+        return {name: aligned(part, rows, take) for name, part in value.items()}
+    if callable(value):
+        return lambda *args, **options: aligned(value(*args, **options), rows, take)
+    return Aligned(value, rows, take)
+
+
+class Aligned:
+    """Read-only view of an object whose tensors have other rows than those of the satellite that looks at it."""
+
+    def __init__(self, whole: object, rows: int, take: Take) -> None:
+        """View ``whole``, whose tensors have ``rows`` rows; ``take`` makes a tensor with the rows of the view of one."""
+        own = self.__dict__
+        own["_whole"], own["_rows"], own["_take"] = whole, rows, take
+
+    _whole: Any
+    _rows: int
+    _take: Take
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return aligned(getattr(self._whole, name), self._rows, self._take)
+
+    def __getitem__(self, name: object) -> Any:
+        return aligned(self._whole[name], self._rows, self._take)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"{name!r} cannot be set: another satellite is shown to be read")
+
+    def __repr__(self) -> str:
+        return f"<{type(self._whole).__name__} of another satellite>"
+
+
+class OtherSatellite(Aligned):
+    """A satellite of the same episodes: ``dynamics``, ``fsw``, ``sat_args`` and the rest, as of a :class:`BoundSatellite`.
+
+    Tensors have the rows of the satellite that asks: ``satellite.others["RSO"].dynamics.r_BN_N`` is [N, 3], alongside
+    ``satellite.dynamics.r_BN_N``.
+    """
+
+    def __init__(self, whole: BoundSatellite, number: int, times: int) -> None:
+        """View satellite ``number`` of those of the type ``whole``, for ``times`` rows of each episode."""
+        state = whole.simulator.state
+        count = state.count
+
+        def take(value: Tensor) -> Tensor:
+            mine = value if count == 1 else value.view(-1, count, *value.shape[1:])[:, number]
+            return mine if times == 1 else mine.repeat_interleave(times, 0)
+
+        super().__init__(whole, state.rows, take)
+        self.__dict__["name"] = self.__dict__["id"] = whole.names[number]
+
+
+class Others(Mapping[str, OtherSatellite]):
+    """The satellites of an episode by name, as one of its types sees them, itself included."""
+
+    def __init__(self, satellite: BoundSatellite) -> None:
+        """Show the satellites of the fleet to a ``satellite``."""
+        self._satellite, self._fleet = satellite, satellite.fleet
+
+    def __getitem__(self, name: str) -> OtherSatellite:
+        whole, number = self._fleet.found(name)
+        return OtherSatellite(whole, number, self._satellite.simulator.count)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._fleet.places)
+
+    def __len__(self) -> int:
+        return len(self._fleet.places)
+
+
+class TaskState(StateTable):
+    """Tasks in progress of N satellites.
+
+    Attributes:
+        previous_action: Key of the last action, or of the one in progress; see :class:`bsk_torch.act.base.Decision`.
+        dead: Which satellites have died.
+        requires_retasking: Which have no task left.
+        ends: Tick since reset at which the task's time is up.
+        action: The action in progress, which the builder of actions declares: its number [N], or its values [N, A].
+        task_duration: Its duration, s.
+        expected: Tick at which it will probably end.
+    """
+
+    previous_action: Tensor
+    dead: Tensor
+    requires_retasking: Tensor
+    ends: Tensor
+    action: Tensor
+    task_duration: Tensor
+    expected: Tensor
+
+    def __init__(self, num_envs: int, count: int, device: torch.device) -> None:
+        """Make the table; no satellite has a task."""
+        super().__init__(num_envs, count, device)
+        self.declare("previous_action", -1)
+        self.declare("dead", False)
+        self.declare("requires_retasking", True)
+        self.declare("ends", NEVER, low=0, high=NEVER)
+        self.declare("task_duration", 0.0, low=0.0)
+        self.declare("expected", NEVER, low=0, high=NEVER)
+
 
 Bound = TypeVar("Bound", bound="BoundSatellite")
 

@@ -10,10 +10,8 @@ from torch import Tensor
 
 from bsk_torch.sats.access import AccessSatellite
 from bsk_torch.sats.access_filter import Filter, make_filter
-from bsk_torch.sats.bound import BoundSatellite
-from bsk_torch.sats.fleet import SatelliteFleet
-from bsk_torch.sats.objects import TargetObjects, place_names
-from bsk_torch.sats.opportunities import Opportunities
+from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
+from bsk_torch.sats.opportunities import Opportunities, TargetObjects, place_names
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.access.links.relative_geometry import SATELLITE_PROPERTIES, relative_geometries
 from bsk_torch.sim.access.windows.search import MAX_SEGMENTS, AccessWindows
@@ -162,7 +160,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         return self.access_windows.kinds[type].position(state.all_rows, place, state.sim_time.unsqueeze(-1))
 
     def objects(self, type: str, place: Tensor) -> Any:
-        """Return the objects of places [N, n]: :class:`~bsk_torch.sats.objects.TargetObjects`, else names [N, n]."""
+        """Return the objects of places [N, n]: :class:`~bsk_torch.sats.opportunities.TargetObjects`, else names [N, n]."""
         return TargetObjects(self, place) if is_target(type) else place_names(self, type, place)
 
     def _last_generation(self, max_lookahead: int) -> Tensor | None:

@@ -10,8 +10,8 @@ from torch import Tensor
 from typing_extensions import override
 
 from bsk_torch.sats.access import AccessSatellite
+from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sats.bound_access import BoundAccessSatellite
-from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sim.dyn import DynamicsModel, ImagingDynModel
 from bsk_torch.sim.fsw import FSWModel, ImagingFSWModel
 from bsk_torch.sim.places import TARGETS

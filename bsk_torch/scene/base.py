@@ -3,40 +3,59 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 import numpy as np
 import torch
 from torch import Tensor
 from typing_extensions import final
 
-from bsk_torch._checks import no_gradient
+from bsk_torch._checks import no_gradient, number
 from bsk_torch.scene.recorded import RecordedTargets
 from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked, check_tensor, is_of_package, overrides
 from bsk_torch.sim.places import TARGET_KIND, TARGETS, AboveElevation, DrawnTargets, SunElevation, WithinRange, instrument_kind
 
 if TYPE_CHECKING:
     from bsk_torch.rand import Key
-    from bsk_torch.sats.bound import BoundSatellite
-    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
     from bsk_torch.sats.satellite import Satellite
     from bsk_torch.sim.instruments import Instrument
     from bsk_torch.sim.places import Places, PlaceTables
     from bsk_torch.sim.state import StateTable
 
+
+Value = TypeVar("Value")
+
+
+class Memo:
+    """Results for the current state of the satellites and the memory of the episodes, each computed once."""
+
+    def __init__(self) -> None:
+        """Begin without results."""
+        self._results: dict[Hashable, tuple[tuple[int, ...], object]] = {}
+
+    def once(self, name: Hashable, fleet: SatelliteFleet, find: Callable[[], Value], further: tuple[int, ...] = ()) -> Value:
+        """Return what ``find`` returns, which is called only where the state is another than at the last call with ``name``.
+
+        Args:
+            name: Name of the result.
+            fleet: The satellites.
+            find: Computes the result.
+            further: Versions of other tables that it depends on.
+        """
+        tables = [table for part in fleet.simulators for table in (part.state, part.memory)]
+        key = (*(table.version for table in (*tables, fleet.memory)), *further)
+        entry = self._results.get(name)
+        if entry is None or entry[0] != key:
+            entry = self._results[name] = (key, find())
+        return cast(Value, entry[1])
+
+
 Drawn = TypeVar("Drawn")
 
 HOOKS = (
-    "validate_satellite_names",
-    "calls_user",
-    "draw",
-    "place_kinds",
-    "present",
-    "link",
-    "reset",
-    "after_step",
-    "recorded_targets",
-    "sees",
+    *("validate_satellite_names", "calls_user", "draw", "place_kinds", "present", "link", "reset", "after_step"),
+    *("recorded_targets", "sees"),
 )
 """Members of :class:`Scenario` that subclasses may define."""
 
@@ -334,3 +353,11 @@ class Scenario:
 
     def _keep_time(self) -> None:
         """Compute the values valid until the end of the next step, unless a hook has done so."""
+
+
+class UniformNadirScanning(Scenario):
+    """Recorded data have the same value everywhere: ``value_per_second`` for every second of recording."""
+
+    def __init__(self, value_per_second: float = 1.0) -> None:
+        """Set the value of one second of recorded data; ValueError unless it is a finite number."""
+        self.value_per_second = number("value_per_second", value_per_second)

@@ -15,7 +15,7 @@ from bsk_torch.sim.names import nearest
 from bsk_torch.sim.places import Places, PlaceTables
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.bound import SatelliteFleet
     from bsk_torch.sats.satellite import Satellite
 
 

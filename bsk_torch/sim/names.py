@@ -5,7 +5,9 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Collection, Iterable, Sequence
-from typing import Any
+from typing import TypeVar
+
+Name = TypeVar("Name", bound=str)
 
 CLOSE, NEAR = 0.5, 0.1
 """Least similarity of names that are suggested, 1 for equal ones, and how much less than that of the closest it may be."""
@@ -40,7 +42,7 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f"did you mean {' or '.join(map(repr, close))}?" if close else f"valid names: {', '.join(sorted(by_lower.values()))}"
 
 
-def one_of(title: str, value: Any, names: Collection[str]) -> str:
+def one_of(title: str, value: Name, names: Collection[str]) -> Name:
     """Return one of ``names`` that a user chose; ValueError, with the nearest one, for anything else."""
     if not isinstance(value, str) or value not in names:
         raise ValueError(f"{title}={value!r} must be one of {list(names)}; {nearest(str(value), names)}")

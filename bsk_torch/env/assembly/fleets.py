@@ -9,8 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from bsk_torch.act.broadcast import Broadcast
 from bsk_torch.act.continuous import ContinuousAction
+from bsk_torch.act.discrete import Broadcast
 from bsk_torch.astro.ephemeris import coverage, coverage_in_words
 from bsk_torch.codegen.kept import Kept
 from bsk_torch.constants import NANO
@@ -20,7 +20,7 @@ from bsk_torch.env.assembly.randomizer import Randomizer
 from bsk_torch.env.assembly.types import check_names, check_world, grouped, world_arguments, world_components
 from bsk_torch.env.options import CONTINUOUS, ConstellationOptions, TaskingOptions
 from bsk_torch.rand import Distribution, Key, first_key, seeded
-from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.arguments.sources import Answers, Member, expand, is_function
