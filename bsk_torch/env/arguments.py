@@ -104,8 +104,6 @@ class MadeOfArguments(Snapshots):
             "world_args_generator",
         )
 
-    # -- faults ------------------------------------------------------------------------------------------------------
-
     def inject(self, fault: Fault | str, envs: object = None, satellite: str | None = None) -> None:
         """Let a fault begin now, in current episodes; it acts from the next tick on, for as long as it was declared to last.
 
@@ -137,8 +135,6 @@ class MadeOfArguments(Snapshots):
         if satellite is not None:
             return satellite in [self.names[column] for column in simulator.columns]
         return fault in [known.name for known in simulator.state.argument("faults") or ()]
-
-    # -- environments of the same kind --------------------------------------------------------------------------------
 
     def like(self: Environment, num_envs: int, env_ids: Sequence[int] | Tensor | None = None) -> Environment:
         """Return another environment of the same kind, with separate episodes, seed 0 and no logs.

@@ -149,8 +149,6 @@ class Tasking(Present, MadeOfArguments):
             )
         return self
 
-    # -- construction -------------------------------------------------------------------------------------------------
-
     def _next_fleet(self) -> Fleet:
         """Return a fleet for the next episodes, with windows as far ahead as actions and observations need."""
         fleet = self.builder.make_fleet(self.num_envs, [simulator.type for simulator in self.fleet.simulators])
@@ -173,8 +171,6 @@ class Tasking(Present, MadeOfArguments):
         b, on = self.batch_size, {"device": self.device}
         flags = {name: Categorical(2, shape=(*b, 1), dtype=torch.bool, **on) for name in ("done", "terminated", "truncated")}
         return Composite(flags, shape=b, **on)
-
-    # -- reset --------------------------------------------------------------------------------------------------------
 
     def _assert_tensordict_shape(self, tensordict: TensorDictBase) -> None:
         if not isinstance(tensordict, TensorDictBase):
@@ -201,8 +197,6 @@ class Tasking(Present, MadeOfArguments):
                 self._begin(envs)
             false = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)
             return self._outputs(None, done=false, terminated=false.clone(), truncated=false.clone())
-
-    # -- step ---------------------------------------------------------------------------------------------------------
 
     def _advance(self, actions: Sequence[Tensor], acts: Sequence[Tensor], moves: Tensor, all_act: bool = False) -> StepResult:
         """Execute one decision in every episode: command, run, reward, communicate, determine the outcome.

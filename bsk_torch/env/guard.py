@@ -50,8 +50,6 @@ class EpisodeGuard:
         self._lock, self._inside = threading.RLock(), ""
         self._outer_modes: list[tuple[bool, torch.inference_mode | None]] = []
 
-    # -- calls --------------------------------------------------------------------------------------------------------
-
     def __enter__(self) -> None:
         if not self._lock.acquire(blocking=False):
             raise RuntimeError(
@@ -100,8 +98,6 @@ class EpisodeGuard:
         self.all_begun, self.interrupted = False, self.interrupted or bool(half.any())
         if isinstance(error, IndexError) and self.origin is not Origin.DRAWN:
             raise FloatingPointError(f"no satellite can fly with the numbers of the restored state: {error}") from error
-
-    # -- checks -------------------------------------------------------------------------------------------------------
 
     def check_begun(self, call: str, envs: Tensor | None = None) -> None:
         """Raise ResetNeededError for episodes that have not begun, or whose last step was interrupted.

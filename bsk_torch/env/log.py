@@ -110,8 +110,6 @@ class StepLog:
         """Return whether records of a level are wanted."""
         return self.logger.isEnabledFor(level)
 
-    # -- moments of a step --------------------------------------------------------------------------------------------
-
     def began(self, envs: Tensor, seeds: Tensor, episodes: Tensor) -> None:
         """Record new episodes in ``envs`` [n]: ``seed`` and ``episode``."""
         new = set(envs.tolist())
@@ -171,8 +169,6 @@ class StepLog:
         for env in flown if self.shows() else ():
             self._outcome(env, result)
 
-    # -- records ------------------------------------------------------------------------------------------------------
-
     def _counted(self, satellite: SatelliteGroup, name: str, env: int, row: int, counter: str, grown: int) -> None:
         if counter in ("imaged", "missed"):
             target = self._target(satellite, env, row)
@@ -214,8 +210,6 @@ class StepLog:
     def _extra(self, env: int, event: str) -> Fields:
         episode, time = int(self.fleet.state["episode"][env]), float(self.fleet.sim_time[env])
         return {"env": env, "episode": episode, "sim_time": time, "event": event, "several": len(self.envs) > 1}
-
-    # -- reading ------------------------------------------------------------------------------------------------------
 
     def _rows(self, k: int) -> list[tuple[int, str, int]]:
         names = self.satellites[k].names

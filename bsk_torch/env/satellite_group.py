@@ -15,7 +15,6 @@ from bsk_torch.act.builders import ContinuousBuilder, action_builder
 from bsk_torch.obs.base import ObservationBuilder
 from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
 from bsk_torch.sats.satellite import Satellite
-from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.dyn.events import DISARMED, DOWNLINK_TICK
 from bsk_torch.sim.fleet import NEVER
 from bsk_torch.sim.hooks import check_tensor, overrides
@@ -47,10 +46,6 @@ class SatelliteGroup(BoundSatellite):
     def hears_ends(self) -> bool:
         """Whether satellites or actions have hooks for the ends of actions."""
         return self.actions.hears_ends or overrides(self, Satellite, "note_events")
-
-    def user_functions(self) -> list[UserFunction]:
-        """Return the user functions called by observations and satellites."""
-        return [*self.observations.functions, *self.functions]
 
     @override
     def action_mask(self) -> Tensor:

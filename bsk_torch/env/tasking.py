@@ -84,8 +84,6 @@ class SatelliteTasking(Tasking):
         self.reward_spec = Unbounded((*b, 1), dtype=self.dtype, **on)
         self.full_done_spec = self._ends_spec()
 
-    # -- the first and only group of satellites -----------------------------------------------------------------------
-
     @functools.cached_property
     def satellite(self) -> SatelliteGroup:
         """The satellites of all environments."""
@@ -100,8 +98,6 @@ class SatelliteTasking(Tasking):
     def requires_retasking(self) -> Tensor:
         """Whether the satellite needs a task, [N]."""
         return self.satellite.task.requires_retasking
-
-    # -- step ---------------------------------------------------------------------------------------------------------
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         partial = tensordict.get("_step", None)

@@ -98,8 +98,6 @@ class Noisy(Observation):
             self.get_obs()
         return vector + self._noise_of(vector)
 
-    # -- random numbers -----------------------------------------------------------------------------------------------
-
     def _noise(self, leaves: list[tuple[str, Tensor]]) -> Tensor:
         if self._plans is None:
             columns = _columns(leaves, getattr(self.observation, "exact", ()))

@@ -90,9 +90,6 @@ NEEDS = {
 }
 """Properties of the satellite read by presets, by preset."""
 
-ONLY_TARGETS = ("priority",)
-"""Presets not available for ground stations."""
-
 
 class OpportunityProperties(CandidateObservation):
     """Properties of the n opportunities that close next; action i of ``act.Image`` images the i-th target.
@@ -137,7 +134,7 @@ class OpportunityProperties(CandidateObservation):
                 continue
             if entry["prop"] not in PRESETS:
                 raise ValueError(f"prop={entry['prop']!r} is not a property of opportunities; {nearest(entry['prop'], PRESETS)}")
-            if entry["prop"] in ONLY_TARGETS and not is_target(type):
+            if entry["prop"] == "priority" and not is_target(type):
                 raise ValueError(f"prop={entry['prop']!r} is a property of targets; opportunities of type {type!r} have none")
         self.entries, self.type, self.instrument = parsed, kind, instrument
         self._number: int | None = None

@@ -151,9 +151,6 @@ def rso_omega_BH(deputy: SatelliteLike, chief: SatelliteLike) -> Tensor:
     return Vec3(turning.x, turning.y, turning.z - hill_rate(r_C, v_C)).stack()
 
 
-# -- with the Sun ----------------------------------------------------------------------------------------------------------------
-
-
 def sun_hat_Hc(deputy: SatelliteLike, chief: SatelliteLike) -> Tensor:
     """Return the direction from the Earth to the Sun in the chief's Hill frame, ``[HcN] r_SN / |r_SN|``, [N, 3]."""
     (r_SN_N,) = vectors(deputy.simulator.world.r_SN_N)

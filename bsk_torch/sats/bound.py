@@ -303,8 +303,6 @@ class BoundSatellite(Satellite):
         """User functions that the satellites call; an environment tries them when it is built."""
         return []
 
-    # -- views --------------------------------------------------------------------------------------------------------
-
     def member(self, number: int, times: int = 1) -> OtherSatellite:
         """Return a read-only view of one satellite of each environment, whose tensors are [num_envs * times, ...].
 
@@ -318,8 +316,6 @@ class BoundSatellite(Satellite):
         """Return the name of the satellite of a row [N] in errors."""
         env, k = divmod(row, len(self.names))
         return f"environment {env}" if len(self.names) == 1 else f"satellite {self.names[k]} of environment {env}"
-
-    # -- reading ------------------------------------------------------------------------------------------------------
 
     def rows_of(self, table: Tensor) -> Tensor:
         """Return the rows [N, ...] of these satellites from a table of all satellites, [environments, S, ...].

@@ -46,8 +46,6 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         access = self.simulator.lookahead.access
         return () if access is None else tuple(access.kinds)
 
-    # -- filters ------------------------------------------------------------------------------------------------------
-
     def add_access_filter(
         self, access_filter_fn: Filter, types: str | Collection[str] | None = None, prepend: bool = False, type: str | None = None
     ) -> None:
@@ -71,8 +69,6 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
     def functions(self) -> list[UserFunction]:
         """See :attr:`BoundSatellite.functions`; those of filters."""
         return [*super().functions, *(function for given in self.access_filters for function in given.functions.values())]
-
-    # -- queries ------------------------------------------------------------------------------------------------------
 
     def find_next_opportunities(
         self,

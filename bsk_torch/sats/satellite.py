@@ -69,10 +69,6 @@ def check_satellite(cls: type, base: type) -> None:
             raise TypeError(f"{cls.__name__}.{name} is never used; did you mean {meant[0]!r}?")
 
 
-VECTOR_TYPES = (torch.Tensor, np.ndarray, list)
-"""Values of ``obs_type`` that mean one vector."""
-
-
 class Satellite:
     """Description of a satellite. Subclasses set ``observation_spec``, ``action_spec``, ``dyn_type`` and ``fsw_type``.
 
@@ -123,7 +119,7 @@ class Satellite:
             given = getattr(self, spec)
             if not isinstance(given, Sequence) or isinstance(given, str):
                 raise ValueError(f"{type(self).__name__}.{spec} = {given!r}; it must be a list, also of a single entry")
-        if obs_type is not dict and not any(obs_type is kind for kind in VECTOR_TYPES):
+        if not any(obs_type is kind for kind in (dict, torch.Tensor, np.ndarray, list)):
             raise ValueError(f"obs_type={obs_type!r} must be dict, or one of torch.Tensor, np.ndarray and list for one vector")
         self.name, self.obs_type = name, dict if obs_type is dict else torch.Tensor
         self.variable_interval = switch("variable_interval", variable_interval)

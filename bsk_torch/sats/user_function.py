@@ -68,8 +68,6 @@ class UserFunction:
             self.results.append(result)
         return result
 
-    # -- trials -------------------------------------------------------------------------------------------------------
-
     def dimensions(self) -> set[int]:
         """Return the sizes of all dimensions of the results but the first."""
         return {size for tree in self.results or () for tensor in leaves_of(tree) for size in tensor.shape[1:]}

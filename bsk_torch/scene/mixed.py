@@ -109,8 +109,6 @@ class MixedScenario(Scenario):
         """Return what differs between satellites of different scenarios, which are simulated as different types."""
         return tuple(name in self.members(part) for part in self._parts())
 
-    # -- hooks --------------------------------------------------------------------------------------------------------
-
     @property
     def calls_user(self) -> bool:
         """See :attr:`Scenario.calls_user`; whether any scenario does."""

@@ -76,8 +76,6 @@ class OverlaidTargets(TargetScenario):
     def _bounds(self) -> dict[str, tuple[float, float]]:
         return self.targets._bounds()
 
-    # -- in an environment --------------------------------------------------------------------------------------------
-
     @override
     def link(self, fleet: SatelliteFleet) -> None:
         self.targets = copy.copy(self.targets)  # environments that share this scenario each link their own

@@ -152,8 +152,6 @@ class TargetScenario(Scenario):
     def _bounds(self) -> dict[str, tuple[float, float]]:
         return {"target_r_LP_P": (-FARTHEST, FARTHEST), "target_priority": (-FINITE, FINITE), "target_exists": (0.0, 1.0)}
 
-    # -- reading ------------------------------------------------------------------------------------------------------
-
     def target_attribute(self, name: str) -> Tensor:
         """Return an attribute of all targets, [N, T, ...]; AttributeError for an unknown name.
 

@@ -17,7 +17,7 @@ from bsk_torch.constants import NANO
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.data.checked import CheckedRewarder
 from bsk_torch.env.assembly.randomizer import Randomizer
-from bsk_torch.env.assembly.types import check_names, check_world, grouped, world_arguments, world_components
+from bsk_torch.env.assembly.types import check_names, check_world, grouped, world_arguments
 from bsk_torch.env.options import CONTINUOUS, ConstellationOptions, TaskingOptions
 from bsk_torch.rand import Distribution, Key, first_key, seeded
 from bsk_torch.sats.bound import SatelliteFleet
@@ -26,7 +26,7 @@ from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.arguments.sources import Answers, Member, expand, is_function
 from bsk_torch.sim.arguments.table import ArgumentTable
 from bsk_torch.sim.arguments.values import convert, drawn_once
-from bsk_torch.sim.assembly.composition import compose
+from bsk_torch.sim.assembly.composition import compose, world_components
 from bsk_torch.sim.assembly.satellite_type import SatelliteType, SimulationOptions, Ticks, Usage, satellite_type
 from bsk_torch.sim.component import Arg, Component, Field
 from bsk_torch.sim.draw_table import DrawTable
@@ -97,10 +97,8 @@ class FleetBuilder:
     def default_world_args(self) -> ArgumentTable:
         """Return every argument of the world, with its default."""
         first_of_each = (self.satellites[columns[0]] for columns in self.types)
-        parts = [part for satellite in first_of_each for part in world_components(satellite, self.world_type)]
+        parts = [part for satellite in first_of_each for part in world_components(satellite.dyn_type, self.world_type)]
         return ArgumentTable([*(self.world_type.all_components() if self.world_type else ()), *parts])
-
-    # -- fleets -------------------------------------------------------------------------------------------------------
 
     @functools.cached_property
     def satellite_types(self) -> Sequence[SatelliteType]:
@@ -219,8 +217,6 @@ class FleetBuilder:
     def pool_pays(self) -> bool:
         """True for batches large enough to prepare episodes in bulk."""
         return self.options.num_envs * len(self.names) >= SMALLEST_POOL and not self.calls_user
-
-    # -- episodes -----------------------------------------------------------------------------------------------------
 
     def draw_time_limit(self, key: Key, answers: Sequence[Answers] = ()) -> Tensor:
         """Return the time limits [n] s of the key's environments, not yet rounded to whole ticks."""

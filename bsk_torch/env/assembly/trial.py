@@ -93,7 +93,7 @@ class TrialFleet:
         """Start the episodes; return the user functions, which keep their results from now on."""
         self.checked = link(self.fleet, self.scenario, copy.copy(rewarder))
         copy.copy(communicator).attach(self.fleet)  # it may declare what satellites observe
-        functions = [function for satellite in self.satellites for function in satellite.user_functions()]
+        functions = [f for satellite in self.satellites for f in (*satellite.observations.functions, *satellite.functions)]
         for function in functions:
             function.results = []
         self.builder.start(self.fleet, self.fleet.all_envs, *self.drawn)

@@ -8,8 +8,7 @@ from collections.abc import Callable, Hashable, Iterable, Sequence
 from bsk_torch.rand import MOST_SATELLITES
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sim.arguments.values import alike, is_fixed, nearest
-from bsk_torch.sim.assembly.composition import world_components as components_of_world
-from bsk_torch.sim.component import Component
+from bsk_torch.sim.assembly.composition import world_components
 from bsk_torch.sim.world import WorldModel
 
 OWN = ("name", "sat_args_generator")
@@ -71,14 +70,9 @@ def grouped(satellites: Sequence[Satellite], group_of: Callable[[str], Hashable]
     return types
 
 
-def world_components(satellite: Satellite, world_type: type[WorldModel] | None = None) -> tuple[Component, ...]:
-    """Return the components of a satellite's world: those of ``world_type``, or those required by its models."""
-    return components_of_world(satellite.dyn_type, world_type)
-
-
 def world_arguments(satellite: Satellite, world_type: type[WorldModel] | None = None) -> list[str]:
     """Return the names of the arguments of a satellite's world."""
-    return [arg.name for component in world_components(satellite, world_type) for arg in component.args]
+    return [arg.name for component in world_components(satellite.dyn_type, world_type) for arg in component.args]
 
 
 def check_world(world_args: Iterable[str], known: Iterable[Iterable[str]]) -> None:
