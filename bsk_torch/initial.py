@@ -34,11 +34,7 @@ SHORTEST_AXIS = 1e-8
 
 
 def random_tumble(maxSpinRate: float = 0.001) -> tuple[Uniform, Uniform]:
-    """Return distributions of an attitude sigma_BN, three MRPs in [0, 1), and of a rate omega_BN_B, rad/s.
-
-    Args:
-        maxSpinRate: Each component of the rate is uniform within this, rad/s.
-    """
+    """Return distributions of sigma_BN, three MRPs in [0, 1), and omega_BN_B, rad/s, uniform within ``maxSpinRate``."""
     rate = number("maxSpinRate", maxSpinRate, 0.0, 1e3, unit="rad/s")
     return Uniform(0.0, 1.0, 3), Uniform(-rate, rate, 3)
 
@@ -156,13 +152,7 @@ def balancedHR16Triad(
     randomBounds: tuple[float, float] = (-400.0, 400.0),
     wheelSpeeds: Sequence[float] = (500.0, 500.0, 500.0),
 ) -> WheelTriad:
-    """Return wheel speeds of three wheels, rpm, as the last of three entries.
-
-    Args:
-        useRandom: Whether they are random.
-        randomBounds: Bounds of the random ones, rpm.
-        wheelSpeeds: Those that are not random, rpm.
-    """
+    """Return speeds of three wheels, rpm, as the last of three entries: uniform within ``randomBounds``, or ``wheelSpeeds``."""
     for name, values, count in (("randomBounds", randomBounds, 2), ("wheelSpeeds", wheelSpeeds, 3)):
         if not isinstance(values, Sequence | np.ndarray) or isinstance(values, str) or len(values) != count:
             raise ValueError(f"{name}={values!r} must be {count} numbers, rpm")

@@ -64,13 +64,7 @@ class ContinuousAction(Entry):
         raise NotImplementedError(f"{type(self).__name__} must implement decide(action, mask)")
 
     def enter(self, fsw_action: str, duration: Tensor, command: Tensor | None = None) -> Decision:
-        """Return the decision to enter a mode of the flight software, even if it is already active.
-
-        Args:
-            fsw_action: Command of the flight software, such as ``"charge"``.
-            duration: Time after which the actions end, [N] s.
-            command: Value passed to :meth:`begin`, [N, ...].
-        """
+        """Return the decision to enter the mode of a command for ``duration`` [N] s, even if it is already active."""
         mode = self.satellite.simulator.mode_index(fsw_action)
         reenter = torch.ones_like(mode, dtype=torch.bool)
         return Decision(mode, reenter, duration, torch.zeros_like(mode), duration, command)

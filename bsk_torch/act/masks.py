@@ -12,15 +12,9 @@ from bsk_torch.sim.arguments.values import nearest
 
 
 def allow_only(actions: Sequence[str], *names: str, where: Tensor) -> Tensor:
-    """Return a mask that allows only some actions where a condition holds, and all actions elsewhere.
+    """Return a mask [..., A] of the ``actions`` that allows only those in ``names`` ``where`` [...] holds, and all elsewhere.
 
-    Args:
-        actions: Names of all A actions, as in ``satellite.action_description``.
-        *names: Names of the allowed actions.
-        where: Condition, [...] bool.
-
-    Returns:
-        Mask, [..., A] bool.
+    ``actions`` are the names of all A actions, as in ``satellite.action_description``.
     """
     return ~where.unsqueeze(-1) | _is_named(tuple(actions), names, where.device)
 

@@ -64,11 +64,7 @@ class CommunicationMethod:
     def link(self, fleet: SatelliteFleet) -> None:
         """Prepare for the satellites of an environment; called once when it is built.
 
-        Overriding methods call ``super().link(fleet)`` first.
-
-        Raises:
-            TypeError: If there is no class to refine, or satellites do not support this method.
-            ValueError: Likewise, depending on arguments.
+        Overriding methods call ``super().link(fleet)`` first, and raise TypeError or ValueError for unsuitable satellites.
         """
         chain = [cls for cls in type(self).__mro__ if "communication_pairs" in vars(cls)]
         if len(chain) > 1 and vars(chain[-2]).get("refines", False):
@@ -86,13 +82,9 @@ class CommunicationMethod:
         raise NotImplementedError(f"{type(self).__name__} must implement communication_pairs()")
 
     def communicate(self, moves: Tensor) -> Tensor:
-        """Return the pairs that communicate after a step, in episodes whose last communication was at least ``min_period`` ago.
+        """Return the pairs that communicate after a step of the episodes ``moves`` [N]: [N, S, S], False for episodes not due.
 
-        Args:
-            moves: Episodes that took part in the step, [N].
-
-        Returns:
-            Pairs, [N, S, S] booleans by episode, sender and receiver; False for all pairs of episodes that are not due.
+        Due are those whose last communication was at least ``min_period`` ago.
         """
         time, memory = self.fleet.sim_time, self.fleet.memory
         self.due = moves & (time - memory[LAST] >= self.min_period)

@@ -34,12 +34,7 @@ class LOSCommunication(CommunicationMethod):
     """
 
     def link(self, fleet: SatelliteFleet) -> None:
-        """See :meth:`CommunicationMethod.link`.
-
-        Raises:
-            TypeError: For a satellite without :class:`~bsk_torch.sim.dyn.LOSCommDynModel`.
-            ValueError: If the orbit is integrated within the tick, so that no past positions are kept.
-        """
+        """See :meth:`CommunicationMethod.link`; TypeError without LOSCommDynModel, ValueError without orbits solved ahead."""
         super().link(fleet)
         for part, simulator, columns in zip(fleet.satellites, fleet.simulators, fleet.columns, strict=True):
             name = fleet.names[int(columns[0])]
@@ -86,12 +81,7 @@ def visible_pairs(fleet: SatelliteFleet, asked: Tensor, directed: bool = False) 
 
 
 def sights(fleet: SatelliteFleet, first: int) -> Tensor:
-    """Return the lines of sight in the current step of the first episode, [T, sensor, other] booleans.
-
-    Args:
-        fleet: The satellites.
-        first: Number of the first tick, in the current step; the last one is the present.
-    """
+    """Return the lines of sight at ticks from ``first`` to now, in this step of the first episode, [T, sensor, other] bool."""
     _check_covered(fleet, torch.ones(fleet.num_envs, dtype=torch.bool, device=fleet.device))
     search = make_search(fleet, fleet.since, fleet.ticks)
     ticks = torch.arange(first, int(fleet.ticks[0]) + 1, device=fleet.device)

@@ -105,11 +105,7 @@ class GlobalReward:
         return torch.where(self._in_channel, reward, 0.0)
 
     def share(self, links: Tensor) -> None:
-        """Share knowledge of collected data after a step.
-
-        Args:
-            links: Links by episode, sender and receiver, [N, S, S] bool.
-        """
+        """Share knowledge of collected data after a step, along ``links`` [N, S, S] bool by episode, sender and receiver."""
 
     def group_of(self, name: str) -> Hashable:
         """Return what differs between satellites that are simulated as different types; not to be overridden."""

@@ -62,15 +62,7 @@ class CheckedRewarder:
         return found
 
     def reward(self, before: Log, after: Log) -> Tensor:
-        """Return the reward of a step, [N, S].
-
-        Raises:
-            TypeError: For a wrong shape, or a dtype that is not floating-point.
-            TypeError: For a user's rewarder with a public tensor attribute that changes; values of episodes belong in
-                fleet.memory.
-            ValueError: For a reward that requires a gradient.
-            FloatingPointError: For a reward of a user's rewarder that is NaN or infinite.
-        """
+        """Return the reward of a step, [N, S]; FloatingPointError if that of a user's rewarder is NaN or infinite."""
         with torch.enable_grad():  # so that a reward that depends on parameters can be told
             found = self.rewarder.calculate_reward(before, after)
         title = f"{self._name}.calculate_reward()"

@@ -82,14 +82,9 @@ class ImageReward(GlobalReward):
         raise NotImplementedError(f"{type(self).__name__} must implement selectable()")
 
     def value(self, target: Tensor, taken: Tensor) -> Tensor:
-        """Return the reward of each satellite and record its image; called once for every step.
+        """Return the reward of each satellite, [N, S], zero without an image, and record images; called once for every step.
 
-        Args:
-            target: Index of the target last chosen by the satellite, [N, S] int64; 0 without one.
-            taken: Whether the satellite has taken an image of it in the step, [N, S] bool.
-
-        Returns:
-            Reward [N, S], zero if no image was taken.
+        ``target`` [N, S] int64 is the one chosen last, 0 without one; ``taken`` [N, S] tells of an image of it in the step.
         """
         raise NotImplementedError(f"{type(self).__name__} must implement value(target, taken)")
 

@@ -58,14 +58,7 @@ def check_no_ids(scenario_mapping: Mapping[str, str] | None, scenario: object) -
 def scenario_id(
     key: str, group: frozenset[str], scenario_mapping: Mapping[str, str] | None, groups: Mapping[str, Collection[str]]
 ) -> str:
-    """Return the id of the scenario of a channel.
-
-    Args:
-        key: The channel.
-        group: Names of its satellites.
-        scenario_mapping: Ids of scenarios by channel, as the user gave them.
-        groups: Names of the satellites of each scenario, by id.
-    """
+    """Return the id of the scenario of the channel ``key``, whose satellites are ``group``; ``groups`` are those of scenarios."""
     if scenario_mapping is None:
         raise ValueError(f"scenario_mapping is missing; give each channel one of the scenarios {sorted(groups)}")
     chosen = scenario_mapping[key]
@@ -126,12 +119,7 @@ class MixedReward(ComposedReward):
         return tuple(name in self.satellite_mapping[key] for key in self._keys)
 
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
-        """See :meth:`GlobalReward.link`.
-
-        Raises:
-            ValueError: For an unknown scenario or satellite, satellites outside the scenario of their channel, a channel without
-                all inspectors of the RSO, or imagers of a catalog, and where ``scenario_mapping`` is missing or without use.
-        """
+        """See :meth:`GlobalReward.link`; ValueError for names and scenarios that do not fit, and for missing observers."""
         GlobalReward.link(self, scenario, fleet)
         for key, group in self.satellite_mapping.items():
             check_known(f"satellite_mapping[{key!r}]", group, list(fleet.places))

@@ -46,15 +46,7 @@ class OperationsPenalty(GlobalReward):
         battery_below: float = LOW_BATTERY,
         storage_above: float = FULL_STORAGE,
     ) -> None:
-        """ValueError for penalties that are not from -1e30 to 0, or fractions that are not from 0 to 1.
-
-        Args:
-            low_battery: Reward for a low battery, negative.
-            full_storage: Reward for a full store, negative.
-            empty_downlink: Reward for a downlink of nothing, negative.
-            battery_below: Charge below which the battery is low, as a fraction of the capacity.
-            storage_above: Data above which the store is full, likewise.
-        """
+        """Set the three rewards, from -1e30 to 0, and the fractions of capacity below and above which two of them are paid."""
         given = {"low_battery": low_battery, "full_storage": full_storage, "empty_downlink": empty_downlink}
         self.penalties = {name: number(name, value, -MOST_PENALTY, 0.0) for name, value in given.items()}
         self.battery_below = number("battery_below", battery_below, 0.0, 1.0)

@@ -143,12 +143,7 @@ def mask_spec(size: int, shape: Sequence[int]) -> Binary:
 def read(title: str, given: object, satellite: SatelliteGroup, shape: Sequence[int], each: str = "") -> Tensor:
     """Return the actions of satellites of one type, [*shape] int64, or [*shape, A] or [*shape, A + 1] of a floating type.
 
-    Args:
-        title: Name of the actions in messages.
-        given: Tensor, or for a hybrid action its parts in a tensordict or mapping.
-        satellite: The satellite.
-        shape: Leading dimensions.
-        each: Meaning of the dimensions, for messages.
+    ``given`` is a tensor, or for a hybrid action a tensordict or mapping; ``each`` tells messages what dimensions mean.
     """
     builder = form(satellite)
     if builder is not None:

@@ -86,14 +86,9 @@ def make_groups(
     titles: Sequence[str],
     group_map: Mapping[str, Sequence[str]] | None = None,
 ) -> list[Group]:
-    """Return the groups of agents with equal spaces.
+    """Return the groups of agents with equal spaces: agents by type unless ``group_map`` names them.
 
-    Args:
-        agents: Satellites of each agent.
-        names: Names of all satellites.
-        types: Indices of the satellites of each type.
-        titles: Name of each type.
-        group_map: Agents of each group (default: by type).
+    ``agents`` are the satellites of each agent, ``types`` the indices of the satellites of each type, ``titles`` their names.
     """
     place = {names[column]: (t, k) for t, columns in enumerate(types) for k, column in enumerate(columns)}
     signature = {agent: tuple(place[member][0] for member in members) for agent, members in agents.items()}

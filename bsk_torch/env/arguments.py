@@ -56,16 +56,7 @@ class MadeOfArguments(Snapshots):
         self._change(of_satellites(args, self.names, ids), rows)
 
     def set_world_args(self, args: object, envs: object = None) -> None:
-        """Change arguments of the world, as :meth:`set_sat_args` does for satellites.
-
-        Args:
-            args: New values by name, or a function that returns a dictionary.
-            envs: Indices of the environments to change, [n], or a mask [N] (default: all).
-
-        Raises:
-            KeyError: For an unknown argument.
-            ValueError: For a value that is not allowed, or an argument that determines the structure of the simulation.
-        """
+        """Change arguments of the world, as :meth:`set_sat_args` does for satellites."""
         rows, ids = episodes(envs, len(self.env_ids), self.env_ids)
         changes = of_world(args, ids)
         check_world([change.name for change in changes], [s.type.arguments.world_args.table for s in self.fleet.simulators])

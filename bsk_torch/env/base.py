@@ -137,11 +137,7 @@ class Tasking(Present, MadeOfArguments):
         return "\n".join(lines)
 
     def to(self, device: torch.device | str) -> Tasking:  # type: ignore[override]
-        """Return the environment, which stays on its device.
-
-        Args:
-            device: Device of the environment.
-        """
+        """Return the environment, which stays on its device, for which kernels, tables and arcs are made; ValueError for others."""
         wanted, own = existing_device(device), torch.device(self.device)
         if wanted.type != own.type or (wanted.index or 0) != (own.index or 0):
             raise ValueError(
@@ -255,10 +251,7 @@ class Tasking(Present, MadeOfArguments):
         return outputs
 
     def _judge(self, duration: Tensor, reward: Tensor, moves: Tensor, removed: Tensor, last: Tensor) -> StepResult:
-        """Return the outcome of a step: adds failure penalties [N, S], and determines which episodes have ended.
-
-        ``last`` [N] are those at their time limit.
-        """
+        """Return the outcome of a step with failure penalties, in which the episodes ``last`` [N] reached their time limit."""
         state = self.state
         dead = self.fleet.joined([satellite.task.dead for satellite in self.satellites])
         reward = reward + self.failure_penalty * (dead & moves.unsqueeze(-1)).to(reward.dtype)
@@ -269,12 +262,7 @@ class Tasking(Present, MadeOfArguments):
         return StepResult(duration, reward, terminated, truncated, removed)
 
     def _over(self, dead: Tensor, last: Tensor) -> tuple[Tensor, Tensor]:
-        """Return which episodes have ended, and which were truncated, [N] each.
-
-        Args:
-            dead: The dead satellites, [N, S].
-            last: Episodes at their time limit, [N].
-        """
+        """Return which episodes ended, given ``dead`` satellites [N, S], and which were truncated, ``last`` by time, [N] each."""
         ended, truncated, present = dead, last, self.fleet.present
         if self.checked.terminates and not self.agents_stay:
             ended = dead | self.checked.terminated()
@@ -309,11 +297,7 @@ class Tasking(Present, MadeOfArguments):
         return TensorDict(parts, shape, device=self.device)
 
     def observe(self) -> TensorDict:
-        """Return the observations of the current episodes, as ``reset`` does, without rewards and durations of a step.
-
-        Raises:
-            ResetNeededError: For an episode that has not begun.
-        """
+        """Return the observations of the current episodes, as ``reset`` does; ResetNeededError if one has not begun."""
         with self.guard:
             self.guard.check_begun("observe()")
             dead = self.fleet.joined([satellite.task.dead for satellite in self.satellites])

@@ -96,10 +96,7 @@ def remembered(old: Sequence[Change], new: Sequence[Change]) -> list[Change]:
 
 
 def changed(types: Sequence[SatelliteType], changes: Sequence[Change], env_ids: Tensor) -> list[SatelliteType]:
-    """Return the types of satellites with changed arguments, checked by trial draws.
-
-    ``env_ids`` are the indices of the environments in draws, [N].
-    """
+    """Return the types of satellites with changed arguments, checked by trial draws of environments with ``env_ids`` [N]."""
     new = []
     for satellite_type in types:
         columns, around = satellite_type.usage.columns, satellite_type.arguments.world_args.table

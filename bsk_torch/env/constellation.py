@@ -364,13 +364,7 @@ class ConstellationTasking(Tasking):
         return leaves
 
     def _hidden(self, group: Group, wanted: Tensor, removed: Tensor) -> Tensor:
-        """Return the members that are not observed, [N, A, M].
-
-        Args:
-            group: The agents.
-            wanted: Members that need a task, or died without one, [N, A, M].
-            removed: Satellites absent or removed before the step, [N, S].
-        """
+        """Return the members that are not observed, [N, A, M]; ``wanted`` [N, A, M] need a task, or died without one."""
         if self.joint:
             absent = torch.zeros_like(wanted) if self.fleet.present is None else ~self.fleet.present[:, group.members]
             return absent | ~wanted if self.options.generate_obs_retasking_only else absent

@@ -168,9 +168,7 @@ class Episodes(EnvBase):
     def reseed(self, seeds: int | Sequence[int | None], mask: Tensor | None = None) -> None:
         """Start with the first episodes of other seeds at the next reset; current episodes do not change.
 
-        Args:
-            seeds: Seed of all environments, or one for each of the N, where None keeps the current seed.
-            mask: Environments to seed, [N] bool (default: all).
+        ``seeds`` is one for all environments, or one for each of the N, None for the current one; only in ``mask`` [N] if given.
         """
         count = self.num_envs
         several = isinstance(seeds, Sequence | Tensor | np.ndarray) and not isinstance(seeds, str)

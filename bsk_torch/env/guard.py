@@ -100,12 +100,7 @@ class EpisodeGuard:
             raise FloatingPointError(f"no satellite can fly with the numbers of the restored state: {error}") from error
 
     def check_begun(self, call: str, envs: Tensor | None = None) -> None:
-        """Raise ResetNeededError for episodes that have not begun, or whose last step was interrupted.
-
-        Args:
-            call: Name of the method called by the user, for the message.
-            envs: Mask [N] of the episodes to check (default: all).
-        """
+        """Raise ResetNeededError if an episode, of those in the mask ``envs`` [N] if given, has not begun or was interrupted."""
         if self.all_begun:
             return
         begun = self.state["begun"]

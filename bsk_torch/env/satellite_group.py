@@ -130,13 +130,9 @@ def settle_all(groups: Sequence[SatelliteGroup], result: RunResult, moves: Tenso
 
 
 def settle(satellites: SatelliteGroup, event: Tensor | None, moves: Tensor, last: Tensor) -> None:
-    """Record how a run of the rows ``moves`` [N] ended.
+    """Record how a run of the rows ``moves`` [N] of one type ended; ``event`` [N] ended the action of some, None of none.
 
-    Args:
-        satellites: The satellites of one type.
-        event: Rows in which an event ended the action, [N]; None without such events.
-        moves: Rows that took part, [N].
-        last: Rows whose episode has reached its limit, [N]. The clock stops there before the end of a task is evaluated.
+    The rows ``last`` [N] have reached the limit of their episode, where the clock stops before the end of a task is evaluated.
     """
     task, state = satellites.task, satellites.simulator.state
     fired, waited = (task.ends <= state.ticks - last.long()) & moves, task.requires_retasking

@@ -44,11 +44,7 @@ class Snapshots(Episodes):
     fingerprint: Tensor
 
     def get_state(self) -> TensorDict:
-        """Return a copy of everything that determines the future, [N, ...]; see :meth:`restore`.
-
-        Raises:
-            ResetNeededError: For an episode that has not begun.
-        """
+        """Return a copy of all that determines the future, [N, ...], for :meth:`restore`; ResetNeededError before a reset."""
         with self.guard:
             self.guard.check_begun("get_state()")
             return self._saved()

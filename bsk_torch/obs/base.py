@@ -126,12 +126,7 @@ def flatten(values: Values, count: int | None = None, prefix: str = "") -> Itera
 
 
 def link(entry: object, satellite: BoundSatellite) -> None:
-    """Link an observation to a satellite.
-
-    Raises:
-        ValueError: For an entry that is not an observation.
-        TypeError: For an entry whose ``link_satellite`` does not call that of its base class.
-    """
+    """Link an observation to a satellite; ValueError for an entry that is not an observation, TypeError if linking failed."""
     if not isinstance(entry, Observation):
         raise ValueError(f"observation_spec holds {entry!r}, which is not an observation; write obs.Time(), with parentheses")
     entry.link_satellite(satellite)
@@ -226,12 +221,7 @@ class ObservationBuilder:
         return values
 
     def get_vector(self, dtype: torch.dtype) -> Tensor:
-        """Return all observations, concatenated, [N, width].
-
-        Raises:
-            TypeError: For another width than at the first call.
-            FloatingPointError: For NaN or infinity, where functions or classes of users take part.
-        """
+        """Return all observations, concatenated, [N, width]; FloatingPointError for NaN or infinity in those of users."""
         vector = torch.cat([reader.vector() for reader in self._readers], -1)
         if vector.shape[-1] != self._width:
             if self._width is not None:

@@ -209,13 +209,7 @@ class RelativeProperties(Observation):
     """
 
     def __init__(self, *entries: dict[str, Any], chief_name: str, name: str = "rel_props") -> None:
-        """Observe the satellite relative to ``chief_name``.
-
-        Args:
-            *entries: See the class.
-            chief_name: Name of the chief.
-            name: Name of the observation.
-        """
+        """Observe ``entries``, see the class, of the satellite relative to the one called ``chief_name``."""
         super().__init__(name)
         self.chief_name = text("chief_name", chief_name)
         self.entries = parse_entries(entries, {"prop", "fn", "norm", "name"}, "obs.RelativeProperties")

@@ -35,12 +35,7 @@ class SatelliteFleet(Fleet):
         return self.num_envs, self.size
 
     def found(self, name: str) -> tuple[BoundSatellite, int]:
-        """Return the satellites of the type of a named one, and the number of that one within the type.
-
-        Raises:
-            KeyError: For an unknown name.
-            RuntimeError: While the satellites are being made.
-        """
+        """Return the satellites of the type of a named one, and its number within the type; KeyError for an unknown name."""
         k, number = self.place_of(name)
         if not self.satellites:
             raise RuntimeError(f"satellite {name!r} is not there yet: others are seen in get_obs(), not in link_satellite()")
@@ -55,11 +50,7 @@ class SatelliteFleet(Fleet):
         return whole.member(number)
 
     def each(self, read: Callable[[Any], Tensor], missing: float = 0.0) -> Tensor:
-        """Return the value of ``read`` for every satellite, [N, S, ...]; ``missing`` for types without such an attribute.
-
-        Raises:
-            AttributeError: If no type has it.
-        """
+        """Return ``read`` of every satellite, [N, S, ...]; ``missing`` for types without it, AttributeError if no type has it."""
         if len(self.satellites) == 1:
             return self.joined([read(self.satellites[0])])
         found: list[Tensor | None] = []
@@ -304,12 +295,7 @@ class BoundSatellite(Satellite):
         return []
 
     def member(self, number: int, times: int = 1) -> OtherSatellite:
-        """Return a read-only view of one satellite of each environment, whose tensors are [num_envs * times, ...].
-
-        Args:
-            number: Index of the satellite among those of the type.
-            times: Number of repetitions of each row.
-        """
+        """Return a read-only view of satellite ``number`` of the type in each environment, each row repeated ``times`` times."""
         return OtherSatellite(self, number, times)
 
     def title(self, row: int) -> str:

@@ -43,16 +43,9 @@ class UserFunction:
         self.results: list[Tree] | None = None
 
     def __call__(self, lead: Sequence[int], device: torch.device, call: Callable[[], object]) -> Tree:
-        """Return the result for all satellites, tensors [*lead, ...].
+        """Return the result of ``call`` for all satellites, tensors [*lead, ...]; TypeError if it fails or does not fit.
 
-        Args:
-            lead: Leading dimensions of the result: the number N of satellites, perhaps followed by others.
-            device: Device of the result.
-            call: The call of the function.
-
-        Raises:
-            AttributeError: For what the satellites lack.
-            TypeError: For a function whose first call fails otherwise, or whose result does not fit.
+        An AttributeError for what satellites lack is passed on: those of another type may have it.
         """
         try:
             value = call()

@@ -37,11 +37,7 @@ class Memo:
     def once(self, name: Hashable, fleet: SatelliteFleet, find: Callable[[], Value], further: tuple[int, ...] = ()) -> Value:
         """Return what ``find`` returns, which is called only where the state is another than at the last call with ``name``.
 
-        Args:
-            name: Name of the result.
-            fleet: The satellites.
-            find: Computes the result.
-            further: Versions of other tables that it depends on.
+        ``further`` are versions of other tables that it depends on.
         """
         tables = [table for part in fleet.simulators for table in (part.state, part.memory)]
         key = (*(table.version for table in (*tables, fleet.memory)), *further)

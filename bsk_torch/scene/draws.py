@@ -32,12 +32,7 @@ MAX_RADIUS_IN_KM = 1e7
 
 
 def count_range(what: str, count: Count) -> tuple[int, int]:
-    """Return the smallest number of targets and the exclusive end of its range.
-
-    Args:
-        what: Name of the user's argument, for messages.
-        count: The argument.
-    """
+    """Return the smallest number of targets and the exclusive end of its range, of the user's argument ``what``."""
     try:
         low, end = map(operator.index, count if isinstance(count, Sequence) else (count, count + 1))
     except (TypeError, ValueError) as error:
@@ -73,11 +68,7 @@ def calls_user(*values: object) -> bool:
 
 
 def as_numbers(value: object) -> Tensor:
-    """Return numbers, sequences, arrays or tensors as a float64 tensor on the CPU.
-
-    Raises:
-        TypeError, ValueError, RuntimeError: For anything else.
-    """
+    """Return numbers, sequences, arrays or tensors as a float64 tensor on the CPU; TypeError, ValueError, RuntimeError else."""
     try:
         return torch.as_tensor(value.cpu() if isinstance(value, Tensor) else np.asarray(value, dtype=float)).double()
     except OverflowError as error:
@@ -103,17 +94,7 @@ def _drawn(value: object, key: Key, count: int) -> Tensor:
 def draw_numbers(
     what: str, value: object, key: Key, count: int, low: float = -math.inf, high: float = math.inf, unit: str = ""
 ) -> Tensor:
-    """Draw one number for each target, [n or 1, count] float64 on the CPU.
-
-    Args:
-        what: Name of the user's argument, for messages.
-        value: The argument; see :data:`Numbers`.
-        key: Key of the n environments.
-        count: Number of targets.
-        low: Minimum.
-        high: Maximum.
-        unit: Unit, for messages.
-    """
+    """Draw one number for each of ``count`` targets, [n or 1, count] float64 on the CPU, of the user's argument ``what``."""
     no_gradient(what, value)
     try:
         numbers, problem = _drawn(value, key, count), ""

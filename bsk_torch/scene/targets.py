@@ -98,11 +98,7 @@ class TargetScenario(Scenario):
         return self.target_names
 
     def link(self, fleet: SatelliteFleet) -> None:
-        """See :meth:`Scenario.link`.
-
-        Raises:
-            ValueError: If no satellite sees targets, or ``draw`` returns values of a wrong shape.
-        """
+        """See :meth:`Scenario.link`; ValueError if no satellite sees targets, or ``draw`` returns values of a wrong shape."""
         if not any(hasattr(part, "target_types") for part in fleet.satellites):
             are = ", ".join(f"{part.name} is a {type(part).__name__}" for part in fleet.satellites)
             raise ValueError(

@@ -113,13 +113,7 @@ class FleetBuilder:
         return [types[k] for k in range(len(types))]
 
     def make_fleet(self, n: int, types: Sequence[SatelliteType] | None = None, trial: bool = False) -> SatelliteFleet:
-        """Return simulations of ``n`` episodes.
-
-        Args:
-            n: Number of episodes.
-            types: Types of the satellites, if arguments have changed since their construction.
-            trial: Whether to simulate one satellite of each type only.
-        """
+        """Return simulations of ``n`` episodes, of changed ``types`` if given; for a ``trial``, of one satellite of each type."""
         # the trial's arcs shall be as long as those of the batch: see check_memory
         sample = isinstance(self.options.time_limit, Distribution) and n < self.options.num_envs
         limit = self.draw_time_limit(first_key(min(SAMPLE if sample else n, self.options.num_envs)))
