@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import torch
 from torch import Tensor
 
 from bsk_torch._checks import number, text
+from bsk_torch.sats.bound import BoundSatellite
+from bsk_torch.sim.fsw.models import FSWModel
 from bsk_torch.sim.hooks import check_class, check_tensor, defined_first, is_of_package, overrides
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
-    from bsk_torch.sim.fsw.models import FSWModel
-    from bsk_torch.sim.state import StateTable
+from bsk_torch.sim.state import StateTable
 
 HOOKS = (
     *("n_actions", "n_negative_actions", "target_actions", "link_satellite", "names"),
@@ -217,8 +215,6 @@ class ActionBuilder:
     only hooks overridden by a subclass are called.
 
     Attributes:
-        entries: The entries.
-        n_actions: Size of the action space.
         n_negative_actions: Number of additional legal negative actions.
         some_legal: Whether an entry always allows its first action.
     """

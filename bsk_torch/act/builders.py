@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -11,11 +11,9 @@ from torch import Tensor
 from bsk_torch._checks import no_gradient
 from bsk_torch.act.base import ActionBuilder, ActionTable, Decision, check_decision, checked_durations, link_entry
 from bsk_torch.act.continuous import ContinuousAction, HybridAction, is_continuous
+from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.sim.hooks import check_tensor, overrides
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
-    from bsk_torch.sim.state import StateTable
+from bsk_torch.sim.state import StateTable
 
 LARGEST = torch.finfo(torch.float64).max
 
@@ -43,11 +41,9 @@ class ContinuousBuilder:
     Internally, actions are [N, A] float64, or [N, A + 1] with the number of the choice last.
 
     Attributes:
-        entries: The entry.
         low: Lowest values, [A] float64.
         high: Highest values, [A] float64.
         n_actions: Number K of choices; 0 without a choice.
-        n_negative_actions: 0.
         some_legal: False: masks may be empty.
     """
 

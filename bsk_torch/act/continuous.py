@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import torch
 from torch import Tensor
@@ -13,10 +13,6 @@ from bsk_torch._checks import number
 from bsk_torch.act.base import Action, Decision, Entry
 from bsk_torch.sim.fsw.setpoint import ATTITUDE_MRP, AttitudeSetpointFSWModel
 from bsk_torch.sim.hooks import check_class
-
-if TYPE_CHECKING:
-    pass
-
 
 HOOKS = ("link_satellite", "bounds", "names", "decide", "begin", "end", "choices", "mask")
 """Members of :class:`ContinuousAction` and :class:`HybridAction` that subclasses may define."""

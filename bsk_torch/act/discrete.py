@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -13,13 +12,10 @@ from typing_extensions import override
 from bsk_torch._checks import switch, text
 from bsk_torch.act.base import LONGEST, Action, ActionTable, Decision, positive_duration
 from bsk_torch.astro.frames import angle_between
+from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.sim.dyn.events import DISARMED, DOWNLINK_TICK, EMPTY_DOWNLINKS, LEFT_OVER
 from bsk_torch.sim.fsw.models import EndedDownlinkFSWModel, ImagingFSWModel
 from bsk_torch.sim.instruments import INDEX, each_value, number_of
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
-
 
 logger = logging.getLogger(__name__)
 

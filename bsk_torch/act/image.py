@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -13,12 +12,10 @@ from bsk_torch._checks import switch, whole
 from bsk_torch.act.base import Decision, positive_duration
 from bsk_torch.act.candidates import NO_TARGET, SLEW, CandidateAction
 from bsk_torch.act.discrete import choose_instrument
+from bsk_torch.sats.bound import BoundSatellite
+from bsk_torch.sats.imaging import BoundImagingSatellite
 from bsk_torch.sim.instruments import number_of
 from bsk_torch.sim.places import instrument_kind
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
-    from bsk_torch.sats.imaging import BoundImagingSatellite
 
 logger = logging.getLogger(__name__)
 

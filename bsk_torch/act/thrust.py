@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -13,11 +12,9 @@ from bsk_torch._checks import number, text
 from bsk_torch.act.base import Decision
 from bsk_torch.act.continuous import ContinuousAction
 from bsk_torch.astro.orbit import hill_frame
+from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.sim.fsw.setpoint import HOLD_INERTIAL, InertialHoldFSWModel
 from bsk_torch.vec3 import Vec3
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
 
 SHORTEST = 2
 """Minimum length of a drift, ticks."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -16,9 +16,7 @@ from bsk_torch.act.thrust import ImpulsiveThrustHill
 from bsk_torch.astro.linear_motion import LinearMotion, about_orbit
 from bsk_torch.astro.relative import cd2hill, fibonacci_sphere
 from bsk_torch.astro.transfers import Transfers, transfers
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
+from bsk_torch.sats.bound import BoundSatellite
 
 RESERVE = 1e-6
 """Velocity change always left in the tank, m/s."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -11,12 +11,9 @@ from typing_extensions import final, override
 
 from bsk_torch._checks import number
 from bsk_torch.act.discrete import PENDING
+from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked, check_tensor, overrides
 from bsk_torch.sim.state import FINITE
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import SatelliteFleet
-
 
 PEER = "rso_peer"
 """Memory of satellites that send packets with the number of the object that is the satellite to which they transmit."""

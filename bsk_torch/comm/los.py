@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import torch
 from torch import Tensor
 from typing_extensions import override
 
 from bsk_torch.comm.base import CommunicationMethod, MultiDegreeCommunication
+from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sim.access.links.line_of_sight import speed_bound
 from bsk_torch.sim.access.links.line_of_sight_search import PAIRS_PER_BATCH, FlownOrbits, LineOfSightSearch
 from bsk_torch.sim.access.visibility.kernels import KernelVisibility
 from bsk_torch.sim.dyn import LOSCommDynModel
+from bsk_torch.sim.simulator import Simulator
 from bsk_torch.vec3 import Vec3
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import SatelliteFleet
-    from bsk_torch.sim.simulator import Simulator
 
 MAX_RANGE = "losMaximumRange"
 """Satellite argument: range of the sensor, m; unlimited unless positive."""

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 from typing_extensions import override
 
+from bsk_torch.sats.bound import SatelliteFleet
+from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.recorded import RecordedProgress
 from bsk_torch.sim.hooks import check_class, check_tensor
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import SatelliteFleet
-    from bsk_torch.scene.base import Scenario
-    from bsk_torch.sim.state import StateTable
+from bsk_torch.sim.state import StateTable
 
 Log = dict[str, Tensor]
 """Properties of the satellites at a decision boundary by name, [N, S, ...] each."""

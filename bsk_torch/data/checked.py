@@ -8,20 +8,16 @@ and values of users' rewarders only.
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from bsk_torch._checks import no_gradient
 from bsk_torch.data.base import GlobalReward, Log
+from bsk_torch.sats.bound import SatelliteFleet
+from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.hooks import ChangeGuard, check_linked, check_tensor, is_of_package, overrides
 from bsk_torch.sim.state import SHOWN
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import SatelliteFleet
-    from bsk_torch.scene.base import Scenario
-
 
 REWARD_MEMORY = (
     "keep values that are reset with every episode in self.fleet.memory, where link(scenario, fleet) declares them: "
@@ -31,13 +27,7 @@ REWARD_MEMORY = (
 
 
 class CheckedRewarder:
-    """The hooks of a rewarder, with checks of their results.
-
-    Attributes:
-        rewarder: The rewarder.
-        terminates: Whether it may terminate episodes.
-        truncates: Whether it may truncate episodes.
-    """
+    """The hooks of a rewarder, with checks of their results."""
 
     def __init__(self, rewarder: GlobalReward) -> None:
         """Call the hooks of ``rewarder``."""

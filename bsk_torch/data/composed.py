@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Hashable, Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -13,12 +13,9 @@ from typing_extensions import override
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.data.checked import CheckedRewarder
 from bsk_torch.sats.bound import SatelliteFleet
+from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.recorded import RecordedProgress
 from bsk_torch.sim.state import FINITE
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import SatelliteFleet
-    from bsk_torch.scene.base import Scenario
 
 
 class ComposedReward(GlobalReward):

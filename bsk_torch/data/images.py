@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
@@ -13,13 +13,11 @@ from typing_extensions import override
 
 from bsk_torch._checks import number, switch
 from bsk_torch.data.base import GlobalReward, Log
+from bsk_torch.sats.bound import SatelliteFleet
+from bsk_torch.scene.base import Scenario
+from bsk_torch.scene.overlaid import CloudyTargets, StripTargets, UncertainTargets
+from bsk_torch.scene.targets import TargetScenario
 from bsk_torch.sim.hooks import check_class, check_tensor
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import SatelliteFleet
-    from bsk_torch.scene.base import Scenario
-    from bsk_torch.scene.overlaid import CloudyTargets, StripTargets, UncertainTargets
-    from bsk_torch.scene.targets import TargetScenario
 
 
 class UniqueImages(NamedTuple):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Mapping, Sequence
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -11,13 +11,11 @@ from torch import Tensor
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.data.checked import CheckedRewarder
 from bsk_torch.data.composed import ComposedReward
+from bsk_torch.sats.access_filter import AccessFilter
+from bsk_torch.sats.bound import SatelliteFleet
+from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.mixed import MixedScenario, as_dictionary, check_known, check_same_keys, names_by_key
 from bsk_torch.sim.names import nearest
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.access_filter import AccessFilter
-    from bsk_torch.sats.bound import SatelliteFleet
-    from bsk_torch.scene.base import Scenario
 
 
 class Looking(Protocol):
@@ -77,9 +75,6 @@ class MixedReward(ComposedReward):
     satellites whether or not they collect data returns ``self.of_channel(reward)``.
 
     Attributes:
-        channels: Rewarder of each channel.
-        satellite_mapping: Names of the satellites of each channel.
-        scenario_mapping: Id of the scenario of each channel; None without a :class:`bsk_torch.scene.MixedScenario`.
         terms: Reward of each channel for the last step, [N, S] each.
     """
 

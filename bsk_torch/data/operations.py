@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -11,12 +10,9 @@ from typing_extensions import override
 
 from bsk_torch._checks import number
 from bsk_torch.data.base import GlobalReward, Log
+from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
+from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.dyn.events import EMPTY_DOWNLINKS
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
-    from bsk_torch.scene.base import Scenario
-
 
 LOW_BATTERY, FULL_STORAGE = 0.1, 0.991
 """Charge below which, and data above which, a satellite is penalized, as fractions of its capacities."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -12,12 +12,10 @@ from typing_extensions import override
 from bsk_torch._checks import no_gradient, number
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.rand import Distribution, Key, seeded
+from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
 from bsk_torch.sats.user_function import UserFunction
+from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.state import FINITE
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
-    from bsk_torch.scene.base import Scenario
 
 ADVICE = (
     "let it return [N] for all satellites: properties such as satellite.dynamics.battery_charge_fraction are tensors [N], and "

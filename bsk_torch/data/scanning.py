@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -11,11 +10,9 @@ from typing_extensions import override
 
 from bsk_torch._checks import function
 from bsk_torch.data.base import GlobalReward, Log
+from bsk_torch.sats.bound import SatelliteFleet
+from bsk_torch.scene.base import Scenario, UniformNadirScanning
 from bsk_torch.sim.readout.observables import observable
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import SatelliteFleet
-    from bsk_torch.scene.base import Scenario, UniformNadirScanning
 
 
 class ScanningTimeReward(GlobalReward):

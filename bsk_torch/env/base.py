@@ -137,7 +137,7 @@ class Tasking(Present, MadeOfArguments):
         return "\n".join(lines)
 
     def to(self, device: torch.device | str) -> Tasking:  # type: ignore[override]
-        """Return the environment, which stays on its device, for which kernels, tables and arcs are made; ValueError for others."""
+        """Return the environment, which stays on the device that its kernels and tables are made for; ValueError for others."""
         wanted, own = existing_device(device), torch.device(self.device)
         if wanted.type != own.type or (wanted.index or 0) != (own.index or 0):
             raise ValueError(

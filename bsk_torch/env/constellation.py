@@ -115,11 +115,7 @@ class ConstellationTasking(Tasking):
         self._make_agents()
         for satellites, values in zip(self.satellites, trial, strict=True):
             satellites.observation_description = ObservationBuilder.describe(values)
-        observed, acted, paid = (
-            Composite(shape=self.batch_size),
-            Composite(shape=self.batch_size),
-            Composite(shape=self.batch_size),
-        )
+        observed, acted, paid = (Composite(shape=self.batch_size) for _ in range(3))
         for group in self.groups:
             shape = (*self.batch_size, *self._agents_shape(group))
             where = () if self.joint else (group.name,)
@@ -173,9 +169,8 @@ class ConstellationTasking(Tasking):
     def _acted(self, group: Group, shape: tuple[int, ...]) -> Any:
         members, sizes = [self.satellites[t] for t in group.types], self._sizes(group)
         if self._by_name(group):
-            parts = {
-                name: action_spec(sat, shape, self.dtype, 1) for name, sat in zip(self._names_of(group), members, strict=True)
-            }
+            pairs = zip(self._names_of(group), members, strict=True)
+            parts = {name: action_spec(satellite, shape, self.dtype, 1) for name, satellite in pairs}
             return Composite(parts, shape=torch.Size(shape))
         if not (group.is_meta or self.joint):
             return action_spec(members[0], shape, self.dtype, 1)
@@ -323,9 +318,8 @@ class ConstellationTasking(Tasking):
             for satellite in self.satellites
         ]
         if result is not None and not self.joint:
-            self._remove(
-                result.duration
-            )  # only now: look-ahead is not extended for agents that have left, but they receive a last observation
+            # only now: look-ahead is not extended for agents that have left, but they receive a last observation
+            self._remove(result.duration)
         legal = [satellite.action_mask() for satellite in self.satellites]
         for group in self.groups:
             leaves = self._group_outputs(group, seen, legal, hidden)

@@ -16,8 +16,8 @@ from bsk_torch.act.base import SHORTEST
 from bsk_torch.codegen.inductor import BACKENDS
 from bsk_torch.rand import Distribution
 from bsk_torch.sats.satellite import as_dtype
-from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.sim.assembly.satellite_type import LONGEST_TICK, ORBITS, SHORTEST_TICK
+from bsk_torch.sim.names import nearest, one_of
 from bsk_torch.sim.world import WorldModel
 
 TimeLimit = float | Distribution | Callable[[], float]
@@ -123,18 +123,12 @@ class TaskingOptions:
             "dtype": as_dtype(self.dtype),
             "seed": None if self.seed is None else whole("seed", self.seed, 0, 2**63 - 1),
         }
-        if self.sim_dtype not in SIM_DTYPES:
-            raise ValueError(f"sim_dtype={self.sim_dtype!r} must be one of {list(SIM_DTYPES)}")
-        if self.backend not in BACKENDS:
-            raise ValueError(f"backend={self.backend!r} must be one of {list(BACKENDS)}")
+        for name, allowed in (("sim_dtype", SIM_DTYPES), ("backend", BACKENDS), ("compat", COMPATIBLE)):
+            if getattr(self, name) not in allowed:
+                raise ValueError(f"{name}={getattr(self, name)!r} must be one of {list(allowed)}")
         if self.orbit not in (None, *ORBITS):
             raise ValueError(f"orbit={self.orbit!r} must be one of {list(ORBITS)}, or None for the model's own")
-        if self.compat not in COMPATIBLE:
-            raise ValueError(f"compat={self.compat!r} must be one of {list(COMPATIBLE)}")
-        if self.failures not in FAILURES:
-            raise ValueError(
-                f"failures={self.failures!r} must be one of {list(FAILURES)}; {nearest(str(self.failures), FAILURES)}"
-            )
+        one_of("failures", self.failures, FAILURES)
         if self.replan and self.compat is not None:
             raise ValueError(
                 f"replan={self.replan!r} with compat={self.compat!r}: its look-ahead follows no maneuver; leave one out"

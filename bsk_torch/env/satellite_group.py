@@ -22,12 +22,7 @@ from bsk_torch.sim.run.coupled import RunResult
 
 
 class SatelliteGroup(BoundSatellite):
-    """The N satellites of one type in an environment.
-
-    Attributes:
-        actions: Their actions.
-        observations: Their observations.
-    """
+    """The N satellites of one type in an environment."""
 
     actions: ActionBuilder | ContinuousBuilder
     observations: ObservationBuilder

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from math import isnan
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from bsk_torch._checks import text
+from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.hooks import check_class, check_tensor, defined_first, is_of_package
 from bsk_torch.sim.names import snake
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
-    from bsk_torch.sim.simulator import Simulator
+from bsk_torch.sim.simulator import Simulator
 
 HOOKS = ("link_satellite", "observables", "get_obs", "get_vector")
 """Members of :class:`Observation` that subclasses may define."""
@@ -135,11 +133,7 @@ def link(entry: object, satellite: BoundSatellite) -> None:
 
 
 class Reader:
-    """Reads an observation, by name or as a vector; what a user's class returns is checked.
-
-    Attributes:
-        entry: The observation.
-    """
+    """Reads an observation, by name or as a vector; what a user's class returns is checked."""
 
     def __init__(self, entry: Observation) -> None:
         """Read an ``entry`` linked to its satellites."""
@@ -178,11 +172,7 @@ class Reader:
 
 
 class ObservationBuilder:
-    """The observations of a satellite type, in the order of its ``observation_spec``.
-
-    Attributes:
-        entries: The entries.
-    """
+    """The observations of a satellite type, in the order of its ``observation_spec``."""
 
     def __init__(self, spec: Sequence[Observation], satellite: BoundSatellite) -> None:
         """Link every entry to the satellite."""

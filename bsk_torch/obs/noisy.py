@@ -6,7 +6,7 @@ import copy
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -14,11 +14,9 @@ from typing_extensions import override
 
 from bsk_torch.obs.base import Observation, Reader, Values, flatten, link
 from bsk_torch.rand import Choice, Distribution, Key, Normal
+from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.names import nearest
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
 
 Noise = float | Distribution | Mapping[str, float | Distribution]
 """Standard deviation of normal noise, or a distribution, of all numbers observed or by name."""
@@ -37,9 +35,6 @@ class Noisy(Observation):
     the satellite, the time and the name of the observation. It differs between decisions, is the same whenever one decision is
     observed again, and does not depend on the batch. Rewards, flight software and action masks use the true state;
     ``noisy.observation.get_obs()`` is the observation without noise.
-
-    Attributes:
-        observation: The observation without noise.
     """
 
     def __init__(self, observation: Observation, noise: Noise = 0.0, bias: Noise = 0.0, name: str | None = None) -> None:

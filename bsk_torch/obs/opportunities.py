@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -15,6 +15,9 @@ from bsk_torch.astro.ephemeris import earth_fixed_sun
 from bsk_torch.astro.frames import sin_elevation
 from bsk_torch.obs.candidates import CandidateObservation
 from bsk_torch.obs.entries import is_own, parse_entries, scaled
+from bsk_torch.sats.bound import BoundSatellite
+from bsk_torch.sats.bound_access import BoundAccessSatellite
+from bsk_torch.sats.opportunities import Opportunities
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.access.links.relative_geometry import SATELLITE_PROPERTIES
 from bsk_torch.sim.arguments.values import nearest
@@ -22,11 +25,6 @@ from bsk_torch.sim.instruments import number_of
 from bsk_torch.sim.places import STATION_KIND, FixedPlaces, instrument_kind, is_target
 from bsk_torch.sim.readout.observables import observable
 from bsk_torch.vec3 import Vec3
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
-    from bsk_torch.sats.bound_access import BoundAccessSatellite
-    from bsk_torch.sats.opportunities import Opportunities
 
 Preset = Callable[..., Tensor]
 """A function of the satellite and its next opportunities that returns [N, n] or [N, n, width]."""

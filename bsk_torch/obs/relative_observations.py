@@ -12,7 +12,7 @@ All functions take satellites of batches, with tensors [N, ...].
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -24,12 +24,10 @@ from bsk_torch.astro.relative import cd2hill, vectors
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.obs.base import ADVICE, Observation, Values
 from bsk_torch.obs.entries import is_own, parse_entries, scaled
+from bsk_torch.sats.bound import BoundSatellite, SatelliteLike
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.names import nearest
 from bsk_torch.vec3 import Mat3, Vec3
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite, SatelliteLike
 
 
 def states(*satellites: SatelliteLike) -> list[Vec3]:
@@ -195,6 +193,8 @@ FUNCTIONS: dict[str, RelativeFunction] = {
     )
 }
 """Functions of deputy and chief, the allowed values of ``prop``."""
+
+__all__ = ["FUNCTIONS", "RelativeProperties", *FUNCTIONS]
 
 
 class RelativeProperties(Observation):

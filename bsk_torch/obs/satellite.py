@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -15,14 +15,12 @@ from typing_extensions import override
 from bsk_torch._checks import number, switch
 from bsk_torch.obs.base import ADVICE, Observation, Values, side_by_side
 from bsk_torch.obs.entries import is_own, parse_entries, parse_norm, scaled
+from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.sim.assembly.composition import having
 from bsk_torch.sim.hooks import is_of_package
 from bsk_torch.sim.readout.observables import Function, observable, vital
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
 
 
 class SatProperties(Observation):

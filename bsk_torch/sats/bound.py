@@ -21,11 +21,7 @@ from bsk_torch.sim.state import StateTable
 
 
 class SatelliteFleet(Fleet):
-    """The satellites of N episodes, S in each.
-
-    Attributes:
-        satellites: The satellites of each type, once an environment has made them.
-    """
+    """The satellites of N episodes, S in each."""
 
     satellites: tuple[BoundSatellite, ...] = ()
 

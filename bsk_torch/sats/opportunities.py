@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from bsk_torch.sim.access.windows.search import AccessWindows
 from bsk_torch.sim.names import nearest
-
-if TYPE_CHECKING:
-    from bsk_torch.sim.access.windows.search import AccessWindows
-    from bsk_torch.sim.simulator import Simulator
+from bsk_torch.sim.simulator import Simulator
 
 
 class Viewer(Protocol):

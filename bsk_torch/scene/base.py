@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
+from typing import Any, ClassVar, TypeVar, cast
 
 import numpy as np
 import torch
@@ -11,18 +11,24 @@ from torch import Tensor
 from typing_extensions import final
 
 from bsk_torch._checks import no_gradient, number
+from bsk_torch.rand import Key
+from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
+from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.recorded import RecordedTargets
 from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked, check_tensor, is_of_package, overrides
-from bsk_torch.sim.places import TARGET_KIND, TARGETS, AboveElevation, DrawnTargets, SunElevation, WithinRange, instrument_kind
-
-if TYPE_CHECKING:
-    from bsk_torch.rand import Key
-    from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
-    from bsk_torch.sats.satellite import Satellite
-    from bsk_torch.sim.instruments import Instrument
-    from bsk_torch.sim.places import Places, PlaceTables
-    from bsk_torch.sim.state import StateTable
-
+from bsk_torch.sim.instruments import Instrument
+from bsk_torch.sim.places import (
+    TARGET_KIND,
+    TARGETS,
+    AboveElevation,
+    DrawnTargets,
+    Places,
+    PlaceTables,
+    SunElevation,
+    WithinRange,
+    instrument_kind,
+)
+from bsk_torch.sim.state import StateTable
 
 Value = TypeVar("Value")
 

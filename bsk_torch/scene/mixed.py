@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from torch import Tensor
 from typing_extensions import override
 
 from bsk_torch.rand import Key
+from bsk_torch.sats.bound import SatelliteFleet
+from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.names import nearest
 from bsk_torch.sim.places import Places, PlaceTables
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import SatelliteFleet
-    from bsk_torch.sats.satellite import Satellite
-
 
 T = TypeVar("T")
 
@@ -58,10 +55,6 @@ class MixedScenario(Scenario):
     can be read from the whole, such as ``priority``.
 
     The scenarios must draw values of different names: there can be one with targets on the ground, next to others.
-
-    Attributes:
-        scenarios: Scenarios by id.
-        satellite_mapping: Names of the satellites of each.
     """
 
     def __init__(self, scenarios: Mapping[str, Scenario], satellite_mapping: Mapping[str, Sequence[str]]) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -13,14 +12,12 @@ from typing_extensions import override
 
 from bsk_torch._checks import number
 from bsk_torch.rand import Key, Uniform
+from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.scene.draws import Numbers, calls_user, check_numbers, draw_numbers, horizontal
 from bsk_torch.scene.targets import TargetScenario
 from bsk_torch.sim.orbit.arcs import FARTHEST
+from bsk_torch.sim.places import Places, PlaceTables
 from bsk_torch.sim.state import FINITE
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import SatelliteFleet
-    from bsk_torch.sim.places import Places, PlaceTables
 
 
 class OverlaidTargets(TargetScenario):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -12,15 +11,13 @@ from typing_extensions import override
 
 from bsk_torch._checks import number, text
 from bsk_torch.rand import first_key
+from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.draws import check_positions
 from bsk_torch.sim.hooks import check_class
 from bsk_torch.sim.names import nearest
 from bsk_torch.sim.orbit.arcs import FARTHEST
 from bsk_torch.sim.state import FINITE, look_up
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import SatelliteFleet
 
 
 class Target:

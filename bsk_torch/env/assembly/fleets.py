@@ -49,12 +49,10 @@ class FleetBuilder:
 
     Attributes:
         satellites: The user's satellites.
-        names: Their names.
         types: Indices of the satellites of each type.
         pairs: Pairs of satellites whose distance can end steps.
         world_type: World model given in the options; None if it follows from the satellites.
         scenario: A copy of the user's scenario.
-        options: Options of the environment.
         randomizer: Draws arguments of all satellites together; None without ``sat_arg_randomizer``.
     """
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -12,13 +11,11 @@ from typing_extensions import override
 from bsk_torch._checks import number, switch, whole
 from bsk_torch.act.base import Decision, positive_duration
 from bsk_torch.act.candidates import NO_TARGET, SLEW, CandidateAction
+from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.sim.names import one_of
 from bsk_torch.tasks.objects.aim import AIM
 from bsk_torch.tasks.objects.candidates import Candidates
 from bsk_torch.tasks.objects.scene import POSITIONS, RSOTargets, check_imager
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
 
 HOLD_MODES = ("cumulative", "continuous")
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import torch
 from torch import Tensor
 from typing_extensions import override
@@ -11,15 +9,13 @@ from typing_extensions import override
 from bsk_torch._checks import number, whole
 from bsk_torch.act.base import LONGEST, Decision, positive_duration
 from bsk_torch.act.candidates import NO_TARGET, SLEW, CandidateAction
+from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.sim.names import one_of
 from bsk_torch.tasks.objects.aim import NO_AIM, PEER
 from bsk_torch.tasks.objects.fsw import CatalogRadioFSWModel
 from bsk_torch.tasks.objects.radio import CatalogRadioDynModel
 from bsk_torch.tasks.objects.records import RecordBook
 from bsk_torch.tasks.objects.scene import RSOTargets, check_imager
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
 
 LINK_MODES = ("los", "ideal")
 
