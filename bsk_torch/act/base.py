@@ -317,8 +317,8 @@ class ActionBuilder:
             raise TypeError(f"{type(entry).__name__}.table() returns {table!r}; it must return an act.ActionTable")
         n = entry.n_actions
         wanted = ((len(self._all_legal), n), torch.int64), ((n,), torch.bool), ((n,), torch.float64)
-        for field, given, (shape, dtype) in zip(ActionTable._fields, table, wanted, strict=True):
-            check_tensor(f"{type(entry).__name__}.table().{field}", given, shape, dtype)
+        for field, value, (shape, dtype) in zip(ActionTable._fields, table, wanted, strict=True):
+            check_tensor(f"{type(entry).__name__}.table().{field}", value, shape, dtype)
         if self._table is None and not bool((table.duration >= SHORTEST).all()):  # once: a wait for the device
             raise ValueError(
                 f"{type(entry).__name__}.table().duration is {table.duration.tolist()}; it must be at least {SHORTEST} s"
@@ -368,8 +368,8 @@ class ActionBuilder:
     def begin(self, action: Tensor, acts: Tensor, decision: Decision) -> None:
         """Notify entries that their actions, of ``action`` [N], have been commanded in the rows ``acts`` [N] bool."""
         for k in self._beginning:
-            own = decision if decision.command is not None else decision._replace(command=self._commands.get(k))
-            self.entries[k].begin(self._rows_of(k, action) & acts, own)
+            commands = decision if decision.command is not None else decision._replace(command=self._commands.get(k))
+            self.entries[k].begin(self._rows_of(k, action) & acts, commands)
 
     def end(self, action: Tensor, ended: Tensor, decision: Decision, event: Tensor) -> None:
         """Notify entries that their actions have ``ended`` [N] bool, by an ``event`` [N] bool or by their duration."""
@@ -392,7 +392,7 @@ class ActionBuilder:
 
 def _merged(mask: Tensor, new: Decision, old: Decision) -> Decision:
     pairs = ((getattr(new, name), getattr(old, name)) for name in Decision._fields[: len(DTYPES)])
-    return Decision(*(torch.where(mask, mine, other) for mine, other in pairs))
+    return Decision(*(torch.where(mask, one, other) for one, other in pairs))
 
 
 def link_entry(entry: Entry, satellite: BoundSatellite) -> None:

@@ -136,8 +136,8 @@ class ImpulsiveThrust(ContinuousAction):
         available = simulator.read("dv_available").float()
         dv_N = shortened(dv_N, available)
         simulator.thrust(mask, dv_N.double())
-        left = (available - length(dv_N)).clamp(min=0.0)
-        simulator.write("dv_available", mask, left.double())
+        remaining = (available - length(dv_N)).clamp(min=0.0)
+        simulator.write("dv_available", mask, remaining.double())
 
 
 class ImpulsiveThrustHill(ImpulsiveThrust):

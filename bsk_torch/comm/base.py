@@ -87,9 +87,9 @@ class CommunicationMethod:
         self.due = moves & (time - memory[LAST] >= self.min_period)
         pairs, wanted = self.communication_pairs(), (self.fleet.num_envs, self.fleet.size, self.fleet.size)
         if not isinstance(pairs, Tensor) or pairs.dtype != torch.bool or pairs.shape != wanted:
-            given = f"{pairs.dtype} {list(pairs.shape)}" if isinstance(pairs, Tensor) else repr(pairs)
+            description = f"{pairs.dtype} {list(pairs.shape)}" if isinstance(pairs, Tensor) else repr(pairs)
             raise TypeError(
-                f"{type(self).__name__}.communication_pairs() gave {given}; "
+                f"{type(self).__name__}.communication_pairs() gave {description}; "
                 f"it must give torch.bool {list(wanted)}: episode, sender, receiver"
             )
         memory[LAST] = torch.where(self.due, time, memory[LAST])
@@ -172,8 +172,8 @@ class MultiDegreeCommunication(CommunicationMethod):
 
     @override
     def communication_pairs(self) -> Tensor:
-        own = torch.eye(self.fleet.size, dtype=torch.bool, device=self.fleet.device)
-        return connected(self.of_present(super().communication_pairs())) & ~own
+        same = torch.eye(self.fleet.size, dtype=torch.bool, device=self.fleet.device)
+        return connected(self.of_present(super().communication_pairs())) & ~same
 
 
 class BroadcastCommunication(CommunicationMethod):

@@ -65,15 +65,15 @@ def visible_pairs(fleet: SatelliteFleet, asked: Tensor, directed: bool = False) 
         asked: Episodes to search, [N]; the result is False for all others.
         directed: Whether the result is that of each sensor, [N, sensor, other], or that of either sensor of a pair.
     """
-    found = torch.zeros(fleet.num_envs, fleet.size, fleet.size, dtype=torch.bool, device=fleet.device)
+    pairs = torch.zeros(fleet.num_envs, fleet.size, fleet.size, dtype=torch.bool, device=fleet.device)
     envs = torch.nonzero(asked & (fleet.ticks > fleet.since)).squeeze(-1)
     if fleet.size < 2 or not len(envs):
-        return found
+        return pairs
     _check_covered(fleet, asked)
     search = make_search(fleet, fleet.since, torch.maximum(fleet.ticks - 1, fleet.since))
     for some in envs.split(max(1, PAIRS_PER_BATCH // fleet.size**2)):
-        found[some] = search.visible_pairs(some, directed)
-    return found
+        pairs[some] = search.visible_pairs(some, directed)
+    return pairs
 
 
 def sights(fleet: SatelliteFleet, first: int) -> Tensor:

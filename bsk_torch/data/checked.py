@@ -66,15 +66,15 @@ class CheckedRewarder:
 
     def terminated(self) -> Tensor:
         """Return the satellites whose episode the rewarder terminates, [N, S] bool; TypeError for a wrong shape or dtype."""
-        found = self.rewarder.is_terminated()
-        check_tensor(f"{self._name}.is_terminated()", found, self.rewarder.fleet.shape, torch.bool)
-        return found
+        flags = self.rewarder.is_terminated()
+        check_tensor(f"{self._name}.is_terminated()", flags, self.rewarder.fleet.shape, torch.bool)
+        return flags
 
     def truncated(self) -> Tensor:
         """Return the satellites whose episode the rewarder truncates, [N, S] bool; TypeError for a wrong shape or dtype."""
-        found = self.rewarder.is_truncated()
-        check_tensor(f"{self._name}.is_truncated()", found, self.rewarder.fleet.shape, torch.bool)
-        return found
+        flags = self.rewarder.is_truncated()
+        check_tensor(f"{self._name}.is_truncated()", flags, self.rewarder.fleet.shape, torch.bool)
+        return flags
 
     def share(self, links: Tensor) -> None:
         """Share knowledge along ``links`` [N, S, S] bool; TypeError if the hook returns a value, which would be lost."""
@@ -90,11 +90,11 @@ class CheckedRewarder:
 
     def counts(self, taken: Collection[str] = ()) -> dict[str, Tensor]:
         """Return the counters of the rewarder, [N, S] int64 each."""
-        found = self.rewarder.counts()
-        if not isinstance(found, dict):
-            raise TypeError(f"{self._name}.counts() returns {found!r}; it must return a dictionary of tensors")
-        for name, value in found.items():
+        counters = self.rewarder.counts()
+        if not isinstance(counters, dict):
+            raise TypeError(f"{self._name}.counts() returns {counters!r}; it must return a dictionary of tensors")
+        for name, value in counters.items():
             check_tensor(f"{self._name}.counts()[{name!r}]", value, self.rewarder.fleet.shape, torch.int64)
             if name in taken:
                 raise ValueError(f"{self._name}.counts() has {name!r}, which the satellites count, too; rename it")
-        return found
+        return counters

@@ -48,12 +48,12 @@ class ComposedReward(GlobalReward):
         return new
 
     def __getattr__(self, name: str) -> Any:
-        found = [getattr(rewarder, name) for rewarder in self.__dict__.get("rewarders", ()) if hasattr(rewarder, name)]
-        if not found:
+        values = [getattr(rewarder, name) for rewarder in self.__dict__.get("rewarders", ()) if hasattr(rewarder, name)]
+        if not values:
             raise AttributeError(f"neither {type(self).__name__} nor one of its rewarders has {name!r}")
-        if any(value is not found[0] for value in found):
+        if any(value is not values[0] for value in values):
             raise AttributeError(f"several rewarders have {name!r}; read it from one of them, as in rewarders[0].{name}")
-        return found[0]
+        return values[0]
 
     def __setattr__(self, name: str, value: object) -> None:
         parts = self.__dict__.get("rewarders", ())
@@ -92,8 +92,10 @@ class ComposedReward(GlobalReward):
     @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
         for k, (name, part) in enumerate(zip(self.names, self.checked, strict=True)):
-            own = f"{k}."
-            logs = ({key[len(own) :]: value for key, value in log.items() if key.startswith(own)} for log in (before, after))
+            prefix = f"{k}."
+            logs = (
+                {key[len(prefix) :]: value for key, value in log.items() if key.startswith(prefix)} for log in (before, after)
+            )
             self.terms[name] = part.reward(*logs)
         return torch.stack(list(self.terms.values())).sum(0)
 
@@ -133,14 +135,14 @@ class ComposedReward(GlobalReward):
 
 
 def _numbered(names: Iterable[str]) -> list[str]:
-    found: list[str] = []
+    unique_names: list[str] = []
     for name in names:
         unique, number = name, 1
-        while unique in found:
+        while unique in unique_names:
             number += 1
             unique = f"{name}_{number}"
-        found.append(unique)
-    return found
+        unique_names.append(unique)
+    return unique_names
 
 
 TOTAL = "cum_reward"

@@ -168,8 +168,8 @@ class UniqueImageReward(ImageReward):
         if self.fleet.size > 1:
             reward = reward / self.sharers(target, pays)
             slot = target.unsqueeze(-1)
-            known = self.known
-            memory["known_images"] = known.scatter(2, slot, known.gather(2, slot) | taken.unsqueeze(-1))
+            images = self.known
+            memory["known_images"] = images.scatter(2, slot, images.gather(2, slot) | taken.unsqueeze(-1))
             memory["imaged_targets"] = imaged | self.taken_by_any(target, pays, self.scenario.most_targets)
         else:
             memory["imaged_targets"] = imaged.scatter(1, target, taken | imaged.gather(1, target))
@@ -188,21 +188,21 @@ class UniqueImageReward(ImageReward):
             self.memory["known_images"] = spread(self.known, links)
 
 
-def spread(known: Tensor, links: Tensor) -> Tensor:
+def spread(knowledge: Tensor, links: Tensor) -> Tensor:
     """Return what satellites know, [N, S, T] bool, after it has spread along ``links`` [N, S, S] by sender and receiver."""
-    numbers = known.view(torch.uint8)  # forty times as fast as any() and all() of masks
+    numbers = knowledge.view(torch.uint8)  # forty times as fast as any() and all() of masks
     disputed = numbers.amax(1) != numbers.amin(1)
     most = int(disputed.sum(1).max())
     if not most:
-        return known
+        return knowledge
     # few targets are known to some satellites but not to all; the product covers only these
     slot = torch.where(disputed, torch.cumsum(disputed, 1) - 1, most)
-    number = torch.arange(known.shape[2], device=known.device).expand_as(slot)
+    number = torch.arange(knowledge.shape[2], device=knowledge.device).expand_as(slot)
     column = torch.zeros_like(number[:, : most + 1]).scatter(1, slot, number)[:, :most].unsqueeze(1)
-    column = column.expand(-1, known.shape[1], -1)
-    some = known.gather(2, column)
+    column = column.expand(-1, knowledge.shape[1], -1)
+    some = knowledge.gather(2, column)
     told = torch.bmm(links.mT.float(), some.float()) > 0.5
-    return known.scatter(2, column, some | told)
+    return knowledge.scatter(2, column, some | told)
 
 
 class CloudFreeImageReward(UniqueImageReward):
@@ -256,8 +256,8 @@ class CloudFreeImageReward(UniqueImageReward):
         clouded = taken & (self.scenario.cloud_cover.gather(1, target) > self.threshold) & ~self._through
         self.memory["covered"] = self.memory["covered"] + clouded
         if self._mixed:
-            known, slot = self.memory["known_clouds"], target.unsqueeze(-1)
-            self.memory["known_clouds"] = known.scatter(2, slot, known.gather(2, slot) | clouded.unsqueeze(-1))
+            clouds, slot = self.memory["known_clouds"], target.unsqueeze(-1)
+            self.memory["known_clouds"] = clouds.scatter(2, slot, clouds.gather(2, slot) | clouded.unsqueeze(-1))
             return super().value(target, taken & ~clouded)
         reward = super().value(target, taken)
         return torch.where(clouded, torch.zeros_like(reward), reward)

@@ -120,17 +120,17 @@ class MixedReward(ComposedReward):
             check_known(f"satellite_mapping[{key!r}]", group, list(fleet.places))
         looking: list[Looking] = [part for part in fleet.satellites if hasattr(part, "access_filters")]
         groups = self.satellite_mapping
-        mine = {key: torch.tensor([name in groups[key] for name in fleet.names], device=fleet.device) for key in self._keys}
+        members = {key: torch.tensor([name in groups[key] for name in fleet.names], device=fleet.device) for key in self._keys}
         self.checked = tuple(map(CheckedRewarder, self.rewarders))
         for key, part in zip(self._keys, self.checked, strict=True):
             before = [list(satellites.access_filters) for satellites in looking]
-            part.rewarder._in_channel = mine[key]
+            part.rewarder._in_channel = members[key]
             part.link(self._scenario_of(key, scenario), fleet)
             self._check_observers(key, part.rewarder, fleet)
             for satellites, filters in zip(looking, before, strict=True):
                 if self.satellite_mapping[key].isdisjoint(satellites.names):
                     satellites.access_filters = filters
-        self._mine = torch.stack(list(mine.values())).unsqueeze(1)
+        self._mine = torch.stack(list(members.values())).unsqueeze(1)
 
     def _scenario_of(self, key: str, scenario: Scenario) -> Scenario:
         if not isinstance(scenario, MixedScenario):
@@ -153,22 +153,22 @@ class MixedReward(ComposedReward):
     def _keeper(self, part: int) -> Keeper:
         """Return the rewarder that keeps the knowledge of a type of satellites; AttributeError unless one channel does."""
         names = self.fleet.satellites[part].names
-        mine = {key: channel for key, channel in self.channels.items() if isinstance(channel, Keeper)}
-        keys = [key for key in mine if not self.satellite_mapping[key].isdisjoint(names)]
+        keepers = {key: channel for key, channel in self.channels.items() if isinstance(channel, Keeper)}
+        keys = [key for key in keepers if not self.satellite_mapping[key].isdisjoint(names)]
         if len(keys) != 1:
             raise AttributeError(
                 f"{names[0]} has data in the channels {keys}; read them from the rewarder of one, as in "
                 "env.rewarder.channels['id'].known"
             )
-        return mine[keys[0]]
+        return keepers[keys[0]]
 
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
         """See :meth:`GlobalReward.calculate_reward`; to a channel, the logs of other satellites do not change."""
         for k, (key, part) in enumerate(zip(self._keys, self.checked, strict=True)):
-            own, mine = f"{k}.", self._mine[k]
-            old, new = ({n.removeprefix(own): v for n, v in log.items() if n.startswith(own)} for log in (before, after))
-            seen = {n: torch.where(mine.view(1, -1, *[1] * (v.ndim - 2)), v, old[n]) for n, v in new.items()}
-            self.terms[key] = part.reward(old, seen)
+            prefix, members = f"{k}.", self._mine[k]
+            old, new = ({n.removeprefix(prefix): v for n, v in log.items() if n.startswith(prefix)} for log in (before, after))
+            own_log = {n: torch.where(members.view(1, -1, *[1] * (v.ndim - 2)), v, old[n]) for n, v in new.items()}
+            self.terms[key] = part.reward(old, own_log)
         each = torch.stack(list(self.terms.values()))
         moved = (self.fleet.ticks > self.fleet.since).unsqueeze(1)
         outside = ~self._mine & moved & (each != 0.0)

@@ -43,8 +43,8 @@ class OperationsPenalty(GlobalReward):
         storage_above: float = FULL_STORAGE,
     ) -> None:
         """Set the three rewards, from -1e30 to 0, and the fractions of capacity below and above which two of them are paid."""
-        given = {"low_battery": low_battery, "full_storage": full_storage, "empty_downlink": empty_downlink}
-        self.penalties = {name: number(name, value, -MOST_PENALTY, 0.0) for name, value in given.items()}
+        penalties = {"low_battery": low_battery, "full_storage": full_storage, "empty_downlink": empty_downlink}
+        self.penalties = {name: number(name, value, -MOST_PENALTY, 0.0) for name, value in penalties.items()}
         self.battery_below = number("battery_below", battery_below, 0.0, 1.0)
         self.storage_above = number("storage_above", storage_above, 0.0, 1.0)
 

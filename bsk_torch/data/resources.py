@@ -87,10 +87,10 @@ class ResourceReward(GlobalReward):
         simulator = satellite.simulator
         function = self._functions.setdefault(id(satellite), UserFunction("resource_fn of data.ResourceReward", ADVICE))
         rows = len(simulator.ticks)
-        found = function((rows,), simulator.device, lambda: self.resource_fn(satellite))
-        if found.shape != (rows,):
-            raise TypeError(f"{function.title} gives shape {list(found.shape)}; it must give one number for each satellite")
-        return found.double().clone()
+        resource = function((rows,), simulator.device, lambda: self.resource_fn(satellite))
+        if resource.shape != (rows,):
+            raise TypeError(f"{function.title} gives shape {list(resource.shape)}; it must give one number for each satellite")
+        return resource.double().clone()
 
     @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:

@@ -113,15 +113,15 @@ def named(kinds: Mapping[tuple[int, ...], list[str]], titles: Sequence[str]) -> 
     """Return groups by name: the type's, or the names of the types of its members."""
     if len(kinds) == 1:
         return {AGENTS: next(iter(kinds.values()))}
-    found: dict[str, list[str]] = {}
+    groups: dict[str, list[str]] = {}
     for kind, agents in kinds.items():
         base = name = "_and_".join(snake(titles[t]) for t in kind)
         number = 1
-        while name in found or name in ROOT:
+        while name in groups or name in ROOT:
             number += 1
             name = f"{base}_{number}"
-        found[name] = agents
-    return found
+        groups[name] = agents
+    return groups
 
 
 def check_map(group_map: Mapping[str, Sequence[str]], signature: Mapping[str, tuple[int, ...]]) -> None:

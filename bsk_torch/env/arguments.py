@@ -118,8 +118,8 @@ class MadeOfArguments(Snapshots):
             self.guard.check_begun("inject(fault)", torch.zeros_like(self.state.begun).index_fill(0, rows, True))
             for simulator in struck or self.fleet.simulators[:1]:  # which names what it has
                 columns = [k for k, column in enumerate(simulator.columns) if satellite in (None, self.names[column])]
-                own = rows.unsqueeze(-1) * simulator.count + torch.tensor(columns, device=self.device)
-                simulator.strike(name, own.flatten())
+                struck_rows = rows.unsqueeze(-1) * simulator.count + torch.tensor(columns, device=self.device)
+                simulator.strike(name, struck_rows.flatten())
 
     def _may_have(self, simulator: Simulator, fault: str, satellite: str | None) -> bool:
         """Return whether a fault is declared for a type of satellites, or the ``satellite`` that shall have it is of the type."""

@@ -138,10 +138,10 @@ class Tasking(Present, MadeOfArguments):
 
     def to(self, device: torch.device | str) -> Tasking:  # type: ignore[override]
         """Return the environment, which stays on the device that its kernels and tables are made for; ValueError for others."""
-        wanted, own = existing_device(device), torch.device(self.device)
-        if wanted.type != own.type or (wanted.index or 0) != (own.index or 0):
+        other, present = existing_device(device), torch.device(self.device)
+        if other.type != present.type or (other.index or 0) != (present.index or 0):
             raise ValueError(
-                f"device={str(device)!r}: an environment stays on {str(own)!r}; make one with device={str(wanted)!r}"
+                f"device={str(device)!r}: an environment stays on {str(present)!r}; make one with device={str(other)!r}"
             )
         return self
 
@@ -207,16 +207,16 @@ class Tasking(Present, MadeOfArguments):
         start = fleet.since = fleet.ticks
         before = self.checked.log()
         commanded = []
-        for satellite, action, mine in zip(self.satellites, actions, acts, strict=True):
-            decision = satellite.actions.decide(action, satellite.task.previous_action, mine)
-            commanded.append((satellite, action, self._begins(satellite, mine, decision), decision))
+        for satellite, action, executed in zip(self.satellites, actions, acts, strict=True):
+            decision = satellite.actions.decide(action, satellite.task.previous_action, executed)
+            commanded.append((satellite, action, self._begins(satellite, executed, decision), decision))
         self.guard.change(moves)
-        for satellite, action, mine, decision in commanded:
-            command(satellite, action, mine, decision, satellite.simulator.state.of_env(moves), all_act)
+        for satellite, action, executed, decision in commanded:
+            command(satellite, action, executed, decision, satellite.simulator.state.of_env(moves), all_act)
         log = self.log if self.log is not None and self.log.shows(logging.WARNING) else None
         if log is not None:
             log.decided(acts)
-            known = log.before()
+            counters = log.before()
         until = first_task_end(self.satellites, start + self.longest_ticks)
         expected = [soonest(satellite.task.expected, satellite.simulator.count) for satellite in self.satellites]
         result = fleet.run(moves, state.limit_ticks, until, expected)
@@ -235,7 +235,7 @@ class Tasking(Present, MadeOfArguments):
             satellite.task.dead = satellite.task.dead | died(satellite)
         outcome = self._judge(result.ticks.double() * fleet.h, reward, moves, removed, last)
         if log is not None:
-            log.after(known, outcome, moves)
+            log.after(counters, outcome, moves)
         return outcome
 
     def _begins(self, satellites: SatelliteGroup, acts: Tensor, decision: Decision) -> Tensor:

@@ -57,10 +57,10 @@ class EpisodeGuard:
                 "same time: give each thread its own environment, or let one wait for the other with a threading.Lock"
             )
         self._inside = threading.current_thread().name
-        grad, left = torch.is_grad_enabled(), torch.inference_mode(False) if torch.is_inference_mode_enabled() else None
-        if left is not None:
-            left.__enter__()
-        self._outer_modes.append((grad, left))
+        grad, mode = torch.is_grad_enabled(), torch.inference_mode(False) if torch.is_inference_mode_enabled() else None
+        if mode is not None:
+            mode.__enter__()
+        self._outer_modes.append((grad, mode))
         torch.set_grad_enabled(False)
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
@@ -69,10 +69,10 @@ class EpisodeGuard:
             if error is not None and changing is not None:
                 self._interrupt(changing, error)
         finally:
-            grad, left = self._outer_modes.pop()
+            grad, mode = self._outer_modes.pop()
             torch.set_grad_enabled(grad)
-            if left is not None:
-                left.__exit__(None, None, None)
+            if mode is not None:
+                mode.__exit__(None, None, None)
             self._lock.release()
 
     def change(self, envs: Tensor) -> None:

@@ -181,18 +181,18 @@ class ConstellationOptions(TaskingOptions):
             object.__setattr__(self, "population", (low, whole("population[1]", self.population[1], low)))
 
 
-def parse(kind: type[TaskingOptions], given: Mapping[str, Any]) -> Any:
+def parse(kind: type[TaskingOptions], options: Mapping[str, Any]) -> Any:
     """Return the options of the class ``kind``; TypeError for an unknown name."""
-    known = [option.name for option in fields(kind)]
-    given = {name: value for name, value in given.items() if name not in ABSENT or value is not None}
-    for name in given:
+    names = [option.name for option in fields(kind)]
+    options = {name: value for name, value in options.items() if name not in ABSENT or value is not None}
+    for name in options:
         if name in ABSENT:
-            raise TypeError(f"{name}={given[name]!r} is no option here: {ABSENT[name]}")
-        if name not in known:
+            raise TypeError(f"{name}={options[name]!r} is no option here: {ABSENT[name]}")
+        if name not in names:
             raise TypeError(  # TorchRL's GymEnv tries arguments, and recognizes rejected ones by this wording
-                f"unexpected keyword argument {name!r}: {name}= is not an option of the environment; {nearest(name, known)}"
+                f"unexpected keyword argument {name!r}: {name}= is not an option of the environment; {nearest(name, names)}"
             )
-    return kind(**given)
+    return kind(**options)
 
 
 def takes(kind: type[TaskingOptions]) -> Callable[[Class], Class]:
@@ -203,10 +203,10 @@ def takes(kind: type[TaskingOptions]) -> Callable[[Class], Class]:
     ]
 
     def decorate(env: Class) -> Class:
-        own = [
+        parameters = [
             p for p in inspect.signature(vars(env)["__init__"]).parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD
         ]
-        env.__signature__ = inspect.Signature([*own[1:], *keywords])  # type: ignore[attr-defined]
+        env.__signature__ = inspect.Signature([*parameters[1:], *keywords])  # type: ignore[attr-defined]
         return env
 
     return decorate

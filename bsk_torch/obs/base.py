@@ -117,9 +117,9 @@ def flatten(values: Values, count: int | None = None, prefix: str = "") -> Itera
         elif isinstance(value, Tensor) and value.ndim and count in (None, value.shape[0]):
             yield path, value.unsqueeze(-1) if value.ndim == 1 else value.flatten(1)
         else:
-            given = f"a tensor of shape {list(value.shape)}" if isinstance(value, Tensor) else repr(value)
+            description = f"a tensor of shape {list(value.shape)}" if isinstance(value, Tensor) else repr(value)
             raise TypeError(
-                f"observation {path!r} is {given}; it must be a tensor of shape [{count or 'N'}] or [{count or 'N'}, ...]"
+                f"observation {path!r} is {description}; it must be a tensor of shape [{count or 'N'}] or [{count or 'N'}, ...]"
             )
 
 

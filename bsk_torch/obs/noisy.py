@@ -106,9 +106,9 @@ class Noisy(Observation):
         if any(self._plans):
             key = self._key()
             for plan, (_, of_episode), title in zip(self._plans, self._parts, ("noise", "bias"), strict=True):
-                mine = key if of_episode else self._now(key)
+                row_key = key if of_episode else self._now(key)
                 for number, (distribution, columns) in enumerate(plan):
-                    drawn = _draw(distribution, mine.named(f"{self.unique_name} {title} {number}"), len(columns)).to(
+                    drawn = _draw(distribution, row_key.named(f"{self.unique_name} {title} {number}"), len(columns)).to(
                         vector.device
                     )
                     noise = noise.index_add(1, torch.tensor(columns, device=vector.device), drawn)
@@ -131,30 +131,30 @@ class Noisy(Observation):
 
 def _parse(noise: object, title: str) -> dict[str | None, Distribution]:
     """Return distributions by name, or under None for all numbers, without those that have no noise."""
-    given = dict(noise) if isinstance(noise, Mapping) else {None: noise}
-    found: dict[str | None, Distribution] = {}
-    for name, value in given.items():
+    parts = dict(noise) if isinstance(noise, Mapping) else {None: noise}
+    distributions: dict[str | None, Distribution] = {}
+    for name, value in parts.items():
         if isinstance(value, Distribution):
-            found[name] = value
+            distributions[name] = value
         elif isinstance(value, int | float) and not isinstance(value, bool) and 0.0 <= value < MOST_NOISE:
             if value:
-                found[name] = Normal(0.0, float(value))
+                distributions[name] = Normal(0.0, float(value))
         else:
             raise ValueError(
                 f"obs.Noisy: {title}={value!r}{'' if name is None else f' of {name!r}'} must be a standard deviation from 0 on, "
                 "a distribution of bsk_torch.rand, or a dictionary of these by name"
             )
-    return found
+    return distributions
 
 
 def _columns(leaves: list[tuple[str, Tensor]], exact: tuple[str, ...]) -> list[tuple[str, list[int]]]:
     """Return the path and the columns of each observed quantity, without those that never have noise."""
-    found, first = [], 0
+    columns, first = [], 0
     for path, leaf in leaves:
         if path.rpartition(".")[2] not in exact:
-            found.append((path, list(range(first, first + leaf.shape[-1]))))
+            columns.append((path, list(range(first, first + leaf.shape[-1]))))
         first += leaf.shape[-1]
-    return found
+    return columns
 
 
 def _plan(
@@ -163,11 +163,11 @@ def _plan(
     """Return each distribution with the columns that it is drawn for."""
     plan = []
     for name, distribution in part.items():
-        mine = [own for path, own in columns if name is None or name in path.split(".") or name == path]
-        if not mine:
-            known = sorted({path.rpartition(".")[2] for path, _ in columns})
-            raise ValueError(f"obs.Noisy: {name!r} is not observed in {title!r}; {nearest(str(name), known)}")
-        plan.append((distribution, [column for own in mine for column in own]))
+        chosen = [numbers for path, numbers in columns if name is None or name in path.split(".") or name == path]
+        if not chosen:
+            names = sorted({path.rpartition(".")[2] for path, _ in columns})
+            raise ValueError(f"obs.Noisy: {name!r} is not observed in {title!r}; {nearest(str(name), names)}")
+        plan.append((distribution, [column for numbers in chosen for column in numbers]))
     return plan
 
 

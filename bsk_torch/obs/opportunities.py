@@ -180,8 +180,8 @@ class OpportunityProperties(CandidateObservation):
     @override
     def observables(self) -> list[Any]:
         models = [type_of(self.satellite.dynamics), type_of(self.satellite.fsw)]
-        known = [getattr(model, name) for name in self._needs() for model in models if hasattr(model, name)]
-        return [prop.function for prop in known if isinstance(prop, observable)]
+        members = [getattr(model, name) for name in self._needs() for model in models if hasattr(model, name)]
+        return [prop.function for prop in members if isinstance(prop, observable)]
 
     @override
     def columns(self) -> tuple[dict[str, Tensor], Tensor]:

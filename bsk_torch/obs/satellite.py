@@ -62,19 +62,19 @@ class SatProperties(Observation):
             return None if is_own(entry["fn"]) else UserFunction(title, ADVICE)
         owner = next(cls for cls in type(module).__mro__ if entry["prop"] in vars(cls))
         member = vars(owner)[entry["prop"]]
-        own = is_of_package(owner) or isinstance(member, observable)
-        return None if own else UserFunction(f"{title}, {owner.__name__}.{entry['prop']},", ADVICE)
+        packaged = is_of_package(owner) or isinstance(member, observable)
+        return None if packaged else UserFunction(f"{title}, {owner.__name__}.{entry['prop']},", ADVICE)
 
     def _observed(self, k: int) -> Function | None:
         """Return the function of the k-th entry if it is an observable; vitals are read as methods."""
-        known = None if self.modules[k] is None else getattr(type(self.modules[k]), self.entries[k]["prop"])
-        return known.function if isinstance(known, observable) and not isinstance(known, vital) else None
+        member = None if self.modules[k] is None else getattr(type(self.modules[k]), self.entries[k]["prop"])
+        return member.function if isinstance(member, observable) and not isinstance(member, vital) else None
 
     @override
     def observables(self) -> list[Any]:
         pairs = zip(self.entries, self.modules, strict=True)
         properties = [getattr(type(module), entry["prop"]) for entry, module in pairs if module is not None]
-        return [known.function for known in properties if isinstance(known, observable)]
+        return [member.function for member in properties if isinstance(member, observable)]
 
     def _module(self, entry: dict[str, Any]) -> Any:
         modules = {"dynamics": self.satellite.dynamics, "fsw": self.satellite.fsw}
@@ -85,9 +85,9 @@ class SatProperties(Observation):
         for module in modules.values():
             if hasattr(type(module), entry["prop"]):
                 return module
-        known = {n for m in modules.values() for n in dir(type(m)) if isinstance(getattr(type(m), n, None), property)}
+        names = {n for m in modules.values() for n in dir(type(m)) if isinstance(getattr(type(m), n, None), property)}
         models = having(entry["prop"])
-        advice = f"{' or '.join(models)} has it" if models else nearest(entry["prop"], known)
+        advice = f"{' or '.join(models)} has it" if models else nearest(entry["prop"], names)
         raise ValueError(f"prop={entry['prop']!r} is not a property of {self.satellite.name}; {advice}")
 
     def _read(self, entry: dict[str, Any], module: object, function: UserFunction | None) -> Callable[[], Any]:
@@ -96,9 +96,9 @@ class SatProperties(Observation):
             return partial(self._call, entry, module, function)
         if module is None:
             return partial(entry["fn"], self.satellite)
-        known = getattr(type(module), entry["prop"])
-        if isinstance(known, observable) and not isinstance(known, vital):
-            return partial(self.simulator.observer.read, known.function)
+        member = getattr(type(module), entry["prop"])
+        if isinstance(member, observable) and not isinstance(member, vital):
+            return partial(self.simulator.observer.read, member.function)
         return partial(getattr, module, entry["prop"])
 
     @override

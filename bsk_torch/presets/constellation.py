@@ -202,15 +202,8 @@ def relay_constellation(
 ) -> ConstellationTasking:
     """Return RelayConstellation-v1: low imagers without line of sight to each other, and high relays; see the module.
 
-    Groups of agents are ``broadcasting_imager``, or ``broadcasting_set_imager`` with ``as_set=True``, and ``relay``.
-
-    Args:
-        n_imagers: Number of imagers, in one plane.
-        n_relays: Number of relays, in another plane.
-        n_targets: Number of targets, or its range (the upper end excluded).
-        as_set: Whether imagers observe targets as a set; see :func:`constellation`.
-        **options: Arguments of the environment to override; ``sat_args`` are merged with those of the imagers, ``relay_args``
-            with those of the relays.
+    Groups of agents are ``broadcasting_imager``, or ``broadcasting_set_imager`` with ``as_set=True``, and ``relay``. Arguments
+    are those of :func:`constellation`; ``sat_args`` are merged with those of the imagers, ``relay_args`` with the relays' own.
     """
     arguments = steady_args() | options.pop("sat_args", {})
     relay_args = dict(basePowerDraw=-60.0, batteryStorageCapacity=1e6, storedCharge_Init=5e5) | options.pop("relay_args", {})

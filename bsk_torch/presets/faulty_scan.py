@@ -93,16 +93,9 @@ def faulty_scan(
     obs_type: type = torch.Tensor,
     **options: object,
 ) -> SatelliteTasking:
-    """Return FaultyScan-v1; see the module.
+    """Return FaultyScan-v1; see the module, :func:`scanning_faults`, and :func:`bsk_torch.presets.nadir_scan.nadir_scan`.
 
-    Args:
-        kinds: Kinds of faults that occur: ``wheel``, ``friction``, ``panel``, ``battery``, ``transmitter``. Others start only by
-            ``env.inject``.
-        chance: Expected number of faults of each of these kinds in an episode, from 0 to 1.
-        observed: Whether the severity of faults is observed.
-        sat_args: Arguments of the satellite that replace those of the preset.
-        obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations.
-        **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset.
+    The severity of faults is part of the observation unless ``observed`` is False.
     """
     arguments = scanning_args() | dict(faults=scanning_faults(kinds, chance)) | (sat_args or {})
     kind = FaultObservingSatellite if observed else ScanningSatellite

@@ -49,22 +49,22 @@ class SatelliteFleet(Fleet):
         """Return ``read`` of every satellite, [N, S, ...]; ``missing`` for types without it, AttributeError if no type has it."""
         if len(self.satellites) == 1:
             return self.joined([read(self.satellites[0])])
-        found: list[Tensor | None] = []
+        values: list[Tensor | None] = []
         lacking: AttributeError | None = None
         for satellite in self.satellites:
             try:
-                found.append(read(satellite))
+                values.append(read(satellite))
             except AttributeError as error:
-                found.append(None)
+                values.append(None)
                 lacking = error
-        there = [value for value in found if value is not None]
-        if not there:
+        tables = [value for value in values if value is not None]
+        if not tables:
             raise lacking or AttributeError("there are no satellites")
-        blank = there[0].new_full((1, *there[0].shape[1:]), missing)
+        blank = tables[0].new_full((1, *tables[0].shape[1:]), missing)
         return self.joined(
             [
                 blank.expand(simulator.state.rows, *blank.shape[1:]) if value is None else value
-                for value, simulator in zip(found, self.simulators, strict=True)
+                for value, simulator in zip(values, self.simulators, strict=True)
             ]
         )
 
@@ -102,8 +102,8 @@ class Aligned:
 
     def __init__(self, whole: object, rows: int, take: Take) -> None:
         """View ``whole``, whose tensors have ``rows`` rows; ``take`` makes a tensor with the rows of the view of one."""
-        own = self.__dict__
-        own["_whole"], own["_rows"], own["_take"] = whole, rows, take
+        attributes = self.__dict__
+        attributes["_whole"], attributes["_rows"], attributes["_take"] = whole, rows, take
 
     _whole: Any
     _rows: int
@@ -137,8 +137,8 @@ class OtherSatellite(Aligned):
         count = state.count
 
         def take(value: Tensor) -> Tensor:
-            mine = value if count == 1 else value.view(-1, count, *value.shape[1:])[:, number]
-            return mine if times == 1 else mine.repeat_interleave(times, 0)
+            rows = value if count == 1 else value.view(-1, count, *value.shape[1:])[:, number]
+            return rows if times == 1 else rows.repeat_interleave(times, 0)
 
         super().__init__(whole, state.rows, take)
         self.__dict__["name"] = self.__dict__["id"] = whole.names[number]

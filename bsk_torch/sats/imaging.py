@@ -98,8 +98,8 @@ class BoundImagingSatellite(BoundAccessSatellite, ImagingSatellite):
         Windows are those of a type of opportunities (default: ``target_types``).
         """
         windows = self.upcoming_opportunities(type or self.target_types)
-        mine = (windows.place == target.unsqueeze(-1)) & torch.isfinite(windows.close)
-        opens, closes = (torch.where(mine, time, torch.inf).amin(1) for time in (windows.open, windows.close))
+        same = (windows.place == target.unsqueeze(-1)) & torch.isfinite(windows.close)
+        opens, closes = (torch.where(same, time, torch.inf).amin(1) for time in (windows.open, windows.close))
         return opens, closes
 
 

@@ -116,9 +116,9 @@ class Satellite:
         if not text("name", name).isidentifier() or keyword.iskeyword(name):
             raise ValueError(f"name={name!r} must be a Python identifier, such as 'Scanner1'")
         for spec in ("observation_spec", "action_spec"):
-            given = getattr(self, spec)
-            if not isinstance(given, Sequence) or isinstance(given, str):
-                raise ValueError(f"{type(self).__name__}.{spec} = {given!r}; it must be a list, also of a single entry")
+            entries = getattr(self, spec)
+            if not isinstance(entries, Sequence) or isinstance(entries, str):
+                raise ValueError(f"{type(self).__name__}.{spec} = {entries!r}; it must be a list, also of a single entry")
         if not any(obs_type is kind for kind in (dict, torch.Tensor, np.ndarray, list)):
             raise ValueError(f"obs_type={obs_type!r} must be dict, or one of torch.Tensor, np.ndarray and list for one vector")
         self.name, self.obs_type = name, dict if obs_type is dict else torch.Tensor

@@ -123,6 +123,6 @@ def as_batch(title: str, value: object, lead: Sequence[int], device: torch.devic
         raise TypeError(f"{title} is complex; it must be real: return value.real, value.imag or both side by side")
     if isinstance(value, Tensor) and tuple(value.shape[: len(lead)]) == tuple(lead):
         return value.to(device)
-    given = f"of shape {list(value.shape)}" if isinstance(value, Tensor | np.ndarray) else repr(value)
+    description = f"of shape {list(value.shape)}" if isinstance(value, Tensor | np.ndarray) else repr(value)
     wanted = ", ".join(map(str, lead))
-    raise TypeError(f"{title} is {given}; it must be of shape [{wanted}] or [{wanted}, ...]. {DOOR}")
+    raise TypeError(f"{title} is {description}; it must be of shape [{wanted}] or [{wanted}, ...]. {DOOR}")

@@ -93,8 +93,8 @@ def _targets(tables: PlaceTables, instrument: Instrument | None) -> Places:
         return lambda rows: torch.sin(arguments[limit(name)][rows])
 
     def reach(rows: Tensor) -> Tensor:
-        found = arguments[limit("imageTargetMaximumRange")][rows]
-        return torch.where(found < 0.0, FARTHEST, found)
+        distance = arguments[limit("imageTargetMaximumRange")][rows]
+        return torch.where(distance < 0.0, FARTHEST, distance)
 
     least, advice = sine("imageTargetMinimumElevation"), "ask for more targets, lower imageTargetMinimumElevation"
     names = ("imageTargetMinimumSunElevation", "imageTargetMaximumSunElevation")

@@ -87,8 +87,8 @@ def _drawn(value: object, key: Key, count: int) -> Tensor:
                 [[float(no_gradient("a value of the function", value())) for _ in range(count)] for _ in envs],
                 dtype=torch.float64,
             ).view(len(key), count)
-    given = as_numbers(value)
-    return given.unsqueeze(0) if given.ndim else given.expand(1, count)
+    numbers = as_numbers(value)
+    return numbers.unsqueeze(0) if numbers.ndim else numbers.expand(1, count)
 
 
 def draw_numbers(
@@ -144,8 +144,8 @@ def _inside(distance: Tensor) -> str:
     meant = " (km? then multiply by 1000)" if MIN_RADIUS <= 1000.0 * float(distance) <= MAX_RADIUS_IN_KM else ""
     if distance.isfinite() and float(distance) >= MIN_RADIUS:
         return ""
-    given = f"from the Earth's center is {float(distance):g} m{meant}"
-    return f"{given}; positions are Earth-fixed, in meters, at least {MIN_RADIUS:g} m"
+    fault = f"from the Earth's center is {float(distance):g} m{meant}"
+    return f"{fault}; positions are Earth-fixed, in meters, at least {MIN_RADIUS:g} m"
 
 
 def on_sphere(u: Tensor, west: Any = -math.pi, width: Any = 2.0 * math.pi, span: Any = (-1.0, 1.0)) -> Tensor:

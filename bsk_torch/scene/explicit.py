@@ -53,8 +53,8 @@ class Targets(TargetScenario):
 
     def draw(self, key: Key) -> dict[str, Tensor]:
         """See :class:`TargetScenario`."""
-        given = self.positions, self.exists
-        r_LP_P, exists = (as_numbers(PerEnv(x).draw(key)) if self.per_env else x for x in given)
+        tables = self.positions, self.exists
+        r_LP_P, exists = (as_numbers(PerEnv(x).draw(key)) if self.per_env else x for x in tables)
         priority = draw_numbers("priority", self.priorities, key.named("target_priority"), self.most_targets)
         return {"target_r_LP_P": r_LP_P, "target_priority": priority * exists, "target_exists": exists}
 
@@ -82,10 +82,10 @@ def _table(rows: object, of: str) -> Tensor:
     return table
 
 
-def _priorities(given: PerEnv, counts: list[int]) -> PerEnv:
-    rows = [_numbers(f"priority of environment {i}", row) for i, row in enumerate(given.values)]
+def _priorities(priority: PerEnv, counts: list[int]) -> PerEnv:
+    rows = [_numbers(f"priority of environment {i}", row) for i, row in enumerate(priority.values)]
     if all(row.ndim == 0 for row in rows):
-        return PerEnv(torch.stack(rows)) if rows else given
+        return PerEnv(torch.stack(rows)) if rows else priority
     counts = counts * len(rows) if len(counts) == 1 else counts
     if len(rows) != len(counts):
         raise ValueError(f"priority has rows for {len(rows)} environments, but r_LP_P for {len(counts)}")

@@ -123,9 +123,9 @@ class FleetBuilder:
         each = []
         for made, columns in zip(types, self.types, strict=True):
             horizon = float(self.satellites[columns[0]].generation(limit).max())
-            own = made.alone if trial else made
+            kind = made.alone if trial else made
             kinds = functools.partial(self.scenario.place_kinds_of, [self.names[column] for column in columns])
-            each.append(Simulator(own, n, horizon=horizon, scenario_state=scenario_state, places=kinds))
+            each.append(Simulator(kind, n, horizon=horizon, scenario_state=scenario_state, places=kinds))
         chosen = sorted(column for simulator in each for column in simulator.columns)
         members = {c: (k, 0 if trial else i) for k, columns in enumerate(self.types) for i, c in enumerate(columns)}
         places = {name: members[column] for column, name in enumerate(self.names)}
@@ -153,7 +153,7 @@ class FleetBuilder:
             yield ready, waiting.pop(ready)
 
     def _leader(self, slot: str, parts: Sequence[Sequence[Component]]) -> int:
-        having = [k for k, own in enumerate(parts) if any(part.slot == slot for part in own)]
+        having = [k for k, components in enumerate(parts) if any(part.slot == slot for part in components)]
         names = [self.names[column] for k in having for column in self.types[k]]
         if len(names) != 1:
             raise ValueError(f"satellites follow the one whose model has the slot {slot!r}; {names or 'none'} have it, not one")
@@ -162,10 +162,10 @@ class FleetBuilder:
     def _make_type(self, k: int, followed: Mapping[str, Sequence[Field]], ticks: Ticks) -> SatelliteType:
         columns, options = self.types[k], self.options
         satellite = self.satellites[columns[0]]
-        given = [self.satellites[column].sat_args_generator for column in columns]
+        arguments = [self.satellites[column].sat_args_generator for column in columns]
         return satellite_type(
             (satellite.dyn_type, satellite.fsw_type),
-            given[0] if all(args is given[0] for args in given) else given,
+            arguments[0] if all(args is arguments[0] for args in arguments) else arguments,
             {name: value for name, value in self.world_args.items() if name in self._world_names[k]},
             SimulationOptions(
                 device=self.device,
@@ -195,8 +195,8 @@ class FleetBuilder:
     @property
     def calls_user(self) -> bool:
         """Whether drawing an episode calls a user function; these are called only for episodes that begin now."""
-        given = [value for satellite in self.satellites for value in satellite.sat_args_generator.values()]
-        calls = any(map(is_function, [*given, *self.world_args.values()]))
+        values = [value for satellite in self.satellites for value in satellite.sat_args_generator.values()]
+        calls = any(map(is_function, [*values, *self.world_args.values()]))
         return calls or self._calls_others
 
     @property
@@ -273,18 +273,18 @@ class FleetBuilder:
     def draw(self, fleet: Fleet, key: Key) -> tuple[EpisodeDraw, Tensor]:
         """Return draws for the episodes of the key's environments, and their time limits, [n] s."""
         answers = self.ask(fleet, key)
-        given = None if self.randomizer is None else self.randomizer(key, answers)
+        arguments = None if self.randomizer is None else self.randomizer(key, answers)
         parts = [answer["scenario"] for answer in answers] if self.scenario.calls_user else []
         scenario = {name: torch.cat([part[name] for part in parts]) for name in parts[0]} if parts else None
-        drawn, limit = fleet.draw(key, given, answers, scenario), self.draw_time_limit(key, answers)
+        drawn, limit = fleet.draw(key, arguments, answers, scenario), self.draw_time_limit(key, answers)
         check_ephemeris(drawn, limit)
         return drawn._replace(present=self.draw_present(fleet, key, answers)), limit.to(self.device)
 
     def draw_arguments(self, fleet: Fleet, key: Key) -> list[dict[str, Any]]:
         """Return only the arguments of satellites and world of the key's environments, as :meth:`draw` does, for each type."""
         answers = self.ask(fleet, key)
-        given = None if self.randomizer is None else self.randomizer(key, answers)
-        return fleet.draw(key, given, answers, {}).values
+        arguments = None if self.randomizer is None else self.randomizer(key, answers)
+        return fleet.draw(key, arguments, answers, {}).values
 
     def start(self, fleet: Fleet, envs: Tensor, drawn: EpisodeDraw, limit: Tensor) -> None:
         """Start the episodes ``envs`` [n] of a fleet."""
