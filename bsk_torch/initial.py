@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import torch
@@ -137,14 +137,10 @@ class WheelTriad(Sequence[Any]):
     def __getitem__(self, index: int | slice) -> Any:
         if index in (2, -1):
             return self.speeds
-        return _no_effector()
-
-
-def _no_effector() -> NoReturn:
-    raise TypeError(
-        "balancedHR16Triad(...)[0] and [1] are Basilisk's wheel effector and factory; bsk_torch's BasicDynamicsModel has three "
-        "wheels of this kind. Write sat_args=dict(wheelSpeeds=balancedHR16Triad(...)[2])"
-    )
+        raise TypeError(
+            "balancedHR16Triad(...)[0] and [1] are Basilisk's wheel effector and factory; bsk_torch's BasicDynamicsModel has "
+            "three wheels of this kind. Write sat_args=dict(wheelSpeeds=balancedHR16Triad(...)[2])"
+        )
 
 
 def balancedHR16Triad(

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import number, text
-from bsk_torch.sats.bound import BoundSatellite
+from bsk_torch.sats.bound import BoundSatellite, link_entry
 from bsk_torch.sim.fsw.models import FSWModel
 from bsk_torch.sim.hooks import check_class, check_tensor, defined_first, is_of_package, overrides
 from bsk_torch.sim.state import StateTable
@@ -393,13 +393,6 @@ class ActionBuilder:
 def _merged(mask: Tensor, new: Decision, old: Decision) -> Decision:
     pairs = ((getattr(new, name), getattr(old, name)) for name in Decision._fields[: len(DTYPES)])
     return Decision(*(torch.where(mask, one, other) for one, other in pairs))
-
-
-def link_entry(entry: Entry, satellite: BoundSatellite) -> None:
-    """Link an entry of an ``action_spec``; TypeError if linking failed."""
-    entry.link_satellite(satellite)
-    if getattr(entry, "satellite", None) is not satellite:
-        raise TypeError(f"{type(entry).__name__}.link_satellite(satellite) must call super().link_satellite(satellite)")
 
 
 def _link(entry: Action, satellite: BoundSatellite) -> None:

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import no_gradient
-from bsk_torch.act.base import ActionBuilder, ActionTable, Decision, check_decision, checked_durations, link_entry
+from bsk_torch.act.base import ActionBuilder, ActionTable, Decision, check_decision, checked_durations
 from bsk_torch.act.continuous import ContinuousAction, HybridAction, is_continuous
-from bsk_torch.sats.bound import BoundSatellite
+from bsk_torch.sats.bound import BoundSatellite, link_entry
 from bsk_torch.sim.hooks import check_tensor, overrides
 from bsk_torch.sim.state import StateTable
 

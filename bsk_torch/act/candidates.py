@@ -24,7 +24,7 @@ class CandidateAction(Action):
     A place is the number of a candidate among all that there can be, such as the index of a target in the scenario.
 
     Attributes:
-        aim: Name of the memory with the place chosen last, -1 before the first; empty for candidates that are no targets.
+        aim: Name of the memory with the place chosen last, -1 before the first; empty for candidates other than targets.
         drawn: Name of a drawn value of all places, which actions -1, -2, ... choose by their index; empty for none of these.
     """
 

@@ -9,7 +9,7 @@ from torch import Tensor
 from typing_extensions import override
 
 from bsk_torch._checks import switch, whole
-from bsk_torch.act.base import Decision, positive_duration
+from bsk_torch.act.base import Action, Decision, positive_duration
 from bsk_torch.act.candidates import NO_TARGET, SLEW, CandidateAction
 from bsk_torch.act.discrete import choose_instrument
 from bsk_torch.sats.bound import BoundSatellite
@@ -92,16 +92,15 @@ class Image(CandidateAction):
     def mask(self) -> Tensor:
         simulator = self.satellite.simulator
         first = not simulator.type.compat and simulator.type.arguments.is_new(f"late windows of {self.name}")
-        everything = torch.ones(len(simulator.ticks), self.n_actions, dtype=torch.bool, device=simulator.device)
         if not (self.mask_repeated or self.mask_late or first):
-            return everything
+            return Action.mask(self)
         # whether there must be any is for observations and decisions to say
         may_see_nothing = None if self.mask_repeated else True
         offered = self.satellite.find_next_opportunities(self.n_actions, self.kind, may_see_nothing=may_see_nothing)
         early = offered.open < self.satellite.time_limit.unsqueeze(-1)
         if first:
             self._warn_of_late(offered.mask & ~early, offered.mask)
-        mask = offered.mask if self.mask_repeated else everything
+        mask = offered.mask if self.mask_repeated else Action.mask(self)
         return mask & early if self.mask_late else mask
 
     def _warn_of_late(self, late: Tensor, offered: Tensor) -> None:

@@ -36,14 +36,14 @@ class Options(NamedTuple):
 
     Attributes:
         versions: Versions of the states used.
-        known: Numbers used, by row, [N, F].
+        inputs: Numbers used, by row, [N, F].
         ahead: All transfers.
         legal: Whether each transfer is legal, [N, n_actions].
         stuck: Whether no transfer keeps the distances, [N].
     """
 
     versions: list[int]
-    known: Tensor
+    inputs: Tensor
     ahead: Transfers
     legal: Tensor
     stuck: Tensor
@@ -149,17 +149,17 @@ class HillWaypoint(Action):
         last = self._options
         if last is not None and last.versions == versions:
             return last
-        ahead, inputs = self.ahead(), self.known()
+        ahead, inputs = self.ahead(), self.inputs()
         if last is None:
             legal, stuck = self.legal(ahead, torch.arange(len(inputs), device=inputs.device))
         else:
-            rows = torch.nonzero((inputs != last.known).any(1)).squeeze(1)
+            rows = torch.nonzero((inputs != last.inputs).any(1)).squeeze(1)
             parts = self.legal(ahead.some(rows), rows)
             legal, stuck = (old.index_copy(0, rows, new) for old, new in zip((last.legal, last.stuck), parts, strict=True))
         self._options = Options(versions, inputs, ahead, legal, stuck)
         return self._options
 
-    def known(self) -> Tensor:
+    def inputs(self) -> Tensor:
         """Return the inputs of transfers and their legality, [N, F]; equal inputs give equal results."""
         places = [place.flatten(1) for place in self.places()]
         simulator, present = self.satellite.simulator, self.satellite.fleet.present

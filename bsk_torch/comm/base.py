@@ -85,13 +85,8 @@ class CommunicationMethod:
         """
         time, memory = self.fleet.sim_time, self.fleet.memory
         self.due = moves & (time - memory[LAST] >= self.min_period)
-        pairs, wanted = self.communication_pairs(), (self.fleet.num_envs, self.fleet.size, self.fleet.size)
-        if not isinstance(pairs, Tensor) or pairs.dtype != torch.bool or pairs.shape != wanted:
-            description = f"{pairs.dtype} {list(pairs.shape)}" if isinstance(pairs, Tensor) else repr(pairs)
-            raise TypeError(
-                f"{type(self).__name__}.communication_pairs() gave {description}; "
-                f"it must give torch.bool {list(wanted)}: episode, sender, receiver"
-            )
+        pairs, shape = self.communication_pairs(), (self.fleet.num_envs, self.fleet.size, self.fleet.size)
+        check_tensor(f"{type(self).__name__}.communication_pairs()", pairs, shape, torch.bool)
         memory[LAST] = torch.where(self.due, time, memory[LAST])
         return pairs & self.due.view(-1, 1, 1)
 

@@ -147,11 +147,7 @@ class MixedReward(ComposedReward):
             )
 
     def store_of(self, part: int) -> object:
-        """Return the knowledge of the satellites of type number ``part``, that of their only channel with any."""
-        return self._keeper(part).store_of(part)
-
-    def _keeper(self, part: int) -> Keeper:
-        """Return the rewarder that keeps the knowledge of a type of satellites; AttributeError unless one channel does."""
+        """Return the knowledge of the satellites of type number ``part``; AttributeError unless one of their channels has any."""
         names = self.fleet.satellites[part].names
         keepers = {key: channel for key, channel in self.channels.items() if isinstance(channel, Keeper)}
         keys = [key for key in keepers if not self.satellite_mapping[key].isdisjoint(names)]
@@ -160,7 +156,7 @@ class MixedReward(ComposedReward):
                 f"{names[0]} has data in the channels {keys}; read them from the rewarder of one, as in "
                 "env.rewarder.channels['id'].known"
             )
-        return keepers[keys[0]]
+        return keepers[keys[0]].store_of(part)
 
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
         """See :meth:`GlobalReward.calculate_reward`; to a channel, the logs of other satellites do not change."""

@@ -14,7 +14,6 @@ from bsk_torch.env.assembly.trial import Made, Trial, taking_over
 from bsk_torch.env.assembly.types import check_world
 from bsk_torch.env.changes import Change, LiveArguments, changed, episodes, of_satellites, of_world, remembered
 from bsk_torch.env.snapshots import Snapshots, fingerprint
-from bsk_torch.sim.arguments.values import Arguments
 from bsk_torch.sim.faults.declared import Fault
 from bsk_torch.sim.names import nearest
 from bsk_torch.sim.simulator import Simulator
@@ -74,7 +73,7 @@ class MadeOfArguments(Snapshots):
     def _show_arguments(self) -> None:
         for simulator, satellite in zip(self.fleet.simulators, self.satellites, strict=True):
             satellite.sat_args_generator = LiveArguments(  # type: ignore[assignment]  # of the description: Given
-                functools.partial(_sat_args_of, simulator),
+                lambda simulator=simulator: [simulator.type.arguments.sat_args],  # type: ignore[misc]
                 functools.partial(self._set_type, [self.names[column] for column in simulator.columns]),
                 "sat_args_generator",
             )
@@ -149,10 +148,6 @@ class MadeOfArguments(Snapshots):
     def __reduce__(self) -> tuple[Any, ...]:
         state = self.state.seed, self.episode, self.get_extra_state()
         return _rebuild, (type(self), self._arguments, *state, self._changes)
-
-
-def _sat_args_of(simulator: Simulator) -> list[Arguments]:
-    return [simulator.type.arguments.sat_args]
 
 
 def _rebuild(

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import text
-from bsk_torch.sats.bound import BoundSatellite
+from bsk_torch.sats.bound import BoundSatellite, link_entry
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.hooks import check_class, check_tensor, defined_first, is_of_package
 from bsk_torch.sim.names import snake
@@ -127,9 +127,7 @@ def link(entry: object, satellite: BoundSatellite) -> None:
     """Link an observation to a satellite; ValueError for an entry that is not an observation, TypeError if linking failed."""
     if not isinstance(entry, Observation):
         raise ValueError(f"observation_spec holds {entry!r}, which is not an observation; write obs.Time(), with parentheses")
-    entry.link_satellite(satellite)
-    if getattr(entry, "satellite", None) is not satellite:
-        raise TypeError(f"{type(entry).__name__}.link_satellite(satellite) must call super().link_satellite(satellite)")
+    link_entry(entry, satellite)
 
 
 class Reader:

@@ -106,7 +106,7 @@ class Noisy(Observation):
         if any(self._plans):
             key = self._key()
             for plan, (_, of_episode), title in zip(self._plans, self._parts, ("noise", "bias"), strict=True):
-                row_key = key if of_episode else self._now(key)
+                row_key = key if of_episode else replace(key, moment=self.simulator.ticks.cpu())
                 for number, (distribution, columns) in enumerate(plan):
                     drawn = _draw(distribution, row_key.named(f"{self.unique_name} {title} {number}"), len(columns)).to(
                         vector.device
@@ -124,9 +124,6 @@ class Noisy(Observation):
         fleet, k = self.satellite.fleet, self.satellite.type_index
         key = fleet.key().of_satellites(fleet.columns[k].cpu())
         return replace(key, env_id=self.simulator.memory[OWNER].cpu())
-
-    def _now(self, key: Key) -> Key:
-        return replace(key, moment=self.simulator.ticks.cpu())
 
 
 def _parse(noise: object, title: str) -> dict[str | None, Distribution]:

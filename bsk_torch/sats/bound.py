@@ -355,6 +355,13 @@ def composed(described: type[Satellite], bound: type[BoundSatellite]) -> type[Bo
     return type(described.__name__, unique, names)
 
 
+def link_entry(entry: Any, satellite: BoundSatellite) -> None:
+    """Link an action or observation; TypeError if its ``link_satellite`` does not call the one of its base class."""
+    entry.link_satellite(satellite)
+    if getattr(entry, "satellite", None) is not satellite:
+        raise TypeError(f"{type(entry).__name__}.link_satellite(satellite) must call super().link_satellite(satellite)")
+
+
 class Arguments(Mapping[str, Any]):
     """Arguments of the current episodes by name, looked up when read; a wrong name is answered with the nearest right one."""
 

@@ -32,7 +32,8 @@ class Targets(TargetScenario):
         counts = [len(table) for table in tables]
         self.most_targets = max(counts)
         self.exists = (torch.arange(self.most_targets) < torch.tensor(counts).unsqueeze(-1)).double()
-        self.positions = torch.stack([_padded(table, self.most_targets) for table in tables])
+        missing = (self.most_targets - len(table) for table in tables)
+        self.positions = torch.stack([torch.cat([t, t[:1].expand(n, -1)]) for t, n in zip(tables, missing, strict=True)])
         self.priorities = _priorities(priority, counts) if isinstance(priority, PerEnv) else priority
         check_numbers("priority", self.priorities, self.most_targets)
         if names is not None and (isinstance(names, str) or not isinstance(names, Sequence)):
@@ -93,11 +94,6 @@ def _priorities(priority: PerEnv, counts: list[int]) -> PerEnv:
         if row.shape != (count,):
             raise ValueError(f"priority of environment {i} has shape {list(row.shape)}; its r_LP_P has {count} targets")
     return PerEnv(torch.stack([torch.nn.functional.pad(row, (0, max(counts) - len(row))) for row in rows]))
-
-
-def _padded(table: Tensor, length: int) -> Tensor:
-    """Return ``table`` [T, 3] followed by repeats of its first row, [length, 3]."""
-    return torch.cat([table, table[:1].expand(length - len(table), -1)])
 
 
 def _numbers(what: str, value: object) -> Tensor:

@@ -17,7 +17,7 @@ from bsk_torch.constants import NANO
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.data.checked import CheckedRewarder
 from bsk_torch.env.assembly.randomizer import Randomizer
-from bsk_torch.env.assembly.types import check_names, check_world, grouped, world_arguments
+from bsk_torch.env.assembly.types import check_names, check_world, grouped
 from bsk_torch.env.options import CONTINUOUS, ConstellationOptions, TaskingOptions
 from bsk_torch.rand import Distribution, Key, first_key, seeded
 from bsk_torch.sats.bound import SatelliteFleet
@@ -86,7 +86,8 @@ class FleetBuilder:
         if self.population is not None:
             check_population(self.population, self.names, scenario)
         self.world_type = None if options.world_type is None else compose(options.world_type, WorldModel)
-        self._world_names = [set(world_arguments(self.satellites[columns[0]], self.world_type)) for columns in self.types]
+        worlds = [world_components(self.satellites[columns[0]].dyn_type, self.world_type) for columns in self.types]
+        self._world_names = [{arg.name for component in world for arg in component.args} for world in worlds]
         self.world_args = expand(options.world_args, "world_args")
         self._made = made
         self._scenario_draws: dict[int, dict[str, Tensor]] = {}
@@ -94,8 +95,8 @@ class FleetBuilder:
 
     def default_world_args(self) -> ArgumentTable:
         """Return every argument of the world, with its default."""
-        first_of_each = (self.satellites[columns[0]] for columns in self.types)
-        parts = [part for satellite in first_of_each for part in world_components(satellite.dyn_type, self.world_type)]
+        models = (self.satellites[columns[0]].dyn_type for columns in self.types)
+        parts = [part for model in models for part in world_components(model, self.world_type)]
         return ArgumentTable([*(self.world_type.all_components() if self.world_type else ()), *parts])
 
     @functools.cached_property

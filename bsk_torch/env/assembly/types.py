@@ -8,8 +8,6 @@ from collections.abc import Callable, Hashable, Iterable, Sequence
 from bsk_torch.rand import MOST_SATELLITES
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sim.arguments.values import alike, is_fixed, nearest
-from bsk_torch.sim.assembly.composition import world_components
-from bsk_torch.sim.world import WorldModel
 
 OWN = ("name", "sat_args_generator")
 """Attributes that may differ between satellites of one type."""
@@ -68,11 +66,6 @@ def grouped(satellites: Sequence[Satellite], group_of: Callable[[str], Hashable]
         else:
             types.append([k])
     return types
-
-
-def world_arguments(satellite: Satellite, world_type: type[WorldModel] | None = None) -> list[str]:
-    """Return the names of the arguments of a satellite's world."""
-    return [arg.name for component in world_components(satellite.dyn_type, world_type) for arg in component.args]
 
 
 def check_world(world_args: Iterable[str], tables: Iterable[Iterable[str]]) -> None:
