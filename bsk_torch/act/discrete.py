@@ -134,13 +134,7 @@ class Downlink(DiscreteFSWAction):
     """
 
     def __init__(self, name: str = "action_downlink", duration: float | None = None, until_empty: bool = False) -> None:
-        """See :class:`DiscreteFSWAction`.
-
-        Args:
-            name: Name in ``action_description``.
-            duration: Time until the action ends, s; None for 1e9 s.
-            until_empty: Whether an empty store ends the action.
-        """
+        """See :class:`DiscreteFSWAction`; ``until_empty`` tells whether an empty store ends the action."""
         super().__init__("downlink", name, duration)
         self.until_empty = switch("until_empty", until_empty)
         self.fsw_type = EndedDownlinkFSWModel if self.until_empty else None
@@ -175,13 +169,7 @@ class Scan(DiscreteFSWAction):
     def __init__(
         self, name: str = "action_nadir_scan", duration: float | None = None, instrument: str | int | None = None
     ) -> None:
-        """See :class:`DiscreteFSWAction`.
-
-        Args:
-            name: Name in ``action_description``, followed by the instrument where one is given.
-            duration: Time until the action ends, s; None for 1e9 s.
-            instrument: Name or number of the instrument, of a satellite with several.
-        """
+        """See :class:`DiscreteFSWAction`; ``instrument`` is the name or number of one of several, added to the name."""
         super().__init__("nadir_scan", name if instrument is None else f"{name}_{instrument}", duration)
         self.instrument = instrument
 

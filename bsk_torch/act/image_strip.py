@@ -38,15 +38,7 @@ class ImageStrip(Image):
         mask_repeated: bool = False,
         mask_late: bool = True,
     ) -> None:
-        """Provide ``n_ahead_image`` actions.
-
-        Args:
-            n_ahead_image: Number of windows to choose from.
-            pre_imaging_time: Time before a strip is recorded at the earliest, s.
-            name: Name in ``action_description``.
-            mask_repeated: See :class:`Image`.
-            mask_late: See :class:`Image`.
-        """
+        """See :class:`Image`; a strip is recorded ``pre_imaging_time``, s, after the choice at the earliest."""
         super().__init__(n_ahead_image, None, name, mask_repeated, mask_late)
         self.pre_imaging_time = number("pre_imaging_time", pre_imaging_time, 0.0, 1e5, unit="s")
 

@@ -145,10 +145,9 @@ class FreeCommunication(CommunicationMethod):
 
 
 def connected(pairs: Tensor) -> Tensor:
-    """Return the pairs of nodes connected by a path along ``pairs`` [N, S, S], in either direction; [N, S, S] booleans.
+    """Return the pairs connected by a path along ``pairs`` [N, S, S], in either direction, nodes with themselves included.
 
-    Each node is connected to itself. Repeated squaring of the connection matrix finds paths of up to 1, 2, 4, ... links until
-    there are no more: the transitive closure of the undirected graph.
+    Repeated squaring finds paths of 1, 2, 4, ... links until there are no more: the transitive closure of the graph.
     """
     size = pairs.shape[-1]
     near = pairs | pairs.mT | torch.eye(size, dtype=torch.bool, device=pairs.device)

@@ -70,10 +70,7 @@ class GlobalReward:
 
     @property
     def cum_reward(self) -> dict[str, Tensor]:
-        """Total reward of each satellite in the current episodes, without failure penalties: [N] float64 by name.
-
-        AttributeError for a rewarder outside an environment.
-        """
+        """Total reward of each satellite in the current episodes, without failure penalties: [N] float64 by name."""
         if not hasattr(self, "total_name"):
             raise AttributeError("cum_reward is read from the rewarder of an environment: env.rewarder.cum_reward")
         return dict(zip(self.fleet.names, self.fleet.state[self.total_name].unbind(1), strict=True))

@@ -220,12 +220,7 @@ class CloudFreeImageReward(UniqueImageReward):
     needs = ("cloud_cover", "scene.CloudyTargets")
 
     def __init__(self, threshold: float = 0.7, reward_fn: Callable[[Tensor], Tensor] = identity) -> None:
-        """Reward images of clear targets.
-
-        Args:
-            threshold: Maximum cloud cover of rewarded images, a fraction of the sky.
-            reward_fn: Function from priorities [N, S] to rewards [N, S].
-        """
+        """Reward images with a cover of at most ``threshold`` of the sky; ``reward_fn`` as in :class:`UniqueImageReward`."""
         super().__init__(reward_fn)
         self.threshold = number("threshold", threshold, 0.0, 1.0, unit="of the sky")
 
@@ -332,12 +327,7 @@ class StripImageReward(UniqueImageReward):
     needs = ("strip_seconds", "scene.StripTargets")
 
     def __init__(self, fraction: float = 0.9, reward_fn: Callable[[Tensor], Tensor] = identity) -> None:
-        """Reward recordings of strips.
-
-        Args:
-            fraction: Share of a strip that must be recorded, in (0, 1].
-            reward_fn: Function from priorities [N, S] to rewards [N, S].
-        """
+        """Reward recordings of at least a ``fraction`` in (0, 1]; ``reward_fn`` as in :class:`UniqueImageReward`."""
         super().__init__(reward_fn)
         self.fraction = number("fraction", fraction, 0.0, 1.0, above=True)
 

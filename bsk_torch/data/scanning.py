@@ -25,10 +25,7 @@ class ScanningTimeReward(GlobalReward):
     scenario: UniformNadirScanning
 
     def __init__(self, reward_fn: Callable[[Tensor], Tensor] | None = None) -> None:
-        """Reward recording by ``reward_fn``, a function from seconds [N, S] to rewards [N, S].
-
-        None multiplies by the scenario's ``value_per_second``. ValueError for anything else.
-        """
+        """Reward seconds [N, S] by ``reward_fn``; None multiplies them by the scenario's ``value_per_second``."""
         self.reward_fn = None if reward_fn is None else function("reward_fn", reward_fn, "seconds")
 
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:

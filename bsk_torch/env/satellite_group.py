@@ -144,10 +144,7 @@ def settle(satellites: SatelliteGroup, event: Tensor | None, moves: Tensor, last
 
 
 def cancel(satellites: SatelliteGroup, rows: Tensor) -> None:
-    """Cancel the tasks of ``rows``, a mask [N]; their events no longer end steps.
-
-    Satellites whose task has ended by then still require a task.
-    """
+    """Cancel the tasks of ``rows``, a mask [N]; satellites whose task has ended by then still require a task."""
     task, state = satellites.task, satellites.simulator.state
     task.ends, task.expected = (torch.where(rows, NEVER, ticks) for ticks in (task.ends, task.expected))
     for name in ("image_level", DOWNLINK_TICK):

@@ -135,13 +135,7 @@ class Time(Observation):
     """Time since reset, or until the time limit, divided by ``norm``; [N]."""
 
     def __init__(self, norm: float | None = None, name: str = "time", observe_time_remaining: bool = False) -> None:
-        """Observe the time.
-
-        Args:
-            norm: Divisor, s; None for the time limit.
-            name: Name of the observation.
-            observe_time_remaining: Whether to observe the time until the time limit.
-        """
+        """Observe the time since reset, or the one remaining, divided by ``norm``, s; None for the time limit."""
         super().__init__(name)
         self.norm = None if norm is None else number("obs.Time: norm", parse_norm(norm, "obs.Time: norm"))
         self.remaining = switch("observe_time_remaining", observe_time_remaining)

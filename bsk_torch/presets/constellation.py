@@ -175,10 +175,7 @@ def aeos_constellation(
     benchmark: bool = False,
     **options: Any,
 ) -> ConstellationTasking:
-    """Return AEOSConstellation-v1: AEOS-v1 with several satellites; see the module.
-
-    Arguments are those of :func:`constellation`; ``n_ahead`` and ``benchmark`` are those of :func:`bsk_torch.presets.aeos.aeos`.
-    """
+    """Return AEOSConstellation-v1; see the module, and :func:`constellation` and :func:`bsk_torch.presets.aeos.aeos`."""
     kind = looking_ahead(agile_satellites(benchmark)[as_set], n_ahead)
     arguments = {name: value for name, value in agile_args(benchmark).items() if name != "oe"} | options.pop("sat_args", {})
     obs_type = options.pop("obs_type", dict if as_set else torch.Tensor)

@@ -68,10 +68,7 @@ class BoundImagingSatellite(BoundAccessSatellite, ImagingSatellite):
 
     @property
     def known_images(self) -> Tensor:
-        """Targets known by each satellite to be imaged, by itself or by communication, [N, T] bool.
-
-        AttributeError for rewarders without this knowledge; :class:`bsk_torch.data.UniqueImageReward` has it.
-        """
+        """Targets that each satellite knows to be imaged, [N, T] bool; needs :class:`bsk_torch.data.UniqueImageReward`."""
         return self.rows_of(self.rewarder.known)
 
     @property
@@ -93,10 +90,7 @@ class BoundImagingSatellite(BoundAccessSatellite, ImagingSatellite):
         return {"imaged": self.imaged, "missed": self.missed}
 
     def window_of(self, target: Tensor, type: str | None = None) -> tuple[Tensor, Tensor]:
-        """Return opening and closing time of the next known window of a target [N], [N] s each; infinity if none is known.
-
-        Windows are those of a type of opportunities (default: ``target_types``).
-        """
+        """Return opening and closing time of the next known window of a target [N], [N] s each; infinity if none is known."""
         windows = self.upcoming_opportunities(type or self.target_types)
         same = (windows.place == target.unsqueeze(-1)) & torch.isfinite(windows.close)
         opens, closes = (torch.where(same, time, torch.inf).amin(1) for time in (windows.open, windows.close))

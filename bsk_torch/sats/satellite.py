@@ -183,11 +183,7 @@ class Satellite:
         return None
 
     def action_mask(self) -> Tensor:
-        """Return which actions are legal now, [N, n_actions] bool.
-
-        By default, the actions allowed by :meth:`legal_actions` and by the masks of the actions, or all actions if none is
-        allowed.
-        """
+        """Return which actions are legal now, [N, n_actions] bool: by :meth:`legal_actions` and masks, or all if none is."""
         raise RuntimeError(f"{self.name!r} is in no environment; env.satellite.action_mask() is that of the current episodes")
 
     def counts(self) -> dict[str, Tensor]:

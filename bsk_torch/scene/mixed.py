@@ -58,13 +58,7 @@ class MixedScenario(Scenario):
     """
 
     def __init__(self, scenarios: Mapping[str, Scenario], satellite_mapping: Mapping[str, Sequence[str]]) -> None:
-        """Combine scenarios.
-
-        Args:
-            scenarios: Scenarios by id.
-            satellite_mapping: Names of the satellites that take part in each, including those that are observed. Groups may
-                overlap.
-        """
+        """Combine scenarios by id, each with its satellites, including observed ones; groups may overlap."""
         self.scenarios: dict[str, Scenario] = as_dictionary("scenarios", scenarios)
         self.satellite_mapping = names_by_key("satellite_mapping", satellite_mapping)
         check_same_keys("satellite_mapping", self.satellite_mapping, self.scenarios, "scenarios")

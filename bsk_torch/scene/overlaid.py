@@ -129,12 +129,7 @@ class UncertainTargets(OverlaidTargets):
     """
 
     def __init__(self, targets: TargetScenario, sigma: Numbers = 3000.0) -> None:
-        """ValueError for a wrong argument. Numbers are drawn for each target in each episode; see :class:`UniformTargets`.
-
-        Args:
-            targets: Scenario that draws believed positions and priorities of the targets.
-            sigma: Standard deviation of the error in each of two directions, m, up to 100,000.
-        """
+        """Displace ``targets`` by ``sigma``, m, up to 100,000, in each of two directions, drawn as in :class:`UniformTargets`."""
         super().__init__(targets)
         check_numbers("sigma", sigma, self.most_targets, low=0.0, high=LARGEST_ERROR, unit="m")
         self.sigma = sigma
@@ -288,10 +283,7 @@ class StripTargets(OverlaidTargets):
         return super().calls_user or calls_user(self.length)
 
     def draw(self, key: Key) -> dict[str, Tensor]:
-        """See :class:`TargetScenario`; adds ``strip_length`` [n or 1, T] m and ``strip_along`` [n, T, 3] m.
-
-        ``strip_along`` is the direction of the strip in its middle, as long as the middle's position.
-        """
+        """See :class:`TargetScenario`; adds ``strip_length`` [n or 1, T] m and ``strip_along`` [n, T, 3] m."""
         drawn, t = super().draw(key), self.most_targets
         middle = drawn["target_r_LP_P"]
         length = draw_numbers("length", self.length, key.named("strip_length"), t, low=SHORTEST, high=LONGEST, unit="m")

@@ -174,9 +174,9 @@ class TargetScenario(Scenario):
         return look_up(self.target_attribute(table) if isinstance(table, str) else table, target)
 
     def target_objects(self, row: int) -> list[Target]:
-        """Return the targets of the current episode of environment ``row``, without padding, as objects for reading.
+        """Return the targets of environment ``row``, without padding, as objects, the same until it is reset or restored.
 
-        They are the same objects until the environment is reset or restored. Priorities are those at the start of the episode.
+        Priorities are the initial ones.
         """
         if row not in self._objects:
             self._objects[row] = dict(self._make_objects(row))
