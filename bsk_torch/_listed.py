@@ -30,13 +30,9 @@ MANY = {"entry_point": f"{MODULE}.general:GymJointEnv"}
 
 
 SCANNING = ("rule", "cautious")
-
 IMAGING = ("greedy", "nearest", "hasty", "farsighted")
-
 INSPECTION = ("drift", "circumnavigate", "survey", "hurried_survey")
-
 SERVICES = ("angle", "priority_angle", "distance", "rate", "rate_ahead", "candidate_priority", "candidate_rate")
-
 SENSORS = ("candidate_priority", "candidate_rate", "candidate_rate_ahead", "prompt", "prompt_ahead", "local", "centralized")
 
 

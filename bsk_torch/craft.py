@@ -81,9 +81,7 @@ def cubesat(h: float = 1.0, law: str = "steering") -> dict[str, Any]:
 def imager(h: float = 1.0, law: str = "feedback") -> dict[str, Any]:
     """Return an imaging satellite of 180 kg: four Honeywell HR14 wheels of 25 N m s, 400 Wh, a panel of 0.8 m^2.
 
-    Args:
-        h: Length of a tick, s.
-        law: ``"feedback"`` or ``"steering"``.
+    For the arguments, see :func:`cubesat`.
     """
     wheels = [Wheel("Honeywell_HR14", axis, 25.0) for axis in PYRAMID]
     inertia = [[22.0, 0.3, -0.2], [0.3, 28.0, 0.4], [-0.2, 0.4, 30.0]]
@@ -109,9 +107,7 @@ def imager(h: float = 1.0, law: str = "feedback") -> dict[str, Any]:
 def agile_imager(h: float = 1.0, law: str = "steering") -> dict[str, Any]:
     """Return an agile imaging satellite of 1,000 kg: four wheels of 250 N m s and 15 N m, as strong as control moment gyros.
 
-    Args:
-        h: Length of a tick, s.
-        law: ``"feedback"`` or ``"steering"``.
+    For the arguments, see :func:`cubesat`.
     """
     wheels = [Wheel("custom", axis, 250.0, Omega_max=6000.0, u_max=15.0) for axis in PYRAMID]
     inertia = [[500.0, 5.0, -3.0], [5.0, 600.0, 8.0], [-3.0, 8.0, 720.0]]
@@ -154,9 +150,6 @@ def aeos_bench(h: float = 1.0, law: str = "feedback", max_momentum: float = 50.0
         h: Length of a tick, s.
         law: ``"feedback"`` or ``"steering"``.
         max_momentum: Momentum of each wheel at 6000 rpm, N m s: 12, 25, 50, 75 or 100.
-
-    Raises:
-        ValueError: For another momentum.
     """
     if max_momentum not in BENCH_MOMENTA:
         raise ValueError(f"aeos_bench: max_momentum={max_momentum!r} N m s must be one of {list(BENCH_MOMENTA)}")

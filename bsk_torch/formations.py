@@ -66,7 +66,6 @@ class Formation:
     """
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
         check_class(cls, Formation, ("check", "draw"))
 
@@ -91,11 +90,7 @@ class Formation:
 
     @final
     def draw_checked(self, key: Key, names: Sequence[str]) -> Settings:
-        """Call :meth:`draw` and check its result; not to be overridden.
-
-        Raises:
-            ValueError: If indices are not those of different satellites, or values are not a tensor [n, number of these, ...].
-        """
+        """Call :meth:`draw` and check its result; not to be overridden."""
         drawn = self.draw(key, names)
         for name, (satellites, values) in drawn.items():
             indices = [int(k) for k in satellites]
@@ -192,9 +187,6 @@ def walker_delta_args(
         clusterspacing: See :func:`walker_delta`, degrees.
         phasing: Walker's F, instead of ``rel_phasing``: neighbors in adjacent planes are F 360 / T degrees apart, where T counts
             clusters; an integer from 0 to ``n_planes - 1``.
-
-    Raises:
-        ValueError: For a wrong number.
     """
     return _Walker(
         title="walker_delta_args",
@@ -248,7 +240,6 @@ def _check_counts(**counts: object) -> None:
 
 
 def _filled(n_spacecraft: int, n_planes: int, clustersize: int) -> tuple[int, int, int]:
-    """Return the three numbers; ValueError unless clusters fill planes, and planes the pattern."""
     _check_counts(n_spacecraft=n_spacecraft, n_planes=n_planes, clustersize=clustersize)
     if n_spacecraft % n_planes:
         raise ValueError(
@@ -271,7 +262,6 @@ def _divisors(n: int) -> list[int]:
 def _pattern(
     counts: tuple[int, int, int], rel_phasing: float, altitude: float, inc: float, clusterspacing: float, nodes: float
 ) -> Tensor:
-    """Return elements [S, 6] of one pattern; see :func:`walker_delta`. ValueError for wrong numbers."""
     angles = _checked_angles(rel_phasing, clusterspacing)
     altitude, inc = number("altitude", altitude, 0.0, 1e9, unit="m"), number("inc", inc, -180.0, 180.0, unit="degrees")
     return _walker(counts, angles[0], altitude, inc, angles[1], nodes)
@@ -334,7 +324,6 @@ class _Walker(Formation):
     phasing: int | None
 
     def __post_init__(self) -> None:
-        """Check the arguments that do not depend on the satellites."""
         _check_counts(n_planes=self.n_planes, clustersize=self.clustersize)
         self.rel_phasing, self.clusterspacing = _checked_angles(self.rel_phasing, self.clusterspacing)
         for name in ("randomize_true_anomaly", "randomize_lan"):
@@ -396,7 +385,6 @@ class _Train(Formation):
     f: Number | None
 
     def __post_init__(self) -> None:
-        """Make the table of arguments."""
         angles = (
             Arg("Omega", None, "deg", "ascending node", low=-MOST_TURNS, high=MOST_TURNS),
             Arg("f", None, "deg", "angle of the first satellite from the node", low=-MOST_TURNS, high=MOST_TURNS),
@@ -473,7 +461,6 @@ class _Relative(Formation):
     mu: float
 
     def __post_init__(self) -> None:
-        """Make the table of arguments."""
         text("chief_name", self.chief_name)
         if not isinstance(self.deputy_relative_state, Mapping):
             raise ValueError(
@@ -527,11 +514,7 @@ class _Relative(Formation):
 
 
 def together(formations: Mapping[Sequence[str], Formation]) -> Formation:
-    """Return several formations side by side, drawn independently; keys are the names of the satellites that each arranges.
-
-    Raises:
-        ValueError: At :meth:`Formation.check`, for an unknown name or one that belongs to two formations.
-    """
+    """Return several formations side by side, drawn independently; keys are the names of the satellites that each arranges."""
     if not isinstance(formations, Mapping):
         raise ValueError(f"formations={formations!r} must be a dictionary {{names of satellites: their formation}}")
     for members, formation in formations.items():

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import torch
@@ -34,11 +34,7 @@ SHORTEST_AXIS = 1e-8
 
 
 def random_tumble(maxSpinRate: float = 0.001) -> tuple[Uniform, Uniform]:
-    """Return distributions of an attitude sigma_BN, three MRPs in [0, 1), and of a rate omega_BN_B, rad/s.
-
-    Args:
-        maxSpinRate: Each component of the rate is uniform within this, rad/s.
-    """
+    """Return distributions of sigma_BN, three MRPs in [0, 1), and omega_BN_B, rad/s, uniform within ``maxSpinRate``."""
     rate = number("maxSpinRate", maxSpinRate, 0.0, 1e3, unit="rad/s")
     return Uniform(0.0, 1.0, 3), Uniform(-rate, rate, 3)
 
@@ -81,9 +77,6 @@ def hill_frame_attitude(r_N: Numeric, v_N: Numeric, spin_config: Mapping[str, ob
         spin_config: ``type`` ``"fixed"`` with ``rate``, or ``"uniform"`` with ``low`` and ``high``, in degrees per second;
             ``axis`` ``"radial"``, ``"tangential"``, ``"normal"``, ``"velocity"``, ``"random"``, or a vector in the Hill frame.
             No spin by default.
-
-    Raises:
-        ValueError: For an unknown or missing entry, a zero axis, or an orbit without Hill frame.
     """
     spin = _checked(spin_config or {})
     sigma, hill_rate, HN = aligned_with_hill(r_N, v_N)
@@ -101,7 +94,6 @@ def hill_frame_attitude(r_N: Numeric, v_N: Numeric, spin_config: Mapping[str, ob
 
 
 def _checked(settings: Mapping[str, object]) -> dict[str, Any]:
-    """Return the settings of a spin; ValueError for wrong ones."""
     names = ("type", "rate", "low", "high", "axis")
     for name in settings:
         if name not in names:
@@ -140,21 +132,15 @@ class WheelTriad(Sequence[Any]):
         self.speeds = speeds
 
     def __len__(self) -> int:
-        """Three."""
         return 3
 
     def __getitem__(self, index: int | slice) -> Any:
-        """Return the speeds for 2 or -1."""
         if index in (2, -1):
             return self.speeds
-        return _no_effector()
-
-
-def _no_effector() -> NoReturn:
-    raise TypeError(
-        "balancedHR16Triad(...)[0] and [1] are Basilisk's wheel effector and factory; bsk_torch's BasicDynamicsModel has three "
-        "wheels of this kind. Write sat_args=dict(wheelSpeeds=balancedHR16Triad(...)[2])"
-    )
+        raise TypeError(
+            "balancedHR16Triad(...)[0] and [1] are Basilisk's wheel effector and factory; bsk_torch's BasicDynamicsModel has "
+            "three wheels of this kind. Write sat_args=dict(wheelSpeeds=balancedHR16Triad(...)[2])"
+        )
 
 
 def balancedHR16Triad(
@@ -162,13 +148,7 @@ def balancedHR16Triad(
     randomBounds: tuple[float, float] = (-400.0, 400.0),
     wheelSpeeds: Sequence[float] = (500.0, 500.0, 500.0),
 ) -> WheelTriad:
-    """Return wheel speeds of three wheels, rpm, as the last of three entries.
-
-    Args:
-        useRandom: Whether they are random.
-        randomBounds: Bounds of the random ones, rpm.
-        wheelSpeeds: Those that are not random, rpm.
-    """
+    """Return speeds of three wheels, rpm, as the last of three entries: uniform within ``randomBounds``, or ``wheelSpeeds``."""
     for name, values, count in (("randomBounds", randomBounds, 2), ("wheelSpeeds", wheelSpeeds, 3)):
         if not isinstance(values, Sequence | np.ndarray) or isinstance(values, str) or len(values) != count:
             raise ValueError(f"{name}={values!r} must be {count} numbers, rpm")

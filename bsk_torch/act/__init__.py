@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from bsk_torch.act.base import Action, ActionTable, Decision
-from bsk_torch.act.broadcast import Broadcast
-from bsk_torch.act.continuous import ContinuousAction, HybridAction
-from bsk_torch.act.discrete import Charge, Desat, DiscreteFSWAction, Downlink, Drift, NadirPoint, Scan
+from bsk_torch.act.continuous import AttitudeSetpoint, ContinuousAction, HybridAction
+from bsk_torch.act.discrete import Broadcast, Charge, Desat, DiscreteFSWAction, Downlink, Drift, NadirPoint, Scan
 from bsk_torch.act.image import Image, image_target
 from bsk_torch.act.image_strip import HybridImageStrip, ImageStrip
 from bsk_torch.act.masks import allow_only, forbid
-from bsk_torch.act.setpoint import AttitudeSetpoint
 from bsk_torch.act.thrust import ImpulsiveThrust, ImpulsiveThrustHill
 from bsk_torch.act.waypoint import HillWaypoint
 

@@ -3,32 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import torch
 from torch import Tensor
 
 from bsk_torch._checks import number, text
+from bsk_torch.sats.bound import BoundSatellite, link_entry
+from bsk_torch.sim.fsw.models import FSWModel
 from bsk_torch.sim.hooks import check_class, check_tensor, defined_first, is_of_package, overrides
-
-if TYPE_CHECKING:
-    from bsk_torch.act.continuous import ContinuousAction
-    from bsk_torch.sats.bound import BoundSatellite
-    from bsk_torch.sim.fsw.models import FSWModel
-    from bsk_torch.sim.state import StateTable
+from bsk_torch.sim.state import StateTable
 
 HOOKS = (
-    "n_actions",
-    "n_negative_actions",
-    "target_actions",
-    "link_satellite",
-    "names",
-    "table",
-    "decide",
-    "begin",
-    "end",
-    "mask",
-    "aimed_at",
+    *("n_actions", "n_negative_actions", "target_actions", "link_satellite", "names"),
+    *("table", "decide", "begin", "end", "mask", "aimed_at"),
 )
 """Members of :class:`Action` that subclasses may define."""
 
@@ -41,11 +29,7 @@ SHORTEST = 1e-9
 
 
 def positive_duration(title: str, duration: object, name: str, default: float) -> float:
-    """Return the duration of the action ``name``, s; ``default`` for None, and at most ``default``.
-
-    Raises:
-        ValueError: Unless it is at least :data:`SHORTEST`.
-    """
+    """Return the duration of the action ``name``, s; ``default`` for None, and at most ``default``."""
     if duration is None:
         return default
     return min(number(f"action {name!r}: {title}", duration, SHORTEST, unit="s", finite=False, none=True), default)
@@ -85,11 +69,7 @@ def check_decision(title: str, decision: Decision, rows: int) -> None:
 
 
 def checked_durations(title: str, decision: Decision, acts: Tensor, satellite: BoundSatellite) -> Decision:
-    """Return a decision with durations of at most :data:`LONGEST` where ``acts`` [N] holds, and that elsewhere.
-
-    Raises:
-        ValueError: For a duration that is NaN, or shorter than :data:`SHORTEST`.
-    """
+    """Return a decision with durations of at most :data:`LONGEST` where ``acts`` [N] holds, and that elsewhere."""
     for name, seconds in (("duration", decision.duration), ("expected", decision.expected)):
         wrong = acts & ~(seconds >= SHORTEST)
         if bool(wrong.any()):
@@ -132,35 +112,21 @@ class ActionTable(NamedTuple):
         return Decision(mode, (action != previous) | self.reset[column], duration, action, duration)
 
 
-class Action:
-    """One entry of an ``action_spec``: ``n_actions`` consecutive numbers of the discrete action space.
-
-    N is the number of satellites of the type. Subclasses define :meth:`table` if their commands are constant until the next
-    reset, and :meth:`decide` otherwise; the other hooks are optional. All hooks of a subclass are called in every environment.
+class Entry:
+    """An entry of an ``action_spec``. N is the number of satellites of the type.
 
     Attributes:
-        name: Name of the entry in ``action_description``.
+        name: Name of the entry.
         satellite: The satellites, once an environment has been built.
-        n_actions: Number of actions.
         fsw_type: Flight software added to the satellite's by the action; None for none.
-        first_is_legal: Whether :meth:`mask` always allows the first action; then rows need no check for a legal one.
     """
 
-    n_actions: int = 1
     satellite: BoundSatellite
     fsw_type: type[FSWModel] | None = None
-    first_is_legal: bool = False
 
     def __init__(self, name: str) -> None:
-        """Name the entry; ValueError unless the name is a string."""
+        """Name the entry."""
         self.name = text("name", name)
-
-    def __init_subclass__(cls, **options: object) -> None:
-        """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
-        super().__init_subclass__(**options)
-        if "table" in vars(cls) and "decide" in vars(cls):
-            raise TypeError(f"{cls.__name__} defines both table() and decide(), but only one would be called; define one")
-        check_class(cls, Action, HOOKS)
 
     def link_satellite(self, satellite: BoundSatellite) -> None:
         """Prepare for a satellite; called once when an environment is built.
@@ -169,6 +135,39 @@ class Action:
         something needed by the action.
         """
         self.satellite = satellite
+
+    def begin(self, mask: Tensor, decision: Decision) -> None:
+        """Called after the entry's actions have been commanded, in the rows ``mask`` [N] bool."""
+
+    def end(self, mask: Tensor, decision: Decision, event: Tensor) -> None:
+        """Called after the entry's actions have ended within an episode, in the rows ``mask`` [N] bool.
+
+        Args:
+            mask: Rows in which a duration or an event has ended an action of the entry.
+            decision: Current mode, duration and key of the actions; ``retask`` equals the rows in which an action has ended.
+            event: Whether an event ended the action, [N] bool, and not its duration.
+        """
+
+
+class Action(Entry):
+    """``n_actions`` consecutive numbers of the discrete action space.
+
+    Subclasses define :meth:`table` if their commands are constant until the next reset, and :meth:`decide` otherwise; the other
+    hooks are optional. All hooks of a subclass are called in every environment.
+
+    Attributes:
+        n_actions: Number of actions.
+        first_is_legal: Whether :meth:`mask` always allows the first action; then rows need no check for a legal one.
+    """
+
+    n_actions: int = 1
+    first_is_legal: bool = False
+
+    def __init_subclass__(cls, **options: object) -> None:
+        super().__init_subclass__(**options)
+        if "table" in vars(cls) and "decide" in vars(cls):
+            raise TypeError(f"{cls.__name__} defines both table() and decide(), but only one would be called; define one")
+        check_class(cls, Action, HOOKS)
 
     @property
     def n_negative_actions(self) -> int:
@@ -199,18 +198,6 @@ class Action:
         """
         return self.table().decision(index, action, previous)
 
-    def begin(self, mask: Tensor, decision: Decision) -> None:
-        """Called after the entry's actions have been commanded, in the rows ``mask`` [N] bool."""
-
-    def end(self, mask: Tensor, decision: Decision, event: Tensor) -> None:
-        """Called after the entry's actions have ended within an episode, in the rows ``mask`` [N] bool.
-
-        Args:
-            mask: Rows in which a duration or an event has ended an action of the entry.
-            decision: Current mode, duration and key of the actions; ``retask`` equals the rows in which an action has ended.
-            event: Whether an event ended the action, [N] bool, and not its duration.
-        """
-
     def aimed_at(self) -> Tensor | None:
         """Return the target that each satellite has chosen last with the entry, [N] int64, -1 for none; None without targets."""
         return None
@@ -228,19 +215,12 @@ class ActionBuilder:
     only hooks overridden by a subclass are called.
 
     Attributes:
-        entries: The entries.
-        n_actions: Size of the action space.
         n_negative_actions: Number of additional legal negative actions.
         some_legal: Whether an entry always allows its first action.
     """
 
     def __init__(self, spec: Sequence[Action], satellite: BoundSatellite) -> None:
-        """Link every entry to the satellite.
-
-        Raises:
-            ValueError: For inconsistent numbers and names of actions.
-            TypeError: For an entry whose ``link_satellite`` does not call that of its base class.
-        """
+        """Link every entry to the satellite."""
         for entry in spec:
             _link(entry, satellite)
         self.entries, self.satellite = tuple(spec), satellite
@@ -293,11 +273,7 @@ class ActionBuilder:
         return self.description[int(action)] if action >= 0 else "a target by its index"
 
     def checked(self, action: Tensor, acts: Tensor | None) -> Tensor:
-        """Return a copy of the actions [N] as int64, with 0 if they are ignored.
-
-        Raises:
-            ValueError: For an action out of range where the mask ``acts`` [N] is true, everywhere for None.
-        """
+        """Return a copy of the actions [N] as int64, with 0 if they are ignored."""
         n, negative, action = self.n_actions, self.n_negative_actions, action.to(torch.int64, copy=True)
         action = action if acts is None else torch.where(acts, action, 0)
         low, high = torch.stack(torch.aminmax(action)).tolist()
@@ -335,19 +311,14 @@ class ActionBuilder:
         return ActionTable(mode, torch.zeros_like(forever, dtype=torch.bool), forever)
 
     def _checked_table(self, k: int) -> ActionTable:
-        """Return the table of the k-th entry.
-
-        Raises:
-            TypeError: If it is not a table, or for fields of a wrong shape or dtype.
-            ValueError: For non-positive durations.
-        """
+        """Return the table of the k-th entry."""
         entry, table = self.entries[k], self.entries[k].table()
         if not isinstance(table, ActionTable):
             raise TypeError(f"{type(entry).__name__}.table() returns {table!r}; it must return an act.ActionTable")
         n = entry.n_actions
         wanted = ((len(self._all_legal), n), torch.int64), ((n,), torch.bool), ((n,), torch.float64)
-        for field, given, (shape, dtype) in zip(ActionTable._fields, table, wanted, strict=True):
-            check_tensor(f"{type(entry).__name__}.table().{field}", given, shape, dtype)
+        for field, value, (shape, dtype) in zip(ActionTable._fields, table, wanted, strict=True):
+            check_tensor(f"{type(entry).__name__}.table().{field}", value, shape, dtype)
         if self._table is None and not bool((table.duration >= SHORTEST).all()):  # once: a wait for the device
             raise ValueError(
                 f"{type(entry).__name__}.table().duration is {table.duration.tolist()}; it must be at least {SHORTEST} s"
@@ -369,10 +340,6 @@ class ActionBuilder:
         """Return the commands of ``action`` [N] after actions with the keys ``previous`` [N].
 
         Commands of rows outside ``acts`` [N] bool are undefined.
-
-        Raises:
-            TypeError: For a subclass's commands of wrong shape or dtype.
-            ValueError: For modes that do not exist, and durations that are not positive.
         """
         if len(self._deciding) == len(self.entries) == 1:
             return self._decided(0, acts, action, previous)
@@ -401,8 +368,8 @@ class ActionBuilder:
     def begin(self, action: Tensor, acts: Tensor, decision: Decision) -> None:
         """Notify entries that their actions, of ``action`` [N], have been commanded in the rows ``acts`` [N] bool."""
         for k in self._beginning:
-            own = decision if decision.command is not None else decision._replace(command=self._commands.get(k))
-            self.entries[k].begin(self._rows_of(k, action) & acts, own)
+            commands = decision if decision.command is not None else decision._replace(command=self._commands.get(k))
+            self.entries[k].begin(self._rows_of(k, action) & acts, commands)
 
     def end(self, action: Tensor, ended: Tensor, decision: Decision, event: Tensor) -> None:
         """Notify entries that their actions have ``ended`` [N] bool, by an ``event`` [N] bool or by their duration."""
@@ -410,11 +377,7 @@ class ActionBuilder:
             self.entries[k].end(self._rows_of(k, action) & ended, decision, event)
 
     def mask(self) -> Tensor:
-        """Return which actions are legal now, [N, n_actions] bool; a view, to be read only.
-
-        Raises:
-            TypeError: For a subclass's mask of wrong shape or dtype.
-        """
+        """Return which actions are legal now, [N, n_actions] bool; a view, to be read only."""
         if not self._masking:
             return self._all_legal
         parts = []
@@ -428,16 +391,8 @@ class ActionBuilder:
 
 
 def _merged(mask: Tensor, new: Decision, old: Decision) -> Decision:
-    """Return the commands of one decision where ``mask`` [N] holds, and of another elsewhere."""
     pairs = ((getattr(new, name), getattr(old, name)) for name in Decision._fields[: len(DTYPES)])
-    return Decision(*(torch.where(mask, mine, other) for mine, other in pairs))
-
-
-def link_entry(entry: Action | ContinuousAction, satellite: BoundSatellite) -> None:
-    """Link an entry of an ``action_spec``; TypeError if linking failed."""
-    entry.link_satellite(satellite)
-    if getattr(entry, "satellite", None) is not satellite:
-        raise TypeError(f"{type(entry).__name__}.link_satellite(satellite) must call super().link_satellite(satellite)")
+    return Decision(*(torch.where(mask, one, other) for one, other in pairs))
 
 
 def _link(entry: Action, satellite: BoundSatellite) -> None:

@@ -3,29 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from bsk_torch._checks import no_gradient
-from bsk_torch.act.base import ActionBuilder, ActionTable, Decision, check_decision, checked_durations, link_entry
+from bsk_torch.act.base import ActionBuilder, ActionTable, Decision, check_decision, checked_durations
 from bsk_torch.act.continuous import ContinuousAction, HybridAction, is_continuous
+from bsk_torch.sats.bound import BoundSatellite, link_entry
 from bsk_torch.sim.hooks import check_tensor, overrides
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
-    from bsk_torch.sim.state import StateTable
+from bsk_torch.sim.state import StateTable
 
 LARGEST = torch.finfo(torch.float64).max
 
 
 def action_builder(spec: Sequence[Any], satellite: BoundSatellite) -> ActionBuilder | ContinuousBuilder:
-    """Return the action space of an ``action_spec``.
-
-    Raises:
-        ValueError: For an empty spec, an entry that is not an action, or a continuous entry among others.
-    """
+    """Return the action space of an ``action_spec``."""
     title = f"{type(satellite).__name__}.action_spec"
     if not spec:
         raise ValueError(f"{title} is empty; list at least one action, such as act.Charge()")
@@ -47,11 +41,9 @@ class ContinuousBuilder:
     Internally, actions are [N, A] float64, or [N, A + 1] with the number of the choice last.
 
     Attributes:
-        entries: The entry.
         low: Lowest values, [A] float64.
         high: Highest values, [A] float64.
         n_actions: Number K of choices; 0 without a choice.
-        n_negative_actions: 0.
         some_legal: False: masks may be empty.
     """
 
@@ -59,12 +51,7 @@ class ContinuousBuilder:
     some_legal = False
 
     def __init__(self, entry: ContinuousAction, satellite: BoundSatellite) -> None:
-        """Link the entry to the satellite.
-
-        Raises:
-            ValueError: For inconsistent bounds and names.
-            TypeError: For an entry whose ``link_satellite`` does not call that of its base class.
-        """
+        """Link the entry to the satellite."""
         self.entries, self.entry, self.satellite = (entry,), entry, satellite
         link_entry(entry, satellite)
         ticks = satellite.simulator.ticks
@@ -109,12 +96,7 @@ class ContinuousBuilder:
         task.declare("action", 0.0, self.width, low=-LARGEST, high=LARGEST)
 
     def checked(self, action: Tensor, acts: Tensor | None) -> Tensor:
-        """Return actions [N, A] or [N, A + 1] as float64, 0 if they are ignored, and store their dtype in the entry.
-
-        Raises:
-            ValueError: For infinite or NaN values, or an invalid choice, where the mask ``acts`` [N] is true, everywhere for
-                None.
-        """
+        """Return actions [N, A] or [N, A + 1] as float64, 0 if they are ignored, and store their dtype in the entry."""
         self.entry.given_dtype, action = action.dtype, action.to(torch.float64, copy=True)
         action = action if acts is None else torch.where(acts.unsqueeze(-1), action, 0.0)
         wrong = ~torch.isfinite(action)
@@ -141,12 +123,7 @@ class ContinuousBuilder:
         return overrides(self.entry, ContinuousAction, "end")
 
     def decide(self, action: Tensor, previous: Tensor, acts: Tensor) -> Decision:
-        """Return the commands of ``action`` [N, A] where ``acts`` [N] bool; those of other rows are undefined.
-
-        Raises:
-            TypeError: For a subclass's commands of wrong shape or dtype.
-            ValueError: For non-positive durations.
-        """
+        """Return the commands of ``action`` [N, A] where ``acts`` [N] bool; those of other rows are undefined."""
         title, decision = type(self.entry).__name__, self.entry.decide(action, acts)
         check_decision(title, decision, len(action))
         return checked_durations(title, decision, acts, self.satellite)

@@ -1,61 +1,43 @@
-"""Base classes of continuous actions, alone or combined with a discrete choice."""
+"""Continuous actions, alone or combined with a discrete choice."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import cast
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
-from bsk_torch._checks import text
-from bsk_torch.act.base import Action, Decision
+from bsk_torch._checks import number
+from bsk_torch.act.base import Action, Decision, Entry
+from bsk_torch.sim.fsw.setpoint import ATTITUDE_MRP, AttitudeSetpointFSWModel
 from bsk_torch.sim.hooks import check_class
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
-    from bsk_torch.sim.fsw.models import FSWModel
 
 HOOKS = ("link_satellite", "bounds", "names", "decide", "begin", "end", "choices", "mask")
 """Members of :class:`ContinuousAction` and :class:`HybridAction` that subclasses may define."""
 
 
-class ContinuousAction:
+class ContinuousAction(Entry):
     """The only entry of an ``action_spec``: actions of A real numbers.
 
-    N is the number of satellites of the type. Every action is executed, even if it equals the previous one: the flight software
-    enters its mode, and resets the fields that the mode resets. Numbers are converted to float64. Values outside :meth:`bounds`
-    are passed to :meth:`decide` unchanged; the action defines their meaning.
+    Every action is executed, even if it equals the previous one: the flight software enters its mode, and resets the fields that
+    the mode resets. Numbers are converted to float64. Values outside :meth:`bounds` are passed to :meth:`decide` unchanged; the
+    action defines their meaning.
 
     Subclasses define :meth:`bounds`, :meth:`names` and :meth:`decide`; the other hooks are optional.
 
+    ``decision.command`` in :meth:`begin` is that of :meth:`decide`, in :meth:`end` the ended action, [N, A].
+
     Attributes:
-        name: Name of the entry.
-        satellite: The satellites, once an environment has been built.
         given_dtype: Input dtype of the actions of the current step.
-        fsw_type: Flight software added to the satellite's by the action; None for none.
     """
 
-    satellite: BoundSatellite
     given_dtype: torch.dtype = torch.float64
-    fsw_type: type[FSWModel] | None = None
-
-    def __init__(self, name: str) -> None:
-        """Name the entry; ValueError unless the name is a string."""
-        self.name = text("name", name)
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
-        check_class(cls, ContinuousAction, [hook for hook in HOOKS if hook in vars(ContinuousAction)])
-
-    def link_satellite(self, satellite: BoundSatellite) -> None:
-        """Prepare for a satellite; called once when an environment is built.
-
-        Overriding methods call ``super().link_satellite(satellite)`` first, and raise ValueError for a satellite that lacks
-        something needed by the action.
-        """
-        self.satellite = satellite
+        check_class(cls, ContinuousAction, [hook for hook in HOOKS if hasattr(ContinuousAction, hook)])
 
     def bounds(self) -> tuple[Tensor | Sequence[float], Tensor | Sequence[float]]:
         """Return the lower and upper bounds of actions, [A] each; they may be infinite.
@@ -77,23 +59,8 @@ class ContinuousAction:
         """
         raise NotImplementedError(f"{type(self).__name__} must implement decide(action, mask)")
 
-    def begin(self, mask: Tensor, decision: Decision) -> None:
-        """Called after actions have been commanded, in the rows ``mask`` [N] bool; ``decision.command`` is decide()'s."""
-
-    def end(self, mask: Tensor, decision: Decision, event: Tensor) -> None:
-        """Called after actions have ended within an episode; ``decision.command`` is the action, [N, A].
-
-        See :meth:`bsk_torch.act.Action.end`.
-        """
-
     def enter(self, fsw_action: str, duration: Tensor, command: Tensor | None = None) -> Decision:
-        """Return the decision to enter a mode of the flight software, even if it is already active.
-
-        Args:
-            fsw_action: Command of the flight software, such as ``"charge"``.
-            duration: Time after which the actions end, [N] s.
-            command: Value passed to :meth:`begin`, [N, ...].
-        """
+        """Return the decision to enter the mode of a command for ``duration`` [N] s, even if it is already active."""
         mode = self.satellite.simulator.mode_index(fsw_action)
         reenter = torch.ones_like(mode, dtype=torch.bool)
         return Decision(mode, reenter, duration, torch.zeros_like(mode), duration, command)
@@ -110,7 +77,6 @@ class HybridAction(ContinuousAction):
     """
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
         check_class(cls, HybridAction, HOOKS)
 
@@ -129,3 +95,36 @@ def is_continuous(entry: object) -> bool:
     if not isinstance(entry, Action | ContinuousAction):
         raise ValueError(f"action_spec holds {entry!r}, which is not an action; write act.Charge(), with parentheses")
     return isinstance(entry, ContinuousAction)
+
+
+class AttitudeSetpoint(ContinuousAction):
+    """Turn to an attitude, and hold it: the action is sigma_RN, the MRP of the reference R relative to N.
+
+    The reference is inertially fixed and stays until the next action. With reaction wheels, the control law turns the satellite
+    the short way around. Components up to one allow MRPs longer than one, which represent the same attitudes. A satellite without
+    actuators has the attitude of the reference after one tick, and reports the MRP as given, even if longer than one.
+    """
+
+    fsw_type = AttitudeSetpointFSWModel
+
+    def __init__(self, name: str = "attitude_act", control_period: float = 60.0) -> None:
+        """Last ``control_period`` seconds; ValueError unless it is positive and finite."""
+        super().__init__(name)
+        self.control_period = number(f"action {name!r}: control_period", control_period, 0.0, unit="s", above=True)
+
+    def bounds(self) -> tuple[Tensor, Tensor]:
+        """See :meth:`ContinuousAction.bounds`: -1 and 1."""
+        one = torch.ones(3, dtype=torch.float64)
+        return -one, one
+
+    @override
+    def names(self) -> list[str]:
+        return ["mrp_1", "mrp_2", "mrp_3"]
+
+    @override
+    def decide(self, action: Tensor, mask: Tensor) -> Decision:
+        return self.enter(ATTITUDE_MRP, torch.full_like(action[:, 0], self.control_period), action)
+
+    def begin(self, mask: Tensor, decision: Decision) -> None:
+        """See :meth:`ContinuousAction.begin`: set the reference."""
+        self.satellite.simulator.write("sigma_RN", mask, cast(Tensor, decision.command))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -13,13 +12,10 @@ from typing_extensions import override
 from bsk_torch._checks import switch, text
 from bsk_torch.act.base import LONGEST, Action, ActionTable, Decision, positive_duration
 from bsk_torch.astro.frames import angle_between
+from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.sim.dyn.events import DISARMED, DOWNLINK_TICK, EMPTY_DOWNLINKS, LEFT_OVER
 from bsk_torch.sim.fsw.models import EndedDownlinkFSWModel, ImagingFSWModel
 from bsk_torch.sim.instruments import INDEX, each_value, number_of
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
-
 
 logger = logging.getLogger(__name__)
 
@@ -39,7 +35,6 @@ def choose_instrument(satellite: BoundSatellite, number: int, mask: Tensor) -> N
 
 
 def _warn_of_axis(satellite: BoundSatellite, title: str) -> None:
-    """Log once that the instrument does not look at nadir while B is aligned with the Hill frame."""
     kind = satellite.simulator.type
     if not isinstance(satellite.fsw, ImagingFSWModel) or kind.compat:
         return
@@ -72,9 +67,6 @@ class DiscreteFSWAction(Action):
             name: Name in ``action_description`` (default: the name of the command).
             duration: Time until the action ends, s; None for 1e9 s.
             reset_task: Whether a repeated action enters the mode again.
-
-        Raises:
-            ValueError: For a non-positive duration, or a name that is not a string.
         """
         super().__init__(text("fsw_action", fsw_action) if name is None else name)
         self.fsw_action, self.reset_task = text("fsw_action", fsw_action), switch("reset_task", reset_task)
@@ -142,13 +134,7 @@ class Downlink(DiscreteFSWAction):
     """
 
     def __init__(self, name: str = "action_downlink", duration: float | None = None, until_empty: bool = False) -> None:
-        """See :class:`DiscreteFSWAction`.
-
-        Args:
-            name: Name in ``action_description``.
-            duration: Time until the action ends, s; None for 1e9 s.
-            until_empty: Whether an empty store ends the action.
-        """
+        """See :class:`DiscreteFSWAction`; ``until_empty`` tells whether an empty store ends the action."""
         super().__init__("downlink", name, duration)
         self.until_empty = switch("until_empty", until_empty)
         self.fsw_type = EndedDownlinkFSWModel if self.until_empty else None
@@ -183,13 +169,7 @@ class Scan(DiscreteFSWAction):
     def __init__(
         self, name: str = "action_nadir_scan", duration: float | None = None, instrument: str | int | None = None
     ) -> None:
-        """See :class:`DiscreteFSWAction`.
-
-        Args:
-            name: Name in ``action_description``, followed by the instrument where one is given.
-            duration: Time until the action ends, s; None for 1e9 s.
-            instrument: Name or number of the instrument, of a satellite with several.
-        """
+        """See :class:`DiscreteFSWAction`; ``instrument`` is the name or number of one of several, added to the name."""
         super().__init__("nadir_scan", name if instrument is None else f"{name}_{instrument}", duration)
         self.instrument = instrument
 
@@ -204,3 +184,37 @@ class Scan(DiscreteFSWAction):
         """See :meth:`Action.begin`: choose the instrument."""
         if self.variant is not None:
             choose_instrument(self.satellite, self.variant, mask)
+
+
+PENDING = "broadcast_pending"
+"""Name of the value in ``simulator.memory`` that marks satellites with an unsent message, [N] bool."""
+
+
+class Broadcast(Action):
+    """Send a satellite's knowledge to the satellites that can receive it; its flight mode continues.
+
+    Use it with :class:`~bsk_torch.comm.BroadcastCommunication`. The message is sent at the end of the step, which another
+    satellite may end before ``duration`` has passed. The next action counts as new, even if it equals the action before the
+    broadcast.
+    """
+
+    def __init__(self, name: str = "action_broadcast", duration: float | None = None) -> None:
+        """Last ``duration`` seconds, None for 1e9 s; ValueError unless it is positive."""
+        super().__init__(name)
+        self.duration = positive_duration("duration", duration, name, LONGEST)
+
+    @override
+    def link_satellite(self, satellite: BoundSatellite) -> None:
+        super().link_satellite(satellite)
+        if PENDING not in satellite.simulator.memory:
+            satellite.simulator.memory.declare(PENDING, False, dtype=torch.bool)
+
+    @override
+    def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
+        seconds = torch.full_like(action, self.duration, dtype=torch.float64)
+        return Decision(self.satellite.simulator.mode, torch.zeros_like(mask), seconds, action, seconds)
+
+    @override
+    def begin(self, mask: Tensor, decision: Decision) -> None:
+        memory = self.satellite.simulator.memory
+        memory[PENDING] = memory[PENDING] | mask

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -11,21 +10,14 @@ from typing_extensions import override
 
 from bsk_torch._checks import switch, whole
 from bsk_torch.act.base import Action, Decision, positive_duration
+from bsk_torch.act.candidates import NO_TARGET, SLEW, CandidateAction
 from bsk_torch.act.discrete import choose_instrument
+from bsk_torch.sats.bound import BoundSatellite
+from bsk_torch.sats.imaging import BoundImagingSatellite
 from bsk_torch.sim.instruments import number_of
 from bsk_torch.sim.places import instrument_kind
 
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
-    from bsk_torch.sats.imaging import BoundImagingSatellite
-
 logger = logging.getLogger(__name__)
-
-SLEW = 40.0
-"""Typical duration of a slew to a target, s; used only for the expected durations that sort rows."""
-
-NO_TARGET = -1
-"""Key of an action without a target, and of the state before the first action."""
 
 
 def image_target(target: Tensor | int) -> Tensor | int:
@@ -33,7 +25,7 @@ def image_target(target: Tensor | int) -> Tensor | int:
     return -1 - target
 
 
-class Image(Action):
+class Image(CandidateAction):
     """Image the target of the k-th next access window, for k from 0 to ``n_ahead_image`` - 1.
 
     The action ends when the image is taken, when the target's window closes, or after ``max_duration``. Choosing the same target
@@ -47,6 +39,8 @@ class Image(Action):
 
     satellite: BoundImagingSatellite
     flight_mode = "image"
+    aim = "latest_target"
+    drawn = "target_exists"
 
     def __init__(
         self,
@@ -68,9 +62,6 @@ class Image(Action):
             mask_late: Whether ``action_mask`` excludes windows that open at the time limit of the episode or later. A satellite
                 that chooses one is busy until the end, and images nothing. Without effect under ``compat="bsk_rl"``.
             instrument: Name or number of the instrument, of a satellite with several.
-
-        Raises:
-            ValueError: For fewer than one target or a duration that is not positive.
         """
         super().__init__(name if instrument is None else f"{name}_{instrument}")
         self.instrument = instrument
@@ -78,11 +69,6 @@ class Image(Action):
         self.n_actions, self.mask_repeated = whole("n_ahead_image", n_ahead_image, 1), switch("mask_repeated", mask_repeated)
         self.mask_late = switch("mask_late", mask_late)
         self.max_duration = positive_duration("max_duration", max_duration, name, float("inf"))
-
-    @property
-    @override
-    def target_actions(self) -> range:
-        return range(self.n_actions)
 
     def link_satellite(self, satellite: BoundSatellite) -> None:
         """See :meth:`Action.link_satellite`; ValueError for one that cannot image, has no targets, or lacks the instrument."""
@@ -102,29 +88,19 @@ class Image(Action):
         self.kind = wanted
         self.satellite.access_windows.expect(self.n_actions, self.n_negative_actions)
 
-    @property
-    def n_negative_actions(self) -> int:
-        """See :attr:`Action.n_negative_actions`; the number of targets."""
-        return self.satellite.simulator.scenario_state["target_exists"].shape[1]
-
-    @override
-    def aimed_at(self) -> Tensor:
-        return self.satellite.latest_target
-
     @override
     def mask(self) -> Tensor:
         simulator = self.satellite.simulator
         first = not simulator.type.compat and simulator.type.arguments.is_new(f"late windows of {self.name}")
         if not (self.mask_repeated or self.mask_late or first):
-            return super().mask()
-        if self.mask_repeated:
-            offered = self.satellite.find_next_opportunities(self.n_actions, self.kind)
-        else:  # whether there must be any is for observations and decisions to say
-            offered = self.satellite.find_next_opportunities(self.n_actions, self.kind, may_see_nothing=True)
+            return Action.mask(self)
+        # whether there must be any is for observations and decisions to say
+        may_see_nothing = None if self.mask_repeated else True
+        offered = self.satellite.find_next_opportunities(self.n_actions, self.kind, may_see_nothing=may_see_nothing)
         early = offered.open < self.satellite.time_limit.unsqueeze(-1)
         if first:
             self._warn_of_late(offered.mask & ~early, offered.mask)
-        mask = offered.mask if self.mask_repeated else super().mask()
+        mask = offered.mask if self.mask_repeated else Action.mask(self)
         return mask & early if self.mask_late else mask
 
     def _warn_of_late(self, late: Tensor, offered: Tensor) -> None:
@@ -143,14 +119,19 @@ class Image(Action):
     @override
     def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
         simulator = self.satellite.simulator
-        known = self.satellite.find_next_opportunities(self.n_actions, self.kind, torch.where(mask & (action >= 0), index + 1, 0))
-        target = known.place.gather(1, index.unsqueeze(-1)).squeeze(-1)
-        same = known.place == target.unsqueeze(-1)  # the target's first window may come before the chosen one
-        opens, close = (torch.where(same, time, torch.inf).amin(1) for time in (known.open, known.close))
+        count = torch.where(mask & (action >= 0), index + 1, 0)
+        windows = self.satellite.find_next_opportunities(self.n_actions, self.kind, count)
+        target = windows.place.gather(1, index.unsqueeze(-1)).squeeze(-1)
+        same = windows.place == target.unsqueeze(-1)  # the target's first window may come before the chosen one
+        opens, close = (torch.where(same, time, torch.inf).amin(1) for time in (windows.open, windows.close))
         by_index = mask & (action < 0)
         if bool(by_index.any()):
-            target, opens, close = self._by_index(by_index, action, target, opens, close)
-        waits = (known.found == 0) & ~by_index
+            target = torch.where(by_index, -1 - action, target)
+            window = self.satellite.window_of(torch.where(by_index, target, 0), self.kind)
+            why = "which has already been imaged, does not exist, or has no known window"
+            self.refuse(by_index & torch.isinf(window[1]), target, lambda number: why)
+            opens, close = (torch.where(by_index, *pair) for pair in zip(window, (opens, close), strict=True))
+        waits = (windows.found == 0) & ~by_index
         key, time = torch.where(waits, NO_TARGET, self.keys(target + self._first)), simulator.sim_time
         seconds = torch.where(waits, self.satellite.segment, close - time)
         duration = torch.clamp(seconds, max=self.max_duration)
@@ -158,35 +139,10 @@ class Image(Action):
         mode = torch.full_like(target, simulator.mode_names.index(self.flight_mode))
         return Decision(mode, (key != previous) & ~waits, duration, key, expected)
 
-    @staticmethod
-    def keys(target: Tensor) -> Tensor:
-        """Return the keys of actions on targets: other actions have keys from 0 on, and -1 is :data:`NO_TARGET`.
-
-        With the second of several instruments, targets count on from the last one, and so on.
-        """
-        return -2 - target
-
     @property
     def _first(self) -> int:
-        """Number by which :meth:`keys` counts the first target with the instrument."""
+        """Number by which keys count the first target: with the second instrument, on from the last one with the first."""
         return (self._number or 0) * self.n_negative_actions
-
-    def _by_index(self, mask: Tensor, action: Tensor, *found: Tensor) -> tuple[Tensor, ...]:
-        """Replace target and window where ``mask`` [N] holds, in which actions name a target by its index.
-
-        Raises:
-            ValueError: For a target without a known window.
-        """
-        target = torch.where(mask, -1 - action, 0)
-        window = self.satellite.window_of(target, self.kind)
-        missing = mask & torch.isinf(window[1])
-        if bool(missing.any()):
-            row = int(torch.nonzero(missing)[0])
-            raise ValueError(
-                f"action {int(action[row])} of {self.satellite.title(row)} selects target {int(target[row])}, which has "
-                "already been imaged, does not exist, or has no known window"
-            )
-        return tuple(torch.where(mask, a, b) for a, b in zip((target, *window), found, strict=True))
 
     def begin(self, mask: Tensor, decision: Decision) -> None:
         """See :meth:`Action.begin`: set instrument and target of the pointing guidance, and arm the event of a growing store."""
@@ -198,8 +154,7 @@ class Image(Action):
         r_LP_P = self.satellite.positions(self.kind, place).squeeze(1)
         simulator.write("r_LP_P", mask & decision.retask, r_LP_P)
         simulator.write("image_level", mask, self.satellite.dynamics.partition_levels[:, 0])
-        memory = simulator.memory
-        memory["latest_target"] = torch.where(mask, target, memory["latest_target"])
+        self.remember(mask, target)
 
     def end(self, mask: Tensor, decision: Decision, event: Tensor) -> None:
         """See :meth:`Action.end`: count windows that have closed without an image."""

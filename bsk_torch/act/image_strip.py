@@ -10,10 +10,11 @@ from typing_extensions import override
 
 from bsk_torch._checks import number
 from bsk_torch.act.base import Decision
+from bsk_torch.act.candidates import NO_TARGET
 from bsk_torch.act.continuous import HybridAction
-from bsk_torch.act.image import NO_TARGET, Image
+from bsk_torch.act.image import Image
 from bsk_torch.sats.bound import BoundSatellite
-from bsk_torch.scene.strips import StripTargets
+from bsk_torch.scene.overlaid import StripTargets
 from bsk_torch.sim.fsw.strip import STRIP_MODE
 
 
@@ -37,18 +38,7 @@ class ImageStrip(Image):
         mask_repeated: bool = False,
         mask_late: bool = True,
     ) -> None:
-        """Provide ``n_ahead_image`` actions.
-
-        Args:
-            n_ahead_image: Number of windows to choose from.
-            pre_imaging_time: Time before a strip is recorded at the earliest, s.
-            name: Name in ``action_description``.
-            mask_repeated: See :class:`Image`.
-            mask_late: See :class:`Image`.
-
-        Raises:
-            ValueError: For fewer than one target or a negative time.
-        """
+        """See :class:`Image`; a strip is recorded ``pre_imaging_time``, s, after the choice at the earliest."""
         super().__init__(n_ahead_image, None, name, mask_repeated, mask_late)
         self.pre_imaging_time = number("pre_imaging_time", pre_imaging_time, 0.0, 1e5, unit="s")
 
@@ -82,8 +72,7 @@ class ImageStrip(Image):
         strip = {"middle": middle, "along": along, "half": half, "rate": rate, "angle": -half - rate * before}
         for name, value in strip.items():
             simulator.write(f"strip_{name}", mask, value)
-        memory = simulator.memory
-        memory["latest_target"] = torch.where(mask, target, memory["latest_target"])
+        self.remember(mask, target)
 
     def end(self, mask: Tensor, decision: Decision, event: Tensor) -> None:
         """See :meth:`Image.end`; the rewarder finds out whether the strip was recorded."""

@@ -12,18 +12,9 @@ from bsk_torch.sim.arguments.values import nearest
 
 
 def allow_only(actions: Sequence[str], *names: str, where: Tensor) -> Tensor:
-    """Return a mask that allows only some actions where a condition holds, and all actions elsewhere.
+    """Return a mask [..., A] of the ``actions`` that allows only those in ``names`` ``where`` [...] holds, and all elsewhere.
 
-    Args:
-        actions: Names of all A actions, as in ``satellite.action_description``.
-        *names: Names of the allowed actions.
-        where: Condition, [...] bool.
-
-    Returns:
-        Mask, [..., A] bool.
-
-    Raises:
-        ValueError: For a name that is not in ``actions``; the message has the nearest one.
+    ``actions`` are the names of all A actions, as in ``satellite.action_description``.
     """
     return ~where.unsqueeze(-1) | _is_named(tuple(actions), names, where.device)
 
@@ -35,7 +26,6 @@ def forbid(actions: Sequence[str], *names: str, where: Tensor) -> Tensor:
 
 @lru_cache
 def _is_named(actions: tuple[str, ...], names: tuple[str, ...], device: torch.device) -> Tensor:
-    """Return whether each action is one of ``names``, [A] bool."""
     for name in names:
         if name not in actions:
             raise ValueError(f"{name!r} is not an action; {nearest(name, actions)}")

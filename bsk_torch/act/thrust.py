@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -13,11 +12,9 @@ from bsk_torch._checks import number, text
 from bsk_torch.act.base import Decision
 from bsk_torch.act.continuous import ContinuousAction
 from bsk_torch.astro.orbit import hill_frame
+from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.sim.fsw.setpoint import HOLD_INERTIAL, InertialHoldFSWModel
 from bsk_torch.vec3 import Vec3
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
 
 SHORTEST = 2
 """Minimum length of a drift, ticks."""
@@ -66,9 +63,6 @@ class ImpulsiveThrust(ContinuousAction):
             max_dv: Maximum velocity change, m/s.
             max_drift_duration: Maximum drift, s.
             fsw_action: Flight-software command during the drift, such as ``"nadir_scan"``, or ``"action_nadir_scan"``.
-
-        Raises:
-            ValueError: For a non-positive limit, or a name that is not a string.
         """
         super().__init__(name)
         title = f"action {self.name!r}: "
@@ -142,8 +136,8 @@ class ImpulsiveThrust(ContinuousAction):
         available = simulator.read("dv_available").float()
         dv_N = shortened(dv_N, available)
         simulator.thrust(mask, dv_N.double())
-        left = (available - length(dv_N)).clamp(min=0.0)
-        simulator.write("dv_available", mask, left.double())
+        remaining = (available - length(dv_N)).clamp(min=0.0)
+        simulator.write("dv_available", mask, remaining.double())
 
 
 class ImpulsiveThrustHill(ImpulsiveThrust):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -16,9 +16,7 @@ from bsk_torch.act.thrust import ImpulsiveThrustHill
 from bsk_torch.astro.linear_motion import LinearMotion, about_orbit
 from bsk_torch.astro.relative import cd2hill, fibonacci_sphere
 from bsk_torch.astro.transfers import Transfers, transfers
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
+from bsk_torch.sats.bound import BoundSatellite
 
 RESERVE = 1e-6
 """Velocity change always left in the tank, m/s."""
@@ -38,14 +36,14 @@ class Options(NamedTuple):
 
     Attributes:
         versions: Versions of the states used.
-        known: Numbers used, by row, [N, F].
+        inputs: Numbers used, by row, [N, F].
         ahead: All transfers.
         legal: Whether each transfer is legal, [N, n_actions].
         stuck: Whether no transfer keeps the distances, [N].
     """
 
     versions: list[int]
-    known: Tensor
+    inputs: Tensor
     ahead: Transfers
     legal: Tensor
     stuck: Tensor
@@ -102,9 +100,6 @@ class HillWaypoint(Action):
             keep_apart: Minimum distance from other satellites on the way, m.
             fsw_action: Flight-software command during the transfer.
             name: Name of the entry.
-
-        Raises:
-            ValueError: For limits, durations or positions that are not positive or finite.
         """
         super().__init__(name)
         title = f"action {self.name!r}: "
@@ -116,11 +111,11 @@ class HillWaypoint(Action):
         self.keep_in = number(f"{title}keep_in", keep_in, self.keep_out, unit="m", above=True, finite=False)
         self.keep_apart = number(f"{title}keep_apart", keep_apart, 0.0, unit="m")
         self.waypoints = self._positions(title, waypoints)
-        given = [number(f"{title}durations", each, 0.0, unit="s", above=True) for each in durations]
-        if not given:
+        seconds = [number(f"{title}durations", each, 0.0, unit="s", above=True) for each in durations]
+        if not seconds:
             raise ValueError(f"{title}durations={list(durations)} must have at least one entry")
-        self.durations = torch.tensor(given, dtype=torch.float64)
-        self.shortest, self.samples = min(given), math.ceil(max(given) / SPACING)
+        self.durations = torch.tensor(seconds, dtype=torch.float64)
+        self.shortest, self.samples = min(seconds), math.ceil(max(seconds) / SPACING)
         self.n_actions = len(self.waypoints) * len(self.durations)
         self._order = self._replacement_order()
         self._options: Options | None = None
@@ -154,22 +149,22 @@ class HillWaypoint(Action):
         last = self._options
         if last is not None and last.versions == versions:
             return last
-        ahead, known = self.ahead(), self.known()
+        ahead, inputs = self.ahead(), self.inputs()
         if last is None:
-            legal, stuck = self.legal(ahead, torch.arange(len(known), device=known.device))
+            legal, stuck = self.legal(ahead, torch.arange(len(inputs), device=inputs.device))
         else:
-            rows = torch.nonzero((known != last.known).any(1)).squeeze(1)
+            rows = torch.nonzero((inputs != last.inputs).any(1)).squeeze(1)
             parts = self.legal(ahead.some(rows), rows)
             legal, stuck = (old.index_copy(0, rows, new) for old, new in zip((last.legal, last.stuck), parts, strict=True))
-        self._options = Options(versions, known, ahead, legal, stuck)
+        self._options = Options(versions, inputs, ahead, legal, stuck)
         return self._options
 
-    def known(self) -> Tensor:
+    def inputs(self) -> Tensor:
         """Return the inputs of transfers and their legality, [N, F]; equal inputs give equal results."""
         places = [place.flatten(1) for place in self.places()]
         simulator, present = self.satellite.simulator, self.satellite.fleet.present
-        there = [] if present is None else [present.double().repeat_interleave(simulator.count, 0)]
-        return torch.cat([*places, self.most_dv.unsqueeze(1), *there], 1)
+        flags = [] if present is None else [present.double().repeat_interleave(simulator.count, 0)]
+        return torch.cat([*places, self.most_dv.unsqueeze(1), *flags], 1)
 
     def places(self) -> tuple[Tensor, Tensor]:
         """Return positions, m, and velocities, m/s, of all S satellites of the episode of each row, [N, S, 3] each in N."""
@@ -197,10 +192,10 @@ class HillWaypoint(Action):
         """Return positions [N, O, 3] m and velocities [N, O, 3] m/s of all other satellites in the chief's Hill frame."""
         fleet, simulator = self.satellite.fleet, self.satellite.simulator
         r, v = self.places()
-        own = torch.tensor(simulator.columns, device=r.device).repeat(simulator.num_envs)
+        column = torch.tensor(simulator.columns, device=r.device).repeat(simulator.num_envs)
         chief = fleet.names.index(self.chief_name)
         columns = torch.arange(fleet.size, device=r.device).expand(len(r), -1)
-        here = columns[(columns != own.unsqueeze(1)) & (columns != chief)].view(len(r), -1)
+        here = columns[(columns != column.unsqueeze(1)) & (columns != chief)].view(len(r), -1)
         r_C, v_C = (vector.unsqueeze(1) for vector in self._thrust.chief_state())
         r, v = (each.gather(1, here.unsqueeze(-1).expand(-1, -1, 3)) for each in (r, v))
         rho, velocity = cd2hill(r_C, v_C, r, v)
@@ -212,8 +207,8 @@ class HillWaypoint(Action):
 
     def relative_state(self) -> tuple[Tensor, Tensor]:
         """Return position [N, 3] m and velocity [N, 3] m/s in the chief's Hill frame."""
-        own = [self.satellite.simulator.read(name) for name in ("r_BN_N", "v_BN_N")]
-        return cd2hill(*self._thrust.chief_state(), *own)
+        state = [self.satellite.simulator.read(name) for name in ("r_BN_N", "v_BN_N")]
+        return cd2hill(*self._thrust.chief_state(), *state)
 
     @override
     def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
@@ -293,8 +288,8 @@ class HillWaypoint(Action):
         flown, kept = [chosen[:, 0]], [torch.ones_like(decides[:, 0])]
         after = [before[:, 0] + ahead.rows(0, count).manoeuvre(chosen[:, 0])]
         for k in range(1, count):  # one after the other, since each choice depends on those before
-            own, wanted = ahead.rows(k, count), chosen[:, k]
-            apart = own.apart(rho[:, :k], torch.stack(after, 1)).flatten(2)
+            options, wanted = ahead.rows(k, count), chosen[:, k]
+            apart = options.apart(rho[:, :k], torch.stack(after, 1)).flatten(2)
             apart = torch.where(decides[:, :k, None], apart, torch.inf).amin(1)
             clear = legal[:, k] & (apart >= self.keep_apart)
             nearest = torch.where(clear, order[wanted], self.n_actions).argmin(1)
@@ -303,7 +298,7 @@ class HillWaypoint(Action):
             stays = apart.gather(1, wanted.unsqueeze(1)).squeeze(1) >= self.keep_apart
             flown.append(torch.where(stays, wanted, instead))
             kept.append(stays | clear.any(1))
-            after.append(before[:, k] + own.manoeuvre(flown[-1]))
+            after.append(before[:, k] + options.manoeuvre(flown[-1]))
         return torch.stack(flown, 1).flatten(), torch.stack(kept, 1).flatten()
 
     def _replacement_order(self) -> Tensor:

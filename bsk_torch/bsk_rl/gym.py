@@ -26,7 +26,7 @@ from bsk_torch.bsk_rl.scene.scenario import Scenario
 from bsk_torch.bsk_rl.sim.engine import Engine
 from bsk_torch.bsk_rl.sim.simulator import Simulator
 from bsk_torch.bsk_rl.utils.logging_config import ContextFilter, SimFormatter
-from bsk_torch.env.no_action import NO_ACTION, is_no_action, no_action_keep_indices, no_action_like
+from bsk_torch.env.action_forms import NO_ACTION, is_no_action, no_action_keep_indices, no_action_like
 from bsk_torch.sim.assembly.composition import compose
 from bsk_torch.sim.assembly.satellite_type import LONGEST_TICK, SHORTEST_TICK
 from bsk_torch.sim.names import nearest

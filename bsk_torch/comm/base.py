@@ -1,20 +1,19 @@
-"""Base class of communication methods, and the two trivial ones."""
+"""Base class of communication methods, and those that need no lines of sight."""
 
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 from typing_extensions import final, override
 
 from bsk_torch._checks import number
+from bsk_torch.act.discrete import PENDING
+from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked, check_tensor, overrides
 from bsk_torch.sim.state import FINITE
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
 
 PEER = "rso_peer"
 """Memory of satellites that send packets with the number of the object that is the satellite to which they transmit."""
@@ -54,7 +53,6 @@ class CommunicationMethod:
         self.min_period = number("min_period", min_period, 0.0, unit="s", finite=False)
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
         check_class(cls, CommunicationMethod, HOOKS)
 
@@ -63,11 +61,7 @@ class CommunicationMethod:
     def link(self, fleet: SatelliteFleet) -> None:
         """Prepare for the satellites of an environment; called once when it is built.
 
-        Overriding methods call ``super().link(fleet)`` first.
-
-        Raises:
-            TypeError: If there is no class to refine, or satellites do not support this method.
-            ValueError: Likewise, depending on arguments.
+        Overriding methods call ``super().link(fleet)`` first, and raise TypeError or ValueError for unsuitable satellites.
         """
         chain = [cls for cls in type(self).__mro__ if "communication_pairs" in vars(cls)]
         if len(chain) > 1 and vars(chain[-2]).get("refines", False):
@@ -85,26 +79,14 @@ class CommunicationMethod:
         raise NotImplementedError(f"{type(self).__name__} must implement communication_pairs()")
 
     def communicate(self, moves: Tensor) -> Tensor:
-        """Return the pairs that communicate after a step, in episodes whose last communication was at least ``min_period`` ago.
+        """Return the pairs that communicate after a step of the episodes ``moves`` [N]: [N, S, S], False for episodes not due.
 
-        Args:
-            moves: Episodes that took part in the step, [N].
-
-        Returns:
-            Pairs, [N, S, S] booleans by episode, sender and receiver; False for all pairs of episodes that are not due.
-
-        Raises:
-            TypeError: If the pairs are not booleans [N, S, S].
+        Due are those whose last communication was at least ``min_period`` ago.
         """
         time, memory = self.fleet.sim_time, self.fleet.memory
         self.due = moves & (time - memory[LAST] >= self.min_period)
-        pairs, wanted = self.communication_pairs(), (self.fleet.num_envs, self.fleet.size, self.fleet.size)
-        if not isinstance(pairs, Tensor) or pairs.dtype != torch.bool or pairs.shape != wanted:
-            given = f"{pairs.dtype} {list(pairs.shape)}" if isinstance(pairs, Tensor) else repr(pairs)
-            raise TypeError(
-                f"{type(self).__name__}.communication_pairs() gave {given}; "
-                f"it must give torch.bool {list(wanted)}: episode, sender, receiver"
-            )
+        pairs, shape = self.communication_pairs(), (self.fleet.num_envs, self.fleet.size, self.fleet.size)
+        check_tensor(f"{type(self).__name__}.communication_pairs()", pairs, shape, torch.bool)
         memory[LAST] = torch.where(self.due, time, memory[LAST])
         return pairs & self.due.view(-1, 1, 1)
 
@@ -112,12 +94,7 @@ class CommunicationMethod:
 
     @final
     def attach(self, fleet: SatelliteFleet) -> None:
-        """Call :meth:`link`; not to be overridden.
-
-        Raises:
-            TypeError: If an override does not call ``super().link(fleet)``.
-            ValueError: If satellites send packets that this method does not deliver.
-        """
+        """Call :meth:`link`; not to be overridden."""
         if not self._delivers_packets and any(PEER in simulator.memory for simulator in fleet.simulators):
             raise ValueError(
                 f"{type(self).__name__} does not deliver what satellites send by TransmitCatalog; give the environment "
@@ -133,11 +110,7 @@ class CommunicationMethod:
 
     @final
     def exchange(self, moves: Tensor) -> Tensor:
-        """Call :meth:`communicate` and check its result; not to be overridden.
-
-        Raises:
-            TypeError: If the result is not a bool tensor [N, S, S], or a public tensor attribute has changed.
-        """
+        """Call :meth:`communicate` and check its result; not to be overridden."""
         links, n, s = self.communicate(moves), self.fleet.num_envs, self.fleet.size
         check_tensor(f"the result of {type(self).__name__}.communicate(moves)", links, (n, s, s), torch.bool)
         self.__dict__.setdefault("_guard", ChangeGuard()).check(self, FLEET_MEMORY, exempt=("due",))
@@ -169,3 +142,59 @@ class FreeCommunication(CommunicationMethod):
     @override
     def communication_pairs(self) -> Tensor:
         return ~torch.eye(self.fleet.size, dtype=torch.bool, device=self.fleet.device).expand(self.fleet.num_envs, -1, -1)
+
+
+def connected(pairs: Tensor) -> Tensor:
+    """Return the pairs connected by a path along ``pairs`` [N, S, S], in either direction, nodes with themselves included.
+
+    Repeated squaring finds paths of 1, 2, 4, ... links until there are no more: the transitive closure of the graph.
+    """
+    size = pairs.shape[-1]
+    near = pairs | pairs.mT | torch.eye(size, dtype=torch.bool, device=pairs.device)
+    for _ in range(max(0, size - 2).bit_length()):
+        links = near.float()  # counts of paths may round, but never to zero
+        before, near = near, links @ links > 0.5
+        if torch.equal(near, before):
+            break
+    return near
+
+
+class MultiDegreeCommunication(CommunicationMethod):
+    """Refines another method: all satellites connected by a chain of its pairs communicate in the same step."""
+
+    refines: ClassVar[bool] = True
+
+    @override
+    def communication_pairs(self) -> Tensor:
+        same = torch.eye(self.fleet.size, dtype=torch.bool, device=self.fleet.device)
+        return connected(self.of_present(super().communication_pairs())) & ~same
+
+
+class BroadcastCommunication(CommunicationMethod):
+    """Refines another method: only satellites that chose :class:`~bsk_torch.act.Broadcast` send.
+
+    They send at the end of the first step with communication in their episode, whether or not their action has ended and whether
+    or not any satellite receives the message.
+    """
+
+    refines: ClassVar[bool] = True
+
+    def link(self, fleet: SatelliteFleet) -> None:
+        """See :meth:`CommunicationMethod.link`; ValueError if no satellite can broadcast."""
+        super().link(fleet)
+        if not any(PENDING in simulator.memory for simulator in fleet.simulators):
+            raise ValueError(
+                f"{type(self).__name__} needs a satellite with act.Broadcast() in its action_spec; there are {fleet.names[:5]}"
+            )
+
+    def communication_pairs(self) -> Tensor:
+        """See :meth:`CommunicationMethod.communication_pairs`; pending messages of episodes that are due are sent thereby."""
+        links = super().communication_pairs()
+        pending = []
+        for simulator in self.fleet.simulators:
+            if PENDING in simulator.memory:
+                pending.append(simulator.memory[PENDING])
+                simulator.memory[PENDING] = pending[-1] & ~simulator.of_env(self.due)
+            else:
+                pending.append(torch.zeros_like(simulator.ticks, dtype=torch.bool))
+        return links & self.fleet.joined(pending).unsqueeze(-1)

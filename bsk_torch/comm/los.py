@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import torch
 from torch import Tensor
 from typing_extensions import override
 
-from bsk_torch.comm.base import CommunicationMethod
-from bsk_torch.comm.multi import MultiDegreeCommunication
+from bsk_torch.comm.base import CommunicationMethod, MultiDegreeCommunication
+from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sim.access.links.line_of_sight import speed_bound
 from bsk_torch.sim.access.links.line_of_sight_search import PAIRS_PER_BATCH, FlownOrbits, LineOfSightSearch
 from bsk_torch.sim.access.visibility.kernels import KernelVisibility
 from bsk_torch.sim.dyn import LOSCommDynModel
+from bsk_torch.sim.simulator import Simulator
 from bsk_torch.vec3 import Vec3
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
-    from bsk_torch.sim.simulator import Simulator
 
 MAX_RANGE = "losMaximumRange"
 """Satellite argument: range of the sensor, m; unlimited unless positive."""
@@ -35,12 +30,7 @@ class LOSCommunication(CommunicationMethod):
     """
 
     def link(self, fleet: SatelliteFleet) -> None:
-        """See :meth:`CommunicationMethod.link`.
-
-        Raises:
-            TypeError: For a satellite without :class:`~bsk_torch.sim.dyn.LOSCommDynModel`.
-            ValueError: If the orbit is integrated within the tick, so that no past positions are kept.
-        """
+        """See :meth:`CommunicationMethod.link`; TypeError without LOSCommDynModel, ValueError without orbits solved ahead."""
         super().link(fleet)
         for part, simulator, columns in zip(fleet.satellites, fleet.simulators, fleet.columns, strict=True):
             name = fleet.names[int(columns[0])]
@@ -74,28 +64,20 @@ def visible_pairs(fleet: SatelliteFleet, asked: Tensor, directed: bool = False) 
         fleet: The satellites.
         asked: Episodes to search, [N]; the result is False for all others.
         directed: Whether the result is that of each sensor, [N, sensor, other], or that of either sensor of a pair.
-
-    Raises:
-        RuntimeError: If arcs have advanced so far that they no longer cover the step.
     """
-    found = torch.zeros(fleet.num_envs, fleet.size, fleet.size, dtype=torch.bool, device=fleet.device)
+    pairs = torch.zeros(fleet.num_envs, fleet.size, fleet.size, dtype=torch.bool, device=fleet.device)
     envs = torch.nonzero(asked & (fleet.ticks > fleet.since)).squeeze(-1)
     if fleet.size < 2 or not len(envs):
-        return found
+        return pairs
     _check_covered(fleet, asked)
     search = make_search(fleet, fleet.since, torch.maximum(fleet.ticks - 1, fleet.since))
     for some in envs.split(max(1, PAIRS_PER_BATCH // fleet.size**2)):
-        found[some] = search.visible_pairs(some, directed)
-    return found
+        pairs[some] = search.visible_pairs(some, directed)
+    return pairs
 
 
 def sights(fleet: SatelliteFleet, first: int) -> Tensor:
-    """Return the lines of sight in the current step of the first episode, [T, sensor, other] booleans.
-
-    Args:
-        fleet: The satellites.
-        first: Number of the first tick, in the current step; the last one is the present.
-    """
+    """Return the lines of sight at ticks from ``first`` to now, in this step of the first episode, [T, sensor, other] bool."""
     _check_covered(fleet, torch.ones(fleet.num_envs, dtype=torch.bool, device=fleet.device))
     search = make_search(fleet, fleet.since, fleet.ticks)
     ticks = torch.arange(first, int(fleet.ticks[0]) + 1, device=fleet.device)

@@ -1,16 +1,12 @@
 """Rewarders, which compute rewards for the data collected by satellites."""
 
 from bsk_torch.data.base import GlobalReward, NoReward
-from bsk_torch.data.clouds import CloudFreeImageReward
 from bsk_torch.data.composed import ComposedReward
-from bsk_torch.data.footprint import FootprintImageReward
-from bsk_torch.data.images import ImageReward, UniqueImageReward
+from bsk_torch.data.images import CloudFreeImageReward, FootprintImageReward, ImageReward, StripImageReward, UniqueImageReward
 from bsk_torch.data.mixed import MixedReward
-from bsk_torch.data.operations import OperationsPenalty
+from bsk_torch.data.operations import OperationsPenalty, TimePenalty
 from bsk_torch.data.resources import ResourceReward
 from bsk_torch.data.scanning import ScanningTimeReward
-from bsk_torch.data.strips import StripImageReward
-from bsk_torch.data.time_penalty import TimePenalty
 
 __all__ = [
     "CloudFreeImageReward",

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 from typing_extensions import override
 
+from bsk_torch.sats.bound import SatelliteFleet
+from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.recorded import RecordedProgress
 from bsk_torch.sim.hooks import check_class, check_tensor
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
-    from bsk_torch.scene.base import Scenario
-    from bsk_torch.sim.state import StateTable
+from bsk_torch.sim.state import StateTable
 
 Log = dict[str, Tensor]
 """Properties of the satellites at a decision boundary by name, [N, S, ...] each."""
@@ -40,13 +37,12 @@ class GlobalReward:
     fleet: SatelliteFleet
 
     total_name: str
-    """Field of the state with :attr:`cum_reward`; see :mod:`bsk_torch.data.totals`."""
+    """Field of the state with :attr:`cum_reward`; see :mod:`bsk_torch.data.composed`."""
 
     _in_channel: Tensor | None = None
     """Satellites of the channel of a rewarder in a :class:`bsk_torch.data.MixedReward`, [S] bool; None elsewhere."""
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
         check_class(cls, GlobalReward, HOOKS)
 
@@ -74,10 +70,7 @@ class GlobalReward:
 
     @property
     def cum_reward(self) -> dict[str, Tensor]:
-        """Total reward of each satellite in the current episodes, without failure penalties: [N] float64 by name.
-
-        AttributeError for a rewarder outside an environment.
-        """
+        """Total reward of each satellite in the current episodes, without failure penalties: [N] float64 by name."""
         if not hasattr(self, "total_name"):
             raise AttributeError("cum_reward is read from the rewarder of an environment: env.rewarder.cum_reward")
         return dict(zip(self.fleet.names, self.fleet.state[self.total_name].unbind(1), strict=True))
@@ -106,11 +99,7 @@ class GlobalReward:
         return torch.where(self._in_channel, reward, 0.0)
 
     def share(self, links: Tensor) -> None:
-        """Share knowledge of collected data after a step.
-
-        Args:
-            links: Links by episode, sender and receiver, [N, S, S] bool.
-        """
+        """Share knowledge of collected data after a step, along ``links`` [N, S, S] bool by episode, sender and receiver."""
 
     def group_of(self, name: str) -> Hashable:
         """Return what differs between satellites that are simulated as different types; not to be overridden."""

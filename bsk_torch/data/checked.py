@@ -8,20 +8,16 @@ and values of users' rewarders only.
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from bsk_torch._checks import no_gradient
 from bsk_torch.data.base import GlobalReward, Log
+from bsk_torch.sats.bound import SatelliteFleet
+from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.hooks import ChangeGuard, check_linked, check_tensor, is_of_package, overrides
 from bsk_torch.sim.state import SHOWN
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
-    from bsk_torch.scene.base import Scenario
-
 
 REWARD_MEMORY = (
     "keep values that are reset with every episode in self.fleet.memory, where link(scenario, fleet) declares them: "
@@ -31,13 +27,7 @@ REWARD_MEMORY = (
 
 
 class CheckedRewarder:
-    """The hooks of a rewarder, with checks of their results.
-
-    Attributes:
-        rewarder: The rewarder.
-        terminates: Whether it may terminate episodes.
-        truncates: Whether it may truncate episodes.
-    """
+    """The hooks of a rewarder, with checks of their results."""
 
     def __init__(self, rewarder: GlobalReward) -> None:
         """Call the hooks of ``rewarder``."""
@@ -62,15 +52,7 @@ class CheckedRewarder:
         return found
 
     def reward(self, before: Log, after: Log) -> Tensor:
-        """Return the reward of a step, [N, S].
-
-        Raises:
-            TypeError: For a wrong shape, or a dtype that is not floating-point.
-            TypeError: For a user's rewarder with a public tensor attribute that changes; values of episodes belong in
-                fleet.memory.
-            ValueError: For a reward that requires a gradient.
-            FloatingPointError: For a reward of a user's rewarder that is NaN or infinite.
-        """
+        """Return the reward of a step, [N, S]; FloatingPointError if that of a user's rewarder is NaN or infinite."""
         with torch.enable_grad():  # so that a reward that depends on parameters can be told
             found = self.rewarder.calculate_reward(before, after)
         title = f"{self._name}.calculate_reward()"
@@ -84,15 +66,15 @@ class CheckedRewarder:
 
     def terminated(self) -> Tensor:
         """Return the satellites whose episode the rewarder terminates, [N, S] bool; TypeError for a wrong shape or dtype."""
-        found = self.rewarder.is_terminated()
-        check_tensor(f"{self._name}.is_terminated()", found, self.rewarder.fleet.shape, torch.bool)
-        return found
+        flags = self.rewarder.is_terminated()
+        check_tensor(f"{self._name}.is_terminated()", flags, self.rewarder.fleet.shape, torch.bool)
+        return flags
 
     def truncated(self) -> Tensor:
         """Return the satellites whose episode the rewarder truncates, [N, S] bool; TypeError for a wrong shape or dtype."""
-        found = self.rewarder.is_truncated()
-        check_tensor(f"{self._name}.is_truncated()", found, self.rewarder.fleet.shape, torch.bool)
-        return found
+        flags = self.rewarder.is_truncated()
+        check_tensor(f"{self._name}.is_truncated()", flags, self.rewarder.fleet.shape, torch.bool)
+        return flags
 
     def share(self, links: Tensor) -> None:
         """Share knowledge along ``links`` [N, S, S] bool; TypeError if the hook returns a value, which would be lost."""
@@ -107,17 +89,12 @@ class CheckedRewarder:
         return found
 
     def counts(self, taken: Collection[str] = ()) -> dict[str, Tensor]:
-        """Return the counters of the rewarder, [N, S] int64 each.
-
-        Raises:
-            TypeError: For a counter with a wrong shape or dtype.
-            ValueError: For a counter with a name already ``taken`` by the satellites.
-        """
-        found = self.rewarder.counts()
-        if not isinstance(found, dict):
-            raise TypeError(f"{self._name}.counts() returns {found!r}; it must return a dictionary of tensors")
-        for name, value in found.items():
+        """Return the counters of the rewarder, [N, S] int64 each."""
+        counters = self.rewarder.counts()
+        if not isinstance(counters, dict):
+            raise TypeError(f"{self._name}.counts() returns {counters!r}; it must return a dictionary of tensors")
+        for name, value in counters.items():
             check_tensor(f"{self._name}.counts()[{name!r}]", value, self.rewarder.fleet.shape, torch.int64)
             if name in taken:
                 raise ValueError(f"{self._name}.counts() has {name!r}, which the satellites count, too; rename it")
-        return found
+        return counters

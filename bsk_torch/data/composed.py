@@ -1,10 +1,10 @@
-"""Sums of several rewards."""
+"""Sums of several rewards, and total rewards of the current episodes."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Hashable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Hashable, Iterable, Iterator, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -12,11 +12,10 @@ from typing_extensions import override
 
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.data.checked import CheckedRewarder
+from bsk_torch.sats.bound import SatelliteFleet
+from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.recorded import RecordedProgress
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
-    from bsk_torch.scene.base import Scenario
+from bsk_torch.sim.state import FINITE
 
 
 class ComposedReward(GlobalReward):
@@ -44,22 +43,19 @@ class ComposedReward(GlobalReward):
         self.terms: dict[str, Tensor] = {}
 
     def __copy__(self) -> ComposedReward:
-        """Return a copy, including the parts; every environment makes one."""
         new = type(self).__new__(type(self))
         new.__dict__ |= self.__dict__ | {"rewarders": tuple(map(copy.copy, self.rewarders)), "terms": {}}
         return new
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute of a part; AttributeError if no part has it, or several parts with different values."""
-        found = [getattr(rewarder, name) for rewarder in self.__dict__.get("rewarders", ()) if hasattr(rewarder, name)]
-        if not found:
+        values = [getattr(rewarder, name) for rewarder in self.__dict__.get("rewarders", ()) if hasattr(rewarder, name)]
+        if not values:
             raise AttributeError(f"neither {type(self).__name__} nor one of its rewarders has {name!r}")
-        if any(value is not found[0] for value in found):
+        if any(value is not values[0] for value in values):
             raise AttributeError(f"several rewarders have {name!r}; read it from one of them, as in rewarders[0].{name}")
-        return found[0]
+        return values[0]
 
     def __setattr__(self, name: str, value: object) -> None:
-        """Set an attribute of the sum; AttributeError for attributes of parts, which would not change."""
         parts = self.__dict__.get("rewarders", ())
         of_part = any(name in vars(part) or isinstance(getattr(type(part), name, None), property) for part in parts)
         of_part = of_part and not hasattr(type(self), name)
@@ -96,8 +92,10 @@ class ComposedReward(GlobalReward):
     @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
         for k, (name, part) in enumerate(zip(self.names, self.checked, strict=True)):
-            own = f"{k}."
-            logs = ({key[len(own) :]: value for key, value in log.items() if key.startswith(own)} for log in (before, after))
+            prefix = f"{k}."
+            logs = (
+                {key[len(prefix) :]: value for key, value in log.items() if key.startswith(prefix)} for log in (before, after)
+            )
             self.terms[name] = part.reward(*logs)
         return torch.stack(list(self.terms.values())).sum(0)
 
@@ -137,12 +135,39 @@ class ComposedReward(GlobalReward):
 
 
 def _numbered(names: Iterable[str]) -> list[str]:
-    """Return the names with numbers appended to repeated ones, as in ``NoReward_2``."""
-    found: list[str] = []
+    unique_names: list[str] = []
     for name in names:
         unique, number = name, 1
-        while unique in found:
+        while unique in unique_names:
             number += 1
             unique = f"{name}_{number}"
-        found.append(unique)
-    return found
+        unique_names.append(unique)
+    return unique_names
+
+
+TOTAL = "cum_reward"
+"""Field of the state with the sums of a rewarder, [N, S]; the fields of its parts are numbered."""
+
+
+def declare_totals(rewarder: GlobalReward, fleet: SatelliteFleet) -> None:
+    """Declare the sums of a rewarder and of its parts in the state of a fleet."""
+    for k, part in enumerate(_parts(rewarder)):
+        name = f"{TOTAL}_{k}" if k else TOTAL
+        fleet.state.declare(name, 0.0, fleet.size, low=-FINITE, high=FINITE)
+        part.__dict__["total_name"] = name
+
+
+def add_totals(rewarder: GlobalReward, reward: Tensor, moves: Tensor) -> None:
+    """Add the rewards [N, S] of a step to the sums of a rewarder and its parts; ``moves`` [N] are the episodes that took it."""
+    state = rewarder.fleet.state
+    state[rewarder.total_name] = state[rewarder.total_name] + reward
+    if isinstance(rewarder, ComposedReward):
+        for part, term in zip(rewarder.rewarders, rewarder.terms.values(), strict=True):
+            add_totals(part, term * moves.unsqueeze(-1), moves)
+
+
+def _parts(rewarder: GlobalReward) -> Iterator[GlobalReward]:
+    yield rewarder
+    if isinstance(rewarder, ComposedReward):
+        for part in rewarder.rewarders:
+            yield from _parts(part)

@@ -1,23 +1,43 @@
-"""Rewards for images of targets."""
+"""Rewards for images of targets, under clouds, of uncertain places, or of strips."""
 
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
 from typing_extensions import override
 
+from bsk_torch._checks import number, switch
 from bsk_torch.data.base import GlobalReward, Log
-from bsk_torch.data.unique_images import Known, UniqueImages
+from bsk_torch.sats.bound import SatelliteFleet
+from bsk_torch.scene.base import Scenario
+from bsk_torch.scene.overlaid import CloudyTargets, StripTargets, UncertainTargets
+from bsk_torch.scene.targets import TargetScenario
 from bsk_torch.sim.hooks import check_class, check_tensor
 
-if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
-    from bsk_torch.scene.base import Scenario
-    from bsk_torch.scene.targets import TargetScenario
+
+class UniqueImages(NamedTuple):
+    """Image knowledge, shared by all satellites [N, ...] or per satellite of one type [N * count, ...].
+
+    Attributes:
+        imaged: Targets known to be imaged, [N, T] bool.
+        known: Existing targets, [N, T] bool.
+        duplicates: Number of images without a reward, [N] int64.
+    """
+
+    imaged: Tensor
+    known: Tensor
+    duplicates: Tensor
+
+
+class Known(NamedTuple):
+    """The ``data_store`` of satellites; ``data`` is its content."""
+
+    data: UniqueImages
 
 
 class ImageReward(GlobalReward):
@@ -28,6 +48,8 @@ class ImageReward(GlobalReward):
     """
 
     scenario: TargetScenario
+    needs: ClassVar[tuple[str, str]] = ("most_targets", "a scenario with targets, such as scene.UniformTargets")
+    """Attribute that the scenario must have, and a scenario that has it."""
 
     @override
     def __init_subclass__(cls, **options: object) -> None:
@@ -37,11 +59,8 @@ class ImageReward(GlobalReward):
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
         """See :meth:`GlobalReward.link`; ValueError without targets, or without a satellite that can image them."""
         super().link(scenario, fleet)
-        if not hasattr(scenario, "most_targets"):
-            raise ValueError(
-                f"{type(self).__name__} needs a scenario with targets, such as scene.UniformTargets; the scenario is "
-                f"{type(scenario).__name__}"
-            )
+        if not hasattr(scenario, self.needs[0]):
+            raise ValueError(f"{type(self).__name__} needs {self.needs[1]}; the scenario is {type(scenario).__name__}")
         imagers: list[Any] = [part for part in fleet.satellites if hasattr(part, "latest_target")]  # of users' classes, too
         if not imagers:
             are = ", ".join(f"{part.name} is a {type(part).__name__}" for part in fleet.satellites)
@@ -52,24 +71,18 @@ class ImageReward(GlobalReward):
             part.add_access_filter(functools.partial(self._selectable_by, part.type_index), part.target_types)
 
     def _selectable_by(self, part: int) -> Tensor:
-        """Return the targets that the satellites of one type may still choose, [N * count, T] bool."""
-        found, shape = self.selectable(), (self.fleet.num_envs, self.fleet.size, self.scenario.most_targets)
-        check_tensor(f"{type(self).__name__}.selectable()", found, shape, torch.bool)
-        return self.fleet.rows_of(part, found)
+        free, shape = self.selectable(), (self.fleet.num_envs, self.fleet.size, self.scenario.most_targets)
+        check_tensor(f"{type(self).__name__}.selectable()", free, shape, torch.bool)
+        return self.fleet.rows_of(part, free)
 
     def selectable(self) -> Tensor:
         """Return the targets that each satellite may still choose, [N, S, T] bool."""
         raise NotImplementedError(f"{type(self).__name__} must implement selectable()")
 
     def value(self, target: Tensor, taken: Tensor) -> Tensor:
-        """Return the reward of each satellite and record its image; called once for every step.
+        """Return the reward of each satellite, [N, S], zero without an image, and record images; called once for every step.
 
-        Args:
-            target: Index of the target last chosen by the satellite, [N, S] int64; 0 without one.
-            taken: Whether the satellite has taken an image of it in the step, [N, S] bool.
-
-        Returns:
-            Reward [N, S], zero if no image was taken.
+        ``target`` [N, S] int64 is the one chosen last, 0 without one; ``taken`` [N, S] tells of an image of it in the step.
         """
         raise NotImplementedError(f"{type(self).__name__} must implement value(target, taken)")
 
@@ -155,8 +168,8 @@ class UniqueImageReward(ImageReward):
         if self.fleet.size > 1:
             reward = reward / self.sharers(target, pays)
             slot = target.unsqueeze(-1)
-            known = self.known
-            memory["known_images"] = known.scatter(2, slot, known.gather(2, slot) | taken.unsqueeze(-1))
+            images = self.known
+            memory["known_images"] = images.scatter(2, slot, images.gather(2, slot) | taken.unsqueeze(-1))
             memory["imaged_targets"] = imaged | self.taken_by_any(target, pays, self.scenario.most_targets)
         else:
             memory["imaged_targets"] = imaged.scatter(1, target, taken | imaged.gather(1, target))
@@ -175,18 +188,161 @@ class UniqueImageReward(ImageReward):
             self.memory["known_images"] = spread(self.known, links)
 
 
-def spread(known: Tensor, links: Tensor) -> Tensor:
+def spread(knowledge: Tensor, links: Tensor) -> Tensor:
     """Return what satellites know, [N, S, T] bool, after it has spread along ``links`` [N, S, S] by sender and receiver."""
-    numbers = known.view(torch.uint8)  # forty times as fast as any() and all() of masks
+    numbers = knowledge.view(torch.uint8)  # forty times as fast as any() and all() of masks
     disputed = numbers.amax(1) != numbers.amin(1)
     most = int(disputed.sum(1).max())
     if not most:
-        return known
+        return knowledge
     # few targets are known to some satellites but not to all; the product covers only these
     slot = torch.where(disputed, torch.cumsum(disputed, 1) - 1, most)
-    number = torch.arange(known.shape[2], device=known.device).expand_as(slot)
+    number = torch.arange(knowledge.shape[2], device=knowledge.device).expand_as(slot)
     column = torch.zeros_like(number[:, : most + 1]).scatter(1, slot, number)[:, :most].unsqueeze(1)
-    column = column.expand(-1, known.shape[1], -1)
-    some = known.gather(2, column)
+    column = column.expand(-1, knowledge.shape[1], -1)
+    some = knowledge.gather(2, column)
     told = torch.bmm(links.mT.float(), some.float()) > 0.5
-    return known.scatter(2, column, some | told)
+    return knowledge.scatter(2, column, some | told)
+
+
+class CloudFreeImageReward(UniqueImageReward):
+    """Reward for the first image of every target, given if the true cloud cover is at most ``threshold``.
+
+    The true cover is not observable before the image. The target is hidden afterwards, whether or not the image was clear. The
+    counter ``covered`` [N, S] is the number of cloudy images.
+
+    Clouds do not matter to satellites whose class sets ``sees_through_clouds``, such as radars. If there are any, cloudy images
+    of the other satellites do not count as images: they hide the target only from satellites to which clouds matter and that
+    know of them, and a radar can still earn its priority.
+    """
+
+    scenario: CloudyTargets
+    needs = ("cloud_cover", "scene.CloudyTargets")
+
+    def __init__(self, threshold: float = 0.7, reward_fn: Callable[[Tensor], Tensor] = identity) -> None:
+        """Reward images with a cover of at most ``threshold`` of the sky; ``reward_fn`` as in :class:`UniqueImageReward`."""
+        super().__init__(reward_fn)
+        self.threshold = number("threshold", threshold, 0.0, 1.0, unit="of the sky")
+
+    @override
+    def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
+        super().link(scenario, fleet)
+        self.memory.declare("covered", 0, fleet.size, low=0)
+        self._through = torch.zeros(fleet.size, dtype=torch.bool, device=fleet.device)
+        for part, columns in zip(fleet.satellites, fleet.columns, strict=True):
+            self._through[columns] = switch(
+                f"{type(part).__name__}.sees_through_clouds", getattr(part, "sees_through_clouds", False)
+            )
+        self._mixed = bool(self._through.any())
+        if self._mixed:
+            self.memory.declare("known_clouds", 0, fleet.size, self.scenario.most_targets, dtype=torch.bool)
+
+    @override
+    def counts(self) -> dict[str, Tensor]:
+        return super().counts() | {"covered": self.memory["covered"]}
+
+    @override
+    def selectable(self) -> Tensor:
+        free = super().selectable()
+        return free & (self._through.view(1, -1, 1) | ~self.memory["known_clouds"]) if self._mixed else free
+
+    @override
+    def value(self, target: Tensor, taken: Tensor) -> Tensor:
+        clouded = taken & (self.scenario.cloud_cover.gather(1, target) > self.threshold) & ~self._through
+        self.memory["covered"] = self.memory["covered"] + clouded
+        if self._mixed:
+            clouds, slot = self.memory["known_clouds"], target.unsqueeze(-1)
+            self.memory["known_clouds"] = clouds.scatter(2, slot, clouds.gather(2, slot) | clouded.unsqueeze(-1))
+            return super().value(target, taken & ~clouded)
+        reward = super().value(target, taken)
+        return torch.where(clouded, torch.zeros_like(reward), reward)
+
+    def share(self, links: Tensor) -> None:
+        """See :meth:`GlobalReward.share`; which targets are under clouds spreads like images."""
+        super().share(links)
+        if self._mixed and self.fleet.size > 1:
+            self.memory["known_clouds"] = spread(self.memory["known_clouds"], links)
+
+
+class FootprintImageReward(UniqueImageReward):
+    """Reward for the first image of every target, given if the image shows the true place of the target.
+
+    An image shows what lies within ``half_angle`` of the instrument's axis when it is taken, on the side of the Earth that faces
+    the satellite. Images from farther away therefore show more ground. The counter ``off_target`` [N, S] is the number of images
+    that do not show their target.
+    """
+
+    scenario: UncertainTargets
+    needs = ("true_r_LP_P", "scene.UncertainTargets")
+
+    def __init__(self, half_angle: float, hide_missed: bool = True, reward_fn: Callable[[Tensor], Tensor] = identity) -> None:
+        """Reward images that show their targets.
+
+        Args:
+            half_angle: Half of the angle of view, rad, at most pi / 2. Images are taken with pointing errors of up to four times
+                the inverse tangent of ``imageAttErrorRequirement``, 0.04 rad by default.
+            hide_missed: Whether a target is hidden after an image that does not show it, as after one that does.
+            reward_fn: Function from priorities [N, S] to rewards [N, S].
+        """
+        super().__init__(reward_fn)
+        self.half_angle = number("half_angle", half_angle, 0.0, 0.5 * math.pi, unit="rad", above=True)
+        self.hide_missed = switch("hide_missed", hide_missed)
+
+    @override
+    def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
+        super().link(scenario, fleet)
+        self.memory.declare("off_target", 0, fleet.size, low=0)
+
+    @override
+    def counts(self) -> dict[str, Tensor]:
+        return super().counts() | {"off_target": self.memory["off_target"]}
+
+    def shows(self, target: Tensor) -> Tensor:
+        """Return whether an image that each satellite takes now shows the true place of ``target`` [N, S], [N, S] bool."""
+        place = self.scenario.look_up(self.scenario.true_r_LP_P, target)
+        satellite = self.fleet.each(lambda part: part.dynamics.r_BN_P)
+        axis = self.fleet.each(lambda part: part.fsw.c_hat_P)
+        ray = place - satellite
+        along = (ray * axis).sum(-1)
+        across = torch.linalg.cross(ray, axis.to(ray)).norm(dim=-1)  # exact for small angles, where acos is not
+        faces = (ray * place).sum(-1) < 0.0
+        return (torch.atan2(across, along) <= self.half_angle) & faces
+
+    @override
+    def value(self, target: Tensor, taken: Tensor) -> Tensor:
+        off = taken & ~self.shows(target)
+        self.memory["off_target"] = self.memory["off_target"] + off
+        reward = super().value(target, taken if self.hide_missed else taken & ~off)
+        return torch.where(off, torch.zeros_like(reward), reward)
+
+
+class StripImageReward(UniqueImageReward):
+    """Reward for the first recording of every strip of :class:`bsk_torch.scene.StripTargets`.
+
+    A strip counts if the data that a satellite records in a step, divided by the data rate of its instrument, take at least the
+    share ``fraction`` of the time that the strip takes, rounded down to whole ticks.
+    """
+
+    scenario: StripTargets
+    needs = ("strip_seconds", "scene.StripTargets")
+
+    def __init__(self, fraction: float = 0.9, reward_fn: Callable[[Tensor], Tensor] = identity) -> None:
+        """Reward recordings of at least a ``fraction`` in (0, 1]; ``reward_fn`` as in :class:`UniqueImageReward`."""
+        super().__init__(reward_fn)
+        self.fraction = number("fraction", fraction, 0.0, 1.0, above=True)
+
+    @override
+    def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
+        super().link(scenario, fleet)
+        if not any("strip_angle" in part.simulator.state.layout.fields for part in fleet.satellites):
+            raise ValueError("StripImageReward needs a satellite with fsw.StripImagingFSWModel and act.ImageStrip")
+
+    @override
+    def calculate_reward(self, before: Log, after: Log) -> Tensor:
+        target = self.fleet.each(lambda satellite: satellite.latest_target, missing=-1)
+        rate = self.fleet.each(lambda satellite: satellite.dynamics.instrument_baud, missing=1.0)
+        seconds = (after["partition"] - before["partition"]) / rate.clamp(min=1e-300)
+        h = self.fleet.h
+        needed = torch.floor(self.fraction * self.scenario.look_up(self.scenario.strip_seconds, target.clamp(min=0)) / h) * h
+        taken = (seconds > 0.0) & (seconds >= needed - 1e-6 * h) & (target >= 0)
+        return self.value(target.clamp(min=0), taken)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Mapping, Sequence
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -11,13 +11,11 @@ from torch import Tensor
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.data.checked import CheckedRewarder
 from bsk_torch.data.composed import ComposedReward
+from bsk_torch.sats.access_filter import AccessFilter
+from bsk_torch.sats.bound import SatelliteFleet
+from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.mixed import MixedScenario, as_dictionary, check_known, check_same_keys, names_by_key
 from bsk_torch.sim.names import nearest
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.access_filter import AccessFilter
-    from bsk_torch.sats.fleet import SatelliteFleet
-    from bsk_torch.scene.base import Scenario
 
 
 class Looking(Protocol):
@@ -58,17 +56,7 @@ def check_no_ids(scenario_mapping: Mapping[str, str] | None, scenario: object) -
 def scenario_id(
     key: str, group: frozenset[str], scenario_mapping: Mapping[str, str] | None, groups: Mapping[str, Collection[str]]
 ) -> str:
-    """Return the id of the scenario of a channel.
-
-    Args:
-        key: The channel.
-        group: Names of its satellites.
-        scenario_mapping: Ids of scenarios by channel, as the user gave them.
-        groups: Names of the satellites of each scenario, by id.
-
-    Raises:
-        ValueError: For a missing or unknown id, and for satellites that do not take part in the scenario.
-    """
+    """Return the id of the scenario of the channel ``key``, whose satellites are ``group``; ``groups`` are those of scenarios."""
     if scenario_mapping is None:
         raise ValueError(f"scenario_mapping is missing; give each channel one of the scenarios {sorted(groups)}")
     chosen = scenario_mapping[key]
@@ -87,9 +75,6 @@ class MixedReward(ComposedReward):
     satellites whether or not they collect data returns ``self.of_channel(reward)``.
 
     Attributes:
-        channels: Rewarder of each channel.
-        satellite_mapping: Names of the satellites of each channel.
-        scenario_mapping: Id of the scenario of each channel; None without a :class:`bsk_torch.scene.MixedScenario`.
         terms: Reward of each channel for the last step, [N, S] each.
     """
 
@@ -106,9 +91,6 @@ class MixedReward(ComposedReward):
             satellite_mapping: Names of the satellites that collect the data of each channel; some may collect none.
             scenario_mapping: Id of the scenario of each channel in a :class:`bsk_torch.scene.MixedScenario`; None with other
                 scenarios.
-
-        Raises:
-            ValueError: For mappings with other channels, a value that is not a rewarder, and a rewarder under two channels.
         """
         rewarders = as_dictionary("rewarders", rewarders)
         super().__init__(*rewarders.values())
@@ -132,31 +114,25 @@ class MixedReward(ComposedReward):
         return tuple(name in self.satellite_mapping[key] for key in self._keys)
 
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
-        """See :meth:`GlobalReward.link`.
-
-        Raises:
-            ValueError: For an unknown scenario or satellite, satellites outside the scenario of their channel, a channel without
-                all inspectors of the RSO, or imagers of a catalog, and where ``scenario_mapping`` is missing or without use.
-        """
+        """See :meth:`GlobalReward.link`; ValueError for names and scenarios that do not fit, and for missing observers."""
         GlobalReward.link(self, scenario, fleet)
         for key, group in self.satellite_mapping.items():
             check_known(f"satellite_mapping[{key!r}]", group, list(fleet.places))
         looking: list[Looking] = [part for part in fleet.satellites if hasattr(part, "access_filters")]
         groups = self.satellite_mapping
-        mine = {key: torch.tensor([name in groups[key] for name in fleet.names], device=fleet.device) for key in self._keys}
+        members = {key: torch.tensor([name in groups[key] for name in fleet.names], device=fleet.device) for key in self._keys}
         self.checked = tuple(map(CheckedRewarder, self.rewarders))
         for key, part in zip(self._keys, self.checked, strict=True):
             before = [list(satellites.access_filters) for satellites in looking]
-            part.rewarder._in_channel = mine[key]
+            part.rewarder._in_channel = members[key]
             part.link(self._scenario_of(key, scenario), fleet)
             self._check_observers(key, part.rewarder, fleet)
             for satellites, filters in zip(looking, before, strict=True):
                 if self.satellite_mapping[key].isdisjoint(satellites.names):
                     satellites.access_filters = filters
-        self._mine = torch.stack(list(mine.values())).unsqueeze(1)
+        self._mine = torch.stack(list(members.values())).unsqueeze(1)
 
     def _scenario_of(self, key: str, scenario: Scenario) -> Scenario:
-        """Return the scenario of a channel; ValueError for one that does not fit."""
         if not isinstance(scenario, MixedScenario):
             check_no_ids(self.scenario_mapping, scenario)
             return scenario
@@ -171,32 +147,24 @@ class MixedReward(ComposedReward):
             )
 
     def store_of(self, part: int) -> object:
-        """Return the knowledge of the satellites of type number ``part``, that of their only channel with any."""
-        return self._keeper(part).store_of(part)
-
-    def _keeper(self, part: int) -> Keeper:
-        """Return the rewarder that keeps the knowledge of a type of satellites; AttributeError unless one channel does."""
+        """Return the knowledge of the satellites of type number ``part``; AttributeError unless one of their channels has any."""
         names = self.fleet.satellites[part].names
-        mine = {key: channel for key, channel in self.channels.items() if isinstance(channel, Keeper)}
-        keys = [key for key in mine if not self.satellite_mapping[key].isdisjoint(names)]
+        keepers = {key: channel for key, channel in self.channels.items() if isinstance(channel, Keeper)}
+        keys = [key for key in keepers if not self.satellite_mapping[key].isdisjoint(names)]
         if len(keys) != 1:
             raise AttributeError(
                 f"{names[0]} has data in the channels {keys}; read them from the rewarder of one, as in "
                 "env.rewarder.channels['id'].known"
             )
-        return mine[keys[0]]
+        return keepers[keys[0]].store_of(part)
 
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        """See :meth:`GlobalReward.calculate_reward`; to a channel, the logs of other satellites do not change.
-
-        Raises:
-            ValueError: For a reward of a satellite outside of the channel.
-        """
+        """See :meth:`GlobalReward.calculate_reward`; to a channel, the logs of other satellites do not change."""
         for k, (key, part) in enumerate(zip(self._keys, self.checked, strict=True)):
-            own, mine = f"{k}.", self._mine[k]
-            old, new = ({n.removeprefix(own): v for n, v in log.items() if n.startswith(own)} for log in (before, after))
-            seen = {n: torch.where(mine.view(1, -1, *[1] * (v.ndim - 2)), v, old[n]) for n, v in new.items()}
-            self.terms[key] = part.reward(old, seen)
+            prefix, members = f"{k}.", self._mine[k]
+            old, new = ({n.removeprefix(prefix): v for n, v in log.items() if n.startswith(prefix)} for log in (before, after))
+            own_log = {n: torch.where(members.view(1, -1, *[1] * (v.ndim - 2)), v, old[n]) for n, v in new.items()}
+            self.terms[key] = part.reward(old, own_log)
         each = torch.stack(list(self.terms.values()))
         moved = (self.fleet.ticks > self.fleet.since).unsqueeze(1)
         outside = ~self._mine & moved & (each != 0.0)

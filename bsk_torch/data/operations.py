@@ -1,9 +1,8 @@
-"""Penalties for states of satellites that operators avoid."""
+"""Penalties for time, and for states of satellites that operators avoid."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -11,12 +10,9 @@ from typing_extensions import override
 
 from bsk_torch._checks import number
 from bsk_torch.data.base import GlobalReward, Log
+from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
+from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.dyn.events import EMPTY_DOWNLINKS
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
-    from bsk_torch.sats.fleet import SatelliteFleet
-    from bsk_torch.scene.base import Scenario
 
 LOW_BATTERY, FULL_STORAGE = 0.1, 0.991
 """Charge below which, and data above which, a satellite is penalized, as fractions of its capacities."""
@@ -46,17 +42,9 @@ class OperationsPenalty(GlobalReward):
         battery_below: float = LOW_BATTERY,
         storage_above: float = FULL_STORAGE,
     ) -> None:
-        """ValueError for penalties that are not from -1e30 to 0, or fractions that are not from 0 to 1.
-
-        Args:
-            low_battery: Reward for a low battery, negative.
-            full_storage: Reward for a full store, negative.
-            empty_downlink: Reward for a downlink of nothing, negative.
-            battery_below: Charge below which the battery is low, as a fraction of the capacity.
-            storage_above: Data above which the store is full, likewise.
-        """
-        given = {"low_battery": low_battery, "full_storage": full_storage, "empty_downlink": empty_downlink}
-        self.penalties = {name: number(name, value, -MOST_PENALTY, 0.0) for name, value in given.items()}
+        """Set the three rewards, from -1e30 to 0, and the fractions of capacity below and above which two of them are paid."""
+        penalties = {"low_battery": low_battery, "full_storage": full_storage, "empty_downlink": empty_downlink}
+        self.penalties = {name: number(name, value, -MOST_PENALTY, 0.0) for name, value in penalties.items()}
         self.battery_below = number("battery_below", battery_below, 0.0, 1.0)
         self.storage_above = number("storage_above", storage_above, 0.0, 1.0)
 
@@ -97,9 +85,28 @@ def _empty_downlinks(satellite: BoundSatellite) -> Tensor:
 
 
 def _has(satellite: BoundSatellite, read: Callable[[BoundSatellite], Tensor]) -> bool:
-    """Return whether a satellite has what a function reads."""
     try:
         read(satellite)
     except AttributeError:
         return False
     return True
+
+
+MOST_PENALTY = 1e30
+"""Bound of the weight, so that a sum of several rewards stays finite in float32."""
+
+
+class TimePenalty(GlobalReward):
+    """Pays every satellite ``-weight`` times the duration of the step, s, as a branch of BSK-RL's authors does.
+
+    Add it to other rewarders for tasks that shall be done early: ``rewarder=(data.UniqueImageReward(), data.TimePenalty(1e-4))``.
+    """
+
+    def __init__(self, weight: float = 1.0) -> None:
+        """Charge ``weight`` for each second, from 0 to 1e30; ValueError for anything else."""
+        self.weight = number("weight", weight, 0.0, MOST_PENALTY)
+
+    @override
+    def calculate_reward(self, before: Log, after: Log) -> Tensor:
+        price = -self.weight * self.step_duration
+        return self.of_channel(price.unsqueeze(1).expand(self.fleet.shape).to(torch.float64))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -12,13 +12,10 @@ from typing_extensions import override
 from bsk_torch._checks import no_gradient, number
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.rand import Distribution, Key, seeded
+from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
 from bsk_torch.sats.user_function import UserFunction
+from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.state import FINITE
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
-    from bsk_torch.sats.fleet import SatelliteFleet
-    from bsk_torch.scene.base import Scenario
 
 ADVICE = (
     "let it return [N] for all satellites: properties such as satellite.dynamics.battery_charge_fraction are tensors [N], and "
@@ -43,10 +40,6 @@ class ResourceReward(GlobalReward):
                 before each call of the function.
             resource_fn: Function that returns the resource of the satellites of a type, [N], such as
                 ``lambda sat: sat.dynamics.battery_charge_fraction``.
-
-        Raises:
-            TypeError: If ``resource_fn`` is not a function.
-            ValueError: For a weight that is neither a finite number, a distribution nor a function.
         """
         if not callable(resource_fn):
             advice = "; write resource_fn= before it: the first argument is the weight" if callable(reward_weight) else ""
@@ -77,7 +70,6 @@ class ResourceReward(GlobalReward):
         return torch.full((fleet.num_envs,), self.weight, dtype=torch.float64, device=fleet.device)  # type: ignore[arg-type]
 
     def _draw(self, envs: Tensor) -> None:
-        """Draw the weights of the environments ``envs`` [n], whose episodes have begun."""
         memory, name = self.fleet.memory, str(self._name)
         drawn = draw_weights(self.weight, self.fleet.key().named(name), envs.tolist())
         memory[name] = memory[name].index_copy(0, envs, drawn.to(memory.device))
@@ -92,14 +84,13 @@ class ResourceReward(GlobalReward):
         return {"resource": self.fleet.each(self._resource)}
 
     def _resource(self, satellite: BoundSatellite) -> Tensor:
-        """Return the resource of the satellites of a type, [N]."""
         simulator = satellite.simulator
         function = self._functions.setdefault(id(satellite), UserFunction("resource_fn of data.ResourceReward", ADVICE))
         rows = len(simulator.ticks)
-        found = function((rows,), simulator.device, lambda: self.resource_fn(satellite))
-        if found.shape != (rows,):
-            raise TypeError(f"{function.title} gives shape {list(found.shape)}; it must give one number for each satellite")
-        return found.double().clone()
+        resource = function((rows,), simulator.device, lambda: self.resource_fn(satellite))
+        if resource.shape != (rows,):
+            raise TypeError(f"{function.title} gives shape {list(resource.shape)}; it must give one number for each satellite")
+        return resource.double().clone()
 
     @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
@@ -107,11 +98,7 @@ class ResourceReward(GlobalReward):
 
 
 def draw_weights(weight: Any, key: Key, rows: list[int]) -> Tensor:
-    """Draw weights for some ``rows`` of a key, [len(rows)] float64.
-
-    Raises:
-        ValueError: For a weight that is not a number.
-    """
+    """Draw weights for some ``rows`` of a key, [len(rows)] float64."""
     part = key.take(rows)
     if isinstance(weight, Distribution):
         drawn = torch.as_tensor(weight.draw(part), dtype=torch.float64)

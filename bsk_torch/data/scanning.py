@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -11,12 +10,9 @@ from typing_extensions import override
 
 from bsk_torch._checks import function
 from bsk_torch.data.base import GlobalReward, Log
+from bsk_torch.sats.bound import SatelliteFleet
+from bsk_torch.scene.base import Scenario, UniformNadirScanning
 from bsk_torch.sim.readout.observables import observable
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
-    from bsk_torch.scene.base import Scenario
-    from bsk_torch.scene.scanning import UniformNadirScanning
 
 
 class ScanningTimeReward(GlobalReward):
@@ -29,10 +25,7 @@ class ScanningTimeReward(GlobalReward):
     scenario: UniformNadirScanning
 
     def __init__(self, reward_fn: Callable[[Tensor], Tensor] | None = None) -> None:
-        """Reward recording by ``reward_fn``, a function from seconds [N, S] to rewards [N, S].
-
-        None multiplies by the scenario's ``value_per_second``. ValueError for anything else.
-        """
+        """Reward seconds [N, S] by ``reward_fn``; None multiplies them by the scenario's ``value_per_second``."""
         self.reward_fn = None if reward_fn is None else function("reward_fn", reward_fn, "seconds")
 
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:

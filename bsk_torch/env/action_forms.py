@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 from torchrl.data import Binary, Bounded, Categorical, Composite, TensorSpec, Unbounded
@@ -15,8 +16,49 @@ from torchrl.data.tensor_specs import BoundedContinuous
 
 from bsk_torch._checks import no_gradient
 from bsk_torch.act.builders import ContinuousBuilder
-from bsk_torch.env.no_action import CLOSE, NO_ACTION
 from bsk_torch.env.satellite_group import SatelliteGroup
+
+NO_ACTION = 2**31 - 1
+"""Action that continues a satellite's task; the last action of every space does the same."""
+
+CLOSE = 1.0
+"""Distance from ``NO_ACTION`` within which a floating-point number is treated as equal, since float32 cannot represent it."""
+
+
+def is_no_action(action: object) -> bool:
+    """Return whether an action only continues the task: None, ``NO_ACTION``, or a sequence or array of ``NO_ACTION`` only.
+
+    Floating-point numbers within 1 of ``NO_ACTION`` count as equal. Empty arrays and non-numeric values are actions.
+    """
+    if action is None:
+        return True
+    values = action.detach().cpu().numpy() if isinstance(action, Tensor) else action
+    if isinstance(values, bool) or not isinstance(values, int | float | np.number | np.ndarray | list | tuple):
+        return False
+    values = np.asarray(values)
+    if values.size == 0 or not np.issubdtype(values.dtype, np.number):
+        return False
+    exact = np.issubdtype(values.dtype, np.integer)
+    return bool(np.all(values == NO_ACTION if exact else np.abs(values.astype(np.float64) - NO_ACTION) <= CLOSE))
+
+
+def no_action_like(action: Any) -> Any:
+    """Return ``NO_ACTION`` for an integer, else an array or tensor of the action's shape and type filled with it."""
+    if isinstance(action, int | np.integer):
+        return NO_ACTION
+    if isinstance(action, Tensor):
+        return torch.full_like(action, NO_ACTION)
+    return action * 0 + NO_ACTION
+
+
+def no_action_keep_indices(actions: Sequence[object], n_observations: int) -> tuple[list[int], list[int]]:
+    """Return the actions of an episode without those that only continue a task, and the corresponding observations.
+
+    These are the observations from which the remaining actions were chosen, and the last one, so that its duration is kept.
+    """
+    kept = [k for k, action in enumerate(actions) if not is_no_action(action)]
+    return kept, [*kept, n_observations - 1]
+
 
 VALUES, CHOICE = "values", "choice"
 """Parts of a hybrid action."""
@@ -46,8 +88,8 @@ class OpenBox(BoundedContinuous, metaclass=_Kept):
         normal, beyond = torch.randn_like(uniform), torch.empty_like(uniform).exponential_()
         within = torch.where(below, high, low) + uniform * torch.where(below | above, 0.0, high - low)
         within = within.maximum(low).minimum(high)
-        found = torch.where(above, torch.where(below, normal, low + beyond), torch.where(below, high - beyond, within))
-        return found.to(self.dtype)
+        drawn = torch.where(above, torch.where(below, normal, low + beyond), torch.where(below, high - beyond, within))
+        return drawn.to(self.dtype)
 
     def to(self, dest: torch.dtype | torch.device | str | int | None) -> OpenBox:
         """Return the spec with another type, or on another device."""
@@ -98,36 +140,27 @@ def mask_spec(size: int, shape: Sequence[int]) -> Binary:
     return Binary(size, shape=torch.Size([*shape, size]), dtype=torch.bool)
 
 
-def read(title: str, given: object, satellite: SatelliteGroup, shape: Sequence[int], each: str = "") -> Tensor:
+def read(title: str, action: object, satellite: SatelliteGroup, shape: Sequence[int], each: str = "") -> Tensor:
     """Return the actions of satellites of one type, [*shape] int64, or [*shape, A] or [*shape, A + 1] of a floating type.
 
-    Args:
-        title: Name of the actions in messages.
-        given: Tensor, or for a hybrid action its parts in a tensordict or mapping.
-        satellite: The satellite.
-        shape: Leading dimensions.
-        each: Meaning of the dimensions, for messages.
-
-    Raises:
-        TypeError: For a wrong type.
-        ValueError: For a wrong shape, or actions that require a gradient.
+    ``action`` is a tensor, or for a hybrid action a tensordict or mapping; ``each`` tells messages what dimensions mean.
     """
     builder = form(satellite)
     if builder is not None:
-        no_gradient(title, given)
-    if builder is not None and builder.is_hybrid and not isinstance(given, Tensor):
-        return _joined(title, given, builder, tuple(shape))
-    if not isinstance(given, Tensor):
-        raise TypeError(f"{title} is {given!r}; it must be {_wanted(builder)}")
+        no_gradient(title, action)
+    if builder is not None and builder.is_hybrid and not isinstance(action, Tensor):
+        return _joined(title, action, builder, tuple(shape))
+    if not isinstance(action, Tensor):
+        raise TypeError(f"{title} is {action!r}; it must be {_wanted(builder)}")
     if builder is None:
-        if given.dtype.is_floating_point or given.dtype.is_complex or given.dtype == torch.bool:
-            raise TypeError(f"{title} has dtype {given.dtype}; it must be an integer tensor, such as torch.int64")
-        _check_shape(title, given, tuple(shape), each)
-        return given.long()
-    if not given.dtype.is_floating_point:
-        raise TypeError(f"{title} has dtype {given.dtype}; it must be {_wanted(builder)}, of {_names(builder)}")
-    _check_shape(title, given, (*shape, builder.width), f": {_names(builder)}")
-    return given
+        if action.dtype.is_floating_point or action.dtype.is_complex or action.dtype == torch.bool:
+            raise TypeError(f"{title} has dtype {action.dtype}; it must be an integer tensor, such as torch.int64")
+        _check_shape(title, action, tuple(shape), each)
+        return action.long()
+    if not action.dtype.is_floating_point:
+        raise TypeError(f"{title} has dtype {action.dtype}; it must be {_wanted(builder)}, of {_names(builder)}")
+    _check_shape(title, action, (*shape, builder.width), f": {_names(builder)}")
+    return action
 
 
 def _wanted(builder: ContinuousBuilder | None) -> str:
@@ -142,17 +175,17 @@ def _names(builder: ContinuousBuilder) -> str:
     return ", ".join([*builder.names, *(["choice"] if builder.is_hybrid else [])])
 
 
-def _check_shape(title: str, given: Tensor, wanted: tuple[int, ...], each: str = "") -> None:
-    if tuple(given.shape) != wanted:
-        raise ValueError(f"{title} has shape {list(given.shape)}; it must be {list(wanted)}{each}")
+def _check_shape(title: str, action: Tensor, wanted: tuple[int, ...], each: str = "") -> None:
+    if tuple(action.shape) != wanted:
+        raise ValueError(f"{title} has shape {list(action.shape)}; it must be {list(wanted)}{each}")
 
 
-def _joined(title: str, given: Any, builder: ContinuousBuilder, shape: tuple[int, ...]) -> Tensor:
+def _joined(title: str, action: Any, builder: ContinuousBuilder, shape: tuple[int, ...]) -> Tensor:
     """Return the parts of hybrid actions side by side, [*shape, A + 1]."""
-    keys = set(given.keys()) if hasattr(given, "keys") else set()
+    keys = set(action.keys()) if hasattr(action, "keys") else set()
     if keys != {VALUES, CHOICE}:
-        raise TypeError(f"{title} is {given!r}; it must be a tensordict of {VALUES!r} and {CHOICE!r}")
-    values, choice = given[VALUES], given[CHOICE]
+        raise TypeError(f"{title} is {action!r}; it must be a tensordict of {VALUES!r} and {CHOICE!r}")
+    values, choice = action[VALUES], action[CHOICE]
     if not isinstance(values, Tensor) or not values.dtype.is_floating_point:
         raise TypeError(f"{title}[{VALUES!r}] is {values!r}; it must be a floating-point tensor, such as torch.float32")
     if not isinstance(choice, Tensor) or choice.dtype.is_floating_point or choice.dtype == torch.bool:

@@ -15,17 +15,8 @@ AGENTS = "agents"
 """Name of the only group."""
 
 ROOT = (
-    "observation",
-    "action",
-    "action_mask",
-    "reward",
-    "done",
-    "terminated",
-    "truncated",
-    "duration",
-    "counts",
-    "state",
-    "next",
+    *("observation", "action", "action_mask", "reward", "done", "terminated", "truncated", "duration"),
+    *("counts", "state", "next"),
 )
 """Names not allowed for groups."""
 
@@ -61,11 +52,7 @@ class Group:
 
 
 def agents_of(names: Sequence[str], groupings: Mapping[str, Sequence[str]] | None) -> dict[str, list[str]]:
-    """Return the satellites of every agent: first those of ``groupings``, then one agent for each other satellite.
-
-    Raises:
-        ValueError: For an agent without satellites, an unknown satellite, or a satellite of two agents.
-    """
+    """Return the satellites of every agent: first those of ``groupings``, then one agent for each other satellite."""
     agents: dict[str, list[str]] = {}
     taken: dict[str, str] = {}
     if groupings is not None and not isinstance(groupings, Mapping):
@@ -99,17 +86,9 @@ def make_groups(
     titles: Sequence[str],
     group_map: Mapping[str, Sequence[str]] | None = None,
 ) -> list[Group]:
-    """Return the groups of agents with equal spaces.
+    """Return the groups of agents with equal spaces: agents by type unless ``group_map`` names them.
 
-    Args:
-        agents: Satellites of each agent.
-        names: Names of all satellites.
-        types: Indices of the satellites of each type.
-        titles: Name of each type.
-        group_map: Agents of each group (default: by type).
-
-    Raises:
-        ValueError: For a ``group_map`` with unknown, missing or repeated agents, or with different agents in one group.
+    ``agents`` are the satellites of each agent, ``types`` the indices of the satellites of each type, ``titles`` their names.
     """
     place = {names[column]: (t, k) for t, columns in enumerate(types) for k, column in enumerate(columns)}
     signature = {agent: tuple(place[member][0] for member in members) for agent, members in agents.items()}
@@ -134,15 +113,15 @@ def named(kinds: Mapping[tuple[int, ...], list[str]], titles: Sequence[str]) -> 
     """Return groups by name: the type's, or the names of the types of its members."""
     if len(kinds) == 1:
         return {AGENTS: next(iter(kinds.values()))}
-    found: dict[str, list[str]] = {}
+    groups: dict[str, list[str]] = {}
     for kind, agents in kinds.items():
         base = name = "_and_".join(snake(titles[t]) for t in kind)
         number = 1
-        while name in found or name in ROOT:
+        while name in groups or name in ROOT:
             number += 1
             name = f"{base}_{number}"
-        found[name] = agents
-    return found
+        groups[name] = agents
+    return groups
 
 
 def check_map(group_map: Mapping[str, Sequence[str]], signature: Mapping[str, tuple[int, ...]]) -> None:

@@ -14,7 +14,6 @@ from bsk_torch.env.assembly.trial import Made, Trial, taking_over
 from bsk_torch.env.assembly.types import check_world
 from bsk_torch.env.changes import Change, LiveArguments, changed, episodes, of_satellites, of_world, remembered
 from bsk_torch.env.snapshots import Snapshots, fingerprint
-from bsk_torch.sim.arguments.values import Arguments
 from bsk_torch.sim.faults.declared import Fault
 from bsk_torch.sim.names import nearest
 from bsk_torch.sim.simulator import Simulator
@@ -56,16 +55,7 @@ class MadeOfArguments(Snapshots):
         self._change(of_satellites(args, self.names, ids), rows)
 
     def set_world_args(self, args: object, envs: object = None) -> None:
-        """Change arguments of the world, as :meth:`set_sat_args` does for satellites.
-
-        Args:
-            args: New values by name, or a function that returns a dictionary.
-            envs: Indices of the environments to change, [n], or a mask [N] (default: all).
-
-        Raises:
-            KeyError: For an unknown argument.
-            ValueError: For a value that is not allowed, or an argument that determines the structure of the simulation.
-        """
+        """Change arguments of the world, as :meth:`set_sat_args` does for satellites."""
         rows, ids = episodes(envs, len(self.env_ids), self.env_ids)
         changes = of_world(args, ids)
         check_world([change.name for change in changes], [s.type.arguments.world_args.table for s in self.fleet.simulators])
@@ -81,10 +71,9 @@ class MadeOfArguments(Snapshots):
         self.fingerprint = fingerprint(self.fleet)
 
     def _show_arguments(self) -> None:
-        """Provide dictionaries in which users read and set arguments."""
         for simulator, satellite in zip(self.fleet.simulators, self.satellites, strict=True):
             satellite.sat_args_generator = LiveArguments(  # type: ignore[assignment]  # of the description: Given
-                functools.partial(_sat_args_of, simulator),
+                lambda simulator=simulator: [simulator.type.arguments.sat_args],  # type: ignore[misc]
                 functools.partial(self._set_type, [self.names[column] for column in simulator.columns]),
                 "sat_args_generator",
             )
@@ -104,8 +93,6 @@ class MadeOfArguments(Snapshots):
             self.set_world_args,
             "world_args_generator",
         )
-
-    # -- faults ------------------------------------------------------------------------------------------------------
 
     def inject(self, fault: Fault | str, envs: object = None, satellite: str | None = None) -> None:
         """Let a fault begin now, in current episodes; it acts from the next tick on, for as long as it was declared to last.
@@ -130,16 +117,14 @@ class MadeOfArguments(Snapshots):
             self.guard.check_begun("inject(fault)", torch.zeros_like(self.state.begun).index_fill(0, rows, True))
             for simulator in struck or self.fleet.simulators[:1]:  # which names what it has
                 columns = [k for k, column in enumerate(simulator.columns) if satellite in (None, self.names[column])]
-                own = rows.unsqueeze(-1) * simulator.count + torch.tensor(columns, device=self.device)
-                simulator.strike(name, own.flatten())
+                struck_rows = rows.unsqueeze(-1) * simulator.count + torch.tensor(columns, device=self.device)
+                simulator.strike(name, struck_rows.flatten())
 
     def _may_have(self, simulator: Simulator, fault: str, satellite: str | None) -> bool:
         """Return whether a fault is declared for a type of satellites, or the ``satellite`` that shall have it is of the type."""
         if satellite is not None:
             return satellite in [self.names[column] for column in simulator.columns]
         return fault in [known.name for known in simulator.state.argument("faults") or ()]
-
-    # -- environments of the same kind --------------------------------------------------------------------------------
 
     def like(self: Environment, num_envs: int, env_ids: Sequence[int] | Tensor | None = None) -> Environment:
         """Return another environment of the same kind, with separate episodes, seed 0 and no logs.
@@ -161,13 +146,8 @@ class MadeOfArguments(Snapshots):
         return other
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the arguments and the state, not the compiled tick."""
         state = self.state.seed, self.episode, self.get_extra_state()
         return _rebuild, (type(self), self._arguments, *state, self._changes)
-
-
-def _sat_args_of(simulator: Simulator) -> list[Arguments]:
-    return [simulator.type.arguments.sat_args]
 
 
 def _rebuild(

@@ -16,9 +16,8 @@ from torchrl.envs import EnvBase
 
 from bsk_torch.act.base import Decision
 from bsk_torch.comm import CommunicationMethod, NoCommunication
-from bsk_torch.data import totals
 from bsk_torch.data.base import GlobalReward, NoReward
-from bsk_torch.data.composed import ComposedReward
+from bsk_torch.data.composed import ComposedReward, add_totals, declare_totals
 from bsk_torch.env import messages
 from bsk_torch.env.arguments import MadeOfArguments
 from bsk_torch.env.assembly.devices import existing_device
@@ -33,8 +32,7 @@ from bsk_torch.env.present import Present
 from bsk_torch.env.satellite_group import SatelliteGroup, command, died, first_task_end, groups_of, settle_all, soonest
 from bsk_torch.env.snapshots import fingerprint
 from bsk_torch.obs.base import Values
-from bsk_torch.sats.dtypes import common_dtype
-from bsk_torch.sats.satellite import Satellite
+from bsk_torch.sats.satellite import Satellite, common_dtype
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.assembly.satellite_type import whole_nanoseconds
 from bsk_torch.sim.fleet import Fleet
@@ -82,7 +80,6 @@ class Tasking(Present, MadeOfArguments):
         sat_arg_randomizer: Any,
         options: TaskingOptions,
     ) -> None:
-        """Build everything; nothing is simulated before the first reset."""
         EnvBase.__init__(self, device=existing_device(options.device), batch_size=(options.num_envs,))
         for name, value, kind in (("scenario", scenario, Scenario), ("communicator", communicator, CommunicationMethod)):
             if value is not None and not isinstance(value, kind):
@@ -114,7 +111,7 @@ class Tasking(Present, MadeOfArguments):
             simulator.type.arguments.check_per_env(self.env_ids)
         self.satellites = groups_of(self.builder.satellites, self.fleet)
         self.checked = link(self.fleet, self.scenario, self.rewarder)
-        totals.declare(self.rewarder, self.fleet)
+        declare_totals(self.rewarder, self.fleet)
         self.communicator.attach(self.fleet)
         recorded = options.log_level is not None or options.log_dir is not None
         self.log = StepLog(self.fleet, self.satellites, self.scenario, options.log_envs) if recorded else None
@@ -129,7 +126,6 @@ class Tasking(Present, MadeOfArguments):
         self.set_seed(options.seed)
 
     def __repr__(self) -> str:
-        """Return the number of environments, and the observations and actions of each type of satellite."""
         if "satellites" not in self.__dict__:  # in an error while it is built
             return f"{type(self).__name__}()"
         lines = [f"{type(self).__name__}: {self.num_envs} environments on {self.device}, scenario {type(self.scenario).__name__}"]
@@ -141,22 +137,13 @@ class Tasking(Present, MadeOfArguments):
         return "\n".join(lines)
 
     def to(self, device: torch.device | str) -> Tasking:  # type: ignore[override]
-        """Return the environment, which stays on its device.
-
-        Args:
-            device: Device of the environment.
-
-        Raises:
-            ValueError: For another device: kernels, tables and arcs are made for one.
-        """
-        wanted, own = existing_device(device), torch.device(self.device)
-        if wanted.type != own.type or (wanted.index or 0) != (own.index or 0):
+        """Return the environment, which stays on the device that its kernels and tables are made for; ValueError for others."""
+        other, present = existing_device(device), torch.device(self.device)
+        if other.type != present.type or (other.index or 0) != (present.index or 0):
             raise ValueError(
-                f"device={str(device)!r}: an environment stays on {str(own)!r}; make one with device={str(wanted)!r}"
+                f"device={str(device)!r}: an environment stays on {str(present)!r}; make one with device={str(other)!r}"
             )
         return self
-
-    # -- construction -------------------------------------------------------------------------------------------------
 
     def _next_fleet(self) -> Fleet:
         """Return a fleet for the next episodes, with windows as far ahead as actions and observations need."""
@@ -170,7 +157,6 @@ class Tasking(Present, MadeOfArguments):
         raise NotImplementedError(f"{type(self).__name__} must implement _make_specs(trial)")
 
     def _tree(self, values: Values, shape: Sequence[int]) -> Composite:
-        """Spec of named observations [1, ...], with ``shape`` in front."""
         parts = {n: self._tree(v, shape) if isinstance(v, dict) else self._leaf(v, shape) for n, v in values.items()}
         return Composite(parts, shape=shape, device=self.device)
 
@@ -182,17 +168,13 @@ class Tasking(Present, MadeOfArguments):
         flags = {name: Categorical(2, shape=(*b, 1), dtype=torch.bool, **on) for name in ("done", "terminated", "truncated")}
         return Composite(flags, shape=b, **on)
 
-    # -- reset --------------------------------------------------------------------------------------------------------
-
     def _assert_tensordict_shape(self, tensordict: TensorDictBase) -> None:
-        """Check the argument of ``step`` and ``reset``."""
         if not isinstance(tensordict, TensorDictBase):
             messages.reject_call(type(self).__name__, self._action_name, tensordict)
         super()._assert_tensordict_shape(tensordict)
 
     @property
     def _action_name(self) -> str:
-        """Action key, formatted for messages."""
         return "'action'"
 
     def _reset(self, tensordict: TensorDictBase | None = None, *, set_state: bool = False, **unknown: Any) -> TensorDict:
@@ -212,8 +194,6 @@ class Tasking(Present, MadeOfArguments):
             false = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)
             return self._outputs(None, done=false, terminated=false.clone(), truncated=false.clone())
 
-    # -- step ---------------------------------------------------------------------------------------------------------
-
     def _advance(self, actions: Sequence[Tensor], acts: Sequence[Tensor], moves: Tensor, all_act: bool = False) -> StepResult:
         """Execute one decision in every episode: command, run, reward, communicate, determine the outcome.
 
@@ -227,16 +207,16 @@ class Tasking(Present, MadeOfArguments):
         start = fleet.since = fleet.ticks
         before = self.checked.log()
         commanded = []
-        for satellite, action, mine in zip(self.satellites, actions, acts, strict=True):
-            decision = satellite.actions.decide(action, satellite.task.previous_action, mine)
-            commanded.append((satellite, action, self._begins(satellite, mine, decision), decision))
+        for satellite, action, executed in zip(self.satellites, actions, acts, strict=True):
+            decision = satellite.actions.decide(action, satellite.task.previous_action, executed)
+            commanded.append((satellite, action, self._begins(satellite, executed, decision), decision))
         self.guard.change(moves)
-        for satellite, action, mine, decision in commanded:
-            command(satellite, action, mine, decision, satellite.simulator.state.of_env(moves), all_act)
+        for satellite, action, executed, decision in commanded:
+            command(satellite, action, executed, decision, satellite.simulator.state.of_env(moves), all_act)
         log = self.log if self.log is not None and self.log.shows(logging.WARNING) else None
         if log is not None:
             log.decided(acts)
-            known = log.before()
+            counters = log.before()
         until = first_task_end(self.satellites, start + self.longest_ticks)
         expected = [soonest(satellite.task.expected, satellite.simulator.count) for satellite in self.satellites]
         result = fleet.run(moves, state.limit_ticks, until, expected)
@@ -245,7 +225,7 @@ class Tasking(Present, MadeOfArguments):
         reward = self.checked.reward(before, self.checked.log())
         if not all_act:
             reward = reward * moves.unsqueeze(-1)
-        totals.add(self.rewarder, reward, moves)
+        add_totals(self.rewarder, reward, moves)
         self.scenario.finish_step(fleet.sim_time)
         if not self.communicator.is_silent:
             self.links = self.communicator.exchange(moves)
@@ -255,7 +235,7 @@ class Tasking(Present, MadeOfArguments):
             satellite.task.dead = satellite.task.dead | died(satellite)
         outcome = self._judge(result.ticks.double() * fleet.h, reward, moves, removed, last)
         if log is not None:
-            log.after(known, outcome, moves)
+            log.after(counters, outcome, moves)
         return outcome
 
     def _begins(self, satellites: SatelliteGroup, acts: Tensor, decision: Decision) -> Tensor:
@@ -271,10 +251,7 @@ class Tasking(Present, MadeOfArguments):
         return outputs
 
     def _judge(self, duration: Tensor, reward: Tensor, moves: Tensor, removed: Tensor, last: Tensor) -> StepResult:
-        """Return the outcome of a step: adds failure penalties [N, S], and determines which episodes have ended.
-
-        ``last`` [N] are those at their time limit.
-        """
+        """Return the outcome of a step with failure penalties, in which the episodes ``last`` [N] reached their time limit."""
         state = self.state
         dead = self.fleet.joined([satellite.task.dead for satellite in self.satellites])
         reward = reward + self.failure_penalty * (dead & moves.unsqueeze(-1)).to(reward.dtype)
@@ -285,12 +262,7 @@ class Tasking(Present, MadeOfArguments):
         return StepResult(duration, reward, terminated, truncated, removed)
 
     def _over(self, dead: Tensor, last: Tensor) -> tuple[Tensor, Tensor]:
-        """Return which episodes have ended, and which were truncated, [N] each.
-
-        Args:
-            dead: The dead satellites, [N, S].
-            last: Episodes at their time limit, [N].
-        """
+        """Return which episodes ended, given ``dead`` satellites [N, S], and which were truncated, ``last`` by time, [N] each."""
         ended, truncated, present = dead, last, self.fleet.present
         if self.checked.terminates and not self.agents_stay:
             ended = dead | self.checked.terminated()
@@ -314,12 +286,10 @@ class Tasking(Present, MadeOfArguments):
 
     @staticmethod
     def _ends(result: StepResult) -> dict[str, Tensor]:
-        """Return ``done``, ``terminated`` and ``truncated``, [N, 1] each."""
         terminated, truncated = result.terminated.unsqueeze(-1), result.truncated.unsqueeze(-1)
         return {"terminated": terminated, "truncated": truncated, "done": terminated | truncated}
 
     def _cast(self, values: Values, shape: Sequence[int]) -> TensorDict:
-        """Named observations of rows, [*shape, ...] each."""
         parts = {
             name: self._cast(v, shape) if isinstance(v, dict) else v.to(self.dtype, copy=True).view(*shape, *v.shape[1:])
             for name, v in values.items()
@@ -327,11 +297,7 @@ class Tasking(Present, MadeOfArguments):
         return TensorDict(parts, shape, device=self.device)
 
     def observe(self) -> TensorDict:
-        """Return the observations of the current episodes, as ``reset`` does, without rewards and durations of a step.
-
-        Raises:
-            ResetNeededError: For an episode that has not begun.
-        """
+        """Return the observations of the current episodes, as ``reset`` does; ResetNeededError if one has not begun."""
         with self.guard:
             self.guard.check_begun("observe()")
             dead = self.fleet.joined([satellite.task.dead for satellite in self.satellites])

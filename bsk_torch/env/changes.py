@@ -35,19 +35,15 @@ class Change(NamedTuple):
 
 
 def of_satellites(args: Any, names: Sequence[str], envs: tuple[int, ...] | None) -> list[Change]:
-    """Return the changes specified by ``args``: arguments of all satellites, or dictionaries by name of the satellite.
-
-    Raises:
-        ValueError: For a mixture of satellite names and argument names.
-    """
+    """Return the changes specified by ``args``: arguments of all satellites, or dictionaries by name of the satellite."""
     if not (isinstance(args, Mapping) and any(name in names for name in args)):
-        given = expand(args, "sat_args")
-        return [Change(k, name, value, envs) for k in range(len(names)) for name, value in given.items()]
+        arguments = expand(args, "sat_args")
+        return [Change(k, name, value, envs) for k in range(len(names)) for name, value in arguments.items()]
     for name in args:
         if name not in names:
             raise ValueError(f"set_sat_args: {name!r} is no satellite; {nearest(str(name), names)}")
     each = {names.index(who): expand(values, f"sat_args of {who}") for who, values in args.items()}
-    return [Change(k, name, value, envs) for k, given in each.items() for name, value in given.items()]
+    return [Change(k, name, value, envs) for k, arguments in each.items() for name, value in arguments.items()]
 
 
 def of_world(args: Any, envs: tuple[int, ...] | None) -> list[Change]:
@@ -73,8 +69,8 @@ def episodes(envs: object, num_envs: int, env_ids: Tensor) -> tuple[Tensor | Non
     if rows.ndim != 1 or (len(rows) and not 0 <= int(rows.min()) <= int(rows.max()) < num_envs):
         raise IndexError(f"envs={rows.tolist()} must be indices from 0 to {num_envs - 1}, or a mask [{num_envs}]")
     ids = env_ids.cpu()
-    mine = torch.isin(ids, ids[rows])
-    if int(mine.sum()) > len(rows.unique()):
+    shared = torch.isin(ids, ids[rows])
+    if int(shared.sum()) > len(rows.unique()):
         raise ValueError("envs names episodes whose env_ids others have too; these would change with them: name all of them")
     return rows, tuple(ids[rows].tolist())
 
@@ -83,37 +79,31 @@ def remembered(old: Sequence[Change], new: Sequence[Change]) -> list[Change]:
     """Return the earlier changes that remain in effect after the ``new`` ones."""
     kept = list(old)
     for change in new:
-        left, known = [], False
+        remaining, repeated = [], False
         for earlier in kept:
             if (earlier.satellite, earlier.name) == (change.satellite, change.name):
                 if change.envs is None:
                     continue
-                known = known or (earlier.envs is None and earlier.value is change.value)
+                repeated = repeated or (earlier.envs is None and earlier.value is change.value)
                 if earlier.envs is not None:
                     envs = tuple(env for env in earlier.envs if env not in change.envs)
                     if not envs:
                         continue
                     earlier = earlier._replace(envs=envs)
-            left.append(earlier)
-        kept = left if known else [*left, change]
+            remaining.append(earlier)
+        kept = remaining if repeated else [*remaining, change]
     return kept
 
 
 def changed(types: Sequence[SatelliteType], changes: Sequence[Change], env_ids: Tensor) -> list[SatelliteType]:
-    """Return the types of satellites with changed arguments, checked by trial draws.
-
-    ``env_ids`` are the indices of the environments in draws, [N].
-
-    Raises:
-        KeyError, ValueError: For invalid changes.
-    """
+    """Return the types of satellites with changed arguments, checked by trial draws of environments with ``env_ids`` [N]."""
     new = []
     for satellite_type in types:
         columns, around = satellite_type.usage.columns, satellite_type.arguments.world_args.table
-        own = [(columns.index(c.satellite), *c[1:]) for c in changes if c.satellite in columns]
+        settings = [(columns.index(c.satellite), *c[1:]) for c in changes if c.satellite in columns]
         world = [(0, *c[1:]) for c in changes if c.satellite is WORLD and c.name in around]
-        new.append(satellite_type.changed(own, world, len(env_ids)) if own or world else satellite_type)
-        if own or world:
+        new.append(satellite_type.changed(settings, world, len(env_ids)) if settings or world else satellite_type)
+        if settings or world:
             new[-1].arguments.check_per_env(env_ids)
     return new
 
@@ -129,7 +119,6 @@ class LiveArguments(MutableMapping[str, Any]):
         return {name: value for arguments in reversed(self._arguments()) for name, value in arguments.given.items()}
 
     def __getitem__(self, name: str) -> Any:
-        """Return the value of all environments."""
         table = self._table()
         if name not in table:
             raise KeyError(f"{self._title}[{name!r}] is unknown; {nearest(str(name), table)}")
@@ -137,21 +126,16 @@ class LiveArguments(MutableMapping[str, Any]):
         return value if not isinstance(value, Member) else value.function
 
     def __setitem__(self, name: str, value: object) -> None:
-        """Set the value of all environments."""
         self._write({name: as_value(value)})
 
     def __delitem__(self, name: str) -> None:
-        """Raise TypeError: every argument has a value."""
         raise TypeError(f"{self._title}[{name!r}] cannot be deleted; set it to another value instead")
 
     def __iter__(self) -> Iterator[str]:
-        """Iterate over the names."""
         return iter(self._table())
 
     def __len__(self) -> int:
-        """Return the number of arguments."""
         return len(self._table())
 
     def __repr__(self) -> str:
-        """Return the values as a dictionary."""
         return repr(dict(self))

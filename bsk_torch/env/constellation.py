@@ -77,8 +77,8 @@ class ConstellationTasking(Tasking):
         parsed = parse(ConstellationOptions, options)
         listed = [satellites] if isinstance(satellites, Satellite) else list(satellites)
         self._build(listed, scenario, rewarder, communicator, sat_arg_randomizer, parsed)
-        given = {"satellites": satellites, "scenario": scenario, "rewarder": rewarder, "communicator": communicator}
-        self._arguments = {**given, "sat_arg_randomizer": sat_arg_randomizer, **options}
+        parts = {"satellites": satellites, "scenario": scenario, "rewarder": rewarder, "communicator": communicator}
+        self._arguments = {**parts, "sat_arg_randomizer": sat_arg_randomizer, **options}
 
     @functools.cached_property
     def joint(self) -> bool:
@@ -115,11 +115,7 @@ class ConstellationTasking(Tasking):
         self._make_agents()
         for satellites, values in zip(self.satellites, trial, strict=True):
             satellites.observation_description = ObservationBuilder.describe(values)
-        observed, acted, paid = (
-            Composite(shape=self.batch_size),
-            Composite(shape=self.batch_size),
-            Composite(shape=self.batch_size),
-        )
+        observed, acted, paid = (Composite(shape=self.batch_size) for _ in range(3))
         for group in self.groups:
             shape = (*self.batch_size, *self._agents_shape(group))
             where = () if self.joint else (group.name,)
@@ -173,9 +169,8 @@ class ConstellationTasking(Tasking):
     def _acted(self, group: Group, shape: tuple[int, ...]) -> Any:
         members, sizes = [self.satellites[t] for t in group.types], self._sizes(group)
         if self._by_name(group):
-            parts = {
-                name: action_spec(sat, shape, self.dtype, 1) for name, sat in zip(self._names_of(group), members, strict=True)
-            }
+            pairs = zip(self._names_of(group), members, strict=True)
+            parts = {name: action_spec(satellite, shape, self.dtype, 1) for name, satellite in pairs}
             return Composite(parts, shape=torch.Size(shape))
         if not (group.is_meta or self.joint):
             return action_spec(members[0], shape, self.dtype, 1)
@@ -186,7 +181,6 @@ class ConstellationTasking(Tasking):
         return self.joint and any(form(self.satellites[t]) is not None for t in group.types)
 
     def _names_of(self, group: Group) -> list[str]:
-        """Return the names of the satellites of the first agent of a group."""
         return [self.names[k] for k in group.members[0].tolist()]
 
     @property
@@ -199,15 +193,15 @@ class ConstellationTasking(Tasking):
         partial = tensordict.get("_step", None)
         moves = torch.ones_like(self.state.removed[:, 0]) if partial is None else partial.reshape(-1)
         keys = [("action",) if self.joint else (group.name, "action") for group in self.groups]
-        given = [messages.given_action(tensordict, *key) for key in keys]
-        return self.play(given, moves)
+        actions = [messages.given_action(tensordict, *key) for key in keys]
+        return self.play(actions, moves)
 
-    def play(self, given: Sequence[Any], moves: Tensor) -> TensorDict:
+    def play(self, commands: Sequence[Any], moves: Tensor) -> TensorDict:
         """Execute the actions of each group where ``moves`` [N] is true; return the entries of ``next``."""
         with self.guard:
             self.guard.check_begun("step()")
-            actions, mine = self._decoded(given, moves)
-            result = self._advance(actions, mine, moves)
+            actions, executed = self._decoded(commands, moves)
+            result = self._advance(actions, executed, moves)
             return self._proven(self._outputs(result, **self._ends(result)))
 
     @property
@@ -241,23 +235,23 @@ class ConstellationTasking(Tasking):
             gone = self._by_agent(group, dead).unsqueeze(-1).expand(-1, *group.members.shape)
             members = group.members.flatten()
             removed[:, members] = removed[:, members] | gone.flatten(1)
-        left = removed & ~self.state.removed
-        if not bool(left.any()):  # values read from the satellites at this time stay valid
+        leaving = removed & ~self.state.removed
+        if not bool(leaving.any()):  # values read from the satellites at this time stay valid
             return
         self.state.removed = removed
         for k, satellite in enumerate(self.satellites):
-            cancel(satellite, self.fleet.rows_of(k, left))
+            cancel(satellite, self.fleet.rows_of(k, leaving))
 
-    def _decoded(self, given: Sequence[Any], moves: Tensor) -> tuple[list[Tensor], list[Tensor]]:
+    def _decoded(self, commands: Sequence[Any], moves: Tensor) -> tuple[list[Tensor], list[Tensor]]:
         """Return the actions [N * count, ...] of each type, and masks of the actions that take effect."""
         idle = self.requires_retasking
         members: list[list[tuple[Tensor, Tensor, Tensor]]] = [[] for _ in self.satellites]
-        for group, action in zip(self.groups, given, strict=True):
-            for m, (t, within, mine) in enumerate(zip(group.types, group.within, self._checked(group, action), strict=True)):
-                counts = acts(mine, self.satellites[t], 1)
+        for group, action in zip(self.groups, commands, strict=True):
+            for m, (t, within, chosen) in enumerate(zip(group.types, group.within, self._checked(group, action), strict=True)):
+                counts = acts(chosen, self.satellites[t], 1)
                 if self.options.only_retask_idle_meta_agent_members and group.is_meta:
                     counts = counts & idle[:, group.members[:, m]]
-                members[t].append((within, mine, counts))
+                members[t].append((within, chosen, counts))
         present = moves.unsqueeze(-1) & ~self.state.removed
         checked, rows = [], []
         for k, (satellites, parts) in enumerate(zip(self.satellites, members, strict=True)):
@@ -268,7 +262,6 @@ class ConstellationTasking(Tasking):
         return checked, rows
 
     def _begins(self, satellites: SatelliteGroup, acts: Tensor, decision: Decision) -> Tensor:
-        """See :meth:`Tasking._begins`; without those that repeat their action, under ``continue_repeated``."""
         if not self.options.continue_repeated or not isinstance(satellites.actions, ActionBuilder):
             return acts
         task = satellites.task
@@ -277,15 +270,14 @@ class ConstellationTasking(Tasking):
     def _of_type(self, k: int, parts: Sequence[tuple[Tensor, Tensor, Tensor]]) -> tuple[Tensor, Tensor]:
         """Return the actions [N, count, ...] of a type, and which of them are new tasks, from the actions of its satellites."""
         n, count, first = self.fleet.num_envs, self.fleet.simulators[k].count, parts[0][1]
-        dtype = functools.reduce(torch.promote_types, [mine.dtype for _, mine, _ in parts])
+        dtype = functools.reduce(torch.promote_types, [chosen.dtype for _, chosen, _ in parts])
         action = torch.zeros(n, count, *first.shape[2:], dtype=dtype, device=self.device)
         counts = torch.zeros(n, count, dtype=torch.bool, device=self.device)
-        for within, mine, new in parts:
-            action[:, within], counts[:, within] = mine.to(dtype), new
+        for within, chosen, new in parts:
+            action[:, within], counts[:, within] = chosen.to(dtype), new
         return action, counts
 
     def _checked(self, group: Group, action: Any) -> list[Tensor]:
-        """Return the actions [N, A, ...] of each member of the agents of a group; TypeError or ValueError for invalid ones."""
         what = "action" if self.joint else f"({group.name!r}, 'action')"
         members, shape = [self.satellites[t] for t in group.types], (*self.batch_size, *self._agents_shape(group))
         if self._by_name(group):
@@ -305,9 +297,9 @@ class ConstellationTasking(Tasking):
         if self._warned:
             return
         asked = moves.unsqueeze(-1) & ~self.state.removed
-        for k, (satellites, mine) in enumerate(zip(self.satellites, acts, strict=True)):
+        for k, (satellites, executed) in enumerate(zip(self.satellites, acts, strict=True)):
             task = satellites.task
-            idle = task.requires_retasking & ~mine & ~task.dead & self.fleet.rows_of(k, asked)
+            idle = task.requires_retasking & ~executed & ~task.dead & self.fleet.rows_of(k, asked)
             if bool(idle.any()):
                 row = int(torch.nonzero(idle)[0])
                 logger.warning("%s requires retasking but received no task; its mode continues", satellites.title(row))
@@ -321,17 +313,16 @@ class ConstellationTasking(Tasking):
         duration = duration.to(self.dtype).unsqueeze(-1)
         hidden = self.state.removed if result is None else result.removed
         outputs: dict[str, Any] = {**parts, "duration": duration}
-        seen = [
+        observations = [
             satellite.observations.get_dict() if satellite.obs_type is dict else satellite.observations.get_vector(self.dtype)
             for satellite in self.satellites
         ]
         if result is not None and not self.joint:
-            self._remove(
-                result.duration
-            )  # only now: look-ahead is not extended for agents that have left, but they receive a last observation
+            # only now: look-ahead is not extended for agents that have left, but they receive a last observation
+            self._remove(result.duration)
         legal = [satellite.action_mask() for satellite in self.satellites]
         for group in self.groups:
-            leaves = self._group_outputs(group, seen, legal, hidden)
+            leaves = self._group_outputs(group, observations, legal, hidden)
             if self.joint:
                 outputs |= {name: leaf.squeeze(1) for name, leaf in leaves.items()}
                 if result is not None:
@@ -345,11 +336,11 @@ class ConstellationTasking(Tasking):
             outputs["counts"] = TensorDict(counts, self.batch_size, device=self.device)
         return TensorDict(outputs, self.batch_size, device=self.device)
 
-    def _group_outputs(self, group: Group, seen: list[Any], legal: list[Tensor], removed: Tensor) -> dict[str, Any]:
+    def _group_outputs(self, group: Group, observations: list[Any], legal: list[Tensor], removed: Tensor) -> dict[str, Any]:
         """Return the outputs of the agents of a group by name, [N, A, ...] each."""
         idle = self.requires_retasking
         wanted = (idle & ~self.state.removed)[:, group.members]
-        observation = self._observation(group, seen, self._hidden(group, idle[:, group.members], removed))
+        observation = self._observation(group, observations, self._hidden(group, idle[:, group.members], removed))
         masks = []
         for m, (t, within, size) in enumerate(zip(group.types, group.within, self._sizes(group), strict=True)):
             if not size:
@@ -367,13 +358,7 @@ class ConstellationTasking(Tasking):
         return leaves
 
     def _hidden(self, group: Group, wanted: Tensor, removed: Tensor) -> Tensor:
-        """Return the members that are not observed, [N, A, M].
-
-        Args:
-            group: The agents.
-            wanted: Members that need a task, or died without one, [N, A, M].
-            removed: Satellites absent or removed before the step, [N, S].
-        """
+        """Return the members that are not observed, [N, A, M]; ``wanted`` [N, A, M] need a task, or died without one."""
         if self.joint:
             absent = torch.zeros_like(wanted) if self.fleet.present is None else ~self.fleet.present[:, group.members]
             return absent | ~wanted if self.options.generate_obs_retasking_only else absent
@@ -385,14 +370,14 @@ class ConstellationTasking(Tasking):
         table = rows.view(self.fleet.num_envs, -1, *rows.shape[1:])
         return table if whole else table[:, within]
 
-    def _observation(self, group: Group, seen: list[Any], hidden: Tensor) -> Any:
+    def _observation(self, group: Group, observations: list[Any], hidden: Tensor) -> Any:
         """Return the observations [N, A, O], zero for members that are ``hidden`` [N, A, M]."""
-        if isinstance(seen[group.types[0]], dict):
+        if isinstance(observations[group.types[0]], dict):
             shape = (self.fleet.num_envs, self.fleet.simulators[group.types[0]].count)
-            tree = self._cast(seen[group.types[0]], shape)[:, group.within[0]]
+            tree = self._cast(observations[group.types[0]], shape)[:, group.within[0]]
             return tree.apply(lambda leaf: _blank(leaf, hidden[..., 0]))
         triples = zip(group.types, group.within, group.whole, hidden.unbind(-1), strict=True)
-        parts = [_blank(self._members(seen[t], within, whole), gone) for t, within, whole, gone in triples]
+        parts = [_blank(self._members(observations[t], within, whole), gone) for t, within, whole, gone in triples]
         return parts[0] if len(parts) == 1 else torch.cat(parts, -1)
 
 

@@ -21,7 +21,7 @@ from bsk_torch.env.guard import EpisodeGuard
 from bsk_torch.env.log import StepLog
 from bsk_torch.env.satellite_group import SatelliteGroup, begin_tasks
 from bsk_torch.rand import Key
-from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.assembly.satellite_type import SatelliteType
 from bsk_torch.sim.fleet import Fleet, FleetState
@@ -168,28 +168,22 @@ class Episodes(EnvBase):
     def reseed(self, seeds: int | Sequence[int | None], mask: Tensor | None = None) -> None:
         """Start with the first episodes of other seeds at the next reset; current episodes do not change.
 
-        Args:
-            seeds: Seed of all environments, or one for each of the N, where None keeps the current seed.
-            mask: Environments to seed, [N] bool (default: all).
-
-        Raises:
-            ValueError: For a seed that is not an integer from 0 to 2**63 - 1, or a wrong number of seeds.
+        ``seeds`` is one for all environments, or one for each of the N, None for the current one; only in ``mask`` [N] if given.
         """
         count = self.num_envs
         several = isinstance(seeds, Sequence | Tensor | np.ndarray) and not isinstance(seeds, str)
-        given: list[Any] = list(seeds) if several else [seeds] * count  # type: ignore[arg-type]
-        if len(given) != count:
-            raise ValueError(f"seed has {len(given)} entries; it must be an integer or have {count}, one per environment")
-        given = [seed.item() if isinstance(seed, Tensor) and seed.ndim == 0 else seed for seed in given]
-        given = [None if seed is None else whole("seed", seed, 0, SEED_LIMIT - 1) for seed in given]
-        rows = torch.tensor([seed is not None for seed in given], device=self.device)
+        numbers: list[Any] = list(seeds) if several else [seeds] * count  # type: ignore[arg-type]
+        if len(numbers) != count:
+            raise ValueError(f"seed has {len(numbers)} entries; it must be an integer or have {count}, one per environment")
+        numbers = [seed.item() if isinstance(seed, Tensor) and seed.ndim == 0 else seed for seed in numbers]
+        numbers = [None if seed is None else whole("seed", seed, 0, SEED_LIMIT - 1) for seed in numbers]
+        rows = torch.tensor([seed is not None for seed in numbers], device=self.device)
         rows = rows if mask is None else rows & mask
-        values = torch.tensor([seed or 0 for seed in given], dtype=torch.int64, device=self.device)
+        values = torch.tensor([seed or 0 for seed in numbers], dtype=torch.int64, device=self.device)
         self.state.seed = torch.where(rows, values, self.state.seed)
         self.state.episode = self.episode.masked_fill(rows, -1)
 
     def _begin(self, envs: Tensor) -> None:
-        """Start new episodes in ``envs`` [n]."""
         state = self.state
         seeds, episodes, begun = state.seed, state.episode + 1, self.guard.replace()
         if self.pool is not None and not self.fleet.calls_user:
@@ -214,7 +208,6 @@ class Episodes(EnvBase):
         self._show(envs)
 
     def _show(self, envs: Tensor) -> None:
-        """Pass the episodes ``envs`` [n], which have begun or been restored, to recordings."""
         for recording in self.fleet.recordings:
             recording.begin(envs)
 
@@ -229,12 +222,14 @@ def whole_limit(limit: Tensor, et: Tensor, h_ns: int) -> tuple[Tensor, Tensor]:
     return ticks.long(), torch.where(torch.isfinite(limit), ticks * (h_ns * NANO), limit)
 
 
-def read_env_ids(given: Any, n: int) -> Tensor:
+def read_env_ids(env_ids: Any, n: int) -> Tensor:
     """Return the index of each episode in draws, [n] int64 (default: 0 to n - 1); ValueError for invalid indices."""
-    if given is None:
+    if env_ids is None:
         return torch.arange(n)
-    table = given if isinstance(given, Tensor) else np.asarray(given) if isinstance(given, np.ndarray | Sequence) else None
-    if table is None or isinstance(given, str) or tuple(table.shape) != (n,):
+    table = (
+        env_ids if isinstance(env_ids, Tensor) else np.asarray(env_ids) if isinstance(env_ids, np.ndarray | Sequence) else None
+    )
+    if table is None or isinstance(env_ids, str) or tuple(table.shape) != (n,):
         shape = "" if table is None else f" has shape {list(table.shape)};"
-        raise ValueError(f"env_ids={given!r}:{shape} it needs {n} whole numbers, one for each environment")
+        raise ValueError(f"env_ids={env_ids!r}:{shape} it needs {n} whole numbers, one for each environment")
     return torch.tensor([whole("env_ids", number, 0, SEED_LIMIT - 1) for number in table.tolist()])

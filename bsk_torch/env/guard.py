@@ -50,33 +50,29 @@ class EpisodeGuard:
         self._lock, self._inside = threading.RLock(), ""
         self._outer_modes: list[tuple[bool, torch.inference_mode | None]] = []
 
-    # -- calls --------------------------------------------------------------------------------------------------------
-
     def __enter__(self) -> None:
-        """Enter; RuntimeError while another thread is inside."""
         if not self._lock.acquire(blocking=False):
             raise RuntimeError(
                 f"the environment is in use by thread {self._inside!r}, and {threading.current_thread().name!r} called it at the "
                 "same time: give each thread its own environment, or let one wait for the other with a threading.Lock"
             )
         self._inside = threading.current_thread().name
-        grad, left = torch.is_grad_enabled(), torch.inference_mode(False) if torch.is_inference_mode_enabled() else None
-        if left is not None:
-            left.__enter__()
-        self._outer_modes.append((grad, left))
+        grad, mode = torch.is_grad_enabled(), torch.inference_mode(False) if torch.is_inference_mode_enabled() else None
+        if mode is not None:
+            mode.__enter__()
+        self._outer_modes.append((grad, mode))
         torch.set_grad_enabled(False)
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        """Leave; after an ``error``, mark the episodes being changed as not begun."""
         try:
             changing, self._changing = self._changing, None
             if error is not None and changing is not None:
                 self._interrupt(changing, error)
         finally:
-            grad, left = self._outer_modes.pop()
+            grad, mode = self._outer_modes.pop()
             torch.set_grad_enabled(grad)
-            if left is not None:
-                left.__exit__(None, None, None)
+            if mode is not None:
+                mode.__exit__(None, None, None)
             self._lock.release()
 
     def change(self, envs: Tensor) -> None:
@@ -103,18 +99,8 @@ class EpisodeGuard:
         if isinstance(error, IndexError) and self.origin is not Origin.DRAWN:
             raise FloatingPointError(f"no satellite can fly with the numbers of the restored state: {error}") from error
 
-    # -- checks -------------------------------------------------------------------------------------------------------
-
     def check_begun(self, call: str, envs: Tensor | None = None) -> None:
-        """Check that episodes have begun.
-
-        Args:
-            call: Name of the method called by the user, for the message.
-            envs: Mask [N] of the episodes to check (default: all).
-
-        Raises:
-            ResetNeededError: For episodes that have not begun, or whose last step was interrupted.
-        """
+        """Raise ResetNeededError if an episode, of those in the mask ``envs`` [N] if given, has not begun or was interrupted."""
         if self.all_begun:
             return
         begun = self.state["begun"]

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from bsk_torch._text import visible
 from bsk_torch.env.satellite_group import SatelliteGroup
-from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sats.imaging import BoundImagingSatellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.targets import TargetScenario
@@ -57,9 +57,6 @@ def configure(level: int | str | None, file: str | Path | None) -> None:
     Args:
         level: Level of the logger ``bsk_torch``, such as ``"INFO"``; None leaves it unchanged.
         file: Path of the file (``log_dir`` of an environment), or None.
-
-    Raises:
-        ValueError: For an unknown level, or a folder instead of a file.
     """
     logger = logging.getLogger(ROOT)
     if level is not None or file is not None:
@@ -112,8 +109,6 @@ class StepLog:
     def shows(self, level: int = logging.INFO) -> bool:
         """Return whether records of a level are wanted."""
         return self.logger.isEnabledFor(level)
-
-    # -- moments of a step --------------------------------------------------------------------------------------------
 
     def began(self, envs: Tensor, seeds: Tensor, episodes: Tensor) -> None:
         """Record new episodes in ``envs`` [n]: ``seed`` and ``episode``."""
@@ -174,8 +169,6 @@ class StepLog:
         for env in flown if self.shows() else ():
             self._outcome(env, result)
 
-    # -- records ------------------------------------------------------------------------------------------------------
-
     def _counted(self, satellite: SatelliteGroup, name: str, env: int, row: int, counter: str, grown: int) -> None:
         if counter in ("imaged", "missed"):
             target = self._target(satellite, env, row)
@@ -218,10 +211,7 @@ class StepLog:
         episode, time = int(self.fleet.state["episode"][env]), float(self.fleet.sim_time[env])
         return {"env": env, "episode": episode, "sim_time": time, "event": event, "several": len(self.envs) > 1}
 
-    # -- reading ------------------------------------------------------------------------------------------------------
-
     def _rows(self, k: int) -> list[tuple[int, str, int]]:
-        """Return environment, name and row of each present satellite of type ``k`` in the recorded environments."""
         names = self.satellites[k].names
         rows = [(env, name, env * len(names) + m) for env in self.envs for m, name in enumerate(names)]
         present = self.fleet.simulators[k].present
@@ -229,11 +219,9 @@ class StepLog:
 
     @staticmethod
     def _images(satellite: SatelliteGroup, action: Any) -> bool:
-        """Return whether an action chooses a target."""
         entry = satellite.actions.entries[satellite.actions.entry_of(action)]
         return hasattr(satellite, "latest_target") and getattr(entry, "n_negative_actions", 0) > 0
 
     def _target(self, satellite: SatelliteGroup, env: int, row: int) -> str | None:
-        """Return the name of the target last chosen by a satellite."""
         target = int(cast(BoundImagingSatellite, satellite).latest_target[row])
         return None if target < 0 else cast(TargetScenario, self.scenario).names(env)[target]

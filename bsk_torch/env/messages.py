@@ -52,10 +52,7 @@ def given_action(tensordict: TensorDictBase, *key: str) -> Any:
 
 
 def reject_call(kind: str, key: str, given: object) -> NoReturn:
-    """Raise TypeError for an argument of ``step`` or ``reset`` other than a tensordict.
-
-    ``kind`` is the class of the environment, and ``key`` the key of the action, for the message.
-    """
+    """Raise TypeError for an argument of ``step`` or ``reset`` of the class ``kind`` other than a tensordict."""
     raise TypeError(
         f"{kind} is an environment of TorchRL, whose step and reset take a tensordict, not {given!r}: td = env.reset(); "
         f"td[{key}] = actions; td = env.step(td)['next']. For observation, reward, terminated, truncated, "

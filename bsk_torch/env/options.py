@@ -15,9 +15,9 @@ from bsk_torch._checks import number, switch, whole
 from bsk_torch.act.base import SHORTEST
 from bsk_torch.codegen.inductor import BACKENDS
 from bsk_torch.rand import Distribution
-from bsk_torch.sats.dtypes import as_dtype
-from bsk_torch.sim.arguments.values import nearest
+from bsk_torch.sats.satellite import as_dtype
 from bsk_torch.sim.assembly.satellite_type import LONGEST_TICK, ORBITS, SHORTEST_TICK
+from bsk_torch.sim.names import nearest, one_of
 from bsk_torch.sim.world import WorldModel
 
 TimeLimit = float | Distribution | Callable[[], float]
@@ -113,7 +113,6 @@ class TaskingOptions:
     log_envs: Sequence[int] = (0,)
 
     def __post_init__(self) -> None:
-        """Check values, and convert the type of observations."""
         penalty = number("failure_penalty", self.failure_penalty, -MOST_PENALTY, MOST_PENALTY)
         checked = {
             "num_envs": whole("num_envs", self.num_envs, 1, 2**31 - 1),
@@ -124,18 +123,12 @@ class TaskingOptions:
             "dtype": as_dtype(self.dtype),
             "seed": None if self.seed is None else whole("seed", self.seed, 0, 2**63 - 1),
         }
-        if self.sim_dtype not in SIM_DTYPES:
-            raise ValueError(f"sim_dtype={self.sim_dtype!r} must be one of {list(SIM_DTYPES)}")
-        if self.backend not in BACKENDS:
-            raise ValueError(f"backend={self.backend!r} must be one of {list(BACKENDS)}")
+        for name, allowed in (("sim_dtype", SIM_DTYPES), ("backend", BACKENDS), ("compat", COMPATIBLE)):
+            if getattr(self, name) not in allowed:
+                raise ValueError(f"{name}={getattr(self, name)!r} must be one of {list(allowed)}")
         if self.orbit not in (None, *ORBITS):
             raise ValueError(f"orbit={self.orbit!r} must be one of {list(ORBITS)}, or None for the model's own")
-        if self.compat not in COMPATIBLE:
-            raise ValueError(f"compat={self.compat!r} must be one of {list(COMPATIBLE)}")
-        if self.failures not in FAILURES:
-            raise ValueError(
-                f"failures={self.failures!r} must be one of {list(FAILURES)}; {nearest(str(self.failures), FAILURES)}"
-            )
+        one_of("failures", self.failures, FAILURES)
         if self.replan and self.compat is not None:
             raise ValueError(
                 f"replan={self.replan!r} with compat={self.compat!r}: its look-ahead follows no maneuver; leave one out"
@@ -175,7 +168,6 @@ class ConstellationOptions(TaskingOptions):
     population: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
-        """Check switches, and options that exclude each other."""
         super().__post_init__()
         switches = ("joint", "only_retask_idle_meta_agent_members", "generate_obs_retasking_only", "mask_busy")
         for name in (*switches, "continue_repeated"):
@@ -189,18 +181,18 @@ class ConstellationOptions(TaskingOptions):
             object.__setattr__(self, "population", (low, whole("population[1]", self.population[1], low)))
 
 
-def parse(kind: type[TaskingOptions], given: Mapping[str, Any]) -> Any:
+def parse(kind: type[TaskingOptions], options: Mapping[str, Any]) -> Any:
     """Return the options of the class ``kind``; TypeError for an unknown name."""
-    known = [option.name for option in fields(kind)]
-    given = {name: value for name, value in given.items() if name not in ABSENT or value is not None}
-    for name in given:
+    names = [option.name for option in fields(kind)]
+    options = {name: value for name, value in options.items() if name not in ABSENT or value is not None}
+    for name in options:
         if name in ABSENT:
-            raise TypeError(f"{name}={given[name]!r} is no option here: {ABSENT[name]}")
-        if name not in known:
+            raise TypeError(f"{name}={options[name]!r} is no option here: {ABSENT[name]}")
+        if name not in names:
             raise TypeError(  # TorchRL's GymEnv tries arguments, and recognizes rejected ones by this wording
-                f"unexpected keyword argument {name!r}: {name}= is not an option of the environment; {nearest(name, known)}"
+                f"unexpected keyword argument {name!r}: {name}= is not an option of the environment; {nearest(name, names)}"
             )
-    return kind(**given)
+    return kind(**options)
 
 
 def takes(kind: type[TaskingOptions]) -> Callable[[Class], Class]:
@@ -211,10 +203,10 @@ def takes(kind: type[TaskingOptions]) -> Callable[[Class], Class]:
     ]
 
     def decorate(env: Class) -> Class:
-        own = [
+        parameters = [
             p for p in inspect.signature(vars(env)["__init__"]).parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD
         ]
-        env.__signature__ = inspect.Signature([*own[1:], *keywords])  # type: ignore[attr-defined]
+        env.__signature__ = inspect.Signature([*parameters[1:], *keywords])  # type: ignore[attr-defined]
         return env
 
     return decorate

@@ -24,7 +24,6 @@ class Present(Episodes):
     """Part of an environment: information on its satellites and its current episodes."""
 
     def __getattr__(self, name: str) -> Any:
-        """Look up attributes registered by torch modules; AttributeError with advice for names of Gymnasium's environments."""
         if name in messages.ATTRIBUTES:
             why = f"for it is an environment of TorchRL: {messages.ATTRIBUTES[name]}"
             raise AttributeError(f"{type(self).__name__} has no attribute {name!r}, {why}")
@@ -121,10 +120,7 @@ class Present(Episodes):
             return pictures().frames(self, rows, height)
 
     def default_sat_args(self) -> ArgumentTable:
-        """Return every argument accepted in ``sat_args`` of the first satellite, with its default.
-
-        Print the result to read it: a table that begins with the arguments that differ here from their defaults.
-        """
+        """Return every argument of ``sat_args`` of the first satellite with its default; printed, the changed ones come first."""
         first = next(satellite for satellite in self.satellites if 0 in satellite.simulator.columns)
         return self.builder.satellites[0].default_sat_args().beside(first.sat_args_generator)
 

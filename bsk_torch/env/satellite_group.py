@@ -13,10 +13,8 @@ from typing_extensions import override
 from bsk_torch.act.base import ActionBuilder, Decision
 from bsk_torch.act.builders import ContinuousBuilder, action_builder
 from bsk_torch.obs.base import ObservationBuilder
-from bsk_torch.sats.bound import BoundSatellite
-from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
 from bsk_torch.sats.satellite import Satellite
-from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.dyn.events import DISARMED, DOWNLINK_TICK
 from bsk_torch.sim.fleet import NEVER
 from bsk_torch.sim.hooks import check_tensor, overrides
@@ -24,12 +22,7 @@ from bsk_torch.sim.run.coupled import RunResult
 
 
 class SatelliteGroup(BoundSatellite):
-    """The N satellites of one type in an environment.
-
-    Attributes:
-        actions: Their actions.
-        observations: Their observations.
-    """
+    """The N satellites of one type in an environment."""
 
     actions: ActionBuilder | ContinuousBuilder
     observations: ObservationBuilder
@@ -48,10 +41,6 @@ class SatelliteGroup(BoundSatellite):
     def hears_ends(self) -> bool:
         """Whether satellites or actions have hooks for the ends of actions."""
         return self.actions.hears_ends or overrides(self, Satellite, "note_events")
-
-    def user_functions(self) -> list[UserFunction]:
-        """Return the user functions called by observations and satellites."""
-        return [*self.observations.functions, *self.functions]
 
     @override
     def action_mask(self) -> Tensor:
@@ -136,13 +125,9 @@ def settle_all(groups: Sequence[SatelliteGroup], result: RunResult, moves: Tenso
 
 
 def settle(satellites: SatelliteGroup, event: Tensor | None, moves: Tensor, last: Tensor) -> None:
-    """Record how a run of the rows ``moves`` [N] ended.
+    """Record how a run of the rows ``moves`` [N] of one type ended; ``event`` [N] ended the action of some, None of none.
 
-    Args:
-        satellites: The satellites of one type.
-        event: Rows in which an event ended the action, [N]; None without such events.
-        moves: Rows that took part, [N].
-        last: Rows whose episode has reached its limit, [N]. The clock stops there before the end of a task is evaluated.
+    The rows ``last`` [N] have reached the limit of their episode, where the clock stops before the end of a task is evaluated.
     """
     task, state = satellites.task, satellites.simulator.state
     fired, waited = (task.ends <= state.ticks - last.long()) & moves, task.requires_retasking
@@ -159,10 +144,7 @@ def settle(satellites: SatelliteGroup, event: Tensor | None, moves: Tensor, last
 
 
 def cancel(satellites: SatelliteGroup, rows: Tensor) -> None:
-    """Cancel the tasks of ``rows``, a mask [N]; their events no longer end steps.
-
-    Satellites whose task has ended by then still require a task.
-    """
+    """Cancel the tasks of ``rows``, a mask [N]; satellites whose task has ended by then still require a task."""
     task, state = satellites.task, satellites.simulator.state
     task.ends, task.expected = (torch.where(rows, NEVER, ticks) for ticks in (task.ends, task.expected))
     for name in ("image_level", DOWNLINK_TICK):

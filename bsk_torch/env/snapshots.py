@@ -13,7 +13,7 @@ from torch import Tensor
 
 from bsk_torch.env.episodes import Episodes, whole_limit
 from bsk_torch.env.guard import Origin
-from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sim.access.lookahead import LookAhead
 from bsk_torch.sim.assembly.saved_rows import check_saved
 from bsk_torch.sim.fleet import Fleet, FleetState
@@ -44,11 +44,7 @@ class Snapshots(Episodes):
     fingerprint: Tensor
 
     def get_state(self) -> TensorDict:
-        """Return a copy of everything that determines the future, [N, ...]; see :meth:`restore`.
-
-        Raises:
-            ResetNeededError: For an episode that has not begun.
-        """
+        """Return a copy of all that determines the future, [N, ...], for :meth:`restore`; ResetNeededError before a reset."""
         with self.guard:
             self.guard.check_begun("get_state()")
             return self._saved()
@@ -83,10 +79,10 @@ class Snapshots(Episodes):
             other, envs, source = self._fitting(state, envs, source)
             begun = self.guard.replace()
             for k, simulator in enumerate(self.fleet.simulators):
-                mine, theirs = simulator.lookahead, lookahead_of(other, k)
-                mine.grow_to(theirs.arcs.length)
+                lookahead, source_lookahead = simulator.lookahead, lookahead_of(other, k)
+                lookahead.grow_to(source_lookahead.arcs.length)
                 try:
-                    theirs.grow_to(mine.arcs.length)
+                    source_lookahead.grow_to(lookahead.arcs.length)
                 except (FloatingPointError, IndexError) as error:
                     raise ValueError(
                         f"'satellites_{k}.lookahead.arcs' of the saved state cannot be continued: {error}"
@@ -118,7 +114,7 @@ class Snapshots(Episodes):
             return other, envs, source
         rows = torch.arange(len(source), device=self.device)
         lengths = ((s.lookahead.arcs.length, lookahead_of(other, k).arcs.length) for k, s in enumerate(self.fleet.simulators))
-        whole = torch.equal(source, other.all_rows) and all(mine <= theirs for mine, theirs in lengths)
+        whole = torch.equal(source, other.all_rows) and all(length <= saved for length, saved in lengths)
         used = other if whole else other.taken(source)  # arcs that must be extended are written into
         check_values(self.fleet, used)
         return used, envs, rows
@@ -150,12 +146,8 @@ def fingerprint(fleet: SatelliteFleet) -> Tensor:
     return torch.tensor([FORMAT, fleet.simulators[0].h_ns, *digests])
 
 
-def over_saved(fleet: Fleet, mine: Tensor, state: Mapping[str, Any] | TensorDictBase) -> StateTable:
-    """Return the tables of a saved state for a fleet whose fingerprint is ``mine``; :func:`check_values` checks their rows.
-
-    Raises:
-        KeyError, TypeError, ValueError: For an invalid state, or a state of another kind of environment.
-    """
+def over_saved(fleet: Fleet, numbers: Tensor, state: Mapping[str, Any] | TensorDictBase) -> StateTable:
+    """Return the tables of a saved state for a fleet whose fingerprint is ``numbers``; :func:`check_values` checks their rows."""
     if not isinstance(state, Mapping | TensorDictBase):
         raise TypeError(
             f"state={state!r} must be a state of get_state(), as a TensorDict or nested dictionaries, or an environment"
@@ -169,16 +161,12 @@ def over_saved(fleet: Fleet, mine: Tensor, state: Mapping[str, Any] | TensorDict
     theirs = state[MADE_BY]
     if not isinstance(theirs, Tensor) or theirs.dtype != torch.int64 or theirs.ndim != 2 or theirs.shape[1] < 1:
         raise TypeError(f"{MADE_BY!r} of the saved state is {theirs!r}; it must be an int64 tensor with a row for each episode")
-    check_fingerprint(mine, theirs.cpu().unique(dim=0))
+    check_fingerprint(numbers, theirs.cpu().unique(dim=0))
     return fleet.state.over({name: state[name] for name in names - {MADE_BY}})
 
 
 def check_values(fleet: Fleet, saved: StateTable) -> None:
-    """Check all rows of saved tables.
-
-    Raises:
-        ValueError: For a value impossible in this kind of environment, or an episode that has not begun.
-    """
+    """Raise ValueError for saved rows impossible in this kind of environment, and for an episode that has not begun."""
     saved.refuse("begun", saved["begun"], ~saved["begun"], "such episodes cannot continue")
     saved.check()
     et = lookahead_of(saved, 0).arcs.et.view(saved.num_envs, -1)[:, 0]
@@ -200,26 +188,22 @@ def check_values(fleet: Fleet, saved: StateTable) -> None:
 
 def lookahead_of(state: StateTable, part: int) -> LookAhead:
     """Return the arcs and windows of type number ``part`` in the state of an environment."""
-    found = state.tables[f"satellites_{part}"].tables["lookahead"]
-    assert isinstance(found, LookAhead)
-    return found
+    lookahead = state.tables[f"satellites_{part}"].tables["lookahead"]
+    assert isinstance(lookahead, LookAhead)
+    return lookahead
 
 
-def check_fingerprint(mine: Tensor, theirs: Tensor) -> None:
+def check_fingerprint(numbers: Tensor, theirs: Tensor) -> None:
     """Raise ValueError naming the difference of two environments; ``theirs`` is [n, 4], or narrower in old formats."""
     for part, meaning in enumerate(MEANING):
-        other = [int(value) for value in theirs[:, part] if value != mine[part]]
+        other = [int(value) for value in theirs[:, part] if value != numbers[part]]
         if other:
-            how = f": {other[0]}, not {int(mine[part])}" if part < 2 else ""
+            how = f": {other[0]}, not {int(numbers[part])}" if part < 2 else ""
             raise ValueError(f"state was saved by another kind of environment; they differ in the {meaning}{how}")
 
 
 def rows_of(name: str, rows: Any, count: int, device: torch.device) -> Tensor:
-    """Return the indices of episodes given in the argument ``name``, [n] int64.
-
-    Raises:
-        IndexError: For anything but a list of indices from 0 to ``count`` - 1.
-    """
+    """Return the indices of episodes given in the argument ``name``, [n] int64."""
     index = torch.as_tensor(rows, device=device)
     listed = index.ndim == 1 and (not index.numel() or not (index.dtype == torch.bool or index.is_floating_point()))
     if not listed or (len(index) and (int(index.min()) < 0 or int(index.max()) >= count)):

@@ -58,12 +58,12 @@ class SatelliteTasking(Tasking):
         """
         switch("generate_obs_retasking_only", options.get("generate_obs_retasking_only", False))
         parsed = parse(TaskingOptions, {name: value for name, value in options.items() if name != "generate_obs_retasking_only"})
-        alone = satellite[0] if isinstance(satellite, list | tuple) and len(satellite) == 1 else satellite
-        if not isinstance(alone, Satellite):
+        single = satellite[0] if isinstance(satellite, list | tuple) and len(satellite) == 1 else satellite
+        if not isinstance(single, Satellite):
             raise ValueError(f"satellite={satellite!r} must be one satellite; several need a ConstellationTasking")
-        self._build([alone], scenario, rewarder, communicator, sat_arg_randomizer, parsed)
-        given = {"satellite": satellite, "scenario": scenario, "rewarder": rewarder, "communicator": communicator}
-        self._arguments = {**given, "sat_arg_randomizer": sat_arg_randomizer, **options}
+        self._build([single], scenario, rewarder, communicator, sat_arg_randomizer, parsed)
+        parts = {"satellite": satellite, "scenario": scenario, "rewarder": rewarder, "communicator": communicator}
+        self._arguments = {**parts, "sat_arg_randomizer": sat_arg_randomizer, **options}
 
     def _make_specs(self, trial: list[Values]) -> None:
         b, on, values = self.batch_size, {"device": self.device}, trial[0]
@@ -84,8 +84,6 @@ class SatelliteTasking(Tasking):
         self.reward_spec = Unbounded((*b, 1), dtype=self.dtype, **on)
         self.full_done_spec = self._ends_spec()
 
-    # -- the first and only group of satellites -----------------------------------------------------------------------
-
     @functools.cached_property
     def satellite(self) -> SatelliteGroup:
         """The satellites of all environments."""
@@ -100,8 +98,6 @@ class SatelliteTasking(Tasking):
     def requires_retasking(self) -> Tensor:
         """Whether the satellite needs a task, [N]."""
         return self.satellite.task.requires_retasking
-
-    # -- step ---------------------------------------------------------------------------------------------------------
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         partial = tensordict.get("_step", None)
@@ -121,11 +117,11 @@ class SatelliteTasking(Tasking):
         action = read("action", action, self.satellite, self.batch_size, ", one per environment")
         moves_all, moves = moves is None, torch.ones_like(self.dead) if moves is None else moves
         goes_on = isinstance(self.satellite.actions, ContinuousBuilder)  # numbers of actions have none that continues the task
-        mine, all_act = moves & acts(action, self.satellite) if goes_on else moves, moves_all and not goes_on
+        executed, all_act = moves & acts(action, self.satellite) if goes_on else moves, moves_all and not goes_on
         with self.guard:
             self.guard.check_begun("step()")
-            action = self.satellite.actions.checked(action, None if all_act else mine)
-            result = self._advance([action], [mine], moves, all_act)
+            action = self.satellite.actions.checked(action, None if all_act else executed)
+            result = self._advance([action], [executed], moves, all_act)
             parts = self._entries(result, reward=result.reward.to(self.dtype), **self._ends(result))
             if self.guard.origin is Origin.RESTORED:
                 self._proven(self._wrapped(parts))

@@ -4,8 +4,7 @@ from bsk_torch.obs.base import Observation
 from bsk_torch.obs.noisy import Noisy
 from bsk_torch.obs.opportunities import OpportunityProperties
 from bsk_torch.obs.relative_observations import RelativeProperties
-from bsk_torch.obs.resources import ResourceRewardWeight
-from bsk_torch.obs.satellite import Eclipse, SatProperties, Time
+from bsk_torch.obs.satellite import Eclipse, ResourceRewardWeight, SatProperties, Time
 
 __all__ = [
     "Eclipse",

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from math import isnan
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from bsk_torch._checks import text
+from bsk_torch.sats.bound import BoundSatellite, link_entry
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.hooks import check_class, check_tensor, defined_first, is_of_package
 from bsk_torch.sim.names import snake
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
-    from bsk_torch.sim.simulator import Simulator
+from bsk_torch.sim.simulator import Simulator
 
 HOOKS = ("link_satellite", "observables", "get_obs", "get_vector")
 """Members of :class:`Observation` that subclasses may define."""
@@ -57,7 +55,6 @@ class Observation:
         self.name = snake(type(self).__name__) if name is None else text("name", name)
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
         check_class(cls, Observation, HOOKS)
         if "get_vector" in vars(cls) and "get_obs" not in vars(cls):
@@ -112,11 +109,7 @@ def side_by_side(name: str, value: Tensor | Values, count: int) -> Tensor:
 
 
 def flatten(values: Values, count: int | None = None, prefix: str = "") -> Iterator[tuple[str, Tensor]]:
-    """Yield the leaves in order, as dotted names and tensors [N, width].
-
-    Raises:
-        TypeError: For a leaf that is not a tensor [N] or [N, ...], with N = ``count`` if given.
-    """
+    """Yield the leaves in order, as dotted names and tensors [N, width]."""
     for name, value in values.items():
         path = f"{prefix}{name}"
         if isinstance(value, dict):
@@ -124,32 +117,21 @@ def flatten(values: Values, count: int | None = None, prefix: str = "") -> Itera
         elif isinstance(value, Tensor) and value.ndim and count in (None, value.shape[0]):
             yield path, value.unsqueeze(-1) if value.ndim == 1 else value.flatten(1)
         else:
-            given = f"a tensor of shape {list(value.shape)}" if isinstance(value, Tensor) else repr(value)
+            description = f"a tensor of shape {list(value.shape)}" if isinstance(value, Tensor) else repr(value)
             raise TypeError(
-                f"observation {path!r} is {given}; it must be a tensor of shape [{count or 'N'}] or [{count or 'N'}, ...]"
+                f"observation {path!r} is {description}; it must be a tensor of shape [{count or 'N'}] or [{count or 'N'}, ...]"
             )
 
 
 def link(entry: object, satellite: BoundSatellite) -> None:
-    """Link an observation to a satellite.
-
-    Raises:
-        ValueError: For an entry that is not an observation.
-        TypeError: For an entry whose ``link_satellite`` does not call that of its base class.
-    """
+    """Link an observation to a satellite; ValueError for an entry that is not an observation, TypeError if linking failed."""
     if not isinstance(entry, Observation):
         raise ValueError(f"observation_spec holds {entry!r}, which is not an observation; write obs.Time(), with parentheses")
-    entry.link_satellite(satellite)
-    if getattr(entry, "satellite", None) is not satellite:
-        raise TypeError(f"{type(entry).__name__}.link_satellite(satellite) must call super().link_satellite(satellite)")
+    link_entry(entry, satellite)
 
 
 class Reader:
-    """Reads an observation, by name or as a vector; what a user's class returns is checked.
-
-    Attributes:
-        entry: The observation.
-    """
+    """Reads an observation, by name or as a vector; what a user's class returns is checked."""
 
     def __init__(self, entry: Observation) -> None:
         """Read an ``entry`` linked to its satellites."""
@@ -174,11 +156,7 @@ class Reader:
         return self._function((len(simulator.ticks),), simulator.device, entry.get_obs)
 
     def vector(self) -> Tensor:
-        """Return the observation as a vector, [N, width].
-
-        Raises:
-            TypeError: At the first call, if the vector of a user's class and its named observations differ in width.
-        """
+        """Return the observation as a vector, [N, width]."""
         if not self._has_vector:
             return self._flat()
         vector = self.entry.get_vector()
@@ -192,19 +170,10 @@ class Reader:
 
 
 class ObservationBuilder:
-    """The observations of a satellite type, in the order of its ``observation_spec``.
-
-    Attributes:
-        entries: The entries.
-    """
+    """The observations of a satellite type, in the order of its ``observation_spec``."""
 
     def __init__(self, spec: Sequence[Observation], satellite: BoundSatellite) -> None:
-        """Link every entry to the satellite.
-
-        Raises:
-            ValueError: For an empty spec or an entry that is not an observation.
-            TypeError: For an entry whose ``link_satellite`` does not call that of its base class.
-        """
+        """Link every entry to the satellite."""
         if not spec:
             raise ValueError(f"{type(satellite).__name__}.observation_spec is empty; list at least one, such as obs.Time()")
         for entry in spec:
@@ -230,12 +199,7 @@ class ObservationBuilder:
         return [function for entry in self.entries for function in entry.observables()]
 
     def get_dict(self) -> Values:
-        """Return all observations by name; repeated names get a number, as in ``target_2``.
-
-        Raises:
-            TypeError: For a leaf of a wrong shape.
-            FloatingPointError: For NaN or infinity, where functions or classes of users take part.
-        """
+        """Return all observations by name; repeated names get a number, as in ``target_2``."""
         values: Values = {}
         for reader in self._readers:
             values[reader.entry.unique_name] = reader.values()
@@ -245,12 +209,7 @@ class ObservationBuilder:
         return values
 
     def get_vector(self, dtype: torch.dtype) -> Tensor:
-        """Return all observations, concatenated, [N, width].
-
-        Raises:
-            TypeError: For another width than at the first call.
-            FloatingPointError: For NaN or infinity, where functions or classes of users take part.
-        """
+        """Return all observations, concatenated, [N, width]; FloatingPointError for NaN or infinity in those of users."""
         vector = torch.cat([reader.vector() for reader in self._readers], -1)
         if vector.shape[-1] != self._width:
             if self._width is not None:

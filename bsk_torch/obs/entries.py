@@ -21,10 +21,6 @@ def parse_entries(entries: Iterable[dict[str, Any]], allowed: set[str], title: s
 
     ``fn`` takes precedence over ``prop``, which is then just the label. Names are ``name``; else ``prop``, or
     ``prop_0`` and so on for a function without one, with ``_normd`` where a norm divides it.
-
-    Raises:
-        ValueError: Without entries, for unknown keys, missing ``prop`` and ``fn``, a norm that is 0 or no number, or equal names.
-        TypeError: For an entry that is not a dictionary, or a ``fn`` that is not a function.
     """
     parsed = tuple(_parsed(entry, number, allowed, title) for number, entry in enumerate(entries))
     if not parsed:
@@ -41,16 +37,16 @@ def _parsed(entry: object, number: int, allowed: set[str], title: str) -> dict[s
     unknown = set(entry) - allowed
     if unknown:
         raise ValueError(f"{title} got unknown keys {sorted(unknown)} in {entry}; allowed are {sorted(allowed)}")
-    given = {key: value for key, value in entry.items() if value is not None}
-    if "prop" not in given and "fn" not in given:
+    settings = {key: value for key, value in entry.items() if value is not None}
+    if "prop" not in settings and "fn" not in settings:
         raise ValueError(f"{title} needs 'prop' or 'fn' in {entry}")
-    if "fn" not in given and not isinstance(given["prop"], str):
-        raise ValueError(f"{title}: prop={given['prop']!r} must be the name of a property")
-    if "fn" in given and not callable(given["fn"]):
-        raise TypeError(f"{title}: fn={given['fn']!r} must be a function")
-    norm = parse_norm(given.get("norm"), f"{title}: norm of {entry}")
-    default = str(given.get("prop", f"prop_{number}")) + ("_normd" if isinstance(norm, Tensor) or norm != 1.0 else "")
-    return {**given, "norm": norm, "name": str(given.get("name", default))}
+    if "fn" not in settings and not isinstance(settings["prop"], str):
+        raise ValueError(f"{title}: prop={settings['prop']!r} must be the name of a property")
+    if "fn" in settings and not callable(settings["fn"]):
+        raise TypeError(f"{title}: fn={settings['fn']!r} must be a function")
+    norm = parse_norm(settings.get("norm"), f"{title}: norm of {entry}")
+    default = str(settings.get("prop", f"prop_{number}")) + ("_normd" if isinstance(norm, Tensor) or norm != 1.0 else "")
+    return {**settings, "norm": norm, "name": str(settings.get("name", default))}
 
 
 def parse_norm(norm: object, title: str) -> Norm:

@@ -6,7 +6,7 @@ import copy
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -14,11 +14,9 @@ from typing_extensions import override
 
 from bsk_torch.obs.base import Observation, Reader, Values, flatten, link
 from bsk_torch.rand import Choice, Distribution, Key, Normal
+from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.names import nearest
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
 
 Noise = float | Distribution | Mapping[str, float | Distribution]
 """Standard deviation of normal noise, or a distribution, of all numbers observed or by name."""
@@ -37,9 +35,6 @@ class Noisy(Observation):
     the satellite, the time and the name of the observation. It differs between decisions, is the same whenever one decision is
     observed again, and does not depend on the batch. Rewards, flight software and action masks use the true state;
     ``noisy.observation.get_obs()`` is the observation without noise.
-
-    Attributes:
-        observation: The observation without noise.
     """
 
     def __init__(self, observation: Observation, noise: Noise = 0.0, bias: Noise = 0.0, name: str | None = None) -> None:
@@ -51,9 +46,6 @@ class Noisy(Observation):
                 dictionary of these by the names of properties; other properties have no noise.
             bias: Noise drawn once for each episode, likewise.
             name: Name of the entry (default: that of the observation).
-
-        Raises:
-            ValueError: For an invalid observation or noise, or a negative standard deviation.
         """
         if not isinstance(observation, Observation):
             raise ValueError(f"obs.Noisy({observation!r}): it must be an observation; write obs.Time(), with parentheses")
@@ -65,7 +57,6 @@ class Noisy(Observation):
         self._plans: list[list[tuple[Distribution, list[int]]]] | None = None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Noisy:
-        """Return a copy, including the observation; every environment makes one."""
         made = copy.copy(self)
         made.observation = copy.deepcopy(self.observation, memo)
         return made
@@ -102,10 +93,7 @@ class Noisy(Observation):
             self.get_obs()
         return vector + self._noise_of(vector)
 
-    # -- random numbers -----------------------------------------------------------------------------------------------
-
     def _noise(self, leaves: list[tuple[str, Tensor]]) -> Tensor:
-        """Return the noise of the concatenated observed numbers, [N, width]."""
         if self._plans is None:
             columns = _columns(leaves, getattr(self.observation, "exact", ()))
             self._plans = [_plan(part, columns, self.name) for part, _ in self._parts]
@@ -118,9 +106,9 @@ class Noisy(Observation):
         if any(self._plans):
             key = self._key()
             for plan, (_, of_episode), title in zip(self._plans, self._parts, ("noise", "bias"), strict=True):
-                mine = key if of_episode else self._now(key)
+                row_key = key if of_episode else replace(key, moment=self.simulator.ticks.cpu())
                 for number, (distribution, columns) in enumerate(plan):
-                    drawn = _draw(distribution, mine.named(f"{self.unique_name} {title} {number}"), len(columns)).to(
+                    drawn = _draw(distribution, row_key.named(f"{self.unique_name} {title} {number}"), len(columns)).to(
                         vector.device
                     )
                     noise = noise.index_add(1, torch.tensor(columns, device=vector.device), drawn)
@@ -133,68 +121,55 @@ class Noisy(Observation):
         memory[OWNER] = memory[OWNER].index_copy(0, rows, state.of_env(self.satellite.fleet.env_ids)[rows])
 
     def _key(self) -> Key:
-        """Return the key of the satellites' episodes, [N]."""
         fleet, k = self.satellite.fleet, self.satellite.type_index
         key = fleet.key().of_satellites(fleet.columns[k].cpu())
         return replace(key, env_id=self.simulator.memory[OWNER].cpu())
 
-    def _now(self, key: Key) -> Key:
-        """Return a key of the current time."""
-        return replace(key, moment=self.simulator.ticks.cpu())
-
 
 def _parse(noise: object, title: str) -> dict[str | None, Distribution]:
     """Return distributions by name, or under None for all numbers, without those that have no noise."""
-    given = dict(noise) if isinstance(noise, Mapping) else {None: noise}
-    found: dict[str | None, Distribution] = {}
-    for name, value in given.items():
+    parts = dict(noise) if isinstance(noise, Mapping) else {None: noise}
+    distributions: dict[str | None, Distribution] = {}
+    for name, value in parts.items():
         if isinstance(value, Distribution):
-            found[name] = value
+            distributions[name] = value
         elif isinstance(value, int | float) and not isinstance(value, bool) and 0.0 <= value < MOST_NOISE:
             if value:
-                found[name] = Normal(0.0, float(value))
+                distributions[name] = Normal(0.0, float(value))
         else:
             raise ValueError(
                 f"obs.Noisy: {title}={value!r}{'' if name is None else f' of {name!r}'} must be a standard deviation from 0 on, "
                 "a distribution of bsk_torch.rand, or a dictionary of these by name"
             )
-    return found
+    return distributions
 
 
 def _columns(leaves: list[tuple[str, Tensor]], exact: tuple[str, ...]) -> list[tuple[str, list[int]]]:
     """Return the path and the columns of each observed quantity, without those that never have noise."""
-    found, first = [], 0
+    columns, first = [], 0
     for path, leaf in leaves:
         if path.rpartition(".")[2] not in exact:
-            found.append((path, list(range(first, first + leaf.shape[-1]))))
+            columns.append((path, list(range(first, first + leaf.shape[-1]))))
         first += leaf.shape[-1]
-    return found
+    return columns
 
 
 def _plan(
     part: dict[str | None, Distribution], columns: list[tuple[str, list[int]]], title: str
 ) -> list[tuple[Distribution, list[int]]]:
-    """Return each distribution with the columns that it is drawn for.
-
-    Raises:
-        ValueError: For a name that is not observed.
-    """
+    """Return each distribution with the columns that it is drawn for."""
     plan = []
     for name, distribution in part.items():
-        mine = [own for path, own in columns if name is None or name in path.split(".") or name == path]
-        if not mine:
-            known = sorted({path.rpartition(".")[2] for path, _ in columns})
-            raise ValueError(f"obs.Noisy: {name!r} is not observed in {title!r}; {nearest(str(name), known)}")
-        plan.append((distribution, [column for own in mine for column in own]))
+        chosen = [numbers for path, numbers in columns if name is None or name in path.split(".") or name == path]
+        if not chosen:
+            names = sorted({path.rpartition(".")[2] for path, _ in columns})
+            raise ValueError(f"obs.Noisy: {name!r} is not observed in {title!r}; {nearest(str(name), names)}")
+        plan.append((distribution, [column for numbers in chosen for column in numbers]))
     return plan
 
 
 def _draw(distribution: Distribution, key: Key, count: int) -> Tensor:
-    """Draw ``count`` numbers for each row of the key, [n, count].
-
-    Raises:
-        ValueError: For a distribution that returns another number of values.
-    """
+    """Draw ``count`` numbers for each row of the key, [n, count]."""
     bounds = (getattr(distribution, name, 0.0) for name in ("low", "high"))
     wide = any(not isinstance(bound, int | float) for bound in bounds)  # these set the number of values
     if dataclasses.is_dataclass(distribution) and getattr(distribution, "size", 0) is None and not wide:

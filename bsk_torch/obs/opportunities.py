@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
 from typing_extensions import override
 
-from bsk_torch._checks import switch, text, whole
+from bsk_torch._checks import text
 from bsk_torch.astro.ephemeris import earth_fixed_sun
 from bsk_torch.astro.frames import sin_elevation
-from bsk_torch.obs.base import Observation, Values, joined
+from bsk_torch.obs.candidates import CandidateObservation
 from bsk_torch.obs.entries import is_own, parse_entries, scaled
+from bsk_torch.sats.bound import BoundSatellite
+from bsk_torch.sats.bound_access import BoundAccessSatellite
+from bsk_torch.sats.opportunities import Opportunities
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.access.links.relative_geometry import SATELLITE_PROPERTIES
 from bsk_torch.sim.arguments.values import nearest
@@ -21,11 +25,6 @@ from bsk_torch.sim.instruments import number_of
 from bsk_torch.sim.places import STATION_KIND, FixedPlaces, instrument_kind, is_target
 from bsk_torch.sim.readout.observables import observable
 from bsk_torch.vec3 import Vec3
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
-    from bsk_torch.sats.bound_access import BoundAccessSatellite
-    from bsk_torch.sats.opportunities import Opportunities
 
 Preset = Callable[..., Tensor]
 """A function of the satellite and its next opportunities that returns [N, n] or [N, n, width]."""
@@ -89,11 +88,8 @@ NEEDS = {
 }
 """Properties of the satellite read by presets, by preset."""
 
-ONLY_TARGETS = ("priority",)
-"""Presets not available for ground stations."""
 
-
-class OpportunityProperties(Observation):
+class OpportunityProperties(CandidateObservation):
     """Properties of the n opportunities that close next; action i of ``act.Image`` images the i-th target.
 
     Each argument is a dictionary with ``prop`` (see :data:`PRESETS`) or ``fn`` (function of the satellite and its
@@ -104,7 +100,6 @@ class OpportunityProperties(Observation):
     """
 
     satellite: BoundAccessSatellite
-    in_orbit = False
 
     def __init__(
         self,
@@ -122,17 +117,13 @@ class OpportunityProperties(Observation):
             n_ahead_observe: Number of opportunities n.
             type: ``"target"``, ``"ground_station"``, or another kind of places declared by the scenario or models.
             name: Name of the observation (default: that of the type).
-            as_set: Whether to return ``rows`` [N, n, features] and ``mask`` [N, n] (1, or 0 for repetitions) instead of named
-                numbers, for permutation-invariant policies.
+            as_set: See :class:`~bsk_torch.obs.candidates.CandidateObservation`; the mask is 0 for repetitions.
             instrument: Name or number of one of several ``instruments``: opportunities are its own, and angles those of its axis
                 (default: of the instrument chosen last).
-
-        Raises:
-            ValueError: For unknown keys or presets, equal names, or fewer than one opportunity.
         """
         kind = text("type", type)
-        known = kind if instrument is None else f"{kind}_{instrument}"
-        super().__init__(known if name is None else name)
+        default = kind if instrument is None else f"{kind}_{instrument}"
+        super().__init__(n_ahead_observe, default if name is None else name, as_set)
         if instrument is not None and not is_target(type):
             raise ValueError(f"instrument={instrument!r} has opportunities of targets; those of type {type!r} have none")
         parsed = parse_entries(entries, {"prop", "fn", "norm", "name"}, "obs.OpportunityProperties")
@@ -141,13 +132,10 @@ class OpportunityProperties(Observation):
                 continue
             if entry["prop"] not in PRESETS:
                 raise ValueError(f"prop={entry['prop']!r} is not a property of opportunities; {nearest(entry['prop'], PRESETS)}")
-            if entry["prop"] in ONLY_TARGETS and not is_target(type):
+            if entry["prop"] == "priority" and not is_target(type):
                 raise ValueError(f"prop={entry['prop']!r} is a property of targets; opportunities of type {type!r} have none")
-        self.n_ahead_observe = whole("n_ahead_observe", n_ahead_observe, 1)
-        self.entries, self.type, self.as_set = parsed, kind, switch("as_set", as_set)
-        self.instrument = instrument
+        self.entries, self.type, self.instrument = parsed, kind, instrument
         self._number: int | None = None
-        self.exact = ("mask",) if as_set else ()  # not changed by obs.Noisy
         titles = (f"{entry['name']!r} of {self.name!r}" for entry in parsed)
         self._functions = [
             UserFunction(title, ADVICE) if "fn" in entry and not is_own(entry["fn"]) else None
@@ -186,18 +174,17 @@ class OpportunityProperties(Observation):
             access.expect(self.n_ahead_observe, places.count)
 
     def _needs(self) -> list[str]:
-        """Return names of the satellite properties read by the entries."""
         props = (entry["prop"] for entry in self.entries if "fn" not in entry)
         return [name for prop in props for name in NEEDS.get(prop, ())]
 
     @override
     def observables(self) -> list[Any]:
         models = [type_of(self.satellite.dynamics), type_of(self.satellite.fsw)]
-        known = [getattr(model, name) for name in self._needs() for model in models if hasattr(model, name)]
-        return [prop.function for prop in known if isinstance(prop, observable)]
+        members = [getattr(model, name) for name in self._needs() for model in models if hasattr(model, name)]
+        return [prop.function for prop in members if isinstance(prop, observable)]
 
-    def _columns(self) -> tuple[dict[str, Tensor], Opportunities]:
-        """Return properties by name, [N, n] or [N, n, width], and the opportunities that have them."""
+    @override
+    def columns(self) -> tuple[dict[str, Tensor], Tensor]:
         opportunities = self.satellite.find_next_opportunities(self.n_ahead_observe, self.type)
         columns = {}
         for entry, function in zip(self.entries, self._functions, strict=True):
@@ -206,31 +193,14 @@ class OpportunityProperties(Observation):
                 of_instrument = () if "fn" in entry or entry["prop"] not in NEEDS or self._number is None else (self._number,)
                 column = preset(self.satellite, opportunities, *of_instrument)
             else:
-                column = self._call(entry["fn"], function, opportunities)
+                call = functools.partial(entry["fn"], self.satellite, opportunities)
+                column = function(tuple(opportunities.open.shape), self.simulator.device, call)
             columns[entry["name"]] = scaled(column, entry["norm"])
         if getattr(self.satellite, "may_see_nothing", False):
             nothing = (opportunities.found == 0).unsqueeze(-1)
             for name, column in columns.items():
                 columns[name] = column.masked_fill(nothing if column.ndim == 2 else nothing.unsqueeze(-1), 0)
-        return columns, opportunities
-
-    def _call(self, given: Callable[..., object], function: UserFunction, opportunities: Opportunities) -> Tensor:
-        """Call a user's function of the satellite and its opportunities; return [N, n] or [N, n, width]."""
-        shape = tuple(opportunities.open.shape)
-        return function(shape, self.simulator.device, lambda: given(self.satellite, opportunities))
-
-    @override
-    def get_obs(self) -> Values:
-        columns, opportunities = self._columns()
-        if self.as_set:
-            return {"rows": joined(columns), "mask": opportunities.mask.double()}
-        return {f"{self.name}_{k}": {name: column[:, k] for name, column in columns.items()} for k in range(self.n_ahead_observe)}
-
-    def get_vector(self) -> Tensor:
-        """See :meth:`Observation.get_vector`; one opportunity after the other."""
-        columns, opportunities = self._columns()
-        rows = joined(columns).flatten(1)
-        return torch.cat([rows, opportunities.mask.to(rows.dtype)], -1) if self.as_set else rows
+        return columns, opportunities.mask
 
 
 def type_of(model: object) -> type:

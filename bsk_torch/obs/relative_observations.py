@@ -12,7 +12,7 @@ All functions take satellites of batches, with tensors [N, ...].
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -24,38 +24,10 @@ from bsk_torch.astro.relative import cd2hill, vectors
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.obs.base import ADVICE, Observation, Values
 from bsk_torch.obs.entries import is_own, parse_entries, scaled
+from bsk_torch.sats.bound import BoundSatellite, SatelliteLike
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.names import nearest
 from bsk_torch.vec3 import Mat3, Vec3
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
-    from bsk_torch.sats.others import SatelliteLike
-
-__all__ = [
-    "FUNCTIONS",
-    "RelativeProperties",
-    "eccentricity_Hs",
-    "h_Hs",
-    "r_DC_C",
-    "r_DC_D",
-    "r_DC_Hc",
-    "r_DC_Hd",
-    "r_DC_N",
-    "r_Hs",
-    "rso_omega_BH",
-    "rso_sigma_BH",
-    "sigma_DC",
-    "sigma_DHc",
-    "sigma_HdC",
-    "sigma_HdHc",
-    "sun_hat_Hc",
-    "v_DC_C",
-    "v_DC_D",
-    "v_DC_Hc",
-    "v_DC_Hd",
-    "v_DC_N",
-]
 
 
 def states(*satellites: SatelliteLike) -> list[Vec3]:
@@ -68,13 +40,11 @@ def _orbit(satellite: SatelliteLike) -> tuple[Any, Any]:
 
 
 def _times(a: Mat3, b: Mat3) -> Mat3:
-    """Return the product of two matrices."""
     columns = b.mT
     return Mat3(*(columns @ row for row in a))
 
 
 def _body(satellite: SatelliteLike) -> Mat3:
-    """Return the DCM [BN] of a satellite."""
     return mrp_to_dcm(*vectors(satellite.dynamics.sigma_BN))
 
 
@@ -179,9 +149,6 @@ def rso_omega_BH(deputy: SatelliteLike, chief: SatelliteLike) -> Tensor:
     return Vec3(turning.x, turning.y, turning.z - hill_rate(r_C, v_C)).stack()
 
 
-# -- with the Sun ----------------------------------------------------------------------------------------------------------------
-
-
 def sun_hat_Hc(deputy: SatelliteLike, chief: SatelliteLike) -> Tensor:
     """Return the direction from the Earth to the Sun in the chief's Hill frame, ``[HcN] r_SN / |r_SN|``, [N, 3]."""
     (r_SN_N,) = vectors(deputy.simulator.world.r_SN_N)
@@ -227,6 +194,8 @@ FUNCTIONS: dict[str, RelativeFunction] = {
 }
 """Functions of deputy and chief, the allowed values of ``prop``."""
 
+__all__ = ["FUNCTIONS", "RelativeProperties", *FUNCTIONS]
+
 
 class RelativeProperties(Observation):
     """Properties of the satellite, the deputy, relative to another one of its episode, the chief.
@@ -236,20 +205,11 @@ class RelativeProperties(Observation):
     ``prop`` by default, with ``_normd`` where a norm divides. With ``fn``, ``prop`` is just the label.
 
     The chief may be any satellite, the deputy itself included. Functions see it as
-    :class:`~bsk_torch.sats.others.OtherSatellite`; see :class:`bsk_torch.sats.user_function.UserFunction`.
+    :class:`~bsk_torch.sats.bound.OtherSatellite`; see :class:`bsk_torch.sats.user_function.UserFunction`.
     """
 
     def __init__(self, *entries: dict[str, Any], chief_name: str, name: str = "rel_props") -> None:
-        """Observe the satellite relative to ``chief_name``.
-
-        Args:
-            *entries: See the class.
-            chief_name: Name of the chief.
-            name: Name of the observation.
-
-        Raises:
-            ValueError: For unknown keys or properties, or equal names; when an environment is built, for an unknown chief.
-        """
+        """Observe ``entries``, see the class, of the satellite relative to the one called ``chief_name``."""
         super().__init__(name)
         self.chief_name = text("chief_name", chief_name)
         self.entries = parse_entries(entries, {"prop", "fn", "norm", "name"}, "obs.RelativeProperties")
@@ -297,5 +257,4 @@ class RelativeProperties(Observation):
         return values
 
     def _call(self, call: RelativeFunction, chief: SatelliteLike, function: UserFunction) -> Tensor:
-        """Call a user's function."""
         return function((len(self.simulator.ticks),), self.simulator.device, lambda: call(self.satellite, chief))

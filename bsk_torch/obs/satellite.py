@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -15,14 +15,12 @@ from typing_extensions import override
 from bsk_torch._checks import number, switch
 from bsk_torch.obs.base import ADVICE, Observation, Values, side_by_side
 from bsk_torch.obs.entries import is_own, parse_entries, parse_norm, scaled
+from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.sim.assembly.composition import having
 from bsk_torch.sim.hooks import is_of_package
 from bsk_torch.sim.readout.observables import Function, observable, vital
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
 
 
 class SatProperties(Observation):
@@ -64,19 +62,19 @@ class SatProperties(Observation):
             return None if is_own(entry["fn"]) else UserFunction(title, ADVICE)
         owner = next(cls for cls in type(module).__mro__ if entry["prop"] in vars(cls))
         member = vars(owner)[entry["prop"]]
-        own = is_of_package(owner) or isinstance(member, observable)
-        return None if own else UserFunction(f"{title}, {owner.__name__}.{entry['prop']},", ADVICE)
+        packaged = is_of_package(owner) or isinstance(member, observable)
+        return None if packaged else UserFunction(f"{title}, {owner.__name__}.{entry['prop']},", ADVICE)
 
     def _observed(self, k: int) -> Function | None:
         """Return the function of the k-th entry if it is an observable; vitals are read as methods."""
-        known = None if self.modules[k] is None else getattr(type(self.modules[k]), self.entries[k]["prop"])
-        return known.function if isinstance(known, observable) and not isinstance(known, vital) else None
+        member = None if self.modules[k] is None else getattr(type(self.modules[k]), self.entries[k]["prop"])
+        return member.function if isinstance(member, observable) and not isinstance(member, vital) else None
 
     @override
     def observables(self) -> list[Any]:
         pairs = zip(self.entries, self.modules, strict=True)
         properties = [getattr(type(module), entry["prop"]) for entry, module in pairs if module is not None]
-        return [known.function for known in properties if isinstance(known, observable)]
+        return [member.function for member in properties if isinstance(member, observable)]
 
     def _module(self, entry: dict[str, Any]) -> Any:
         modules = {"dynamics": self.satellite.dynamics, "fsw": self.satellite.fsw}
@@ -87,9 +85,9 @@ class SatProperties(Observation):
         for module in modules.values():
             if hasattr(type(module), entry["prop"]):
                 return module
-        known = {n for m in modules.values() for n in dir(type(m)) if isinstance(getattr(type(m), n, None), property)}
+        names = {n for m in modules.values() for n in dir(type(m)) if isinstance(getattr(type(m), n, None), property)}
         models = having(entry["prop"])
-        advice = f"{' or '.join(models)} has it" if models else nearest(entry["prop"], known)
+        advice = f"{' or '.join(models)} has it" if models else nearest(entry["prop"], names)
         raise ValueError(f"prop={entry['prop']!r} is not a property of {self.satellite.name}; {advice}")
 
     def _read(self, entry: dict[str, Any], module: object, function: UserFunction | None) -> Callable[[], Any]:
@@ -98,9 +96,9 @@ class SatProperties(Observation):
             return partial(self._call, entry, module, function)
         if module is None:
             return partial(entry["fn"], self.satellite)
-        known = getattr(type(module), entry["prop"])
-        if isinstance(known, observable) and not isinstance(known, vital):
-            return partial(self.simulator.observer.read, known.function)
+        member = getattr(type(module), entry["prop"])
+        if isinstance(member, observable) and not isinstance(member, vital):
+            return partial(self.simulator.observer.read, member.function)
         return partial(getattr, module, entry["prop"])
 
     @override
@@ -116,7 +114,6 @@ class SatProperties(Observation):
         return torch.cat(parts, -1)
 
     def _column(self, k: int) -> Tensor:
-        """Return the k-th entry, [N, width]."""
         entry = self.entries[k]
         value = scaled(self._reads[k](), entry["norm"])
         return side_by_side(f"{self.name}.{entry['name']}", value, self.simulator.state.rows)
@@ -130,7 +127,6 @@ class SatProperties(Observation):
         return self._norms[functions]
 
     def _call(self, entry: dict[str, Any], module: object, function: UserFunction) -> Tensor:
-        """Call a user's function or property."""
         call = partial(entry["fn"], self.satellite) if module is None else partial(getattr, module, entry["prop"])
         return function((len(self.simulator.ticks),), self.simulator.device, call)
 
@@ -139,13 +135,7 @@ class Time(Observation):
     """Time since reset, or until the time limit, divided by ``norm``; [N]."""
 
     def __init__(self, norm: float | None = None, name: str = "time", observe_time_remaining: bool = False) -> None:
-        """Observe the time.
-
-        Args:
-            norm: Divisor, s; None for the time limit.
-            name: Name of the observation.
-            observe_time_remaining: Whether to observe the time until the time limit.
-        """
+        """Observe the time since reset, or the one remaining, divided by ``norm``, s; None for the time limit."""
         super().__init__(name)
         self.norm = None if norm is None else number("obs.Time: norm", parse_norm(norm, "obs.Time: norm"))
         self.remaining = switch("observe_time_remaining", observe_time_remaining)
@@ -189,3 +179,24 @@ class Eclipse(Observation):
             return seconds / self.norm
         a, mu = self.satellite.dynamics.semi_major_axis, self.satellite.sat_args["mu"]
         return seconds / (2.0 * math.pi * torch.sqrt(a**3 / mu)).unsqueeze(-1)
+
+
+class ResourceRewardWeight(Observation):
+    """Weights of all :class:`bsk_torch.data.ResourceReward` of the environment in their order, divided by ``norm``; [N, K]."""
+
+    def __init__(self, name: str = "resource_reward_weight", norm: object = 1.0) -> None:
+        """Observe weights; ``norm`` is a number, or one for each weight."""
+        super().__init__(name)
+        self.norm = parse_norm(norm, "obs.ResourceRewardWeight: norm")
+
+    def get_obs(self) -> Tensor:
+        """See :meth:`Observation.get_obs`; ValueError without a resource reward, or for a wrong number of norms."""
+        weights = getattr(self.satellite.rewarder, "resource_weights", ())
+        if not weights:
+            raise ValueError(
+                f"{self.name!r} observes weights of data.ResourceReward, which the rewarder, a "
+                f"{type(self.satellite.rewarder).__name__}, does not have"
+            )
+        if isinstance(self.norm, Tensor) and len(self.norm) != len(weights):
+            raise ValueError(f"{self.name!r} has {len(self.norm)} norms for {len(weights)} weights; there must be equally many")
+        return scaled(self.simulator.of_env(torch.stack(weights, -1)), self.norm)

@@ -135,11 +135,7 @@ LIST = "Ahead"
 
 
 def looking_ahead(kind: type[AgileSatellite], n_ahead: int) -> type[AgileSatellite]:
-    """Return a class of this module like ``kind`` that observes the next ``n_ahead`` targets and images one of them.
-
-    Raises:
-        ValueError: Unless ``n_ahead`` is a positive whole number.
-    """
+    """Return a class of this module like ``kind`` that observes the next ``n_ahead`` targets and images one of them."""
     return kind if whole("n_ahead", n_ahead, 1) == AHEAD else _listing(kind.__name__, n_ahead)
 
 
@@ -161,7 +157,6 @@ def _listing(name: str, n_ahead: int) -> type[AgileSatellite]:
 
 
 def __getattr__(name: str) -> type[AgileSatellite]:
-    """Return a class of :func:`looking_ahead` by its name, as saved environments refer to it."""
     kind, _, number = name.rpartition(LIST)
     base = globals().get(kind)
     if number.isdecimal() and isinstance(base, type) and issubclass(base, AgileSatellite):

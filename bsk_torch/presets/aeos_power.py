@@ -75,10 +75,6 @@ class TargetDensity(obs.Observation):
 
     satellite: BoundAccessSatellite
 
-    def __init__(self, name: str = "density") -> None:
-        """Set the name of the observation."""
-        super().__init__(name)
-
     @override
     def get_obs(self) -> Tensor:
         simulator, scenario = self.satellite.simulator, self.satellite.scenario
@@ -113,7 +109,7 @@ class PowerSatellite(AgileSatellite):
     observation_spec = (
         obs.SatProperties(*SATELLITE, *RESOURCES),
         targets_ahead(),
-        TargetDensity(),
+        TargetDensity("density"),
         next_station(),
         obs.Eclipse(norm=ORBIT, sampled=True),
         obs.Time(),
@@ -176,13 +172,9 @@ def power_args() -> dict[str, Any]:
 def aeos_power(
     *, n_targets: int | tuple[int, int] = 1000, as_set: bool = False, shielded: bool = True, **options: object
 ) -> SatelliteTasking:
-    """Return AEOSPower-v1; see the module.
+    """Return AEOSPower-v1; see the module, and :func:`bsk_torch.presets.aeos.aeos` for the arguments.
 
-    Args:
-        n_targets: Number of targets, or its range (the upper end excluded).
-        as_set: Whether targets are observed as a set.
-        shielded: Whether ``action_mask`` excludes actions by the rule :func:`shield`.
-        **options: See :func:`bsk_torch.presets.aeos.aeos`.
+    With ``shielded``, ``action_mask`` excludes actions by the rule :func:`shield`.
     """
     options = dict(scenario=scene.UniformTargets(n_targets), failure_penalty=-10.0) | options
     satellites = (PowerSatellite, PowerSetSatellite) if shielded else (UnshieldedSatellite, UnshieldedSetSatellite)

@@ -175,10 +175,7 @@ def aeos_constellation(
     benchmark: bool = False,
     **options: Any,
 ) -> ConstellationTasking:
-    """Return AEOSConstellation-v1: AEOS-v1 with several satellites; see the module.
-
-    Arguments are those of :func:`constellation`; ``n_ahead`` and ``benchmark`` are those of :func:`bsk_torch.presets.aeos.aeos`.
-    """
+    """Return AEOSConstellation-v1; see the module, and :func:`constellation` and :func:`bsk_torch.presets.aeos.aeos`."""
     kind = looking_ahead(agile_satellites(benchmark)[as_set], n_ahead)
     arguments = {name: value for name, value in agile_args(benchmark).items() if name != "oe"} | options.pop("sat_args", {})
     obs_type = options.pop("obs_type", dict if as_set else torch.Tensor)
@@ -202,15 +199,8 @@ def relay_constellation(
 ) -> ConstellationTasking:
     """Return RelayConstellation-v1: low imagers without line of sight to each other, and high relays; see the module.
 
-    Groups of agents are ``broadcasting_imager``, or ``broadcasting_set_imager`` with ``as_set=True``, and ``relay``.
-
-    Args:
-        n_imagers: Number of imagers, in one plane.
-        n_relays: Number of relays, in another plane.
-        n_targets: Number of targets, or its range (the upper end excluded).
-        as_set: Whether imagers observe targets as a set; see :func:`constellation`.
-        **options: Arguments of the environment to override; ``sat_args`` are merged with those of the imagers, ``relay_args``
-            with those of the relays.
+    Groups of agents are ``broadcasting_imager``, or ``broadcasting_set_imager`` with ``as_set=True``, and ``relay``. Arguments
+    are those of :func:`constellation`; ``sat_args`` are merged with those of the imagers, ``relay_args`` with the relays' own.
     """
     arguments = steady_args() | options.pop("sat_args", {})
     relay_args = dict(basePowerDraw=-60.0, batteryStorageCapacity=1e6, storedCharge_Init=5e5) | options.pop("relay_args", {})

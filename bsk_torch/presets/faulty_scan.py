@@ -57,9 +57,6 @@ def scanning_faults(kinds: Collection[str] = KINDS, chance: float = CHANCE) -> l
     Args:
         kinds: Kinds that occur, of :data:`KINDS`. Those of other kinds start only by ``env.inject``.
         chance: Expected number of faults of each of these kinds in an episode, from 0 to 1.
-
-    Raises:
-        ValueError: For an unknown kind, with the nearest one, and a number out of range.
     """
     chance = number("chance", chance, 0.0, 1.0)
     if isinstance(kinds, str):
@@ -96,19 +93,9 @@ def faulty_scan(
     obs_type: type = torch.Tensor,
     **options: object,
 ) -> SatelliteTasking:
-    """Return FaultyScan-v1; see the module.
+    """Return FaultyScan-v1; see the module, :func:`scanning_faults`, and :func:`bsk_torch.presets.nadir_scan.nadir_scan`.
 
-    Args:
-        kinds: Kinds of faults that occur: ``wheel``, ``friction``, ``panel``, ``battery``, ``transmitter``. Others start only by
-            ``env.inject``.
-        chance: Expected number of faults of each of these kinds in an episode, from 0 to 1.
-        observed: Whether the severity of faults is observed.
-        sat_args: Arguments of the satellite that replace those of the preset.
-        obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations.
-        **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset.
-
-    Raises:
-        ValueError: For an unknown kind of fault, and a chance out of range.
+    The severity of faults is part of the observation unless ``observed`` is False.
     """
     arguments = scanning_args() | dict(faults=scanning_faults(kinds, chance)) | (sat_args or {})
     kind = FaultObservingSatellite if observed else ScanningSatellite

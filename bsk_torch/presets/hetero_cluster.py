@@ -179,13 +179,8 @@ def hetero_cluster(*, n_targets: int | tuple[int, int] = 5000, as_set: bool = Fa
     """Return HeteroCluster-v1; see the module.
 
     Groups of agents are ``optical_imager`` and ``radar_imager``, or ``optical_set_imager`` and ``radar_set_imager`` with
-    ``as_set=True``.
-
-    Args:
-        n_targets: Number of targets, or its range (the upper end excluded).
-        as_set: Whether targets are observed as ``rows`` [N, S, 16, features] with a ``mask`` instead of in one vector.
-        **options: Arguments of :class:`~bsk_torch.ConstellationTasking` to override; ``sat_args`` are merged with those of the
-            optical satellites, ``radar_args`` with those of the radar.
+    ``as_set=True``. Arguments are those of :func:`bsk_torch.presets.constellation.constellation`; ``sat_args`` are merged with
+    those of the optical satellites, ``radar_args`` with those of the radar.
     """
     kinds = (OpticalSetImager, RadarSetImager) if as_set else (OpticalImager, RadarImager)
     optical, radar = optical_args() | options.pop("sat_args", {}), radar_args() | options.pop("radar_args", {})

@@ -67,11 +67,5 @@ def science_args() -> dict[str, Any]:
 def nadir_science(
     *, sat_args: dict[str, Any] | None = None, obs_type: type = torch.Tensor, **options: object
 ) -> SatelliteTasking:
-    """Return NadirScience-v1; see the module.
-
-    Args:
-        sat_args: Arguments of the satellite that replace those of the preset.
-        obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations.
-        **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset.
-    """
+    """Return NadirScience-v1; see the module, and :func:`bsk_torch.presets.nadir_scan.nadir_scan` for the arguments."""
     return scanning_environment(ScienceSatellite("Scanner1", science_args() | (sat_args or {}), obs_type=obs_type), options)

@@ -20,7 +20,7 @@ from bsk_torch.sim.places import FixedPlaces
 
 if TYPE_CHECKING:
     from bsk_torch.env.satellite_group import SatelliteGroup
-    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.bound import SatelliteFleet
     from bsk_torch.sim.simulator import Simulator
 
 QUANTITIES = {

@@ -94,9 +94,6 @@ class AccessSatellite(Satellite):
                 and all of them for functions of places.
             prepend: Whether the filter precedes the others; the result does not depend on it.
             type: The same as ``types``.
-
-        Raises:
-            TypeError: For anything else.
         """
         made = make_filter(access_filter_fn, types if type is None else type)
         self.access_filters.insert(0 if prepend else len(self.access_filters), made)

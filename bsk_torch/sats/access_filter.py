@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Collection
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from bsk_torch.sats.opportunities import Viewer
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.names import nearest
 from bsk_torch.sim.places import TARGET_KIND, is_target
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound_access import BoundAccessSatellite
 
 Filter = Callable[[], Tensor] | Callable[[Any], Any]
 """Function that returns the places that remain, [N, P] booleans: without arguments, or of :class:`AllPlaces`."""
@@ -30,7 +28,7 @@ WINDOWS = "filters select places, regardless of the window; legal_actions() of t
 class AllPlaces:
     """All places of a type, the argument of a filter: ``["object"]``, ``["type"]`` and ``["r_LP_P"]`` [N, P, 3] m."""
 
-    def __init__(self, satellite: BoundAccessSatellite, kind: str) -> None:
+    def __init__(self, satellite: Viewer, kind: str) -> None:
         """Describe all places of type ``kind``."""
         rows = len(satellite.simulator.ticks)
         self._satellite, self._kind = satellite, kind
@@ -38,7 +36,6 @@ class AllPlaces:
         self.differs = False  # whether something has been read that differs between places
 
     def __getitem__(self, key: str) -> Any:
-        """Return an item of the places; KeyError for windows."""
         if key == "type":
             return self._kind
         self.differs = True
@@ -66,28 +63,26 @@ class AccessFilter:
 
     def bound(self, kinds: Collection[str]) -> AccessFilter:
         """Return a filter for the satellites of an environment, which have opportunities of several ``kinds``."""
-        made = AccessFilter(self.function, self.types, self.takes_opportunity)
-        if made.takes_opportunity:
-            made.functions = {kind: made.user_function() for kind in kinds if made.concerns(kind)}
-        return made
+        copied = AccessFilter(self.function, self.types, self.takes_opportunity)
+        if copied.takes_opportunity:
+            copied.functions = {kind: copied.user_function() for kind in kinds if copied.concerns(kind)}
+        return copied
 
     def user_function(self) -> UserFunction:
         """Return the function for a type of opportunities."""
         return UserFunction(f"the access filter {self.function!r}", ADVICE)
 
     def __eq__(self, other: object) -> bool:
-        """Whether it is the same function for the same types: satellites with equal filters are of one type."""
         return isinstance(other, AccessFilter) and (self.function, self.types) == (other.function, other.types)
 
     def __hash__(self) -> int:
-        """Agree with equality."""
         return hash((self.function, self.types))
 
     def concerns(self, kind: str) -> bool:
         """Return whether opportunities of a type are filtered; all instruments have the same targets."""
         return self.types is None or kind in self.types or (is_target(kind) and TARGET_KIND in self.types)
 
-    def __call__(self, satellite: BoundAccessSatellite, kind: str) -> Tensor:
+    def __call__(self, satellite: Viewer, kind: str) -> Tensor:
         """Return the places of a type that remain, [N, P] booleans."""
         if not self.takes_opportunity:
             return self.function()
@@ -107,14 +102,14 @@ class AccessFilter:
         return remain.bool()
 
 
-def make_filter(given: object, types: str | Collection[str] | None) -> AccessFilter:
+def make_filter(function: object, types: str | Collection[str] | None) -> AccessFilter:
     """Return a filter from a function; TypeError for anything else."""
     kinds = (types,) if isinstance(types, str) else None if types is None else tuple(types)
-    if not callable(given):
-        raise TypeError(f"access filter {given!r} must be a function without arguments, or of all places")
-    if _takes_one(given):
-        return AccessFilter(given, kinds, True)
-    return AccessFilter(given, kinds or (TARGET_KIND,), False)
+    if not callable(function):
+        raise TypeError(f"access filter {function!r} must be a function without arguments, or of all places")
+    if _takes_one(function):
+        return AccessFilter(function, kinds, True)
+    return AccessFilter(function, kinds or (TARGET_KIND,), False)
 
 
 def _takes_one(function: Callable[..., object]) -> bool:

@@ -1,26 +1,198 @@
-"""The satellites of one type in an environment: what hooks and user functions read."""
+"""The satellites of an environment: a fleet of several types, the satellites of one type, and views of single ones."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Mapping
-from functools import cache
-from typing import TYPE_CHECKING, Any, TypeVar
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache, cached_property
+from typing import Any, TypeAlias, TypeVar
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from bsk_torch.sats.others import Others, OtherSatellite
 from bsk_torch.sats.satellite import Satellite
-from bsk_torch.sats.task_state import TaskState
 from bsk_torch.sats.user_function import UserFunction
+from bsk_torch.sim.fleet import NEVER, Fleet
 from bsk_torch.sim.names import nearest
 from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
 
-if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
+
+class SatelliteFleet(Fleet):
+    """The satellites of N episodes, S in each."""
+
+    satellites: tuple[BoundSatellite, ...] = ()
+
+    @cached_property
+    def shape(self) -> tuple[int, int]:
+        """Number of episodes N and of satellites S, of tables [N, S]."""
+        return self.num_envs, self.size
+
+    def found(self, name: str) -> tuple[BoundSatellite, int]:
+        """Return the satellites of the type of a named one, and its number within the type; KeyError for an unknown name."""
+        k, number = self.place_of(name)
+        if not self.satellites:
+            raise RuntimeError(f"satellite {name!r} is not there yet: others are seen in get_obs(), not in link_satellite()")
+        return self.satellites[k], number
+
+    def satellite(self, name: str) -> OtherSatellite:
+        """Return a satellite of every episode by its name: its tensors are [N, ...], a row for each episode.
+
+        See :class:`bsk_torch.sats.bound.OtherSatellite`; KeyError for an unknown name, with the nearest one.
+        """
+        whole, number = self.found(name)
+        return whole.member(number)
+
+    def each(self, read: Callable[[Any], Tensor], missing: float = 0.0) -> Tensor:
+        """Return ``read`` of every satellite, [N, S, ...]; ``missing`` for types without it, AttributeError if no type has it."""
+        if len(self.satellites) == 1:
+            return self.joined([read(self.satellites[0])])
+        values: list[Tensor | None] = []
+        lacking: AttributeError | None = None
+        for satellite in self.satellites:
+            try:
+                values.append(read(satellite))
+            except AttributeError as error:
+                values.append(None)
+                lacking = error
+        tables = [value for value in values if value is not None]
+        if not tables:
+            raise lacking or AttributeError("there are no satellites")
+        blank = tables[0].new_full((1, *tables[0].shape[1:]), missing)
+        return self.joined(
+            [
+                blank.expand(simulator.state.rows, *blank.shape[1:]) if value is None else value
+                for value, simulator in zip(values, self.simulators, strict=True)
+            ]
+        )
+
+
+SatelliteLike: TypeAlias = "BoundSatellite | OtherSatellite"
+"""What functions of satellites get: all of a type, or another one of each episode."""
+
+PLAIN = (int, float, str, bytes, type(None), type, np.ndarray, np.generic, torch.dtype, torch.device)
+"""Values that are the same for all rows."""
+
+Take = Callable[[Any], Any]
+
+
+def aligned(value: object, rows: int, take: Take) -> Any:
+    """Return a value whose tensors of ``rows`` rows are replaced by what ``take`` makes of them, also within containers.
+
+    Functions give aligned results, and objects show aligned attributes.
+    """
+    if isinstance(value, Tensor):
+        return take(value) if value.ndim and len(value) == rows else value
+    if isinstance(value, PLAIN):
+        return value
+    if isinstance(value, tuple | list):
+        parts = [aligned(part, rows, take) for part in value]
+        return type(value)(*parts) if hasattr(value, "_fields") else type(value)(parts)
+    if isinstance(value, dict):
+        return {name: aligned(part, rows, take) for name, part in value.items()}
+    if callable(value):
+        return lambda *args, **options: aligned(value(*args, **options), rows, take)
+    return Aligned(value, rows, take)
+
+
+class Aligned:
+    """Read-only view of an object whose tensors have other rows than those of the satellite that looks at it."""
+
+    def __init__(self, whole: object, rows: int, take: Take) -> None:
+        """View ``whole``, whose tensors have ``rows`` rows; ``take`` makes a tensor with the rows of the view of one."""
+        attributes = self.__dict__
+        attributes["_whole"], attributes["_rows"], attributes["_take"] = whole, rows, take
+
+    _whole: Any
+    _rows: int
+    _take: Take
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return aligned(getattr(self._whole, name), self._rows, self._take)
+
+    def __getitem__(self, name: object) -> Any:
+        return aligned(self._whole[name], self._rows, self._take)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"{name!r} cannot be set: another satellite is shown to be read")
+
+    def __repr__(self) -> str:
+        return f"<{type(self._whole).__name__} of another satellite>"
+
+
+class OtherSatellite(Aligned):
+    """A satellite of the same episodes: ``dynamics``, ``fsw``, ``sat_args`` and the rest, as of a :class:`BoundSatellite`.
+
+    Tensors have the rows of the satellite that asks: ``satellite.others["RSO"].dynamics.r_BN_N`` is [N, 3], alongside
+    ``satellite.dynamics.r_BN_N``.
+    """
+
+    def __init__(self, whole: BoundSatellite, number: int, times: int) -> None:
+        """View satellite ``number`` of those of the type ``whole``, for ``times`` rows of each episode."""
+        state = whole.simulator.state
+        count = state.count
+
+        def take(value: Tensor) -> Tensor:
+            rows = value if count == 1 else value.view(-1, count, *value.shape[1:])[:, number]
+            return rows if times == 1 else rows.repeat_interleave(times, 0)
+
+        super().__init__(whole, state.rows, take)
+        self.__dict__["name"] = self.__dict__["id"] = whole.names[number]
+
+
+class Others(Mapping[str, OtherSatellite]):
+    """The satellites of an episode by name, as one of its types sees them, itself included."""
+
+    def __init__(self, satellite: BoundSatellite) -> None:
+        """Show the satellites of the fleet to a ``satellite``."""
+        self._satellite, self._fleet = satellite, satellite.fleet
+
+    def __getitem__(self, name: str) -> OtherSatellite:
+        whole, number = self._fleet.found(name)
+        return OtherSatellite(whole, number, self._satellite.simulator.count)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._fleet.places)
+
+    def __len__(self) -> int:
+        return len(self._fleet.places)
+
+
+class TaskState(StateTable):
+    """Tasks in progress of N satellites.
+
+    Attributes:
+        previous_action: Key of the last action, or of the one in progress; see :class:`bsk_torch.act.base.Decision`.
+        dead: Which satellites have died.
+        requires_retasking: Which have no task left.
+        ends: Tick since reset at which the task's time is up.
+        action: The action in progress, which the builder of actions declares: its number [N], or its values [N, A].
+        task_duration: Its duration, s.
+        expected: Tick at which it will probably end.
+    """
+
+    previous_action: Tensor
+    dead: Tensor
+    requires_retasking: Tensor
+    ends: Tensor
+    action: Tensor
+    task_duration: Tensor
+    expected: Tensor
+
+    def __init__(self, num_envs: int, count: int, device: torch.device) -> None:
+        """Make the table; no satellite has a task."""
+        super().__init__(num_envs, count, device)
+        self.declare("previous_action", -1)
+        self.declare("dead", False)
+        self.declare("requires_retasking", True)
+        self.declare("ends", NEVER, low=0, high=NEVER)
+        self.declare("task_duration", 0.0, low=0.0)
+        self.declare("expected", NEVER, low=0, high=NEVER)
+
 
 Bound = TypeVar("Bound", bound="BoundSatellite")
 
@@ -72,7 +244,6 @@ class BoundSatellite(Satellite):
         return made
 
     def _join(self, fleet: SatelliteFleet, type_index: int) -> None:
-        """Set the attributes of a copy of the user's description."""
         self.fleet, self.type_index, self.simulator = fleet, type_index, fleet.simulators[type_index]
         self.names = tuple(fleet.names[column] for column in fleet.columns[type_index].tolist())
         self.dynamics, self.fsw = self.dyn_type(self.simulator), self.fsw_type(self.simulator)
@@ -119,23 +290,14 @@ class BoundSatellite(Satellite):
         """User functions that the satellites call; an environment tries them when it is built."""
         return []
 
-    # -- views --------------------------------------------------------------------------------------------------------
-
     def member(self, number: int, times: int = 1) -> OtherSatellite:
-        """Return a read-only view of one satellite of each environment, whose tensors are [num_envs * times, ...].
-
-        Args:
-            number: Index of the satellite among those of the type.
-            times: Number of repetitions of each row.
-        """
+        """Return a read-only view of satellite ``number`` of the type in each environment, each row repeated ``times`` times."""
         return OtherSatellite(self, number, times)
 
     def title(self, row: int) -> str:
         """Return the name of the satellite of a row [N] in errors."""
         env, k = divmod(row, len(self.names))
         return f"environment {env}" if len(self.names) == 1 else f"satellite {self.names[k]} of environment {env}"
-
-    # -- reading ------------------------------------------------------------------------------------------------------
 
     def rows_of(self, table: Tensor) -> Tensor:
         """Return the rows [N, ...] of these satellites from a table of all satellites, [environments, S, ...].
@@ -193,6 +355,13 @@ def composed(described: type[Satellite], bound: type[BoundSatellite]) -> type[Bo
     return type(described.__name__, unique, names)
 
 
+def link_entry(entry: Any, satellite: BoundSatellite) -> None:
+    """Link an action or observation; TypeError if its ``link_satellite`` does not call the one of its base class."""
+    entry.link_satellite(satellite)
+    if getattr(entry, "satellite", None) is not satellite:
+        raise TypeError(f"{type(entry).__name__}.link_satellite(satellite) must call super().link_satellite(satellite)")
+
+
 class Arguments(Mapping[str, Any]):
     """Arguments of the current episodes by name, looked up when read; a wrong name is answered with the nearest right one."""
 
@@ -201,16 +370,13 @@ class Arguments(Mapping[str, Any]):
         self._state = state
 
     def __getitem__(self, name: str) -> Any:
-        """Return an argument, [N, ...]; KeyError for an unknown name."""
         try:
             return self._state.argument(name)
         except KeyError:
             raise KeyError(f"sat_args has no {name!r}; {nearest(name, self)}") from None
 
     def __iter__(self) -> Iterator[str]:
-        """Iterate over the names."""
         return iter((*self._state.arguments, *self._state.constants))
 
     def __len__(self) -> int:
-        """Number of arguments."""
         return len(self._state.arguments.places) + len(self._state.constants)

@@ -10,10 +10,8 @@ from torch import Tensor
 
 from bsk_torch.sats.access import AccessSatellite
 from bsk_torch.sats.access_filter import Filter, make_filter
-from bsk_torch.sats.bound import BoundSatellite
-from bsk_torch.sats.fleet import SatelliteFleet
-from bsk_torch.sats.objects import TargetObjects, place_names
-from bsk_torch.sats.opportunities import Opportunities
+from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
+from bsk_torch.sats.opportunities import Opportunities, TargetObjects, place_names
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.access.links.relative_geometry import SATELLITE_PROPERTIES, relative_geometries
 from bsk_torch.sim.access.windows.search import MAX_SEGMENTS, AccessWindows
@@ -35,7 +33,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
     def _join(self, fleet: SatelliteFleet, type_index: int) -> None:
         super()._join(fleet, type_index)
         self.access_windows = cast(AccessWindows, self.simulator.access)
-        self.access_filters = [given.bound(self.opportunity_types) for given in self.access_filters]
+        self.access_filters = [access_filter.bound(self.opportunity_types) for access_filter in self.access_filters]
         self._cache: dict[tuple[str, int], tuple[tuple[int, int], Opportunities]] = {}
         self._lists: dict[tuple[str, bool], tuple[tuple[int, int], Windows]] = {}
         models = self.dynamics, self.fsw
@@ -48,8 +46,6 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         access = self.simulator.lookahead.access
         return () if access is None else tuple(access.kinds)
 
-    # -- filters ------------------------------------------------------------------------------------------------------
-
     def add_access_filter(
         self, access_filter_fn: Filter, types: str | Collection[str] | None = None, prepend: bool = False, type: str | None = None
     ) -> None:
@@ -59,7 +55,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
 
     def allowed(self, type: str) -> Tensor | None:
         """Return a mask of the places of a type that pass all filters, [N, P]; None for all."""
-        parts = [given(self, type) for given in self.access_filters if given.concerns(type)]
+        parts = [access_filter(self, type) for access_filter in self.access_filters if access_filter.concerns(type)]
         for part in parts[1:]:
             parts[0] = parts[0] & part
         return parts[0] if parts else None
@@ -72,9 +68,10 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
     @property
     def functions(self) -> list[UserFunction]:
         """See :attr:`BoundSatellite.functions`; those of filters."""
-        return [*super().functions, *(function for given in self.access_filters for function in given.functions.values())]
-
-    # -- queries ------------------------------------------------------------------------------------------------------
+        return [
+            *super().functions,
+            *(function for access_filter in self.access_filters for function in access_filter.functions.values()),
+        ]
 
     def find_next_opportunities(
         self,
@@ -114,14 +111,14 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         plain = filter is None and max_lookahead == MAX_SEGMENTS
         may_see_nothing = self.may_see_nothing if may_see_nothing is None else may_see_nothing
         now = self.simulator.state.version, self.memory.version
-        known = self._cache.get((kind, n)) if plain else None
-        if known is not None and known[0] == now and (count is None or bool((known[1].found >= count).all())):
-            return known[1] if pad else self._complete(known[1])
+        entry = self._cache.get((kind, n)) if plain else None
+        if entry is not None and entry[0] == now and (count is None or bool((entry[1].found >= count).all())):
+            return entry[1] if pad else self._complete(entry[1])
         wanted = count
         if self.removed is not None:
             wanted = torch.where(self.removed, 0, n if count is None else count)
         simulator = self.simulator
-        windows, found = simulator.lookahead.next_windows(
+        windows, counts = simulator.lookahead.next_windows(
             kind,
             simulator.state.sim_time,
             n,
@@ -131,10 +128,10 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
             may_see_nothing,
         )
         if may_see_nothing:  # then place 0 opens and closes now
-            some, instant = (found > 0).unsqueeze(-1), simulator.state.sim_time.unsqueeze(-1)
+            some, instant = (counts > 0).unsqueeze(-1), simulator.state.sim_time.unsqueeze(-1)
             opens, close = torch.where(some, windows.open, instant), torch.where(some, windows.close, instant)
             windows = Windows(opens, close, torch.where(some, windows.place, 0))
-        opportunities = Opportunities(*windows, self.positions(kind, windows.place), found).of(self, kind)
+        opportunities = Opportunities(*windows, self.positions(kind, windows.place), counts).of(self, kind)
         if count is None and plain and may_see_nothing == self.may_see_nothing:
             self._cache[(kind, n)] = now, opportunities
         return opportunities if pad else self._complete(opportunities)
@@ -150,7 +147,6 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         return accepted
 
     def _complete(self, opportunities: Opportunities) -> Opportunities:
-        """Return the opportunities; RuntimeError if there are too few."""
         n = opportunities.place.shape[1]
         if bool((opportunities.found < n).any()):
             row = int((opportunities.found < n).nonzero()[0])
@@ -163,7 +159,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         return self.access_windows.kinds[type].position(state.all_rows, place, state.sim_time.unsqueeze(-1))
 
     def objects(self, type: str, place: Tensor) -> Any:
-        """Return the objects of places [N, n]: :class:`~bsk_torch.sats.objects.TargetObjects`, else names [N, n]."""
+        """Return the objects of places [N, n]: :class:`~bsk_torch.sats.opportunities.TargetObjects`, else names [N, n]."""
         return TargetObjects(self, place) if is_target(type) else place_names(self, type, place)
 
     def _last_generation(self, max_lookahead: int) -> Tensor | None:
@@ -172,13 +168,13 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
             raise ValueError(f"max_lookahead={max_lookahead} must be from 1 to {MAX_SEGMENTS}")
         last = None
         if self.max_generation_duration_beyond_initial != float("inf"):
-            limit, given = self.time_limit, self.initial_generation_duration
-            initial = torch.where(torch.isfinite(limit), limit, 0.0) if given is None else torch.full_like(limit, given)
+            limit, seconds = self.time_limit, self.initial_generation_duration
+            initial = torch.where(torch.isfinite(limit), limit, 0.0) if seconds is None else torch.full_like(limit, seconds)
             last = initial + self.max_generation_duration_beyond_initial
         if max_lookahead == MAX_SEGMENTS:
             return last
-        seen = self.access_windows.until + max_lookahead * self.segment
-        return seen if last is None else torch.minimum(seen, last)
+        reach = self.access_windows.until + max_lookahead * self.segment
+        return reach if last is None else torch.minimum(reach, last)
 
     def look_further(self, row: int) -> bool:
         """Extend the look-ahead of one row by a segment; return whether there was any left."""
@@ -197,14 +193,14 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         """Return the type that ``type``, or ``types``, means; ValueError for none, several, or an unknown one."""
         if type is not None and not isinstance(type, str):
             raise ValueError(f"type={type!r} must be one type of opportunity; write pad= and the like with their names")
-        given = [type or TARGET_KIND] if types is None else [types] if isinstance(types, str) else list(types)
-        if type is not None and given != [type]:
+        kinds = [type or TARGET_KIND] if types is None else [types] if isinstance(types, str) else list(types)
+        if type is not None and kinds != [type]:
             raise ValueError(f"type={type!r} and types={types!r} contradict each other")
-        if len(given) != 1:
+        if len(kinds) != 1:
             raise ValueError(f"types={types!r}: tensors hold one type of opportunities; ask for each")
-        if given[0] not in self.opportunity_types:
-            raise ValueError(f"type={given[0]!r} is not a type of opportunity; {nearest(given[0], self.opportunity_types)}")
-        return given[0]
+        if kinds[0] not in self.opportunity_types:
+            raise ValueError(f"type={kinds[0]!r} is not a type of opportunity; {nearest(kinds[0], self.opportunity_types)}")
+        return kinds[0]
 
     def aims(self, opportunities: Opportunities, instrument: int | None = None) -> Tensor:
         """Return the geometry of places relative to the satellite now, [N, n, 5].
@@ -222,8 +218,8 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
                 name = listed[instrument].argument("inst_pHat_B")
                 c_hat_P = self.dynamics.BP.mT @ unit_rows(self.simulator.argument(name)).unsqueeze(-1)
                 satellite = (*satellite[:k], c_hat_P.squeeze(-1), *satellite[k + 1 :])
-            found_now = relative_geometries(satellite, opportunities.r_LP_P, observer.kernels)
-            self._aims = opportunities, asked, found_now
+            geometry = relative_geometries(satellite, opportunities.r_LP_P, observer.kernels)
+            self._aims = opportunities, asked, geometry
         return self._aims[2]
 
     def opportunities(self, type: str | None = None, *, types: str | Collection[str] | None = None) -> Windows:
@@ -241,23 +237,23 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
     def listed(self, type: str, upcoming: bool) -> Windows:
         """Return the windows as :meth:`opportunities` does, or those that have not closed, without filters; views read them."""
         now = self.simulator.state.version, self.simulator.memory.version
-        known = self._lists.get((type, upcoming))
-        if known is None or known[0] != now:
+        entry = self._lists.get((type, upcoming))
+        if entry is None or entry[0] != now:
             time = self.simulator.sim_time
-            known = now, self._known(type, time if upcoming else torch.full_like(time, -1.0), None)
-            self._lists[(type, upcoming)] = known
-        return known[1]
+            entry = now, self._known(type, time if upcoming else torch.full_like(time, -1.0), None)
+            self._lists[(type, upcoming)] = entry
+        return entry[1]
 
     def _known(self, type: str, time: Tensor, allowed: Tensor | None, before: Tensor | None = None) -> Windows:
         """Return the windows that have not closed at ``time`` and, if given, that open ``before`` [N] s."""
         access = self.access_windows
         self.simulator.lookahead.search_visible(self.simulator.sim_time)
-        known = candidates(access.windows[type], time, access.until, allowed)
+        windows = candidates(access.windows[type], time, access.until, allowed)
         if before is not None:
-            known = known._replace(valid=known.valid & (known.windows.open < before.unsqueeze(-1)))
-        key, order = torch.sort(known.sort_key, dim=1, stable=True)
+            windows = windows._replace(valid=windows.valid & (windows.windows.open < before.unsqueeze(-1)))
+        key, order = torch.sort(windows.sort_key, dim=1, stable=True)
         there = torch.isfinite(key)
-        opens, close, place = (table.gather(1, order) for table in known.windows)
+        opens, close, place = (table.gather(1, order) for table in windows.windows)
         opens, close = (torch.where(there, table, torch.inf) for table in (opens, close))
         return Windows(opens, close, torch.where(there, place, 0))
 
@@ -337,11 +333,11 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         """Return the windows (opening and closing time, s) of environment ``env`` by place, for reading."""
         kind = self._kind(type, types)
         windows = self.upcoming_opportunities(kind) if upcoming else self.opportunities(kind)
-        found: dict[int, list[tuple[float, float]]] = {}
+        by_place: dict[int, list[tuple[float, float]]] = {}
         for place, opens, closes in zip(*(table[env].tolist() for table in (windows.place, *windows[:2])), strict=True):
             if closes < float("inf"):
-                found.setdefault(place, []).append((opens, closes))
-        return found
+                by_place.setdefault(place, []).append((opens, closes))
+        return by_place
 
 
 AccessSatellite.bound_type = BoundAccessSatellite

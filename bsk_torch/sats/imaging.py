@@ -10,8 +10,8 @@ from torch import Tensor
 from typing_extensions import override
 
 from bsk_torch.sats.access import AccessSatellite
+from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sats.bound_access import BoundAccessSatellite
-from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sim.dyn import DynamicsModel, ImagingDynModel
 from bsk_torch.sim.fsw import FSWModel, ImagingFSWModel
 from bsk_torch.sim.places import TARGETS
@@ -68,10 +68,7 @@ class BoundImagingSatellite(BoundAccessSatellite, ImagingSatellite):
 
     @property
     def known_images(self) -> Tensor:
-        """Targets known by each satellite to be imaged, by itself or by communication, [N, T] bool.
-
-        AttributeError for rewarders without this knowledge; :class:`bsk_torch.data.UniqueImageReward` has it.
-        """
+        """Targets that each satellite knows to be imaged, [N, T] bool; needs :class:`bsk_torch.data.UniqueImageReward`."""
         return self.rows_of(self.rewarder.known)
 
     @property
@@ -93,13 +90,10 @@ class BoundImagingSatellite(BoundAccessSatellite, ImagingSatellite):
         return {"imaged": self.imaged, "missed": self.missed}
 
     def window_of(self, target: Tensor, type: str | None = None) -> tuple[Tensor, Tensor]:
-        """Return opening and closing time of the next known window of a target [N], [N] s each; infinity if none is known.
-
-        Windows are those of a type of opportunities (default: ``target_types``).
-        """
+        """Return opening and closing time of the next known window of a target [N], [N] s each; infinity if none is known."""
         windows = self.upcoming_opportunities(type or self.target_types)
-        mine = (windows.place == target.unsqueeze(-1)) & torch.isfinite(windows.close)
-        opens, closes = (torch.where(mine, time, torch.inf).amin(1) for time in (windows.open, windows.close))
+        same = (windows.place == target.unsqueeze(-1)) & torch.isfinite(windows.close)
+        opens, closes = (torch.where(same, time, torch.inf).amin(1) for time in (windows.open, windows.close))
         return opens, closes
 
 

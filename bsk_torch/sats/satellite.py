@@ -3,28 +3,70 @@
 from __future__ import annotations
 
 import copy
+import difflib
 import keyword
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from bsk_torch._checks import switch, text
-from bsk_torch.sats.dtypes import as_dtype
-from bsk_torch.sats.hooks import check_satellite
 from bsk_torch.sim.arguments.sources import Given, expand
 from bsk_torch.sim.arguments.table import ArgumentTable
 from bsk_torch.sim.assembly.composition import compose
 from bsk_torch.sim.dyn.models import BasicDynamicsModel, DynamicsModel
 from bsk_torch.sim.fsw.models import BasicFSWModel, FSWModel
+from bsk_torch.sim.hooks import check_class
 
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
+LARGEST_OBSERVED = 1e10
+"""Types of observations hold numbers up to this: in float16 all from 65520 on are infinite."""
 
-VECTOR_TYPES = (torch.Tensor, np.ndarray, list)
-"""Values of ``obs_type`` that mean one vector."""
+DEFAULT_DTYPE = torch.float32
+"""Type where neither the environment nor a satellite names one."""
+
+
+def as_dtype(dtype: Any) -> torch.dtype | None:
+    """Return a floating-point type of torch from one of torch or NumPy (``np.float32``, ``"float32"``), or None for None."""
+    if dtype is None:
+        return None
+    try:
+        kind = dtype if isinstance(dtype, torch.dtype) else torch.from_numpy(np.empty(0, np.dtype(dtype))).dtype
+    except (TypeError, ValueError):
+        kind = torch.bool
+    if not kind.is_floating_point or torch.finfo(kind).max < LARGEST_OBSERVED:
+        raise ValueError(
+            f"dtype={dtype!r} must be a floating-point type, such as torch.float32 or np.float64, that holds positions in m"
+        )
+    return kind
+
+
+def common_dtype(dtype: Any, satellites: Iterable[Satellite]) -> torch.dtype:
+    """Return the type of observations of an environment: ``dtype`` or, if None, the one that its satellites name."""
+    if (kind := as_dtype(dtype)) is not None:
+        return kind
+    named = {satellite.name: satellite.dtype for satellite in satellites if satellite.dtype is not None}
+    if len(set(named.values())) > 1:
+        each = ", ".join(f"{name}: {dtype}" for name, dtype in named.items())
+        raise ValueError(f"satellites have observations of different types ({each}); an environment has one: pass dtype= to it")
+    return next(iter(named.values()), DEFAULT_DTYPE)
+
+
+SPECS = ("observation_spec", "action_spec", "dyn_type", "fsw_type", "target_types", "sees_through_clouds")
+"""Values that satellite classes define."""
+
+HOOKS = ("on_bind", "note_events", "legal_actions", "action_mask", "counts", "generation")
+"""Methods of satellites that subclasses may define."""
+
+
+def check_satellite(cls: type, base: type) -> None:
+    """Raise TypeError, with advice, for a satellite class with definitions that would never be used."""
+    check_class(cls, base, HOOKS)
+    for name in vars(cls):
+        meant = difflib.get_close_matches(name, SPECS, n=1, cutoff=0.85)
+        if meant and name not in SPECS and not any(name in vars(other) for other in cls.__mro__[1:]):
+            raise TypeError(f"{cls.__name__}.{name} is never used; did you mean {meant[0]!r}?")
 
 
 class Satellite:
@@ -42,10 +84,9 @@ class Satellite:
     action_spec: ClassVar[Sequence[Any]] = ()
     dyn_type: ClassVar[Any] = BasicDynamicsModel
     fsw_type: ClassVar[Any] = BasicFSWModel
-    bound_type: ClassVar[type[BoundSatellite]]
+    bound_type: ClassVar[type[Satellite]]
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
         check_satellite(cls, Satellite)
         cls._compose_models()
@@ -75,10 +116,10 @@ class Satellite:
         if not text("name", name).isidentifier() or keyword.iskeyword(name):
             raise ValueError(f"name={name!r} must be a Python identifier, such as 'Scanner1'")
         for spec in ("observation_spec", "action_spec"):
-            given = getattr(self, spec)
-            if not isinstance(given, Sequence) or isinstance(given, str):
-                raise ValueError(f"{type(self).__name__}.{spec} = {given!r}; it must be a list, also of a single entry")
-        if obs_type is not dict and not any(obs_type is kind for kind in VECTOR_TYPES):
+            entries = getattr(self, spec)
+            if not isinstance(entries, Sequence) or isinstance(entries, str):
+                raise ValueError(f"{type(self).__name__}.{spec} = {entries!r}; it must be a list, also of a single entry")
+        if not any(obs_type is kind for kind in (dict, torch.Tensor, np.ndarray, list)):
             raise ValueError(f"obs_type={obs_type!r} must be dict, or one of torch.Tensor, np.ndarray and list for one vector")
         self.name, self.obs_type = name, dict if obs_type is dict else torch.Tensor
         self.variable_interval = switch("variable_interval", variable_interval)
@@ -88,11 +129,7 @@ class Satellite:
 
     @classmethod
     def default_sat_args(cls, **overrides: object) -> ArgumentTable:
-        """Return every argument accepted in ``sat_args``, with its default or the given value.
-
-        Raises:
-            KeyError: For a value of an unknown argument.
-        """
+        """Return every argument accepted in ``sat_args``, with its default or the given value."""
         cls._compose_models()
         return ArgumentTable((*cls.dyn_type.all_components(), *cls.fsw_type.all_components()), overrides)
 
@@ -146,11 +183,7 @@ class Satellite:
         return None
 
     def action_mask(self) -> Tensor:
-        """Return which actions are legal now, [N, n_actions] bool.
-
-        By default, the actions allowed by :meth:`legal_actions` and by the masks of the actions, or all actions if none is
-        allowed.
-        """
+        """Return which actions are legal now, [N, n_actions] bool: by :meth:`legal_actions` and masks, or all if none is."""
         raise RuntimeError(f"{self.name!r} is in no environment; env.satellite.action_mask() is that of the current episodes")
 
     def counts(self) -> dict[str, Tensor]:

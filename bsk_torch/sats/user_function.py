@@ -43,16 +43,9 @@ class UserFunction:
         self.results: list[Tree] | None = None
 
     def __call__(self, lead: Sequence[int], device: torch.device, call: Callable[[], object]) -> Tree:
-        """Return the result for all satellites, tensors [*lead, ...].
+        """Return the result of ``call`` for all satellites, tensors [*lead, ...]; TypeError if it fails or does not fit.
 
-        Args:
-            lead: Leading dimensions of the result: the number N of satellites, perhaps followed by others.
-            device: Device of the result.
-            call: The call of the function.
-
-        Raises:
-            AttributeError: For what the satellites lack.
-            TypeError: For a function whose first call fails otherwise, or whose result does not fit.
+        An AttributeError for what satellites lack is passed on: those of another type may have it.
         """
         try:
             value = call()
@@ -68,18 +61,12 @@ class UserFunction:
             self.results.append(result)
         return result
 
-    # -- trials -------------------------------------------------------------------------------------------------------
-
     def dimensions(self) -> set[int]:
         """Return the sizes of all dimensions of the results but the first."""
         return {size for tree in self.results or () for tensor in leaves_of(tree) for size in tensor.shape[1:]}
 
     def compare(self, together: UserFunction) -> None:
-        """Compare trials with one environment and with several that begin with the same.
-
-        Raises:
-            TypeError: If the result of an environment depends on the others, or on anything but its state.
-        """
+        """Raise TypeError if a trial of one environment differs from the first of several that begin with the same."""
         if not self.results or not together.results:
             return
         alone, batch = self.results[-1], together.results[-1]
@@ -122,9 +109,6 @@ def as_batch(title: str, value: object, lead: Sequence[int], device: torch.devic
     """Return the result for all satellites as tensors [*lead, ...].
 
     Tensors and NumPy arrays are returned unchanged; a list of tensors [*lead] and numbers becomes [*lead, len(list)].
-
-    Raises:
-        TypeError: For a result without the leading dimensions.
     """
     if isinstance(value, dict):
         return {str(name): as_batch(f"{title}[{name!r}]", part, lead, device) for name, part in value.items()}
@@ -139,6 +123,6 @@ def as_batch(title: str, value: object, lead: Sequence[int], device: torch.devic
         raise TypeError(f"{title} is complex; it must be real: return value.real, value.imag or both side by side")
     if isinstance(value, Tensor) and tuple(value.shape[: len(lead)]) == tuple(lead):
         return value.to(device)
-    given = f"of shape {list(value.shape)}" if isinstance(value, Tensor | np.ndarray) else repr(value)
+    description = f"of shape {list(value.shape)}" if isinstance(value, Tensor | np.ndarray) else repr(value)
     wanted = ", ".join(map(str, lead))
-    raise TypeError(f"{title} is {given}; it must be of shape [{wanted}] or [{wanted}, ...]. {DOOR}")
+    raise TypeError(f"{title} is {description}; it must be of shape [{wanted}] or [{wanted}, ...]. {DOOR}")

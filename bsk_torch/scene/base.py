@@ -3,46 +3,66 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar, cast
 
 import numpy as np
 import torch
 from torch import Tensor
 from typing_extensions import final
 
-from bsk_torch._checks import no_gradient
+from bsk_torch._checks import no_gradient, number
+from bsk_torch.rand import Key
+from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
+from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.recorded import RecordedTargets
 from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked, check_tensor, is_of_package, overrides
-from bsk_torch.sim.places import TARGET_KIND, TARGETS, AboveElevation, DrawnTargets, SunElevation, WithinRange, instrument_kind
+from bsk_torch.sim.instruments import Instrument
+from bsk_torch.sim.places import (
+    TARGET_KIND,
+    TARGETS,
+    AboveElevation,
+    DrawnTargets,
+    Places,
+    PlaceTables,
+    SunElevation,
+    WithinRange,
+    instrument_kind,
+)
+from bsk_torch.sim.state import StateTable
 
-if TYPE_CHECKING:
-    from bsk_torch.rand import Key
-    from bsk_torch.sats.bound import BoundSatellite
-    from bsk_torch.sats.fleet import SatelliteFleet
-    from bsk_torch.sats.satellite import Satellite
-    from bsk_torch.sim.instruments import Instrument
-    from bsk_torch.sim.places import Places, PlaceTables
-    from bsk_torch.sim.state import StateTable
+Value = TypeVar("Value")
+
+
+class Memo:
+    """Results for the current state of the satellites and the memory of the episodes, each computed once."""
+
+    def __init__(self) -> None:
+        """Begin without results."""
+        self._results: dict[Hashable, tuple[tuple[int, ...], object]] = {}
+
+    def once(self, name: Hashable, fleet: SatelliteFleet, find: Callable[[], Value], further: tuple[int, ...] = ()) -> Value:
+        """Return what ``find`` returns, which is called only where the state is another than at the last call with ``name``.
+
+        ``further`` are versions of other tables that it depends on.
+        """
+        tables = [table for part in fleet.simulators for table in (part.state, part.memory)]
+        key = (*(table.version for table in (*tables, fleet.memory)), *further)
+        entry = self._results.get(name)
+        if entry is None or entry[0] != key:
+            entry = self._results[name] = (key, find())
+        return cast(Value, entry[1])
+
 
 Drawn = TypeVar("Drawn")
 
 HOOKS = (
-    "validate_satellite_names",
-    "calls_user",
-    "draw",
-    "place_kinds",
-    "present",
-    "link",
-    "reset",
-    "after_step",
-    "recorded_targets",
-    "sees",
+    *("validate_satellite_names", "calls_user", "draw", "place_kinds", "present", "link", "reset", "after_step"),
+    *("recorded_targets", "sees"),
 )
 """Members of :class:`Scenario` that subclasses may define."""
 
 
 def _same(one: Any, other: Any) -> bool:
-    """Return whether two states of NumPy's global generator are equal."""
     return one[2:] == other[2:] and bool((one[1] == other[1]).all())
 
 
@@ -73,8 +93,8 @@ def _targets(tables: PlaceTables, instrument: Instrument | None) -> Places:
         return lambda rows: torch.sin(arguments[limit(name)][rows])
 
     def reach(rows: Tensor) -> Tensor:
-        found = arguments[limit("imageTargetMaximumRange")][rows]
-        return torch.where(found < 0.0, FARTHEST, found)
+        distance = arguments[limit("imageTargetMaximumRange")][rows]
+        return torch.where(distance < 0.0, FARTHEST, distance)
 
     least, advice = sine("imageTargetMinimumElevation"), "ask for more targets, lower imageTargetMinimumElevation"
     names = ("imageTargetMinimumSunElevation", "imageTargetMaximumSunElevation")
@@ -109,7 +129,6 @@ class Scenario:
     _tried: frozenset[str] = frozenset()
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
         check_class(cls, Scenario, HOOKS)
 
@@ -187,11 +206,7 @@ class Scenario:
         return self.fleet.memory
 
     def drawn(self, name: str) -> Tensor:
-        """Return a value drawn by :meth:`draw` for the current episodes, [N, ...].
-
-        Raises:
-            KeyError: If ``draw`` returns no value of this name.
-        """
+        """Return a value drawn by :meth:`draw` for the current episodes, [N, ...]; KeyError for an unknown name."""
         return self.fleet.scenario_state[name]
 
     def recorded_targets(self, env: int) -> RecordedTargets | None:
@@ -223,11 +238,7 @@ class Scenario:
 
     @final
     def attach(self, fleet: SatelliteFleet) -> None:
-        """Call :meth:`link`; not to be overridden.
-
-        Raises:
-            TypeError: If an override does not call ``super().link(fleet)`` though its base class depends on that.
-        """
+        """Call :meth:`link`; not to be overridden."""
         self.link(fleet)
         if self._link_needs_super:
             check_linked(self, "link(fleet)", fleet)
@@ -247,14 +258,7 @@ class Scenario:
 
     @final
     def draw_checked(self, key: Key) -> dict[str, Tensor]:
-        """Call :meth:`draw`; not to be overridden.
-
-        Raises:
-            TypeError: If the first call used torch's global generator, or any call NumPy's though ``calls_user`` is False, or for
-                anything but a dictionary of tensors.
-            ValueError: If names or shapes differ from those of the first call, which would leave values of other episodes in
-                place; for a value without a row for each environment, that is NaN, or requires a gradient.
-        """
+        """Call :meth:`draw`; not to be overridden."""
         values = self._drawn_from_key("draw(key)", lambda: self.draw(key))
         self._check_drawn(values, len(key))
         form = {name: value.shape[1:] for name, value in values.items()}
@@ -287,12 +291,7 @@ class Scenario:
 
     @final
     def present_checked(self, key: Key, names: Sequence[str]) -> Tensor:
-        """Call :meth:`present`; not to be overridden.
-
-        Raises:
-            TypeError: If NumPy's global generator was used though ``calls_user`` is False, or the result is no mask [n, S].
-            ValueError: For an episode without satellites.
-        """
+        """Call :meth:`present`; not to be overridden."""
         title = f"{type(self).__name__}.present(key, names)"
         present = self._drawn_from_key("present(key, names)", lambda: self.present(key, names))
         check_tensor(f"the result of {title}", present, (len(key), len(names)), torch.bool)
@@ -304,12 +303,7 @@ class Scenario:
         return present
 
     def _drawn_from_key(self, call: str, draw: Callable[[], Drawn]) -> Drawn:
-        """Return the values drawn by a hook.
-
-        Raises:
-            TypeError: If its first call has used torch's global generator, or any call NumPy's though ``calls_user`` is False.
-            ValueError: For a value that requires a gradient.
-        """
+        """Return the values drawn by a hook."""
         # once, since another thread, such as that of a learner, may draw numbers at the same time
         torch_before = None if call in self._tried or is_of_package(type(self)) else torch.get_rng_state()
         before = None if self.calls_user else np.random.get_state()
@@ -361,3 +355,11 @@ class Scenario:
 
     def _keep_time(self) -> None:
         """Compute the values valid until the end of the next step, unless a hook has done so."""
+
+
+class UniformNadirScanning(Scenario):
+    """Recorded data have the same value everywhere: ``value_per_second`` for every second of recording."""
+
+    def __init__(self, value_per_second: float = 1.0) -> None:
+        """Set the value of one second of recorded data; ValueError unless it is a finite number."""
+        self.value_per_second = number("value_per_second", value_per_second)

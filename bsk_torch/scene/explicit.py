@@ -32,7 +32,8 @@ class Targets(TargetScenario):
         counts = [len(table) for table in tables]
         self.most_targets = max(counts)
         self.exists = (torch.arange(self.most_targets) < torch.tensor(counts).unsqueeze(-1)).double()
-        self.positions = torch.stack([_padded(table, self.most_targets) for table in tables])
+        missing = (self.most_targets - len(table) for table in tables)
+        self.positions = torch.stack([torch.cat([t, t[:1].expand(n, -1)]) for t, n in zip(tables, missing, strict=True)])
         self.priorities = _priorities(priority, counts) if isinstance(priority, PerEnv) else priority
         check_numbers("priority", self.priorities, self.most_targets)
         if names is not None and (isinstance(names, str) or not isinstance(names, Sequence)):
@@ -52,13 +53,9 @@ class Targets(TargetScenario):
         return super().target_names if self.given_names is None else self.given_names
 
     def draw(self, key: Key) -> dict[str, Tensor]:
-        """See :class:`TargetScenario`.
-
-        Raises:
-            ValueError: If ``rand.per_env`` has fewer rows than there are environments.
-        """
-        given = self.positions, self.exists
-        r_LP_P, exists = (as_numbers(PerEnv(x).draw(key)) if self.per_env else x for x in given)
+        """See :class:`TargetScenario`."""
+        tables = self.positions, self.exists
+        r_LP_P, exists = (as_numbers(PerEnv(x).draw(key)) if self.per_env else x for x in tables)
         priority = draw_numbers("priority", self.priorities, key.named("target_priority"), self.most_targets)
         return {"target_r_LP_P": r_LP_P, "target_priority": priority * exists, "target_exists": exists}
 
@@ -86,11 +83,10 @@ def _table(rows: object, of: str) -> Tensor:
     return table
 
 
-def _priorities(given: PerEnv, counts: list[int]) -> PerEnv:
-    """Return the priorities of each environment, padded with zeros to the largest number of targets."""
-    rows = [_numbers(f"priority of environment {i}", row) for i, row in enumerate(given.values)]
+def _priorities(priority: PerEnv, counts: list[int]) -> PerEnv:
+    rows = [_numbers(f"priority of environment {i}", row) for i, row in enumerate(priority.values)]
     if all(row.ndim == 0 for row in rows):
-        return PerEnv(torch.stack(rows)) if rows else given
+        return PerEnv(torch.stack(rows)) if rows else priority
     counts = counts * len(rows) if len(counts) == 1 else counts
     if len(rows) != len(counts):
         raise ValueError(f"priority has rows for {len(rows)} environments, but r_LP_P for {len(counts)}")
@@ -98,11 +94,6 @@ def _priorities(given: PerEnv, counts: list[int]) -> PerEnv:
         if row.shape != (count,):
             raise ValueError(f"priority of environment {i} has shape {list(row.shape)}; its r_LP_P has {count} targets")
     return PerEnv(torch.stack([torch.nn.functional.pad(row, (0, max(counts) - len(row))) for row in rows]))
-
-
-def _padded(table: Tensor, length: int) -> Tensor:
-    """Return ``table`` [T, 3] followed by repeats of its first row, [length, 3]."""
-    return torch.cat([table, table[:1].expand(length - len(table), -1)])
 
 
 def _numbers(what: str, value: object) -> Tensor:

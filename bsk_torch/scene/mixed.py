@@ -4,50 +4,47 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from torch import Tensor
 from typing_extensions import override
 
 from bsk_torch.rand import Key
+from bsk_torch.sats.bound import SatelliteFleet
+from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.names import nearest
 from bsk_torch.sim.places import Places, PlaceTables
 
-if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
-    from bsk_torch.sats.satellite import Satellite
-
-
 T = TypeVar("T")
 
 
-def as_dictionary(title: str, given: Mapping[str, T]) -> dict[str, T]:
+def as_dictionary(title: str, value: Mapping[str, T]) -> dict[str, T]:
     """Return a dictionary with names as keys; ValueError for anything else."""
-    if not isinstance(given, Mapping) or not all(isinstance(key, str) for key in given):
-        raise ValueError(f"{title}={given!r} must be a dictionary with names as keys")
-    return dict(given)
+    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+        raise ValueError(f"{title}={value!r} must be a dictionary with names as keys")
+    return dict(value)
 
 
-def names_by_key(title: str, given: Mapping[str, Collection[str]]) -> dict[str, frozenset[str]]:
+def names_by_key(title: str, value: Mapping[str, Collection[str]]) -> dict[str, frozenset[str]]:
     """Return lists of names as sets, by key; ValueError for anything else."""
-    found = as_dictionary(title, given)
-    for key, names in found.items():
+    groups = as_dictionary(title, value)
+    for key, names in groups.items():
         if isinstance(names, str) or not isinstance(names, Collection) or not all(isinstance(name, str) for name in names):
             raise ValueError(f"{title}[{key!r}]={names!r} must be a list of names of satellites, such as ['EO1']")
-    return {key: frozenset(names) for key, names in found.items()}
+    return {key: frozenset(names) for key, names in groups.items()}
 
 
-def check_same_keys(title: str, given: Mapping[str, object], others: Mapping[str, object], other: str) -> None:
+def check_same_keys(title: str, value: Mapping[str, object], others: Mapping[str, object], other: str) -> None:
     """Raise ValueError unless two dictionaries have the same keys."""
-    if given.keys() != others.keys():
-        raise ValueError(f"{title} has the keys {sorted(given)}; they must be those of {other}, {sorted(others)}")
+    if value.keys() != others.keys():
+        raise ValueError(f"{title} has the keys {sorted(value)}; they must be those of {other}, {sorted(others)}")
 
 
-def check_known(title: str, names: Iterable[str], known: Sequence[str]) -> None:
-    """Raise ValueError for a name that is not among those ``known``."""
-    for name in sorted(set(names) - set(known)):
-        raise ValueError(f"{title} names the unknown satellite {name!r}; {nearest(name, known)}")
+def check_known(title: str, names: Iterable[str], satellites: Sequence[str]) -> None:
+    """Raise ValueError for a name that is not among those ``satellites``."""
+    for name in sorted(set(names) - set(satellites)):
+        raise ValueError(f"{title} names the unknown satellite {name!r}; {nearest(name, satellites)}")
 
 
 class MixedScenario(Scenario):
@@ -58,24 +55,10 @@ class MixedScenario(Scenario):
     can be read from the whole, such as ``priority``.
 
     The scenarios must draw values of different names: there can be one with targets on the ground, next to others.
-
-    Attributes:
-        scenarios: Scenarios by id.
-        satellite_mapping: Names of the satellites of each.
     """
 
     def __init__(self, scenarios: Mapping[str, Scenario], satellite_mapping: Mapping[str, Sequence[str]]) -> None:
-        """Combine scenarios.
-
-        Args:
-            scenarios: Scenarios by id.
-            satellite_mapping: Names of the satellites that take part in each, including those that are observed. Groups may
-                overlap.
-
-        Raises:
-            ValueError: For other ids in the mapping than in the scenarios, a value that is not a scenario, and a scenario that
-                draws which satellites are present.
-        """
+        """Combine scenarios by id, each with its satellites, including observed ones; groups may overlap."""
         self.scenarios: dict[str, Scenario] = as_dictionary("scenarios", scenarios)
         self.satellite_mapping = names_by_key("satellite_mapping", satellite_mapping)
         check_same_keys("satellite_mapping", self.satellite_mapping, self.scenarios, "scenarios")
@@ -86,14 +69,12 @@ class MixedScenario(Scenario):
                 raise ValueError(f"scenarios[{key!r}] draws which satellites are present, which concerns all scenarios")
 
     def __copy__(self) -> MixedScenario:
-        """Return a copy, including the scenarios; every environment makes one."""
         new = type(self).__new__(type(self))
         copies = {id(scenario): copy.copy(scenario) for scenario in self.scenarios.values()}
         new.__dict__ |= self.__dict__ | {"scenarios": {key: copies[id(part)] for key, part in self.scenarios.items()}}
         return new
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute that one scenario has; AttributeError if none or several have it."""
         if name.startswith("_"):
             raise AttributeError(f"{type(self).__name__} has no {name!r}")
         having = [part for part in self._parts() if hasattr(part, name)]
@@ -105,7 +86,6 @@ class MixedScenario(Scenario):
         return getattr(having[0], name)
 
     def _parts(self) -> list[Scenario]:
-        """Return each scenario once."""
         return list({id(part): part for part in self.__dict__.get("scenarios", {}).values()}.values())
 
     def members(self, scenario: Scenario) -> set[str]:
@@ -116,8 +96,6 @@ class MixedScenario(Scenario):
         """Return what differs between satellites of different scenarios, which are simulated as different types."""
         return tuple(name in self.members(part) for part in self._parts())
 
-    # -- hooks --------------------------------------------------------------------------------------------------------
-
     @property
     def calls_user(self) -> bool:
         """See :attr:`Scenario.calls_user`; whether any scenario does."""
@@ -125,31 +103,30 @@ class MixedScenario(Scenario):
 
     def draw(self, key: Key) -> dict[str, Tensor]:
         """See :meth:`Scenario.draw`; what the scenarios draw alone. ValueError for values of the same name."""
-        found: dict[str, Tensor] = {}
+        drawn: dict[str, Tensor] = {}
         for part in self._parts():
             values = part.draw(key)
-            if twice := sorted(values.keys() & found.keys()):
+            if twice := sorted(values.keys() & drawn.keys()):
                 raise ValueError(
                     f"several scenarios of {type(self).__name__} draw {twice[0]!r}, such as two with targets; put the targets of "
                     "both into one scenario"
                 )
-            found |= values
-        return found
+            drawn |= values
+        return drawn
 
     def place_kinds_of(self, names: Sequence[str], tables: PlaceTables) -> Mapping[str, Places]:
         """See :meth:`Scenario.place_kinds_of`; the places of the scenarios with these satellites."""
-        mine = [part for part in self._parts() if not self.members(part).isdisjoint(names)]
-        return {kind: places for part in mine for kind, places in part.place_kinds(tables).items()}
+        joined = [part for part in self._parts() if not self.members(part).isdisjoint(names)]
+        return {kind: places for part in joined for kind, places in part.place_kinds(tables).items()}
 
     def seen_by(self, names: Sequence[str]) -> Scenario:
         """See :meth:`Scenario.seen_by`; the only scenario of the satellites, or all."""
-        mine = [part for part in self._parts() if not self.members(part).isdisjoint(names)]
-        return mine[0] if len(mine) == 1 else self
+        joined = [part for part in self._parts() if not self.members(part).isdisjoint(names)]
+        return joined[0] if len(joined) == 1 else self
 
     def _own_arguments(self, satellite: Satellite) -> dict[str, Any]:
-        """See :meth:`Scenario._own_arguments`; of the scenarios in which the satellite takes part."""
-        mine = [part for part in self._parts() if satellite.name in self.members(part)]
-        return {name: value for part in mine for name, value in part._own_arguments(satellite).items()}
+        joined = [part for part in self._parts() if satellite.name in self.members(part)]
+        return {name: value for part in joined for name, value in part._own_arguments(satellite).items()}
 
     def validate_satellite_names(self, satellites: Sequence[Satellite]) -> None:
         """See :meth:`Scenario.validate_satellite_names`; ValueError for names in the mapping that no satellite has, too."""

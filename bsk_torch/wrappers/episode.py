@@ -12,7 +12,7 @@ from gymnasium.error import ResetNeeded
 
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.env.base import Tasking
-from bsk_torch.sats.others import OtherSatellite
+from bsk_torch.sats.bound import OtherSatellite
 from bsk_torch.wrappers.core import RENDERING, Results, begin, check_options, snapshots
 
 

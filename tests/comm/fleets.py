@@ -9,7 +9,7 @@ import torch
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.comm.los import MAX_RANGE
 from bsk_torch.rand import first_key
-from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sim import dyn, fsw
 from tests.sim.simulators import make_simulator
 

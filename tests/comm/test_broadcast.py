@@ -6,7 +6,7 @@ import torch
 
 from bsk_torch import act
 from bsk_torch.act.base import LONGEST, ActionBuilder
-from bsk_torch.act.broadcast import PENDING
+from bsk_torch.act.discrete import PENDING
 from bsk_torch.sim.state import StateTable
 
 DRIFT, NADIR = 0, 3

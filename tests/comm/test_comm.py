@@ -5,9 +5,8 @@ import pytest
 import torch
 
 from bsk_torch import ConstellationTasking, act, comm, obs, sats
-from bsk_torch.act.broadcast import PENDING
-from bsk_torch.comm.base import LAST
-from bsk_torch.comm.multi import connected
+from bsk_torch.act.discrete import PENDING
+from bsk_torch.comm.base import LAST, connected
 from bsk_torch.sim.state import StateTable
 from tests.comm.fleets import Seeing, make_fleet, recorded, states, step
 

@@ -6,7 +6,7 @@ import torch
 
 from bsk_torch import ConstellationTasking, SatelliteTasking, act, comm, data, formations, obs, sats, scene
 from bsk_torch.rand import first_key
-from bsk_torch.sats.dtypes import as_dtype
+from bsk_torch.sats.satellite import as_dtype
 from tests.support.refusals import check_refusals, refusal
 
 

@@ -7,7 +7,7 @@ import torch
 
 from bsk_torch import rand, scene
 from bsk_torch.constants import R_EARTH
-from bsk_torch.scene.uncertain import displaced
+from bsk_torch.scene.overlaid import displaced
 
 from .conftest import MANY, key, rows_of
 

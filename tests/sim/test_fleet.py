@@ -8,7 +8,7 @@ import torch
 
 from bsk_torch import rand
 from bsk_torch.rand import first_key
-from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.draw_table import DrawTable
 from bsk_torch.sim.fleet import Fleet, share

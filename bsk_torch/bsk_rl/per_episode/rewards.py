@@ -16,7 +16,7 @@ from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.sats.bound_access import BoundAccessSatellite
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.bound import SatelliteFleet
     from bsk_torch.scene.base import Scenario
 
 

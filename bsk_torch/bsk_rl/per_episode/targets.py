@@ -19,7 +19,7 @@ from bsk_torch._checks import no_gradient
 from bsk_torch.constants import R_EARTH
 from bsk_torch.rand import Key, seeded
 from bsk_torch.scene.draws import check_positions
-from bsk_torch.scene.target import Target
+from bsk_torch.scene.targets import Target
 from bsk_torch.scene.uniform import UniformTargets
 from bsk_torch.sim.hooks import is_of_package
 

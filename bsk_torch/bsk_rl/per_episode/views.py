@@ -18,11 +18,10 @@ from torch import Tensor
 
 from bsk_torch.bsk_rl.data.unique_image_data import UniqueImageData
 from bsk_torch.sats.access import AccessSatellite
-from bsk_torch.sats.bound import BoundSatellite
+from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
 from bsk_torch.sats.bound_access import BoundAccessSatellite
-from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sats.imaging import ImagingSatellite
-from bsk_torch.sats.objects import names_of, target_names
+from bsk_torch.sats.opportunities import names_of, target_names
 from bsk_torch.sim.access.windows.search import MAX_SEGMENTS
 from bsk_torch.sim.hooks import is_of_package
 from bsk_torch.sim.names import nearest

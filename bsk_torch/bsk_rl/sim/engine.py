@@ -21,8 +21,7 @@ from bsk_torch.data.base import NoReward
 from bsk_torch.env.assembly.fleets import FleetBuilder
 from bsk_torch.env.options import TaskingOptions
 from bsk_torch.rand import first_key
-from bsk_torch.sats.bound import BoundSatellite
-from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
 from bsk_torch.sats.satellite import Satellite as CoreSatellite
 from bsk_torch.scene.base import Scenario as CoreScenario
 from bsk_torch.sim.arguments.table import ArgumentTable

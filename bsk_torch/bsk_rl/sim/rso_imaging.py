@@ -10,7 +10,7 @@ from bsk_torch.astro.sight import line_clearance, stretch
 from bsk_torch.bsk_rl.sim.engine import row_mask
 from bsk_torch.bsk_rl.utils.rso_imaging import RSOImageRecord
 from bsk_torch.constants import NANO
-from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sim.assembly.satellite_type import whole_nanoseconds
 from bsk_torch.sim.orbit.flights import make_flights
 from bsk_torch.tasks.objects.aim import AIM, NO_AIM, AimedNodes

@@ -18,7 +18,7 @@ from bsk_torch.bsk_rl.sim.views import WorldView
 from bsk_torch.comm.los import sights, visible_pairs
 from bsk_torch.constants import NANO
 from bsk_torch.env.episodes import whole_limit
-from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sim.assembly.satellite_type import whole_nanoseconds
 from bsk_torch.sim.dyn.events import DISARMED
 from bsk_torch.sim.run.encounters import LEFT, MET

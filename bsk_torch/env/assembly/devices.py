@@ -15,14 +15,14 @@ def existing_device(device: torch.device | str) -> torch.device:
     """Return the device of that name; ValueError if this machine does not have it, or torch makes tensors without values."""
     check_default_device()
     cuda = torch.cuda.device_count() if torch.cuda.is_available() else 0
-    there = ["cpu", *(f"cuda:{k}" for k in range(cuda))]
+    names = ["cpu", *(f"cuda:{k}" for k in range(cuda))]
     try:
-        found = torch.device(device)
+        existing = torch.device(device)
     except (RuntimeError, TypeError):
-        found = None
-    if found is None or (found.type != "cpu" and (found.type != "cuda" or (found.index or 0) >= cuda)):
-        raise ValueError(f"device={str(device)!r} is not available (available: {', '.join(there)})")
-    return found
+        existing = None
+    if existing is None or (existing.type != "cpu" and (existing.type != "cuda" or (existing.index or 0) >= cuda)):
+        raise ValueError(f"device={str(device)!r} is not available (available: {', '.join(names)})")
+    return existing
 
 
 def check_default_device() -> None:

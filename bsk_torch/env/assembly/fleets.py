@@ -9,24 +9,24 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from bsk_torch.act.broadcast import Broadcast
 from bsk_torch.act.continuous import ContinuousAction
+from bsk_torch.act.discrete import Broadcast
 from bsk_torch.astro.ephemeris import coverage, coverage_in_words
 from bsk_torch.codegen.kept import Kept
 from bsk_torch.constants import NANO
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.data.checked import CheckedRewarder
 from bsk_torch.env.assembly.randomizer import Randomizer
-from bsk_torch.env.assembly.types import check_names, check_world, grouped, world_arguments, world_components
+from bsk_torch.env.assembly.types import check_names, check_world, grouped
 from bsk_torch.env.options import CONTINUOUS, ConstellationOptions, TaskingOptions
 from bsk_torch.rand import Distribution, Key, first_key, seeded
-from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.arguments.sources import Answers, Member, expand, is_function
 from bsk_torch.sim.arguments.table import ArgumentTable
 from bsk_torch.sim.arguments.values import convert, drawn_once
-from bsk_torch.sim.assembly.composition import compose
+from bsk_torch.sim.assembly.composition import compose, world_components
 from bsk_torch.sim.assembly.satellite_type import SatelliteType, SimulationOptions, Ticks, Usage, satellite_type
 from bsk_torch.sim.component import Arg, Component, Field
 from bsk_torch.sim.draw_table import DrawTable
@@ -49,12 +49,10 @@ class FleetBuilder:
 
     Attributes:
         satellites: The user's satellites.
-        names: Their names.
         types: Indices of the satellites of each type.
         pairs: Pairs of satellites whose distance can end steps.
         world_type: World model given in the options; None if it follows from the satellites.
         scenario: A copy of the user's scenario.
-        options: Options of the environment.
         randomizer: Draws arguments of all satellites together; None without ``sat_arg_randomizer``.
     """
 
@@ -88,7 +86,8 @@ class FleetBuilder:
         if self.population is not None:
             check_population(self.population, self.names, scenario)
         self.world_type = None if options.world_type is None else compose(options.world_type, WorldModel)
-        self._world_names = [set(world_arguments(self.satellites[columns[0]], self.world_type)) for columns in self.types]
+        worlds = [world_components(self.satellites[columns[0]].dyn_type, self.world_type) for columns in self.types]
+        self._world_names = [{arg.name for component in world for arg in component.args} for world in worlds]
         self.world_args = expand(options.world_args, "world_args")
         self._made = made
         self._scenario_draws: dict[int, dict[str, Tensor]] = {}
@@ -96,11 +95,9 @@ class FleetBuilder:
 
     def default_world_args(self) -> ArgumentTable:
         """Return every argument of the world, with its default."""
-        first_of_each = (self.satellites[columns[0]] for columns in self.types)
-        parts = [part for satellite in first_of_each for part in world_components(satellite, self.world_type)]
+        models = (self.satellites[columns[0]].dyn_type for columns in self.types)
+        parts = [part for model in models for part in world_components(model, self.world_type)]
         return ArgumentTable([*(self.world_type.all_components() if self.world_type else ()), *parts])
-
-    # -- fleets -------------------------------------------------------------------------------------------------------
 
     @functools.cached_property
     def satellite_types(self) -> Sequence[SatelliteType]:
@@ -115,13 +112,7 @@ class FleetBuilder:
         return [types[k] for k in range(len(types))]
 
     def make_fleet(self, n: int, types: Sequence[SatelliteType] | None = None, trial: bool = False) -> SatelliteFleet:
-        """Return simulations of ``n`` episodes.
-
-        Args:
-            n: Number of episodes.
-            types: Types of the satellites, if arguments have changed since their construction.
-            trial: Whether to simulate one satellite of each type only.
-        """
+        """Return simulations of ``n`` episodes, of changed ``types`` if given; for a ``trial``, of one satellite of each type."""
         # the trial's arcs shall be as long as those of the batch: see check_memory
         sample = isinstance(self.options.time_limit, Distribution) and n < self.options.num_envs
         limit = self.draw_time_limit(first_key(min(SAMPLE if sample else n, self.options.num_envs)))
@@ -133,9 +124,9 @@ class FleetBuilder:
         each = []
         for made, columns in zip(types, self.types, strict=True):
             horizon = float(self.satellites[columns[0]].generation(limit).max())
-            own = made.alone if trial else made
+            kind = made.alone if trial else made
             kinds = functools.partial(self.scenario.place_kinds_of, [self.names[column] for column in columns])
-            each.append(Simulator(own, n, horizon=horizon, scenario_state=scenario_state, places=kinds))
+            each.append(Simulator(kind, n, horizon=horizon, scenario_state=scenario_state, places=kinds))
         chosen = sorted(column for simulator in each for column in simulator.columns)
         members = {c: (k, 0 if trial else i) for k, columns in enumerate(self.types) for i, c in enumerate(columns)}
         places = {name: members[column] for column, name in enumerate(self.names)}
@@ -150,11 +141,7 @@ class FleetBuilder:
         return self._scenario_draws[n]
 
     def _leaders_first(self) -> Iterator[tuple[int, dict[str, int]]]:
-        """Yield the types of satellites in order of dependence, each with the types that it follows, by slot.
-
-        Raises:
-            ValueError: Unless exactly one satellite has the slot followed by a component, or if types follow each other.
-        """
+        """Yield the types of satellites in order of dependence, each with the types that it follows, by slot."""
         parts = [
             [*s.dyn_type.all_components(), *s.fsw_type.all_components()] for s in (self.satellites[c[0]] for c in self.types)
         ]
@@ -167,8 +154,7 @@ class FleetBuilder:
             yield ready, waiting.pop(ready)
 
     def _leader(self, slot: str, parts: Sequence[Sequence[Component]]) -> int:
-        """Return the type of the only satellite whose model has a slot."""
-        having = [k for k, own in enumerate(parts) if any(part.slot == slot for part in own)]
+        having = [k for k, components in enumerate(parts) if any(part.slot == slot for part in components)]
         names = [self.names[column] for k in having for column in self.types[k]]
         if len(names) != 1:
             raise ValueError(f"satellites follow the one whose model has the slot {slot!r}; {names or 'none'} have it, not one")
@@ -177,10 +163,10 @@ class FleetBuilder:
     def _make_type(self, k: int, followed: Mapping[str, Sequence[Field]], ticks: Ticks) -> SatelliteType:
         columns, options = self.types[k], self.options
         satellite = self.satellites[columns[0]]
-        given = [self.satellites[column].sat_args_generator for column in columns]
+        arguments = [self.satellites[column].sat_args_generator for column in columns]
         return satellite_type(
             (satellite.dyn_type, satellite.fsw_type),
-            given[0] if all(args is given[0] for args in given) else given,
+            arguments[0] if all(args is arguments[0] for args in arguments) else arguments,
             {name: value for name, value in self.world_args.items() if name in self._world_names[k]},
             SimulationOptions(
                 device=self.device,
@@ -210,8 +196,8 @@ class FleetBuilder:
     @property
     def calls_user(self) -> bool:
         """Whether drawing an episode calls a user function; these are called only for episodes that begin now."""
-        given = [value for satellite in self.satellites for value in satellite.sat_args_generator.values()]
-        calls = any(map(is_function, [*given, *self.world_args.values()]))
+        values = [value for satellite in self.satellites for value in satellite.sat_args_generator.values()]
+        calls = any(map(is_function, [*values, *self.world_args.values()]))
         return calls or self._calls_others
 
     @property
@@ -224,8 +210,6 @@ class FleetBuilder:
     def pool_pays(self) -> bool:
         """True for batches large enough to prepare episodes in bulk."""
         return self.options.num_envs * len(self.names) >= SMALLEST_POOL and not self.calls_user
-
-    # -- episodes -----------------------------------------------------------------------------------------------------
 
     def draw_time_limit(self, key: Key, answers: Sequence[Answers] = ()) -> Tensor:
         """Return the time limits [n] s of the key's environments, not yet rounded to whole ticks."""
@@ -269,11 +253,7 @@ class FleetBuilder:
         return self.population is not None or self.scenario.varies_population
 
     def draw_present(self, fleet: Fleet, key: Key, answers: Sequence[Answers]) -> Tensor | None:
-        """Return which satellites are present in the episodes of the key's environments, [n, S]; None if all always are.
-
-        Raises:
-            ValueError: For an episode without satellites, or without a satellite that others follow.
-        """
+        """Return which satellites are present in the episodes of the key's environments, [n, S]; None if all always are."""
         if not fleet.varies:
             return None
         if self.population is not None:
@@ -294,18 +274,18 @@ class FleetBuilder:
     def draw(self, fleet: Fleet, key: Key) -> tuple[EpisodeDraw, Tensor]:
         """Return draws for the episodes of the key's environments, and their time limits, [n] s."""
         answers = self.ask(fleet, key)
-        given = None if self.randomizer is None else self.randomizer(key, answers)
+        arguments = None if self.randomizer is None else self.randomizer(key, answers)
         parts = [answer["scenario"] for answer in answers] if self.scenario.calls_user else []
         scenario = {name: torch.cat([part[name] for part in parts]) for name in parts[0]} if parts else None
-        drawn, limit = fleet.draw(key, given, answers, scenario), self.draw_time_limit(key, answers)
+        drawn, limit = fleet.draw(key, arguments, answers, scenario), self.draw_time_limit(key, answers)
         check_ephemeris(drawn, limit)
         return drawn._replace(present=self.draw_present(fleet, key, answers)), limit.to(self.device)
 
     def draw_arguments(self, fleet: Fleet, key: Key) -> list[dict[str, Any]]:
         """Return only the arguments of satellites and world of the key's environments, as :meth:`draw` does, for each type."""
         answers = self.ask(fleet, key)
-        given = None if self.randomizer is None else self.randomizer(key, answers)
-        return fleet.draw(key, given, answers, {}).values
+        arguments = None if self.randomizer is None else self.randomizer(key, answers)
+        return fleet.draw(key, arguments, answers, {}).values
 
     def start(self, fleet: Fleet, envs: Tensor, drawn: EpisodeDraw, limit: Tensor) -> None:
         """Start the episodes ``envs`` [n] of a fleet."""

@@ -93,7 +93,7 @@ class TrialFleet:
         """Start the episodes; return the user functions, which keep their results from now on."""
         self.checked = link(self.fleet, self.scenario, copy.copy(rewarder))
         copy.copy(communicator).attach(self.fleet)  # it may declare what satellites observe
-        functions = [function for satellite in self.satellites for function in satellite.user_functions()]
+        functions = [f for satellite in self.satellites for f in (*satellite.observations.functions, *satellite.functions)]
         for function in functions:
             function.results = []
         self.builder.start(self.fleet, self.fleet.all_envs, *self.drawn)
@@ -137,12 +137,7 @@ def check_room(builder: FleetBuilder, nbytes: int) -> None:
 
 
 def try_out(builder: FleetBuilder, rewarder: GlobalReward, communicator: CommunicationMethod) -> Trial:
-    """Observe a trial episode, whose shapes determine the specs; try user functions with one and with several environments.
-
-    Raises:
-        MemoryError: If the batch will not fit into memory.
-        TypeError: For an observation of a wrong shape, or a function whose result for one environment depends on others.
-    """
+    """Observe a trial episode, whose shapes determine the specs; try user functions with one and with several environments."""
     alone = TrialFleet(builder, 1)
     fleet, n = alone.fleet, builder.options.num_envs
     each = sum(s.state.nbytes * len(columns) for s, columns in zip(fleet.simulators, builder.types, strict=True))

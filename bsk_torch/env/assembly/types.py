@@ -8,9 +8,6 @@ from collections.abc import Callable, Hashable, Iterable, Sequence
 from bsk_torch.rand import MOST_SATELLITES
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sim.arguments.values import alike, is_fixed, nearest
-from bsk_torch.sim.assembly.composition import world_components as components_of_world
-from bsk_torch.sim.component import Component
-from bsk_torch.sim.world import WorldModel
 
 OWN = ("name", "sat_args_generator")
 """Attributes that may differ between satellites of one type."""
@@ -46,12 +43,12 @@ def same_type(a: Satellite, b: Satellite) -> bool:
     if a.sat_args_generator is b.sat_args_generator:
         return True
     table = type(a).default_sat_args().rows
-    mine, theirs = ({name: x.sat_args_generator.get(name, arg.default) for name, arg in table.items()} for x in (a, b))
+    first, second = ({name: x.sat_args_generator.get(name, arg.default) for name, arg in table.items()} for x in (a, b))
     # where None stands for no value, something is not built
     built = (name for name, arg in table.items() if arg.missing is None and None not in arg.choices and arg.kind != "orbit")
-    if any((mine[name] is None) != (theirs[name] is None) for name in built):
+    if any((first[name] is None) != (second[name] is None) for name in built):
         return False
-    return all(alike(mine[name], theirs[name]) for name, arg in table.items() if is_fixed(arg))
+    return all(alike(first[name], second[name]) for name, arg in table.items() if is_fixed(arg))
 
 
 def grouped(satellites: Sequence[Satellite], group_of: Callable[[str], Hashable]) -> list[list[int]]:
@@ -71,19 +68,9 @@ def grouped(satellites: Sequence[Satellite], group_of: Callable[[str], Hashable]
     return types
 
 
-def world_components(satellite: Satellite, world_type: type[WorldModel] | None = None) -> tuple[Component, ...]:
-    """Return the components of a satellite's world: those of ``world_type``, or those required by its models."""
-    return components_of_world(satellite.dyn_type, world_type)
-
-
-def world_arguments(satellite: Satellite, world_type: type[WorldModel] | None = None) -> list[str]:
-    """Return the names of the arguments of a satellite's world."""
-    return [arg.name for component in world_components(satellite, world_type) for arg in component.args]
-
-
-def check_world(world_args: Iterable[str], known: Iterable[Iterable[str]]) -> None:
+def check_world(world_args: Iterable[str], tables: Iterable[Iterable[str]]) -> None:
     """Raise KeyError for an argument unknown to the worlds of all satellites."""
-    names = {name for group in known for name in group}
+    names = {name for group in tables for name in group}
     for name in world_args:
         if name not in names:
             raise KeyError(f"world_args[{name!r}] is unknown; {nearest(str(name), names)}")

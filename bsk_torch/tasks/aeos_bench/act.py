@@ -10,16 +10,17 @@ from torch import Tensor
 from typing_extensions import override
 
 from bsk_torch._checks import switch, whole
-from bsk_torch.act.base import Action, Decision, positive_duration
+from bsk_torch.act.base import Decision, positive_duration
+from bsk_torch.act.candidates import CandidateAction
 from bsk_torch.sats.bound import BoundSatellite
-from bsk_torch.sim.names import nearest
+from bsk_torch.sim.names import one_of
 from bsk_torch.tasks.aeos_bench.dyn import AEOSBenchTracedDynModel
 from bsk_torch.tasks.aeos_bench.scene import ASSIGNED, AWAITED, NO_TASK, PLACES, AEOSBench
 
 SENSORS = ("assigned", "on", "chosen")
 
 
-class PointAtTask(Action):
+class PointAtTask(CandidateAction):
     """Points the sensor at a task; action 0 points at the Earth's center, action k at task k - 1, or at the k-th candidate.
 
     What is chosen at a time acts from the next tick on, as in the benchmark. A task that is not offered can be pointed at, but
@@ -27,6 +28,7 @@ class PointAtTask(Action):
     """
 
     first_is_legal = True
+    aim = ASSIGNED
 
     def __init__(
         self,
@@ -49,16 +51,11 @@ class PointAtTask(Action):
                 tick need satellites with :class:`bsk_torch.tasks.aeos_bench.AEOSBenchTracedDynModel`, and still count in every
                 tick.
             until_done: Whether a choice ends earlier once its task has succeeded, whoever saw it, or is overdue.
-
-        Raises:
-            ValueError: For another sensor, fewer than one candidate, or a duration that is not positive.
         """
         super().__init__(name)
         self.n_candidates = None if n_candidates is None else whole("n_candidates", n_candidates, 1)
         self.duration = None if duration is None else positive_duration("duration", duration, name, math.inf)
-        if sensor not in SENSORS:
-            raise ValueError(f"sensor={sensor!r} must be one of {list(SENSORS)}; {nearest(str(sensor), SENSORS)}")
-        self.sensor = sensor
+        self.sensor = one_of("sensor", sensor, SENSORS)
         self.until_done = switch("until_done", until_done)
 
     @property
@@ -95,23 +92,19 @@ class PointAtTask(Action):
         return self._scenario.task_offered if self.duration is None else self._scenario.task_ongoing
 
     @override
-    def aimed_at(self) -> Tensor:
-        return self.satellite.simulator.memory[ASSIGNED]
-
-    @override
     def names(self) -> list[str]:
         names = [f"{self.name}_none", *(f"{self.name}_{k}" for k in range(self._choices - 1))]
         return names if self.sensor != "chosen" else [*(f"{name}_off" for name in names), *(f"{name}_on" for name in names)]
 
-    def _candidates(self) -> tuple[Tensor, Tensor]:
-        """Return the numbers of the candidates, and which of them exist, [N, n] each."""
+    @override
+    def candidates(self) -> tuple[Tensor, Tensor]:
         fleet, candidates = self._scenario.fleet, self._scenario.candidates(self._choices - 1)
         task, exists = (fleet.rows_of(self.satellite.type_index, part) for part in (candidates.task, candidates.exists))
         return task, exists
 
     @override
     def mask(self) -> Tensor:
-        offered = self.offered if self.n_candidates is None else self._candidates()[1]
+        offered = self.offered if self.n_candidates is None else self.candidates()[1]
         legal = torch.cat([torch.ones_like(offered[:, :1]), offered], 1)
         legal = self.satellite.of_env(legal) if self.n_candidates is None else legal
         return torch.cat([legal, legal], 1) if self.sensor == "chosen" else legal
@@ -121,7 +114,7 @@ class PointAtTask(Action):
         simulator, choice = self.satellite.simulator, index % self._choices - 1
         task = choice
         if self.n_candidates is not None:
-            number, exists = (part.gather(1, choice.clamp(min=0).unsqueeze(1)).squeeze(1) for part in self._candidates())
+            number, exists = self.chosen(choice.clamp(min=0))
             task = torch.where((choice >= 0) & exists, number, NO_TASK)
         off, on = (torch.full_like(index, simulator.mode_names.index(name)) for name in ("sensor_off", "sensor_on"))
         if self.sensor == "on":

@@ -60,19 +60,7 @@ class TaskProperties(CandidateProperties):
     title = "TaskProperties"
 
     def __init__(self, *properties: dict[str, Any], n_ahead_observe: int = 8, name: str = "tasks", as_set: bool = False) -> None:
-        """Observe candidates.
-
-        Args:
-            *properties: Dictionaries with ``prop``, and optionally ``norm`` (divisor) and ``name``; those of :data:`DEFAULT` if
-                none are given.
-            n_ahead_observe: Number of candidates n.
-            name: Name of the observation.
-            as_set: Whether to return ``rows`` [N, n, features] and ``mask`` [N, n] (1, or 0 where there are fewer candidates)
-                instead of named numbers, for permutation-invariant policies.
-
-        Raises:
-            ValueError: For unknown properties or keys, equal names, or fewer than one candidate.
-        """
+        """See :class:`~bsk_torch.obs.candidates.CandidateProperties`; :data:`DEFAULT` where no ``properties`` are given."""
         super().__init__(*properties, n_ahead_observe=n_ahead_observe, name=name, as_set=as_set)
 
     def link_satellite(self, satellite: BoundSatellite) -> None:

@@ -16,7 +16,7 @@ from bsk_torch.tasks.aeos_bench.dyn import AEOSBenchTracedDynModel
 from bsk_torch.tasks.aeos_bench.scene import ASSIGNED, AWAITED, AEOSBench, Sights
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.bound import SatelliteFleet
     from bsk_torch.scene.base import Scenario
     from bsk_torch.sim.tick.trace import Flight
 

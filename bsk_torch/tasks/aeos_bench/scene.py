@@ -13,8 +13,7 @@ from typing_extensions import override
 
 from bsk_torch._checks import number
 from bsk_torch.rand import Key
-from bsk_torch.scene.base import Scenario
-from bsk_torch.scene.found import Found
+from bsk_torch.scene.base import Memo, Scenario
 from bsk_torch.scene.recorded import RecordedTargets
 from bsk_torch.sim.names import nearest
 from bsk_torch.tasks.aeos_bench.dyn import VIEWS
@@ -23,8 +22,7 @@ from bsk_torch.tasks.aeos_bench.generator import AEOSBenchGenerator
 from bsk_torch.tasks.aeos_bench.outlook import EARTH_SPIN, TaskCandidates, TaskOutlook, find_candidates, find_outlook
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
-    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
     from bsk_torch.sim.tick.trace import Flight
 
 FARTHEST = 1e9
@@ -102,7 +100,7 @@ class AEOSBench(Scenario):
         self.horizon = number("horizon", horizon, 0.0, unit="s", above=True)
         self.haste = number("haste", haste, 0.0, 1.0)
         self.order = order
-        self._memo = Found()
+        self._memo = Memo()
 
     def case_of(self, key: Key) -> Tensor:
         """Return the number of the case of each episode, [n]; -1 for cases of a generator."""

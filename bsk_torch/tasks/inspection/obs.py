@@ -14,7 +14,7 @@ from bsk_torch.astro.relative import float64, vectors
 from bsk_torch.tasks.inspection.regions import known_regions
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.others import SatelliteLike
+    from bsk_torch.sats.bound import SatelliteLike
 
 AXES = ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0))
 """Both directions of each axis."""

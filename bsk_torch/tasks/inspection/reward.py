@@ -18,7 +18,7 @@ from bsk_torch.tasks.inspection.flags import Records, find_flags
 from bsk_torch.tasks.inspection.scene import RSOPoints
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.bound import SatelliteFleet
     from bsk_torch.scene.base import Scenario
 
 KINDS = ("inspected", "illuminated")

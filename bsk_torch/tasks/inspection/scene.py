@@ -15,8 +15,7 @@ from typing_extensions import override
 from bsk_torch._checks import no_gradient, number, whole
 from bsk_torch.astro.relative import fibonacci_sphere
 from bsk_torch.rand import Key, seeded
-from bsk_torch.sats.bound import BoundSatellite
-from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.recorded import RecordedTargets

@@ -3,28 +3,26 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 from typing_extensions import override
 
-from bsk_torch._checks import number, switch, text, whole
-from bsk_torch.act.base import Action, Decision, positive_duration
-from bsk_torch.act.image import NO_TARGET, SLEW
-from bsk_torch.sim.names import nearest
+from bsk_torch._checks import number, switch, whole
+from bsk_torch.act.base import Decision, positive_duration
+from bsk_torch.act.candidates import NO_TARGET, SLEW, CandidateAction
+from bsk_torch.sats.bound import BoundSatellite
+from bsk_torch.sim.names import one_of
 from bsk_torch.tasks.objects.aim import AIM
+from bsk_torch.tasks.objects.candidates import Candidates
 from bsk_torch.tasks.objects.scene import POSITIONS, RSOTargets, check_imager
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
 
 HOLD_MODES = ("cumulative", "continuous")
 
 EXPOSURES = ("held", "first")
 
 
-class ImageRSO(Action):
+class ImageRSO(CandidateAction):
     """Image the k-th candidate, for k from 0 to ``n_ahead_image`` - 1.
 
     For their order, see :class:`~bsk_torch.tasks.objects.RSOTargets`. The satellite points at the target. The image is taken in
@@ -40,6 +38,9 @@ class ImageRSO(Action):
     Without as many candidates, the last actions wait for ``max_duration`` in the present mode; ``action_mask`` excludes them.
     Actions -1, -2, ... select targets 0, 1, ... of the catalog, see :func:`~bsk_torch.act.image_target`; they must be eligible.
     """
+
+    aim = AIM
+    drawn = POSITIONS
 
     def __init__(
         self,
@@ -66,23 +67,16 @@ class ImageRSO(Action):
             name: Name in ``action_description``.
             exposure: ``"held"`` for an image at the end of the hold, ``"first"`` for one in the first valid tick, for which light
                 cannot be a condition.
-
-        Raises:
-            ValueError: For a wrong argument.
         """
         super().__init__(name)
         self.n_actions = whole("n_ahead_image", n_ahead_image, 1)
         self.max_duration = positive_duration("max_duration", max_duration, name, math.inf)
         self.min_pointing_hold_s = number("min_pointing_hold_s", min_pointing_hold_s, 0.0, unit="s")
-        if text("hold_mode", hold_mode) not in HOLD_MODES:
-            raise ValueError(f"hold_mode={hold_mode!r} must be one of {list(HOLD_MODES)}; {nearest(hold_mode, HOLD_MODES)}")
-        self.hold_mode = hold_mode
+        self.hold_mode = one_of("hold_mode", hold_mode, HOLD_MODES)
         self.require_illumination_during_hold = switch("require_illumination_during_hold", require_illumination_during_hold)
         self.hold_illumination_threshold = number("hold_illumination_threshold", hold_illumination_threshold, 0.0, 1.0)
         self.variable_duration_imaging = switch("variable_duration_imaging", variable_duration_imaging)
-        if text("exposure", exposure) not in EXPOSURES:
-            raise ValueError(f"exposure={exposure!r} must be one of {list(EXPOSURES)}; {nearest(exposure, EXPOSURES)}")
-        self.exposure = exposure
+        self.exposure = one_of("exposure", exposure, EXPOSURES)
         if exposure == "held" and self.min_pointing_hold_s >= self.max_duration:
             raise ValueError(
                 f"action {name!r}: min_pointing_hold_s={min_pointing_hold_s} s must be below max_duration={max_duration} s, or "
@@ -94,11 +88,6 @@ class ImageRSO(Action):
                 "rewarder a quality_threshold"
             )
 
-    @property
-    @override
-    def target_actions(self) -> range:
-        return range(self.n_actions)
-
     @override
     def link_satellite(self, satellite: BoundSatellite) -> None:
         super().link_satellite(satellite)
@@ -109,56 +98,32 @@ class ImageRSO(Action):
         scenario: RSOTargets = self.satellite.scenario
         return scenario
 
-    @property
-    def n_negative_actions(self) -> int:
-        """See :attr:`Action.n_negative_actions`; the number of targets."""
-        return self.satellite.simulator.scenario_state[POSITIONS].shape[1]
+    @override
+    def candidates(self) -> Candidates:
+        return self._scenario.candidates(self.satellite, self.n_actions)
 
     @override
-    def aimed_at(self) -> Tensor:
-        return self.satellite.memory[AIM]
-
-    def mask(self) -> Tensor:
-        """See :meth:`Action.mask`; candidates that exist."""
-        return self._scenario.candidates(self.satellite, self.n_actions).exists
-
     def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
-        """See :meth:`Action.decide`.
-
-        Raises:
-            ValueError: For a target chosen by its number that is not eligible.
-        """
-        simulator, column = self.satellite.simulator, index.unsqueeze(-1)
-        candidates = self._scenario.candidates(self.satellite, self.n_actions)
-        target, exists = (part.gather(1, column).squeeze(1) for part in candidates)
-        by_number = mask & (action < 0)
-        if bool(by_number.any()):
-            target = torch.where(by_number, -1 - action, target)
-            self._check(by_number, target)
-        valid = exists | by_number
-        key = torch.where(valid, -2 - target, NO_TARGET)
+        simulator, scenario = self.satellite.simulator, self._scenario
+        target, exists = self.chosen(index)
+        by_index = mask & (action < 0)
+        if bool(by_index.any()):
+            target = torch.where(by_index, -1 - action, target)
+            eligible = scenario.eligible_for(self.satellite).gather(1, target.clamp(min=0).unsqueeze(-1)).squeeze(-1)
+            why = "which waits for the downlink of an image, or cools down"
+            self.refuse(by_index & ~eligible, target, lambda number: f"{scenario.ids[number]!r}, {why}")
+        valid = exists | by_index
+        key = torch.where(valid, self.keys(target), NO_TARGET)
         duration = torch.full_like(simulator.sim_time, self.max_duration)
         expected = duration.clamp(max=SLEW + self.min_pointing_hold_s) if self.variable_duration_imaging else duration
         mode = torch.full_like(target, simulator.mode_names.index("image_rso"))
         return Decision(mode, valid, duration, key, expected)
 
-    def _check(self, rows: Tensor, target: Tensor) -> None:
-        """Raise ValueError unless the targets [N] of ``rows`` [N] are eligible."""
-        eligible = self._scenario.eligible_for(self.satellite).gather(1, target.clamp(min=0).unsqueeze(-1)).squeeze(-1)
-        wrong = rows & ~eligible
-        if bool(wrong.any()):
-            row = int(torch.nonzero(wrong)[0])
-            number = int(target[row])
-            raise ValueError(
-                f"action {-1 - number} of {self.satellite.title(row)} selects target {number}, "
-                f"{self._scenario.ids[number]!r}, which waits for the downlink of an image, or cools down"
-            )
-
     def begin(self, mask: Tensor, decision: Decision) -> None:
         """See :meth:`Action.begin`: set the target of the pointing guidance, and the requirements of the gate."""
         simulator, mask = self.satellite.simulator, mask & (decision.key != NO_TARGET)
-        target, ticks = -2 - decision.key, simulator.ticks.double()
-        simulator.memory[AIM] = torch.where(mask, target, simulator.memory[AIM])
+        target, ticks = self.keys(decision.key), simulator.ticks.double()
+        self.remember(mask, target)
         if self._scenario.n_targets > 1:
             simulator.write("data_partition", mask, target.double())
         deadline = ticks + math.ceil(round(min(self.max_duration, 1e9) * 1e9) / simulator.h_ns)

@@ -17,7 +17,7 @@ from bsk_torch.tasks.objects.records import RecordBook
 from bsk_torch.tasks.objects.team_act import TransmitCatalog
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.bound import SatelliteFleet
 
 NUMBER_SHIFT = 32
 """Bits of the number of an episode, above which draws have the number of the packet."""

@@ -20,8 +20,7 @@ from bsk_torch.tasks.objects.aim import AIM
 from bsk_torch.tasks.objects.scene import COOLDOWN, PENDING, RSOTargets
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
-    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
     from bsk_torch.scene.base import Scenario
 
 CREDITS = ("shared", "per_imager")

@@ -18,11 +18,9 @@ from bsk_torch.astro.eclipse import illumination
 from bsk_torch.astro.ephemeris import parse_utc
 from bsk_torch.astro.sight import line_clearance, stretch
 from bsk_torch.rand import Key, PerEnv
-from bsk_torch.sats.bound import BoundSatellite
-from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
 from bsk_torch.sats.satellite import Satellite
-from bsk_torch.scene.base import Scenario
-from bsk_torch.scene.found import Found, Value
+from bsk_torch.scene.base import Memo, Scenario, Value
 from bsk_torch.scene.recorded import RecordedTargets
 from bsk_torch.sim.dyn.hub import initial_orbit
 from bsk_torch.sim.hooks import check_tensor
@@ -256,7 +254,7 @@ class RSOTargets(Scenario):
             simulator.memory.declare(AIM, NO_AIM, low=NO_AIM, high=self.n_targets - 1)
             simulator.sources[RSO_TRACK.name] = AimedNodes(simulator, self.orbits)
         self._catalog_epochs = _epochs(self.catalogs)
-        self._memo = Found()
+        self._memo = Memo()
 
     @property
     def _et(self) -> Tensor:

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import torch
 from torch import Tensor
 from typing_extensions import override
 
-from bsk_torch._checks import number, text, whole
-from bsk_torch.act.base import LONGEST, Action, Decision, positive_duration
-from bsk_torch.act.image import NO_TARGET, SLEW
-from bsk_torch.sim.names import nearest
+from bsk_torch._checks import number, whole
+from bsk_torch.act.base import LONGEST, Decision, positive_duration
+from bsk_torch.act.candidates import NO_TARGET, SLEW, CandidateAction
+from bsk_torch.sats.bound import BoundSatellite
+from bsk_torch.sim.names import one_of
 from bsk_torch.tasks.objects.aim import NO_AIM, PEER
 from bsk_torch.tasks.objects.fsw import CatalogRadioFSWModel
 from bsk_torch.tasks.objects.radio import CatalogRadioDynModel
 from bsk_torch.tasks.objects.records import RecordBook
 from bsk_torch.tasks.objects.scene import RSOTargets, check_imager
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
 
 LINK_MODES = ("los", "ideal")
 
@@ -27,7 +23,7 @@ HEADER_BYTES, RECORD_BYTES = 64, 215
 """Length of a packet without records, and of a record in it."""
 
 
-class TransmitCatalog(Action):
+class TransmitCatalog(CandidateAction):
     """Tell the k-th other imager what it does not know yet, for k from 0 to ``n_peers`` - 1; peers are sorted by their names.
 
     Needs ``RSOTargets(knowledge="own")``, :class:`~bsk_torch.tasks.objects.CatalogCommunication` and a satellite with
@@ -60,18 +56,13 @@ class TransmitCatalog(Action):
             bits_per_second: Data rate, bit/s.
             link_mode: ``"los"``, or ``"ideal"`` for links that the Earth does not block.
             name: Name in ``action_description``.
-
-        Raises:
-            ValueError: For a wrong argument.
         """
         super().__init__(name)
         self.n_actions = whole("n_peers", n_peers, 1)
         self.max_duration = positive_duration("max_duration", max_duration, name, LONGEST)
         self.min_hold_s = number("min_hold_s", min_hold_s, 0.0, 1e9, unit="s")
         self.bits_per_second = number("bits_per_second", bits_per_second, 0.0, unit="bit/s", above=True)
-        if text("link_mode", link_mode) not in LINK_MODES:
-            raise ValueError(f"link_mode={link_mode!r} must be one of {list(LINK_MODES)}; {nearest(link_mode, LINK_MODES)}")
-        self.link_mode = link_mode
+        self.link_mode = one_of("link_mode", link_mode, LINK_MODES)
 
     def link_satellite(self, satellite: BoundSatellite) -> None:
         """See :meth:`Action.link_satellite`; ValueError unless it is an imager with a radio."""
@@ -96,34 +87,29 @@ class TransmitCatalog(Action):
     def _records(self) -> RecordBook:
         return self._scenario.records
 
-    def _of_mine(self, table: Tensor) -> Tensor:
-        """Return the entries by peer of each satellite, [n, n_peers], of a table [N, A, A]."""
-        peers = self._scenario.peers.expand(len(table), -1, -1)
-        return self._scenario.of_imagers(self.satellite, table.gather(2, peers))
-
     @override
-    def mask(self) -> Tensor:
+    def candidates(self) -> tuple[Tensor, Tensor]:
         scenario = self._scenario
-        open_ = (self._records.news() > 0).any(1) & scenario.imagers_alive.unsqueeze(1)
-        return self._of_mine(open_ & scenario.linked if self.link_mode == "los" else open_)
+        peers = scenario.peers.expand(scenario.fleet.num_envs, -1, -1)
+        may_hear = (self._records.news() > 0).any(1) & scenario.imagers_alive.unsqueeze(1)
+        may_hear = may_hear & scenario.linked if self.link_mode == "los" else may_hear
+        peer, exists = (scenario.of_imagers(self.satellite, part) for part in (peers, may_hear.gather(2, peers)))
+        return scenario.n_targets + peer, exists
 
     @override
     def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
-        simulator, scenario = self.satellite.simulator, self._scenario
-        peers = scenario.peers.expand(scenario.fleet.num_envs, -1, -1)
-        peer = scenario.of_imagers(self.satellite, peers).gather(1, index.unsqueeze(1)).squeeze(1)
-        may = self.mask().gather(1, index.unsqueeze(1)).squeeze(1)
-        place = scenario.n_targets + peer
+        simulator = self.satellite.simulator
+        place, may = self.chosen(index)
         duration = torch.full_like(simulator.sim_time, self.max_duration)
-        mode = torch.full_like(peer, simulator.mode_names.index("transmit_rso"))
-        key = torch.where(may, -2 - place, NO_TARGET)
+        mode = torch.full_like(place, simulator.mode_names.index("transmit_rso"))
+        key = torch.where(may, self.keys(place), NO_TARGET)
         return Decision(mode, may, duration, key, duration.clamp(max=SLEW + self.min_hold_s))
 
     def begin(self, mask: Tensor, decision: Decision) -> None:
         """See :meth:`Action.begin`: make the packet, and set the target of the pointing guidance."""
         satellite, scenario, records = self.satellite, self._scenario, self._records
         simulator, mask = satellite.simulator, mask & (decision.key != NO_TARGET)
-        place = -2 - decision.key
+        place = self.keys(decision.key)
         simulator.memory[PEER] = torch.where(mask, place, simulator.memory[PEER])
         receiver = (place - scenario.n_targets).clamp(0, records.sensors - 1)
         begins = scenario.by_imager(satellite, mask, False)

@@ -17,8 +17,7 @@ from bsk_torch.tasks.objects.reward import SAME_TIME, RSOImageReward, _Images, _
 from bsk_torch.tasks.objects.scene import OWN_PENDING, PENDING, RSOTargets
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
-    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
     from bsk_torch.scene.base import Scenario
 
 COUNTED = ("acquisitions", "services", "duplicate_attempts", "duplicate_deliveries")

@@ -58,7 +58,7 @@ from bsk_torch.tasks.safe_autonomy.assurance import DOCKING, Backup, Barriers
 from bsk_torch.tasks.safe_autonomy.dyn import MEAN_MOTION, DockingDynModel
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.bound import SatelliteFleet
     from bsk_torch.scene.base import Scenario
 
 CHIEF_ORBIT = ((MU_EARTH / MEAN_MOTION**2) ** (1 / 3), 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -62,7 +62,7 @@ from bsk_torch.tasks.safe_autonomy.lit_points import PER_CLUSTER, Clusters, clus
 from bsk_torch.tasks.safe_autonomy.preset_docking import Polar, assured, collided, deputy_args, interventions, names_of
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.bound import SatelliteFleet
     from bsk_torch.scene.base import Scenario
 
 FASTEST = 0.8 * 2.0 * MEAN_MOTION

@@ -8,7 +8,7 @@ from bsk_torch.astro.sight import POLAR_STRETCH, line_clearance
 from bsk_torch.comm import los
 from bsk_torch.comm.los import flown_orbits, make_search, visible_pairs
 from bsk_torch.constants import MU_EARTH, R_EARTH
-from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sim.access.links import line_of_sight_search
 from bsk_torch.sim.access.links.line_of_sight import SatellitePositions, speed_bound, visibility_margin
 from bsk_torch.sim.access.links.line_of_sight_search import SatellitePairs, pole_directions
