@@ -96,8 +96,10 @@ def imaging_bound(
         budget = count * envelope.most_late(int(limit.max()))
         paths = best_paths(graph, payments[envs], satellites=count, budget=budget, iterations=iterations, bits=bits, gap=gap)
         parts.append((paths, _schedule(graph, paths.nodes, count)))
-    width = max(part[1][0].shape[1] for part in parts)
-    target, tick, owner = (torch.cat([_widened(part[1][k], width) for part in parts]) for k in range(3))
+    width = max(schedule[0].shape[1] for _, schedule in parts)
+    columns = zip(*(schedule for _, schedule in parts), strict=True)
+    pad = torch.nn.functional.pad
+    target, tick, owner = (torch.cat([pad(x, (0, width - x.shape[1]), value=-1) for x in column]) for column in columns)
     visible = torch.zeros_like(payments)
     visible[windows.row // count, windows.target] = 1.0
     upper, lower, multiplier = (
@@ -167,7 +169,3 @@ def _schedule(graph: ImageGraph, nodes: Tensor, count: int) -> tuple[Tensor, Ten
     exists = exists.gather(1, order)
     target = graph.target[window] if len(graph.row) else node
     return tuple(torch.where(exists, value.gather(1, order), -1) for value in (target, tick, row % count))  # type: ignore[return-value]
-
-
-def _widened(table: Tensor, width: int) -> Tensor:
-    return torch.nn.functional.pad(table, (0, width - table.shape[1]), value=-1)

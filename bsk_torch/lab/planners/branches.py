@@ -223,7 +223,6 @@ class Branches:
 
     @staticmethod
     def _take(now: TensorDictBase, first: TensorDictBase, where: Tensor | None) -> None:
-        """Write the actions ``first`` [M] into the rows ``where`` [M]."""
         for key in first.keys(True, True):
             action = first[key]
             if where is not None:
@@ -231,11 +230,9 @@ class Branches:
             now.set(key, action)
 
     def _decides(self, now: TensorDictBase, slot: Tensor) -> Tensor:
-        """Return whether the agent ``slot`` [M] needs a task."""
         return self.slots.at(self.slots.deciding(now), slot) & (slot >= 0)
 
     def _allowed(self, now: TensorDictBase, slot: Tensor, action: Tensor) -> Tensor:
-        """Return whether ``action`` [M] is legal for the agent ``slot`` [M]."""
         legal = self.slots.at(self.slots.legal(now), slot)
         return legal.gather(1, action.clamp(min=0).unsqueeze(1)).squeeze(1) & (action >= 0)
 

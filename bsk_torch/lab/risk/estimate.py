@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
+from math import isnan
 from typing import Any, NamedTuple
 
 import torch
@@ -182,7 +183,8 @@ class Risk:
             "shares": self.shares.mean(0).tolist(),
             "why": self.why,
             "highest_level": self.highest if abs(self.highest) < float("inf") else None,
-            "screening": None if self.screening is None else _screening(self.screening),
+            "screening": self.screening
+            and asdict(self.screening) | {"largest": None if isnan(self.screening.largest) else self.screening.largest},
             **asdict(self.tally),
             "seconds_per_episode": self.seconds,
             "saved": self.saved if finite and self.error > 0.0 else None,
@@ -275,7 +277,7 @@ def interval(estimates: Tensor) -> Interval:
 
 
 def _probability(repeated: Repetitions) -> Interval:
-    """Return the estimate.
+    """Return the estimate with its interval.
 
     The upper limit for an event that was not seen is the smaller one of two, each with a confidence of 97.5 %, so that both hold
     with 95 %: that of reaching the last threshold, and that of Clopper and Pearson for the n independent episodes,
@@ -292,7 +294,6 @@ def _probability(repeated: Repetitions) -> Interval:
 
 
 def _by_subsets(flights: Flights, simulation: SubsetSimulation, smallest: float, repetitions: int) -> Risk:
-    """Return the estimate of subset simulation."""
     climb = simulation.climb(smallest)
     if climb.why == STUCK:
         simulation.tell(f"the level does not rise above {float(climb.last.flown.level.max()):.4g}")
@@ -315,10 +316,7 @@ def _by_subsets(flights: Flights, simulation: SubsetSimulation, smallest: float,
 
 
 def _by_screening(flights: Flights, screen: Screen, screened: Screened, sampling: ScreenedSampling) -> Risk:
-    """Return the estimate of screened sampling.
-
-    The upper limit for an event that was not seen is Clopper and Pearson's for the flights that the surrogate did not choose.
-    """
+    # the upper limit for an event that was not seen is Clopper and Pearson's for the flights that the surrogate did not choose
     weight, happened = screened.weight, bool(len(screened.weight))
     unseen = Interval(0.0, 0.0, 1.0 - 0.05 ** (1.0 / screened.blind))
     return Risk(
@@ -345,11 +343,7 @@ def _by_screening(flights: Flights, screen: Screen, screened: Screened, sampling
 def _described(flights: Flights, sample: Sample, weight: Tensor, first: Sample) -> dict[str, Any]:
     """Return the parts of a result that describe the ways to the event.
 
-    Args:
-        flights: Plays episodes.
-        sample: Episodes with the event, [n].
-        weight: Their weights up to a factor, [n].
-        first: Independent episodes.
+    ``sample`` [n] are the episodes with the event, ``weight`` [n] their weights up to a factor, ``first`` independent episodes.
     """
     weight = weight / weight.sum().clamp(min=torch.finfo(torch.float64).tiny)
     everywhere = first.flown.notes[DRAWN]
@@ -422,9 +416,3 @@ def _ways(flights: Flights, sample: Sample, weight: Tensor, everywhere: Tensor, 
 def _finite(values: Sequence[float]) -> list[float | None]:
     """Return numbers for JSON, with None for infinity, such as the time of a fault that never begins."""
     return [value if abs(value) < float("inf") else None for value in values]
-
-
-def _screening(screening: Screening) -> dict[str, Any]:
-    """Return how screened sampling went, for JSON."""
-    figures = asdict(screening)
-    return figures | {"largest": None if figures["largest"] != figures["largest"] else figures["largest"]}
