@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
+from typing import TypeVar
+
+Name = TypeVar("Name", bound=str)
 
 CLOSE, NEAR = 0.5, 0.1
 """Least similarity of names that are suggested, 1 for equal ones, and how much less than that of the closest it may be."""
@@ -37,6 +40,13 @@ def nearest(name: str, known: Iterable[str]) -> str:
     least = max(CLOSE, max(ratios.values(), default=0.0) - NEAR)
     close = [by_lower[k] for k in sorted(ratios, key=lambda k: -ratios[k]) if ratios[k] >= least][:3]
     return f"did you mean {' or '.join(map(repr, close))}?" if close else f"valid names: {', '.join(sorted(by_lower.values()))}"
+
+
+def one_of(title: str, value: Name, names: Collection[str]) -> Name:
+    """Return one of ``names`` that a user chose; ValueError, with the nearest one, for anything else."""
+    if not isinstance(value, str) or value not in names:
+        raise ValueError(f"{title}={value!r} must be one of {list(names)}; {nearest(str(value), names)}")
+    return value
 
 
 def check_unique(names: Sequence[str], what: str) -> None:

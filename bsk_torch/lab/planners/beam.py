@@ -105,8 +105,9 @@ class Beam:
 class BeamSearch(Planner):
     """Planner that extends the best ``width`` sequences of actions step by step, and takes the first action of the best one.
 
-    The value of a sequence is its return plus the return of the base policy after it, up to the horizon. With ``depth=1``, this
-    is :class:`~bsk_torch.lab.planners.Rollout`. The base policy's action is kept unless another one is better.
+    The value of a sequence is its return plus the return of the base policy after it, up to the horizon. With ``depth=1`` and a
+    budget for all actions, decisions are those of :class:`~bsk_torch.lab.planners.Rollout`, which takes less than half the time.
+    The base policy's action is kept unless another one is better.
     """
 
     name: ClassVar[str] = "beam"

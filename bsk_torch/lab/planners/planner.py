@@ -19,7 +19,7 @@ from bsk_torch.lab.planners.branches import Branches, Discounting, Flown, Jobs, 
 from bsk_torch.lab.planners.determinism import check_copyable
 from bsk_torch.lab.planners.resampling import Redraw, present_key, reseed_copies
 from bsk_torch.rl.evaluation.evaluate import SIMULATED
-from bsk_torch.sim.arguments.values import nearest
+from bsk_torch.sim.names import one_of
 
 ROWS = 512
 """Default number of copies simulated at once."""
@@ -136,10 +136,7 @@ class Planner(TensorDictModuleBase):
         super().__init__()
         self.horizon = number("horizon", horizon, 0.0, unit="s", above=True, finite=False)
         gamma = number("gamma", gamma, 0.0, 1.0, above=True)
-        if reward_time not in REWARD_TIMES:
-            raise ValueError(
-                f"reward_time={reward_time!r} must be one of {list(REWARD_TIMES)}; {nearest(str(reward_time), REWARD_TIMES)}"
-            )
+        one_of("reward_time", reward_time, REWARD_TIMES)
         if value is not None and not callable(value):
             raise ValueError(f"value={value!r} must be a module that writes 'state_value', or None")
         self.futures = None if futures is None else whole("futures", futures, 1)

@@ -29,6 +29,7 @@ from bsk_torch.lab.risk.screened import Screen, Screened, ScreenedSampling
 from bsk_torch.lab.risk.subset import CHAIN, HAPPENS, STUCK, Repetitions, Sample, SubsetSimulation, Tally
 from bsk_torch.rand import blended
 from bsk_torch.rl.evaluation.statistics import confidence, wilson
+from bsk_torch.sim.names import one_of
 
 __all__ = ["METHODS", "Interval", "Risk", "Screening", "Shift", "Way", "risk"]
 
@@ -241,8 +242,7 @@ def risk(
     """
     if not isinstance(env, Tasking):
         raise TypeError(f"env={env!r} must be an environment of bsk_torch; of a transformed one give base_env")
-    if method not in METHODS:
-        raise ValueError(f"method={method!r} must be one of {list(METHODS)}")
+    one_of("method", method, METHODS)
     if whole("episodes", episodes, 2 * CHAIN) % CHAIN:
         raise ValueError(f"episodes={episodes} must be a multiple of {CHAIN}, the number of states of a chain")
     whole("repetitions", repetitions, LEAST_REPETITIONS)

@@ -21,8 +21,7 @@ from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.recorded import RecordedTargets
 from bsk_torch.sim.hooks import check_class, note_slow
-from bsk_torch.tasks.inspection.dyn import RSODynModel, RSOInspectorDynModel
-from bsk_torch.tasks.inspection.fsw import RSOInspectorFSWModel
+from bsk_torch.tasks.inspection.models import RSODynModel, RSOInspectorDynModel, RSOInspectorFSWModel
 from bsk_torch.tasks.inspection.points import point_columns
 
 DRAWN = "rso_points"
