@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -18,7 +19,7 @@ from torch import Tensor
 
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.env.rollout import play_episodes
-from bsk_torch.lab.basilisk.support_data import lacking
+from bsk_torch.lab.basilisk.flight import lacking
 from bsk_torch.lab.suites.suite import Entrant, Task, enter
 from bsk_torch.rand import Key
 from bsk_torch.rl.evaluation.evaluate import start_episodes
@@ -163,10 +164,8 @@ def certify_bench(task: Task, entrant: Entrant, episodes: int, **options: object
         crew = int(case.present.sum())
         content = case_content(case, 0)
         flight, twin = flown_here(env, replace(case, names=("0",)), table[k], content)
-        assigned = table[k, :, :crew].cpu().numpy()
-        reference = flown_there(
-            content, lambda flight, _, tasks=assigned: tasks[flight.tick], table.shape[1], team.entry.sensor == "on"
-        )
+        assigned = partial(_assigned, table[k, :, :crew].cpu().numpy())
+        reference = flown_there(content, assigned, table.shape[1], team.entry.sensor == "on")
         compared.append(comparison(flight, twin, reference, content["taskset"]))
     return BenchCertificate(tuple(seeds), tuple(compared))
 
@@ -225,6 +224,10 @@ def flown_here(env: ConstellationTasking, case: Cases, table: Tensor, content: d
         for k in range(2)
     )
     return next(flights), next(flights)
+
+
+def _assigned(table: Array, flight: Flight, is_open: Array) -> Array:
+    return table[flight.tick]
 
 
 def flown_there(content: dict[str, Any], choose: Callable[[Flight, Array], Array], seconds: int, always_on: bool) -> Flown:

@@ -19,8 +19,7 @@ from torchrl.data import Composite
 
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.rollout import Policy, decide
-from bsk_torch.lab.basilisk.flight import FLOWN, Flight, Pilot, Problem, Start, problem_of, replay_pilot, starts_of
-from bsk_torch.lab.basilisk.support_data import lacking
+from bsk_torch.lab.basilisk.flight import FLOWN, Flight, Pilot, Problem, Start, lacking, problem_of, replay_pilot, starts_of
 from bsk_torch.lab.bounds.schedule import ScheduledPolicy
 from bsk_torch.lab.planners.planner import Planner
 from bsk_torch.lab.suites.suite import Entrant, Task, enter

@@ -15,8 +15,7 @@ from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import ACTION_VALUE, decide
 from bsk_torch.lab.planners.agent_table import AgentTable
 from bsk_torch.lab.planners.base_policies import Base, base_of
-from bsk_torch.lab.planners.branches import Branches, Discounting, Flown, Jobs, Value, carried
-from bsk_torch.lab.planners.determinism import check_copyable
+from bsk_torch.lab.planners.branches import Branches, Discounting, Flown, Jobs, Value, carried, check_copyable
 from bsk_torch.lab.planners.resampling import Redraw, present_key, reseed_copies
 from bsk_torch.rl.evaluation.evaluate import SIMULATED
 from bsk_torch.sim.names import one_of

@@ -21,7 +21,7 @@ from bsk_torch._checks import number, whole
 from bsk_torch.env import Tasking
 from bsk_torch.lab.planners.agent_table import AgentTable
 from bsk_torch.lab.planners.base_policies import Base, base_of
-from bsk_torch.lab.planners.determinism import check_copyable
+from bsk_torch.lab.planners.branches import check_copyable
 from bsk_torch.lab.planners.planner import Planner
 from bsk_torch.lab.risk.rare_events import DEATH, Function, rare_event
 from bsk_torch.lab.risk.rare_flights import DRAWN, FAILED, TIME, Flights

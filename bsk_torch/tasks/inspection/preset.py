@@ -121,9 +121,8 @@ class EccentricOrbit(rand.Distribution):
 class RelativeState(rand.Distribution):
     """Position, m, and velocity, m/s, in uniform directions of the RSO's Hill frame, with uniform lengths, [n, 6]."""
 
-    def __init__(self, nearest: float = 250.0, farthest: float = 750.0, fastest: float = 1.0) -> None:
-        """Set the bounds of the distance, m, and of the speed, m/s."""
-        self.bounds = (nearest, farthest), (0.0, fastest)
+    bounds = (250.0, 750.0), (0.0, 1.0)
+    """Bounds of the distance, m, and of the speed, m/s."""
 
     @override
     def draw(self, key: rand.Key) -> Tensor:
