@@ -179,12 +179,12 @@ def starts_of(env: SatelliteTasking, seeds: Sequence[int]) -> list[Start]:
     """Return the initial conditions of episodes that have just been reset, one for each seed: all given and drawn arguments."""
     simulator, n = env.simulator, len(seeds)
     satellite, world = simulator.type.arguments.sat_args, simulator.type.arguments.world_args
-    given, arguments = env.builder.satellites[0].sat_args_generator, simulator.state.arguments
-    fixed = {name: satellite.given[name] for name in given if name not in satellite.random}
+    settings, arguments = env.builder.satellites[0].sat_args_generator, simulator.state.arguments
+    fixed = {name: satellite.given[name] for name in settings if name not in satellite.random}
     drawn = {name: plain(arguments[name]) for name in satellite.table if name in satellite.random and name != "oe"}
     r, v = (plain(x.expand(n, 3)) for x in initial_orbit(simulator.state.all_arguments))
-    given_world = cast(Mapping[str, Any], env.options.world_args or {})
-    fixed_world = {name: value for name, value in given_world.items() if name not in world.random}
+    world_settings = cast(Mapping[str, Any], env.options.world_args or {})
+    fixed_world = {name: value for name, value in world_settings.items() if name not in world.random}
     drawn_world = {name: plain(arguments[name]) for name in world.table if name in world.random and name != "utc_init"}
     epochs = epochs_of(env, seeds)
     return [

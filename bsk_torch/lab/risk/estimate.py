@@ -332,7 +332,7 @@ def _by_screening(flights: Flights, screen: Screen, screened: Screened, sampling
         screening=Screening(
             pool=sampling.pool,
             learned=sampling.learned,
-            seen=screen.seen,
+            seen=screen.events,
             explained=screen.explained,
             largest=float(weight.max() / weight.sum()) if happened else float("nan"),
         ),

@@ -55,7 +55,7 @@ class Screen:
         chance: Probability of the event, given a predicted level.
         first: The independent episodes among those learned from.
         explained: Share of the variance of their levels that the surrogate explains, predicting each from others.
-        seen: Number of learned episodes with the event.
+        events: Number of learned episodes with the event.
         highest: Largest finite level.
     """
 
@@ -63,7 +63,7 @@ class Screen:
     chance: Chance
     first: Sample
     explained: float
-    seen: int
+    events: int
     highest: float
 
 
@@ -135,7 +135,7 @@ class ScreenedSampling:
             chance=chance(surrogate, sample.flown.level, threshold),
             first=first,
             explained=max(0.0, 1.0 - float(errors.square().mean()) / variance) if variance > 0.0 else 0.0,
-            seen=int((sample.flown.level == torch.inf).sum()),
+            events=int((sample.flown.level == torch.inf).sum()),
             highest=float(level.max()),
         )
 

@@ -262,12 +262,8 @@ class RSOImageReward(GlobalReward):
         log["target"] = self.fleet.each(_target, missing=NONE)
         return log
 
+    @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        """See :meth:`GlobalReward.calculate_reward`.
-
-        Raises:
-            ValueError: If a user function gives a reward that is not finite.
-        """
         old, new = ({name: value[:, self._columns] for name, value in log.items()} for log in (before, after))
         captured, unfinished, size = *self._captures(old, new), new["instrument_baud"]
         captured = self._recorded(captured)

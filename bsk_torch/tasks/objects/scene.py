@@ -190,12 +190,8 @@ class RSOTargets(Scenario):
             return {}
         return {"bufferNames": [partition_name(key) for key in self.ids], "transmitterNumBuffers": self.n_targets}
 
+    @override
     def validate_satellite_names(self, satellites: Sequence[Satellite]) -> None:
-        """See :meth:`Scenario.validate_satellite_names`.
-
-        Raises:
-            ValueError: For an imager that is missing, is not named or lacks a model, or a satellite in the place of a target.
-        """
         by_name = {satellite.name: satellite for satellite in satellites}
         for name in self.imager_names:
             if name not in by_name:
