@@ -26,9 +26,8 @@ from torch import Tensor
 
 import bsk_torch
 from bsk_torch import SatelliteTasking
-from bsk_torch.env.rollout import play_episodes
+from bsk_torch.env.rollout import ACTION_VALUE, play_episodes
 from bsk_torch.lab.planners import ActionValues, Rollout
-from bsk_torch.lab.planners.action_values import ACTION_VALUE
 from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate, start_episodes
 from bsk_torch.rl.evaluation.statistics import confidence
 from bsk_torch.rl.policies.files import build_policy, read_card

@@ -37,7 +37,7 @@ from differential_flight import CORE, DROP_IN, FARTHER, NUDGE, REFERENCE, Librar
 from differential_program import as_program
 
 from bsk_torch.lab.basilisk.certificate import names_kept, quiet
-from bsk_torch.lab.basilisk.support_data import absent_data, lacking
+from bsk_torch.lab.basilisk.flight import absent_data, lacking
 
 
 def arguments(given: list[str] | None) -> argparse.Namespace:

@@ -35,8 +35,17 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from bsk_torch.files import write_file
-from bsk_torch.lab.basilisk.flight import Flight, Problem, Start, fly_here, problem_of, replay_pilot
-from bsk_torch.lab.basilisk.support_data import SUPPORT, absent_data, lacking
+from bsk_torch.lab.basilisk.flight import (
+    SUPPORT,
+    Flight,
+    Problem,
+    Start,
+    absent_data,
+    fly_here,
+    lacking,
+    problem_of,
+    replay_pilot,
+)
 from bsk_torch.sim.arguments.sources import RANKS
 from bsk_torch.sim.arguments.values import nearest
 

@@ -14,8 +14,8 @@ from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bsk_torch.env import SatelliteTasking
+from bsk_torch.lab.basilisk.certificate import as_sets
 from bsk_torch.lab.basilisk.flight import FLOWN, Pilot
-from bsk_torch.lab.basilisk.observed import as_sets
 from bsk_torch.lab.planners.named import PREFIX, named_planner
 from bsk_torch.presets import make
 from bsk_torch.rl.policies.files import check_fits, load_policy, read_card

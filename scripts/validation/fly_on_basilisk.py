@@ -32,8 +32,7 @@ from flight_policy import Flyer, planner_pilot, recruit
 from rich.console import Console
 from rich.progress import track
 
-from bsk_torch.lab.basilisk.flight import Flight, Problem, Start, fly_here, problem_of, replay_pilot
-from bsk_torch.lab.basilisk.support_data import absent_data, lacking
+from bsk_torch.lab.basilisk.flight import Flight, Problem, Start, absent_data, fly_here, lacking, problem_of, replay_pilot
 from bsk_torch.presets import PRESETS
 from bsk_torch.sim.arguments.values import nearest
 

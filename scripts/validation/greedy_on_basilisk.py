@@ -24,7 +24,7 @@ import bsk_torch
 from bsk_torch import ConstellationTasking
 from bsk_torch.files import write_file
 from bsk_torch.lab.basilisk.aeos_certificate import NUDGE, flown_there
-from bsk_torch.lab.basilisk.support_data import lacking
+from bsk_torch.lab.basilisk.flight import lacking
 from bsk_torch.rl.evaluation.statistics import Estimate, nan_confidence
 from bsk_torch.rl.policies.shared_policy import rule
 from bsk_torch.tables import print_table

@@ -31,8 +31,7 @@ import bsk_torch
 from bsk_torch.astro.relative import fibonacci_sphere
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.env.rollout import play_episodes
-from bsk_torch.lab.basilisk.flight import Array, Flight, Pilot, plain
-from bsk_torch.lab.basilisk.support_data import absent_data, lacking
+from bsk_torch.lab.basilisk.flight import Array, Flight, Pilot, absent_data, lacking, plain
 from bsk_torch.rand import Key
 from bsk_torch.rl.evaluation.evaluate import start_episodes
 from bsk_torch.rl.policies.files import load_policy

@@ -23,8 +23,7 @@ import bsk_torch
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.files import write_file
 from bsk_torch.lab.basilisk.certificate import flown_there
-from bsk_torch.lab.basilisk.flight import FLOWN, Flight, fly_here, problem_of, replay_pilot
-from bsk_torch.lab.basilisk.support_data import lacking
+from bsk_torch.lab.basilisk.flight import FLOWN, Flight, fly_here, lacking, problem_of, replay_pilot
 from bsk_torch.lab.risk.rare_flights import read_paths
 from bsk_torch.rand import blended
 

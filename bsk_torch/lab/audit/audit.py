@@ -19,9 +19,9 @@ from torch import Tensor
 
 from bsk_torch.env import ConstellationTasking, Tasking
 from bsk_torch.env.rollout import play_episodes
-from bsk_torch.lab.planners.action_values import ACTION_VALUES, ActionValues
 from bsk_torch.lab.planners.agent_table import AgentTable
 from bsk_torch.lab.planners.base_policies import Base
+from bsk_torch.lab.planners.rollout import ACTION_VALUES, ActionValues
 from bsk_torch.rl.evaluation.evaluate import start_episodes, with_lots
 from bsk_torch.rl.evaluation.statistics import Estimate, confidence
 from bsk_torch.rl.policies.shared_policy import member_views
@@ -154,7 +154,8 @@ class Audit:
             parts = (value <= low, (value > low) & (value <= high), value > high)
             means = [float(regret[part].mean()) if bool(part.any()) else float("nan") for part in parts]
             rows.append(OfSituation(name, (low, high), (means[0], means[1], means[2])))
-        return sorted(rows, key=lambda row: -_spread(row.regret))
+        finite = {row.quantity: [mean for mean in row.regret if mean == mean] for row in rows}
+        return sorted(rows, key=lambda row: min(finite[row.quantity]) - max(finite[row.quantity]))
 
     def worst(self, count: int) -> Tensor:
         """Return the indices of the ``count`` decisions with the largest regrets, the largest first."""
@@ -188,8 +189,7 @@ def audit(env: Tasking, policy: Base = None, *, seeds: Sequence[int], **options:
         env: The environment, with ``env_ids=[0] * num_envs``; it plays ``num_envs`` episodes at a time.
         policy: The policy; see :func:`bsk_torch.lab.planners.base_of`.
         seeds: Seeds of the episodes.
-        **options: Arguments of :class:`~bsk_torch.lab.planners.ActionValues`: ``horizon``, ``gamma``, ``futures``, ``budget``,
-        ...
+        **options: Arguments of :class:`~bsk_torch.lab.planners.ActionValues`, such as ``horizon``, ``gamma`` and ``futures``.
 
     Raises:
         ValueError: For no seeds, or one number of futures, which cannot be divided; see also
@@ -202,8 +202,7 @@ def audit(env: Tasking, policy: Base = None, *, seeds: Sequence[int], **options:
             "futures=1: an audit chooses by one half of the futures and values by the other; give 2 or more, or None"
         )
     judge = ActionValues(env, policy, **options)
-    n, parts = env.num_envs, []
-    returns = []
+    n, parts, returns = env.num_envs, [], []
     for first in range(0, len(seeds), n):
         batch = seeds[first : first + n]
         parts += list(_decisions(env, judge, batch, first))
@@ -267,7 +266,6 @@ def _satellites(env: Tasking, slots: AgentTable) -> Tensor:
 
 
 def _kinds(env: Tasking, slots: AgentTable) -> list[list[str]]:
-    """Return the kinds of the actions of each agent."""
     kinds = []
     for view, size in zip(member_views(env).values(), slots.sizes, strict=True):
         actions = view.satellite.actions
@@ -282,14 +280,7 @@ def _best(value: Tensor, chosen: Tensor) -> Tensor:
 
 
 def _at(value: Tensor, action: Tensor) -> Tensor:
-    """Return the ``value`` [D, A] of one ``action`` [D] each, [D]."""
     return value.gather(1, action.unsqueeze(1)).squeeze(1)
-
-
-def _spread(means: Sequence[float]) -> float:
-    """Return the difference of the largest and the smallest of the means that are known."""
-    values = [mean for mean in means if mean == mean]
-    return max(values) - min(values)
 
 
 def _or_none(row: Sequence[float]) -> list[float | None]:

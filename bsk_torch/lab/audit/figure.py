@@ -2,47 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import torch
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 from torch import Tensor
 
+from bsk_torch.lab.audit.audit import Audit
 from bsk_torch.viz.figures.style import FAINT, INK, PALETTE, WIDTH, caption, fit, headline, label, save, tidy
-
-
-class OfAction(Protocol):
-    """Regret of the decisions for one kind of action; see :class:`bsk_torch.lab.audit.audit.OfAction`."""
-
-    @property
-    def chosen(self) -> str:
-        """Name of the kind."""
-
-    @property
-    def share(self) -> float:
-        """Share of the regret of all decisions."""
-
-    @property
-    def decisions(self) -> int:
-        """Number of decisions."""
-
-
-class Regrets(Protocol):
-    """The part of an audit that is drawn; see :class:`bsk_torch.lab.audit.audit.Audit`."""
-
-    @property
-    def regret(self) -> Tensor:
-        """Regret of the decisions, [D]."""
-
-    @property
-    def time(self) -> Tensor:
-        """Time of the decisions, [D] s."""
-
-    def by_action(self) -> Sequence[OfAction]:
-        """Return the regret by the kind of the chosen action."""
 
 
 class Shares(NamedTuple):
@@ -60,7 +29,7 @@ def shares(regret: Tensor) -> Shares:
     return Shares(torch.arange(len(summed), dtype=ordered.dtype) / max(len(regret), 1), summed)
 
 
-def regret_figure(audit: Regrets, path: Path, title: str = "", width: float = WIDTH) -> Path:
+def regret_figure(audit: Audit, path: Path, title: str = "", width: float = WIDTH) -> Path:
     """Draw the share of the regret in the worst decisions, the regret over time, and its share by chosen action.
 
     Args:

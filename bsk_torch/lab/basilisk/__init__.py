@@ -5,7 +5,6 @@ install.
 """
 
 from bsk_torch.lab.basilisk.certificate import Certificate, certify
-from bsk_torch.lab.basilisk.flight import FLOWN
-from bsk_torch.lab.basilisk.support_data import absent_data, lacking
+from bsk_torch.lab.basilisk.flight import FLOWN, absent_data, lacking
 
 __all__ = ["FLOWN", "Certificate", "absent_data", "certify", "lacking"]

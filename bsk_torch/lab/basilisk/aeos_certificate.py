@@ -19,7 +19,7 @@ from torch import Tensor
 
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.env.rollout import play_episodes
-from bsk_torch.lab.basilisk.support_data import lacking
+from bsk_torch.lab.basilisk.flight import lacking
 from bsk_torch.lab.suites.suite import Entrant, Task, enter
 from bsk_torch.rand import Key
 from bsk_torch.rl.evaluation.evaluate import start_episodes
@@ -227,7 +227,6 @@ def flown_here(env: ConstellationTasking, case: Cases, table: Tensor, content: d
 
 
 def _assigned(table: Array, flight: Flight, is_open: Array) -> Array:
-    """Return the tasks in the present second of those of a whole flight, [t, S]."""
     return table[flight.tick]
 
 

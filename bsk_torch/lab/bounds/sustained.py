@@ -7,7 +7,7 @@ ticks t_k::
     v_1 = t_1,  v_k = max(t_k, v_(k-1) + f(angle from pointing s_(k-1) at target k-1 to target k, seen at v_(k-1)))
 
 The sector s_k that the satellite comes from is decided by the positions of targets k-1 and k, and by s_(k-1) where they are near
-one another (:mod:`bsk_torch.lab.bounds.approach`); the first image has none. The lead v_k - t_k is how far the satellite is
+one another (:mod:`bsk_torch.lab.bounds.envelope`); the first image has none. The lead v_k - t_k is how far the satellite is
 ahead of these times: that of a leaky bucket. Images at v_k instead of t_k are f apart. With the end b_k of the window of image k,
 
     l_k = max(0, v_k - b_k)
@@ -32,8 +32,7 @@ from torch import Tensor
 from bsk_torch.astro.frames import angle_between
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.rollout import Policy
-from bsk_torch.lab.bounds.approach import pointing, sector_from
-from bsk_torch.lab.bounds.envelope import SOONEST, Envelope, quantile
+from bsk_torch.lab.bounds.envelope import SOONEST, Envelope, pointing, quantile, sector_from
 from bsk_torch.lab.bounds.transitions import image_steps, imaging_satellite
 from bsk_torch.lab.bounds.windows import openings, satellite_positions
 

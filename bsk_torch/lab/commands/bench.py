@@ -123,7 +123,7 @@ def bench(
                     score = play(task, entrant, counts[task.title], **options)
                     if score is None:
                         continue
-                    row = results.setdefault(name, {})[task.title] = told(score, scale.get(task.title))
+                    row = results.setdefault(name, {})[task.title] = result_of(score, scale.get(task.title))
                     fly = certifiers.get(task.preset)
                     flight = None if fly is None else fly(task, entrant, certify, **options)
                     row |= {} if flight is None else {"basilisk": flight.summary()}
@@ -165,7 +165,7 @@ def certifiers_of(tasks: Sequence[Task], certify: int, episodes: int) -> dict[st
     return certifiers
 
 
-def told(score: Score, reference: Mapping[str, object] | None) -> dict[str, Any]:
+def result_of(score: Score, reference: Mapping[str, object] | None) -> dict[str, Any]:
     """Return what a file says about a score; the score proper where the suite has a reference for the task."""
     from bsk_torch.lab.suites.suite import normalised
 
@@ -245,7 +245,7 @@ def print_suite(
         failures = [
             {"policy": name, first: "failed"} for name, errors in failed.items() if task.title in errors and name not in rows
         ]
-        table = played(rows, task) + failures
+        table = rows_of(rows, task) + failures
         if not table:
             continue
         gain = [name for name in table[0] if name.startswith("gain of ")]
@@ -259,7 +259,7 @@ def print_suite(
         print_message(REMARKS[suite])
 
 
-def played(rows: Mapping[str, Mapping[str, Any]], task: Task) -> list[dict[str, str]]:
+def rows_of(rows: Mapping[str, Mapping[str, Any]], task: Task) -> list[dict[str, str]]:
     """Return the cells of the policies that have played a task by column, the best policy last but for planners ahead of it."""
     from bsk_torch.lab.suites.suite import ranking
 
@@ -271,12 +271,12 @@ def played(rows: Mapping[str, Mapping[str, Any]], task: Task) -> list[dict[str, 
         row, n = rows[name], len(rows[name]["returns"])
         label = name if n == most else f"{name} ({n} episodes)"
         behind = {f"gain of {best}": "" if name == best else f"{gain.mean:+.3f} ± {gain.half_width:.3f}"}
-        scored = measured(row, task, behind) if task.measures else cells(row, behind)
-        table.append({"policy": label} | scored | {"same on Basilisk": on_basilisk(row)})
+        figures = measure_cells(row, task, behind) if task.measures else score_cells(row, behind)
+        table.append({"policy": label} | figures | {"same on Basilisk": on_basilisk(row)})
     return table
 
 
-def measured(row: Mapping[str, Any], task: Task, behind: Mapping[str, str]) -> dict[str, str]:
+def measure_cells(row: Mapping[str, Any], task: Task, behind: Mapping[str, str]) -> dict[str, str]:
     """Return the cells of a policy by column, with the measures of the task."""
     cells = {name: amount(row["measures"][name]) for name in task.measures}
     return cells | dict(behind) | {"ms / decision": f"{1e3 * row['seconds_per_decision']:.3f}"}
@@ -289,7 +289,7 @@ def amount(estimate: Mapping[str, float]) -> str:
     return f"{estimate['mean']:,.{digits}f} ± {estimate['half_width']:,.{digits}f}"
 
 
-def cells(row: Mapping[str, Any], behind: Mapping[str, str]) -> dict[str, str]:
+def score_cells(row: Mapping[str, Any], behind: Mapping[str, str]) -> dict[str, str]:
     """Return the cells of a policy by column, with its score."""
     simulated = row.get("simulated_per_decision")
     return {

@@ -72,10 +72,10 @@ def board_of(
     """
     members = {policy for policies in methods.values() for policy in policies}
     rows = {task: {policy: results[policy][task] for policy in members if task in results[policy]} for task in titles}
-    for task, played in rows.items():
-        most = max((len(row["returns"]) for row in played.values()), default=0)
-        for policy in [policy for policy, row in played.items() if len(row["returns"]) < most]:
-            print_message(f"{task}: {policy} played {len(played.pop(policy)['returns'])} of {most} episodes, and is left out")
+    for task, entries in rows.items():
+        most = max((len(row["returns"]) for row in entries.values()), default=0)
+        for policy in [policy for policy, row in entries.items() if len(row["returns"]) < most]:
+            print_message(f"{task}: {policy} played {len(entries.pop(policy)['returns'])} of {most} episodes, and is left out")
     tasks = [task for task in titles if all(any(policy in rows[task] for policy in group) for group in methods.values())]
     if not tasks:
         fail(f"no task is played by all of {', '.join(methods)}; combine policies of several presets with --method NAME=PATTERN")
@@ -83,25 +83,26 @@ def board_of(
         print_message(f"left out, as not all methods play them: {', '.join(excluded)}")
     if against is not None and against not in methods:
         fail(f"--against {against!r} is not a method; {nearest(against, methods)}")
-    runs = {name: {task: scored(rows[task], group, suite, task) for task in tasks} for name, group in methods.items()}
+    runs = {name: {task: scores_of(rows[task], group, suite, task) for task in tasks} for name, group in methods.items()}
     with refusing():
         replicates = bootstrap(runs)
     scores = {name: run_scores(one) for name, one in runs.items()}
     best = max(scores, key=lambda name: float(AGGREGATES["IQM"](scores[name])))
     flights = {
-        name: flown([rows[task][one] for task in tasks for one in group if one in rows[task]]) for name, group in methods.items()
+        name: flights_of([rows[task][one] for task in tasks for one in group if one in rows[task]])
+        for name, group in methods.items()
     }
     return Board(suite, scores, replicates, tasks, against or best, flights)
 
 
-def scored(rows: Mapping[str, Mapping[str, Any]], policies: Sequence[str], suite: str, task: str) -> Tensor:
+def scores_of(rows: Mapping[str, Mapping[str, Any]], policies: Sequence[str], suite: str, task: str) -> Tensor:
     """Return the scores of the episodes of those ``policies`` that play a task, [R, E]."""
     low, high = (references(suite)[task][end]["return"] for end in ("low", "high"))
     returns = torch.tensor([rows[policy]["returns"] for policy in policies if policy in rows], dtype=torch.float64)
     return (returns - low) / (high - low)
 
 
-def flown(rows: Sequence[Mapping[str, Any]]) -> tuple[int, int]:
+def flights_of(rows: Sequence[Mapping[str, Any]]) -> tuple[int, int]:
     """Return how many episodes are the same on Basilisk, and how many were repeated there."""
     certified = [row["basilisk"] for row in rows if "basilisk" in row]
     return sum(one["same"] for one in certified), sum(len(one["returns"]) for one in certified)

@@ -25,25 +25,25 @@ def entrant_of(name: str, tasks: Sequence[Task] = ()) -> Entrant:
     allowed = tuple(dict.fromkeys(view for task in tasks for view in task.views)) or VIEWS
     drawn = tuple(dict.fromkeys(option for task in tasks for option in task.drawn)) or ("time_limit",)
     if name == PRETRAINED:
-        return lambda preset, make: entered(named_policy(name, preset), make, drawn) if preset in makings() else None
+        return lambda preset, make: file_entry(named_policy(name, preset), make, drawn) if preset in makings() else None
     plain, *views = name.split(",")
     if plain.startswith(PREFIX):
         choices = [text for text in views if text.partition("=")[0] in allowed]
         options = [text for text in views if text not in choices]
         named_planner(plain, None, options)  # unknown names and options end the program before anything runs
         chosen = dict(view_of(text, allowed) for text in choices)
-        return lambda preset, make: planned(plain, options, chosen, preset, make)
+        return lambda preset, make: planner_entry(plain, options, chosen, preset, make)
     if plain in RULES:
         usual = {view: value for task in tasks for view, value in task.rules.get(plain, {}).items()}
         settings = usual | dict(view_of(view, allowed) for view in views)
-        return lambda preset, make: rule(plain, settings, make)
+        return lambda preset, make: rule_entry(plain, settings, make)
     if ":" in plain and not Path(name).exists():
         return entrant_of_user(plain, views)
     policy = named_policy(name, None)
-    return lambda preset, make: entered(policy, make, drawn) if preset == policy.preset else None
+    return lambda preset, make: file_entry(policy, make, drawn) if preset == policy.preset else None
 
 
-def entered(policy: NamedPolicy, make: Callable[..., Tasking], drawn: Sequence[str]) -> tuple[Tasking, Policy]:
+def file_entry(policy: NamedPolicy, make: Callable[..., Tasking], drawn: Sequence[str]) -> tuple[Tasking, Policy]:
     """Enter a policy of a file, in an environment with the views that it was trained with; see :func:`views_of`.
 
     The program ends in tasks with other observations or actions than those of its training.
@@ -57,7 +57,7 @@ def views_of(policy: NamedPolicy, drawn: Sequence[str] = ("time_limit",)) -> dic
     return {name: value for name, value in policy.card.get("options", {}).items() if name not in drawn}
 
 
-def rule(name: str, views: Mapping[str, object], make: Callable[..., Tasking]) -> tuple[Tasking, Policy] | None:
+def rule_entry(name: str, views: Mapping[str, object], make: Callable[..., Tasking]) -> tuple[Tasking, Policy] | None:
     """Enter a baseline; None where the preset has no such view, or the baseline is for other observations or actions."""
     try:
         env = make(**views)
@@ -69,7 +69,7 @@ def rule(name: str, views: Mapping[str, object], make: Callable[..., Tasking]) -
         return None
 
 
-def planned(
+def planner_entry(
     name: str, options: list[str], views: Mapping[str, object], preset: str, make: Callable[..., Tasking]
 ) -> tuple[Tasking, Policy]:
     """Enter a planner, in an environment with ``views`` and those of its base; ends the program where it does not fit."""

@@ -80,7 +80,7 @@ def explain_failures(
     activity.report()
     if failures:
         print_table([cells(failure) for failure in failures], expendable=EXPENDABLE, left=("cause", "action then"))
-    echo("\n".join(told(figures)))
+    echo("\n".join(lines_of(figures)))
     if out is not None:
         about = {"policy": Path(policy).name, "seeds": [episodes.start, episodes.stop]}
         save(out, about | figures | {"seconds": round(time.perf_counter() - begin, 1)}, failures)
@@ -141,7 +141,7 @@ def statistics(moments: Sequence[Moment]) -> dict[str, Any]:
     return {**ranges, "actions": dict(Counter(moment.action for moment in moments))}
 
 
-def told(figures: Mapping[str, Any]) -> Iterator[str]:
+def lines_of(figures: Mapping[str, Any]) -> Iterator[str]:
     """Yield what :func:`summary` has found, in lines of at most 80 characters."""
     from bsk_torch.lab.audit.counterfactual import LOST, OPEN, SAVED
 
@@ -179,17 +179,16 @@ def draw_failure(env: Tasking, failure: Failure, actions: Tensor, path: Path, fi
     from bsk_torch.rl.evaluation.replay import script
 
     fates = {SAVED: "could be saved", LOST: "could not be saved", OPEN: "unknown whether it could be saved"}
-    episodes = extra("bsk_torch.viz.episodes")
-    episode = episodes.record(script(actions.clamp(min=0).unsqueeze(0)), env, seed=failure.seed)
+    episode = extra("bsk_torch.viz.episodes").record(script(actions.clamp(min=0).unsqueeze(0)), env, seed=failure.seed)
     cause = failure.cause.replace("_valid", "")
     marks = [(failure.died, f"died: {cause}")]
     if failure.last_chance is not None:
-        rescue = "" if failure.rescue is None else f": a rescue begins with {rescued(env, failure)}"
+        rescue = "" if failure.rescue is None else f": a rescue begins with {rescue_action(env, failure)}"
         marks.append((failure.last_chance.time, f"last chance{rescue}"))
     figure.timeline(episode, path, f"Seed {failure.seed}, {fates[failure.outcome]}", marks)
 
 
-def rescued(env: Tasking, failure: Failure) -> str:
+def rescue_action(env: Tasking, failure: Failure) -> str:
     """Return the action at the last chance that the rescue takes instead of the policy's."""
     from bsk_torch.env import SatelliteTasking
 

@@ -131,8 +131,8 @@ def print_board(board: Board) -> None:
         values = measures[name]
         table.append(
             {"method": name, "runs": str(len(board.scores[name]))}
-            | {measure: told(values[measure]) for measure in AGGREGATES}
-            | {better: told(values["better"]) if "better" in values else ""}
+            | {measure: interval_text(values[measure]) for measure in AGGREGATES}
+            | {better: interval_text(values["better"]) if "better" in values else ""}
             | {"same on Basilisk": f"{equal} of {repeated}" if repeated else ""}
         )
     title = f"suite {board.suite}, {len(board.tasks)} tasks: {', '.join(board.tasks)}"
@@ -142,7 +142,7 @@ def print_board(board: Board) -> None:
     )
 
 
-def told(interval: Interval) -> str:
+def interval_text(interval: Interval) -> str:
     """Return a value with its interval."""
     return f"{interval.value:.3f} [{interval.low:.3f}, {interval.high:.3f}]"
 

@@ -85,7 +85,7 @@ def estimate_risk(
             smallest=smallest, pool=pool, seed=seed, tell=show,
         )  # fmt: skip
     activity.report()
-    echo("\n".join(told(estimate, f"{named.preset}, {named.label}")))
+    echo("\n".join(lines_of(estimate, f"{named.preset}, {named.label}")))
     print_ways(estimate)
     settings = {name: value for name, value in named.options(options).items() if name not in ("backend", "device")}
     about = {"preset": named.preset, "policy": Path(policy).name, "options": settings}
@@ -101,7 +101,7 @@ def estimate_risk(
             echo(f"{path} was not written: the event was not seen")
 
 
-def told(risk: Risk, title: str) -> Iterator[str]:
+def lines_of(risk: Risk, title: str) -> Iterator[str]:
     """Yield the estimate in lines of at most 80 characters."""
     from bsk_torch.lab.risk.subset import RARER
 
@@ -170,13 +170,11 @@ def draw_way(risk: Risk, named: NamedPolicy, options: Mapping[str, Any], path: P
     from bsk_torch.rand import blended
     from bsk_torch.rl.evaluation.replay import script
 
-    episodes = extra("bsk_torch.viz.episodes")
     typical = risk.paths().take(torch.tensor([0]))
-    time = risk.ways[0].time
     seed = int(typical.seeds[0])
     with working("drawing"), blended(typical.blend()):
         one = made(named.preset, 1, named.options(options) | {"env_ids": [0]})
-        episode = episodes.record(script(torch.tensor(risk.actions[0])[None, :, 0]), one, seed=seed)
+        episode = extra("bsk_torch.viz.episodes").record(script(torch.tensor(risk.actions[0])[None, :, 0]), one, seed=seed)
     moment = float(typical.flown.notes["time"][0])
     figure.timeline(episode, path, f"{named.preset}, {named.label}: {risk.event}", [(moment, risk.event)])
-    echo(f"{path}: an episode with the event after {moment:,.0f} s; half of them are before {time[1]:,.0f} s")
+    echo(f"{path}: an episode with the event after {moment:,.0f} s; half of them are before {risk.ways[0].time[1]:,.0f} s")

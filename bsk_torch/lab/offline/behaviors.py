@@ -33,12 +33,6 @@ class Behavior:
     random: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the arguments.
-
-        Raises:
-            ValueError: For a probability out of range, less than 1 without a policy, or a policy that draws its actions, whose
-                probabilities are unknown.
-        """
         share = number("random", self.random, 0.0, 1.0)
         if self.policy is None and share < 1.0:
             raise ValueError(f"behavior {self.name!r}: random={share:g} must be 1 without a policy")

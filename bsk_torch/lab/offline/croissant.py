@@ -110,7 +110,6 @@ def _file(name: str, digest: str) -> dict[str, Any]:
 
 
 def _episodes() -> dict[str, Any]:
-    """Return the description of the table of episodes."""
     return {
         "@type": "cr:RecordSet",
         "@id": "episodes",

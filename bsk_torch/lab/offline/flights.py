@@ -15,8 +15,8 @@ from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.lab.offline.behaviors import Behavior
 from bsk_torch.lab.offline.layout import DECISION, EPISODE, ERROR, LOG_PROB, TARGET_ACTION, VALUE
-from bsk_torch.lab.planners.action_values import ACTION_VALUES, ActionValues
 from bsk_torch.lab.planners.branches import Discounting
+from bsk_torch.lab.planners.rollout import ACTION_VALUES, ActionValues
 from bsk_torch.rand import Key
 from bsk_torch.rl.evaluation.evaluate import start_episodes, with_lots
 
@@ -89,9 +89,11 @@ def play(
             sampled.append(part[lucky].to("cpu"))
         return td
 
+    ends = ("done", "terminated", "truncated")
+    after = [("next", *(key if isinstance(key, tuple) else (key,))) for key in (*observed, *ends, "reward")]
     steps, played = [], []
     for playing, step in play_episodes(env, with_lots(acting, env), start, rows):
-        steps.append(_transition(step, observed).cpu())
+        steps.append(step.select(*observed, *ends, "action", LOG_PROB, *after).cpu())
         played.append(playing.cpu())
     mask = torch.stack(played, 1)
     transitions: TensorDictBase = torch.stack(steps, 1)
@@ -140,15 +142,7 @@ def _judged(td: TensorDictBase, rows: Tensor, values: Mapping[str, ActionValues]
     return judgments
 
 
-def _transition(step: TensorDictBase, observed: list[str | tuple[str, ...]]) -> TensorDictBase:
-    """Return the entries of a step that are kept."""
-    ends = ("done", "terminated", "truncated")
-    after = [("next", *(key if isinstance(key, tuple) else (key,))) for key in (*observed, *ends, "reward")]
-    return step.select(*observed, *ends, "action", LOG_PROB, *after)
-
-
 def _ordered(sampled: list[TensorDictBase]) -> TensorDict:
-    """Return the sampled decisions, one episode after the other."""
     if not sampled:
         return TensorDict({}, [0])
     joined: TensorDictBase = torch.cat(sampled)

@@ -87,7 +87,6 @@ def write_minari(root: Path, transitions: TensorDict, recipe: Recipe, behavior: 
 
 
 def _buffers(transitions: TensorDict, sizes: list[int], recipe: Recipe) -> Iterator[Any]:
-    """Yield the episodes, of ``sizes`` decisions each."""
     buffer = import_module("minari.data_collector").EpisodeBuffer
     for k, (seed, episode) in enumerate(zip(recipe.seeds, transitions.split(sizes), strict=True)):
         yield buffer(

@@ -120,9 +120,6 @@ def fitted_q(
         batch_size: Decisions of a gradient step.
         learning_rate: Learning rate of Adam.
         seed: Seed of the network and of the order of decisions.
-
-    Raises:
-        ValueError: For numbers out of range.
     """
     number("gamma", gamma, 0.0, 1.0, above=True)
     number("trace", trace, 0.0, 1.0)
@@ -160,9 +157,6 @@ def importance_sampling(transitions: TensorDictBase, policy: TensorDictModuleBas
         transitions: Whole episodes one after the other, [T], with ``action_log_prob`` of the behavior.
         policy: The policy to judge.
         gamma: Discount per second.
-
-    Raises:
-        ValueError: For numbers out of range.
     """
     number("gamma", gamma, 0.0, 1.0, above=True)
     data = _Episodes.of(transitions, policy, gamma)
@@ -216,7 +210,6 @@ class _Episodes(NamedTuple):
 
     @classmethod
     def of(cls, transitions: TensorDictBase, policy: TensorDictModuleBase, gamma: float) -> _Episodes:
-        """Read the decisions, and ask the policy."""
         episode, following = transitions[EPISODE], transitions["next"]
         _, number_of, count = torch.unique_consecutive(episode, return_inverse=True, return_counts=True)
         begins = (count.cumsum(0) - count)[number_of]
@@ -235,7 +228,6 @@ class _Episodes(NamedTuple):
         return torch.full((episodes, longest), fill, dtype=column.dtype).index_put(self.place, column)
 
     def returns(self) -> Tensor:
-        """Return the sums of rewards, [E]."""
         return self.table(self.reward, 0.0).sum(1)
 
     def backed_up(self, following: Tensor, trace: float) -> Tensor:

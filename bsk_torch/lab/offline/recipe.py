@@ -45,12 +45,6 @@ class Recipe:
     minari: bool = False
 
     def __post_init__(self) -> None:
-        """Check the settings that need no environment.
-
-        Raises:
-            ValueError: For no behavior or seed, equal names, names that cannot be folders, seeds of suites, targets that are
-                planners or draw their actions, or numbers out of range.
-        """
         number("share", self.share, 0.0, 1.0)
         number("gamma", self.gamma, 0.0, 1.0, above=True)
         if self.futures is not None:

@@ -38,7 +38,7 @@ from bsk_torch.lab.offline.layout import (
 )
 from bsk_torch.lab.offline.minari_format import check_minari, write_minari
 from bsk_torch.lab.offline.recipe import Recipe
-from bsk_torch.lab.planners.action_values import ActionValues
+from bsk_torch.lab.planners.rollout import ActionValues
 
 BLOCK = 1 << 20
 """Bytes of a file read at once."""
@@ -107,7 +107,6 @@ def check_folder(folder: Path) -> None:
 def _write(
     folder: Path, env: SatelliteTasking, recipe: Recipe, values: dict[str, ActionValues], progress: Progress
 ) -> dict[str, Any]:
-    """Write all files into an empty folder; return the card."""
     played = []
     for behavior in recipe.behaviors:
         transitions, one = _write_behavior(folder / slug(behavior.name), env, recipe, behavior, values, progress)
@@ -151,7 +150,6 @@ def _write_behavior(
 
 
 def _write_starts(folder: Path, env: SatelliteTasking, recipe: Recipe, progress: Progress) -> None:
-    """Write the first observations of all episodes, with the returns and first actions of the targets."""
     parts = []
     for first in range(0, len(recipe.seeds), env.num_envs):
         progress(f"returns of the targets: episode {first} of {len(recipe.seeds)}")
@@ -177,7 +175,6 @@ def _mapped(folder: Path, parts: list[TensorDict]) -> TensorDict:
 
 
 def _table(played: list[Played], recipe: Recipe) -> str:
-    """Return a table of all episodes."""
     lines = ["behavior,episode,seed,decisions,seconds,return"]
     for one in played:
         rows = zip(recipe.seeds, one.decisions.tolist(), one.seconds.tolist(), one.returns.tolist(), strict=True)
@@ -186,7 +183,6 @@ def _table(played: list[Played], recipe: Recipe) -> str:
 
 
 def _card(env: SatelliteTasking, recipe: Recipe, played: list[Played]) -> dict[str, Any]:
-    """Return the description of a dataset."""
     return {
         "format": FORMAT,
         "bsk_torch": __version__,
@@ -215,7 +211,6 @@ def _card(env: SatelliteTasking, recipe: Recipe, played: list[Played]) -> dict[s
 
 
 def _checksums(folder: Path) -> Iterator[tuple[str, str]]:
-    """Yield the path within the folder, and the SHA-256, of every file."""
     for path in sorted(path for path in folder.rglob("*") if path.is_file()):
         digest = hashlib.sha256()
         with open(path, "rb") as file:

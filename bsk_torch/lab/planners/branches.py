@@ -25,6 +25,9 @@ Value = Callable[[TensorDictBase], TensorDictBase]
 Watch = Callable[[TensorDictBase], TensorDictBase]
 """Function from observations [M] to the values to record, [M]."""
 
+STEPS = 2
+"""Number of decisions that are compared to check that episodes can be copied."""
+
 
 @dataclass(frozen=True)
 class Discounting:
@@ -223,7 +226,6 @@ class Branches:
 
     @staticmethod
     def _take(now: TensorDictBase, first: TensorDictBase, where: Tensor | None) -> None:
-        """Write the actions ``first`` [M] into the rows ``where`` [M]."""
         for key in first.keys(True, True):
             action = first[key]
             if where is not None:
@@ -231,11 +233,9 @@ class Branches:
             now.set(key, action)
 
     def _decides(self, now: TensorDictBase, slot: Tensor) -> Tensor:
-        """Return whether the agent ``slot`` [M] needs a task."""
         return self.slots.at(self.slots.deciding(now), slot) & (slot >= 0)
 
     def _allowed(self, now: TensorDictBase, slot: Tensor, action: Tensor) -> Tensor:
-        """Return whether ``action`` [M] is legal for the agent ``slot`` [M]."""
         legal = self.slots.at(self.slots.legal(now), slot)
         return legal.gather(1, action.clamp(min=0).unsqueeze(1)).squeeze(1) & (action >= 0)
 
@@ -267,3 +267,48 @@ def _is_part(key: str | tuple[str, ...], observed: set[str | tuple[str, ...]]) -
     """Return whether a key names a nested observation."""
     path = key if isinstance(key, tuple) else (key,)
     return any(isinstance(other, tuple) and other[: len(path)] == path for other in observed)
+
+
+def check_copyable(env: Tasking, slots: AgentTable) -> None:
+    """Check that equal seeds start equal episodes, and that equal states have equal futures.
+
+    In a separate environment, two rows start the same episode twice and execute the same decisions twice.
+
+    Raises:
+        TypeError: For an object that is not an environment of this package.
+        ValueError: If anything differs; the message names it. The cause is a user function that draws random numbers without a
+            seed, or keeps values outside the state.
+    """
+    twins = env.like(2, env_ids=[0, 0])
+    starts = []
+    for _ in range(2):
+        twins.set_seed(0)
+        twins.reset()
+        starts.append(twins.get_state())
+    _compare(starts, "two episodes of the same seed begin with different")
+    ends = []
+    for _ in range(2):
+        twins.restore(starts[0])
+        now: TensorDictBase = twins.observe()
+        for _ in range(STEPS):
+            slots.neutral(now)
+            now = slots.play(twins, now, ~now["done"].squeeze(-1))
+        ends.append(now)
+    _compare(ends, "copies of one state are followed by different")
+
+
+def _compare(states: list[TensorDictBase], words: str) -> None:
+    """ValueError unless both tensordicts [2] are equal, and their rows, too."""
+    first, second = (dict(part.items(True, True)) for part in states)
+    for key, value in first.items():
+        if not (_same(value[0], value[1]) and _same(value, second[key])):
+            name = key if isinstance(key, str) else ".".join(key)
+            raise ValueError(
+                f"the environment cannot be copied: {words} {name!r}. Planning needs functions that repeat their results for an "
+                "episode: draw random numbers from a key of bsk_torch.rand or, at reset, from the seeded global generators of "
+                "NumPy or Python, and declare values kept within an episode (fleet.memory.declare)"
+            )
+
+
+def _same(one: Tensor, other: Tensor) -> bool:
+    return torch.equal(torch.nan_to_num(one), torch.nan_to_num(other)) if one.is_floating_point() else torch.equal(one, other)

@@ -125,23 +125,13 @@ class CrossEntropy(Planner):
     def _simulate(
         self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor, plans: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Simulate ``plans`` [n, P, D, W] of agents ``slot`` [n] in ``rows`` [n]; NaN stands for the base policy's action.
+        """Return the returns [n, P] of ``plans`` [n, P, D, W], seconds [n], and the actions of the first future, [n, P, D, W].
 
-        Returns:
-            Returns [n, P], simulated seconds [n], and the actions taken in the first future, [n, P, D, W].
+        NaN stands for the base policy's action.
         """
         n, p, copies = len(rows), plans.shape[1], self._copies
-        index = torch.arange(n, device=rows.device).repeat_interleave(p * copies)
-        if self.futures is None:
-            source, places = self.env, rows[index]
-        else:
-            source = self._store(n * copies)
-            self._plant(source, torch.arange(n * copies, device=rows.device), rows)
-            places = index * copies + torch.arange(copies, device=rows.device).repeat(n * p)
-        plan = plans.flatten(0, 1).repeat_interleave(copies, 0)
-        jobs = self._jobs(td, memory, rows[index], slot[index], plan, places)
-        flown = self.branches.fly(source, jobs)
-        total = self._discounting.before(flown.reward, flown.seconds, flown.rest)
+        which = torch.arange(n, device=rows.device).repeat_interleave(p)
+        total, flown = self._flown(td, memory, rows, slot, which, plans.flatten(0, 1))
         assert flown.acted is not None
         acted, count = (part.view(n, p, copies, *part.shape[1:])[:, :, 0] for part in flown.acted)
         said = torch.arange(self.depth, device=rows.device) < count.unsqueeze(-1)

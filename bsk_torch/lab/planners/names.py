@@ -11,7 +11,7 @@ from bsk_torch.lab.planners.cross_entropy import CrossEntropy
 from bsk_torch.lab.planners.planner import Planner
 from bsk_torch.lab.planners.rollout import Rollout
 from bsk_torch.lab.planners.search import TreeSearch
-from bsk_torch.sim.arguments.values import nearest
+from bsk_torch.sim.names import nearest, one_of
 
 PLANNERS: dict[str, type[Planner]] = {kind.name: kind for kind in (Rollout, BeamSearch, TreeSearch, CrossEntropy)}
 """Planners by their names on the command line."""
@@ -19,9 +19,7 @@ PLANNERS: dict[str, type[Planner]] = {kind.name: kind for kind in (Rollout, Beam
 
 def find_planner(name: str) -> type[Planner]:
     """Return one of :data:`PLANNERS`; ValueError, with the nearest name, for an unknown name."""
-    if name not in PLANNERS:
-        raise ValueError(f"planner={name!r} must be one of {sorted(PLANNERS)}; {nearest(str(name), PLANNERS)}")
-    return PLANNERS[name]
+    return PLANNERS[one_of("planner", name, PLANNERS)]
 
 
 def options_of(name: str) -> list[str]:

@@ -15,12 +15,10 @@ from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import ACTION_VALUE, decide
 from bsk_torch.lab.planners.agent_table import AgentTable
 from bsk_torch.lab.planners.base_policies import Base, base_of
-from bsk_torch.lab.planners.branches import Branches, Discounting, Jobs, Value, carried
-from bsk_torch.lab.planners.determinism import check_copyable
-from bsk_torch.lab.planners.plan_cache import PlanCache
+from bsk_torch.lab.planners.branches import Branches, Discounting, Flown, Jobs, Value, carried, check_copyable
 from bsk_torch.lab.planners.resampling import Redraw, present_key, reseed_copies
 from bsk_torch.rl.evaluation.evaluate import SIMULATED
-from bsk_torch.sim.arguments.values import nearest
+from bsk_torch.sim.names import one_of
 
 ROWS = 512
 """Default number of copies simulated at once."""
@@ -30,6 +28,44 @@ REWARD_TIMES = ("end", "start")
 
 ENDLESS = 2**62
 """Tick beyond the end of all branches."""
+
+
+class PlanCache:
+    """Planned actions after the last decision of each of N episodes, a lower bound for the next decision.
+
+    Without it, a planner over several actions may take the first action of a sequence and then not find the second one again, so
+    its returns could be worse than those of its base policy. Source: fortified rollout, D. P. Bertsekas, J. N. Tsitsiklis, C. Wu,
+    J. Heuristics 3, 1997.
+
+    Attributes:
+        plan: Discrete actions [N, D], padded with -1, or continuous actions [N, D, W], padded with NaN.
+        slot: Agent, [N].
+        stamp: Seed, episode and tick of the decision, [N, 3].
+    """
+
+    def __init__(self, num_envs: int, blank: Tensor) -> None:
+        """Start without plans; ``blank`` is an empty plan, [D] or [D, W]."""
+        self.blank = blank
+        self.plan = blank.expand(num_envs, *blank.shape).clone()
+        self.slot = torch.full((num_envs,), -1, device=blank.device)
+        self.stamp = torch.full((num_envs, 3), -1, device=blank.device)
+
+    def keep(self, env: Tasking, rows: Tensor, slot: Tensor, plan: Tensor) -> None:
+        """Keep the actions after the first one of ``plan`` [n, D, ...] for the episodes ``rows`` [n]."""
+        remainder = torch.cat([plan[:, 1:], self.blank[:1].expand(len(rows), 1, *self.blank.shape[1:])], 1)
+        self.plan[rows], self.slot[rows], self.stamp[rows] = remainder.to(self.plan.dtype), slot, self._now(env, rows)
+
+    def look_up(self, env: Tasking, rows: Tensor, slot: Tensor) -> tuple[Tensor, Tensor]:
+        """Return plans [n, D, ...] of agents ``slot`` [n] from earlier in the same episode, and whether they exist, [n]."""
+        stamp, now, plan = self.stamp[rows], self._now(env, rows), self.plan[rows]
+        current = (stamp[:, :2] == now[:, :2]).all(1) & (stamp[:, 2] < now[:, 2]) & (self.slot[rows] == slot)
+        first = plan[:, 0]
+        exists = ~torch.isnan(first).any(1) if first.ndim == 2 else first >= 0
+        return plan, current & exists
+
+    @staticmethod
+    def _now(env: Tasking, rows: Tensor) -> Tensor:
+        return torch.stack([env.state.seed[rows], env.state.episode[rows], env.fleet.ticks[rows]], 1)
 
 
 class Planner(TensorDictModuleBase):
@@ -99,10 +135,7 @@ class Planner(TensorDictModuleBase):
         super().__init__()
         self.horizon = number("horizon", horizon, 0.0, unit="s", above=True, finite=False)
         gamma = number("gamma", gamma, 0.0, 1.0, above=True)
-        if reward_time not in REWARD_TIMES:
-            raise ValueError(
-                f"reward_time={reward_time!r} must be one of {list(REWARD_TIMES)}; {nearest(str(reward_time), REWARD_TIMES)}"
-            )
+        one_of("reward_time", reward_time, REWARD_TIMES)
         if value is not None and not callable(value):
             raise ValueError(f"value={value!r} must be a module that writes 'state_value', or None")
         self.futures = None if futures is None else whole("futures", futures, 1)
@@ -115,7 +148,7 @@ class Planner(TensorDictModuleBase):
         if not isinstance(env, Tasking):
             raise TypeError(f"env={env!r} must be an environment of bsk_torch; of a transformed one give base_env")
         slots = AgentTable(env)
-        self._check_actions(env, slots)
+        self._check_actions(slots)
         if value is not None and slots.size > 1:
             raise ValueError(f"value= judges observations of one satellite; the environment has {slots.size}")
         policy = base_of(base, env)
@@ -131,8 +164,7 @@ class Planner(TensorDictModuleBase):
         self.in_keys = list(policy.in_keys)
         self.out_keys = list(dict.fromkeys([*policy.out_keys, SIMULATED, *([] if self.real else [ACTION_VALUE])]))
 
-    def _check_actions(self, env: Tasking, slots: AgentTable) -> None:
-        """Raise ValueError unless some agent has actions of the planner's kind."""
+    def _check_actions(self, slots: AgentTable) -> None:
         titles = ", ".join(dict.fromkeys(slots.acting))
         if any(real and n for real, n in zip(slots.real, slots.n_actions, strict=True)):
             raise ValueError(
@@ -164,7 +196,6 @@ class Planner(TensorDictModuleBase):
         return self._branches
 
     def _store(self, least: int) -> Tasking:
-        """Return an environment for storing states, with at least ``least`` rows."""
         for store in self._stores:
             if store.num_envs >= least and torch.equal(store.fingerprint, self.env.fingerprint):
                 return store
@@ -215,13 +246,9 @@ class Planner(TensorDictModuleBase):
         return tensordict.set(SIMULATED, simulated)
 
     def _improved(self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor) -> tuple[Tensor, Tensor]:
-        """Return actions of the agents ``slot`` [n] in ``rows`` [n] of the environment, [n] or [n, W], and simulated seconds [n].
+        """Return actions of the agents ``slot`` [n] in the episodes ``rows`` [n], [n] or [n, W], and simulated seconds [n].
 
-        Args:
-            td: Observations of the agents, with the actions decided so far, [N].
-            memory: Memory of the base policy, [N].
-            rows: Episodes.
-            slot: Agents.
+        ``td`` [N] has the observations and the actions decided so far, ``memory`` [N] what the base policy remembers.
         """
         raise NotImplementedError(f"{type(self).__name__} must implement _improved(td, memory, rows, slot)")
 
@@ -229,7 +256,6 @@ class Planner(TensorDictModuleBase):
 
     @property
     def _copies(self) -> int:
-        """Number of futures."""
         return self.futures or 1
 
     def _limit(self, rows: Tensor) -> Tensor | None:
@@ -255,43 +281,44 @@ class Planner(TensorDictModuleBase):
             reseed_copies(store, places, lots, key, self._redraw)
 
     def _jobs(self, td: TensorDictBase, memory: TensorDictBase, real: Tensor, slot: Tensor, plan: Tensor, rows: Tensor) -> Jobs:
-        """Return branches from the current states of episodes.
-
-        Args:
-            td: See :meth:`_improved`.
-            memory: See :meth:`_improved`.
-            real: Episodes of the environment, [J].
-            slot: Agents, [J].
-            plan: Their actions, [J, D] or [J, D, W].
-            rows: Rows of the copies from which the branches begin, [J].
-        """
+        """Return branches of the episodes ``real`` [J] from their copies in ``rows`` [J], with plans [J, D, ...] of agents."""
         carry = memory[real] if len(memory.keys()) else None
         judged = self._judged(torch.zeros_like(real, dtype=torch.float64))
         return Jobs(rows, self.env.env_ids[real], slot, plan, self.slots.actions(td)[real], self._limit(real), carry, judged)
+
+    def _flown(
+        self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor, which: Tensor, plan: Tensor
+    ) -> tuple[Tensor, Flown]:
+        """Return the returns [J, futures] of plans [J, D, ...] in each future, and the branches, [J * futures].
+
+        ``which`` [J] are places of their episodes in ``rows`` [n], and of their agents in ``slot`` [n].
+        """
+        copies, source = self._copies, self.env
+        index = which.repeat_interleave(copies)
+        places = rows[index]
+        if self.futures is not None:
+            source, number = self._store(len(rows) * copies), torch.arange(len(rows) * copies, device=rows.device)
+            self._plant(source, number, rows)
+            places = index * copies + torch.arange(copies, device=rows.device).repeat(len(which))
+        jobs = self._jobs(td, memory, rows[index], slot[index], plan.repeat_interleave(copies, 0), places)
+        flown = self.branches.fly(source, jobs)
+        return self._discounting.before(flown.reward, flown.seconds, flown.rest).view(-1, copies), flown
 
     def _no_worse(
         self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor, action: Tensor, worth: Tensor, plan: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Return actions at least as good as the remainder of the last plan, [n], and simulated seconds [n].
 
-        Args:
-            td: See :meth:`_improved`.
-            memory: Likewise.
-            rows: Likewise.
-            slot: Likewise.
-            action: The best actions found, [n].
-            worth: Their returns, [n].
-            plan: Sequences with these returns, [n, D]; -1 for decisions of the base policy.
+        ``plan`` [n, D] are sequences with the returns ``worth`` [n] that begin with ``action`` [n]; -1 for the base policy.
         """
         plans = self._cached_plans(torch.full_like(plan[0], -1))
         cached, exists = plans.look_up(self.env, rows, slot)
         index = torch.nonzero(exists).squeeze(1)
         simulated = torch.zeros_like(worth)
         if len(index):
-            flown = self.branches.fly(self.env, self._jobs(td, memory, rows[index], slot[index], cached[index], rows[index]))
-            total = self._discounting.before(flown.reward, flown.seconds, flown.rest)
+            total, flown = self._flown(td, memory, rows, slot, index, cached[index])
             simulated[index] = flown.simulated
-            better = torch.zeros_like(exists).index_copy(0, index, total > worth[index])
+            better = torch.zeros_like(exists).index_copy(0, index, total.squeeze(1) > worth[index])
             action, plan = torch.where(better, cached[:, 0], action), torch.where(better.unsqueeze(1), cached, plan)
         plans.keep(self.env, rows, slot, plan)
         return action, simulated
@@ -309,12 +336,7 @@ class Planner(TensorDictModuleBase):
         self._worth[rows, slot] = mean.masked_fill(~torch.isfinite(mean), torch.nan)
 
     def _preferred(self, q: Tensor, base: Tensor) -> Tensor:
-        """Return the best action, [n]: the base policy's action ``base`` [n] unless another one is better.
-
-        Args:
-            q: Returns [n * futures, A]; minus infinity for untried actions.
-            base: Actions of the base policy.
-        """
+        """Return the action of the best return ``q`` [n * futures, A], [n]: that of ``base`` [n] unless another is better."""
         mean = q.view(len(base), self._copies, -1).mean(1)
         best, action = mean.max(1)
         return torch.where(best > mean.gather(1, base.unsqueeze(1)).squeeze(1), action, base)

@@ -1,4 +1,4 @@
-"""Rollout: try every action, continue with the base policy, and take the best action.
+"""Rollout: try every action, continue with the base policy, and take the best action, or only note the returns of all.
 
 Source: D. P. Bertsekas, J. N. Tsitsiklis, C. Wu, "Rollout algorithms for combinatorial optimization", J. Heuristics 3, 1997. With
 an exact model and a horizon at the end of the episode, the planner is never worse than its base policy.
@@ -15,9 +15,14 @@ from typing_extensions import override
 
 from bsk_torch._checks import whole
 from bsk_torch.env import Tasking
+from bsk_torch.env.rollout import ACTION_VALUE
+from bsk_torch.lab.planners.agent_table import AgentTable
 from bsk_torch.lab.planners.base_policies import Base
 from bsk_torch.lab.planners.planner import Planner
 from bsk_torch.lab.planners.priors import Prior
+
+ACTION_VALUES = "action_values"
+"""Key of the returns of actions in each future, [N, S, futures, A]."""
 
 
 class Rollout(Planner):
@@ -65,9 +70,10 @@ class Rollout(Planner):
         chosen = torch.nonzero(tried)
         if not len(chosen):
             return totals, seconds
-        total, simulated = self._simulate(td, memory, rows, slot, chosen)
-        totals[chosen[:, 0], :, chosen[:, 1]] = total
-        return totals, seconds.index_add(0, chosen[:, 0], simulated)
+        which, action = chosen.unbind(1)
+        total, flown = self._flown(td, memory, rows, slot, which, action.unsqueeze(1))
+        totals[which, :, action] = total
+        return totals, seconds.index_add(0, which, flown.simulated.view(len(which), -1).sum(1))
 
     def _tried(self, td: TensorDictBase, rows: Tensor, slot: Tensor, base: Tensor) -> Tensor:
         """Return the actions to try, [n, A], including the base policy's."""
@@ -79,20 +85,57 @@ class Rollout(Planner):
         best = torch.zeros_like(legal).scatter(1, weight.topk(self.budget, 1).indices, True)
         return (legal & best) | is_base
 
-    def _simulate(
-        self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor, tried: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Return returns [J, futures] and simulated seconds [J]; ``tried`` [J, 2] has indices into ``rows`` and actions."""
-        which, action = tried.unbind(1)
-        if self.futures is None:
-            source, places, index = self.env, rows[which], which
-        else:
-            source = self._store(len(rows) * self.futures)
-            self._plant(source, torch.arange(len(rows) * self.futures, device=rows.device), rows)
-            places = (which.unsqueeze(1) * self.futures + torch.arange(self.futures, device=rows.device)).flatten()
-            index, action = which.repeat_interleave(self.futures), action.repeat_interleave(self.futures)
-        jobs = self._jobs(td, memory, rows[index], slot[index], action.unsqueeze(1), places)
-        flown = self.branches.fly(source, jobs)
-        total = self._discounting.before(flown.reward, flown.seconds, flown.rest)
-        shape = (len(which), self._copies)
-        return total.view(shape), flown.simulated.view(shape).sum(1)
+
+class ActionValues(Rollout):
+    """Plays its base policy, and writes the return of every legal action of the agents that decide.
+
+    The value of an action is the return of a branch that takes it and then follows the base policy, up to the horizon: the action
+    value of the base policy. Without futures, it is exact for deterministic environments; the value of the chosen action is then
+    the rest of the return of the episode, if the horizon does not cut it. Agents of a constellation are judged one at a time,
+    with the actions of the base policy for all others.
+    """
+
+    name: ClassVar[str] = "values"
+    _values: Tensor
+
+    def __init__(
+        self, env: Tasking, base: Base = None, *, horizon: float = float("inf"), gamma: float = 1.0, **options: Any
+    ) -> None:
+        """See :class:`~bsk_torch.lab.planners.planner.Planner` for the other arguments, and for errors.
+
+        Args:
+            env: The environment in which the policy acts.
+            base: The policy.
+            horizon: Length of branches, s (default: to the end of the episode).
+            gamma: Discount per second.
+            **options: Further arguments of :class:`~bsk_torch.lab.planners.planner.Planner`.
+        """
+        super().__init__(env, base, horizon=horizon, gamma=gamma, **options)
+        self.out_keys = [*self.out_keys, ACTION_VALUES]
+
+    @override
+    def _check_actions(self, slots: AgentTable) -> None:
+        if all(n <= 1 for n in slots.n_actions):
+            names = ", ".join(dict.fromkeys(slots.acting))
+            raise ValueError(f"returns are computed of numbered actions; those of {names} are real numbers")
+        super()._check_actions(slots)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the actions of the base policy, and the returns of all actions.
+
+        ``action_value`` [N, S, A] has the mean over futures, and ``action_values`` [N, S, futures, A] the return in each: of S
+        agents, with at most A actions, in the order of the environment's groups. Illegal actions, actions of agents that do not
+        decide, and those of ended episodes have NaN.
+        """
+        slots, n = self.slots, self.env.num_envs
+        shape = (n, slots.size, self._copies, slots.most_actions)
+        self._values = torch.full(shape, torch.nan, dtype=torch.float64, device=self.env.device)
+        tensordict = super().forward(tensordict)
+        tensordict.set(ACTION_VALUES, self._values)
+        return tensordict.set(ACTION_VALUE, self._values.mean(2))
+
+    @override
+    def _improved(self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor) -> tuple[Tensor, Tensor]:
+        base = self.slots.at(self.slots.chosen(td)[rows], slot)
+        self._values[rows, slot], simulated = self._returns(td, memory, rows, slot, self._tried(td, rows, slot, base))
+        return base, simulated

@@ -15,9 +15,8 @@ from bsk_torch.env import Tasking
 from bsk_torch.lab.planners.base_policies import Base
 from bsk_torch.lab.planners.branches import Jobs
 from bsk_torch.lab.planners.planner import Planner
-from bsk_torch.lab.planners.priors import Prior
+from bsk_torch.lab.planners.priors import Prior, StateSummary
 from bsk_torch.lab.planners.tree import Leaves, Trees
-from bsk_torch.lab.planners.tree_state import StateSummary
 
 LONGEST = 64
 """Number of actions of a sequence kept until the next decision."""
@@ -71,8 +70,8 @@ class TreeSearch(Planner):
     def _branching(self) -> int:
         return min(self.leaves, self.budget)
 
+    @override
     def _judged(self, elapsed: Tensor) -> Tensor | None:
-        """See :meth:`Planner._judged`; immediately."""
         return None if self._value is None else torch.zeros_like(elapsed)
 
     @override
@@ -88,7 +87,9 @@ class TreeSearch(Planner):
         trees = Trees(summary, most, self._discounting, exact, self.exploration)
         simulated = torch.zeros(len(roots), dtype=torch.float64, device=rows.device)
         base = self.slots.at(self.slots.chosen(td)[rows], slot)
-        wave = [self._base_edges(trees, summary["mine"])]  # the base policy's action first
+        first = summary["mine"]  # the base policy's action
+        trees.visits[trees.all_trees, 0, first] += 1
+        wave = [Leaves(torch.zeros_like(first), first, torch.ones_like(first, dtype=torch.bool))]
         while wave:
             for leaves, seconds in self._grown(trees, wave, store, td, memory, real):
                 simulated = simulated.index_add(0, leaves, seconds)
@@ -109,12 +110,6 @@ class TreeSearch(Planner):
         worth = q.gather(1, action.unsqueeze(1)).squeeze(1)
         action, more = self._no_worse(td, memory, rows, slot, action, worth, trees.plan(action, min(self.budget, LONGEST)))
         return action, seconds + more
-
-    def _base_edges(self, trees: Trees, base: Tensor) -> Leaves:
-        """Return the edges of the base policy's actions, [R], at the roots."""
-        zero = torch.zeros_like(base)
-        trees.visits[trees.all_trees, 0, base] += 1
-        return Leaves(zero, base, torch.ones_like(base, dtype=torch.bool))
 
     def _grown(
         self, trees: Trees, wave: list[Leaves], store: Tasking, td: TensorDictBase, memory: TensorDictBase, real: Tensor

@@ -32,7 +32,7 @@ class Trees:
     """R trees of at most K nodes with A actions each.
 
     Attributes:
-        nodes: :class:`~bsk_torch.lab.planners.tree_state.StateSummary` of every node, [R, K].
+        nodes: :class:`~bsk_torch.lab.planners.priors.StateSummary` of every node, [R, K].
         child: Child node of an edge, :data:`NONE` before the edge is followed, [R, K, A].
         visits: Number of simulations through an edge, [R, K, A].
         total: Sum of their returns from the node, [R, K, A].
@@ -112,7 +112,6 @@ class Trees:
         return Leaves(at, action, exists)
 
     def _visit(self, rows: Tensor, node: Tensor, action: Tensor) -> None:
-        """Count a visit of edges [J] and of their ancestors."""
         while len(rows):
             self.visits[rows, node, action] += 1
             up = node != 0

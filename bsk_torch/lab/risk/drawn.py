@@ -52,7 +52,6 @@ def _columns(env: Tasking, values: Sequence[Mapping[str, Tensor]], n: int) -> tu
 
 
 def _component(name: str, j: int, count: int) -> str:
-    """Return the end of the name of a component."""
     if count == 1:
         return ""
     components = COMPONENTS.get(name, ())

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
+from math import isnan
 from typing import Any, NamedTuple
 
 import torch
@@ -20,7 +21,7 @@ from bsk_torch._checks import number, whole
 from bsk_torch.env import Tasking
 from bsk_torch.lab.planners.agent_table import AgentTable
 from bsk_torch.lab.planners.base_policies import Base, base_of
-from bsk_torch.lab.planners.determinism import check_copyable
+from bsk_torch.lab.planners.branches import check_copyable
 from bsk_torch.lab.planners.planner import Planner
 from bsk_torch.lab.risk.rare_events import DEATH, Function, rare_event
 from bsk_torch.lab.risk.rare_flights import DRAWN, FAILED, TIME, Flights
@@ -28,6 +29,7 @@ from bsk_torch.lab.risk.screened import Screen, Screened, ScreenedSampling
 from bsk_torch.lab.risk.subset import CHAIN, HAPPENS, STUCK, Repetitions, Sample, SubsetSimulation, Tally
 from bsk_torch.rand import blended
 from bsk_torch.rl.evaluation.statistics import confidence, wilson
+from bsk_torch.sim.names import one_of
 
 __all__ = ["METHODS", "Interval", "Risk", "Screening", "Shift", "Way", "risk"]
 
@@ -182,7 +184,8 @@ class Risk:
             "shares": self.shares.mean(0).tolist(),
             "why": self.why,
             "highest_level": self.highest if abs(self.highest) < float("inf") else None,
-            "screening": None if self.screening is None else _screening(self.screening),
+            "screening": self.screening
+            and asdict(self.screening) | {"largest": None if isnan(self.screening.largest) else self.screening.largest},
             **asdict(self.tally),
             "seconds_per_episode": self.seconds,
             "saved": self.saved if finite and self.error > 0.0 else None,
@@ -239,8 +242,7 @@ def risk(
     """
     if not isinstance(env, Tasking):
         raise TypeError(f"env={env!r} must be an environment of bsk_torch; of a transformed one give base_env")
-    if method not in METHODS:
-        raise ValueError(f"method={method!r} must be one of {list(METHODS)}")
+    one_of("method", method, METHODS)
     if whole("episodes", episodes, 2 * CHAIN) % CHAIN:
         raise ValueError(f"episodes={episodes} must be a multiple of {CHAIN}, the number of states of a chain")
     whole("repetitions", repetitions, LEAST_REPETITIONS)
@@ -275,7 +277,7 @@ def interval(estimates: Tensor) -> Interval:
 
 
 def _probability(repeated: Repetitions) -> Interval:
-    """Return the estimate.
+    """Return the estimate with its interval.
 
     The upper limit for an event that was not seen is the smaller one of two, each with a confidence of 97.5 %, so that both hold
     with 95 %: that of reaching the last threshold, and that of Clopper and Pearson for the n independent episodes,
@@ -292,7 +294,6 @@ def _probability(repeated: Repetitions) -> Interval:
 
 
 def _by_subsets(flights: Flights, simulation: SubsetSimulation, smallest: float, repetitions: int) -> Risk:
-    """Return the estimate of subset simulation."""
     climb = simulation.climb(smallest)
     if climb.why == STUCK:
         simulation.tell(f"the level does not rise above {float(climb.last.flown.level.max()):.4g}")
@@ -315,10 +316,7 @@ def _by_subsets(flights: Flights, simulation: SubsetSimulation, smallest: float,
 
 
 def _by_screening(flights: Flights, screen: Screen, screened: Screened, sampling: ScreenedSampling) -> Risk:
-    """Return the estimate of screened sampling.
-
-    The upper limit for an event that was not seen is Clopper and Pearson's for the flights that the surrogate did not choose.
-    """
+    # the upper limit for an event that was not seen is Clopper and Pearson's for the flights that the surrogate did not choose
     weight, happened = screened.weight, bool(len(screened.weight))
     unseen = Interval(0.0, 0.0, 1.0 - 0.05 ** (1.0 / screened.blind))
     return Risk(
@@ -334,7 +332,7 @@ def _by_screening(flights: Flights, screen: Screen, screened: Screened, sampling
         screening=Screening(
             pool=sampling.pool,
             learned=sampling.learned,
-            seen=screen.seen,
+            seen=screen.events,
             explained=screen.explained,
             largest=float(weight.max() / weight.sum()) if happened else float("nan"),
         ),
@@ -345,11 +343,7 @@ def _by_screening(flights: Flights, screen: Screen, screened: Screened, sampling
 def _described(flights: Flights, sample: Sample, weight: Tensor, first: Sample) -> dict[str, Any]:
     """Return the parts of a result that describe the ways to the event.
 
-    Args:
-        flights: Plays episodes.
-        sample: Episodes with the event, [n].
-        weight: Their weights up to a factor, [n].
-        first: Independent episodes.
+    ``sample`` [n] are the episodes with the event, ``weight`` [n] their weights up to a factor, ``first`` independent episodes.
     """
     weight = weight / weight.sum().clamp(min=torch.finfo(torch.float64).tiny)
     everywhere = first.flown.notes[DRAWN]
@@ -422,9 +416,3 @@ def _ways(flights: Flights, sample: Sample, weight: Tensor, everywhere: Tensor, 
 def _finite(values: Sequence[float]) -> list[float | None]:
     """Return numbers for JSON, with None for infinity, such as the time of a fault that never begins."""
     return [value if abs(value) < float("inf") else None for value in values]
-
-
-def _screening(screening: Screening) -> dict[str, Any]:
-    """Return how screened sampling went, for JSON."""
-    figures = asdict(screening)
-    return figures | {"largest": None if figures["largest"] != figures["largest"] else figures["largest"]}

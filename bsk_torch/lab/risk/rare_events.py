@@ -40,11 +40,6 @@ class Limit:
     applies: Callable[[BoundSatellite], bool] = lambda satellite: True
 
 
-def _keep_out(satellite: BoundSatellite) -> Tensor:
-    dynamics = satellite.dynamics
-    return satellite.simulator.state.all_arguments["keepOutRadius"] / dynamics.rho_H.norm(dim=-1)
-
-
 LIMITS = {
     "battery": Limit("battery_valid", lambda satellite: 1.0 - satellite.dynamics.battery_charge_fraction),
     "wheels": Limit("rw_speeds_valid", lambda satellite: satellite.dynamics.wheel_speeds_fraction.abs().amax(1)),
@@ -53,7 +48,10 @@ LIMITS = {
         lambda satellite: satellite.dynamics.storage_level_fraction,
         lambda satellite: bool(satellite.simulator.state.all_arguments["storageUnitValidCheck"]),
     ),
-    "distance": Limit("distance_valid", _keep_out),
+    "distance": Limit(
+        "distance_valid",
+        lambda satellite: satellite.simulator.state.all_arguments["keepOutRadius"] / satellite.dynamics.rho_H.norm(dim=-1),
+    ),
 }
 """Limits by the names of their levels; the level of death is the largest of those that apply."""
 
@@ -105,19 +103,14 @@ def rare_event(env: Tasking, event: str | Function, level: str | Sequence[str] |
     return RareEvent(title, _checked("event", happens, torch.bool), _checked("level", nearness, torch.float64), threshold)
 
 
-def _meant(text: str) -> str:
-    """Return a hint if a text resembles the name of an event."""
-    return f"; {nearest(text, (DEATH,))}" if difflib.get_close_matches(text.lower(), (DEATH,)) else ""
-
-
 def _comparison(env: Tasking, text: str) -> tuple[str, Function, Function, float]:
-    """Return title, event, level and threshold of a comparison."""
     match = COMPARISON.fullmatch(text)
     try:
         name, sign, limit = match[1], match[2], float(match[3])  # type: ignore[index]
     except (TypeError, ValueError):
+        hint = f"; {nearest(text, (DEATH,))}" if difflib.get_close_matches(text.lower(), (DEATH,)) else ""
         raise ValueError(
-            f"event={text!r} must be 'death', or a property with a limit such as 'battery_charge_fraction<0.05'{_meant(text)}"
+            f"event={text!r} must be 'death', or a property with a limit such as 'battery_charge_fraction<0.05'{hint}"
         ) from None
     kinds = [type(part.dynamics) for part in env.fleet.satellites]
     having = [k for k, kind in enumerate(kinds) if isinstance(getattr(kind, name, None), property)]

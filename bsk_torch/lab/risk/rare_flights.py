@@ -49,6 +49,9 @@ class Flights:
     checks: list[str] = field(default_factory=list)
     columns: list[str] = field(default_factory=list)
 
+    def __post_init__(self) -> None:
+        self._player = with_lots(self.policy, self.env) if LOT in self.policy.in_keys else self.policy
+
     def __call__(self, seeds: Tensor) -> Flown:
         """Play the episodes of ``seeds`` [m]; see :data:`bsk_torch.lab.risk.subset.Fly`."""
         parts = [self._fly(some) for some in seeds.split(self.env.num_envs)]
@@ -59,11 +62,10 @@ class Flights:
         env, m = self.env, len(seeds)
         start = start_episodes(env, seeds.tolist())
         names, values = drawn_arguments(env)
-        player = with_lots(self.policy, env) if LOT in self.policy.in_keys else self.policy
         rows = torch.arange(env.num_envs, device=env.device) < m
         level, happened = self.event.level(env), self.event.happens(env)
         time = torch.where(happened, env.fleet.sim_time, torch.nan)
-        for playing, _ in play_episodes(env, player, start, rows):
+        for playing, _ in play_episodes(env, self._player, start, rows):
             level = torch.where(playing, torch.maximum(level, self.event.level(env)), level)
             now = playing & ~happened & self.event.happens(env)
             happened, time = happened | now, torch.where(now, env.fleet.sim_time, time)
@@ -89,9 +91,8 @@ class Flights:
         for some in seeds.split(env.num_envs):
             decisions: list[list[Any]] = [[] for _ in some]
             start = start_episodes(env, some.tolist())
-            player = with_lots(self.policy, env) if LOT in self.policy.in_keys else self.policy
             rows = torch.arange(env.num_envs, device=env.device) < len(some)
-            for playing, step in play_episodes(env, player, start, rows):
+            for playing, step in play_episodes(env, self._player, start, rows):
                 chosen = slots.numbers(step) if any(slots.real) else slots.chosen(step)
                 for row in torch.nonzero(playing).squeeze(1).tolist():
                     decisions[row].append(chosen[row].tolist())
@@ -123,7 +124,6 @@ class SavedEpisode:
     actions: Annotated[list[Annotated[list[float | list[float]], MinLen(1)]], MinLen(1)]
 
     def __post_init__(self) -> None:
-        """ValueError for a blend whose tables have different lengths."""
         if not len(self.parts) == len(self.steps) == len(self.shares):
             raise ValueError(f"seed {self.seed}: parts, steps and shares have different lengths")
 
@@ -161,8 +161,7 @@ def read_paths(path: Path | str) -> tuple[dict[str, Any], Blend]:
     """Return the content of a file of :func:`save_paths`, and the blend within whose context its seeds are its episodes.
 
     Raises:
-        OSError: If it cannot be read.
-        ValueError: For another file.
+        OSError, ValueError: If it cannot be read, or is another file.
     """
     try:
         raw = read_bytes(path, LARGEST)
@@ -201,7 +200,6 @@ def play_again(env: Tasking, path: Path | str) -> Tensor:
 
 
 def _repeated(env: Tasking, start: TensorDictBase, actions: Sequence[Sequence[Any]]) -> Tensor:
-    """Take the actions of episodes in the first rows, and return their returns."""
     slots, steps = AgentTable(env), iter(range(max(map(len, actions))))
     rows = torch.arange(env.num_envs) < len(actions)
 

@@ -55,7 +55,7 @@ class Screen:
         chance: Probability of the event, given a predicted level.
         first: The independent episodes among those learned from.
         explained: Share of the variance of their levels that the surrogate explains, predicting each from others.
-        seen: Number of learned episodes with the event.
+        events: Number of learned episodes with the event.
         highest: Largest finite level.
     """
 
@@ -63,7 +63,7 @@ class Screen:
     chance: Chance
     first: Sample
     explained: float
-    seen: int
+    events: int
     highest: float
 
 
@@ -135,7 +135,7 @@ class ScreenedSampling:
             chance=chance(surrogate, sample.flown.level, threshold),
             first=first,
             explained=max(0.0, 1.0 - float(errors.square().mean()) / variance) if variance > 0.0 else 0.0,
-            seen=int((sample.flown.level == torch.inf).sum()),
+            events=int((sample.flown.level == torch.inf).sum()),
             highest=float(level.max()),
         )
 
@@ -162,7 +162,6 @@ class ScreenedSampling:
         return fitted(values, level, self._lots("fit", k, len(level))[: len(level)]), level
 
     def _predicted(self, surrogate: Surrogate, seeds: Tensor) -> Tensor:
-        """Return the predicted levels of seeds [m]."""
         return torch.cat([surrogate(self.draws(some)) for some in seeds.split(AT_ONCE)])
 
     def _play(self, seeds: Tensor) -> Sample:
@@ -171,7 +170,6 @@ class ScreenedSampling:
         return Sample.independent(seeds, flown)
 
     def _key(self, run: str, k: int) -> Key:
-        """Return the key of round or repetition k."""
         return Key(torch.tensor([self.seed]), torch.tensor([0]), torch.tensor([k]), f"screened sampling, {run}")
 
     def _lots(self, run: str, k: int, count: int) -> Tensor:
@@ -187,11 +185,8 @@ class ScreenedSampling:
 def _choose(level: Tensor, chances: Tensor, count: int, lots: Tensor) -> tuple[Tensor, Tensor]:
     """Return about ``count`` of M seeds, [n], and their probabilities of inclusion, [n].
 
-    Args:
-        level: Predicted levels, [M], along which the sampling is systematic.
-        chances: Probabilities of the event, [M].
-        count: Expected number of seeds, of which some may be chosen in both ways.
-        lots: Uniform numbers.
+    The sampling is systematic along the predicted ``level`` [M]; ``chances`` [M] are the probabilities of the event. Some seeds
+    may be chosen in both ways.
     """
     blind = min(1.0, BLIND * count / len(level))
     even = _bernoulli(blind, len(level), lots[1:])

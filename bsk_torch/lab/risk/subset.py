@@ -258,12 +258,10 @@ class SubsetSimulation:
         return Repetitions(shares, first, sample, repetition.repeat_interleave(self.size))
 
     def _key(self, run: str, stage: int, count: int) -> Key:
-        """Return a key of each of ``count`` repetitions."""
         numbers = torch.arange(count)
         return Key(torch.full_like(numbers, self.seed), numbers, torch.full_like(numbers, stage), f"subset simulation, {run}")
 
     def _independent(self, count: int, run: str) -> Sample:
-        """Play n independent episodes for each of ``count`` repetitions."""
         seeds = (self._key(run, 0, count).uniform(self.size).flatten() * SEEDS).long()
         return Sample.independent(seeds, self._fly(seeds))
 
@@ -275,11 +273,8 @@ class SubsetSimulation:
     def _chains(self, starts: Sample, stage: Stage, number: int, repetition: Tensor | None) -> tuple[Sample, float]:
         """Return the states of chains from ``starts``, those of a repetition one after the other, and the last size of a step.
 
-        Args:
-            starts: Starts of the chains of all repetitions, equally many for each.
-            stage: Threshold and first size of the steps.
-            number: Number of the stage.
-            repetition: Numbers of the repetitions [r]; None for the first run, in which the size of the steps changes.
+        ``repetition`` [r] are the numbers of the repetitions, with equally many starts; None for the first run, in which the size
+        of the steps changes.
         """
         if repetition is None:
             key = self._key("first run, steps", number, 1)

@@ -132,7 +132,6 @@ def interval(value: Tensor, replicates: Tensor) -> Interval:
 
 
 def _check(methods: Mapping[str, Runs]) -> None:
-    """Raise ValueError if methods cannot be compared; see :func:`bootstrap`."""
     if not methods:
         raise ValueError("methods={} must have at least one method")
     first = next(iter(methods))

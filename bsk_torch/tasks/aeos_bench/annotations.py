@@ -80,20 +80,12 @@ class Trajectory(NamedTuple):
 # -- export ---------------------------------------------------------------------------------------------------------------------
 
 
-def listed(env: Tasking) -> tuple[TaskTeam, Cases]:
+def cases_of(env: Tasking) -> tuple[TaskTeam, Cases]:
     """Return the team of an environment and its cases; ValueError unless it flies listed cases."""
     view = task_team(env)
     cases = view.scenario.cases
     if not isinstance(cases, Cases) or view.scenario.order != "listed":
         raise ValueError("annotations are of listed cases; make AEOSBench-v1 with folder=... and order='listed'")
-    return view, cases
-
-
-def bench_of(env: Tasking) -> tuple[TaskTeam, Cases]:
-    """Return the team of an environment and its cases; ValueError unless it flies listed cases, with any task in any second."""
-    view, cases = listed(env)
-    if view.entry.duration is not None or view.entry.n_candidates is not None:
-        raise ValueError("annotations have a task in every second; make AEOSBench-v1 without step_duration and candidates")
     return view, cases
 
 
@@ -140,7 +132,7 @@ def fly_cases(policy: TensorDictModuleBase, env: ConstellationTasking) -> Iterat
     Flights whose choices hold for longer than a second, or are among candidates, are flown again with the tasks of each second.
     ValueError for an environment without listed cases, and for such flights with ``sensor="chosen"``.
     """
-    view, cases = listed(env)
+    view, cases = cases_of(env)
     if view.entry.duration is not None or view.entry.n_candidates is not None:
         parts, size = [], env.batch_size[0]
         for first in range(0, len(cases), size):
@@ -174,7 +166,6 @@ def fly_cases(policy: TensorDictModuleBase, env: ConstellationTasking) -> Iterat
 
 
 def _present_of(view: TaskTeam) -> dict[str, Tensor]:
-    """Return what a trajectory has of the present, [N, ...]."""
     scenario, shape, dynamics = view.scenario, view.scenario.fleet.shape, view.satellite.dynamics
     numbers = (
         dynamics.battery_charge_fraction.unsqueeze(-1),
@@ -265,7 +256,6 @@ def read_assignments(folder: str | Path, cases: Cases) -> Tensor:
 
 
 def _trajectory(path: Path) -> Tensor:
-    """Return the assigned tasks of a trajectory, [t, S]."""
     try:
         values, _ = read_tensors(path.read_bytes())
     except ValueError as error:
@@ -298,7 +288,9 @@ class AssignedTasks:
 
     def __init__(self, env: Tasking, assignments: Tensor) -> None:
         """Replay ``assignments`` [C, t, S] of the cases of ``env``; ValueError for other shapes, or another environment."""
-        self.view, cases = bench_of(env)
+        self.view, cases = cases_of(env)
+        if self.view.entry.duration is not None or self.view.entry.n_candidates is not None:
+            raise ValueError("annotations have a task in every second; make AEOSBench-v1 without step_duration and candidates")
         if assignments.ndim != 3 or len(assignments) != len(cases) or assignments.shape[2] != cases.n_satellites:
             raise ValueError(
                 f"assignments={list(assignments.shape)} must be [C, t, S] of C={len(cases)} cases with S={cases.n_satellites} "

@@ -63,7 +63,6 @@ class Cases:
     tasks: Mapping[str, Tensor]
 
     def __len__(self) -> int:
-        """Number of cases."""
         return len(self.present)
 
     @property
@@ -241,7 +240,6 @@ class TaskEntry:
     sensor_type: SensorType
 
     def __post_init__(self) -> None:
-        """ValueError for a latitude that is none, and a due time before the release."""
         if not -90.0 <= self.coordinate[0] <= 90.0:
             raise ValueError(f"coordinate={self.coordinate} must be latitude and longitude, degrees")
         if self.due_time < self.release_time:
@@ -294,7 +292,6 @@ def _constellation(path: Path) -> Satellites:
 
 
 def _satellite(entry: SatelliteEntry, orbit: OrbitEntry) -> dict[str, Any]:
-    """Return the arguments of a satellite."""
     panel, sensor, control, wheels = entry.solar_panel, entry.sensor, entry.mrp_control, entry.reaction_wheels
     degrees = [orbit.inclination, orbit.right_ascension_of_the_ascending_node, orbit.argument_of_perigee, entry.true_anomaly]
     return {
@@ -334,20 +331,17 @@ def _tasks(path: Path) -> Tasks:
     """Return the tasks of a file, sorted by their ids."""
     content: TaskSet | list[TaskEntry] = _read(path, TaskSet)
     entries = content.tasks if isinstance(content, TaskSet) else content
-    return [_task(entry) for entry in sorted(entries, key=lambda entry: entry.id)]
-
-
-def _task(entry: TaskEntry) -> dict[str, float]:
-    """Return a task."""
-    latitude, longitude = entry.coordinate
-    return {
-        "latitude": latitude,
-        "longitude": longitude,
-        "release": entry.release_time,
-        "due": entry.due_time,
-        "duration": entry.duration,
-        "type": float(entry.sensor_type),
-    }
+    return [
+        {
+            "latitude": entry.coordinate[0],
+            "longitude": entry.coordinate[1],
+            "release": entry.release_time,
+            "due": entry.due_time,
+            "duration": entry.duration,
+            "type": float(entry.sensor_type),
+        }
+        for entry in sorted(entries, key=lambda entry: entry.id)
+    ]
 
 
 # -- tables -------------------------------------------------------------------------------------------------------------------

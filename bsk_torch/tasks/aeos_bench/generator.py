@@ -71,10 +71,6 @@ class AEOSBenchGenerator:
     Satellites are drawn without replacement from a pool of those that pass the benchmark's filter: in two hours, they complete 36
     tasks near the equator by the benchmark's rule. Orbits, panels, sensors, batteries and tasks are drawn as in the benchmark's
     training set, and so are their numbers. With ``orbits="real"``, orbits are drawn from real ones, as in its test set.
-
-    Attributes:
-        n_satellites: Largest number of satellites.
-        n_tasks: Largest number of tasks.
     """
 
     def __init__(
@@ -108,22 +104,18 @@ class AEOSBenchGenerator:
         """Return cases for the n environments of a key."""
         present = _count(key.named("aeos_satellites"), *self.satellites).unsqueeze(1) > torch.arange(self.n_satellites)
         shape = len(key), self.n_satellites
+        number = key.named("aeos_pool").distinct(self.n_satellites, len(pool()["mass"]))
+        crafts = {name: values[number] for name, values in pool().items()}
         return Cases(
             names=(),
-            satellites=self._crafts(key) | self._hulls(key) | {"oe": self._elements(key)},
+            satellites=crafts | self._hulls(key) | {"oe": self._elements(key)},
             present=present,
             sensors=torch.ones(shape, dtype=torch.float64),
             enabled=torch.zeros(shape, dtype=torch.bool),
             **self._jobs(key),
         )
 
-    def _crafts(self, key: Key) -> dict[str, Tensor]:
-        """Return what comes from the pool."""
-        number = key.named("aeos_pool").distinct(self.n_satellites, len(pool()["mass"]))
-        return {name: values[number] for name, values in pool().items()}
-
     def _hulls(self, key: Key) -> dict[str, Tensor]:
-        """Return panels, sensors, batteries and attitudes."""
         u = _uniform(key.named("aeos_hull"), self.n_satellites, 8)
         p, t = math.pi * u[..., 0], math.pi * (u[..., 1] - 0.5)
         capacity = _within(u[..., 6], 8e3, 30e3)
@@ -151,7 +143,6 @@ class AEOSBenchGenerator:
         return torch.cat([self.orbits[number], turns[..., 2:]], -1)
 
     def _jobs(self, key: Key) -> dict[str, Any]:
-        """Return places and tasks."""
         u = _uniform(key.named("aeos_task"), self.n_tasks, 5)
         exists = _count(key.named("aeos_tasks"), *self.tasks).unsqueeze(1) > torch.arange(self.n_tasks)
         duration = _integer(u[..., 0], *DURATIONS)

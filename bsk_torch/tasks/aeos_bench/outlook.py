@@ -5,16 +5,12 @@ Nothing here is part of the benchmark: rules and policies look ahead with it.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from bsk_torch.tasks.aeos_bench.files import EARTH_RADIUS, MOST_TORQUE, MU
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.bound import BoundSatellite
-    from bsk_torch.tasks.aeos_bench.scene import AEOSBench
+from bsk_torch.tasks.aeos_bench.files import EARTH_RADIUS, MU
 
 AIM = 0.5
 """Share of the field of view to which the error of pointing decays in a turn."""
@@ -129,33 +125,6 @@ def sight_times(r_P: Tensor, v_P: Tensor, place: Tensor) -> tuple[Tensor, Tensor
     phase, width = torch.atan2(climb, height), torch.acos((1.0 / top).clamp(max=1.0))
     width = torch.where(top > 1.0, width, -torch.pi)
     return height, (phase - width) / rate, (phase + width) / rate
-
-
-def find_outlook(scenario: AEOSBench) -> TaskOutlook:
-    """Return what the satellites of an environment can expect of its tasks now."""
-    fleet, now, views = scenario.fleet, scenario.task_time.view(-1, 1, 1), scenario.views()
-    pace, acceleration = (fleet.joined(parts).unsqueeze(2) for parts in zip(*map(_abilities, fleet.satellites), strict=True))
-    place = scenario.drawn("task_place")
-    height, rise, below = sight_times(*scenario.motion(), place)
-    radius2 = (views.r_P / EARTH_RADIUS).square().sum(-1).unsqueeze(2)
-    distance = (1.0 + radius2 - 2.0 * height).clamp(min=1e-12).sqrt() * EARTH_RADIUS
-    along = (dot(views.axis_P, place) - (views.r_P * views.axis_P).sum(-1).unsqueeze(2)) / distance
-    angle, cone = torch.acos(along.clamp(-1.0, 1.0)), views.tangent.atan().unsqueeze(2)
-    turn = turn_time(angle, cone, pace, acceleration)
-    start = torch.maximum(turn, rise)
-    progress = torch.where(angle > cone, 0.0, scenario.memory["task_progress"].unsqueeze(1))
-    remaining = scenario.drawn("task_duration").unsqueeze(1) - progress
-    last = torch.minimum(below, scenario.drawn("task_due").unsqueeze(1).clamp(max=scenario.horizon - 1.0) - now)
-    in_time = torch.maximum(scenario.haste * turn, rise) + remaining <= last
-    feasible = in_time & scenario.task_ongoing.unsqueeze(1) & scenario.present_now.unsqueeze(2)
-    return TaskOutlook(angle, turn, start, start + remaining, last, feasible)
-
-
-def _abilities(satellite: BoundSatellite) -> tuple[Tensor, Tensor]:
-    """Return how satellites of a type turn: their time constant, s, and acceleration, rad/s^2, [n] each."""
-    inertia, K, P, Ki = (satellite.simulator.argument(name) for name in ("inertia", "K", "P", "Ki"))
-    across = inertia[..., [0, 4]].amax(-1)  # of turns of the axis +z
-    return time_constant(across, K, P, Ki), MOST_TORQUE / across
 
 
 def find_candidates(outlook: TaskOutlook, held: Tensor, count: int) -> TaskCandidates:

@@ -163,12 +163,10 @@ class TaskReward(GlobalReward):
         return ends
 
     def _look(self, flight: Flight) -> None:
-        """Count the tasks of the episodes of a flight at each tick."""
         if len(flight.envs) and int(flight.ticks.max()):
             self._add(flight.envs, flight.ticks, self._counts_of(flight))
 
     def _counts_of(self, flight: Flight) -> Counts:
-        """Return the counts of a flight."""
         scenario, fleet, envs, K = self.scenario, self.fleet, flight.envs, int(flight.ticks.max())
         tick = torch.arange(1, K + 1, device=fleet.device)
         ongoing = scenario.timely(envs, (flight.since.unsqueeze(1) + tick).double() * fleet.h)
@@ -229,7 +227,6 @@ class TaskReward(GlobalReward):
         return self.of_channel(earned)
 
     def _nothing(self) -> Tensor:
-        """Return no reward for each satellite, [N, S]."""
         return torch.zeros(self.fleet.shape, dtype=torch.float64, device=self.fleet.device)
 
     def _ask_those_done(self) -> None:

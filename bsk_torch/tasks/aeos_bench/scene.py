@@ -15,11 +15,20 @@ from bsk_torch._checks import number
 from bsk_torch.rand import Key
 from bsk_torch.scene.base import Memo, Scenario
 from bsk_torch.scene.recorded import RecordedTargets
-from bsk_torch.sim.names import nearest
+from bsk_torch.sim.names import one_of
 from bsk_torch.tasks.aeos_bench.dyn import VIEWS
-from bsk_torch.tasks.aeos_bench.files import EARTH_RADIUS, HORIZON, Cases, read_cases
+from bsk_torch.tasks.aeos_bench.files import EARTH_RADIUS, HORIZON, MOST_TORQUE, Cases, read_cases
 from bsk_torch.tasks.aeos_bench.generator import AEOSBenchGenerator
-from bsk_torch.tasks.aeos_bench.outlook import EARTH_SPIN, TaskCandidates, TaskOutlook, find_candidates, find_outlook
+from bsk_torch.tasks.aeos_bench.outlook import (
+    EARTH_SPIN,
+    TaskCandidates,
+    TaskOutlook,
+    dot,
+    find_candidates,
+    sight_times,
+    time_constant,
+    turn_time,
+)
 
 if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
@@ -58,9 +67,6 @@ class AEOSBench(Scenario):
     counted by :class:`bsk_torch.tasks.aeos_bench.TaskReward`.
 
     The satellites of the cases come with :class:`bsk_torch.tasks.aeos_bench.preset.CaseSatellites`, as ``sat_arg_randomizer``.
-
-    Attributes:
-        cases: The cases.
     """
 
     def __init__(
@@ -76,7 +82,7 @@ class AEOSBench(Scenario):
 
         Args:
             cases: A folder with files of the benchmark, see :func:`bsk_torch.tasks.aeos_bench.read_cases`, its result, or a
-            generator.
+                generator.
             satellites: Satellites to which the cases of a folder are padded (default: the most of any case).
             tasks: Tasks to which they are padded, likewise.
             order: ``"random"``: every episode draws one of the cases. ``"listed"``: the episode with seed s in environment i
@@ -86,11 +92,9 @@ class AEOSBench(Scenario):
                 candidates that only a faster turn than expected completes in time, as half of all turns are.
 
         Raises:
-            ValueError: For another order, and as :func:`bsk_torch.tasks.aeos_bench.read_cases`.
-            FileNotFoundError: Likewise.
+            ValueError, FileNotFoundError: For a wrong argument, and as :func:`bsk_torch.tasks.aeos_bench.read_cases`.
         """
-        if order not in ORDERS:
-            raise ValueError(f"order={order!r} must be one of {list(ORDERS)}; {nearest(str(order), ORDERS)}")
+        self.order = one_of("order", order, ORDERS)
         in_memory = isinstance(cases, Cases | AEOSBenchGenerator)
         if in_memory and not (satellites is None and tasks is None):
             raise ValueError(f"satellites={satellites} and tasks={tasks} pad cases of a folder; those given have their sizes")
@@ -99,7 +103,6 @@ class AEOSBench(Scenario):
         self.cases = cases if isinstance(cases, Cases | AEOSBenchGenerator) else read_cases(cases, satellites, tasks)
         self.horizon = number("horizon", horizon, 0.0, unit="s", above=True)
         self.haste = number("haste", haste, 0.0, 1.0)
-        self.order = order
         self._memo = Memo()
 
     def case_of(self, key: Key) -> Tensor:
@@ -239,7 +242,24 @@ class AEOSBench(Scenario):
 
     def outlook(self) -> TaskOutlook:
         """Return what satellites can expect of tasks if they turn to them now."""
-        return self._memo.once("outlook", self.fleet, lambda: find_outlook(self))
+        return self._memo.once("outlook", self.fleet, self._outlook)
+
+    def _outlook(self) -> TaskOutlook:
+        fleet, now, views, place = self.fleet, self.task_time.view(-1, 1, 1), self.views(), self.drawn(PLACES)
+        pace, acceleration = (fleet.joined(parts).unsqueeze(2) for parts in zip(*map(_abilities, fleet.satellites), strict=True))
+        height, rise, below = sight_times(*self.motion(), place)
+        radius2 = (views.r_P / EARTH_RADIUS).square().sum(-1).unsqueeze(2)
+        distance = (1.0 + radius2 - 2.0 * height).clamp(min=1e-12).sqrt() * EARTH_RADIUS
+        along = (dot(views.axis_P, place) - (views.r_P * views.axis_P).sum(-1).unsqueeze(2)) / distance
+        angle, cone = torch.acos(along.clamp(-1.0, 1.0)), views.tangent.atan().unsqueeze(2)
+        turn = turn_time(angle, cone, pace, acceleration)
+        start = torch.maximum(turn, rise)
+        progress = torch.where(angle > cone, 0.0, self.memory["task_progress"].unsqueeze(1))
+        remaining = self.drawn("task_duration").unsqueeze(1) - progress
+        last = torch.minimum(below, self.drawn("task_due").unsqueeze(1).clamp(max=self.horizon - 1.0) - now)
+        in_time = torch.maximum(self.haste * turn, rise) + remaining <= last
+        feasible = in_time & self.task_ongoing.unsqueeze(1) & self.present_now.unsqueeze(2)
+        return TaskOutlook(angle, turn, start, start + remaining, last, feasible)
 
     def candidates(self, count: int) -> TaskCandidates:
         """Return the first ``count`` tasks of each satellite, in the order of their costs."""
@@ -307,6 +327,13 @@ class AEOSBench(Scenario):
         )
         tangent = self.fleet.joined([satellite.dynamics.sensor_cone for satellite in self.fleet.satellites])[flight.envs]
         return Views(r_P, axis_P, tangent.unsqueeze(2).expand(r_P.shape[:3]))
+
+
+def _abilities(satellite: BoundSatellite) -> tuple[Tensor, Tensor]:
+    """Return how satellites of a type turn: their time constant, s, and acceleration, rad/s^2, [n] each."""
+    inertia, K, P, Ki = (satellite.simulator.argument(name) for name in ("inertia", "K", "P", "Ki"))
+    across = inertia[..., [0, 4]].amax(-1)  # of turns of the axis +z
+    return time_constant(across, K, P, Ki), MOST_TORQUE / across
 
 
 class Sights(NamedTuple):

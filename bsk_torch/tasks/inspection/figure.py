@@ -7,7 +7,6 @@ from functools import partial
 from itertools import pairwise
 from math import inf, isfinite
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -130,8 +129,8 @@ class InspectionEpisode(TeamEpisode):
     @property
     @override
     def outcome(self) -> str:
-        known, lit = (int(torch.isfinite(at).sum()) for at in (self.inspected_at, self.lit_at))
-        done = f"{known} of {lit} lit points inspected"
+        inspected, lit = (int(torch.isfinite(at).sum()) for at in (self.inspected_at, self.lit_at))
+        done = f"{inspected} of {lit} lit points inspected"
         end = f", complete after {self.completed / HOUR:.1f} h" if isfinite(self.completed) else ""
         dead = int(torch.isfinite(self.deaths).sum())
         died = "" if not dead else ", died" if len(self.names) == 1 else f", {dead} of {len(self.names)} died"
@@ -241,21 +240,12 @@ def draw_paths(panel: Axes, episode: InspectionEpisode, x: int, y: int, near: bo
         rho = episode.rho_H[k, alive]
         panel.plot(rho[:, x], rho[:, y], color=color, linewidth=1.1, zorder=3)
         panel.plot(rho[0, x], rho[0, y], "o", color="white", markeredgecolor=color, markersize=6.0, zorder=5)
-        panel.plot(rho[-1, x], rho[-1, y], color=color, markeredgecolor="white", zorder=6, **_end(episode, k))
-        size, where = _maneuvers(episode, k)
-        area = SMALL + (LARGE - SMALL) * size / largest
+        marker, size = ("X", 9.0) if isfinite(float(episode.deaths[k])) else ("s", 6.0)
+        panel.plot(rho[-1, x], rho[-1, y], marker, color=color, markeredgecolor="white", markersize=size, zorder=6)
+        thrusts = episode.spent[k] > 0.0
+        where = episode.rho_H[k, episode.samples[:-1][thrusts]]
+        area = SMALL + (LARGE - SMALL) * episode.spent[k, thrusts] / largest
         panel.scatter(where[:, x], where[:, y], area, marker="^", color=color, edgecolors="white", linewidths=0.6, zorder=4)
-
-
-def _end(episode: InspectionEpisode, k: int) -> dict[str, Any]:
-    """Look of the end of a path."""
-    return dict(marker="X", markersize=9.0) if isfinite(float(episode.deaths[k])) else dict(marker="s", markersize=6.0)
-
-
-def _maneuvers(episode: InspectionEpisode, k: int) -> tuple[Tensor, Tensor]:
-    """Return changes of velocity [M], m/s, and where they were made, [M, 3]."""
-    there = episode.spent[k] > 0.0
-    return episode.spent[k, there], episode.rho_H[k, episode.samples[:-1][there]]
 
 
 # -- points ----------------------------------------------------------------------------------------------------------------------
@@ -288,7 +278,6 @@ def _map(panel: Axes, episode: InspectionEpisode, colors: str) -> None:
 
 
 def _night(panel: Axes, episode: InspectionEpisode) -> None:
-    """Shade the time in which the RSO is in the dark."""
     hours = (episode.path_times / HOUR).tolist()
     dark = (episode.illumination < DARK).tolist()
     edges = [0, *(k for k in range(1, len(dark)) if dark[k] != dark[k - 1]), len(dark) - 1]
@@ -298,11 +287,10 @@ def _night(panel: Axes, episode: InspectionEpisode) -> None:
 
 
 def _counts(panel: Axes, episode: InspectionEpisode) -> None:
-    """Numbers of points that have been lit, and inspected."""
     hours, last = (episode.times / HOUR).tolist(), len(episode.points)
     for at, color, width in ((episode.lit_at, LIT, 1.5), (episode.inspected_at, INK, 1.8)):
-        known = (at <= episode.times.unsqueeze(1)).sum(1).tolist()
-        panel.step(hours, known, where="post", color=color, linewidth=width)
+        count = (at <= episode.times.unsqueeze(1)).sum(1).tolist()
+        panel.step(hours, count, where="post", color=color, linewidth=width)
     if isfinite(episode.completed):
         panel.axvline(episode.completed / HOUR, color=PALETTE[2], linewidth=1.2, linestyle=(0, (2, 2)))
     panel.set_ylim(0.0, 1.05 * last)
@@ -310,7 +298,6 @@ def _counts(panel: Axes, episode: InspectionEpisode) -> None:
 
 
 def _fuel(panel: Axes, episode: InspectionEpisode) -> None:
-    """What the tanks are good for."""
     hours = (episode.times / HOUR).tolist()
     for k, color in enumerate(episode.colors):
         # maneuvers are made at the beginning of a step
@@ -327,7 +314,7 @@ def _legend(episode: InspectionEpisode) -> list[Artist]:
     names = [Line2D([], [], color=c, linewidth=2.0, label=name) for c, name in zip(episode.colors, episode.names, strict=True)]
     first = episode.colors[0] if len(names) == 1 else INK
     dead = torch.isfinite(episode.deaths)
-    there: list[tuple[bool, Artist]] = [
+    entries: list[tuple[bool, Artist]] = [
         (True, dot("o", "white", first, "start")),
         (not bool(dead.all()), dot("s", first, "white", "end")),
         (bool(dead.any()), dot("X", first, "white", "died")),
@@ -341,4 +328,4 @@ def _legend(episode: InspectionEpisode) -> list[Artist]:
         (isfinite(episode.completed), Line2D([], [], color=PALETTE[2], linewidth=1.2, linestyle=(0, (2, 2)), label="complete")),
         (bool((episode.illumination < DARK).any()), Patch(color=NIGHT, alpha=0.12, label="eclipse")),
     ]
-    return [*names, *(handle for shown, handle in there if shown)]
+    return [*names, *(handle for shown, handle in entries if shown)]

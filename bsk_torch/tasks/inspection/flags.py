@@ -124,16 +124,10 @@ def _look(
     inspected: tuple[Tensor, ...],
     lit: tuple[Tensor, ...],
 ) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
-    """Return flags, 0 or 1 for each entry of ``points``, after a record.
+    """Return the flags ``inspected`` and ``lit``, 0 or 1 for each entry of ``points``, after a record.
 
-    Args:
-        points: The points, one by one, or all of them as a single entry of tensors.
-        limits: Bounds over all points.
-        at: The record.
-        counts: Whether access counts: the store changes after it.
-        lights: Whether light counts.
-        inspected: Flags of inspected points before it.
-        lit: Flags of lit points before it.
+    ``points`` are single ones, or all of them as one entry of tensors. ``counts`` tells whether access counts, since the store
+    changes after the record, and ``lights`` whether light does.
     """
     BN = mrp_to_dcm(at.sigma_BN)
     s_B, rho_N = BN @ at.sun_N.unit(), at.inspector_N - at.r_BN_N
@@ -217,7 +211,6 @@ def flags_kernel(source: str, chief_fields: tuple[Field, ...], inspector_fields:
 
 
 def _run_kernels(columns: Tensor, records: Records) -> tuple[Tensor, Tensor]:
-    """See :func:`find_flags`; flags as numbers."""
     ticks, source = records.ticks, "shared" if columns.ndim == 2 else "own"
     limits = torch.stack([ticks - 1, records.seen_from, records.lit_from]).double()
     pairs = (records.chief, records.chief_rows), (records.inspectors, records.inspector_rows)
@@ -238,7 +231,6 @@ def _run_kernels(columns: Tensor, records: Records) -> tuple[Tensor, Tensor]:
 
 
 def _filled(columns: Tensor) -> Tensor:
-    """Repeat the last point until there are whole groups."""
     missing = -columns.shape[-1] % GROUP
     return torch.cat([columns, columns[..., -1:].expand(*columns.shape[:-1], missing)], -1)
 
@@ -247,7 +239,6 @@ def _filled(columns: Tensor) -> Tensor:
 
 
 def _run_tensors(columns: Tensor, records: Records) -> tuple[Tensor, Tensor]:
-    """See :func:`find_flags`; flags as numbers."""
     ticks, seen_from, lit_from = (part.unsqueeze(-1) for part in records[4:])
     points, limits = Point.of(columns), _Limits(*_bounds(columns).unsqueeze(-1))
     inspected = torch.zeros(len(ticks), columns.shape[-1], dtype=torch.float64, device=columns.device)

@@ -72,8 +72,8 @@ from bsk_torch.astro.orbit import hill_frame, hill_rate
 from bsk_torch.astro.relative import fibonacci_sphere
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.sim import dyn, fsw
-from bsk_torch.tasks.inspection.dyn import RSODynModel, RSOInspectorDynModel
-from bsk_torch.tasks.inspection.fsw import RSOInspectorFSWModel
+from bsk_torch.sim.names import one_of
+from bsk_torch.tasks.inspection.models import RSODynModel, RSOInspectorDynModel, RSOInspectorFSWModel
 from bsk_torch.tasks.inspection.obs import rso_imaged_regions
 from bsk_torch.tasks.inspection.reward import RSOInspectionReward
 from bsk_torch.tasks.inspection.scene import SphericalRSO
@@ -121,9 +121,8 @@ class EccentricOrbit(rand.Distribution):
 class RelativeState(rand.Distribution):
     """Position, m, and velocity, m/s, in uniform directions of the RSO's Hill frame, with uniform lengths, [n, 6]."""
 
-    def __init__(self, nearest: float = 250.0, farthest: float = 750.0, fastest: float = 1.0) -> None:
-        """Set the bounds of the distance, m, and of the speed, m/s."""
-        self.bounds = (nearest, farthest), (0.0, fastest)
+    bounds = (250.0, 750.0), (0.0, 1.0)
+    """Bounds of the distance, m, and of the speed, m/s."""
 
     @override
     def draw(self, key: rand.Key) -> Tensor:
@@ -162,7 +161,6 @@ class OtherInspectors(obs.Observation):
         r_N, v_N, alive = satellite.dynamics.r_BN_N, satellite.dynamics.v_BN_N, ~satellite.task.dead & satellite.present
 
         def behind(table: Tensor, k: int) -> Tensor:
-            """Return the rows of the inspectors k places later."""
             return table.view(-1, count, *table.shape[1:]).roll(-k, 1).flatten(0, 1)
 
         parts = []
@@ -249,14 +247,8 @@ TUMBLING = "OfTumbling"
 
 @cache
 def crew_member(n_inspectors: int, actions: str, tumbling: bool = False) -> type[Inspector]:
-    """Return the class of an inspector that observes the others of ``n_inspectors``, and the rotation of a ``tumbling`` RSO.
-
-    Raises:
-        ValueError: For unknown ``actions``.
-    """
-    if actions not in ACTIONS:
-        raise ValueError(f"actions={actions!r} must be one of {list(ACTIONS)}")
-    kind = ACTIONS[actions]
+    """Return the class of an inspector that observes the others of ``n_inspectors``, and the rotation of a ``tumbling`` RSO."""
+    kind = ACTIONS[one_of("actions", actions, ACTIONS)]
     peers = (OtherInspectors(n_inspectors),) if n_inspectors > 1 else ()
     more = (*peers, *((rotation(),) if tumbling else ()))
     if not more:

@@ -86,7 +86,6 @@ def regions_kernel(regions: int) -> Kernel:
 
 
 def _run_kernel(inspected: Tensor, r_PB_B: Tensor, centers: Tensor) -> tuple[Tensor, Tensor]:
-    """See :func:`_run_tensors`."""
     (n, points), regions = inspected.shape, centers.shape[1]
     points_of = r_PB_B.unsqueeze(0) if r_PB_B.ndim == 2 else r_PB_B
     owner = torch.zeros(n, dtype=torch.int64) if r_PB_B.ndim == 2 else None

@@ -131,12 +131,10 @@ class RSOInspectionReward(GlobalReward):
 
     def _look(self, flight: Flight) -> None:
         """Record the points of the episodes of a flight."""
-        fleet, scenario = self.fleet, self._points
-        step = self._step
+        fleet, scenario, step = self.fleet, self._points, self._step
         if step is None:
             none = torch.zeros(fleet.num_envs, fleet.size, scenario.n_points, dtype=torch.bool, device=fleet.device)
-            step = _StepFlags(torch.zeros(fleet.num_envs, dtype=torch.bool, device=fleet.device), none, none.clone())
-            self._step = step
+            step = self._step = _StepFlags(torch.zeros_like(none[:, 0, 0]), none, none.clone())
         step.moved[flight.envs] = True
         if not len(flight.envs) or not int(flight.ticks.max()):
             return
@@ -153,7 +151,6 @@ class RSOInspectionReward(GlobalReward):
                 table[flight.envs.unsqueeze(-1), fleet.columns[k]] = entries
 
     def _records(self, flight: Flight, k: int) -> Records:
-        """Return the records of the inspectors of type k in a flight."""
         chief, inspectors = flight.traces[self._points.rso_type], flight.traces[k]
         assert chief is not None
         assert inspectors is not None
@@ -242,7 +239,6 @@ class RSOInspectionReward(GlobalReward):
         return reward + self.of_channel(bonus.expand_as(reward))
 
     def _completed(self) -> Tensor:
-        """Return the episodes in which the conditions of completion hold, [N]."""
         inspected, lit = (points.sum(1).double() for points in (self.inspected, self.illuminated))
         enough = (lit >= self.min_illuminated_for_completion * self._points.n_points) | (
             self.fleet.sim_time > self.min_time_for_completion

@@ -90,7 +90,6 @@ def _events(title: str, events: object) -> tuple[RSOPriorityEvent, ...]:
 
 
 def _unique(names: Sequence[str], what: str) -> None:
-    """Raise ValueError if some of the ``names``, ``what`` in the message, are equal."""
     twice = sorted(name for name, count in Counter(names).items() if count > 1)
     if twice:
         raise ValueError(f"{what} must be unique; {twice} occur more than once")
@@ -126,7 +125,6 @@ class RSOTarget:
     physical_parameters: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
-        """Check the values; sequences become tuples. ValueError for a wrong one."""
         title = f"RSOTarget({text('RSOTarget: id', self.id)!r})"
         text(f"{title}: satellite_name", self.satellite_name)
         for name, bound in (("rN", FARTHEST), ("vN", FASTEST)):
@@ -179,7 +177,6 @@ class RSOPriorityEvent:
     priorities: tuple[tuple[str, float], ...]
 
     def __post_init__(self) -> None:
-        """Check the values; ValueError for a wrong one."""
         object.__setattr__(self, "time_s", number("RSOPriorityEvent: time_s", self.time_s, 0.0, unit="s"))
         title = "RSOPriorityEvent: priorities"
         pairs = tuple(
@@ -222,7 +219,6 @@ class RSOTargetCatalog:
     priority_events: tuple[RSOPriorityEvent, ...] = field(default=())
 
     def __post_init__(self) -> None:
-        """Check the values; ValueError for a wrong one."""
         items = tuple(self.targets) if isinstance(self.targets, Iterable) and not isinstance(self.targets, Tensor) else (None,)
         if not all(isinstance(part, RSOTarget) for part in items):
             raise ValueError(f"RSOTargetCatalog: targets={self.targets!r} must be a list of RSOTarget")
@@ -306,11 +302,7 @@ def _named_as_now(entry: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class RandomRSOCatalog:
-    """Targets on random orbits, others in each episode; their ids are ``"rso-0"`` and so on.
-
-    Attributes:
-        ids: Ids of the targets.
-    """
+    """Targets on random orbits, others in each episode; their ids are ``"rso-0"`` and so on."""
 
     def __init__(
         self,

@@ -29,8 +29,7 @@ from bsk_torch.data import ComposedReward
 from bsk_torch.recording.reading import Reading, hermite
 from bsk_torch.recording.recording import Recording
 from bsk_torch.recording.table import Columns
-from bsk_torch.sim.names import nearest
-from bsk_torch.tasks.objects.candidates import Candidates
+from bsk_torch.sim.names import one_of
 from bsk_torch.tasks.objects.reward import RSOImageReward
 from bsk_torch.tasks.objects.scene import RSOTargets
 from bsk_torch.vec3 import Vec3
@@ -193,8 +192,8 @@ class RSOImagingEpisode(TeamEpisode):
 
     def on_board(self) -> Tensor:
         """Return the number of images on board of each imager at each decision boundary, [I, B]."""
-        there = (self.taken.unsqueeze(1) <= self.times) & (self.times < self.delivered.unsqueeze(1))
-        return torch.zeros(len(self.names), len(self.times), dtype=torch.float64).index_add(0, self.imager, there.double())
+        aboard = (self.taken.unsqueeze(1) <= self.times) & (self.times < self.delivered.unsqueeze(1))
+        return torch.zeros(len(self.names), len(self.times), dtype=torch.float64).index_add(0, self.imager, aboard.double())
 
     def to_numpy(self) -> Columns:
         """Return the episode as a table: a row for each imager at each decision boundary, in the order of time.
@@ -233,27 +232,24 @@ def sky_of(env: Tasking, imager: str | None = None, env_row: int = 0) -> Sky:
     rewarder = next((part for part in parts if isinstance(part, RSOImageReward)), None)
     if rewarder is None or not isinstance(scenario, RSOTargets):
         raise ValueError(f"env has the scenario {scenario!r}; imaging in orbit needs RSOTargets and an RSOImageReward")
-    name = scenario.imager_names[0] if imager is None else imager
-    if name not in scenario.imager_names:
-        raise ValueError(f"imager={name!r} is none of {list(scenario.imager_names)}; {nearest(str(name), scenario.imager_names)}")
+    name = scenario.imager_names[0] if imager is None else one_of("imager", imager, scenario.imager_names)
     whole("env_row", env_row, 0, env.batch_size[0] - 1)
     kind, number = env.fleet.place_of(name)
     satellite = env.fleet.satellites[kind]
     row = env_row * satellite.simulator.count + number
-    place = torch.arange(scenario.n_targets, device=satellite.simulator.device).expand(satellite.simulator.state.rows, -1)
-    everything = Candidates(place, torch.ones_like(place, dtype=torch.bool))
-    seen = scenario.views(satellite, everything)
+    everything = scenario.all_targets(satellite)
+    views = scenario.views(satellite, everything)
     candidates = scenario.candidates(satellite, scenario.n_targets)
-    _, ahead, normal = seen.rel_pos_vector_r_BR_H[row].cpu().unbind(-1)
+    _, ahead, normal = views.rel_pos_vector_r_BR_H[row].cpu().unbind(-1)
     height = float(satellite.dynamics.r_BN_N[row].norm())
     return Sky(
         imager=name,
         time=float(env.fleet.sim_time[env_row]),
         ids=scenario.ids,
         azimuth=torch.rad2deg(torch.atan2(-normal, ahead)),
-        elevation=seen.target_elevation_angle[row].cpu(),
+        elevation=views.target_elevation_angle[row].cpu(),
         limb=-float(torch.rad2deg(torch.acos(torch.tensor(R_EARTH / height)))),
-        light=seen.target_illumination_factor[row].cpu(),
+        light=views.target_illumination_factor[row].cpu(),
         in_sight=scenario.in_sight(satellite, everything)[row].cpu(),
         priority=scenario.priority[env_row].cpu(),
         pending=scenario.pending[env_row].cpu(),
@@ -276,8 +272,8 @@ def sky_figure(sky: Sky, path: Path, title: str = "", width: float = WIDTH) -> P
     area = SMALL + (LARGE - SMALL) * (sky.priority / sky.priority.max().clamp(min=1e-12)).clamp(min=0.0)
     lit = sky.light >= LIGHT
     for rows, color in ((lit, SUNLIT), (~lit, DARK)):
-        for seen, face in ((sky.in_sight, color), (~sky.in_sight, "white")):
-            now = rows & seen
+        for sight, face in ((sky.in_sight, color), (~sky.in_sight, "white")):
+            now = rows & sight
             panel.scatter(x[now], y[now], area[now], color=face, edgecolors=color, linewidths=1.1, zorder=3, clip_on=False)
     for rows, color in ((sky.imaged & (sky.pending == 0), IMAGED), (sky.pending > 0, PENDING)):
         panel.scatter(
@@ -320,7 +316,6 @@ def _keep_apart(numbers: Sequence[Annotation], names: Sequence[Text], scale: flo
 
 
 def _horizon(panel: Axes, sky: Sky) -> None:
-    """Draw the Earth, the local horizontal and the names of directions."""
     around = torch.linspace(-math.pi, math.pi, 181, dtype=torch.float64)
     panel.fill_between(around, -0.5 * math.pi, math.radians(sky.limb), color=EARTH, linewidth=0, zorder=0)
     panel.plot(around, torch.full_like(around, math.radians(sky.limb)), color=INK, linewidth=1.0, zorder=1)
@@ -336,7 +331,7 @@ def _horizon(panel: Axes, sky: Sky) -> None:
 
 def _sky_legend(sky: Sky) -> list[Artist]:
     lit, numbered = sky.light >= LIGHT, min(NUMBERED, len(sky.candidates))
-    there: list[tuple[bool, Artist]] = [
+    entries: list[tuple[bool, Artist]] = [
         (bool((lit & sky.in_sight).any()), dot("o", SUNLIT, SUNLIT, "lit")),
         (bool((~lit & sky.in_sight).any()), dot("o", DARK, DARK, "in eclipse")),
         (bool((lit & ~sky.in_sight).any()), dot("o", "white", SUNLIT, "lit, hidden by the Earth")),
@@ -358,7 +353,7 @@ def _sky_legend(sky: Sky) -> list[Artist]:
             ),
         ),
     ]
-    return [handle for shown, handle in there if shown]
+    return [handle for shown, handle in entries if shown]
 
 
 def _ring(color: str, name: str) -> Line2D:
@@ -423,10 +418,10 @@ def _legend(episode: RSOImagingEpisode) -> list[Artist]:
     names = [Line2D([], [], color=c, linewidth=2.0, label=name) for c, name in zip(episode.colors, episode.names, strict=True)]
     first = episode.colors[0] if len(names) == 1 else INK
     dark = bool((episode.light[episode.target.unique()] < LIGHT).any())
-    there: list[tuple[bool, Artist]] = [
+    entries: list[tuple[bool, Artist]] = [
         (len(episode.taken) > 0, dot("o", first, "white", "image")),
         (len(episode.taken) > 0, Patch(color=first, alpha=0.3, label="on board")),
         (bool(torch.isfinite(episode.delivered).any()), dot("v", first, "white", "delivered")),
         (dark, Patch(color=NIGHT, alpha=0.2, label="object in eclipse")),
     ]
-    return [*names, *(handle for shown, handle in there if shown)]
+    return [*names, *(handle for shown, handle in entries if shown)]

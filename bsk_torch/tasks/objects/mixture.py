@@ -10,9 +10,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import number, switch, text
+from bsk_torch._checks import number, switch
 from bsk_torch.rand import Key
-from bsk_torch.sim.names import nearest
+from bsk_torch.sim.names import one_of
 
 BODY = 6371e3
 """Radius from which altitudes count, m."""
@@ -59,14 +59,9 @@ class RSOMixture:
     exact: bool = False
 
     def __post_init__(self) -> None:
-        """Check the shares; ValueError for wrong ones."""
         switch("exact", self.exact)
         if isinstance(self.shares, str):
-            if text("shares", self.shares) not in SHARES:
-                raise ValueError(
-                    f"shares={self.shares!r} must be three numbers or one of {list(SHARES)}; {nearest(self.shares, SHARES)}"
-                )
-            if self.shares == "LEO":
+            if one_of("shares", self.shares, SHARES) == "LEO":
                 object.__setattr__(self, "shares", (1.0, 0.0, 0.0))
             return
         entries = tuple(self.shares) if isinstance(self.shares, Sequence) else ()

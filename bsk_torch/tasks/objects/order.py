@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from bsk_torch.astro.eclipse import illumination
-from bsk_torch.tasks.objects.candidates import Candidates
 from bsk_torch.tasks.objects.outlook import LIT, expected_rate
 from bsk_torch.vec3 import Vec3
 
@@ -34,8 +33,7 @@ def by_priority_per_second(scenario: RSOTargets, satellite: BoundSatellite) -> T
     cosine = (rho * scenario.axis_N(satellite).unsqueeze(1)).sum(-1) / rho.norm(dim=-1)
     angle = torch.rad2deg(torch.acos(cosine.clamp(-1.0, 1.0)))
     light = illumination(Vec3.of(r_TN_N), Vec3.of(satellite.simulator.world.r_SN_N.unsqueeze(1).expand_as(r_TN_N)))
-    number = torch.arange(scenario.n_targets, device=angle.device).expand(angle.shape)
-    clear = scenario.in_sight(satellite, Candidates(number, torch.ones_like(number, dtype=torch.bool)))
+    clear = scenario.in_sight(satellite, scenario.all_targets(satellite))
     rate = satellite.of_env(scenario.priority) / (START + PER_DEGREE * angle)
     return torch.where(clear, torch.where(light >= LIT, -rate, angle), 360.0 + angle)
 
@@ -47,8 +45,7 @@ def by_priority_per_second_ahead(scenario: RSOTargets, satellite: BoundSatellite
     :class:`~bsk_torch.tasks.objects.outlook.Outlook`. Objects that will be in the dark come next, those that will be behind the
     Earth last, by their durations.
     """
-    number = torch.arange(scenario.n_targets, device=scenario.fleet.device).expand(satellite.simulator.state.rows, -1)
-    outlook = scenario.outlook(satellite, Candidates(number, torch.ones_like(number, dtype=torch.bool)))
+    outlook = scenario.outlook(satellite, scenario.all_targets(satellite))
     rate, seconds = expected_rate(satellite.of_env(scenario.priority), outlook), outlook.expected_duration
     last = torch.where(outlook.expected_in_sight > 0.0, seconds, 360.0 + seconds)
     return torch.where(rate > 0.0, -rate, last)

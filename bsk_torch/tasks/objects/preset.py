@@ -61,7 +61,7 @@ from bsk_torch.presets.nadir_scan import ORBIT
 from bsk_torch.sats import BoundSatellite
 from bsk_torch.sim import dyn
 from bsk_torch.sim.dyn import Now, observable
-from bsk_torch.sim.names import nearest
+from bsk_torch.sim.names import one_of
 from bsk_torch.tasks.objects.act import ImageRSO
 from bsk_torch.tasks.objects.catalog import RandomRSOCatalog, RSOPriorityEvent
 from bsk_torch.tasks.objects.dyn import SpaceToSpaceImagingDynModel
@@ -296,15 +296,11 @@ def services(
         sat_args: Arguments of the satellite that replace those of the preset.
         obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations (default: with ``as_set``).
         **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset.
-
-    Raises:
-        ValueError: For a wrong argument.
     """
-    if order not in ORDERS:
-        raise ValueError(f"order={order!r} must be one of {list(ORDERS)}; {nearest(str(order), ORDERS)}")
+    ranks = ORDERS[one_of("order", order, ORDERS)]
     catalog = servicing_catalog(n_targets, mixture, exact_mixture, priority_sum, priority_event)
     defaults: dict[str, Any] = dict(
-        scenario=RSOTargets(catalog, ["SS1"], order=ORDERS[order]),
+        scenario=RSOTargets(catalog, ["SS1"], order=ranks),
         rewarder=(
             RSOImageReward(cooldown_orbits=2.0, delivery_share=delivery_share, advance=advance),
             data.OperationsPenalty(low_battery_penalty, full_storage_penalty, empty_downlink_penalty),

@@ -126,7 +126,6 @@ class RecordBook(StateTable):
         return torch.where(exists, number, NONE)
 
     def _make_room(self, records: int) -> None:
-        """Make room for so many records."""
         missing = records - self.target.shape[1]
         if missing <= 0:
             return

@@ -257,17 +257,12 @@ class RSOImageReward(GlobalReward):
 
     def read_log(self) -> Log:
         """See :meth:`GlobalReward.read_log`; the number of images, the last one, and the partitions of the stores."""
-        log = {name: self.fleet.each(_observable(name)) for name in LOGGED}
-        log |= {name: self.fleet.each(_field(name)) for name in FIELDS}
+        log = {name: self.fleet.each(_reader(name)) for name in (*LOGGED, *FIELDS)}
         log["target"] = self.fleet.each(_target, missing=NONE)
         return log
 
+    @override
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        """See :meth:`GlobalReward.calculate_reward`.
-
-        Raises:
-            ValueError: If a user function gives a reward that is not finite.
-        """
         old, new = ({name: value[:, self._columns] for name, value in log.items()} for log in (before, after))
         captured, unfinished, size = *self._captures(old, new), new["instrument_baud"]
         captured = self._recorded(captured)
@@ -457,22 +452,12 @@ FIELDS = ("rso_stored_tick", "rso_open", "rso_left_target", "rso_light", "rso_he
 """Fields of their state, likewise."""
 
 
-def _observable(name: str) -> Callable[[BoundSatellite], Tensor]:
-    """Return a function that reads a property of imagers; AttributeError for other satellites."""
+def _reader(name: str) -> Callable[[BoundSatellite], Tensor]:
+    """Return a function that reads a property or a field of imagers; AttributeError for other satellites."""
 
     def read(satellite: BoundSatellite) -> Tensor:
         images = satellite.dynamics.rso_images
-        return images if name == "rso_images" else getattr(satellite.dynamics, name)
-
-    return read
-
-
-def _field(name: str) -> Callable[[BoundSatellite], Tensor]:
-    """Return a function that reads a field of imagers; AttributeError for other satellites."""
-
-    def read(satellite: BoundSatellite) -> Tensor:
-        images = satellite.dynamics.rso_images
-        return satellite.simulator.read(name).to(images.dtype)
+        return satellite.simulator.read(name).to(images.dtype) if name in FIELDS else getattr(satellite.dynamics, name)
 
     return read
 

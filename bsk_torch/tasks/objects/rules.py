@@ -17,7 +17,7 @@ from bsk_torch.env import SatelliteTasking
 from bsk_torch.rl.rules.observation_columns import Columns
 from bsk_torch.rl.rules.targets import Observation, TargetReader, image_actions
 from bsk_torch.sats.bound import BoundSatellite
-from bsk_torch.tasks.objects.candidates import HIGHEST, LOWEST, Candidates, Views
+from bsk_torch.tasks.objects.candidates import HIGHEST, LOWEST, Views
 from bsk_torch.tasks.objects.obs import EXPECTED_RATE
 from bsk_torch.tasks.objects.order import PER_DEGREE, START, by_priority_per_second, by_priority_per_second_ahead
 from bsk_torch.tasks.objects.outlook import LIT
@@ -61,8 +61,7 @@ class Upkeep:
 
 def whole_catalog(scenario: RSOTargets, satellite: BoundSatellite) -> tuple[Views, Tensor]:
     """Return how satellites see all objects of a catalog, and which are at an elevation from -21 to 90 degrees, [N, G] each."""
-    number = torch.arange(scenario.n_targets, device=scenario.fleet.device).expand(satellite.simulator.state.rows, -1)
-    views = scenario.views(satellite, Candidates(number, torch.ones_like(number, dtype=torch.bool)))
+    views = scenario.views(satellite, scenario.all_targets(satellite))
     return views, (views.target_elevation_angle >= LOWEST) & (views.target_elevation_angle <= HIGHEST)
 
 

@@ -24,12 +24,12 @@ from bsk_torch.scene.base import Memo, Scenario, Value
 from bsk_torch.scene.recorded import RecordedTargets
 from bsk_torch.sim.dyn.hub import initial_orbit
 from bsk_torch.sim.hooks import check_tensor
-from bsk_torch.sim.names import nearest
+from bsk_torch.sim.names import nearest, one_of
 from bsk_torch.sim.orbit.flights import make_flights
 from bsk_torch.sim.state import FINITE
 from bsk_torch.tasks.objects.aim import AIM, NO_AIM, AimedNodes
 from bsk_torch.tasks.objects.candidates import Candidates, Moment, Views, in_order, ranked, views
-from bsk_torch.tasks.objects.catalog import RandomRSOCatalog, RSOTarget, RSOTargetCatalog, among
+from bsk_torch.tasks.objects.catalog import RandomRSOCatalog, RSOTarget, RSOTargetCatalog
 from bsk_torch.tasks.objects.dyn import RSO_TRACK, SpaceToSpaceImagingDynModel
 from bsk_torch.tasks.objects.fsw import SpaceToSpaceImagingFSWModel
 from bsk_torch.tasks.objects.orbits import CatalogOrbits, Epoch, ObjectStates
@@ -87,9 +87,6 @@ class RSOTargets(Scenario):
 
     Attributes:
         ids: Ids of the targets.
-        imager_names: Names of the imagers.
-        block_pending_targets: See above.
-        knowledge: See above.
         records: Records of captures and who knows them, with ``knowledge="own"``, once an environment has been built.
         imager_types: Indices of the types of satellites with imagers, once an environment has been built.
         imager_columns: Indices of the imagers among the satellites of an episode, [A], likewise.
@@ -142,9 +139,7 @@ class RSOTargets(Scenario):
         if len(set(self.imager_names)) < len(self.imager_names):
             raise ValueError(f"imager_names={list(self.imager_names)} must be unique")
         self.block_pending_targets = switch("block_pending_targets", block_pending_targets)
-        if text("knowledge", knowledge) not in KNOWLEDGE:
-            raise ValueError(f"knowledge={knowledge!r} must be one of {list(KNOWLEDGE)}; {nearest(knowledge, KNOWLEDGE)}")
-        self.knowledge = knowledge
+        self.knowledge = one_of("knowledge", knowledge, KNOWLEDGE)
         self.order = None if order is None else function("order", order, "scenario and satellite")
         self._events = _event_table(first)
 
@@ -174,12 +169,6 @@ class RSOTargets(Scenario):
         """Number of targets G."""
         return len(self.ids)
 
-    def index_of(self, target_id: str) -> int:
-        """Return the number of a target; ValueError for an unknown id, with the nearest one."""
-        if target_id not in self.ids:
-            raise ValueError(f"{target_id!r} is no target of the catalog; {among(str(target_id), self.ids)}")
-        return self.ids.index(target_id)
-
     def catalog_of(self, env: int) -> RSOTargetCatalog:
         """Return the catalog of the current episode of environment ``env``, with its epoch, to be saved."""
         r_N, v_N, priority = (self.drawn(name)[env].tolist() for name in (POSITIONS, VELOCITIES, PRIORITIES))
@@ -193,18 +182,14 @@ class RSOTargets(Scenario):
 
     # -- satellites ---------------------------------------------------------------------------------------------------
 
+    @override
     def _own_arguments(self, satellite: Satellite) -> dict[str, Any]:
-        """See :meth:`Scenario._own_arguments`; the partitions of imagers."""
         if satellite.name not in self.imager_names:
             return {}
         return {"bufferNames": [partition_name(key) for key in self.ids], "transmitterNumBuffers": self.n_targets}
 
+    @override
     def validate_satellite_names(self, satellites: Sequence[Satellite]) -> None:
-        """See :meth:`Scenario.validate_satellite_names`.
-
-        Raises:
-            ValueError: For an imager that is missing, is not named or lacks a model, or a satellite in the place of a target.
-        """
         by_name = {satellite.name: satellite for satellite in satellites}
         for name in self.imager_names:
             if name not in by_name:
@@ -445,6 +430,11 @@ class RSOTargets(Scenario):
             return Candidates(candidates.place[:, :count], candidates.exists[:, :count])
         return Candidates(*(torch.nn.functional.pad(part, (0, missing)) for part in candidates))
 
+    def all_targets(self, satellite: BoundSatellite) -> Candidates:
+        """Return all targets for each satellite of a type, in their order and whether they are candidates or not, [n, G]."""
+        place = torch.arange(self.n_targets, device=self.fleet.device).expand(satellite.simulator.state.rows, -1)
+        return Candidates(place, torch.ones_like(place, dtype=torch.bool))
+
     def views(self, satellite: BoundSatellite, candidates: Candidates) -> Views:
         """Return what satellites of a type see of their candidates, [n, k, ...] each."""
         return views(*self._states_of(satellite, candidates), self._moment(satellite))
@@ -467,11 +457,9 @@ class RSOTargets(Scenario):
 
     @staticmethod
     def _envs(satellite: BoundSatellite) -> Tensor:
-        """Return the episode of each satellite of a type, [n]."""
         return satellite.simulator.state.all_rows // satellite.simulator.count
 
     def _moment(self, satellite: BoundSatellite) -> Moment:
-        """Return the satellites of a type at this decision."""
         dynamics = satellite.dynamics
         return Moment(dynamics.r_BN_N, dynamics.v_BN_N, self.axis_N(satellite), satellite.simulator.world.r_SN_N)
 

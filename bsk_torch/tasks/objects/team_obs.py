@@ -59,7 +59,16 @@ def of_peers(satellite: BoundSatellite, table: Tensor) -> Tensor:
     return scenario.of_imagers(satellite, table.gather(2, index))
 
 
-class RSOTaskStatus(Observation):
+class ImagerObservation(Observation):
+    """An observation of imagers of a catalog only."""
+
+    @override
+    def link_satellite(self, satellite: BoundSatellite) -> None:
+        super().link_satellite(satellite)
+        check_imager(satellite, f"{type(self).__name__} {self.name!r}")
+
+
+class RSOTaskStatus(ImagerObservation):
     """The task of an imager, and what others have not been told; 12 numbers.
 
     ====================  ============================================================================================
@@ -80,11 +89,6 @@ class RSOTaskStatus(Observation):
         """Divide times by ``norm``, s; ValueError unless it is positive."""
         super().__init__(name)
         self.norm = number("norm", norm, 0.0, unit="s", above=True)
-
-    @override
-    def link_satellite(self, satellite: BoundSatellite) -> None:
-        super().link_satellite(satellite)
-        check_imager(satellite, f"RSOTaskStatus {self.name!r}")
 
     @override
     def get_obs(self) -> Values:
@@ -123,7 +127,7 @@ class RSOTaskStatus(Observation):
         return share
 
 
-class RSOPeers(Observation):
+class RSOPeers(ImagerObservation):
     """The other imagers in the order of :class:`~bsk_torch.tasks.objects.TransmitCatalog`; 12 numbers each.
 
     =====================  =======================================================================================
@@ -144,11 +148,6 @@ class RSOPeers(Observation):
         """Observe ``n_peers`` others; ValueError unless there are as many."""
         super().__init__(name)
         self.n_peers = whole("n_peers", n_peers, 1)
-
-    @override
-    def link_satellite(self, satellite: BoundSatellite) -> None:
-        super().link_satellite(satellite)
-        check_imager(satellite, f"RSOPeers {self.name!r}")
 
     @override
     def get_obs(self) -> Values:
@@ -182,7 +181,7 @@ class RSOPeers(Observation):
         return {f"{self.name}_{k}": {name: value[:, k] for name, value in masked.items()} for k in range(self.n_peers)}
 
 
-class RSOTeamState(Observation):
+class RSOTeamState(ImagerObservation):
     """A summary of the other imagers from which there has been a message, however many there are; 24 numbers.
 
     ======================  =======================================================================================
@@ -211,10 +210,9 @@ class RSOTeamState(Observation):
         self.n_peers = whole("n_peers", n_peers, 1)
         self.norm = number("norm", norm, 0.0, unit="s", above=True)
 
+    @override
     def link_satellite(self, satellite: BoundSatellite) -> None:
-        """See :meth:`Observation.link_satellite`; ValueError unless it is an imager of a catalog, with one such observation."""
         super().link_satellite(satellite)
-        check_imager(satellite, f"RSOTeamState {self.name!r}")
         if HEARD in satellite.simulator.memory:
             raise ValueError(f"{satellite.name!r} has two observations RSOTeamState; one summarizes all peers")
         satellite.simulator.memory.declare(HEARD, 0.0, self.n_peers, 5, low=0.0, high=FINITE)

@@ -74,7 +74,7 @@ from bsk_torch._checks import switch
 from bsk_torch.astro.elements import ClassicElements
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.sim.dyn.events import LEFT_OVER
-from bsk_torch.sim.names import nearest
+from bsk_torch.sim.names import one_of
 from bsk_torch.tasks.objects.act import ImageRSO
 from bsk_torch.tasks.objects.comm import CatalogCommunication
 from bsk_torch.tasks.objects.fsw import CatalogRadioFSWModel
@@ -97,8 +97,8 @@ from bsk_torch.tasks.objects.team_act import TransmitCatalog
 from bsk_torch.tasks.objects.team_obs import RSOPeers, RSOTaskStatus
 from bsk_torch.tasks.objects.team_reward import RSOTeamReward
 
-INFORMATION = ("independent", "ideal", "radio")
-"""What imagers are told of the images of others."""
+COMMUNICATORS = {"independent": comm.NoCommunication, "ideal": comm.FreeCommunication, "radio": CatalogCommunication}
+"""What imagers are told of the images of others, by name."""
 
 RETASKING = ("conflict", "continuous")
 """When busy imagers decide."""
@@ -229,13 +229,6 @@ KINDS = {
 """Sensors that observe candidates in one vector, as a set, or as a set with an outlook, by the number of those with a radio."""
 
 
-def choice(title: str, value: object, options: Sequence[str]) -> str:
-    """Return ``value``; ValueError, with the nearest name, unless it is one of the ``options``."""
-    if value not in options:
-        raise ValueError(f"{title}={value!r} must be one of {list(options)}; {nearest(str(value), options)}")
-    return str(value)
-
-
 def team(
     orbits: Sequence[dict[str, Any]],
     *,
@@ -253,12 +246,10 @@ def team(
     options: dict[str, Any],
 ) -> ConstellationTasking:
     """Return a team of sensors, with arguments of each orbit."""
-    choice("order", order, list(ORDERS))
-    choice("information", information, INFORMATION)
-    choice("retasking", retasking, RETASKING)
+    ranks = ORDERS[one_of("order", order, ORDERS)]
+    communicator = COMMUNICATORS[one_of("information", information, COMMUNICATORS)]
     names = [f"SS{k + 1}" for k in range(len(orbits))]
     common = servicing_args() | dict(storedCharge_Init=0.9 * BATTERY, wheelSpeeds=[0.0, 0.0, 0.0])
-    shield = switch("shielded", shielded)
     if switch("outlook", outlook) and not switch("as_set", as_set):
         raise ValueError("outlook=True needs as_set=True: what is expected of images is observed of candidates in a set")
     kind = KINDS[len(names) if information == "radio" else 0][as_set + outlook]
@@ -267,17 +258,16 @@ def team(
         kind(name, common | orbit | (sat_args or {}), obs_type=observed_as) for name, orbit in zip(names, orbits, strict=True)
     ]
     for satellite in satellites:
-        satellite.shielded = shield
-    communicators = {"independent": comm.NoCommunication, "ideal": comm.FreeCommunication, "radio": CatalogCommunication}
+        satellite.shielded = switch("shielded", shielded)
     catalog = servicing_catalog(n_targets, mixture, exact_mixture=True, priority_event=False)
     defaults: dict[str, Any] = dict(
-        scenario=RSOTargets(catalog, names, knowledge="own", order=ORDERS[order]),
+        scenario=RSOTargets(catalog, names, knowledge="own", order=ranks),
         rewarder=(RSOTeamReward(delivery_share=delivery_share), data.OperationsPenalty(empty_downlink=-1.0)),
-        communicator=communicators[information](),
+        communicator=communicator(),
         time_limit=EPISODE,
         max_step_duration=300.0,
         failure_penalty=-1.0,
-        mask_busy=retasking == "conflict",
+        mask_busy=one_of("retasking", retasking, RETASKING) == "conflict",
         continue_repeated=True,
     )
     return ConstellationTasking(satellites, **(defaults | options))
@@ -317,9 +307,6 @@ def three_sensors(
             the set; see :func:`bsk_torch.tasks.objects.preset.services`.
         shielded: Whether ``action_mask`` excludes downlinks with an empty store.
         **options: Arguments of :class:`~bsk_torch.ConstellationTasking` that replace those of the preset.
-
-    Raises:
-        ValueError: For a wrong argument.
     """
     orbits = [
         dict(oe=elements(EARTH + altitude, 0.001, inclination, 30.0 * k, 15.0 * k))
@@ -365,9 +352,8 @@ def walker4(
 ) -> ConstellationTasking:
     """Return Walker4-v1; see the module. Arguments and errors are those of :func:`three_sensors`."""
     pattern = formations.walker_delta_args(2, phasing=1, altitude=700.0, inc=97.0)
-    orbits: list[dict[str, Any]] = [{} for _ in range(4)]
     return team(
-        orbits,
+        [{}] * 4,
         mixture=mixture,
         information=information,
         retasking=retasking,

@@ -91,13 +91,8 @@ class RSOTeamReward(RSOImageReward):
         self.service_s = None if cooldown_s is None else number("cooldown_s", cooldown_s, 0.0, 1e12, unit="s")
         self.same_time_s = number("same_time_s", same_time_s, 0.0, 1e12, unit="s")
 
+    @override
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
-        """See :meth:`GlobalReward.link`.
-
-        Raises:
-            ValueError: For a scenario without a catalog, or with common knowledge, or in which imagers may image a
-                target again before they have delivered its image.
-        """
         super().link(scenario, fleet)
         assert isinstance(scenario, RSOTargets)
         scenario.keep_records(self.service_s)

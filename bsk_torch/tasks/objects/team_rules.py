@@ -18,11 +18,12 @@ from bsk_torch.env import ConstellationTasking
 from bsk_torch.env.base import Tasking
 from bsk_torch.rl.rules.baselines import TeamPolicy
 from bsk_torch.rl.rules.observation_columns import Columns
+from bsk_torch.sim.names import one_of
 from bsk_torch.tasks.objects.act import ImageRSO
 from bsk_torch.tasks.objects.aim import AIM
 from bsk_torch.tasks.objects.outlook import LIT
 from bsk_torch.tasks.objects.records import AGO
-from bsk_torch.tasks.objects.rules import TEAMWORK, Upkeep
+from bsk_torch.tasks.objects.rules import TEAMWORK
 from bsk_torch.tasks.objects.scene import RSOTargets
 from bsk_torch.vec3 import Vec3
 
@@ -62,19 +63,12 @@ class TeamRule:
     then the most images, the smallest sum of angles, and the highest priorities.
     """
 
-    def __init__(self, env: Tasking, name: str = "local", upkeep: Upkeep = TEAMWORK) -> None:
-        """Make a rule for ``env``.
-
-        Raises:
-            ValueError: For an unknown name, or an environment with other satellites, or more than :data:`MOST_IMAGERS` under
-                ``centralized``.
-        """
-        if name not in TEAM_RULES:
-            raise ValueError(f"name={name!r} must be one of {list(TEAM_RULES)}")
+    def __init__(self, env: Tasking, name: str = "local") -> None:
+        """Make a rule for ``env``; ValueError for other satellites, or more than :data:`MOST_IMAGERS` if ``centralized``."""
         fits = isinstance(env, ConstellationTasking) and len(env.satellites) == 1 and not env.joint
         if not fits or not isinstance(env.scenario, RSOTargets) or env.scenario.knowledge != "own":
             raise ValueError("rules of teams need RSOTargets with knowledge='own', satellites of one type, and an agent for each")
-        self.env, self.name, self.upkeep = env, name, upkeep
+        self.env, self.name = env, one_of("name", name, TEAM_RULES)
         self.satellite = env.satellites[0]
         self.scenario: RSOTargets = env.scenario
         self.images = self.satellite.action_description.index(f"{self._entry.name}_0")
@@ -103,7 +97,7 @@ class TeamRule:
         names = self.satellite.action_description
         stay = action_mask.shape[-1] - 1
         decides = action_mask[..., :stay].any(-1)
-        wish = {name: mask & decides for name, mask in self.upkeep.wishes(see).items()}
+        wish = {name: mask & decides for name, mask in TEAMWORK.wishes(see).items()}
         busy = torch.stack(list(wish.values())).any(0)
         choices = self._choices(action_mask)
         images = decides & ~busy

@@ -404,7 +404,6 @@ class Barriers:
     barriers: Sequence[Barrier] = DOCKING
 
     def __post_init__(self) -> None:
-        """Check that there are barriers."""
         check_barriers(self.barriers)
 
     def __call__(self, x: Deputies, wish: Tensor, time: float) -> Tensor:
@@ -429,7 +428,6 @@ class Barriers:
         return wish.index_copy(0, rows, nearest(wish[rows], weight, bound))
 
     def _not_finite(self, x: Deputies, row: int) -> str:
-        """Return what to say of a deputy with a barrier that is not finite."""
         values = {k: float(barrier(x)[row]) for k, barrier in enumerate(self.barriers)}
         return (
             f"a barrier of run-time assurance, or its derivative, is not finite for deputy {row} at {x.r[row].tolist()} m with "
@@ -491,7 +489,6 @@ class Backup:
     window: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         check_barriers(self.barriers)
         number("window", self.window, 0.0, unit="s")
 

@@ -51,11 +51,12 @@ from bsk_torch.constants import MU_EARTH
 from bsk_torch.data.base import Log
 from bsk_torch.env import ConstellationTasking, SatelliteTasking
 from bsk_torch.sim import fsw
-from bsk_torch.sim.names import nearest
+from bsk_torch.sim.names import one_of
 from bsk_torch.sim.state import FINITE
 from bsk_torch.tasks.safe_autonomy.act import HeldThrust
 from bsk_torch.tasks.safe_autonomy.assurance import DOCKING, Backup, Barriers
 from bsk_torch.tasks.safe_autonomy.dyn import MEAN_MOTION, DockingDynModel
+from bsk_torch.tasks.safe_autonomy.lit_points import squares
 
 if TYPE_CHECKING:
     from bsk_torch.sats.bound import SatelliteFleet
@@ -77,10 +78,8 @@ def interventions(fleet: SatelliteFleet) -> dict[str, Tensor]:
 
 def collided(rho: Tensor, least: float) -> Tensor:
     """Return which deputies at ``rho`` [N, S, 3] m are closer than ``least`` to another one, [N, S] bool."""
-    gap = rho.unsqueeze(2) - rho.unsqueeze(1)
-    x, y, z = gap.unbind(-1)
     oneself = torch.eye(rho.shape[1], dtype=torch.bool, device=rho.device)
-    return ((x * x + y * y + z * z < least**2) & ~oneself).any(-1)
+    return ((squares(rho.unsqueeze(2) - rho.unsqueeze(1)) < least**2) & ~oneself).any(-1)
 
 
 class Polar(rand.Distribution):
@@ -157,12 +156,10 @@ class DockingReward(data.GlobalReward):
         return (distance > self.farthest) | (self.memory["excess_speed"] > self.most_excess)
 
 
-class CrewDockingReward(DockingReward):
-    """Reward of CWDocking-v1 with several deputies; see the module. There is a further counter ``collided``."""
+class Collisions(data.GlobalReward):
+    """Adds the counter ``collided``: deputies closer than ``least``, m, to another one at the end of a decision."""
 
-    speeding_price, speeding_fee = 0.01, 0.01
-    grace = -0.5
-    least = 0.5
+    least: ClassVar[float]
 
     @override
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
@@ -178,6 +175,14 @@ class CrewDockingReward(DockingReward):
     @override
     def counts(self) -> dict[str, Tensor]:
         return super().counts() | {"collided": self.memory["collided"].long()}
+
+
+class CrewDockingReward(Collisions, DockingReward):
+    """Reward of CWDocking-v1 with several deputies; see the module. There is a further counter ``collided``."""
+
+    speeding_price, speeding_fee = 0.01, 0.01
+    grace = -0.5
+    least = 0.5
 
     def is_terminated(self) -> Tensor:
         """See :meth:`bsk_torch.data.GlobalReward.is_terminated`: all, if one has docked, crashed or collided."""
@@ -226,9 +231,8 @@ DEPUTIES: dict[str | None, type[sats.Satellite]] = {
 
 def assured(deputies: dict[str | None, type[sats.Satellite]], assurance: str | None) -> type[sats.Satellite]:
     """Return the deputy with a filter; ValueError for an unknown name."""
-    if assurance not in deputies:
-        names = [name for name in deputies if name is not None]
-        raise ValueError(f"assurance={assurance!r} must be one of {names}, or None; {nearest(str(assurance), names)}")
+    if assurance is not None:
+        one_of("assurance", assurance, [name for name in deputies if name is not None])
     return deputies[assurance]
 
 
@@ -252,9 +256,6 @@ def cw_docking(
         assurance: Filter of forces, ``"asif"``, ``"simplex"`` or ``"implicit_simplex"`` (a window of 5 s); None for none.
         sat_args: Arguments of the deputy that replace those of the preset.
         **options: Arguments of the environment that replace those of the preset.
-
-    Raises:
-        ValueError: For another assurance, or a number of deputies that is not positive.
     """
     arguments = deputy_args() | dict(relative_position=Polar(100.0, 150.0), speedLimitDistance=0.5, dockingRadius=0.2)
     deputy, arguments = assured(DEPUTIES, assurance), arguments | (sat_args or {})

@@ -41,7 +41,7 @@ points of the program cannot be reached.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -59,7 +59,7 @@ from bsk_torch.tasks.safe_autonomy.act import HeldThrust
 from bsk_torch.tasks.safe_autonomy.assurance import BLIND, EDGE, INSPECTION, Barriers, crew_barriers
 from bsk_torch.tasks.safe_autonomy.dyn import MEAN_MOTION, LinearInspectorDynModel
 from bsk_torch.tasks.safe_autonomy.lit_points import PER_CLUSTER, Clusters, clustered, in_view, lit, sphere_points
-from bsk_torch.tasks.safe_autonomy.preset_docking import Polar, assured, collided, deputy_args, interventions, names_of
+from bsk_torch.tasks.safe_autonomy.preset_docking import Collisions, Polar, assured, deputy_args, interventions, names_of
 
 if TYPE_CHECKING:
     from bsk_torch.sats.bound import SatelliteFleet
@@ -167,25 +167,10 @@ class LitPointsReward(data.GlobalReward):
         return self.fleet.each(attrgetter("dynamics.distance")) > EDGE
 
 
-class CrewLitPointsReward(LitPointsReward):
+class CrewLitPointsReward(Collisions, LitPointsReward):
     """Reward of CWInspection-v1 with several deputies; see the module. There is a further counter ``collided``."""
 
     least = 10.0
-
-    @override
-    def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
-        super().link(scenario, fleet)
-        self.memory.declare("collided", False, fleet.size)
-
-    @override
-    def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        collisions = collided(after["rho_H"], self.least)
-        self.memory["collided"] = self.memory["collided"] | (collisions & (self.step_duration > 0.0).unsqueeze(1))
-        return super().calculate_reward(before, after)
-
-    @override
-    def counts(self) -> dict[str, Tensor]:
-        return super().counts() | {"collided": self.memory["collided"].long()}
 
     def is_terminated(self) -> Tensor:
         """See :meth:`bsk_torch.data.GlobalReward.is_terminated`: all, if all points are inspected, or one crashed or collided."""
@@ -223,18 +208,17 @@ def nearest_cluster(satellite: sats.BoundSatellite) -> Tensor:
     return satellite.fleet.memory["nearest_cluster"][:, columns].flatten(0, 1)
 
 
+def properties(points: Callable[[sats.BoundSatellite], Tensor]) -> obs.SatProperties:
+    """Return the observation of a deputy, with a function that counts ``points``."""
+    motion = (dict(prop=name) for name in ("rho_H", "rho_dot_H", "sun_angle"))
+    counted = dict(prop="points_inspected", fn=points)
+    return obs.SatProperties(*motion, counted, dict(prop="nearest_cluster", fn=nearest_cluster))
+
+
 class InspectionDeputy(sats.Satellite):
     """The deputy of CWInspection-v1."""
 
-    observation_spec: ClassVar[tuple[obs.Observation, ...]] = (
-        obs.SatProperties(
-            dict(prop="rho_H"),
-            dict(prop="rho_dot_H"),
-            dict(prop="sun_angle"),
-            dict(prop="points_inspected", fn=points_inspected),
-            dict(prop="nearest_cluster", fn=nearest_cluster),
-        ),
-    )
+    observation_spec: ClassVar[tuple[obs.Observation, ...]] = (properties(points_inspected),)
     action_spec: ClassVar[Sequence[act.ContinuousAction]] = (HeldThrust(),)
     dyn_type = LinearInspectorDynModel
     fsw_type = fsw.FSWModel
@@ -249,15 +233,7 @@ class BarrierInspectionDeputy(InspectionDeputy):
 class CrewInspectionDeputy(InspectionDeputy):
     """A deputy of several."""
 
-    observation_spec = (
-        obs.SatProperties(
-            dict(prop="rho_H"),
-            dict(prop="rho_dot_H"),
-            dict(prop="sun_angle"),
-            dict(prop="points_inspected", fn=points_found),
-            dict(prop="nearest_cluster", fn=nearest_cluster),
-        ),
-    )
+    observation_spec = (properties(points_found),)
 
 
 class BarrierCrewInspectionDeputy(CrewInspectionDeputy):
@@ -281,13 +257,9 @@ def cw_inspection(
     Args:
         deputies: Number of deputies; with two or more, each is an agent of a :class:`~bsk_torch.ConstellationTasking`.
         assurance: Filter of forces, ``"asif"`` (:class:`bsk_torch.tasks.safe_autonomy.assurance.Barriers`), or None. That of
-        several deputies
-            also keeps them apart (:func:`bsk_torch.tasks.safe_autonomy.assurance.crew_inspection`).
+            several deputies also keeps them apart (:func:`bsk_torch.tasks.safe_autonomy.assurance.crew_inspection`).
         sat_args: Arguments of the deputy that replace those of the preset.
         **options: Arguments of the environment that replace those of the preset.
-
-    Raises:
-        ValueError: For another assurance, or a number of deputies that is not positive.
     """
     arguments = deputy_args() | dict(
         relative_position=Polar(50.0, 100.0),

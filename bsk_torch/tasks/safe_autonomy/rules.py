@@ -34,10 +34,10 @@ def length(vector: Tensor) -> Tensor:
     return torch.linalg.vector_norm(vector, dim=-1, keepdim=True).clamp(min=1e-9)
 
 
-def glide(see: Columns, most: float, share: float = SHARE) -> Tensor:
+def glide(see: Columns, most: float) -> Tensor:
     """Return forces [N, 3] N that lead straight to the chief at a share of the safe speed."""
     r, v = see.all("rho_H"), see.all("rho_dot_H")
-    wish = -share * see["speed_limit"].unsqueeze(-1) * r / length(r)
+    wish = -SHARE * see["speed_limit"].unsqueeze(-1) * r / length(r)
     return (GAIN * (wish - v)).clamp(-most, most)
 
 

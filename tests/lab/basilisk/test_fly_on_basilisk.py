@@ -19,9 +19,8 @@ from fly_on_basilisk import arguments
 from rich.console import Console
 
 from bsk_torch import make, rand
-from bsk_torch.lab.basilisk.flight import FLOWN, Flight, fly_here, problem_of, replay_pilot
-from bsk_torch.lab.basilisk.observed import as_sets
-from bsk_torch.lab.basilisk.support_data import absent_data
+from bsk_torch.lab.basilisk.certificate import as_sets
+from bsk_torch.lab.basilisk.flight import FLOWN, Flight, absent_data, fly_here, problem_of, replay_pilot
 from bsk_torch.rl.evaluation.statistics import confidence
 from bsk_torch.wrappers.gymnasium import GymEnv
 from tests.support.refusals import check_refusals, refusal

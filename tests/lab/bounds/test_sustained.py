@@ -21,7 +21,7 @@ from bsk_torch.lab.bounds import (
     record_transitions,
     sustained_envelope,
 )
-from bsk_torch.lab.bounds.approach import pointing, sector_from
+from bsk_torch.lab.bounds.envelope import pointing, sector_from
 from bsk_torch.lab.bounds.graph import image_graph
 from bsk_torch.lab.bounds.paths import best_paths
 from bsk_torch.lab.bounds.sustained import NODES, SPACING, _later, bins_of

@@ -6,7 +6,7 @@ import torch
 import bsk_torch
 from bsk_torch.env.rollout import decide, play_episodes
 from bsk_torch.lab.planners import ActionValues, Rollout
-from bsk_torch.lab.planners.action_values import ACTION_VALUE, ACTION_VALUES
+from bsk_torch.lab.planners.rollout import ACTION_VALUE, ACTION_VALUES
 from bsk_torch.rl.evaluation.evaluate import start_episodes
 from tests.lab.planners.conftest import same, scanning
 
