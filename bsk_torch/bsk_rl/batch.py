@@ -218,7 +218,6 @@ def _adapted(entry: dict[str, Any]) -> dict[str, Any]:
 
 
 def _entries(given: Any) -> list[dict[str, Any]]:
-    """Return the observed quantities of an observation as the core takes them."""
     if isinstance(given, their_obs.SatProperties):
         return [_adapted({name: value for name, value in entry.items() if name != "module"}) for entry in given.obs_properties]
     for kind, entries, presets in (

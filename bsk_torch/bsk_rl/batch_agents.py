@@ -135,7 +135,6 @@ class BatchedAgentsVectorEnv:
         )
 
     def _begin(self, rows: Tensor) -> None:
-        """Start the next episodes of some environments, [N] bool."""
         begin(self.core, rows)
         alive = ~self.core.dead & ~self.core.fleet.state.removed
         self._left, self._over, self._started = torch.where(rows.unsqueeze(-1), alive, self._left), self._over & ~rows, True
@@ -195,7 +194,6 @@ class BatchedAgentsVectorEnv:
     # -- results -------------------------------------------------------------------------------------------------------
 
     def _by_agent(self, table: Tensor) -> ByAgent:
-        """Return the columns of a table [N, S] by agent."""
         return {agent: as_numpy(table[:, seat.column]) for agent, seat in self._seats.items()}
 
     def _observations(self, seen: TensorDictBase, present: Tensor) -> ByAgent:

@@ -147,7 +147,6 @@ def world_defaults(world_type: type) -> dict[str, Any]:
 
 
 def _methods(model: type, table: Mapping[type, Methods]) -> Methods:
-    """Return the declaring methods of a model and its bases, those of derived classes first."""
     return {name: args for base in reversed(model.__mro__) for name, args in table.get(base, {}).items()}
 
 
@@ -175,13 +174,11 @@ def _declared(model: object) -> dict[str, dict[str, Any]]:
 
 
 def _values(components: tuple[Component, ...], without: str = "") -> dict[str, Any]:
-    """Return the defaults of components as bsk_rl gives them."""
     args = (arg for component in components for arg in component.args if arg.name != without)
     return {arg.name: _value(arg) for arg in args}
 
 
 def _value(arg: Arg) -> Any:
-    """Return the default of an argument: a number, list or array, or a function that draws one."""
     if arg.name in RANDOM and isinstance(arg.default, Distribution):
         return RANDOM[arg.name]
     if arg.name in ARRAYS:

@@ -211,7 +211,6 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
             root.addHandler(handler)
 
     def _minimum_world_model(self) -> type[WorldModel]:
-        """Return the world model that all satellites need."""
         models = dict.fromkeys(model for satellite in self.satellites for model in satellite.dyn_type.all_required_worlds())
         return compose(tuple(models), WorldModel)
 
@@ -266,7 +265,6 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
         self.scenario.utc_init = epoch
 
     def _prepare(self) -> None:
-        """Call the hooks before the simulation is made, and give satellites their stores."""
         for part in (self.scenario, self.rewarder, self.communicator):
             part.reset_pre_sim_init()
         for satellite in self.satellites:
@@ -341,7 +339,6 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
     # -- step ---------------------------------------------------------------------------------------------------------
 
     def _step(self, actions: Any) -> None:
-        """Begin the actions, run to the next event, and score what has happened."""
         if len(actions) != len(self.satellites):
             raise ValueError("There must be the same number of actions and satellites")
         for satellite, action in zip(self.satellites, actions, strict=True):
@@ -385,7 +382,6 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
 
 
 def _rename_duplicates(satellites: Sequence[Satellite]) -> None:
-    """Number satellites of the same name until all names differ."""
     while True:
         names = [satellite.name for satellite in satellites]
         twice = next((name for name in names if names.count(name) > 1), None)
@@ -397,7 +393,6 @@ def _rename_duplicates(satellites: Sequence[Satellite]) -> None:
 
 
 def _world_args(world_type: type[WorldModel], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return all arguments of a world with their defaults, or the given values; KeyError for an unknown name."""
     args = world_defaults(world_type)
     for name, value in given.items():
         if name not in args:
@@ -529,7 +524,6 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
         return [agent for agent in self.possible_agents if agent not in self.agents and agent not in self.newly_dead]
 
     def _present(self) -> dict[Any, list[Satellite]]:
-        """Return the satellites of the agents that get results."""
         gone = self.previously_dead
         return {agent: members for agent, members in self.meta_agent_groupings.items() if agent not in gone}
 
@@ -573,7 +567,6 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
     # -- what a step gives --------------------------------------------------------------------------------------------
 
     def _requires_retasking(self, agent: Any) -> bool:
-        """Return whether a satellite of an agent waits for a task."""
         return any(satellite.requires_retasking for satellite in self.meta_agent_groupings[agent])
 
     def _get_obs(self) -> dict[Any, Any]:
@@ -621,7 +614,6 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
     # -- step ---------------------------------------------------------------------------------------------------------
 
     def _decompose_meta_action(self, agent: Any, action: Any) -> dict[Satellite, Any]:
-        """Return the action of each satellite of an agent."""
         parts, first = {}, 0
         for satellite in self.meta_agent_groupings[agent]:
             if not isinstance(action, list | tuple | np.ndarray):

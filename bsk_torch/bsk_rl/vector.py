@@ -305,7 +305,6 @@ class AgentsVectorEnv:
         return self._outputs(found)[0], self._outputs(found)[-1]
 
     def _begin(self, k: int, seed: int | None = None) -> ByAgent:
-        """Start the next episode of an environment."""
         observations, infos = self.envs[k].reset(seed=seed)
         self._over[k] = False
         return {agent: (observations[agent], 0.0, False, False, infos[agent]) for agent in observations}
@@ -329,7 +328,6 @@ class AgentsVectorEnv:
         return self._outputs(found)
 
     def _move(self, k: int, actions: ByAgent) -> ByAgent:
-        """Step one environment with the actions of its agents that are left."""
         one = self.envs[k]
         before = one.env.agents
         results = one.step({agent: action for agent, action in actions.items() if agent in before})
@@ -338,7 +336,6 @@ class AgentsVectorEnv:
         return found
 
     def _outputs(self, found: list[ByAgent]) -> tuple[ByAgent, ByAgent, ByAgent, ByAgent, ByAgent]:
-        """Return arrays by agent of what each environment has given for its agents."""
         self._last = found
         observations, infos = {}, {}
         columns: list[ByAgent] = [{}, {}, {}]

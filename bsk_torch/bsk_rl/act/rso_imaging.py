@@ -64,7 +64,6 @@ class ImageRSO(DiscreteAction):
         self.chosen_target_ids: list[str] = []
 
     def _image(self, target_id: str) -> str:
-        """Begin to image the target of an id, and return the id; ValueError for one that is unknown or not eligible."""
         satellite, simulator = self.satellite, self.simulator
         targets = satellite.rso_scenario.targets_by_id
         if target_id not in targets:

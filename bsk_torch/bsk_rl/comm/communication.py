@@ -83,7 +83,6 @@ class CommunicationMethod(ABC, Resetable):
         self.last_communication_time = now
 
     def _communicate_all(self) -> None:
-        """Give every satellite the data of all."""
         logger.info("Optimizing data communication between all pairs of satellites")
         total = type(self.satellites[0].data_store.data)()
         for satellite in self.satellites:

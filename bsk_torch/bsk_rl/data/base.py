@@ -26,7 +26,6 @@ class Data(ABC):
         """Return both units together."""
 
     def __copy__(self) -> Any:
-        """Return a unit with the same contents."""
         return type(self)() + self
 
 

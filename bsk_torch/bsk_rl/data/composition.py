@@ -24,7 +24,6 @@ logger = logging.getLogger(__name__)
 
 
 def _found(parts: Iterable[Any], name: str, kind: str) -> Any:
-    """Return an attribute of the first part that has it; AttributeError if none has."""
     for part in parts:
         if hasattr(part, name):
             return getattr(part, name)
@@ -49,11 +48,9 @@ class ComposedData(Data):
         return ComposedData(*(mine + theirs for mine, theirs in zip(self.data, other.data, strict=True)))
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute of the first unit that has it."""
         return _found(self.__dict__.get("data", ()), name, "ComposedData")
 
     def __repr__(self) -> str:
-        """Return the units."""
         return f"ComposedData({', '.join(map(repr, self.data))})"
 
 
@@ -103,7 +100,6 @@ class ComposedDataStore(PassingStore):
         self.pass_data()
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute of the first store that has it."""
         return _found(self.__dict__.get("data_stores", ()), name, "ComposedDataStore")
 
     def pass_data(self) -> None:
@@ -135,7 +131,6 @@ class ComposedReward(GlobalReward):
         self.rewarders = rewarders
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute of the first rewarder that has it."""
         return _found(self.__dict__.get("rewarders", ()), name, "ComposedReward")
 
     def pass_data(self) -> None:
@@ -215,7 +210,6 @@ class ComposedReward(GlobalReward):
 
 
 def _found_once(parts: Mapping[str, Any], name: str, kind: str) -> Any:
-    """Return an attribute that one part has; AttributeError if none or several have it."""
     having = [key for key, part in parts.items() if hasattr(part, name)]
     if len(having) == 1:
         return getattr(parts[having[0]], name)
@@ -250,11 +244,9 @@ class MixedData(Data):
         return MixedData(merged)
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute that the data of one channel has."""
         return _found_once(self.__dict__.get("data", {}), name, "MixedData")
 
     def __repr__(self) -> str:
-        """Return the channels."""
         return f"MixedData({self.data!r})"
 
 
@@ -283,7 +275,6 @@ class MixedDataStore(PassingStore):
         self.pass_data()
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute that one store has."""
         return _found_once(self.__dict__.get("data_stores", {}), name, "MixedDataStore")
 
     def pass_data(self) -> None:

@@ -19,7 +19,6 @@ class ScanningTime(Data):
         self.scanning_time = scanning_time
 
     def __add__(self, other: ScanningTime) -> ScanningTime:
-        """Return the sum."""
         return type(self)(self.scanning_time + other.scanning_time)
 
 

@@ -25,11 +25,9 @@ class ResourceData(Data):
         self.resource_accumulated = resource_accumulated
 
     def __add__(self, other: ResourceData) -> ResourceData:
-        """Return the sum."""
         return ResourceData(self.resource_accumulated + other.resource_accumulated)
 
     def __repr__(self) -> str:
-        """Return the change."""
         return f"ResourceData(resource_accumulated={self.resource_accumulated})"
 
 

@@ -213,7 +213,6 @@ class RSOImageReward(GlobalReward):
         return {name: sum(part[name] for part in parts.values()) for name in new_data_dict}
 
     def _begin_services(self, new: list[RSOImageRecord]) -> None:
-        """Find the services of new images, which now wait for their downlink."""
         pending = self.scenario.pending
         for target_id in {record.target_id for record in new}:
             if not pending.get(target_id):
@@ -223,7 +222,6 @@ class RSOImageReward(GlobalReward):
             pending.setdefault(record.target_id, set()).add(record.record_id)
 
     def _end_services(self, deliveries: list[RSOImageRecord]) -> None:
-        """Let targets of downlinked images cool down."""
         scenario = self.scenario
         for record in deliveries:
             if record.record_id not in self._service_of:
@@ -236,7 +234,6 @@ class RSOImageReward(GlobalReward):
     def _credit(
         self, stage: str, reward_fn: RewardFunction, records: list[RSOImageRecord], names: Iterable[str]
     ) -> dict[str, float]:
-        """Return what satellites get for images at a stage."""
         reward, last, groups = dict.fromkeys(names, 0.0), self._last[stage], defaultdict[Any, list[RSOImageRecord]](list)
         for record in records:
             if record.quality >= self.quality_threshold:

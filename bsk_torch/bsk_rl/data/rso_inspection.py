@@ -43,7 +43,6 @@ class RSOInspectionData(Data):
         self.point_illuminate_status: Status = dict(point_illuminate_status or {})
 
     def __add__(self, other: RSOInspectionData) -> RSOInspectionData:
-        """Return the points inspected, and lit, in either."""
         return RSOInspectionData(
             _either(self.point_inspect_status, other.point_inspect_status),
             _either(self.point_illuminate_status, other.point_illuminate_status),
@@ -60,7 +59,6 @@ class RSOInspectionData(Data):
         return sum(self.point_illuminate_status.values())
 
     def __repr__(self) -> str:
-        """Return the numbers."""
         return f"RSOInspectionData(inspected={self.num_points_inspected}, illuminated={self.num_points_illuminated})"
 
 
@@ -192,7 +190,6 @@ class RSOInspectionReward(GlobalReward):
         return self.scenario.satellites[0].simulator.sim_time
 
     def _completed(self, total: RSOInspectionData) -> bool:
-        """Return whether the conditions of completion hold for all data of the episode."""
         lit, points = total.num_points_illuminated, len(self.scenario.rso_points)
         enough = lit >= points * self.min_illuminated_for_completion or self._sim_time > self.min_time_for_completion
         return enough and total.num_points_inspected >= self.completion_threshold * lit

@@ -74,7 +74,6 @@ class HideImaged:
         self.store = store
 
     def __call__(self, opportunity: Mapping[str, Any]) -> bool:
-        """Return whether an opportunity remains."""
         return not is_target(opportunity["type"]) or opportunity["object"] not in self.store.data.imaged
 
 

@@ -69,13 +69,11 @@ class StoringSatellite:
     _filters: list[Filter]
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute of the view."""
         if name.startswith("__"):
             raise AttributeError(name)
         return getattr(self.__dict__["_one"], name)
 
     def __repr__(self) -> str:
-        """Return the name and the environment."""
         return f"<{self._one.name} of environment {self._one.env}>"
 
     def add_access_filter(self, access_filter: Filter, types: Any = None) -> None:
@@ -186,7 +184,6 @@ class RecordTable(StateTable):
         return entry
 
     def _check_unscored(self, envs: Tensor) -> None:
-        """Raise TypeError if one of the records has scored a step."""
         if begun := [entry for env in envs.tolist() if (entry := self.entries[env]) is not None and entry.steps]:
             raise TypeError(
                 f"{type(begun[0].rewarder).__name__} is a rewarder of one episode, which keeps objects: its episodes cannot be "

@@ -137,7 +137,6 @@ def _columns(scenario: OneTargets, made: Sequence[list[Target]]) -> dict[str, An
 
 
 def _number(target: Target, name: str) -> np.ndarray | None:
-    """Return an attribute as an array of numbers; None if it is not numeric."""
     if not hasattr(target, name):
         raise TypeError(f"{target!r} lacks {name!r}, which other targets have; all targets must have the same attributes")
     value = no_gradient(f"{name!r} of a target", getattr(target, name))

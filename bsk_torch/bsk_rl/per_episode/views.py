@@ -62,15 +62,12 @@ class OneView:
     _row: int
 
     def __setattr__(self, name: str, value: object) -> None:
-        """Raise AttributeError: views are read-only."""
         raise AttributeError(f"{name!r} cannot be set: {READ_ONLY}")
 
     def __repr__(self) -> str:
-        """Name the class and the row."""
         return f"<{type(self._whole).__name__} of row {self._row}>"
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute as the row has it; AttributeError if there is none."""
         whole = self.__dict__["_whole"]
         if name.startswith("__"):
             raise AttributeError(name)
@@ -101,15 +98,12 @@ class OneArguments(Mapping[str, Any]):
         self._whole, self._row = whole, row
 
     def __getitem__(self, name: str) -> Any:
-        """Return an argument of the row; KeyError for an unknown name."""
         return of_row(self._whole[name], self._row)
 
     def __iter__(self) -> Iterator[str]:
-        """Iterate over the names."""
         return iter(self._whole)
 
     def __len__(self) -> int:
-        """Number of arguments."""
         return len(self._whole)
 
 
@@ -280,16 +274,13 @@ class OneOthers(Mapping[str, OneSatellite]):
         self._fleet, self._env = fleet, env
 
     def __getitem__(self, name: str) -> OneSatellite:
-        """Return a satellite; KeyError for an unknown name, with the nearest one."""
         whole, number = self._fleet.found(name)
         return view_of(whole, self._env * whole.simulator.count + number)
 
     def __iter__(self) -> Iterator[str]:
-        """Names of the satellites, in their order."""
         return iter(self._fleet.places)
 
     def __len__(self) -> int:
-        """Number of satellites in an episode."""
         return len(self._fleet.places)
 
 
@@ -333,19 +324,15 @@ class OneTarget:
 
     @property
     def _place(self) -> tuple[int, int]:
-        """Environment and index, by which targets are compared."""
         return self._env, self.id
 
     def __eq__(self, other: object) -> bool:
-        """Whether it is the same target of the same environment."""
         return getattr(other, "_place", None) == self._place
 
     def __hash__(self) -> int:
-        """Agree with equality."""
         return hash(self._place)
 
     def __repr__(self) -> str:
-        """Return the name as bsk_rl shows it."""
         return f"Target({self.name})"
 
 

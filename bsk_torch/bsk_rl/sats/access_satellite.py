@@ -120,7 +120,6 @@ class AccessSatellite(Satellite):
             self._search(start, end)
 
     def _search(self, start: float, end: float) -> None:
-        """Search windows over all places between two times, s."""
         track, places = self.trajectory.r_BP_P, self.locations_for_access_checking
         span = (track.x >= start - 1e-9) & (track.x <= end + 1e-9)
         times, positions = track.x[span], track.y[span]
@@ -134,7 +133,6 @@ class AccessSatellite(Satellite):
                     self._add_window(place["object"], window, place["type"], place["r_LP_P"], times[first])
 
     def _add_window(self, object: Any, new_window: Window, type: str, r_LP_P: Any, merge_time: float | None = None) -> None:
-        """Add a window, joined to one of the same object that ends where it begins."""
         if merge_time is None or new_window[0] == merge_time:
             for k, known in enumerate(self.opportunities):
                 if known["type"] == type and known["object"] == object and known["window"][1] == new_window[0]:
@@ -154,7 +152,6 @@ class AccessSatellite(Satellite):
         return self.opportunities[first:]
 
     def _accepts(self, types: str | Sequence[str] | None, filter: Any) -> Filter:
-        """Return the function that determines whether a window counts in a query."""
         kinds = [types] if isinstance(types, str) else types
         if isinstance(filter, list):
             keeps: Filter = lambda opportunity: opportunity["object"] not in filter  # noqa: E731

@@ -38,7 +38,6 @@ class MixedScenario(Scenario):
         check_same_keys("satellite_mapping", self.satellite_mapping, self.scenarios, "scenarios")
 
     def _groups(self) -> Iterator[tuple[Scenario, set[str]]]:
-        """Yield each scenario once, and the names of its satellites."""
         for scenario in {id(scenario): scenario for scenario in self.scenarios.values()}.values():
             mine = [key for key, other in self.scenarios.items() if other is scenario]
             yield scenario, set().union(*(self.satellite_mapping[key] for key in mine))

@@ -47,15 +47,12 @@ class RSOPoint:
         return (*map(float, position), *map(float, normal), *map(float, limits))
 
     def __hash__(self) -> int:
-        """Return the hash of the attributes."""
         return hash(self._key)
 
     def __eq__(self, other: object) -> bool:
-        """Return whether another point has the same attributes."""
         return isinstance(other, RSOPoint) and self._key == other._key
 
     def __str__(self) -> str:
-        """Return the position."""
         return f"RSOPoint_{self.r_PB_B}"
 
 

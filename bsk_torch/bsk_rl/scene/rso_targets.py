@@ -39,7 +39,6 @@ class EpisodeTarget:
 
 
 def _images(satellite: Any) -> bool:
-    """Return whether a satellite has the dynamics of an imager."""
     models = satellite.dyn_type if isinstance(satellite.dyn_type, tuple) else (satellite.dyn_type,)
     return any(isinstance(model, type) and issubclass(model, SpaceToSpaceImagingDynModel) for model in models)
 

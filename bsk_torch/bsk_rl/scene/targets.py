@@ -47,7 +47,6 @@ class Target:
         return self._id
 
     def __repr__(self) -> str:
-        """Return the name."""
         return f"Target({self.name})"
 
 

@@ -66,7 +66,6 @@ class Inspection:
         return found
 
     def _look(self, flight: Flight) -> None:
-        """Add the flags of a run."""
         ticks = int(flight.ticks.max()) if len(flight.ticks) else 0
         if not ticks:
             return

@@ -58,7 +58,6 @@ def hill_frame_attitude(
 
 
 def _rate(spin: Mapping[str, Any]) -> float:
-    """Return the rate of a spin, degrees per second."""
     if spin["type"] == "fixed":
         return float(spin["rate"])
     if spin["type"] != "uniform":
@@ -69,7 +68,6 @@ def _rate(spin: Mapping[str, Any]) -> float:
 
 
 def _axis(axis: Any, r: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Return the unit vector of a spin axis in the Hill frame, [3]."""
     if isinstance(axis, str):
         if axis == "random":
             axis = np.random.normal(size=3)

@@ -176,11 +176,9 @@ class AbstractClassProperty:
     name = ""
 
     def __set_name__(self, owner: type, name: str) -> None:
-        """Keep the name of the attribute."""
         self.name = name
 
     def __get__(self, instance: object, owner: type) -> AbstractClassProperty:
-        """Return itself to the class."""
         if instance is None:
             return self
         raise NotImplementedError(f"{owner.__name__}.{self.name} must be defined by the subclass")

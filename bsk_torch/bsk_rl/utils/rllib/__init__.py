@@ -41,12 +41,10 @@ def load_torch_mlp_policy(policy_path: object, policy_name: str = "default_agent
 
 
 def _environment(name: str) -> Any:
-    """Return a class of environments; their module imports this package."""
     return getattr(importlib.import_module("bsk_torch.bsk_rl.gym"), name)
 
 
 def _split(env_config: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the arguments of the environment, and the callbacks."""
     given = dict(env_config)
     return given, {name: given.pop(name) for name in CALLBACKS if name in given}
 

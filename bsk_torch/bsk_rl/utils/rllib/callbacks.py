@@ -127,7 +127,6 @@ if all(map(find_spec, ("ray", "tree"))):  # Ray without RLlib lacks the latter
 
 
 def __getattr__(name: str) -> NoReturn:
-    """Raise ImportError for names of bsk_rl that are missing, AttributeError for others."""
     if name in WITHOUT:
         raise ImportError(f"bsk_rl's {name} {WITHOUT[name]}")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

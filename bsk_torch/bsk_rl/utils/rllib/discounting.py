@@ -70,7 +70,6 @@ def compute_value_targets_time_discounted(
 
 
 def __getattr__(name: str) -> NoReturn:
-    """Raise ImportError for parts of RLlib's learner, AttributeError for others."""
     if name in LEARNERS:
         raise ImportError(f"bsk_rl's {name} {ADVICE}")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
