@@ -5,14 +5,13 @@ from __future__ import annotations
 import functools
 import re
 import types
-import warnings
 from collections.abc import Callable, Mapping
-from copy import deepcopy
 from typing import Any, TypeVar
 from unittest.mock import MagicMock
 
 import numpy as np
 
+from bsk_torch.bsk_rl.defaults import model_defaults, safe_dict_merge
 from bsk_torch.sim import dyn, fsw, world
 
 __all__ = [
@@ -65,23 +64,12 @@ def default_args(**defaults: Any) -> Callable[[Function], Function]:
     return declare
 
 
-def safe_dict_merge(updates: Mapping[str, Any], base: dict[str, Any]) -> dict[str, Any]:
-    """Add copies of the entries of ``updates`` to ``base``, with a warning for those that replace others; return ``base``."""
-    for name, value in updates.items():
-        if name in base and np.any(base[name] != value):
-            warnings.warn(f"Conflicting values for {name}: overwriting {base[name]} with {value}", stacklevel=2)
-    base.update(deepcopy(dict(updates)))
-    return base
-
-
 def collect_default_args(object: object) -> dict[str, Any]:
     """Return what :func:`default_args` has declared on the methods of a class or object, by the names of the methods in order.
 
     Of a class of models, the result has the arguments that its counterpart in bsk_rl declares, too.
     """
     if isinstance(object, type) and issubclass(object, dyn.DynamicsModel | fsw.FSWModel | world.WorldModel):
-        from bsk_torch.bsk_rl.defaults import model_defaults  # which uses this module
-
         return model_defaults(object)
     defaults: dict[str, Any] = {}
     for method in _marked(object, "defaults"):
@@ -92,8 +80,8 @@ def collect_default_args(object: object) -> dict[str, Any]:
 def _marked(object: object, mark: str) -> list[Any]:
     """Return the methods that have an attribute, by name; properties are not read."""
     names = (name for name in dir(object) if not name.startswith("__") and not is_property(object, name))
-    found = (getattr(object, name, None) for name in names)
-    return [method for method in found if callable(method) and hasattr(method, mark)]
+    members = (getattr(object, name, None) for name in names)
+    return [member for member in members if callable(member) and hasattr(member, mark)]
 
 
 def aliveness_checker(method: Function) -> Function:
