@@ -5,11 +5,12 @@ from __future__ import annotations
 import functools
 import re
 import types
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar
 from unittest.mock import MagicMock
 
 import numpy as np
+from typing_extensions import override
 
 from bsk_torch.bsk_rl.defaults import model_defaults, safe_dict_merge
 from bsk_torch.sim import dyn, fsw, world
@@ -49,6 +50,37 @@ class Resetable:
 
     def reset_post_sim_init(self) -> None:
         """Prepare an episode, at time zero."""
+
+
+class ResetableGroup(Resetable):
+    """Passes the hooks on to its parts, after those of the class itself."""
+
+    def _parts(self) -> Iterable[Resetable]:
+        raise NotImplementedError
+
+    @override
+    def reset_overwrite_previous(self) -> None:
+        super().reset_overwrite_previous()
+        for part in self._parts():
+            part.reset_overwrite_previous()
+
+    @override
+    def reset_pre_sim_init(self) -> None:
+        super().reset_pre_sim_init()
+        for part in self._parts():
+            part.reset_pre_sim_init()
+
+    @override
+    def reset_during_sim_init(self) -> None:
+        super().reset_during_sim_init()
+        for part in self._parts():
+            part.reset_during_sim_init()
+
+    @override
+    def reset_post_sim_init(self) -> None:
+        super().reset_post_sim_init()
+        for part in self._parts():
+            part.reset_post_sim_init()
 
 
 # -- default arguments -----------------------------------------------------------------------------------------------------------
