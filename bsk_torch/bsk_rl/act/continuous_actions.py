@@ -30,8 +30,8 @@ class ContinuousActionBuilder(ActionBuilder):
     @property
     @override
     def action_description(self) -> list[str]:
-        found = self.action_spec[0].action_description
-        return found() if callable(found) else found  # a method in programs of bsk_rl, which calls it
+        names = self.action_spec[0].action_description
+        return names() if callable(names) else names  # a method in programs of bsk_rl, which calls it
 
     @override
     def set_action(self, action: Any) -> None:
@@ -56,10 +56,6 @@ class ContinuousAction(Action):
     @abstractmethod
     def action_description(self) -> list[str]:
         """Names of the numbers."""
-
-    @abstractmethod
-    def set_action(self, action: Any) -> None:
-        """Begin the action."""
 
 
 class ImpulsiveThrust(ContinuousAction):
@@ -98,14 +94,14 @@ class ImpulsiveThrust(ContinuousAction):
     def set_action(self, action: Any) -> None:
         """See :meth:`ContinuousAction.set_action`; lengths and durations are clamped."""
         assert len(action) == 4, "Action must have 4 elements."
-        dv_N, wanted = action[0:3], action[3]
+        dv_N, requested = action[0:3], action[3]
         size = np.linalg.norm(dv_N)
         if size > self.max_dv:
             self.satellite.logger.info("Thrust clamped from %s m/s to %s m/s.", size, self.max_dv)
             dv_N = dv_N / size * self.max_dv
-        duration = np.clip(wanted, 2 * self.satellite.simulator.sim_rate, self.max_drift_duration)
-        if duration != wanted:
-            self.satellite.logger.warning("Requested drift duration %s out of range. Clamping to %s.", wanted, duration)
+        duration = np.clip(requested, 2 * self.satellite.simulator.sim_rate, self.max_drift_duration)
+        if duration != requested:
+            self.satellite.logger.warning("Requested drift duration %s out of range. Clamping to %s.", requested, duration)
         self.satellite.logger.info("Thrusting with inertial dV %s with %s second drift.", dv_N, duration)
         self.satellite.fsw.action_impulsive_thrust(dv_N)
         self.satellite.update_timed_terminal_event(self.satellite.simulator.sim_time + duration)
