@@ -68,14 +68,7 @@ class ImpulsiveThrust(ContinuousAction):
         max_drift_duration: float = float("inf"),
         fsw_action: str | None = None,
     ) -> None:
-        """Thrust.
-
-        Args:
-            name: Name of the action.
-            max_dv: Maximum velocity change, m/s.
-            max_drift_duration: Maximum duration of the drift, s.
-            fsw_action: Flight software command during the drift.
-        """
+        """Change the velocity by at most ``max_dv`` m/s, and drift for at most ``max_drift_duration`` s by ``fsw_action``."""
         super().__init__(name)
         self.max_dv, self.max_drift_duration, self.fsw_action = max_dv, max_drift_duration, fsw_action
 

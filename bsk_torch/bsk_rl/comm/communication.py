@@ -35,18 +35,13 @@ class CommunicationMethod(ABC, Resetable):
 
     Attributes:
         satellites: Satellites of the environment.
-        min_period: Minimum time between communications, s.
         last_communication_time: Time of the last one, s.
     """
 
     satellites: list[Any]
 
     def __init__(self, min_period: float = 0.0) -> None:
-        """Initialize the method.
-
-        Args:
-            min_period: Minimum time between communications, s.
-        """
+        """Communicate after steps, but not less than ``min_period`` s after the last communication."""
         self.min_period = min_period
 
     def reset_overwrite_previous(self) -> None:
@@ -110,13 +105,10 @@ class FreeCommunication(CommunicationMethod):
 
 
 class SightLog(NamedTuple):
-    """What Basilisk's recorder keeps of the sight of one satellite by another one.
-
-    Attributes:
-        hasAccess: 1 in ticks with a line of sight and 0 in others, [T].
-    """
+    """What Basilisk's recorder keeps of the sight of one satellite by another one."""
 
     hasAccess: np.ndarray
+    """1 in ticks with a line of sight and 0 in others, [T]."""
 
 
 class LOSCommunication(CommunicationMethod):
@@ -190,7 +182,7 @@ class BroadcastCommunication(CommunicationMethod):
             satellite.name: [act for act in satellite.action_builder.action_spec if hasattr(act, "broadcast_pending")]
             for satellite in self.satellites
         }
-        senders = {name for name, own in actions.items() if any(act.broadcast_pending for act in own)}
+        senders = {name for name, acts in actions.items() if any(act.broadcast_pending for act in acts)}
         pairs = [(one, other) for one, other in super().communication_pairs() if one.name in senders]  # type: ignore[safe-super]
         for name in senders:
             for act in actions[name]:

@@ -85,14 +85,7 @@ class ComposedDataStore(PassingStore):
         initial_data: ComposedData | None = None,
         data_store_kwargs: list[dict[str, Any]] | None = None,
     ) -> None:
-        """Create the stores.
-
-        Args:
-            satellite: The satellite.
-            data_store_types: Types of the stores.
-            initial_data: Data known at the start.
-            data_store_kwargs: Further arguments of each store.
-        """
+        """Create stores of ``data_store_types``, each with further arguments; ValueError for another number of these."""
         super().__init__(satellite, initial_data)
         kwargs = [{}] * len(data_store_types) if data_store_kwargs is None else data_store_kwargs
         if len(kwargs) != len(data_store_types):
@@ -228,9 +221,6 @@ class MixedData(Data):
     """Data by channel; its attributes are those that the data of one channel has.
 
     A channel may be missing, and without channels the unit is empty.
-
-    Attributes:
-        data: Data of each channel.
     """
 
     def __init__(self, data: Mapping[str, Data] | None = None) -> None:
@@ -260,21 +250,12 @@ class MixedDataStore(PassingStore):
     """A store for each channel in which a satellite collects data; received data of other channels is kept.
 
     Its attributes are those that one of its stores has.
-
-    Attributes:
-        data_stores: Store of each channel.
     """
 
     data_type = MixedData
 
     def __init__(self, satellite: Any, data_stores: Mapping[str, DataStore], initial_data: MixedData | None = None) -> None:
-        """Combine stores.
-
-        Args:
-            satellite: The satellite.
-            data_stores: Store of each channel.
-            initial_data: Data known at the start; None for that of the stores.
-        """
+        """Combine the store of each channel; the data at the start is that of the stores unless ``initial_data`` is given."""
         self.data_stores = dict(data_stores)
         data = MixedData({key: store.data for key, store in self.data_stores.items()})
         super().__init__(satellite, data if initial_data is None else initial_data)
@@ -309,11 +290,6 @@ class MixedReward(RewarderGroup):
 
     Stores are those of the rewarders, with what these install, such as the filter of images that have been taken. Only the
     channels of a satellite terminate or truncate its episode. All satellites know the data of all channels that they receive.
-
-    Attributes:
-        rewarders: Rewarder of each channel.
-        satellite_mapping: Names of the satellites that collect the data of each channel.
-        scenario_mapping: Id of the scenario of each channel; None without a ``scene.MixedScenario``.
     """
 
     data_store_type = MixedDataStore

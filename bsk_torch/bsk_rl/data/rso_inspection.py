@@ -26,12 +26,7 @@ Status = dict[RSOPoint, bool]
 
 
 class RSOInspectionData(Data):
-    """Points that have been inspected, and that have been lit.
-
-    Attributes:
-        point_inspect_status: Whether points have been inspected.
-        point_illuminate_status: Whether points have been lit.
-    """
+    """Points that have been inspected, and that have been lit."""
 
     def __init__(
         self,
@@ -62,8 +57,8 @@ class RSOInspectionData(Data):
         return f"RSOInspectionData(inspected={self.num_points_inspected}, illuminated={self.num_points_illuminated})"
 
 
-def _either(mine: Status, theirs: Status) -> Status:
-    return mine | {point: mine.get(point, False) or status for point, status in theirs.items()}
+def _either(one: Status, other: Status) -> Status:
+    return one | {point: one.get(point, False) or status for point, status in other.items()}
 
 
 class RSOInspectionDataStore(DataStore):
@@ -135,12 +130,9 @@ class RSOInspectionReward(GlobalReward):
             terminate_on_completion: Whether the episode terminates on completion.
         """
         super().__init__()
-        self.inspection_reward_scale = inspection_reward_scale
-        self.completion_bonus = completion_bonus
-        self.completion_threshold = completion_threshold
-        self.min_illuminated_for_completion = min_illuminated_for_completion
-        self.min_time_for_completion = min_time_for_completion
-        self.terminate_on_completion = terminate_on_completion
+        self.inspection_reward_scale, self.completion_bonus = inspection_reward_scale, completion_bonus
+        self.completion_threshold, self.min_illuminated_for_completion = completion_threshold, min_illuminated_for_completion
+        self.min_time_for_completion, self.terminate_on_completion = min_time_for_completion, terminate_on_completion
 
     def reset_overwrite_previous(self) -> None:
         """Forget the last episode."""
@@ -173,9 +165,9 @@ class RSOInspectionReward(GlobalReward):
 
     @override
     def calculate_reward(self, new_data_dict: dict[str, RSOInspectionData]) -> dict[str, float]:
-        known, total, reward = self.data.point_inspect_status, self.data_type() + self.data, {}
+        before, total, reward = self.data.point_inspect_status, self.data_type() + self.data, {}
         for name, data in new_data_dict.items():
-            new = sum(inspected and not known.get(point, False) for point, inspected in data.point_inspect_status.items())
+            new = sum(inspected and not before.get(point, False) for point, inspected in data.point_inspect_status.items())
             reward[name] = new / len(self.scenario.rso_points) * self.inspection_reward_scale
             total += data
         if self._completed(total) and not self.bonus_reward_yielded:

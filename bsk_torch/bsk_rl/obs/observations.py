@@ -205,14 +205,14 @@ class SatProperties(Observation):
 
     @override
     def get_obs(self) -> dict[str, Any]:
-        found = {}
+        observation = {}
         for entry in self.obs_properties:
             if "fn" in entry:
                 value = entry["fn"](self.satellite)
             else:
                 value = getattr(getattr(self.satellite, entry["module"]), entry["prop"])
-            found[entry["name"]] = (np.array(value) if isinstance(value, list) else value) / entry["norm"]
-        return found
+            observation[entry["name"]] = (np.array(value) if isinstance(value, list) else value) / entry["norm"]
+        return observation
 
 
 class Time(Observation):
@@ -291,12 +291,12 @@ class OpportunityProperties(Observation):
 
     @override
     def get_obs(self) -> dict[str, Any]:
-        found = self.satellite.find_next_opportunities(n=self.n_ahead_observe, types=self.type, pad=True)
+        opportunities = self.satellite.find_next_opportunities(n=self.n_ahead_observe, types=self.type, pad=True)
         return {
             f"{self.name}_{k}": {
                 entry["name"]: entry["fn"](self.satellite, opportunity) / entry["norm"] for entry in self.target_properties
             }
-            for k, opportunity in enumerate(found)
+            for k, opportunity in enumerate(opportunities)
         }
 
 

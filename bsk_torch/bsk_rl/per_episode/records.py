@@ -4,54 +4,20 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from typing_extensions import override
 
+from bsk_torch.bsk_rl.data.base import GlobalReward
 from bsk_torch.bsk_rl.data.unique_image_data import HideImaged
 from bsk_torch.bsk_rl.per_episode.views import OneAccessSatellite, OneSatellite, OneView
 from bsk_torch.sim.places import is_target
 from bsk_torch.sim.state import StateTable
 
 Filter = Callable[[Mapping[str, Any]], Any]
-
-
-class OneReward(Protocol):
-    """A rewarder of one episode: its hooks are those of ``bsk_torch.bsk_rl.data.GlobalReward``."""
-
-    data: Any
-    data_type: Any
-    data_store_type: Any
-
-    def link_scenario(self, scenario: Any) -> None:
-        """Keep the scenario."""
-
-    def reset_overwrite_previous(self) -> None:
-        """Forget the last episode."""
-
-    def reset_pre_sim_init(self) -> None:
-        """Prepare for the episode."""
-
-    def reset_during_sim_init(self) -> None:
-        """Prepare for the episode, once satellites have their stores."""
-
-    def reset_post_sim_init(self) -> None:
-        """Prepare for the episode, last."""
-
-    def create_data_store(self, satellite: Any) -> None:
-        """Give a satellite its store."""
-
-    def reward(self, new_data_dict: dict[str, Any]) -> dict[str, float]:
-        """Return the reward of a step by name of satellite."""
-
-    def is_terminated(self, satellite: Any) -> bool:
-        """Return whether the episode terminates for a satellite."""
-
-    def is_truncated(self, satellite: Any) -> bool:
-        """Return whether the episode is truncated for a satellite."""
 
 
 class StoringSatellite:
@@ -62,8 +28,7 @@ class StoringSatellite:
 
     def __init__(self, one: OneSatellite) -> None:
         """Add attributes to a view."""
-        own = self.__dict__
-        own["_one"], own["_filters"] = one, []
+        self.__dict__.update(_one=one, _filters=[])
 
     _one: OneSatellite
     _filters: list[Filter]
@@ -124,7 +89,7 @@ class Record:
         steps: Steps that have been scored.
     """
 
-    def __init__(self, rewarder: OneReward, satellites: list[StoringSatellite], scenario: SingleScenario) -> None:
+    def __init__(self, rewarder: GlobalReward, satellites: list[StoringSatellite], scenario: SingleScenario) -> None:
         """Put the parts together; see :meth:`begin`."""
         self.rewarder, self.satellites, self.scenario, self.steps = rewarder, satellites, scenario, 0
 

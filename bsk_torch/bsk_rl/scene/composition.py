@@ -19,10 +19,6 @@ class MixedScenario(ResetableGroup, Scenario):
 
     A scenario gets every call once, with the satellites of its group: targets are registered with these only. A scenario under
     several ids has one group, with the satellites of all of them.
-
-    Attributes:
-        scenarios: Scenarios by id.
-        satellite_mapping: Names of the satellites of each.
     """
 
     def __init__(self, scenarios: Mapping[str, Scenario], satellite_mapping: Mapping[str, Sequence[str]]) -> None:

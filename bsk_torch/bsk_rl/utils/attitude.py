@@ -19,11 +19,7 @@ AXES = {"radial": (1.0, 0.0, 0.0), "tangential": (0.0, 1.0, 0.0), "normal": (0.0
 
 
 def random_tumble(maxSpinRate: float = 0.001) -> tuple[np.ndarray, np.ndarray]:
-    """Return an attitude sigma_BN [3], MRPs in [0, 1), and a rate omega_BN_B [3], rad/s.
-
-    Args:
-        maxSpinRate: Bound of each component of the rate, rad/s.
-    """
+    """Return an attitude sigma_BN [3], MRPs in [0, 1), and a rate omega_BN_B [3] of components up to ``maxSpinRate``, rad/s."""
     sigma_BN = np.random.uniform(0, 1.0, [3])
     return sigma_BN, np.random.uniform(-maxSpinRate, maxSpinRate, [3])
 

@@ -37,12 +37,7 @@ class EpisodeDataLogger(metrics.EpisodeDataLogger):
         episode_data_callback: metrics.EpisodeCallback | None = None,
         satellite_data_callback: metrics.SatelliteCallback | None = None,
     ) -> None:
-        """Initialize the logger.
-
-        Args:
-            episode_data_callback: Function of the environment that returns metrics; None for none.
-            satellite_data_callback: Function of the environment and a satellite that returns metrics; None for none.
-        """
+        """Collect the metrics that these functions return; TypeError for what is no function."""
         self._keep(episode_data_callback, satellite_data_callback)
         self.logs_to_skip = RESETS_OF_RLLIB
 
