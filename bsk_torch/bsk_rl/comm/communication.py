@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from copy import copy
 from itertools import permutations
 from typing import Any, NamedTuple
@@ -67,25 +68,27 @@ class CommunicationMethod(ABC, Resetable):
         pairs = self.communication_pairs()
         if pairs:
             logger.info("Communicating data in %d direction%s.", len(pairs), "s" if len(pairs) > 1 else "")
-        count = len(self.satellites)
-        if len(pairs) == count * (count - 1):
-            self._communicate_all()
-        else:
-            for sender, receiver in pairs:
-                receiver.data_store.stage_communicated_data(sender.data_store.data)
-            for satellite in self.satellites:
-                satellite.data_store.update_with_communicated_data()
+        if len(pairs) == len(self.satellites) * (len(self.satellites) - 1):
+            logger.info("Optimizing data communication between all pairs of satellites")
+        exchange(self.satellites, pairs)
         self.last_communication_time = now
 
-    def _communicate_all(self) -> None:
-        logger.info("Optimizing data communication between all pairs of satellites")
-        total = type(self.satellites[0].data_store.data)()
-        for satellite in self.satellites:
-            total += satellite.data_store.data
-        for satellite in self.satellites:
-            satellite.data_store.data = copy(total)
-            if hasattr(satellite.data_store, "pass_data"):
-                satellite.data_store.pass_data()
+
+def exchange(satellites: Sequence[Any], pairs: Pairs) -> None:
+    """Exchange data between pairs; where there are as many as between all satellites, every satellite gets the data of all."""
+    if len(pairs) != len(satellites) * (len(satellites) - 1):
+        for sender, receiver in pairs:
+            receiver.data_store.stage_communicated_data(sender.data_store.data)
+        for satellite in satellites:
+            satellite.data_store.update_with_communicated_data()
+        return
+    total = type(satellites[0].data_store.data)()
+    for satellite in satellites:
+        total += satellite.data_store.data
+    for satellite in satellites:
+        satellite.data_store.data = copy(total)
+        if hasattr(satellite.data_store, "pass_data"):
+            satellite.data_store.pass_data()
 
 
 class NoCommunication(CommunicationMethod):

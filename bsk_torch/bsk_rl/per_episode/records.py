@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -11,6 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from typing_extensions import override
 
+from bsk_torch.bsk_rl.comm.communication import exchange
 from bsk_torch.bsk_rl.data.base import GlobalReward
 from bsk_torch.bsk_rl.data.unique_image_data import HideImaged
 from bsk_torch.bsk_rl.per_episode.views import OneAccessSatellite, OneSatellite, OneView
@@ -96,7 +96,7 @@ class Record:
     def begin(self) -> None:
         """Start the episode, in the order of one environment."""
         rewarder = self.rewarder
-        rewarder.link_scenario(self.scenario)
+        rewarder.link_scenario(self.scenario)  # type: ignore[arg-type]  # mypy: a view of the scenario
         rewarder.reset_overwrite_previous()
         rewarder.reset_pre_sim_init()
         for satellite in self.satellites:
@@ -114,19 +114,8 @@ class Record:
 
     def share(self, links: list[list[bool]]) -> None:
         """Spread data along ``links`` by sender and receiver; where all are linked with all, they get the sum."""
-        stores = [satellite.data_store for satellite in self.satellites]
-        pairs = [(a, b) for a in range(len(stores)) for b in range(len(stores)) if a != b and links[a][b]]
-        if len(pairs) == len(stores) * (len(stores) - 1):
-            whole = type(stores[0].data)()
-            for store in stores:
-                whole += store.data
-            for store in stores:
-                store.data = copy.copy(whole)
-            return
-        for sender, receiver in pairs:
-            stores[receiver].stage_communicated_data(stores[sender].data)
-        for store in stores:
-            store.update_with_communicated_data()
+        sides = list(enumerate(self.satellites))
+        exchange(self.satellites, [(one, other) for a, one in sides for b, other in sides if a != b and links[a][b]])
 
 
 class RecordTable(StateTable):

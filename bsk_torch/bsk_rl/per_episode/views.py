@@ -18,6 +18,7 @@ from typing_extensions import override
 
 from bsk_torch.bsk_rl.data.unique_image_data import UniqueImageData
 from bsk_torch.bsk_rl.sats.access_satellite import OpportunityQueries, Types, Window
+from bsk_torch.bsk_rl.sim import messages
 from bsk_torch.bsk_rl.sim.views import of_row
 from bsk_torch.sats.access import AccessSatellite
 from bsk_torch.sats.bound import BoundSatellite
@@ -143,17 +144,11 @@ class OneModel(OneView):
         return view_of(self._whole.satellite, self._row)
 
     @property
-    def storageUnit(self) -> SimpleNamespace:
+    def storageUnit(self) -> messages.ModuleView:
         """Basilisk's store, with ``storageUnitDataOutMsg.read()``, bit; AttributeError for models without one."""
-        total, levels, sat_args = self.storage_level, self.partition_levels, self.satellite.sat_args
-        names = sat_args.get("bufferNames")
-        message = SimpleNamespace(
-            storageLevel=total,
-            storageCapacity=sat_args["dataStorageCapacity"],
-            storedData=levels,
-            storedDataName=[str(k) for k in range(len(levels))] if names is None else list(names),
-        )
-        return SimpleNamespace(storageUnitDataOutMsg=SimpleNamespace(read=lambda: message))
+        module = messages.MODULES["storageUnit"]
+        getattr(type(self._whole), module.needs)
+        return messages.ModuleView(self, module.attributes)
 
     @property
     def instrument(self) -> SimpleNamespace:

@@ -146,8 +146,8 @@ class CityTargets(UniformTargets):
     ) -> None:
         """Initialize the scenario; see :class:`UniformTargets`.
 
-        ``n_select_from`` is the number of the most populous cities to draw from, None or ``"all"`` for all; ``location_offset`` the
-        length of a random shift away from the city, m.
+        ``n_select_from`` is the number of the most populous cities to draw from, None or ``"all"`` for all; ``location_offset``
+        the length of a random shift away from the city, m.
         """
         super().__init__(n_targets, priority_distribution, radius)
         self.n_select_from = sys.maxsize if n_select_from in ("all", None) else int(n_select_from)
