@@ -5,11 +5,22 @@ bsk_rl plays under the same seeds. ``docs/migration.md`` lists differences, and 
 thousands of episodes at once.
 """
 
+from typing import Any
+
 import gymnasium
 
 from bsk_torch.bsk_rl.gym import NO_ACTION, ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking
 
 __all__ = ["NO_ACTION", "ConstellationTasking", "GeneralSatelliteTasking", "SatelliteTasking"]
+
+
+def _vector_form(*args: Any) -> Any:
+    from bsk_torch.bsk_rl.vector import vector_form  # which programs of single environments need not load
+
+    return vector_form(*args)
+
+
+GeneralSatelliteTasking._vector_form = staticmethod(_vector_form)
 
 for _made in (GeneralSatelliteTasking, SatelliteTasking, ConstellationTasking):
     _place = f"bsk_torch.bsk_rl.gym:{_made.__name__}"

@@ -12,6 +12,7 @@ import inspect
 from abc import ABC
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -61,51 +62,18 @@ class Stock(NamedTuple):
     core: Callable[..., Any]
     """The counterpart."""
     arguments: dict[str, str]
-    """Its arguments, and the attributes of an object of bsk_rl's class that hold them."""
-    state: str = ""
-    """Further attributes of such an object, which no argument has set."""
+    """Arguments of both, and the attributes of an object of bsk_rl's class that hold them."""
 
 
-COMMAND = {"name": "name", "duration": "duration"}
-ACTIONS: dict[type, Stock] = {
-    **{getattr(their_act, name): Stock(getattr(act, name), COMMAND, "fsw_action reset_task")
-       for name in ("Charge", "Drift", "NadirPoint", "Desat", "Downlink", "Scan")},
-    their_act.DiscreteFSWAction: Stock(
-        act.DiscreteFSWAction, {**COMMAND, "fsw_action": "fsw_action", "reset_task": "reset_task"}
-    ),
-    their_act.Image: Stock(act.Image, {"n_ahead_image": "n_actions", "max_duration": "max_duration", "name": "name"}),
-    their_act.AttitudeSetpoint: Stock(act.AttitudeSetpoint, {"name": "name", "control_period": "control_period"}),
-}  # fmt: skip
-"""Actions; all have a satellite, and the number of their actions."""
-
-COMMUNICATION: dict[type, Stock] = {
-    getattr(their_comm, name): Stock(getattr(comm, name), {"min_period": "min_period"})
-    for name in ("NoCommunication", "FreeCommunication", "LOSCommunication", "LOSMultiCommunication")
-}
-"""Communication methods."""
-
-OBSERVATIONS: dict[type, Stock] = {
-    their_obs.SatProperties: Stock(obs.SatProperties, {"name": "name"}, "obs_properties"),
-    their_obs.Time: Stock(obs.Time, {"norm": "norm", "name": "name", "observe_time_remaining": "return_time_remaining"}),
-    their_obs.Eclipse: Stock(obs.Eclipse, {"norm": "norm", "name": "name"}),
-    their_obs.ResourceRewardWeight: Stock(obs.ResourceRewardWeight, {"norm": "norm", "name": "name"}),
-    their_obs.OpportunityProperties: Stock(
-        obs.OpportunityProperties, {"n_ahead_observe": "n_ahead_observe", "type": "type", "name": "name"}, "target_properties"
-    ),
-    their_obs.RelativeProperties: Stock(obs.RelativeProperties, {"chief_name": "chief_name", "name": "name"}, "rel_properties"),
-}
-"""Observations."""
-
-TARGETS = {"n_targets": "_n_targets", "priority_distribution": "priority_distribution", "radius": "radius"}
-SCENARIOS: dict[type, Stock] = {
-    their_scene.Scenario: Stock(scene.Scenario, {}),
-    their_scene.UniformNadirScanning: Stock(scene.UniformNadirScanning, {"value_per_second": "value_per_second"}),
-    their_scene.UniformTargets: Stock(scene.UniformTargets, TARGETS),
-    their_scene.CityTargets: Stock(
-        scene.CityTargets, {**TARGETS, "n_select_from": "n_select_from", "location_offset": "location_offset"}
-    ),
-}
-"""Scenarios."""
+def stock(theirs: ModuleType, core: ModuleType, **classes: str) -> dict[type, Stock]:
+    """Return the counterparts of classes by their names and arguments, ``argument`` or ``argument=attribute``."""
+    return {
+        getattr(theirs, name): Stock(
+            getattr(core, name), {argument: attribute or argument for argument, _, attribute in
+                                  (entry.partition("=") for entry in arguments.split())}
+        )
+        for name, arguments in classes.items()
+    }  # fmt: skip
 
 
 def of_each(function: Callable[[float], float], values: Tensor) -> Tensor:
@@ -121,22 +89,39 @@ class NothingHidden(data.UniqueImageReward):
         return self.scenario.available.unsqueeze(1).expand_as(self.known)
 
 
-REWARDERS: dict[type, Stock] = {
-    their_data.NoReward: Stock(data.NoReward, {}),
-    their_data.ScanningTimeReward: Stock(data.ScanningTimeReward, {"reward_fn": "_reward_fn"}),
-    their_data.UniqueImageReward: Stock(data.UniqueImageReward, {"reward_fn": "reward_fn"}),
-    their_data.ResourceReward: Stock(data.ResourceReward, {"reward_weight": "_reward_weight", "resource_fn": "resource_fn"}),
-}
-"""Rewarders."""
+COMMANDS = ("Charge", "Drift", "NadirPoint", "Desat", "Downlink", "Scan")
+COMMUNICATION = ("NoCommunication", "FreeCommunication", "LOSCommunication", "LOSMultiCommunication")
+TARGETS = "n_targets=_n_targets priority_distribution radius"
 
-SUMMED = {**REWARDERS, their_data.UniqueImageReward: REWARDERS[their_data.UniqueImageReward]._replace(core=NothingHidden)}
-"""Rewarders of which there are several."""
+COUNTERPARTS = {
+    **stock(their_act, act, **dict.fromkeys(COMMANDS, "name duration"), AttitudeSetpoint="name control_period",
+            DiscreteFSWAction="name duration fsw_action reset_task", Image="n_ahead_image=n_actions max_duration name"),
+    **stock(their_comm, comm, **dict.fromkeys(COMMUNICATION, "min_period")),
+    **stock(their_obs, obs, SatProperties="name", Time="norm name observe_time_remaining=return_time_remaining",
+            Eclipse="norm name", ResourceRewardWeight="norm name", OpportunityProperties="n_ahead_observe type name",
+            RelativeProperties="chief_name name"),
+    **stock(their_scene, scene, Scenario="", UniformNadirScanning="value_per_second", UniformTargets=TARGETS,
+            CityTargets=f"{TARGETS} n_select_from location_offset"),
+    **stock(their_data, data, NoReward="", ScanningTimeReward="reward_fn=_reward_fn", UniqueImageReward="reward_fn",
+            ResourceReward="reward_weight=_reward_weight resource_fn"),
+}  # fmt: skip
+"""Counterparts of bsk_rl's classes."""
+
+SUMMED = {**COUNTERPARTS, their_data.UniqueImageReward: COUNTERPARTS[their_data.UniqueImageReward]._replace(core=NothingHidden)}
+"""Counterparts where there are several rewarders."""
+
+ENTRIES: dict[type, tuple[str, Mapping[Any, Any]]] = {
+    their_obs.SatProperties: ("obs_properties", {}),
+    their_obs.OpportunityProperties: ("target_properties", their_obs.OpportunityProperties._fn_map),
+    their_obs.RelativeProperties: ("rel_properties", RELATIVE),
+}
+"""Attributes of observations that list their quantities, and the functions of those that the core has, too."""
 
 ADAPTED = ". vectorize='batched' runs custom rewarders and targets for each episode, and begins every episode with copies of them"
 """What to write for custom classes that the core can adapt."""
 
-LINKS = "satellite satellites scenario simulator n_actions data_type data_store_kwargs"
-"""Attributes of all objects that no argument has set."""
+LINKS = {"satellite", "satellites", "scenario", "backend"}
+"""Attributes that an environment sets before its first reset."""
 
 ADAPTERS: dict[str, Callable[[Any], Any]] = {
     "reward_fn": lambda function: partial(of_each, function),
@@ -170,12 +155,6 @@ IGNORED = {
 }  # fmt: skip
 """Attributes of classes that no user has written."""
 
-SATELLITE_STATE = (
-    "_name", "_timed_terminal_event_name", "access_filter_functions", "action_builder", "backend", "dyn_type", "fsw_type",
-    "latest_target", "logger", "observation_builder", "sat_args_generator", "target_types", "variable_interval", *GENERATION,
-)  # fmt: skip
-"""Attributes of satellites before their first episode."""
-
 CORES: dict[type, Any] = {SatelliteTasking: Core, ConstellationTasking: Constellation}
 """Environments of the core by the classes of bsk_rl that have a batched vector form."""
 
@@ -189,51 +168,44 @@ PASSED = (
 """Arguments of environments passed to the core unchanged."""
 
 
-def counterpart(given: Any, table: Mapping[type, Stock], *entries: Any) -> Any:
+def check_attributes(title: str, part: object, untouched: object) -> None:
+    """Raise NotBatchedError for attributes that an object of the same class and arguments does not have."""
+    if unknown := sorted(vars(part).keys() - vars(untouched).keys() - LINKS):
+        raise NotBatchedError(f"{title} has attributes that are not arguments of it: {', '.join(unknown)}")
+
+
+def counterpart(part: Any, *entries: Any, table: Mapping[type, Stock] = COUNTERPARTS) -> Any:
     """Return the core's counterpart of an object, made with ``entries`` before its arguments.
 
     Raises:
         NotBatchedError: For an object of another class, or one with attributes that its class does not know.
     """
-    title, stock = type(given).__name__, table.get(type(given))
-    if stock is None and type(given).__module__.startswith(their_act.__name__.rpartition(".")[0]):
+    title, stock = type(part).__name__, table.get(type(part))
+    if stock is None and type(part).__module__.startswith(their_act.__name__.rpartition(".")[0]):
         raise NotBatchedError(f"{title} is for one episode at a time")
     if stock is None:
-        raise NotBatchedError(f"{title} is a custom class, for one episode{ADAPTED if table in (REWARDERS, SCENARIOS) else ''}")
-    known = {*stock.arguments.values(), *stock.state.split(), *LINKS.split()}
-    if unknown := sorted(set(vars(given)) - known):
-        raise NotBatchedError(f"{title} has attributes that are not arguments of it: {', '.join(unknown)}")
-    values: dict[str, Any] = {}
-    for name, attribute in stock.arguments.items():
-        value = getattr(given, attribute)
-        if callable(value) and value in STANDARD:
-            continue
-        values[name] = ADAPTERS[name](value) if name in ADAPTERS and value is not None else value
-    return stock.core(*entries, **values)
+        adapted = ADAPTED if isinstance(part, their_data.GlobalReward | their_scene.Scenario) else ""
+        raise NotBatchedError(f"{title} is a custom class, for one episode{adapted}")
+    values = {name: getattr(part, attribute) for name, attribute in stock.arguments.items()}
+    check_attributes(title, part, type(part)(**values))
+    return stock.core(*entries, **{
+        name: ADAPTERS[name](value) if name in ADAPTERS and value is not None else value
+        for name, value in values.items() if not (callable(value) and value in STANDARD)
+    })  # fmt: skip
 
 
-def _adapted(entry: dict[str, Any]) -> dict[str, Any]:
-    """Return an observed quantity whose function, if it has one, may be called for each episode."""
-    return {**entry, "fn": per_episode(entry["fn"])} if "fn" in entry else entry
+def observed_entries(observation: Any) -> list[dict[str, Any]]:
+    """Return the observed quantities of an observation as the core takes them; functions may be called for each episode."""
+    attribute, presets = ENTRIES.get(type(observation), ("", {}))
+    entries = []
+    for entry in getattr(observation, attribute, ()):
+        unused = {"module"} if entry.get("fn") is not presets.get(entry.get("prop")) else {"module", "fn"}
+        rest = {name: value for name, value in entry.items() if name not in unused}
+        entries.append({**rest, "fn": per_episode(rest["fn"])} if "fn" in rest else rest)
+    return entries
 
 
-def _entries(given: Any) -> list[dict[str, Any]]:
-    """Return the observed quantities of an observation as the core takes them."""
-    if isinstance(given, their_obs.SatProperties):
-        return [_adapted({name: value for name, value in entry.items() if name != "module"}) for entry in given.obs_properties]
-    for kind, entries, presets in (
-        (their_obs.OpportunityProperties, "target_properties", their_obs.OpportunityProperties._fn_map),
-        (their_obs.RelativeProperties, "rel_properties", RELATIVE),
-    ):
-        if isinstance(given, kind):
-            each = getattr(given, entries)
-            unused = [{"fn"} if entry["fn"] is presets.get(entry.get("prop")) else set() for entry in each]
-            pairs = zip(each, unused, strict=True)
-            return [_adapted({name: value for name, value in entry.items() if name not in names}) for entry, names in pairs]
-    return []
-
-
-def given_arguments(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
+def changed_arguments(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
     """Return the arguments whose values differ from their defaults, as the core takes them."""
     return {name: DRAWS.get(value, value) if callable(value) else value
             for name, value in values.items() if not _same(value, defaults.get(name))}  # fmt: skip
@@ -245,42 +217,42 @@ def _same(value: Any, default: Any) -> bool:
     return not callable(value) and type(value) is type(default) and bool(np.all(value == default))
 
 
-def check_satellite(given: Any) -> None:
-    """Raise NotBatchedError for a satellite with code of the user's, or changes that the core's satellites do not know."""
-    for kind in type(given).__mro__:
+def check_satellite(satellite: Any, untouched: Any) -> None:
+    """Raise NotBatchedError for changes of a satellite that the core's satellites do not know."""
+    check_attributes(f"satellite {satellite.name}", satellite, untouched)
+    if satellite.observation_builder.obs_type is not np.ndarray:
+        raise NotBatchedError(f"obs_type={satellite.observation_builder.obs_type!r}; vectors can be batched")
+    if getattr(satellite, "access_filter_functions", ()) or getattr(satellite, "target_types", TARGET_KIND) != TARGET_KIND:
+        raise NotBatchedError(f"satellite {satellite.name} has access filters, or looks for other types than {TARGET_KIND!r}")
+
+
+def core_satellite(satellite: Any) -> core_sats.Satellite:
+    """Return the core's counterpart of a satellite; NotBatchedError for one that has none."""
+    for kind in type(satellite).__mro__:
         if kind.__module__.startswith("bsk_torch.") or kind in (object, ABC):
             continue
-        if added := sorted(set(vars(kind)) - BODY - IGNORED):
+        if added := sorted(vars(kind).keys() - BODY - IGNORED):
             raise NotBatchedError(f"{kind.__name__} has custom code, for one episode: {', '.join(added)}")
-    if added := sorted(set(vars(given)) - set(SATELLITE_STATE)):
-        raise NotBatchedError(f"satellite {given.name} has attributes that are not arguments of it: {', '.join(added)}")
-    if given.observation_builder.obs_type is not np.ndarray:
-        raise NotBatchedError(f"obs_type={given.observation_builder.obs_type!r}; vectors can be batched")
-    if getattr(given, "access_filter_functions", ()) or getattr(given, "target_types", TARGET_KIND) != TARGET_KIND:
-        raise NotBatchedError(f"satellite {given.name} has access filters, or looks for other types than {TARGET_KIND!r}")
-
-
-def core_satellite(given: Any) -> core_sats.Satellite:
-    """Return the core's counterpart of a satellite; NotBatchedError for one that has none."""
-    check_satellite(given)
-    sat_args = given_arguments(given.sat_args_generator, type(given).default_sat_args())
+    untouched = type(satellite)(satellite.name)
+    check_satellite(satellite, untouched)
+    sat_args = changed_arguments(satellite.sat_args_generator, untouched.sat_args_generator)
     if "utc_init" in sat_args:
         raise NotBatchedError("utc_init is among sat_args; write it among world_args")
-    builder = given.observation_builder
+    builder = satellite.observation_builder
     body = {
-        "observation_spec": [counterpart(entry, OBSERVATIONS, *_entries(entry)) for entry in builder.observation_spec],
-        "action_spec": [counterpart(entry, ACTIONS) for entry in given.action_builder.action_spec],
-        "dyn_type": given.dyn_type,
-        "fsw_type": given.fsw_type,
+        "observation_spec": [counterpart(entry, *observed_entries(entry)) for entry in builder.observation_spec],
+        "action_spec": [counterpart(entry) for entry in satellite.action_builder.action_spec],
+        "dyn_type": satellite.dyn_type,
+        "fsw_type": satellite.fsw_type,
     }
-    base = next(kind for kind in type(given).__mro__ if kind in SATELLITES)
-    made = type(type(given).__name__, (SATELLITES[base],), body)
-    options = {name: getattr(given, name) for name in GENERATION if hasattr(given, name)}
-    return made(given.name, sat_args, variable_interval=bool(given.variable_interval), dtype=builder.dtype, **options)
+    base = next(kind for kind in type(satellite).__mro__ if kind in SATELLITES)
+    made = type(type(satellite).__name__, (SATELLITES[base],), body)
+    options = {name: getattr(satellite, name) for name in GENERATION if hasattr(satellite, name)}
+    return made(satellite.name, sat_args, variable_interval=bool(satellite.variable_interval), dtype=builder.dtype, **options)
 
 
-def given_to(args: Sequence[Any], kwargs: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arguments of an environment by name, without those that are not given."""
+def named_arguments(args: Sequence[Any], kwargs: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments that an environment was made with, by name."""
     named = {"satellites" if name == "satellite" else name: value for name, value in kwargs.items()}
     bound = inspect.signature(GeneralSatelliteTasking.__init__).bind_partial(None, *args, **named)
     return {name: value for name, value in bound.arguments.items() if name != "self"}
@@ -304,24 +276,24 @@ def batched_core(env: Any, args: Sequence[Any], kwargs: Mapping[str, Any], num_e
         raise NotBatchedError(f"{type(env).__name__} has no batched vector form; {[kind.__name__ for kind in CORES]} have")
     if agents := [name for name in AGENT_ARGUMENTS if name in kwargs]:
         raise NotBatchedError(f"{agents[0]}: agents of several satellites have no batched vector form")
-    arguments = given_to(args, kwargs)
+    arguments = named_arguments(args, kwargs)
     several = type(env.rewarder) is ComposedReward
     parts = env.rewarder.rewarders if several else [env.rewarder]
     try:
         rewarders = [
             PerEpisodeReward(copy.copy(arguments["rewarder"]))
-            if adapt and not several and type(part) not in REWARDERS
-            else counterpart(part, SUMMED if several else REWARDERS)
+            if adapt and not several and type(part) not in COUNTERPARTS
+            else counterpart(part, table=SUMMED if several else COUNTERPARTS)
             for part in parts
         ]
         satellites = [core_satellite(satellite) for satellite in env.satellites]
-        custom = adapt and type(env.scenario) not in SCENARIOS and hasattr(env.scenario, "regenerate_targets")
+        custom = adapt and type(env.scenario) not in COUNTERPARTS and hasattr(env.scenario, "regenerate_targets")
         return make(
             satellites if make is Constellation else satellites[0],
-            PerEpisodeTargets(copy.copy(arguments["scenario"])) if custom else counterpart(env.scenario, SCENARIOS),
+            PerEpisodeTargets(copy.copy(arguments["scenario"])) if custom else counterpart(env.scenario),
             rewarders if several else rewarders[0],
-            counterpart(env.communicator, COMMUNICATION),
-            world_args=given_arguments(env.world_args_generator, world_defaults(env.world_type)),
+            counterpart(env.communicator),
+            world_args=changed_arguments(env.world_args_generator, world_defaults(env.world_type)),
             num_envs=num_envs,
             compat="bsk_rl",
             **{name: arguments[name] for name in PASSED if name in arguments},

@@ -1,4 +1,4 @@
-"""Constellations of bsk_rl as one batched simulation of N episodes, with arrays by agent."""
+"""N constellations of bsk_rl with arrays by agent, and these as one batched simulation."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ from bsk_torch.bsk_rl.per_episode.views import satellites_of
 from bsk_torch.env import NO_ACTION
 from bsk_torch.env import ConstellationTasking as Constellation
 from bsk_torch.wrappers.core import as_numpy, begin
+from bsk_torch.wrappers.gymnasium.vector import parse_mode
 
-__all__ = ["BatchedAgentsVectorEnv"]
+__all__ = ["AgentsVector", "BatchedAgentsVectorEnv"]
 
 ByAgent = dict[Any, Any]
 """Arrays [N, ...] by agent."""
@@ -34,51 +35,44 @@ class Seat(NamedTuple):
     column: int
 
 
-def check_actions(actions: Mapping[Any, Any], agents: Sequence[Any], num_envs: int) -> None:
-    """Raise TypeError unless ``actions`` is a mapping, KeyError for another agent, ValueError for a wrong number of actions."""
-    if not isinstance(actions, Mapping):
-        raise TypeError(f"actions={actions!r} must be a dictionary of arrays by agent; agents are {agents}")
-    for agent, each in actions.items():
-        if agent not in agents:
-            raise KeyError(f"{agent!r} is not an agent; agents are {agents}")
-        if np.ndim(each) == 0:
-            raise ValueError(f"actions[{agent!r}]={each!r} must have {num_envs} entries, one per environment")
-        if len(each) != num_envs:
-            raise ValueError(f"actions[{agent!r}] has {len(each)} entries; it must have {num_envs}, one per environment")
+AGENT_MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)
+"""Autoreset modes of agents."""
 
 
-class BatchedAgentsVectorEnv:
-    """N constellations in one simulation, with the methods of :class:`~bsk_torch.bsk_rl.vector.AgentsVectorEnv`.
+class AgentsVector:
+    """N constellations: PettingZoo's parallel interface, with arrays of all environments by agent.
 
-    Observations, rewards and durations are those of single environments in the same state, to rounding. Draws are those of
-    :mod:`bsk_torch`: a seed gives other episodes, of the same distribution.
+    Actions, observations, rewards, terminations, truncations and infos are dictionaries by agent, of arrays [N, ...]. Entries of
+    agents that have left an environment are zero; ``infos[agent]["present"]`` [N] marks the environments in which an agent was
+    part of the step. An episode is over when its agents have left, or are all terminated or truncated.
 
     Attributes:
-        core: The simulation, an environment of :mod:`bsk_torch`.
         num_envs: Number of environments N.
         possible_agents: All agents.
         observation_spaces, action_spaces: Spaces of all environments by agent.
         single_observation_spaces, single_action_spaces: Spaces of one environment by agent.
     """
 
-    def __init__(self, core: Constellation, autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP) -> None:
-        """Wrap a simulation; ``autoreset_mode`` is ``NEXT_STEP`` or ``DISABLED``."""
-        self.core, self.autoreset_mode = core, autoreset_mode
-        self.metadata = {"autoreset_mode": autoreset_mode, "name": "constellation"}
-        self.num_envs = core.batch_size[0]
-        self.possible_agents: list[Any] = list(core.names)
-        self._seats, self.single_observation_spaces, self.single_action_spaces = {}, ByAgent(), ByAgent()
-        for group in core.groups:
-            shape = core.observation_spec[group.name, "observation"].shape[2:]
-            dtype = torch.empty(0, dtype=core.dtype).numpy().dtype
-            for number, agent in enumerate(group.agents):
-                self._seats[agent] = Seat(group.name, number, int(group.members[number, 0]))
-                self.single_observation_spaces[agent] = spaces.Box(-LARGEST, LARGEST, tuple(shape), dtype.type)
-                self.single_action_spaces[agent] = spaces.Discrete(core.satellites[group.types[0]].actions.n_actions)
-        self.observation_spaces = {a: batch_space(self.single_observation_spaces[a], self.num_envs) for a in self.possible_agents}
-        self.action_spaces = {a: batch_space(self.single_action_spaces[a], self.num_envs) for a in self.possible_agents}
-        self._left = torch.zeros(self.num_envs, len(self.possible_agents), dtype=torch.bool)
-        self._over = torch.zeros(self.num_envs, dtype=torch.bool)
+    _over: np.ndarray | Tensor
+    """Whether an episode is over, [N]."""
+
+    def __init__(
+        self,
+        num_envs: int,
+        autoreset_mode: AutoresetMode | str,
+        observation_spaces: Mapping[Any, spaces.Space[Any]],
+        action_spaces: Mapping[Any, spaces.Space[Any]],
+    ) -> None:
+        """Keep the spaces of one environment by agent; ValueError for an autoreset mode that agents do not have."""
+        self.num_envs, self.autoreset_mode = num_envs, parse_mode(autoreset_mode)
+        if self.autoreset_mode not in AGENT_MODES:
+            names = [allowed.value for allowed in AGENT_MODES]
+            raise ValueError(f"autoreset_mode={self.autoreset_mode.value!r} must be one of {names} for agents")
+        self.metadata = {"autoreset_mode": self.autoreset_mode, "name": "constellation"}
+        self.possible_agents: list[Any] = list(observation_spaces)
+        self.single_observation_spaces, self.single_action_spaces = dict(observation_spaces), dict(action_spaces)
+        self.observation_spaces = {agent: batch_space(space, num_envs) for agent, space in observation_spaces.items()}
+        self.action_spaces = {agent: batch_space(space, num_envs) for agent, space in action_spaces.items()}
         self._started = False
 
     def observation_space(self, agent: Any) -> spaces.Space[Any]:
@@ -89,10 +83,64 @@ class BatchedAgentsVectorEnv:
         """Space of an agent's actions in all environments."""
         return self.action_spaces[agent]
 
+    def _reset_rows(self, options: Mapping[str, Any] | None) -> np.ndarray:
+        """Return which environments ``reset(options=...)`` starts, [N]."""
+        mask = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs)), dtype=bool)
+        if mask.shape != (self.num_envs,) or not mask.any():
+            raise ValueError(
+                f"options['reset_mask'] has shape {list(mask.shape)} and {mask.sum()} entries that are true; it must have shape "
+                f"[{self.num_envs}] and at least one"
+            )
+        if not self._started and not mask.all():
+            raise ResetNeeded("the first reset() must start all environments; leave out options['reset_mask']")
+        return mask
+
+    def _check_step(self, actions: Mapping[Any, Any]) -> None:
+        """Raise an error unless episodes are running and ``actions`` are those of agents."""
+        if not self._started or (self.autoreset_mode is AutoresetMode.DISABLED and bool(self._over.any())):
+            raise ResetNeeded("step() needs running episodes; call reset(), with options={'reset_mask': ended} for some of them")
+        if not isinstance(actions, Mapping):
+            raise TypeError(f"actions={actions!r} must be a dictionary of arrays by agent; agents are {self.possible_agents}")
+        for agent, each in actions.items():
+            if agent not in self.possible_agents:
+                raise KeyError(f"{agent!r} is not an agent; agents are {self.possible_agents}")
+            if np.ndim(each) == 0:
+                raise ValueError(f"actions[{agent!r}]={each!r} must have {self.num_envs} entries, one per environment")
+            if len(each) != self.num_envs:
+                raise ValueError(f"actions[{agent!r}] has {len(each)} entries; it must have {self.num_envs}, one per environment")
+
+
+class BatchedAgentsVectorEnv(AgentsVector):
+    """N constellations in one simulation.
+
+    Observations, rewards and durations are those of single environments in the same state, to rounding. Draws are those of
+    :mod:`bsk_torch`: a seed gives other episodes, of the same distribution.
+
+    Attributes:
+        core: The simulation, an environment of :mod:`bsk_torch`.
+    """
+
+    def __init__(self, core: Constellation, autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP) -> None:
+        """Wrap a simulation; ``autoreset_mode`` is ``NEXT_STEP`` or ``DISABLED``."""
+        self.core = core
+        self._seats, observation_spaces, action_spaces = dict[Any, Seat](), ByAgent(), ByAgent()
+        dtype = torch.empty(0, dtype=core.dtype).numpy().dtype.type
+        for group in core.groups:
+            shape = tuple(core.observation_spec[group.name, "observation"].shape[2:])
+            n_actions = core.satellites[group.types[0]].actions.n_actions
+            for number, agent in enumerate(group.agents):
+                self._seats[agent] = Seat(group.name, number, int(group.members[number, 0]))
+                observation_spaces[agent] = spaces.Box(-LARGEST, LARGEST, shape, dtype)
+                action_spaces[agent] = spaces.Discrete(n_actions)
+        ordered = ({agent: table[agent] for agent in core.names} for table in (observation_spaces, action_spaces))
+        super().__init__(core.batch_size[0], autoreset_mode, *ordered)
+        self._present = torch.zeros(self.num_envs, len(self.possible_agents), dtype=torch.bool)
+        self._over: Tensor = torch.zeros(self.num_envs, dtype=torch.bool)
+
     @property
     def agents(self) -> list[list[Any]]:
         """Remaining agents of each environment."""
-        return [[a for a in self.possible_agents if row[self._seats[a].column]] for row in self._left.tolist()]
+        return [[a for a in self.possible_agents if row[self._seats[a].column]] for row in self._present.tolist()]
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
         """Return ``satellites`` of every episode, lists of read-only views; AttributeError for other attributes."""
@@ -119,26 +167,18 @@ class BatchedAgentsVectorEnv:
                 episodes of the present seeds.
             options: ``{"reset_mask": mask}`` with booleans [N] leaves the other environments unchanged.
         """
-        rows = torch.as_tensor(np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs)), dtype=bool))
-        if rows.shape != (self.num_envs,) or not rows.any():
-            raise ValueError(
-                f"options['reset_mask'] has shape {list(rows.shape)} and {int(rows.sum())} entries that are true; it must have "
-                f"shape [{self.num_envs}] and at least one"
-            )
-        if not self._started and not rows.all():
-            raise ResetNeeded("the first reset() must start all environments; leave out options['reset_mask']")
+        rows = torch.as_tensor(self._reset_rows(options))
         if seed is not None:
             self.core.reseed(seed, rows)
         self._begin(rows)
-        return self._observations(self.core.observe(), self._left), self._infos(
-            self._left, torch.zeros(self.num_envs, dtype=torch.float64)
+        return self._observations(self.core.observe(), self._present), self._infos(
+            self._present, torch.zeros(self.num_envs, dtype=torch.float64)
         )
 
     def _begin(self, rows: Tensor) -> None:
-        """Start the next episodes of some environments, [N] bool."""
         begin(self.core, rows)
         alive = ~self.core.dead & ~self.core.fleet.state.removed
-        self._left, self._over, self._started = torch.where(rows.unsqueeze(-1), alive, self._left), self._over & ~rows, True
+        self._present, self._over, self._started = torch.where(rows.unsqueeze(-1), alive, self._present), self._over & ~rows, True
 
     def step(self, actions: Mapping[Any, Any]) -> tuple[ByAgent, ByAgent, ByAgent, ByAgent, ByAgent]:
         """Carry out the actions [N] of agents, by agent; those of agents that are left out, or have left, are not used.
@@ -149,39 +189,37 @@ class BatchedAgentsVectorEnv:
             ValueError: For a wrong number of actions.
             TypeError: For actions that are not integers, or not given by agent.
         """
-        if not self._started or (self.autoreset_mode is AutoresetMode.DISABLED and bool(self._over.any())):
-            raise ResetNeeded("step() needs running episodes; call reset(), with options={'reset_mask': ended} for some of them")
-        given, waiting, before = self._tables(actions), self._over, self._left
-        seen = self.core.play(given, ~waiting)
+        self._check_step(actions)
+        waiting, before = self._over, self._present
+        results = self.core.play(self._tables(actions), ~waiting)
         ended, cut = self._ends()
         moved = before & ~waiting.unsqueeze(-1)
-        left = moved & ~self.core.dead & ~cut.unsqueeze(-1)
-        self._left = torch.where(waiting.unsqueeze(-1), before, left)
-        self._over = ~waiting & (~left | ended | cut.unsqueeze(-1)).all(1)
+        remaining = moved & ~self.core.dead & ~cut.unsqueeze(-1)
+        self._present = torch.where(waiting.unsqueeze(-1), before, remaining)
+        self._over = ~waiting & (~remaining | ended | cut.unsqueeze(-1)).all(1)
         rewards = torch.zeros(moved.shape, dtype=torch.float64)
         for seat in self._seats.values():
-            rewards[:, seat.column] = seen[seat.group, "reward"][:, seat.number, 0].double()
-        duration = seen["duration"].squeeze(-1).double().masked_fill(waiting, 0.0)
+            rewards[:, seat.column] = results[seat.group, "reward"][:, seat.number, 0].double()
+        duration = results["duration"].squeeze(-1).double().masked_fill(waiting, 0.0)
         if bool(waiting.any()):
             self._begin(waiting)
             fresh = self.core.observe()
             for group in self.core.groups:
-                rows, new = (tree[group.name, "observation"] for tree in (seen, fresh))
-                seen[group.name, "observation"] = torch.where(waiting.view(-1, 1, 1), new, rows)
-        present = torch.where(waiting.unsqueeze(-1), self._left, moved)
+                rows, new = (tree[group.name, "observation"] for tree in (results, fresh))
+                results[group.name, "observation"] = torch.where(waiting.view(-1, 1, 1), new, rows)
+        present = torch.where(waiting.unsqueeze(-1), self._present, moved)
         columns = (rewards * moved, ended & moved, cut.unsqueeze(-1) & moved)
-        return (self._observations(seen, present), *map(self._by_agent, columns), self._infos(present, duration))  # type: ignore[return-value]
+        return (self._observations(results, present), *map(self._by_agent, columns), self._infos(present, duration))  # type: ignore[return-value]
 
     def _tables(self, actions: Mapping[Any, Any]) -> list[Tensor]:
         """Return the actions of each group, [N, A], which continue the tasks of agents without one."""
-        check_actions(actions, self.possible_agents, self.num_envs)
         tables = {group.name: torch.full((self.num_envs, len(group.agents)), NO_ACTION) for group in self.core.groups}
         for agent, each in actions.items():
             chosen = np.asarray(each)
             if chosen.dtype.kind not in "iu":
                 raise TypeError(f"actions[{agent!r}] has dtype {chosen.dtype}; it must be an integer array, such as np.int64")
             seat = self._seats[agent]
-            table, acts = tables[seat.group], self._left[:, seat.column] & ~self._over
+            table, acts = tables[seat.group], self._present[:, seat.column] & ~self._over
             table[:, seat.number] = torch.where(acts, torch.as_tensor(chosen), table[:, seat.number])
         return list(tables.values())
 
@@ -195,18 +233,17 @@ class BatchedAgentsVectorEnv:
     # -- results -------------------------------------------------------------------------------------------------------
 
     def _by_agent(self, table: Tensor) -> ByAgent:
-        """Return the columns of a table [N, S] by agent."""
         return {agent: as_numpy(table[:, seat.column]) for agent, seat in self._seats.items()}
 
-    def _observations(self, seen: TensorDictBase, present: Tensor) -> ByAgent:
+    def _observations(self, results: TensorDictBase, present: Tensor) -> ByAgent:
         """Return the observations of agents that are ``present`` [N, S], zero elsewhere."""
-        found = ByAgent()
+        observations = ByAgent()
         for agent, (group, number, column) in self._seats.items():
-            rows = seen[group, "observation"][:, number]
-            found[agent] = as_numpy(torch.where(present[:, column].unsqueeze(-1), rows, torch.zeros_like(rows)))
-        return found
+            rows = results[group, "observation"][:, number]
+            observations[agent] = as_numpy(torch.where(present[:, column].unsqueeze(-1), rows, torch.zeros_like(rows)))
+        return observations
 
     def _infos(self, present: Tensor, duration: Tensor) -> ByAgent:
         idle = self._by_agent(self.core.requires_retasking & present)
-        there, spent = self._by_agent(present), self._by_agent(duration.unsqueeze(-1) * present)
-        return {a: {"requires_retasking": idle[a], "d_ts": spent[a], "present": there[a]} for a in self.possible_agents}
+        flags, spent = self._by_agent(present), self._by_agent(duration.unsqueeze(-1) * present)
+        return {a: {"requires_retasking": idle[a], "d_ts": spent[a], "present": flags[a]} for a in self.possible_agents}

@@ -9,13 +9,14 @@ here. Arguments of components that bsk_rl lacks follow behind.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Mapping
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
 
 from bsk_torch.bsk_rl.utils.attitude import random_tumble
-from bsk_torch.bsk_rl.utils.functional import safe_dict_merge
 from bsk_torch.bsk_rl.utils.orbital import random_epoch, random_orbit
 from bsk_torch.constants import R_EARTH
 from bsk_torch.rand import Distribution
@@ -116,6 +117,15 @@ ARRAYS = ("nHat_B",)
 """Vectors that are arrays in bsk_rl; others are lists."""
 
 
+def safe_dict_merge(updates: Mapping[str, Any], base: dict[str, Any]) -> dict[str, Any]:
+    """Add copies of the entries of ``updates`` to ``base``, with a warning for those that replace others; return ``base``."""
+    for name, value in updates.items():
+        if name in base and np.any(base[name] != value):
+            warnings.warn(f"Conflicting values for {name}: overwriting {base[name]} with {value}", stacklevel=2)
+    base.update(deepcopy(dict(updates)))
+    return base
+
+
 def sat_defaults(dyn_type: type, fsw_type: type) -> dict[str, Any]:
     """Return all arguments of satellites of two models, by name: constants, or functions that draw a value.
 
@@ -125,12 +135,12 @@ def sat_defaults(dyn_type: type, fsw_type: type) -> dict[str, Any]:
     """
     components = (*dyn_type.all_components(), *fsw_type.all_components())  # type: ignore[attr-defined]
     values = {**FIXED, **_values(components, without="utc_init")}
-    found = _collected(dyn_type, _methods(dyn_type, DYN), values)
-    found = safe_dict_merge(found, _collected(fsw_type, _methods(fsw_type, FSW), values))
+    args = _collected(dyn_type, _methods(dyn_type, DYN), values)
+    args = safe_dict_merge(args, _collected(fsw_type, _methods(fsw_type, FSW), values))
     tasks = _tasks(fsw_type)
     for name in sorted(tasks):
-        found = safe_dict_merge(found, _collected(getattr(fsw_type, name, None), tasks[name], values))
-    return found | {name: value for name, value in values.items() if name not in found and name not in FIXED}
+        args = safe_dict_merge(args, _collected(getattr(fsw_type, name, None), tasks[name], values))
+    return args | {name: value for name, value in values.items() if name not in args and name not in FIXED}
 
 
 def model_defaults(model: type) -> dict[str, Any]:
@@ -142,30 +152,28 @@ def model_defaults(model: type) -> dict[str, Any]:
 def world_defaults(world_type: type) -> dict[str, Any]:
     """Return all arguments of a world model by name; see :func:`sat_defaults`."""
     values = _values(world_type.all_components())  # type: ignore[attr-defined]
-    found = _collected(world_type, _methods(world_type, WORLD), values)
-    return found | {name: value for name, value in values.items() if name not in found}
+    args = _collected(world_type, _methods(world_type, WORLD), values)
+    return args | {name: value for name, value in values.items() if name not in args}
 
 
 def _methods(model: type, table: Mapping[type, Methods]) -> Methods:
-    """Return the declaring methods of a model and its bases, those of derived classes first."""
     return {name: args for base in reversed(model.__mro__) for name, args in table.get(base, {}).items()}
 
 
 def _tasks(model: type) -> dict[str, Methods]:
     """Return the declaring methods of each task of flight software, and the tasks of its subclasses that declare others."""
     listed = {name: methods for base in reversed(model.__mro__) for name, methods in TASKS.get(base, {}).items()}
-    own = (name for name in dir(model) if isinstance(getattr(model, name), type) and issubclass(getattr(model, name), fsw.Task))
-    return listed | {name: listed.get(name, {}) for name in own}
+    tasks = (name for name in dir(model) if isinstance(getattr(model, name), type) and issubclass(getattr(model, name), fsw.Task))
+    return listed | {name: listed.get(name, {}) for name in tasks}
 
 
 def _collected(model: object, methods: Methods, values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the arguments that methods declare, in the order of their names, and those that users have declared with them."""
     declared = {} if model is None else _declared(model)
-    found: dict[str, Any] = {}
+    args: dict[str, Any] = {}
     for name in sorted({*methods, *declared}):
-        table = declared.get(name) or {arg: values[arg] for arg in methods[name].split()}
-        safe_dict_merge(table, found)
-    return found
+        safe_dict_merge(declared.get(name) or {arg: values[arg] for arg in methods[name].split()}, args)
+    return args
 
 
 def _declared(model: object) -> dict[str, dict[str, Any]]:
@@ -175,13 +183,11 @@ def _declared(model: object) -> dict[str, dict[str, Any]]:
 
 
 def _values(components: tuple[Component, ...], without: str = "") -> dict[str, Any]:
-    """Return the defaults of components as bsk_rl gives them."""
     args = (arg for component in components for arg in component.args if arg.name != without)
     return {arg.name: _value(arg) for arg in args}
 
 
 def _value(arg: Arg) -> Any:
-    """Return the default of an argument: a number, list or array, or a function that draws one."""
     if arg.name in RANDOM and isinstance(arg.default, Distribution):
         return RANDOM[arg.name]
     if arg.name in ARRAYS:

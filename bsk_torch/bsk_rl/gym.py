@@ -78,6 +78,8 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
     simulator: Simulator
+    _vector_form: ClassVar[Callable[..., Any]]
+    """:func:`bsk_torch.bsk_rl.vector.vector_form`, set by the package."""
 
     def __new__(
         cls,
@@ -93,9 +95,7 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
                 if value is not None:
                     raise ValueError(f"{name}={value!r} belongs to the vector form; give num_envs, too")
             return super().__new__(cls)
-        from bsk_torch.bsk_rl.vector import vector_form  # which puts environments of this module together
-
-        return vector_form(cls, num_envs, "auto" if vectorize is None else vectorize, autoreset_mode, args, kwargs)
+        return cls._vector_form(cls, num_envs, "auto" if vectorize is None else vectorize, autoreset_mode, args, kwargs)
 
     def __init__(
         self,
@@ -162,10 +162,10 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
         if vizard_settings is not None:
             logger.warning("Vizard settings provided but Vizard is not enabled. Ignoring settings.")
         self.vizard_settings = dict(vizard_settings or {})
-        given = [satellites] if isinstance(satellites, Satellite) else list(satellites)
+        listed = [satellites] if isinstance(satellites, Satellite) else list(satellites)
         if scenario is not None:
-            scenario.validate_satellite_names(given)
-        self.satellites: list[Satellite] = deepcopy(given)
+            scenario.validate_satellite_names(listed)
+        self.satellites: list[Satellite] = deepcopy(listed)
         self.dtype = dtype
         _rename_duplicates(self.satellites)
         for satellite in self.satellites:
@@ -211,7 +211,6 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
             root.addHandler(handler)
 
     def _minimum_world_model(self) -> type[WorldModel]:
-        """Return the world model that all satellites need."""
         models = dict.fromkeys(model for satellite in self.satellites for model in satellite.dyn_type.all_required_worlds())
         return compose(tuple(models), WorldModel)
 
@@ -266,7 +265,6 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
         self.scenario.utc_init = epoch
 
     def _prepare(self) -> None:
-        """Call the hooks before the simulation is made, and give satellites their stores."""
         for part in (self.scenario, self.rewarder, self.communicator):
             part.reset_pre_sim_init()
         for satellite in self.satellites:
@@ -341,7 +339,6 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
     # -- step ---------------------------------------------------------------------------------------------------------
 
     def _step(self, actions: Any) -> None:
-        """Begin the actions, run to the next event, and score what has happened."""
         if len(actions) != len(self.satellites):
             raise ValueError("There must be the same number of actions and satellites")
         for satellite, action in zip(self.satellites, actions, strict=True):
@@ -385,7 +382,6 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
 
 
 def _rename_duplicates(satellites: Sequence[Satellite]) -> None:
-    """Number satellites of the same name until all names differ."""
     while True:
         names = [satellite.name for satellite in satellites]
         twice = next((name for name in names if names.count(name) > 1), None)
@@ -396,10 +392,9 @@ def _rename_duplicates(satellites: Sequence[Satellite]) -> None:
             satellite.name = f"{twice}_{k}"
 
 
-def _world_args(world_type: type[WorldModel], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return all arguments of a world with their defaults, or the given values; KeyError for an unknown name."""
+def _world_args(world_type: type[WorldModel], values: Mapping[str, Any]) -> dict[str, Any]:
     args = world_defaults(world_type)
-    for name, value in given.items():
+    for name, value in values.items():
         if name not in args:
             raise KeyError(f"{name} is not a valid key for world_args; {nearest(name, args)}")
         args[name] = value
@@ -509,19 +504,9 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
         return self._agents_cache
 
     @property
-    def num_agents(self) -> int:
-        """Number of agents that are left."""
-        return len(self.agents)
-
-    @property
     def possible_agents(self) -> list[Any]:
         """All agents."""
         return list(self.meta_agent_groupings)
-
-    @property
-    def max_num_agents(self) -> int:
-        """Number of all agents."""
-        return len(self.possible_agents)
 
     @property
     def previously_dead(self) -> list[Any]:
@@ -529,7 +514,6 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
         return [agent for agent in self.possible_agents if agent not in self.agents and agent not in self.newly_dead]
 
     def _present(self) -> dict[Any, list[Satellite]]:
-        """Return the satellites of the agents that get results."""
         gone = self.previously_dead
         return {agent: members for agent, members in self.meta_agent_groupings.items() if agent not in gone}
 
@@ -559,32 +543,31 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
 
     def observation_space(self, agent: Any) -> Any:  # type: ignore[override]
         """Observation space of an agent, the same object in every call."""
-        return self._kept("observation_spaces", agent)
+        return self._space("observation_spaces", agent)
 
     def action_space(self, agent: Any) -> Any:  # type: ignore[override]
         """Action space of an agent, the same object in every call."""
-        return self._kept("action_spaces", agent)
+        return self._space("action_spaces", agent)
 
-    def _kept(self, what: str, agent: Any) -> Any:
-        if (what, agent) not in self._spaces:
-            self._spaces[what, agent] = getattr(self, what)[agent]
-        return self._spaces[what, agent]
+    def _space(self, table: str, agent: Any) -> Any:
+        if (table, agent) not in self._spaces:
+            self._spaces[table, agent] = getattr(self, table)[agent]
+        return self._spaces[table, agent]
 
     # -- what a step gives --------------------------------------------------------------------------------------------
 
     def _requires_retasking(self, agent: Any) -> bool:
-        """Return whether a satellite of an agent waits for a task."""
         return any(satellite.requires_retasking for satellite in self.meta_agent_groupings[agent])
 
     def _get_obs(self) -> dict[Any, Any]:
-        found = {}
+        observations = {}
         for agent, members in self._present().items():
             if self.generate_obs_retasking_only and not self._requires_retasking(agent):
                 parts = [satellite.observation_space.low * 0 for satellite in members]
             else:
                 parts = [satellite.get_obs() for satellite in members]
-            found[agent] = parts[0] if len(parts) == 1 else np.concatenate(parts)
-        return found
+            observations[agent] = parts[0] if len(parts) == 1 else np.concatenate(parts)
+        return observations
 
     def _get_reward(self) -> dict[Any, float]:
         rewards = {self.get_satellite(name): reward for name, reward in self.reward_dict.items()}
@@ -621,7 +604,6 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
     # -- step ---------------------------------------------------------------------------------------------------------
 
     def _decompose_meta_action(self, agent: Any, action: Any) -> dict[Satellite, Any]:
-        """Return the action of each satellite of an agent."""
         parts, first = {}, 0
         for satellite in self.meta_agent_groupings[agent]:
             if not isinstance(action, list | tuple | np.ndarray):

@@ -15,35 +15,26 @@ from typing import Any, NoReturn
 
 import gymnasium
 import numpy as np
-from gymnasium import spaces
-from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array, iterate
 from typing_extensions import override
 
 from bsk_torch._checks import whole
 from bsk_torch.bsk_rl.batch import BatchedVectorEnv, NotBatchedError, batched_core
-from bsk_torch.bsk_rl.batch_agents import BatchedAgentsVectorEnv, check_actions
+from bsk_torch.bsk_rl.batch_agents import AgentsVector, BatchedAgentsVectorEnv, ByAgent
 from bsk_torch.bsk_rl.gym import ConstellationTasking, GeneralSatelliteTasking
 from bsk_torch.bsk_rl.utils.logging_config import ContextFilter
 from bsk_torch.env import ConstellationTasking as Constellation
-from bsk_torch.env.base import Tasking
 from bsk_torch.wrappers.gymnasium.vector import parse_mode
 
 __all__ = ["AgentsVectorEnv", "Alone", "EpisodesVectorEnv", "vector_form"]
 
 logger = logging.getLogger(__name__)
 
-ByAgent = dict[Any, Any]
-"""Arrays [N, ...] by agent."""
-
 FASTER = "docs/migration_fast.md lists what to change for one simulation of all"
 
 FORMS = ("auto", "batched", "episodes")
 """Ways to simulate several episodes."""
-
-AGENT_MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)
-"""Autoreset modes of :class:`AgentsVectorEnv`."""
 
 
 def vector_form(
@@ -84,27 +75,14 @@ def vector_form(
             why = str(error)
         else:
             logger.info("%s: %d episodes in one simulation, with draws of bsk_torch", make.__name__, count)
-            return batched(core, mode)
+            if isinstance(core, Constellation):
+                return BatchedAgentsVectorEnv(core, mode)
+            return BatchedVectorEnv(core, autoreset_mode=mode)
     envs: list[Any] = [first, *(make(*args, **kwargs) for _ in range(count - 1))]
     if count > 1:
         logger.warning("%s: %d simulations side by side, which is slow: %s. %s", make.__name__, count, why, FASTER)
     vector = AgentsVectorEnv if issubclass(make, ConstellationTasking) else EpisodesVectorEnv
     return vector(envs, autoreset_mode=mode)
-
-
-def batched(core: Tasking, mode: AutoresetMode) -> BatchedVectorEnv | BatchedAgentsVectorEnv:
-    """Return the vector form of a simulation of N episodes."""
-    if not isinstance(core, Constellation):
-        return BatchedVectorEnv(core, autoreset_mode=mode)
-    check_mode(mode)
-    return BatchedAgentsVectorEnv(core, mode)
-
-
-def check_mode(mode: AutoresetMode) -> None:
-    """Raise ValueError for an autoreset mode that agents do not have."""
-    if mode not in AGENT_MODES:
-        names = [allowed.value for allowed in AGENT_MODES]
-        raise ValueError(f"autoreset_mode={mode.value!r} must be one of {names} for agents")
 
 
 def reject_agents(num_envs: int, **_: object) -> NoReturn:
@@ -138,7 +116,7 @@ class Alone(gymnasium.Wrapper[Any, Any, Any, Any]):
         before = np.random.get_state()
         np.random.set_state(self._draws)
         for handler in logging.getLogger(GeneralSatelliteTasking.__module__.rpartition(".")[0]).handlers:
-            for context in (own for own in handler.filters if isinstance(own, ContextFilter)):
+            for context in (each for each in handler.filters if isinstance(each, ContextFilter)):
                 context.env = self.unwrapped
         try:
             yield self.env
@@ -188,32 +166,24 @@ class EpisodesVectorEnv(SyncVectorEnv):
 
 def called(envs: Sequence[Any], name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
     """Return an attribute of every environment, or the results of a method; each has its own draws."""
-    found = []
+    values = []
     for one in envs:
         with one.alone() as env:
             value = getattr(env, name)
-            found.append(value(*args, **kwargs) if callable(value) else value)
-    return tuple(found)
+            values.append(value(*args, **kwargs) if callable(value) else value)
+    return tuple(values)
 
 
 # -- agents ----------------------------------------------------------------------------------------------------------------------
 
 
-class AgentsVectorEnv:
-    """N constellations side by side: PettingZoo's parallel interface, with arrays of all environments by agent.
+class AgentsVectorEnv(AgentsVector):
+    """N constellations side by side.
 
-    Actions, observations, rewards, terminations, truncations and infos are dictionaries by agent, of arrays [N, ...]. Entries of
-    agents that have left an environment are zero; ``infos[agent]["present"]`` [N] marks the environments in which an agent was
-    part of the step. With ``reset(seed=s)``, environment i plays the episode of a single environment with seed ``s + i``.
-
-    An episode is over when its agents have left, or are all terminated or truncated.
+    With ``reset(seed=s)``, environment i plays the episode of a single environment with seed ``s + i``.
 
     Attributes:
         envs: The environments, each in :class:`Alone`.
-        num_envs: Their number N.
-        possible_agents: All agents.
-        observation_spaces, action_spaces: Spaces of all environments by agent.
-        single_observation_spaces, single_action_spaces: Spaces of one environment by agent.
     """
 
     def __init__(
@@ -229,27 +199,12 @@ class AgentsVectorEnv:
         Raises:
             ValueError: For another mode.
         """
-        self.autoreset_mode = parse_mode(autoreset_mode)
-        check_mode(self.autoreset_mode)
-        self.metadata = {"autoreset_mode": self.autoreset_mode, "name": "constellation"}
         self.envs = [Alone(env) for env in envs]
-        self.num_envs = len(self.envs)
         first = self.envs[0].env
-        self.possible_agents: list[Any] = list(first.possible_agents)
-        self.single_observation_spaces = {agent: first.observation_space(agent) for agent in self.possible_agents}
-        self.single_action_spaces = {agent: first.action_space(agent) for agent in self.possible_agents}
-        self.observation_spaces = {a: batch_space(space, self.num_envs) for a, space in self.single_observation_spaces.items()}
-        self.action_spaces = {agent: batch_space(space, self.num_envs) for agent, space in self.single_action_spaces.items()}
-        self._over = np.zeros(self.num_envs, dtype=bool)
-        self._last: list[ByAgent] | None = None
-
-    def observation_space(self, agent: Any) -> spaces.Space[Any]:
-        """Space of an agent's observations in all environments."""
-        return self.observation_spaces[agent]
-
-    def action_space(self, agent: Any) -> spaces.Space[Any]:
-        """Space of an agent's actions in all environments."""
-        return self.action_spaces[agent]
+        spaces_of = first.observation_space, first.action_space
+        super().__init__(len(self.envs), autoreset_mode, *({a: of(a) for a in first.possible_agents} for of in spaces_of))
+        self._over: np.ndarray = np.zeros(self.num_envs, dtype=bool)
+        self._last: list[ByAgent] = [{}] * self.num_envs
 
     @property
     def agents(self) -> list[list[Any]]:
@@ -288,24 +243,17 @@ class AgentsVectorEnv:
             seed: Seed s of environment 0, with s + i for environment i; or a seed for each. None draws seeds.
             options: ``{"reset_mask": mask}`` with booleans [N] leaves the other environments unchanged.
         """
-        mask = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs)), dtype=bool)
-        if mask.shape != (self.num_envs,) or not mask.any():
-            raise ValueError(
-                f"options['reset_mask'] has shape {mask.shape} and {mask.sum()} entries that are true; "
-                f"it must have shape [{self.num_envs}] and at least one"
-            )
-        if self._last is None and not mask.all():
-            raise ResetNeeded("the first reset() must start all environments; leave out options['reset_mask']")
+        mask = self._reset_rows(options)
         first = None if seed is None else [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else list(seed)
         if first is not None and len(first) != self.num_envs:
             raise ValueError(f"seed has {len(first)} entries; it must have {self.num_envs}, one per environment")
-        found = list(self._last or [{}] * self.num_envs)
+        results = list(self._last)
         for k in np.flatnonzero(mask).tolist():
-            found[k] = self._begin(k, None if first is None else first[k])
-        return self._outputs(found)[0], self._outputs(found)[-1]
+            results[k] = self._begin(k, None if first is None else first[k])
+        observations, *_, infos = self._outputs(results)
+        return observations, infos
 
     def _begin(self, k: int, seed: int | None = None) -> ByAgent:
-        """Start the next episode of an environment."""
         observations, infos = self.envs[k].reset(seed=seed)
         self._over[k] = False
         return {agent: (observations[agent], 0.0, False, False, infos[agent]) for agent in observations}
@@ -319,31 +267,26 @@ class AgentsVectorEnv:
             ValueError: For a wrong number of actions.
             TypeError: If the actions are not given by agent.
         """
-        if self._last is None or (self.autoreset_mode is AutoresetMode.DISABLED and self._over.any()):
-            raise ResetNeeded("step() needs running episodes; call reset(), with options={'reset_mask': ended} for some of them")
-        check_actions(actions, self.possible_agents, self.num_envs)
-        found = [
+        self._check_step(actions)
+        return self._outputs([
             self._begin(k) if self._over[k] else self._move(k, {agent: each[k] for agent, each in actions.items()})
             for k in range(self.num_envs)
-        ]
-        return self._outputs(found)
+        ])  # fmt: skip
 
     def _move(self, k: int, actions: ByAgent) -> ByAgent:
-        """Step one environment with the actions of its agents that are left."""
         one = self.envs[k]
         before = one.env.agents
         results = one.step({agent: action for agent, action in actions.items() if agent in before})
-        found = {agent: tuple(part[agent] for part in results) for agent in before}
-        self._over[k] = not one.env.agents or all(found[agent][2] or found[agent][3] for agent in one.env.agents)
-        return found
+        by_agent = {agent: tuple(part[agent] for part in results) for agent in before}
+        self._over[k] = not one.env.agents or all(by_agent[agent][2] or by_agent[agent][3] for agent in one.env.agents)
+        return by_agent
 
-    def _outputs(self, found: list[ByAgent]) -> tuple[ByAgent, ByAgent, ByAgent, ByAgent, ByAgent]:
-        """Return arrays by agent of what each environment has given for its agents."""
-        self._last = found
+    def _outputs(self, environments: list[ByAgent]) -> tuple[ByAgent, ByAgent, ByAgent, ByAgent, ByAgent]:
+        self._last, self._started = environments, True
         observations, infos = {}, {}
         columns: list[ByAgent] = [{}, {}, {}]
         for agent, space in self.single_observation_spaces.items():
-            each = [results.get(agent) for results in found]
+            each = [results.get(agent) for results in environments]
             none = next(iter(iterate(batch_space(space, 1), create_empty_array(space, 1))))
             rows: Any = create_empty_array(space, self.num_envs)
             observations[agent] = concatenate(space, [none if one is None else one[0] for one in each], rows)
@@ -356,12 +299,12 @@ class AgentsVectorEnv:
 
 def stacked(infos: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return infos of environments as arrays [N] by name, zero where one is missing; nested ones as nested dictionaries."""
-    found: dict[str, Any] = {}
+    arrays: dict[str, Any] = {}
     for name in dict.fromkeys(name for info in infos for name in info):
         values = [info.get(name) for info in infos]
         if any(isinstance(value, Mapping) for value in values):
-            found[name] = stacked([value or {} for value in values])
+            arrays[name] = stacked([value or {} for value in values])
         else:
             some = next(value for value in values if value is not None)
-            found[name] = np.array([type(some)() if value is None else value for value in values])
-    return found
+            arrays[name] = np.array([type(some)() if value is None else value for value in values])
+    return arrays

@@ -1,12 +1,7 @@
 """Actions of bsk_rl."""
 
 from bsk_torch.bsk_rl.act.actions import Action
-from bsk_torch.bsk_rl.act.continuous_actions import (
-    AttitudeSetpoint,
-    ContinuousAction,
-    ImpulsiveThrust,
-    ImpulsiveThrustHill,
-)
+from bsk_torch.bsk_rl.act.continuous_actions import AttitudeSetpoint, ContinuousAction, ImpulsiveThrust, ImpulsiveThrustHill
 from bsk_torch.bsk_rl.act.discrete_actions import (
     Broadcast,
     Charge,

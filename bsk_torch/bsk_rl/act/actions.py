@@ -6,7 +6,9 @@ from abc import ABC, abstractmethod
 from copy import deepcopy
 from typing import Any, ClassVar
 
-from bsk_torch.bsk_rl.utils.functional import Resetable
+from typing_extensions import override
+
+from bsk_torch.bsk_rl.utils.functional import Resetable, ResetableGroup
 
 __all__ = ["Action", "ActionBuilder", "select_action_builder"]
 
@@ -29,7 +31,7 @@ def select_action_builder(satellite: Any) -> ActionBuilder:
     return kinds.pop()(satellite)
 
 
-class ActionBuilder(ABC, Resetable):
+class ActionBuilder(ABC, ResetableGroup):
     """Chooses among the actions of a satellite.
 
     Attributes:
@@ -44,27 +46,16 @@ class ActionBuilder(ABC, Resetable):
         for entry in self.action_spec:
             entry.link_satellite(satellite)
 
-    def reset_overwrite_previous(self) -> None:
-        """Call the hook of each action."""
-        for entry in self.action_spec:
-            entry.reset_overwrite_previous()
+    @override
+    def _parts(self) -> list[Action]:
+        return self.action_spec
 
-    def reset_pre_sim_init(self) -> None:
-        """Call the hook of each action."""
-        for entry in self.action_spec:
-            entry.reset_pre_sim_init()
-
-    def reset_during_sim_init(self) -> None:
-        """Call the hook of each action."""
-        for entry in self.action_spec:
-            entry.reset_during_sim_init()
-
+    @override
     def reset_post_sim_init(self) -> None:
-        """Link the simulation and call the hook of each action."""
         self.simulator = self.satellite.simulator
         for entry in self.action_spec:
             entry.link_simulator(self.simulator)
-            entry.reset_post_sim_init()
+        super().reset_post_sim_init()
 
     @property
     @abstractmethod

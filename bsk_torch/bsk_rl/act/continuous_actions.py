@@ -30,8 +30,8 @@ class ContinuousActionBuilder(ActionBuilder):
     @property
     @override
     def action_description(self) -> list[str]:
-        found = self.action_spec[0].action_description
-        return found() if callable(found) else found  # a method in programs of bsk_rl, which calls it
+        names = self.action_spec[0].action_description
+        return names() if callable(names) else names  # a method in programs of bsk_rl, which calls it
 
     @override
     def set_action(self, action: Any) -> None:
@@ -57,10 +57,6 @@ class ContinuousAction(Action):
     def action_description(self) -> list[str]:
         """Names of the numbers."""
 
-    @abstractmethod
-    def set_action(self, action: Any) -> None:
-        """Begin the action."""
-
 
 class ImpulsiveThrust(ContinuousAction):
     """Changes the velocity, m/s in N, and drifts for a time, s: four numbers."""
@@ -72,14 +68,7 @@ class ImpulsiveThrust(ContinuousAction):
         max_drift_duration: float = float("inf"),
         fsw_action: str | None = None,
     ) -> None:
-        """Thrust.
-
-        Args:
-            name: Name of the action.
-            max_dv: Maximum velocity change, m/s.
-            max_drift_duration: Maximum duration of the drift, s.
-            fsw_action: Flight software command during the drift.
-        """
+        """Change the velocity by at most ``max_dv`` m/s, and drift for at most ``max_drift_duration`` s by ``fsw_action``."""
         super().__init__(name)
         self.max_dv, self.max_drift_duration, self.fsw_action = max_dv, max_drift_duration, fsw_action
 
@@ -98,14 +87,14 @@ class ImpulsiveThrust(ContinuousAction):
     def set_action(self, action: Any) -> None:
         """See :meth:`ContinuousAction.set_action`; lengths and durations are clamped."""
         assert len(action) == 4, "Action must have 4 elements."
-        dv_N, wanted = action[0:3], action[3]
+        dv_N, requested = action[0:3], action[3]
         size = np.linalg.norm(dv_N)
         if size > self.max_dv:
             self.satellite.logger.info("Thrust clamped from %s m/s to %s m/s.", size, self.max_dv)
             dv_N = dv_N / size * self.max_dv
-        duration = np.clip(wanted, 2 * self.satellite.simulator.sim_rate, self.max_drift_duration)
-        if duration != wanted:
-            self.satellite.logger.warning("Requested drift duration %s out of range. Clamping to %s.", wanted, duration)
+        duration = np.clip(requested, 2 * self.satellite.simulator.sim_rate, self.max_drift_duration)
+        if duration != requested:
+            self.satellite.logger.warning("Requested drift duration %s out of range. Clamping to %s.", requested, duration)
         self.satellite.logger.info("Thrusting with inertial dV %s with %s second drift.", dv_N, duration)
         self.satellite.fsw.action_impulsive_thrust(dv_N)
         self.satellite.update_timed_terminal_event(self.satellite.simulator.sim_time + duration)

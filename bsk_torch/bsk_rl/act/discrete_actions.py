@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from abc import abstractmethod
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
@@ -132,52 +132,51 @@ class DiscreteFSWAction(DiscreteAction):
         return self.fsw_action
 
 
-class Charge(DiscreteFSWAction):
+class FSWCommand(DiscreteFSWAction):
+    """An action whose class names the flight software command."""
+
+    command: ClassVar[str]
+    resets: ClassVar[bool] = False
+
+    def __init__(self, name: str | None = None, duration: float | None = None) -> None:
+        """See :class:`DiscreteFSWAction`."""
+        super().__init__(self.command, name, duration, self.resets)
+
+
+class Charge(FSWCommand):
     """Points the solar panel at the Sun."""
 
-    def __init__(self, name: str | None = None, duration: float | None = None) -> None:
-        """See :class:`DiscreteFSWAction`."""
-        super().__init__("action_charge", name, duration)
+    command = "action_charge"
 
 
-class Drift(DiscreteFSWAction):
+class Drift(FSWCommand):
     """Turns off attitude control."""
 
-    def __init__(self, name: str | None = None, duration: float | None = None) -> None:
-        """See :class:`DiscreteFSWAction`."""
-        super().__init__("action_drift", name, duration)
+    command = "action_drift"
 
 
-class NadirPoint(DiscreteFSWAction):
+class NadirPoint(FSWCommand):
     """Aligns the body with the Hill frame."""
 
-    def __init__(self, name: str | None = None, duration: float | None = None) -> None:
-        """See :class:`DiscreteFSWAction`."""
-        super().__init__("action_nadir_point", name, duration)
+    command = "action_nadir_point"
 
 
-class Desat(DiscreteFSWAction):
+class Desat(FSWCommand):
     """Desaturates the wheels with thrusters."""
 
-    def __init__(self, name: str | None = None, duration: float | None = None) -> None:
-        """See :class:`DiscreteFSWAction`."""
-        super().__init__("action_desat", name, duration, reset_task=True)
+    command, resets = "action_desat", True
 
 
-class Downlink(DiscreteFSWAction):
+class Downlink(FSWCommand):
     """Transmits data to ground stations in view."""
 
-    def __init__(self, name: str | None = None, duration: float | None = None) -> None:
-        """See :class:`DiscreteFSWAction`."""
-        super().__init__("action_downlink", name, duration)
+    command = "action_downlink"
 
 
-class Scan(DiscreteFSWAction):
+class Scan(FSWCommand):
     """Records the ground below."""
 
-    def __init__(self, name: str | None = None, duration: float | None = None) -> None:
-        """See :class:`DiscreteFSWAction`."""
-        super().__init__("action_nadir_scan", name, duration)
+    command = "action_nadir_scan"
 
 
 class Image(DiscreteAction):
@@ -190,10 +189,10 @@ class Image(DiscreteAction):
 
     def image(self, target: Any, prev_action_key: Any = None) -> Any:
         """Image a target, given as an index, an id or the target; repeating the last target continues its task."""
-        found = self.satellite.parse_target_selection(target)
-        begin = self.satellite.enable_target_window if found.id == prev_action_key else self.satellite.task_target_for_imaging
-        begin(found, max_duration=self.max_duration)
-        return found.id
+        target = self.satellite.parse_target_selection(target)
+        begin = self.satellite.enable_target_window if target.id == prev_action_key else self.satellite.task_target_for_imaging
+        begin(target, max_duration=self.max_duration)
+        return target.id
 
     @override
     def set_action(self, action: int, prev_action_key: Any = None) -> Any:

@@ -64,7 +64,6 @@ class ImageRSO(DiscreteAction):
         self.chosen_target_ids: list[str] = []
 
     def _image(self, target_id: str) -> str:
-        """Begin to image the target of an id, and return the id; ValueError for one that is unknown or not eligible."""
         satellite, simulator = self.satellite, self.simulator
         targets = satellite.rso_scenario.targets_by_id
         if target_id not in targets:
@@ -106,19 +105,19 @@ class ImageRSO(DiscreteAction):
         if not 0 <= action < self.n_actions:
             raise ValueError(f"action={action} of {self.name} must be from 0 to {self.n_actions - 1}")
         scenario = self.satellite.rso_scenario
-        seen = getattr(self.satellite, "_rso_candidate_snapshot", None)
-        if seen is None:
-            seen = candidate_snapshot(self.satellite, self.n_actions)
-        if (seen.time, seen.revision) != (self.simulator.sim_time, scenario.revision):
+        observed = getattr(self.satellite, "_rso_candidate_snapshot", None)
+        if observed is None:
+            observed = candidate_snapshot(self.satellite, self.n_actions)
+        if (observed.time, observed.revision) != (self.simulator.sim_time, scenario.revision):
             warnings.warn(
                 "the candidates have changed since they were observed; the action means the target that was observed",
                 stacklevel=2,
             )
-        if len(seen.targets) < self.n_actions:
-            raise ValueError(f"{len(seen.targets)} candidates were observed; {self.name} has {self.n_actions} actions")
-        if seen.targets[action] is None:
+        if len(observed.targets) < self.n_actions:
+            raise ValueError(f"{len(observed.targets)} candidates were observed; {self.name} has {self.n_actions} actions")
+        if observed.targets[action] is None:
             raise ValueError(f"action={action} of {self.name} is an empty candidate; there are not as many eligible targets")
-        return self._image(seen.targets[action].id)
+        return self._image(observed.targets[action].id)
 
     def set_action_override(self, action: Any, prev_action_key: Any = None) -> str:
         """Image a target given by its id, or as an object with an ``id``; TypeError for something else."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from copy import copy
 from itertools import permutations
 from typing import Any, NamedTuple
@@ -35,18 +36,13 @@ class CommunicationMethod(ABC, Resetable):
 
     Attributes:
         satellites: Satellites of the environment.
-        min_period: Minimum time between communications, s.
         last_communication_time: Time of the last one, s.
     """
 
     satellites: list[Any]
 
     def __init__(self, min_period: float = 0.0) -> None:
-        """Initialize the method.
-
-        Args:
-            min_period: Minimum time between communications, s.
-        """
+        """Communicate after steps, but not less than ``min_period`` s after the last communication."""
         self.min_period = min_period
 
     def reset_overwrite_previous(self) -> None:
@@ -72,26 +68,27 @@ class CommunicationMethod(ABC, Resetable):
         pairs = self.communication_pairs()
         if pairs:
             logger.info("Communicating data in %d direction%s.", len(pairs), "s" if len(pairs) > 1 else "")
-        count = len(self.satellites)
-        if len(pairs) == count * (count - 1):
-            self._communicate_all()
-        else:
-            for sender, receiver in pairs:
-                receiver.data_store.stage_communicated_data(sender.data_store.data)
-            for satellite in self.satellites:
-                satellite.data_store.update_with_communicated_data()
+        if len(pairs) == len(self.satellites) * (len(self.satellites) - 1):
+            logger.info("Optimizing data communication between all pairs of satellites")
+        exchange(self.satellites, pairs)
         self.last_communication_time = now
 
-    def _communicate_all(self) -> None:
-        """Give every satellite the data of all."""
-        logger.info("Optimizing data communication between all pairs of satellites")
-        total = type(self.satellites[0].data_store.data)()
-        for satellite in self.satellites:
-            total += satellite.data_store.data
-        for satellite in self.satellites:
-            satellite.data_store.data = copy(total)
-            if hasattr(satellite.data_store, "pass_data"):
-                satellite.data_store.pass_data()
+
+def exchange(satellites: Sequence[Any], pairs: Pairs) -> None:
+    """Exchange data between pairs; where there are as many as between all satellites, every satellite gets the data of all."""
+    if len(pairs) != len(satellites) * (len(satellites) - 1):
+        for sender, receiver in pairs:
+            receiver.data_store.stage_communicated_data(sender.data_store.data)
+        for satellite in satellites:
+            satellite.data_store.update_with_communicated_data()
+        return
+    total = type(satellites[0].data_store.data)()
+    for satellite in satellites:
+        total += satellite.data_store.data
+    for satellite in satellites:
+        satellite.data_store.data = copy(total)
+        if hasattr(satellite.data_store, "pass_data"):
+            satellite.data_store.pass_data()
 
 
 class NoCommunication(CommunicationMethod):
@@ -111,13 +108,10 @@ class FreeCommunication(CommunicationMethod):
 
 
 class SightLog(NamedTuple):
-    """What Basilisk's recorder keeps of the sight of one satellite by another one.
-
-    Attributes:
-        hasAccess: 1 in ticks with a line of sight and 0 in others, [T].
-    """
+    """What Basilisk's recorder keeps of the sight of one satellite by another one."""
 
     hasAccess: np.ndarray
+    """1 in ticks with a line of sight and 0 in others, [T]."""
 
 
 class LOSCommunication(CommunicationMethod):
@@ -191,7 +185,7 @@ class BroadcastCommunication(CommunicationMethod):
             satellite.name: [act for act in satellite.action_builder.action_spec if hasattr(act, "broadcast_pending")]
             for satellite in self.satellites
         }
-        senders = {name for name, own in actions.items() if any(act.broadcast_pending for act in own)}
+        senders = {name for name, acts in actions.items() if any(act.broadcast_pending for act in acts)}
         pairs = [(one, other) for one, other in super().communication_pairs() if one.name in senders]  # type: ignore[safe-super]
         for name in senders:
             for act in actions[name]:

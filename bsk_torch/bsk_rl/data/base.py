@@ -26,7 +26,6 @@ class Data(ABC):
         """Return both units together."""
 
     def __copy__(self) -> Any:
-        """Return a unit with the same contents."""
         return type(self)() + self
 
 
@@ -45,12 +44,7 @@ class DataStore(ABC):
     data_type: type[Data]
 
     def __init__(self, satellite: Any, initial_data: Any = None) -> None:
-        """Initialize the store.
-
-        Args:
-            satellite: The satellite whose data is stored.
-            initial_data: Data known at the start; None for none.
-        """
+        """Store the data of a satellite, which begins with ``initial_data``; None for none."""
         self.satellite = satellite
         self.staged_data: list[Any] = []
         self.data: Any = initial_data if initial_data else self.data_type()

@@ -6,7 +6,7 @@ Environments combine a list or tuple to a :class:`ComposedReward`. A :class:`Mix
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from copy import copy
 from typing import Any
 
@@ -15,6 +15,7 @@ from typing_extensions import override
 from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
 from bsk_torch.bsk_rl.scene.composition import MixedScenario
 from bsk_torch.bsk_rl.scene.scenario import Scenario
+from bsk_torch.bsk_rl.utils.functional import ResetableGroup
 from bsk_torch.data.mixed import check_channels, check_no_ids, scenario_id
 from bsk_torch.scene.mixed import as_dictionary, check_known, names_by_key
 
@@ -23,8 +24,7 @@ __all__ = ["ComposedData", "ComposedDataStore", "ComposedReward", "MixedData", "
 logger = logging.getLogger(__name__)
 
 
-def _found(parts: Iterable[Any], name: str, kind: str) -> Any:
-    """Return an attribute of the first part that has it; AttributeError if none has."""
+def _attribute_of_first(parts: Iterable[Any], name: str, kind: str) -> Any:
     for part in parts:
         if hasattr(part, name):
             return getattr(part, name)
@@ -46,14 +46,12 @@ class ComposedData(Data):
             return ComposedData(*(unit + type(unit)() for unit in self.data))
         if len(self.data) != len(other.data):
             raise ValueError(f"data of {len(self.data)} kinds cannot be added to data of {len(other.data)} kinds")
-        return ComposedData(*(mine + theirs for mine, theirs in zip(self.data, other.data, strict=True)))
+        return ComposedData(*(first + second for first, second in zip(self.data, other.data, strict=True)))
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute of the first unit that has it."""
-        return _found(self.__dict__.get("data", ()), name, "ComposedData")
+        return _attribute_of_first(self.__dict__.get("data", ()), name, "ComposedData")
 
     def __repr__(self) -> str:
-        """Return the units."""
         return f"ComposedData({', '.join(map(repr, self.data))})"
 
 
@@ -87,24 +85,16 @@ class ComposedDataStore(PassingStore):
         initial_data: ComposedData | None = None,
         data_store_kwargs: list[dict[str, Any]] | None = None,
     ) -> None:
-        """Create the stores.
-
-        Args:
-            satellite: The satellite.
-            data_store_types: Types of the stores.
-            initial_data: Data known at the start.
-            data_store_kwargs: Further arguments of each store.
-        """
+        """Create stores of ``data_store_types``, each with further arguments; ValueError for another number of these."""
         super().__init__(satellite, initial_data)
         kwargs = [{}] * len(data_store_types) if data_store_kwargs is None else data_store_kwargs
         if len(kwargs) != len(data_store_types):
             raise ValueError(f"there are {len(data_store_types)} data_store_types, but {len(kwargs)} data_store_kwargs")
-        self.data_stores = tuple(make(satellite, **given) for make, given in zip(data_store_types, kwargs, strict=True))
+        self.data_stores = tuple(make(satellite, **options) for make, options in zip(data_store_types, kwargs, strict=True))
         self.pass_data()
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute of the first store that has it."""
-        return _found(self.__dict__.get("data_stores", ()), name, "ComposedDataStore")
+        return _attribute_of_first(self.__dict__.get("data_stores", ()), name, "ComposedDataStore")
 
     def pass_data(self) -> None:
         """Pass each store its unit of the data."""
@@ -121,7 +111,32 @@ class ComposedDataStore(PassingStore):
         return ComposedData(*(store.compare_log_states(before, after) for store, before, after in each))
 
 
-class ComposedReward(GlobalReward):
+class RewarderGroup(ResetableGroup, GlobalReward):
+    """A sum of rewarders, which it passes their data."""
+
+    def pass_data(self) -> None:
+        """Pass each rewarder its data."""
+
+    def rewarders_of(self, satellite: Any) -> Collection[GlobalReward]:
+        """Return the rewarders that reward a satellite."""
+        raise NotImplementedError
+
+    @override
+    def reward(self, new_data_dict: dict[str, Any]) -> dict[str, float]:
+        reward = super().reward(new_data_dict)
+        self.pass_data()
+        return reward
+
+    @override
+    def is_truncated(self, satellite: Any) -> bool:
+        return any(rewarder.is_truncated(satellite) for rewarder in self.rewarders_of(satellite))
+
+    @override
+    def is_terminated(self, satellite: Any) -> bool:
+        return any(rewarder.is_terminated(satellite) for rewarder in self.rewarders_of(satellite))
+
+
+class ComposedReward(RewarderGroup):
     """The sum of several rewarders; its attributes are those of the first that has them.
 
     As in bsk_rl, the ``create_data_store`` of the rewarders is not called: targets that have been imaged are not hidden.
@@ -135,31 +150,24 @@ class ComposedReward(GlobalReward):
         self.rewarders = rewarders
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute of the first rewarder that has it."""
-        return _found(self.__dict__.get("rewarders", ()), name, "ComposedReward")
+        return _attribute_of_first(self.__dict__.get("rewarders", ()), name, "ComposedReward")
 
+    @override
     def pass_data(self) -> None:
-        """Pass each rewarder its unit of the data."""
         for rewarder, unit in zip(self.rewarders, self.data.data, strict=False):
             rewarder.data = unit
 
-    def reset_overwrite_previous(self) -> None:
-        """See :meth:`Resetable.reset_overwrite_previous`; of all rewarders."""
-        super().reset_overwrite_previous()
-        for rewarder in self.rewarders:
-            rewarder.reset_overwrite_previous()
+    @override
+    def _parts(self) -> tuple[GlobalReward, ...]:
+        return self.rewarders
 
-    def reset_pre_sim_init(self) -> None:
-        """See :meth:`Resetable.reset_pre_sim_init`; of all rewarders."""
-        super().reset_pre_sim_init()
-        for rewarder in self.rewarders:
-            rewarder.reset_pre_sim_init()
+    @override
+    def rewarders_of(self, satellite: Any) -> tuple[GlobalReward, ...]:
+        return self.rewarders
 
-    def reset_post_sim_init(self) -> None:
-        """See :meth:`Resetable.reset_post_sim_init`; of all rewarders."""
-        super().reset_post_sim_init()
-        for rewarder in self.rewarders:
-            rewarder.reset_post_sim_init()
+    @override
+    def reset_during_sim_init(self) -> None:
+        """Do nothing: as in bsk_rl, this hook of the rewarders is not called."""
 
     @override
     def link_scenario(self, scenario: Scenario) -> None:
@@ -199,23 +207,8 @@ class ComposedReward(GlobalReward):
                 rewarder.cum_reward[name] += value
         return reward
 
-    @override
-    def reward(self, new_data_dict: dict[str, ComposedData]) -> dict[str, float]:
-        reward = super().reward(new_data_dict)
-        self.pass_data()
-        return reward
 
-    def is_truncated(self, satellite: Any) -> bool:
-        """See :meth:`GlobalReward.is_truncated`; of any rewarder."""
-        return any(rewarder.is_truncated(satellite) for rewarder in self.rewarders)
-
-    def is_terminated(self, satellite: Any) -> bool:
-        """See :meth:`GlobalReward.is_terminated`; of any rewarder."""
-        return any(rewarder.is_terminated(satellite) for rewarder in self.rewarders)
-
-
-def _found_once(parts: Mapping[str, Any], name: str, kind: str) -> Any:
-    """Return an attribute that one part has; AttributeError if none or several have it."""
+def _attribute_of_one(parts: Mapping[str, Any], name: str, kind: str) -> Any:
     having = [key for key, part in parts.items() if hasattr(part, name)]
     if len(having) == 1:
         return getattr(parts[having[0]], name)
@@ -228,9 +221,6 @@ class MixedData(Data):
     """Data by channel; its attributes are those that the data of one channel has.
 
     A channel may be missing, and without channels the unit is empty.
-
-    Attributes:
-        data: Data of each channel.
     """
 
     def __init__(self, data: Mapping[str, Data] | None = None) -> None:
@@ -244,17 +234,15 @@ class MixedData(Data):
         merged = {key: copy(unit) for key, unit in self.data.items()}
         for key, unit in other.data.items():
             if key in merged and type(self.data[key]) is not type(unit):
-                mine, theirs = type(self.data[key]).__name__, type(unit).__name__
-                raise TypeError(f"channel {key!r} has {mine}, to which {theirs} cannot be added")
+                kinds = type(self.data[key]).__name__, type(unit).__name__
+                raise TypeError(f"channel {key!r} has {kinds[0]}, to which {kinds[1]} cannot be added")
             merged[key] = self.data[key] + unit if key in merged else copy(unit)
         return MixedData(merged)
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute that the data of one channel has."""
-        return _found_once(self.__dict__.get("data", {}), name, "MixedData")
+        return _attribute_of_one(self.__dict__.get("data", {}), name, "MixedData")
 
     def __repr__(self) -> str:
-        """Return the channels."""
         return f"MixedData({self.data!r})"
 
 
@@ -262,29 +250,19 @@ class MixedDataStore(PassingStore):
     """A store for each channel in which a satellite collects data; received data of other channels is kept.
 
     Its attributes are those that one of its stores has.
-
-    Attributes:
-        data_stores: Store of each channel.
     """
 
     data_type = MixedData
 
     def __init__(self, satellite: Any, data_stores: Mapping[str, DataStore], initial_data: MixedData | None = None) -> None:
-        """Combine stores.
-
-        Args:
-            satellite: The satellite.
-            data_stores: Store of each channel.
-            initial_data: Data known at the start; None for that of the stores.
-        """
+        """Combine the store of each channel; the data at the start is that of the stores unless ``initial_data`` is given."""
         self.data_stores = dict(data_stores)
-        known = {key: store.data for key, store in self.data_stores.items()}
-        super().__init__(satellite, MixedData(known) if initial_data is None else initial_data)
+        data = MixedData({key: store.data for key, store in self.data_stores.items()})
+        super().__init__(satellite, data if initial_data is None else initial_data)
         self.pass_data()
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute that one store has."""
-        return _found_once(self.__dict__.get("data_stores", {}), name, "MixedDataStore")
+        return _attribute_of_one(self.__dict__.get("data_stores", {}), name, "MixedDataStore")
 
     def pass_data(self) -> None:
         """Pass each store the data of its channel."""
@@ -307,16 +285,11 @@ class MixedDataStore(PassingStore):
         return super().update_from_logs()
 
 
-class MixedReward(GlobalReward):
+class MixedReward(RewarderGroup):
     """Rewarders of channels, each for some satellites and one scenario; a satellite gets the sum over its channels.
 
     Stores are those of the rewarders, with what these install, such as the filter of images that have been taken. Only the
     channels of a satellite terminate or truncate its episode. All satellites know the data of all channels that they receive.
-
-    Attributes:
-        rewarders: Rewarder of each channel.
-        satellite_mapping: Names of the satellites that collect the data of each channel.
-        scenario_mapping: Id of the scenario of each channel; None without a ``scene.MixedScenario``.
     """
 
     data_store_type = MixedDataStore
@@ -363,35 +336,24 @@ class MixedReward(GlobalReward):
             chosen = scenario_id(key, self.satellite_mapping[key], self.scenario_mapping, scenario.satellite_mapping)
             rewarder.link_scenario(scenario.scenarios[chosen])
 
+    @override
     def pass_data(self) -> None:
-        """Pass each rewarder the data of its channel."""
         for key, rewarder in self.rewarders.items():
             rewarder.data = self.data.data.setdefault(key, rewarder.data_type())
 
+    @override
+    def _parts(self) -> Collection[GlobalReward]:
+        self.pass_data()
+        return self.rewarders.values()
+
+    @override
+    def rewarders_of(self, satellite: Any) -> Collection[GlobalReward]:
+        return self.channels_of(satellite).values()
+
+    @override
     def reset_overwrite_previous(self) -> None:
-        """See :meth:`Resetable.reset_overwrite_previous`; of all rewarders."""
         super().reset_overwrite_previous()
-        for rewarder in self.rewarders.values():
-            rewarder.reset_overwrite_previous()
         self.pass_data()
-
-    def reset_pre_sim_init(self) -> None:
-        """See :meth:`Resetable.reset_pre_sim_init`; of all rewarders."""
-        self.pass_data()
-        for rewarder in self.rewarders.values():
-            rewarder.reset_pre_sim_init()
-
-    def reset_during_sim_init(self) -> None:
-        """See :meth:`Resetable.reset_during_sim_init`; of all rewarders."""
-        self.pass_data()
-        for rewarder in self.rewarders.values():
-            rewarder.reset_during_sim_init()
-
-    def reset_post_sim_init(self) -> None:
-        """See :meth:`Resetable.reset_post_sim_init`; of all rewarders."""
-        self.pass_data()
-        for rewarder in self.rewarders.values():
-            rewarder.reset_post_sim_init()
 
     def channels_of(self, satellite: Any) -> dict[str, GlobalReward]:
         """Return the rewarders of the channels in which a satellite collects data."""
@@ -415,28 +377,14 @@ class MixedReward(GlobalReward):
         self.pass_data()
         reward = dict.fromkeys(new_data_dict, 0.0)
         for key, rewarder in self.rewarders.items():
-            mine = {
+            parts = {
                 name: data.data[key]
                 for name, data in new_data_dict.items()
                 if name in self.satellite_mapping[key] and key in data.data
             }
-            for name, value in rewarder.calculate_reward(mine).items() if mine else ():
-                if name not in mine:
+            for name, value in rewarder.calculate_reward(parts).items() if parts else ():
+                if name not in parts:
                     raise ValueError(f"the rewarder of channel {key!r} rewards {name!r}, which is not one of its satellites")
                 reward[name] += value
                 rewarder.cum_reward[name] += value
         return reward
-
-    @override
-    def reward(self, new_data_dict: dict[str, MixedData]) -> dict[str, float]:
-        reward = super().reward(new_data_dict)
-        self.pass_data()
-        return reward
-
-    def is_truncated(self, satellite: Any) -> bool:
-        """See :meth:`GlobalReward.is_truncated`; of the satellite's channels."""
-        return any(rewarder.is_truncated(satellite) for rewarder in self.channels_of(satellite).values())
-
-    def is_terminated(self, satellite: Any) -> bool:
-        """See :meth:`GlobalReward.is_terminated`; of the satellite's channels."""
-        return any(rewarder.is_terminated(satellite) for rewarder in self.channels_of(satellite).values())

@@ -19,7 +19,6 @@ class ScanningTime(Data):
         self.scanning_time = scanning_time
 
     def __add__(self, other: ScanningTime) -> ScanningTime:
-        """Return the sum."""
         return type(self)(self.scanning_time + other.scanning_time)
 
 
@@ -44,12 +43,7 @@ class ScanningTimeReward(GlobalReward):
     data_store_type = ScanningTimeStore
 
     def __init__(self, reward_fn: Callable[[float], float] | None = None) -> None:
-        """Initialize the rewarder.
-
-        Args:
-            reward_fn: Reward as a function of the scanning time, s. By default, the time multiplied by the scenario's
-                ``value_per_second``.
-        """
+        """Pay ``reward_fn`` of the scanning time, s; by default, the time multiplied by the scenario's ``value_per_second``."""
         super().__init__()
         self._reward_fn = reward_fn
 

@@ -15,7 +15,6 @@ class NoData(Data):
     """Empty data."""
 
     def __add__(self, other: object) -> NoData:
-        """Return nothing."""
         return type(self)()
 
 

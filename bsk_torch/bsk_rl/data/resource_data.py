@@ -25,11 +25,9 @@ class ResourceData(Data):
         self.resource_accumulated = resource_accumulated
 
     def __add__(self, other: ResourceData) -> ResourceData:
-        """Return the sum."""
         return ResourceData(self.resource_accumulated + other.resource_accumulated)
 
     def __repr__(self) -> str:
-        """Return the change."""
         return f"ResourceData(resource_accumulated={self.resource_accumulated})"
 
 
@@ -39,13 +37,7 @@ class ResourceDataStore(DataStore):
     data_type = ResourceData
 
     def __init__(self, *args: Any, resource_fn: Callable[[Any], float] = nothing, **kwargs: Any) -> None:
-        """Initialize the store.
-
-        Args:
-            *args: Arguments of :class:`DataStore`.
-            resource_fn: Function of the satellite that returns the quantity.
-            **kwargs: Keyword arguments of :class:`DataStore`.
-        """
+        """See :class:`DataStore`; ``resource_fn`` is a function of the satellite that returns the quantity."""
         super().__init__(*args, **kwargs)
         self.resource_fn = resource_fn
 
@@ -71,8 +63,7 @@ class ResourceReward(GlobalReward):
             resource_fn: Function of the satellite that returns the quantity.
         """
         super().__init__()
-        self._reward_weight = reward_weight
-        self.resource_fn = resource_fn
+        self._reward_weight, self.resource_fn = reward_weight, resource_fn
         self.data_store_kwargs = {"resource_fn": resource_fn}
 
     def reset_pre_sim_init(self) -> None:

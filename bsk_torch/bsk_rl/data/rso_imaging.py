@@ -27,17 +27,12 @@ CREDITS = (None, "shared", "per_imager")
 
 
 class RSOImageData(Data):
-    """Images that have been taken, and those whose downlink is complete.
-
-    Attributes:
-        captures: Images taken.
-        deliveries: Images downlinked.
-    """
+    """Images that have been taken, and those whose downlink is complete."""
 
     def __init__(
         self, captures: Mapping[str, RSOImageRecord] | None = None, deliveries: Mapping[str, RSOImageRecord] | None = None
     ) -> None:
-        """Initialize with images by ``record_id``; empty by default."""
+        """Initialize with images taken, and downlinked, by ``record_id``; empty by default."""
         self.captures: Records = dict(captures or {})
         self.deliveries: Records = dict(deliveries or {})
 
@@ -46,10 +41,10 @@ class RSOImageData(Data):
         return RSOImageData(_both(self.captures, other.captures), _both(self.deliveries, other.deliveries))
 
 
-def _both(mine: Records, theirs: Records) -> Records:
-    if wrong := [key for key in mine.keys() & theirs.keys() if mine[key] != theirs[key]]:
+def _both(one: Records, other: Records) -> Records:
+    if wrong := [key for key in one.keys() & other.keys() if one[key] != other[key]]:
         raise ValueError(f"two different images are called {sorted(wrong)}")
-    return mine | theirs
+    return one | other
 
 
 class RSOImageStore(DataStore):
@@ -101,9 +96,9 @@ class RSOImageStore(DataStore):
 
     def _downlinked(self, target_id: str, bits: float) -> Records:
         """Take data, bit, from the images of a target, oldest first; return those that are complete."""
-        mine = [record for record in self.products.values() if record.target_id == target_id]
+        stored = [record for record in self.products.values() if record.target_id == target_id]
         delivered: Records = {}
-        for record in sorted(mine, key=lambda record: (record.capture_time, record.record_id)):
+        for record in sorted(stored, key=lambda record: (record.capture_time, record.record_id)):
             if bits <= LEAST_BITS:
                 break
             key = record.record_id
@@ -160,9 +155,9 @@ class RSOImageReward(GlobalReward):
             multi_imager_credit: ``"shared"`` or ``"per_imager"``, required for several imagers.
         """
         super().__init__()
-        for title, given in (("acquisition_reward_fn", acquisition_reward_fn), ("delivery_reward_fn", delivery_reward_fn)):
-            if given is not None:
-                function(title, given, "a function of an image and its target")
+        for title, value in (("acquisition_reward_fn", acquisition_reward_fn), ("delivery_reward_fn", delivery_reward_fn)):
+            if value is not None:
+                function(title, value, "a function of an image and its target")
         if multi_imager_credit not in CREDITS:
             raise ValueError(f"multi_imager_credit={multi_imager_credit!r} must be one of {list(CREDITS)}")
         self.acquisition_reward_fn, self.delivery_reward_fn = acquisition_reward_fn or nothing, delivery_reward_fn or priority
@@ -213,7 +208,6 @@ class RSOImageReward(GlobalReward):
         return {name: sum(part[name] for part in parts.values()) for name in new_data_dict}
 
     def _begin_services(self, new: list[RSOImageRecord]) -> None:
-        """Find the services of new images, which now wait for their downlink."""
         pending = self.scenario.pending
         for target_id in {record.target_id for record in new}:
             if not pending.get(target_id):
@@ -223,7 +217,6 @@ class RSOImageReward(GlobalReward):
             pending.setdefault(record.target_id, set()).add(record.record_id)
 
     def _end_services(self, deliveries: list[RSOImageRecord]) -> None:
-        """Let targets of downlinked images cool down."""
         scenario = self.scenario
         for record in deliveries:
             if record.record_id not in self._service_of:
@@ -236,7 +229,6 @@ class RSOImageReward(GlobalReward):
     def _credit(
         self, stage: str, reward_fn: RewardFunction, records: list[RSOImageRecord], names: Iterable[str]
     ) -> dict[str, float]:
-        """Return what satellites get for images at a stage."""
         reward, last, groups = dict.fromkeys(names, 0.0), self._last[stage], defaultdict[Any, list[RSOImageRecord]](list)
         for record in records:
             if record.quality >= self.quality_threshold:

@@ -26,12 +26,7 @@ Status = dict[RSOPoint, bool]
 
 
 class RSOInspectionData(Data):
-    """Points that have been inspected, and that have been lit.
-
-    Attributes:
-        point_inspect_status: Whether points have been inspected.
-        point_illuminate_status: Whether points have been lit.
-    """
+    """Points that have been inspected, and that have been lit."""
 
     def __init__(
         self,
@@ -43,7 +38,6 @@ class RSOInspectionData(Data):
         self.point_illuminate_status: Status = dict(point_illuminate_status or {})
 
     def __add__(self, other: RSOInspectionData) -> RSOInspectionData:
-        """Return the points inspected, and lit, in either."""
         return RSOInspectionData(
             _either(self.point_inspect_status, other.point_inspect_status),
             _either(self.point_illuminate_status, other.point_illuminate_status),
@@ -60,12 +54,11 @@ class RSOInspectionData(Data):
         return sum(self.point_illuminate_status.values())
 
     def __repr__(self) -> str:
-        """Return the numbers."""
         return f"RSOInspectionData(inspected={self.num_points_inspected}, illuminated={self.num_points_illuminated})"
 
 
-def _either(mine: Status, theirs: Status) -> Status:
-    return mine | {point: mine.get(point, False) or status for point, status in theirs.items()}
+def _either(one: Status, other: Status) -> Status:
+    return one | {point: one.get(point, False) or status for point, status in other.items()}
 
 
 class RSOInspectionDataStore(DataStore):
@@ -137,12 +130,9 @@ class RSOInspectionReward(GlobalReward):
             terminate_on_completion: Whether the episode terminates on completion.
         """
         super().__init__()
-        self.inspection_reward_scale = inspection_reward_scale
-        self.completion_bonus = completion_bonus
-        self.completion_threshold = completion_threshold
-        self.min_illuminated_for_completion = min_illuminated_for_completion
-        self.min_time_for_completion = min_time_for_completion
-        self.terminate_on_completion = terminate_on_completion
+        self.inspection_reward_scale, self.completion_bonus = inspection_reward_scale, completion_bonus
+        self.completion_threshold, self.min_illuminated_for_completion = completion_threshold, min_illuminated_for_completion
+        self.min_time_for_completion, self.terminate_on_completion = min_time_for_completion, terminate_on_completion
 
     def reset_overwrite_previous(self) -> None:
         """Forget the last episode."""
@@ -175,9 +165,9 @@ class RSOInspectionReward(GlobalReward):
 
     @override
     def calculate_reward(self, new_data_dict: dict[str, RSOInspectionData]) -> dict[str, float]:
-        known, total, reward = self.data.point_inspect_status, self.data_type() + self.data, {}
+        before, total, reward = self.data.point_inspect_status, self.data_type() + self.data, {}
         for name, data in new_data_dict.items():
-            new = sum(inspected and not known.get(point, False) for point, inspected in data.point_inspect_status.items())
+            new = sum(inspected and not before.get(point, False) for point, inspected in data.point_inspect_status.items())
             reward[name] = new / len(self.scenario.rso_points) * self.inspection_reward_scale
             total += data
         if self._completed(total) and not self.bonus_reward_yielded:
@@ -192,7 +182,6 @@ class RSOInspectionReward(GlobalReward):
         return self.scenario.satellites[0].simulator.sim_time
 
     def _completed(self, total: RSOInspectionData) -> bool:
-        """Return whether the conditions of completion hold for all data of the episode."""
         lit, points = total.num_points_illuminated, len(self.scenario.rso_points)
         enough = lit >= points * self.min_illuminated_for_completion or self._sim_time > self.min_time_for_completion
         return enough and total.num_points_inspected >= self.completion_threshold * lit

@@ -20,7 +20,7 @@ class UniqueImageData(Data):
     """Targets that have been imaged.
 
     Attributes:
-        imaged: Targets that have been imaged.
+        imaged: Targets with an image.
         duplicates: Number of images of targets imaged before; when satellites exchange data, targets imaged in both are counted
             again.
         known: Targets that are known, imaged or not.
@@ -74,7 +74,6 @@ class HideImaged:
         self.store = store
 
     def __call__(self, opportunity: Mapping[str, Any]) -> bool:
-        """Return whether an opportunity remains."""
         return not is_target(opportunity["type"]) or opportunity["object"] not in self.store.data.imaged
 
 
@@ -93,11 +92,7 @@ class UniqueImageReward(GlobalReward):
     data_store_type = UniqueImageStore
 
     def __init__(self, reward_fn: Callable[[float], float] = whole_priority) -> None:
-        """Initialize the rewarder.
-
-        Args:
-            reward_fn: Reward of a first image as a function of the target's priority.
-        """
+        """Pay ``reward_fn`` of a target's priority for its first image."""
         super().__init__()
         self.reward_fn = reward_fn
 

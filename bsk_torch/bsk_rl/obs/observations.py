@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable
 from copy import deepcopy
 from functools import cached_property
@@ -13,7 +14,7 @@ import numpy as np
 from gymnasium import spaces
 from typing_extensions import override
 
-from bsk_torch.bsk_rl.utils.functional import Resetable, vectorize_nested_dict
+from bsk_torch.bsk_rl.utils.functional import Resetable, ResetableGroup, vectorize_nested_dict
 from bsk_torch.bsk_rl.utils.orbital import rv2HN
 
 __all__ = [
@@ -65,7 +66,7 @@ def name_entry(entry: Entry, name: str) -> None:
     entry.setdefault("name", name if entry["norm"] == 1.0 else f"{name}_normd")
 
 
-class ObservationBuilder(Resetable):
+class ObservationBuilder(ResetableGroup):
     """Combines the observations of a satellite.
 
     Attributes:
@@ -80,35 +81,24 @@ class ObservationBuilder(Resetable):
         self.simulator: Any = None
         self.obs_dict_cache: dict[str, Any] | None = None
         self.obs_cache_time = 0.0
-        self.observation_spec = deepcopy(list(satellite.observation_spec))
-        known: dict[str, int] = {}
+        self.observation_spec: list[Observation] = deepcopy(list(satellite.observation_spec))
+        counts = Counter[str]()
         for entry in self.observation_spec:
-            known[entry.name] = known.get(entry.name, 0) + 1
-            if known[entry.name] > 1:
-                entry.name += f"_{known[entry.name]}"
+            counts[entry.name] += 1
+            if counts[entry.name] > 1:
+                entry.name += f"_{counts[entry.name]}"
             entry.link_satellite(satellite)
 
-    def reset_overwrite_previous(self) -> None:
-        """Call the hook of each observation."""
-        for entry in self.observation_spec:
-            entry.reset_overwrite_previous()
+    @override
+    def _parts(self) -> list[Observation]:
+        return self.observation_spec
 
-    def reset_pre_sim_init(self) -> None:
-        """Call the hook of each observation."""
-        for entry in self.observation_spec:
-            entry.reset_pre_sim_init()
-
-    def reset_during_sim_init(self) -> None:
-        """Call the hook of each observation."""
-        for entry in self.observation_spec:
-            entry.reset_during_sim_init()
-
+    @override
     def reset_post_sim_init(self) -> None:
-        """Link the simulation and call the hook of each observation."""
         self.simulator, self.obs_dict_cache = self.satellite.simulator, None
         for entry in self.observation_spec:
             entry.link_simulator(self.simulator)
-            entry.reset_post_sim_init()
+        super().reset_post_sim_init()
 
     def obs_dict(self) -> dict[str, Any]:
         """Return the observations by name; they are computed once at each time."""
@@ -215,14 +205,14 @@ class SatProperties(Observation):
 
     @override
     def get_obs(self) -> dict[str, Any]:
-        found = {}
+        observation = {}
         for entry in self.obs_properties:
             if "fn" in entry:
                 value = entry["fn"](self.satellite)
             else:
                 value = getattr(getattr(self.satellite, entry["module"]), entry["prop"])
-            found[entry["name"]] = (np.array(value) if isinstance(value, list) else value) / entry["norm"]
-        return found
+            observation[entry["name"]] = (np.array(value) if isinstance(value, list) else value) / entry["norm"]
+        return observation
 
 
 class Time(Observation):
@@ -301,12 +291,12 @@ class OpportunityProperties(Observation):
 
     @override
     def get_obs(self) -> dict[str, Any]:
-        found = self.satellite.find_next_opportunities(n=self.n_ahead_observe, types=self.type, pad=True)
+        opportunities = self.satellite.find_next_opportunities(n=self.n_ahead_observe, types=self.type, pad=True)
         return {
             f"{self.name}_{k}": {
                 entry["name"]: entry["fn"](self.satellite, opportunity) / entry["norm"] for entry in self.target_properties
             }
-            for k, opportunity in enumerate(found)
+            for k, opportunity in enumerate(opportunities)
         }
 
 

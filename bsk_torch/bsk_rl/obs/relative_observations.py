@@ -91,14 +91,14 @@ def r_DC_D(deputy: Any, chief: Any) -> Any:
 
 def v_DC_C(deputy: Any, chief: Any) -> Any:
     """Return the relative velocity as seen from the chief's body frame, m/s in that frame."""
-    seen = v_DC_N(deputy, chief) - np.cross(chief.dynamics.BN.T @ chief.dynamics.omega_BN_B, r_DC_N(deputy, chief))
-    return chief.dynamics.BN @ seen
+    velocity_N = v_DC_N(deputy, chief) - np.cross(chief.dynamics.BN.T @ chief.dynamics.omega_BN_B, r_DC_N(deputy, chief))
+    return chief.dynamics.BN @ velocity_N
 
 
 def v_DC_D(deputy: Any, chief: Any) -> Any:
     """Return the relative velocity as seen from the deputy's body frame, m/s in that frame."""
-    seen = v_DC_N(deputy, chief) - np.cross(deputy.dynamics.BN.T @ deputy.dynamics.omega_BN_B, r_DC_N(deputy, chief))
-    return deputy.dynamics.BN @ seen
+    velocity_N = v_DC_N(deputy, chief) - np.cross(deputy.dynamics.BN.T @ deputy.dynamics.omega_BN_B, r_DC_N(deputy, chief))
+    return deputy.dynamics.BN @ velocity_N
 
 
 def sigma_DC(deputy: Any, chief: Any) -> Any:
@@ -189,15 +189,15 @@ class RelativeProperties(Observation):
 
     def reset_post_sim_init(self) -> None:
         """Find the chief; ValueError if there is none of its name."""
-        found = [satellite for satellite in self.satellite.simulator.satellites if satellite.name == self.chief_name]
-        if not found:
+        named = [satellite for satellite in self.satellite.simulator.satellites if satellite.name == self.chief_name]
+        if not named:
             raise ValueError(f"Chief satellite {self.chief_name} not found")
-        self.chief = found[0]
+        self.chief = named[0]
 
     @override
     def get_obs(self) -> dict[str, Any]:
-        found = {}
+        observation = {}
         for entry in self.rel_properties:
             value = entry["fn"](self.satellite, self.chief)
-            found[entry["name"]] = (np.array(value) if isinstance(value, list) else value) / entry["norm"]
-        return found
+            observation[entry["name"]] = (np.array(value) if isinstance(value, list) else value) / entry["norm"]
+        return observation

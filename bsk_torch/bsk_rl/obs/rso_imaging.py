@@ -38,16 +38,16 @@ def target_properties(imager: Any, target: Any) -> dict[str, Any]:
     if target is None:
         return {name: np.copy(value) if isinstance(value, np.ndarray) else value for name, value in NOTHING.items()}
     line_N, distance, elevation = target_geometry(imager, target)
-    dynamics, seen = imager.dynamics, target.target_spacecraft.dynamics
+    dynamics, subject = imager.dynamics, target.target_spacecraft.dynamics
     HN = rv2HN(dynamics.r_BN_N, dynamics.v_BN_N)
     axis_N = np.asarray(dynamics.BN).T @ np.asarray(imager.fsw.locPoint.pHat_B)
-    light = seen.world.eclipseObject.eclipseOutMsgs[seen.eclipse_index].read()
+    light = subject.world.eclipseObject.eclipseOutMsgs[subject.eclipse_index].read()
     return {
         "valid": 1.0,
         "priority": float(target.priority),
         "target_elevation_angle": elevation,
         "rel_pos_vector_r_BR_H": HN @ line_N,
-        "rel_vel_vector_v_BR_H": HN @ (np.asarray(seen.v_BN_N) - np.asarray(dynamics.v_BN_N)),
+        "rel_vel_vector_v_BR_H": HN @ (np.asarray(subject.v_BN_N) - np.asarray(dynamics.v_BN_N)),
         "angle_to_target": float(np.degrees(np.arccos(np.clip(line_N @ axis_N / distance, -1, 1)))),
         "target_distance": distance,
         "target_illumination_factor": illumination_factor(light),
@@ -88,11 +88,11 @@ class RSOTargetProperties(Observation):
 
     def get_obs(self) -> dict[str, Any]:
         """See :meth:`Observation.get_obs`; a dictionary for each candidate."""
-        found = {}
+        observation = {}
         for k, target in enumerate(self._candidates()):
             values = target_properties(self.satellite, target)
-            found[f"{self.name}_{k}"] = {title: values[prop] / norm for prop, title, norm in self.properties}
-        return found
+            observation[f"{self.name}_{k}"] = {title: values[prop] / norm for prop, title, norm in self.properties}
+        return observation
 
     def candidate_ids(self) -> tuple[str | None, ...]:
         """Return the ids of the candidates; None for those that do not exist."""

@@ -2,56 +2,22 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from typing_extensions import override
 
+from bsk_torch.bsk_rl.comm.communication import exchange
+from bsk_torch.bsk_rl.data.base import GlobalReward
 from bsk_torch.bsk_rl.data.unique_image_data import HideImaged
 from bsk_torch.bsk_rl.per_episode.views import OneAccessSatellite, OneSatellite, OneView
 from bsk_torch.sim.places import is_target
 from bsk_torch.sim.state import StateTable
 
 Filter = Callable[[Mapping[str, Any]], Any]
-
-
-class OneReward(Protocol):
-    """A rewarder of one episode: its hooks are those of ``bsk_torch.bsk_rl.data.GlobalReward``."""
-
-    data: Any
-    data_type: Any
-    data_store_type: Any
-
-    def link_scenario(self, scenario: Any) -> None:
-        """Keep the scenario."""
-
-    def reset_overwrite_previous(self) -> None:
-        """Forget the last episode."""
-
-    def reset_pre_sim_init(self) -> None:
-        """Prepare for the episode."""
-
-    def reset_during_sim_init(self) -> None:
-        """Prepare for the episode, once satellites have their stores."""
-
-    def reset_post_sim_init(self) -> None:
-        """Prepare for the episode, last."""
-
-    def create_data_store(self, satellite: Any) -> None:
-        """Give a satellite its store."""
-
-    def reward(self, new_data_dict: dict[str, Any]) -> dict[str, float]:
-        """Return the reward of a step by name of satellite."""
-
-    def is_terminated(self, satellite: Any) -> bool:
-        """Return whether the episode terminates for a satellite."""
-
-    def is_truncated(self, satellite: Any) -> bool:
-        """Return whether the episode is truncated for a satellite."""
 
 
 class StoringSatellite:
@@ -62,20 +28,17 @@ class StoringSatellite:
 
     def __init__(self, one: OneSatellite) -> None:
         """Add attributes to a view."""
-        own = self.__dict__
-        own["_one"], own["_filters"] = one, []
+        self.__dict__.update(_one=one, _filters=[])
 
     _one: OneSatellite
     _filters: list[Filter]
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute of the view."""
         if name.startswith("__"):
             raise AttributeError(name)
         return getattr(self.__dict__["_one"], name)
 
     def __repr__(self) -> str:
-        """Return the name and the environment."""
         return f"<{self._one.name} of environment {self._one.env}>"
 
     def add_access_filter(self, access_filter: Filter, types: Any = None) -> None:
@@ -126,14 +89,14 @@ class Record:
         steps: Steps that have been scored.
     """
 
-    def __init__(self, rewarder: OneReward, satellites: list[StoringSatellite], scenario: SingleScenario) -> None:
+    def __init__(self, rewarder: GlobalReward, satellites: list[StoringSatellite], scenario: SingleScenario) -> None:
         """Put the parts together; see :meth:`begin`."""
         self.rewarder, self.satellites, self.scenario, self.steps = rewarder, satellites, scenario, 0
 
     def begin(self) -> None:
         """Start the episode, in the order of one environment."""
         rewarder = self.rewarder
-        rewarder.link_scenario(self.scenario)
+        rewarder.link_scenario(self.scenario)  # type: ignore[arg-type]  # mypy: a view of the scenario
         rewarder.reset_overwrite_previous()
         rewarder.reset_pre_sim_init()
         for satellite in self.satellites:
@@ -151,19 +114,8 @@ class Record:
 
     def share(self, links: list[list[bool]]) -> None:
         """Spread data along ``links`` by sender and receiver; where all are linked with all, they get the sum."""
-        stores = [satellite.data_store for satellite in self.satellites]
-        pairs = [(a, b) for a in range(len(stores)) for b in range(len(stores)) if a != b and links[a][b]]
-        if len(pairs) == len(stores) * (len(stores) - 1):
-            whole = type(stores[0].data)()
-            for store in stores:
-                whole += store.data
-            for store in stores:
-                store.data = copy.copy(whole)
-            return
-        for sender, receiver in pairs:
-            stores[receiver].stage_communicated_data(stores[sender].data)
-        for store in stores:
-            store.update_with_communicated_data()
+        sides = list(enumerate(self.satellites))
+        exchange(self.satellites, [(one, other) for a, one in sides for b, other in sides if a != b and links[a][b]])
 
 
 class RecordTable(StateTable):
@@ -186,7 +138,6 @@ class RecordTable(StateTable):
         return entry
 
     def _check_unscored(self, envs: Tensor) -> None:
-        """Raise TypeError if one of the records has scored a step."""
         if begun := [entry for env in envs.tolist() if (entry := self.entries[env]) is not None and entry.steps]:
             raise TypeError(
                 f"{type(begun[0].rewarder).__name__} is a rewarder of one episode, which keeps objects: its episodes cannot be "

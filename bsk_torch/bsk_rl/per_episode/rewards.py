@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 from typing_extensions import override
 
-from bsk_torch.bsk_rl.per_episode.records import OneReward, Record, RecordTable, SingleScenario, StoringSatellite
+from bsk_torch.bsk_rl.data.base import GlobalReward as OneReward
+from bsk_torch.bsk_rl.per_episode.records import Record, RecordTable, SingleScenario, StoringSatellite
 from bsk_torch.bsk_rl.per_episode.views import satellites_of
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.sats.bound_access import BoundAccessSatellite
@@ -61,8 +62,8 @@ class PerEpisodeReward(GlobalReward):
         columns = self.fleet.columns[satellite.type_index].tolist()
         rows = [record.satellites[column] for record in self._all() for column in columns]
         allowed = torch.ones(len(rows), satellite.places(kind), dtype=torch.bool)
-        for mine, one in zip(allowed, rows, strict=True):
-            one.hide(kind, mine)
+        for places, one in zip(allowed, rows, strict=True):
+            one.hide(kind, places)
         return allowed.to(self.fleet.device)
 
     # -- hooks --------------------------------------------------------------------------------------------------------
@@ -77,13 +78,13 @@ class PerEpisodeReward(GlobalReward):
         reward = torch.zeros(self.fleet.num_envs, self.fleet.size, dtype=torch.float64)
         names = self.fleet.names
         for env in torch.nonzero(self.fleet.ticks > self.fleet.since).squeeze(-1).tolist():
-            found = self.records.of(env).step()
+            paid = self.records.of(env).step()
             for k, name in enumerate(names):
                 try:
-                    reward[env, k] = float(found[name])
+                    reward[env, k] = float(paid[name])
                 except (KeyError, TypeError, ValueError) as error:
                     raise TypeError(
-                        f"{type(self.given).__name__}.calculate_reward(new_data_dict) returns {found!r}; it must return a number "
+                        f"{type(self.given).__name__}.calculate_reward(new_data_dict) returns {paid!r}; it must return a number "
                         f"for each of {names}"
                     ) from error
         return reward.to(self.fleet.device)
@@ -102,8 +103,8 @@ class PerEpisodeReward(GlobalReward):
         return self._flags("is_truncated")
 
     def _flags(self, hook: str) -> Tensor:
-        found = [[bool(getattr(r.rewarder, hook)(satellite)) for satellite in r.satellites] for r in self._all()]
-        return torch.tensor(found, device=self.fleet.device)
+        flags = [[bool(getattr(r.rewarder, hook)(satellite)) for satellite in r.satellites] for r in self._all()]
+        return torch.tensor(flags, device=self.fleet.device)
 
     # -- reading ------------------------------------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,6 +16,7 @@ from torch import Tensor
 from typing_extensions import override
 
 from bsk_torch._checks import no_gradient
+from bsk_torch.bsk_rl.scene.targets import UniformTargets as OneTargets
 from bsk_torch.constants import R_EARTH
 from bsk_torch.rand import Key, seeded
 from bsk_torch.scene.draws import check_positions
@@ -26,7 +27,7 @@ from bsk_torch.sim.hooks import is_of_package
 KEY = "target_key"
 """Drawn value from which the targets of an episode can be made again: the words of its key."""
 
-OWN = ("name", "r_LP_P", "priority")
+COMMON = ("name", "r_LP_P", "priority")
 """Attributes of every target."""
 
 RESERVED = ("exists", "key")
@@ -39,18 +40,6 @@ NOT_CALLED = (
 """Hooks of scenarios of one episode that have no counterpart in a batch."""
 
 
-class OneTargets(Protocol):
-    """Targets of one episode: the hook is that of ``bsk_torch.bsk_rl.scene.UniformTargets``."""
-
-    _n_targets: Any
-    n_targets: int
-    radius: float
-    targets: list[Any]
-
-    def regenerate_targets(self) -> None:
-        """Fill ``self.targets``."""
-
-
 class PerEpisodeTargets(UniformTargets):
     """Lets a scenario of one episode make the targets of each episode.
 
@@ -61,8 +50,8 @@ class PerEpisodeTargets(UniformTargets):
     def __init__(self, given: OneTargets) -> None:
         """Run copies of ``given``; TypeError for one with hooks that would not be called."""
         super().__init__(given._n_targets, radius=given.radius)
-        if own := sorted(name for name in NOT_CALLED if not is_of_package(getattr(type(given), name))):
-            raise TypeError(f"{type(given).__name__}: {', '.join(own)} would not be called in a batch; regenerate_targets() is")
+        if hooks := sorted(name for name in NOT_CALLED if not is_of_package(getattr(type(given), name))):
+            raise TypeError(f"{type(given).__name__}: {', '.join(hooks)} would not be called in a batch; regenerate_targets() is")
         self.given = given
         self._room_is_known = False
         self._made: dict[int, tuple[tuple[int, ...], list[Target]]] = {}
@@ -129,7 +118,7 @@ def _columns(scenario: OneTargets, made: Sequence[list[Target]]) -> dict[str, An
     columns: dict[str, Any] = {"r_LP_P": np.array([R_EARTH, 0.0, 0.0]), "priority": 0.0}
     for target in (target for targets in made for target in targets):
         for name in vars(target):
-            if name not in OWN and not name.startswith("_") and name not in columns and _number(target, name) is not None:
+            if name not in COMMON and not name.startswith("_") and name not in columns and _number(target, name) is not None:
                 if name in RESERVED:
                     raise TypeError(f"{type(scenario).__name__}: targets cannot have an attribute {name!r}; rename it")
                 columns[name] = np.zeros_like(_number(target, name))
@@ -137,7 +126,6 @@ def _columns(scenario: OneTargets, made: Sequence[list[Target]]) -> dict[str, An
 
 
 def _number(target: Target, name: str) -> np.ndarray | None:
-    """Return an attribute as an array of numbers; None if it is not numeric."""
     if not hasattr(target, name):
         raise TypeError(f"{target!r} lacks {name!r}, which other targets have; all targets must have the same attributes")
     value = no_gradient(f"{name!r} of a target", getattr(target, name))

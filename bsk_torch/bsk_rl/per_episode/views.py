@@ -7,16 +7,19 @@ numbers of that row, and properties and methods of a user's models run with the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from types import SimpleNamespace
 from typing import Any, NoReturn
 
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.bsk_rl.data.unique_image_data import UniqueImageData
+from bsk_torch.bsk_rl.sats.access_satellite import OpportunityQueries, Types, Window
+from bsk_torch.bsk_rl.sim import messages
+from bsk_torch.bsk_rl.sim.views import of_row
 from bsk_torch.sats.access import AccessSatellite
 from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
 from bsk_torch.sats.bound_access import BoundAccessSatellite
@@ -29,21 +32,6 @@ from bsk_torch.sim.places import is_target
 from bsk_torch.sim.readout.observables import observable
 
 READ_ONLY = "the view of one episode of a batch is read-only; vectorize='episodes' makes environments whose satellites are not"
-
-
-def of_row(value: object, row: int) -> Any:
-    """Return one row of a tensor [N, ...] as a Python number or a new NumPy array; likewise in tuples and dictionaries.
-
-    Anything else is the same for all rows.
-    """
-    if isinstance(value, Tensor):
-        mine = value[row]
-        return mine.item() if mine.ndim == 0 else mine.detach().cpu().numpy().copy()
-    if isinstance(value, tuple) and any(isinstance(part, Tensor) for part in value):
-        return tuple(of_row(part, row) for part in value)
-    if isinstance(value, dict):
-        return {name: of_row(part, row) for name, part in value.items()}
-    return value
 
 
 class OneView:
@@ -61,15 +49,12 @@ class OneView:
     _row: int
 
     def __setattr__(self, name: str, value: object) -> None:
-        """Raise AttributeError: views are read-only."""
         raise AttributeError(f"{name!r} cannot be set: {READ_ONLY}")
 
     def __repr__(self) -> str:
-        """Name the class and the row."""
         return f"<{type(self._whole).__name__} of row {self._row}>"
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute as the row has it; AttributeError if there is none."""
         whole = self.__dict__["_whole"]
         if name.startswith("__"):
             raise AttributeError(name)
@@ -100,15 +85,12 @@ class OneArguments(Mapping[str, Any]):
         self._whole, self._row = whole, row
 
     def __getitem__(self, name: str) -> Any:
-        """Return an argument of the row; KeyError for an unknown name."""
         return of_row(self._whole[name], self._row)
 
     def __iter__(self) -> Iterator[str]:
-        """Iterate over the names."""
         return iter(self._whole)
 
     def __len__(self) -> int:
-        """Number of arguments."""
         return len(self._whole)
 
 
@@ -161,17 +143,11 @@ class OneModel(OneView):
         return view_of(self._whole.satellite, self._row)
 
     @property
-    def storageUnit(self) -> SimpleNamespace:
+    def storageUnit(self) -> messages.ModuleView:
         """Basilisk's store, with ``storageUnitDataOutMsg.read()``, bit; AttributeError for models without one."""
-        total, levels, sat_args = self.storage_level, self.partition_levels, self.satellite.sat_args
-        names = sat_args.get("bufferNames")
-        message = SimpleNamespace(
-            storageLevel=total,
-            storageCapacity=sat_args["dataStorageCapacity"],
-            storedData=levels,
-            storedDataName=[str(k) for k in range(len(levels))] if names is None else list(names),
-        )
-        return SimpleNamespace(storageUnitDataOutMsg=SimpleNamespace(read=lambda: message))
+        module = messages.MODULES["storageUnit"]
+        getattr(type(self._whole), module.needs)
+        return messages.ModuleView(self, module.attributes)
 
     @property
     def instrument(self) -> SimpleNamespace:
@@ -279,24 +255,14 @@ class OneOthers(Mapping[str, OneSatellite]):
         self._fleet, self._env = fleet, env
 
     def __getitem__(self, name: str) -> OneSatellite:
-        """Return a satellite; KeyError for an unknown name, with the nearest one."""
         whole, number = self._fleet.found(name)
         return view_of(whole, self._env * whole.simulator.count + number)
 
     def __iter__(self) -> Iterator[str]:
-        """Names of the satellites, in their order."""
         return iter(self._fleet.places)
 
     def __len__(self) -> int:
-        """Number of satellites in an episode."""
         return len(self._fleet.places)
-
-
-Types = str | Collection[str] | None
-"""Type of opportunities, several types, or None for all."""
-
-Window = tuple[float, float]
-"""Opening and closing time, s since reset."""
 
 
 class OneTarget:
@@ -332,19 +298,15 @@ class OneTarget:
 
     @property
     def _place(self) -> tuple[int, int]:
-        """Environment and index, by which targets are compared."""
         return self._env, self.id
 
     def __eq__(self, other: object) -> bool:
-        """Whether it is the same target of the same environment."""
         return getattr(other, "_place", None) == self._place
 
     def __hash__(self) -> int:
-        """Agree with equality."""
         return hash(self._place)
 
     def __repr__(self) -> str:
-        """Return the name as bsk_rl shows it."""
         return f"Target({self.name})"
 
 
@@ -359,7 +321,7 @@ Filter = Callable[[OneOpportunity], Any] | list[Any] | None
 """Function that selects opportunities, list of excluded objects, or None for the filters of the satellite."""
 
 
-class OneAccessSatellite(OneSatellite):
+class OneAccessSatellite(OneSatellite, OpportunityQueries):
     """An access satellite of one episode: opportunities are dictionaries, sorted by closing time."""
 
     def _make(self, kind: str, place: int, r_LP_P: object, **window: Window) -> OneOpportunity:
@@ -381,12 +343,12 @@ class OneAccessSatellite(OneSatellite):
 
     def of_windows(self, kind: str, windows: Any, padding: bool = False) -> list[OneOpportunity]:
         """Return windows [N, W] of a type, with or without their ``padding``, as opportunities of this row."""
-        found, r_LP_P = [], self._positions(kind)
+        opportunities, r_LP_P = [], self._positions(kind)
         columns = (table[self._row].tolist() for table in (windows.place, windows.open, windows.close))
         for place, opens, closes in zip(*columns, strict=True):
             if padding or closes < float("inf"):
-                found.append(self._make(kind, place, r_LP_P[place].copy(), window=(opens, closes)))
-        return found
+                opportunities.append(self._make(kind, place, r_LP_P[place].copy(), window=(opens, closes)))
+        return opportunities
 
     def all_places(self, kind: str) -> list[OneOpportunity]:
         """Return all places of a type as opportunities without a window."""
@@ -394,8 +356,8 @@ class OneAccessSatellite(OneSatellite):
 
     def _listed(self, upcoming: bool) -> list[OneOpportunity]:
         kinds = self._whole.opportunity_types
-        found = [one for kind in kinds for one in self.of_windows(kind, self._whole.listed(kind, upcoming))]
-        return sorted(found, key=lambda opportunity: opportunity["window"][1])
+        opportunities = [one for kind in kinds for one in self.of_windows(kind, self._whole.listed(kind, upcoming))]
+        return sorted(opportunities, key=lambda opportunity: opportunity["window"][1])
 
     @property
     def opportunities(self) -> list[OneOpportunity]:
@@ -412,7 +374,8 @@ class OneAccessSatellite(OneSatellite):
         allowed = self._whole.allowed(opportunity["type"])
         return allowed is None or bool(allowed[self._row, opportunity.place])
 
-    def _passes(self, types: Types, filter: Filter) -> Callable[[OneOpportunity], Any]:
+    @override
+    def _accepts(self, types: Types, filter: Filter) -> Callable[[OneOpportunity], Any]:
         kinds = self._kinds(types)
         if isinstance(filter, list):
             return lambda opportunity: opportunity["type"] in kinds and opportunity["object"] not in filter
@@ -420,31 +383,12 @@ class OneAccessSatellite(OneSatellite):
         return lambda opportunity: opportunity["type"] in kinds and accepts(opportunity)
 
     def _kinds(self, types: Types) -> tuple[str, ...]:
-        known = self._whole.opportunity_types
-        kinds = known if types is None else (types,) if isinstance(types, str) else tuple(types)
+        every = self._whole.opportunity_types
+        kinds = every if types is None else (types,) if isinstance(types, str) else tuple(types)
         for kind in kinds:
-            if kind not in known:
-                raise ValueError(f"types={types!r}: {kind!r} is not a type of opportunity; {nearest(kind, known)}")
+            if kind not in every:
+                raise ValueError(f"types={types!r}: {kind!r} is not a type of opportunity; {nearest(kind, every)}")
         return kinds
-
-    def opportunities_dict(self, types: Types = None, filter: Filter = None) -> dict[Any, list[Window]]:
-        """Return all windows by object."""
-        return _by_object(self.opportunities, self._passes(types, filter))
-
-    def upcoming_opportunities_dict(self, types: Types = None, filter: Filter = None) -> dict[Any, list[Window]]:
-        """Return the windows that have not closed by object."""
-        return _by_object(self.upcoming_opportunities, self._passes(types, filter))
-
-    def next_opportunities_dict(
-        self, types: Types = None, filter: Filter = None, min_needed: int | None = None
-    ) -> dict[Any, Window]:
-        """Return the next window of each object, of at most ``min_needed`` objects if that is given."""
-        found: dict[Any, Window] = {}
-        for thing, windows in self.upcoming_opportunities_dict(types, filter).items():
-            if min_needed is not None and len(found) >= max(1, min_needed):
-                break
-            found[thing] = windows[0]
-        return found
 
     def find_next_opportunities(
         self, n: int, pad: bool = True, max_lookahead: int = MAX_SEGMENTS, types: Types = None, filter: Filter = None
@@ -462,21 +406,21 @@ class OneAccessSatellite(OneSatellite):
             RuntimeError: If there is none, or fewer than ``n`` without ``pad``.
             ValueError: For an unknown type.
         """
-        passes, whole, found = self._passes(types, filter), self._whole, list[OneOpportunity]()
+        accepts, whole, chosen = self._accepts(types, filter), self._whole, list[OneOpportunity]()
         if n == 0:
-            return found
+            return chosen
         kinds = self._kinds(types)
         if len(kinds) == 1 and filter is None and max_lookahead == MAX_SEGMENTS:
             return self.of_windows(kinds[0], whole.find_next_opportunities(n, kinds[0], pad=pad))
         for _ in range(max_lookahead):
-            found = [opportunity for opportunity in self.upcoming_opportunities if passes(opportunity)][:n]
-            if len(found) == n:
-                return found
+            chosen = [opportunity for opportunity in self.upcoming_opportunities if accepts(opportunity)][:n]
+            if len(chosen) == n:
+                return chosen
             if not whole.look_further(self._row):
                 break
-        if not pad or not found:
-            raise RuntimeError(f"{len(found)} of {n} opportunities of type {types or 'any'} found for {whole.title(self._row)}")
-        return found + [found[-1]] * (n - len(found))
+        if not pad or not chosen:
+            raise RuntimeError(f"{len(chosen)} of {n} opportunities of type {types or 'any'} found for {whole.title(self._row)}")
+        return chosen + [chosen[-1]] * (n - len(chosen))
 
     def calculate_additional_windows(self, duration: float) -> None:
         """Extend look-ahead of this satellite; see :meth:`bsk_torch.sats.BoundAccessSatellite.calculate_additional_windows`."""
@@ -502,15 +446,7 @@ class OneImagingSatellite(OneAccessSatellite):
     def known_targets(self) -> list[OneTarget]:
         """All targets of the environment."""
         exists = self._whole.simulator.scenario_state["target_exists"][self._env]
-        return [OneTarget(self._whole, self._env, index) for index, there in enumerate(exists.tolist()) if there]
-
-
-def _by_object(opportunities: list[OneOpportunity], passes: Callable[[OneOpportunity], object]) -> dict[Any, list[Window]]:
-    found: dict[Any, list[Window]] = {}
-    for opportunity in opportunities:
-        if passes(opportunity):
-            found.setdefault(opportunity["object"], []).append(opportunity["window"])
-    return found
+        return [OneTarget(self._whole, self._env, index) for index, flag in enumerate(exists.tolist()) if flag]
 
 
 def view_of(satellite: BoundSatellite, row: int) -> OneSatellite:

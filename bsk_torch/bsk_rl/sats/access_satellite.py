@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import bisect
 import logging
-from collections.abc import Callable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -26,13 +27,56 @@ __all__ = ["AccessSatellite", "ImagingSatellite", "SatAct", "SatObs"]
 logger = logging.getLogger(__name__)
 
 Opportunity = dict[str, Any]
-Filter = Callable[[Opportunity], Any]
+Filter = Callable[[Any], Any]
+"""Whether an opportunity, a dictionary, counts."""
+
+Types = str | Collection[str] | None
+"""Type of opportunities, several types, or None for all."""
 
 ENDLESS = 1e9
 """Seconds of a task without a limit."""
 
 
-class AccessSatellite(Satellite):
+class OpportunityQueries(ABC):
+    """Queries of windows by object; opportunities are listed by their time of closing."""
+
+    opportunities: Any
+    upcoming_opportunities: Any
+
+    @abstractmethod
+    def _accepts(self, types: Types, filter: Any) -> Filter:
+        """Return the function that determines whether an opportunity counts in a query."""
+
+    def opportunities_dict(self, types: Types = None, filter: Any = None) -> dict[Any, list[Window]]:
+        """Return all windows by object; ``filter`` is a function of an opportunity, or a list of objects to leave out."""
+        return self._by_object(self.opportunities, self._accepts(types, filter))
+
+    def upcoming_opportunities_dict(self, types: Types = None, filter: Any = None) -> dict[Any, list[Window]]:
+        """Return the windows that have not closed by object."""
+        return self._by_object(self.upcoming_opportunities, self._accepts(types, filter))
+
+    @staticmethod
+    def _by_object(opportunities: Sequence[Mapping[str, Any]], accepts: Filter) -> dict[Any, list[Window]]:
+        windows: dict[Any, list[Window]] = {}
+        for opportunity in opportunities:
+            if accepts(opportunity):
+                windows.setdefault(opportunity["object"], []).append(opportunity["window"])
+        return windows
+
+    def next_opportunities_dict(
+        self, types: Types = None, filter: Any = None, min_needed: int | None = None
+    ) -> dict[Any, Window]:
+        """Return the next window of every object; of the first ``min_needed`` objects, if given."""
+        accepts, windows = self._accepts(types, filter), dict[Any, Window]()
+        for opportunity in self.upcoming_opportunities:
+            if accepts(opportunity):
+                windows.setdefault(opportunity["object"], opportunity["window"])
+            if min_needed is not None and len(windows) >= min_needed:
+                break
+        return windows
+
+
+class AccessSatellite(OpportunityQueries, Satellite):
     """Adds windows of access to places.
 
     Attributes:
@@ -73,13 +117,13 @@ class AccessSatellite(Satellite):
 
     def set_dynamics(self, dyn_rate: float) -> Any:
         """See :meth:`Satellite.set_dynamics`; ground stations are places."""
-        made = super().set_dynamics(dyn_rate)
+        model = super().set_dynamics(dyn_rate)
         if issubclass(self.dyn_type, dyn.GroundStationDynModel):
             for station in self.simulator.world.groundStations:
                 self.add_location_for_access_checking(
                     station.ModelTag, np.ravel(station.r_LP_P_Init), station.minimumElevation, "ground_station"
                 )
-        return made
+        return model
 
     def add_location_for_access_checking(
         self, object: Any, r_LP_P: Any, min_elev: float, type: str, start_time: float = 0.0
@@ -120,7 +164,6 @@ class AccessSatellite(Satellite):
             self._search(start, end)
 
     def _search(self, start: float, end: float) -> None:
-        """Search windows over all places between two times, s."""
         track, places = self.trajectory.r_BP_P, self.locations_for_access_checking
         span = (track.x >= start - 1e-9) & (track.x <= end + 1e-9)
         times, positions = track.x[span], track.y[span]
@@ -134,13 +177,12 @@ class AccessSatellite(Satellite):
                     self._add_window(place["object"], window, place["type"], place["r_LP_P"], times[first])
 
     def _add_window(self, object: Any, new_window: Window, type: str, r_LP_P: Any, merge_time: float | None = None) -> None:
-        """Add a window, joined to one of the same object that ends where it begins."""
         if merge_time is None or new_window[0] == merge_time:
-            for k, known in enumerate(self.opportunities):
-                if known["type"] == type and known["object"] == object and known["window"][1] == new_window[0]:
+            for k, last in enumerate(self.opportunities):
+                if last["type"] == type and last["object"] == object and last["window"][1] == new_window[0]:
                     del self.opportunities[k]
-                    known["window"] = (known["window"][0], new_window[1])
-                    bisect.insort(self.opportunities, known, key=_closing)
+                    last["window"] = (last["window"][0], new_window[1])
+                    bisect.insort(self.opportunities, last, key=_closing)
                     return
         window = {"object": object, "window": new_window, "type": type, "r_LP_P": r_LP_P}
         bisect.insort(self.opportunities, window, key=_closing)
@@ -153,8 +195,7 @@ class AccessSatellite(Satellite):
         first = bisect.bisect_left(self.opportunities, self.simulator.sim_time + 1e-12, key=_closing)
         return self.opportunities[first:]
 
-    def _accepts(self, types: str | Sequence[str] | None, filter: Any) -> Filter:
-        """Return the function that determines whether a window counts in a query."""
+    def _accepts(self, types: Types, filter: Any) -> Filter:
         kinds = [types] if isinstance(types, str) else types
         if isinstance(filter, list):
             keeps: Filter = lambda opportunity: opportunity["object"] not in filter  # noqa: E731
@@ -162,34 +203,12 @@ class AccessSatellite(Satellite):
             keeps = filter or self.default_access_filter
         return lambda opportunity: (kinds is None or opportunity["type"] in kinds) and keeps(opportunity)
 
-    def opportunities_dict(self, types: str | Sequence[str] | None = None, filter: Any = None) -> dict[Any, list[Window]]:
-        """Return all windows by object; ``filter`` is a function of an opportunity, or a list of objects to leave out."""
-        return _by_object(self.opportunities, self._accepts(types, filter))
-
-    def upcoming_opportunities_dict(
-        self, types: str | Sequence[str] | None = None, filter: Any = None
-    ) -> dict[Any, list[Window]]:
-        """Return the windows that have not closed by object."""
-        return _by_object(self.upcoming_opportunities, self._accepts(types, filter))
-
-    def next_opportunities_dict(
-        self, types: str | Sequence[str] | None = None, filter: Any = None, min_needed: int | None = None
-    ) -> dict[Any, Window]:
-        """Return the next window of every object; of the first ``min_needed`` objects, if given."""
-        accepts, found = self._accepts(types, filter), dict[Any, Window]()
-        for opportunity in self.upcoming_opportunities:
-            if accepts(opportunity):
-                found.setdefault(opportunity["object"], opportunity["window"])
-            if min_needed is not None and len(found) >= min_needed:
-                break
-        return found
-
     def find_next_opportunities(
         self,
         n: int,
         pad: bool = True,
         max_lookahead: int = 100,
-        types: str | Sequence[str] | None = None,
+        types: Types = None,
         filter: Any = None,
     ) -> list[Opportunity]:
         """Return the ``n`` windows that close next; the last is repeated where there are fewer.
@@ -199,28 +218,26 @@ class AccessSatellite(Satellite):
         """
         if n == 0:
             return []
-        accepts, found = self._accepts(types, filter), list[Opportunity]()
+        accepts, chosen = self._accepts(types, filter), list[Opportunity]()
         for _ in range(max_lookahead):
-            found = []
+            chosen = []
             for opportunity in self.upcoming_opportunities:
                 if accepts(opportunity):
-                    found.append(opportunity)
-                if len(found) >= n:
-                    return found
+                    chosen.append(opportunity)
+                if len(chosen) >= n:
+                    return chosen
             searched = self.initial_generation_duration + self.max_generation_duration_beyond_initial
             if self.window_calculation_time >= searched:
                 break
             self.calculate_additional_windows(self.generation_duration)
-        if not (pad and found):
+        if not (pad and chosen):
             raise RuntimeError("No opportunities found! Use add_location_for_access_checking to add locations.")
-        self.logger.info("Only %d opportunities found, padding to %d.", len(found), n)
-        return found + [found[-1]] * (n - len(found))
+        self.logger.info("Only %d opportunities found, padding to %d.", len(chosen), n)
+        return chosen + [chosen[-1]] * (n - len(chosen))
 
     # -- filters ------------------------------------------------------------------------------------------------------
 
-    def add_access_filter(
-        self, access_filter_fn: Filter, types: str | Sequence[str] | None = None, prepend: bool = False
-    ) -> None:
+    def add_access_filter(self, access_filter_fn: Filter, types: Types = None, prepend: bool = False) -> None:
         """Let only windows count for which a function of an opportunity is true, of some types or of all."""
         kinds = [types] if isinstance(types, str) else types
 
@@ -241,14 +258,6 @@ class AccessSatellite(Satellite):
 
 def _closing(opportunity: Opportunity) -> float:
     return opportunity["window"][1]
-
-
-def _by_object(opportunities: Sequence[Opportunity], accepts: Filter) -> dict[Any, list[Window]]:
-    found: dict[Any, list[Window]] = {}
-    for opportunity in opportunities:
-        if accepts(opportunity):
-            found.setdefault(opportunity["object"], []).append(opportunity["window"])
-    return found
 
 
 class ImagingSatellite(AccessSatellite):
@@ -329,7 +338,7 @@ class ImagingSatellite(AccessSatellite):
         Raises:
             ValueError: For a target without an upcoming window.
         """
-        windows = [found["window"] for found in self.upcoming_opportunities if found["object"] == target]
+        windows = [each["window"] for each in self.upcoming_opportunities if each["object"] == target]
         if not windows:
             raise ValueError(f"{target} is in none of the windows that are known up to {self.window_calculation_time} s")
         self._update_image_event(target)

@@ -9,14 +9,15 @@ from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
+from typing_extensions import override
 
-from bsk_torch.bsk_rl.act.actions import select_action_builder
+from bsk_torch.bsk_rl.act.actions import ActionBuilder, select_action_builder
 from bsk_torch.bsk_rl.defaults import sat_defaults
 from bsk_torch.bsk_rl.obs.observations import ObservationBuilder
 from bsk_torch.bsk_rl.sim.simulator import Simulator
 from bsk_torch.bsk_rl.sim.trajectory import TrajectorySimulator
 from bsk_torch.bsk_rl.sim.views import DynamicsView, FlightSoftwareView
-from bsk_torch.bsk_rl.utils.functional import Resetable
+from bsk_torch.bsk_rl.utils.functional import ResetableGroup
 from bsk_torch.sim.assembly.composition import compose
 from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.fsw.models import FSWModel
@@ -28,7 +29,7 @@ SatObs = TypeVar("SatObs")
 SatAct = TypeVar("SatAct")
 
 
-class Satellite(ABC, Resetable):
+class Satellite(ABC, ResetableGroup):
     """An agent of bsk_rl. Subclasses set ``observation_spec``, ``action_spec``, ``dyn_type`` and ``fsw_type``.
 
     Models are classes of :mod:`bsk_torch.sim.dyn` and :mod:`bsk_torch.sim.fsw`, or tuples of them, of which the first wins.
@@ -158,24 +159,26 @@ class Satellite(ABC, Resetable):
             self.sat_args[name] = value
         self.logger.debug("Satellite initialized with %s", self.sat_args)
 
+    @override
+    def _parts(self) -> tuple[ObservationBuilder, ActionBuilder]:
+        return self.observation_builder, self.action_builder
+
+    @override
     def reset_overwrite_previous(self) -> None:
-        """Forget the last episode."""
         self.requires_retasking, self._timed_terminal_event_name = True, None
         self._is_alive = True
         self.time_of_death: float | None = None
-        self.observation_builder.reset_overwrite_previous()
-        self.action_builder.reset_overwrite_previous()
+        super().reset_overwrite_previous()
 
     def create_vizard_data(self, color: Any, **_: Any) -> None:
         """Do nothing: pictures for Vizard are not made."""
 
+    @override
     def reset_pre_sim_init(self) -> None:
-        """Prepare for the simulation; the arguments have been drawn."""
         args = self.sat_args
         state = {name: args[name] for name in ("rN", "vN", "oe", "mu")}
         self.trajectory = TrajectorySimulator(args["utc_init"], **state, backend=self.backend)
-        self.observation_builder.reset_pre_sim_init()
-        self.action_builder.reset_pre_sim_init()
+        super().reset_pre_sim_init()
 
     def set_simulator(self, simulator: Simulator) -> None:
         """Store the simulation of the episode."""
@@ -192,16 +195,6 @@ class Satellite(ABC, Resetable):
         part, row = self.core_row
         self.fsw = FlightSoftwareView(self, self.simulator.fleet.satellites[part].fsw, row)
         return self.fsw
-
-    def reset_during_sim_init(self) -> None:
-        """Pass the hook on to observations and actions."""
-        self.observation_builder.reset_during_sim_init()
-        self.action_builder.reset_during_sim_init()
-
-    def reset_post_sim_init(self) -> None:
-        """Pass the hook on to observations and actions."""
-        self.observation_builder.reset_post_sim_init()
-        self.action_builder.reset_post_sim_init()
 
     # -- observations and actions -------------------------------------------------------------------------------------
 

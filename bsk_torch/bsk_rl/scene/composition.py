@@ -5,21 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from typing_extensions import override
+
 from bsk_torch.bsk_rl.scene.scenario import Scenario
+from bsk_torch.bsk_rl.utils.functional import ResetableGroup
 from bsk_torch.scene.mixed import as_dictionary, check_known, check_same_keys, names_by_key
 
 __all__ = ["MixedScenario"]
 
 
-class MixedScenario(Scenario):
+class MixedScenario(ResetableGroup, Scenario):
     """Several scenarios, each with its own group of satellites; see :class:`bsk_torch.bsk_rl.data.MixedReward`.
 
     A scenario gets every call once, with the satellites of its group: targets are registered with these only. A scenario under
     several ids has one group, with the satellites of all of them.
-
-    Attributes:
-        scenarios: Scenarios by id.
-        satellite_mapping: Names of the satellites of each.
     """
 
     def __init__(self, scenarios: Mapping[str, Scenario], satellite_mapping: Mapping[str, Sequence[str]]) -> None:
@@ -38,10 +37,13 @@ class MixedScenario(Scenario):
         check_same_keys("satellite_mapping", self.satellite_mapping, self.scenarios, "scenarios")
 
     def _groups(self) -> Iterator[tuple[Scenario, set[str]]]:
-        """Yield each scenario once, and the names of its satellites."""
         for scenario in {id(scenario): scenario for scenario in self.scenarios.values()}.values():
             mine = [key for key, other in self.scenarios.items() if other is scenario]
             yield scenario, set().union(*(self.satellite_mapping[key] for key in mine))
+
+    @override
+    def _parts(self) -> list[Scenario]:
+        return [scenario for scenario, _ in self._groups()]
 
     def validate_satellite_names(self, satellites: list[Any]) -> None:
         """Raise ValueError for repeated names, and for names in the mapping that no satellite has."""
@@ -61,26 +63,11 @@ class MixedScenario(Scenario):
 
     def after_step(self, sim_time: float) -> None:
         """See :meth:`Scenario.after_step`; of all scenarios."""
-        for scenario, _ in self._groups():
+        for scenario in self._parts():
             scenario.after_step(sim_time)
 
-    def reset_overwrite_previous(self) -> None:
-        """See :meth:`Resetable.reset_overwrite_previous`; of all scenarios."""
-        for scenario, _ in self._groups():
-            scenario.reset_overwrite_previous()
-
+    @override
     def reset_pre_sim_init(self) -> None:
-        """See :meth:`Resetable.reset_pre_sim_init`; of all scenarios, which get the epoch."""
-        for scenario, _ in self._groups():
+        for scenario in self._parts():
             scenario.utc_init = self.utc_init
-            scenario.reset_pre_sim_init()
-
-    def reset_during_sim_init(self) -> None:
-        """See :meth:`Resetable.reset_during_sim_init`; of all scenarios."""
-        for scenario, _ in self._groups():
-            scenario.reset_during_sim_init()
-
-    def reset_post_sim_init(self) -> None:
-        """See :meth:`Resetable.reset_post_sim_init`; of all scenarios."""
-        for scenario, _ in self._groups():
-            scenario.reset_post_sim_init()
+        super().reset_pre_sim_init()

@@ -47,15 +47,12 @@ class RSOPoint:
         return (*map(float, position), *map(float, normal), *map(float, limits))
 
     def __hash__(self) -> int:
-        """Return the hash of the attributes."""
         return hash(self._key)
 
     def __eq__(self, other: object) -> bool:
-        """Return whether another point has the same attributes."""
         return isinstance(other, RSOPoint) and self._key == other._key
 
     def __str__(self) -> str:
-        """Return the position."""
         return f"RSOPoint_{self.r_PB_B}"
 
 
@@ -140,22 +137,9 @@ class SphericalRSO(RSOPoints):
         theta_solar_max: float = np.radians(60),
         min_illumination_factor: float = 0.1,
     ) -> None:
-        """Initialize the points; see :class:`RSOPoint`.
-
-        Args:
-            n_points: Number of points.
-            radius: Radius of the sphere, m.
-            theta_max: Largest angle between a normal and the direction of the inspector, rad.
-            range_max: Maximum distance between a point and the inspector, m; no limit unless positive.
-            theta_solar_max: Largest angle between a normal and the direction of the Sun, rad.
-            min_illumination_factor: Least visible fraction of the Sun.
-        """
-        self.n_points = n_points
-        self.radius = radius
-        self.theta_max = theta_max
-        self.range_max = range_max
-        self.theta_solar_max = theta_solar_max
-        self.min_illumination_factor = min_illumination_factor
+        """Spread ``n_points`` over a sphere of ``radius`` m; see :class:`RSOPoint` for their limits."""
+        self.n_points, self.radius, self.theta_max, self.range_max = n_points, radius, theta_max, range_max
+        self.theta_solar_max, self.min_illumination_factor = theta_solar_max, min_illumination_factor
 
     @override
     def generate_points(self) -> list[RSOPoint]:

@@ -39,7 +39,6 @@ class EpisodeTarget:
 
 
 def _images(satellite: Any) -> bool:
-    """Return whether a satellite has the dynamics of an imager."""
     models = satellite.dyn_type if isinstance(satellite.dyn_type, tuple) else (satellite.dyn_type,)
     return any(isinstance(model, type) and issubclass(model, SpaceToSpaceImagingDynModel) for model in models)
 
@@ -51,8 +50,6 @@ class RSOTargets(Scenario):
     imager a partition for every target.
 
     Attributes:
-        imager_names: Names of the imagers.
-        block_pending_targets: Whether a target with images that have not been downlinked cannot be chosen.
         targets_by_id: Targets of the episode by id.
         imagers: Imagers of the episode.
         pending: Ids of the images of each target that wait for their downlink.
@@ -102,9 +99,9 @@ class RSOTargets(Scenario):
             if name not in names:
                 raise ValueError(f"RSOTargets needs a satellite called {name!r}; {nearest(name, names)}")
         able = [satellite.name for satellite in satellites if _images(satellite)]
-        if others := [name for name in able if name not in self.imager_names]:
+        if unlisted := [name for name in able if name not in self.imager_names]:
             raise ValueError(
-                f"satellites {others} have SpaceToSpaceImagingDynModel, but are not among the imager_names of RSOTargets"
+                f"satellites {unlisted} have SpaceToSpaceImagingDynModel, but are not among the imager_names of RSOTargets"
             )
 
     def link_satellites(self, satellites: list[Any]) -> None:
@@ -162,9 +159,9 @@ class RSOTargets(Scenario):
 
     def after_step(self, sim_time: float) -> None:
         """See :meth:`Scenario.after_step`; make the changes of priorities that are due."""
-        made = {number for number, _ in self.applied_events}
+        applied = {number for number, _ in self.applied_events}
         for number, event in enumerate(self.catalog.priority_events):
-            if number in made or event.time_s > sim_time:
+            if number in applied or event.time_s > sim_time:
                 continue
             for target_id, priority in event.priorities:
                 self.targets_by_id[target_id].priority = priority

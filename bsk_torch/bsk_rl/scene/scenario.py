@@ -29,20 +29,12 @@ class Scenario(ABC, Resetable):
         """Raise ValueError for satellites whose names, as the user gave them, do not fit; called before they are renamed."""
 
     def after_step(self, sim_time: float) -> None:
-        """Change the scenario after the reward of a step, before satellites communicate and observe.
-
-        Args:
-            sim_time: Time since reset, s.
-        """
+        """Change the scenario after the reward of a step, before satellites communicate and observe; time since reset is in s."""
 
 
 class UniformNadirScanning(Scenario):
     """Data has the same value everywhere on the ground; see :class:`~bsk_torch.bsk_rl.data.ScanningTimeReward`."""
 
     def __init__(self, value_per_second: float = 1.0) -> None:
-        """Initialize the scenario.
-
-        Args:
-            value_per_second: Reward per second of scanning.
-        """
+        """Value each second of scanning at ``value_per_second``."""
         self.value_per_second = value_per_second

@@ -35,9 +35,7 @@ class Target:
 
     def __init__(self, name: str, r_LP_P: Iterable[float], priority: float) -> None:
         """Initialize the target with a name, a position and a priority."""
-        self.name = name
-        self.r_LP_P = np.array(r_LP_P)
-        self.priority = priority
+        self.name, self.r_LP_P, self.priority = name, np.array(r_LP_P), priority
 
     @property
     def id(self) -> str:
@@ -47,7 +45,6 @@ class Target:
         return self._id
 
     def __repr__(self) -> str:
-        """Return the name."""
         return f"Target({self.name})"
 
 
@@ -149,12 +146,8 @@ class CityTargets(UniformTargets):
     ) -> None:
         """Initialize the scenario; see :class:`UniformTargets`.
 
-        Args:
-            n_targets: Number of targets.
-            n_select_from: Number of the most populous cities to draw from; None or ``"all"`` for all.
-            location_offset: Length of a random shift away from the city, m.
-            priority_distribution: Function that draws the priority of a target.
-            radius: Distance of targets from the Earth's center, m.
+        ``n_select_from`` is the number of the most populous cities to draw from, None or ``"all"`` for all; ``location_offset``
+        the length of a random shift away from the city, m.
         """
         super().__init__(n_targets, priority_distribution, radius)
         self.n_select_from = sys.maxsize if n_select_from in ("all", None) else int(n_select_from)

@@ -184,7 +184,6 @@ def _own_values(satellite: Any) -> dict[str, Any]:
 
 
 def _given(table: ArgumentTable, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values that decide what is built."""
     return {name: values[name] for name, arg in table.rows.items() if name in values and _decides(arg, values[name])}
 
 

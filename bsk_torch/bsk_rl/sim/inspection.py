@@ -48,8 +48,7 @@ class Inspection:
             np.array([getattr(point, name) for point in points], dtype=float)
             for name in ("theta_max", "range_max", "theta_solar_max", "min_illumination_factor")
         )
-        given = (torch.from_numpy(part) for part in (*vectors, *limits))
-        self.columns = point_columns(*given)
+        self.columns = point_columns(*(torch.from_numpy(part) for part in (*vectors, *limits)))
         self._found = {place: self._nothing() for place in self.inspectors}
         fleet.flight_observers.append(self._look)
 
@@ -62,11 +61,10 @@ class Inspection:
 
     def take(self, inspector: Place) -> Found:
         """Return what an inspector has found since the last call, and forget it."""
-        found, self._found[inspector] = self._found[inspector], self._nothing()
-        return found
+        points, self._found[inspector] = self._found[inspector], self._nothing()
+        return points
 
     def _look(self, flight: Flight) -> None:
-        """Add the flags of a run."""
         ticks = int(flight.ticks.max()) if len(flight.ticks) else 0
         if not ticks:
             return

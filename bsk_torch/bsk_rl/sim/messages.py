@@ -4,69 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from bsk_torch.bsk_rl.sim.views import DynamicsView, WorldView
 
 COMPONENT = (
     "parts of a spacecraft are components here: write a Component and list it in components= of a model "
     "(docs/how_to/own_component.md), and read its fields by a property of the model"
 )
 
-ABSENT = [
-    "faultList",
-    "fsw_proc",
-    "dyn_proc",
-    "tasks",
-    "processName",
-    "rwFactory",
-    "thrusterSet",
-    "rwNullSpace",
-    "rwConstellationConfigInMsg",
-    "rwMotorTorque",
-    "mrpFeedbackControl",
-    "mrpSteeringControl",
-    "servo",
-    "sunPoint",
-    "hillPoint",
-    "trackingError",
-    "thrForceMapping",
-    "thrDump",
-    "momentumDump",
-    "thrusterDump",
-    "extForceTorqueObject",
-    "dragEffector",
-    "densityModel",
-    "wheelSinkList",
-    "powerSinkList",
-    "AddModelToTask",
-    "CreateNewTask",
-    "CreateNewProcess",
-    "enableTask",
-    "disableTask",
-    "Gs",
-    "vcConfigMsg",
-    "attRefMsg",
-]
+ABSENT = (
+    "faultList", "fsw_proc", "dyn_proc", "tasks", "processName", "rwFactory", "thrusterSet", "rwNullSpace",
+    "rwConstellationConfigInMsg", "rwMotorTorque", "mrpFeedbackControl", "mrpSteeringControl", "servo", "sunPoint",
+    "hillPoint", "trackingError", "thrForceMapping", "thrDump", "momentumDump", "thrusterDump", "extForceTorqueObject",
+    "dragEffector", "densityModel", "wheelSinkList", "powerSinkList", "AddModelToTask", "CreateNewTask", "CreateNewProcess",
+    "enableTask", "disableTask", "Gs", "vcConfigMsg", "attRefMsg",
+)  # fmt: skip
 """Attributes of Basilisk's objects that there are no counterparts of."""
 
-
 KEPT = (
-    "maxWheelSpeed",
-    "conjunction_radius",
-    "max_range_radius",
-    "chief_name",
-    "storageUnitValidCheck",
-    "desatAttitude",
-    "mu",
-    "min_orbital_radius",
-    "groundLocationPlanetRadius",
-    "gsMinimumElevation",
-    "gsMaximumRange",
-)
+    "maxWheelSpeed", "conjunction_radius", "max_range_radius", "chief_name", "storageUnitValidCheck", "desatAttitude", "mu",
+    "min_orbital_radius", "groundLocationPlanetRadius", "gsMinimumElevation", "gsMaximumRange",
+)  # fmt: skip
 """Arguments that models of bsk_rl keep as attributes of the same name."""
 
 WHOLE_STORE = "STORED DATA"
@@ -90,12 +49,17 @@ class Payload(SimpleNamespace):
     """What a message holds."""
 
     def __getattr__(self, name: str) -> Any:
-        """Raise AttributeError, with advice, for a number that is not imitated."""
         if name.startswith("__"):
             raise AttributeError(name)
         raise AttributeError(
             f"{name!r} of a message of Basilisk's cannot be read here; known are {sorted(vars(self))}. {COMPONENT}"
         )
+
+
+class View(Protocol):
+    """A dynamics model, or the world, whose quantities modules and messages read by name."""
+
+    def __getattr__(self, name: str) -> Any: ...
 
 
 class Message:
@@ -119,27 +83,18 @@ class Message:
 class Module(NamedTuple):
     """A module of Basilisk: its attributes by name, as functions of a dynamics model, and what the model must have."""
 
-    attributes: Mapping[str, Callable[[DynamicsView], Any]]
+    attributes: Mapping[str, Callable[[View], Any]]
     needs: str = "r_BN_N"
-
-    def exists(self, dynamics: DynamicsView) -> bool:
-        """Return whether the model has what the module is about."""
-        return hasattr(type(dynamics._whole), self.needs)
-
-    def __call__(self, dynamics: DynamicsView) -> Any:
-        """Return the module of a satellite."""
-        return ModuleView(dynamics, self.attributes)
 
 
 class ModuleView:
     """A module of one satellite."""
 
-    def __init__(self, dynamics: DynamicsView, attributes: Mapping[str, Callable[[DynamicsView], Any]]) -> None:
+    def __init__(self, dynamics: View, attributes: Mapping[str, Callable[[View], Any]]) -> None:
         """View a module of a dynamics model."""
         self.__dict__["_dynamics"], self.__dict__["_attributes"] = dynamics, attributes
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute; AttributeError, with advice, for one that is not imitated."""
         attributes = self.__dict__["_attributes"]
         if name not in attributes:
             raise AttributeError(
@@ -148,19 +103,18 @@ class ModuleView:
         return attributes[name](self.__dict__["_dynamics"])
 
     def __setattr__(self, name: str, value: object) -> None:
-        """Raise AttributeError: modules are imitated to be read."""
         raise AttributeError(f"{name!r} of a module of Basilisk's cannot be set: give it in sat_args, or {COMPONENT}")
 
 
-def _argument(name: str) -> Callable[[DynamicsView], Any]:
+def _argument(name: str) -> Callable[[View], Any]:
     return lambda dynamics: dynamics.satellite.sat_args[name]
 
 
-def _states(*names: str) -> Callable[[DynamicsView], Message]:
+def _states(*names: str) -> Callable[[View], Message]:
     return lambda dynamics: Message(lambda: {name: getattr(dynamics, name) for name in names})
 
 
-def _battery(dynamics: DynamicsView) -> Message:
+def _battery(dynamics: View) -> Message:
     capacity = float(dynamics.satellite.sat_args["batteryStorageCapacity"])
 
     def write(payload: Any) -> None:
@@ -169,11 +123,11 @@ def _battery(dynamics: DynamicsView) -> Message:
     return Message(lambda: {"storageLevel": dynamics.battery_charge, "storageCapacity": capacity}, write)
 
 
-def _store(dynamics: DynamicsView) -> Message:
+def _store(dynamics: View) -> Message:
     def read() -> dict[str, Any]:
         levels, args = [float(x) for x in dynamics.partition_levels], dynamics.satellite.sat_args
-        given = args.get("bufferNames", [WHOLE_STORE])  # None for numbered partitions
-        names = list(given) if given is not None else [str(k) for k in range(len(levels))]
+        buffers = args.get("bufferNames", [WHOLE_STORE])  # None for numbered partitions
+        names = list(buffers) if buffers is not None else [str(k) for k in range(len(levels))]
         return {
             "storageLevel": dynamics.storage_level,
             "storageCapacity": args["dataStorageCapacity"],
@@ -184,7 +138,7 @@ def _store(dynamics: DynamicsView) -> Message:
     return Message(read)
 
 
-def _wheels(dynamics: DynamicsView) -> Message:
+def _wheels(dynamics: View) -> Message:
     def read() -> dict[str, Any]:
         speeds = dynamics.wheel_speeds.tolist()
         return {"wheelSpeeds": speeds + [0.0] * (WHEELS - len(speeds))}
@@ -200,13 +154,7 @@ MODULES: dict[str, Module] = {
     "powerMonitor": Module(
         {"batPowerOutMsg": _battery, "storageCapacity": _argument("batteryStorageCapacity")}, "battery_charge"
     ),
-    "solarPanel": Module(
-        {
-            name: _argument(argument)
-            for name, argument in (("nHat_B", "nHat_B"), ("panelArea", "panelArea"), ("panelEfficiency", "panelEfficiency"))
-        },
-        "battery_charge",
-    ),
+    "solarPanel": Module({name: _argument(name) for name in ("nHat_B", "panelArea", "panelEfficiency")}, "battery_charge"),
     "rwStateEffector": Module({"rwSpeedOutMsg": _wheels}, "wheel_speeds"),
     "storageUnit": Module(
         {"storageUnitDataOutMsg": _store, "storageCapacity": _argument("dataStorageCapacity")}, "storage_level"
@@ -217,69 +165,35 @@ MODULES: dict[str, Module] = {
 """Modules of a satellite's dynamics by name."""
 
 
-class PlanetState(NamedTuple):
-    """State of a body, as Basilisk's ``spiceObject`` writes it."""
-
-    PositionVector: Any
-    VelocityVector: Any
-    J20002Pfix: Any
-    PlanetName: str
+AT_REST = (0.0, 0.0, 0.0)
+"""Position, m, and velocity, m/s, of the Earth in N."""
 
 
-class GravityFactory:
-    """Basilisk's ``gravFactory``: ``spiceObject.planetStateOutMsgs[world.sun_index].read().PositionVector``, m in N."""
+def gravity_factory(world: View) -> SimpleNamespace:
+    """Return Basilisk's ``gravFactory``: ``spiceObject.planetStateOutMsgs`` of the Sun and of the Earth, m and m/s in N."""
 
-    def __init__(self, world: WorldView) -> None:
-        """Read a world."""
-        self.world = world
+    def planet(name: str, r: list[float], v: list[float], turn: np.ndarray) -> dict[str, Any]:
+        return {"PositionVector": r, "VelocityVector": v, "J20002Pfix": turn.tolist(), "PlanetName": name}
 
-    @property
-    def spiceObject(self) -> GravityFactory:
-        """The module with the messages."""
-        return self
-
-    @property
-    def planetStateOutMsgs(self) -> list[Message]:
-        """Messages of the Sun and of the Earth, which is at rest at the origin."""
-        return [Message(self._sun), Message(self._earth)]
-
-    def _sun(self) -> dict[str, Any]:
-        r, v = self.world.r_SN_N.tolist(), self.world.v_SN_N.tolist()
-        return PlanetState(r, v, np.eye(3).tolist(), "sun")._asdict()
-
-    def _earth(self) -> dict[str, Any]:
-        return PlanetState([0.0] * 3, [0.0] * 3, self.world.PN.tolist(), "earth")._asdict()
+    sun = Message(lambda: planet("sun", world.r_SN_N.tolist(), world.v_SN_N.tolist(), np.eye(3)))
+    earth = Message(lambda: planet("earth", list(AT_REST), list(AT_REST), world.PN))
+    return SimpleNamespace(spiceObject=SimpleNamespace(planetStateOutMsgs=[sun, earth]))
 
 
-class Ephemerides:
-    """Basilisk's ``ephemConverter``: ``ephemOutMsgs[world.sun_index].read().r_BdyZero_N``, m in N."""
-
-    def __init__(self, world: WorldView) -> None:
-        """Read a world."""
-        self.world = world
-
-    @property
-    def ephemOutMsgs(self) -> list[Message]:
-        """Messages of the Sun and of the Earth."""
-        sun = Message(lambda: {"r_BdyZero_N": self.world.r_SN_N.tolist(), "v_BdyZero_N": self.world.v_SN_N.tolist()})
-        return [sun, Message(lambda: {"r_BdyZero_N": [0.0] * 3, "v_BdyZero_N": [0.0] * 3})]
+def ephemerides(world: View) -> SimpleNamespace:
+    """Return Basilisk's ``ephemConverter``: ``ephemOutMsgs`` of the Sun and of the Earth, m and m/s in N."""
+    sun = Message(lambda: {"r_BdyZero_N": world.r_SN_N.tolist(), "v_BdyZero_N": world.v_SN_N.tolist()})
+    return SimpleNamespace(ephemOutMsgs=[sun, Message(lambda: {"r_BdyZero_N": list(AT_REST), "v_BdyZero_N": list(AT_REST)})])
 
 
-class Eclipses:
-    """Basilisk's ``eclipseObject``: ``eclipseOutMsgs[dynamics.eclipse_index].read().shadowFactor``, 1 in full sunlight."""
+def eclipses(world: View) -> SimpleNamespace:
+    """Return Basilisk's ``eclipseObject``: ``eclipseOutMsgs`` of all satellites, with ``shadowFactor``, 1 in full sunlight."""
 
-    def __init__(self, world: WorldView) -> None:
-        """Read a world."""
-        self.world = world
-
-    @property
-    def eclipseOutMsgs(self) -> list[Message]:
-        """Messages of all satellites in their order."""
-        return [self._of(*satellite.core_row) for satellite in self.world.simulator.satellites]
-
-    def _of(self, part: int, row: int) -> Message:
+    def message(part: int, row: int) -> Message:
         def read() -> dict[str, float]:
-            light = float(self.world.simulator.fleet.simulators[part].read("illumination")[row])
+            light = float(world.simulator.fleet.simulators[part].read("illumination")[row])
             return {"shadowFactor": light, "illuminationFactor": light}
 
         return Message(read)
+
+    return SimpleNamespace(eclipseOutMsgs=[message(*satellite.core_row) for satellite in world.simulator.satellites])

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 
-from bsk_torch.astro.sight import line_clearance, stretch
 from bsk_torch.bsk_rl.sim.engine import row_mask
 from bsk_torch.bsk_rl.utils.rso_imaging import RSOImageRecord
 from bsk_torch.constants import NANO
@@ -16,10 +15,6 @@ from bsk_torch.sim.orbit.flights import make_flights
 from bsk_torch.tasks.objects.aim import AIM, NO_AIM, AimedNodes
 from bsk_torch.tasks.objects.dyn import GATE_FIELDS, RSO_TRACK
 from bsk_torch.tasks.objects.orbits import CatalogOrbits, Epoch
-from bsk_torch.vec3 import Vec3
-
-if TYPE_CHECKING:
-    from bsk_torch.bsk_rl.sim.views import DynamicsView
 
 LONGEST = 1e9
 """Longest time until a deadline, s."""
@@ -153,12 +148,3 @@ class Capture:
             self.records.append(RSOImageRecord(record_id, target.id, satellite.name, time, size, quality, held))
             self.completed = True
         return self.completed
-
-
-def sees(dynamics: DynamicsView, target: Any) -> bool:
-    """Return whether an imager has a target in sight and within range now."""
-    pole = Vec3.of(torch.from_numpy(dynamics.world.PN[2]))
-    ends = [Vec3.of(torch.tensor(list(each.r_BN_N)).double()) for each in (dynamics, target.dynamics)]
-    line, reach = ends[1] - ends[0], float(dynamics.satellite.sat_args["imageTargetMaximumRange"])
-    clear = line_clearance(*(stretch(end, pole) for end in ends)) > 0.0
-    return bool(clear) and (reach < 0.0 or float(line.norm()) <= reach)

@@ -11,24 +11,24 @@ import inspect
 from copy import deepcopy
 from functools import cache, cached_property, partial
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
 from typing_extensions import override
 
+from bsk_torch.astro.sight import line_clearance, stretch
 from bsk_torch.bsk_rl.sim import messages
 from bsk_torch.bsk_rl.sim.engine import row_mask
-from bsk_torch.bsk_rl.sim.rso_imaging import Capture, sees
+from bsk_torch.bsk_rl.sim.rso_imaging import Aims, Capture
+from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sim.dyn import GroundStationDynModel, LOSCommDynModel
 from bsk_torch.sim.environment.world import station_arrays, station_names
 from bsk_torch.sim.fsw.setpoint import ATTITUDE_MRP, HOLD_INERTIAL
 from bsk_torch.sim.names import nearest
 from bsk_torch.sim.readout.observables import observable
 from bsk_torch.tasks.objects import SpaceToSpaceImagingDynModel
-
-if TYPE_CHECKING:
-    from bsk_torch.bsk_rl.sim.simulator import Simulator
+from bsk_torch.vec3 import Vec3
 
 CORE = "bsk_torch.sim."
 """Modules of the classes whose members are evaluated by the core."""
@@ -39,6 +39,21 @@ ELEMENTS = {
     "true_anomaly": "f",
 }  # fmt: skip
 """Orbital elements of bsk_rl's models by property."""
+
+
+class Episode(Protocol):
+    """What views read of :class:`bsk_torch.bsk_rl.sim.simulator.Simulator`, the simulation of an episode."""
+
+    satellites: list[Any]
+    sim_rate: float
+    world: WorldView
+    world_args: dict[str, Any]
+    fleet: SatelliteFleet
+    aims: Aims
+    collisions: list[tuple[Any, Any]]
+
+    def sights_now(self) -> np.ndarray:
+        """Return whether one satellite sees another one now, [S, S] booleans."""
 
 
 class _Overridden:
@@ -59,12 +74,19 @@ def _overriding(view: type, model: type) -> type:
     return type(view.__name__, (view,), {name: _Overridden(name) for name in names}) if names else view
 
 
-def of_row(value: Any, row: int) -> Any:
-    """Return one row of a tensor [N, ...] as a Python number or a new NumPy array."""
-    if not isinstance(value, torch.Tensor):
-        return value
-    mine = value[row]
-    return mine.item() if mine.ndim == 0 else mine.numpy().copy()
+def of_row(value: object, row: int) -> Any:
+    """Return one row of a tensor [N, ...] as a Python number or a new NumPy array; likewise in tuples and dictionaries.
+
+    Anything else is the same for all rows.
+    """
+    if isinstance(value, torch.Tensor):
+        entry = value[row]
+        return entry.item() if entry.ndim == 0 else entry.numpy(force=True).copy()
+    if isinstance(value, tuple) and any(isinstance(part, torch.Tensor) for part in value):
+        return tuple(of_row(part, row) for part in value)
+    if isinstance(value, dict):
+        return {name: of_row(part, row) for name, part in value.items()}
+    return value
 
 
 class ModelView:
@@ -80,13 +102,11 @@ class ModelView:
 
     @staticmethod
     def _model(whole: Any, row: int) -> Any:
-        """Return the model of the core that a view with these arguments shows."""
         return whole
 
     def __init__(self, whole: Any, row: int) -> None:
         """View row number ``row`` of a model of the core."""
-        own = self.__dict__
-        own["_whole"], own["_row"] = whole, row
+        self.__dict__.update(_whole=whole, _row=row)
 
     @property  # type: ignore[misc]
     def __class__(self) -> Any:
@@ -94,11 +114,9 @@ class ModelView:
         return type(self.__dict__["_whole"])
 
     def __repr__(self) -> str:
-        """Name the class."""
         return f"<{type(self._whole).__name__}>"
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute as the satellite has it; AttributeError, with advice, where there is none."""
         whole = self.__dict__["_whole"]
         if name.startswith("__"):
             raise AttributeError(name)
@@ -128,32 +146,30 @@ class ModelView:
         return f"{type(self._whole).__name__} has no attribute {name!r}; {known}"
 
     def _names(self) -> list[str]:
-        """Return the names that programs may read."""
         return [name for name in dir(self._whole) if not name.startswith("_")]
 
-    def _mine(self, name: str, value: Any) -> Any:
-        """Return the satellite's row of a property as bsk_rl has it."""
-        mine = of_row(value, self._row)
-        return mine.tolist() if name in messages.LISTS else mine
+    def _entry(self, name: str, value: Any) -> Any:
+        entry = of_row(value, self._row)
+        return entry.tolist() if name in messages.LISTS else entry
 
     def observed(self, function: Any) -> Any:
         """Return an observable of the core to a property of the user's that calls the one of its base class."""
-        return self._mine(function.__name__, self._whole.observed(function))
+        return self._entry(function.__name__, self._whole.observed(function))
 
     def _member(self, name: str, member: Any, owner: type) -> Any:
-        ours = owner.__module__.startswith(CORE)
+        of_core = owner.__module__.startswith(CORE)
         if getattr(member, "is_aliveness_checker", False):
-            return partial(self._check, name, None if ours or isinstance(member, observable) else member)
+            return partial(self._check, name, None if of_core or isinstance(member, observable) else member)
         if isinstance(member, property | cached_property):
-            if ours or isinstance(member, observable):
-                return self._mine(name, getattr(self._whole, name))
+            if of_core or isinstance(member, observable):
+                return self._entry(name, getattr(self._whole, name))
             if isinstance(member, property):
                 return member.fget(self)  # type: ignore[misc]
-            found = self.__dict__[name] = member.func(self)
-            return found
+            value = self.__dict__[name] = member.func(self)
+            return value
         if not callable(member) or isinstance(member, staticmethod | classmethod | type):
             return getattr(self._whole, name)
-        if not ours:
+        if not of_core:
             return member.__get__(self)
         return lambda *args, **options: of_row(getattr(self._whole, name)(*args, **options), self._row)
 
@@ -170,7 +186,7 @@ class ModelView:
     # -- what every model has -----------------------------------------------------------------------------------------
 
     @property
-    def simulator(self) -> Simulator:
+    def simulator(self) -> Episode:
         """The simulation of the episode."""
         return self.satellite.simulator
 
@@ -220,13 +236,11 @@ class SatelliteModelView(ModelView):
     satellite: Any
 
     def __getattr__(self, name: str) -> Any:
-        """Return an argument that bsk_rl's model keeps, or another attribute."""
         if name in messages.KEPT and name in self._arguments():
             return self.satellite.sat_args[name]
         return super().__getattr__(name)
 
     def _arguments(self) -> Any:
-        """Return the names of the model's arguments."""
         return {arg.name for component in type(self._whole).all_components() for arg in component.args}
 
     @property
@@ -239,9 +253,9 @@ class DynamicsView(SatelliteModelView):
     """The dynamics model of a satellite; Basilisk's usual modules are attributes."""
 
     def __getattr__(self, name: str) -> Any:
-        """Return a property of the model, a module of Basilisk, or an argument of the satellite that Basilisk keeps."""
-        if name in messages.MODULES and messages.MODULES[name].exists(self):
-            return messages.MODULES[name](self)
+        module = messages.MODULES.get(name)
+        if module is not None and hasattr(type(self._whole), module.needs):
+            return messages.ModuleView(self, module.attributes)
         return super().__getattr__(name)
 
     @property
@@ -258,8 +272,8 @@ class DynamicsView(SatelliteModelView):
     def conjunctions(self) -> list[Any]:
         """Satellites with which this one has collided, in the order of the collisions."""
         self._require("conjunctions")
-        mine = (pair for pair in self.simulator.collisions if self.satellite in pair)
-        return [other if one is self.satellite else one for one, other in mine]
+        pairs = (pair for pair in self.simulator.collisions if self.satellite in pair)
+        return [other if one is self.satellite else one for one, other in pairs]
 
     @property
     def out_of_ranges(self) -> list[Any]:
@@ -279,59 +293,28 @@ class DynamicsView(SatelliteModelView):
     def losComms(self) -> SimpleNamespace:
         """Basilisk's sensor: ``accessOutMsgs``, messages with ``hasAccess``, whether another satellite is in sight now."""
         names, every = self.los_comms_ids, self.simulator.satellites
-        mine = every.index(self.satellite)
+        number = every.index(self.satellite)
 
         def message(other: int) -> messages.Message:
-            return messages.Message(lambda: {"hasAccess": int(self.simulator.sights_now()[mine, other])})
+            return messages.Message(lambda: {"hasAccess": int(self.simulator.sights_now()[number, other])})
 
         return SimpleNamespace(accessOutMsgs=[message(k) for k, satellite in enumerate(every) if satellite.name in names])
 
     def _require(self, name: str) -> None:
-        """Raise AttributeError for a model without an attribute."""
         if not hasattr(type(self._whole), name):
             raise AttributeError(self._advice(name))
 
     def _elements_at_start(self) -> Any:
         """Return the orbital elements as they were when they were first read in the episode, as in bsk_rl."""
         if "_oe" not in self.__dict__:
-            found = self._whole.elements
-            self.__dict__["_oe"] = {name: float(getattr(found, name)[self._row]) for name in ELEMENTS.values()}
+            elements = self._whole.elements
+            self.__dict__["_oe"] = {name: float(getattr(elements, name)[self._row]) for name in ELEMENTS.values()}
         return self.__dict__["_oe"]
 
     def observed(self, function: Any) -> Any:
         """See :meth:`ModelView.observed`; orbital elements are those of the first moment at which one was read."""
         name = function.__name__
         return self._elements_at_start()[ELEMENTS[name]] if name in ELEMENTS else super().observed(function)
-
-    @property
-    def semi_major_axis(self) -> float:
-        """Semi-major axis, m, of the first moment at which an element was read."""
-        return self._elements_at_start()["a"]
-
-    @property
-    def eccentricity(self) -> float:
-        """Eccentricity, likewise."""
-        return self._elements_at_start()["e"]
-
-    @property
-    def inclination(self) -> float:
-        """Inclination, rad, likewise."""
-        return self._elements_at_start()["i"]
-
-    @property
-    def ascending_node(self) -> float:
-        """Right ascension of the ascending node, rad, likewise."""
-        return self._elements_at_start()["Omega"]
-
-    @property
-    def argument_of_periapsis(self) -> float:
-        """Argument of periapsis, rad, likewise."""
-        return self._elements_at_start()["omega"]
-
-    @property
-    def true_anomaly(self) -> float:
-        """True anomaly, rad, likewise."""
-        return self._elements_at_start()["f"]
 
     @property
     def _bound_targets(self) -> dict[str, Any]:
@@ -356,9 +339,16 @@ class DynamicsView(SatelliteModelView):
     def rso_access_messages(self) -> dict[str, messages.Message]:
         """Messages by the ids of targets: ``hasAccess``, whether the target is in sight and within range."""
         return {
-            target_id: messages.Message(partial(lambda target: {"hasAccess": int(sees(self, target))}, target))
+            target_id: messages.Message(partial(self._access, target.dynamics))
             for target_id, target in self._bound_targets.items()
         }
+
+    def _access(self, other: DynamicsView) -> dict[str, Any]:
+        pole = Vec3.of(torch.from_numpy(self.world.PN[2]))
+        ends = [Vec3.of(torch.tensor(list(each.r_BN_N)).double()) for each in (self, other)]
+        clear = bool(line_clearance(*(stretch(end, pole) for end in ends)) > 0.0)
+        reach = float(self.satellite.sat_args["imageTargetMaximumRange"])
+        return {"hasAccess": int(clear and (reach < 0.0 or float((ends[1] - ends[0]).norm()) <= reach))}
 
     def is_alive(self, log_failure: bool = False) -> bool:
         """See :meth:`ModelView.is_alive`; deputies may take their chief with them."""
@@ -371,18 +361,25 @@ class DynamicsView(SatelliteModelView):
         return near
 
 
+def _element(name: str) -> property:
+    """Return a property that is the orbital element of the first moment at which one was read."""
+    return property(lambda view: view._elements_at_start()[ELEMENTS[name]])
+
+
+for _name in ELEMENTS:
+    setattr(DynamicsView, _name, _element(_name))
+
+
 class FlightSoftwareView(SatelliteModelView):
     """The flight-software model of a satellite; its commands are methods ``action_...``."""
 
     def __getattr__(self, name: str) -> Any:
-        """Return a command of the model, or another attribute."""
         command = name.removeprefix("action_")
         if name.startswith("action_") and command in self._core.type.commands:
             return lambda: self._enter(command)
         return super().__getattr__(name)
 
     def _names(self) -> list[str]:
-        """See :meth:`ModelView._names`; commands are methods."""
         return [*(f"action_{command}" for command in self._core.type.commands), *super()._names()]
 
     @property
@@ -399,7 +396,6 @@ class FlightSoftwareView(SatelliteModelView):
         return row_mask(self.simulator.fleet, *self.satellite.core_row)
 
     def _enter(self, command: str) -> None:
-        """Enter the mode that a command means now."""
         core = self._core
         if command not in core.type.commands:
             core.check_command(command)
@@ -408,7 +404,6 @@ class FlightSoftwareView(SatelliteModelView):
         core.command(self._rows, core.mode_index(command))
 
     def _write(self, name: str, value: Any) -> None:
-        """Set a field of the simulation for this satellite."""
         rows = self._rows
         self._core.write(name, rows, torch.as_tensor(np.atleast_1d(np.asarray(value, dtype=float))).expand(len(rows), -1))
 
@@ -481,7 +476,7 @@ class Station:
         maximumRange: Longest range, m; no limit if negative.
     """
 
-    def __init__(self, simulator: Simulator, name: str, r_LP_P: Any, sine: float, reach: float) -> None:
+    def __init__(self, simulator: Episode, name: str, r_LP_P: Any, sine: float, reach: float) -> None:
         """Keep the numbers of a station."""
         self._place = np.asarray(r_LP_P, dtype=float)
         self.ModelTag, self.r_LP_P_Init = name, self._place.reshape(3, 1).tolist()
@@ -507,23 +502,22 @@ class WorldView(ModelView):
 
     sun_index, body_index = 0, 1
 
-    def __init__(self, simulator: Simulator) -> None:
+    def __init__(self, simulator: Episode) -> None:
         """View the world of a simulation."""
         super().__init__(self._model(simulator), 0)
         self.__dict__["_simulator"] = simulator
 
     @staticmethod
     @override
-    def _model(simulator: Simulator) -> Any:  # type: ignore[override]
+    def _model(simulator: Episode) -> Any:  # type: ignore[override]
         return simulator.fleet.simulators[0].world
 
     @property
-    def simulator(self) -> Simulator:
+    def simulator(self) -> Episode:
         """The simulation of the episode."""
         return self.__dict__["_simulator"]
 
     def __getattr__(self, name: str) -> Any:
-        """Return an argument that bsk_rl's world keeps, or another attribute."""
         args = self.simulator.world_args
         return args[name] if name in messages.KEPT and name in args else super().__getattr__(name)
 
@@ -532,17 +526,17 @@ class WorldView(ModelView):
         """Basilisk's eclipse module, with the satellites' messages; AttributeError in a world without eclipses."""
         if all(component.slot != "eclipse" for component in type(self._whole).all_components()):
             raise AttributeError(self._advice("eclipseObject"))
-        return messages.Eclipses(self)
+        return messages.eclipses(self)
 
     @property
     def gravFactory(self) -> Any:
         """Basilisk's factory of gravity bodies, with the messages of Sun and Earth."""
-        return messages.GravityFactory(self)
+        return messages.gravity_factory(self)
 
     @property
     def ephemConverter(self) -> Any:
         """Basilisk's converter of ephemerides, with the same messages."""
-        return messages.Ephemerides(self)
+        return messages.ephemerides(self)
 
     @cached_property
     def groundStations(self) -> list[Station]:

@@ -18,7 +18,6 @@ class WheelTriad(Sequence[Any]):
         self.speeds = speeds
 
     def __len__(self) -> int:
-        """Three."""
         return 3
 
     def __getitem__(self, index: Any) -> Any:

@@ -19,11 +19,7 @@ AXES = {"radial": (1.0, 0.0, 0.0), "tangential": (0.0, 1.0, 0.0), "normal": (0.0
 
 
 def random_tumble(maxSpinRate: float = 0.001) -> tuple[np.ndarray, np.ndarray]:
-    """Return an attitude sigma_BN [3], MRPs in [0, 1), and a rate omega_BN_B [3], rad/s.
-
-    Args:
-        maxSpinRate: Bound of each component of the rate, rad/s.
-    """
+    """Return an attitude sigma_BN [3], MRPs in [0, 1), and a rate omega_BN_B [3] of components up to ``maxSpinRate``, rad/s."""
     sigma_BN = np.random.uniform(0, 1.0, [3])
     return sigma_BN, np.random.uniform(-maxSpinRate, maxSpinRate, [3])
 
@@ -58,7 +54,6 @@ def hill_frame_attitude(
 
 
 def _rate(spin: Mapping[str, Any]) -> float:
-    """Return the rate of a spin, degrees per second."""
     if spin["type"] == "fixed":
         return float(spin["rate"])
     if spin["type"] != "uniform":
@@ -69,7 +64,6 @@ def _rate(spin: Mapping[str, Any]) -> float:
 
 
 def _axis(axis: Any, r: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Return the unit vector of a spin axis in the Hill frame, [3]."""
     if isinstance(axis, str):
         if axis == "random":
             axis = np.random.normal(size=3)

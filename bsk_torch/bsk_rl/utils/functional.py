@@ -5,14 +5,14 @@ from __future__ import annotations
 import functools
 import re
 import types
-import warnings
-from collections.abc import Callable, Mapping
-from copy import deepcopy
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar
 from unittest.mock import MagicMock
 
 import numpy as np
+from typing_extensions import override
 
+from bsk_torch.bsk_rl.defaults import model_defaults, safe_dict_merge
 from bsk_torch.sim import dyn, fsw, world
 
 __all__ = [
@@ -52,6 +52,37 @@ class Resetable:
         """Prepare an episode, at time zero."""
 
 
+class ResetableGroup(Resetable):
+    """Passes the hooks on to its parts, after those of the class itself."""
+
+    def _parts(self) -> Iterable[Resetable]:
+        raise NotImplementedError
+
+    @override
+    def reset_overwrite_previous(self) -> None:
+        super().reset_overwrite_previous()
+        for part in self._parts():
+            part.reset_overwrite_previous()
+
+    @override
+    def reset_pre_sim_init(self) -> None:
+        super().reset_pre_sim_init()
+        for part in self._parts():
+            part.reset_pre_sim_init()
+
+    @override
+    def reset_during_sim_init(self) -> None:
+        super().reset_during_sim_init()
+        for part in self._parts():
+            part.reset_during_sim_init()
+
+    @override
+    def reset_post_sim_init(self) -> None:
+        super().reset_post_sim_init()
+        for part in self._parts():
+            part.reset_post_sim_init()
+
+
 # -- default arguments -----------------------------------------------------------------------------------------------------------
 
 
@@ -65,23 +96,12 @@ def default_args(**defaults: Any) -> Callable[[Function], Function]:
     return declare
 
 
-def safe_dict_merge(updates: Mapping[str, Any], base: dict[str, Any]) -> dict[str, Any]:
-    """Add copies of the entries of ``updates`` to ``base``, with a warning for those that replace others; return ``base``."""
-    for name, value in updates.items():
-        if name in base and np.any(base[name] != value):
-            warnings.warn(f"Conflicting values for {name}: overwriting {base[name]} with {value}", stacklevel=2)
-    base.update(deepcopy(dict(updates)))
-    return base
-
-
 def collect_default_args(object: object) -> dict[str, Any]:
     """Return what :func:`default_args` has declared on the methods of a class or object, by the names of the methods in order.
 
     Of a class of models, the result has the arguments that its counterpart in bsk_rl declares, too.
     """
     if isinstance(object, type) and issubclass(object, dyn.DynamicsModel | fsw.FSWModel | world.WorldModel):
-        from bsk_torch.bsk_rl.defaults import model_defaults  # which uses this module
-
         return model_defaults(object)
     defaults: dict[str, Any] = {}
     for method in _marked(object, "defaults"):
@@ -92,8 +112,8 @@ def collect_default_args(object: object) -> dict[str, Any]:
 def _marked(object: object, mark: str) -> list[Any]:
     """Return the methods that have an attribute, by name; properties are not read."""
     names = (name for name in dir(object) if not name.startswith("__") and not is_property(object, name))
-    found = (getattr(object, name, None) for name in names)
-    return [method for method in found if callable(method) and hasattr(method, mark)]
+    members = (getattr(object, name, None) for name in names)
+    return [member for member in members if callable(member) and hasattr(member, mark)]
 
 
 def aliveness_checker(method: Function) -> Function:
@@ -176,11 +196,9 @@ class AbstractClassProperty:
     name = ""
 
     def __set_name__(self, owner: type, name: str) -> None:
-        """Keep the name of the attribute."""
         self.name = name
 
     def __get__(self, instance: object, owner: type) -> AbstractClassProperty:
-        """Return itself to the class."""
         if instance is None:
             return self
         raise NotImplementedError(f"{owner.__name__}.{self.name} must be defined by the subclass")

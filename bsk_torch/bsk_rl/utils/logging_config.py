@@ -35,7 +35,7 @@ def style_string(
     codes = list(style_spec or [])
     codes += [colors[color.upper()]] if color else []
     codes += [colors[background_color.upper()] + 10] if background_color else []
-    codes += [code for code, wanted in ((1, bold), (3, emph), (4, underline)) if wanted]
+    codes += [code for code, flag in ((1, bold), (3, emph), (4, underline)) if flag]
     return f"\x1b[{';'.join(map(str, codes))}m{string}\x1b[0m"
 
 
@@ -80,16 +80,9 @@ class ContextFilter(logging.Filter):
     """Adds the simulated time of an environment to records, and drops those of other processes."""
 
     def __init__(self, name: str = "", env: Any = None, proc_id: int | None = None) -> None:
-        """Initialize the filter.
-
-        Args:
-            name: As in :class:`logging.Filter`.
-            env: The environment whose time is added.
-            proc_id: ID of the process whose records are kept.
-        """
+        """Add the time of ``env``, and keep records of the process ``proc_id``; ``name`` as in :class:`logging.Filter`."""
         super().__init__(name)
-        self.env = env
-        self.proc_id = proc_id
+        self.env, self.proc_id = env, proc_id
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Add the time, s, where there is a simulation; return whether the record is of the process."""

@@ -97,7 +97,6 @@ def random_orbit(
 
 
 def _angle(degrees: float | None) -> float:
-    """Return an angle in rad; a random one where it is None."""
     return np.random.uniform(0, 2 * np.pi) if degrees is None else np.radians(degrees)
 
 

@@ -70,14 +70,12 @@ def candidate_snapshot(imager: Any, count: int) -> CandidateSnapshot:
     Candidates are the eligible targets: first those with an elevation from -21 to 90 degrees, in ascending order, then the others
     by their distance. Of equal ones, the first in the catalog comes first. Whether the Earth is in the way does not matter.
     """
-    from bsk_torch.bsk_rl.act.rso_imaging import ImageRSO  # which imports this module
-
     scenario, now = imager.rso_scenario, float(imager.simulator.sim_time)
-    known = getattr(imager, "_rso_candidate_snapshot", None)
-    if known is not None and (known.time, known.revision) == (now, scenario.revision) and len(known.targets) >= count:
-        return known
+    last = getattr(imager, "_rso_candidate_snapshot", None)
+    if last is not None and (last.time, last.revision) == (now, scenario.revision) and len(last.targets) >= count:
+        return last
     entries = getattr(getattr(imager, "action_builder", None), "action_spec", ())
-    count = max([count, *(entry.n_actions for entry in entries if isinstance(entry, ImageRSO))])
+    count = max([count, *(entry.n_actions for entry in entries if hasattr(entry, "chosen_target_ids"))])
     ranked = []
     for target in scenario.targets_by_id.values():
         if scenario.is_eligible(target.id, now):

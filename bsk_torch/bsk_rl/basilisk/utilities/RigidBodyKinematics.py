@@ -166,7 +166,6 @@ CONVERSIONS = {f"{a}2{b}": (TO_EP[a], FROM_EP[b]) for a in TO_EP for b in FROM_E
 
 
 def __getattr__(name: str) -> Convert:
-    """Return a conversion by its name; AttributeError with the nearest one for others."""
     if name not in CONVERSIONS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}; {nearest(name, __dir__())}")
     first, second = CONVERSIONS[name]

@@ -1,9 +1,5 @@
 """Flight software that changes orbits."""
 
-from bsk_torch.bsk_rl.sim.fsw import (
-    MagicOrbitalManeuverFSWModel,
-)
+from bsk_torch.bsk_rl.sim.fsw import MagicOrbitalManeuverFSWModel
 
-__all__ = [
-    "MagicOrbitalManeuverFSWModel",
-]
+__all__ = ["MagicOrbitalManeuverFSWModel"]

@@ -1,9 +1,5 @@
 """Flight software of inspectors."""
 
-from bsk_torch.bsk_rl.sim.fsw import (
-    RSOInspectorFSWModel,
-)
+from bsk_torch.bsk_rl.sim.fsw import RSOInspectorFSWModel
 
-__all__ = [
-    "RSOInspectorFSWModel",
-]
+__all__ = ["RSOInspectorFSWModel"]

@@ -6,11 +6,11 @@ Where RLlib is installed, importing this module registers ``"SatelliteTasking-RL
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping
 from importlib.util import find_spec
 from typing import Any, NoReturn
 
+from bsk_torch.bsk_rl.gym import ConstellationTasking, SatelliteTasking
 from bsk_torch.bsk_rl.utils.rllib.callbacks import EpisodeDataParallelWrapper, EpisodeDataWrapper
 
 __all__ = ["load_torch_mlp_policy", "unpack_config"]
@@ -40,21 +40,15 @@ def load_torch_mlp_policy(policy_path: object, policy_name: str = "default_agent
     )
 
 
-def _environment(name: str) -> Any:
-    """Return a class of environments; their module imports this package."""
-    return getattr(importlib.import_module("bsk_torch.bsk_rl.gym"), name)
-
-
 def _split(env_config: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the arguments of the environment, and the callbacks."""
-    given = dict(env_config)
-    return given, {name: given.pop(name) for name in CALLBACKS if name in given}
+    arguments = dict(env_config)
+    return arguments, {name: arguments.pop(name) for name in CALLBACKS if name in arguments}
 
 
 def satellite_tasking(env_config: Mapping[str, Any]) -> EpisodeDataWrapper:
     """Return a ``SatelliteTasking`` with metrics, from RLlib's ``env_config``."""
     arguments, callbacks = _split(env_config)
-    return EpisodeDataWrapper(_environment("SatelliteTasking")(**arguments), **callbacks)
+    return EpisodeDataWrapper(SatelliteTasking(**arguments), **callbacks)
 
 
 def constellation_tasking(env_config: Mapping[str, Any]) -> Any:
@@ -62,7 +56,7 @@ def constellation_tasking(env_config: Mapping[str, Any]) -> Any:
     from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
 
     arguments, callbacks = _split(env_config)
-    return ParallelPettingZooEnv(EpisodeDataParallelWrapper(_environment("ConstellationTasking")(**arguments), **callbacks))
+    return ParallelPettingZooEnv(EpisodeDataParallelWrapper(ConstellationTasking(**arguments), **callbacks))
 
 
 if HAS_RLLIB:

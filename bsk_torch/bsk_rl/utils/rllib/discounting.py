@@ -59,18 +59,17 @@ def compute_value_targets_time_discounted(
         raise ValueError(f"reward_time={reward_time!r} must be 'step_start' or 'step_end'")
     durations = np.append(step_durations[1:], step_durations[-1])
     discounts, going = gamma**durations, 1.0 - np.asarray(terminateds, dtype=float)
-    known = np.append(values * going, 0.0)
-    after = (1.0 - lambda_) * known[1:]
-    own = rewards + discounts * after if reward_time == "step_start" else discounts * (rewards + after)
-    targets, last = np.zeros(len(own)), 0.0
-    for t in reversed(range(len(own))):
-        targets[t] = own[t] + going[t] * discounts[t] * lambda_ * last
-        last = known[t] if truncateds[t] else targets[t]
+    following = np.append(values * going, 0.0)
+    after = (1.0 - lambda_) * following[1:]
+    gains = rewards + discounts * after if reward_time == "step_start" else discounts * (rewards + after)
+    targets, last = np.zeros(len(gains)), 0.0
+    for t in reversed(range(len(gains))):
+        targets[t] = gains[t] + going[t] * discounts[t] * lambda_ * last
+        last = following[t] if truncateds[t] else targets[t]
     return targets.astype(np.float32)
 
 
 def __getattr__(name: str) -> NoReturn:
-    """Raise ImportError for parts of RLlib's learner, AttributeError for others."""
     if name in LEARNERS:
         raise ImportError(f"bsk_rl's {name} {ADVICE}")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
