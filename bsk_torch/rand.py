@@ -123,7 +123,6 @@ class Key:
         return replace(self._rows(each), satellite=index.to(self.seed.device).repeat(len(self)))
 
     def __len__(self) -> int:
-        """Number of environments."""
         return len(self.env_id)
 
     def split(self, rows: int) -> list[Key]:
@@ -135,7 +134,6 @@ class Key:
         return self._rows(torch.tensor(rows, dtype=torch.int64))
 
     def _rows(self, index: Tensor) -> Key:
-        """Return the key of the environments ``index`` [m]."""
         satellite, moment = (None if x is None else x[index] for x in (self.satellite, self.moment))
         return Key(self.seed[index], self.env_id[index], self.episode[index], self.name, satellite, moment)
 
@@ -262,7 +260,6 @@ class Blend:
     shares: Tensor
 
     def __post_init__(self) -> None:
-        """Check the tables, and sort them by seed."""
         m, shapes = len(self.seeds), [list(table.shape) for table in (self.parts, self.steps, self.shares)]
         if m == 0 or any(shape != shapes[0] or len(shape) != 2 or shape[0] != m or shape[1] == 0 for shape in shapes):
             raise ValueError(f"Blend: parts, steps and shares of {m} seeds have shapes {shapes}; they must be [M, J] of M seeds")
@@ -423,7 +420,6 @@ class Uniform(Distribution):
     size: int | None = None
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         _check_numbers(low=self.low, high=self.high)
         _check_size(self.size)
         if bool((torch.as_tensor(self.low) > torch.as_tensor(self.high)).any()):
@@ -446,7 +442,6 @@ class Normal(Distribution):
     size: int | None = None
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         _check_numbers(mean=self.mean, std=self.std)
         for name, value in (("mean", self.mean), ("std", self.std)):
             if isinstance(value, list | tuple):

@@ -38,13 +38,12 @@ def print_table(
         left: Columns with left-aligned text.
         whole: Columns whose cells are never broken.
     """
-    console, columns = (
-        Console(width=line_width()),
-        list(dict.fromkeys(name for row in rows for name, cell in row.items() if cell)),
-    )
+    console = Console(width=line_width())
+    columns = list(dict.fromkeys(name for row in rows for name, cell in row.items() if cell))
     order = [name for name in expendable if name in columns]
     dropped: list[str] = []
-    while order and _natural_width(console, _table(rows, columns, title, left, whole)) > console.width:
+    unbroken = console.options.update(max_width=10 * WIDE)
+    while order and console.measure(_table(rows, columns, title, left, whole), options=unbroken).maximum > console.width:
         dropped.append(order.pop(0))
         columns.remove(dropped[-1])
     console.print(_table(rows, columns, title, left, whole))
@@ -66,8 +65,3 @@ def _table(
 def _cell(text: str) -> Text:
     """Return text without markup and hidden characters; line feeds stay, which the table's lines surround."""
     return Text(visible(text))
-
-
-def _natural_width(console: Console, table: Table) -> int:
-    """Return the characters of the longest line of a table that breaks none."""
-    return console.measure(table, options=console.options.update(max_width=10 * WIDE)).maximum

@@ -190,10 +190,7 @@ def gunzip(content: bytes, most: int) -> bytes:
 def read_tensors(content: bytes, entry: str | None = None, device: torch.device | str = "cpu") -> tuple[Any, bytes | None]:
     """Return what ``torch.save`` has put into an archive, and the bytes of another ``entry`` of it, None without one.
 
-    Tensors are plain ones, and together not larger than the archive.
-
-    Raises:
-        ValueError: For anything else; nothing is executed.
+    Tensors are plain ones, and together not larger than the archive. ValueError for anything else; nothing is executed.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -243,10 +240,7 @@ def read_memmap(folder: Path) -> TensorDict:
     """Return a memory-mapped tensordict of tensors.
 
     Its lists of entries are checked before tensordict reads them: nothing is unpickled, and every file is as large as its shape
-    says, so that none is extended.
-
-    Raises:
-        ValueError: For anything else; the message names the folder.
+    says, so that none is extended. ValueError for anything else; the message names the folder.
     """
     try:
         _check_memmap(folder, ())

@@ -18,9 +18,9 @@ from bsk_torch.bsk_rl.utils.logging_config import SimFormatter
 from bsk_torch.cli import terminal
 from bsk_torch.env.log import SimulationFormatter
 from bsk_torch.tables import print_table
-from bsk_torch.viz.figures.profiles import performance_profiles
+from bsk_torch.viz.figures.curves import performance_profiles
 from bsk_torch.viz.render.marks import Pen
-from bsk_torch.viz.report.deaths import deaths_chart
+from bsk_torch.viz.report.curves import deaths_chart
 
 NAME = "\x1b]0;owned\x07\x9b2J\r\u202eevil\u2028[/red]$\\frac{$"
 """Sets the title of a window, clears the screen, turns the direction of text, ends markup, begins a formula."""

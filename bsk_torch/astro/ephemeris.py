@@ -1,7 +1,8 @@
 """Time, the Sun's position and the Earth's orientation, as the Basilisk spacecraft simulator sees them.
 
-Epochs are ET: TDB seconds past J2000 (2000-01-01 12:00:00 TDB), float64.  Positions are geometric (no light time, no
-aberration), relative to the Earth's center, along the J2000 (ICRF) axes.
+Epochs are ET: TDB seconds past J2000 (2000-01-01 12:00:00 TDB), float64, of any shape and on any device; functions of tensors
+raise TypeError for other types. Positions are geometric (no light time, no aberration), relative to the Earth's center, along the
+J2000 (ICRF) axes.
 
 Sources:
     UTC to TDB: leap seconds and the one-term TDB - TT formula of the NAIF kernel naif0012.tls.
@@ -158,34 +159,14 @@ def coverage_in_words() -> str:
 
 
 def sun_position(et: Tensor) -> Tensor:
-    """Position of the Sun relative to the Earth.
-
-    Args:
-        et: Epochs in s past J2000, float64, any shape and device.
-
-    Returns:
-        Position in m along J2000 axes, shape ``(*et.shape, 3)``; NaN outside `coverage`.
-
-    Raises:
-        TypeError: If `et` is not float64.
-    """
+    """Position of the Sun relative to the Earth, m along J2000 axes, ``(*et.shape, 3)``; NaN outside `coverage`."""
     table = _sun_table(_checked(et).device)
     index, powers = _locate(table, et)
     return _within(table, et, _evaluate(table.position, index, powers))
 
 
 def sun_state(et: Tensor) -> tuple[Tensor, Tensor]:
-    """Position and velocity of the Sun relative to the Earth.
-
-    Args:
-        et: Epochs in s past J2000, float64, any shape and device.
-
-    Returns:
-        Position in m and velocity in m/s along J2000 axes, both of shape ``(*et.shape, 3)``; NaN outside `coverage`.
-
-    Raises:
-        TypeError: If `et` is not float64.
-    """
+    """Position, m, and velocity, m/s, of the Sun, ``(*et.shape, 3)`` each; see :func:`sun_position`."""
     table = _sun_table(_checked(et).device)
     index, powers = _locate(table, et)
     position = _within(table, et, _evaluate(table.position, index, powers))
@@ -198,15 +179,9 @@ def earth_angles(et: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     ``alpha = -0.641 T``, ``delta = 90 - 0.557 T`` and ``W = 190.147 + 360.9856235 d``, in degrees, at d days and T Julian
     centuries of TDB past J2000.
 
-    Args:
-        et: Epochs in s past J2000, float64, any shape and device.
-
     Returns:
-        Right ascension and declination of the pole and the prime meridian angle W, in rad, each shaped like `et`.  W
-        is reduced to [0, 2 pi) after rounding at about 1e-11 rad.
-
-    Raises:
-        TypeError: If `et` is not float64.
+        Right ascension and declination of the pole and the prime meridian angle W, in rad, each shaped like `et`. W is reduced to
+        [0, 2 pi) after rounding at about 1e-11 rad.
     """
     days, centuries = _checked(et) / DAY, et / CENTURY
     alpha = torch.deg2rad(-0.641 * centuries)
@@ -216,65 +191,37 @@ def earth_angles(et: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def earth_orientation(et: Tensor) -> Tensor:
-    """Direction cosine matrix from J2000 to the Earth-fixed frame IAU_EARTH.
+    """Return the DCM [PN], ``(*et.shape, 3, 3)``: components along J2000 axes to those along axes of the frame IAU_EARTH.
 
     ``[PN] = R3(W) R1(90 deg - delta) R3(90 deg + alpha)`` with right ascension alpha and declination delta of the pole and the
     prime meridian W of :func:`earth_angles`; R1 and R3 are frame rotations about x and z.
-
-    Args:
-        et: Epochs in s past J2000, float64, any shape and device.
-
-    Returns:
-        C = [PN], shape ``(*et.shape, 3, 3)``: components along J2000 axes to components along Earth-fixed axes.
-
-    Raises:
-        TypeError: If `et` is not float64.
     """
     node, tilt, spin = _euler_angles(et)
     return _about_z(spin) @ _about_x(tilt) @ _about_z(node)
 
 
 def earth_orientation_rate(et: Tensor) -> Tensor:
-    """Time derivative of `earth_orientation`: the product rule, with constant rates of alpha, delta and W.
+    """Time derivative of `earth_orientation`, 1/s, by the product rule with constant rates of alpha, delta and W.
 
     ``[PN]' = W' R3'(W) R1 R3 - delta' R3 R1'(90 deg - delta) R3 + alpha' R3 R1 R3'(90 deg + alpha)``, where R1' and R3' are the
     derivatives of the rotations with respect to their angles.
-
-    Args:
-        et: Epochs in s past J2000, float64, any shape and device.
-
-    Returns:
-        dC/dt in 1/s, shape ``(*et.shape, 3, 3)``.
-
-    Raises:
-        TypeError: If `et` is not float64.
     """
     node, tilt, spin = _euler_angles(et)
     r_node, r_tilt, r_spin = _about_z(node), _about_x(tilt), _about_z(spin)
-    by_spin = EARTH_ROTATION_RATE * (_about_z_derivative(spin) @ r_tilt @ r_node)
-    by_tilt = -POLE_DECLINATION_RATE * (r_spin @ _about_x_derivative(tilt) @ r_node)
-    return by_spin + by_tilt + POLE_RIGHT_ASCENSION_RATE * (r_spin @ r_tilt @ _about_z_derivative(node))
+    by_spin = EARTH_ROTATION_RATE * (_about_z(spin, derivative=True) @ r_tilt @ r_node)
+    by_tilt = -POLE_DECLINATION_RATE * (r_spin @ _about_x(tilt, derivative=True) @ r_node)
+    return by_spin + by_tilt + POLE_RIGHT_ASCENSION_RATE * (r_spin @ r_tilt @ _about_z(node, derivative=True))
 
 
 def earth_fixed_sun(et: Tensor) -> Tensor:
-    """Position of the Sun in the Earth-fixed frame IAU_EARTH.
+    """Position of the Sun in the Earth-fixed frame IAU_EARTH, m, ``(*et.shape, 3)``; NaN before `coverage`.
 
     Behind the end of `coverage` the Sun stays where it is at the end, as for look-ahead.
-
-    Args:
-        et: Epochs in s past J2000, float64, any shape and device.
-
-    Returns:
-        Position in m, shape ``(*et.shape, 3)``; NaN before `coverage`.
-
-    Raises:
-        TypeError: If `et` is not float64.
     """
     return (earth_orientation(et) @ sun_position(et.clamp(max=coverage()[1])).unsqueeze(-1)).squeeze(-1)
 
 
 def _check_second(date: datetime, second: float, scale: str) -> None:
-    """Raise ValueError unless the second exists in the minute `date`."""
     following = date + timedelta(minutes=1)
     length = 60 + (_tai_minus_utc(following) - _tai_minus_utc(date) if scale == "UTC" else 0)
     if second >= length:
@@ -306,7 +253,6 @@ def _tdb_minus_tt(tt: Any) -> Any:
 
 
 def _check_coverage(et: float, text: str | datetime) -> None:
-    """Raise ValueError unless ET lies in the Sun table."""
     first, last = coverage()
     if not first <= et <= last:
         raise ValueError(f"epoch {text!r} lies outside the ephemeris table, which covers {coverage_in_words()} (TDB)")
@@ -314,7 +260,6 @@ def _check_coverage(et: float, text: str | datetime) -> None:
 
 @cache
 def _load_series() -> _Series:
-    """Read the Sun table of the package."""
     resource = files("bsk_torch.astro").joinpath("tables/sun_earth_1990_2060.npz")
     with resource.open("rb") as stream, np.load(stream) as table:
         integers = np.concatenate([table["low"], table["high"]])
@@ -322,11 +267,9 @@ def _load_series() -> _Series:
 
 
 def _sun_table(device: torch.device) -> _SunTable:
-    """Sun table on a device, made at the first call there."""
-    table = _TABLES.get(device)
-    if table is None:
-        table = _TABLES[device] = _make_sun_table(device)
-    return table
+    if device not in _TABLES:
+        _TABLES[device] = _make_sun_table(device)
+    return _TABLES[device]
 
 
 def _make_sun_table(device: torch.device) -> _SunTable:
@@ -385,33 +328,18 @@ def _euler_angles(et: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return 0.5 * math.pi + alpha, 0.5 * math.pi - delta, meridian
 
 
-def _about_z(angle: Tensor) -> Tensor:
-    """Frame rotation about the third axis, shape (*angle.shape, 3, 3)."""
-    return _z_matrix(angle.cos(), angle.sin(), torch.ones_like(angle))
-
-
-def _about_z_derivative(angle: Tensor) -> Tensor:
-    """Derivative of `_about_z` with respect to the angle."""
-    return _z_matrix(-angle.sin(), angle.cos(), torch.zeros_like(angle))
-
-
-def _about_x(angle: Tensor) -> Tensor:
-    """Frame rotation about the first axis, shape (*angle.shape, 3, 3)."""
-    return _x_matrix(angle.cos(), angle.sin(), torch.ones_like(angle))
-
-
-def _about_x_derivative(angle: Tensor) -> Tensor:
-    """Derivative of `_about_x` with respect to the angle."""
-    return _x_matrix(-angle.sin(), angle.cos(), torch.zeros_like(angle))
-
-
-def _z_matrix(cos: Tensor, sin: Tensor, axis: Tensor) -> Tensor:
-    """Matrix [[cos, sin, 0], [-sin, cos, 0], [0, 0, axis]]."""
-    zero = torch.zeros_like(cos)
+def _about_z(angle: Tensor, derivative: bool = False) -> Tensor:
+    """Frame rotation about the third axis, [[c, s, 0], [-s, c, 0], [0, 0, 1]], or its derivative with respect to the angle."""
+    cos, sin, axis, zero = _elements(angle, derivative)
     return torch.stack([cos, sin, zero, -sin, cos, zero, zero, zero, axis], -1).reshape(*cos.shape, 3, 3)
 
 
-def _x_matrix(cos: Tensor, sin: Tensor, axis: Tensor) -> Tensor:
-    """Matrix [[axis, 0, 0], [0, cos, sin], [0, -sin, cos]]."""
-    zero = torch.zeros_like(cos)
+def _about_x(angle: Tensor, derivative: bool = False) -> Tensor:
+    """The same about the first axis, [[1, 0, 0], [0, c, s], [0, -s, c]]."""
+    cos, sin, axis, zero = _elements(angle, derivative)
     return torch.stack([axis, zero, zero, zero, cos, sin, zero, -sin, cos], -1).reshape(*cos.shape, 3, 3)
+
+
+def _elements(angle: Tensor, derivative: bool) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    zero = torch.zeros_like(angle)
+    return (-angle.sin(), angle.cos(), zero, zero) if derivative else (angle.cos(), angle.sin(), torch.ones_like(angle), zero)

@@ -86,8 +86,7 @@ class _UnknownFormError(ValueError):
 def read_epoch(value: str | datetime) -> Epoch:
     """Return an epoch; ``datetime`` objects without a time zone are UTC.
 
-    Raises:
-        ValueError: For a text of another form, or one that names no date or time.
+    ValueError for a text of another form, or one that names no date or time.
     """
     if isinstance(value, datetime):
         utc = value.astimezone(timezone.utc).replace(tzinfo=None) if value.tzinfo else value
@@ -171,9 +170,7 @@ def _day_of_year(year: int, day: int) -> datetime:
 def _clock(text: str) -> tuple[int, int, float]:
     """Return hour, minute and second of "12", "12:00" or "12:00:00", the last of which may have a fraction."""
     parts = text.split(":")
-    if len(parts) > 3 or not all(re.fullmatch(r"\d{1,2}", part) for part in parts[:-1]):
-        raise _UnknownFormError
-    if not re.fullmatch(r"\d{1,2}(\.\d*)?", parts[-1]):
+    if not re.fullmatch(r"(\d{1,2}:){0,2}\d{1,2}(\.\d*)?", text):
         raise _UnknownFormError
     exact = [Fraction(part.rstrip(".")) for part in parts] + [Fraction(0)] * (3 - len(parts))
     for value, limit, what in zip(exact, (24, 60, 61), ("hour", "minute", "second"), strict=True):
@@ -290,13 +287,8 @@ def _of_numbers(numbers: list[str]) -> datetime:
 
 def _of_month(month: int, numbers: list[str], month_first: bool) -> datetime:
     """Return the day of a month and two numbers; short ones are day and year behind a month, else year and day."""
-    plain = [_is_year(number) for number in numbers]
-    if all(plain):
-        raise _UnknownFormError
-    year_last = plain[1] or (month_first and not plain[0])
-    year, day = reversed(numbers) if year_last else numbers
-    if month_first and plain[0]:
-        raise _UnknownFormError
-    if len(day) > 2:
+    years = [_is_year(number) for number in numbers]
+    year, day = reversed(numbers) if years[1] or month_first else numbers
+    if all(years) or (month_first and years[0]) or len(day) > 2:
         raise _UnknownFormError
     return datetime(_year(year), month, int(day))

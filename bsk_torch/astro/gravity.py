@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 import importlib.resources
 import math
+import operator
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -93,10 +94,7 @@ J2 = -float(_unnormalised(2)[0][2, 0])
 
 def _total(terms: list[Any]) -> Any:
     """Return the sum, smallest terms (the last) first, which rounds least."""
-    total = terms[-1]
-    for term in terms[-2::-1]:
-        total = total + term
-    return total
+    return functools.reduce(operator.add, reversed(terms))
 
 
 def _column(m: int, order: int, z: Tensor, rho: Tensor) -> list[Any]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import operator
 from functools import cache
 
 import torch
@@ -30,14 +32,8 @@ def coefficients(nodes: list[Vec3]) -> list[Vec3]:
     """Return the coefficients c_k, m, of ``r(s) = sum_k c_k s^k`` through COUNT nodes; s counts steps from node BEFORE."""
     middle = nodes[BEFORE]
     differences = [node - middle for k, node in enumerate(nodes) if k != BEFORE]
-    result = [middle]
-    for row in _from_differences():
-        terms = [d * w for d, w in zip(differences, row, strict=True)]
-        total = terms[0]
-        for term in terms[1:]:
-            total = total + term
-        result.append(total)
-    return result
+    rows = ([d * w for d, w in zip(differences, row, strict=True)] for row in _from_differences())
+    return [middle, *(functools.reduce(operator.add, terms) for terms in rows)]
 
 
 def position(c: list[Vec3], s: Tensor) -> Vec3:

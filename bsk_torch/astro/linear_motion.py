@@ -8,6 +8,7 @@ left out, too.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -18,8 +19,6 @@ from bsk_torch.astro.integrate import nystroem_step
 from bsk_torch.astro.orbit import hill_frame, hill_rate
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.vec3 import Mat3, Vec3
-
-__all__ = ["LinearMotion", "about_circle", "about_orbit", "moments"]
 
 
 class LinearMotion(NamedTuple):
@@ -38,25 +37,27 @@ class LinearMotion(NamedTuple):
     rv: Mat3
     time: Tensor
 
+    def mapped(self, function: Callable[[Tensor], Tensor]) -> tuple[Mat3, Mat3]:
+        """Return both matrices with ``function`` applied to each component."""
+        rr, rv = (Mat3(*(row.map(function) for row in matrix)) for matrix in (self.rr, self.rv))
+        return rr, rv
+
     def at(self, moment: int, rho: Vec3, velocity: Vec3) -> Vec3:
         """Return positions at a moment, [..., K, N] m, from positions, m, and velocities, m/s, of shapes that broadcast."""
-        rr, rv = (Mat3(*(row.map(lambda x: x[moment]) for row in matrix)) for matrix in (self.rr, self.rv))
+        rr, rv = self.mapped(lambda x: x[moment])
         return rr @ rho + rv @ velocity
 
     def until(self, samples: int) -> LinearMotion:
         """Return the motion up to the last of the first moments."""
-        rr, rv = (Mat3(*(row.map(lambda x: x[:samples]) for row in matrix)) for matrix in (self.rr, self.rv))
-        return LinearMotion(rr, rv, self.time[:samples])
+        return LinearMotion(*self.mapped(lambda x: x[:samples]), self.time[:samples])
 
     def some(self, rows: Tensor | slice) -> LinearMotion:
         """Return the motion of some rows, by their numbers."""
-        rr, rv = (Mat3(*(row.map(lambda x: x[..., rows]) for row in matrix)) for matrix in (self.rr, self.rv))
-        return LinearMotion(rr, rv, self.time)
+        return LinearMotion(*self.mapped(lambda x: x[..., rows]), self.time)
 
     def repeated(self, count: int) -> LinearMotion:
         """Return the motion of ``count`` deputies of each chief, side by side."""
-        rr, rv = (Mat3(*(row.map(lambda x: x.repeat_interleave(count, -1)) for row in matrix)) for matrix in (self.rr, self.rv))
-        return LinearMotion(rr, rv, self.time)
+        return LinearMotion(*self.mapped(lambda x: x.repeat_interleave(count, -1)), self.time)
 
 
 def moments(durations: Tensor, samples: int) -> Tensor:
@@ -97,8 +98,8 @@ def about_orbit(r_CN_N: Tensor, v_CN_N: Tensor, durations: Tensor, samples: int,
     # velocities in N of deputies at rest in the frame: omega_HN x o_r = rate o_theta, omega_HN x o_theta = -rate o_r
     carried = axes.y * rate, axes.x * -rate, Vec3.zeros_like(rate)
     zero = Vec3.zeros_like(rate)
-    x = torch.stack([_stacked(column) for column in (r, *axes, zero, zero, zero)], 1)
-    w = torch.stack([_stacked(column) for column in (v, *carried, *axes)], 1)
+    x = torch.stack([torch.stack(tuple(column)) for column in (r, *axes, zero, zero, zero)], 1)  # components first
+    w = torch.stack([torch.stack(tuple(column)) for column in (v, *carried, *axes)], 1)
     shape = *x.shape[:2], len(durations), x.shape[2]
     x, w = (each.unsqueeze(2).expand(shape).contiguous() for each in (x, w))
     # the factor of the term along the radius: the first column is the chief itself
@@ -119,8 +120,3 @@ def about_orbit(r_CN_N: Tensor, v_CN_N: Tensor, durations: Tensor, samples: int,
     HN = hill_frame(Vec3(*flown[:, 0]), Vec3(*torch.stack([state[1] for state in states], 1)))
     columns = [HN @ Vec3(*flown[:, k]) for k in range(1, 7)]
     return LinearMotion(Mat3(*columns[:3]).mT, Mat3(*columns[3:]).mT, time)
-
-
-def _stacked(vector: Vec3) -> Tensor:
-    """Return a vector as a tensor with its components first, [3, ...]."""
-    return torch.stack(tuple(vector))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from bsk_torch.vec3 import Scalar, Vec3
 
-__all__ = ["dipole_field"]
-
 
 def dipole_field(r_P: Vec3, dipole_P: Vec3, radius: Scalar) -> Vec3:
     """Return the magnetic field, T, in Earth-fixed axes.

@@ -10,15 +10,6 @@ from torch import Tensor
 from bsk_torch.constants import R_EARTH
 from bsk_torch.vec3 import Vec3
 
-__all__ = [
-    "POLAR_STRETCH",
-    "TINY_LENGTH",
-    "elevation_clearance",
-    "line_clearance",
-    "max_central_angle",
-    "stretch",
-]
-
 POLAR_STRETCH = 1.0 / 0.98
 """Factor for lengths along the Earth's axis: the polar radius is set to 0.98 of the equatorial one."""
 

@@ -50,9 +50,9 @@ class Transfers(NamedTuple):
         place = (chosen % durations * targets + torch.div(chosen, durations, rounding_mode="floor")).unsqueeze(0)
         return self.dv.map(lambda x: x.flatten(0, 1).gather(0, place).squeeze(0)).stack()
 
-    def rows(self, first: int, every: int) -> Transfers:
+    def rows(self, first: int, step: int) -> Transfers:
         """Return the transfers of every so many-th deputy from the first one on."""
-        return self.some(slice(first, None, every))
+        return self.some(slice(first, None, step))
 
     def some(self, rows: Tensor | slice) -> Transfers:
         """Return the transfers of some deputies, by their numbers."""
@@ -62,8 +62,8 @@ class Transfers(NamedTuple):
     def along(self, motion: LinearMotion) -> Transfers:
         """Return the same maneuvers with paths over another duration, that of a motion with K = 1."""
         K = len(self.dv.x)
-        rr, rv = (Mat3(*(row.map(lambda x: x.expand(-1, K, -1)) for row in matrix)) for matrix in (motion.rr, motion.rv))
-        return self._replace(motion=LinearMotion(rr, rv, motion.time.expand(-1, K)))
+        matrices = motion.mapped(lambda x: x.expand(-1, K, -1))
+        return self._replace(motion=LinearMotion(*matrices, motion.time.expand(-1, K)))
 
     def distances(self) -> tuple[Tensor, Tensor]:
         """Return the smallest and the largest distance from the chief on each path, [N, D, K] m each."""

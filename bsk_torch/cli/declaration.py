@@ -79,11 +79,11 @@ class WithoutTypes:
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Return the parameters; ``--help <bool>`` says no more than ``--help``."""
-        found: list[Any] = super().get_params(ctx)  # type: ignore[misc]
-        for parameter in found:
+        parameters: list[Any] = super().get_params(ctx)  # type: ignore[misc]
+        for parameter in parameters:
             if getattr(parameter, "is_flag", False):
                 parameter.metavar = ""
-        return found
+        return parameters
 
 
 class Command(WithoutTypes, TyperCommand):
@@ -124,7 +124,7 @@ def command(name: str, function: Callable[..., None]) -> Any:
     parameters = [*declared.values(), *(inspect.Parameter(n, kind, annotation=a, default=d) for n, a, d in shared)]
     start.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
     start.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    alone = typer.Typer(add_completion=False, rich_markup_mode="rich")
+    app = typer.Typer(add_completion=False, rich_markup_mode="rich")
     epilog = "Examples:\n\n" + textwrap.dedent(examples).strip().replace("[", r"\[")
-    alone.command(name, cls=Command, help=unwrapped(help_text), epilog=epilog)(start)
-    return get_command(alone)
+    app.command(name, cls=Command, help=unwrapped(help_text), epilog=epilog)(start)
+    return get_command(app)

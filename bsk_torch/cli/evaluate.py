@@ -77,12 +77,12 @@ def evaluate_policy(
     size = min(len(episodes), MOST_PLANNED if any(name.startswith(PREFIX) for name in policies) else most)
     options, device = preset_options(option) | options, options["device"]
     actors: dict[str, tuple[TensorDictModuleBase, Tasking]] = {}
-    for one in named:
-        env = one.environment(size, options)
-        label = one.label if len(named) == 1 or one.label != TRAINED else one.name
+    for policy in named:
+        env = policy.environment(size, options)
+        label = policy.label if len(named) == 1 or policy.label != TRAINED else policy.name
         if guard is not None:
-            actors[f"{label} + {shield}"] = shared(guard(one.build(env, device), env), env), env
-        actors[label] = one.actor(env, device), env
+            actors[f"{label} + {shield}"] = shared(guard(policy.build(env, device), env), env), env
+        actors[label] = policy.actor(env, device), env
     chosen, (_, env) = next(iter(actors.items()))
     if baselines:
         actors |= {name: (rule, env) for name, rule in shared_baselines(env).items() if name not in policies}

@@ -66,13 +66,13 @@ def film(
         with working("playing the episode"):
             pictures = extra("bsk_torch.viz.episodes")
             pictures.draw(pictures.record(actor, env, seed=seed), out, f"{named.preset}, seed {seed}, {named.label}")
-        told = "the whole episode"
+        content = "the whole episode"
     else:
         player = with_lots(actor, env) if LOT in actor.in_keys else actor
         shots = frames(env, player, seed, until, height)
-        told = f"{save_mp4(shots, out, fps) if out.suffix == '.mp4' else save_animation(shots, out, fps)} frames"
+        content = f"{save_mp4(shots, out, fps) if out.suffix == '.mp4' else save_animation(shots, out, fps)} frames"
     seconds, earned, lost = float(env.fleet.sim_time[0]), float(env.returns[0]), int(env.dead[0].sum())
-    echo(f"{out}: {told}, {seconds:,.0f} s of {named.preset}, return {earned:.3f}, satellites lost: {lost}")
+    echo(f"{out}: {content}, {seconds:,.0f} s of {named.preset}, return {earned:.3f}, satellites lost: {lost}")
 
 
 def frames(env: Tasking, policy: TensorDictModuleBase, seed: int, until: float | None, height: int) -> Iterator[Frame]:
@@ -101,21 +101,21 @@ def save_animation(shots: Iterator[Frame], path: Path, fps: float) -> int:
     from PIL import Image
 
     content = io.BytesIO()
-    first, *others = (Image.fromarray(picture) for picture in shots)
+    first, *later = (Image.fromarray(picture) for picture in shots)
     kind = path.suffix.removeprefix(".")
-    first.save(content, kind, save_all=True, append_images=others, duration=round(1000.0 / fps), loop=0)
+    first.save(content, kind, save_all=True, append_images=later, duration=round(1000.0 / fps), loop=0)
     write_file(path, content.getvalue())
-    return 1 + len(others)
+    return 1 + len(later)
 
 
 def save_mp4(shots: Iterator[Frame], path: Path, fps: float) -> int:
     """Write an MP4; return the number of frames."""
     clips = extra("moviepy.video.io.ImageSequenceClip", "video")
-    every = list(shots)
+    pictures = list(shots)
     aside = path.with_name(f".{path.stem}.{secrets.token_hex(8)}.mp4")
     try:
-        clips.ImageSequenceClip(every, fps=fps).write_videofile(str(aside), codec="libx264", audio=False, logger=None)
+        clips.ImageSequenceClip(pictures, fps=fps).write_videofile(str(aside), codec="libx264", audio=False, logger=None)
         os.replace(aside, path)
     finally:
         aside.unlink(missing_ok=True)
-    return len(every)
+    return len(pictures)

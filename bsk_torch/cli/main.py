@@ -27,7 +27,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "Train policies with PPO, MAPPO or IPPO, and compare them with random actions and rules in unseen episodes.",
     ),
     "profile": (
-        "bsk_torch.cli.profile:profile",
+        "bsk_torch.cli.train:profile",
         "Print where the CPU time of a training goes, decisions per CPU-second, and what to change.",
     ),
     "eval": (
@@ -74,11 +74,11 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "Fly the assigned tasks in files of AEOS-Bench, and show the measures of the benchmark.",
     ),
     "args": (
-        "bsk_torch.cli.arguments:show_arguments",
+        "bsk_torch.cli.show:show_arguments",
         "Show the arguments of a preset's satellites and world: value in the preset, default and meaning.",
     ),
     "schedule": (
-        "bsk_torch.cli.schedule:show_schedule",
+        "bsk_torch.cli.show:show_schedule",
         "Show the order of a tick: all slots, or the components that run in a preset.",
     ),
     "build-kernels": ("bsk_torch.cli.kernels:build_kernels", "Compile the kernels of presets for machines without a compiler."),
@@ -131,9 +131,9 @@ class Commands(WithoutTypes, TyperGroup):
 app = typer.Typer(cls=Commands, no_args_is_help=True, add_completion=False, rich_markup_mode="rich")
 
 
-def show_version(asked: bool) -> None:
+def show_version(is_set: bool) -> None:
     """Print the version and end the program."""
-    if asked:
+    if is_set:
         echo(f"bsk_torch {__version__}")
         raise typer.Exit
 

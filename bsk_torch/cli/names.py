@@ -57,7 +57,7 @@ def check_policy(name: str, preset: str | None) -> None:
     if plain == PRETRAINED and (preset or FIRST) not in makings():
         fail(no_policy(preset or FIRST))
     if plain.startswith(PREFIX) and plain.removeprefix(PREFIX) not in PLANNERS:
-        fail(f"{plain!r} is not a planner; {nearest(plain, [PREFIX + known for known in PLANNERS])}")
+        fail(f"{plain!r} is not a planner; {nearest(plain, [PREFIX + planner for planner in PLANNERS])}")
     if exists or plain in (*RULES, PRETRAINED) or ":" in plain:
         return
     fail(
@@ -76,5 +76,5 @@ def suggestion(name: str, preset: str | None) -> str:
     hint = nearest(name, (*RULES, PRETRAINED))
     if hint.startswith("did you mean"):
         return hint
-    here = preset if preset in LISTED else FIRST
-    return f"those of {here}: {', '.join(('random', *LISTED[here].rules, PRETRAINED))}"
+    preset = preset if preset in LISTED else FIRST
+    return f"those of {preset}: {', '.join(('random', *LISTED[preset].rules, PRETRAINED))}"

@@ -1,28 +1,42 @@
-"""Policies that the command line names: folders and files of runs, pretrained policies, baselines."""
+"""Policies that the command line names: folders and files of runs, pretrained policies, baselines, the user's functions."""
 
 from __future__ import annotations
 
+import inspect
+import logging
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
+from torch import nn
 from typing_extensions import override
 
 from bsk_torch._listed import PLANNERS
-from bsk_torch.cli.functions import Enter, entrant_of_user
 from bsk_torch.cli.names import FIRST, PREFIX, PRETRAINED, check_policy, resolved
 from bsk_torch.cli.shared import environment, made
-from bsk_torch.cli.terminal import fail, refusing
+from bsk_torch.cli.terminal import Failure, fail, refusing
 from bsk_torch.env import Tasking
 from bsk_torch.rl.policies.files import build_policy, check_fits, read_card
 from bsk_torch.rl.policies.pretrained import pretrained_file
 from bsk_torch.rl.policies.shared_policy import RULES, as_policy, baseline, shared, shared_baselines
-from bsk_torch.wrappers.policies import Actor
+from bsk_torch.sim.names import nearest
+from bsk_torch.wrappers.policies import Actor, Model
+
+logger = logging.getLogger(__name__)
 
 TRAINED = "trained"
 """Name, in results, of the policy of a file."""
+
+Enter = Callable[[str, Callable[..., Tasking]], Any]
+"""Enters a policy: a function of the name of a preset and of a function that makes its environment. It is to return this
+environment and a policy; what a user's function returns may be anything."""
+
+OBSERVED = ("observation", "obs")
+"""Names of the first argument of functions that are policies themselves."""
 
 
 @dataclass
@@ -44,9 +58,9 @@ class NamedPolicy:
         """Name in results."""
         return self.name if self.name in (*RULES, PRETRAINED) else TRAINED
 
-    def options(self, given: Mapping[str, object]) -> dict[str, object]:
-        """Return the arguments of the environment: those with which the policy was trained, and those that are ``given``."""
-        return {**self.card.get("options", {}), **given}
+    def options(self, changes: Mapping[str, object]) -> dict[str, object]:
+        """Return the arguments of the environment: those with which the policy was trained, with ``changes``."""
+        return {**self.card.get("options", {}), **changes}
 
     def environment(self, num_envs: int, options: Mapping[str, object]) -> Tasking:
         """Return environments that play the episodes of seeds, made as for the policy; ends the program if that fails."""
@@ -77,7 +91,7 @@ class NamedPolicy:
 
 @dataclass
 class NamedFunction(NamedPolicy):
-    """A policy of the user's, ``package.module:name``; see :func:`~bsk_torch.cli.functions.entrant_of_user`.
+    """A policy of the user's, ``package.module:name``; see :func:`entrant_of_user`.
 
     Attributes:
         enter: Enters the policy.
@@ -149,3 +163,66 @@ def named_actor(name: str, preset: str | None, plan: Sequence[str] | None) -> Na
     if plan:
         fail(f"--plan {plan[0]!r} is for planners, such as plan:rollout; the policy is {name!r}")
     return named_policy(name, preset)
+
+
+# -- functions of the user's -----------------------------------------------------------------------------------------------------
+
+
+def entrant_of_user(name: str, texts: Sequence[str] = ()) -> Enter:
+    """Return what enters the object ``package.module:name`` of the user's; ends the program if there is none.
+
+    A torch module, a model of Stable-Baselines3, and a function whose first argument is called ``observation`` or ``obs`` are
+    policies. Any other function is called with the name of the preset, a function that makes its environment, and ``texts``, and
+    returns this environment and a policy.
+    """
+    named = imported(*name.split(":", 1))
+    if isinstance(named, nn.Module | Model) or first_argument(named) in OBSERVED:
+        return lambda preset, make: (make(), named)
+    check_takes(named, name, texts)
+    return lambda preset, make: named(preset, make, *texts)
+
+
+def first_argument(function: Callable[..., object]) -> str | None:
+    """Return the name of the first argument of a function; None if there is none, or no signature."""
+    try:
+        return next(iter(inspect.signature(function).parameters), None)
+    except ValueError:  # of a function that is not written in Python
+        return None
+
+
+def message_of(error: BaseException) -> str:
+    """Return the message of an error; its type precedes it unless the message is this package's, or tells what is wrong."""
+    return (
+        str(error) if isinstance(error, (TypeError, ValueError, Failure)) and str(error) else f"{type(error).__name__}: {error}"
+    )
+
+
+def imported(module: str, function: str) -> Any:
+    """Return a function, module or model of the user's; ends the program if it cannot be imported."""
+    if str(Path.cwd()) not in sys.path:
+        sys.path.insert(0, str(Path.cwd()))  # where a user's module is, as python -m would find it
+    try:
+        named = getattr(loaded := import_module(module), function, None)
+    except Exception as error:  # a user's module may raise anything
+        logger.debug("%s cannot be imported", module, exc_info=error)
+        hint = f"; write {module.removesuffix('.py')}:{function}" if module.endswith(".py") else ""
+        fail(f"{module}:{function} cannot be imported: {message_of(error)}{hint}")
+    if named is None:
+        names = [name for name, value in vars(loaded).items() if getattr(value, "__module__", None) == loaded.__name__]
+        fail(f"{module}:{function} cannot be imported: {module} has no {function!r}; {nearest(function, names)}")
+    if not callable(named) and not isinstance(named, Model):
+        fail(f"{module}:{function} is neither a policy nor a function of a preset's name and make")
+    return named
+
+
+def check_takes(function: Callable[..., object], title: str, texts: Sequence[str]) -> None:
+    """End the program for a function that cannot be called with the name of a preset, ``make`` and further ``texts``."""
+    try:
+        signature = inspect.signature(function)
+    except ValueError:  # of a function that is not written in Python
+        return
+    try:
+        signature.bind("preset", "make", *texts)
+    except TypeError as error:
+        further = f", and the {len(texts)} texts after its commas" if texts else ""
+        fail(f"{title} takes {signature}; it must take the name of a preset and make, (preset, make){further}: {error}")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bsk_torch._rooms import absent_room
 from bsk_torch.cli.declaration import MachineOptions, flag
 from bsk_torch.cli.shared import check_writable, environment, extra
 from bsk_torch.cli.terminal import echo, refusing, working
@@ -49,6 +50,7 @@ def report(
     check_writable(run / REPORT)
     pages = extra("bsk_torch.viz.report.page")
     chosen, recording = _episodes(config, card, config.options | options, episodes)
+    viewer = absent_room("bsk_torch.viewer.page")
     data = pages.RunData(
         name=run.resolve().name,
         preset=config.preset,
@@ -56,7 +58,7 @@ def report(
         evaluations=evaluations,
         results=comparison,
         episodes=[pages.Chosen(why, number, pages.episode_of(recording, k)) for k, (why, number) in enumerate(chosen.items())],
-        flights=recording.html(),
+        flights="" if viewer else recording.html(),
         played=episodes,
         config=asdict(config),
         facts={
@@ -67,6 +69,8 @@ def report(
         command=command_of(config),
     )
     path = pages.write_report(data, run / REPORT)
+    if viewer:
+        echo(f"the report does not play its episodes: this copy of bsk_torch has no folder {viewer}")
     echo(f"{path} ({path.stat().st_size / 1e6:.1f} MB)\nopen it in a browser: {path.resolve().as_uri()}")
 
 
@@ -90,8 +94,8 @@ def _episodes(
     recordings = []
     for why, number in chosen.items():
         with working(f"playing the {why} episode again"):
-            one = environment(config.preset, 1, options | {"env_ids": [number]})
-            recordings.append(record(one, policy, seed=seed, preset=config.preset, label="trained"))
+            single = environment(config.preset, 1, options | {"env_ids": [number]})
+            recordings.append(record(single, policy, seed=seed, preset=config.preset, label="trained"))
     labels = (f"{why} episode (no. {number})" for why, number in chosen.items())
     tracks = [
         replace(part.tracks[0], scene=k, label=label) for k, (part, label) in enumerate(zip(recordings, labels, strict=True))

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 LARGEST_SEED, MOST_SEEDS = 2**62, 10_000_000
 """Bounds of the seeds of episodes, and of their number, that a command plays."""
 
-
 WORDS = {"true": True, "false": False, "none": None}
 """Values of options that are written otherwise in Python."""
 
@@ -28,20 +27,20 @@ OF_COMMANDS |= dict.fromkeys(("num_envs", "env_ids", "seed"), "it follows from t
 """Options of environments that commands set, and where to set them."""
 
 
-def preset_options(given: Sequence[str] | None) -> dict[str, Any]:
+def preset_options(texts: Sequence[str] | None) -> dict[str, Any]:
     """Return options NAME=VALUE of an environment; ends the program for other texts, and for those of the command itself."""
-    found = {}
-    for text in given or ():
+    options = {}
+    for text in texts or ():
         name, equals, value = text.partition("=")
         if not equals or not name.isidentifier():
             fail(f"--option {text!r} must be NAME=VALUE, such as n_targets=1000")
         if name in OF_COMMANDS:
             fail(f"--option {text!r}: {OF_COMMANDS[name]}")
         try:
-            found[name] = WORDS[value] if value in WORDS else ast.literal_eval(value)
+            options[name] = WORDS[value] if value in WORDS else ast.literal_eval(value)
         except (ValueError, SyntaxError):
-            found[name] = value
-    return found
+            options[name] = value
+    return options
 
 
 def made(preset: str, num_envs: int, options: Mapping[str, object], why: str = "") -> Tasking:

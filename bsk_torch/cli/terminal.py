@@ -37,7 +37,6 @@ class Failure(typer.Exit):
         self.message = message
 
     def __str__(self) -> str:
-        """Return the message."""
         return self.message
 
 
@@ -176,12 +175,12 @@ class Messages(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Print or count a message."""
-        told = vars(record)
-        if "kernel" in told:
-            activity.compiling(told["kernel"])
-        elif "kernel_seconds" in told:
-            activity.has_compiled(told["kernel_seconds"], told["folder"])
-        counted = {"kernel", "kernel_seconds"} & told.keys() or ("kernel_folder" in told and screen.is_terminal)
+        entries = vars(record)
+        if "kernel" in entries:
+            activity.compiling(entries["kernel"])
+        elif "kernel_seconds" in entries:
+            activity.has_compiled(entries["kernel_seconds"], entries["folder"])
+        counted = {"kernel", "kernel_seconds"} & entries.keys() or ("kernel_folder" in entries and screen.is_terminal)
         if not counted or logging.getLogger().isEnabledFor(logging.DEBUG):
             print_message(self.format(record))
 

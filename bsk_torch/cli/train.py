@@ -1,17 +1,18 @@
-"""``bsk-torch train``: train policies, compare them with baselines, and draw them."""
+"""``bsk-torch train`` and ``bsk-torch profile``: train policies, compare and draw them, and show where the time goes."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bsk_torch.cli.declaration import MACHINE, EnvironmentOptions, flag
+from bsk_torch.cli.declaration import MACHINE, EnvironmentOptions, Preset, flag
 from bsk_torch.cli.shared import environment
-from bsk_torch.cli.terminal import fail
+from bsk_torch.cli.terminal import activity, echo, fail, refusing, working
+from bsk_torch.tables import print_table
 
 if TYPE_CHECKING:
     from bsk_torch.rl.evaluation.evaluate import Evaluation
@@ -87,9 +88,9 @@ def train(
     if resume:
         folder = Path(preset)
         config = read(folder, changes)
-        given = [name for name in OF_NEW_RUNS if getattr(context.get_parameter_source(name), "name", None) == "COMMANDLINE"]
-        if given:
-            name = given[0].replace("_", "-")
+        changed = [name for name in OF_NEW_RUNS if getattr(context.get_parameter_source(name), "name", None) == "COMMANDLINE"]
+        if changed:
+            name = changed[0].replace("_", "-")
             fail(f"--{name} is for new runs; with --resume, changes are written as NAME=VALUE: learning_rate=1e-4")
         check_resumable(folder, config)
         runs, seed = {folder: config}, config.seed
@@ -105,10 +106,45 @@ def train(
     results = {name: evaluated(name, rule, env, seed) for name, rule in shared_baselines(env, seed).items()} if env else {}
     trained: dict[str, Evaluation] = {}
     for folder, config in runs.items():
-        found, interrupted = run(config, folder, env, results, seed, resume)
-        if found is not None:
-            trained[f"seed {config.seed}"] = found
+        result, interrupted = run(config, folder, env, results, seed, resume)
+        if result is not None:
+            trained[f"seed {config.seed}"] = result
         if interrupted:
             break
     if len(trained) > 1:
         print_results(results | trained, f"{config.preset}, {episodes} unseen episodes")
+
+
+def profile(
+    preset: Preset,
+    changes: Changes = None,
+    algorithm: Algorithm = None,
+    network: Network = None,
+    seconds: Annotated[float, flag("S", "CPU time to measure, without compilation.", min=0.01)] = 10.0,
+    *,
+    options: Annotated[dict[str, Any], ("backend", "device", "time_limit")],
+) -> None:
+    """Print where the CPU time of a training goes, decisions per CPU-second, and what to change.
+
+    Nothing is kept. The training is in one process and one thread, without evaluations.
+
+    Examples:
+        bsk-torch profile NadirScan-v1
+        bsk-torch profile AEOS-v1 --network attention num_envs=512 'hidden=[32]'
+    """
+    from bsk_torch.cli.training import configured
+    from bsk_torch.rl.marl.runs import training_of
+    from bsk_torch.rl.training.profile import advice, measure
+
+    config = configured(preset, algorithm, network, changes or [], options=options)
+    with refusing(), working(f"training {preset} for {seconds:g} s"):
+        costs = measure(config, seconds, training_of)
+    activity.report()
+    spent = costs.spent | {"all": costs.total}
+    rows = [
+        {"phase": phase, "us per decision": f"{us:,.2f}", "%": f"{100.0 * us / costs.total:.1f}"} for phase, us in spent.items()
+    ]
+    print_table(rows, f"{preset}: CPU time of a training in one process and one thread", left=("phase",))
+    echo(f"{1e6 / costs.total:,.0f} decisions per CPU-second")
+    for line in advice(costs):
+        echo(line)

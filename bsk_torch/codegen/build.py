@@ -126,7 +126,6 @@ def load(source: str, name: str) -> ctypes.CDLL:
 
 
 def _shipped(parts: list[str]) -> ctypes.CDLL | None:
-    """Return the library of a kernel from the folders of shipped ones, or None."""
     isas = [isa] if (isa := _chosen_isa()) else shipped.can_run()
     return next((library for path in shipped.candidates(parts, isas) if (library := _cached(path))), None)
 
@@ -216,7 +215,6 @@ def _build(source: str, path: Path, name: str, command: list[str]) -> None:
 
 
 def _run(command: list[str], folder: Path, cache_dir: Path) -> subprocess.CompletedProcess[str]:
-    """Run the compiler in a folder, the faster way first if there is one."""
     gcc = shipped.BUILDING.get() is None and re.match(r"(.*-)?g\+\+(-\d+)?$", Path(command[0]).name)
     quick = prepared.faster(command, cache_dir, processor()) if gcc else None
     for attempt in [quick, command] if quick else [command]:

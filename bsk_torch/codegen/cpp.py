@@ -168,7 +168,6 @@ def _statements(statements: Iterable[Statement], width: int = 0) -> Lines:
 
 
 def _load(value: Value) -> str:
-    """Read an input when a block begins."""
     origin, k = value.attr
     lane = {
         "state": f"state[{k} * n + row[l]]",
@@ -290,7 +289,6 @@ ENTRY = ["using namespace lanes;", "", 'extern "C" int lanes_width() { return W;
 
 
 def _independent(loop: LoweredLoop) -> Lines:
-    """Print a kernel in which every row has its own end."""
     ticks = [
         *_clock(loop),
         *_section(_statements(loop.body, loop.schedule)),

@@ -2,7 +2,7 @@
 
 A :class:`Program` is a graph of values in static single assignment form. Each :class:`Value` stands for one number of every row,
 and has an operation, arguments, a dtype and a lifetime. A :class:`Region` holds the values computed only where a mask
-holds. Equal operations are stored once, and known results are folded (:mod:`bsk_torch.codegen.fold`) when a value is made.
+holds. Equal operations are stored once, and known results are folded (:func:`fold`) when a value is made.
 
 :mod:`bsk_torch.codegen.trace` makes programs of tensor code, :mod:`bsk_torch.codegen.passes` turns a traced :class:`Loop` into
 the statements of a :class:`LoweredLoop`, and :mod:`bsk_torch.codegen.cpp` prints that.
@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-from collections.abc import Iterable, Iterator, Sequence
+import math
+import operator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import torch
-
-from bsk_torch.codegen.fold import fold
 
 DTYPES = (torch.float64, torch.float32, torch.bool)
 """Types of the numbers that a kernel computes with."""
@@ -178,14 +178,13 @@ class Program(Generic[V]):
         region.require_visible(inner for inner, _ in pairs)
         self.region.require_visible((region.mask, *(other for _, other in pairs)))
         self.region.statements.append(region)
-        return [self._merge(region, region.mask, *pair) for pair in pairs]
-
-    def _merge(self, region: Region, mask: Value, inner: V, other: V) -> V:
-        if inner is other:
-            return inner
-        value = self._new("merge", (mask, inner, other), None, inner.dtype, TICK, self.region)
-        region.merges.append(value)
-        return value
+        merged = []
+        for inner, other in pairs:
+            if inner is not other:
+                inner = self._new("merge", (region.mask, inner, other), None, inner.dtype, TICK, self.region)
+                region.merges.append(inner)
+            merged.append(inner)
+        return merged
 
     def _intern(self, op: str, args: tuple[Value, ...], attr: Any, dtype: torch.dtype, lifetime: int) -> V:
         """Return an equal value that is visible here, or a new one; values that outlive a tick are outside of all conditions."""
@@ -205,6 +204,70 @@ class Program(Generic[V]):
         self.count += 1
         region.statements.append(value)
         return value
+
+
+# -- results known in advance --------------------------------------------------------------------------------------------------
+
+
+def _divide(a: float, b: float) -> float:
+    if b != 0.0:
+        return a / b
+    return math.nan if a == 0.0 or math.isnan(a) else math.copysign(math.inf, a) * math.copysign(1.0, b)
+
+
+ARITHMETIC: dict[str, Callable[..., Any]] = {
+    "add": operator.add,
+    "sub": operator.sub,
+    "mul": operator.mul,
+    "div": _divide,
+    "neg": operator.neg,
+    "sqrt": lambda x: math.sqrt(x) if x >= 0.0 else math.nan,
+    "abs": abs,
+    "minimum": min,
+    "maximum": max,
+    **{name: getattr(operator, name) for name in ("gt", "lt", "ge", "le", "eq", "ne")},
+    "and": operator.and_,
+    "or": operator.or_,
+    "xor": operator.xor,
+    "not": operator.not_,
+    "cast": lambda x: x,
+}
+"""Operations whose results on constants equal those of a kernel."""
+
+NEUTRAL = {"add": 0.0, "sub": 0.0, "mul": 1.0, "div": 1.0}
+"""Right sides that change nothing but the sign of zero."""
+
+
+def fold(program: Program[Any], op: str, args: tuple[Value, ...], dtype: torch.dtype) -> Any:
+    """Return the value that ``op(args)`` equals, or None if it must be computed.
+
+    Only what no rounding and no special number could contradict is folded: ``x * 0`` stays, because x may be NaN; ``x + 0`` does
+    not, though it loses the sign of a negative zero.
+    """
+    numbers = [arg.number for arg in args]
+    if op in ARITHMETIC and None not in numbers:
+        return program.constant(ARITHMETIC[op](*numbers), dtype)
+    if op == "where":
+        return args[1] if numbers[0] is True or args[1] is args[2] else args[2] if numbers[0] is False else None
+    if op == "cast":
+        return _fold_cast(program, args[0], dtype)
+    if op == "neg" and args[0].op == "neg":
+        return args[0].args[0]
+    if op in NEUTRAL and numbers[1] == NEUTRAL[op]:
+        return args[0]
+    if op in ("add", "mul") and numbers[0] == NEUTRAL[op]:
+        return args[1]
+    return None
+
+
+def _fold_cast(program: Program[Any], value: Value, dtype: torch.dtype) -> Any:
+    """Fold the cast of a mask that was cast before, or of a choice between constants: float64 needs no float32 in between."""
+    if value.op == "cast" and value.args[0].dtype == torch.bool:
+        return program.cast(value.args[0], dtype)
+    if value.op == "where" and None not in (value.args[1].number, value.args[2].number):
+        mask, *choices = value.args
+        return program.operation("where", (mask, *(program.cast(choice, dtype) for choice in choices)), dtype)
+    return None
 
 
 # -- loops -------------------------------------------------------------------------------------------------------------------
@@ -257,7 +320,6 @@ class Loop:
     stop: Value | None = None
 
     def __post_init__(self) -> None:
-        """Raise ValueError for an unknown clock."""
         if not isinstance(self.clock, Value) and self.clock not in CLOCKS:
             raise ValueError(f"clock={self.clock!r} must be one of {list(CLOCKS)} or a row of the state")
 

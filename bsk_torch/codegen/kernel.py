@@ -55,10 +55,6 @@ class Kernel:
         self.name, self.loop = name, loop
         self.build(lockstep)
 
-    def build(self, lockstep: int) -> None:
-        """Build the library for groups of ``lockstep`` rows, or load it, so that no call has to wait for it."""
-        self._entry(lockstep)
-
     @cached_property
     def independent(self) -> Entry:
         """The library in which every row has its own end."""
@@ -71,7 +67,8 @@ class Kernel:
             raise ValueError(f"the {self.name} has no stop: its rows cannot run in lockstep")
         return Entry.of(self.loop, True, f"{self.name} in lockstep")
 
-    def _entry(self, lockstep: int) -> Entry:
+    def build(self, lockstep: int) -> Entry:
+        """Return the library for groups of ``lockstep`` rows, which is built or loaded first, so that no call has to wait."""
         return self.lockstep if self.loop.stop is not None and lockstep > 1 else self.independent
 
     def __call__(
@@ -137,7 +134,7 @@ class Kernel:
                 raise ValueError(f"a kernel got modes from {low} to {high}; they must lie in [0, {modes - 1}]")
         packs = n, state, shared, own, flags, modes, mode, ticks, nanoseconds, schedule
         records = [part for t in tracks for part in (t.table, t.start, t.owner, t.table.shape[1])]
-        expected, entry = counts if expected_ticks is None else expected_ticks, self._entry(lockstep)
+        expected, entry = counts if expected_ticks is None else expected_ticks, self.build(lockstep)
         if stops and lockstep > 1:
             check_groups(counts, lockstep)
             tiles = in_tiles(counts, expected, mode, lockstep, entry.width, present)

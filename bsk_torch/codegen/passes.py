@@ -84,8 +84,7 @@ def lower(loop: Loop, lockstep: bool = False) -> LoweredLoop:
 def live_values(loop: Loop) -> list[Value]:
     """Values on which the results of a loop depend, in the order in which they are computed.
 
-    Raises:
-        UntraceableError: For a result computed under a condition only.
+    UntraceableError for a result computed under a condition only.
     """
     loop.program.root.require_visible(loop.results)
     live: set[Value] = set()
@@ -99,7 +98,6 @@ def live_values(loop: Loop) -> list[Value]:
 
 
 def _values(region: Region) -> Iterator[Value]:
-    """Return the values of a region and of those inside it."""
     for item in region.statements:
         if isinstance(item, Region):
             yield from _values(item)
@@ -163,7 +161,6 @@ def changed(outputs: Sequence[Value]) -> list[tuple[int, Value]]:
 
 
 def _read_rows(live: Iterable[Value]) -> dict[int, Variable]:
-    """Return the rows of the state that a tick reads, as variables."""
     return {value.attr[1]: _row("state", value.attr[1], value) for value in live if value.is_input("state")}
 
 

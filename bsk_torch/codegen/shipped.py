@@ -30,7 +30,6 @@ LEVELS = {"avx512": "x86-64-v4", "avx2": "x86-64-v3", "default": "x86-64"}
 NARROWER = ("-march=", "-mcpu=", "-mtune=", "-mavx", "-mamx", "-mfma")
 """How options begin that choose the instructions of one processor."""
 
-
 READABLE = 0o755
 """Mode of folders and libraries made here: other users may run them."""
 
@@ -69,16 +68,15 @@ def building(folder: Path, isa: str | None = None) -> Iterator[Target]:
     able = can_run()
     if not able:
         raise ValueError(f"kernels for other machines can be built on x86-64 processors only, not on {platform.machine()}")
-    if isa is None:
-        isa = able[0]
+    isa = isa or able[0]
     if isa not in able:
         raise ValueError(f"isa={isa!r} must be one of {able}: kernels are loaded where they are built")
-    folder = Path(os.path.abspath(folder))
-    folder.mkdir(mode=READABLE, parents=True, exist_ok=True)
-    check_owner(folder)
-    token = BUILDING.set(Target(folder, isa))
+    target = Target(Path(os.path.abspath(folder)), isa)
+    target.folder.mkdir(mode=READABLE, parents=True, exist_ok=True)
+    check_owner(target.folder)
+    token = BUILDING.set(target)
     try:
-        yield Target(folder, isa)
+        yield target
     finally:
         BUILDING.reset(token)
 

@@ -40,7 +40,6 @@ class Proxy(Value):
 
     @classmethod
     def __torch_function__(cls, func: Any, types: Any, args: Sequence[Any] = (), kwargs: Any = None) -> Any:
-        """Torch functions add operations."""
         return _build(getattr(func, "__name__", str(func)), "torch.", args, kwargs or {})
 
     def __getattr__(self, name: str) -> Any:
@@ -62,7 +61,6 @@ UNKNOWN = "has no kernel: kernels compute element by element, what bsk_torch.cod
 
 
 def _build(name: str, prefix: str, args: Sequence[Any], kwargs: dict[str, Any]) -> Proxy:
-    """Return the operation of a torch function."""
     if name not in FUNCTIONS:
         raise UntraceableError(f"{prefix}{name} {UNKNOWN}")
     try:

@@ -38,8 +38,8 @@ class Reading:
         if "step_time" not in self.track.arrays:
             raise ValueError(f"track {track} has no steps, which figures show: record the episode again with this version")
         r_N = self.track.arrays["r_N"]
-        there = [k for k, craft in enumerate(self.crafts) if np.isfinite(r_N[:, k]).all() and craft.kind != CHIEF]
-        self.columns = [k for k in self.scene.viewers if k in there] if viewers else there
+        present = [k for k, craft in enumerate(self.crafts) if np.isfinite(r_N[:, k]).all() and craft.kind != CHIEF]
+        self.columns = [k for k in self.scene.viewers if k in present] if viewers else present
         self.names = [self.crafts[k].name for k in self.columns]
         self.times = self.array("step_time")
 
@@ -58,8 +58,8 @@ class Reading:
 
     def values(self, name: str) -> Tensor | None:
         """Return a quantity at the boundaries, [S, B, width]; None where it was not recorded."""
-        listed = [k for k, known in enumerate(self.track.quantities) if known == name or known.rpartition("_")[0] == name]
-        return self.array("step_values")[:, self.columns][..., listed].transpose(0, 1) if listed else None
+        indices = [k for k, column in enumerate(self.track.quantities) if name in (column, column.rpartition("_")[0])]
+        return self.array("step_values")[:, self.columns][..., indices].transpose(0, 1) if indices else None
 
     @cached_property
     def deaths(self) -> Tensor:
@@ -74,12 +74,12 @@ class Reading:
         who = self.array("decision_satellite").tolist()
         rows = [row for row, satellite in enumerate(who) if satellite in number]
         kinds = self.array("decision_task").tolist()
-        named = [self.crafts[who[row]].tasks[kinds[row]] for row in rows]
-        names = list(dict.fromkeys(named))
+        labels = [self.crafts[who[row]].tasks[kinds[row]] for row in rows]
+        names = list(dict.fromkeys(labels))
         return Tasks(
             satellite=torch.tensor([number[who[row]] for row in rows], dtype=torch.int64),
             spans=torch.stack([self.array("decision_time"), self.array("decision_end")], -1)[rows],
-            kind=torch.tensor([names.index(name) for name in named], dtype=torch.int64),
+            kind=torch.tensor([names.index(name) for name in labels], dtype=torch.int64),
             names=names,
         )
 
@@ -108,10 +108,10 @@ class Reading:
         if not len(a):
             return None
         last = self.times[-1]
-        held = torch.zeros(len(self.times), len(self.crafts), len(self.crafts), dtype=torch.bool)
+        linked = torch.zeros(len(self.times), len(self.crafts), len(self.crafts), dtype=torch.bool)
         for first, second, since, until in zip(a.tolist(), b.tolist(), start.tolist(), end.tolist(), strict=True):
-            held[(self.times >= since) & ((self.times < until) | (last == until)), first, second] = True
-        return held[:, self.columns][:, :, self.columns]
+            linked[(self.times >= since) & ((self.times < until) | (last == until)), first, second] = True
+        return linked[:, self.columns][:, :, self.columns]
 
     def intervals(self, name: str, column: int) -> Tensor:
         """Return start and end of the ``passes`` or ``eclipses`` of a satellite, by its number in the recording, [n, 2] s."""

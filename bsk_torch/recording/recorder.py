@@ -66,6 +66,11 @@ BAD: dict[str, Literal["low", "high"]] = {
 """Which values of a quantity endanger a satellite."""
 
 
+EVENT_COLUMNS = {"event_time": "f8", "event_satellite": "i4", "event_target": "i4", "event_kind": "i4"}
+COLUMNS = {"time": "f8", "satellite": "i4", "action": "i4", "target": "i4", "reward": "f8", "task": "i4", "priority": "f8"}
+"""Types of the arrays of decisions that hold a number for each."""
+
+
 @dataclass
 class Choice:
     """A decision of a satellite; see the arrays ``decision_...`` of a track."""
@@ -126,8 +131,7 @@ class Flight:
     def __init__(self, env: Tasking, policy: Actor) -> None:
         """Record ``env`` under ``policy``; see :func:`~bsk_torch.rl.policies.as_policy`.
 
-        Raises:
-            ValueError: For a constellation with one agent for all satellites.
+        ValueError for a constellation with one agent for all satellites.
         """
         self.env, self.slots, self.policy = env, _slots(env), as_policy(policy, env)
         self.noted, self.choices, self.actions = _Noted(), list[Choice](), list[TensorDictBase]()
@@ -157,10 +161,10 @@ class Flight:
         self.scene = scene_of(env, seed, self.targets)
         self.highest = self.targets.priority
         self._look()
-        known = dict.fromkeys(name for part in env.satellites for name in part.simulator.state.layout.fields)
-        wanted = ["r_BN_N", "v_BN_N", "sigma_BN", RELATIVE, "rho_dot_H", "illumination", "station_access", *FIELDS.values()]
+        fields = dict.fromkeys(name for part in env.satellites for name in part.simulator.state.layout.fields)
+        names = ["r_BN_N", "v_BN_N", "sigma_BN", RELATIVE, "rho_dot_H", "illumination", "station_access", *FIELDS.values()]
         playing = torch.arange(env.batch_size[0], device=env.device) == 0
-        with env.record([name for name in wanted if name in known], rows=0) as recording:
+        with env.record([name for name in names if name in fields], rows=0) as recording:
             for _, step in play_episodes(env, self._player(player, past or [], change), start, playing):
                 self._note(step)
                 if until is not None and self.noted.times[-1] >= until:
@@ -168,7 +172,8 @@ class Flight:
         return Flown(track=self._track(recording.of(0)), seed=seed, actions=self.actions, choices=self.choices)
 
     def _player(self, policy: Policy, past: list[TensorDictBase], change: Any) -> Policy:
-        """The policy, with the actions of the past and the change."""
+        env = self.env
+        keys: list[Any] = [(g.name, "action") for g in env.groups] if isinstance(env, ConstellationTasking) else ["action"]
 
         def act(tensordict: TensorDictBase) -> TensorDictBase:
             number = len(self.actions)
@@ -177,7 +182,7 @@ class Flight:
                 decided.update(past[number])
             if change is not None:
                 change(number, decided)
-            self.actions.append(decided.select(*_action_keys(self.env)).clone())
+            self.actions.append(decided.select(*keys).clone())
             return decided
 
         return act
@@ -185,7 +190,6 @@ class Flight:
     # -- between steps ------------------------------------------------------------------------------------------------
 
     def _look(self) -> None:
-        """Note the state at a boundary of steps."""
         env, noted = self.env, self.noted
         noted.times.append(float(env.fleet.sim_time[0]))
         noted.sun_N.append(_sun(env))
@@ -211,15 +215,14 @@ class Flight:
             noted.objects.append((noted.times[-1], now.r.float(), now.v_N.float()))
 
     def _note(self, step: TensorDictBase) -> None:
-        """Note a step that has been taken."""
         env, noted = self.env, self.noted
         begin = noted.times[-1]
         counted, progress, dead, removed = self.counted, self.progress, self.dead, self.removed
         rewards = torch.full((env.fleet.size,), torch.nan, dtype=torch.float64)
         for slot, (at, number, member, satellite) in enumerate(self.slots):
             group = self.types[satellite]
-            found = step if at is None else step[at]
-            part = _entries(found, at, number, member)
+            entries = step if at is None else step[at]
+            part = _entries(entries, at, number, member)
             if not bool(removed[satellite]) and _decides(group, part["action"]):
                 if at is not None and member is None and ACTION_VALUE in step.keys():  # noqa: SIM118  - of all agents
                     part[ACTION_VALUE] = step[ACTION_VALUE][0, slot]
@@ -237,7 +240,6 @@ class Flight:
             noted.deaths.append(Death(satellite=k, time=noted.times[-1], causes=[c for c in causes[k].split(", ") if c]))
 
     def _choice(self, slot: int, part: TensorDictBase, group: SatelliteGroup, satellite: int, begin: float) -> Choice:
-        """The decision of an agent in a step."""
         action, mask, control, task = NONE, list[bool](), list[float](), 0
         if form(group) is not None:
             control = read("action", part["action"].unsqueeze(0), group, (1,))[0].double().tolist()
@@ -268,7 +270,6 @@ class Flight:
         )
 
     def _note_events(self, counted: Mapping[str, Tensor], before: RecordedProgress) -> None:
-        """Note the images, inspections and deliveries of the last step."""
         env, now, events = self.env, self.noted.times[-1], self.noted.events
         if "done" in before.marks:
             for target in torch.nonzero(self.progress.marks["done"] & ~before.marks["done"]).flatten().tolist():
@@ -297,7 +298,6 @@ class Flight:
     # -- the whole flight ---------------------------------------------------------------------------------------------
 
     def _track(self, ticks: TensorDictBase) -> Track:
-        """The flight as a track."""
         env, noted = self.env, self.noted
         size = env.fleet.size
         time = ticks["time"].cpu().numpy()
@@ -313,18 +313,19 @@ class Flight:
             r_N, v_N, sigma = (np.concatenate([part, np.zeros_like(part[:, :1])], 1) for part in (r_N, v_N, sigma))
         close = relative or self.targets.places == "points"
         sun = torch.stack(noted.sun_N).cpu().double().numpy()
+        sun_N = np.stack([np.interp(time[keys], boundaries, sun[:, axis]) for axis in range(3)], -1)
         crafts = crafts_of(env)
-        named, values_time, values = self._series(time, data, len(crafts))
+        series, values_time, values = self._series(time, data, len(crafts))
         arrays: dict[str, Array] = {
             "key_times": time[keys],
             "r_N": r_N if close else r_N.astype("f4"),
             "v_N": v_N if close else v_N.astype("f4"),
-            "sun_N": _unit(np.stack([np.interp(time[keys], boundaries, sun[:, axis]) for axis in range(3)], -1)),
+            "sun_N": sun_N / np.linalg.norm(sun_N, axis=-1, keepdims=True),
             "sigma": sigma,
             "series_times": values_time,
             "series": values,
             **self._decision_arrays(max((len(c.actions) for c in crafts), default=0), max(len(c.observation) for c in crafts)),
-            **_event_arrays(noted.events),
+            **_sorted_columns(noted.events, EVENT_COLUMNS),
             **_link_arrays(boundaries, torch.stack(noted.links)),
             **_interval_arrays("passes", time, data.get("station_access")),
             **_interval_arrays("eclipses", time, 1.0 - data["illumination"] if "illumination" in data else None),
@@ -347,7 +348,7 @@ class Flight:
             duration=noted.times[-1],
             limit=limit if math.isfinite(limit) else None,
             deaths=noted.deaths,
-            series=named,
+            series=series,
             counts={name: int(count[0].sum()) for name, count in env.counts().items()},
             attitude_start=float(time[0]),
             attitude_step=step,
@@ -377,30 +378,27 @@ class Flight:
         """Names, times [J] and values [J, S, n] of the quantities over time."""
         noted = self.noted
         boundaries = np.array(noted.times)
-        chosen = np.arange(0, len(time), self._stride())
+        chosen = np.arange(0, len(time), max(1, round(SAMPLE / float(self.env.fleet.h))))
         if len(boundaries) < len(chosen):
             chosen = np.union1d(chosen, np.searchsorted(time, boundaries).clip(max=len(time) - 1))
         chosen = np.union1d(chosen, [len(time) - 1])
-        named, columns = list[Series](), list[Array]()
+        series, columns = list[Series](), list[Array]()
         for name, title in QUANTITIES.items():
             if FIELDS[name] in data and name in noted.quantities[0]:
                 fraction = np.stack([np.abs(now[name].numpy()).max(-1) for now in noted.quantities])  # [B, S]
-                named.append(Series(name=name, label=title, bad=BAD[name]))
+                series.append(Series(name=name, label=title, bad=BAD[name]))
                 columns.append(_scaled(time, chosen, data[FIELDS[name]], boundaries, fraction))
         if "illumination" in data:
-            named.append(Series(name="sunlit", label="sunlit"))
+            series.append(Series(name="sunlit", label="sunlit"))
             columns.append(data["illumination"][chosen])
         earned = np.zeros((len(chosen), self.env.fleet.size))
         for choice, end in zip(self.choices, self._ends(), strict=True):
             earned[int(np.searchsorted(time[chosen], end)) :, choice.satellite] += choice.reward
-        named.append(Series(name="reward", label="reward so far"))
+        series.append(Series(name="reward", label="reward so far"))
         columns.append(earned)
         values = np.stack(columns, -1)
         missing = size - values.shape[1]
-        return named, time[chosen], np.pad(values, ((0, 0), (0, missing), (0, 0)), constant_values=np.nan)
-
-    def _stride(self) -> int:
-        return max(1, round(SAMPLE / float(self.env.fleet.h)))
+        return series, time[chosen], np.pad(values, ((0, 0), (0, missing), (0, 0)), constant_values=np.nan)
 
     def _ends(self) -> Array:
         """Times at which decisions are followed by others of the same satellites, or the flight ends, [D]."""
@@ -417,18 +415,15 @@ class Flight:
             row[: len(choice.mask)] = choice.mask
         controls = max((len(choice.control) for choice in choices), default=0)
         return {
-            "decision_time": np.array([choice.time for choice in choices], "f8"),
+            **{
+                f"decision_{name}": np.array([getattr(choice, name) for choice in choices], kind)
+                for name, kind in COLUMNS.items()
+            },
             "decision_end": self._ends(),
-            "decision_satellite": np.array([choice.satellite for choice in choices], "i4"),
-            "decision_action": np.array([choice.action for choice in choices], "i4"),
-            "decision_target": np.array([choice.target for choice in choices], "i4"),
-            "decision_reward": np.array([choice.reward for choice in choices], "f8"),
             "decision_mask": masks,
             "decision_probability": _padded([choice.probability for choice in choices], actions),
             "decision_action_value": _padded([choice.value for choice in choices], actions),
             "observation": _padded([choice.observation for choice in choices], observed),
-            "decision_task": np.array([choice.task for choice in choices], "i4"),
-            "decision_priority": np.array([choice.priority for choice in choices], "f8"),
             **({"decision_control": _padded([choice.control for choice in choices], controls)} if controls else {}),
         }
 
@@ -527,17 +522,13 @@ def _decides(group: SatelliteGroup, action: Tensor) -> bool:
     return bool(acts(read("action", action.unsqueeze(0), group, (1,)), group, 1)[0])
 
 
-def _entries(found: TensorDictBase, at: str | None, number: int, member: int | None) -> TensorDictBase:
+def _entries(entries: TensorDictBase, at: str | None, number: int, member: int | None) -> TensorDictBase:
     """What an agent of episode 0 has observed and done; of an agent of several satellites, what it has told one of them."""
     if member is not None:
-        return TensorDict({"action": found["action"][0, number, member]})
-    names = [name for name in ("observation", "action", "action_mask", "logits", ACTION_VALUE) if name in found.keys()]  # noqa: SIM118
-    chosen = found.select(*names)
+        return TensorDict({"action": entries["action"][0, number, member]})
+    names = [name for name in ("observation", "action", "action_mask", "logits", ACTION_VALUE) if name in entries.keys()]  # noqa: SIM118
+    chosen = entries.select(*names)
     return chosen[0] if at is None else chosen[0, number]
-
-
-def _action_keys(env: Tasking) -> list[Any]:
-    return [(g.name, "action") for g in env.groups] if isinstance(env, ConstellationTasking) else ["action"]
 
 
 def _opinion(policy: TensorDictModuleBase, part: TensorDictBase, group: str | None) -> tuple[list[float], list[float]]:
@@ -545,20 +536,20 @@ def _opinion(policy: TensorDictModuleBase, part: TensorDictBase, group: str | No
 
     Policies write ``logits`` or ``action_value``. Those of one satellite that act for each of a constellation are asked again.
     """
-    known = {"logits", ACTION_VALUE}
-    if group is not None and isinstance(policy, SharedPolicy | GroupPolicies) and not known & set(part.keys()):
+    outputs = {"logits", ACTION_VALUE}
+    if group is not None and isinstance(policy, SharedPolicy | GroupPolicies) and not outputs & set(part.keys()):
         single = policy.policies[group] if isinstance(policy, GroupPolicies) else policy.policy
-        seen = part.select("observation", "action_mask").unsqueeze(0)
-        seen["action_mask"] = seen["action_mask"][..., :-1]
-        part = part if LOT in single.in_keys else decide(single, seen)[0]
+        situation = part.select("observation", "action_mask").unsqueeze(0)
+        situation["action_mask"] = situation["action_mask"][..., :-1]
+        part = part if LOT in single.in_keys else decide(single, situation)[0]
     logits, values = part.get("logits", None), part.get(ACTION_VALUE, None)
     chances, worths = list[float](), list[float]()
     if logits is not None:
         chances = torch.where(part["action_mask"][: logits.shape[-1]], logits.double(), -torch.inf).softmax(-1).tolist()
     if values is not None:
         values = values.double().reshape(-1)[: part["action_mask"].shape[-1]]  # planners write those of the one agent as [1, A]
-        told = part["action_mask"][: len(values)] & torch.isfinite(values)
-        worths = torch.where(told, values, torch.nan).tolist()
+        rated = part["action_mask"][: len(values)] & torch.isfinite(values)
+        worths = torch.where(rated, values, torch.nan).tolist()
     return chances, worths
 
 
@@ -572,8 +563,8 @@ def _sun(env: Tasking) -> Tensor:
 
 def _by_satellite(values: Tensor, size: int) -> Array:
     """Recorded values as [M, S, ...]; the width 1 is left out."""
-    found = values.cpu().double().numpy()
-    return found[:, None] if size == 1 else found
+    array = values.cpu().double().numpy()
+    return array[:, None] if size == 1 else array
 
 
 def _keyframes(time: Array, boundaries: Array) -> Array:
@@ -590,42 +581,39 @@ def _scaled(time: Array, chosen: Array, values: Array, boundaries: Array, fracti
     at = np.searchsorted(time, boundaries).clip(max=len(time) - 1)
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = fraction / field_of[at]
-    found = np.empty((len(chosen), field_of.shape[1]))
+    fractions = np.empty((len(chosen), field_of.shape[1]))
     for k in range(field_of.shape[1]):
         good = np.isfinite(scale[:, k])
         of_time = np.interp(time[chosen], boundaries[good], scale[good, k]) if good.any() else np.zeros(len(chosen))
-        found[:, k] = np.where(np.isfinite(field_of[chosen, k]), field_of[chosen, k] * of_time, np.nan)
-    return found
+        fractions[:, k] = np.where(np.isfinite(field_of[chosen, k]), field_of[chosen, k] * of_time, np.nan)
+    return fractions
 
 
-def _event_arrays(events: list[tuple[float, int, int, int]]) -> dict[str, Array]:
-    ordered = sorted(events)
-    columns: list[Any] = list(zip(*ordered, strict=True)) or [(), (), (), ()]
-    names = ("event_time", "event_satellite", "event_target", "event_kind")
-    return {name: np.array(column, "f8" if name == "event_time" else "i4") for name, column in zip(names, columns, strict=True)}
+def _sorted_columns(rows: list[Any], kinds: dict[str, str]) -> dict[str, Array]:
+    """Rows in their order as arrays by name, of the types ``kinds``."""
+    columns: list[Any] = list(zip(*sorted(rows), strict=True)) or [()] * len(kinds)
+    return {name: np.array(column, kind) for (name, kind), column in zip(kinds.items(), columns, strict=True)}
 
 
 def _link_arrays(boundaries: Array, links: Tensor) -> dict[str, Array]:
     """Links between satellites, from the boundary at which they are in force until the first one at which they are not."""
     either = (links | links.mT).numpy()
-    found = []
+    rows = []
     for a, b in zip(*np.nonzero(np.triu(either.any(0), 1)), strict=True):
         for start, end in _spans(boundaries, either[:, a, b]):
-            found.append((start, end, a, b))
-    columns: list[Any] = list(zip(*sorted(found), strict=True)) or [(), (), (), ()]
-    names = ("link_start", "link_end", "link_a", "link_b")
-    return {name: np.array(column, "f8" if k < 2 else "i4") for k, (name, column) in enumerate(zip(names, columns, strict=True))}
+            rows.append((start, end, a, b))
+    return _sorted_columns(rows, {"link_start": "f8", "link_end": "f8", "link_a": "i4", "link_b": "i4"})
 
 
 def _interval_arrays(name: str, time: Array, values: Array | None) -> dict[str, Array]:
     """Intervals, by satellite, in which a recorded value [M, S] is more than a half."""
-    found = []
+    intervals = []
     for k in range(0 if values is None else values.shape[1]):
         assert values is not None
-        found += [
+        intervals += [
             (start, end, k) for start, end in _spans(time, np.nan_to_num(values[:, k].reshape(len(time), -1).max(-1)) > 0.5)
         ]
-    rows = np.array(sorted(found), "f8").reshape(-1, 3)
+    rows = np.array(sorted(intervals), "f8").reshape(-1, 3)
     return {name: rows[:, :2], f"{name}_satellite": rows[:, 2].astype("i4")}
 
 
@@ -636,21 +624,15 @@ def _spans(times: Array, holds: Array) -> list[tuple[float, float]]:
     return [(float(times[a]), float(times[min(b, last)])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def _unit(vectors: Array) -> Array:
-    found: Array = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return found
-
-
 def _flat(observed: Any) -> list[float]:
     """Numbers of an observation, in the order of their names."""
     if isinstance(observed, Tensor):
-        numbers: list[float] = observed.double().flatten().tolist()
-        return numbers
+        return list(observed.double().flatten().tolist())
     return [number for value in observed.values() for number in _flat(value)]
 
 
 def _padded(rows: list[list[float]], width: int) -> Array:
-    found = np.full((len(rows), max([width, *map(len, rows)])), np.nan)
-    for row, values in zip(found, rows, strict=True):
+    table = np.full((len(rows), max([width, *map(len, rows)])), np.nan)
+    for row, values in zip(table, rows, strict=True):
         row[: len(values)] = values
-    return found
+    return table

@@ -325,8 +325,8 @@ class Recording:
     def encode(self) -> bytes:
         """Return the content of a file; ValueError for a recording that contradicts itself, or is too large."""
         check(self)
-        listed, payload = _packed(_all_arrays(self))
-        header = {"version": VERSION, "payload_bytes": len(payload), **_plain(self), "arrays": listed}
+        entries, payload = _packed(_all_arrays(self))
+        header = {"version": VERSION, "payload_bytes": len(payload), **_plain(self), "arrays": entries}
         text = json.dumps(header, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
         text += b" " * (-(len(MAGIC) + 8 + len(text)) % 8)
         content = MAGIC + struct.pack("<II", VERSION, len(text)) + text + payload
@@ -398,10 +398,10 @@ def decode(content: bytes) -> Recording:
     header, payload = _opened(content)
     try:
         arrays = {name: _unpacked(entry, payload) for name, entry in header.arrays.items()}
-        scenes = [replace(scene, arrays=_own_arrays(f"s{k}/", arrays)) for k, scene in enumerate(header.scenes)]
-        tracks = [replace(track, arrays=_own_arrays(f"t{k}/", arrays)) for k, track in enumerate(header.tracks)]
-        whole = {part.name: getattr(header, part.name) for part in fields(Recording)} | {"scenes": scenes, "tracks": tracks}
-        recording = Recording(**whole)
+        scenes = [replace(scene, arrays=_arrays_of(f"s{k}/", arrays)) for k, scene in enumerate(header.scenes)]
+        tracks = [replace(track, arrays=_arrays_of(f"t{k}/", arrays)) for k, track in enumerate(header.tracks)]
+        parts = {part.name: getattr(header, part.name) for part in fields(Recording)} | {"scenes": scenes, "tracks": tracks}
+        recording = Recording(**parts)
         check(recording)
     except ValueError as error:
         raise ValueError(f"a damaged recording: {error}") from error
@@ -409,7 +409,6 @@ def decode(content: bytes) -> Recording:
 
 
 def _opened(content: bytes) -> tuple[Header, bytes]:
-    """Header and payload of the content of a file."""
     foreign = f"not a recording of the viewer: those are written by 'bsk-torch view' as *{SUFFIX}"
     try:
         raw = gunzip(content, LARGEST)
@@ -442,15 +441,13 @@ def _opened(content: bytes) -> tuple[Header, bytes]:
 
 
 def _plain(recording: Recording) -> dict[str, Any]:
-    """The recording without its arrays, as JSON can hold it."""
-    found = {entry.name: getattr(recording, entry.name) for entry in fields(recording)}
+    entries = {entry.name: getattr(recording, entry.name) for entry in fields(recording)}
     for name in ("satellites", "scenes", "tracks"):
-        found[name] = [{key: value for key, value in asdict(part).items() if key != "arrays"} for part in found[name]]
-    return found
+        entries[name] = [{key: value for key, value in asdict(part).items() if key != "arrays"} for part in entries[name]]
+    return entries
 
 
 def _all_arrays(recording: Recording) -> Iterator[tuple[str, Form, Array]]:
-    """Every array with its name in the file."""
     owners: list[tuple[str, dict[str, Form], list[dict[str, Array]]]] = [
         ("s", SCENE_ARRAYS, [scene.arrays for scene in recording.scenes]),
         ("t", TRACK_ARRAYS, [track.arrays for track in recording.tracks]),
@@ -463,39 +460,38 @@ def _all_arrays(recording: Recording) -> Iterator[tuple[str, Form, Array]]:
 
 
 def _packed(arrays: Iterator[tuple[str, Form, Array]]) -> tuple[dict[str, Any], bytes]:
-    """The list of arrays for the header, and their bytes."""
-    listed: dict[str, Any] = {}
+    entries: dict[str, Any] = {}
     parts: list[bytes] = []
     offset = 0
     for name, form, value in arrays:
         dtype = stored_as(form, value)
-        listed[name] = {"dtype": dtype, "shape": list(value.shape), "offset": offset}
+        entries[name] = {"dtype": dtype, "shape": list(value.shape), "offset": offset}
         if dtype == "i2":
-            listed[name]["scale"] = SIGMA_SCALE
-            whole = np.rint(np.clip(np.asarray(value, "f8"), -1.0, 1.0) / SIGMA_SCALE)
-            value = np.where(np.isnan(whole), NOT_A_NUMBER, whole)
+            entries[name]["scale"] = SIGMA_SCALE
+            numbers = np.rint(np.clip(np.asarray(value, "f8"), -1.0, 1.0) / SIGMA_SCALE)
+            value = np.where(np.isnan(numbers), NOT_A_NUMBER, numbers)
         if form.rounded:
             value = _rounded(value)
         raw = np.ascontiguousarray(value, f"<{dtype}" if dtype != "u1" else "u1").tobytes()
         raw += bytes(-len(raw) % 8)
         parts.append(raw)
         offset += len(raw)
-    return listed, b"".join(parts)
+    return entries, b"".join(parts)
 
 
 def _rounded(values: Array) -> Array:
     """Numbers rounded to :data:`BITS` binary digits, as float32."""
     dropped = 24 - BITS
-    whole = np.ascontiguousarray(values, "f4").view("u4")
-    rounded = ((whole.astype("u8") + (1 << (dropped - 1))) >> dropped << dropped).astype("u4").view("f4")
-    found: Array = np.where(np.isfinite(rounded), rounded, values).astype("f4")
-    return found
+    digits = np.ascontiguousarray(values, "f4").view("u4")
+    rounded = ((digits.astype("u8") + (1 << (dropped - 1))) >> dropped << dropped).astype("u4").view("f4")
+    result: Array = np.where(np.isfinite(rounded), rounded, values).astype("f4")
+    return result
 
 
 def stored_as(form: Form, value: Array) -> str:
     """Return the type in which an array is stored: its own where the form allows it, otherwise the first of the form."""
-    own = f"{value.dtype.kind}{value.dtype.itemsize}"
-    return own if own in form.dtypes else form.dtypes[0]
+    dtype = f"{value.dtype.kind}{value.dtype.itemsize}"
+    return dtype if dtype in form.dtypes else form.dtypes[0]
 
 
 def _unpacked(entry: ArrayEntry, payload: bytes) -> Array:
@@ -509,7 +505,7 @@ def _unpacked(entry: ArrayEntry, payload: bytes) -> Array:
     return np.where(value == NOT_A_NUMBER, np.nan, value * entry.scale).astype("f4")
 
 
-def _own_arrays(prefix: str, arrays: Mapping[str, Array]) -> dict[str, Array]:
+def _arrays_of(prefix: str, arrays: Mapping[str, Array]) -> dict[str, Array]:
     return {name.removeprefix(prefix): value for name, value in arrays.items() if name.startswith(prefix)}
 
 
@@ -518,7 +514,7 @@ def check(recording: Recording) -> None:
     if not recording.tracks:
         raise ValueError("tracks=[] must hold at least one flight")
     crafts = recording.satellites
-    known = {
+    common = {
         "S": len(crafts),
         "A": max((len(craft.actions) for craft in crafts), default=0),
         "O": max((len(craft.observation) for craft in crafts), default=0),
@@ -532,15 +528,15 @@ def check(recording: Recording) -> None:
         if track.parent is not None and not 0 <= track.parent < k:
             raise ValueError(f"track {k}: parent={track.parent} must be one of the tracks before it")
         targets = sizes[track.scene]["T"]
-        listed = {"n": len(track.series), "q": len(track.quantities), "m": len(track.marks)}
-        _check_forms(f"track {k}", TRACK_ARRAYS, track.arrays, known | listed | {"T": targets})
+        widths = {"n": len(track.series), "q": len(track.quantities), "m": len(track.marks)}
+        _check_forms(f"track {k}", TRACK_ARRAYS, track.arrays, common | widths | {"T": targets})
         tasks = max((len(craft.tasks) for craft in crafts), default=0)
-        _check_values(f"track {k}", track.arrays, len(crafts), known["A"], targets, tasks)
+        _check_values(f"track {k}", track.arrays, len(crafts), common["A"], targets, tasks)
 
 
-def _check_forms(title: str, forms: Mapping[str, Form], arrays: Mapping[str, Array], known: Mapping[str, int]) -> dict[str, int]:
+def _check_forms(title: str, forms: Mapping[str, Form], arrays: Mapping[str, Array], fixed: Mapping[str, int]) -> dict[str, int]:
     """Raise ValueError for missing or unknown arrays and for wrong shapes; return the sizes of the dimensions."""
-    sizes = dict(known)
+    sizes = dict(fixed)
     missing = [name for name, form in forms.items() if form.required and name not in arrays]
     unknown = [name for name in arrays if name not in forms]
     if missing or unknown:

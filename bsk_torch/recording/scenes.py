@@ -75,15 +75,15 @@ def quantities(fleet: SatelliteFleet) -> dict[str, Tensor]:
     """Return :data:`QUANTITIES` and fuel, m/s, of the satellites of episode 0, [S, width] each; NaN for those without them."""
     values = {name: [getattr(part.dynamics, name, None) for part in fleet.satellites] for name in QUANTITIES}
     values["fuel"] = [part.fsw.dv_available if part.simulator.has_tank else None for part in fleet.satellites]
-    found = {}
+    table = {}
     for name, parts in values.items():
         rows = [torch.empty(simulator.state.rows, 0, dtype=torch.float64, device=fleet.device) for simulator in fleet.simulators]
         rows = [row if part is None else part.double().reshape(len(row), -1) for row, part in zip(rows, parts, strict=True)]
         width = max(row.shape[1] for row in rows)
         if width:
             wide = [torch.nn.functional.pad(row, (0, width - row.shape[1]), value=torch.nan) for row in rows]
-            found[name] = fleet.joined(wide)[0].cpu()
-    return found
+            table[name] = fleet.joined(wide)[0].cpu()
+    return table
 
 
 def causes_of(env: Tasking, row: int) -> list[str]:
@@ -91,9 +91,9 @@ def causes_of(env: Tasking, row: int) -> list[str]:
     causes = [""] * env.fleet.size
     for satellite in env.satellites:
         simulator, first = satellite.simulator, row * satellite.simulator.count
-        mine = slice(first, first + simulator.count)
-        failed = {name: (~passed[mine]).tolist() for name, passed in satellite.aliveness().items()}
-        for k, (column, dead) in enumerate(zip(simulator.columns, satellite.task.dead[mine].tolist(), strict=True)):
+        rows = slice(first, first + simulator.count)
+        failed = {name: (~passed[rows]).tolist() for name, passed in satellite.aliveness().items()}
+        for k, (column, dead) in enumerate(zip(simulator.columns, satellite.task.dead[rows].tolist(), strict=True)):
             if dead:
                 causes[column] = ", ".join(CAUSES.get(name, name) for name, column_failed in failed.items() if column_failed[k])
     return causes
@@ -132,12 +132,12 @@ def _planes(env: Tasking) -> list[int]:
 
 def crafts_of(env: Tasking) -> list[Craft]:
     """Return the satellites of an environment in the order of its names, and the chief if it is not one of them."""
-    found: dict[int, Craft] = {}
+    crafts: dict[int, Craft] = {}
     for satellite in env.satellites:
         for number, column in enumerate(satellite.simulator.columns):
-            found[column] = _craft(satellite, env.fleet.names[column], number)
+            crafts[column] = _craft(satellite, env.fleet.names[column], number)
     chief = [Craft(name=CHIEF, kind=CHIEF, actions=[])] if is_relative(env) else []
-    return [found[column] for column in sorted(found)] + chief
+    return [crafts[column] for column in sorted(crafts)] + chief
 
 
 def _craft(satellite: SatelliteGroup, name: str, number: int) -> Craft:
@@ -208,5 +208,5 @@ def station_elevation(env: Tasking) -> float:
 
 
 def _array(value: Tensor) -> Array:
-    found: Array = value.detach().double().cpu().numpy()
-    return found
+    array: Array = value.detach().double().cpu().numpy()
+    return array

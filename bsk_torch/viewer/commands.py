@@ -173,7 +173,6 @@ def _branch(text: str) -> tuple[int, int]:
 
 
 def _write(source: object, out: Path) -> None:
-    """Write flights in the form that the name of the file asks for."""
     recordings = extra("bsk_torch.recording.recording")
     recording = source if isinstance(source, recordings.Recording) else source.recording()  # type: ignore[attr-defined]
     if out.suffix == ".html":

@@ -95,7 +95,6 @@ def _way(recording: Recording, track: int) -> list[tuple[int, float]]:
 
 
 def _future(recording: Recording, number: int, begin: float, start: datetime) -> list[dict[str, Any]]:
-    """The satellites of another track from a time on, below an entry with its label."""
     flight, scene = recording.tracks[number], recording.scenes[recording.tracks[number].scene]
     folder = f"track/{number}"
     packets: list[dict[str, Any]] = [{"id": folder, "name": flight.label}]
@@ -134,8 +133,8 @@ def _satellite(
 ) -> dict[str, Any]:
     """A satellite of a track, with its path in a color, from a time on."""
     times, r_N = flight.arrays["key_times"], flight.arrays["r_N"][:, k].astype("f8")
-    there = np.isfinite(r_N).all(-1) & (times >= begin - BEFORE)
-    rows = np.concatenate([times[there, None], r_N[there]], 1).round(3)
+    present = np.isfinite(r_N).all(-1) & (times >= begin - BEFORE)
+    rows = np.concatenate([times[present, None], r_N[present]], 1).round(3)
     death = min([death.time for death in flight.deaths if death.satellite == k], default=flight.duration)
     packet = {
         "id": f"satellite/{k}",
@@ -181,8 +180,8 @@ def _orientation(flight: Track, scene: Scene, k: int, begin: float) -> list[floa
     sigma = flight.arrays["sigma"][:, k].astype("f8")
     if not len(sigma):
         return None
-    every = max(1, round(ATTITUDE_STEP / flight.attitude_step))
-    at = np.arange(0, len(sigma), every)
+    stride = max(1, round(ATTITUDE_STEP / flight.attitude_step))
+    at = np.arange(0, len(sigma), stride)
     times = flight.attitude_start + at * flight.attitude_step
     good = np.isfinite(sigma[at]).all(-1) & (times >= begin)
     times, sigma = times[good], sigma[at][good]
@@ -208,8 +207,8 @@ def _quaternion(dcm: Array) -> Array:
     table[:3, 3] = table[3, :3] = off
     np.fill_diagonal(table, squares)
     largest = int(squares.argmax())
-    found: Array = table[largest] / np.sqrt(squares[largest])
-    return found
+    quaternion: Array = table[largest] / np.sqrt(squares[largest])
+    return quaternion
 
 
 def _product(a: Array, b: Array) -> Array:
@@ -252,7 +251,6 @@ def _targets(recording: Recording, flight: Track, scene: Scene, start: datetime)
 
 
 def _links(recording: Recording, flight: Track, start: datetime) -> list[dict[str, Any]]:
-    """Lines between satellites while they communicate."""
     arrays = flight.arrays
     pairs: dict[tuple[int, int], list[tuple[float, float]]] = {}
     for a, b, begin, end in zip(*(arrays[f"link_{name}"].tolist() for name in ("a", "b", "start", "end")), strict=True):

@@ -65,7 +65,7 @@ class Futures:
             IndexError: For a track or decision that does not exist.
             ValueError: For an illegal action, or a decision of real numbers.
         """
-        parent = self._known(track)
+        parent = self._flight(track)
         where = branched(parent, decision, action, track)
         choice = parent.choices[decision]
         flight = Flight(self.env, self.policy)
@@ -88,20 +88,20 @@ class Futures:
         For a planner, its base policy acts afterwards. The values are also kept in the recording. Errors are those of
         :meth:`branch`.
         """
-        flown = self._known(track)
+        flown = self._flight(track)
         branched(flown, decision, None, track)
         choice = flown.choices[decision]
-        asked = resolve(VALUES)(self.env, getattr(self.policy, "base", self.policy))
-        found: list[torch.Tensor] = []
+        planner = resolve(VALUES)(self.env, getattr(self.policy, "base", self.policy))
+        answers: list[torch.Tensor] = []
 
         def ask(step: int, tensordict: TensorDictBase) -> None:
             if step == choice.step:
-                found.append(asked(tensordict.clone())[ACTION_VALUE][0, choice.slot])
+                answers.append(planner(tensordict.clone())[ACTION_VALUE][0, choice.slot])
 
         Flight(self.env, self.policy).fly(flown.seed, choice.time + AFTER, flown.actions[: choice.step + 1], ask)
         row = flown.track.arrays["decision_action_value"][decision]
-        known = found[0].double().tolist()
-        row[: len(known)] = known[: len(row)]
+        numbers = answers[0].double().tolist()
+        row[: len(numbers)] = numbers[: len(row)]
         values: list[float] = row.astype("f8").tolist()
         return values
 
@@ -126,18 +126,18 @@ class Futures:
     def drop_old(self, most: int) -> None:
         """Drop the oldest flights until ``most`` are left; the first one, the newest one and its parent are kept."""
         first, *_, newest = self.flown if len(self.flown) > 1 else [0, 0]
-        kept = {first, newest, self.flown[newest].track.parent}
-        for number in [number for number in self.flown if number not in kept][: max(len(self.flown) - most, 0)]:
+        keep = {first, newest, self.flown[newest].track.parent}
+        for number in [number for number in self.flown if number not in keep][: max(len(self.flown) - most, 0)]:
             del self.flown[number]
-        seen = {flown.track.scene for flown in self.flown.values()}
-        self.scenes = {number: scene for number, scene in self.scenes.items() if number in seen}
+        scenes = {flown.track.scene for flown in self.flown.values()}
+        self.scenes = {number: scene for number, scene in self.scenes.items() if number in scenes}
 
     def _add(self, flown: Flown, **changes: object) -> int:
         number = _following(self.flown)
         self.flown[number] = dataclasses.replace(flown, track=dataclasses.replace(flown.track, **changes))  # type: ignore[arg-type]
         return number
 
-    def _known(self, track: int) -> Flown:
+    def _flight(self, track: int) -> Flown:
         if track not in self.flown:
             raise IndexError(f"track={track} must be one of the flights {', '.join(map(str, self.flown))}; others were dropped")
         return self.flown[track]

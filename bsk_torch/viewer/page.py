@@ -54,8 +54,8 @@ def _modules() -> dict[str, str]:
     """Every module by the name under which others import it, as a data URL."""
     folder = files("bsk_torch.viewer").joinpath("page")
     names = sorted(entry.name for entry in folder.iterdir() if entry.name.endswith(".js"))
-    found = {"three": _part(THREE)} | {f"viewer/{name.removesuffix('.js')}": _part(name) for name in names}
-    return {name: f"data:text/javascript;base64,{b64encode(text.encode()).decode()}" for name, text in found.items()}
+    modules = {"three": _part(THREE)} | {f"viewer/{name.removesuffix('.js')}": _part(name) for name in names}
+    return {name: f"data:text/javascript;base64,{b64encode(text.encode()).decode()}" for name, text in modules.items()}
 
 
 def _land() -> str:

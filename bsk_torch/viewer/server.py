@@ -60,7 +60,6 @@ FLIGHTS = 24
 API = "/api"
 """Where the page asks."""
 
-
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "frame-ancestors 'none'",
@@ -115,8 +114,7 @@ class Server(ThreadingHTTPServer):
 
     def recording(self) -> bytes:
         """Return all flights that are kept; called with the lock."""
-        found = self.source if isinstance(self.source, Recording) else self.source.recording()
-        return found.encode()
+        return (self.source if isinstance(self.source, Recording) else self.source.recording()).encode()
 
     def process_request(self, request: Any, client_address: Any) -> None:
         """Read and answer a request in its own thread."""
@@ -210,7 +208,6 @@ class _Handler(BaseHTTPRequestHandler):
         return [whole(name, body.get(name), 0) for name in names]
 
     def _body(self) -> dict[str, Any]:
-        """The JSON object of a request."""
         if self.headers.get_content_type() != "application/json":
             raise _RejectedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "the request must be application/json")
         length = self.headers.get("Content-Length", "")
@@ -235,19 +232,19 @@ class _Handler(BaseHTTPRequestHandler):
         if origin is not None and urlsplit(origin).netloc != host:
             raise _RejectedError(HTTPStatus.FORBIDDEN, f"Origin {origin!r} is another page")
         header = self.headers.get("Authorization", "").removeprefix("Bearer ")
-        given = header or parse_qs(urlsplit(self.path).query).get("token", [""])[0]
-        if not hmac.compare_digest(given.encode(), self.server.token.encode()):
+        token = header or parse_qs(urlsplit(self.path).query).get("token", [""])[0]
+        if not hmac.compare_digest(token.encode(), self.server.token.encode()):
             raise _RejectedError(HTTPStatus.FORBIDDEN, "the address needs the token that bsk-torch view printed")
 
-    def _answer(self, known: dict[str, Any]) -> None:
+    def _answer(self, answers: dict[str, Any]) -> None:
         try:
             self._check()
             path = urlsplit(self.path).path
-            if path not in known:
+            if path not in answers:
                 raise _RejectedError(HTTPStatus.NOT_FOUND, f"there is nothing at {path!r}")
             if self.command == "GET":
                 self._has_come()
-            answer = known[path]()
+            answer = answers[path]()
             try:
                 self._send(HTTPStatus.OK, answer)
             except OSError:

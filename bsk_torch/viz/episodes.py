@@ -89,8 +89,9 @@ class TeamEpisode(Episode):
 
     def table(self, numbers: Mapping[str, Tensor]) -> Columns:
         """Return the table of :func:`~bsk_torch.recording.table.satellite_columns` with rewards, actions and other numbers."""
-        told = {"reward": self.rewards} | ({} if self.actions is None else {"action": self.actions})
-        return satellite_columns(self.names, self.times, self.deaths, self.tasks, {**told, **numbers})
+        actions = {} if self.actions is None else {"action": self.actions}
+        columns = {"reward": self.rewards, **actions, **numbers}
+        return satellite_columns(self.names, self.times, self.deaths, self.tasks, columns)
 
 
 def episode_of(recording: Recording, track: int = 0) -> Episode:

@@ -33,7 +33,6 @@ FITTING: dict[type[Tasking], str] = {
 RESULTS = ("observation", "action_mask", "duration", "counts")
 """Results of a step that environments keep while others are reset."""
 
-
 Results: TypeAlias = "Mapping[str, Any] | TensorDictBase"
 """Results of a reset or step by name."""
 

@@ -49,11 +49,19 @@ class EpisodeDataLogger:
     env: Any
     metrics_logger: Any = None
 
-    def _keep(self, episode: EpisodeCallback | None, satellite: SatelliteCallback | None) -> None:
-        for name, callback in (("episode_data_callback", episode), ("satellite_data_callback", satellite)):
+    def __init__(
+        self,
+        env: Any,
+        episode_data_callback: EpisodeCallback | None = None,
+        satellite_data_callback: SatelliteCallback | None = None,
+    ) -> None:
+        """Wrap a view of one episode."""
+        super().__init__(env)  # type: ignore[call-arg]  # a wrapper follows in the order of bases
+        callbacks = {"episode_data_callback": episode_data_callback, "satellite_data_callback": satellite_data_callback}
+        for name, callback in callbacks.items():
             if callback is not None and not callable(callback):
                 raise TypeError(f"{name}={callback!r} must be a function, or None")
-        self.episode_data_callback, self.satellite_data_callback = episode, satellite
+        self.episode_data_callback, self.satellite_data_callback = episode_data_callback, satellite_data_callback
 
     def set_metrics_logger(self, metrics_logger: object) -> None:
         """Let a logger of RLlib's, whose method is ``log_value(name, value, ...)``, get the metrics."""
@@ -90,16 +98,6 @@ class EpisodeDataWrapper(EpisodeDataLogger, gymnasium.Wrapper[Any, Any, Any, Any
         >>> env = EpisodeDataWrapper(env, lambda env: {"reward": sum(env.rewarder.cum_reward.values())})
     """
 
-    def __init__(
-        self,
-        env: Any,
-        episode_data_callback: EpisodeCallback | None = None,
-        satellite_data_callback: SatelliteCallback | None = None,
-    ) -> None:
-        """Wrap a view of one episode; see :class:`EpisodeDataLogger` for the functions."""
-        gymnasium.Wrapper.__init__(self, env)
-        self._keep(episode_data_callback, satellite_data_callback)
-
     def step(self, action: object) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step; the last info of an episode has ``metrics``."""
         observation, reward, terminated, truncated, info = self.env.step(action)
@@ -110,16 +108,6 @@ class EpisodeDataWrapper(EpisodeDataLogger, gymnasium.Wrapper[Any, Any, Any, Any
 
 class EpisodeDataParallelWrapper(EpisodeDataLogger, BaseParallelWrapper):
     """Metrics of the episodes of a PettingZoo view; see :class:`EpisodeDataLogger`."""
-
-    def __init__(
-        self,
-        env: object,
-        episode_data_callback: EpisodeCallback | None = None,
-        satellite_data_callback: SatelliteCallback | None = None,
-    ) -> None:
-        """Wrap a view of one episode; see :class:`EpisodeDataLogger` for the functions."""
-        BaseParallelWrapper.__init__(self, env)
-        self._keep(episode_data_callback, satellite_data_callback)
 
     def step(self, actions: object) -> tuple[Any, ...]:
         """Step; when the last agent leaves, the last infos of all remaining agents have ``metrics``."""

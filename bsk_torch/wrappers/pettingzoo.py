@@ -20,13 +20,7 @@ from bsk_torch.env.action_forms import form, is_no_action, mask_size
 from bsk_torch.env.agents import Group
 from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.sim.arguments.values import nearest
-from bsk_torch.wrappers.core import (
-    RENDERING,
-    as_numpy,
-    begin,
-    build,
-    parse_render_mode,
-)
+from bsk_torch.wrappers.core import RENDERING, as_numpy, begin, build, parse_render_mode
 from bsk_torch.wrappers.episode import EpisodeView
 from bsk_torch.wrappers.spaces import action_space, map_leaves, observation_space, unbounded
 from bsk_torch.wrappers.tasks import legal_tasks, read_one, read_task, satellite_infos
@@ -107,15 +101,14 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
         if isinstance(core, str):
             self.metadata = self.metadata | {"name": core}  # type: ignore[misc]
         self._continues, self._common = continue_action, common_info
-        self._seats = {agent: seat for group in self.core.groups for agent, seat in self._seats_of(group)}
+        self._seats: dict[str, Seat] = {}
+        for group in self.core.groups:
+            parts = tuple(self.core.satellites[t] for t in group.types)
+            self._seats |= {agent: Seat(group, k, group.members[k].tolist(), parts) for k, agent in enumerate(group.agents)}
         self.possible_agents: list[str] = list(self.core.agents)
         self.agents: list[str] = []
         self._make_spaces()
         self._results: TensorDictBase | None = None
-
-    def _seats_of(self, group: Group) -> list[tuple[str, Seat]]:
-        parts = tuple(self.core.satellites[t] for t in group.types)
-        return [(agent, Seat(group, k, group.members[k].tolist(), parts)) for k, agent in enumerate(group.agents)]
 
     # -- spaces -------------------------------------------------------------------------------------------------------
 
@@ -235,7 +228,6 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
         return tables
 
     def _row(self, agent: str, action: object) -> list[int]:
-        """Return an agent's action for each of its satellites."""
         seat = self._seats[agent]
         if isinstance(action, np.ndarray | Tensor):
             action = action.tolist()
@@ -249,7 +241,6 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
     # -- results -------------------------------------------------------------------------------------------------------
 
     def _of(self, results: TensorDictBase, agent: str, name: str) -> Any:
-        """Return an agent's entry of the results of its group."""
         group, number, *_ = self._seats[agent]
         return results[group.name, name][0, number]
 

@@ -131,7 +131,6 @@ class FunctionPolicy(TensorDictModuleBase):
         return map_leaves(observation, lambda part: part if weights is None else part.to(weights))
 
     def _action(self, result: object, tensordict: TensorDictBase) -> Tensor:
-        """Return the result of the function as actions."""
         shape, device = tuple(tensordict.batch_size), tensordict.device
         try:
             action = torch.as_tensor(result, device=device)

@@ -18,10 +18,7 @@ def register() -> None:
     Constellations have one agent for all satellites; :func:`bsk_torch.wrappers.pettingzoo.parallel_env` has one for each.
     The package's presets are registered when it is imported; call this after adding one to
     :data:`~bsk_torch.presets.PRESETS`. A preset whose options change its class is registered as the first class of its
-    return annotation. Repeated calls do nothing.
-
-    Raises:
-        TypeError: For a user's preset without a return annotation.
+    return annotation. Repeated calls do nothing. TypeError for a user's preset without a return annotation.
     """
     register_listed()
     for name, preset in PRESETS.items():

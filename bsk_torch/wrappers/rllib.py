@@ -62,7 +62,6 @@ def constellation_tasking(env_config: Mapping[str, object]) -> Any:
 
 
 def _split(env_config: Mapping[str, object]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the arguments of the environment, and the callbacks."""
     arguments = dict(env_config)
     callbacks = {name: arguments.pop(name) for name in CALLBACKS if name in arguments}
     return arguments, callbacks

@@ -44,7 +44,6 @@ class SoloTasking:
         self._all_numbered = all(form(part) is None for part in parts)
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute of the constellation."""
         if name.startswith("__"):  # methods with which Python copies and pickles are not those of the constellation
             raise AttributeError(name)
         return getattr(self.team, name)

@@ -31,12 +31,8 @@ def flat_space(space: spaces.Space[Any]) -> spaces.Space[Any]:
     """Return a Box unchanged, and for nested observations a Dict of one level, such as ``sat_props/storage_level_fraction``."""
     if not isinstance(space, spaces.Dict):
         return space
-    return spaces.Dict({name: _at_least_1d(box) for name, box in flat(space.spaces).items()})
-
-
-def _at_least_1d(box: Any) -> spaces.Box:
-    """Stable-Baselines3 flattens from the second dimension on, which a batch of scalars has not."""
-    return box if box.shape else spaces.Box(-np.inf, np.inf, (1,), box.dtype)
+    boxes = flat(space.spaces)  # Stable-Baselines3 flattens from the second dimension on, which a batch of scalars has not
+    return spaces.Dict({name: b if b.shape else spaces.Box(-np.inf, np.inf, (1,), b.dtype) for name, b in boxes.items()})
 
 
 def by_row(columns: Mapping[str, Any], rows: Sequence[int] | slice = slice(None)) -> list[dict[str, Any]]:
@@ -93,8 +89,7 @@ class SB3VecEnv(VecEnv):
             TypeError: If ``core`` is a constellation, which has several agents.
             ValueError: For arguments that the environment does not take, or hybrid actions.
         """
-        fixed: dict[str, Any] = {"autoreset_mode": AutoresetMode.SAME_STEP, "output": "numpy", "render_mode": render_mode}
-        fixed["metrics"] = metrics
+        fixed: dict[str, Any] = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_mode": render_mode, "metrics": metrics}
         self.vector = GymVectorEnv(core, num_envs, **fixed, **options)
         self.core = self.vector.core
         self._actions: np.ndarray | None = None
@@ -176,7 +171,6 @@ class SB3VecEnv(VecEnv):
             infos[row] = final | {"terminal_observation": self._observed(info["final_obs"][row], 0)}
 
     def _observed(self, observation: object, batch_dims: int = 1) -> Any:
-        """Return an observation in the form of the observation space."""
         return flat_rows(observation, batch_dims) if isinstance(observation, Mapping) else observation
 
     def close(self) -> None:

@@ -7,7 +7,7 @@ from style import BLUE, GREY, INK, ORANGE, arrow, box, canvas, save
 figure, panel = canvas(9.0, 3.6)
 STAGES = (
     ("updates of\nthe components", "Python"),
-    ("graph of values", "trace.py, ir.py\nfold.py"),
+    ("graph of values", "trace.py, ir.py"),
     ("statements of\na loop", "passes.py"),
     ("C++", "cpp.py, simd.h, x86.h"),
     ("shared library\nin the cache", "build.py"),

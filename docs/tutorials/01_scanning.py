@@ -137,7 +137,7 @@ path = draw(episode, "mine.png", "mine")
 # The map shows the same episode in the same colors. The track is thick where a reward was earned, and shaded in eclipse:
 from pathlib import Path
 
-from bsk_torch.viz.figures.track_map import track_map
+from bsk_torch.viz.figures.timeline import track_map
 
 path = track_map(episode, Path("map.png"), "mine")
 

@@ -2,7 +2,7 @@
 
 import torch
 
-from bsk_torch.rl.networks.activation import Tanh
+from bsk_torch.rl.networks.plans import Tanh
 
 
 def test_values_and_gradients_are_those_of_torch_and_nan_stays():

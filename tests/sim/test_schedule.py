@@ -6,7 +6,7 @@ from typer.testing import CliRunner
 
 from bsk_torch import SatelliteTasking
 from bsk_torch.cli import app
-from bsk_torch.cli.schedule import described, tick_lines
+from bsk_torch.cli.show import described, tick_lines
 from bsk_torch.presets import make
 from bsk_torch.presets.nadir_scan import ScanningSatellite
 from bsk_torch.rand import first_key

@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 import torch
 from tensordict import TensorDict
 
-from bsk_torch.cli.results import PlayedResults, Results, Summary
+from bsk_torch.cli.run_folder import Summary
 from bsk_torch.files import write_file
 from bsk_torch.lab.bounds.envelope import FILE, Envelope
+from bsk_torch.lab.commands.results import PlayedResults, Results
 from bsk_torch.lab.offline import open_dataset
 from bsk_torch.lab.risk.rare_flights import KIND, read_paths
 from bsk_torch.recording.recording import MAGIC, decode

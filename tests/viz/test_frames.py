@@ -232,7 +232,7 @@ def test_orbits_of_any_shape_close():
 def test_the_earth_hides_what_is_behind_it():
     eye = Camera(SIDES, 100.0, 200.0)
     points = np.array([[0, 0, 1.0], [0, 0, -1.1], [0.5, 0.5, -0.9], [1.1, 0, -0.5], [0, 0.5, 0.9]]) * R_EARTH
-    pixels, there = eye.seen(points)
+    pixels, there = eye.project(points)
     assert there.tolist() == [True, False, False, True, True]
     assert np.allclose(pixels, [[200, 200], [200, 200], [250, 150], [310, 200], [200, 150]])
 
@@ -262,7 +262,7 @@ def test_one_satellite_is_followed_and_many_are_looked_at_by_day():
     env.reset()
     moment = look(env, 0)
     eye = camera(moment, 480)
-    pixels, there = eye.seen(moment.r_N)
+    pixels, there = eye.project(moment.r_N)
     assert there.all()
     assert abs(pixels[0, 0] - 240.0) < 1e-9
     assert np.abs(pixels - 240.0).max() < 100.0
@@ -277,7 +277,7 @@ def test_orbits_fit_into_the_picture():
     env.reset()
     high = revolution(*(torch.tensor([x], dtype=torch.float64) for x in ([0.0, 0.0, 42164e3], [3074.66, 0.0, 0.0])))
     moment = type(look(env, 0))(**vars(look(env, 0)) | {"orbits_N": high.numpy()})
-    pixels, _ = camera(moment, 480).seen(moment.orbits_N)
+    pixels, _ = camera(moment, 480).project(moment.orbits_N)
     assert 0.0 < pixels.min() < 40.0
     assert 440.0 < pixels.max() < 480.0
 
@@ -287,7 +287,7 @@ def test_satellites_have_the_colour_of_what_they_do():
     for action, mode in ((SCAN, "nadir_scan"), (DESAT, "desat")):
         step(env, action)
         moment = look(env, 0)
-        (x, y), _ = camera(moment, 480).seen(moment.r_N[0])
+        (x, y), _ = camera(moment, 480).project(moment.r_N[0])
         assert np.allclose(picture(moment, 480)[int(y), int(x)], color(color_of(mode)), atol=3.0)
 
 
@@ -296,7 +296,7 @@ def test_imaged_targets_are_drawn_in_their_colour():
     env.reset()
     moment = look(env, 0)
     eye = camera(moment, 480)
-    pixels, there = eye.seen(moment.targets_P @ moment.PN)
+    pixels, there = eye.project(moment.targets_P @ moment.PN)
     central = there & (np.linalg.norm(pixels - 240.0, axis=1) < 150.0)
     before = picture(moment, 480)
     after = picture(type(moment)(**vars(moment) | {"imaged": central}), 480)
@@ -351,8 +351,8 @@ def test_an_inspection_is_seen_from_nearby():
     assert [moment.names[k] for k in close.inspectors] == ["Inspector1", "Inspector2", "Inspector3"]
     assert moment.names[close.rso] == "RSO"
     reward = env.rewarder
-    assert (close.known == INSPECTED).sum() == int(reward.inspected[1].sum()) > 0
-    assert (close.known >= LIT).sum() == int((reward.inspected | reward.illuminated)[1].sum())
+    assert (close.states == INSPECTED).sum() == int(reward.inspected[1].sum()) > 0
+    assert (close.states >= LIT).sum() == int((reward.inspected | reward.illuminated)[1].sum())
     away = np.linalg.norm(moment.r_N[close.inspectors] - moment.r_N[close.rso], axis=-1)
     assert np.allclose(np.linalg.norm(close.rho_H, axis=-1), away)
     assert np.array_equal(close.fuel, env.satellites[1].fsw.dv_available.view(2, 3)[1].numpy())

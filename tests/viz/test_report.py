@@ -22,7 +22,7 @@ from bsk_torch.rl.policies.files import save_policy
 from bsk_torch.rl.training import configure
 from bsk_torch.rl.training.config import PPOConfig, save_config
 from bsk_torch.viz.episodes import record
-from bsk_torch.viz.figures.track_map import decision_of, runs, track_map, within
+from bsk_torch.viz.figures.timeline import decision_of, runs, track_map, within
 from bsk_torch.viz.figures.world import pieces
 from bsk_torch.viz.report.page import clock, table, write_report
 
@@ -197,6 +197,18 @@ def test_the_command_plays_and_shows_three_episodes(call, folder):
     assert len(page.images) == 7
     returns = [float(title.split("return ")[1].split(",")[0]) for title in page.titles if "episode (no." in title]
     assert returns == sorted(returns, reverse=True)
+
+
+@pytest.mark.compiled
+def test_a_copy_without_the_viewer_reports_all_else(call, folder, monkeypatch):
+    monkeypatch.setattr("bsk_torch.cli.report.absent_room", lambda path: "bsk_torch/viewer")
+    result = call(folder, "--episodes", 1)
+    assert result.exit_code == 0, result.output
+    line = "the report does not play its episodes: this copy of bsk_torch has no folder bsk_torch/viewer"
+    assert line in " ".join(result.output.split())
+    text = (folder / "report.html").read_text()
+    assert "<iframe" not in text
+    assert Page(text).images
 
 
 def test_what_is_no_run_is_refused(call, folder, monkeypatch):

@@ -11,11 +11,9 @@ import bsk_torch
 from bsk_torch.lab.audit.figure import regret_figure
 from bsk_torch.rl.rules.baselines import scan_rule
 from bsk_torch.viz.episodes import record
-from bsk_torch.viz.figures.curves import learning_curve
-from bsk_torch.viz.figures.profiles import performance_profiles
+from bsk_torch.viz.figures.curves import learning_curve, performance_profiles
 from bsk_torch.viz.figures.style import COLUMN, PALETTE, WIDTH, label, panels, save, spread
-from bsk_torch.viz.figures.timeline import timeline
-from bsk_torch.viz.figures.track_map import track_map
+from bsk_torch.viz.figures.timeline import timeline, track_map
 from tests.support.figures import check_column, media_width, unreadable
 
 PNG = b"\x89PNG"

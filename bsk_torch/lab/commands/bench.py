@@ -37,7 +37,7 @@ class Failures(dict[str, dict[str, str]]):
     @contextmanager
     def of(self, name: str, task: Task) -> Iterator[None]:
         """Print and keep the error that ends the block, whatever a library raises; an interrupt ends the program."""
-        from bsk_torch.cli.functions import message_of
+        from bsk_torch.cli.policies import message_of
 
         try:
             yield
@@ -86,10 +86,10 @@ def bench(
         bsk-torch bench hasty farsighted --suite v2 --presets few_choices
         bsk-torch bench nearest_task soonest_task --suite aeosbench
     """
-    from bsk_torch.cli.results import PlayedResults
     from bsk_torch.codegen.inductor import BACKENDS
     from bsk_torch.env.assembly.devices import existing_device
     from bsk_torch.lab.commands.entrants import entrant_of
+    from bsk_torch.lab.commands.results import PlayedResults
     from bsk_torch.lab.suites.suite import bench_folder, play, references, tasks_of
 
     check_writable(out)
@@ -199,7 +199,7 @@ def add_results(results: dict[str, dict[str, Any]], policies: Mapping[str, Mappi
 def read_result(path: Path, schema: Any) -> tuple[tuple[int, str], dict[str, dict[str, Any]]]:
     """Return format and suite of a file of an earlier run, and its results by policy; ends the program for other files.
 
-    The ``schema`` is one of :mod:`bsk_torch.cli.results`.
+    The ``schema`` is one of :mod:`bsk_torch.lab.commands.results`.
     """
     from bsk_torch.untrusted import read_json
 

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from bsk_torch._listed import makings
-from bsk_torch.cli.functions import entrant_of_user
 from bsk_torch.cli.names import PREFIX, PRETRAINED
-from bsk_torch.cli.policies import NamedPolicy, named_policy
+from bsk_torch.cli.policies import NamedPolicy, entrant_of_user, named_policy
 from bsk_torch.cli.shared import preset_options
 from bsk_torch.cli.terminal import fail
 from bsk_torch.env import Tasking

@@ -64,11 +64,11 @@ def leaderboard(
         bsk-torch leaderboard a.json b.json --method 'ppo=runs/ppo*/seed_*'
     """
     with working("starting"):
-        from bsk_torch.cli.results import Results
         from bsk_torch.lab.commands.board import board_of
+        from bsk_torch.lab.commands.results import Results
         from bsk_torch.lab.suites.suite import published, references, tasks_of
 
-    figure = drawing(draw, "bsk_torch.viz.figures.profiles")
+    figure = drawing(draw, "bsk_torch.viz.figures.curves")
     check_writable(out)
     files = files or []
     if published_suite is None and not files:

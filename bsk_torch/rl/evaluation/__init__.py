@@ -1,8 +1,8 @@
 """Evaluation of policies and analysis of their failures."""
 
-from bsk_torch.rl.evaluation.comparison import compare, comparison_table
 from bsk_torch.rl.evaluation.evaluate import FRESH, Evaluation, evaluate, start_episodes
 from bsk_torch.rl.evaluation.replay import Flown, fly
+from bsk_torch.rl.evaluation.results import compare, comparison_table
 from bsk_torch.rl.evaluation.statistics import Estimate, confidence, wilson
 
 __all__ = [

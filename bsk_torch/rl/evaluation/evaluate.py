@@ -222,7 +222,6 @@ def of_team(each: Tensor) -> Tensor:
 
 
 def _joined(values: list[Any]) -> Any:
-    """Return the concatenation of tensors, or of tensors by name; None for None."""
     if isinstance(values[0], dict):
         return {name: _joined([value[name] for value in values]) for name in values[0]}
     return None if values[0] is None else torch.cat(values)

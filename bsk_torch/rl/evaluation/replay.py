@@ -82,8 +82,6 @@ def script(actions: Tensor) -> Policy:
 
 
 def _joined(parts: list[Flown]) -> Flown:
-    """Return the episodes of all parts, padded at their ends."""
-
     def long(tables: list[Tensor], fill: float) -> Tensor:
         width = max(table.shape[1] for table in tables)
         pad = [[0, 0] * (table.ndim - 2) + [0, width - table.shape[1]] for table in tables]

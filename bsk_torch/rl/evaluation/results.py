@@ -1,4 +1,4 @@
-"""Results of evaluations: tables on the screen, JSON and CSV files."""
+"""Results of evaluations in the same unseen episodes: tables on the screen and in Markdown, JSON and CSV files."""
 
 from __future__ import annotations
 
@@ -10,16 +10,50 @@ from pathlib import Path
 
 import torch
 
+from bsk_torch.env import Tasking
 from bsk_torch.files import write_file
-from bsk_torch.rl.evaluation.evaluate import Evaluation
-from bsk_torch.rl.evaluation.statistics import Estimate, mean, nan_confidence
+from bsk_torch.rl.evaluation.evaluate import FRESH, Evaluation, evaluate
+from bsk_torch.rl.evaluation.statistics import mean, nan_confidence
+from bsk_torch.rl.policies.shared_policy import shared_baselines
 from bsk_torch.tables import print_table
+from bsk_torch.wrappers.policies import Actor
 
 EVALUATION = "evaluation.json"
 """File of a run folder with the results of the final comparison."""
 
 INTERVAL = "95 % interval"
 """Column with the confidence interval of the survival, which stands before it."""
+
+
+def compare(policies: Mapping[str, Actor], env: Tasking, seed: int) -> dict[str, Evaluation]:
+    """Evaluate policies trained with ``seed``, and every applicable baseline, in the same unseen episodes.
+
+    Args:
+        policies: Policies by name; see :func:`~bsk_torch.rl.evaluation.evaluate.evaluate`.
+        env: The environment, which plays one episode in each row.
+        seed: Seed of the training; evaluation uses the episodes of ``seed`` + :data:`FRESH`.
+
+    Returns:
+        Results by name, the given policies first.
+    """
+    players = {**policies, **shared_baselines(env, seed)}
+    return {name: evaluate(player, env, seed=seed + FRESH) for name, player in players.items()}
+
+
+def comparison_table(results: Mapping[str, Evaluation]) -> str:
+    """Return a Markdown table of returns with 95 % confidence intervals, survival and mean counts.
+
+    The table lists the gain of the first policy over each of the others in the same episodes.
+    """
+    first = next(iter(results.values()))
+    counters = list(first.counts)
+    columns = ["policy", "return", "gain of the first", "survival", *counters]
+    lines = [columns, ["---"] * len(columns)]
+    for name, result in results.items():
+        gain = "-" if result is first else str(first.gain_over(result))
+        counts = [f"{float(result.counts[count].double().mean()):.1f}" for count in counters]
+        lines.append([name, str(result.mean_return), gain, f"{result.survival:.1%}", *counts])
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
 def print_results(results: Mapping[str, Evaluation], title: str, chosen: str | None = None) -> None:
@@ -29,7 +63,8 @@ def print_results(results: Mapping[str, Evaluation], title: str, chosen: str | N
     rows = {name: {"return": str(result.mean_return)} for name, result in results.items()}
     for name, row in rows.items():
         if chosen is not None:
-            row[f"gain of {chosen}"] = "" if name == chosen else _signed(results[chosen].gain_over(results[name]))
+            gain = results[chosen].gain_over(results[name])
+            row[f"gain of {chosen}"] = "" if name == chosen else f"{gain.mean:+.3f} ± {gain.half_width:.3f}"
         row |= _row(results[name], mortal)
         if plans:
             simulated = results[name].simulated_per_decision
@@ -40,7 +75,6 @@ def print_results(results: Mapping[str, Evaluation], title: str, chosen: str | N
 
 
 def _row(result: Evaluation, mortal: bool) -> dict[str, str]:
-    """Return the other cells of a policy, by column."""
     low, high = result.survival_interval
     row = {"survival": f"{result.survival:.1%}", INTERVAL: f"{100.0 * low:.1f}–{high:.1%}"}
     row |= {"collected": f"{mean(result.collected):.3f}"} if mortal else {}
@@ -49,10 +83,6 @@ def _row(result: Evaluation, mortal: bool) -> dict[str, str]:
     row |= {name: f"{nan_confidence(value).mean:,.4g}" for name, value in result.measures.items()}
     deaths = ", ".join(f"{n} {cause.removesuffix('_valid')}" for cause, n in result.causes.items())
     return row | ({"deaths": deaths or "none"} if mortal else {})
-
-
-def _signed(gain: Estimate) -> str:
-    return f"{gain.mean:+.3f} ± {gain.half_width:.3f}"
 
 
 def save_results(results: Mapping[str, Evaluation], path: Path, chosen: str) -> None:

@@ -16,7 +16,6 @@ class Estimate:
     half_width: float
 
     def __str__(self) -> str:
-        """Return mean and half width with three decimals."""
         return f"{self.mean:.3f} ± {self.half_width:.3f}"
 
 

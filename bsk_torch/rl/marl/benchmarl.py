@@ -105,7 +105,6 @@ class ConstellationClass(TaskClass):
         return "bsk_torch"
 
     def _only(self, env: EnvBase, spec: Composite, name: str) -> Composite:
-        """The entry ``name`` of each group."""
         groups = {group: Composite({name: spec[group, name]}, shape=spec[group].shape) for group in env.group_map}
         return Composite(groups, shape=spec.shape)
 

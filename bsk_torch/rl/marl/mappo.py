@@ -89,7 +89,6 @@ class MAPPOConfig(PPOConfig):
         return min(EVALUATE_EVERY // 5, super()._default_interval())
 
     def __post_init__(self) -> None:
-        """Complete and check the settings as :class:`PPOConfig`; ValueError also for unknown algorithms and networks."""
         super().__post_init__()
         if self.algorithm not in CRITICS:
             raise ValueError(f"algorithm={self.algorithm!r} must be one of {sorted(CRITICS)}; {nearest(self.algorithm, CRITICS)}")
@@ -277,16 +276,13 @@ class GroupLearner(Learner):
         if self.judges:
             team_advantages(team, self.critic, self.config.gamma, self.lmbda, self.value_norm, self.config.reward_time)
         if self.imitates:
-            team[TAUGHT] = taught(self.teacher, _teacher_inputs(batch[self.group], team))
+            observation = batch[self.group, "observation"]
+            inputs = {"observation": observation, "action_mask": team["action_mask"]}  # without the action of busy satellites
+            team[TAUGHT] = taught(self.teacher, TensorDict(inputs, team[DECIDES].shape))
         keys = [*existing_keys(LEARNED_FROM, team), *self._further_keys()]
         samples = self._samples(team.select(*keys).reshape(-1))
         reports = [self._descend(sample) for sample in samples if bool(sample[DECIDES].any())]
         return averages(reports) | {"decisions": decisions} if reports else {"decisions": 0}
-
-
-def _teacher_inputs(agents: TensorDictBase, team: TensorDictBase) -> TensorDict:
-    """Return the inputs of the teacher by satellite: the observation, and the mask without the action of busy satellites."""
-    return TensorDict({"observation": agents["observation"], "action_mask": team["action_mask"]}, team[DECIDES].shape)
 
 
 def observed_parts(plan: Plan) -> list[str]:
@@ -359,7 +355,6 @@ class MAPPOLearner:
             self.groups[name].load_state_dict(part)
 
     def _by_group(self, state: Mapping[str, object]) -> Mapping[str, Any]:
-        """Return what :func:`joined` was given."""
         return {next(iter(self.groups)): state} if len(self.groups) == 1 else state
 
     def learn(self, batch: TensorDictBase) -> dict[str, float]:

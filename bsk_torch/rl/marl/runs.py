@@ -14,9 +14,8 @@ from tensordict.nn import TensorDictModuleBase
 from bsk_torch._listed import LISTED
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.presets import PRESETS, make
-from bsk_torch.rl.evaluation.comparison import compare
 from bsk_torch.rl.evaluation.evaluate import FRESH, evaluate
-from bsk_torch.rl.evaluation.results import EVALUATION, print_results, save_results
+from bsk_torch.rl.evaluation.results import EVALUATION, compare, print_results, save_results
 from bsk_torch.rl.marl.mappo import CRITICS, MAPPOConfig, MAPPOTraining
 from bsk_torch.rl.networks.plans import check_network
 from bsk_torch.rl.policies.files import LOGS, plain
@@ -100,8 +99,7 @@ def read_config(folder: Path | str) -> PPOConfig:
 def training_of(config: PPOConfig, out: Path | str, resume: bool = False) -> Training:
     """Return the training of a configuration; see :class:`~bsk_torch.rl.training.trainer.Training` for arguments and errors.
 
-    Raises:
-        ValueError: For an environment that the algorithm of the configuration does not train, too.
+    ValueError for an environment that the algorithm of the configuration does not train, too.
     """
     many = is_constellation(config.preset, config.options)
     if config.preset in PRESETS and many != isinstance(config, MAPPOConfig):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast
@@ -15,9 +16,7 @@ from torchrl.modules import MLP, GRUModule, MaskedCategorical, ProbabilisticActo
 
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.action_forms import form
-from bsk_torch.rl.networks.activation import Tanh
 from bsk_torch.rl.networks.attention import Encoder, SetActor, SetCritic
-from bsk_torch.rl.networks.continuous import NormalParameters, squashed
 from bsk_torch.rl.networks.normaliser import CLOCK, MASK, OWN, ROWS, ObservationNormaliser, SetNormaliser, VectorNormaliser
 from bsk_torch.rl.networks.precision import float32_weights
 from bsk_torch.rl.rules.continuous import Bounds, bounds_of
@@ -41,6 +40,12 @@ MOST_LAYERS = 64
 
 CLOCKS = 2
 """Number of values of the clock observed by critics."""
+
+INITIAL_SCALE = 0.5
+"""Initial standard deviation of actions, before they are squashed into their bounds."""
+
+SCALES = (0.01, 2.0)
+"""Minimum and maximum standard deviation."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +98,6 @@ class MLPPlan:
     bounds: Bounds = ()
 
     def __post_init__(self) -> None:
-        """Raise ValueError for too many layers."""
         check_layers(self.hidden)
 
     @classmethod
@@ -140,7 +144,6 @@ class GRUPlan(MLPPlan):
     """
 
     def __post_init__(self) -> None:
-        """Raise ValueError without a layer before the unit, or for too many."""
         super().__post_init__()
         if len(self.hidden) < 2:
             raise ValueError(f"hidden={self.hidden}: network='gru' needs a layer before its unit, such as (64, 64)")
@@ -156,6 +159,47 @@ class GRUPlan(MLPPlan):
         parts = [TensorDictModule(layers, [OWN], ["embedded"]), unit, _parameters(head, ["remembered"], self.bounds)]
         actor = _distributed(TensorDictSequential(*parts), self.bounds)
         return Networks(VectorNormaliser(self.n_observed), actor, self._critic())
+
+
+class _Tanh(torch.autograd.Function):
+    """Hyperbolic tangent by way of the logistic function, which torch computes six times as fast on a CPU."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor) -> Tensor:
+        """2 / (1 + exp(-2 x)) - 1."""
+        y = torch.sigmoid(2.0 * x).mul_(2.0).sub_(1.0)
+        ctx.save_for_backward(y)
+        return y
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> Tensor:
+        """The gradient times (1 - y^2)."""
+        (y,) = ctx.saved_tensors
+        return torch.ops.aten.tanh_backward(gradients[0], y)
+
+
+class Tanh(nn.Module):
+    """What ``torch.nn.Tanh`` computes, within 2e-7 in float32. It has no weights, so files of policies fit both."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Hyperbolic tangent of each number."""
+        return _Tanh.apply(x)
+
+
+class NormalParameters(nn.Module):
+    """Computes means and standard deviations of normal distributions; the deviations do not depend on the observation."""
+
+    def __init__(self, network: nn.Module, width: int) -> None:
+        """Use ``network`` for the ``width`` means."""
+        super().__init__()
+        self.network = network
+        self.log_scale = nn.Parameter(torch.full((width,), math.log(INITIAL_SCALE), dtype=torch.float32))
+
+    def forward(self, *inputs: Tensor) -> tuple[Tensor, Tensor]:
+        """Return means and standard deviations, [..., A] each; float32, whatever the precision of the network."""
+        loc = self.network(*inputs).float()
+        low, high = map(math.log, SCALES)
+        return loc, self.log_scale.clamp(low, high).exp().expand_as(loc)
 
 
 class Clocked(nn.Module):
@@ -233,7 +277,6 @@ class AttentionPlan:
         )
 
     def __post_init__(self) -> None:
-        """Raise ValueError for widths that cannot be divided among heads, and too many blocks."""
         check_layers(self.hidden)
         if not self.hidden or len(set(self.hidden)) > 1 or self.hidden[0] % HEAD:
             raise ValueError(f"hidden={self.hidden}: blocks of attention need equal widths, multiples of {HEAD}")
@@ -294,7 +337,6 @@ def _actor(network: nn.Module, in_keys: list[NestedKey], bounds: Bounds = ()) ->
 
 
 def _parameters(network: nn.Module, in_keys: list[NestedKey], bounds: Bounds) -> TensorDictModule:
-    """Return a module that writes the parameters of a distribution."""
     if not bounds:
         return TensorDictModule(network, in_keys=in_keys, out_keys=["logits"])
     return TensorDictModule(NormalParameters(network, len(bounds)), in_keys=in_keys, out_keys=["loc", "scale"])
@@ -315,11 +357,12 @@ def _distributed(module: TensorDictModuleBase, bounds: Bounds = ()) -> Probabili
 
 def real_actor(module: TensorDictModuleBase, bounds: Bounds) -> ProbabilisticActor:
     """Return an actor for bounded continuous actions from a module that writes ``loc`` and ``scale``, [..., A] each."""
+    low, high = torch.tensor(bounds, dtype=torch.float32).unbind(-1)
     return ProbabilisticActor(
         module,
         in_keys=["loc", "scale"],
         out_keys=["action"],
         distribution_class=TanhNormal,
-        distribution_kwargs=squashed(bounds),
+        distribution_kwargs={"low": low, "high": high},
         return_log_prob=True,
     )

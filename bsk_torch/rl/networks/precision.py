@@ -38,8 +38,7 @@ def reduced(precision: str, device: torch.device) -> AbstractContextManager[obje
 
     Weights, gradients, logarithms of probabilities and the loss remain float32.
 
-    Raises:
-        ValueError: For ``"bfloat16"`` on a device that has no such arithmetic.
+    ValueError for ``"bfloat16"`` on a device that has no such arithmetic.
     """
     if precision == FLOAT32:
         return nullcontext()

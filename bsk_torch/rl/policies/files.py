@@ -5,19 +5,21 @@ from __future__ import annotations
 import dataclasses
 import logging
 from collections.abc import Mapping
+from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
 import torch
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from torch import Tensor, nn
 
 from bsk_torch import __version__
 from bsk_torch.env import Tasking
 from bsk_torch.env.agents import AGENTS
 from bsk_torch.rl.networks.plans import ACTOR, NORMALISER, PLANS, AttentionPlan, Networks, Plan, check_network
 from bsk_torch.rl.policies.checksummed import load_checksummed, save_checksummed
-from bsk_torch.rl.policies.origin import Origin
 from bsk_torch.rl.policies.shared_policy import member_views, of_groups
 from bsk_torch.untrusted import one_line
 
@@ -78,7 +80,6 @@ def save_policy(
 
 
 def _described(plan: Plan, networks: Networks) -> dict[str, Any]:
-    """Return the entries :data:`NETWORK`."""
     kind = next(name for name, cls in PLANS.items() if type(plan) is cls)
     described = dataclasses.asdict(plan)
     if not described.get("bounds", True):
@@ -230,6 +231,43 @@ def build_policy(card: Mapping[str, Any], device: torch.device | str = "cpu") ->
         policies[group] = networks.policy
         policies[group].register_forward_pre_hook(Origin(origin_of(card), plan))
     return of_groups(policies)
+
+
+@dataclass(frozen=True)
+class Origin:
+    """A hook of a policy for one satellite, called before it decides: tells where it was trained if it does not fit.
+
+    Attributes:
+        trained: Preset and options of the training.
+        plan: Plan of the networks.
+    """
+
+    trained: str
+    plan: Plan
+
+    def __call__(self, policy: nn.Module, arguments: tuple[Any, ...]) -> None:
+        """Raise ValueError, naming the training, for a tensordict with other observations or actions."""
+        if not arguments or not isinstance(arguments[0], TensorDictBase):
+            return
+        fault = self.fault(arguments[0])
+        if fault:
+            raise ValueError(f"this policy was trained for {self.trained}; {fault}")
+
+    def fault(self, situations: TensorDictBase) -> str | None:
+        """Return what does not fit; None if all does."""
+        plan, observation = self.plan, situations.get("observation", None)
+        if observation is None:
+            return "in a constellation, bsk_torch.rl.marl.shared(policy, env) lets it decide for each satellite"
+        if isinstance(plan, AttentionPlan):
+            rows = situations.get((*plan.set_key, "rows"), None) if isinstance(observation, TensorDictBase) else None
+            return None if rows is not None and rows.shape[-1] == plan.n_features else "this environment has other observations"
+        if not isinstance(observation, Tensor) or observation.shape[-1] != plan.n_observed:
+            numbers = f"{observation.shape[-1]} numbers" if isinstance(observation, Tensor) else "named parts"
+            return f"it observes {plan.n_observed} numbers, and this environment has {numbers}"
+        mask = situations.get("action_mask", None)
+        if mask is not None and mask.shape[-1] != plan.n_actions:
+            return f"it chooses among {plan.n_actions} actions, and this environment has {mask.shape[-1]}"
+        return None
 
 
 def _checked_plan(part: Mapping[str, Any]) -> Plan:

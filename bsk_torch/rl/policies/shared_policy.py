@@ -51,8 +51,7 @@ def member_views(env: Tasking) -> dict[str, SatelliteTasking]:
 
     Networks and rules are built for these views. A single-satellite environment is itself the view of its only group.
 
-    Raises:
-        ValueError: Unless every satellite of a constellation is a separate agent.
+    ValueError unless every satellite of a constellation is a separate agent.
     """
     if not isinstance(env, ConstellationTasking):
         return {AGENTS: cast(SatelliteTasking, env)}
@@ -76,8 +75,7 @@ def _view(env: ConstellationTasking, group: Group) -> SatelliteTasking:
 def member_view(env: Tasking) -> SatelliteTasking:
     """Return the view for one satellite of an environment with a single group; see :func:`member_views`.
 
-    Raises:
-        ValueError: Unless the satellites of a constellation form one group, and each is a separate agent.
+    ValueError unless the satellites of a constellation form one group, and each is a separate agent.
     """
     views = member_views(env)
     if len(views) > 1:
@@ -218,8 +216,7 @@ def baseline(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
 
     Groups to which it does not apply act at random; see :func:`baseline_of_groups`.
 
-    Raises:
-        KeyError, ValueError: If the rule applies to no group, or for an unknown name.
+    KeyError or ValueError if the rule applies to no group, or for an unknown name.
     """
     if name in TOGETHER:
         return TOGETHER[name](env)
@@ -233,8 +230,7 @@ def baseline_of_groups(
 
     If the rule applies to some groups only, the others act at random, such as relays with a rule for imaging.
 
-    Raises:
-        KeyError, ValueError: If the rule applies to no group.
+    KeyError or ValueError if the rule applies to no group.
     """
     views = member_views(env)
     policies: dict[str, TensorDictModuleBase] = {}

@@ -17,8 +17,7 @@ Bounds = tuple[tuple[float, float], ...]
 def bounds_of(env: SatelliteTasking) -> Bounds:
     """Return the bounds of the actions of an environment.
 
-    Raises:
-        ValueError: For infinite bounds, between which no action can be drawn, and for hybrid actions.
+    ValueError for infinite bounds, between which no action can be drawn, and for hybrid actions.
     """
     builder = form(env.satellite)
     if builder is None:

@@ -105,8 +105,7 @@ def shielded(policy: TensorDictModuleBase, rule: Rule, env: SatelliteTasking) ->
 def find_rule(name: str) -> Rule:
     """Return one of :data:`RULES` by name, or a user function, ``"package.module:function"``.
 
-    Raises:
-        ValueError: For an unknown rule; the message contains the nearest name.
+    ValueError for an unknown rule; the message contains the nearest name.
     """
     module, colon, function = name.partition(":")
     if not colon:

@@ -25,8 +25,7 @@ Observation = Any
 def image_actions(env: SatelliteTasking) -> range:
     """Return the indices of the actions that image the next targets, on the ground or in orbit, or point at candidates.
 
-    Raises:
-        ValueError: If there are none, or of several instruments.
+    ValueError if there are none, or of several instruments.
     """
     if len(env.satellite.simulator.type.instruments) > 1:
         raise ValueError(f"{env.satellite.name} has several instruments, between which rules and scores of targets do not choose")
@@ -55,7 +54,6 @@ def read(observation: Observation, description: Sequence[str], path: str) -> Ten
 
 
 def _properties(entry: OpportunityProperties | CandidateProperties) -> list[tuple[str, float]]:
-    """Return the names and divisors of the observed properties of targets."""
     if isinstance(entry, CandidateProperties):
         return [(part.prop, part.norm) for part in entry.entries]
     return [(str(part.get("prop") or part["fn"].__name__), float(part["norm"])) for part in entry.entries]

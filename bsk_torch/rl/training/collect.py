@@ -105,7 +105,6 @@ class Stagger(Transform):
 
 
 def _environment(transform: Transform) -> Any:
-    """The environment of this package that a transform is part of."""
     return cast(TransformedEnv, transform.parent).base_env
 
 

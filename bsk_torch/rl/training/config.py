@@ -186,7 +186,6 @@ class PPOConfig:
     options: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Complete the settings and check them before anything is built; ValueError for invalid ones."""
         for name in ("hidden", "loggers"):  # files and command lines bring lists
             value = getattr(self, name)
             if isinstance(value, str) or not isinstance(value, Iterable):
@@ -381,8 +380,7 @@ def read_settings(path: Path) -> dict[str, Any]:
     The file may come from others. Nothing in it is executed or looked up: ``${...}``, which OmegaConf would replace by variables
     of the environment and the like, is rejected, and so are YAML aliases and options that write files.
 
-    Raises:
-        ValueError: For a file without settings, or with additional content; the message names it.
+    ValueError for a file without settings, or with additional content; the message names it.
     """
     try:
         text = read_bytes(path, LONGEST).decode()
@@ -434,7 +432,6 @@ def _check_literal(name: str, text: str) -> None:
 
 
 def _leaves(name: str, value: object) -> Iterator[tuple[str, object]]:
-    """Yield what is nested in a value, with dotted names."""
     if isinstance(value, Mapping):
         for key, part in value.items():
             yield from _leaves(f"{name}.{key}".lstrip("."), part)

@@ -80,7 +80,6 @@ def _write(path: Path, text: str) -> None:
 
 
 def _holder(path: Path) -> str:
-    """Return the words that the process with the lock has written."""
     try:
         return path.read_text(encoding="utf-8", errors="replace")[:200] or "another process"
     except OSError:

@@ -64,7 +64,6 @@ class CsvLog:
         self._flush()
 
     def _earlier_rows(self, frames: float) -> list[Sequence[str]]:
-        """Return the rows of the current file to keep."""
         if not self.path.exists():
             return []
         try:
@@ -129,11 +128,9 @@ class RunLog:
         self.services = {name: _service(name, out) for name in names if name != "csv"}
 
     def __enter__(self) -> RunLog:
-        """Nothing more to open."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        """Close the files, and end what the services hold open."""
         self.training.close()
         self.evaluation.close()
         for name, service in list(self.services.items()):
@@ -166,7 +163,6 @@ class RunLog:
 
 
 def _service(name: str, out: Path) -> Any:
-    """TorchRL's logger of that name."""
     from torchrl.record.loggers import get_logger
 
     return get_logger(cast(Any, name), logger_name=str(out), experiment_name=out.name if name == "wandb" else name)

@@ -72,7 +72,6 @@ class Learner:
         self._learn_by(self.networks.actor, self.networks.critic)
 
     def _learn_by(self, actor: ProbabilisticTensorDictSequential, critic: TensorDictModuleBase) -> None:
-        """Begin to learn the weights of an actor and a critic."""
         self.acting, self.critic = actor, critic
         self.weights = [list(part.parameters()) for part in (actor, critic)]
         self.optimiser = torch.optim.Adam(chain(*self.weights), self.config.learning_rate, eps=1e-5, fused=True)

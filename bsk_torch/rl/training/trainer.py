@@ -98,7 +98,6 @@ class Training:
             undo.pop_all()
 
     def _build(self, saved: dict[str, Any] | None) -> None:
-        """Build environment and networks, and continue from a checkpoint if there is one."""
         config = self.config
         self.days, self.iteration, self.interrupted = 0.0, 0, False
         self.best: dict[str, Any] = {"return": float("-inf"), "waited": 0, "networks": None}
@@ -282,7 +281,6 @@ class Training:
     # -- evaluation ---------------------------------------------------------------------------------------------------
 
     def _judge(self) -> dict[str, float]:
-        """Evaluate the current policy, and keep it if it is the best so far; a row of the log."""
         with torch.random.fork_rng(devices=[]):  # seeding an environment seeds torch
             result = self.evaluate()
         estimate = result.mean_return
@@ -303,7 +301,6 @@ class Training:
         }
 
     def _networks(self) -> dict[str, Any]:
-        """Return copies of the policy's weights."""
         return copy.deepcopy(self.learner.policy_state())
 
     def _finish(self) -> TensorDictModuleBase:

@@ -47,10 +47,7 @@ def with_workers(config: Config) -> Config:
 
     As many processes as there are cores, without the learner's if it works at the same time (``ahead``), but a divisor of
     ``num_envs`` and at least :data:`SMALLEST_SHARE` episodes each. One process is none in addition to the learner, unless the
-    configuration names a collector.
-
-    Raises:
-        ConnectionError: If the Ray cluster that the configuration asks for cannot be reached.
+    configuration names a collector. ConnectionError if the Ray cluster that the configuration asks for cannot be reached.
     """
     if config.workers != AUTO:
         return config
@@ -74,7 +71,6 @@ def with_workers(config: Config) -> Config:
 
 
 def _cores(config: PPOConfig) -> Cores:
-    """Return the cores of the machine or the cluster that collects."""
     if config.collector != "ray":
         return available_cores()
     with connected():

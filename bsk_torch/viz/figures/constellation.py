@@ -212,7 +212,6 @@ def _clock(seconds: float) -> str:
 
 
 def _world(panel: Axes, episode: ConstellationEpisode, width: float) -> list[Artist]:
-    """Draw the map; entries for the legend."""
     world_map(panel, width)
     panel.set_anchor("C")
     panel.plot(episode.target_longitude, episode.target_latitude, "o", markersize=1.8, zorder=1.5, **TARGET)
@@ -222,10 +221,10 @@ def _world(panel: Axes, episode: ConstellationEpisode, width: float) -> list[Art
     _images_on_map(panel, episode)
     _links(panel, episode)
     _satellites(panel, episode, CLOSE if width >= WIDTH else CLOSE * SMALLER * WIDTH / width)
-    shown = ", images" * bool(len(episode.image_times)) + ", and contacts" * (episode.links is not None)
+    contents = ", images" * bool(len(episode.image_times)) + ", and contacts" * (episode.links is not None)
     caption(
         panel,
-        f"ground tracks{shown}; satellites at {_clock(now)}, bold is where they flew in the {TAIL / 60.0:.0f} minutes before",
+        f"ground tracks{contents}; satellites at {_clock(now)}, bold is where they flew in the {TAIL / 60.0:.0f} minutes before",
     )
     return _world_legend(episode)
 
@@ -270,12 +269,12 @@ def great_circle(latitude: Tensor, longitude: Tensor, points: int = 90) -> tuple
 
 def _satellites(panel: Axes, episode: ConstellationEpisode, close: float) -> None:
     """Dots where the satellites that live are at the moment of the map, with names of those not ``close``, degrees, to others."""
-    k, named = episode.moment, list[tuple[float, float]]()
+    k, places = episode.moment, list[tuple[float, float]]()
     for s in torch.nonzero(episode.ends >= episode.times[k]).flatten().tolist():
         x, y = float(episode.longitude[s, k]), float(episode.latitude[s, k])
         panel.plot(x, y, "o", color="white", markeredgecolor=episode.colors[s], markeredgewidth=2.0, markersize=6.5, zorder=6)
-        if all((x - u) ** 2 + (y - v) ** 2 > close**2 for u, v in named):
-            named.append((x, y))
+        if all((x - u) ** 2 + (y - v) ** 2 > close**2 for u, v in places):
+            places.append((x, y))
             text = panel.annotate(
                 episode.names[s], (x, y), (0, 5), textcoords="offset points", ha="center", color=INK, fontsize=7.5
             )
@@ -292,14 +291,13 @@ def _world_legend(episode: ConstellationEpisode) -> list[Artist]:
         (len(episode.target_latitude) > 0, Line2D([], [], linestyle="", marker="o", markersize=2.5, label="target", **TARGET)),
         (bool(episode.contacts[episode.moment].any()), Line2D([], [], color=INK, linewidth=0.8, alpha=0.7, label="contact")),
     ]
-    return [*(lines if len(groups) <= len(PALETTE) else []), *(handle for shown, handle in markers if shown)]
+    return [*(lines if len(groups) <= len(PALETTE) else []), *(handle for present, handle in markers if present)]
 
 
 # -- over time -------------------------------------------------------------------------------------------------------------------
 
 
 def _rows(panel: Axes, episode: ConstellationEpisode) -> list[Artist]:
-    """Draw a row for each satellite; entries for the legend."""
     hours = (episode.times / HOUR).tolist()
     panel.set(xlim=(hours[0], hours[-1]), ylim=(episode.size - 0.5, -0.5))
     panel.grid(False)
@@ -309,20 +307,16 @@ def _rows(panel: Axes, episode: ConstellationEpisode) -> list[Artist]:
         text.set_color(color)
     panel.axvline(hours[episode.moment], color=INK, linewidth=0.9, linestyle=(0, (2, 2)), zorder=5)
     _images_over_time(panel, episode)
-    caption(panel, f"tasks of each satellite{_ticks(episode)}; dashed is the moment of the map")
+    images, unpaid = len(episode.image_times) > 0, not bool(episode.image_paid.all())
+    ticks = ", ticks are images" * images + " (short ones without reward)" * unpaid
+    caption(panel, f"tasks of each satellite{ticks}; dashed is the moment of the map")
     return [*_tasks(panel, episode), *_contacts(panel, episode), *_deaths(panel, episode)]
 
 
-def _ticks(episode: ConstellationEpisode) -> str:
-    if not len(episode.image_times):
-        return ""
-    return ", ticks are images" if bool(episode.image_paid.all()) else ", ticks are images (short ones without reward)"
-
-
 def _tasks(panel: Axes, episode: ConstellationEpisode) -> list[Artist]:
-    others, handles = cycle(OTHER_TASKS), list[Artist]()
+    colors, handles = cycle(OTHER_TASKS), list[Artist]()
     for kind, name in enumerate(episode.tasks.names):
-        color, done = TASKS.get(plain(name)) or next(others), episode.tasks.kind == kind
+        color, done = TASKS.get(plain(name)) or next(colors), episode.tasks.kind == kind
         for s in episode.tasks.satellite[done].unique().tolist():
             spans = episode.tasks.spans[done & (episode.tasks.satellite == s)].clamp(max=float(episode.ends[s])) / HOUR
             bars = torch.stack([spans[:, 0], spans.diff().squeeze(-1)], -1).tolist()
@@ -350,8 +344,8 @@ def _contacts(panel: Axes, episode: ConstellationEpisode) -> list[Artist]:
         return []
     shades = ListedColormap([to_rgba(INK, 0.0), *(to_rgba(INK, 0.15 + 0.6 * k / most) for k in range(1, most + 1))])
     for s in range(episode.size):
-        seen = contacts[:-1, s : s + 1].mT.tolist()
-        panel.pcolormesh((episode.times / HOUR).tolist(), [s + STRIP[0], s + STRIP[1]], seen, cmap=shades, vmin=0, vmax=most)
+        strip = contacts[:-1, s : s + 1].mT.tolist()
+        panel.pcolormesh((episode.times / HOUR).tolist(), [s + STRIP[0], s + STRIP[1]], strip, cmap=shades, vmin=0, vmax=most)
     return [Patch(color=INK, alpha=0.5, linewidth=0, label=f"in contact with others (darkest: {most})")]
 
 

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter, MultipleLocator, PercentFormatter
 from torch import Tensor
 from typing_extensions import Self, override
 
@@ -21,8 +25,22 @@ from bsk_torch.constants import R_EARTH
 from bsk_torch.recording.reading import Reading
 from bsk_torch.recording.recording import Recording
 from bsk_torch.viz.episodes import Picture
-from bsk_torch.viz.figures.style import INK, PALETTE, WIDTH, caption, dot, fit, headline, label, legend, save, share, tidy
-from bsk_torch.viz.figures.timeline import HOUR, TrackEpisode, time_axis
+from bsk_torch.viz.figures.style import (
+    INK,
+    PALETTE,
+    WIDTH,
+    caption,
+    dot,
+    fit,
+    headline,
+    label,
+    legend,
+    name_lines,
+    save,
+    share,
+    tidy,
+)
+from bsk_torch.viz.figures.timeline import HOUR, TrackEpisode, bars, plain, shade, shade_legend, time_axis
 from bsk_torch.viz.figures.world import ground, pieces, world_map
 
 __all__ = ["ImagingEpisode", "ground_track"]
@@ -70,6 +88,26 @@ BELOW: dict[str, Any] = dict(loc="upper center", handletextpad=0.5, columnspacin
 
 DAY = LinearSegmentedColormap.from_list("day", ("#b9d3ee", PALETTE[0], "#12305a"))
 """Colors of the track from start to end."""
+
+OUTCOMES = {
+    IMAGED: (PALETTE[2], "imaged"),
+    UNPAID: (PALETTE[1], "imaged, no reward"),
+    LOST: (PALETTE[3], "not imaged (downwards)"),
+}
+"""Color and name of the outcome of an imaging decision."""
+
+MODES = tuple(color for color in PALETTE if color not in {color for color, _ in OUTCOMES.values()})
+"""Colors of what else is done."""
+
+NAME_HEIGHT = 0.14
+"""Height of a line's name, fraction of the panel's."""
+
+RESOURCES = {
+    "battery_charge_fraction": "battery",
+    "wheel_speeds_fraction": "fastest wheel",
+    "storage_level_fraction": "data buffer",
+}
+"""Resources drawn where the satellite has them, and what they are called."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,8 +203,6 @@ def ground_track(episode: ImagingEpisode, path: Path, title: str = "", width: fl
     it imaged; decisions and reward over time; and battery, wheels and store where the satellite can do something for them.
     ``width`` is in inches, such as :data:`~bsk_torch.viz.figures.style.COLUMN`.
     """
-    from bsk_torch.viz.figures.decisions import decisions, resources  # which show the outcomes of this module
-
     world, close_up, lower = HEIGHTS
     heights = [
         world * width / WIDTH,
@@ -185,7 +221,7 @@ def ground_track(episode: ImagingEpisode, path: Path, title: str = "", width: fl
     for panel in panels[3:]:
         handles += resources(panel, episode, width)
     for panel in panels[2:]:
-        time_axis(panel, episode, named=panel is panels[-1], width=width)
+        time_axis(panel, episode, labeled=panel is panels[-1], width=width)
     if title:
         headline(figure, f"{title}: {episode.outcome}")
     fit(figure, width)
@@ -212,8 +248,8 @@ def _world(panel: Axes, episode: ImagingEpisode, span: tuple[float, float], widt
     world_map(panel, width)
     _targets(panel, episode, ground(episode.r_LP_P), episode.exists)
     lines, hours = pieces(*ground(episode.track)), episode.track_times / HOUR
-    shown = (episode.track_times[1:] > span[0]) & (episode.track_times[:-1] < span[1])
-    panel.add_collection(LineCollection(lines[shown].tolist(), color=INK, linewidth=7.0, alpha=0.2, zorder=2.5))
+    large = (episode.track_times[1:] > span[0]) & (episode.track_times[:-1] < span[1])
+    panel.add_collection(LineCollection(lines[large].tolist(), color=INK, linewidth=7.0, alpha=0.2, zorder=2.5))
     track = LineCollection(lines.tolist(), array=hours[1:].numpy(), cmap=DAY, linewidth=1.6, zorder=3)
     track.set_clim(0.0, float(hours[-1]))
     panel.add_collection(track)
@@ -280,11 +316,81 @@ def _close_up(panel: Axes, episode: ImagingEpisode, span: tuple[float, float]) -
     near = (places[0] > x[0] - reach) & (places[0] < x[-1] + reach) & (places[1].abs() < 1.15 * reach)
     _targets(panel, episode, places, episode.exists & near, LARGER)
     rows = episode.imaged & (episode.times[1:] >= span[0]) & (episode.times[1:] <= span[1])
-    eyes, seen = along_and_across(episode.r_BN_P[1:][rows], path), [q[episode.chosen[rows]] for q in places]
-    lines = torch.stack([torch.stack(eyes, -1), torch.stack(seen, -1)], 1)
+    eyes, targets = along_and_across(episode.r_BN_P[1:][rows], path), [q[episode.chosen[rows]] for q in places]
+    lines = torch.stack([torch.stack(eyes, -1), torch.stack(targets, -1)], 1)
     panel.add_collection(LineCollection(lines.tolist(), color=INK, linewidth=1.0, zorder=3))
     panel.plot(*eyes, "o", color=INK, markersize=3.2, zorder=5)
     panel.set_xlabel("along the track, km", color=INK, fontsize=9.5)
     label(panel, "across, km")
     start, end = (f"{int(t // 3600)}:{int(t % 3600 // 60):02d}" for t in span)
     caption(panel, f"{start} to {end} h, a tick a minute: lines lead from the satellite to what it images, shaded is its reach")
+
+
+# -- decisions over time ---------------------------------------------------------------------------------------------------------
+
+
+def decisions(panel: Axes, episode: ImagingEpisode, span: tuple[float, float]) -> list[Artist]:
+    """Draw decisions and rewards, and mark a ``span`` of seconds; entries for the legend."""
+    panel.axvspan(span[0] / HOUR, span[1] / HOUR, color=INK, alpha=0.1, linewidth=0, zorder=0)
+    handles = [*_images(panel, episode), *_others(panel, episode)]
+    panel.axhline(0.0, color=INK, linewidth=0.8)
+    panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{abs(value):g}"))
+    label(panel, "priority")
+    caption(panel, "decisions, as high as the target's priority")
+    return [*handles, _rewards(panel.twinx(), episode, panel.get_ylim()), Patch(color=INK, alpha=0.1, label="shown above")]
+
+
+def _images(panel: Axes, episode: ImagingEpisode) -> list[Patch]:
+    """Bars up for images, down for what was chosen in vain."""
+    start, width, handles = episode.times[:-1] / HOUR, episode.times.diff() / HOUR, []
+    for kind, (color, name) in OUTCOMES.items():
+        rows = episode.outcomes == kind
+        if bool(rows.any()):
+            height = episode.worth[rows] * (-1.0 if kind == LOST else 1.0)
+            panel.bar(start[rows].tolist(), height.tolist(), width[rows].tolist(), align="edge", color=color, linewidth=0)
+            handles.append(Patch(color=color, label=name))
+    most = max(float(episode.worth.max()), 1e-9)
+    lost = float((episode.worth * (episode.outcomes == LOST)).max())
+    panel.set_ylim(-1.04 * max(lost, 0.03 * most), 1.04 * most)
+    return handles
+
+
+def _others(panel: Axes, episode: ImagingEpisode) -> list[Patch]:
+    """Bars over the whole height for what is no image."""
+    (low, high), handles = panel.get_ylim(), []
+    for color, action in zip(cycle(MODES), sorted(set(episode.actions[episode.chosen < 0].tolist())), strict=False):
+        bars(panel, episode, episode.actions == action, low, high - low, facecolors=color, alpha=0.45)
+        handles.append(Patch(color=color, alpha=0.45, label=plain(episode.names[action])))
+    return handles
+
+
+def _rewards(panel: Axes, episode: ImagingEpisode, limits: tuple[float, float]) -> Line2D:
+    """The sum of rewards on its own axis, with zero if it is within ``limits`` unless rewards were negative."""
+    total = torch.nn.functional.pad(episode.rewards.cumsum(0), (1, 0)).tolist()
+    for color, width in (("white", 3.2), (INK, 1.7)):
+        panel.step((episode.times / HOUR).tolist(), total, where="post", color=color, linewidth=width)
+    tidy(panel)
+    panel.grid(False)
+    worst, best = min(total), max(*total, 1e-9)
+    panel.set_yticks([tick for tick in panel.get_yticks() if worst <= tick <= best])
+    scale = best / limits[1]
+    panel.set_ylim(1.04 * scale * limits[0] if worst >= 0.0 else 1.04 * worst, 1.04 * best)
+    label(panel, "sum of rewards")
+    return Line2D([], [], color=INK, linewidth=1.7, label="sum of rewards")
+
+
+def resources(panel: Axes, episode: ImagingEpisode, width: float = WIDTH) -> list[Artist]:
+    """Draw battery, fastest wheel and store in a figure of a ``width``, inches; entries for the legend."""
+    hours, ends = (episode.times / HOUR).tolist(), {}
+    for color, (name, called) in zip((INK, PALETTE[1], PALETTE[4]), RESOURCES.items(), strict=True):
+        if name in episode.series:
+            height = episode.series[name].abs().amax(-1).tolist()
+            panel.plot(hours, height, color=color, linewidth=1.6)
+            ends[called] = height[-1], color
+    shade(panel, episode)
+    panel.set_ylim(0.0, 1.03)
+    panel.yaxis.set_major_locator(MultipleLocator(0.5))
+    panel.yaxis.set_major_formatter(PercentFormatter(1.0))
+    label(panel, "share of limit")
+    name_lines(panel, ends, NAME_HEIGHT / share(width))
+    return [*shade_legend()]

@@ -31,13 +31,11 @@ UNDATED: dict[str, dict[str, None]] = {"svg": {"Date": None}, "pdf": {"CreationD
 INK, FAINT = "#333a45", "#d9dde3"
 """Colors of text and of guide lines."""
 
-
 WIDTH, COLUMN = 10.0, 3.4
 """Widths of figures, inches: of pages and reports, and of a column of a paper."""
 
 SMALLER = 0.78
 """Size of text and lines in a column of a paper, relative to that of wide figures."""
-
 
 LEAST = 6.5
 """Smallest text in a column of a paper, points."""
@@ -59,7 +57,6 @@ def fit(figure: Figure, width: float) -> None:
 
 
 def _shrink(artist: Artist, width: float) -> None:
-    """Make text, lines and markers smaller."""
     for text in artist.findobj(Text):
         assert isinstance(text, Text)
         size = text.get_fontproperties().get_size_in_points()
@@ -186,7 +183,7 @@ def save(figure: Figure, path: Path) -> Path:
     """
     _literal(figure)
     with rc_context({"svg.hashsalt": "bsk_torch", "pdf.fonttype": 42, "text.parse_math": False}):
-        drawn, kind = BytesIO(), path.suffix.removeprefix(".")
-        figure.savefig(drawn, format=kind, dpi=figure.dpi, metadata=UNDATED.get(kind))
-    write_file(path, drawn.getvalue())
+        content, kind = BytesIO(), path.suffix.removeprefix(".")
+        figure.savefig(content, format=kind, dpi=figure.dpi, metadata=UNDATED.get(kind))
+    write_file(path, content.getvalue())
     return path

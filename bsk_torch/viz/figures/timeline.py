@@ -1,16 +1,21 @@
-"""Figure of an episode over time: modes, battery, data buffer, wheels, eclipses and station passes."""
+"""Figures of an episode of one satellite: modes and resources over time, and the ground track on a map."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MultipleLocator, PercentFormatter
 from torch import Tensor
@@ -21,9 +26,24 @@ from bsk_torch.recording.recording import Recording
 from bsk_torch.recording.scenes import QUANTITIES
 from bsk_torch.recording.table import Columns, number_columns
 from bsk_torch.viz.episodes import Episode, Picture
-from bsk_torch.viz.figures.style import INK, PALETTE, WIDTH, fit, headline, label, legend, panels, save, share
+from bsk_torch.viz.figures.style import (
+    INK,
+    PALETTE,
+    WIDTH,
+    caption,
+    dot,
+    fit,
+    headline,
+    label,
+    legend,
+    panels,
+    save,
+    share,
+    tidy,
+)
+from bsk_torch.viz.figures.world import ground, pieces, world_map
 
-__all__ = ["TrackEpisode", "timeline"]
+__all__ = ["TrackEpisode", "timeline", "track_map"]
 
 SAMPLE = 30.0
 """Seconds between the samples of a ground track."""
@@ -34,6 +54,11 @@ GRAYS, DASHES = (INK, "#6b7280", "#9aa3af"), ("-", (0, (5, 1.5)), (0, (1.5, 1)))
 """Looks of several lines in a panel, such as of wheels: colors are those of modes."""
 
 NIGHT, PASS = "#3b4252", PALETTE[2]
+
+THIN, THICK, SHADE = 1.5, 3.4, 7.5
+"""Widths of the track where nothing is earned, where something is, and of the shade under it in the dark, points."""
+
+SHADE_ALPHA = 0.22
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,8 +142,6 @@ class TrackEpisode(Episode):
 
     @override
     def pictures(self) -> list[Picture]:
-        from bsk_torch.viz.figures.track_map import track_map  # which shows the modes of this module
-
         return [
             Picture(
                 partial(track_map, self),
@@ -164,13 +187,13 @@ def timeline(
     return save(figure, path)
 
 
-def time_axis(panel: Axes, episode: TrackEpisode, named: bool = True, width: float = WIDTH) -> None:
-    """Ticks of an abscissa in hours, and their numbers and its name where it is ``named``."""
+def time_axis(panel: Axes, episode: TrackEpisode, labeled: bool = True, width: float = WIDTH) -> None:
+    """Ticks of an abscissa in hours, and their numbers and its name where it is ``labeled``."""
     hours = float(episode.times[-1]) / HOUR
     hour_ticks(panel, hours, width)
-    panel.tick_params(labelbottom=named)
+    panel.tick_params(labelbottom=labeled)
     panel.set_xlim(0.0, hours)
-    if not named:
+    if not labeled:
         panel.set_xlabel("")
 
 
@@ -252,3 +275,79 @@ def shade_legend() -> list[Patch]:
 def plain(action: str) -> str:
     """Name of an action as people say it."""
     return action.removeprefix("action_").replace("_", " ")
+
+
+# -- the map --------------------------------------------------------------------------------------------------------------------
+
+
+def track_map(episode: TrackEpisode, path: Path, title: str = "", width: float = WIDTH) -> Path:
+    """Draw an episode to the file ``path``, .png, .svg or .pdf, with headline ``title`` unless that is empty.
+
+    The ground track has the colors of the timeline's modes. It is thick for decisions that earned a reward and shaded in eclipse.
+    Ground stations, start and end are marked. ``width`` is in inches, such as :data:`~bsk_torch.viz.figures.style.COLUMN`.
+    """
+    text = 0.8 if title else 0.35  # height, inches
+    figure = Figure(figsize=(width, 0.5 * width + text), dpi=140, layout="constrained", facecolor="white")
+    panel = figure.subplots()
+    tidy(panel)
+    world_map(panel, width)
+    panel.set_anchor("C")
+    _track(panel, episode)
+    panel.plot(*ground(episode.stations), "^", color=INK, markeredgecolor="white", markersize=8.0, zorder=5)
+    for k, marker in ((0, "o"), (-1, "s")):
+        panel.plot(*ground(episode.track[k]), marker, color="white", markeredgecolor=INK, markersize=6.5, zorder=6)
+    if title:
+        caption(panel, "ground track by mode; thick where a reward was earned, shaded in eclipse")
+        headline(figure, f"{title}: {episode.outcome}")
+    fit(figure, width)
+    legend(figure, _map_legend(episode), width, 8)
+    return save(figure, path)
+
+
+def decision_of(episode: TrackEpisode) -> Tensor:
+    """The decision that each piece between two samples of the track belongs to, [M - 1]."""
+    middle = 0.5 * (episode.track_times[1:] + episode.track_times[:-1])
+    return torch.searchsorted(episode.times, middle, right=True) - 1
+
+
+def within(times: Tensor, intervals: Tensor) -> Tensor:
+    """Return a mask of the ``times`` [M] that lie in any of the ``intervals`` [n, 2]."""
+    return ((times.unsqueeze(-1) >= intervals[:, 0]) & (times.unsqueeze(-1) < intervals[:, 1])).any(-1)
+
+
+def _track(panel: Axes, episode: TrackEpisode) -> None:
+    lines, decision = pieces(*ground(episode.track)), decision_of(episode)
+    dark = within(0.5 * (episode.track_times[1:] + episode.track_times[:-1]), episode.eclipses)
+    look: dict[str, Any] = dict(color=NIGHT, alpha=SHADE_ALPHA, zorder=2.0, capstyle="butt")
+    panel.add_collection(LineCollection(runs(lines[dark]), linewidth=SHADE, **look))
+    paid = episode.rewards[decision] > 0.0
+    for action in sorted(set(episode.actions.tolist())):
+        for rows, width in ((~paid, THIN), (paid, THICK)):
+            chosen = lines[rows & (episode.actions[decision] == action)]
+            panel.add_collection(
+                LineCollection(runs(chosen), color=mode_color(action), linewidth=width, zorder=3.0, capstyle="butt")
+            )
+
+
+def runs(lines: Tensor) -> list[list[list[float]]]:
+    """Lines of many points, made of :func:`bsk_torch.viz.figures.world.pieces` [n, 5, 2] in the order of flight."""
+    joined: list[list[list[float]]] = []
+    for begin, end, _, leaving, coming in lines.tolist():
+        if joined and joined[-1][-1] == begin:
+            joined[-1].append(end)
+        else:
+            joined.append([begin, end])
+        if isfinite(leaving[0]):
+            joined.append([leaving, coming])
+    return joined
+
+
+def _map_legend(episode: TrackEpisode) -> list[Artist]:
+    modes = [
+        Line2D([], [], color=mode_color(k), linewidth=THICK, label=plain(name))
+        for k, name in enumerate(episode.names)
+        if bool((episode.actions == k).any())
+    ]
+    shade = Patch(color=NIGHT, alpha=SHADE_ALPHA, label="eclipse")
+    markers = [dot("^", INK, INK, "ground station")] if len(episode.stations) else []
+    return [*modes, shade, *markers, dot("o", "white", INK, "start"), dot("s", "white", INK, "end")]

@@ -58,7 +58,7 @@ class CloseUp:
         rho_H: Positions of the inspectors, m [I, 3].
         drifts_H: Positions during half a revolution without maneuvers, m [I, M, 3].
         normals_H: Directions of the points, [P, 3].
-        known: What is known of each, :data:`UNLIT`, :data:`LIT` or :data:`INSPECTED`, [P].
+        states: What is known of each, :data:`UNLIT`, :data:`LIT` or :data:`INSPECTED`, [P].
         sun_H: Direction to the Sun, [3].
         illumination: Fraction of the Sun that the RSO sees.
         fuel: What the tanks are good for, m/s [I]; not a number without a tank.
@@ -70,7 +70,7 @@ class CloseUp:
     rho_H: Array
     drifts_H: Array
     normals_H: Array
-    known: Array
+    states: Array
     sun_H: Array
     illumination: float
     fuel: Array
@@ -93,7 +93,7 @@ def look_closely(env: Tasking, row: int, moment: Moment) -> CloseUp | None:
     times = torch.linspace(0.0, AHEAD * 2.0 * math.pi, SAMPLES, dtype=rho.dtype, device=rho.device) / rate
     drifts, _ = propagate(rho.unsqueeze(1), velocity.unsqueeze(1), rate, times)
     normals_B = torch.nn.functional.normalize(targets.r.to(rho.device), dim=1)
-    known = torch.where(progress.marks["done"], INSPECTED, torch.where(progress.marks["lit"], LIT, UNLIT))
+    states = torch.where(progress.marks["done"], INSPECTED, torch.where(progress.marks["lit"], LIT, UNLIT))
     tanks = any(simulator.has_tank for simulator in env.fleet.simulators)
     fuel = of_satellites(env, row, "dv_available", "fsw") if tanks else torch.full_like(r_N[:, 0], torch.nan)
     return CloseUp(
@@ -102,7 +102,7 @@ def look_closely(env: Tasking, row: int, moment: Moment) -> CloseUp | None:
         rho_H=array(rho),
         drifts_H=array(drifts),
         normals_H=array(normals_B @ BN[rso] @ HN[rso].mT),
-        known=array(known),
+        states=array(states),
         sun_H=array(HN[rso]) @ moment.sun_N,
         illumination=float(of_satellites(env, row, "illumination")[rso]),
         fuel=array(fuel[inspectors]),
@@ -206,9 +206,9 @@ def _corner(height: float) -> tuple[float, float]:
 
 def _arrow(direction_H: Array) -> tuple[Array, float]:
     """A direction in the picture [2], and how much of it the eye sees."""
-    seen = view()[:2] @ direction_H
-    length = float(np.linalg.norm(seen))
-    return seen / max(length, 1e-12), length
+    visible = view()[:2] @ direction_H
+    length = float(np.linalg.norm(visible))
+    return visible / max(length, 1e-12), length
 
 
 def _points(pen: Pen, close: CloseUp) -> None:
@@ -216,7 +216,7 @@ def _points(pen: Pen, close: CloseUp) -> None:
     (x, y), radius = _corner(2.0 * pen.eye.centre), BODY * pen.unit
     n = close.normals_H @ view().T
     for kind in (UNLIT, LIT, INSPECTED):
-        for a, b, _ in n[(close.known == kind) & (n[:, 2] > 0.0)].tolist():
+        for a, b, _ in n[(close.states == kind) & (n[:, 2] > 0.0)].tolist():
             pen.circle((x + a * radius, y - b * radius), 3.4, fill=POINT_COLORS[kind], outline=INK)
     for direction, color in ((close.sun_H, PALETTE[1]), (EARTH_H, PALETTE[0])):
         tip, length = _arrow(direction)

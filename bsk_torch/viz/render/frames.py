@@ -33,13 +33,10 @@ def frames(env: Tasking, rows: int | Sequence[int] | None = None, height: int = 
     """Pictures of the present of some episodes; see :meth:`bsk_torch.env.base.Tasking.render`."""
     if not isinstance(height, int) or height < LEAST_HEIGHT or height % 2:
         raise ValueError(f"height={height!r} must be an even number of pixels, at least {LEAST_HEIGHT}")
-    shots = torch.from_numpy(np.stack([_shot(env, row, height) for row in chosen(env, rows)])).to(env.device)
+    moments = [(row, look(env, row)) for row in chosen(env, rows)]
+    pictures = [picture(moment, height, look_closely(env, row, moment)) for row, moment in moments]
+    shots = torch.from_numpy(np.stack(pictures)).to(env.device)
     return shots[0] if isinstance(rows, int) else shots
-
-
-def _shot(env: Tasking, row: int, height: int) -> Array:
-    moment = look(env, row)
-    return picture(moment, height, look_closely(env, row, moment))
 
 
 def chosen(env: Tasking, rows: int | Sequence[int] | None) -> list[int]:
@@ -50,13 +47,13 @@ def chosen(env: Tasking, rows: int | Sequence[int] | None) -> list[int]:
             f"rows=None draws every environment, and num_envs={n} is more than the {MOST} drawn by default; "
             "choose some, such as rows=0 or rows=[0, 1]"
         )
-    wanted = list(range(n)) if rows is None else [rows] if isinstance(rows, int) else list(rows)
-    if not wanted or any(not 0 <= row < n for row in wanted):
+    episodes = list(range(n)) if rows is None else [rows] if isinstance(rows, int) else list(rows)
+    if not episodes or any(not 0 <= row < n for row in episodes):
         raise ValueError(f"rows={rows!r} must be an environment from 0 to {n - 1}, or a list of such")
     env.guard.check_begun(
-        "render()", torch.zeros_like(env.state.begun).index_fill(0, torch.tensor(wanted, device=env.device), True)
+        "render()", torch.zeros_like(env.state.begun).index_fill(0, torch.tensor(episodes, device=env.device), True)
     )
-    return wanted
+    return episodes
 
 
 def picture(moment: Moment, height: int, close: CloseUp | None = None) -> Array:

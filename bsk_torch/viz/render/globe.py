@@ -49,7 +49,7 @@ class Camera(NamedTuple):
     radius: float
     centre: float
 
-    def seen(self, r_N: Array) -> tuple[Array, Array]:
+    def project(self, r_N: Array) -> tuple[Array, Array]:
         """Pixels [..., 2] of positions [..., 3] m in N, and which of them the Earth does not hide, [...]."""
         x = r_N @ self.axes.T / R_EARTH
         pixels = self.centre + self.radius * x[..., :2] * (1.0, -1.0)

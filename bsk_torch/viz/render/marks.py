@@ -10,7 +10,7 @@ import numpy as np
 from PIL import ImageColor, ImageFont
 from PIL.ImageDraw import ImageDraw
 
-from bsk_torch._text import visible
+from bsk_torch import _text
 from bsk_torch.viz.figures.style import INK, PALETTE
 from bsk_torch.viz.render.globe import Camera
 from bsk_torch.viz.render.moment import DEAD, Array, Moment
@@ -50,7 +50,6 @@ FRESH, FAINT = 235, 70
 NAMED = 16
 """Maximum number of satellites with names."""
 
-
 EDGE = 0.88
 """Part of the picture's width from which on names are written to the left."""
 
@@ -79,7 +78,7 @@ class Pen(NamedTuple):
 
     def text(self, at: tuple[float, float], text: str, size: float, color: str = INK, **look: Any) -> None:
         """A text of a size in units."""
-        self.draw.text(at, visible(text), fill=color, font=font(size * self.unit), **look)
+        self.draw.text(at, _text.visible(text), fill=color, font=font(size * self.unit), **look)
 
 
 @lru_cache(maxsize=32)
@@ -108,51 +107,51 @@ def draw_marks(pen: Pen, moment: Moment) -> None:
 
 
 def _targets(pen: Pen, moment: Moment) -> None:
-    pixels, there = pen.eye.seen(moment.targets_P @ moment.PN)
+    pixels, visible = pen.eye.project(moment.targets_P @ moment.PN)
     size = 0.8 + 1.4 * min(1.0, (300 / max(1, len(pixels))) ** 0.5)
     radius = np.where(moment.imaged, size + 0.8, size * (LEAST + (MOST - LEAST) * moment.worth))
     for rows, color in ((~moment.imaged, NEW), (moment.imaged, DONE)):
-        drawn = rows & there
+        drawn = rows & visible
         for at, wide in zip(pixels[drawn].tolist(), radius[drawn].tolist(), strict=True):
             pen.circle(at, wide, fill=shade(color, 255))
 
 
 def _stations(pen: Pen, moment: Moment) -> None:
-    pixels, there = pen.eye.seen(moment.stations_P @ moment.PN)
-    for at in pixels[there].tolist():
+    pixels, visible = pen.eye.project(moment.stations_P @ moment.PN)
+    for at in pixels[visible].tolist():
         pen.mark(at, 4.2, INK, TRIANGLE)
 
 
 def _orbits(pen: Pen, moment: Moment) -> None:
     """One revolution of each, from where the satellite is backwards."""
-    pixels, there = pen.eye.seen(moment.orbits_N)
+    pixels, visible = pen.eye.project(moment.orbits_N)
     fresh = TRAIL * (pixels.shape[1] - 1)
-    for path, seen, mode in zip(pixels.tolist(), (there[:, 1:] & there[:, :-1]).tolist(), moment.modes, strict=True):
+    for path, shown, mode in zip(pixels.tolist(), (visible[:, 1:] & visible[:, :-1]).tolist(), moment.modes, strict=True):
         for k, (start, end) in enumerate(pairwise(path)):
             age = min(1.0, k / fresh)
-            if seen[k] and (mode != DEAD or age == 1.0):
+            if shown[k] and (mode != DEAD or age == 1.0):
                 pen.line(start, end, 2.6 - 1.6 * age, shade(INK, round(FRESH + (FAINT - FRESH) * age)))
 
 
 def _lines(pen: Pen, moment: Moment) -> None:
     """Between satellites that have talked, and from satellites to the targets that they look at, once these have risen."""
-    pixels, there = pen.eye.seen(moment.r_N)
+    pixels, visible = pen.eye.project(moment.r_N)
     for a, b in np.argwhere(np.triu(moment.links | moment.links.T, 1)).tolist():
-        if there[a] and there[b]:
+        if visible[a] and visible[b]:
             pen.line(pixels[a], pixels[b], 1.0, shade(PALETTE[4], 150))
     aims_N = moment.aims_P @ moment.PN
-    aims, _ = pen.eye.seen(aims_N)
+    aims, _ = pen.eye.project(aims_N)
     height = ((moment.r_N - aims_N) * aims_N).sum(-1)
     risen = np.isfinite(height) if moment.in_orbit else height > 0.0  # false where there is no target
-    for k in np.flatnonzero(there & risen).tolist():
+    for k in np.flatnonzero(visible & risen).tolist():
         pen.line(pixels[k], aims[k], 2.0, shade(color_of(moment.modes[k]), 255))
 
 
 def _satellites(pen: Pen, moment: Moment) -> None:
-    pixels, there = pen.eye.seen(moment.r_N)
+    pixels, visible = pen.eye.project(moment.r_N)
     size = 6.5 if len(pixels) == 1 else 5.0 if len(pixels) <= NAMED else 3.5
-    for at, seen, mode in zip(pixels.tolist(), there.tolist(), moment.modes, strict=True):
-        if seen:
+    for at, is_front, mode in zip(pixels.tolist(), visible.tolist(), moment.modes, strict=True):
+        if is_front:
             pen.circle(at, size + 1.5, fill="white")
             pen.circle(at, size, fill=color_of(mode))
         else:
@@ -161,10 +160,10 @@ def _satellites(pen: Pen, moment: Moment) -> None:
 
 def write_names(pen: Pen, moment: Moment) -> None:
     """Names next to the satellites of a small constellation."""
-    pixels, there = pen.eye.seen(moment.r_N)
+    pixels, visible = pen.eye.project(moment.r_N)
     if 1 < len(pixels) <= NAMED:
-        for at, seen, name in zip(pixels.tolist(), there.tolist(), moment.names, strict=True):
-            if seen:
+        for at, is_front, name in zip(pixels.tolist(), visible.tolist(), moment.names, strict=True):
+            if is_front:
                 side, anchor = (9.0, "lm") if at[0] < EDGE * 2.0 * pen.eye.centre else (-9.0, "rm")
                 where = at[0] + side * pen.unit, at[1]
                 pen.text(where, name, 11.0, anchor=anchor, stroke_width=round(1.5 * pen.unit), stroke_fill="white")

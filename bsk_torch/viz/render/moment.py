@@ -138,12 +138,12 @@ def _modes(env: Tasking, row: int) -> list[str]:
     modes = {}
     for satellite in env.satellites:
         simulator, first = satellite.simulator, row * satellite.simulator.count
-        named = [command_of(simulator, name) for name in simulator.mode_names]
-        mine = slice(first, first + simulator.count)
+        commands = [command_of(simulator, name) for name in simulator.mode_names]
+        rows = slice(first, first + simulator.count)
         for column, mode, dead in zip(
-            simulator.columns, simulator.mode[mine].tolist(), satellite.task.dead[mine].tolist(), strict=True
+            simulator.columns, simulator.mode[rows].tolist(), satellite.task.dead[rows].tolist(), strict=True
         ):
-            modes[column] = DEAD if dead else named[mode]
+            modes[column] = DEAD if dead else commands[mode]
     return [modes[column] for column in range(env.fleet.size)]
 
 
@@ -184,8 +184,7 @@ def _largest(name: str, part: SatelliteGroup) -> Tensor:
 def _levels(env: Tasking, row: int) -> dict[str, float]:
     levels = {}
     for name, title in QUANTITIES.items():
-        there = [part for part in env.fleet.satellites if hasattr(type(part.dynamics), name)]
-        if there:
+        if any(hasattr(type(part.dynamics), name) for part in env.fleet.satellites):
             values = env.fleet.each(partial(_largest, name), missing=math.nan)[row][env.present[row]]
             values = values[torch.isfinite(values)]
             levels[title] = float(values.min() if title == LOW else values.max())

@@ -16,7 +16,6 @@ from bsk_torch.viz.render.moment import LOW, Moment
 SOFT = PALETTE[7]
 """Color of text that explains."""
 
-
 LISTED = 4
 """Inspectors up to which the fuel of each is written."""
 
@@ -67,7 +66,7 @@ class _Column:
 
 
 def write_panel(pen: Pen, moment: Moment, left: float, width: float) -> None:
-    """Write all known of a moment into a column of pixels."""
+    """Write all of a moment into a column of pixels."""
     margin, several = 12.0 * pen.unit, len(moment.names) > 1
     column = _Column(pen, left + 0.5 * margin, width - 1.5 * margin)
     column.text(f"{len(moment.names)} satellites" if several else moment.names[0], 17.0)
@@ -94,9 +93,9 @@ def write_inspection_panel(pen: Pen, moment: Moment, close: CloseUp, left: float
     column.text(_clock(moment), 13.0, SOFT)
     column.gap(8.0)
     _activities(column, moment, close.inspectors)
-    counted = np.bincount(close.known, minlength=len(POINT_COLORS))
-    column.pair("inspected", f"{counted[INSPECTED]} of {len(close.known)}")
-    column.bar(counted[INSPECTED] / len(close.known))
+    counted = np.bincount(close.states, minlength=len(POINT_COLORS))
+    column.pair("inspected", f"{counted[INSPECTED]} of {len(close.states)}")
+    column.bar(counted[INSPECTED] / len(close.states))
     for kind, name in ((INSPECTED, "inspected"), (LIT, "lit, not inspected"), (UNLIT, "not lit yet")):
         column.entry(POINT_COLORS[kind], name, str(counted[kind]), outlined=True)
     column.gap(8.0)
@@ -111,7 +110,6 @@ def write_inspection_panel(pen: Pen, moment: Moment, close: CloseUp, left: float
 
 
 def _activities(column: _Column, moment: Moment, satellites: Iterable[int]) -> None:
-    """What some satellites do, with why the dead have died."""
     several = len(moment.names) > 1
     done = Counter((moment.modes[k], moment.causes[k]) for k in satellites)
     for (mode, cause), number in sorted(done.items()):
@@ -121,7 +119,6 @@ def _activities(column: _Column, moment: Moment, satellites: Iterable[int]) -> N
 
 
 def _totals(column: _Column, moment: Moment) -> None:
-    """The return and what is counted."""
     column.gap(4.0)
     column.pair("return", f"{moment.total:.3f}")
     for name, count in moment.counts.items():
@@ -130,6 +127,5 @@ def _totals(column: _Column, moment: Moment) -> None:
 
 
 def _clock(moment: Moment) -> str:
-    """Time since reset, and of how much."""
     now, limit = (f"{int(t // 3600)}:{int(t % 3600 // 60):02d}" if t < 1e9 else "" for t in (moment.time, moment.limit))
     return f"{now}:{int(moment.time % 60):02d} of {limit} h" if limit else f"{now}:{int(moment.time % 60):02d} h"

@@ -16,8 +16,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from bsk_torch._text import visible
 from bsk_torch.files import write_file
 from bsk_torch.viz.episodes import Episode, episode_of
-from bsk_torch.viz.report.curves import MARKED, MEASURES, Columns, Measure, curve, shown
-from bsk_torch.viz.report.deaths import deaths_chart, plain_cause
+from bsk_torch.viz.report.curves import MARKED, MEASURES, Columns, Measure, curve, deaths_chart, plain_cause, shown
 
 __all__ = ["Chosen", "RunData", "episode_of", "write_report"]
 
@@ -127,14 +126,12 @@ def picture(draw: Callable[[Path], Path], caption: str, alternative: str, title:
 
 
 def _curves(run: RunData) -> list[Shown]:
-    """The measures that there is something to show of."""
-    drawn = [measure for measure in MEASURES if shown(measure, run.log, run.evaluations)]
-    draw = {measure: partial(curve, measure, run.log, run.evaluations, marked=run.marked) for measure in drawn}
-    return [picture(draw[measure], _caption(measure, run.marked), _ends(measure, run), measure.title) for measure in drawn]
-
-
-def _caption(measure: Measure, marked: bool) -> str:
-    return f"{measure.about}{f', as figure {measure.figure} of the paper' if marked else ''}."
+    pictures = []
+    for measure in (measure for measure in MEASURES if shown(measure, run.log, run.evaluations)):
+        caption = f"{measure.about}{f', as figure {measure.figure} of the paper' if run.marked else ''}."
+        draw = partial(curve, measure, run.log, run.evaluations, marked=run.marked)
+        pictures.append(picture(draw, caption, _ends(measure, run), measure.title))
+    return pictures
 
 
 def _ends(measure: Measure, run: RunData) -> str:
@@ -145,7 +142,6 @@ def _ends(measure: Measure, run: RunData) -> str:
 
 
 def _deaths(results: Mapping[str, Mapping[str, Any]]) -> Shown | None:
-    """Causes of death; None if no satellite died."""
     deaths = {policy: result.get("deaths", {}) for policy, result in results.items()}
     if not any(sum(counts.values()) for counts in deaths.values()):
         return None
@@ -162,7 +158,6 @@ def _listed(counts: Mapping[str, int]) -> str:
 
 
 def _pictures(chosen: Chosen) -> list[Shown]:
-    """The pictures of an episode."""
     words = f"of the {chosen.why} episode: {chosen.episode.outcome}"
     return [
         picture(partial(shown.draw, title=shown.title), shown.caption, f"{shown.alternative} {words}.")
@@ -176,13 +171,13 @@ def _pictures(chosen: Chosen) -> list[Shown]:
 def summary(run: RunData) -> dict[str, str]:
     """The numbers at the top of the page, by name."""
     trained = run.results.get(TRAINED, {})
-    told = {"return": interval(trained["return"])} if trained else {}
-    told |= {"survival": f"{trained['survival']:.1%}"} if _number(trained.get("survival")) else {}
+    numbers = {"return": interval(trained["return"])} if trained else {}
+    numbers |= {"survival": f"{trained['survival']:.1%}"} if _number(trained.get("survival")) else {}
     if run.log:
         seconds, frames, days = (run.log[name][-1] for name in ("seconds", "frames", "simulated_days"))
-        told |= {"steps": f"{frames:,.0f}", "training time": clock(seconds), "simulated days": f"{days:,.0f}"}
-        told |= {"steps per hour": f"{frames / seconds * 3600.0 / 1e6:,.1f} million"}
-    return told
+        numbers |= {"steps": f"{frames:,.0f}", "training time": clock(seconds), "simulated days": f"{days:,.0f}"}
+        numbers |= {"steps per hour": f"{frames / seconds * 3600.0 / 1e6:,.1f} million"}
+    return numbers
 
 
 def clock(seconds: float) -> str:
@@ -205,8 +200,8 @@ def table(results: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]]
     mortal = any(result.get("deaths") for result in results.values())
     rows = {policy: _row(result, mortal) | {f"gain of {TRAINED}": _gain(gain.get(policy))} for policy, result in results.items()}
     columns = dict.fromkeys(name for row in rows.values() for name in row)
-    kept = [name for name in columns if any(row.get(name, "") for row in rows.values())]
-    return {policy: {name: row.get(name, "") or "–" for name in kept} for policy, row in rows.items()}
+    filled = [name for name in columns if any(row.get(name, "") for row in rows.values())]
+    return {policy: {name: row.get(name, "") or "–" for name in filled} for policy, row in rows.items()}
 
 
 def _row(result: Mapping[str, Any], mortal: bool) -> dict[str, str]:
@@ -235,7 +230,6 @@ def _number(value: object) -> bool:
 
 
 def _setting(value: object) -> str:
-    """A setting as people write it."""
     if isinstance(value, float):
         return f"{value:g}"
     if isinstance(value, Mapping):

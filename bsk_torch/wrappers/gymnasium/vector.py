@@ -158,7 +158,12 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         terminated, truncated = (self._export(results[name].squeeze(-1)) for name in ("terminated", "truncated"))
         info = self._measured(ended & ~waiting) if self._metrics is not None else {}
         if bool(starting.any()):
-            info |= self._final(results, ended) if same else {}
+            if same:
+                final = {
+                    "final_obs": self._last_observation(results["observation"], ended),
+                    "final_info": self._info(results, ended),
+                }
+                info |= final | {f"_{name}": self._export(ended) for name in final}
             results = begin(self.core, starting, results)
         self._results = results
         return self._observation(results), reward, terminated, truncated, info | self._info(results, self._every)
@@ -226,11 +231,6 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return {METRICS: {name: self._export(value.masked_fill(~ended, 0)) for name, value in metrics.items()}} | {
             f"_{METRICS}": self._export(ended)
         }
-
-    def _final(self, results: TensorDictBase, ended: Tensor) -> dict[str, Any]:
-        """Return the last results of the environments that have ``ended`` [N] bool."""
-        values = {"final_obs": self._last_observation(results["observation"], ended), "final_info": self._info(results, ended)}
-        return values | {f"_{name}": self._export(ended) for name in values}
 
     def _last_observation(self, observation: Any, ended: Tensor) -> Any:
         if self.output == "torch":

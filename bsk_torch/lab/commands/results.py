@@ -1,53 +1,15 @@
-"""Content of the files of results that commands read: evaluations of runs, and results of ``bsk-torch bench``."""
+"""Content of the files of results of ``bsk-torch bench``, as bench and leaderboard read them."""
 
 from __future__ import annotations
 
 from typing import Annotated
 
 from annotated_types import Interval, MinLen
-from pydantic import AllowInfNan, ConfigDict
+from pydantic import ConfigDict
 from typing_extensions import NotRequired, TypedDict
 
+from bsk_torch.cli.run_folder import Amount, Estimate, Maybe, Summary
 from bsk_torch.untrusted import Count, Word
-
-Amount = Annotated[float, Interval(ge=-1e15, le=1e15)]
-Share = Annotated[float, Interval(ge=0.0, le=1.0)]
-Maybe = Annotated[float, AllowInfNan(True)]
-"""A number that is infinite or NaN where episodes are too few."""
-
-
-class Estimate(TypedDict):
-    """A mean and the half width of its interval."""
-
-    mean: Amount
-    half_width: Maybe
-
-
-class Measure(TypedDict):
-    """The same of a measure, which may be unknown."""
-
-    mean: Maybe
-    half_width: Maybe
-
-
-Summary = TypedDict(
-    "Summary",
-    {
-        "return": Estimate,
-        "episodes": NotRequired[Count],
-        "survival": NotRequired[Share | None],
-        "survival_interval": NotRequired[list[Share]],
-        "collected": NotRequired[Maybe | None],
-        "fill": NotRequired[Maybe | None],
-        "decisions": NotRequired[Amount],
-        "simulated_per_decision": NotRequired[Amount | None],
-        "deaths": NotRequired[dict[Word, Count]],
-        "counts": NotRequired[dict[Word, Amount]],
-        "measures": NotRequired[dict[Word, Measure]],
-        "gain": NotRequired[dict[Word, Estimate]],
-    },
-)
-"""What an evaluation says of a policy; see :meth:`bsk_torch.rl.evaluation.evaluate.Evaluation.summary`."""
 
 
 class Repeated(TypedDict):

@@ -1,4 +1,4 @@
-"""``bsk-torch schedule``: the order of a tick, all slots, or the components that run for the satellites of a preset."""
+"""``bsk-torch args`` and ``bsk-torch schedule``: the arguments of a preset, and the order of a tick."""
 
 from __future__ import annotations
 
@@ -7,13 +7,37 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bsk_torch.cli.declaration import Preset
 from bsk_torch.cli.shared import made
 from bsk_torch.cli.terminal import echo
 from bsk_torch.sim.schedule import SCHEDULE, Schedule, Slot
+from bsk_torch.tables import print_table
 
 if TYPE_CHECKING:
     from bsk_torch.sim.component import Component
     from bsk_torch.sim.tick.loop import Tick
+
+
+NAMES = {"argument": "argument", "here": "in this preset", "default": "default", "meaning": "meaning"}
+"""Headlines of the columns."""
+
+
+def show_arguments(preset: Preset) -> None:
+    """Show the arguments of a preset's satellites and world: value in the preset, default and meaning.
+
+    Examples:
+        bsk-torch args NadirScan-v1
+    """
+    env = made(preset, 1, {"backend": "eager"})
+    for title, table in (("sat_args", env.default_sat_args()), ("world_args", env.default_world_args())):
+        rows = [{NAMES[name]: cell for name, cell in with_unit(cells).items() if name in NAMES} for cells in table.cells()]
+        print_table(rows, title, left=tuple(NAMES.values()), whole=("argument",))
+
+
+def with_unit(cells: dict[str, str]) -> dict[str, str]:
+    """Return the cells of an argument with its unit after its meaning."""
+    unit = f" ({cells['unit']})" if cells["unit"] not in ("", "-") else ""
+    return cells | {"meaning": cells["meaning"] + unit}
 
 
 def show_schedule(
@@ -49,13 +73,13 @@ def described(component: Component, schedule: Schedule = SCHEDULE) -> Slot:
 def slot_lines(slots: Sequence[Slot]) -> list[str]:
     """Return one line for each slot, under the names of the groups."""
     width = max(len(slot.name) for slot in slots)
-    found, group = [], ""
+    lines, group = [], ""
     for slot in slots:
         if slot.group != group:
             group = slot.group
-            found.append(f"{group}:")
-        found.append(f"  {slot.name:<{width}}  {slot.doc} ({slot.basilisk})")
-    return found
+            lines.append(f"{group}:")
+        lines.append(f"  {slot.name:<{width}}  {slot.doc} ({slot.basilisk})")
+    return lines
 
 
 def tick_lines(tick: Tick, schedule: Schedule) -> list[str]:
