@@ -21,7 +21,7 @@ from bsk_torch.astro.sight import line_clearance, stretch
 from bsk_torch.bsk_rl.sim import messages
 from bsk_torch.bsk_rl.sim.engine import row_mask
 from bsk_torch.bsk_rl.sim.rso_imaging import Aims, Capture
-from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sim.dyn import GroundStationDynModel, LOSCommDynModel
 from bsk_torch.sim.environment.world import station_arrays, station_names
 from bsk_torch.sim.fsw.setpoint import ATTITUDE_MRP, HOLD_INERTIAL

@@ -32,14 +32,7 @@ class EpisodeDataLogger(metrics.EpisodeDataLogger):
     ``EO1/imaged``, and the means of these over the satellites, ``mean/imaged``.
     """
 
-    def __init__(
-        self,
-        episode_data_callback: metrics.EpisodeCallback | None = None,
-        satellite_data_callback: metrics.SatelliteCallback | None = None,
-    ) -> None:
-        """Collect the metrics that these functions return; TypeError for what is no function."""
-        self._keep(episode_data_callback, satellite_data_callback)
-        self.logs_to_skip = RESETS_OF_RLLIB
+    logs_to_skip = RESETS_OF_RLLIB
 
     def log_data_on_reset(self) -> None:
         """Give the metrics of the current moment to the logger, if there is one."""
@@ -58,19 +51,9 @@ class EpisodeDataLogger(metrics.EpisodeDataLogger):
 class EpisodeDataWrapper(EpisodeDataLogger, gymnasium.Wrapper[Any, Any, Any, Any]):
     """Metrics of a Gymnasium environment; see :class:`EpisodeDataLogger`."""
 
-    def __init__(self, env: Any, *callbacks: Any, **named_callbacks: Any) -> None:
-        """Wrap an environment; see :class:`EpisodeDataLogger` for the functions."""
-        EpisodeDataLogger.__init__(self, *callbacks, **named_callbacks)
-        gymnasium.Wrapper.__init__(self, env)
-
 
 class EpisodeDataParallelWrapper(EpisodeDataLogger, BaseParallelWrapper):
     """Metrics of a PettingZoo environment; see :class:`EpisodeDataLogger`."""
-
-    def __init__(self, env: Any, *callbacks: Any, **named_callbacks: Any) -> None:
-        """Wrap an environment; see :class:`EpisodeDataLogger` for the functions."""
-        EpisodeDataLogger.__init__(self, *callbacks, **named_callbacks)
-        BaseParallelWrapper.__init__(self, env)
 
 
 if all(map(find_spec, ("ray", "tree"))):  # Ray without RLlib lacks the latter
