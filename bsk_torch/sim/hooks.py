@@ -173,9 +173,9 @@ class ChangeGuard:
         self._seen: dict[str, tuple[Tensor, int]] = {}
 
     def check(self, instance: object, advice: str, exempt: Sequence[str] = ()) -> None:
-        """Compare with the last check; TypeError if an attribute holds another tensor, or one that was changed in place.
+        """Compare with the last check; TypeError if an attribute holds another tensor, or one changed in place since.
 
-        Attributes whose names begin with an underscore, and ``exempt`` ones, may change; ``advice`` says what to do instead.
+        Attributes whose names begin with an underscore, and ``exempt`` ones, may change; ``advice`` tells what to do instead.
         """
         for name, value in vars(instance).items():
             if not isinstance(value, Tensor) or name.startswith("_") or name in exempt:

@@ -141,7 +141,7 @@ def test_proposed_gains_are_stable(ratio, h):
 def test_fixed_gains_are_checked_once_and_changed_ones_again(caplog):
     env = bsk_torch.make("NadirScan-v1", num_envs=2, seed=0, backend="eager")
     env.reset()
-    checked = env.simulator.type.arguments._fits
+    checked = env.simulator.type.arguments._checked
     assert "control" in checked
     assert "hub" not in checked  # initial rates are random
     assert "is not stable" not in caplog.text
