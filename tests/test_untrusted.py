@@ -163,7 +163,7 @@ def test_json_and_packed_bytes_have_bounds():
     )
 
 
-OWN_FILES = {"_listed.py", "cli/presets.py", "rl/evaluation/suite.py", "viewer/page.py", "viz/figures/world.py"}
+OWN_FILES = {"_listed.py", "cli/presets.py", "lab/suites/suite.py", "viewer/page.py", "viz/figures/world.py"}
 """Modules that read JSON files of the package itself."""
 
 LOADERS = {
@@ -172,7 +172,7 @@ LOADERS = {
     "gzip.decompress": set(),
     "json.load": set(),
     "json.loads": OWN_FILES,
-    "np.load": {"scene/aeos_generator.py", "astro/ephemeris.py"},  # tables of the package
+    "np.load": {"tasks/aeos_bench/generator.py", "astro/ephemeris.py"},  # tables of the package
     **{
         f"{module}.{name}": set()
         for module in ("pickle", "cPickle", "marshal", "dill", "joblib")

@@ -120,7 +120,8 @@ class CommunicationMethod:
         """
         if not self._delivers_packets and any(PEER in simulator.memory for simulator in fleet.simulators):
             raise ValueError(
-                f"{type(self).__name__} does not deliver what satellites send by TransmitCatalog; use CatalogCommunication()"
+                f"{type(self).__name__} does not deliver what satellites send by TransmitCatalog; give the environment "
+                "communicator=CatalogCommunication()"
             )
         self.link(fleet)
         check_linked(self, "link(fleet)", fleet)

@@ -11,7 +11,7 @@ from docs._ext.results import ROOT, load, made, quantity, with_command
 
 def envelope() -> str:
     """Return least times between images, with the transitions that they were fitted to."""
-    fitted = json.loads((ROOT / "bsk_torch" / "plan" / "bounds" / "agile.json").read_text())
+    fitted = json.loads((ROOT / "bsk_torch" / "lab" / "bounds" / "agile.json").read_text())
     rows = []
     for row in load("envelope")["rows"]:
         k = round(row["low"] / fitted["width"])
@@ -23,7 +23,7 @@ def envelope() -> str:
 
 def sustained() -> str:
     """Return times between images that satellites cannot beat for long, with those of recorded flights."""
-    fitted = json.loads((ROOT / "bsk_torch" / "plan" / "bounds" / "agile_sustained.json").read_text())
+    fitted = json.loads((ROOT / "bsk_torch" / "lab" / "bounds" / "agile_sustained.json").read_text())
     rows = []
     for row in load("sustained")["rows"]:
         k = min(round(row["low"] / fitted["width"]), len(fitted["direct"]) - 1)

@@ -16,6 +16,7 @@ from bsk_torch.bsk_rl.utils import attitude, orbital
 from bsk_torch.bsk_rl.utils.actuator_primitives import balancedHR16Triad
 from bsk_torch.sim import dyn, fsw, world
 from bsk_torch.sim.assembly.composition import compose
+from bsk_torch.tasks import inspection, objects
 from tests.support.core_arguments import SPACECRAFT
 
 RECORDED = json.loads((Path(__file__).parent / "data" / "recorded.json").read_text())
@@ -63,7 +64,8 @@ def generate(defaults):
 
 
 def composed(names, module, base):
-    return compose([getattr(module, name) for name in names], base)
+    places = (module, inspection, objects)
+    return compose([next(getattr(place, name) for place in places if hasattr(place, name)) for name in names], base)
 
 
 # -- default arguments -----------------------------------------------------------------------------------------------------------

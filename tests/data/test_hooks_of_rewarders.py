@@ -11,6 +11,7 @@ import bsk_torch
 from bsk_torch import ConstellationTasking, comm, data, rand, scene
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
 from bsk_torch.rl.evaluation.evaluate import evaluate
+from bsk_torch.rl.evaluation.statistics import nan_confidence
 from bsk_torch.rl.policies.shared_policy import rule
 from tests.support.refusals import check_refusals, refusal
 

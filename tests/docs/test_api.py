@@ -17,7 +17,15 @@ UNLISTED = {
     "bsk_torch.viz.report",
     "bsk_torch.astro",
 }
-UNLISTED |= {"bsk_torch.sim", "bsk_torch.codegen", "bsk_torch.cli", "bsk_torch.wrappers.gymnasium"}
+UNLISTED |= {
+    "bsk_torch.sim",
+    "bsk_torch.codegen",
+    "bsk_torch.cli",
+    "bsk_torch.wrappers.gymnasium",
+    "bsk_torch.viewer",
+    "bsk_torch.tasks",
+}
+UNLISTED |= {"bsk_torch.lab", *(f"bsk_torch.lab.{name}" for name in ("audit", "commands", "risk", "suites"))}
 """Packages without a list of names, with names that another package lists, or that are imported nowhere."""
 
 

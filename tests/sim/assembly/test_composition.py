@@ -157,7 +157,7 @@ def test_rejects_reads_that_nothing_answers():
         return build(Composed, {"dyn_type": tanks, "fsw_type": fsw.FSWModel, "observation_spec": spec})
 
     heard = "'radio'", "'station_access'", "world.GroundStationWorldModel"
-    charged = "dyn.BasicDynamicsModel", "AEOSBenchDynModel"
+    charged = ("dyn.BasicDynamicsModel",)
     check_refusals(
         refusal(lambda: build(Composed, mine), TypeError, *heard),
         refusal(lambda: build(Composed, mine, backend="compiled"), TypeError, *heard),

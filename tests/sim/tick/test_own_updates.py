@@ -71,7 +71,7 @@ def test_rejects_updates_and_entries_that_cannot_be_used():
     check_refusals(
         refusal(lambda: heater(args=ARGS[0]), TypeError, "slot 'heater'", "args=Arg(name='heaterPowerDraw'", "tuple"),
         refusal(lambda: heater(slot=None), ValueError, "slot", "Component=None", "string"),
-        refusal(lambda: heater(prepare=None), TypeError, "slot 'heater'", "prepare=None", "function"),
+        refusal(lambda: heater(prepare={}), TypeError, "slot 'heater'", "prepare={}", "function"),
         refusal(lambda: Field("e", 0), ValueError, "'e'", "width=0", "whole number"),
         refusal(lambda: fsw.Mode(resets=two), ValueError, "resets['sun_fresh']=[1.0, 2.0]"),
         refusal(lambda: fsw.Command(("charge", "drift")), ValueError, "modes=('charge', 'drift')", "choice="),
