@@ -187,13 +187,13 @@ class Satellite(ABC, ResetableGroup):
     def set_dynamics(self, dyn_rate: float) -> Any:
         """Return the dynamics model of the episode."""
         part, row = self.core_row
-        self.dynamics = DynamicsView(self, self.simulator.fleet.satellites[part].dynamics, row)
+        self.dynamics = DynamicsView(self.simulator.fleet.satellites[part].dynamics, row, self)
         return self.dynamics
 
     def set_fsw(self, fsw_rate: float) -> Any:
         """Return the flight software of the episode."""
         part, row = self.core_row
-        self.fsw = FlightSoftwareView(self, self.simulator.fleet.satellites[part].fsw, row)
+        self.fsw = FlightSoftwareView(self.simulator.fleet.satellites[part].fsw, row, self)
         return self.fsw
 
     # -- observations and actions -------------------------------------------------------------------------------------

@@ -93,7 +93,7 @@ class Simulator:
         for column, satellite in enumerate(self.satellites):
             satellite.core_row = places[column]
             satellite.set_simulator(self)
-        self.world = WorldView(self)
+        self.world = WorldView(self.fleet.simulators[0].world, self)
         self.dynamics_list: dict[str, Any] = {}
         self.fsw_list: dict[str, Any] = {}
         for satellite in self.satellites:

@@ -15,7 +15,6 @@ from typing import Any, Protocol
 
 import numpy as np
 import torch
-from typing_extensions import override
 
 from bsk_torch.astro.sight import line_clearance, stretch
 from bsk_torch.bsk_rl.sim import messages
@@ -95,14 +94,9 @@ class ModelView:
     ``isinstance`` is true for the classes of the model. Attributes that a program sets are kept until the next reset.
     """
 
-    def __new__(cls, *args: Any) -> Any:
+    def __new__(cls, whole: Any, *_: Any) -> Any:
         """Return a view whose members the user's class of the model may override."""
-        made = _overriding(cls, type(cls._model(*args)))  # type: ignore[arg-type]  # mypy: a class is not Hashable
-        return object.__new__(made)
-
-    @staticmethod
-    def _model(whole: Any, row: int) -> Any:
-        return whole
+        return object.__new__(_overriding(cls, type(whole)))  # type: ignore[arg-type]  # mypy: a class is not Hashable
 
     def __init__(self, whole: Any, row: int) -> None:
         """View row number ``row`` of a model of the core."""
@@ -223,15 +217,10 @@ class ModelView:
 class SatelliteModelView(ModelView):
     """A model of one satellite; arguments that bsk_rl's model keeps are attributes."""
 
-    def __init__(self, satellite: Any, whole: Any, row: int) -> None:
+    def __init__(self, whole: Any, row: int, satellite: Any) -> None:
         """View the model of a satellite."""
         super().__init__(whole, row)
         self.__dict__["satellite"] = satellite
-
-    @staticmethod
-    @override
-    def _model(satellite: Any, whole: Any, row: int) -> Any:  # type: ignore[override]
-        return whole
 
     satellite: Any
 
@@ -502,15 +491,10 @@ class WorldView(ModelView):
 
     sun_index, body_index = 0, 1
 
-    def __init__(self, simulator: Episode) -> None:
+    def __init__(self, whole: Any, simulator: Episode) -> None:
         """View the world of a simulation."""
-        super().__init__(self._model(simulator), 0)
+        super().__init__(whole, 0)
         self.__dict__["_simulator"] = simulator
-
-    @staticmethod
-    @override
-    def _model(simulator: Episode) -> Any:  # type: ignore[override]
-        return simulator.fleet.simulators[0].world
 
     @property
     def simulator(self) -> Episode:
