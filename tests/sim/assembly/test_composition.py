@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from bsk_torch import SatelliteTasking, act, obs, sats
-from bsk_torch.env.assembly.types import same_type, world_components
+from bsk_torch.env.assembly.types import same_type
 from bsk_torch.sim import dyn, fsw, world
-from bsk_torch.sim.assembly.composition import compose, providers, world_of
+from bsk_torch.sim.assembly.composition import compose, providers, world_components, world_of
 from bsk_torch.sim.component import Arg, Component, Field
 from bsk_torch.sim.schedule import SCHEDULE
 from tests.support.refusals import check_refusals, refusal
@@ -229,7 +229,7 @@ def test_the_world_follows_from_the_dynamics_models():
     inferred = world_of(Passive.dyn_type)
     assert issubclass(inferred, world.EclipseWorldModel)
     assert issubclass(inferred, world.AtmosphereWorldModel)
-    assert [c.slot for c in world_components(Passive("A"))] == ["earth_pole", "ephemeris", "atmosphere", "eclipse"]
+    assert [c.slot for c in world_components(Passive("A").dyn_type)] == ["earth_pole", "ephemeris", "atmosphere", "eclipse"]
 
 
 def test_a_world_of_the_users_own_adds_its_components_arguments_and_readouts():
@@ -251,7 +251,7 @@ def test_a_world_of_the_users_own_adds_its_components_arguments_and_readouts():
 def test_stations_of_a_world_are_not_seen_by_satellites_that_do_not_require_them():
     """bsk_rl links stations to the transmitters of GroundStationDynModel only."""
     kinds = compose((world.GroundStationWorldModel, MoonWorldModel), world.WorldModel)
-    plain = [c.slot for c in world_components(type("P", (Passive,), {"dyn_type": dyn.ImagingDynModel})("A"))]
+    plain = [c.slot for c in world_components(dyn.ImagingDynModel)]
     assert "ground_stations" not in plain
     unlinked = [c.slot for c in kinds.components_for(dyn.ImagingDynModel.all_required_worlds())]
     linked = [c.slot for c in kinds.components_for(dyn.GroundStationDynModel.all_required_worlds())]
