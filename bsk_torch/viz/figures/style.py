@@ -183,7 +183,7 @@ def save(figure: Figure, path: Path) -> Path:
     """
     _literal(figure)
     with rc_context({"svg.hashsalt": "bsk_torch", "pdf.fonttype": 42, "text.parse_math": False}):
-        content, kind = BytesIO(), path.suffix.removeprefix(".")
-        figure.savefig(content, format=kind, dpi=figure.dpi, metadata=UNDATED.get(kind))
-    write_file(path, content.getvalue())
+        drawn, kind = BytesIO(), path.suffix.removeprefix(".")
+        figure.savefig(drawn, format=kind, dpi=figure.dpi, metadata=UNDATED.get(kind))
+    write_file(path, drawn.getvalue())
     return path
