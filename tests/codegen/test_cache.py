@@ -114,6 +114,7 @@ def test_libraries_that_others_may_write_to_and_folders_in_their_place_are_built
     planted.rename(folder / planted.name).chmod(0o775)
     assert load(monkeypatch) == 42
     assert "may be written to by other users (mode 0775)" in caplog.text
+    (folder / planted.name).unlink()
     (folder / planted.name / "within").mkdir(parents=True)
     assert load(monkeypatch) == 42
     assert "is no ordinary file" in caplog.text

@@ -78,7 +78,7 @@ def draw(simulator: Simulator, where: str, name: str, value: Any) -> None:
         return [part for part in components if not part.args or all(arg.name in old.table for arg in part.args)]
 
     new = Arguments(of_title(arguments.parts), given, where, old.columns).of_components(of_title(parts), given)
-    trial = replace(arguments, parts=parts, **{where: new})
+    trial = replace(arguments, parts=parts, _checked=set(), **{where: new})
     drawn = trial.draw(first_key(2), given=arguments.randomize(first_key(2)))
     for title in ("initial", "prepare"):
         for field, number in merge(drawn, trial.parts, title).items():

@@ -34,12 +34,10 @@ def test_rejects_wrong_arguments():
         refusal(lambda: GymJointEnv(trios[1]), ValueError, "num_envs=2", "GymJointEnv"),
         refusal(lambda: GymJointEnv(trios[2]), ValueError, "joint=False", "PettingZooEnv"),
         refusal(lambda: GymJointEnv(alone), TypeError, "core", "SatelliteTasking", "ConstellationTasking"),
-        refusal(lambda: one.get_satellite("S10"), ValueError, "'S10'", "'S0'", "'S1'"),
         refusal(lambda: many.step({}), ResetNeeded, "step()", "reset()"),
         refusal(lambda: many.state(), ResetNeeded, "state()", "reset()"),
         refusal(lambda: PettingZooEnv(trios[3]), ValueError, "num_envs=2", "PettingZooEnv"),
         refusal(lambda: PettingZooEnv(trios[0]), ValueError, "joint=True", "GymJointEnv"),
         refusal(lambda: PettingZooEnv(scan, backend="eager"), TypeError, scan, "SatelliteTasking", "ConstellationTasking"),
         refusal(lambda: PettingZooEnv(trios[2], time_limit=3.0), TypeError, ["time_limit"]),
-        refusal(lambda: many.get_satellite("S10"), ValueError, "'S10'", "'S0'", "'S1'"),
     )

@@ -49,8 +49,9 @@ class Flights:
     checks: list[str] = field(default_factory=list)
     columns: list[str] = field(default_factory=list)
 
-    def __post_init__(self) -> None:
-        self._player = with_lots(self.policy, self.env) if LOT in self.policy.in_keys else self.policy
+    def _player(self) -> TensorDictModuleBase:
+        """Return the policy with a new stream of lots, so that flights do not depend on earlier ones."""
+        return with_lots(self.policy, self.env) if LOT in self.policy.in_keys else self.policy
 
     def __call__(self, seeds: Tensor) -> Flown:
         """Play the episodes of ``seeds`` [m]; see :data:`bsk_torch.lab.risk.subset.Fly`."""
@@ -65,7 +66,7 @@ class Flights:
         rows = torch.arange(env.num_envs, device=env.device) < m
         level, happened = self.event.level(env), self.event.happens(env)
         time = torch.where(happened, env.fleet.sim_time, torch.nan)
-        for playing, _ in play_episodes(env, self._player, start, rows):
+        for playing, _ in play_episodes(env, self._player(), start, rows):
             level = torch.where(playing, torch.maximum(level, self.event.level(env)), level)
             now = playing & ~happened & self.event.happens(env)
             happened, time = happened | now, torch.where(now, env.fleet.sim_time, time)
@@ -92,7 +93,7 @@ class Flights:
             decisions: list[list[Any]] = [[] for _ in some]
             start = start_episodes(env, some.tolist())
             rows = torch.arange(env.num_envs, device=env.device) < len(some)
-            for playing, step in play_episodes(env, self._player, start, rows):
+            for playing, step in play_episodes(env, self._player(), start, rows):
                 chosen = slots.numbers(step) if any(slots.real) else slots.chosen(step)
                 for row in torch.nonzero(playing).squeeze(1).tolist():
                     decisions[row].append(chosen[row].tolist())

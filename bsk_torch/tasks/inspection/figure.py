@@ -103,7 +103,9 @@ class InspectionEpisode(TeamEpisode):
             path_times=path_times,
             rho_H=_paths(reading.r_N(path_times, [scene.points_of, *reading.columns])),
             illumination=torch.from_numpy(np.interp(path_times, reading.array("series_times"), light)),
-            fuel=torch.zeros(len(reading.names), len(reading.times)) if fuel is None else fuel.squeeze(-1).nan_to_num(),
+            fuel=torch.zeros(len(reading.names), len(reading.times), dtype=torch.float64)
+            if fuel is None
+            else fuel.squeeze(-1).nan_to_num(),
             points=torch.nn.functional.normalize(reading.of_scene("targets_P"), dim=1),
             lit_at=marks["lit"],
             inspected_at=marks["done"],

@@ -244,7 +244,7 @@ def test_rejects_missing_packages_and_data(monkeypatch, tmp_path):
 @pytest.mark.compiled
 def test_the_rule_flies_as_it_has_flown_on_basilisk():
     """Every action follows from what that simulator shows; one of the three episodes ends with an empty battery."""
-    with np.load(Path(__file__).parent / "recordings" / "flight_rule.npz") as file:
+    with np.load(Path(__file__).parents[2] / "basilisk" / "recordings" / "flight_rule.npz") as file:
         there = dict(file)
     flyer = Flyer("rule", "NadirScan-v1", {})
     env = flyer.environment(3)

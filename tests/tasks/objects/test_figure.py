@@ -233,7 +233,7 @@ def test_the_sky_is_what_is_observed():
 def test_what_has_no_sky_is_named():
     env = environment()
     env.reset()
-    with pytest.raises(ValueError, match="imager='Imager1' is none of"):
+    with pytest.raises(ValueError, match="imager='Imager1' must be one of"):
         sky_of(env, "Imager1")
     with pytest.raises(ValueError, match="env_row=2"):
         sky_of(env, env_row=2)
