@@ -28,6 +28,7 @@ CONSTELLATIONS = ["AEOSConstellation-v1", "Constellation-v1", "RelayConstellatio
 INSPECTIONS = {"RSOInspection-v1": 1, "MultiInspection-v1": 3}
 SCANNING = ("NadirScan-v1", "NadirScience-v1", "FaultyScan-v1")
 LINEAR = ("CWDocking-v1", "CWInspection-v1")  # see tests/safe_autonomy
+MODULE = r":mod:`(bsk_torch\.(?:presets|tasks)\.[\w.]+)`"  # that a docstring names
 OBJECTS = ("Services-v1", "ThreeSensors-v1", "Walker4-v1")  # see tests/env/test_services.py, test_sensors.py
 BENCH = "AEOSBench-v1"  # see tests/tasks/aeos_bench/test_scene.py
 IMAGING = sorted(set(PRESETS) - {BENCH, *SCANNING, *CONSTELLATIONS, *INSPECTIONS, *LINEAR, *OBJECTS})
@@ -159,7 +160,7 @@ def test_docstrings_state_what_is_observed(name, width):
     env = bsk_torch.make(name, time_limit=600.0, backend="eager", **options)
     satellite = env.satellites[0] if hasattr(env, "satellites") else env.satellite
     text = importlib.import_module(PRESETS[name].__module__).__doc__
-    text += "".join(importlib.import_module(module).__doc__ for module in re.findall(r":mod:`(bsk_torch\.presets\.\w+)`", text))
+    text += "".join(importlib.import_module(module).__doc__ for module in re.findall(MODULE, text))
     assert len(satellite.observation_description) == width
     for entry in satellite.observation_description:
         observation, leaf = entry.split("[")[0].split(".")[0], entry.split("[")[0].split(".")[-1]

@@ -80,11 +80,9 @@ class CloseUp:
 @torch.no_grad()
 def look_closely(env: Tasking, row: int, moment: Moment) -> CloseUp | None:
     """The inspection of episode ``row``, of which ``moment`` shows the satellites; nothing for other problems."""
-    progress = env.rewarder.recorded(row)
-    if progress.kind != "inspection":
+    progress, targets = env.rewarder.recorded(row), targets_of(env, row)
+    if progress.kind != "inspection" or targets.owner is None:
         return None
-    targets = targets_of(env, row)
-    assert targets.owner is not None, "an inspection has an RSO"
     rso = moment.names.index(env.fleet.names[targets.owner])
     inspectors = [moment.names.index(env.fleet.names[column]) for column in targets.viewers]
     r_N, v_N, HN, BN = (of_satellites(env, row, name) for name in ("r_BN_N", "v_BN_N", "HN", "BN"))
