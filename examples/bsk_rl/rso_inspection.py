@@ -221,8 +221,9 @@ def main() -> None:
 
     if options.figure is not None:
         from bsk_torch.viz.episodes import draw, record
+        from bsk_torch.wrappers.policies import WholePolicy
 
-        draw(record(visit, env, seed=0), options.figure, "random places")
+        draw(record(WholePolicy(visit), env, seed=0), options.figure, "random places")
     td = env.rollout(1000, visit, break_when_any_done=True)
     known, lit = (
         env.rewarder.inspected.sum(1).tolist(),

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.compiled
 def eclipses_as_recorded(monkeypatch):
     """The examples observe true eclipses, the recordings bsk_rl's, which are on a grid of 30 s."""
     init = obs.Eclipse.__init__
-    monkeypatch.setattr(obs.Eclipse, "__init__", lambda self, norm=1.0: init(self, norm, sampled=True))
+    monkeypatch.setattr(obs.Eclipse, "__init__", lambda self, norm=1.0, sampled=True: init(self, norm, sampled=True))
 
 
 STEERING = 1e-5
