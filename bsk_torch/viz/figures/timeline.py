@@ -111,7 +111,8 @@ class TrackEpisode(Episode):
             eclipses=reading.intervals("eclipses", 0),
             passes=reading.intervals("passes", 0),
             died=bool(reading.track.deaths),
-            r_BN_P=reading.array("step_r_P")[:, 0],
+            # satellites in relative motion have positions of their chief only
+            r_BN_P=reading.array("step_r_P")[:, 0] if "step_r_P" in reading.track.arrays else reading.r_P(times)[0],
             track_times=track_times,
             track=reading.r_P(track_times)[0],
             stations=reading.of_scene("stations_P"),
