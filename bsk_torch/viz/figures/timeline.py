@@ -102,6 +102,7 @@ class TrackEpisode(Episode):
         row = torch.repeat_interleave(torch.arange(len(counts)), counts)
         elapsed = SAMPLE * (torch.arange(len(row)) - (counts.cumsum(0) - counts)[row]).double()
         track_times = torch.cat([times[row] + elapsed, times[-1:]])
+        on_map = "step_r_P" in reading.track.arrays  # satellites in relative motion are on no map
         return cls(
             names=recording.satellites[0].tasks,
             times=times,
@@ -111,10 +112,9 @@ class TrackEpisode(Episode):
             eclipses=reading.intervals("eclipses", 0),
             passes=reading.intervals("passes", 0),
             died=bool(reading.track.deaths),
-            # satellites in relative motion have positions of their chief only
-            r_BN_P=reading.array("step_r_P")[:, 0] if "step_r_P" in reading.track.arrays else reading.r_P(times)[0],
+            r_BN_P=reading.array("step_r_P")[:, 0] if on_map else times.new_full((len(times), 3), torch.nan),
             track_times=track_times,
-            track=reading.r_P(track_times)[0],
+            track=reading.r_P(track_times)[0] if on_map else times.new_full((len(track_times), 3), torch.nan),
             stations=reading.of_scene("stations_P"),
         )
 
