@@ -54,15 +54,15 @@ class CheckedRewarder:
     def reward(self, before: Log, after: Log) -> Tensor:
         """Return the reward of a step, [N, S]; FloatingPointError if that of a user's rewarder is NaN or infinite."""
         with torch.enable_grad():  # so that a reward that depends on parameters can be told
-            found = self.rewarder.calculate_reward(before, after)
+            reward = self.rewarder.calculate_reward(before, after)
         title = f"{self._name}.calculate_reward()"
-        check_tensor(title, found, self.rewarder.fleet.shape, torch.float64, torch.float32)
+        check_tensor(title, reward, self.rewarder.fleet.shape, torch.float64, torch.float32)
         if self._guard is not None:
-            rows = torch.nonzero(~torch.isfinite(found).all(1)).squeeze(-1).tolist()
+            rows = torch.nonzero(~torch.isfinite(reward).all(1)).squeeze(-1).tolist()
             if rows:
                 raise FloatingPointError(f"{title} is NaN or infinite for environments {rows[:SHOWN]} ({len(rows)} in all)")
             self._guard.check(self.rewarder, REWARD_MEMORY)
-        return no_gradient(title, found)
+        return no_gradient(title, reward)
 
     def terminated(self) -> Tensor:
         """Return the satellites whose episode the rewarder terminates, [N, S] bool; TypeError for a wrong shape or dtype."""
@@ -83,10 +83,10 @@ class CheckedRewarder:
 
     def measures(self) -> dict[str, Tensor]:
         """Return the measures of the rewarder, [N] float64 each; TypeError for one with a wrong shape or dtype."""
-        found = self.rewarder.measures()
-        for name, value in found.items():
+        measures = self.rewarder.measures()
+        for name, value in measures.items():
             check_tensor(f"{self._name}.measures()[{name!r}]", value, self.rewarder.fleet.shape[:1], torch.float64)
-        return found
+        return measures
 
     def counts(self, taken: Collection[str] = ()) -> dict[str, Tensor]:
         """Return the counters of the rewarder, [N, S] int64 each."""

@@ -158,10 +158,10 @@ def over_saved(fleet: Fleet, numbers: Tensor, state: Mapping[str, Any] | TensorD
             "state was not saved by this release: it lacks the fingerprint of its environment. States of release 0.1 cannot be "
             "restored; reset the episodes"
         )
-    theirs = state[MADE_BY]
-    if not isinstance(theirs, Tensor) or theirs.dtype != torch.int64 or theirs.ndim != 2 or theirs.shape[1] < 1:
-        raise TypeError(f"{MADE_BY!r} of the saved state is {theirs!r}; it must be an int64 tensor with a row for each episode")
-    check_fingerprint(numbers, theirs.cpu().unique(dim=0))
+    stamp = state[MADE_BY]
+    if not isinstance(stamp, Tensor) or stamp.dtype != torch.int64 or stamp.ndim != 2 or stamp.shape[1] < 1:
+        raise TypeError(f"{MADE_BY!r} of the saved state is {stamp!r}; it must be an int64 tensor with a row for each episode")
+    check_fingerprint(numbers, stamp.cpu().unique(dim=0))
     return fleet.state.over({name: state[name] for name in names - {MADE_BY}})
 
 

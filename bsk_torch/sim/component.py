@@ -337,16 +337,16 @@ class Component:
     def __post_init__(self) -> None:
         text("slot of a Component", self.slot)
         for name, kind in (("args", Arg), ("state", Field), ("params", Field), ("flags", str), ("resets", tuple)):
-            given = getattr(self, name)
-            if not isinstance(given, tuple | list) or not all(isinstance(entry, kind) for entry in given):
+            value = getattr(self, name)
+            if not isinstance(value, tuple | list) or not all(isinstance(entry, kind) for entry in value):
                 raise TypeError(
-                    f"the component in slot {self.slot!r} has {name}={given!r:.200}; it must be a tuple of {kind.__name__}, "
+                    f"the component in slot {self.slot!r} has {name}={value!r:.200}; it must be a tuple of {kind.__name__}, "
                     f"such as {name}=({EXAMPLES[name]},)"
                 )
         for name in ("initial", "prepare", "check"):
-            given = getattr(self, name)
-            if given is not None and not callable(given):
-                raise TypeError(f"the component in slot {self.slot!r} has {name}={given!r}; it must be a function")
+            value = getattr(self, name)
+            if value is not None and not callable(value):
+                raise TypeError(f"the component in slot {self.slot!r} has {name}={value!r}; it must be a function")
 
     @functools.cached_property
     def arguments(self) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Rewards for resources: weights of their own for every episode, resources as functions."""
+"""Rewards for resources: weights that every episode draws, resources as functions."""
 
 import numpy as np
 import pytest

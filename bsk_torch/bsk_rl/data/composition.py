@@ -119,7 +119,7 @@ class RewarderGroup(ResetableGroup, GlobalReward):
 
     def rewarders_of(self, satellite: Any) -> Collection[GlobalReward]:
         """Return the rewarders that reward a satellite."""
-        raise NotImplementedError
+        raise NotImplementedError(f"{type(self).__name__} must implement rewarders_of(satellite)")
 
     @override
     def reward(self, new_data_dict: dict[str, Any]) -> dict[str, float]:

@@ -109,8 +109,8 @@ class PerEpisodeTargets(UniformTargets):
 
     @override
     def names(self, row: int) -> list[str]:
-        given = [target.name for target in self.target_objects(row)]
-        return given + self.target_names[len(given) :]
+        names = [target.name for target in self.target_objects(row)]
+        return names + self.target_names[len(names) :]
 
 
 def _columns(scenario: OneTargets, made: Sequence[list[Target]]) -> dict[str, Any]:

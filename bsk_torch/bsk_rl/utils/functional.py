@@ -56,7 +56,7 @@ class ResetableGroup(Resetable):
     """Passes the hooks on to its parts, after those of the class itself."""
 
     def _parts(self) -> Iterable[Resetable]:
-        raise NotImplementedError
+        raise NotImplementedError(f"{type(self).__name__} must implement _parts()")
 
     @override
     def reset_overwrite_previous(self) -> None:

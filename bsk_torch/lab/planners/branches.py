@@ -182,15 +182,15 @@ class Branches:
             now = decide(self.base, now)
             if not edge and jobs.first is not None:
                 self._take(now, jobs.first[job], None if jobs.decided is None else jobs.decided[job])
-            theirs = (count < length) & (flying if not edge else flying & self._decides(now, slot))
+            planned = (count < length) & (flying if not edge else flying & self._decides(now, slot))
             at = count.clamp(max=length - 1)
             action = plan[self.all_rows, at]
-            slots.put(now, slot, action, theirs & (~torch.isnan(action).any(1) if real else self._allowed(now, slot, action)))
+            slots.put(now, slot, action, planned & (~torch.isnan(action).any(1) if real else self._allowed(now, slot, action)))
             if real:
                 numbers = slots.at(slots.numbers(now), slot)
-                place = (at.unsqueeze(1) == torch.arange(length, device=at.device)) & theirs.unsqueeze(1)
+                place = (at.unsqueeze(1) == torch.arange(length, device=at.device)) & planned.unsqueeze(1)
                 acted = torch.where(place.unsqueeze(-1), numbers.to(acted.dtype).unsqueeze(1), acted)
-            count = count + theirs.long()
+            count = count + planned.long()
             now, reward, lasted = self._step(now, flying)
             if edge:
                 gain = self.discounting.before(reward, lasted, torch.zeros_like(reward))

@@ -310,9 +310,9 @@ def _resets(
     layout, rows = tick.state, []
     for name in sorted({name for mode in modes.values() for name in mode.resets} | set(always)):
         if name in layout.fields:
-            given = [mode.resets.get(name, always.get(name)) for mode in modes.values()]
-            rows += [(plane, given) for plane in range(layout.slices[name].start, layout.slices[name].stop)]
+            values = [mode.resets.get(name, always.get(name)) for mode in modes.values()]
+            rows += [(plane, values) for plane in range(layout.slices[name].start, layout.slices[name].stop)]
     planes = torch.tensor([plane for plane, _ in rows], dtype=torch.int64, device=device)
-    resets = torch.tensor([[v is not None for v in given] for _, given in rows], dtype=torch.bool, device=device)
-    values = torch.tensor([[v or 0.0 for v in given] for _, given in rows], dtype=torch.float64, device=device)
-    return planes, resets.view(len(rows), len(modes)), values.view(len(rows), len(modes))
+    resets = torch.tensor([[v is not None for v in values] for _, values in rows], dtype=torch.bool, device=device)
+    numbers = torch.tensor([[v or 0.0 for v in values] for _, values in rows], dtype=torch.float64, device=device)
+    return planes, resets.view(len(rows), len(modes)), numbers.view(len(rows), len(modes))

@@ -53,9 +53,9 @@ def initial_orbit(args: Values) -> tuple[Tensor, Tensor]:
 
 def _check(args: Values) -> None:
     check_tensor(args)
-    given = [name for name in ("oe", "rN", "vN") if args[name] is not None]
-    if given not in (["oe"], ["rN", "vN"]):
-        raise KeyError(f"give the orbit as 'oe', or as both 'rN' and 'vN' with oe=None; given are {given or 'none'}")
+    names = [name for name in ("oe", "rN", "vN") if args[name] is not None]
+    if names not in (["oe"], ["rN", "vN"]):
+        raise KeyError(f"give the orbit as 'oe', or as both 'rN' and 'vN' with oe=None; given are {names or 'none'}")
     if args["oe"] is not None:
         _check_elements(args["oe"])
 

@@ -141,9 +141,9 @@ def _changed(faults: Sequence[Fault], numbers: Iterable[int], active: Mapping[in
 
 
 def _parameters(part: Component, values: Values) -> dict[str, Tensor]:
-    [(_, own)] = asked([part], values)
-    found = part.prepare(own)  # type: ignore[misc]
-    return {field.name: found[field.name].reshape(-1, field.width) for field in part.params}
+    [(_, arguments)] = asked([part], values)
+    parameters = part.prepare(arguments)  # type: ignore[misc]
+    return {field.name: parameters[field.name].reshape(-1, field.width) for field in part.params}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -127,9 +127,9 @@ def lit_target(minimum: bool, maximum: bool) -> Component:
 
     def check(args: Values) -> None:
         _check_elevation(args)
-        given = [args[arg.name] for arg in SUN_LIMITS]
-        if all(value is not None for value in given):
-            low, high = torch.broadcast_tensors(*given)
+        bounds = [args[arg.name] for arg in SUN_LIMITS]
+        if all(value is not None for value in bounds):
+            low, high = torch.broadcast_tensors(*bounds)
             if bool((low >= high).any()):
                 k = int((low >= high).nonzero()[0])
                 raise ValueError(

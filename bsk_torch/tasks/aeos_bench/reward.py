@@ -122,7 +122,7 @@ class TaskReward(GlobalReward):
         """See :meth:`GlobalReward.link`; ValueError for another scenario."""
         super().link(scenario, fleet)
         if not isinstance(scenario, AEOSBench):
-            raise ValueError(f"TaskReward needs a AEOSBench; the scenario is {type(scenario).__name__}")
+            raise ValueError(f"TaskReward needs an AEOSBench; the scenario is {type(scenario).__name__}")
         fleet.memory.declare("sensor_energy", 0.0)
         self._earned = self._nothing()
         self._traced = all(isinstance(satellite.dynamics, AEOSBenchTracedDynModel) for satellite in fleet.satellites)

@@ -126,7 +126,7 @@ class RSOTargets(Scenario):
         catalogs: list[Any] = list(catalog.values) if isinstance(catalog, PerEnv) else [catalog]
         kinds = (RSOTargetCatalog,) if isinstance(catalog, PerEnv) else (RSOTargetCatalog, RandomRSOCatalog)
         if not catalogs or not all(isinstance(part, kinds) for part in catalogs):
-            raise ValueError(f"catalog={catalog!r} must be a RSOTargetCatalog, a RandomRSOCatalog, or rand.per_env of catalogs")
+            raise ValueError(f"catalog={catalog!r} must be an RSOTargetCatalog, a RandomRSOCatalog, or rand.per_env of catalogs")
         first = catalogs[0]
         for part in catalogs[1:]:
             if part.ids != first.ids or part.priority_events != first.priority_events:
