@@ -30,7 +30,7 @@ class SatelliteFleet(Fleet):
         """Number of episodes N and of satellites S, of tables [N, S]."""
         return self.num_envs, self.size
 
-    def found(self, name: str) -> tuple[BoundSatellite, int]:
+    def find(self, name: str) -> tuple[BoundSatellite, int]:
         """Return the satellites of the type of a named one, and its number within the type; KeyError for an unknown name."""
         k, number = self.place_of(name)
         if not self.satellites:
@@ -42,7 +42,7 @@ class SatelliteFleet(Fleet):
 
         See :class:`bsk_torch.sats.bound.OtherSatellite`; KeyError for an unknown name, with the nearest one.
         """
-        whole, number = self.found(name)
+        whole, number = self.find(name)
         return whole.member(number)
 
     def each(self, read: Callable[[Any], Tensor], missing: float = 0.0) -> Tensor:
@@ -152,7 +152,7 @@ class Others(Mapping[str, OtherSatellite]):
         self._satellite, self._fleet = satellite, satellite.fleet
 
     def __getitem__(self, name: str) -> OtherSatellite:
-        whole, number = self._fleet.found(name)
+        whole, number = self._fleet.find(name)
         return OtherSatellite(whole, number, self._satellite.simulator.count)
 
     def __iter__(self) -> Iterator[str]:

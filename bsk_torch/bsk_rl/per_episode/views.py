@@ -255,7 +255,7 @@ class OneOthers(Mapping[str, OneSatellite]):
         self._fleet, self._env = fleet, env
 
     def __getitem__(self, name: str) -> OneSatellite:
-        whole, number = self._fleet.found(name)
+        whole, number = self._fleet.find(name)
         return view_of(whole, self._env * whole.simulator.count + number)
 
     def __iter__(self) -> Iterator[str]:
