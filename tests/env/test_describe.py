@@ -14,7 +14,7 @@ from tests.support.refusals import check_refusals, refusal
 
 @pytest.fixture(scope="module")
 def env():
-    env = bsk_torch.make("NadirScan-v1", num_envs=3, backend="eager", sat_args={"batteryStorageCapacity": 7e5})
+    env = bsk_torch.make("NadirScan-v1", num_envs=3, backend="eager", seed=0, sat_args={"batteryStorageCapacity": 7e5})
     env.reset()
     return env
 

@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 
 from bsk_torch.astro.frames import rotate_z
 from bsk_torch.sim.component import Bus, Component, vec
+from bsk_torch.sim.dyn.effectors.wheel_types import TRIAD
 from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.fsw import allocation, control, guidance, imposed
 from bsk_torch.sim.fsw.models import IDLE, FSWModel
@@ -50,6 +51,11 @@ def _of_benchmark(law: Component) -> Component:
     return dataclasses.replace(law, args=args, check_tick=None, at_start=True, fit=_fitted_feedback)
 
 
+def _fitted_allocation(arguments: Mapping[str, Any]) -> Component:
+    wheels = list(TRIAD) if arguments["wheels"] is None else arguments["wheels"]  # as those of the dynamics model
+    return allocation.fitted_allocation({**arguments, "wheels": wheels})
+
+
 class AEOSBenchFSWModel(FSWModel):
     """The flight software of AEOS-Bench: points the sensor at the place in the state ``r_LP_P`` [m, Earth-fixed].
 
@@ -63,7 +69,7 @@ class AEOSBenchFSWModel(FSWModel):
         started(TARGET),
         started(POINTING),
         _of_benchmark(control.MRP_FEEDBACK),
-        allocation.BODY_AXIS_WHEELS,
+        dataclasses.replace(allocation.BODY_AXIS_WHEELS, fit=_fitted_allocation),
     )
     requires_dyn: ClassVar[tuple[type[DynamicsModel], ...]] = (AEOSBenchDynModel,)
     modes: ClassVar[dict[str, Mode | None]] = {
