@@ -21,8 +21,8 @@ class DrawTable(StateTable):
     :meth:`shared` does not.
     """
 
+    @override
     def __init__(self, num_envs: int, count: int = 1, device: torch.device | str = "cpu") -> None:
-        """See :class:`StateTable`."""
         super().__init__(num_envs, count, device)
         own: dict[str, Any] = self.__dict__
         own["_once"], own["_owner"] = {}, None

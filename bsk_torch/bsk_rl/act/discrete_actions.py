@@ -39,8 +39,8 @@ class DiscreteActionBuilder(ActionBuilder):
         prev_action_key: Key returned by the last action; None at the start of an episode.
     """
 
+    @override
     def __init__(self, satellite: Any) -> None:
-        """See :class:`ActionBuilder`."""
         super().__init__(satellite)
         self.prev_action_key: Any = None
 
@@ -138,8 +138,8 @@ class FSWCommand(DiscreteFSWAction):
     command: ClassVar[str]
     resets: ClassVar[bool] = False
 
+    @override
     def __init__(self, name: str | None = None, duration: float | None = None) -> None:
-        """See :class:`DiscreteFSWAction`."""
         super().__init__(self.command, name, duration, self.resets)
 
 

@@ -13,7 +13,7 @@ from typing_extensions import override
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.sim.access.light.eclipses import SEARCH_STEP, SEARCHES, EclipseTable, search_range
-from bsk_torch.sim.access.visibility.backend import Visibility
+from bsk_torch.sim.access.visibility.interface import Visibility
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits
 from bsk_torch.sim.access.windows.search import BEFORE_SEARCH, BEHIND_SEARCH, MAX_SEGMENTS, AccessWindows
 from bsk_torch.sim.access.windows.table import Windows

@@ -101,7 +101,7 @@ class FirstTick:
         ticks: Tensor,
         **_: Any,
     ) -> Tensor:
-        """See :meth:`bsk_torch.codegen.kernel.Kernel.__call__`."""
+        """Run the tick as :meth:`bsk_torch.codegen.kernel.Kernel.__call__` runs a kernel."""
         tables, starts = _of_rows([t.table for t in tracks], tracks), _of_rows([t.start for t in tracks], tracks)
         planes = self.tick.wake(self.tick.inputs(state, shared, own, flags[:, mode], tables, starts, ticks.double()))
         state.copy_(torch.stack([plane.expand(len(counts)).double() for plane in planes]))
@@ -134,7 +134,7 @@ class TickLoop:
         present: Tensor | None = None,
         **_: Any,
     ) -> Tensor:
-        """See :meth:`bsk_torch.codegen.kernel.Kernel.__call__`."""
+        """Run the tick as :meth:`bsk_torch.codegen.kernel.Kernel.__call__` runs a kernel."""
         runs = counts if present is None else torch.where(present, counts, 0)
         flags, end, now = flags[:, mode], (ticks + runs).double(), ticks.double()
         samples = *_of_rows([t.table for t in tracks], tracks), *_of_rows([t.start for t in tracks], tracks)

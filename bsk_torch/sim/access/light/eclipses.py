@@ -10,7 +10,7 @@ from torch import Tensor
 from bsk_torch.astro.roots import find_root
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.sim.access.light.next_eclipses import next_eclipses
-from bsk_torch.sim.access.visibility.backend import Visibility
+from bsk_torch.sim.access.visibility.interface import Visibility
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits
 from bsk_torch.sim.access.windows.padded import tabulate
 from bsk_torch.sim.orbit.arcs import Arcs

@@ -59,7 +59,7 @@ class FlownOrbits(NamedTuple):
 
 
 def flown_positions(arcs: Arcs, rows: Tensor, time: Tensor, use_kernels: bool) -> Tensor:
-    """See :meth:`FlownOrbits.positions`."""
+    """Return positions in N, [m, 3] m, of rows [m] of arcs at times [m] s since reset; see :meth:`FlownOrbits.positions`."""
     path = Samples(arcs.flown, arcs.start - LEAD_NODES * NODE_SPACING, rows)
     if use_kernels:
         state = time.expand(4, -1).clone()

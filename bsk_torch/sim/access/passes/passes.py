@@ -14,8 +14,8 @@ from torch import Tensor
 
 from bsk_torch.astro.sight import max_central_angle
 from bsk_torch.codegen.kernel import Samples
-from bsk_torch.sim.access.visibility.backend import Visibility
 from bsk_torch.sim.access.visibility.geometry import ABOVE_LIMIT, RISE, SAMPLES_PER_CELL, SET, SHORT_PASS, SearchCells
+from bsk_torch.sim.access.visibility.interface import Visibility
 from bsk_torch.sim.access.visibility.pairs import Brackets, PlacePairs
 from bsk_torch.sim.access.windows.padded import argsort_by_group
 from bsk_torch.sim.orbit.grid import PLAN_STEP
