@@ -169,17 +169,14 @@ def _tasks(model: type) -> dict[str, Methods]:
 
 def _collected(model: object, methods: Methods, values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the arguments that methods declare, in the order of their names, and those that users have declared with them."""
-    declared = {} if model is None else _declared(model)
+    declared: dict[str, dict[str, Any]] = {}  # by utils.functional.default_args, by method
+    if model is not None:
+        marked = (name for name in dir(model) if not name.startswith("__") and hasattr(getattr(model, name), "defaults"))
+        declared = {name: dict(getattr(model, name).defaults) for name in marked}
     args: dict[str, Any] = {}
     for name in sorted({*methods, *declared}):
         safe_dict_merge(declared.get(name) or {arg: values[arg] for arg in methods[name].split()}, args)
     return args
-
-
-def _declared(model: object) -> dict[str, dict[str, Any]]:
-    """Return what :func:`~bsk_torch.bsk_rl.utils.functional.default_args` has declared on a model, by method."""
-    marked = (name for name in dir(model) if not name.startswith("__") and hasattr(getattr(model, name), "defaults"))
-    return {name: dict(getattr(model, name).defaults) for name in marked}
 
 
 def _values(components: tuple[Component, ...], without: str = "") -> dict[str, Any]:

@@ -556,13 +556,10 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
 
     # -- what a step gives --------------------------------------------------------------------------------------------
 
-    def _requires_retasking(self, agent: Any) -> bool:
-        return any(satellite.requires_retasking for satellite in self.meta_agent_groupings[agent])
-
     def _get_obs(self) -> dict[Any, Any]:
         observations = {}
         for agent, members in self._present().items():
-            if self.generate_obs_retasking_only and not self._requires_retasking(agent):
+            if self.generate_obs_retasking_only and not any(member.requires_retasking for member in members):
                 parts = [satellite.observation_space.low * 0 for satellite in members]
             else:
                 parts = [satellite.get_obs() for satellite in members]

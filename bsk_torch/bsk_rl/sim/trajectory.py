@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from bsk_torch.astro.eclipse import in_umbra
 from bsk_torch.astro.ephemeris import earth_orientation
@@ -145,9 +144,6 @@ class TrajectorySimulator:
         """Whether samples are those of the planned arc; others are interpolated on the flown one."""
         return self.dt == PLAN_STEP
 
-    def _positions_N(self) -> Tensor:
-        return self.arcs.planned[0, : self._samples] if self._as_planned else self._flown(0)[0].stack()
-
     def _flown(self, first: int) -> tuple[Vec3, Bus]:
         """Return positions, Sun and Earth at the samples from number ``first`` on, by interpolation."""
         time = self.dt * torch.arange(first, self._samples, dtype=torch.float64)
@@ -169,7 +165,7 @@ class TrajectorySimulator:
         if frame not in self._splines:
             if self._samples < 4:
                 self.extend_to(3 * self.dt)
-            r = self._positions_N()
+            r = self.arcs.planned[0, : self._samples] if self._as_planned else self._flown(0)[0].stack()
             if frame == "P":
                 times = torch.arange(self._samples, dtype=torch.float64) * self.dt
                 r = (earth_orientation(self.arcs.et + times) @ r.unsqueeze(-1)).squeeze(-1)
