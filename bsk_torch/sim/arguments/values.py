@@ -314,7 +314,9 @@ class Arguments:
 
         Those that user functions give to some satellites or environments are left out.
         """
-        return self._draw_named([name for name in self.table if self._is_per_env(name)], key, ())
+        values = {name: [value for k in range(len(self._given)) for value in self._values_of(k, name)] for name in self.table}
+        names = [name for name, of in values.items() if any(isinstance(x, PerEnv) for x in of) and not any(map(is_function, of))]
+        return self._draw_named(names, key, ())
 
     def draw_some(self, names: Sequence[str], key: Key) -> dict[str, Any]:
         """Return the values of the arguments ``names``, as :meth:`draw` returns them; of functions, only theirs are called."""
@@ -323,10 +325,6 @@ class Arguments:
     def _draw_named(self, names: Iterable[str], key: Key, answers: Sequence[Answers]) -> dict[str, Any]:
         rows = key if self.columns == (0,) else key.of_satellites(torch.tensor(self.columns))
         return {name: self._drawn_or_kept(self.table[name], key, rows, answers) for name in names}
-
-    def _is_per_env(self, name: str) -> bool:
-        values = [value for k in range(len(self._given)) for value in self._values_of(k, name)]
-        return any(isinstance(value, PerEnv) for value in values) and not any(map(is_function, values))
 
     def override(self, name: str, values: Any, columns: Tensor, given: Tensor) -> Tensor:
         """Return drawn values of an argument, or None, with those of some satellites replaced, [n * S, ...].

@@ -157,7 +157,9 @@ def _planes(value: Any) -> list[Tensor]:
 
 def _compare(update: Callable[[Bus], None], slot: str, bus: Bus) -> None:
     """Raise TypeError unless an update gives the first environment the same numbers alone and next to another one."""
-    alone, together = (_copied(bus, function) for function in (_first, lambda plane: _with_another(_first(plane))))
+    alone, together = Bus.__new__(Bus), Bus.__new__(Bus)
+    for copied, function in ((alone, _first), (together, lambda plane: _with_another(_first(plane)))):
+        vars(copied).update((name, _mapped(value, function)) for name, value in vars(bus).items() if name != "unread")
     before = dict(vars(together))
     versions = [(name, plane, plane._version) for name, value in before.items() for plane in _planes(value)]
     for each in (alone, together):
@@ -188,9 +190,3 @@ def _first(plane: Tensor) -> Tensor:
 def _with_another(first: Tensor) -> Tensor:
     other = first * 1.01 + 0.01 if first.is_floating_point() else ~first if first.dtype == torch.bool else first + 1
     return torch.cat([first, other])
-
-
-def _copied(bus: Bus, function: Callable[[Tensor], Tensor]) -> Bus:
-    other = Bus.__new__(Bus)
-    vars(other).update((name, _mapped(value, function)) for name, value in vars(bus).items() if name != "unread")
-    return other

@@ -195,10 +195,6 @@ def _fired(pulses: Sequence[Tensor], vectors: Sequence[Vec3]) -> Vec3:
     return functools.reduce(operator.add, (vector * on for on, vector in zip(pulses, vectors, strict=True)))
 
 
-def _torque_of_set(bus: Bus, stage: int) -> Vec3 | None:
-    return _fired(bus.pulse, bus.thruster_torques_B) if stage == 0 else None
-
-
 def _thrust_of_set(bus: Bus, stage: int) -> tuple[Vec3, Vec3] | None:
     """Return the force of the thrusters that fire, N in B, and its torque about B, N m, in the first stage."""
     return (_fired(bus.pulse, bus.thruster_forces_B), _fired(bus.pulse, bus.thruster_torques_B)) if stage == 0 else None
@@ -223,7 +219,11 @@ def thruster_set(form: ThrusterForm, listed: tuple[Thruster, ...]) -> Component:
         return found | ({"thruster_forces_B": forces.flatten(-2)} if form.pushes else {})
 
     vectors = ("thruster_torques_B", *(("thruster_forces_B",) if form.pushes else ()))
-    fires = Effector(thrust=_thrust_of_set) if form.pushes else Effector(torque=_torque_of_set)
+    fires = (
+        Effector(thrust=_thrust_of_set)
+        if form.pushes
+        else Effector(torque=lambda bus, stage: _fired(bus.pulse, bus.thruster_torques_B) if stage == 0 else None)
+    )
     return replace(
         thrusters(form.size, fires),
         args=(ARGS[0], *(of_set(arg) for arg in ARGS[1:])),

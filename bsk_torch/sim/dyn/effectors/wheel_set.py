@@ -324,7 +324,11 @@ def wheel_set(form: WheelForm, wheels: tuple[Wheel, ...]) -> Component:
     if not count:
         return Component(slot="wheels", args=ARGS)
     defaults = wheel_defaults(wheels) | {"wheelSpeeds": Uniform(-1500.0, 1500.0, count)}
-    args = tuple(_for_each(arg, count, defaults[arg.name]) if arg.name in defaults else arg for arg in ARGS)
+
+    def of_set(arg: Arg) -> Arg:
+        one = arg.dims[1:] if arg.shape else ()
+        return dataclasses.replace(arg, kind="scalar", default=defaults[arg.name], shape=(count, *one), spread=not one)
+
     state = [Field("Omega_WB_B", count, "rad/s", "wheel speeds", many=True)]
     state += [Field(name, count, "N m", many=True) for name in ("motor_torque_B", "motor_torque_command_B")]
     if form.stribeck:
@@ -333,7 +337,7 @@ def wheel_set(form: WheelForm, wheels: tuple[Wheel, ...]) -> Component:
     return Component(
         slot="wheels",
         update=latch(form),
-        args=args,
+        args=tuple(of_set(arg) if arg.name in defaults else arg for arg in ARGS),
         state=tuple(state),
         params=(*(Field(name, count, many=True) for name in parameters_of(form)), Field("wheel_axes_B", 3 * count, vectors=True)),
         reads=MOTION,
@@ -343,8 +347,3 @@ def wheel_set(form: WheelForm, wheels: tuple[Wheel, ...]) -> Component:
         check_tick=_check_tick,
         effector=wheel_effector(form),
     )
-
-
-def _for_each(arg: Arg, count: int, default: Any) -> Arg:
-    one = arg.dims[1:] if arg.shape else ()
-    return dataclasses.replace(arg, kind="scalar", default=default, shape=(count, *one), spread=not one)
