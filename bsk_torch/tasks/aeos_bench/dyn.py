@@ -54,16 +54,12 @@ def _fitted_wheels(arguments: Mapping[str, Any]) -> Component:
     return started(wheel_set(wheel_form(arguments, wheels), wheels))
 
 
-def _fitted_power(arguments: Mapping[str, Any]) -> Component:
-    return _with_balance(wheel_power(len(described_wheels(arguments) or TRIAD)))
-
-
 def _with_balance(component: Component) -> Component:
     """Return the component of the power of wheels with the balance of :func:`balance_of_wheels`."""
     return dataclasses.replace(
         component,
         update=balance_of_wheels,
-        fit=_fitted_power,
+        fit=lambda arguments: _with_balance(wheel_power(len(described_wheels(arguments) or TRIAD))),
         state=(Field("wheel_power", 1, "W", "power of the wheels, negative, which the battery takes in the next tick"),),
         at_start=True,
     )

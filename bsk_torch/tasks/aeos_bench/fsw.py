@@ -41,14 +41,12 @@ _DEFAULTS = {"K": 8.0, "Ki": 0.005, "P": 24.0, "integralLimit": 0.01, "compensat
 """About the middle of the benchmark's distributions."""
 
 
-def _fitted_feedback(arguments: Mapping[str, Any]) -> Component:
-    return _of_benchmark(control.fitted_feedback(arguments))
-
-
 def _of_benchmark(law: Component) -> Component:
     """Return a control law that runs at time zero, with other defaults; gains are not checked: some of the benchmark chatter."""
     args = tuple(dataclasses.replace(arg, default=_DEFAULTS.get(arg.name, arg.default)) for arg in law.args)
-    return dataclasses.replace(law, args=args, check_tick=None, at_start=True, fit=_fitted_feedback)
+    return dataclasses.replace(
+        law, args=args, check_tick=None, at_start=True, fit=lambda arguments: _of_benchmark(control.fitted_feedback(arguments))
+    )
 
 
 def _fitted_allocation(arguments: Mapping[str, Any]) -> Component:
