@@ -198,7 +198,10 @@ def table(results: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]]
     """Return the cells of the table of the final evaluation, by policy and column; columns without numbers are left out."""
     gain = results.get(TRAINED, {}).get("gain", {})
     mortal = any(result.get("deaths") for result in results.values())
-    rows = {policy: _row(result, mortal) | {f"gain of {TRAINED}": _gain(gain.get(policy))} for policy, result in results.items()}
+    rows = {
+        policy: _row(result, mortal) | {f"gain of {TRAINED}": interval(gain[policy], "+") if policy in gain else ""}
+        for policy, result in results.items()
+    }
     columns = dict.fromkeys(name for row in rows.values() for name in row)
     filled = [name for name in columns if any(row.get(name, "") for row in rows.values())]
     return {policy: {name: row.get(name, "") or "–" for name in filled} for policy, row in rows.items()}
@@ -219,10 +222,6 @@ def survival(result: Mapping[str, Any]) -> str:
         return ""
     limits = " to ".join(f"{limit:.1%}" for limit in result.get("survival_interval", ()))
     return f"{result['survival']:.1%}" + f" ({limits})" * bool(limits)
-
-
-def _gain(estimate: Mapping[str, float] | None) -> str:
-    return interval(estimate, "+") if estimate else ""
 
 
 def _number(value: object) -> bool:
