@@ -116,14 +116,15 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
         specs = self.core.observation_spec
         observed = {group.name: specs[group.name, "observation"] for group in self.core.groups}
         self.observation_spaces = {a: observation_space(observed[self._seats[a].group.name], 2) for a in self.possible_agents}
-        self.action_spaces = {agent: self._make_action_space(self._seats[agent]) for agent in self.possible_agents}
+        self.action_spaces: dict[str, spaces.Space[Any]] = {}
+        for agent in self.possible_agents:
+            group, _, _, parts = self._seats[agent]
+            if group.is_meta:
+                self.action_spaces[agent] = spaces.MultiDiscrete([self._size(part) for part in parts])
+            else:
+                self.action_spaces[agent] = action_space(parts[0], self._continues)
         width = sum(spaces.flatdim(space) for space in self.observation_spaces.values())
         self.state_space = unbounded((width,), self.core.dtype)
-
-    def _make_action_space(self, seat: Seat) -> spaces.Space[Any]:
-        if not seat.group.is_meta:
-            return action_space(seat.parts[0], self._continues)
-        return spaces.MultiDiscrete([self._size(part) for part in seat.parts])
 
     def _size(self, part: SatelliteGroup) -> int:
         return part.actions.n_actions + self._continues
