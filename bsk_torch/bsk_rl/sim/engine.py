@@ -123,9 +123,9 @@ class Engine:
             (s.name, t, s.variable_interval, _given(t.default_sat_args(), values))
             for s, t, values in zip(satellites, types, self._values, strict=True)
         ]
-        return repr([(name, id(t), interval, sorted(given.items(), key=str)) for name, t, interval, given in each]), repr(
-            (sorted(_given(others[0].default_world_args(), self._world).items(), key=str), *others)
-        )
+        return repr(
+            [(name, id(t), interval, sorted(table_arguments.items(), key=str)) for name, t, interval, table_arguments in each]
+        ), repr((sorted(_given(others[0].default_world_args(), self._world).items(), key=str), *others))
 
     def _build(
         self, satellites: Sequence[Any], types: Sequence[type[CoreSatellite]], world_type: Any, sim_rate: float, orbit: str | None
@@ -158,8 +158,8 @@ class Engine:
     def _sources(self, table: ArgumentTable, k: int | None) -> dict[str, Any]:
         """Return arguments by name: those that determine the structure unchanged, others as functions of the episode."""
         values = self._world if k is None else self._values[k]
-        given = _given(table, values)
-        return {name: given[name] if name in given else self._reader(k, name) for name in table.rows if name in values}
+        arguments = _given(table, values)
+        return {name: arguments[name] if name in arguments else self._reader(k, name) for name in table.rows if name in values}
 
     def _reader(self, k: int | None, name: str) -> Callable[[], Any]:
         return lambda: (self._world if k is None else self._values[k])[name]
@@ -208,8 +208,8 @@ def _needed_orbit(values: Sequence[Mapping[str, Any]], world: Mapping[str, Any])
     drag = {"planetRadius", "baseDensity", "scaleHeight"} <= world.keys()
     top = top_radius(*(float(world[name]) for name in ("planetRadius", "baseDensity", "scaleHeight"))) if drag else 0.0
     needed = None
-    for own in values:
-        r, v = (Vec3.of(torch.from_numpy(np.asarray(own[name], dtype=float))) for name in ("rN", "vN"))
+    for satellite_values in values:
+        r, v = (Vec3.of(torch.from_numpy(np.asarray(satellite_values[name], dtype=float))) for name in ("rN", "vN"))
         if not is_orbit(r, v):
             return "free"
         if float(periapsis_radius(r, v)) < top:

@@ -180,7 +180,7 @@ class TrajectorySimulator:
         Transitions are those between samples. A search that fails ``max_tries`` times returns one second, as in bsk_rl.
         """
         for k in range(max_tries + 1):
-            starts, ends = ([time for time in known if time > t] for known in (self._starts, self._ends))
+            starts, ends = ([time for time in transitions if time > t] for transitions in (self._starts, self._ends))
             if starts and ends:
                 return min(starts), min(ends)
             self._search(t + k * SEARCH_STEP)

@@ -136,8 +136,8 @@ class ModelView:
             super().__setattr__(name, value)
 
     def _advice(self, name: str) -> str:
-        known = messages.advice(name) or nearest(name, self._names())
-        return f"{type(self._whole).__name__} has no attribute {name!r}; {known}"
+        advice = messages.advice(name) or nearest(name, self._names())
+        return f"{type(self._whole).__name__} has no attribute {name!r}; {advice}"
 
     def _names(self) -> list[str]:
         return [name for name in dir(self._whole) if not name.startswith("_")]

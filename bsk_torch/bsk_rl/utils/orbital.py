@@ -222,8 +222,8 @@ def relative_to_chief(
         args: dict[Any, dict[str, Any]] = {satellite: {} for satellite in satellites}
         args[chief]["oe"] = oe
         rc_N, vc_N = elem2rv(mu, oe)
-        for name, given in deputy_relative_state.items():
-            state = np.asarray(given() if callable(given) else given, dtype=float)
+        for name, value in deputy_relative_state.items():
+            state = np.asarray(value() if callable(value) else value, dtype=float)
             args[named[name]]["oe"] = rv2elem(mu, *hill2cd(rc_N, vc_N, state[:3], state[3:6]))
         return args
 
