@@ -131,9 +131,9 @@ class Tasking(Present, MadeOfArguments):
         lines = [f"{type(self).__name__}: {self.num_envs} environments on {self.device}, scenario {type(self.scenario).__name__}"]
         for satellite in self.satellites:
             names = ", ".join(satellite.names[:3]) + (f" and {len(satellite.names) - 3} more" if len(satellite.names) > 3 else "")
-            seen, actions = satellite.observation_description, satellite.action_description
+            observed, actions = satellite.observation_description, satellite.action_description
             shown = ", ".join(actions[:6]) + (", ..." if len(actions) > 6 else "")
-            lines.append(f"  {names} ({type(satellite).__name__}): {len(seen)} observed, {len(actions)} actions ({shown})")
+            lines.append(f"  {names} ({type(satellite).__name__}): {len(observed)} observed, {len(actions)} actions ({shown})")
         return "\n".join(lines)
 
     def to(self, device: torch.device | str) -> Tasking:  # type: ignore[override]

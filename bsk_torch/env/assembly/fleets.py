@@ -145,7 +145,9 @@ class FleetBuilder:
         parts = [
             [*s.dyn_type.all_components(), *s.fsw_type.all_components()] for s in (self.satellites[c[0]] for c in self.types)
         ]
-        waiting = {k: {p.follows: self._leader(p.follows, parts) for p in own if p.follows} for k, own in enumerate(parts)}
+        waiting = {
+            k: {p.follows: self._leader(p.follows, parts) for p in type_parts if p.follows} for k, type_parts in enumerate(parts)
+        }
         while waiting:
             ready = next((k for k, followed in waiting.items() if not waiting.keys() & set(followed.values())), None)
             if ready is None:
