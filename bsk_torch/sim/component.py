@@ -397,7 +397,7 @@ class Component:
         if own_fit is not None:  # the structure that the given arguments need gets the same additions
             additions: dict[str, Any] = {"update": update, "args": args, "state": state, "params": params, "reads": reads}
             additions |= {"initial": initial, "prepare": prepare, "check": check, "flags": flags, "resets": resets}
-            changes["fit"] = lambda given: own_fit(given).extended(**additions)
+            changes["fit"] = lambda arguments: own_fit(arguments).extended(**additions)
         return dataclasses.replace(self, **changes)
 
 
@@ -405,9 +405,9 @@ def asked(components: Iterable[Component], values: Values) -> list[tuple[Compone
     """Return each component with those of the arguments that it reads."""
     pairs: list[tuple[Component, Values]] = []
     for component in components:
-        own = Own({name: values[name] for name in component.arguments if name in values})
-        own.slot = component.slot
-        pairs.append((component, own))
+        part_values = Own({name: values[name] for name in component.arguments if name in values})
+        part_values.slot = component.slot
+        pairs.append((component, part_values))
     return pairs
 
 

@@ -119,7 +119,7 @@ class Fleet(Satellites):
         if randomize is not None:
             answers["sat_arg_randomizer"] = randomize()
         pairs = ((simulator.type.arguments, simulator.columns) for simulator in self.simulators)
-        each = ((column, given.sat_args, k) for given, columns in pairs for k, column in enumerate(columns))
+        each = ((column, usage.sat_args, k) for usage, columns in pairs for k, column in enumerate(columns))
         for _, arguments, k in sorted(each, key=lambda entry: entry[0]):
             arguments.ask(k, env, answers)
 
@@ -132,13 +132,13 @@ class Fleet(Satellites):
     def draw(
         self,
         key: Key,
-        given: Mapping[str, tuple[Sequence[int], Tensor]] | None = None,
+        overrides: Mapping[str, tuple[Sequence[int], Tensor]] | None = None,
         answers: Sequence[Answers] | None = None,
         scenario: dict[str, Tensor] | None = None,
     ) -> EpisodeDraw:
         """Return the draws of the key's n environments; raises before anything has changed.
 
-        ``given`` are arguments of satellites of all types that replace others: by name, the satellites [c] and values [n, c,
+        ``overrides`` are arguments of satellites of all types that replace others: by name, the satellites [c] and values [n, c,
         ...]. User functions are called now, unless ``answers`` has what they returned (:meth:`ask`), and the scenario draws
         unless given.
         """
@@ -149,7 +149,7 @@ class Fleet(Satellites):
             arguments = simulator.type.arguments
             around = arguments.world_args.draw(key, world, answers)
             world |= around
-            values.append(arguments.draw(key, around, share(given or {}, simulator.columns), answers))
+            values.append(arguments.draw(key, around, share(overrides or {}, simulator.columns), answers))
         return EpisodeDraw(drawn, values)
 
     def reset(self, envs: Tensor, drawn: EpisodeDraw, durations: Sequence[Tensor], time_limit: Tensor) -> None:
@@ -183,24 +183,24 @@ class Fleet(Satellites):
         speed only.
         """
         now = self.ticks
-        left = (limit_ticks - now).clamp(min=0)
-        ends = torch.minimum(until - now, left).clamp(min=0) * moves
+        remaining = (limit_ticks - now).clamp(min=0)
+        ends = torch.minimum(until - now, remaining).clamp(min=0) * moves
         probably = [ends] * len(self.simulators) if expected is None else [ticks - now for ticks in expected]
         parts = []
         for envs in parts_of(self, moves, ends):
-            parts.append(part := Part(self, envs, now, ends, left, probably))
+            parts.append(part := Part(self, envs, now, ends, remaining, probably))
             for call in part.calls():
                 simulator, rows = self.simulators[call.k], part.rows[call.k]
                 call.ran = simulator.run(call.ticks, call.expected, call.may_rewind, call.trace, call.followed, rows)
         return together(self, parts)
 
 
-def share(given: Mapping[str, tuple[Sequence[int], Tensor]], columns: Sequence[int]) -> Overrides:
+def share(overrides: Mapping[str, tuple[Sequence[int], Tensor]], columns: Sequence[int]) -> Overrides:
     """Return the overrides of the satellites ``columns`` of one type, numbered within the type."""
-    mine = {}
-    for name, (satellites, values) in given.items():
+    of_type = {}
+    for name, (satellites, values) in overrides.items():
         pairs = [(columns.index(s), k) for k, s in enumerate(satellites) if s in columns]
         if pairs:
             within, where = (torch.tensor(side) for side in zip(*pairs, strict=True))
-            mine[name] = within, values[:, where]
-    return mine
+            of_type[name] = within, values[:, where]
+    return of_type

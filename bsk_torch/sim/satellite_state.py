@@ -164,9 +164,9 @@ class SatelliteState(StateTable):
             raise KeyError(f"the satellite has no field {name!r}; {nearest(name, self.layout.fields)}")
         where, width = self.layout.slices[name], self.layout.fields[name].width
         if not isinstance(value, Tensor) or value.numel() != self.rows * width or value.shape[0] != self.rows:
-            given = f"of shape {list(value.shape)}" if isinstance(value, Tensor) else repr(value)
+            description = f"of shape {list(value.shape)}" if isinstance(value, Tensor) else repr(value)
             wanted = [self.rows] if width == 1 else [self.rows, width]
-            raise ValueError(f"value of write({name!r}, rows, value) is {given}; it must be a tensor of shape {wanted}")
+            raise ValueError(f"value of write({name!r}, rows, value) is {description}; it must be a tensor of shape {wanted}")
         self.planes[where] = torch.where(rows, value.reshape(self.rows, -1).mT, self.planes[where])
         self.touch()
 
@@ -199,8 +199,8 @@ class SatelliteState(StateTable):
             return self.arguments[name]
         if name in self.constants:
             return self.constants[name]
-        known = [*self.arguments, *self.constants]
-        raise KeyError(f"no argument is called {name!r}; {nearest(name, known)}")
+        names = [*self.arguments, *self.constants]
+        raise KeyError(f"no argument is called {name!r}; {nearest(name, names)}")
 
     @property
     def all_arguments(self) -> dict[str, Any]:

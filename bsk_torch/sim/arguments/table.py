@@ -32,18 +32,18 @@ class ArgumentTable(dict[str, Any]):
 
     def beside(self, values: Mapping[str, Any]) -> ArgumentTable:
         """Show next to the defaults the ``values`` of an environment that differ from them; return this table."""
-        known = {name: values[name] for name in self if name in values}
-        self.here = {name: value for name, value in known.items() if short(value) != short(self[name])}
+        listed = {name: values[name] for name in self if name in values}
+        self.here = {name: value for name, value in listed.items() if short(value) != short(self[name])}
         return self
 
     def cells(self) -> list[dict[str, str]]:
         """Return a row for each argument, those of :attr:`here` first; ``default`` is empty if it is the value ``here``."""
-        found = []
+        rows = []
         for arg in sorted(self.rows.values(), key=lambda arg: arg.name not in self.here):
             value, default = self.here.get(arg.name, self[arg.name]), self[arg.name] if arg.name in self.here else ""
             cells = {"argument": arg.name, "here": short(value), "default": short(default), "unit": arg.unit, "meaning": arg.doc}
-            found.append(cells)
-        return found
+            rows.append(cells)
+        return rows
 
     def __repr__(self) -> str:
         lines = self.cells()
@@ -60,9 +60,9 @@ def short(value: Any) -> str:
     if isinstance(value, tuple) and value and isinstance(value[0], dict):
         return f"{len(value)} stations"
     if isinstance(value, Distribution) and is_dataclass(value):
-        given = {field.name: getattr(value, field.name) for field in fields(value) if field.repr}
+        settings = {field.name: getattr(value, field.name) for field in fields(value) if field.repr}
         plain = ("low", "high", "mean", "std")  # of Uniform and Normal, whose first arguments are clear without names
-        parts = (f"{'' if name in plain else f'{name}='}{short(part)}" for name, part in given.items() if part is not None)
+        parts = (f"{'' if name in plain else f'{name}='}{short(part)}" for name, part in settings.items() if part is not None)
         return f"{type(value).__name__}({', '.join(parts)})"
     if isinstance(value, tuple):
         return f"({', '.join(map(short, value))})"

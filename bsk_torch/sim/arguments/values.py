@@ -99,12 +99,12 @@ def convert(arg: Arg, values: Any, rows: int) -> Any:
     if arg.kind == "utc":
         return torch.tensor([_epoch(arg, value) for value in values], dtype=torch.float64)
     try:
-        given = numbers(values)
+        numeric = numbers(values)
     except (TypeError, ValueError, RuntimeError, OverflowError) as error:
         shown = values[0] if isinstance(values, list) and len(values) == 1 else values
         why = "" if isinstance(shown, str) else f": {error}"
         raise ValueError(f"{arg.name}={shown!r} must be numeric ({arg.unit}){why}") from error
-    return _shaped(arg, given, rows)
+    return _shaped(arg, numeric, rows)
 
 
 def alike(a: Any, b: Any) -> bool:
@@ -133,12 +133,12 @@ class Arguments:
     def __init__(
         self,
         components: Iterable[Component],
-        given: Mapping[str, Any] | Sequence[Mapping[str, Any]],
+        arguments: Mapping[str, Any] | Sequence[Mapping[str, Any]],
         title: str,
         columns: Sequence[int] = (0,),
         as_flown: bool = False,
     ) -> None:
-        """Merge the table of ``components`` with the ``given`` values, of all satellites of an environment or of each of them.
+        """Merge the table of ``components`` with ``arguments``, of all satellites of an environment or of each of them.
 
         ``title`` is what the user calls the dictionary; draws depend on ``columns``, the numbers of the satellites within an
         environment. Bounds ``as_flown`` are those of what Basilisk takes, see :class:`~bsk_torch.sim.component.Arg`. KeyError
@@ -148,14 +148,16 @@ class Arguments:
         self.title, self.columns = title, tuple(columns)
         self.owners = tuple(columns) if title == "sat_args" else (title,)
         self.table = self._bounded(arg for component in components for arg in component.args)
-        each = [given] if isinstance(given, Mapping) else list(given)
+        each = [arguments] if isinstance(arguments, Mapping) else list(arguments)
         merged = [self._merged(values) for values in each]
-        self._given = [dict(merged[0]) for _ in columns] if isinstance(given, Mapping) else merged
+        self._given = [dict(merged[0]) for _ in columns] if isinstance(arguments, Mapping) else merged
         self._of_envs: list[dict[str, dict[int, Any]]] = [{} for _ in self._given]
         self._changed: set[str] = set()
         self._look()
 
-    def of_components(self, components: Iterable[Component], given: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> Arguments:
+    def of_components(
+        self, components: Iterable[Component], arguments: Mapping[str, Any] | Sequence[Mapping[str, Any]]
+    ) -> Arguments:
         """Return the arguments that other components of the same slots declare: their shapes and defaults may differ.
 
         A given value that is the very default of an argument that differs now, from a copy of all defaults, becomes the new one.
@@ -169,23 +171,23 @@ class Arguments:
         def wanted(values: Mapping[str, Any]) -> dict[str, Any]:
             return {name: value for name, value in values.items() if name not in old or value is not old[name]}
 
-        renewed = wanted(given) if isinstance(given, Mapping) else [wanted(values) for values in given]
+        renewed = wanted(arguments) if isinstance(arguments, Mapping) else [wanted(values) for values in arguments]
         return Arguments(components, renewed, self.title, self.columns, self.as_flown)
 
     def _bounded(self, args: Iterable[Arg]) -> dict[str, Arg]:
         return {arg.name: arg.as_flown if self.as_flown else arg for arg in args}
 
-    def _merged(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        for name in given:
+    def _merged(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
+        for name in arguments:
             if name not in self.table:
                 raise KeyError(unknown(self.title, name, self.table))
-            if isinstance(given[name], type) and issubclass(given[name], Distribution):
+            if isinstance(arguments[name], type) and issubclass(arguments[name], Distribution):
                 raise ValueError(
-                    f"{self.title}: {name}={given[name].__name__} is a class; write an object of it, with parentheses"
+                    f"{self.title}: {name}={arguments[name].__name__} is a class; write an object of it, with parentheses"
                 )
-        merged = {name: given.get(name, arg.default) for name, arg in self.table.items()}
-        replaced = {"rN", "vN"} & {name for name in given if given[name] is not None}
-        if replaced and "oe" not in given and "oe" in merged:
+        merged = {name: arguments.get(name, arg.default) for name, arg in self.table.items()}
+        replaced = {"rN", "vN"} & {name for name in arguments if arguments[name] is not None}
+        if replaced and "oe" not in arguments and "oe" in merged:
             merged["oe"] = None  # an explicit position replaces the default elements
         for name, value in merged.items():
             if isinstance(value, Member) and is_fixed(self.table[name]):
@@ -245,8 +247,8 @@ class Arguments:
                 new._given[k][name] = value
                 new._of_envs[k].pop(name, None)
             elif value is new._given[k][name]:
-                left = {env: mine for env, mine in new._of_envs[k].pop(name, {}).items() if env not in envs}
-                new._of_envs[k] |= {name: left} if left else {}
+                remaining = {env: mine for env, mine in new._of_envs[k].pop(name, {}).items() if env not in envs}
+                new._of_envs[k] |= {name: remaining} if remaining else {}
             else:
                 new._of_envs[k].setdefault(name, {}).update(dict.fromkeys(envs, value))
         new._look()
@@ -282,18 +284,18 @@ class Arguments:
                         f"{self.title}: {other}={answer!r} was {first!r} at the function's first call; it decides what is "
                         "built, so it must be the same in all episodes"
                     )
-                mine = self.value(k, other, env) if other in self.table else value
-                if isinstance(mine, Member) and mine.function is value.function:
+                other_value = self.value(k, other, env) if other in self.table else value
+                if isinstance(other_value, Member) and other_value.function is value.function:
                     answers[owner, other] = answer
 
-    def _asked_alone(self, key: Key, known: Container[str]) -> list[Answers]:
+    def _asked_alone(self, key: Key, names: Container[str]) -> list[Answers]:
         """Return the answers for each environment of a key, of all functions whose values are not known."""
         if not self.calls_user:
             return []
         answers: list[Answers] = []
         with seeded(key.named(self.title)) as rows:
             for row in rows:
-                answers.append({(owner, name): None for owner in self.owners for name in self.table if name in known})
+                answers.append({(owner, name): None for owner in self.owners for name in self.table if name in names})
                 for k in range(len(self.owners)):
                     self.ask(k, int(row.env_id), answers[-1])
         return answers
@@ -382,20 +384,20 @@ class Arguments:
 
     def _of_satellite(self, k: int, arg: Arg, key: Key, answers: Sequence[Answers]) -> Any:
         """Return the values of an argument of one satellite, [n or 1, ...]; None if it has none."""
-        own, asked = (
+        satellite_key, asked = (
             key.of_satellites(torch.tensor([self.columns[k]])),
             [answer.get((self.owners[k], arg.name)) for answer in answers],
         )
         value, of_envs = self._given[k][arg.name], self._of_envs[k].get(arg.name)
         if not of_envs:
-            return self._draw(arg, value, own, asked)
+            return self._draw(arg, value, satellite_key, asked)
         groups: dict[int, tuple[Any, list[int]]] = {}
         for row, env in enumerate(key.env_id.tolist()):
-            mine = of_envs.get(env, value)
-            groups.setdefault(id(mine), (mine, []))[1].append(row)
+            env_value = of_envs.get(env, value)
+            groups.setdefault(id(env_value), (env_value, []))[1].append(row)
         parts: list[tuple[Tensor, list[int]]] = []
-        for mine, rows in groups.values():
-            part = self._draw(arg, mine, own.take(rows), [asked[row] for row in rows] if asked else asked)
+        for env_value, rows in groups.values():
+            part = self._draw(arg, env_value, satellite_key.take(rows), [asked[row] for row in rows] if asked else asked)
             if part is None:
                 raise ValueError(f"{self.title}: {arg.name} must be given for all environments, or for none")
             parts.append((part, rows))
@@ -487,47 +489,47 @@ def merge(values: Values, components: Sequence[Component], what: str) -> dict[st
     other names, or no number for a parameter.
     """
     merged: dict[str, Tensor] = {}
-    own: dict[str, str] = {}  # slots of users' components by what they have returned
+    user_slots: dict[str, str] = {}  # slots of users' components by what they have returned
     for component, share in asked([part for part in components if getattr(part, what) is not None], values):
         function = getattr(component, what)
-        found, is_own = function(share), not of_package([function])
+        computed, is_own = function(share), not of_package([function])
         if is_own:
-            _check_computed(component, what, found, values, merged)
-        for name in found.keys() & (merged if is_own else own).keys():
+            _check_computed(component, what, computed, values, merged)
+        for name in computed.keys() & (merged if is_own else user_slots).keys():
             raise ValueError(
-                f"{what}(args) of the component in slot {own.get(name, component.slot)!r} returns {name!r}, which another "
+                f"{what}(args) of the component in slot {user_slots.get(name, component.slot)!r} returns {name!r}, which another "
                 "component returns, too; give the field another name"
             )
-        own.update(dict.fromkeys(found if is_own else (), component.slot))
-        merged.update(found)
+        user_slots.update(dict.fromkeys(computed if is_own else (), component.slot))
+        merged.update(computed)
     for field in (field for component in components for field in component.state) if what == "initial" else ():
         if field.name not in merged:
             merged[field.name] = torch.zeros(1, field.width, dtype=torch.float64)
     return merged
 
 
-def _check_computed(component: Component, what: str, found: Any, values: Values, others: Container[str]) -> None:
+def _check_computed(component: Component, what: str, computed: Any, values: Values, others: Container[str]) -> None:
     """Check what a user's component computes when episodes start; ``others`` are values of the components before it."""
     fields = {field.name: field for field in (component.state if what == "initial" else component.params)}
     entry = "state" if what == "initial" else "params"
     title = f"{what}(args) of the component in slot {component.slot!r}"
-    if not isinstance(found, Mapping):
-        raise TypeError(f"{title} returns {found!r}; it must return a dictionary of float64 tensors by the names in {entry}=")
-    for name in found:
+    if not isinstance(computed, Mapping):
+        raise TypeError(f"{title} returns {computed!r}; it must return a dictionary of float64 tensors by the names in {entry}=")
+    for name in computed:
         if name not in fields:
             raise ValueError(f"{title} returns {name!r}, which is not in {entry}= of the component; {nearest(str(name), fields)}")
     rows = max((len(value) for value in values.values() if isinstance(value, Tensor)), default=1)
     for name, field in fields.items():
-        if name not in found:
+        if name not in computed:
             if name in others or what == "initial":
                 continue
             raise ValueError(f"{title} lacks {name!r}, which {entry}= of the component lists")
-        value, width = found[name], field.width
+        value, width = computed[name], field.width
         shapes = [(n, width) for n in (1, rows)] + [(n,) for n in (1, rows) if width == 1]
         if not isinstance(value, Tensor) or (value.shape not in shapes and not (value.ndim > 2 and value[0].numel() == width)):
-            given = f"of shape {list(value.shape)}" if isinstance(value, Tensor) else repr(value)
+            description = f"of shape {list(value.shape)}" if isinstance(value, Tensor) else repr(value)
             wanted = f"[1, {width}] or [{rows}, {width}]" if width > 1 else f"[1] or [{rows}]"
-            raise TypeError(f"{title}[{name!r}] is {given}; it must be a float64 tensor of shape {wanted}")
+            raise TypeError(f"{title}[{name!r}] is {description}; it must be a float64 tensor of shape {wanted}")
         if bool(torch.isnan(value).any()):
             raise ValueError(
                 f"{title}[{name!r}] is NaN in row {int(torch.isnan(value).view(len(value), -1).any(1).int().argmax())}"

@@ -139,13 +139,13 @@ def ground_stations(count: int) -> Component:
     )
 
 
-def _fitted_stations(given: Mapping[str, Any]) -> Component:
+def _fitted_stations(arguments: Mapping[str, Any]) -> Component:
     """Return as many stations as are given, on the world's own sphere: satellites have an argument of the same name."""
-    stations = given["groundStationsData"]
+    stations = arguments["groundStationsData"]
     count = len(stations) if isinstance(stations, list | tuple) and stations else len(DEFAULT_STATIONS)
 
     def prepare(args: Values) -> dict[str, Tensor]:
-        radius = torch.as_tensor(given["groundLocationPlanetRadius"], dtype=torch.float64)
+        radius = torch.as_tensor(arguments["groundLocationPlanetRadius"], dtype=torch.float64)
         return station_arrays({**args, "groundLocationPlanetRadius": radius})
 
     return dataclasses.replace(ground_stations(count), prepare=prepare)

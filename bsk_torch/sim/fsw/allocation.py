@@ -132,15 +132,15 @@ def wheel_allocation(count: int, null_motion: bool, some: bool) -> Component:
         params += [Field("null_map", 3 * count, vectors=True)] if null_motion else []
 
     def prepare(args: Values) -> dict[str, Tensor]:
-        found = {"wheel_map": wheel_map(args).flatten(-2)}
+        parameters = {"wheel_map": wheel_map(args).flatten(-2)}
         if null_motion:
-            found |= {"null_axes_B": unit_axes(args).flatten(-2), "null_gain": args["nullSpaceGain"]}
-            found |= {"null_speeds": args["nullSpaceSpeeds"] * RPM}
+            parameters |= {"null_axes_B": unit_axes(args).flatten(-2), "null_gain": args["nullSpaceGain"]}
+            parameters |= {"null_speeds": args["nullSpaceSpeeds"] * RPM}
         if some:
-            found |= {"wheel_available": args["rwAvailable"]}
+            parameters |= {"wheel_available": args["rwAvailable"]}
             everything = {name: value for name, value in args.items() if name != "rwAvailable"}
-            found |= {"null_map": wheel_map(everything).flatten(-2)} if null_motion else {}
-        return found
+            parameters |= {"null_map": wheel_map(everything).flatten(-2)} if null_motion else {}
+        return parameters
 
     return Component(
         slot="allocation",
@@ -155,12 +155,12 @@ def wheel_allocation(count: int, null_motion: bool, some: bool) -> Component:
     )
 
 
-def fitted_allocation(given: Mapping[str, Any]) -> Component:
+def fitted_allocation(arguments: Mapping[str, Any]) -> Component:
     """Return the component that distributes torques among the wheels that the arguments as given describe.
 
     ValueError for none, or null motion of three.
     """
-    wheels, null_motion = described_wheels(given) if "wheels" in given else None, given["nullSpaceGain"] is not None
+    wheels, null_motion = described_wheels(arguments) if "wheels" in arguments else None, arguments["nullSpaceGain"] is not None
     if wheels is not None and not wheels:
         raise ValueError(
             "sat_args: wheels=[] has no wheels, but the flight software commands them; list at least one dyn.Wheel, or use "
@@ -168,10 +168,10 @@ def fitted_allocation(given: Mapping[str, Any]) -> Component:
         )
     if null_motion and (wheels is None or len(wheels) <= 3):
         raise ValueError(
-            f"sat_args: nullSpaceGain={given['nullSpaceGain']!r} needs more than three wheels: others have no motion without "
+            f"sat_args: nullSpaceGain={arguments['nullSpaceGain']!r} needs more than three wheels: others have no motion without "
             "torque; leave it out, or give wheels=[dyn.Wheel(...), ...]"
         )
-    some = given["rwAvailable"] is not None
+    some = arguments["rwAvailable"] is not None
     return BODY_AXIS_WHEELS if wheels is None else wheel_allocation(len(wheels), null_motion, some)
 
 

@@ -111,9 +111,9 @@ def check_steering(args: Values, h: float) -> str | None:
 GAINS = ("K1", "K3", "omega_max", "servo_Ki", "servo_P")
 
 
-def fitted_steering(given: Mapping[str, Any]) -> Component:
+def fitted_steering(arguments: Mapping[str, Any]) -> Component:
     """Return MRP steering with the terms that the arguments as given ask for."""
-    return with_given_terms(MRP_STEERING, given)
+    return with_given_terms(MRP_STEERING, arguments)
 
 
 MRP_STEERING = Component(

@@ -59,9 +59,9 @@ def _first_strip(args: Values) -> dict[str, Tensor]:
     return first | dict(strip_middle=middle, strip_along=along, strip_angle=none, strip_half=none, strip_rate=none)
 
 
-def fitted_strip(given: Mapping[str, Any]) -> Component:
+def fitted_strip(arguments: Mapping[str, Any]) -> Component:
     """Return the component of strips in the light that the arguments as given ask for."""
-    form = tuple(differs(given, arg.name) for arg in SUN_LIMITS)
+    form = tuple(differs(arguments, arg.name) for arg in SUN_LIMITS)
     return strip_target(*form)
 
 

@@ -104,16 +104,18 @@ SUN_LIMITS = (
 SUN_PARAMETERS = ("target_least_sun", "target_most_sun")  # parameters of the tick, the sines of SUN_LIMITS
 
 
-def fitted_target(given: Mapping[str, Any]) -> Component:
+def fitted_target(arguments: Mapping[str, Any]) -> Component:
     """Return the component of targets in the light that the arguments as given ask for."""
-    form = tuple(differs(given, arg.name) for arg in SUN_LIMITS)
+    form = tuple(differs(arguments, arg.name) for arg in SUN_LIMITS)
     return lit_target(*form) if any(form) else IMAGE_TARGET
 
 
 def _sine(args: Values, limit: Arg) -> Tensor:
     """Return the sine of a limit of the Sun's elevation; beyond all sines for an instrument that has none."""
-    found = args[limit.name]
-    return torch.full((1,), -2.0 if limit is SUN_LIMITS[0] else 2.0, dtype=torch.float64) if found is None else found.sin()
+    elevation = args[limit.name]
+    return (
+        torch.full((1,), -2.0 if limit is SUN_LIMITS[0] else 2.0, dtype=torch.float64) if elevation is None else elevation.sin()
+    )
 
 
 @functools.cache

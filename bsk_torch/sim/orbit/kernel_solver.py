@@ -85,9 +85,9 @@ class KernelSolver(Solver):
     def _start(self, r: Tensor, v: Tensor, around: Samples, flown: Tensor) -> Tensor:
         """Fill the first positions; return the state from which the flown arc continues."""
         state, visited = start_flight(self.degree, self.stretches, r, v, around)
-        lead, found = 2 * LEAD_NODES, visited[:, -flown_arc.MULTISTEP_ORDER :]
-        flown[:, :lead], flown[:, lead] = found[:, :lead], r
-        flown[:, lead + 1 : flown_arc.MULTISTEP_ORDER + 1] = found[:, lead:]
+        lead, first_positions = 2 * LEAD_NODES, visited[:, -flown_arc.MULTISTEP_ORDER :]
+        flown[:, :lead], flown[:, lead] = first_positions[:, :lead], r
+        flown[:, lead + 1 : flown_arc.MULTISTEP_ORDER + 1] = first_positions[:, lead:]
         return state
 
     def _fly(self, state: Tensor, step: Tensor, around: Samples, flown: Tensor) -> None:

@@ -63,9 +63,9 @@ def planned_kernel() -> Kernel:
 
 def _hermite(share: float, ends: tuple[Vec3, Vec3], slopes: tuple[Vec3, Vec3]) -> Vec3:
     """Return the cubic (Hermite) through both ends of a step with these slopes, at a share of it."""
-    left = 1.0 - share
-    values = ends[0] * ((1.0 + 2.0 * share) * left * left) + ends[1] * (share * share * (3.0 - 2.0 * share))
-    return values + (slopes[0] * (share * left * left) - slopes[1] * (share * share * left)) * DIFFERENCE_STEP
+    rest = 1.0 - share
+    values = ends[0] * ((1.0 + 2.0 * share) * rest * rest) + ends[1] * (share * share * (3.0 - 2.0 * share))
+    return values + (slopes[0] * (share * rest * rest) - slopes[1] * (share * share * rest)) * DIFFERENCE_STEP
 
 
 @cache

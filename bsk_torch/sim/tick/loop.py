@@ -186,8 +186,8 @@ class Tick:
         time, rows = ticks * self.h_ns / 1e9, torch.arange(state.shape[1], device=state.device)  # divided, as in kernels
         records, taus = [], []
         for track, table, begin in zip(self.tracks, tables, starts, strict=True):
-            found, tau = neighbours(track, table, rows, time - begin)
-            records.append(found.flatten(1).unbind(-1))
+            nodes, tau = neighbours(track, table, rows, time - begin)
+            records.append(nodes.flatten(1).unbind(-1))
             taus.append(tau)
         pairs = (self.state, state), (self.shared, shared), (self.own, own), (self.flags, flags)
         packs = [

@@ -183,8 +183,8 @@ class EclipseTable(StateTable):
         searched = torch.where(early, first, torch.where(late, second, third))
         known = last <= self.known
         self.sampled, self.known = torch.where(known, self.sampled, searched), torch.where(known, self.known, searched)
-        found = known | early | late
-        return torch.where(found, start, NOT_FOUND), torch.where(found, end, NOT_FOUND)
+        within_reach = known | early | late
+        return torch.where(within_reach, start, NOT_FOUND), torch.where(within_reach, end, NOT_FOUND)
 
 
 def _crossing(depth: Tensor, row: Tensor, sample: Tensor) -> Tensor:

@@ -70,9 +70,9 @@ class KernelVisibility(Visibility):
 
     @override
     def culminations(self, pairs: PlacePairs, a: Tensor, b: Tensor) -> Tensor:
-        left, right = ((time, self.clearance(pairs, time)) for time in sections(a, b))
-        first, last, new = narrowed(a, b, *left, *right)
-        state = torch.stack([new, first, last, *left, *right])
+        first_third, right = ((time, self.clearance(pairs, time)) for time in sections(a, b))
+        first, last, new = narrowed(a, b, *first_third, *right)
+        state = torch.stack([new, first, last, *first_third, *right])
         _run_pairs(culmination_kernel(), pairs, state, CULMINATION_ITERATIONS)
         return 0.5 * (state[1] + state[2])
 

@@ -151,18 +151,18 @@ class ThrusterForm(NamedTuple):
     pushes: bool  # whether they may exert a net force
 
 
-def described_thrusters(given: Mapping[str, Any]) -> tuple[Thruster, ...] | None:
+def described_thrusters(arguments: Mapping[str, Any]) -> tuple[Thruster, ...] | None:
     """Return the thrusters that arguments as given describe; None for the default pairs, whose numbers are fixed."""
-    if given["thrusters"] is None and may_change(given, *(arg.name for arg in ARGS[1:])):
+    if arguments["thrusters"] is None and may_change(arguments, *(arg.name for arg in ARGS[1:])):
         return OCTET
     what = "a list of thrusters, such as [dyn.Thruster([0, 0.5, 1], [1, 0, 0], 0.9)]"
-    return described(given, "thrusters", ARGS[1:], Thruster, what)
+    return described(arguments, "thrusters", ARGS[1:], Thruster, what)
 
 
-def thruster_form(given: Mapping[str, Any], listed: Sequence[Thruster]) -> ThrusterForm:
+def thruster_form(arguments: Mapping[str, Any], listed: Sequence[Thruster]) -> ThrusterForm:
     """Return what decides the operations: opposite thrusters of equal thrust about the center of mass never push."""
-    drawn = any(given[arg.name] is not None for arg in ARGS[1:])
-    place = given_numbers(given["r_CB_B"])
+    drawn = any(arguments[arg.name] is not None for arg in ARGS[1:])
+    place = given_numbers(arguments["r_CB_B"])
     centered = place is not None and not bool(place.any())
     return ThrusterForm(len(listed), drawn or not centered or not _opposite(listed))
 
@@ -215,8 +215,8 @@ def thruster_set(form: ThrusterForm, listed: tuple[Thruster, ...]) -> Component:
 
     def prepare(args: Values) -> dict[str, Tensor]:
         forces, torques = forces_and_arms(args)
-        found = {"thruster_torques_B": torques.flatten(-2)}
-        return found | ({"thruster_forces_B": forces.flatten(-2)} if form.pushes else {})
+        parameters = {"thruster_torques_B": torques.flatten(-2)}
+        return parameters | ({"thruster_forces_B": forces.flatten(-2)} if form.pushes else {})
 
     vectors = ("thruster_torques_B", *(("thruster_forces_B",) if form.pushes else ()))
     fires = (
@@ -233,10 +233,10 @@ def thruster_set(form: ThrusterForm, listed: tuple[Thruster, ...]) -> Component:
     )
 
 
-def fitted_thrusters(given: Mapping[str, Any]) -> Component:
+def fitted_thrusters(arguments: Mapping[str, Any]) -> Component:
     """Return the component of the thrusters that the arguments as given describe."""
-    listed = described_thrusters(given)
-    return THRUSTERS if listed is None else thruster_set(thruster_form(given, listed), listed)
+    listed = described_thrusters(arguments)
+    return THRUSTERS if listed is None else thruster_set(thruster_form(arguments, listed), listed)
 
 
 def thrusters(count: int, effector: Effector) -> Component:

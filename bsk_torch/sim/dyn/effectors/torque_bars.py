@@ -50,11 +50,11 @@ ARGS = (
 """Arguments of torque bars; the last two replace the numbers of ``torqueBars``."""
 
 
-def described_bars(given: Mapping[str, Any]) -> tuple[TorqueBar, ...]:
+def described_bars(arguments: Mapping[str, Any]) -> tuple[TorqueBar, ...]:
     """Return the bars that arguments as given describe; ValueError for none, and for entries that are not bars."""
     example = "[dyn.TorqueBar(axis, 0.2) for axis in ([1, 0, 0], [0, 1, 0], [0, 0, 1])]"
     what = f"a list of bars for dyn.TorqueBarsDynModel, such as {example}"
-    listed = parts("sat_args: torqueBars", given["torqueBars"], TorqueBar, what)
+    listed = parts("sat_args: torqueBars", arguments["torqueBars"], TorqueBar, what)
     if len(listed) > MOST_BARS:
         raise ValueError(f"sat_args: torqueBars has {len(listed)} bars; at most {MOST_BARS} are allowed")
     return listed
@@ -95,5 +95,7 @@ def bar_set(listed: tuple[TorqueBar, ...]) -> Component:
     )
 
 
-TORQUE_BARS = Component(slot="torque_bars", after="disturbance", args=ARGS, fit=lambda given: bar_set(described_bars(given)))
+TORQUE_BARS = Component(
+    slot="torque_bars", after="disturbance", args=ARGS, fit=lambda arguments: bar_set(described_bars(arguments))
+)
 """The bars that ``torqueBars`` lists."""

@@ -78,16 +78,16 @@ class WheelForm(NamedTuple):
     stribeck: bool  # whether some of it is Stribeck friction
 
 
-def described_wheels(given: Mapping[str, Any]) -> tuple[Wheel, ...] | None:
+def described_wheels(arguments: Mapping[str, Any]) -> tuple[Wheel, ...] | None:
     """Return the wheels that arguments as given describe; None for the three default ones, all of whose numbers are fixed.
 
     ValueError for entries that are not wheels.
     """
-    if given["wheels"] is None:
-        described = any(given[arg.name] is not None for arg in NUMBERS) or given.get("rwAvailable") is not None
-        return TRIAD if described or may_change(given, *EACH) else None
+    if arguments["wheels"] is None:
+        described = any(arguments[arg.name] is not None for arg in NUMBERS) or arguments.get("rwAvailable") is not None
+        return TRIAD if described or may_change(arguments, *EACH) else None
     what = "a list of wheels, such as [dyn.Wheel('BCT_RWP015', [1, 0, 0])]"
-    wheels = parts("sat_args: wheels", given["wheels"], Wheel, what, empty=True)
+    wheels = parts("sat_args: wheels", arguments["wheels"], Wheel, what, empty=True)
     if len(wheels) > MOST_WHEELS:
         raise ValueError(f"sat_args: wheels has {len(wheels)} wheels; at most {MOST_WHEELS} are allowed")
     return wheels
@@ -99,25 +99,25 @@ def wheel_defaults(wheels: Sequence[Wheel]) -> dict[str, tuple[Any, ...]]:
     return {name: tuple(numbers[name] for numbers in each) for name in (each[0] if each else ())}
 
 
-def wheel_form(given: Mapping[str, Any], wheels: Sequence[Wheel]) -> WheelForm:
+def wheel_form(arguments: Mapping[str, Any], wheels: Sequence[Wheel]) -> WheelForm:
     """Return what decides the operations of wheels, from the arguments as given: what is drawn may be anything."""
     if not wheels:
         return WheelForm((), False, False, False, False)
     defaults = wheel_defaults(wheels)
 
     def numbers(name: str) -> Tensor | None:
-        return given_numbers(defaults[name] if given[name] is None else given[name])
+        return given_numbers(defaults[name] if arguments[name] is None else arguments[name])
 
     def positive(name: str) -> bool:
         values = numbers(name)
         return values is None or bool((values > 0.0).any())
 
     axes = numbers("rwAxes_B")
-    known = axes is not None and axes.shape == (len(wheels), 3)
-    found = [_axis_number(row) for row in axes] if known and axes is not None else [None] * len(wheels)
+    is_fixed = axes is not None and axes.shape == (len(wheels), 3)
+    axis_numbers = [_axis_number(row) for row in axes] if is_fixed and axes is not None else [None] * len(wheels)
     stribeck = positive("rwBetaStatic")
     friction = stribeck or positive("rwFCoulomb") or positive("rwCViscous")
-    return WheelForm(tuple(found), positive("rwUMin"), positive("rwPMax"), friction, stribeck)
+    return WheelForm(tuple(axis_numbers), positive("rwUMin"), positive("rwPMax"), friction, stribeck)
 
 
 def _axis_number(row: Tensor) -> int | None:
@@ -265,8 +265,8 @@ def parameters_of(form: WheelForm) -> tuple[str, ...]:
 
 
 def _prepare(form: WheelForm, args: Values) -> dict[str, Tensor]:
-    found = {name: args[PARAMETERS[name][0]] * PARAMETERS[name][1] for name in parameters_of(form)}
-    return found | {"wheel_axes_B": unit_axes(args).flatten(-2)}
+    parameters = {name: args[PARAMETERS[name][0]] * PARAMETERS[name][1] for name in parameters_of(form)}
+    return parameters | {"wheel_axes_B": unit_axes(args).flatten(-2)}
 
 
 def _check(form: WheelForm, args: Values) -> None:

@@ -120,10 +120,10 @@ def largest_momentum(args: Values) -> float:
     return float((args["rwJs"] * fastest).max())
 
 
-def fitted_wheels(given: Mapping[str, Any]) -> Component:
+def fitted_wheels(arguments: Mapping[str, Any]) -> Component:
     """Return the component of the wheels that the arguments as given describe."""
-    wheels = described_wheels(given)
-    return WHEELS if wheels is None else wheel_set(wheel_form(given, wheels), wheels)
+    wheels = described_wheels(arguments)
+    return WHEELS if wheels is None else wheel_set(wheel_form(arguments, wheels), wheels)
 
 
 WHEELS = Component(
@@ -203,9 +203,9 @@ def wheel_power(count: int) -> Component:
     )
 
 
-def fitted_power(given: Mapping[str, Any]) -> Component:
+def fitted_power(arguments: Mapping[str, Any]) -> Component:
     """Return the component of the power of the wheels that the arguments as given describe."""
-    wheels = described_wheels(given) if "wheels" in given else None
+    wheels = described_wheels(arguments) if "wheels" in arguments else None
     return WHEEL_POWER if wheels is None else wheel_power(len(wheels))
 
 

@@ -59,9 +59,9 @@ def _latch_density(bus: Bus) -> None:
     bus.density = bus.density_message
 
 
-def fitted_drag(given: Mapping[str, Any]) -> Component:
+def fitted_drag(arguments: Mapping[str, Any]) -> Component:
     """Return the component of drag on the facets that the arguments as given describe, or on the default box."""
-    listed, several = described_facets(given), described_panels(given)
+    listed, several = described_facets(arguments), described_panels(arguments)
     box = DRAG if several is None else drag_with_panels(several)
     return box if listed is None else drag_of_facets(box, listed)
 
