@@ -139,13 +139,13 @@ def expose(bus: Bus) -> None:
     data stay in the store.
     """
     open_ = bus.rso_open > 0.0
-    left = open_ & (bus.rso_taken <= 0.0)  # which a command has set to zero
-    bus.rso_left = torch.where(left, bus.rso_left + 1.0, bus.rso_left)
-    bus.rso_left_target = torch.where(left, bus.rso_open - 1.0, bus.rso_left_target)
+    gives_up = open_ & (bus.rso_taken <= 0.0)  # which a command has set to zero
+    bus.rso_left = torch.where(gives_up, bus.rso_left + 1.0, bus.rso_left)
+    bus.rso_left_target = torch.where(gives_up, bus.rso_open - 1.0, bus.rso_left_target)
     fires = bus.rso_fired > 0.0
     stored = fires & (bus.storage + bus.instrument_baud <= bus.storage_capacity)
     target = bus.data_partition if bus.has("data_partition") else torch.zeros_like(bus.rso_open)
-    still = torch.where(left, torch.zeros_like(bus.rso_open), bus.rso_open)
+    still = torch.where(gives_up, torch.zeros_like(bus.rso_open), bus.rso_open)
     bus.rso_open = torch.where(stored, target.to(still.dtype) + 1.0, still)
     bus.rso_stored_tick = torch.where(stored, bus.ticks, bus.rso_stored_tick)
     bus.instrument_command = torch.where(fires, torch.ones_like(bus.instrument_command), bus.instrument_command)
