@@ -207,7 +207,7 @@ class ConstellationTasking(Tasking):
     @property
     def agents_stay(self) -> bool:
         """Whether agents terminated by the rewarder stay in the continuing episode."""
-        return self.options.compat == "bsk_rl" and not self.joint
+        return self.simulator.type.compat and not self.joint
 
     def _all_agents_ended(self, ended: Tensor) -> Tensor:
         """Return the episodes whose agents have all lost a satellite of ``ended`` [N, S], or the joint agent any, [N]."""
@@ -229,7 +229,7 @@ class ConstellationTasking(Tasking):
         Under ``compat``, agents that die in a step of zero ``duration`` [N] s stay for another step.
         """
         dead, removed = self.dead, self.state.removed.clone()
-        if self.options.compat == "bsk_rl":
+        if self.simulator.type.compat:
             dead = dead & (duration > 0.0).unsqueeze(1)
         for group in self.groups:
             gone = self._by_agent(group, dead).unsqueeze(-1).expand(-1, *group.members.shape)

@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium import spaces
 from typing_extensions import override
 
+from bsk_torch.act.base import LONGEST
 from bsk_torch.bsk_rl.act.actions import Action, ActionBuilder
 
 __all__ = [
@@ -27,9 +28,6 @@ __all__ = [
 ]
 
 logger = logging.getLogger(__name__)
-
-LONGEST = 1e9
-"""Duration of actions without one, s."""
 
 
 class DiscreteActionBuilder(ActionBuilder):

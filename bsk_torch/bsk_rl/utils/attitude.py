@@ -8,14 +8,9 @@ from typing import Any
 import numpy as np
 
 from bsk_torch.astro.relative import aligned_with_hill, rv2HN
+from bsk_torch.initial import AXES, SPIN
 
 __all__ = ["hill_frame_attitude", "random_tumble"]
-
-SPIN = {"type": "fixed", "rate": 0.0, "axis": "radial"}
-"""Spin of :func:`hill_frame_attitude` unless it is given."""
-
-AXES = {"radial": (1.0, 0.0, 0.0), "tangential": (0.0, 1.0, 0.0), "normal": (0.0, 0.0, 1.0)}
-"""Named axes of a spin in the Hill frame; ``"velocity"`` and ``"random"`` are further ones."""
 
 
 def random_tumble(maxSpinRate: float = 0.001) -> tuple[np.ndarray, np.ndarray]:

@@ -16,6 +16,7 @@ from bsk_torch.astro.relative import cd2hill, elevation, fibonacci_sphere, hill2
 from bsk_torch.bsk_rl.sim.trajectory import TrajectorySimulator
 from bsk_torch.bsk_rl.utils import orbital_motion as orbitalMotion  # noqa: N812  (the name that programs import)
 from bsk_torch.bsk_rl.utils.orbital_motion import ClassicElements, elem2rv, rv2elem
+from bsk_torch.rand import MONTHS
 
 __all__ = [
     "TrajectorySimulator",
@@ -40,8 +41,6 @@ logger = logging.getLogger(__name__)
 
 R_ALTITUDE = 6371
 """Radius above which altitudes are counted, km: the Earth's mean radius."""
-
-MONTHS = ["JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC"]
 
 Randomizer = Callable[[Sequence[Any]], dict[Any, dict[str, Any]]]
 """Returns arguments by satellite, for ``sat_arg_randomizer`` of an environment."""

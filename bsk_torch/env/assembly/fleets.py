@@ -80,7 +80,8 @@ class FleetBuilder:
             check_watched(self.satellites)
         models = [satellite.dyn_type for satellite in self.satellites]
         chiefs = [constant(satellite.sat_args_generator.get("chief_name")) for satellite in self.satellites]
-        self.pairs = find_pairs(self.names, models, chiefs, options.compat == "bsk_rl")
+        self.compat = options.compat == "bsk_rl"
+        self.pairs = find_pairs(self.names, models, chiefs, self.compat)
         self.scenario, self.options, self.randomizer, self.device = scenario, options, randomizer, device
         self.population = options.population if isinstance(options, ConstellationOptions) else None
         if self.population is not None:
@@ -130,9 +131,8 @@ class FleetBuilder:
         chosen = sorted(column for simulator in each for column in simulator.columns)
         members = {c: (k, 0 if trial else i) for k, columns in enumerate(self.types) for i, c in enumerate(columns)}
         places = {name: members[column] for column, name in enumerate(self.names)}
-        pairs, compat = self.pairs.among(chosen), self.options.compat == "bsk_rl"
-        names, varies = [self.names[k] for k in chosen], self.varies and not trial
-        return SatelliteFleet(each, names, self.scenario.draw_checked, places, pairs, compat, varies)
+        pairs, names, varies = self.pairs.among(chosen), [self.names[k] for k in chosen], self.varies and not trial
+        return SatelliteFleet(each, names, self.scenario.draw_checked, places, pairs, self.compat, varies)
 
     def _scenario_draw(self, n: int) -> dict[str, Tensor]:
         """Return trial draws of the scenario for ``n`` environments, which determine its names and shapes."""
@@ -176,7 +176,7 @@ class FleetBuilder:
                 sim_rate=options.sim_rate,
                 orbit=options.orbit,
                 backend=options.backend,
-                compat=options.compat,
+                compat=self.compat,
                 replan=bool(options.replan),
             ),
             Usage(

@@ -58,7 +58,7 @@ class SimulationOptions:
     sim_rate: float = 1.0  # length of a tick, s
     orbit: str | None = None  # `"arc"`, `"integrated"`, `"free"`, or None for the default of the dynamics model
     backend: str = "compiled"  # `"compiled"` or `"eager"`
-    compat: str | None = None  # `"bsk_rl"` for the errors of recordings
+    compat: bool = False  # whether the errors of recordings are repeated
     replan: bool = True  # whether windows and eclipses follow maneuvers
 
 
@@ -106,7 +106,7 @@ class SatelliteType:
     @property
     def compat(self) -> bool:
         """Whether the errors of recordings are repeated."""
-        return self.options.compat == "bsk_rl"
+        return self.options.compat
 
     @functools.cached_property
     def mode_names(self) -> tuple[str, ...]:
@@ -185,7 +185,7 @@ def satellite_type(
     check_required_dyn(dyn_type, fsw_type)
     world, around = world_of(dyn_type, world_type), world_components(dyn_type, world_type)
     onboard = (*dyn_type.all_components(), *fsw_type.all_components())
-    lenient = options.compat == "bsk_rl"
+    lenient = options.compat
     arguments = Arguments(around, world_args, "world_args"), Arguments(onboard, sat_args, "sat_args", usage.columns, lenient)
     instruments = described_instruments(arguments[1].given, arguments[1].table)
     known_args = arguments[1].table | instrument_args(instruments, arguments[1].table)

@@ -24,7 +24,8 @@ from bsk_torch.vec3 import Vec3
 
 logger = logging.getLogger(__name__)
 
-NEVER = 2**62  # number of a tick that does not come
+NEVER = 2**62
+"""Number of a tick that does not come."""
 AT_ONCE = 1 << 18  # distances computed in one go: few enough to stay in a processor's cache
 AT_REST = 1e-300  # square of a distance, m^2, below which two satellites do not move relative to each other within a tick
 

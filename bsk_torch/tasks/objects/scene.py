@@ -17,7 +17,7 @@ from bsk_torch._checks import function, switch, text
 from bsk_torch.astro.eclipse import illumination
 from bsk_torch.astro.ephemeris import parse_utc
 from bsk_torch.astro.sight import line_clearance, stretch
-from bsk_torch.rand import Key, PerEnv
+from bsk_torch.rand import MONTHS, Key, PerEnv
 from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Memo, Scenario, Value
@@ -49,8 +49,6 @@ OWN_PENDING = "rso_own_pending"
 
 KNOWLEDGE = ("common", "own")
 """What candidates follow from: all images, or those of which an imager knows."""
-
-MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
 
 PREFIX = "rso_"
 """Beginning of the names of partitions."""

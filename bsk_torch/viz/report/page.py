@@ -15,15 +15,13 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from bsk_torch._text import visible
 from bsk_torch.files import write_file
+from bsk_torch.rl.evaluation.results import TRAINED
 from bsk_torch.viz.episodes import Episode, episode_of
 from bsk_torch.viz.report.curves import MARKED, MEASURES, Columns, Measure, curve, deaths_chart, plain_cause, shown
 
 __all__ = ["Chosen", "RunData", "episode_of", "write_report"]
 
 TEMPLATE = "report.html.jinja"
-
-TRAINED = "trained"
-"""Name of the run's policy in the final evaluation."""
 
 PAPER_SPEED = "The paper reports 103,000 steps and 165.5 simulated days per core and hour (Apple M2 Pro)."
 """Source: section 4.2 of the BSK-RL paper."""
