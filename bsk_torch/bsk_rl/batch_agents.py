@@ -75,15 +75,15 @@ class AgentsVector:
         self.action_spaces = {agent: batch_space(space, num_envs) for agent, space in action_spaces.items()}
         self._started = False
 
-    def observation_space(self, agent: Any) -> spaces.Space[Any]:
+    def observation_space(self, agent: object) -> spaces.Space[Any]:
         """Space of an agent's observations in all environments."""
         return self.observation_spaces[agent]
 
-    def action_space(self, agent: Any) -> spaces.Space[Any]:
+    def action_space(self, agent: object) -> spaces.Space[Any]:
         """Space of an agent's actions in all environments."""
         return self.action_spaces[agent]
 
-    def _reset_rows(self, options: Mapping[str, Any] | None) -> np.ndarray:
+    def _reset_rows(self, options: Mapping[str, object] | None) -> np.ndarray:
         """Return which environments ``reset(options=...)`` starts, [N]."""
         mask = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs)), dtype=bool)
         if mask.shape != (self.num_envs,) or not mask.any():

@@ -117,7 +117,7 @@ ARRAYS = ("nHat_B",)
 """Vectors that are arrays in bsk_rl; others are lists."""
 
 
-def safe_dict_merge(updates: Mapping[str, Any], base: dict[str, Any]) -> dict[str, Any]:
+def safe_dict_merge(updates: Mapping[str, object], base: dict[str, object]) -> dict[str, Any]:
     """Add copies of the entries of ``updates`` to ``base``, with a warning for those that replace others; return ``base``."""
     for name, value in updates.items():
         if name in base and np.any(base[name] != value):
@@ -167,7 +167,7 @@ def _tasks(model: type) -> dict[str, Methods]:
     return listed | {name: listed.get(name, {}) for name in tasks}
 
 
-def _collected(model: object, methods: Methods, values: Mapping[str, Any]) -> dict[str, Any]:
+def _collected(model: object, methods: Methods, values: Mapping[str, object]) -> dict[str, Any]:
     """Return the arguments that methods declare, in the order of their names, and those that users have declared with them."""
     declared: dict[str, dict[str, Any]] = {}  # by utils.functional.default_args, by method
     if model is not None:

@@ -75,7 +75,7 @@ class DiscreteActionBuilder(ActionBuilder):
             first += entry.n_actions
         raise ValueError(f"Action index {action} out of range.")
 
-    def _override(self, action: Any) -> None:
+    def _override(self, action: object) -> None:
         logger.warning("Action '%s' is not an integer. Will attempt to use compatible set_action_override method.", action)
         for entry in self.action_spec:
             try:
@@ -197,7 +197,7 @@ class Image(DiscreteAction):
         self.satellite.logger.info("target index %s tasked", action)
         return self.image(action, prev_action_key)
 
-    def set_action_override(self, action: Any, prev_action_key: Any = None) -> Any:
+    def set_action_override(self, action: object, prev_action_key: object = None) -> Any:
         """Image a target, given as itself or its id."""
         return self.image(action, prev_action_key)
 

@@ -155,11 +155,11 @@ class Observation(ABC, Resetable):
         """Name the observation."""
         self.name = name
 
-    def link_satellite(self, satellite: Any) -> None:
+    def link_satellite(self, satellite: object) -> None:
         """Store the satellite."""
         self.satellite = satellite
 
-    def link_simulator(self, simulator: Any) -> None:
+    def link_simulator(self, simulator: object) -> None:
         """Store the simulation of the episode."""
         self.simulator = simulator
 

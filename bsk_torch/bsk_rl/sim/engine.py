@@ -183,11 +183,11 @@ def _own_values(satellite: Any) -> dict[str, Any]:
     return values
 
 
-def _given(table: ArgumentTable, values: Mapping[str, Any]) -> dict[str, Any]:
+def _given(table: ArgumentTable, values: Mapping[str, object]) -> dict[str, Any]:
     return {name: values[name] for name, arg in table.rows.items() if name in values and _decides(arg, values[name])}
 
 
-def _decides(arg: Arg, value: Any) -> bool:
+def _decides(arg: Arg, value: object) -> bool:
     return value is None or is_fixed(arg) or arg.name in BUILT_FOR
 
 

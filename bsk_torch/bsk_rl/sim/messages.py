@@ -69,7 +69,7 @@ class Message:
         """Read with a function, and write with another one if the message can be written."""
         self._read, self._write = read, write
 
-    def write(self, payload: Any, *_: Any) -> None:
+    def write(self, payload: object, *_: object) -> None:
         """Write a payload; TypeError for a message that follows from the simulation."""
         if self._write is None:
             raise TypeError(f"this message follows from the simulation and cannot be written; {COMPONENT}")

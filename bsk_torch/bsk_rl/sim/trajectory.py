@@ -49,7 +49,7 @@ NOT_FOUND = 1.0, 1.0
 """Answer of a search for eclipses that fails, s."""
 
 
-def initial_state(rN: Any, vN: Any, oe: Any, mu: float) -> tuple[Vector, Vector]:
+def initial_state(rN: object, vN: object, oe: object, mu: float) -> tuple[Vector, Vector]:
     """Return position, m, and velocity, m/s, in N from either of bsk_rl's two forms.
 
     Raises:

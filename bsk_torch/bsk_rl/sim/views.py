@@ -94,7 +94,7 @@ class ModelView:
     ``isinstance`` is true for the classes of the model. Attributes that a program sets are kept until the next reset.
     """
 
-    def __new__(cls, whole: Any, *_: Any) -> Any:
+    def __new__(cls, whole: object, *_: object) -> Any:
         """Return a view whose members the user's class of the model may override."""
         return object.__new__(_overriding(cls, type(whole)))  # type: ignore[arg-type]  # mypy: a class is not Hashable
 
@@ -142,7 +142,7 @@ class ModelView:
     def _names(self) -> list[str]:
         return [name for name in dir(self._whole) if not name.startswith("_")]
 
-    def _entry(self, name: str, value: Any) -> Any:
+    def _entry(self, name: str, value: object) -> Any:
         entry = of_row(value, self._row)
         return entry.tolist() if name in messages.LISTS else entry
 
@@ -392,7 +392,7 @@ class FlightSoftwareView(SatelliteModelView):
             self.rso_capture.forget()
         core.command(self._rows, core.mode_index(command))
 
-    def _write(self, name: str, value: Any) -> None:
+    def _write(self, name: str, value: object) -> None:
         rows = self._rows
         self._core.write(name, rows, torch.as_tensor(np.atleast_1d(np.asarray(value, dtype=float))).expand(len(rows), -1))
 
@@ -432,14 +432,14 @@ class FlightSoftwareView(SatelliteModelView):
         self._enter("image_rso")
         capture.start(target, duration, hold_s, hold_mode, require_illumination, illumination_threshold)
 
-    def action_image(self, r_LP_P: Any, data_name: str = "") -> None:
+    def action_image(self, r_LP_P: object, data_name: str = "") -> None:
         """Point the instrument at a place, m in Earth-fixed axes, and take one image of it."""
         if "image_rso" in self._core.type.commands:
             raise NotImplementedError(f"{type(self._whole).__name__} images satellites: use act.ImageRSO")
         self._enter("image")
         self._write("r_LP_P", r_LP_P)
 
-    def action_attitude_mrp(self, sigma_RN: Any) -> None:
+    def action_attitude_mrp(self, sigma_RN: object) -> None:
         """Turn to an attitude relative to N, an MRP."""
         self._enter(ATTITUDE_MRP)
         self._write("sigma_RN", sigma_RN)

@@ -20,7 +20,7 @@ def random_tumble(maxSpinRate: float = 0.001) -> tuple[np.ndarray, np.ndarray]:
 
 
 def hill_frame_attitude(
-    r_N: Iterable[float], v_N: Iterable[float], spin_config: Mapping[str, Any] | None = None
+    r_N: Iterable[float], v_N: Iterable[float], spin_config: Mapping[str, object] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return attitude sigma_BN [3] and rate omega_BN_B [3], rad/s, of a spinning body aligned with the Hill frame.
 
@@ -58,7 +58,7 @@ def _rate(spin: Mapping[str, Any]) -> float:
     return float(np.random.uniform(spin["low"], spin["high"]))
 
 
-def _axis(axis: Any, r: np.ndarray, v: np.ndarray) -> np.ndarray:
+def _axis(axis: object, r: np.ndarray, v: np.ndarray) -> np.ndarray:
     if isinstance(axis, str):
         if axis == "random":
             axis = np.random.normal(size=3)

@@ -200,7 +200,7 @@ def walker_delta_args(
 def relative_to_chief(
     chief_name: str,
     chief_orbit: ClassicElements | Callable[[], ClassicElements],
-    deputy_relative_state: Mapping[str, Any],
+    deputy_relative_state: Mapping[str, object],
 ) -> Randomizer:
     """Return a function for ``sat_arg_randomizer`` that places satellites relative to another one.
 
