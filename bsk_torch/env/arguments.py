@@ -77,7 +77,7 @@ class MadeOfArguments(Snapshots):
                 "sat_args_generator",
             )
 
-    def _set_type(self, names: Sequence[str], values: dict[str, Any]) -> None:
+    def _set_type(self, names: Sequence[str], values: dict[str, object]) -> None:
         if len(names) > 1:
             raise TypeError(
                 f"sat_args_generator belongs to {list(names)}; env.set_sat_args({{{names[0]!r}: {values}}}) sets one of them"

@@ -77,7 +77,7 @@ class Tasking(Present, MadeOfArguments):
         scenario: Scenario | None,
         rewarder: GlobalReward | Iterable[GlobalReward] | None,
         communicator: CommunicationMethod | None,
-        sat_arg_randomizer: Any,
+        sat_arg_randomizer: object,
         options: TaskingOptions,
     ) -> None:
         EnvBase.__init__(self, device=existing_device(options.device), batch_size=(options.num_envs,))
@@ -177,7 +177,7 @@ class Tasking(Present, MadeOfArguments):
     def _action_name(self) -> str:
         return "'action'"
 
-    def _reset(self, tensordict: TensorDictBase | None = None, *, set_state: bool = False, **unknown: Any) -> TensorDict:
+    def _reset(self, tensordict: TensorDictBase | None = None, *, set_state: bool = False, **unknown: object) -> TensorDict:
         if unknown:
             messages.check_reset(type(self).__name__, unknown)
         mask = None if tensordict is None else tensordict.get("_reset", None)

@@ -222,7 +222,7 @@ def whole_limit(limit: Tensor, et: Tensor, h_ns: int) -> tuple[Tensor, Tensor]:
     return ticks.long(), torch.where(torch.isfinite(limit), ticks * (h_ns * NANO), limit)
 
 
-def read_env_ids(env_ids: Any, n: int) -> Tensor:
+def read_env_ids(env_ids: object, n: int) -> Tensor:
     """Return the index of each episode in draws, [n] int64 (default: 0 to n - 1); ValueError for invalid indices."""
     if env_ids is None:
         return torch.arange(n)

@@ -32,7 +32,7 @@ RESET = {
 """Arguments of Gymnasium's ``reset``, and their replacements."""
 
 
-def check_reset(kind: str, arguments: dict[str, Any]) -> None:
+def check_reset(kind: str, arguments: dict[str, object]) -> None:
     """Raise TypeError for arguments not accepted by ``reset`` of the class ``kind``."""
     for name in arguments:
         advice = f"write {RESET[name]}" if name in RESET else "it takes a tensordict and set_state"

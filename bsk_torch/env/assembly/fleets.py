@@ -313,7 +313,7 @@ def _may_control(satellite: Satellite) -> bool:
     return False
 
 
-def constant(value: Any) -> Any:
+def constant(value: object) -> Any:
     """Return the value of an argument that is constant over episodes; a function may return it together with others."""
     return value.trial if isinstance(value, Member) else value
 

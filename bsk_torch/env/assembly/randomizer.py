@@ -61,7 +61,7 @@ class Randomizer:
         return self.names.index(name)
 
     @staticmethod
-    def _stacked(episodes: list[dict[tuple[str, int], Any]]) -> Draws:
+    def _stacked(episodes: list[dict[tuple[str, int], object]]) -> Draws:
         if any(episode.keys() != episodes[0].keys() for episode in episodes):
             raise ValueError(
                 "sat_arg_randomizer sets other arguments in one episode than in another; it must set the same in all"
