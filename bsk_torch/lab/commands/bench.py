@@ -175,7 +175,7 @@ def result_of(score: Score, reference: Mapping[str, object] | None) -> dict[str,
     return rated | summary | {"seconds_per_decision": score.seconds, "returns": evaluation.returns.tolist()}
 
 
-def read_earlier(files: Iterable[Path], suite: str, schema: Any) -> dict[str, dict[str, Any]]:
+def read_earlier(files: Iterable[Path], suite: str, schema: object) -> dict[str, dict[str, Any]]:
     """Return the results of earlier runs, by policy and task; ends the program for those of another suite.
 
     Where a policy has played a task more than once, the result of the most episodes counts, and then that of the last file.

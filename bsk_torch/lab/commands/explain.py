@@ -199,7 +199,7 @@ def rescue_action(env: Tasking, failure: Failure) -> str:
     return env.satellite.action_description[number].removeprefix("action_")
 
 
-def save(path: Path, figures: dict[str, Any], failures: Sequence[Failure]) -> None:
+def save(path: Path, figures: dict[str, object], failures: Sequence[Failure]) -> None:
     """Write figures line by line, then a line for each failure."""
     lines = [f"{json.dumps(name)}: {json.dumps(value)}" for name, value in figures.items()]
     entries = ",\n  ".join(json.dumps(dataclasses.asdict(failure)) for failure in failures)

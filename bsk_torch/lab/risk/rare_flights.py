@@ -137,7 +137,7 @@ class Paths:
     episodes: Annotated[list[SavedEpisode], MinLen(1)]
 
 
-def save_paths(path: Path | str, about: Mapping[str, Any], sample: Sample, actions: Sequence[Any]) -> None:
+def save_paths(path: Path | str, about: Mapping[str, object], sample: Sample, actions: Sequence[object]) -> None:
     """Write episodes into a JSON file, from which :func:`read_paths` plays them again.
 
     Args:
