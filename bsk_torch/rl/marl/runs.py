@@ -35,7 +35,7 @@ COMPARED = 256
 """Unseen episodes of the comparison at the end of a training, unless it says otherwise."""
 
 
-def is_constellation(preset: str, options: Mapping[str, Any] | None = None) -> bool:
+def is_constellation(preset: str, options: Mapping[str, object] | None = None) -> bool:
     """Return whether a preset has many satellites; False for a name that is not one of the presets.
 
     A preset without a class as its return annotation, such as one whose options ask for several satellites, is built with
