@@ -420,7 +420,7 @@ def _one_after_the_other(first: Call | None, second: Call | None) -> Call | None
         return first if second is None else second
 
     @functools.wraps(first)
-    def both(argument: Any) -> None:
+    def both(argument: object) -> None:
         first(argument)
         second(argument)
 

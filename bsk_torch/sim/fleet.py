@@ -108,7 +108,7 @@ class Fleet(Satellites):
 
     # -- episodes -----------------------------------------------------------------------------------------------------
 
-    def ask(self, env: int, answers: Answers, randomize: Callable[[], Any] | None = None) -> None:
+    def ask(self, env: int, answers: Answers, randomize: Callable[[], object] | None = None) -> None:
         """Call the user functions that give arguments of the environment ``env``, in the order of draws; add their answers.
 
         World first, then ``randomize``, which gives arguments of all satellites, then the satellites in their order.

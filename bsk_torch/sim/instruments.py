@@ -105,7 +105,7 @@ NO_INSTRUMENTS = Component(slot=SLOT, after="faults")
 """Nothing in the slot: for models whose instrument neither images places nor scans."""
 
 
-def described_instruments(arguments: Mapping[str, Any], table: Mapping[str, Arg]) -> tuple[Instrument, ...]:
+def described_instruments(arguments: Mapping[str, object], table: Mapping[str, Arg]) -> tuple[Instrument, ...]:
     """Return the instruments that arguments as given, with entries in a ``table``, describe; none for that of ``inst_pHat_B``.
 
     ValueError for entries that are not instruments, equal names, and arguments that the satellite does not have.
@@ -119,7 +119,7 @@ def described_instruments(arguments: Mapping[str, Any], table: Mapping[str, Arg]
     return listed
 
 
-def _listed(arguments: Mapping[str, Any]) -> tuple[Instrument, ...]:
+def _listed(arguments: Mapping[str, object]) -> tuple[Instrument, ...]:
     what = "a list of instruments, such as [dyn.Instrument('wide'), dyn.Instrument('narrow', instrumentBaudRate=2e6)]"
     listed = arguments.get(SLOT)
     return () if listed is None else parts("sat_args: instruments", listed, Instrument, what)
@@ -161,7 +161,7 @@ def each_value(args: Values, name: str) -> Iterator[Any]:
     return (args[name if part is None else part.argument(name)] for part in _listed(args) or (None,))
 
 
-def differs(arguments: Mapping[str, Any], name: str) -> bool:
+def differs(arguments: Mapping[str, object], name: str) -> bool:
     """Return whether an instrument has an argument that is not None, in arguments as given."""
     listed = arguments.get(SLOT)
     parts = listed if isinstance(listed, Sequence) else ()

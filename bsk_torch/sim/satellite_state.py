@@ -184,7 +184,7 @@ class SatelliteState(StateTable):
         epoch = self.tables["arguments"]["utc_init"]
         self.refuse(f"{path}lookahead.arcs.et", ahead.arcs.et, ahead.arcs.et != epoch, "it must be the argument utc_init")
 
-    def set_arguments(self, rows: Tensor, values: Mapping[str, Any]) -> None:
+    def set_arguments(self, rows: Tensor, values: Mapping[str, object]) -> None:
         """Keep the drawn arguments [1, ...] or [n, ...] of ``rows`` [n]."""
         for name, value in values.items():
             if isinstance(value, Tensor):

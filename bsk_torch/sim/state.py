@@ -161,7 +161,7 @@ class StateTable:
         names = sorted((*self.__dict__.get("fields", ()), *self.__dict__.get("tables", ())))
         raise AttributeError(f"no field of the state is called {name!r}; declared are {names}")
 
-    def __setattr__(self, name: str, value: Any) -> None:
+    def __setattr__(self, name: str, value: object) -> None:
         if isinstance(value, Tensor):
             if name not in self.fields:
                 raise AttributeError(f"tensor {name!r} is not declared as part of the state; call declare({name!r}, ...) first")

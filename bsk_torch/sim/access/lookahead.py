@@ -136,7 +136,7 @@ class LookAhead(StateTable):
             self.refuse(f"{path}lookahead.{table}.{name}", value, value > bound, "it must lie before the end of the arcs")
 
     @override
-    def over(self, saved: Mapping[str, Any] | TensorDictBase) -> LookAhead:
+    def over(self, saved: Mapping[str, object] | TensorDictBase) -> LookAhead:
         other = super().over(saved)
         tables: Mapping[str, Any] = other.tables
         other.arcs, other.eclipses, other.access = tables["arcs"], tables["eclipses"], tables.get("windows")

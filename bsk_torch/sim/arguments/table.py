@@ -30,7 +30,7 @@ class ArgumentTable(dict[str, Any]):
                 raise KeyError(f"{title}[{name!r}] is unknown; {nearest(name, self)}")
             self[name] = value
 
-    def beside(self, values: Mapping[str, Any]) -> ArgumentTable:
+    def beside(self, values: Mapping[str, object]) -> ArgumentTable:
         """Show next to the defaults the ``values`` of an environment that differ from them; return this table."""
         listed = {name: values[name] for name in self if name in values}
         self.here = {name: value for name, value in listed.items() if short(value) != short(self[name])}
@@ -55,7 +55,7 @@ class ArgumentTable(dict[str, Any]):
         return "\n".join("  ".join(cell.ljust(widths[name]) for name, cell in line.items()).rstrip() for line in lines)
 
 
-def short(value: Any) -> str:
+def short(value: object) -> str:
     """Return a value as tables show it: ground stations by their number, distributions without what is None."""
     if isinstance(value, tuple) and value and isinstance(value[0], dict):
         return f"{len(value)} stations"

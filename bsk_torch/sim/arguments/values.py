@@ -33,7 +33,7 @@ Overrides = Mapping[str, tuple[Tensor, Tensor]]
 ELEMENT_NAMES = ("a", "e", "i", "Omega", "omega", "f")
 
 
-def numbers(value: Any) -> Tensor:
+def numbers(value: object) -> Tensor:
     """Return numbers, sequences, arrays, tensors, or objects with attributes a, e, i, Omega, omega and f as a float64 tensor."""
     if all(hasattr(value, name) for name in ELEMENT_NAMES):
         value = [no_gradient(f"orbital element {name}", getattr(value, name)) for name in ELEMENT_NAMES]
@@ -51,7 +51,7 @@ def _index(arg: Arg, value: Any) -> float:
     raise ValueError(f"{arg.name}={value!r} must be one of {list(arg.choices)}")
 
 
-def _epoch(arg: Arg, value: Any) -> float:
+def _epoch(arg: Arg, value: object) -> float:
     try:
         return parse_utc(value if isinstance(value, datetime) else str(value))
     except ValueError as error:
@@ -156,7 +156,7 @@ class Arguments:
         self._look()
 
     def of_components(
-        self, components: Iterable[Component], arguments: Mapping[str, Any] | Sequence[Mapping[str, Any]]
+        self, components: Iterable[Component], arguments: Mapping[str, object] | Sequence[Mapping[str, object]]
     ) -> Arguments:
         """Return the arguments that other components of the same slots declare: their shapes and defaults may differ.
 
@@ -168,7 +168,7 @@ class Arguments:
         if not old and other.keys() == self.table.keys():
             return self
 
-        def wanted(values: Mapping[str, Any]) -> dict[str, Any]:
+        def wanted(values: Mapping[str, object]) -> dict[str, Any]:
             return {name: value for name, value in values.items() if name not in old or value is not old[name]}
 
         renewed = wanted(arguments) if isinstance(arguments, Mapping) else [wanted(values) for values in arguments]
@@ -225,7 +225,7 @@ class Arguments:
 
     # -- changes ------------------------------------------------------------------------------------------------------
 
-    def changed(self, changes: Iterable[tuple[int, str, Any, Sequence[int] | None]]) -> Arguments:
+    def changed(self, changes: Iterable[tuple[int, str, object, Sequence[int] | None]]) -> Arguments:
         """Return arguments with other values; these remain unchanged.
 
         A change has the index of a satellite within the type, a name, a value, and the environments that get it, None for all.
@@ -300,7 +300,9 @@ class Arguments:
                     self.ask(k, int(row.env_id), answers[-1])
         return answers
 
-    def draw(self, key: Key, known: Mapping[str, Any] | None = None, answers: Sequence[Answers] | None = None) -> dict[str, Any]:
+    def draw(
+        self, key: Key, known: Mapping[str, object] | None = None, answers: Sequence[Answers] | None = None
+    ) -> dict[str, Any]:
         """Return the values of all arguments for the n environments of ``key``: [1, ...] if all are equal, else [n * S, ...].
 
         Arguments that are ``known`` already are not drawn again. ``answers`` are those of the user's functions for each
@@ -411,7 +413,7 @@ class Arguments:
             whole[rows] = part.expand(len(rows), *part.shape[1:])
         return whole
 
-    def _draw(self, arg: Arg, value: Any, key: Key, asked: Sequence[Any] = ()) -> Any:
+    def _draw(self, arg: Arg, value: object, key: Key, asked: Sequence[object] = ()) -> Any:
         try:
             if is_fixed(arg):
                 self._check_shared(arg, value)
@@ -430,7 +432,7 @@ class Arguments:
             raise ValueError(f"{self.title}: {error}") from error
 
     @staticmethod
-    def _check_shared(arg: Arg, value: Any) -> None:
+    def _check_shared(arg: Arg, value: object) -> None:
         if isinstance(value, Distribution) or callable(value):
             raise ValueError(f"{arg.name}={value!r} must be the same for all environments; give a constant")
         if arg.kind == "stations":
@@ -447,7 +449,7 @@ class Arguments:
         return torch.full((1, *(size or 1 for size in arg.dims)), arg.missing, dtype=torch.float64)
 
 
-def drawn_once(arg: Arg, answer: Any, key: Key, row: int) -> Any:
+def drawn_once(arg: Arg, answer: object, key: Key, row: int) -> Any:
     """Return the value of a function's answer for one row of a key; a distribution is drawn."""
     return answer.draw(key.take([row]).named(arg.name))[0] if isinstance(answer, Distribution) else answer
 
@@ -463,7 +465,7 @@ STATION_BOUNDS = {
 """Bounds of the numbers of a station, degrees for latitude and longitude, else m and rad."""
 
 
-def _check_stations(stations: Any) -> None:
+def _check_stations(stations: object) -> None:
     if isinstance(stations, str | Mapping) or not isinstance(stations, Sequence):
         raise ValueError(f"groundStationsData={stations!r} must be a list of stations, such as {{'lat': 40.0, 'long': -105.2}}")
     if not stations:
@@ -508,7 +510,7 @@ def merge(values: Values, components: Sequence[Component], what: str) -> dict[st
     return merged
 
 
-def _check_computed(component: Component, what: str, computed: Any, values: Values, others: Container[str]) -> None:
+def _check_computed(component: Component, what: str, computed: object, values: Values, others: Container[str]) -> None:
     """Check what a user's component computes when episodes start; ``others`` are values of the components before it."""
     fields = {field.name: field for field in (component.state if what == "initial" else component.params)}
     entry = "state" if what == "initial" else "params"

@@ -67,7 +67,7 @@ class TypeArguments:
     def draw(
         self,
         key: Key,
-        world: Mapping[str, Any] | None = None,
+        world: Mapping[str, object] | None = None,
         overrides: Overrides | None = None,
         answers: Sequence[Answers] | None = None,
     ) -> dict[str, Any]:
@@ -96,7 +96,7 @@ class TypeArguments:
                 values[name] = self.sat_args.override(name, values[name], columns, replaced)
         return values
 
-    def _check(self, values: dict[str, Any], replaced: Collection[str]) -> None:
+    def _check(self, values: dict[str, object], replaced: Collection[str]) -> None:
         """Ask components what values mean together, and for the length of a tick: once where they are constant.
 
         ``replaced`` are the names of arguments that are replaced of some satellites. Marginal values are logged once for each

@@ -49,7 +49,7 @@ def check_orbits(values: Mapping[str, Any], orbit: str) -> None:
         raise ValueError(f"world_args: by {', '.join(names)} the air has more than {DENSEST_AIR:g} kg/m^3 at an initial position")
 
 
-def _check_start(values: Mapping[str, Any], r: Vec3) -> None:
+def _check_start(values: Mapping[str, object], r: Vec3) -> None:
     """Raise ValueError for an initial position, m, below the surface or too far away."""
     radius = r.norm()
     wrong = ~((radius >= LOWEST_PERIAPSIS) & (radius <= FARTHEST))

@@ -154,8 +154,8 @@ class SatelliteType:
 
 def satellite_type(
     models: tuple[type[DynamicsModel], type[FSWModel]],
-    sat_args: Mapping[str, Any] | Sequence[Mapping[str, Any]],
-    world_args: Mapping[str, Any],
+    sat_args: Mapping[str, object] | Sequence[Mapping[str, object]],
+    world_args: Mapping[str, object],
     options: SimulationOptions,
     usage: Usage,
     *,
@@ -254,7 +254,7 @@ class Looked(dict[str, Any]):
         self.names_read.add(name)
         return super().__getitem__(name)
 
-    def get(self, name: str, default: Any = None) -> Any:
+    def get(self, name: str, default: object = None) -> Any:
         """Return a value, or the default."""
         if name in self:
             self.names_read.add(name)
@@ -266,7 +266,7 @@ def whole_nanoseconds(seconds: float) -> int:
     return int(seconds * 1e9 + 0.5)
 
 
-def fitted(parts: tuple[Component, ...], arguments: Mapping[str, Any]) -> tuple[Component, ...]:
+def fitted(parts: tuple[Component, ...], arguments: Mapping[str, object]) -> tuple[Component, ...]:
     """Return the parts with the structure that the given arguments need."""
     return tuple(part.fit(arguments) if part.fit else part for part in parts)
 

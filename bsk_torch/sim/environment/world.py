@@ -57,7 +57,7 @@ def station_arrays(args: Values) -> dict[str, Tensor]:
     }
 
 
-def station_names(stations: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+def station_names(stations: Sequence[Mapping[str, object]]) -> tuple[str, ...]:
     """Return the names of ground stations, in the order of their indices."""
     return tuple(f"GroundStation{station.get('name', k)}" for k, station in enumerate(stations))
 
@@ -139,7 +139,7 @@ def ground_stations(count: int) -> Component:
     )
 
 
-def _fitted_stations(arguments: Mapping[str, Any]) -> Component:
+def _fitted_stations(arguments: Mapping[str, object]) -> Component:
     """Return as many stations as are given, on the world's own sphere: satellites have an argument of the same name."""
     stations = arguments["groundStationsData"]
     count = len(stations) if isinstance(stations, list | tuple) and stations else len(DEFAULT_STATIONS)

@@ -48,7 +48,7 @@ class Group(NamedTuple):
         return self.fields[0].exact
 
 
-def declared_faults(arguments: Mapping[str, Any], table: Mapping[str, Arg]) -> tuple[Fault, ...]:
+def declared_faults(arguments: Mapping[str, object], table: Mapping[str, Arg]) -> tuple[Fault, ...]:
     """Return the faults that arguments as given, with their entries in a ``table``, declare.
 
     ValueError for entries that are not faults, equal names, and arguments that do not exist or cannot change.
@@ -70,7 +70,7 @@ def declared_faults(arguments: Mapping[str, Any], table: Mapping[str, Arg]) -> t
     return listed
 
 
-def changing(arguments: Mapping[str, Any], faults: Iterable[Fault]) -> dict[str, Any]:
+def changing(arguments: Mapping[str, object], faults: Iterable[Fault]) -> dict[str, Any]:
     """Return given arguments in which those that faults change may be anything, so that no component relies on their values."""
     return dict(arguments) | {name: CHANGING for fault in faults for name in fault.arguments}
 

@@ -68,7 +68,7 @@ class Changing(Distribution):
 CHANGING = Changing()
 
 
-def may_change(arguments: Mapping[str, Any], *names: str) -> bool:
+def may_change(arguments: Mapping[str, object], *names: str) -> bool:
     """Return whether a fault may change one of the arguments; values are not looked at, so they do not become structural."""
     return any(value is CHANGING for key, value in arguments.items() if key in names)
 

@@ -6,7 +6,6 @@ It differs from the flown arc by meters: the difference is integrated with the e
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
 
 from bsk_torch.astro.integrate import State, rk4_step
 from bsk_torch.astro.interpolate import position, velocity
@@ -45,7 +44,7 @@ def planned_kernel() -> Kernel:
     defects += [step_defect(r[k], v[k], plan_stretch, frame_growth()) for k in (1, 2)]
     pulls = [zonal_field(x, flown_stretch) for x in r]
 
-    def rates(stage: int, offset: Any, y: State) -> State:
+    def rates(stage: int, offset: object, y: State) -> State:
         k = (0, 1, 1, 2)[stage]
         return y[1] + defects[k][0], zonal_field(r[k] + y[0], plan_stretch) - pulls[k] + defects[k][1]
 

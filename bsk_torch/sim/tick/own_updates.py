@@ -135,7 +135,7 @@ def _check_kind(slot: str, name: str, old: object, new: object) -> None:
         raise UpdateError(f"{title} of shape {list(new.shape)}; it must be a number of each environment")
 
 
-def _mapped(value: Any, function: Callable[[Tensor], Tensor]) -> Any:
+def _mapped(value: object, function: Callable[[Tensor], Tensor]) -> Any:
     if isinstance(value, Tensor):
         return function(value) if value.ndim else value
     if isinstance(value, tuple | list):
@@ -148,7 +148,7 @@ def _mapped(value: Any, function: Callable[[Tensor], Tensor]) -> Any:
     return value
 
 
-def _planes(value: Any) -> list[Tensor]:
+def _planes(value: object) -> list[Tensor]:
     if isinstance(value, Tensor):
         return [value]
     parts = value if isinstance(value, tuple | list) else vars(value).values() if isinstance(value, SimpleNamespace | Bus) else ()

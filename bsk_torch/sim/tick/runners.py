@@ -99,7 +99,7 @@ class FirstTick:
         mode: Tensor,
         flags: Tensor,
         ticks: Tensor,
-        **_: Any,
+        **_: object,
     ) -> Tensor:
         """Run the tick as :meth:`bsk_torch.codegen.kernel.Kernel.__call__` runs a kernel."""
         tables, starts = _of_rows([t.table for t in tracks], tracks), _of_rows([t.start for t in tracks], tracks)
@@ -132,7 +132,7 @@ class TickLoop:
         lockstep: int = 1,
         written: Tensor | None = None,
         present: Tensor | None = None,
-        **_: Any,
+        **_: object,
     ) -> Tensor:
         """Run the tick as :meth:`bsk_torch.codegen.kernel.Kernel.__call__` runs a kernel."""
         runs = counts if present is None else torch.where(present, counts, 0)
