@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -49,7 +49,7 @@ def charge_battery(bus: Bus) -> None:
     bus.charge = torch.minimum(charge, bus.battery_capacity)
 
 
-def _fitted_wheels(arguments: Mapping[str, Any]) -> Component:
+def _fitted_wheels(arguments: Mapping[str, object]) -> Component:
     wheels = described_wheels(arguments) or TRIAD
     return started(wheel_set(wheel_form(arguments, wheels), wheels))
 

@@ -359,7 +359,7 @@ def stacked(cases: Sequence[tuple[str, Satellites, Tasks]], satellites: int | No
             if len(part) > size:
                 raise ValueError(f"case {name!r} has {len(part)} {title}, more than {title}={size}")
 
-    def table(rows: Sequence[Sequence[Any]], size: int) -> Tensor:
+    def table(rows: Sequence[Sequence[object]], size: int) -> Tensor:
         return torch.tensor([[*row, *[row[0]] * (size - len(row))] for row in rows], dtype=torch.float64)
 
     crafts, jobs = [case[1] for case in cases], [case[2] for case in cases]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from bsk_torch.astro.frames import rotate_z
 from bsk_torch.sim.component import Bus, Component, vec
@@ -49,7 +49,7 @@ def _of_benchmark(law: Component) -> Component:
     )
 
 
-def _fitted_allocation(arguments: Mapping[str, Any]) -> Component:
+def _fitted_allocation(arguments: Mapping[str, object]) -> Component:
     wheels = list(TRIAD) if arguments["wheels"] is None else arguments["wheels"]  # as those of the dynamics model
     return allocation.fitted_allocation({**arguments, "wheels": wheels})
 

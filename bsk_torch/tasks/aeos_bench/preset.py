@@ -186,7 +186,7 @@ def aeos_bench(
     as_set: bool = False,
     haste: float = 1.0,
     obs_type: type | None = None,
-    **options: Any,
+    **options: object,
 ) -> ConstellationTasking:
     """Return AEOSBench-v1: cases of AEOS-Bench; see the module.
 
