@@ -51,7 +51,7 @@ class GymEpisode(EpisodeView, gymnasium.Env[Any, Any]):
     metadata: ClassVar[dict[str, Any]] = RENDERING  # type: ignore[misc]
     _running = False
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, object] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start an episode.
 
         Args:

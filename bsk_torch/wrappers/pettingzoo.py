@@ -255,7 +255,9 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
         infos = {agent: self._info(agent, by_satellite, self._masks(results, agent, legal)) | step for agent in agents}
         return infos | ({COMMON: step} if self._common else {})
 
-    def _info(self, agent: str, by_satellite: Sequence[dict[str, Any]], masks: tuple[np.ndarray | None, ...]) -> dict[str, Any]:
+    def _info(
+        self, agent: str, by_satellite: Sequence[dict[str, object]], masks: tuple[np.ndarray | None, ...]
+    ) -> dict[str, Any]:
         group, _, members, _ = self._seats[agent]
         if not group.is_meta:
             return by_satellite[members[0]] | ({} if masks[0] is None else {"action_mask": masks[0]})

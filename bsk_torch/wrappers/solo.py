@@ -68,7 +68,7 @@ class SoloTasking:
         """Whether the deciding satellite needs a task, [N]."""
         return self.team.requires_retasking[:, self._column]
 
-    def reset(self, call: TensorDictBase, **options: Any) -> TensorDict:
+    def reset(self, call: TensorDictBase, **options: object) -> TensorDict:
         """Start the episodes ``_reset`` [N, 1] of ``call``; the others keep its other entries."""
         starts = call["_reset"].squeeze(-1)
         ask = TensorDict({name: call[name] for name in ("_reset", "state") if name in call.keys()}, call.batch_size)  # noqa: SIM118

@@ -110,7 +110,7 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     # -- reset --------------------------------------------------------------------------------------------------------
 
     def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, object] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Start episodes.
 
