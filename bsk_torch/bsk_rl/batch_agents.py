@@ -69,7 +69,7 @@ class AgentsVector:
             names = [allowed.value for allowed in AGENT_MODES]
             raise ValueError(f"autoreset_mode={self.autoreset_mode.value!r} must be one of {names} for agents")
         self.metadata = {"autoreset_mode": self.autoreset_mode, "name": "constellation"}
-        self.possible_agents: list[Any] = list(observation_spaces)
+        self.possible_agents: list[object] = list(observation_spaces)
         self.single_observation_spaces, self.single_action_spaces = dict(observation_spaces), dict(action_spaces)
         self.observation_spaces = {agent: batch_space(space, num_envs) for agent, space in observation_spaces.items()}
         self.action_spaces = {agent: batch_space(space, num_envs) for agent, space in action_spaces.items()}

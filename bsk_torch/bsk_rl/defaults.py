@@ -93,7 +93,7 @@ WORLD: dict[type, Methods] = {
 }
 """Arguments of world models."""
 
-RANDOM: dict[str, Callable[[], Any]] = {
+RANDOM: dict[str, Callable[[], object]] = {
     "utc_init": random_epoch,
     "oe": random_orbit,
     "sigma_init": lambda: random_tumble(maxSpinRate=0.0001)[0],
@@ -103,7 +103,7 @@ RANDOM: dict[str, Callable[[], Any]] = {
 }
 """Arguments that are drawn unless they are given; attitude and rate each draw both, as in bsk_rl."""
 
-FIXED: dict[str, Any] = {
+FIXED: dict[str, object] = {
     "utc_init": "this value will be set by the world model",
     "groundLocationPlanetRadius": R_EARTH,
     "imageTargetMinimumElevation": math.radians(45.0),
@@ -169,11 +169,11 @@ def _tasks(model: type) -> dict[str, Methods]:
 
 def _collected(model: object, methods: Methods, values: Mapping[str, object]) -> dict[str, Any]:
     """Return the arguments that methods declare, in the order of their names, and those that users have declared with them."""
-    declared: dict[str, dict[str, Any]] = {}  # by utils.functional.default_args, by method
+    declared: dict[str, dict[str, object]] = {}  # by utils.functional.default_args, by method
     if model is not None:
         marked = (name for name in dir(model) if not name.startswith("__") and hasattr(getattr(model, name), "defaults"))
         declared = {name: dict(getattr(model, name).defaults) for name in marked}
-    args: dict[str, Any] = {}
+    args: dict[str, object] = {}
     for name in sorted({*methods, *declared}):
         safe_dict_merge(declared.get(name) or {arg: values[arg] for arg in methods[name].split()}, args)
     return args

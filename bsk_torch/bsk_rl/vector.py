@@ -299,7 +299,7 @@ class AgentsVectorEnv(AgentsVector):
 
 def stacked(infos: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return infos of environments as arrays [N] by name, zero where one is missing; nested ones as nested dictionaries."""
-    arrays: dict[str, Any] = {}
+    arrays: dict[str, object] = {}
     for name in dict.fromkeys(name for info in infos for name in info):
         values = [info.get(name) for info in infos]
         if any(isinstance(value, Mapping) for value in values):

@@ -117,7 +117,7 @@ class PerEpisodeTargets(UniformTargets):
 
 def _columns(scenario: OneTargets, made: Sequence[list[Target]]) -> dict[str, Any]:
     """Return the names of numeric attributes, each with its value for padding."""
-    columns: dict[str, Any] = {"r_LP_P": np.array([R_EARTH, 0.0, 0.0]), "priority": 0.0}
+    columns: dict[str, object] = {"r_LP_P": np.array([R_EARTH, 0.0, 0.0]), "priority": 0.0}
     for target in (target for targets in made for target in targets):
         for name in vars(target):
             if name not in COMMON and not name.startswith("_") and name not in columns and _number(target, name) is not None:

@@ -83,9 +83,9 @@ class Engine:
     def __init__(self, backend: str = "compiled", orbit: str | None = None) -> None:
         """Build with a back end; ``orbit`` is ``"arc"``, ``"integrated"``, or None for what each episode needs."""
         self.backend, self.orbit = backend, orbit
-        self._key: Any = None
-        self._values: list[dict[str, Any]] = []
-        self._world: dict[str, Any] = {}
+        self._key: object = None
+        self._values: list[dict[str, object]] = []
+        self._world: dict[str, object] = {}
         self._limit = float("inf")
 
     def begin(

@@ -83,7 +83,7 @@ class Message:
 class Module(NamedTuple):
     """A module of Basilisk: its attributes by name, as functions of a dynamics model, and what the model must have."""
 
-    attributes: Mapping[str, Callable[[View], Any]]
+    attributes: Mapping[str, Callable[[View], object]]
     needs: str = "r_BN_N"
 
 

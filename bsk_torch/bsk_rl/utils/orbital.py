@@ -218,7 +218,7 @@ def relative_to_chief(
         chief = named[chief_name]
         mu = chief.sat_args_generator["mu"]
         oe = chief_orbit() if callable(chief_orbit) else chief_orbit
-        args: dict[Any, dict[str, Any]] = {satellite: {} for satellite in satellites}
+        args: dict[object, dict[str, object]] = {satellite: {} for satellite in satellites}
         args[chief]["oe"] = oe
         rc_N, vc_N = elem2rv(mu, oe)
         for name, value in deputy_relative_state.items():
