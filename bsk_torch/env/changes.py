@@ -30,7 +30,7 @@ class Change(NamedTuple):
 
     satellite: int | None
     name: str
-    value: Any
+    value: object
     envs: tuple[int, ...] | None
 
 

@@ -147,13 +147,13 @@ class ConstellationTasking(Tasking):
     def _observed(self, group: Group, trial: list[Values], shape: tuple[int, ...]) -> dict[str, Any]:
         first = group.types[0]
         if self.satellites[first].obs_type is dict and not group.is_meta:
-            observation: Any = self._tree(trial[first], shape)
+            observation: object = self._tree(trial[first], shape)
         else:
             width = sum(ObservationBuilder.vector(trial[t], self.dtype).shape[-1] for t in group.types)
             observation = Unbounded((*shape, width), dtype=self.dtype)
         sizes = sum(self._sizes(group))
         flag = {"dtype": torch.bool}
-        parts: dict[str, Any] = {
+        parts: dict[str, object] = {
             "observation": observation,
             **({"action_mask": mask_spec(sizes, shape)} if sizes else {}),
             "requires_retasking": Categorical(2, shape=(*shape, 1), **flag),
@@ -312,7 +312,7 @@ class ConstellationTasking(Tasking):
         duration = torch.zeros_like(self.fleet.sim_time) if result is None else result.duration
         duration = duration.to(self.dtype).unsqueeze(-1)
         hidden = self.state.removed if result is None else result.removed
-        outputs: dict[str, Any] = {**parts, "duration": duration}
+        outputs: dict[str, object] = {**parts, "duration": duration}
         observations = [
             satellite.observations.get_dict() if satellite.obs_type is dict else satellite.observations.get_vector(self.dtype)
             for satellite in self.satellites
@@ -349,7 +349,7 @@ class ConstellationTasking(Tasking):
             mask = self._members(legal[t], within, group.whole[m])
             may = free if self.options.mask_busy else ~self.state.removed[:, group.members[:, m : m + 1]]
             masks.append(torch.cat([mask & may.expand(mask.shape).contiguous(), ~free], -1))  # five times as fast as broadcasts
-        leaves: dict[str, Any] = {"observation": observation, **({"action_mask": torch.cat(masks, -1)} if masks else {})}
+        leaves: dict[str, object] = {"observation": observation, **({"action_mask": torch.cat(masks, -1)} if masks else {})}
         leaves["requires_retasking"] = wanted.any(-1, keepdim=True)
         if group.is_meta or self.joint:
             leaves["members_require_retasking"] = wanted

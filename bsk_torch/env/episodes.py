@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 import torch
@@ -172,7 +171,7 @@ class Episodes(EnvBase):
         """
         count = self.num_envs
         several = isinstance(seeds, Sequence | Tensor | np.ndarray) and not isinstance(seeds, str)
-        numbers: list[Any] = list(seeds) if several else [seeds] * count  # type: ignore[arg-type]
+        numbers: list[object] = list(seeds) if several else [seeds] * count  # type: ignore[arg-type]
         if len(numbers) != count:
             raise ValueError(f"seed has {len(numbers)} entries; it must be an integer or have {count}, one per environment")
         numbers = [seed.item() if isinstance(seed, Tensor) and seed.ndim == 0 else seed for seed in numbers]

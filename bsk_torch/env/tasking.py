@@ -137,7 +137,7 @@ class SatelliteTasking(Tasking):
         """Return ``parts`` with the observations of the present and what a step has come to, or a reset if None."""
         observations = self.satellite.observations
         in_parts = self.satellite.obs_type is dict
-        observation: Any = (
+        observation: object = (
             self._cast(observations.get_dict(), self.batch_size) if in_parts else observations.get_vector(self.dtype)
         )
         duration = torch.zeros_like(self.fleet.sim_time) if result is None else result.duration
