@@ -180,7 +180,7 @@ def read_earlier(files: Iterable[Path], suite: str, schema: object) -> dict[str,
 
     Where a policy has played a task more than once, the result of the most episodes counts, and then that of the last file.
     """
-    results: dict[str, dict[str, Any]] = {}
+    results: dict[str, dict[str, object]] = {}
     for path in files:
         header, policies = read_result(path, schema)
         if header != (FORMAT, suite):

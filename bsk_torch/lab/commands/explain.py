@@ -123,7 +123,7 @@ def survivable(env: SatelliteTasking, seeds: range) -> dict[str, Any]:
     from bsk_torch.lab.audit.failures import can_be_saved
 
     count, n = int(can_be_saved(env, torch.tensor(seeds)).sum()), len(seeds)
-    figures: dict[str, Any] = {"seeds": [seeds.start, seeds.stop], "survived": count}
+    figures: dict[str, object] = {"seeds": [seeds.start, seeds.stop], "survived": count}
     return figures | ({"lost_at_most": float(f"{1.0 - 0.05 ** (1.0 / n):.2g}")} if count == n else {})
 
 

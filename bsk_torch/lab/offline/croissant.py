@@ -9,7 +9,7 @@ from typing import Any
 
 from bsk_torch.lab.offline.layout import CARD, TABLE
 
-CONTEXT: dict[str, Any] = {
+CONTEXT: dict[str, object] = {
     "@language": "en",
     "@vocab": "https://schema.org/",
     "citeAs": "cr:citeAs",

@@ -30,7 +30,7 @@ class NamedPlanner(NamedPolicy):
         base: The base policy, which has a card; None for the planner's choice.
     """
 
-    settings: Mapping[str, Any] = field(kw_only=True)
+    settings: Mapping[str, object] = field(kw_only=True)
     base: NamedPolicy | None = None
 
     @property

@@ -90,7 +90,7 @@ class Flights:
         """Return the actions of all agents in the episodes of ``seeds`` [m], a list of decisions for each."""
         env, slots, episodes = self.env, AgentTable(self.env), list[list[Any]]()
         for some in seeds.split(env.num_envs):
-            decisions: list[list[Any]] = [[] for _ in some]
+            decisions: list[list[object]] = [[] for _ in some]
             start = start_episodes(env, some.tolist())
             rows = torch.arange(env.num_envs, device=env.device) < len(some)
             for playing, step in play_episodes(env, self._player(), start, rows):

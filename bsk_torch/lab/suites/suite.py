@@ -74,7 +74,7 @@ class Task:
     preset: str
     first_seed: int
     at_once: int
-    options: Mapping[str, Any] = field(default_factory=dict)
+    options: Mapping[str, object] = field(default_factory=dict)
     name: str = ""
     episodes: int = EPISODES
     measures: tuple[str, ...] = ()
