@@ -114,7 +114,7 @@ class Arg:
     low: float = float("-inf")
     high: float = float("inf")
     missing: float | None = None
-    choices: tuple[Any, ...] = ()
+    choices: tuple[object, ...] = ()
     shared: bool = False
     endless: bool = False
     whole: bool = False
@@ -268,7 +268,7 @@ class Allocation:
 
     commands: tuple[str, ...]  # fields of the state that hold the commands to the actuators
     # `distribute(bus, torque_B)` returns their values for a torque on the body, N m in B
-    distribute: Callable[[Bus, Vec3], tuple[Any, ...]]
+    distribute: Callable[[Bus, Vec3], tuple[object, ...]]
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ class DrawTable(StateTable):
     @override
     def __init__(self, num_envs: int, count: int = 1, device: torch.device | str = "cpu") -> None:
         super().__init__(num_envs, count, device)
-        attributes: dict[str, Any] = self.__dict__
+        attributes: dict[str, object] = self.__dict__
         attributes["_once"], attributes["_owner"] = {}, None
 
     def shared(self, name: str) -> tuple[Tensor, Tensor | None]:
@@ -56,7 +56,7 @@ class DrawTable(StateTable):
         if not isinstance(other, DrawTable) or len(envs) < self.num_envs or SHARED_FROM * len(few) > self.num_envs:
             super().copy_rows(envs, other, source)
             return
-        attributes: dict[str, Any] = self.__dict__
+        attributes: dict[str, object] = self.__dict__
         attributes["_once"] = {name: owned(other.of_envs(name, few)) for name in self.fields}
         attributes["_owner"] = owned(torch.empty_like(owner).index_copy(0, envs, owner))
         for name in self.fields:

@@ -88,7 +88,7 @@ class Fleet(Satellites):
         """
         super().__init__(simulators, names, places, varies)
         self.draw_scenario = draw_scenario
-        self.beginnings: list[Callable[[Tensor], Any]] = []
+        self.beginnings: list[Callable[[Tensor], object]] = []
         self.since = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
         self.env_ids = self.all_envs
         self.state, self.scenario_state = FleetState(self.num_envs, self.size, self.device), self.simulators[0].scenario_state
@@ -142,7 +142,7 @@ class Fleet(Satellites):
         unless given.
         """
         drawn = self.draw_scenario(key) if scenario is None else scenario
-        world: dict[str, Any] = {}
+        world: dict[str, object] = {}
         values = []
         for simulator in self.simulators:
             arguments = simulator.type.arguments

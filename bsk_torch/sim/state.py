@@ -290,14 +290,14 @@ class StateTable:
         return self.over(self._gathered(envs))
 
     def _gathered(self, envs: Tensor) -> dict[str, Any]:
-        values: dict[str, Any] = {name: self._by_episode(name)[envs] for name in self.fields}
+        values: dict[str, object] = {name: self._by_episode(name)[envs] for name in self.fields}
         return values | {name: table._gathered(envs) for name, table in self.tables.items()}
 
     # -- saving -------------------------------------------------------------------------------------------------------
 
     def to_tensordict(self) -> TensorDict:
         """Return a copy of the tree, episodes first: [N, ...], or [N, count, ...] where an episode has several rows."""
-        values: dict[str, Any] = {name: self._by_episode(name).clone() for name in self.fields}
+        values: dict[str, object] = {name: self._by_episode(name).clone() for name in self.fields}
         values |= {name: table.to_tensordict() for name, table in self.tables.items()}
         return TensorDict(values, [self.num_envs], device=self.device)
 
@@ -340,7 +340,7 @@ class StateTable:
             raise ValueError(f"{name!r} of the saved state has dtype {value.dtype}; it must be {current.dtype}")
         leading = 1 if self.count == 1 else 2
         behind = current.shape[:-1] if field.planes else current.shape[1:]
-        wanted: list[Any] = ["N", *[self.count][: leading - 1], *behind]
+        wanted: list[object] = ["N", *[self.count][: leading - 1], *behind]
         if field.grows:
             wanted[leading] = "any number"
         if len(wanted) != value.ndim or any(isinstance(w, int) and w != n for w, n in zip(wanted, value.shape, strict=True)):

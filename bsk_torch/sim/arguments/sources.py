@@ -35,9 +35,9 @@ Answers = dict[Any, Any]
 class Member:
     """One argument of a function that returns a dictionary."""
 
-    function: Callable[[], Mapping[str, Any]]
+    function: Callable[[], Mapping[str, object]]
     name: str
-    trial: Any = field(compare=False)  # its value in the call that told the names
+    trial: object = field(compare=False)  # its value in the call that told the names
     names: frozenset[str] = field(compare=False)  # names that the function sets
 
     def __call__(self) -> Any:

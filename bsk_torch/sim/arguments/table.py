@@ -10,7 +10,7 @@ from bsk_torch.rand import Distribution
 from bsk_torch.sim.component import Component
 from bsk_torch.sim.names import nearest
 
-EMPTY: Mapping[str, Any] = {}
+EMPTY: Mapping[str, object] = {}
 
 
 class ArgumentTable(dict[str, Any]):

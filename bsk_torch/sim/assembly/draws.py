@@ -26,7 +26,7 @@ ArgumentChange = tuple[int, str, Any, Sequence[int] | None]  # see bsk_torch.sim
 class TrialDraw(NamedTuple):
     """What a trial draw shows."""
 
-    values: dict[str, Any]  # arguments of one or two environments by name
+    values: dict[str, object]  # arguments of one or two environments by name
     parameters: dict[str, Tensor]  # parameters that follow from them by name
     uniform: set[str]  # names of the parameters that are the same for all rows
 

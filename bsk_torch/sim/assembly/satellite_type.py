@@ -95,7 +95,7 @@ class SatelliteType:
     gravity_degree: int  # degree of the Earth's field
     options: SimulationOptions  # how they are simulated
     usage: Usage  # how the environment uses them
-    trial: Mapping[str, Any]  # arguments of a trial draw, by whose shapes states are laid out
+    trial: Mapping[str, object]  # arguments of a trial draw, by whose shapes states are laid out
     tick: Tick
     runners: Runners  # what runs it
     uniform: Tensor  # values of the parameters of `tick.shared`, [C, 1]

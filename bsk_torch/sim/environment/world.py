@@ -8,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -24,7 +23,7 @@ from bsk_torch.sim.environment.ephemeris import move_sun_and_earth, orient_pole,
 from bsk_torch.sim.places import STATION_KIND, FixedPlaces, Places, PlaceTables
 from bsk_torch.vec3 import Vec3
 
-DEFAULT_STATIONS: tuple[dict[str, Any], ...] = tuple(
+DEFAULT_STATIONS: tuple[dict[str, object], ...] = tuple(
     {"name": name, "lat": lat, "long": long, "elev": elev}
     for name, lat, long, elev in (
         ("Boulder", 40.009971, -105.243895, 1624.0),

@@ -15,7 +15,7 @@ application of the z-transform method", 1964, chapter 3).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -87,7 +87,7 @@ def _times(p: Polynomial, q: Polynomial) -> list[Tensor | float]:
 
 def _plus(*parts: Polynomial) -> list[Tensor | float]:
     size = max(map(len, parts))
-    padded: list[list[Any]] = [[0.0] * (size - len(part)) + list(part) for part in parts]
+    padded: list[list[object]] = [[0.0] * (size - len(part)) + list(part) for part in parts]
     return [sum(column) for column in zip(*padded, strict=True)]
 
 

@@ -34,13 +34,13 @@ ARC_ORBIT = Component(slot="orbit", update=follow_arc, overwrites=(("r_BN_N", _O
 class Inputs(NamedTuple):
     """Planes that a tick starts from; ``records`` holds those of every track, ``tau`` the seconds since their first record."""
 
-    state: Sequence[Any]
-    shared: Sequence[Any]
-    own: Sequence[Any]
-    flags: Sequence[Any]
-    records: Sequence[Sequence[Any]]
-    tau: Sequence[Any]
-    ticks: Any
+    state: Sequence[object]
+    shared: Sequence[object]
+    own: Sequence[object]
+    flags: Sequence[object]
+    records: Sequence[Sequence[object]]
+    tau: Sequence[object]
+    ticks: object
 
 
 class Tick:
