@@ -48,7 +48,7 @@ class EpisodeView:
 class GymEpisode(EpisodeView, gymnasium.Env[Any, Any]):
     """What Gymnasium's views of one episode share; each has its own spaces and actions."""
 
-    metadata: ClassVar[dict[str, Any]] = RENDERING  # type: ignore[misc]
+    metadata: ClassVar[dict[str, object]] = RENDERING  # type: ignore[misc]
     _running = False
 
     def reset(self, *, seed: int | None = None, options: dict[str, object] | None = None) -> tuple[Any, dict[str, Any]]:

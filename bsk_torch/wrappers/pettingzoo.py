@@ -69,7 +69,7 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
         >>> observations, rewards, terminations, truncations, infos = env.step(actions)
     """
 
-    metadata: ClassVar[dict[str, Any]] = RENDERING | {"name": "constellation", "is_parallelizable": True}
+    metadata: ClassVar[dict[str, object]] = RENDERING | {"name": "constellation", "is_parallelizable": True}
     core: ConstellationTasking
 
     def __init__(

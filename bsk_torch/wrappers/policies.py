@@ -21,7 +21,7 @@ from bsk_torch.wrappers.spaces import flat_rows, map_leaves
 class Model(Protocol):
     """A model of Stable-Baselines3."""
 
-    observation_space: Any
+    observation_space: object
 
     def predict(self, observation: Any, *args: Any, **kwargs: Any) -> tuple[Any, Any]:
         """Return actions, and the state of a recurrent model."""

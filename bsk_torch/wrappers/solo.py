@@ -87,7 +87,7 @@ class SoloTasking:
         tasks = torch.where(self.team.requires_retasking, 0, NO_ACTION)
         if self._all_numbered:
             tasks[:, self._column] = action
-            actions: Any = tasks
+            actions: object = tasks
         else:
             actions = {name: tasks[:, k] for k, name in enumerate(self.team.names)} | {self.team.names[self._column]: action}
         return self._columns(self.team.play([actions], moves))
