@@ -167,7 +167,7 @@ def _tasks(model: type) -> dict[str, Methods]:
     return listed | {name: listed.get(name, {}) for name in tasks}
 
 
-def _collected(model: object, methods: Methods, values: Mapping[str, object]) -> dict[str, Any]:
+def _collected(model: object, methods: Methods, values: Mapping[str, object]) -> dict[str, object]:
     """Return the arguments that methods declare, in the order of their names, and those that users have declared with them."""
     declared: dict[str, dict[str, object]] = {}  # by utils.functional.default_args, by method
     if model is not None:
@@ -179,12 +179,12 @@ def _collected(model: object, methods: Methods, values: Mapping[str, object]) ->
     return args
 
 
-def _values(components: tuple[Component, ...], without: str = "") -> dict[str, Any]:
+def _values(components: tuple[Component, ...], without: str = "") -> dict[str, object]:
     args = (arg for component in components for arg in component.args if arg.name != without)
     return {arg.name: _value(arg) for arg in args}
 
 
-def _value(arg: Arg) -> Any:
+def _value(arg: Arg) -> object:
     if arg.name in RANDOM and isinstance(arg.default, Distribution):
         return RANDOM[arg.name]
     if arg.name in ARRAYS:

@@ -549,7 +549,7 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
         """Action space of an agent, the same object in every call."""
         return self._space("action_spaces", agent)
 
-    def _space(self, table: str, agent: object) -> Any:
+    def _space(self, table: str, agent: object) -> object:
         if (table, agent) not in self._spaces:
             self._spaces[table, agent] = getattr(self, table)[agent]
         return self._spaces[table, agent]
@@ -600,7 +600,7 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
 
     # -- step ---------------------------------------------------------------------------------------------------------
 
-    def _decompose_meta_action(self, agent: object, action: object) -> dict[Satellite, Any]:
+    def _decompose_meta_action(self, agent: object, action: object) -> dict[Satellite, object]:
         parts, first = {}, 0
         for satellite in self.meta_agent_groupings[agent]:
             if not isinstance(action, list | tuple | np.ndarray):

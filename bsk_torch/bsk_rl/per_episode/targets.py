@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 import numpy as np
 import torch
@@ -115,7 +114,7 @@ class PerEpisodeTargets(UniformTargets):
         return names + self.target_names[len(names) :]
 
 
-def _columns(scenario: OneTargets, made: Sequence[list[Target]]) -> dict[str, Any]:
+def _columns(scenario: OneTargets, made: Sequence[list[Target]]) -> dict[str, object]:
     """Return the names of numeric attributes, each with its value for padding."""
     columns: dict[str, object] = {"r_LP_P": np.array([R_EARTH, 0.0, 0.0]), "priority": 0.0}
     for target in (target for targets in made for target in targets):

@@ -56,7 +56,7 @@ class OpportunityQueries(ABC):
         return self._by_object(self.upcoming_opportunities, self._accepts(types, filter))
 
     @staticmethod
-    def _by_object(opportunities: Sequence[Mapping[str, Any]], accepts: Filter) -> dict[Any, list[Window]]:
+    def _by_object(opportunities: Sequence[Mapping[str, Any]], accepts: Filter) -> dict[object, list[Window]]:
         windows: dict[Any, list[Window]] = {}
         for opportunity in opportunities:
             if accepts(opportunity):

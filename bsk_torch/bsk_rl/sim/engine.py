@@ -117,7 +117,7 @@ class Engine:
         fleet.since = fleet.ticks
         return fleet
 
-    def _structure(self, satellites: Sequence[Any], types: Sequence[type[CoreSatellite]], *others: Any) -> Any:
+    def _structure(self, satellites: Sequence[Any], types: Sequence[type[CoreSatellite]], *others: Any) -> object:
         """Return what decides whether a simulation that has been built can be used again."""
         each = [
             (s.name, t, s.variable_interval, _given(t.default_sat_args(), values))
@@ -155,17 +155,17 @@ class Engine:
             functions = [member.function for member in members if isinstance(member, observable)]
             part.simulator.observer.want((*functions, *part.dynamics.vitals().values(), *part.fsw.vitals().values()))
 
-    def _sources(self, table: ArgumentTable, k: int | None) -> dict[str, Any]:
+    def _sources(self, table: ArgumentTable, k: int | None) -> dict[str, object]:
         """Return arguments by name: those that determine the structure unchanged, others as functions of the episode."""
         values = self._world if k is None else self._values[k]
         arguments = _given(table, values)
         return {name: arguments[name] if name in arguments else self._reader(k, name) for name in table.rows if name in values}
 
-    def _reader(self, k: int | None, name: str) -> Callable[[], Any]:
+    def _reader(self, k: int | None, name: str) -> Callable[[], object]:
         return lambda: (self._world if k is None else self._values[k])[name]
 
 
-def _own_values(satellite: Any) -> dict[str, Any]:
+def _own_values(satellite: Any) -> dict[str, object]:
     """Return the arguments of a satellite as the core takes them: with the state at time zero in place of elements."""
     values = {name: value for name, value in satellite.sat_args.items() if name not in WORLD_ONLY}
     values["rN"], values["vN"] = initial_state(values["rN"], values["vN"], values["oe"], values["mu"])

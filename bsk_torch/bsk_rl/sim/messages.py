@@ -106,7 +106,7 @@ class ModuleView:
         raise AttributeError(f"{name!r} of a module of Basilisk's cannot be set: give it in sat_args, or {COMPONENT}")
 
 
-def _argument(name: str) -> Callable[[View], Any]:
+def _argument(name: str) -> Callable[[View], object]:
     return lambda dynamics: dynamics.satellite.sat_args[name]
 
 

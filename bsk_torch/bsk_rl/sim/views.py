@@ -142,7 +142,7 @@ class ModelView:
     def _names(self) -> list[str]:
         return [name for name in dir(self._whole) if not name.startswith("_")]
 
-    def _entry(self, name: str, value: object) -> Any:
+    def _entry(self, name: str, value: object) -> object:
         entry = of_row(value, self._row)
         return entry.tolist() if name in messages.LISTS else entry
 
@@ -150,7 +150,7 @@ class ModelView:
         """Return an observable of the core to a property of the user's that calls the one of its base class."""
         return self._entry(function.__name__, self._whole.observed(function))
 
-    def _member(self, name: str, member: Any, owner: type) -> Any:
+    def _member(self, name: str, member: Any, owner: type) -> object:
         of_core = owner.__module__.startswith(CORE)
         if getattr(member, "is_aliveness_checker", False):
             return partial(self._check, name, None if of_core or isinstance(member, observable) else member)
@@ -167,7 +167,7 @@ class ModelView:
             return member.__get__(self)
         return lambda *args, **options: of_row(getattr(self._whole, name)(*args, **options), self._row)
 
-    def _check(self, name: str, method: Any, *args: Any, log_failure: bool = False, **options: Any) -> Any:
+    def _check(self, name: str, method: Any, *args: Any, log_failure: bool = False, **options: Any) -> object:
         """Evaluate an aliveness check, the core's or a ``method`` of the user's; log a warning of its failure on request."""
         if method is None:
             alive = of_row(getattr(self._whole, name)(*args, **options), self._row)
