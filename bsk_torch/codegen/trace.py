@@ -251,7 +251,7 @@ REFUSED = {
 """Operators that proxies do not have, and why."""
 
 
-def _operator(name: str, swapped: bool) -> Callable[[Proxy, Any], Any]:
+def _operator(name: str, swapped: bool) -> Callable[[Proxy, object], object]:
     build = FUNCTIONS[name]
 
     def method(self: Proxy, other: object) -> Any:
