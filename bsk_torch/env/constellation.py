@@ -166,7 +166,7 @@ class ConstellationTasking(Tasking):
             parts["duration"] = Unbounded((*shape, 1), dtype=self.dtype)
         return parts
 
-    def _acted(self, group: Group, shape: tuple[int, ...]) -> Any:
+    def _acted(self, group: Group, shape: tuple[int, ...]) -> object:
         members, sizes = [self.satellites[t] for t in group.types], self._sizes(group)
         if self._by_name(group):
             pairs = zip(self._names_of(group), members, strict=True)
@@ -370,7 +370,7 @@ class ConstellationTasking(Tasking):
         table = rows.view(self.fleet.num_envs, -1, *rows.shape[1:])
         return table if whole else table[:, within]
 
-    def _observation(self, group: Group, observations: list[Any], hidden: Tensor) -> Any:
+    def _observation(self, group: Group, observations: list[Any], hidden: Tensor) -> object:
         """Return the observations [N, A, O], zero for members that are ``hidden`` [N, A, M]."""
         if isinstance(observations[group.types[0]], dict):
             shape = (self.fleet.num_envs, self.fleet.simulators[group.types[0]].count)

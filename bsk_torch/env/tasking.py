@@ -133,7 +133,7 @@ class SatelliteTasking(Tasking):
     def _wrapped(self, entries: dict[str, object]) -> TensorDict:
         return TensorDict(entries, self.batch_size, device=self.device)
 
-    def _entries(self, result: StepResult | None, **parts: object) -> dict[str, Any]:
+    def _entries(self, result: StepResult | None, **parts: object) -> dict[str, object]:
         """Return ``parts`` with the observations of the present and what a step has come to, or a reset if None."""
         observations = self.satellite.observations
         in_parts = self.satellite.obs_type is dict
