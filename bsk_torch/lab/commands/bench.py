@@ -196,7 +196,7 @@ def add_results(results: dict[str, dict[str, Any]], policies: Mapping[str, Mappi
         best |= {task: row for task, row in rows.items() if task not in best or len(row["returns"]) >= len(best[task]["returns"])}
 
 
-def read_result(path: Path, schema: Any) -> tuple[tuple[int, str], dict[str, dict[str, Any]]]:
+def read_result(path: Path, schema: Any) -> tuple[tuple[int, str], dict[str, dict[str, object]]]:
     """Return format and suite of a file of an earlier run, and its results by policy; ends the program for other files.
 
     The ``schema`` is one of :mod:`bsk_torch.lab.commands.results`.

@@ -113,7 +113,7 @@ def summary(flown: Flown, failures: Sequence[Failure]) -> dict[str, Any]:
     }
 
 
-def survivable(env: SatelliteTasking, seeds: range) -> dict[str, Any]:
+def survivable(env: SatelliteTasking, seeds: range) -> dict[str, object]:
     """Return how many episodes a plan survives.
 
     If that is all n of them, ``lost_at_most`` is the 95 % bound of Clopper and Pearson, 1 - 0.05^(1/n), on how often none does.
@@ -127,7 +127,7 @@ def survivable(env: SatelliteTasking, seeds: range) -> dict[str, Any]:
     return figures | ({"lost_at_most": float(f"{1.0 - 0.05 ** (1.0 / n):.2g}")} if count == n else {})
 
 
-def statistics(moments: Sequence[Moment]) -> dict[str, Any]:
+def statistics(moments: Sequence[Moment]) -> dict[str, object]:
     """Return the least, median and largest value of the moments' numbers, and how often each action was chosen."""
     import torch
 
