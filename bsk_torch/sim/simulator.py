@@ -225,7 +225,7 @@ class Simulator:
         values, ticks = self._arguments_of(rows), self.state.ticks[rows].cpu()
         self._set_faults(rows, drawn_again(declared, values, ticks, self.h_ns, key, self.type.arguments.draw_some))
 
-    def _arguments_of(self, rows: Tensor) -> dict[str, Any]:
+    def _arguments_of(self, rows: Tensor) -> dict[str, object]:
         arguments = self.state.all_arguments.items()
         return {name: value[rows].cpu() if isinstance(value, Tensor) else value for name, value in arguments}
 

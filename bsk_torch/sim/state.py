@@ -289,7 +289,7 @@ class StateTable:
         """Return a table of the same kind that holds copies of the episodes ``envs`` [n]."""
         return self.over(self._gathered(envs))
 
-    def _gathered(self, envs: Tensor) -> dict[str, Any]:
+    def _gathered(self, envs: Tensor) -> dict[str, object]:
         values: dict[str, object] = {name: self._by_episode(name)[envs] for name in self.fields}
         return values | {name: table._gathered(envs) for name, table in self.tables.items()}
 

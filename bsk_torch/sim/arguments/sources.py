@@ -102,7 +102,7 @@ def is_function(value: object) -> bool:
     return callable(value) and not isinstance(value, Distribution)
 
 
-def _called(function: Callable[[], object], title: str) -> dict[str, Any]:
+def _called(function: Callable[[], object], title: str) -> dict[str, object]:
     answer = function()
     if not isinstance(answer, Mapping):
         raise TypeError(f"the function {title} returned {answer!r}; it must return a dictionary of arguments, {{name: value}}")

@@ -177,7 +177,7 @@ class Arguments:
     def _bounded(self, args: Iterable[Arg]) -> dict[str, Arg]:
         return {arg.name: arg.as_flown if self.as_flown else arg for arg in args}
 
-    def _merged(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    def _merged(self, arguments: Mapping[str, Any]) -> dict[str, object]:
         for name in arguments:
             if name not in self.table:
                 raise KeyError(unknown(self.title, name, self.table))
@@ -210,7 +210,7 @@ class Arguments:
             for name in self.table
         }
 
-    def _values_of(self, k: int, name: str) -> list[Any]:
+    def _values_of(self, k: int, name: str) -> list[object]:
         return [self._given[k][name], *self._of_envs[k].get(name, {}).values()]
 
     @property
@@ -326,7 +326,7 @@ class Arguments:
         """Return the values of the arguments ``names``, as :meth:`draw` returns them; of functions, only theirs are called."""
         return self._draw_named(names, key, self._asked_alone(key, self.table.keys() - set(names)))
 
-    def _draw_named(self, names: Iterable[str], key: Key, answers: Sequence[Answers]) -> dict[str, Any]:
+    def _draw_named(self, names: Iterable[str], key: Key, answers: Sequence[Answers]) -> dict[str, object]:
         rows = key if self.columns == (0,) else key.of_satellites(torch.tensor(self.columns))
         return {name: self._drawn_or_kept(self.table[name], key, rows, answers) for name in names}
 
@@ -347,7 +347,7 @@ class Arguments:
         whole[:, columns] = new
         return whole.flatten(0, 1)
 
-    def _drawn_or_kept(self, arg: Arg, key: Key, rows: Key, answers: Sequence[Answers]) -> Any:
+    def _drawn_or_kept(self, arg: Arg, key: Key, rows: Key, answers: Sequence[Answers]) -> object:
         value = self.given[arg.name]
         if not self._alike[arg.name]:
             return self._drawn_each(arg, key, answers)
@@ -358,7 +358,7 @@ class Arguments:
         kept = self._constants[arg.name]
         return kept.expand(len(rows), *kept.shape[1:]) if arg.name in self._changed and isinstance(kept, Tensor) else kept
 
-    def _drawn_each(self, arg: Arg, key: Key, answers: Sequence[Answers]) -> Any:
+    def _drawn_each(self, arg: Arg, key: Key, answers: Sequence[Answers]) -> object:
         """Return the values of an argument given for each satellite, [n * S, ...]."""
         if is_fixed(arg):
             raise ValueError(f"{self.title}: {arg.name} must be the same for all satellites of a type")

@@ -40,7 +40,7 @@ def write_commands(bus: Bus, commands: Commands, where: Tensor | None = None) ->
         setattr(bus, name, new if where is None else _chosen(where, new, getattr(bus, name)))
 
 
-def _chosen(where: Tensor, new: Any, old: Any) -> Any:
+def _chosen(where: Tensor, new: Any, old: Any) -> object:
     if isinstance(new, Vec3):
         return select(where, new, old)
     if isinstance(new, tuple):

@@ -354,11 +354,11 @@ class ObserverProgram:
         return [self.arguments, live, [plane.index for plane in self.planes]]
 
 
-def _planes(value: object) -> list[Any]:
+def _planes(value: object) -> list[object]:
     return [plane for part in value for plane in _planes(part)] if isinstance(value, tuple) else [value]
 
 
-def _traced(value: object) -> Any:
+def _traced(value: object) -> object:
     if not all(isinstance(plane, Proxy) for plane in _planes(value)):
         raise UntraceableError(f"it returns {type(value).__name__}, which does not follow from the present")
     return value
