@@ -291,7 +291,7 @@ def _constellation(path: Path) -> Satellites:
     return [_satellite(entry, orbits[entry.orbit]) for entry in sorted(content.satellites, key=lambda entry: entry.id)]
 
 
-def _satellite(entry: SatelliteEntry, orbit: OrbitEntry) -> dict[str, Any]:
+def _satellite(entry: SatelliteEntry, orbit: OrbitEntry) -> dict[str, object]:
     panel, sensor, control, wheels = entry.solar_panel, entry.sensor, entry.mrp_control, entry.reaction_wheels
     degrees = [orbit.inclination, orbit.right_ascension_of_the_ascending_node, orbit.argument_of_perigee, entry.true_anomaly]
     return {

@@ -181,7 +181,7 @@ class RSOTargets(Scenario):
     # -- satellites ---------------------------------------------------------------------------------------------------
 
     @override
-    def _own_arguments(self, satellite: Satellite) -> dict[str, Any]:
+    def _own_arguments(self, satellite: Satellite) -> dict[str, object]:
         if satellite.name not in self.imager_names:
             return {}
         return {"bufferNames": [partition_name(key) for key in self.ids], "transmitterNumBuffers": self.n_targets}
