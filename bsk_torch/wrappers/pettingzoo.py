@@ -245,7 +245,7 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
         group, number, *_ = self._seats[agent]
         return results[group.name, name][0, number]
 
-    def _observation(self, results: TensorDictBase, agent: str) -> Any:
+    def _observation(self, results: TensorDictBase, agent: str) -> object:
         return map_leaves(self._of(results, agent, "observation"), as_numpy)
 
     def _infos(self, results: TensorDictBase, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
