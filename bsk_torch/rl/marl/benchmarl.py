@@ -46,7 +46,7 @@ class TaskConfig:
     """
 
     max_steps: int = 200
-    options: dict[str, object] = field(default_factory=dict)
+    options: dict[str, Any] = field(default_factory=dict)
 
 
 class ConstellationClass(TaskClass):
