@@ -29,6 +29,9 @@ __all__ = ["Arg", "Bus", "Component", "Field", "MissingMessageError", "Track", "
 Values = Mapping[str, Any]
 """Arguments of the rows being reset: tensors with leading dimension n, or 1 where all environments agree."""
 
+UserArguments = Mapping[str, Any]
+"""Arguments as users give them: numbers, distributions, functions and other values that are not drawn yet."""
+
 Computation = Callable[[Values], dict[str, Tensor]]  # returns fields of the state, or parameters, by name
 
 
@@ -322,7 +325,7 @@ class Component:
     after: str | None = None
     before: str | None = None
     at_start: bool = False
-    fit: Callable[[Mapping[str, Any]], Component] | None = None
+    fit: Callable[[UserArguments], Component] | None = None
     mends: bool = False
     records: tuple[str, ...] = ()
     follows: str | None = None

@@ -12,7 +12,7 @@ from torch import Tensor
 from bsk_torch._checks import no_gradient
 from bsk_torch.constants import NANO
 from bsk_torch.sim.access.lookahead import LookAhead
-from bsk_torch.sim.component import Layout
+from bsk_torch.sim.component import Layout, UserArguments
 from bsk_torch.sim.names import nearest, same
 from bsk_torch.sim.state import StateTable, described, look_up
 
@@ -84,7 +84,7 @@ class SatelliteState(StateTable):
         self,
         layout: Layout,
         parameters: Layout,
-        arguments: Mapping[str, Any],
+        arguments: UserArguments,
         *,
         num_envs: int,
         count: int,

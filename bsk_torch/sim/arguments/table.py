@@ -7,7 +7,7 @@ from dataclasses import fields, is_dataclass
 from typing import Any
 
 from bsk_torch.rand import Distribution
-from bsk_torch.sim.component import Component
+from bsk_torch.sim.component import Component, UserArguments
 from bsk_torch.sim.names import nearest
 
 EMPTY: Mapping[str, object] = {}
@@ -21,7 +21,7 @@ class ArgumentTable(dict[str, Any]):
         here: Values of an environment that differ from the defaults. They are shown first, and are no values of the dictionary.
     """
 
-    def __init__(self, components: Iterable[Component], overrides: Mapping[str, Any] = EMPTY, title: str = "sat_args") -> None:
+    def __init__(self, components: Iterable[Component], overrides: UserArguments = EMPTY, title: str = "sat_args") -> None:
         """Collect the arguments of components, with ``overrides`` of defaults; KeyError, with ``title``, for unknown ones."""
         self.rows, self.here = {arg.name: arg for component in components for arg in component.args}, dict[str, Any]()
         super().__init__({name: arg.default for name, arg in self.rows.items()})

@@ -24,7 +24,7 @@ from bsk_torch.astro.ephemeris import coverage, parse_utc
 from bsk_torch.codegen.kept import of_package
 from bsk_torch.rand import Distribution, Key, PerEnv, RandomEpoch, seeded
 from bsk_torch.sim.arguments.sources import Answers, Member, in_order, is_function, unknown
-from bsk_torch.sim.component import Arg, Component, Values, asked
+from bsk_torch.sim.component import Arg, Component, UserArguments, Values, asked
 from bsk_torch.sim.names import nearest
 
 Overrides = Mapping[str, tuple[Tensor, Tensor]]
@@ -133,7 +133,7 @@ class Arguments:
     def __init__(
         self,
         components: Iterable[Component],
-        arguments: Mapping[str, Any] | Sequence[Mapping[str, Any]],
+        arguments: UserArguments | Sequence[UserArguments],
         title: str,
         columns: Sequence[int] = (0,),
         as_flown: bool = False,
@@ -177,7 +177,7 @@ class Arguments:
     def _bounded(self, args: Iterable[Arg]) -> dict[str, Arg]:
         return {arg.name: arg.as_flown if self.as_flown else arg for arg in args}
 
-    def _merged(self, arguments: Mapping[str, Any]) -> dict[str, object]:
+    def _merged(self, arguments: UserArguments) -> dict[str, object]:
         for name in arguments:
             if name not in self.table:
                 raise KeyError(unknown(self.title, name, self.table))

@@ -23,7 +23,7 @@ from bsk_torch.rand import Key
 from bsk_torch.sim.arguments.values import Arguments, Overrides, merge
 from bsk_torch.sim.assembly.composition import check_required_dyn, provided_by, world_components, world_of
 from bsk_torch.sim.assembly.draws import ArgumentChange, TrialDraw, TypeArguments
-from bsk_torch.sim.component import Component, Field, MissingMessageError, declared
+from bsk_torch.sim.component import Component, Field, MissingMessageError, UserArguments, declared
 from bsk_torch.sim.dyn.events import with_failure_event
 from bsk_torch.sim.dyn.forces.field import prepare
 from bsk_torch.sim.dyn.models import DynamicsModel
@@ -245,7 +245,7 @@ def satellite_type(
 class Looked(dict[str, Any]):
     """Values by name that remember which of them were looked at."""
 
-    def __init__(self, arguments: Mapping[str, Any]) -> None:
+    def __init__(self, arguments: UserArguments) -> None:
         """Keep the values."""
         super().__init__(arguments)
         self.names_read: set[str] = set()

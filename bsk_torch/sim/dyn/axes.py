@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any, TypeVar
+from collections.abc import Callable, Iterable
+from typing import TypeVar
 
 from torch import Tensor
 
 from bsk_torch._checks import parts
-from bsk_torch.sim.component import Arg, Values
+from bsk_torch.sim.component import Arg, UserArguments, Values
 
 Part = TypeVar("Part")
 
@@ -31,7 +31,7 @@ def check_axis(name: str) -> Callable[[Values], None]:
 
 
 def described(
-    arguments: Mapping[str, Any], name: str, numbers: Iterable[Arg], kind: type[Part], what: str
+    arguments: UserArguments, name: str, numbers: Iterable[Arg], kind: type[Part], what: str
 ) -> tuple[Part, ...] | None:
     """Return the parts that the argument ``name`` lists, ``what`` in messages; None for the default ones.
 

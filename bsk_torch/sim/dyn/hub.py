@@ -10,7 +10,6 @@ from __future__ import annotations
 import functools
 import math
 import operator
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,7 @@ from bsk_torch.astro.integrate import State, rk4_step
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.rand import Distribution, Uniform, random_orbit
-from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
+from bsk_torch.sim.component import Arg, Bus, Component, Field, UserArguments, Values, vec
 from bsk_torch.sim.dyn.forces.field import called_field, full_field
 from bsk_torch.vec3 import Mat3, Vec3, times
 
@@ -443,7 +442,7 @@ def hub(inertia: str, lever: bool) -> Component:
     )
 
 
-def fitted_hub(arguments: Mapping[str, Any]) -> Component:
+def fitted_hub(arguments: UserArguments) -> Component:
     """Return the hub for the arguments as given: of a tensor with zeros off its diagonal, in all rows, the diagonal is used."""
     inertia, place = given_numbers(arguments["inertia"]), given_numbers(arguments["r_CB_B"])
     diagonal = inertia is not None and inertia.numel() == 9 and not bool(inertia.flatten()[[1, 2, 3, 5, 6, 7]].any())

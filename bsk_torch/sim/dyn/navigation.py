@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from numbers import Real
 from typing import Any, NamedTuple
@@ -20,7 +20,7 @@ from torch import Tensor
 
 from bsk_torch.astro.attitude import mrp_add
 from bsk_torch.rand import Distribution, Uniform, first_key
-from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
+from bsk_torch.sim.component import Arg, Bus, Component, Field, UserArguments, Values
 from bsk_torch.sim.dyn.generators import combined_normals, combined_start, minstd_start, polar_normals
 from bsk_torch.sim.dyn.hub import given_numbers
 from bsk_torch.sim.faults.declared import may_change
@@ -180,7 +180,7 @@ def _matrix_form(matrix_argument: Any) -> tuple[bool, bool]:
     return matrix, matrix
 
 
-def walk_form(arguments: Mapping[str, Any]) -> WalkForm:
+def walk_form(arguments: UserArguments) -> WalkForm:
     """Return what decides the operations of a tick, from the arguments as given."""
     matrix, full = (False, False) if may_change(arguments, "PMatrix") else _matrix_form(arguments["PMatrix"])
     return WalkForm(

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from bsk_torch.constants import RPM
-from bsk_torch.sim.component import Allocation, Arg, Bus, Component, Field, Values
+from bsk_torch.sim.component import Allocation, Arg, Bus, Component, Field, UserArguments, Values
 from bsk_torch.sim.dyn.effectors.wheel_set import along, described_wheels, unit_axes
 from bsk_torch.sim.fsw.stability import NULL_SHARE
 from bsk_torch.vec3 import Vec3, select
@@ -155,7 +154,7 @@ def wheel_allocation(count: int, null_motion: bool, some: bool) -> Component:
     )
 
 
-def fitted_allocation(arguments: Mapping[str, Any]) -> Component:
+def fitted_allocation(arguments: UserArguments) -> Component:
     """Return the component that distributes torques among the wheels that the arguments as given describe.
 
     ValueError for none, or null motion of three.

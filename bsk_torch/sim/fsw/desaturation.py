@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
+from bsk_torch.sim.component import Arg, Bus, Component, Field, UserArguments, Values, vec
 from bsk_torch.sim.dyn.effectors.thrusters import EIGHT_THRUSTERS, ThrusterPairs, arms_about_center, described_thrusters
 from bsk_torch.sim.dyn.effectors.wheels import largest_momentum
 from bsk_torch.vec3 import Vec3, only, select
@@ -214,7 +214,7 @@ def set_desaturation(count: int) -> Component:
     return replace(part, params=params, reads=reads, prepare=_prepare_set, check=_check_set, check_tick=_check_set_in_tick)
 
 
-def fitted_desaturation(arguments: Mapping[str, Any]) -> Component:
+def fitted_desaturation(arguments: UserArguments) -> Component:
     """Return the component for the thrusters that the arguments as given describe."""
     listed = described_thrusters(arguments) if "thrusters" in arguments else None
     return DESATURATION if listed is None else set_desaturation(len(listed))

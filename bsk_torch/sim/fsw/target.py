@@ -8,15 +8,14 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
 
 from bsk_torch.astro.frames import rotate_z, sin_elevation
 from bsk_torch.constants import R_EARTH
-from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
+from bsk_torch.sim.component import Arg, Bus, Component, Field, UserArguments, Values, vec
 from bsk_torch.sim.environment.ephemeris import sun_at, turned
 from bsk_torch.sim.instruments import differs
 from bsk_torch.vec3 import Vec3, only
@@ -104,7 +103,7 @@ SUN_LIMITS = (
 SUN_PARAMETERS = ("target_least_sun", "target_most_sun")  # parameters of the tick, the sines of SUN_LIMITS
 
 
-def fitted_target(arguments: Mapping[str, Any]) -> Component:
+def fitted_target(arguments: UserArguments) -> Component:
     """Return the component of targets in the light that the arguments as given ask for."""
     form = tuple(differs(arguments, arg.name) for arg in SUN_LIMITS)
     return lit_target(*form) if any(form) else IMAGE_TARGET

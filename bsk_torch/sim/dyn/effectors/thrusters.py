@@ -15,17 +15,17 @@ from __future__ import annotations
 import functools
 import math
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from bsk_torch._checks import number, vector
 from bsk_torch.constants import NANO
-from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values
+from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, UserArguments, Values
 from bsk_torch.sim.dyn.axes import check_axis, described, unit_rows
 from bsk_torch.sim.dyn.hub import given_numbers
 from bsk_torch.sim.faults.declared import may_change
@@ -151,7 +151,7 @@ class ThrusterForm(NamedTuple):
     pushes: bool  # whether they may exert a net force
 
 
-def described_thrusters(arguments: Mapping[str, Any]) -> tuple[Thruster, ...] | None:
+def described_thrusters(arguments: UserArguments) -> tuple[Thruster, ...] | None:
     """Return the thrusters that arguments as given describe; None for the default pairs, whose numbers are fixed."""
     if arguments["thrusters"] is None and may_change(arguments, *(arg.name for arg in ARGS[1:])):
         return OCTET
@@ -159,7 +159,7 @@ def described_thrusters(arguments: Mapping[str, Any]) -> tuple[Thruster, ...] | 
     return described(arguments, "thrusters", ARGS[1:], Thruster, what)
 
 
-def thruster_form(arguments: Mapping[str, Any], listed: Sequence[Thruster]) -> ThrusterForm:
+def thruster_form(arguments: UserArguments, listed: Sequence[Thruster]) -> ThrusterForm:
     """Return what decides the operations: opposite thrusters of equal thrust about the center of mass never push."""
     drawn = any(arguments[arg.name] is not None for arg in ARGS[1:])
     place = given_numbers(arguments["r_CB_B"])
@@ -233,7 +233,7 @@ def thruster_set(form: ThrusterForm, listed: tuple[Thruster, ...]) -> Component:
     )
 
 
-def fitted_thrusters(arguments: Mapping[str, Any]) -> Component:
+def fitted_thrusters(arguments: UserArguments) -> Component:
     """Return the component of the thrusters that the arguments as given describe."""
     listed = described_thrusters(arguments)
     return THRUSTERS if listed is None else thruster_set(thruster_form(arguments, listed), listed)

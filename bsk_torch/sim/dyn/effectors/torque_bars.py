@@ -7,15 +7,14 @@ field is that of the position one tick ago, constant over a tick, and turns rela
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from bsk_torch._checks import number, parts, vector
-from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values
+from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, UserArguments, Values
 from bsk_torch.sim.dyn.axes import check_axis, unit_rows
 from bsk_torch.vec3 import Mat3, Vec3
 
@@ -50,7 +49,7 @@ ARGS = (
 """Arguments of torque bars; the last two replace the numbers of ``torqueBars``."""
 
 
-def described_bars(arguments: Mapping[str, Any]) -> tuple[TorqueBar, ...]:
+def described_bars(arguments: UserArguments) -> tuple[TorqueBar, ...]:
     """Return the bars that arguments as given describe; ValueError for none, and for entries that are not bars."""
     example = "[dyn.TorqueBar(axis, 0.2) for axis in ([1, 0, 0], [0, 1, 0], [0, 0, 1])]"
     what = f"a list of bars for dyn.TorqueBarsDynModel, such as {example}"

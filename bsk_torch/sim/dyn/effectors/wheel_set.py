@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import operator
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -18,7 +18,7 @@ from torch import Tensor
 from bsk_torch._checks import parts
 from bsk_torch.constants import RPM
 from bsk_torch.rand import Uniform
-from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values
+from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, UserArguments, Values
 from bsk_torch.sim.dyn.axes import check_axis, unit_rows
 from bsk_torch.sim.dyn.effectors.friction import friction_torques
 from bsk_torch.sim.dyn.effectors.wheel_types import TRIAD, Wheel
@@ -78,7 +78,7 @@ class WheelForm(NamedTuple):
     stribeck: bool  # whether some of it is Stribeck friction
 
 
-def described_wheels(arguments: Mapping[str, Any]) -> tuple[Wheel, ...] | None:
+def described_wheels(arguments: UserArguments) -> tuple[Wheel, ...] | None:
     """Return the wheels that arguments as given describe; None for the three default ones, all of whose numbers are fixed.
 
     ValueError for entries that are not wheels.
@@ -99,7 +99,7 @@ def wheel_defaults(wheels: Sequence[Wheel]) -> dict[str, tuple[Any, ...]]:
     return {name: tuple(numbers[name] for numbers in each) for name in (each[0] if each else ())}
 
 
-def wheel_form(arguments: Mapping[str, Any], wheels: Sequence[Wheel]) -> WheelForm:
+def wheel_form(arguments: UserArguments, wheels: Sequence[Wheel]) -> WheelForm:
     """Return what decides the operations of wheels, from the arguments as given: what is drawn may be anything."""
     if not wheels:
         return WheelForm((), False, False, False, False)

@@ -7,15 +7,14 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from bsk_torch._checks import number, vector
-from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values
+from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, UserArguments, Values
 from bsk_torch.sim.dyn.axes import check_axis, described, unit_rows
 from bsk_torch.vec3 import Mat3, Vec3
 
@@ -106,7 +105,7 @@ ATTRIBUTES = {
 """Attributes of facets that are the defaults of arguments."""
 
 
-def described_facets(arguments: Mapping[str, Any]) -> tuple[Facet, ...] | None:
+def described_facets(arguments: UserArguments) -> tuple[Facet, ...] | None:
     """Return the facets that arguments as given describe; None for the default box."""
     what = "a list of facets, such as [dyn.Facet(0.06, [1, 0, 0], [0.1, 0, 0])], or dyn.box_facets([0.2, 0.1, 0.34])"
     return described(arguments, "facets", NUMBERS, Facet, what)
@@ -212,7 +211,7 @@ def sunlight_on_facets(listed: tuple[Facet, ...]) -> Component:
     )
 
 
-def fitted_sunlight(arguments: Mapping[str, Any]) -> Component:
+def fitted_sunlight(arguments: UserArguments) -> Component:
     """Return the component for the facets that the arguments as given describe; ValueError without."""
     listed = described_facets(arguments)
     if listed is None:

@@ -8,7 +8,7 @@ hang on the last digit. How many partitions there are depends on the arguments, 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from numbers import Real
 from typing import Any
 
@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.constants import NANO
-from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
+from bsk_torch.sim.component import Arg, Bus, Component, Field, UserArguments, Values
 from bsk_torch.sim.dyn.storage import store as storage
 from bsk_torch.vec3 import only
 
@@ -25,7 +25,7 @@ NUM_BUFFERS = 100  # partitions where the user names none
 Levels = tuple[Tensor, ...]  # data in every partition, bit
 
 
-def partition_names(arguments: Mapping[str, Any]) -> tuple[str, ...]:
+def partition_names(arguments: UserArguments) -> tuple[str, ...]:
     """Return the names of the partitions that the arguments ask for, in order; ValueError if they do not fit together."""
     names, count = arguments["bufferNames"], arguments["transmitterNumBuffers"]
     if not isinstance(count, Real) or not 1.0 <= float(count) <= storage.MOST_BUFFERS or not float(count).is_integer():
@@ -53,7 +53,7 @@ def _checked(names: Any) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _starts_with_data(arguments: Mapping[str, Any]) -> bool:
+def _starts_with_data(arguments: UserArguments) -> bool:
     level = arguments["storageInit"]
     return not (isinstance(level, Real) and level == 0)
 
