@@ -11,8 +11,7 @@ while the image is in the store already: see :func:`expose` and :func:`check_hol
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -21,7 +20,7 @@ from bsk_torch.astro.eclipse import illumination
 from bsk_torch.astro.interpolate import BEFORE, COUNT, coefficients, position
 from bsk_torch.astro.sight import line_clearance, stretch
 from bsk_torch.constants import NANO
-from bsk_torch.sim.component import Arg, Bus, Component, Field, Track, Values, vec
+from bsk_torch.sim.component import Arg, Bus, Component, Field, Track, UserArguments, Values, vec
 from bsk_torch.sim.dyn.models import ImagingDynModel
 from bsk_torch.sim.dyn.storage import partitions
 from bsk_torch.sim.dyn.storage import store as storage
@@ -236,7 +235,7 @@ def _with_small_packets(transmitter: Component) -> Component:
     fit = partitions.TRANSMITTER.fit
     assert fit is not None
 
-    def fitted(arguments: Mapping[str, Any]) -> Component:
+    def fitted(arguments: UserArguments) -> Component:
         return _with_small_packets(fit(arguments))
 
     return dataclasses.replace(transmitter, args=args, fit=fitted)
