@@ -25,10 +25,11 @@ from typing import Any
 
 import harness
 import torch
+from image_leads import lateness, record_images
 from torch import Tensor
 
 import bsk_torch
-from bsk_torch.lab.bounds import SUSTAINED, Envelope, lateness, record_images
+from bsk_torch.lab.bounds import SUSTAINED, Envelope
 from bsk_torch.lab.bounds.graph import ImageGraph
 from bsk_torch.lab.bounds.imaging import graph_of
 from bsk_torch.lab.bounds.paths import best_paths

@@ -30,21 +30,12 @@ from typing import Any
 import harness
 import torch
 from envelope import Soonest
+from image_leads import NODES, SPACING, ImageSequences, bins_of, lateness, leads, record_images, sustained_envelope
 from torch import Tensor
 
 import bsk_torch
-from bsk_torch.lab.bounds import (
-    Envelope,
-    ImageSequences,
-    ImagingBound,
-    imaging_bound,
-    lateness,
-    leads,
-    record_images,
-    sustained_envelope,
-)
+from bsk_torch.lab.bounds import Envelope, ImagingBound, imaging_bound
 from bsk_torch.lab.bounds.envelope import SOONEST
-from bsk_torch.lab.bounds.sustained import NODES, SPACING, bins_of
 from bsk_torch.lab.bounds.tasks import agility
 from bsk_torch.lab.bounds.windows import satellite_positions
 from bsk_torch.lab.planners import planner

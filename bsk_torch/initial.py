@@ -1,4 +1,4 @@
-"""Initial attitudes, spins and wheel speeds under the names of ``bsk_torch.bsk_rl.utils``; what is random is a distribution.
+"""Initial attitudes and spins under the names of ``bsk_torch.bsk_rl.utils.attitude``; what is random is a distribution.
 
 ``sat_args=dict(sigma_init=random_tumble()[0], omega_init=random_tumble()[1])`` draws values for each environment and episode, and
 so does the same in a function without arguments.
@@ -7,7 +7,7 @@ so does the same in a function without arguments.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,12 +16,12 @@ import torch
 from torch import Tensor
 from typing_extensions import override
 
-from bsk_torch._checks import number, switch
+from bsk_torch._checks import number
 from bsk_torch.astro.relative import Numeric, aligned_with_hill, like
 from bsk_torch.rand import Distribution, Key, Uniform
 from bsk_torch.sim.names import nearest
 
-__all__ = ["balancedHR16Triad", "hill_frame_attitude", "random_tumble"]
+__all__ = ["hill_frame_attitude", "random_tumble"]
 
 AXES = {"radial": (1.0, 0.0, 0.0), "tangential": (0.0, 1.0, 0.0), "normal": (0.0, 0.0, 1.0)}
 """Named axes of a spin, in the Hill frame; ``"velocity"`` and ``"random"`` are further ones."""
@@ -119,39 +119,3 @@ def _axis(axis: object, HN: Tensor, v_N: Numeric) -> Tensor | None:
     if vector.shape[-1:] != (3,) or bool((length < SHORTEST_AXIS).any()):
         raise ValueError(f"spin_config['axis']={axis!r} must be three numbers that are not all zero")
     return vector / length
-
-
-class WheelTriad(Sequence[Any]):
-    """Wheel speeds, rpm, as the third entry of what ``balancedHR16Triad`` returns.
-
-    The first two entries are objects of Basilisk that bsk_torch does not have: reading them raises TypeError.
-    """
-
-    def __init__(self, speeds: object) -> None:
-        """Keep the speeds: a distribution or numbers."""
-        self.speeds = speeds
-
-    def __len__(self) -> int:
-        return 3
-
-    def __getitem__(self, index: int | slice) -> Any:
-        if index in (2, -1):
-            return self.speeds
-        raise TypeError(
-            "balancedHR16Triad(...)[0] and [1] are Basilisk's wheel effector and factory; bsk_torch's BasicDynamicsModel has "
-            "three wheels of this kind. Write sat_args=dict(wheelSpeeds=balancedHR16Triad(...)[2])"
-        )
-
-
-def balancedHR16Triad(
-    useRandom: bool = False,
-    randomBounds: tuple[float, float] = (-400.0, 400.0),
-    wheelSpeeds: Sequence[float] = (500.0, 500.0, 500.0),
-) -> WheelTriad:
-    """Return speeds of three wheels, rpm, as the last of three entries: uniform within ``randomBounds``, or ``wheelSpeeds``."""
-    for name, values, count in (("randomBounds", randomBounds, 2), ("wheelSpeeds", wheelSpeeds, 3)):
-        if not isinstance(values, Sequence | np.ndarray) or isinstance(values, str) or len(values) != count:
-            raise ValueError(f"{name}={values!r} must be {count} numbers, rpm")
-        for value in values:
-            number(name, value, unit="rpm")
-    return WheelTriad(Uniform(*randomBounds, 3) if switch("useRandom", useRandom) else list(wheelSpeeds))

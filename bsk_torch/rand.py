@@ -462,7 +462,7 @@ class Choice(Distribution):
     Drawn values are a list, or a tensor [n, size] if a size is set and all options are numbers.
     """
 
-    options: tuple[Any, ...]
+    options: tuple[object, ...]
     size: int | None = field(default=None, repr=False)
 
     def __init__(self, options: Sequence[object], size: int | None = None) -> None:

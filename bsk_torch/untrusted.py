@@ -48,7 +48,7 @@ else:
         """Any content of a JSON file: finite numbers, whole ones of 64 bits."""
 
         @classmethod
-        def __get_pydantic_core_schema__(cls, source: object, handler: Any) -> Any:
+        def __get_pydantic_core_schema__(cls, source: object, handler: object) -> Any:
             from pydantic import AfterValidator, JsonValue
 
             return handler(Annotated[JsonValue, AfterValidator(_checked_numbers)])

@@ -171,11 +171,11 @@ def only(mask: Any, compute: Callable[[], T], otherwise: T) -> T:
     return _rebuilt(otherwise, mask.only(lambda: _leaves(compute()), _leaves(otherwise)))
 
 
-def _leaves(tree: Any) -> list[Any]:
+def _leaves(tree: object) -> list[Any]:
     return [leaf for part in tree for leaf in _leaves(part)] if isinstance(tree, tuple) else [tree]
 
 
-def _rebuilt(like: Any, leaves: list[Any]) -> Any:
+def _rebuilt(like: object, leaves: list[object]) -> Any:
     """Return the ``leaves``, consuming them, in the shape of ``like``."""
     if not isinstance(like, tuple):
         return leaves.pop(0)

@@ -112,7 +112,6 @@ VALID: dict[Any, dict[str, Any]] = {
     rand.random_circular_orbit: {},
     rand.random_epoch: {},
     initial.random_tumble: {},
-    initial.balancedHR16Triad: {},
 }
 """Constructors, and arguments that are right."""
 

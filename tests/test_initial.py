@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from bsk_torch import SatelliteTasking, act, obs, sats
-from bsk_torch.initial import balancedHR16Triad, hill_frame_attitude, random_tumble
+from bsk_torch.initial import hill_frame_attitude, random_tumble
 from bsk_torch.rand import Uniform, first_key, random_circular_orbit, random_orbit, random_unit_vector
 
 R, V = np.array([-2438.5e3, 5811.1e3, 3011.7e3]), np.array([-5543.2, -4210.9, 3605.4])
@@ -38,13 +38,9 @@ def test_a_random_spin_is_drawn_about_its_axis():
     torch.testing.assert_close(torch.rad2deg(anywhere.norm(dim=1)), torch.ones(9, dtype=torch.float64))
 
 
-def test_tumbles_wheels_and_directions_are_distributions():
+def test_tumbles_and_directions_are_distributions():
     sigma, omega = random_tumble(0.01)
     assert (sigma, omega) == (Uniform(0.0, 1.0, 3), Uniform(-0.01, 0.01, 3))
-    assert balancedHR16Triad(useRandom=True, randomBounds=(-400, 400))[2] == Uniform(-400, 400, 3)
-    assert balancedHR16Triad()[-1] == [500.0] * 3
-    with pytest.raises(TypeError, match=r"wheelSpeeds=balancedHR16Triad"):
-        balancedHR16Triad()[0]
     assert random_circular_orbit(i=45.0, alt=600.0) == random_orbit(i=45.0, a=6971.0, omega=0.0)
     torch.testing.assert_close(random_unit_vector().draw(first_key(5)).norm(dim=1), torch.ones(5, dtype=torch.float64))
 
@@ -56,7 +52,7 @@ class Plain(sats.Satellite):
 
 def test_functions_of_sat_args_may_return_distributions():
     """bsk_rl's programs write random_orbit both as a function and inside of one; rows do not depend on the batch."""
-    args = dict(oe=random_orbit, sigma_init=lambda: random_tumble()[0], wheelSpeeds=lambda: balancedHR16Triad(useRandom=True)[2])
+    args = dict(oe=random_orbit, sigma_init=lambda: random_tumble()[0], wheelSpeeds=lambda: Uniform(-400.0, 400.0, 3))
     few, many = (
         SatelliteTasking(Plain("S", args), num_envs=n, seed=1, backend="eager", time_limit=lambda: Uniform(20.0, 60.0))
         for n in (2, 3)

@@ -91,16 +91,16 @@ class DiscreteFSWAction(Action):
 class Charge(DiscreteFSWAction):
     """Point the solar panel at the Sun."""
 
+    @override
     def __init__(self, name: str = "action_charge", duration: float | None = None) -> None:
-        """See :class:`DiscreteFSWAction`."""
         super().__init__("charge", name, duration)
 
 
 class Drift(DiscreteFSWAction):
     """Switch attitude control off; the wheels keep their last torque."""
 
+    @override
     def __init__(self, name: str = "action_drift", duration: float | None = None) -> None:
-        """See :class:`DiscreteFSWAction`."""
         super().__init__("drift", name, duration)
 
 
@@ -112,16 +112,16 @@ class NadirPoint(DiscreteFSWAction):
     ``nadir_pointing_error`` of the flight software is the angle.
     """
 
+    @override
     def __init__(self, name: str = "action_nadir_point", duration: float | None = None) -> None:
-        """See :class:`DiscreteFSWAction`."""
         super().__init__("nadir_point", name, duration)
 
 
 class Desat(DiscreteFSWAction):
     """Desaturate the reaction wheels with thrusters; a repeated action replans the impulses from the current momentum."""
 
+    @override
     def __init__(self, name: str = "action_desat", duration: float | None = None) -> None:
-        """See :class:`DiscreteFSWAction`."""
         super().__init__("desat", name, duration, reset_task=True)
 
 

@@ -126,8 +126,8 @@ class ImpulsiveThrust(ContinuousAction):
         end_ns = (simulator.sim_time.float() + drift) * 1e9 + 0.5
         return ((end_ns.double().floor() - now_ns.double()) * 1e-9).clamp(min=simulator.h)
 
+    @override
     def begin(self, mask: Tensor, decision: Decision) -> None:
-        """See :meth:`ContinuousAction.begin`: thrust."""
         simulator, dv_N = self.satellite.simulator, decision.command
         assert dv_N is not None
         if not self.is_single:

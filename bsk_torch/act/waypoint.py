@@ -220,8 +220,8 @@ class HillWaypoint(Action):
         duration = torch.where(reached & apart & ~self.options.stuck, duration, self.shortest)
         return self._thrust.enter(self._thrust.fsw_action, duration, dv_N)._replace(key=action)
 
+    @override
     def begin(self, mask: Tensor, decision: Decision) -> None:
-        """See :meth:`Action.begin`: thrust."""
         self._thrust.begin(mask, decision)
 
     @override

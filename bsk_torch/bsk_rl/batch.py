@@ -174,7 +174,7 @@ def check_attributes(title: str, part: object, untouched: object) -> None:
         raise NotBatchedError(f"{title} has attributes that are not arguments of it: {', '.join(unknown)}")
 
 
-def counterpart(part: Any, *entries: Any, table: Mapping[type, Stock] = COUNTERPARTS) -> Any:
+def counterpart(part: object, *entries: object, table: Mapping[type, Stock] = COUNTERPARTS) -> Any:
     """Return the core's counterpart of an object, made with ``entries`` before its arguments.
 
     Raises:
@@ -194,7 +194,7 @@ def counterpart(part: Any, *entries: Any, table: Mapping[type, Stock] = COUNTERP
     })  # fmt: skip
 
 
-def observed_entries(observation: Any) -> list[dict[str, Any]]:
+def observed_entries(observation: object) -> list[dict[str, Any]]:
     """Return the observed quantities of an observation as the core takes them; functions may be called for each episode."""
     attribute, presets = ENTRIES.get(type(observation), ("", {}))
     entries = []
@@ -205,13 +205,13 @@ def observed_entries(observation: Any) -> list[dict[str, Any]]:
     return entries
 
 
-def changed_arguments(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
+def changed_arguments(values: Mapping[str, object], defaults: Mapping[str, object]) -> dict[str, Any]:
     """Return the arguments whose values differ from their defaults, as the core takes them."""
     return {name: DRAWS.get(value, value) if callable(value) else value
             for name, value in values.items() if not _same(value, defaults.get(name))}  # fmt: skip
 
 
-def _same(value: Any, default: Any) -> bool:
+def _same(value: object, default: object) -> bool:
     if value is default:
         return True
     return not callable(value) and type(value) is type(default) and bool(np.all(value == default))
@@ -251,7 +251,7 @@ def core_satellite(satellite: Any) -> core_sats.Satellite:
     return made(satellite.name, sat_args, variable_interval=bool(satellite.variable_interval), dtype=builder.dtype, **options)
 
 
-def named_arguments(args: Sequence[Any], kwargs: Mapping[str, Any]) -> dict[str, Any]:
+def named_arguments(args: Sequence[object], kwargs: Mapping[str, object]) -> dict[str, Any]:
     """Return the arguments that an environment was made with, by name."""
     named = {"satellites" if name == "satellite" else name: value for name, value in kwargs.items()}
     bound = inspect.signature(GeneralSatelliteTasking.__init__).bind_partial(None, *args, **named)

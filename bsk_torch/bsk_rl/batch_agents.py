@@ -69,21 +69,21 @@ class AgentsVector:
             names = [allowed.value for allowed in AGENT_MODES]
             raise ValueError(f"autoreset_mode={self.autoreset_mode.value!r} must be one of {names} for agents")
         self.metadata = {"autoreset_mode": self.autoreset_mode, "name": "constellation"}
-        self.possible_agents: list[Any] = list(observation_spaces)
+        self.possible_agents: list[object] = list(observation_spaces)
         self.single_observation_spaces, self.single_action_spaces = dict(observation_spaces), dict(action_spaces)
         self.observation_spaces = {agent: batch_space(space, num_envs) for agent, space in observation_spaces.items()}
         self.action_spaces = {agent: batch_space(space, num_envs) for agent, space in action_spaces.items()}
         self._started = False
 
-    def observation_space(self, agent: Any) -> spaces.Space[Any]:
+    def observation_space(self, agent: object) -> spaces.Space[Any]:
         """Space of an agent's observations in all environments."""
         return self.observation_spaces[agent]
 
-    def action_space(self, agent: Any) -> spaces.Space[Any]:
+    def action_space(self, agent: object) -> spaces.Space[Any]:
         """Space of an agent's actions in all environments."""
         return self.action_spaces[agent]
 
-    def _reset_rows(self, options: Mapping[str, Any] | None) -> np.ndarray:
+    def _reset_rows(self, options: Mapping[str, object] | None) -> np.ndarray:
         """Return which environments ``reset(options=...)`` starts, [N]."""
         mask = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs)), dtype=bool)
         if mask.shape != (self.num_envs,) or not mask.any():

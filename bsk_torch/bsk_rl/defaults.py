@@ -93,7 +93,7 @@ WORLD: dict[type, Methods] = {
 }
 """Arguments of world models."""
 
-RANDOM: dict[str, Callable[[], Any]] = {
+RANDOM: dict[str, Callable[[], object]] = {
     "utc_init": random_epoch,
     "oe": random_orbit,
     "sigma_init": lambda: random_tumble(maxSpinRate=0.0001)[0],
@@ -103,7 +103,7 @@ RANDOM: dict[str, Callable[[], Any]] = {
 }
 """Arguments that are drawn unless they are given; attitude and rate each draw both, as in bsk_rl."""
 
-FIXED: dict[str, Any] = {
+FIXED: dict[str, object] = {
     "utc_init": "this value will be set by the world model",
     "groundLocationPlanetRadius": R_EARTH,
     "imageTargetMinimumElevation": math.radians(45.0),
@@ -117,7 +117,7 @@ ARRAYS = ("nHat_B",)
 """Vectors that are arrays in bsk_rl; others are lists."""
 
 
-def safe_dict_merge(updates: Mapping[str, Any], base: dict[str, Any]) -> dict[str, Any]:
+def safe_dict_merge(updates: Mapping[str, object], base: dict[str, object]) -> dict[str, Any]:
     """Add copies of the entries of ``updates`` to ``base``, with a warning for those that replace others; return ``base``."""
     for name, value in updates.items():
         if name in base and np.any(base[name] != value):
@@ -169,27 +169,24 @@ def _tasks(model: type) -> dict[str, Methods]:
     return listed | {name: listed.get(name, {}) for name in tasks}
 
 
-def _collected(model: object, methods: Methods, values: Mapping[str, Any]) -> dict[str, Any]:
+def _collected(model: object, methods: Methods, values: Mapping[str, object]) -> dict[str, object]:
     """Return the arguments that methods declare, in the order of their names, and those that users have declared with them."""
-    declared = {} if model is None else _declared(model)
-    args: dict[str, Any] = {}
+    declared: dict[str, dict[str, object]] = {}  # by utils.functional.default_args, by method
+    if model is not None:
+        marked = (name for name in dir(model) if not name.startswith("__") and hasattr(getattr(model, name), "defaults"))
+        declared = {name: dict(getattr(model, name).defaults) for name in marked}
+    args: dict[str, object] = {}
     for name in sorted({*methods, *declared}):
         safe_dict_merge(declared.get(name) or {arg: values[arg] for arg in methods[name].split()}, args)
     return args
 
 
-def _declared(model: object) -> dict[str, dict[str, Any]]:
-    """Return what :func:`~bsk_torch.bsk_rl.utils.functional.default_args` has declared on a model, by method."""
-    marked = (name for name in dir(model) if not name.startswith("__") and hasattr(getattr(model, name), "defaults"))
-    return {name: dict(getattr(model, name).defaults) for name in marked}
-
-
-def _values(components: tuple[Component, ...], without: str = "") -> dict[str, Any]:
+def _values(components: tuple[Component, ...], without: str = "") -> dict[str, object]:
     args = (arg for component in components for arg in component.args if arg.name != without)
     return {arg.name: _value(arg) for arg in args}
 
 
-def _value(arg: Arg) -> Any:
+def _value(arg: Arg) -> object:
     if arg.name in RANDOM and isinstance(arg.default, Distribution):
         return RANDOM[arg.name]
     if arg.name in ARRAYS:

@@ -392,7 +392,7 @@ def _rename_duplicates(satellites: Sequence[Satellite]) -> None:
             satellite.name = f"{twice}_{k}"
 
 
-def _world_args(world_type: type[WorldModel], values: Mapping[str, Any]) -> dict[str, Any]:
+def _world_args(world_type: type[WorldModel], values: Mapping[str, object]) -> dict[str, Any]:
     args = world_defaults(world_type)
     for name, value in values.items():
         if name not in args:
@@ -486,7 +486,7 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
                     f"{type(member.observation_space).__name__}"
                 )
 
-    def reset(self, seed: int | None = None, options: Any = None) -> tuple[dict[Any, Any], dict[Any, Any]]:
+    def reset(self, seed: int | None = None, options: object = None) -> tuple[dict[Any, Any], dict[Any, Any]]:
         """Start an episode; observations and infos by agent."""
         self.newly_dead, self._agents_last_compute_time = [], None
         return super().reset(seed, options)
@@ -541,28 +541,25 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
         low, high = (np.concatenate([getattr(part, bound) for part in parts]) for bound in ("low", "high"))
         return spaces.Box(low=low, high=high, dtype=self.dtype or parts[0].dtype)
 
-    def observation_space(self, agent: Any) -> Any:  # type: ignore[override]
+    def observation_space(self, agent: object) -> Any:  # type: ignore[override]
         """Observation space of an agent, the same object in every call."""
         return self._space("observation_spaces", agent)
 
-    def action_space(self, agent: Any) -> Any:  # type: ignore[override]
+    def action_space(self, agent: object) -> Any:  # type: ignore[override]
         """Action space of an agent, the same object in every call."""
         return self._space("action_spaces", agent)
 
-    def _space(self, table: str, agent: Any) -> Any:
+    def _space(self, table: str, agent: object) -> object:
         if (table, agent) not in self._spaces:
             self._spaces[table, agent] = getattr(self, table)[agent]
         return self._spaces[table, agent]
 
     # -- what a step gives --------------------------------------------------------------------------------------------
 
-    def _requires_retasking(self, agent: Any) -> bool:
-        return any(satellite.requires_retasking for satellite in self.meta_agent_groupings[agent])
-
     def _get_obs(self) -> dict[Any, Any]:
         observations = {}
         for agent, members in self._present().items():
-            if self.generate_obs_retasking_only and not self._requires_retasking(agent):
+            if self.generate_obs_retasking_only and not any(member.requires_retasking for member in members):
                 parts = [satellite.observation_space.low * 0 for satellite in members]
             else:
                 parts = [satellite.get_obs() for satellite in members]
@@ -603,7 +600,7 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
 
     # -- step ---------------------------------------------------------------------------------------------------------
 
-    def _decompose_meta_action(self, agent: Any, action: Any) -> dict[Satellite, Any]:
+    def _decompose_meta_action(self, agent: object, action: object) -> dict[Satellite, object]:
         parts, first = {}, 0
         for satellite in self.meta_agent_groupings[agent]:
             if not isinstance(action, list | tuple | np.ndarray):

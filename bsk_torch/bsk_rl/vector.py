@@ -124,7 +124,7 @@ class Alone(gymnasium.Wrapper[Any, Any, Any, Any]):
             self._draws = np.random.get_state()
             np.random.set_state(before)
 
-    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: object = None) -> tuple[Any, dict[str, Any]]:
         """Start an episode.
 
         Args:
@@ -159,7 +159,7 @@ class EpisodesVectorEnv(SyncVectorEnv):
         alone = [Alone(env) for env in envs]
         super().__init__([lambda one=one: one for one in alone], autoreset_mode=parse_mode(autoreset_mode))  # type: ignore[misc]
 
-    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+    def call(self, name: str, *args: object, **kwargs: object) -> tuple[Any, ...]:
         """Return an attribute of every environment, or the results of a method."""
         return called(self.envs, name, *args, **kwargs)
 
@@ -211,7 +211,7 @@ class AgentsVectorEnv(AgentsVector):
         """Remaining agents of each environment."""
         return [one.env.agents for one in self.envs]
 
-    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+    def call(self, name: str, *args: object, **kwargs: object) -> tuple[Any, ...]:
         """Return an attribute of every environment, or the results of a method."""
         return called(self.envs, name, *args, **kwargs)
 
@@ -219,7 +219,7 @@ class AgentsVectorEnv(AgentsVector):
         """Return an attribute of every environment."""
         return self.call(name)
 
-    def set_attr(self, name: str, values: Any) -> None:
+    def set_attr(self, name: str, values: object) -> None:
         """Set an attribute: to one value everywhere, or to those of a list [N]; ValueError for a list of another length."""
         each = values if isinstance(values, list | tuple) else [values] * self.num_envs
         if len(each) != self.num_envs:
@@ -235,7 +235,7 @@ class AgentsVectorEnv(AgentsVector):
     # -- reset and step -----------------------------------------------------------------------------------------------
 
     def reset(
-        self, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+        self, seed: int | Sequence[int | None] | None = None, options: dict[str, object] | None = None
     ) -> tuple[ByAgent, ByAgent]:
         """Start episodes; return observations and infos.
 
@@ -299,7 +299,7 @@ class AgentsVectorEnv(AgentsVector):
 
 def stacked(infos: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return infos of environments as arrays [N] by name, zero where one is missing; nested ones as nested dictionaries."""
-    arrays: dict[str, Any] = {}
+    arrays: dict[str, object] = {}
     for name in dict.fromkeys(name for info in infos for name in info):
         values = [info.get(name) for info in infos]
         if any(isinstance(value, Mapping) for value in values):

@@ -77,7 +77,7 @@ command line. Threads are set for torch, and not in the dictionary; nor are opti
 class WithoutTypes:
     """A command whose help shows no types of switches."""
 
-    def get_params(self, ctx: Any) -> list[Any]:
+    def get_params(self, ctx: object) -> list[Any]:
         """Return the parameters; ``--help <bool>`` says no more than ``--help``."""
         parameters: list[Any] = super().get_params(ctx)  # type: ignore[misc]
         for parameter in parameters:
@@ -107,7 +107,7 @@ def command(name: str, function: Callable[..., None]) -> Any:
     declared = dict(signature.parameters)
     settings: tuple[str, ...] = declared.pop("options").annotation.__metadata__[0] if "options" in declared else ()
 
-    def start(*, verbose: bool, quiet: bool, **arguments: Any) -> None:
+    def start(*, verbose: bool, quiet: bool, **arguments: object) -> None:
         terminal.set_verbosity(verbose, quiet)
         check_names(arguments)
         if settings:

@@ -20,6 +20,7 @@ from bsk_torch.cli.names import FIRST, PREFIX, PRETRAINED, check_policy, resolve
 from bsk_torch.cli.shared import environment, made
 from bsk_torch.cli.terminal import Failure, fail, refusing
 from bsk_torch.env import Tasking
+from bsk_torch.rl.evaluation.results import TRAINED
 from bsk_torch.rl.policies.files import build_policy, check_fits, read_card
 from bsk_torch.rl.policies.pretrained import pretrained_file
 from bsk_torch.rl.policies.shared_policy import RULES, as_policy, baseline, shared, shared_baselines
@@ -27,9 +28,6 @@ from bsk_torch.sim.names import nearest
 from bsk_torch.wrappers.policies import Actor, Model
 
 logger = logging.getLogger(__name__)
-
-TRAINED = "trained"
-"""Name, in results, of the policy of a file."""
 
 Enter = Callable[[str, Callable[..., Tasking]], Any]
 """Enters a policy: a function of the name of a preset and of a function that makes its environment. It is to return this

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -122,7 +122,7 @@ def profile(
     network: Network = None,
     seconds: Annotated[float, flag("S", "CPU time to measure, without compilation.", min=0.01)] = 10.0,
     *,
-    options: Annotated[dict[str, Any], ("backend", "device", "time_limit")],
+    options: Annotated[dict[str, object], ("backend", "device", "time_limit")],
 ) -> None:
     """Print where the CPU time of a training goes, decisions per CPU-second, and what to change.
 

@@ -120,14 +120,12 @@ def load(source: str, name: str) -> ctypes.CDLL:
         key = hashlib.sha256("\n".join([*parts, processor(), _chosen_isa()]).encode()).hexdigest()[:32]
         path = cache_folder() / f"{key}.so"
     if path.name not in LOADED:
-        library = _shipped(parts) if target is None else None
-        LOADED[path.name] = library or _cached(path) or _built(source, path, name)
+        places = [path]
+        if target is None:
+            isas = [isa] if (isa := _chosen_isa()) else shipped.can_run()
+            places = [*shipped.candidates(parts, isas), path]
+        LOADED[path.name] = next((library for place in places if (library := _cached(place))), None) or _built(source, path, name)
     return LOADED[path.name]
-
-
-def _shipped(parts: list[str]) -> ctypes.CDLL | None:
-    isas = [isa] if (isa := _chosen_isa()) else shipped.can_run()
-    return next((library for path in shipped.candidates(parts, isas) if (library := _cached(path))), None)
 
 
 # -- building ----------------------------------------------------------------------------------------------------------------

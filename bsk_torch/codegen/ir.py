@@ -260,7 +260,7 @@ def fold(program: Program[Any], op: str, args: tuple[Value, ...], dtype: torch.d
     return None
 
 
-def _fold_cast(program: Program[Any], value: Value, dtype: torch.dtype) -> Any:
+def _fold_cast(program: Program[Any], value: Value, dtype: torch.dtype) -> object:
     """Fold the cast of a mask that was cast before, or of a choice between constants: float64 needs no float32 in between."""
     if value.op == "cast" and value.args[0].dtype == torch.bool:
         return program.cast(value.args[0], dtype)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable
 from types import FunctionType
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 PACKAGE = __name__.partition(".")[0]
 
@@ -32,7 +32,7 @@ class Kept(Generic[Value]):
         return value
 
 
-def of_package(functions: Iterable[Callable[..., Any]]) -> bool:
+def of_package(functions: Iterable[Callable[..., object]]) -> bool:
     """Return whether all functions, and those that they enclose, are the package's: what they compute cannot change."""
     for function in functions:
         if not isinstance(function, FunctionType) or function.__module__.partition(".")[0] != PACKAGE:

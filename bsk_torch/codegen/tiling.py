@@ -91,7 +91,9 @@ def in_tiles(
         present: Rows that run, [n] (default: all).
     """
     groups = len(counts) // group
-    each = _groups_of_a_tile(groups, group, width)
+    # a tile has as few groups as fill its blocks, or a multiple of them; tiles larger than a cache are slower
+    least = next(k for k in range(1, width + 1) if -(k * group) % width <= SPARE * k * group)
+    each = max(1, min(groups, least * max(1, min(BLOCKS * width // (least * group), groups // (least * TILES)))))
     shape = -(-groups // each), each * group
     ranked = expected_ticks.view(groups, group).amin(1).argsort()
     rows = _filled((ranked.unsqueeze(1) * group + torch.arange(group)).flatten(), 0, shape)
@@ -108,13 +110,6 @@ def in_tiles(
     rows, owners = torch.constant_pad_nd(rows, padding, 0), torch.constant_pad_nd(owners, padding, groups)
     ends = torch.cat([counts[::group], counts.new_zeros(1)])
     return Tiles(rows, owners, ends, (shape[0], rows.shape[1] // width))
-
-
-def _groups_of_a_tile(groups: int, group: int, width: int) -> int:
-    """Return the number of groups in a tile: as few as fill its blocks, or a multiple; tiles larger than a cache are slower."""
-    least = next(k for k in range(1, width + 1) if -(k * group) % width <= SPARE * k * group)
-    times = min(BLOCKS * width // (least * group), groups // (least * TILES))
-    return max(1, min(groups, least * max(1, times)))
 
 
 def _filled(values: Tensor, filler: int, shape: tuple[int, int]) -> Tensor:

@@ -60,7 +60,7 @@ class Tracer(Program[Proxy]):
 UNKNOWN = "has no kernel: kernels compute element by element, what bsk_torch.codegen.trace.FUNCTIONS lists"
 
 
-def _build(name: str, prefix: str, args: Sequence[Any], kwargs: dict[str, Any]) -> Proxy:
+def _build(name: str, prefix: str, args: Sequence[object], kwargs: dict[str, object]) -> Proxy:
     if name not in FUNCTIONS:
         raise UntraceableError(f"{prefix}{name} {UNKNOWN}")
     try:
@@ -78,7 +78,7 @@ def _program(args: Sequence[Any]) -> Program[Proxy]:
     return next(arg.program for arg in args if isinstance(arg, Proxy))
 
 
-def as_value(program: Program[Proxy], value: Any, dtype: torch.dtype) -> Proxy:
+def as_value(program: Program[Proxy], value: object, dtype: torch.dtype) -> Proxy:
     """Return a value, a number or a tensor without dimensions as a value of a type."""
     if isinstance(value, Proxy):
         return program.cast(value, dtype)
@@ -91,7 +91,7 @@ def as_value(program: Program[Proxy], value: Any, dtype: torch.dtype) -> Proxy:
     return program.constant(value, dtype)
 
 
-def _literal_dtype(value: Any) -> torch.dtype:
+def _literal_dtype(value: object) -> torch.dtype:
     """Return the type of a number or a tensor without dimensions among booleans: torch's, as long as its default is float32."""
     if isinstance(value, torch.Tensor):
         return require_dtype(value.dtype)
@@ -100,7 +100,7 @@ def _literal_dtype(value: Any) -> torch.dtype:
     return require_dtype(torch.float32 if isinstance(value, float) else torch.int64)
 
 
-def _common(program: Program[Proxy], args: Sequence[Any]) -> tuple[Proxy, ...]:
+def _common(program: Program[Proxy], args: Sequence[object]) -> tuple[Proxy, ...]:
     """Return arguments as values of one type, by torch's promotion: numbers adapt to values, unless these are booleans."""
     dtypes = {arg.dtype for arg in args if isinstance(arg, Proxy)}
     if dtypes <= {torch.bool}:
@@ -109,7 +109,7 @@ def _common(program: Program[Proxy], args: Sequence[Any]) -> tuple[Proxy, ...]:
     return tuple(as_value(program, arg, dtype) for arg in args)
 
 
-def _pair(program: Program[Proxy], a: Any, b: Any) -> tuple[Proxy, Proxy]:
+def _pair(program: Program[Proxy], a: object, b: object) -> tuple[Proxy, Proxy]:
     a, b = _common(program, (a, b))
     return a, b
 
@@ -125,7 +125,7 @@ def _require_mask(name: str, *values: Value) -> None:
 def _numeric(op: str) -> Callable[..., Proxy]:
     """Return a builder of ``op``, whose arguments and result are of one type; some mean something for booleans, too."""
 
-    def build(*args: Any) -> Proxy:
+    def build(*args: object) -> Proxy:
         program = _program(args)
         values = _common(program, args)
         if values[0].dtype != torch.bool:
@@ -138,7 +138,7 @@ def _numeric(op: str) -> Callable[..., Proxy]:
 
 
 def _comparison(op: str) -> Callable[..., Proxy]:
-    def build(a: Any, b: Any) -> Proxy:
+    def build(a: object, b: object) -> Proxy:
         program = _program((a, b))
         values = _common(program, (a, b))
         if values[0].dtype != torch.bool:
@@ -154,7 +154,7 @@ def _comparison(op: str) -> Callable[..., Proxy]:
 def _logical(op: str, truths: bool) -> Callable[..., Proxy]:
     """Return a builder of ``op`` on booleans; with ``truths``, numbers are true unless they are zero."""
 
-    def build(*args: Any) -> Proxy:
+    def build(*args: object) -> Proxy:
         program = _program(args)
         values = tuple(as_value(program, arg, torch.bool) for arg in args) if truths else _common(program, args)
         _require_mask(op, *values)
@@ -163,12 +163,12 @@ def _logical(op: str, truths: bool) -> Callable[..., Proxy]:
     return build
 
 
-def _clamp(x: Proxy, min: Any = None, max: Any = None) -> Proxy:
+def _clamp(x: Proxy, min: object = None, max: object = None) -> Proxy:
     lowered = x if min is None else _numeric("maximum")(x, min)
     return lowered if max is None else _numeric("minimum")(lowered, max)
 
 
-def _where(mask: Any, yes: Any, no: Any) -> Proxy:
+def _where(mask: object, yes: object, no: object) -> Proxy:
     program = _program((mask, yes, no))
     mask = mask if isinstance(mask, Proxy) else as_value(program, mask, torch.bool)
     _require_mask("where", mask)
@@ -184,14 +184,14 @@ def _full_like(x: Proxy, number: float, dtype: torch.dtype | None = None, **_: A
     return as_value(x.program, number, require_dtype(dtype) if dtype else x.dtype)
 
 
-def _power(x: Proxy, exponent: Any) -> Proxy:
+def _power(x: Proxy, exponent: object) -> Proxy:
     if isinstance(exponent, Proxy) or exponent not in (2, 3):
         raise UntraceableError("only squares and cubes have a kernel; write other powers with products, roots, exp and log")
     square = _numeric("mul")(x, x)
     return square if exponent == 2 else _numeric("mul")(square, x)
 
 
-def _remainder(x: Any, divisor: Any) -> Proxy:
+def _remainder(x: object, divisor: object) -> Proxy:
     """``x - floor(x / divisor) * divisor``: fmod has the sign of x, the remainder that of the divisor."""
     x, divisor = _common(_program((x, divisor)), (x, divisor))
     rest = x.fmod(divisor)
@@ -251,10 +251,10 @@ REFUSED = {
 """Operators that proxies do not have, and why."""
 
 
-def _operator(name: str, swapped: bool) -> Callable[[Proxy, Any], Any]:
+def _operator(name: str, swapped: bool) -> Callable[[Proxy, object], object]:
     build = FUNCTIONS[name]
 
-    def method(self: Proxy, other: Any) -> Any:
+    def method(self: Proxy, other: object) -> Any:
         if isinstance(other, tuple):
             return NotImplemented
         return build(other, self) if swapped else build(self, other)
@@ -263,7 +263,7 @@ def _operator(name: str, swapped: bool) -> Callable[[Proxy, Any], Any]:
 
 
 def _refusal(reason: str) -> Callable[..., NoReturn]:
-    def method(*_: Any) -> NoReturn:
+    def method(*_: object) -> NoReturn:
         raise UntraceableError(reason)
 
     return method

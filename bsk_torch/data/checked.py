@@ -43,13 +43,13 @@ class CheckedRewarder:
 
     def log(self) -> Log:
         """Return the log of the current state; TypeError unless it is a dictionary of tensors [N, S, ...]."""
-        found, shape = self.rewarder.read_log(), self.rewarder.fleet.shape
-        if not isinstance(found, dict):
-            raise TypeError(f"{self._name}.read_log() returns {found!r}; it must return a dictionary of tensors")
-        for name, value in found.items():
+        log, shape = self.rewarder.read_log(), self.rewarder.fleet.shape
+        if not isinstance(log, dict):
+            raise TypeError(f"{self._name}.read_log() returns {log!r}; it must return a dictionary of tensors")
+        for name, value in log.items():
             if not isinstance(value, Tensor) or value.shape[:2] != shape:
                 check_tensor(f"{self._name}.read_log()[{name!r}]", value, shape)
-        return found
+        return log
 
     def reward(self, before: Log, after: Log) -> Tensor:
         """Return the reward of a step, [N, S]; FloatingPointError if that of a user's rewarder is NaN or infinite."""

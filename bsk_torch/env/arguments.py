@@ -16,7 +16,6 @@ from bsk_torch.env.changes import Change, LiveArguments, changed, episodes, of_s
 from bsk_torch.env.snapshots import Snapshots, fingerprint
 from bsk_torch.sim.faults.declared import Fault
 from bsk_torch.sim.names import nearest
-from bsk_torch.sim.simulator import Simulator
 
 Environment = TypeVar("Environment", bound="MadeOfArguments")
 
@@ -78,7 +77,7 @@ class MadeOfArguments(Snapshots):
                 "sat_args_generator",
             )
 
-    def _set_type(self, names: Sequence[str], values: dict[str, Any]) -> None:
+    def _set_type(self, names: Sequence[str], values: dict[str, object]) -> None:
         if len(names) > 1:
             raise TypeError(
                 f"sat_args_generator belongs to {list(names)}; env.set_sat_args({{{names[0]!r}: {values}}}) sets one of them"
@@ -112,19 +111,16 @@ class MadeOfArguments(Snapshots):
             raise ValueError(f"inject: satellite={satellite!r} is unknown; {nearest(str(satellite), self.names)}")
         rows, _ = episodes(envs, len(self.env_ids), self.env_ids)
         rows = self.fleet.all_envs if rows is None else rows.to(self.device)
-        struck = [part for part in self.fleet.simulators if self._may_have(part, name, satellite)]
+        if satellite is None:
+            struck = [k for k in self.fleet.simulators if name in [fault.name for fault in k.state.argument("faults") or ()]]
+        else:
+            struck = [k for k in self.fleet.simulators if satellite in [self.names[column] for column in k.columns]]
         with self.guard:
             self.guard.check_begun("inject(fault)", torch.zeros_like(self.state.begun).index_fill(0, rows, True))
             for simulator in struck or self.fleet.simulators[:1]:  # which names what it has
                 columns = [k for k, column in enumerate(simulator.columns) if satellite in (None, self.names[column])]
                 struck_rows = rows.unsqueeze(-1) * simulator.count + torch.tensor(columns, device=self.device)
                 simulator.strike(name, struck_rows.flatten())
-
-    def _may_have(self, simulator: Simulator, fault: str, satellite: str | None) -> bool:
-        """Return whether a fault is declared for a type of satellites, or the ``satellite`` that shall have it is of the type."""
-        if satellite is not None:
-            return satellite in [self.names[column] for column in simulator.columns]
-        return fault in [known.name for known in simulator.state.argument("faults") or ()]
 
     def like(self: Environment, num_envs: int, env_ids: Sequence[int] | Tensor | None = None) -> Environment:
         """Return another environment of the same kind, with separate episodes, seed 0 and no logs.

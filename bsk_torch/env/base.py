@@ -77,7 +77,7 @@ class Tasking(Present, MadeOfArguments):
         scenario: Scenario | None,
         rewarder: GlobalReward | Iterable[GlobalReward] | None,
         communicator: CommunicationMethod | None,
-        sat_arg_randomizer: Any,
+        sat_arg_randomizer: object,
         options: TaskingOptions,
     ) -> None:
         EnvBase.__init__(self, device=existing_device(options.device), batch_size=(options.num_envs,))
@@ -131,9 +131,9 @@ class Tasking(Present, MadeOfArguments):
         lines = [f"{type(self).__name__}: {self.num_envs} environments on {self.device}, scenario {type(self.scenario).__name__}"]
         for satellite in self.satellites:
             names = ", ".join(satellite.names[:3]) + (f" and {len(satellite.names) - 3} more" if len(satellite.names) > 3 else "")
-            seen, actions = satellite.observation_description, satellite.action_description
+            observed, actions = satellite.observation_description, satellite.action_description
             shown = ", ".join(actions[:6]) + (", ..." if len(actions) > 6 else "")
-            lines.append(f"  {names} ({type(satellite).__name__}): {len(seen)} observed, {len(actions)} actions ({shown})")
+            lines.append(f"  {names} ({type(satellite).__name__}): {len(observed)} observed, {len(actions)} actions ({shown})")
         return "\n".join(lines)
 
     def to(self, device: torch.device | str) -> Tasking:  # type: ignore[override]
@@ -177,7 +177,7 @@ class Tasking(Present, MadeOfArguments):
     def _action_name(self) -> str:
         return "'action'"
 
-    def _reset(self, tensordict: TensorDictBase | None = None, *, set_state: bool = False, **unknown: Any) -> TensorDict:
+    def _reset(self, tensordict: TensorDictBase | None = None, *, set_state: bool = False, **unknown: object) -> TensorDict:
         if unknown:
             messages.check_reset(type(self).__name__, unknown)
         mask = None if tensordict is None else tensordict.get("_reset", None)

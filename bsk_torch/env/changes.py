@@ -30,7 +30,7 @@ class Change(NamedTuple):
 
     satellite: int | None
     name: str
-    value: Any
+    value: object
     envs: tuple[int, ...] | None
 
 
@@ -115,7 +115,7 @@ class LiveArguments(MutableMapping[str, Any]):
         """Look up names in ``arguments``, in order of precedence; ``write`` sets values."""
         self._arguments, self._write, self._title = arguments, write, title
 
-    def _table(self) -> dict[str, Any]:
+    def _table(self) -> dict[str, object]:
         return {name: value for arguments in reversed(self._arguments()) for name, value in arguments.given.items()}
 
     def __getitem__(self, name: str) -> Any:

@@ -147,13 +147,13 @@ class ConstellationTasking(Tasking):
     def _observed(self, group: Group, trial: list[Values], shape: tuple[int, ...]) -> dict[str, Any]:
         first = group.types[0]
         if self.satellites[first].obs_type is dict and not group.is_meta:
-            observation: Any = self._tree(trial[first], shape)
+            observation: object = self._tree(trial[first], shape)
         else:
             width = sum(ObservationBuilder.vector(trial[t], self.dtype).shape[-1] for t in group.types)
             observation = Unbounded((*shape, width), dtype=self.dtype)
         sizes = sum(self._sizes(group))
         flag = {"dtype": torch.bool}
-        parts: dict[str, Any] = {
+        parts: dict[str, object] = {
             "observation": observation,
             **({"action_mask": mask_spec(sizes, shape)} if sizes else {}),
             "requires_retasking": Categorical(2, shape=(*shape, 1), **flag),
@@ -166,7 +166,7 @@ class ConstellationTasking(Tasking):
             parts["duration"] = Unbounded((*shape, 1), dtype=self.dtype)
         return parts
 
-    def _acted(self, group: Group, shape: tuple[int, ...]) -> Any:
+    def _acted(self, group: Group, shape: tuple[int, ...]) -> object:
         members, sizes = [self.satellites[t] for t in group.types], self._sizes(group)
         if self._by_name(group):
             pairs = zip(self._names_of(group), members, strict=True)
@@ -207,7 +207,7 @@ class ConstellationTasking(Tasking):
     @property
     def agents_stay(self) -> bool:
         """Whether agents terminated by the rewarder stay in the continuing episode."""
-        return self.options.compat == "bsk_rl" and not self.joint
+        return self.simulator.type.compat and not self.joint
 
     def _all_agents_ended(self, ended: Tensor) -> Tensor:
         """Return the episodes whose agents have all lost a satellite of ``ended`` [N, S], or the joint agent any, [N]."""
@@ -229,7 +229,7 @@ class ConstellationTasking(Tasking):
         Under ``compat``, agents that die in a step of zero ``duration`` [N] s stay for another step.
         """
         dead, removed = self.dead, self.state.removed.clone()
-        if self.options.compat == "bsk_rl":
+        if self.simulator.type.compat:
             dead = dead & (duration > 0.0).unsqueeze(1)
         for group in self.groups:
             gone = self._by_agent(group, dead).unsqueeze(-1).expand(-1, *group.members.shape)
@@ -312,7 +312,7 @@ class ConstellationTasking(Tasking):
         duration = torch.zeros_like(self.fleet.sim_time) if result is None else result.duration
         duration = duration.to(self.dtype).unsqueeze(-1)
         hidden = self.state.removed if result is None else result.removed
-        outputs: dict[str, Any] = {**parts, "duration": duration}
+        outputs: dict[str, object] = {**parts, "duration": duration}
         observations = [
             satellite.observations.get_dict() if satellite.obs_type is dict else satellite.observations.get_vector(self.dtype)
             for satellite in self.satellites
@@ -349,7 +349,7 @@ class ConstellationTasking(Tasking):
             mask = self._members(legal[t], within, group.whole[m])
             may = free if self.options.mask_busy else ~self.state.removed[:, group.members[:, m : m + 1]]
             masks.append(torch.cat([mask & may.expand(mask.shape).contiguous(), ~free], -1))  # five times as fast as broadcasts
-        leaves: dict[str, Any] = {"observation": observation, **({"action_mask": torch.cat(masks, -1)} if masks else {})}
+        leaves: dict[str, object] = {"observation": observation, **({"action_mask": torch.cat(masks, -1)} if masks else {})}
         leaves["requires_retasking"] = wanted.any(-1, keepdim=True)
         if group.is_meta or self.joint:
             leaves["members_require_retasking"] = wanted
@@ -370,7 +370,7 @@ class ConstellationTasking(Tasking):
         table = rows.view(self.fleet.num_envs, -1, *rows.shape[1:])
         return table if whole else table[:, within]
 
-    def _observation(self, group: Group, observations: list[Any], hidden: Tensor) -> Any:
+    def _observation(self, group: Group, observations: list[Any], hidden: Tensor) -> object:
         """Return the observations [N, A, O], zero for members that are ``hidden`` [N, A, M]."""
         if isinstance(observations[group.types[0]], dict):
             shape = (self.fleet.num_envs, self.fleet.simulators[group.types[0]].count)

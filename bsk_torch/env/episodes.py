@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 import torch
@@ -172,7 +171,7 @@ class Episodes(EnvBase):
         """
         count = self.num_envs
         several = isinstance(seeds, Sequence | Tensor | np.ndarray) and not isinstance(seeds, str)
-        numbers: list[Any] = list(seeds) if several else [seeds] * count  # type: ignore[arg-type]
+        numbers: list[object] = list(seeds) if several else [seeds] * count  # type: ignore[arg-type]
         if len(numbers) != count:
             raise ValueError(f"seed has {len(numbers)} entries; it must be an integer or have {count}, one per environment")
         numbers = [seed.item() if isinstance(seed, Tensor) and seed.ndim == 0 else seed for seed in numbers]
@@ -222,7 +221,7 @@ def whole_limit(limit: Tensor, et: Tensor, h_ns: int) -> tuple[Tensor, Tensor]:
     return ticks.long(), torch.where(torch.isfinite(limit), ticks * (h_ns * NANO), limit)
 
 
-def read_env_ids(env_ids: Any, n: int) -> Tensor:
+def read_env_ids(env_ids: object, n: int) -> Tensor:
     """Return the index of each episode in draws, [n] int64 (default: 0 to n - 1); ValueError for invalid indices."""
     if env_ids is None:
         return torch.arange(n)

@@ -32,7 +32,7 @@ RESET = {
 """Arguments of Gymnasium's ``reset``, and their replacements."""
 
 
-def check_reset(kind: str, arguments: dict[str, Any]) -> None:
+def check_reset(kind: str, arguments: dict[str, object]) -> None:
     """Raise TypeError for arguments not accepted by ``reset`` of the class ``kind``."""
     for name in arguments:
         advice = f"write {RESET[name]}" if name in RESET else "it takes a tensordict and set_state"
@@ -51,10 +51,10 @@ def given_action(tensordict: TensorDictBase, *key: str) -> Any:
     return action
 
 
-def reject_call(kind: str, key: str, given: object) -> NoReturn:
+def reject_call(kind: str, key: str, received: object) -> NoReturn:
     """Raise TypeError for an argument of ``step`` or ``reset`` of the class ``kind`` other than a tensordict."""
     raise TypeError(
-        f"{kind} is an environment of TorchRL, whose step and reset take a tensordict, not {given!r}: td = env.reset(); "
+        f"{kind} is an environment of TorchRL, whose step and reset take a tensordict, not {received!r}: td = env.reset(); "
         f"td[{key}] = actions; td = env.step(td)['next']. For observation, reward, terminated, truncated, "
         f"info = env.step(action): {VIEW}"
     )

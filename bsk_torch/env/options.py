@@ -92,7 +92,7 @@ class TaskingOptions:
 
     num_envs: int = 1
     world_type: type[WorldModel] | Sequence[type[WorldModel]] | None = None
-    world_args: Mapping[str, Any] | Callable[[], Mapping[str, Any]] | None = None
+    world_args: Mapping[str, object] | Callable[[], Mapping[str, object]] | None = None
     sim_rate: float = 1.0
     max_step_duration: float = 1e9
     failure_penalty: float = -1.0
@@ -102,7 +102,7 @@ class TaskingOptions:
     device: torch.device | str = "cpu"
     seed: int | None = None
     env_ids: Sequence[int] | Tensor | None = None
-    dtype: Any = None
+    dtype: object = None
     sim_dtype: torch.dtype = torch.float64
     orbit: str | None = None
     backend: str = "compiled"

@@ -16,9 +16,9 @@ from bsk_torch.obs.base import ObservationBuilder
 from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sim.dyn.events import DISARMED, DOWNLINK_TICK
-from bsk_torch.sim.fleet import NEVER
 from bsk_torch.sim.hooks import check_tensor, overrides
 from bsk_torch.sim.run.coupled import RunResult
+from bsk_torch.sim.run.encounters import NEVER
 
 
 class SatelliteGroup(BoundSatellite):

@@ -56,7 +56,7 @@ class Snapshots(Episodes):
 
     def restore(
         self,
-        state: TensorDictBase | Mapping[str, Any] | Snapshots,
+        state: TensorDictBase | Mapping[str, object] | Snapshots,
         envs: Tensor | Sequence[int] | None = None,
         source: Tensor | Sequence[int] | None = None,
     ) -> None:
@@ -95,7 +95,7 @@ class Snapshots(Episodes):
             if not isinstance(state, Snapshots):
                 self.guard.origin = Origin.RESTORED
 
-    def _fitting(self, state: Any, envs: Any, source: Any) -> tuple[FleetState, Tensor, Tensor]:
+    def _fitting(self, state: object, envs: object, source: object) -> tuple[FleetState, Tensor, Tensor]:
         """Return the checked tables of a state, and the indices [n] of the replaced episodes and of their replacements."""
         other: Any
         if isinstance(state, Snapshots):
@@ -146,7 +146,7 @@ def fingerprint(fleet: SatelliteFleet) -> Tensor:
     return torch.tensor([FORMAT, fleet.simulators[0].h_ns, *digests])
 
 
-def over_saved(fleet: Fleet, numbers: Tensor, state: Mapping[str, Any] | TensorDictBase) -> StateTable:
+def over_saved(fleet: Fleet, numbers: Tensor, state: Mapping[str, object] | TensorDictBase) -> StateTable:
     """Return the tables of a saved state for a fleet whose fingerprint is ``numbers``; :func:`check_values` checks their rows."""
     if not isinstance(state, Mapping | TensorDictBase):
         raise TypeError(
@@ -202,7 +202,7 @@ def check_fingerprint(numbers: Tensor, theirs: Tensor) -> None:
             raise ValueError(f"state was saved by another kind of environment; they differ in the {meaning}{how}")
 
 
-def rows_of(name: str, rows: Any, count: int, device: torch.device) -> Tensor:
+def rows_of(name: str, rows: object, count: int, device: torch.device) -> Tensor:
     """Return the indices of episodes given in the argument ``name``, [n] int64."""
     index = torch.as_tensor(rows, device=device)
     listed = index.ndim == 1 and (not index.numel() or not (index.dtype == torch.bool or index.is_floating_point()))

@@ -130,14 +130,14 @@ class SatelliteTasking(Tasking):
     def _outputs(self, result: StepResult | None, **parts: Tensor) -> TensorDict:
         return self._wrapped(self._entries(result, **parts))
 
-    def _wrapped(self, entries: dict[str, Any]) -> TensorDict:
+    def _wrapped(self, entries: dict[str, object]) -> TensorDict:
         return TensorDict(entries, self.batch_size, device=self.device)
 
-    def _entries(self, result: StepResult | None, **parts: Any) -> dict[str, Any]:
+    def _entries(self, result: StepResult | None, **parts: object) -> dict[str, object]:
         """Return ``parts`` with the observations of the present and what a step has come to, or a reset if None."""
         observations = self.satellite.observations
         in_parts = self.satellite.obs_type is dict
-        observation: Any = (
+        observation: object = (
             self._cast(observations.get_dict(), self.batch_size) if in_parts else observations.get_vector(self.dtype)
         )
         duration = torch.zeros_like(self.fleet.sim_time) if result is None else result.duration

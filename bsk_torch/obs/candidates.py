@@ -22,7 +22,7 @@ class Entry(NamedTuple):
     norm: float
 
 
-def parsed(title: str, entry: Mapping[str, Any], properties: Sequence[str]) -> Entry:
+def parsed(title: str, entry: Mapping[str, object], properties: Sequence[str]) -> Entry:
     """Return an entry of a user; ValueError for a wrong one."""
     if not isinstance(entry, Mapping):
         example = f"dict(prop={properties[0]!r}, norm=2)"

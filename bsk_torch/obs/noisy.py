@@ -56,7 +56,7 @@ class Noisy(Observation):
         self._parts = [(_parse(noise, "noise"), False), (_parse(bias, "bias"), True)]
         self._plans: list[list[tuple[Distribution, list[int]]]] | None = None
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> Noisy:
+    def __deepcopy__(self, memo: dict[int, object]) -> Noisy:
         made = copy.copy(self)
         made.observation = copy.deepcopy(self.observation, memo)
         return made

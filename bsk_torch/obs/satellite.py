@@ -47,7 +47,7 @@ class SatProperties(Observation):
         self._reads = [self._read(*each) for each in zip(self.entries, self.modules, self._functions, strict=True)]
         numbered = range(len(self.entries))
         runs = [list(run) for _, run in itertools.groupby(numbered, lambda k: self._observed(k) is None)]
-        self._runs = [(run, tuple(found for k in run if (found := self._observed(k)) is not None)) for run in runs]
+        self._runs = [(run, tuple(quantity for k in run if (quantity := self._observed(k)) is not None)) for run in runs]
         self._norms: dict[tuple[Function, ...], Tensor] = {}
 
     @property

@@ -39,7 +39,7 @@ from bsk_torch.sim.arguments.values import nearest
 
 __all__ = ["PRESETS", "make"]
 
-PRESETS: Entries[Callable[..., Any]] = Entries({name: preset.function for name, preset in LISTED.items()})
+PRESETS: Entries[Callable[..., object]] = Entries({name: preset.function for name, preset in LISTED.items()})
 """Presets by name: functions of the arguments of the environment to override."""
 
 

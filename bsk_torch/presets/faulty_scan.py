@@ -26,7 +26,6 @@ kind             change                                                      ran
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Any
 
 import torch
 
@@ -89,7 +88,7 @@ def faulty_scan(
     kinds: Collection[str] = KINDS,
     chance: float = CHANCE,
     observed: bool = True,
-    sat_args: dict[str, Any] | None = None,
+    sat_args: dict[str, object] | None = None,
     obs_type: type = torch.Tensor,
     **options: object,
 ) -> SatelliteTasking:

@@ -121,7 +121,9 @@ def scanning_args() -> dict[str, Any]:
     )
 
 
-def nadir_scan(*, sat_args: dict[str, Any] | None = None, obs_type: type = torch.Tensor, **options: object) -> SatelliteTasking:
+def nadir_scan(
+    *, sat_args: dict[str, object] | None = None, obs_type: type = torch.Tensor, **options: object
+) -> SatelliteTasking:
     """Return NadirScan-v1; see the module.
 
     Args:
@@ -132,7 +134,7 @@ def nadir_scan(*, sat_args: dict[str, Any] | None = None, obs_type: type = torch
     return scanning_environment(ScanningSatellite("Scanner1", scanning_args() | (sat_args or {}), obs_type=obs_type), options)
 
 
-def scanning_environment(satellite: ScanningSatellite, options: dict[str, Any]) -> SatelliteTasking:
+def scanning_environment(satellite: ScanningSatellite, options: dict[str, object]) -> SatelliteTasking:
     """Return the task of the paper for a satellite; ``options`` replace those of the preset."""
     defaults: dict[str, Any] = dict(
         scenario=scene.UniformNadirScanning(value_per_second=1 / (5 * ORBIT)),

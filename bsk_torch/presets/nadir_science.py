@@ -65,7 +65,7 @@ def science_args() -> dict[str, Any]:
 
 
 def nadir_science(
-    *, sat_args: dict[str, Any] | None = None, obs_type: type = torch.Tensor, **options: object
+    *, sat_args: dict[str, object] | None = None, obs_type: type = torch.Tensor, **options: object
 ) -> SatelliteTasking:
     """Return NadirScience-v1; see the module, and :func:`bsk_torch.presets.nadir_scan.nadir_scan` for the arguments."""
     return scanning_environment(ScienceSatellite("Scanner1", science_args() | (sat_args or {}), obs_type=obs_type), options)

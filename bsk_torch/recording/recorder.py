@@ -173,7 +173,7 @@ class Flight:
 
     def _player(self, policy: Policy, past: list[TensorDictBase], change: Any) -> Policy:
         env = self.env
-        keys: list[Any] = [(g.name, "action") for g in env.groups] if isinstance(env, ConstellationTasking) else ["action"]
+        keys: list[object] = [(g.name, "action") for g in env.groups] if isinstance(env, ConstellationTasking) else ["action"]
 
         def act(tensordict: TensorDictBase) -> TensorDictBase:
             number = len(self.actions)
@@ -591,7 +591,7 @@ def _scaled(time: Array, chosen: Array, values: Array, boundaries: Array, fracti
 
 def _sorted_columns(rows: list[Any], kinds: dict[str, str]) -> dict[str, Array]:
     """Rows in their order as arrays by name, of the types ``kinds``."""
-    columns: list[Any] = list(zip(*sorted(rows), strict=True)) or [()] * len(kinds)
+    columns: list[object] = list(zip(*sorted(rows), strict=True)) or [()] * len(kinds)
     return {name: np.array(column, kind) for (name, kind), column in zip(kinds.items(), columns, strict=True)}
 
 

@@ -440,7 +440,7 @@ def _opened(content: bytes) -> tuple[Header, bytes]:
     return header, raw[start + length :]
 
 
-def _plain(recording: Recording) -> dict[str, Any]:
+def _plain(recording: Recording) -> dict[str, object]:
     entries = {entry.name: getattr(recording, entry.name) for entry in fields(recording)}
     for name in ("satellites", "scenes", "tracks"):
         entries[name] = [{key: value for key, value in asdict(part).items() if key != "arrays"} for part in entries[name]]
@@ -459,7 +459,7 @@ def _all_arrays(recording: Recording) -> Iterator[tuple[str, Form, Array]]:
                     yield f"{letter}{k}/{name}", form, arrays[name]
 
 
-def _packed(arrays: Iterator[tuple[str, Form, Array]]) -> tuple[dict[str, Any], bytes]:
+def _packed(arrays: Iterator[tuple[str, Form, Array]]) -> tuple[dict[str, object], bytes]:
     entries: dict[str, Any] = {}
     parts: list[bytes] = []
     offset = 0

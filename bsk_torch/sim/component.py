@@ -29,6 +29,9 @@ __all__ = ["Arg", "Bus", "Component", "Field", "MissingMessageError", "Track", "
 Values = Mapping[str, Any]
 """Arguments of the rows being reset: tensors with leading dimension n, or 1 where all environments agree."""
 
+UserArguments = Mapping[str, Any]
+"""Arguments as users give them: numbers, distributions, functions and other values that are not drawn yet."""
+
 Computation = Callable[[Values], dict[str, Tensor]]  # returns fields of the state, or parameters, by name
 
 
@@ -114,7 +117,7 @@ class Arg:
     low: float = float("-inf")
     high: float = float("inf")
     missing: float | None = None
-    choices: tuple[Any, ...] = ()
+    choices: tuple[object, ...] = ()
     shared: bool = False
     endless: bool = False
     whole: bool = False
@@ -268,7 +271,7 @@ class Allocation:
 
     commands: tuple[str, ...]  # fields of the state that hold the commands to the actuators
     # `distribute(bus, torque_B)` returns their values for a torque on the body, N m in B
-    distribute: Callable[[Bus, Vec3], tuple[Any, ...]]
+    distribute: Callable[[Bus, Vec3], tuple[object, ...]]
 
 
 @dataclass(frozen=True)
@@ -322,7 +325,7 @@ class Component:
     after: str | None = None
     before: str | None = None
     at_start: bool = False
-    fit: Callable[[Mapping[str, Any]], Component] | None = None
+    fit: Callable[[UserArguments], Component] | None = None
     mends: bool = False
     records: tuple[str, ...] = ()
     follows: str | None = None
@@ -397,7 +400,7 @@ class Component:
         if own_fit is not None:  # the structure that the given arguments need gets the same additions
             additions: dict[str, Any] = {"update": update, "args": args, "state": state, "params": params, "reads": reads}
             additions |= {"initial": initial, "prepare": prepare, "check": check, "flags": flags, "resets": resets}
-            changes["fit"] = lambda given: own_fit(given).extended(**additions)
+            changes["fit"] = lambda arguments: own_fit(arguments).extended(**additions)
         return dataclasses.replace(self, **changes)
 
 
@@ -405,9 +408,9 @@ def asked(components: Iterable[Component], values: Values) -> list[tuple[Compone
     """Return each component with those of the arguments that it reads."""
     pairs: list[tuple[Component, Values]] = []
     for component in components:
-        own = Own({name: values[name] for name in component.arguments if name in values})
-        own.slot = component.slot
-        pairs.append((component, own))
+        part_values = Own({name: values[name] for name in component.arguments if name in values})
+        part_values.slot = component.slot
+        pairs.append((component, part_values))
     return pairs
 
 
@@ -420,7 +423,7 @@ def _one_after_the_other(first: Call | None, second: Call | None) -> Call | None
         return first if second is None else second
 
     @functools.wraps(first)
-    def both(argument: Any) -> None:
+    def both(argument: object) -> None:
         first(argument)
         second(argument)
 

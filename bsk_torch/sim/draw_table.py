@@ -21,11 +21,11 @@ class DrawTable(StateTable):
     :meth:`shared` does not.
     """
 
+    @override
     def __init__(self, num_envs: int, count: int = 1, device: torch.device | str = "cpu") -> None:
-        """See :class:`StateTable`."""
         super().__init__(num_envs, count, device)
-        own: dict[str, Any] = self.__dict__
-        own["_once"], own["_owner"] = {}, None
+        attributes: dict[str, object] = self.__dict__
+        attributes["_once"], attributes["_owner"] = {}, None
 
     def shared(self, name: str) -> tuple[Tensor, Tensor | None]:
         """Return a draw [K, ...], and the row of it that belongs to each episode, [N]; None if row k belongs to episode k."""
@@ -56,9 +56,9 @@ class DrawTable(StateTable):
         if not isinstance(other, DrawTable) or len(envs) < self.num_envs or SHARED_FROM * len(few) > self.num_envs:
             super().copy_rows(envs, other, source)
             return
-        own: dict[str, Any] = self.__dict__
-        own["_once"] = {name: owned(other.of_envs(name, few)) for name in self.fields}
-        own["_owner"] = owned(torch.empty_like(owner).index_copy(0, envs, owner))
+        attributes: dict[str, object] = self.__dict__
+        attributes["_once"] = {name: owned(other.of_envs(name, few)) for name in self.fields}
+        attributes["_owner"] = owned(torch.empty_like(owner).index_copy(0, envs, owner))
         for name in self.fields:
-            own.pop(name, None)
+            attributes.pop(name, None)
         self.touch()

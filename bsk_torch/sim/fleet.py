@@ -13,12 +13,11 @@ from bsk_torch.sim.arguments.sources import Answers
 from bsk_torch.sim.arguments.values import Overrides
 from bsk_torch.sim.assembly.satellite_type import SatelliteType
 from bsk_torch.sim.run.coupled import Part, RunResult, Satellites, parts_of, together
+from bsk_torch.sim.run.encounters import NEVER as NEVER
 from bsk_torch.sim.run.encounters import NO_PAIRS, EncounterPairs, Encounters
 from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
-
-NEVER = 2**62  # number of a tick that does not come
 
 
 class EpisodeDraw(NamedTuple):
@@ -89,7 +88,7 @@ class Fleet(Satellites):
         """
         super().__init__(simulators, names, places, varies)
         self.draw_scenario = draw_scenario
-        self.beginnings: list[Callable[[Tensor], Any]] = []
+        self.beginnings: list[Callable[[Tensor], object]] = []
         self.since = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
         self.env_ids = self.all_envs
         self.state, self.scenario_state = FleetState(self.num_envs, self.size, self.device), self.simulators[0].scenario_state
@@ -109,7 +108,7 @@ class Fleet(Satellites):
 
     # -- episodes -----------------------------------------------------------------------------------------------------
 
-    def ask(self, env: int, answers: Answers, randomize: Callable[[], Any] | None = None) -> None:
+    def ask(self, env: int, answers: Answers, randomize: Callable[[], object] | None = None) -> None:
         """Call the user functions that give arguments of the environment ``env``, in the order of draws; add their answers.
 
         World first, then ``randomize``, which gives arguments of all satellites, then the satellites in their order.
@@ -119,7 +118,7 @@ class Fleet(Satellites):
         if randomize is not None:
             answers["sat_arg_randomizer"] = randomize()
         pairs = ((simulator.type.arguments, simulator.columns) for simulator in self.simulators)
-        each = ((column, given.sat_args, k) for given, columns in pairs for k, column in enumerate(columns))
+        each = ((column, usage.sat_args, k) for usage, columns in pairs for k, column in enumerate(columns))
         for _, arguments, k in sorted(each, key=lambda entry: entry[0]):
             arguments.ask(k, env, answers)
 
@@ -132,24 +131,24 @@ class Fleet(Satellites):
     def draw(
         self,
         key: Key,
-        given: Mapping[str, tuple[Sequence[int], Tensor]] | None = None,
+        overrides: Mapping[str, tuple[Sequence[int], Tensor]] | None = None,
         answers: Sequence[Answers] | None = None,
         scenario: dict[str, Tensor] | None = None,
     ) -> EpisodeDraw:
         """Return the draws of the key's n environments; raises before anything has changed.
 
-        ``given`` are arguments of satellites of all types that replace others: by name, the satellites [c] and values [n, c,
+        ``overrides`` are arguments of satellites of all types that replace others: by name, the satellites [c] and values [n, c,
         ...]. User functions are called now, unless ``answers`` has what they returned (:meth:`ask`), and the scenario draws
         unless given.
         """
         drawn = self.draw_scenario(key) if scenario is None else scenario
-        world: dict[str, Any] = {}
+        world: dict[str, object] = {}
         values = []
         for simulator in self.simulators:
             arguments = simulator.type.arguments
             around = arguments.world_args.draw(key, world, answers)
             world |= around
-            values.append(arguments.draw(key, around, share(given or {}, simulator.columns), answers))
+            values.append(arguments.draw(key, around, share(overrides or {}, simulator.columns), answers))
         return EpisodeDraw(drawn, values)
 
     def reset(self, envs: Tensor, drawn: EpisodeDraw, durations: Sequence[Tensor], time_limit: Tensor) -> None:
@@ -183,24 +182,24 @@ class Fleet(Satellites):
         speed only.
         """
         now = self.ticks
-        left = (limit_ticks - now).clamp(min=0)
-        ends = torch.minimum(until - now, left).clamp(min=0) * moves
+        remaining = (limit_ticks - now).clamp(min=0)
+        ends = torch.minimum(until - now, remaining).clamp(min=0) * moves
         probably = [ends] * len(self.simulators) if expected is None else [ticks - now for ticks in expected]
         parts = []
         for envs in parts_of(self, moves, ends):
-            parts.append(part := Part(self, envs, now, ends, left, probably))
+            parts.append(part := Part(self, envs, now, ends, remaining, probably))
             for call in part.calls():
                 simulator, rows = self.simulators[call.k], part.rows[call.k]
                 call.ran = simulator.run(call.ticks, call.expected, call.may_rewind, call.trace, call.followed, rows)
         return together(self, parts)
 
 
-def share(given: Mapping[str, tuple[Sequence[int], Tensor]], columns: Sequence[int]) -> Overrides:
+def share(overrides: Mapping[str, tuple[Sequence[int], Tensor]], columns: Sequence[int]) -> Overrides:
     """Return the overrides of the satellites ``columns`` of one type, numbered within the type."""
-    mine = {}
-    for name, (satellites, values) in given.items():
+    of_type = {}
+    for name, (satellites, values) in overrides.items():
         pairs = [(columns.index(s), k) for k, s in enumerate(satellites) if s in columns]
         if pairs:
             within, where = (torch.tensor(side) for side in zip(*pairs, strict=True))
-            mine[name] = within, values[:, where]
-    return mine
+            of_type[name] = within, values[:, where]
+    return of_type

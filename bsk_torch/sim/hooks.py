@@ -102,9 +102,9 @@ def check_tensor(title: str, value: object, shape: Sequence[int], *dtypes: torch
     """Raise TypeError unless a hook's result is a tensor of a shape and of one of several dtypes, any if none is given."""
     if isinstance(value, Tensor) and value.shape == tuple(shape) and (not dtypes or value.dtype in dtypes):
         return
-    given = f"a tensor of shape {list(value.shape)} and dtype {value.dtype}" if isinstance(value, Tensor) else repr(value)
+    description = f"a tensor of shape {list(value.shape)} and dtype {value.dtype}" if isinstance(value, Tensor) else repr(value)
     kinds = f" and dtype {' or '.join(map(str, dtypes))}" if dtypes else ""
-    raise TypeError(f"{title} is {given}; it must be a tensor of shape {list(shape)}{kinds}")
+    raise TypeError(f"{title} is {description}; it must be a tensor of shape {list(shape)}{kinds}")
 
 
 def _kind(value: object) -> str:
@@ -147,9 +147,9 @@ def _callable_like(value: object, declared: object) -> bool:
         signature = inspect.signature(_function(value))
     except (TypeError, ValueError):
         return True
-    own = 1 if isinstance(value, classmethod) or (hasattr(value, "__get__") and not isinstance(value, staticmethod)) else 0
+    bound = 1 if isinstance(value, classmethod) or (hasattr(value, "__get__") and not isinstance(value, staticmethod)) else 0
     try:
-        signature.bind(*[None] * (own + len(_parameters(declared))))
+        signature.bind(*[None] * (bound + len(_parameters(declared))))
     except TypeError:
         return False
     return True
@@ -181,8 +181,8 @@ class ChangeGuard:
             if not isinstance(value, Tensor) or name.startswith("_") or name in exempt:
                 continue
             version = 0 if value.is_inference() else value._version
-            known = self._seen.setdefault(name, (value, version))
-            if known[0] is not value or known[1] != version:
+            recorded = self._seen.setdefault(name, (value, version))
+            if recorded[0] is not value or recorded[1] != version:
                 raise TypeError(
                     f"{type(instance).__name__}.{name} is a tensor that has changed during an episode; {advice}. The name of a "
                     f"cache, which can be recomputed at any time, begins with an underscore: '_{name}'"

@@ -105,12 +105,12 @@ NO_INSTRUMENTS = Component(slot=SLOT, after="faults")
 """Nothing in the slot: for models whose instrument neither images places nor scans."""
 
 
-def described_instruments(given: Mapping[str, Any], table: Mapping[str, Arg]) -> tuple[Instrument, ...]:
+def described_instruments(arguments: Mapping[str, object], table: Mapping[str, Arg]) -> tuple[Instrument, ...]:
     """Return the instruments that arguments as given, with entries in a ``table``, describe; none for that of ``inst_pHat_B``.
 
     ValueError for entries that are not instruments, equal names, and arguments that the satellite does not have.
     """
-    listed = _listed(given)
+    listed = _listed(arguments)
     check_unique([part.name for part in listed], "instruments")
     for part in listed:
         for name in part.own:
@@ -119,9 +119,9 @@ def described_instruments(given: Mapping[str, Any], table: Mapping[str, Arg]) ->
     return listed
 
 
-def _listed(given: Mapping[str, Any]) -> tuple[Instrument, ...]:
+def _listed(arguments: Mapping[str, object]) -> tuple[Instrument, ...]:
     what = "a list of instruments, such as [dyn.Instrument('wide'), dyn.Instrument('narrow', instrumentBaudRate=2e6)]"
-    listed = given.get(SLOT)
+    listed = arguments.get(SLOT)
     return () if listed is None else parts("sat_args: instruments", listed, Instrument, what)
 
 
@@ -161,11 +161,11 @@ def each_value(args: Values, name: str) -> Iterator[Any]:
     return (args[name if part is None else part.argument(name)] for part in _listed(args) or (None,))
 
 
-def differs(given: Mapping[str, Any], name: str) -> bool:
+def differs(arguments: Mapping[str, object], name: str) -> bool:
     """Return whether an instrument has an argument that is not None, in arguments as given."""
-    listed = given.get(SLOT)
+    listed = arguments.get(SLOT)
     parts = listed if isinstance(listed, Sequence) else ()
-    return given[name] is not None or any(name in part.own for part in parts if isinstance(part, Instrument))
+    return arguments[name] is not None or any(name in part.own for part in parts if isinstance(part, Instrument))
 
 
 def argument_now(state: Any, name: str) -> Tensor:
@@ -193,8 +193,8 @@ def with_instruments(parts: Iterable[Component], listed: tuple[Instrument, ...])
     if not listed:
         return parts
     differing = {name for part in listed for name in part.own}
-    own = tuple(part.argument(name) for part in listed for name in part.own)
-    parts = tuple(replace(p, reads=(*p.reads, *own)) if differing.intersection(p.arguments) else p for p in parts)
+    own_arguments = tuple(part.argument(name) for part in listed for name in part.own)
+    parts = tuple(replace(p, reads=(*p.reads, *own_arguments)) if differing.intersection(p.arguments) else p for p in parts)
     several = [part for part in parts if part.params and differing & {arg.name for arg in part.args}]
     table = {arg.name: arg for part in parts for arg in part.args}
     choice = Component(
@@ -223,8 +223,8 @@ def choose_among(count: int, fields: tuple[Field, ...]) -> Callable[[Bus], None]
             chosen = planes[:width]
             for k in range(1, count):
                 here = bus.instrument_index == float(k)
-                own = planes[k * width : (k + 1) * width]
-                chosen = tuple(torch.where(here, new, old) for new, old in zip(own, chosen, strict=True))
+                part_planes = planes[k * width : (k + 1) * width]
+                chosen = tuple(torch.where(here, new, old) for new, old in zip(part_planes, chosen, strict=True))
             Layout((field,)).put(bus, chosen)
 
     return choose
@@ -235,10 +235,10 @@ def _of_each(part: Component, listed: tuple[Instrument, ...]) -> Component:
         return {**args, **{name: args[instrument.argument(name)] for name in instrument.own}}
 
     def prepare(args: Values) -> dict[str, Tensor]:
-        found = [part.prepare(values(args, instrument)) for instrument in listed]  # type: ignore[misc]
+        parameters = [part.prepare(values(args, instrument)) for instrument in listed]  # type: ignore[misc]
         tables = {}
         for field in part.params:
-            columns = [own[field.name].reshape(-1, field.width) for own in found]
+            columns = [part_parameters[field.name].reshape(-1, field.width) for part_parameters in parameters]
             rows = max(map(len, columns))
             tables[_table_of(field)] = torch.cat([column.expand(rows, -1) for column in columns], -1)
         return tables

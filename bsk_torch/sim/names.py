@@ -30,12 +30,12 @@ def same(name: str) -> tuple[str, ...]:
     return tuple(other for names in SAME if name in names for other in names if other != name)
 
 
-def nearest(name: str, known: Iterable[str]) -> str:
-    """Return a hint: other names of the quantity, the closest names, or all if none is close; ``known`` are valid."""
-    known = list(map(str, known))
-    if alike := [other for other in same(name) if other in known]:
+def nearest(name: str, names: Iterable[str]) -> str:
+    """Return a hint: other names of the quantity, the closest names, or all if none is close; ``names`` are valid."""
+    names = list(map(str, names))
+    if alike := [other for other in same(name) if other in names]:
         return f"did you mean {' or '.join(map(repr, alike))}?"
-    by_lower = {k.lower(): k for k in known}
+    by_lower = {k.lower(): k for k in names}
     ratios = {k: difflib.SequenceMatcher(None, name.lower(), k).ratio() for k in by_lower}
     least = max(CLOSE, max(ratios.values(), default=0.0) - NEAR)
     close = [by_lower[k] for k in sorted(ratios, key=lambda k: -ratios[k]) if ratios[k] >= least][:3]

@@ -12,7 +12,7 @@ from torch import Tensor
 from bsk_torch._checks import no_gradient
 from bsk_torch.constants import NANO
 from bsk_torch.sim.access.lookahead import LookAhead
-from bsk_torch.sim.component import Layout
+from bsk_torch.sim.component import Layout, UserArguments
 from bsk_torch.sim.names import nearest, same
 from bsk_torch.sim.state import StateTable, described, look_up
 
@@ -84,7 +84,7 @@ class SatelliteState(StateTable):
         self,
         layout: Layout,
         parameters: Layout,
-        arguments: Mapping[str, Any],
+        arguments: UserArguments,
         *,
         num_envs: int,
         count: int,
@@ -164,9 +164,9 @@ class SatelliteState(StateTable):
             raise KeyError(f"the satellite has no field {name!r}; {nearest(name, self.layout.fields)}")
         where, width = self.layout.slices[name], self.layout.fields[name].width
         if not isinstance(value, Tensor) or value.numel() != self.rows * width or value.shape[0] != self.rows:
-            given = f"of shape {list(value.shape)}" if isinstance(value, Tensor) else repr(value)
+            description = f"of shape {list(value.shape)}" if isinstance(value, Tensor) else repr(value)
             wanted = [self.rows] if width == 1 else [self.rows, width]
-            raise ValueError(f"value of write({name!r}, rows, value) is {given}; it must be a tensor of shape {wanted}")
+            raise ValueError(f"value of write({name!r}, rows, value) is {description}; it must be a tensor of shape {wanted}")
         self.planes[where] = torch.where(rows, value.reshape(self.rows, -1).mT, self.planes[where])
         self.touch()
 
@@ -184,7 +184,7 @@ class SatelliteState(StateTable):
         epoch = self.tables["arguments"]["utc_init"]
         self.refuse(f"{path}lookahead.arcs.et", ahead.arcs.et, ahead.arcs.et != epoch, "it must be the argument utc_init")
 
-    def set_arguments(self, rows: Tensor, values: Mapping[str, Any]) -> None:
+    def set_arguments(self, rows: Tensor, values: Mapping[str, object]) -> None:
         """Keep the drawn arguments [1, ...] or [n, ...] of ``rows`` [n]."""
         for name, value in values.items():
             if isinstance(value, Tensor):
@@ -199,8 +199,8 @@ class SatelliteState(StateTable):
             return self.arguments[name]
         if name in self.constants:
             return self.constants[name]
-        known = [*self.arguments, *self.constants]
-        raise KeyError(f"no argument is called {name!r}; {nearest(name, known)}")
+        names = [*self.arguments, *self.constants]
+        raise KeyError(f"no argument is called {name!r}; {nearest(name, names)}")
 
     @property
     def all_arguments(self) -> dict[str, Any]:

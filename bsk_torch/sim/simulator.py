@@ -186,15 +186,15 @@ class Simulator:
         solved[:, 0] |= ~solved.any(1)
         first = solved.long().argmax(1, keepdim=True)  # the first of the largest
         source = rows.view(-1, self.count).gather(1, first).expand(-1, self.count).flatten()
-        there = solved.flatten()
-        self.lookahead.solve(rows[there], *(value[there] for value in start))
-        self.lookahead.repeat_rows(rows[~there], source[~there])
+        is_solved = solved.flatten()
+        self.lookahead.solve(rows[is_solved], *(value[is_solved] for value in start))
+        self.lookahead.repeat_rows(rows[~is_solved], source[~is_solved])
 
     def _first_tick(self, rows: Tensor, followed: Mapping[str, Samples]) -> None:
         """Run Basilisk's tick at time zero in ``rows`` [n]; ``followed`` are traces of all rows."""
         state = self.state
-        planes, mine = state.planes[:, rows], {name: take_rows(trace, rows) for name, trace in followed.items()}
-        inputs = self._inputs(mine, rows, None)  # satellites that are not present have finite fields, too
+        planes, sources = state.planes[:, rows], {name: take_rows(trace, rows) for name, trace in followed.items()}
+        inputs = self._inputs(sources, rows, None)  # satellites that are not present have finite fields, too
         self.runners.first_tick(planes, torch.ones_like(rows), **inputs)
         state.planes[:, rows] = planes
 
@@ -203,7 +203,7 @@ class Simulator:
     def strike(self, fault: str, rows: Tensor) -> None:
         """Let a declared fault begin now in ``rows`` [n], unless it acts there already; ValueError for one not declared."""
         declared = self.state.argument("faults") or ()
-        names = [known.name for known in declared]
+        names = [each.name for each in declared]
         if fault not in names:
             advice = nearest(fault, names) if names else "this satellite has none"
             raise ValueError(
@@ -227,9 +227,9 @@ class Simulator:
         values, ticks = self._arguments_of(rows), self.state.ticks[rows].cpu()
         self._set_faults(rows, drawn_again(declared, values, ticks, self.h_ns, key, self.type.arguments.draw_some))
 
-    def _arguments_of(self, rows: Tensor) -> dict[str, Any]:
-        known = self.state.all_arguments.items()
-        return {name: value[rows].cpu() if isinstance(value, Tensor) else value for name, value in known}
+    def _arguments_of(self, rows: Tensor) -> dict[str, object]:
+        arguments = self.state.all_arguments.items()
+        return {name: value[rows].cpu() if isinstance(value, Tensor) else value for name, value in arguments}
 
     def _set_faults(self, rows: Tensor, values: Mapping[str, Tensor]) -> None:
         """Set arguments [n, ...] of faults of ``rows`` [n], and the parameters of the tick that follow from them."""
@@ -237,9 +237,11 @@ class Simulator:
         for name, value in values.items():
             state.arguments[name][rows] = value.to(self.device)
         state.arguments.touch()
-        [(acting, own)] = asked((part for part in self.type.arguments.parts if part.slot == SLOT), self._arguments_of(rows))
-        acting.check(own)  # type: ignore[misc]
-        for name, value in acting.prepare(own).items():  # type: ignore[misc]
+        [(acting, part_values)] = asked(
+            (part for part in self.type.arguments.parts if part.slot == SLOT), self._arguments_of(rows)
+        )
+        acting.check(part_values)  # type: ignore[misc]
+        for name, value in acting.prepare(part_values).items():  # type: ignore[misc]
             planes = value.flatten(1).mT.expand(-1, len(rows))
             state.parameters[self.tick.own.slices[name]].index_copy_(1, rows, planes.to(self.device))
         state.touch()
@@ -325,7 +327,7 @@ class Simulator:
             )
         before = state.read("delta_v_N")
         after = torch.where(rows.unsqueeze(-1), done.dv_N + (0.0 if self.type.compat else before), before)
-        state.write("dv_available", rows, done.left)
+        state.write("dv_available", rows, done.remaining)
         state.write("thrust_count", rows, state.read("thrust_count") + 1.0)
         state.write("delta_v_N", rows, after)
         if self.lookahead.follows:
@@ -504,19 +506,19 @@ class Simulator:
         self, ticks: Tensor, most: int, trace: Trace | None, followed: Mapping[str, Samples], rows: Tensor | None
     ) -> Tensor:
         """Run ``ticks`` [n], at most ``most`` at once: Python handles signals, such as Ctrl-C, between two calls of a kernel."""
-        flown, left, done = torch.zeros_like(ticks), ticks, 0
-        while int(left.max()) > 0:
+        flown, remaining, done = torch.zeros_like(ticks), ticks, 0
+        while int(remaining.max()) > 0:
             part = None if trace is None else trace.after(done)
-            ran, stopped = self._run_piece(left.clamp(max=most - 1), left, part, followed, rows)
+            ran, stopped = self._run_piece(remaining.clamp(max=most - 1), remaining, part, followed, rows)
             done += most - 1
             flown = flown + ran
-            left = torch.where(stopped, 0, left - ran)
+            remaining = torch.where(stopped, 0, remaining - ran)
         return flown
 
     def _run_piece(
-        self, piece: Tensor, left: Tensor, trace: Trace | None, followed: Mapping[str, Samples], rows: Tensor | None
+        self, piece: Tensor, remaining: Tensor, trace: Trace | None, followed: Mapping[str, Samples], rows: Tensor | None
     ) -> tuple[Tensor, Tensor]:
-        """Run ``piece`` [n] of the ticks that are ``left`` [n]; return the number of ticks done, and whether they were stopped.
+        """Run ``piece`` [n] of the ``remaining`` [n] ticks; return the number of ticks done, and whether they were stopped.
 
         The number does not tell whether the last tick of the piece stopped the run. Images are counted; where other components
         stop runs, a tick more is run first, and rows that were not stopped before it are rewound.
@@ -528,7 +530,7 @@ class Simulator:
             ran = self.run(piece, None, False, trace, followed, rows)
             return ran, self.state.of_env((self.events(rows) > before).view(-1, self.count).any(1))
         checkpoint = self.checkpoint(rows)
-        ran = self.run(torch.minimum(piece + 1, left), None, False, trace, followed, rows)
+        ran = self.run(torch.minimum(piece + 1, remaining), None, False, trace, followed, rows)
         goes_on = ran > piece
         self.rewind(checkpoint, goes_on)
         self.run(torch.where(goes_on, piece, 0), None, False, trace, followed, rows)

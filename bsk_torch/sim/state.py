@@ -84,9 +84,9 @@ class StateTable:
 
     def __init__(self, num_envs: int, count: int = 1, device: torch.device | str = "cpu") -> None:
         """Make a table without fields for ``count`` rows in each of ``num_envs`` episodes."""
-        own = self.__dict__
-        own["num_envs"], own["count"], own["device"] = num_envs, count, torch.device(device)
-        own["fields"], own["tables"], own["version"], own["rows"] = {}, {}, 0, num_envs * count
+        attributes = self.__dict__
+        attributes["num_envs"], attributes["count"], attributes["device"] = num_envs, count, torch.device(device)
+        attributes["fields"], attributes["tables"], attributes["version"], attributes["rows"] = {}, {}, 0, num_envs * count
 
     fields: dict[str, StateField]
     tables: dict[str, StateTable]
@@ -158,10 +158,10 @@ class StateTable:
         return torch.arange(self.rows, device=self.device)
 
     def __getattr__(self, name: str) -> Any:
-        known = sorted((*self.__dict__.get("fields", ()), *self.__dict__.get("tables", ())))
-        raise AttributeError(f"no field of the state is called {name!r}; declared are {known}")
+        names = sorted((*self.__dict__.get("fields", ()), *self.__dict__.get("tables", ())))
+        raise AttributeError(f"no field of the state is called {name!r}; declared are {names}")
 
-    def __setattr__(self, name: str, value: Any) -> None:
+    def __setattr__(self, name: str, value: object) -> None:
         if isinstance(value, Tensor):
             if name not in self.fields:
                 raise AttributeError(f"tensor {name!r} is not declared as part of the state; call declare({name!r}, ...) first")
@@ -260,15 +260,15 @@ class StateTable:
         self.touch()
 
     def _copy_field(self, name: str, rows: Tensor, value: Tensor, source: Tensor) -> None:
-        field, mine = self.fields[name], getattr(self, name)
+        field, target = self.fields[name], getattr(self, name)
         if field.planes:
-            mine[..., rows] = value[..., source]
+            target[..., rows] = value[..., source]
         elif field.grows:
             self.write_rows(name, rows, value[source])
         elif field.initial is None:
-            mine[rows] = value[source]
+            target[rows] = value[source]
         else:
-            self.__dict__[name] = mine.index_copy(0, rows, value[source])
+            self.__dict__[name] = target.index_copy(0, rows, value[source])
 
     def repeat_rows(self, rows: Tensor, source: Tensor) -> None:
         """Copy the rows ``source`` [n] into ``rows`` [n], in this table and in those within, which have as many rows."""
@@ -289,15 +289,15 @@ class StateTable:
         """Return a table of the same kind that holds copies of the episodes ``envs`` [n]."""
         return self.over(self._gathered(envs))
 
-    def _gathered(self, envs: Tensor) -> dict[str, Any]:
-        values: dict[str, Any] = {name: self._by_episode(name)[envs] for name in self.fields}
+    def _gathered(self, envs: Tensor) -> dict[str, object]:
+        values: dict[str, object] = {name: self._by_episode(name)[envs] for name in self.fields}
         return values | {name: table._gathered(envs) for name, table in self.tables.items()}
 
     # -- saving -------------------------------------------------------------------------------------------------------
 
     def to_tensordict(self) -> TensorDict:
         """Return a copy of the tree, episodes first: [N, ...], or [N, count, ...] where an episode has several rows."""
-        values: dict[str, Any] = {name: self._by_episode(name).clone() for name in self.fields}
+        values: dict[str, object] = {name: self._by_episode(name).clone() for name in self.fields}
         values |= {name: table.to_tensordict() for name, table in self.tables.items()}
         return TensorDict(values, [self.num_envs], device=self.device)
 
@@ -318,8 +318,8 @@ class StateTable:
         if keys != {*self.fields, *self.tables}:
             missing, unknown = sorted({*self.fields, *self.tables} - keys), sorted(keys - {*self.fields, *self.tables})
             raise KeyError(f"the saved state lacks {missing} and has unknown {unknown}; it was saved by another environment")
-        own = other.__dict__
-        own["tables"] = {name: table.over(saved[name]) for name, table in self.tables.items()}
+        attributes = other.__dict__
+        attributes["tables"] = {name: table.over(saved[name]) for name, table in self.tables.items()}
         for name in self.fields:
             value = saved[name]
             if not isinstance(value, Tensor) or value.ndim == 0:
@@ -327,20 +327,20 @@ class StateTable:
         numbers = {len(saved[name]) for name in self.fields} | {t.num_envs for t in other.tables.values() if not t.is_empty}
         if len(numbers) > 1:
             raise ValueError(f"tensors of the saved state have {sorted(numbers)} episodes; they must have equally many")
-        own["num_envs"] = numbers.pop() if numbers else self.num_envs
-        own["rows"] = own["num_envs"] * self.count
+        attributes["num_envs"] = numbers.pop() if numbers else self.num_envs
+        attributes["rows"] = attributes["num_envs"] * self.count
         for name in self.fields:
-            own[name] = self._checked(name, saved[name])
+            attributes[name] = self._checked(name, saved[name])
         return other
 
     def _checked(self, name: str, value: Tensor) -> Tensor:
-        field, mine = self.fields[name], getattr(self, name)
+        field, current = self.fields[name], getattr(self, name)
         no_gradient(f"{name!r} of the saved state", value)
-        if value.dtype != mine.dtype:
-            raise ValueError(f"{name!r} of the saved state has dtype {value.dtype}; it must be {mine.dtype}")
+        if value.dtype != current.dtype:
+            raise ValueError(f"{name!r} of the saved state has dtype {value.dtype}; it must be {current.dtype}")
         leading = 1 if self.count == 1 else 2
-        behind = mine.shape[:-1] if field.planes else mine.shape[1:]
-        wanted: list[Any] = ["N", *[self.count][: leading - 1], *behind]
+        behind = current.shape[:-1] if field.planes else current.shape[1:]
+        wanted: list[object] = ["N", *[self.count][: leading - 1], *behind]
         if field.grows:
             wanted[leading] = "any number"
         if len(wanted) != value.ndim or any(isinstance(w, int) and w != n for w, n in zip(wanted, value.shape, strict=True)):

@@ -7,7 +7,7 @@ to it.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from bsk_torch.sim.arguments.table import ArgumentTable
 from bsk_torch.sim.component import Component, collect
@@ -31,7 +31,7 @@ class WorldModel(World):
     components: ClassVar[tuple[Component, ...]] = (environment.EARTH_POLE, environment.EPHEMERIS)
     only_where_required: ClassVar[bool] = False
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)
         check_model(cls, WorldModel)
 
@@ -41,7 +41,7 @@ class WorldModel(World):
         return collect(reversed(cls.__mro__))
 
     @classmethod
-    def default_world_args(cls, **overrides: Any) -> ArgumentTable:
+    def default_world_args(cls, **overrides: object) -> ArgumentTable:
         """Return every argument accepted in ``world_args``, with its default or the given value.
 
         Raises:

@@ -77,7 +77,10 @@ def view(
         echo(f"port {port} is in use; this is port {server.port}")
     echo(f"{server.url}\nstop with Ctrl-C")
     with TemporaryDirectory(prefix="bsk_torch-") as private:
-        if browser and not webbrowser.open(_forwarding(server.url, Path(private))):
+        # a private page that leads there: all users of a machine see the arguments of its programs
+        page, url = Path(private) / "open.html", server.url
+        write_file(page, f'<!doctype html><meta http-equiv="refresh" content="0; url={url}"><a href="{url}">the viewer</a>\n')
+        if browser and not webbrowser.open(page.as_uri()):
             echo("no browser was found; open the address in one")
         try:
             server.serve_forever()
@@ -85,13 +88,6 @@ def view(
             echo("stopped")
         finally:
             server.server_close()
-
-
-def _forwarding(url: str, folder: Path) -> str:
-    """Return the address of a private page that leads to ``url``: all users of a machine see the arguments of its programs."""
-    page = folder / "open.html"
-    write_file(page, f'<!doctype html><meta http-equiv="refresh" content="0; url={url}"><a href="{url}">the viewer</a>\n')
-    return page.as_uri()
 
 
 def export(

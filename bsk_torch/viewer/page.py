@@ -34,6 +34,8 @@ def build_page(recording: bytes | None = None, live: str | None = None, title: s
     if recording is None and live is None:
         raise ValueError("recording=None and live=None leave nothing to show: give a recording, the address of a server, or both")
     template = _part("template.html")
+    # see bsk_torch.viz.figures.world.land for their source
+    coastlines = files("bsk_torch.viz.figures").joinpath("land_110m.geojson").read_text(encoding="utf-8")
     imports = _script_json({"imports": _modules()})
     return Template(template).substitute(
         policy=_policy(imports, template),
@@ -41,7 +43,7 @@ def build_page(recording: bytes | None = None, live: str | None = None, title: s
         style=_part("style.css"),
         imports=imports,
         settings=_script_json({"live": live}),
-        land=_land(),
+        land=_script_json({"coordinates": json.loads(coastlines)["coordinates"]}),
         recording="" if recording is None else b64encode(recording).decode(),
     )
 
@@ -56,12 +58,6 @@ def _modules() -> dict[str, str]:
     names = sorted(entry.name for entry in folder.iterdir() if entry.name.endswith(".js"))
     modules = {"three": _part(THREE)} | {f"viewer/{name.removesuffix('.js')}": _part(name) for name in names}
     return {name: f"data:text/javascript;base64,{b64encode(text.encode()).decode()}" for name, text in modules.items()}
-
-
-def _land() -> str:
-    """Coastlines as JSON; see :func:`bsk_torch.viz.figures.world.land` for their source."""
-    text = files("bsk_torch.viz.figures").joinpath("land_110m.geojson").read_text(encoding="utf-8")
-    return _script_json({"coordinates": json.loads(text)["coordinates"]})
 
 
 def _script_json(value: object) -> str:

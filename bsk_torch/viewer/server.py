@@ -98,7 +98,7 @@ class Server(ThreadingHTTPServer):
         self.source, self.lock = source, threading.Lock()
         self.local = address[0] in LOOPBACK
         self.token = secrets.token_urlsafe(24)
-        self.reading: dict[Any, float] = {}
+        self.reading: dict[object, float] = {}
         """When connections whose requests are not complete end, the oldest first."""
 
     @property

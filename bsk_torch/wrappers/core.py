@@ -37,7 +37,7 @@ Results: TypeAlias = "Mapping[str, Any] | TensorDictBase"
 """Results of a reset or step by name."""
 
 
-def build(core: Kind | str | Callable[..., Kind], options: dict[str, Any], kind: type[Kind]) -> Kind:
+def build(core: Kind | str | Callable[..., Kind], options: dict[str, object], kind: type[Kind]) -> Kind:
     """Return the environment of a wrapper.
 
     Args:
@@ -67,7 +67,7 @@ def build(core: Kind | str | Callable[..., Kind], options: dict[str, Any], kind:
     return env
 
 
-def check_options(options: dict[str, Any] | None, allowed: Collection[str]) -> dict[str, Any]:
+def check_options(options: dict[str, object] | None, allowed: Collection[str]) -> dict[str, Any]:
     """Return the options of a reset; ValueError for an unknown one."""
     options = options or {}
     unknown = sorted(set(options) - set(allowed))

@@ -48,10 +48,10 @@ class EpisodeView:
 class GymEpisode(EpisodeView, gymnasium.Env[Any, Any]):
     """What Gymnasium's views of one episode share; each has its own spaces and actions."""
 
-    metadata: ClassVar[dict[str, Any]] = RENDERING  # type: ignore[misc]
+    metadata: ClassVar[dict[str, object]] = RENDERING  # type: ignore[misc]
     _running = False
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, object] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start an episode.
 
         Args:
@@ -78,7 +78,7 @@ class GymEpisode(EpisodeView, gymnasium.Env[Any, Any]):
         return self._observation(results), float(results["reward"]), terminated, truncated, self._info(results)
 
     @abstractmethod
-    def _observation(self, results: Results) -> Any: ...
+    def _observation(self, results: Results) -> object: ...
 
     @abstractmethod
     def _info(self, results: Results) -> dict[str, Any]: ...

@@ -81,7 +81,7 @@ class GymJointEnv(GymEpisode):
             return torch.tensor([values], dtype=torch.int64, device=device)
         return {name: read_one(f"action of {name!r}", value, part).unsqueeze(0).to(device) for name, value, part in triples}
 
-    def _observation(self, results: Results) -> tuple[Any, ...]:
+    def _observation(self, results: Results) -> tuple[object, ...]:
         return tuple(as_numpy(part) for part in results["observation"][0].split(self._widths))
 
     def _info(self, results: Results) -> dict[str, Any]:

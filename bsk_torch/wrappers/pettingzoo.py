@@ -69,7 +69,7 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
         >>> observations, rewards, terminations, truncations, infos = env.step(actions)
     """
 
-    metadata: ClassVar[dict[str, Any]] = RENDERING | {"name": "constellation", "is_parallelizable": True}
+    metadata: ClassVar[dict[str, object]] = RENDERING | {"name": "constellation", "is_parallelizable": True}
     core: ConstellationTasking
 
     def __init__(
@@ -116,14 +116,15 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
         specs = self.core.observation_spec
         observed = {group.name: specs[group.name, "observation"] for group in self.core.groups}
         self.observation_spaces = {a: observation_space(observed[self._seats[a].group.name], 2) for a in self.possible_agents}
-        self.action_spaces = {agent: self._make_action_space(self._seats[agent]) for agent in self.possible_agents}
+        self.action_spaces: dict[str, spaces.Space[Any]] = {}
+        for agent in self.possible_agents:
+            group, _, _, parts = self._seats[agent]
+            if group.is_meta:
+                self.action_spaces[agent] = spaces.MultiDiscrete([self._size(part) for part in parts])
+            else:
+                self.action_spaces[agent] = action_space(parts[0], self._continues)
         width = sum(spaces.flatdim(space) for space in self.observation_spaces.values())
         self.state_space = unbounded((width,), self.core.dtype)
-
-    def _make_action_space(self, seat: Seat) -> spaces.Space[Any]:
-        if not seat.group.is_meta:
-            return action_space(seat.parts[0], self._continues)
-        return spaces.MultiDiscrete([self._size(part) for part in seat.parts])
 
     def _size(self, part: SatelliteGroup) -> int:
         return part.actions.n_actions + self._continues
@@ -244,7 +245,7 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
         group, number, *_ = self._seats[agent]
         return results[group.name, name][0, number]
 
-    def _observation(self, results: TensorDictBase, agent: str) -> Any:
+    def _observation(self, results: TensorDictBase, agent: str) -> object:
         return map_leaves(self._of(results, agent, "observation"), as_numpy)
 
     def _infos(self, results: TensorDictBase, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -254,7 +255,9 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
         infos = {agent: self._info(agent, by_satellite, self._masks(results, agent, legal)) | step for agent in agents}
         return infos | ({COMMON: step} if self._common else {})
 
-    def _info(self, agent: str, by_satellite: Sequence[dict[str, Any]], masks: tuple[np.ndarray | None, ...]) -> dict[str, Any]:
+    def _info(
+        self, agent: str, by_satellite: Sequence[dict[str, object]], masks: tuple[np.ndarray | None, ...]
+    ) -> dict[str, Any]:
         group, _, members, _ = self._seats[agent]
         if not group.is_meta:
             return by_satellite[members[0]] | ({} if masks[0] is None else {"action_mask": masks[0]})

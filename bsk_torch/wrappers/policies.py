@@ -21,7 +21,7 @@ from bsk_torch.wrappers.spaces import flat_rows, map_leaves
 class Model(Protocol):
     """A model of Stable-Baselines3."""
 
-    observation_space: Any
+    observation_space: object
 
     def predict(self, observation: Any, *args: Any, **kwargs: Any) -> tuple[Any, Any]:
         """Return actions, and the state of a recurrent model."""
@@ -122,10 +122,10 @@ class FunctionPolicy(TensorDictModuleBase):
         mask = [tensordict["action_mask"]] if self.with_mask else []
         return tensordict.set("action", self._action(self._result(inputs, *mask), tensordict))
 
-    def _result(self, inputs: Any, *mask: Tensor) -> Any:
+    def _result(self, inputs: Any, *mask: Tensor) -> object:
         return self.function(inputs, *mask)
 
-    def _inputs(self, observation: Any) -> Any:
+    def _inputs(self, observation: Any) -> object:
         """Return the observation in the type of a module's weights."""
         weights = next(self.function.parameters(), None) if isinstance(self.function, nn.Module) else None
         return map_leaves(observation, lambda part: part if weights is None else part.to(weights))
@@ -158,13 +158,13 @@ class ModelPolicy(FunctionPolicy):
         super().__init__(model.predict, satellite, masked and form(satellite) is None)
         self.title = f"the model {type(model).__name__}"
 
-    def _inputs(self, observation: Any) -> Any:
+    def _inputs(self, observation: Any) -> object:
         """Return the observation as :class:`~bsk_torch.wrappers.stable_baselines3.SB3VecEnv` does."""
         if isinstance(observation, Tensor):
             return observation.cpu().numpy()
         return flat_rows(map_leaves(observation, lambda part: part.cpu().numpy()), len(observation.batch_size))
 
-    def _result(self, inputs: Any, *mask: Tensor) -> Any:
+    def _result(self, inputs: Any, *mask: Tensor) -> object:
         masks = {"action_masks": mask[0].cpu().numpy()} if mask else {}
         action, state = self.function(inputs, deterministic=exploration_type() is not ExplorationType.RANDOM, **masks)
         if state is not None:

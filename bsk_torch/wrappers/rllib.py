@@ -19,7 +19,7 @@ from bsk_torch.wrappers.pettingzoo import PettingZooEnv
 
 __all__ = ["constellation_tasking", "satellite_tasking", "unpack_config"]
 
-VIEWS: dict[type, Any] = {GeneralSatelliteTasking: GymJointEnv, ConstellationTasking: PettingZooEnv, SatelliteTasking: GymEnv}
+VIEWS: dict[type, object] = {GeneralSatelliteTasking: GymJointEnv, ConstellationTasking: PettingZooEnv, SatelliteTasking: GymEnv}
 """View of one episode of each environment, which RLlib's runners step."""
 
 CALLBACKS = ("episode_data_callback", "satellite_data_callback")

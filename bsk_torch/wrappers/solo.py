@@ -68,7 +68,7 @@ class SoloTasking:
         """Whether the deciding satellite needs a task, [N]."""
         return self.team.requires_retasking[:, self._column]
 
-    def reset(self, call: TensorDictBase, **options: Any) -> TensorDict:
+    def reset(self, call: TensorDictBase, **options: object) -> TensorDict:
         """Start the episodes ``_reset`` [N, 1] of ``call``; the others keep its other entries."""
         starts = call["_reset"].squeeze(-1)
         ask = TensorDict({name: call[name] for name in ("_reset", "state") if name in call.keys()}, call.batch_size)  # noqa: SIM118
@@ -87,7 +87,7 @@ class SoloTasking:
         tasks = torch.where(self.team.requires_retasking, 0, NO_ACTION)
         if self._all_numbered:
             tasks[:, self._column] = action
-            actions: Any = tasks
+            actions: object = tasks
         else:
             actions = {name: tasks[:, k] for k, name in enumerate(self.team.names)} | {self.team.names[self._column]: action}
         return self._columns(self.team.play([actions], moves))

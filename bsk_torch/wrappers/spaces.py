@@ -20,7 +20,7 @@ names."""
 
 def flat(tree: Mapping[str, object]) -> dict[str, Any]:
     """Return the leaves of nested dictionaries or Dict spaces, by their joined names."""
-    leaves: dict[str, Any] = {}
+    leaves: dict[str, object] = {}
     for name, part in tree.items():
         inner = flat(part) if isinstance(part, Mapping) else None
         leaves |= {name: part} if inner is None else {f"{name}{SEPARATOR}{key}": leaf for key, leaf in inner.items()}

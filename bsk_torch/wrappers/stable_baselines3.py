@@ -27,7 +27,7 @@ except ImportError as error:
     raise ImportError("SB3VecEnv is an environment of Stable-Baselines3: pip install 'bsk_torch[sb3]'") from error
 
 
-def flat_space(space: spaces.Space[Any]) -> spaces.Space[Any]:
+def flat_space(space: spaces.Space[object]) -> spaces.Space[Any]:
     """Return a Box unchanged, and for nested observations a Dict of one level, such as ``sat_props/storage_level_fraction``."""
     if not isinstance(space, spaces.Dict):
         return space
@@ -112,7 +112,7 @@ class SB3VecEnv(VecEnv):
         self._seeds = [super().seed(seed)[0]] * self.num_envs
         return self._seeds
 
-    def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
+    def set_options(self, options: list[dict[str, object]] | dict[str, object] | None = None) -> None:
         """Begin at the next reset with ``{"state": state}`` of ``core.get_state()``; ValueError for other options."""
         if isinstance(options, list):
             raise ValueError(

@@ -79,7 +79,7 @@ def draw(simulator: Simulator, where: str, name: str, value: Any) -> None:
 
     new = Arguments(of_title(arguments.parts), given, where, old.columns).of_components(of_title(parts), given)
     trial = replace(arguments, parts=parts, _checked=set(), **{where: new})
-    drawn = trial.draw(first_key(2), given=arguments.randomize(first_key(2)))
+    drawn = trial.draw(first_key(2), overrides=arguments.randomize(first_key(2)))
     for title in ("initial", "prepare"):
         for field, number in merge(drawn, trial.parts, title).items():
             assert not bool(torch.isnan(number).any()), f"{field} is NaN"

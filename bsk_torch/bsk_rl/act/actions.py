@@ -93,11 +93,11 @@ class Action(ABC, Resetable):
         """Whether the action may command an attitude set-point; those of users' classes may."""
         return not type(self).__module__.startswith(__name__.partition(".")[0] + ".")
 
-    def link_satellite(self, satellite: Any) -> None:
+    def link_satellite(self, satellite: object) -> None:
         """Store the satellite."""
         self.satellite = satellite
 
-    def link_simulator(self, simulator: Any) -> None:
+    def link_simulator(self, simulator: object) -> None:
         """Store the simulation of the episode."""
         self.simulator = simulator
 

@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium import spaces
 from typing_extensions import override
 
+from bsk_torch.act.base import LONGEST
 from bsk_torch.bsk_rl.act.actions import Action, ActionBuilder
 
 __all__ = [
@@ -28,9 +29,6 @@ __all__ = [
 
 logger = logging.getLogger(__name__)
 
-LONGEST = 1e9
-"""Duration of actions without one, s."""
-
 
 class DiscreteActionBuilder(ActionBuilder):
     """Selects an action by its index.
@@ -39,8 +37,8 @@ class DiscreteActionBuilder(ActionBuilder):
         prev_action_key: Key returned by the last action; None at the start of an episode.
     """
 
+    @override
     def __init__(self, satellite: Any) -> None:
-        """See :class:`ActionBuilder`."""
         super().__init__(satellite)
         self.prev_action_key: Any = None
 
@@ -77,7 +75,7 @@ class DiscreteActionBuilder(ActionBuilder):
             first += entry.n_actions
         raise ValueError(f"Action index {action} out of range.")
 
-    def _override(self, action: Any) -> None:
+    def _override(self, action: object) -> None:
         logger.warning("Action '%s' is not an integer. Will attempt to use compatible set_action_override method.", action)
         for entry in self.action_spec:
             try:
@@ -138,8 +136,8 @@ class FSWCommand(DiscreteFSWAction):
     command: ClassVar[str]
     resets: ClassVar[bool] = False
 
+    @override
     def __init__(self, name: str | None = None, duration: float | None = None) -> None:
-        """See :class:`DiscreteFSWAction`."""
         super().__init__(self.command, name, duration, self.resets)
 
 
@@ -199,7 +197,7 @@ class Image(DiscreteAction):
         self.satellite.logger.info("target index %s tasked", action)
         return self.image(action, prev_action_key)
 
-    def set_action_override(self, action: Any, prev_action_key: Any = None) -> Any:
+    def set_action_override(self, action: object, prev_action_key: object = None) -> Any:
         """Image a target, given as itself or its id."""
         return self.image(action, prev_action_key)
 

@@ -89,7 +89,7 @@ class ImageRSO(DiscreteAction):
         if self.variable_duration_imaging:
             self.event_name = f"rso_image_success_{satellite.name}"
 
-            def taken(_: Any) -> None:
+            def taken(_: object) -> None:
                 satellite.logger.info("imaged %s", target_id)
                 satellite.requires_retasking = True
 
@@ -119,7 +119,7 @@ class ImageRSO(DiscreteAction):
             raise ValueError(f"action={action} of {self.name} is an empty candidate; there are not as many eligible targets")
         return self._image(observed.targets[action].id)
 
-    def set_action_override(self, action: Any, prev_action_key: Any = None) -> str:
+    def set_action_override(self, action: object, prev_action_key: object = None) -> str:
         """Image a target given by its id, or as an object with an ``id``; TypeError for something else."""
         target_id = action if isinstance(action, str) else getattr(action, "id", None)
         if target_id is None:

@@ -138,9 +138,9 @@ class LOSCommunication(CommunicationMethod):
     def los_logs(self) -> dict[Any, dict[Any, SightLog]]:
         """Logs of the current step by sensor and other satellite; empty after :meth:`communicate`, as in bsk_rl."""
         simulator = self.satellites[0].simulator
-        seen = simulator.recorded_sights()[: 0 if simulator.sim_time == self._cleared else None]
+        sights = simulator.recorded_sights()[: 0 if simulator.sim_time == self._cleared else None]
         numbered = list(enumerate(self.satellites))
-        return {one: {other: SightLog(seen[:, i, j].astype(int)) for j, other in numbered if j != i} for i, one in numbered}
+        return {one: {other: SightLog(sights[:, i, j].astype(int)) for j, other in numbered if j != i} for i, one in numbered}
 
     def communication_pairs(self) -> Pairs:
         """See :meth:`CommunicationMethod.communication_pairs`; as in bsk_rl, both directions are listed for each sensor."""

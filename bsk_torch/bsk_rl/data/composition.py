@@ -24,7 +24,7 @@ __all__ = ["ComposedData", "ComposedDataStore", "ComposedReward", "MixedData", "
 logger = logging.getLogger(__name__)
 
 
-def _attribute_of_first(parts: Iterable[Any], name: str, kind: str) -> Any:
+def _attribute_of_first(parts: Iterable[Any], name: str, kind: str) -> object:
     for part in parts:
         if hasattr(part, name):
             return getattr(part, name)
@@ -208,7 +208,7 @@ class ComposedReward(RewarderGroup):
         return reward
 
 
-def _attribute_of_one(parts: Mapping[str, Any], name: str, kind: str) -> Any:
+def _attribute_of_one(parts: Mapping[str, Any], name: str, kind: str) -> object:
     having = [key for key, part in parts.items() if hasattr(part, name)]
     if len(having) == 1:
         return getattr(parts[having[0]], name)

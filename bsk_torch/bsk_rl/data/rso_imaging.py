@@ -12,6 +12,7 @@ from bsk_torch._checks import function, number
 from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
 from bsk_torch.bsk_rl.utils.rso_imaging import RSOImageRecord
 from bsk_torch.tasks.objects.reward import LEAST_BITS, SAME_TIME
+from bsk_torch.tasks.objects.team_reward import STAGES
 
 __all__ = ["RSOImageData", "RSOImageReward", "RSOImageStore"]
 
@@ -20,8 +21,6 @@ Records = dict[str, RSOImageRecord]
 
 RewardFunction = Callable[[RSOImageRecord, Any], float]
 """Value of an image, given also its target with its present ``priority``."""
-
-STAGES = ("acquisition", "delivery")
 
 CREDITS = (None, "shared", "per_imager")
 

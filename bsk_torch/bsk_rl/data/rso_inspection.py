@@ -70,8 +70,8 @@ class RSOInspectionDataStore(DataStore):
 
     data_type = RSOInspectionData
 
+    @override
     def __init__(self, *args: Any, **kwargs: Any) -> None:
-        """See :class:`DataStore`."""
         super().__init__(*args, **kwargs)
         self.role = INSPECTOR if issubclass(self.satellite.dyn_type, RSOInspectorDynModel) else RSO
         self.scenario: Any = None

@@ -155,11 +155,11 @@ class Observation(ABC, Resetable):
         """Name the observation."""
         self.name = name
 
-    def link_satellite(self, satellite: Any) -> None:
+    def link_satellite(self, satellite: object) -> None:
         """Store the satellite."""
         self.satellite = satellite
 
-    def link_simulator(self, simulator: Any) -> None:
+    def link_simulator(self, simulator: object) -> None:
         """Store the simulation of the episode."""
         self.simulator = simulator
 
@@ -233,18 +233,18 @@ class Time(Observation):
         return (self.simulator.time_limit - now if self.return_time_remaining else now) / self._norm
 
 
-def _target_angle(satellite: Any, opportunity: Any) -> Any:
+def _target_angle(satellite: Any, opportunity: Any) -> object:
     line_P = opportunity["r_LP_P"] - satellite.dynamics.r_BN_P
     return np.arccos(np.dot(line_P / np.linalg.norm(line_P), satellite.fsw.c_hat_P))
 
 
-def _target_angle_rate(satellite: Any, opportunity: Any) -> Any:
+def _target_angle_rate(satellite: Any, opportunity: Any) -> object:
     model = satellite.dynamics
     line_P = opportunity["object"].r_LP_P - model.r_BN_P
     return np.linalg.norm(model.omega_BP_P - np.cross(model.v_BN_P, line_P) / np.linalg.norm(line_P) ** 2)
 
 
-def _r_LB_H(satellite: Any, opportunity: Any) -> Any:
+def _r_LB_H(satellite: Any, opportunity: Any) -> object:
     model = satellite.dynamics
     line_N = satellite.simulator.world.PN.T @ opportunity["object"].r_LP_P - model.r_BN_N
     return rv2HN(model.r_BN_N, model.v_BN_N) @ line_N

@@ -39,7 +39,7 @@ AXES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0,
 """Centers of the six regions of a surface that are told apart by default."""
 
 
-def _mrp(matrix: Any) -> Any:
+def _mrp(matrix: object) -> object:
     """Return the MRP [3] of a direction cosine matrix [3, 3]."""
     return dcm_to_mrp(Mat3.of(torch.as_tensor(np.asarray(matrix, dtype=float)))).stack().numpy()
 

@@ -22,7 +22,7 @@ __all__ = ["per_episode"]
 logger = logging.getLogger(__name__)
 
 
-def per_episode(function: Callable[..., Any]) -> Callable[..., Tree]:
+def per_episode(function: Callable[..., object]) -> Callable[..., Tree]:
     """Return a function of one satellite as one of all satellites of a type.
 
     It is called once for all if that gives the first satellite the same result as a call for it alone, else for one after the

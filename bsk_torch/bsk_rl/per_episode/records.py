@@ -157,7 +157,7 @@ class RecordTable(StateTable):
         self.reset(envs)
 
     @override
-    def _gathered(self, envs: Tensor) -> dict[str, Any]:
+    def _gathered(self, envs: Tensor) -> dict[str, object]:
         self._check_unscored(envs)
         return {}
 

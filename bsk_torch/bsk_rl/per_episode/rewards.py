@@ -25,16 +25,16 @@ class PerEpisodeReward(GlobalReward):
     """Runs a rewarder of one episode for each episode, with separate stores for each.
 
     Attributes:
-        given: The rewarder of one episode; every episode begins with a deep copy of it.
+        original: The rewarder of one episode; every episode begins with a deep copy of it.
         records: Rewarder and stores of each episode, part of the state.
     """
 
-    given: OneReward
+    original: OneReward
     records: RecordTable
 
-    def __init__(self, given: OneReward) -> None:
-        """Run copies of ``given``."""
-        self.given = given
+    def __init__(self, rewarder: OneReward) -> None:
+        """Run copies of ``rewarder``."""
+        self.original = rewarder
 
     @override
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
@@ -50,7 +50,7 @@ class PerEpisodeReward(GlobalReward):
 
     def _begin(self, env: int) -> Record:
         satellites = [StoringSatellite(one) for one in satellites_of(self.fleet, env)]
-        record = Record(copy.deepcopy(self.given), satellites, SingleScenario(self.scenario, env, satellites))
+        record = Record(copy.deepcopy(self.original), satellites, SingleScenario(self.scenario, env, satellites))
         record.begin()
         return record
 
@@ -84,8 +84,8 @@ class PerEpisodeReward(GlobalReward):
                     reward[env, k] = float(paid[name])
                 except (KeyError, TypeError, ValueError) as error:
                     raise TypeError(
-                        f"{type(self.given).__name__}.calculate_reward(new_data_dict) returns {paid!r}; it must return a number "
-                        f"for each of {names}"
+                        f"{type(self.original).__name__}.calculate_reward(new_data_dict) returns {paid!r}; it must return a "
+                        f"number for each of {names}"
                     ) from error
         return reward.to(self.fleet.device)
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 import numpy as np
 import torch
@@ -44,15 +43,17 @@ class PerEpisodeTargets(UniformTargets):
     """Lets a scenario of one episode make the targets of each episode.
 
     Attributes:
-        given: The scenario of one episode; a deep copy of it makes the targets of an episode.
+        original: The scenario of one episode; a deep copy of it makes the targets of an episode.
     """
 
-    def __init__(self, given: OneTargets) -> None:
-        """Run copies of ``given``; TypeError for one with hooks that would not be called."""
-        super().__init__(given._n_targets, radius=given.radius)
-        if hooks := sorted(name for name in NOT_CALLED if not is_of_package(getattr(type(given), name))):
-            raise TypeError(f"{type(given).__name__}: {', '.join(hooks)} would not be called in a batch; regenerate_targets() is")
-        self.given = given
+    def __init__(self, targets: OneTargets) -> None:
+        """Run copies of ``targets``; TypeError for one with hooks that would not be called."""
+        super().__init__(targets._n_targets, radius=targets.radius)
+        if hooks := sorted(name for name in NOT_CALLED if not is_of_package(getattr(type(targets), name))):
+            raise TypeError(
+                f"{type(targets).__name__}: {', '.join(hooks)} would not be called in a batch; regenerate_targets() is"
+            )
+        self.original = targets
         self._room_is_known = False
         self._made: dict[int, tuple[tuple[int, ...], list[Target]]] = {}
 
@@ -71,12 +72,12 @@ class PerEpisodeTargets(UniformTargets):
         for row, targets in enumerate(made):
             if len(targets) > most:
                 raise ValueError(
-                    f"{type(self.given).__name__}.regenerate_targets() makes {len(targets)} targets in environment "
+                    f"{type(self.original).__name__}.regenerate_targets() makes {len(targets)} targets in environment "
                     f"{int(key.env_id[row])}, where there is room for {most}; give the largest number as n_targets, as in "
                     f"n_targets=({self.low}, {len(targets) + 1})"
                 )
         values = {"target_exists": torch.tensor([[k < len(targets) for k in range(most)] for targets in made]).double()}
-        for name, blank in _columns(self.given, made).items():
+        for name, blank in _columns(self.original, made).items():
             rows = [[_number(target, name) for target in targets] + [blank] * (most - len(targets)) for targets in made]
             values[f"target_{name}"] = torch.as_tensor(np.array(rows, dtype=float))
         check_positions(values["target_r_LP_P"].flatten(0, 1))
@@ -91,7 +92,7 @@ class PerEpisodeTargets(UniformTargets):
     def _make(self, words: tuple[int, ...]) -> list[Target]:
         low, high, env_id, episode = (torch.tensor([word]) for word in words)
         key = Key(low | (high << 32), env_id, episode)
-        one = copy.deepcopy(self.given)
+        one = copy.deepcopy(self.original)
         one.targets, one.n_targets = [], int(self.draw_exists(key).sum())
         with seeded(key.named("regenerate_targets"), reseed=True) as rows:  # the same when they are made again, outside of a draw
             next(rows)
@@ -113,9 +114,9 @@ class PerEpisodeTargets(UniformTargets):
         return names + self.target_names[len(names) :]
 
 
-def _columns(scenario: OneTargets, made: Sequence[list[Target]]) -> dict[str, Any]:
+def _columns(scenario: OneTargets, made: Sequence[list[Target]]) -> dict[str, object]:
     """Return the names of numeric attributes, each with its value for padding."""
-    columns: dict[str, Any] = {"r_LP_P": np.array([R_EARTH, 0.0, 0.0]), "priority": 0.0}
+    columns: dict[str, object] = {"r_LP_P": np.array([R_EARTH, 0.0, 0.0]), "priority": 0.0}
     for target in (target for targets in made for target in targets):
         for name in vars(target):
             if name not in COMMON and not name.startswith("_") and name not in columns and _number(target, name) is not None:

@@ -65,7 +65,7 @@ class OneView:
             return vars(whole)[name]
         raise AttributeError(f"{type(whole).__name__} has no attribute {name!r}; {nearest(name, dir(whole))}")
 
-    def _of_class(self, name: str, member: Any, owner: type) -> Any:
+    def _of_class(self, name: str, member: Any, owner: type) -> object:
         batched = is_of_package(owner) or isinstance(member, observable)
         if not batched and isinstance(member, property | cached_property):
             return (member.fget if isinstance(member, property) else member.func)(self)  # type: ignore[misc]
@@ -375,7 +375,7 @@ class OneAccessSatellite(OneSatellite, OpportunityQueries):
         return allowed is None or bool(allowed[self._row, opportunity.place])
 
     @override
-    def _accepts(self, types: Types, filter: Filter) -> Callable[[OneOpportunity], Any]:
+    def _accepts(self, types: Types, filter: Filter) -> Callable[[OneOpportunity], object]:
         kinds = self._kinds(types)
         if isinstance(filter, list):
             return lambda opportunity: opportunity["type"] in kinds and opportunity["object"] not in filter

@@ -47,16 +47,16 @@ class OpportunityQueries(ABC):
     def _accepts(self, types: Types, filter: Any) -> Filter:
         """Return the function that determines whether an opportunity counts in a query."""
 
-    def opportunities_dict(self, types: Types = None, filter: Any = None) -> dict[Any, list[Window]]:
+    def opportunities_dict(self, types: Types = None, filter: object = None) -> dict[Any, list[Window]]:
         """Return all windows by object; ``filter`` is a function of an opportunity, or a list of objects to leave out."""
         return self._by_object(self.opportunities, self._accepts(types, filter))
 
-    def upcoming_opportunities_dict(self, types: Types = None, filter: Any = None) -> dict[Any, list[Window]]:
+    def upcoming_opportunities_dict(self, types: Types = None, filter: object = None) -> dict[Any, list[Window]]:
         """Return the windows that have not closed by object."""
         return self._by_object(self.upcoming_opportunities, self._accepts(types, filter))
 
     @staticmethod
-    def _by_object(opportunities: Sequence[Mapping[str, Any]], accepts: Filter) -> dict[Any, list[Window]]:
+    def _by_object(opportunities: Sequence[Mapping[str, Any]], accepts: Filter) -> dict[object, list[Window]]:
         windows: dict[Any, list[Window]] = {}
         for opportunity in opportunities:
             if accepts(opportunity):
@@ -64,7 +64,7 @@ class OpportunityQueries(ABC):
         return windows
 
     def next_opportunities_dict(
-        self, types: Types = None, filter: Any = None, min_needed: int | None = None
+        self, types: Types = None, filter: object = None, min_needed: int | None = None
     ) -> dict[Any, Window]:
         """Return the next window of every object; of the first ``min_needed`` objects, if given."""
         accepts, windows = self._accepts(types, filter), dict[Any, Window]()
@@ -126,7 +126,7 @@ class AccessSatellite(OpportunityQueries, Satellite):
         return model
 
     def add_location_for_access_checking(
-        self, object: Any, r_LP_P: Any, min_elev: float, type: str, start_time: float = 0.0
+        self, object: object, r_LP_P: object, min_elev: float, type: str, start_time: float = 0.0
     ) -> None:
         """Add a place, which counts in later searches.
 
@@ -176,7 +176,7 @@ class AccessSatellite(OpportunityQueries, Satellite):
                 for window in windows_in(error, candidate, (times[first], times[-1]), logger):
                     self._add_window(place["object"], window, place["type"], place["r_LP_P"], times[first])
 
-    def _add_window(self, object: Any, new_window: Window, type: str, r_LP_P: Any, merge_time: float | None = None) -> None:
+    def _add_window(self, object: object, new_window: Window, type: str, r_LP_P: object, merge_time: float | None = None) -> None:
         if merge_time is None or new_window[0] == merge_time:
             for k, last in enumerate(self.opportunities):
                 if last["type"] == type and last["object"] == object and last["window"][1] == new_window[0]:
@@ -209,7 +209,7 @@ class AccessSatellite(OpportunityQueries, Satellite):
         pad: bool = True,
         max_lookahead: int = 100,
         types: Types = None,
-        filter: Any = None,
+        filter: object = None,
     ) -> list[Opportunity]:
         """Return the ``n`` windows that close next; the last is repeated where there are fewer.
 
@@ -332,7 +332,7 @@ class ImagingSatellite(AccessSatellite):
         self.draw_imaging_line(target)
         self.latest_target = target
 
-    def enable_target_window(self, target: Any, max_duration: float | None = None) -> None:
+    def enable_target_window(self, target: object, max_duration: float | None = None) -> None:
         """Let the task end with the image, with the target's window, or after ``max_duration`` s.
 
         Raises:
@@ -369,8 +369,8 @@ class ImagingSatellite(AccessSatellite):
         if self._image_event_name in self.simulator.eventMap:
             self.simulator.delete_event(str(self._image_event_name))
 
-    def draw_imaging_line(self, target: Any, **_: Any) -> None:
+    def draw_imaging_line(self, target: object, **_: object) -> None:
         """Do nothing: pictures for Vizard are not made."""
 
-    def remove_imaging_line(self, **_: Any) -> None:
+    def remove_imaging_line(self, **_: object) -> None:
         """Do nothing, likewise."""

@@ -80,7 +80,7 @@ class Satellite(ABC, ResetableGroup):
         return getattr(cls, name)
 
     @classmethod
-    def default_sat_args(cls, **kwargs: Any) -> dict[str, Any]:
+    def default_sat_args(cls, **kwargs: object) -> dict[str, Any]:
         """Return all arguments of the models with their defaults, or the given values; KeyError for an unknown name."""
         defaults = sat_defaults(cls.get_dyn_type(), cls.get_fsw_type())
         for name, value in kwargs.items():
@@ -150,7 +150,7 @@ class Satellite(ABC, ResetableGroup):
 
     # -- an episode begins --------------------------------------------------------------------------------------------
 
-    def generate_sat_args(self, **kwargs: Any) -> None:
+    def generate_sat_args(self, **kwargs: object) -> None:
         """Draw the arguments of an episode, in their order, and replace some; KeyError for an unknown name."""
         self.sat_args = {name: value() if callable(value) else value for name, value in self.sat_args_generator.items()}
         for name, value in kwargs.items():
@@ -170,7 +170,7 @@ class Satellite(ABC, ResetableGroup):
         self.time_of_death: float | None = None
         super().reset_overwrite_previous()
 
-    def create_vizard_data(self, color: Any, **_: Any) -> None:
+    def create_vizard_data(self, color: object, **_: object) -> None:
         """Do nothing: pictures for Vizard are not made."""
 
     @override
@@ -241,18 +241,18 @@ class Satellite(ABC, ResetableGroup):
         if self.time_of_death is None:
             self.time_of_death = time
 
-    def log_info(self, info: Any) -> None:
+    def log_info(self, info: object) -> None:
         """Log at level INFO."""
         self.logger.info("%s", info)
 
-    def log_warning(self, warning: Any) -> None:
+    def log_warning(self, warning: object) -> None:
         """Log a warning."""
         self.logger.warning("%s", warning)
 
     # -- events -------------------------------------------------------------------------------------------------------
 
     def update_timed_terminal_event(
-        self, t_close: float, info: str = "", extra_actions: Callable[[Simulator], Any] | None = None
+        self, t_close: float, info: str = "", extra_actions: Callable[[Simulator], object] | None = None
     ) -> None:
         """Let the task end at a time, s; the event replaces the one before.
 

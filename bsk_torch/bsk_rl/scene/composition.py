@@ -38,8 +38,8 @@ class MixedScenario(ResetableGroup, Scenario):
 
     def _groups(self) -> Iterator[tuple[Scenario, set[str]]]:
         for scenario in {id(scenario): scenario for scenario in self.scenarios.values()}.values():
-            mine = [key for key, other in self.scenarios.items() if other is scenario]
-            yield scenario, set().union(*(self.satellite_mapping[key] for key in mine))
+            keys = [key for key, other in self.scenarios.items() if other is scenario]
+            yield scenario, set().union(*(self.satellite_mapping[key] for key in keys))
 
     @override
     def _parts(self) -> list[Scenario]:

@@ -113,11 +113,11 @@ class RSOPoints(Scenario):
         self.inspection = Inspection(simulator.fleet, *places, self.rso_points)
 
     @vizard.visualize
-    def visualize_rso_point(self, rso_point: RSOPoint, vizSupport: Any = None, vizInstance: Any = None) -> None:
+    def visualize_rso_point(self, rso_point: RSOPoint, vizSupport: object = None, vizInstance: object = None) -> None:
         """Draw a point in Vizard."""
 
     @vizard.visualize
-    def setup_inspector_camera(self, inspector: Any, vizSupport: Any = None, vizInstance: Any = None) -> None:
+    def setup_inspector_camera(self, inspector: object, vizSupport: object = None, vizInstance: object = None) -> None:
         """Show what an inspector sees in Vizard."""
 
     @abstractmethod

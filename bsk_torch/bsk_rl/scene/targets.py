@@ -9,7 +9,6 @@ import sys
 from collections.abc import Callable, Iterable
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -99,7 +98,7 @@ class UniformTargets(Scenario):
             self.visualize_target(target)
 
     @vizard.visualize
-    def visualize_target(self, target: Target, vizSupport: Any = None, vizInstance: Any = None) -> None:
+    def visualize_target(self, target: Target, vizSupport: object = None, vizInstance: object = None) -> None:
         """Draw a target in Vizard."""
 
     def regenerate_targets(self) -> None:

@@ -83,9 +83,9 @@ class Engine:
     def __init__(self, backend: str = "compiled", orbit: str | None = None) -> None:
         """Build with a back end; ``orbit`` is ``"arc"``, ``"integrated"``, or None for what each episode needs."""
         self.backend, self.orbit = backend, orbit
-        self._key: Any = None
-        self._values: list[dict[str, Any]] = []
-        self._world: dict[str, Any] = {}
+        self._key: object = None
+        self._values: list[dict[str, object]] = []
+        self._world: dict[str, object] = {}
         self._limit = float("inf")
 
     def begin(
@@ -117,15 +117,15 @@ class Engine:
         fleet.since = fleet.ticks
         return fleet
 
-    def _structure(self, satellites: Sequence[Any], types: Sequence[type[CoreSatellite]], *others: Any) -> Any:
+    def _structure(self, satellites: Sequence[Any], types: Sequence[type[CoreSatellite]], *others: Any) -> object:
         """Return what decides whether a simulation that has been built can be used again."""
         each = [
             (s.name, t, s.variable_interval, _given(t.default_sat_args(), values))
             for s, t, values in zip(satellites, types, self._values, strict=True)
         ]
-        return repr([(name, id(t), interval, sorted(given.items(), key=str)) for name, t, interval, given in each]), repr(
-            (sorted(_given(others[0].default_world_args(), self._world).items(), key=str), *others)
-        )
+        return repr(
+            [(name, id(t), interval, sorted(table_arguments.items(), key=str)) for name, t, interval, table_arguments in each]
+        ), repr((sorted(_given(others[0].default_world_args(), self._world).items(), key=str), *others))
 
     def _build(
         self, satellites: Sequence[Any], types: Sequence[type[CoreSatellite]], world_type: Any, sim_rate: float, orbit: str | None
@@ -155,17 +155,17 @@ class Engine:
             functions = [member.function for member in members if isinstance(member, observable)]
             part.simulator.observer.want((*functions, *part.dynamics.vitals().values(), *part.fsw.vitals().values()))
 
-    def _sources(self, table: ArgumentTable, k: int | None) -> dict[str, Any]:
+    def _sources(self, table: ArgumentTable, k: int | None) -> dict[str, object]:
         """Return arguments by name: those that determine the structure unchanged, others as functions of the episode."""
         values = self._world if k is None else self._values[k]
-        given = _given(table, values)
-        return {name: given[name] if name in given else self._reader(k, name) for name in table.rows if name in values}
+        arguments = _given(table, values)
+        return {name: arguments[name] if name in arguments else self._reader(k, name) for name in table.rows if name in values}
 
-    def _reader(self, k: int | None, name: str) -> Callable[[], Any]:
+    def _reader(self, k: int | None, name: str) -> Callable[[], object]:
         return lambda: (self._world if k is None else self._values[k])[name]
 
 
-def _own_values(satellite: Any) -> dict[str, Any]:
+def _own_values(satellite: Any) -> dict[str, object]:
     """Return the arguments of a satellite as the core takes them: with the state at time zero in place of elements."""
     values = {name: value for name, value in satellite.sat_args.items() if name not in WORLD_ONLY}
     values["rN"], values["vN"] = initial_state(values["rN"], values["vN"], values["oe"], values["mu"])
@@ -183,11 +183,11 @@ def _own_values(satellite: Any) -> dict[str, Any]:
     return values
 
 
-def _given(table: ArgumentTable, values: Mapping[str, Any]) -> dict[str, Any]:
+def _given(table: ArgumentTable, values: Mapping[str, object]) -> dict[str, Any]:
     return {name: values[name] for name, arg in table.rows.items() if name in values and _decides(arg, values[name])}
 
 
-def _decides(arg: Arg, value: Any) -> bool:
+def _decides(arg: Arg, value: object) -> bool:
     return value is None or is_fixed(arg) or arg.name in BUILT_FOR
 
 
@@ -208,8 +208,8 @@ def _needed_orbit(values: Sequence[Mapping[str, Any]], world: Mapping[str, Any])
     drag = {"planetRadius", "baseDensity", "scaleHeight"} <= world.keys()
     top = top_radius(*(float(world[name]) for name in ("planetRadius", "baseDensity", "scaleHeight"))) if drag else 0.0
     needed = None
-    for own in values:
-        r, v = (Vec3.of(torch.from_numpy(np.asarray(own[name], dtype=float))) for name in ("rN", "vN"))
+    for satellite_values in values:
+        r, v = (Vec3.of(torch.from_numpy(np.asarray(satellite_values[name], dtype=float))) for name in ("rN", "vN"))
         if not is_orbit(r, v):
             return "free"
         if float(periapsis_radius(r, v)) < top:

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from bsk_torch.constants import NANO
 from bsk_torch.sim.fleet import Fleet
@@ -71,7 +70,11 @@ class Inspection:
         chief = flight.traces[self.rso[0]]
         assert chief is not None
         compiled = self.fleet.simulators[self.rso[0]].type.options.backend == "compiled"
-        count, seen_from, lit_from = torch.tensor([ticks]), torch.zeros(1, dtype=torch.int64), self._lit_from(flight)
+        # points may be lit from the third record of the episode on if bsk_rl recognizes its step
+        simulator, begun_now = self.fleet.simulators[0], int(flight.since[0]) == 0
+        recognized = begun_now and int(flight.ticks[0]) * simulator.h_ns * NANO - simulator.h * int(flight.ticks[0]) == 0.0
+        count, seen_from = torch.tensor([ticks]), torch.zeros(1, dtype=torch.int64)
+        lit_from = torch.tensor([2 if recognized else 0])
         for place in self.inspectors:
             k, row = place
             inspectors = flight.traces[k]
@@ -80,9 +83,3 @@ class Inspection:
             records = Records(chief, rows[0], inspectors, rows[1], count, seen_from, lit_from)
             new = find_flags(self.columns, records, compiled)
             self._found[place] = Found(*(old | flags[0].numpy() for old, flags in zip(self._found[place], new, strict=True)))
-
-    def _lit_from(self, flight: Flight) -> Tensor:
-        """Return the first record in which points may be lit, [1]: the third of the episode if bsk_rl recognizes its step."""
-        simulator, ticks = self.fleet.simulators[0], int(flight.ticks[0])
-        recognised = int(flight.since[0]) == 0 and ticks * simulator.h_ns * NANO - simulator.h * ticks == 0.0
-        return torch.tensor([2 if recognised else 0])

@@ -69,7 +69,7 @@ class Message:
         """Read with a function, and write with another one if the message can be written."""
         self._read, self._write = read, write
 
-    def write(self, payload: Any, *_: Any) -> None:
+    def write(self, payload: object, *_: object) -> None:
         """Write a payload; TypeError for a message that follows from the simulation."""
         if self._write is None:
             raise TypeError(f"this message follows from the simulation and cannot be written; {COMPONENT}")
@@ -83,7 +83,7 @@ class Message:
 class Module(NamedTuple):
     """A module of Basilisk: its attributes by name, as functions of a dynamics model, and what the model must have."""
 
-    attributes: Mapping[str, Callable[[View], Any]]
+    attributes: Mapping[str, Callable[[View], object]]
     needs: str = "r_BN_N"
 
 
@@ -106,7 +106,7 @@ class ModuleView:
         raise AttributeError(f"{name!r} of a module of Basilisk's cannot be set: give it in sat_args, or {COMPONENT}")
 
 
-def _argument(name: str) -> Callable[[View], Any]:
+def _argument(name: str) -> Callable[[View], object]:
     return lambda dynamics: dynamics.satellite.sat_args[name]
 
 

@@ -32,7 +32,7 @@ class Aims:
         self._targets: list[Any] = []
         self._orbits: CatalogOrbits | None = None
 
-    def add(self, target: Any) -> None:
+    def add(self, target: object) -> None:
         """Add a satellite as a target."""
         if target not in self._targets:
             self._targets.append(target)

@@ -230,8 +230,8 @@ class Simulator:
         Other events happen on the way. As in Basilisk, those that are due happen before the first tick, too, and none does at the
         time limit.
         """
-        fleet, given = self.fleet, torch.tensor([min(self.time_limit, LATEST)], dtype=torch.float64)
-        limit_ticks = whole_limit(given, self._et, self._h_ns)[0]
+        fleet, time_limit = self.fleet, torch.tensor([min(self.time_limit, LATEST)], dtype=torch.float64)
+        limit_ticks = whole_limit(time_limit, self._et, self._h_ns)[0]
         limit = int(limit_ticks)
         fleet.since = torch.tensor([self._now])
         longest = self._now + self.tick_at(self.max_step_duration)

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from bsk_torch.astro.eclipse import in_umbra
 from bsk_torch.astro.ephemeris import earth_orientation
@@ -50,7 +49,7 @@ NOT_FOUND = 1.0, 1.0
 """Answer of a search for eclipses that fails, s."""
 
 
-def initial_state(rN: Any, vN: Any, oe: Any, mu: float) -> tuple[Vector, Vector]:
+def initial_state(rN: object, vN: object, oe: object, mu: float) -> tuple[Vector, Vector]:
     """Return position, m, and velocity, m/s, in N from either of bsk_rl's two forms.
 
     Raises:
@@ -145,9 +144,6 @@ class TrajectorySimulator:
         """Whether samples are those of the planned arc; others are interpolated on the flown one."""
         return self.dt == PLAN_STEP
 
-    def _positions_N(self) -> Tensor:
-        return self.arcs.planned[0, : self._samples] if self._as_planned else self._flown(0)[0].stack()
-
     def _flown(self, first: int) -> tuple[Vec3, Bus]:
         """Return positions, Sun and Earth at the samples from number ``first`` on, by interpolation."""
         time = self.dt * torch.arange(first, self._samples, dtype=torch.float64)
@@ -169,7 +165,7 @@ class TrajectorySimulator:
         if frame not in self._splines:
             if self._samples < 4:
                 self.extend_to(3 * self.dt)
-            r = self._positions_N()
+            r = self.arcs.planned[0, : self._samples] if self._as_planned else self._flown(0)[0].stack()
             if frame == "P":
                 times = torch.arange(self._samples, dtype=torch.float64) * self.dt
                 r = (earth_orientation(self.arcs.et + times) @ r.unsqueeze(-1)).squeeze(-1)
@@ -184,7 +180,7 @@ class TrajectorySimulator:
         Transitions are those between samples. A search that fails ``max_tries`` times returns one second, as in bsk_rl.
         """
         for k in range(max_tries + 1):
-            starts, ends = ([time for time in known if time > t] for known in (self._starts, self._ends))
+            starts, ends = ([time for time in transitions if time > t] for transitions in (self._starts, self._ends))
             if starts and ends:
                 return min(starts), min(ends)
             self._search(t + k * SEARCH_STEP)

@@ -94,7 +94,7 @@ class ModelView:
     ``isinstance`` is true for the classes of the model. Attributes that a program sets are kept until the next reset.
     """
 
-    def __new__(cls, whole: Any, *_: Any) -> Any:
+    def __new__(cls, whole: object, *_: object) -> Any:
         """Return a view whose members the user's class of the model may override."""
         return object.__new__(_overriding(cls, type(whole)))  # type: ignore[arg-type]  # mypy: a class is not Hashable
 
@@ -136,13 +136,13 @@ class ModelView:
             super().__setattr__(name, value)
 
     def _advice(self, name: str) -> str:
-        known = messages.advice(name) or nearest(name, self._names())
-        return f"{type(self._whole).__name__} has no attribute {name!r}; {known}"
+        advice = messages.advice(name) or nearest(name, self._names())
+        return f"{type(self._whole).__name__} has no attribute {name!r}; {advice}"
 
     def _names(self) -> list[str]:
         return [name for name in dir(self._whole) if not name.startswith("_")]
 
-    def _entry(self, name: str, value: Any) -> Any:
+    def _entry(self, name: str, value: object) -> object:
         entry = of_row(value, self._row)
         return entry.tolist() if name in messages.LISTS else entry
 
@@ -150,7 +150,7 @@ class ModelView:
         """Return an observable of the core to a property of the user's that calls the one of its base class."""
         return self._entry(function.__name__, self._whole.observed(function))
 
-    def _member(self, name: str, member: Any, owner: type) -> Any:
+    def _member(self, name: str, member: Any, owner: type) -> object:
         of_core = owner.__module__.startswith(CORE)
         if getattr(member, "is_aliveness_checker", False):
             return partial(self._check, name, None if of_core or isinstance(member, observable) else member)
@@ -167,7 +167,7 @@ class ModelView:
             return member.__get__(self)
         return lambda *args, **options: of_row(getattr(self._whole, name)(*args, **options), self._row)
 
-    def _check(self, name: str, method: Any, *args: Any, log_failure: bool = False, **options: Any) -> Any:
+    def _check(self, name: str, method: Any, *args: Any, log_failure: bool = False, **options: Any) -> object:
         """Evaluate an aliveness check, the core's or a ``method`` of the user's; log a warning of its failure on request."""
         if method is None:
             alive = of_row(getattr(self._whole, name)(*args, **options), self._row)
@@ -392,7 +392,7 @@ class FlightSoftwareView(SatelliteModelView):
             self.rso_capture.forget()
         core.command(self._rows, core.mode_index(command))
 
-    def _write(self, name: str, value: Any) -> None:
+    def _write(self, name: str, value: object) -> None:
         rows = self._rows
         self._core.write(name, rows, torch.as_tensor(np.atleast_1d(np.asarray(value, dtype=float))).expand(len(rows), -1))
 
@@ -432,14 +432,14 @@ class FlightSoftwareView(SatelliteModelView):
         self._enter("image_rso")
         capture.start(target, duration, hold_s, hold_mode, require_illumination, illumination_threshold)
 
-    def action_image(self, r_LP_P: Any, data_name: str = "") -> None:
+    def action_image(self, r_LP_P: object, data_name: str = "") -> None:
         """Point the instrument at a place, m in Earth-fixed axes, and take one image of it."""
         if "image_rso" in self._core.type.commands:
             raise NotImplementedError(f"{type(self._whole).__name__} images satellites: use act.ImageRSO")
         self._enter("image")
         self._write("r_LP_P", r_LP_P)
 
-    def action_attitude_mrp(self, sigma_RN: Any) -> None:
+    def action_attitude_mrp(self, sigma_RN: object) -> None:
         """Turn to an attitude relative to N, an MRP."""
         self._enter(ATTITUDE_MRP)
         self._write("sigma_RN", sigma_RN)

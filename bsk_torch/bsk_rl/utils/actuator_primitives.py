@@ -20,7 +20,7 @@ class WheelTriad(Sequence[Any]):
     def __len__(self) -> int:
         return 3
 
-    def __getitem__(self, index: Any) -> Any:
+    def __getitem__(self, index: object) -> Any:
         """Return the speeds for 2 or -1."""
         if index in (2, -1):
             return self.speeds

@@ -8,14 +8,9 @@ from typing import Any
 import numpy as np
 
 from bsk_torch.astro.relative import aligned_with_hill, rv2HN
+from bsk_torch.initial import AXES, SPIN
 
 __all__ = ["hill_frame_attitude", "random_tumble"]
-
-SPIN = {"type": "fixed", "rate": 0.0, "axis": "radial"}
-"""Spin of :func:`hill_frame_attitude` unless it is given."""
-
-AXES = {"radial": (1.0, 0.0, 0.0), "tangential": (0.0, 1.0, 0.0), "normal": (0.0, 0.0, 1.0)}
-"""Named axes of a spin in the Hill frame; ``"velocity"`` and ``"random"`` are further ones."""
 
 
 def random_tumble(maxSpinRate: float = 0.001) -> tuple[np.ndarray, np.ndarray]:
@@ -25,7 +20,7 @@ def random_tumble(maxSpinRate: float = 0.001) -> tuple[np.ndarray, np.ndarray]:
 
 
 def hill_frame_attitude(
-    r_N: Iterable[float], v_N: Iterable[float], spin_config: Mapping[str, Any] | None = None
+    r_N: Iterable[float], v_N: Iterable[float], spin_config: Mapping[str, object] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return attitude sigma_BN [3] and rate omega_BN_B [3], rad/s, of a spinning body aligned with the Hill frame.
 
@@ -63,7 +58,7 @@ def _rate(spin: Mapping[str, Any]) -> float:
     return float(np.random.uniform(spin["low"], spin["high"]))
 
 
-def _axis(axis: Any, r: np.ndarray, v: np.ndarray) -> np.ndarray:
+def _axis(axis: object, r: np.ndarray, v: np.ndarray) -> np.ndarray:
     if isinstance(axis, str):
         if axis == "random":
             axis = np.random.normal(size=3)

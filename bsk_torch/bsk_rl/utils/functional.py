@@ -86,7 +86,7 @@ class ResetableGroup(Resetable):
 # -- default arguments -----------------------------------------------------------------------------------------------------------
 
 
-def default_args(**defaults: Any) -> Callable[[Function], Function]:
+def default_args(**defaults: object) -> Callable[[Function], Function]:
     """Return a decorator that declares ``defaults`` as arguments of a model, for ``sat_args`` or ``world_args``."""
 
     def declare(function: Function) -> Function:
@@ -161,7 +161,7 @@ def valid_func_name(name: str) -> str:
     return f"_{name}" if name[0].isdigit() else name
 
 
-def vectorize_nested_dict(dictionary: Mapping[str, Any]) -> tuple[list[str], np.ndarray]:
+def vectorize_nested_dict(dictionary: Mapping[str, object]) -> tuple[list[str], np.ndarray]:
     """Return the names and numbers of nested dictionaries, as ``"target.priority"`` or ``"r_BN_N[0]"``, one after another.
 
     Raises:

@@ -54,7 +54,10 @@ class SimFormatter(logging.Formatter):
         title = visible(record.name.partition("bsk_rl.")[2] or record.name)
         parents = title.split(".")  # such as sats.satellite.EO1
         satellite = parents[2] if parents[0] == "sats" and len(parents) > 2 else None
-        color = None if satellite is None else self._color_of(satellite)
+        color = None
+        if satellite is not None:
+            following = sat_color_cycle[len(self.satellite_colors) % len(sat_color_cycle)]
+            color = self.satellite_colors.setdefault(satellite, following)
         level: dict[str, Any] = {"color": level_color.get(record.levelname), "bold": record.levelname == "CRITICAL"}
         parts = [
             style_string(self.formatTime(record), plain, color="GRAY", emph=True),
@@ -70,10 +73,6 @@ class SimFormatter(logging.Formatter):
         parts.append(style_string(message, plain, **headline))
         line = " ".join(parts)
         return f"{line}\n{self.formatException(record.exc_info)}" if record.exc_info else line
-
-    def _color_of(self, satellite: str) -> str:
-        following = sat_color_cycle[len(self.satellite_colors) % len(sat_color_cycle)]
-        return self.satellite_colors.setdefault(satellite, following)
 
 
 class ContextFilter(logging.Filter):

@@ -16,6 +16,7 @@ from bsk_torch.astro.relative import cd2hill, elevation, fibonacci_sphere, hill2
 from bsk_torch.bsk_rl.sim.trajectory import TrajectorySimulator
 from bsk_torch.bsk_rl.utils import orbital_motion as orbitalMotion  # noqa: N812  (the name that programs import)
 from bsk_torch.bsk_rl.utils.orbital_motion import ClassicElements, elem2rv, rv2elem
+from bsk_torch.rand import MONTHS
 
 __all__ = [
     "TrajectorySimulator",
@@ -40,8 +41,6 @@ logger = logging.getLogger(__name__)
 
 R_ALTITUDE = 6371
 """Radius above which altitudes are counted, km: the Earth's mean radius."""
-
-MONTHS = ["JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC"]
 
 Randomizer = Callable[[Sequence[Any]], dict[Any, dict[str, Any]]]
 """Returns arguments by satellite, for ``sat_arg_randomizer`` of an environment."""
@@ -201,7 +200,7 @@ def walker_delta_args(
 def relative_to_chief(
     chief_name: str,
     chief_orbit: ClassicElements | Callable[[], ClassicElements],
-    deputy_relative_state: Mapping[str, Any],
+    deputy_relative_state: Mapping[str, object],
 ) -> Randomizer:
     """Return a function for ``sat_arg_randomizer`` that places satellites relative to another one.
 
@@ -219,11 +218,11 @@ def relative_to_chief(
         chief = named[chief_name]
         mu = chief.sat_args_generator["mu"]
         oe = chief_orbit() if callable(chief_orbit) else chief_orbit
-        args: dict[Any, dict[str, Any]] = {satellite: {} for satellite in satellites}
+        args: dict[object, dict[str, object]] = {satellite: {} for satellite in satellites}
         args[chief]["oe"] = oe
         rc_N, vc_N = elem2rv(mu, oe)
-        for name, given in deputy_relative_state.items():
-            state = np.asarray(given() if callable(given) else given, dtype=float)
+        for name, value in deputy_relative_state.items():
+            state = np.asarray(value() if callable(value) else value, dtype=float)
             args[named[name]]["oe"] = rv2elem(mu, *hill2cd(rc_N, vc_N, state[:3], state[3:6]))
         return args
 

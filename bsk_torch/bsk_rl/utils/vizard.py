@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Any
 
 __all__ = ["VIZARD_PATH", "visualize"]
 
@@ -15,11 +14,11 @@ VIZINSTANCE = None
 """Vizard's object: None."""
 
 
-def visualize(func: Callable[..., Any]) -> Callable[..., None]:
+def visualize(func: Callable[..., object]) -> Callable[..., None]:
     """Return a function that does nothing in place of one that draws in Vizard."""
 
     @functools.wraps(func)
-    def skipped(*args: Any, **kwargs: Any) -> None:
+    def skipped(*args: object, **kwargs: object) -> None:
         return None
 
     return skipped

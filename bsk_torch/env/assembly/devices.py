@@ -48,10 +48,10 @@ def available_memory(device: torch.device) -> int | None:
 
 def check_memory(device: torch.device, num_envs: int, each: int) -> None:
     """Raise MemoryError if a batch with ``each`` bytes per environment does not fit into the device's memory."""
-    there = available_memory(device)
-    fits = 0 if there is None else int(there / (ROOM * each))
-    if there is not None and num_envs > fits:
+    available = available_memory(device)
+    fits = 0 if available is None else int(available / (ROOM * each))
+    if available is not None and num_envs > fits:
         raise MemoryError(
             f"num_envs={num_envs} does not fit into memory: an environment takes {each} bytes, and half as much again for a "
-            f"while, but {device} has {there} bytes available; num_envs={fits} is the most that fits"
+            f"while, but {device} has {available} bytes available; num_envs={fits} is the most that fits"
         )

@@ -83,7 +83,8 @@ class FleetBuilder:
             check_watched(self.satellites)
         models = [satellite.dyn_type for satellite in self.satellites]
         chiefs = [constant(satellite.sat_args_generator.get("chief_name")) for satellite in self.satellites]
-        self.pairs = find_pairs(self.names, models, chiefs, options.compat == "bsk_rl")
+        self.compat = options.compat == "bsk_rl"
+        self.pairs = find_pairs(self.names, models, chiefs, self.compat)
         self.scenario, self.options, self.randomizer, self.device = scenario, options, randomizer, device
         self.population = options.population if isinstance(options, ConstellationOptions) else None
         if self.population is not None:
@@ -135,9 +136,8 @@ class FleetBuilder:
         chosen = sorted(column for simulator in each for column in simulator.columns)
         members = {c: (k, 0 if trial else i) for k, columns in enumerate(self.types) for i, c in enumerate(columns)}
         places = {name: members[column] for column, name in enumerate(self.names)}
-        pairs, compat = self.pairs.among(chosen), self.options.compat == "bsk_rl"
-        names, varies = [self.names[k] for k in chosen], self.varies and not trial
-        return SatelliteFleet(each, names, self.scenario.draw_checked, places, pairs, compat, varies)
+        pairs, names, varies = self.pairs.among(chosen), [self.names[k] for k in chosen], self.varies and not trial
+        return SatelliteFleet(each, names, self.scenario.draw_checked, places, pairs, self.compat, varies)
 
     def _scenario_draw(self, n: int) -> dict[str, Tensor]:
         """Return trial draws of the scenario for ``n`` environments, which determine its names and shapes."""
@@ -150,7 +150,9 @@ class FleetBuilder:
         parts = [
             [*s.dyn_type.all_components(), *s.fsw_type.all_components()] for s in (self.satellites[c[0]] for c in self.types)
         ]
-        waiting = {k: {p.follows: self._leader(p.follows, parts) for p in own if p.follows} for k, own in enumerate(parts)}
+        waiting = {
+            k: {p.follows: self._leader(p.follows, parts) for p in type_parts if p.follows} for k, type_parts in enumerate(parts)
+        }
         while waiting:
             ready = next((k for k, followed in waiting.items() if not waiting.keys() & set(followed.values())), None)
             if ready is None:
@@ -179,7 +181,7 @@ class FleetBuilder:
                 sim_rate=options.sim_rate,
                 orbit=options.orbit,
                 backend=options.backend,
-                compat=options.compat,
+                compat=self.compat,
                 replan=bool(options.replan),
             ),
             Usage(
@@ -316,7 +318,7 @@ def _may_control(satellite: Satellite) -> bool:
     return False
 
 
-def constant(value: Any) -> Any:
+def constant(value: object) -> Any:
     """Return the value of an argument that is constant over episodes; a function may return it together with others."""
     return value.trial if isinstance(value, Member) else value
 

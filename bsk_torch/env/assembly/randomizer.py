@@ -23,23 +23,23 @@ class Randomizer:
     """Draws the arguments of a ``sat_arg_randomizer`` for the key's n environments."""
 
     def __init__(
-        self, given: Formation | Callable[[list[Satellite]], Mapping[Any, object]], satellites: Sequence[Satellite]
+        self, source: Formation | Callable[[list[Satellite]], Mapping[Any, object]], satellites: Sequence[Satellite]
     ) -> None:
         """Check the names of the ``satellites``; the formation may raise an error."""
-        self.given, self.satellites = given, list(satellites)
+        self.source, self.satellites = source, list(satellites)
         self.names = [satellite.name for satellite in satellites]
-        if isinstance(given, Formation):
-            given.check(self.names)
+        if isinstance(source, Formation):
+            source.check(self.names)
 
     @property
     def calls_user(self) -> bool:
         """Whether a user function is called; these are called only for episodes that begin now."""
-        return not isinstance(self.given, Formation)
+        return not isinstance(self.source, Formation)
 
     def __call__(self, key: Key, answers: Sequence[Answers] | None = None) -> Draws:
         """Return the drawn arguments by name, from the ``answers`` of an earlier call of the user function or from a call now."""
-        if isinstance(self.given, Formation):
-            return self.given.draw_checked(key, self.names)
+        if isinstance(self.source, Formation):
+            return self.source.draw_checked(key, self.names)
         if answers:
             return self._stacked([answer["sat_arg_randomizer"] for answer in answers])
         with seeded(key.named("sat_arg_randomizer")) as rows:
@@ -47,7 +47,7 @@ class Randomizer:
 
     def ask(self) -> dict[tuple[str, int], Any]:
         """Return the values of the user function for one episode, by argument and satellite."""
-        answer = cast(Callable[[list[Satellite]], object], self.given)(self.satellites)
+        answer = cast(Callable[[list[Satellite]], object], self.source)(self.satellites)
         if not isinstance(answer, Mapping):
             raise TypeError(f"sat_arg_randomizer returned {answer!r}; it must return {{satellite: {{argument: value}}}}")
         return {(name, self._number(who)): value for who, args in answer.items() for name, value in args.items()}
@@ -61,7 +61,7 @@ class Randomizer:
         return self.names.index(name)
 
     @staticmethod
-    def _stacked(episodes: list[dict[tuple[str, int], Any]]) -> Draws:
+    def _stacked(episodes: list[dict[tuple[str, int], object]]) -> Draws:
         if any(episode.keys() != episodes[0].keys() for episode in episodes):
             raise ValueError(
                 "sat_arg_randomizer sets other arguments in one episode than in another; it must set the same in all"
@@ -77,13 +77,13 @@ class Randomizer:
         return draws
 
 
-def make_randomizer(given: object, satellites: Sequence[Satellite]) -> Randomizer | None:
+def make_randomizer(source: object, satellites: Sequence[Satellite]) -> Randomizer | None:
     """Return the sampler of a ``sat_arg_randomizer``; TypeError unless it is a formation or a function."""
-    if given is None:
+    if source is None:
         return None
-    if not isinstance(given, Formation) and not callable(given):
+    if not isinstance(source, Formation) and not callable(source):
         raise TypeError(
-            f"sat_arg_randomizer={given!r} must be a formation, such as formations.walker_delta_args(3), or a function of the "
+            f"sat_arg_randomizer={source!r} must be a formation, such as formations.walker_delta_args(3), or a function of the "
             "list of satellites that returns {satellite: {argument: value}}"
         )
-    return Randomizer(given, satellites)
+    return Randomizer(source, satellites)

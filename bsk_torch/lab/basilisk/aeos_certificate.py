@@ -68,7 +68,7 @@ class Flown:
     best: Array
     energy: float
 
-    def measures(self, tasks: Sequence[dict[str, Any]]) -> dict[str, float]:
+    def measures(self, tasks: Sequence[dict[str, object]]) -> dict[str, float]:
         """Return the benchmark's measures; see :func:`bsk_torch.tasks.aeos_bench.reward.task_measures`."""
         duration, release = (
             torch.tensor([[task[name] for task in tasks]], dtype=torch.float64) for name in ("duration", "release_time")
@@ -170,7 +170,7 @@ def certify_bench(task: Task, entrant: Entrant, episodes: int, **options: object
     return BenchCertificate(tuple(seeds), tuple(compared))
 
 
-def comparison(flight: Flown, twin: Flown, reference: Flown, tasks: Sequence[dict[str, Any]]) -> Comparison:
+def comparison(flight: Flown, twin: Flown, reference: Flown, tasks: Sequence[dict[str, object]]) -> Comparison:
     """Compare a flight here with that on Basilisk, as long as the second flight here, ``twin``, agrees."""
     agrees = np.maximum.accumulate(np.abs(flight.sigma - twin.sigma).max(2), axis=0) <= SAME_FLIGHT
     difference = np.where(agrees, np.abs(flight.sigma - reference.sigma).max(2), 0.0)

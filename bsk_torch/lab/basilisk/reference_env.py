@@ -175,7 +175,7 @@ def shield(satellite: Any, n_actions: int) -> NDArray[np.bool_]:
 # -- flying -----------------------------------------------------------------------------------------------------------
 
 
-def fly_there(problem: Problem, start: Start, pilot: Pilot, watch: Callable[[Any], None] = lambda satellite: None) -> Flight:
+def fly_there(problem: Problem, start: Start, pilot: Pilot, watch: Callable[[object], None] = lambda satellite: None) -> Flight:
     """The episode on Basilisk; ValueError if it observes, or may do, something else than bsk_torch.
 
     ``watch`` is called with the satellite at the start and after each decision.

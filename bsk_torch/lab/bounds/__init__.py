@@ -4,27 +4,20 @@ from bsk_torch.lab.bounds.envelope import SUSTAINED, Envelope
 from bsk_torch.lab.bounds.imaging import ImagingBound, imaging_bound
 from bsk_torch.lab.bounds.scanning import ScanningBound, scanning_bound
 from bsk_torch.lab.bounds.schedule import Schedule, ScheduledPolicy, milp_schedule, relaxed_schedule
-from bsk_torch.lab.bounds.sustained import ImageSequences, Leads, lateness, leads, record_images, sustained_envelope
 from bsk_torch.lab.bounds.transitions import Transitions, carried_over, record_transitions
 
 __all__ = [
     "SUSTAINED",
     "Envelope",
-    "ImageSequences",
     "ImagingBound",
-    "Leads",
     "ScanningBound",
     "Schedule",
     "ScheduledPolicy",
     "Transitions",
     "carried_over",
     "imaging_bound",
-    "lateness",
-    "leads",
     "milp_schedule",
-    "record_images",
     "record_transitions",
     "relaxed_schedule",
     "scanning_bound",
-    "sustained_envelope",
 ]

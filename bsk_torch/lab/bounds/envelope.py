@@ -9,6 +9,15 @@ The flight software takes an image as soon as the pointing error is below its li
 the target, toward the one that it comes from, so that turning back is quicker than turning further. Where it points depends on
 the direction of the previous target on the ground. Directions are counted in *sectors*, so that a path in a graph can remember
 them.
+
+Times with a *reserve* are ones that flights may beat, but not for long. A clock runs behind the images of a flight at ticks t_k::
+
+    v_1 = t_1,  v_k = max(t_k, v_(k-1) + f(angle to target k at v_(k-1)))
+
+and image k is late by ``max(0, v_k - b_k)``, with the end b_k of its window. Where no image is later than the reserve, and all of
+a flight together no later than a budget, a bound over schedules with times f, windows that close as much later and no more
+lateness holds for all such flights, whatever the order of their images. ``benchmarks/image_leads.py`` measures the lateness of
+flights, and fits such times.
 """
 
 from __future__ import annotations
@@ -78,8 +87,8 @@ class Envelope:
         arguments: Arguments of the satellite that it was fitted on, as text by name.
         transitions: Number of transitions that it was fitted on.
         typical: Median time of each bin in one step, ticks; what schedules count with.
-        reserve: Ticks by which an image may come after its window on the clock of these times
-            (:mod:`bsk_torch.lab.bounds.sustained`); 0 if every single transition obeys them.
+        reserve: Ticks by which an image may come after its window on the clock of these times (see the module); 0 if every
+            single transition obeys them.
         lateness: Ticks for each tick of a flight by which its images may together come after their windows on that clock, and
             ``reserve`` once more; None if there is no such limit.
         lag: Angle, rad, by which the satellite points short of the target of the first image, on the side of the target before;

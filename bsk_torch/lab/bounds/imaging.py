@@ -52,7 +52,7 @@ def imaging_bound(
 
     * successive images are no closer in time than ``envelope`` says, or, where it has a reserve, images come no later than that
       after their windows on the clock of its times, and together no later than its lateness allows
-      (:mod:`bsk_torch.lab.bounds.sustained`): it rests on recorded flights, not on a proof;
+      (:mod:`bsk_torch.lab.bounds.envelope`): it rests on recorded flights, not on a proof;
     * no image is carried over from a step that has just ended (:func:`~bsk_torch.lab.bounds.transitions.carried_over`); what
       policies collect alongside such images lies below the bound in any case;
     * power, storage and the first slew cost nothing; dying pays nothing.

@@ -175,12 +175,12 @@ def result_of(score: Score, reference: Mapping[str, object] | None) -> dict[str,
     return rated | summary | {"seconds_per_decision": score.seconds, "returns": evaluation.returns.tolist()}
 
 
-def read_earlier(files: Iterable[Path], suite: str, schema: Any) -> dict[str, dict[str, Any]]:
+def read_earlier(files: Iterable[Path], suite: str, schema: object) -> dict[str, dict[str, Any]]:
     """Return the results of earlier runs, by policy and task; ends the program for those of another suite.
 
     Where a policy has played a task more than once, the result of the most episodes counts, and then that of the last file.
     """
-    results: dict[str, dict[str, Any]] = {}
+    results: dict[str, dict[str, object]] = {}
     for path in files:
         header, policies = read_result(path, schema)
         if header != (FORMAT, suite):
@@ -196,7 +196,7 @@ def add_results(results: dict[str, dict[str, Any]], policies: Mapping[str, Mappi
         best |= {task: row for task, row in rows.items() if task not in best or len(row["returns"]) >= len(best[task]["returns"])}
 
 
-def read_result(path: Path, schema: Any) -> tuple[tuple[int, str], dict[str, dict[str, Any]]]:
+def read_result(path: Path, schema: Any) -> tuple[tuple[int, str], dict[str, dict[str, object]]]:
     """Return format and suite of a file of an earlier run, and its results by policy; ends the program for other files.
 
     The ``schema`` is one of :mod:`bsk_torch.lab.commands.results`.

@@ -95,7 +95,7 @@ def board_of(
     return Board(suite, scores, replicates, tasks, against or best, flights)
 
 
-def scores_of(rows: Mapping[str, Mapping[str, Any]], policies: Sequence[str], suite: str, task: str) -> Tensor:
+def scores_of(rows: Mapping[str, Mapping[str, object]], policies: Sequence[str], suite: str, task: str) -> Tensor:
     """Return the scores of the episodes of those ``policies`` that play a task, [R, E]."""
     low, high = (references(suite)[task][end]["return"] for end in ("low", "high"))
     returns = torch.tensor([rows[policy]["returns"] for policy in policies if policy in rows], dtype=torch.float64)

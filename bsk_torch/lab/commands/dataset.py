@@ -131,9 +131,9 @@ def named_behavior(text: str, preset: str) -> Named:
     return Named(text, named_policy(name, preset), share)
 
 
-def trained_options(policies: Sequence[NamedPolicy | None]) -> dict[str, Any]:
+def trained_options(policies: Sequence[NamedPolicy | None]) -> dict[str, object]:
     """Return the options of the environment with which the policies were trained; ends the program if they contradict."""
-    options: dict[str, Any] = {}
+    options: dict[str, object] = {}
     for policy in policies:
         for name, value in ({} if policy is None else policy.options({})).items():
             if options.setdefault(name, value) != value:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from bsk_torch._listed import makings
 from bsk_torch.cli.names import PREFIX, PRETRAINED
@@ -51,7 +50,7 @@ def file_entry(policy: NamedPolicy, make: Callable[..., Tasking], drawn: Sequenc
     return env, policy.actor(env, str(env.device))
 
 
-def views_of(policy: NamedPolicy, drawn: Sequence[str] = ("time_limit",)) -> dict[str, Any]:
+def views_of(policy: NamedPolicy, drawn: Sequence[str] = ("time_limit",)) -> dict[str, object]:
     """Return the options of a policy's training, without those named in ``drawn``, such as the length of its episodes."""
     return {name: value for name, value in policy.card.get("options", {}).items() if name not in drawn}
 
@@ -77,7 +76,7 @@ def planner_entry(
     return env, chosen.actor(env, str(env.device))
 
 
-def view_of(text: str, allowed: Sequence[str]) -> tuple[str, Any]:
+def view_of(text: str, allowed: Sequence[str]) -> tuple[str, object]:
     """Return name and value of ``NAME=VALUE``; ends the program for other texts and names."""
     name, sign, _ = text.partition("=")
     if not sign or name not in allowed:

@@ -113,7 +113,7 @@ def summary(flown: Flown, failures: Sequence[Failure]) -> dict[str, Any]:
     }
 
 
-def survivable(env: SatelliteTasking, seeds: range) -> dict[str, Any]:
+def survivable(env: SatelliteTasking, seeds: range) -> dict[str, object]:
     """Return how many episodes a plan survives.
 
     If that is all n of them, ``lost_at_most`` is the 95 % bound of Clopper and Pearson, 1 - 0.05^(1/n), on how often none does.
@@ -123,11 +123,11 @@ def survivable(env: SatelliteTasking, seeds: range) -> dict[str, Any]:
     from bsk_torch.lab.audit.failures import can_be_saved
 
     count, n = int(can_be_saved(env, torch.tensor(seeds)).sum()), len(seeds)
-    figures: dict[str, Any] = {"seeds": [seeds.start, seeds.stop], "survived": count}
+    figures: dict[str, object] = {"seeds": [seeds.start, seeds.stop], "survived": count}
     return figures | ({"lost_at_most": float(f"{1.0 - 0.05 ** (1.0 / n):.2g}")} if count == n else {})
 
 
-def statistics(moments: Sequence[Moment]) -> dict[str, Any]:
+def statistics(moments: Sequence[Moment]) -> dict[str, object]:
     """Return the least, median and largest value of the moments' numbers, and how often each action was chosen."""
     import torch
 
@@ -199,7 +199,7 @@ def rescue_action(env: Tasking, failure: Failure) -> str:
     return env.satellite.action_description[number].removeprefix("action_")
 
 
-def save(path: Path, figures: dict[str, Any], failures: Sequence[Failure]) -> None:
+def save(path: Path, figures: dict[str, object], failures: Sequence[Failure]) -> None:
     """Write figures line by line, then a line for each failure."""
     lines = [f"{json.dumps(name)}: {json.dumps(value)}" for name, value in figures.items()]
     entries = ",\n  ".join(json.dumps(dataclasses.asdict(failure)) for failure in failures)

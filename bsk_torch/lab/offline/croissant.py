@@ -9,7 +9,7 @@ from typing import Any
 
 from bsk_torch.lab.offline.layout import CARD, TABLE
 
-CONTEXT: dict[str, Any] = {
+CONTEXT: dict[str, object] = {
     "@language": "en",
     "@vocab": "https://schema.org/",
     "citeAs": "cr:citeAs",
@@ -98,7 +98,7 @@ def croissant(card: Mapping[str, Any], path: Path) -> dict[str, Any]:
     }
 
 
-def _file(name: str, digest: str) -> dict[str, Any]:
+def _file(name: str, digest: str) -> dict[str, object]:
     return {
         "@type": "cr:FileObject",
         "@id": name,
@@ -109,7 +109,7 @@ def _file(name: str, digest: str) -> dict[str, Any]:
     }
 
 
-def _episodes() -> dict[str, Any]:
+def _episodes() -> dict[str, object]:
     return {
         "@type": "cr:RecordSet",
         "@id": "episodes",

@@ -109,7 +109,7 @@ class OfflineDataset:
             raise ValueError(f"{str(self.folder)!r} was written without targets, and has no returns of other policies")
         return _load(self.folder / STARTS, SEED)
 
-    def replay_buffer(self, *behaviors: str, batch_size: int, **options: Any) -> TensorDictReplayBuffer:
+    def replay_buffer(self, *behaviors: str, batch_size: int, **options: object) -> TensorDictReplayBuffer:
         """Return a replay buffer of TorchRL with the transitions of the ``behaviors`` (default: all), which cannot be extended.
 
         Args:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
 
@@ -41,7 +40,7 @@ class Recipe:
     share: float = 0.01
     gamma: float = 1.0
     futures: int | None = None
-    options: Mapping[str, Any] = field(default_factory=dict)
+    options: Mapping[str, object] = field(default_factory=dict)
     minari: bool = False
 
     def __post_init__(self) -> None:

@@ -106,7 +106,7 @@ def check_folder(folder: Path) -> None:
 
 def _write(
     folder: Path, env: SatelliteTasking, recipe: Recipe, values: dict[str, ActionValues], progress: Progress
-) -> dict[str, Any]:
+) -> dict[str, object]:
     played = []
     for behavior in recipe.behaviors:
         transitions, one = _write_behavior(folder / slug(behavior.name), env, recipe, behavior, values, progress)
@@ -182,7 +182,7 @@ def _table(played: list[Played], recipe: Recipe) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _card(env: SatelliteTasking, recipe: Recipe, played: list[Played]) -> dict[str, Any]:
+def _card(env: SatelliteTasking, recipe: Recipe, played: list[Played]) -> dict[str, object]:
     return {
         "format": FORMAT,
         "bsk_torch": __version__,

@@ -257,16 +257,11 @@ class Branches:
 def carried(td: TensorDictBase, base: TensorDictModuleBase, env: Tasking) -> TensorDictBase:
     """Return the memory of the base policy, [N]: inputs that are neither observed nor drawn."""
     observed = set(env.observation_spec.keys(True, True)) | {LOT}
+    observed |= {key[:n] for key in observed if isinstance(key, tuple) for n in range(1, len(key))}  # also what nests them
     present = set(td.keys(True, True))
-    keys = [key for key in base.in_keys if key in present and key not in observed and not _is_part(key, observed)]
+    keys = [key for key in base.in_keys if key in present and key not in observed and (key,) not in observed]
     memory = [key for key in (MEMORY,) if key in present]
     return TensorDict({key: td[key] for key in dict.fromkeys([*keys, *memory])}, td.batch_size, device=td.device)
-
-
-def _is_part(key: str | tuple[str, ...], observed: set[str | tuple[str, ...]]) -> bool:
-    """Return whether a key names a nested observation."""
-    path = key if isinstance(key, tuple) else (key,)
-    return any(isinstance(other, tuple) and other[: len(path)] == path for other in observed)
 
 
 def check_copyable(env: Tasking, slots: AgentTable) -> None:

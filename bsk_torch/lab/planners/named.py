@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
 from typing_extensions import override
@@ -30,7 +29,7 @@ class NamedPlanner(NamedPolicy):
         base: The base policy, which has a card; None for the planner's choice.
     """
 
-    settings: Mapping[str, Any] = field(kw_only=True)
+    settings: Mapping[str, object] = field(kw_only=True)
     base: NamedPolicy | None = None
 
     @property
@@ -63,7 +62,7 @@ def named_planner(name: str, preset: str | None, texts: Sequence[str]) -> NamedP
     return NamedPlanner(name, policy.preset, policy.card, settings=options, base=policy)
 
 
-def _pair(text: str, planner_name: str) -> tuple[str, Any]:
+def _pair(text: str, planner_name: str) -> tuple[str, object]:
     """Return an option and its value; ends the program for unknown ones."""
     name, equals, value = text.partition("=")
     names = [option for option in options_of(planner_name) if option not in BY_HAND]

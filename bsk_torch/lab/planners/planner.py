@@ -18,13 +18,11 @@ from bsk_torch.lab.planners.base_policies import Base, base_of
 from bsk_torch.lab.planners.branches import Branches, Discounting, Flown, Jobs, Value, carried, check_copyable
 from bsk_torch.lab.planners.resampling import Redraw, present_key, reseed_copies
 from bsk_torch.rl.evaluation.evaluate import SIMULATED
+from bsk_torch.rl.training.config import REWARD_TIMES
 from bsk_torch.sim.names import one_of
 
 ROWS = 512
 """Default number of copies simulated at once."""
-
-REWARD_TIMES = ("end", "start")
-"""Times at which the reward of a step counts in returns."""
 
 ENDLESS = 2**62
 """Tick beyond the end of all branches."""

@@ -144,7 +144,7 @@ class Risk:
     sample: Sample = field(repr=False)
     weight: Tensor = field(repr=False)
     ways: list[Way] = field(repr=False)
-    actions: list[list[Any]] = field(repr=False)
+    actions: list[list[object]] = field(repr=False)
     shifts: list[Shift] = field(repr=False)
     checks: list[str] = field(repr=False)
     columns: list[str] = field(repr=False)

@@ -90,7 +90,7 @@ class Flights:
         """Return the actions of all agents in the episodes of ``seeds`` [m], a list of decisions for each."""
         env, slots, episodes = self.env, AgentTable(self.env), list[list[Any]]()
         for some in seeds.split(env.num_envs):
-            decisions: list[list[Any]] = [[] for _ in some]
+            decisions: list[list[object]] = [[] for _ in some]
             start = start_episodes(env, some.tolist())
             rows = torch.arange(env.num_envs, device=env.device) < len(some)
             for playing, step in play_episodes(env, self._player(), start, rows):
@@ -137,7 +137,7 @@ class Paths:
     episodes: Annotated[list[SavedEpisode], MinLen(1)]
 
 
-def save_paths(path: Path | str, about: Mapping[str, Any], sample: Sample, actions: Sequence[Any]) -> None:
+def save_paths(path: Path | str, about: Mapping[str, object], sample: Sample, actions: Sequence[object]) -> None:
     """Write episodes into a JSON file, from which :func:`read_paths` plays them again.
 
     Args:

@@ -74,7 +74,7 @@ class Task:
     preset: str
     first_seed: int
     at_once: int
-    options: Mapping[str, Any] = field(default_factory=dict)
+    options: Mapping[str, object] = field(default_factory=dict)
     name: str = ""
     episodes: int = EPISODES
     measures: tuple[str, ...] = ()
@@ -168,7 +168,7 @@ HALF_AN_ORBIT = 2850.0
 """Unit of the time limits of the suite ``v2``, s."""
 
 
-def harder(number: int, preset: str, name: str, about: str, **options: Any) -> Task:
+def harder(number: int, preset: str, name: str, about: str, **options: object) -> Task:
     """Return task ``number`` of the suite ``v2``: 64 episodes of a preset with other ``options``; policies may choose views."""
     drawn = tuple(dict.fromkeys((*(option for option in options if option not in VIEWS), "time_limit")))
     return Task(preset, SUITE_SEEDS[EPISODES * (18 + number)], 64, options, name, 64, drawn=drawn, about=about)

@@ -18,6 +18,9 @@ from bsk_torch.rl.policies.shared_policy import shared_baselines
 from bsk_torch.tables import print_table
 from bsk_torch.wrappers.policies import Actor
 
+TRAINED = "trained"
+"""Name of the trained policy of a run or file."""
+
 EVALUATION = "evaluation.json"
 """File of a run folder with the results of the final comparison."""
 

@@ -15,7 +15,7 @@ from bsk_torch._listed import LISTED
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.presets import PRESETS, make
 from bsk_torch.rl.evaluation.evaluate import FRESH, evaluate
-from bsk_torch.rl.evaluation.results import EVALUATION, compare, print_results, save_results
+from bsk_torch.rl.evaluation.results import EVALUATION, TRAINED, compare, print_results, save_results
 from bsk_torch.rl.marl.mappo import CRITICS, MAPPOConfig, MAPPOTraining
 from bsk_torch.rl.networks.plans import check_network
 from bsk_torch.rl.policies.files import LOGS, plain
@@ -34,11 +34,8 @@ ALGORITHMS = (PPO, *CRITICS)
 COMPARED = 256
 """Unseen episodes of the comparison at the end of a training, unless it says otherwise."""
 
-TRAINED = "trained"
-"""Name of the trained policy in that comparison."""
 
-
-def is_constellation(preset: str, options: Mapping[str, Any] | None = None) -> bool:
+def is_constellation(preset: str, options: Mapping[str, object] | None = None) -> bool:
     """Return whether a preset has many satellites; False for a name that is not one of the presets.
 
     A preset without a class as its return annotation, such as one whose options ask for several satellites, is built with

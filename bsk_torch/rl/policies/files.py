@@ -177,7 +177,7 @@ def origin_of(card: Mapping[str, Any]) -> str:
     return " ".join([card["preset"], *(f"{name}={value!r}" for name, value in card["options"].items())])
 
 
-def check_fits(card: Mapping[str, Any], env: Tasking, preset: str | None = None) -> None:
+def check_fits(card: Mapping[str, object], env: Tasking, preset: str | None = None) -> None:
     """Raise ValueError, naming both sides, unless the observations and actions of ``card`` fit ``env``, a ``preset``.
 
     The number of targets to choose from may differ for attention networks.
@@ -215,7 +215,7 @@ def load_policy(path: Path | str, device: torch.device | str = "cpu") -> TensorD
     return build_policy(read_card(path, device), device)
 
 
-def build_policy(card: Mapping[str, Any], device: torch.device | str = "cpu") -> TensorDictModuleBase:
+def build_policy(card: Mapping[str, object], device: torch.device | str = "cpu") -> TensorDictModuleBase:
     """Return the policy of a card; ValueError if its weights do not fit its plan.
 
     The result is a policy for one satellite, or :class:`~bsk_torch.rl.policies.shared_policy.GroupPolicies` for several groups.
@@ -245,7 +245,7 @@ class Origin:
     trained: str
     plan: Plan
 
-    def __call__(self, policy: nn.Module, arguments: tuple[Any, ...]) -> None:
+    def __call__(self, policy: nn.Module, arguments: tuple[object, ...]) -> None:
         """Raise ValueError, naming the training, for a tensordict with other observations or actions."""
         if not arguments or not isinstance(arguments[0], TensorDictBase):
             return

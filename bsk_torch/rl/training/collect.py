@@ -161,7 +161,7 @@ class Bookmark(Transform):
         return tensordict_reset.update(saved["carried"])
 
 
-def prepared(env: Tasking, config: PPOConfig, saved: Mapping[str, Any] | None) -> TransformedEnv:
+def prepared(env: Tasking, config: PPOConfig, saved: Mapping[str, object] | None) -> TransformedEnv:
     """An environment for a collector, which can resume it; recurrent policies start episodes with an empty memory."""
     transforms: list[Transform] = [Clock(), *([Stagger(env)] if config.stagger else [])]
     if config.network == "gru":
@@ -170,7 +170,7 @@ def prepared(env: Tasking, config: PPOConfig, saved: Mapping[str, Any] | None) -
     return TransformedEnv(env, Compose(*transforms, Bookmark(saved)))  # type: ignore[call-overload]
 
 
-def start_worker(config: PPOConfig, first: int, count: int, saved: Mapping[str, Any] | None) -> TransformedEnv:
+def start_worker(config: PPOConfig, first: int, count: int, saved: Mapping[str, object] | None) -> TransformedEnv:
     """In its own process: ``count`` episodes from number ``first`` on, and random numbers for their actions."""
     if parent_process() is not None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the learner, which ends its workers
@@ -198,7 +198,7 @@ def update_weights(collector: Any) -> None:
 
 
 def make_collector(
-    config: PPOConfig, env: Tasking, actor: TensorDictModuleBase, saved: Sequence[Mapping[str, Any]] | None
+    config: PPOConfig, env: Tasking, actor: TensorDictModuleBase, saved: Sequence[Mapping[str, object]] | None
 ) -> BaseCollector:
     """Return a collector that yields batches by ``actor`` without end; see :func:`merged`.
 

@@ -128,7 +128,7 @@ class Learner:
         """Return the settings of the optimizer, but for the learning rate, which follows a schedule."""
         return [{k: v for k, v in group.items() if k not in ("lr", "params")} for group in self.optimiser.param_groups]
 
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+    def load_state_dict(self, state: Mapping[str, object]) -> None:
         """Restore what :meth:`state_dict` returned; RuntimeError, ValueError or KeyError if it does not fit."""
         groups = self._settings()
         for name in LEARNED:

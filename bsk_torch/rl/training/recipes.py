@@ -84,7 +84,7 @@ RECIPES: Entries[dict[str, dict[str, Any]]] = Entries(
 """Settings that differ from the defaults of :class:`PPOConfig` or :class:`MAPPOConfig`, by environment and network."""
 
 
-def recipe_of(preset: str, network: str, options: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+def recipe_of(preset: str, network: str, options: dict[str, object]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the settings of a recipe, none where there is none, and its options of the environment with changed ``options``."""
     recipe = dict(RECIPES.get(preset, {}).get(network, {}))
     return recipe, recipe.pop("options", {}) | options

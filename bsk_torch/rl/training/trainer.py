@@ -300,7 +300,7 @@ class Training:
             "fill": float("nan") if result.fill is None else float(result.fill.double().mean()),
         }
 
-    def _networks(self) -> dict[str, Any]:
+    def _networks(self) -> dict[str, object]:
         return copy.deepcopy(self.learner.policy_state())
 
     def _finish(self) -> TensorDictModuleBase:
@@ -368,7 +368,7 @@ class Training:
             reason = str(error).partition("\n")[0] if isinstance(error, ValueError | RuntimeError) else repr(error)
             raise ValueError(f"{str(self.out / CHECKPOINT)!r} does not fit this training: {reason}") from error
 
-    def _checked_best(self, best: Mapping[str, Any]) -> dict[str, Any]:
+    def _checked_best(self, best: Mapping[str, Any]) -> dict[str, object]:
         """Return what is known of the best policy; ValueError for other weights than those of these networks."""
         networks = best["networks"]
         if networks is not None and not (_alike(networks, self._networks()) and _finite(networks)):

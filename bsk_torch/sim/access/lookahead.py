@@ -13,7 +13,7 @@ from typing_extensions import override
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.sim.access.light.eclipses import SEARCH_STEP, SEARCHES, EclipseTable, search_range
-from bsk_torch.sim.access.visibility.backend import Visibility
+from bsk_torch.sim.access.visibility.interface import Visibility
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits
 from bsk_torch.sim.access.windows.search import BEFORE_SEARCH, BEHIND_SEARCH, MAX_SEGMENTS, AccessWindows
 from bsk_torch.sim.access.windows.table import Windows
@@ -136,7 +136,7 @@ class LookAhead(StateTable):
             self.refuse(f"{path}lookahead.{table}.{name}", value, value > bound, "it must lie before the end of the arcs")
 
     @override
-    def over(self, saved: Mapping[str, Any] | TensorDictBase) -> LookAhead:
+    def over(self, saved: Mapping[str, object] | TensorDictBase) -> LookAhead:
         other = super().over(saved)
         tables: Mapping[str, Any] = other.tables
         other.arcs, other.eclipses, other.access = tables["arcs"], tables["eclipses"], tables.get("windows")
@@ -276,9 +276,9 @@ class LookAhead(StateTable):
                 start, end = self.eclipses.next(time)
             return start, end
         if not self.arcs.restarts:
-            found = self.eclipses.query_if_covered(time)
-            if found is not None:
-                return found
+            eclipse = self.eclipses.query_if_covered(time)
+            if eclipse is not None:
+                return eclipse
             self.reach(self.eclipses.needs(time), time)
             return self.eclipses.query(time)
         needs = self.eclipses.needs(time)
@@ -323,11 +323,11 @@ class LookAhead(StateTable):
         if self.arcs.restarts:
             wanted = torch.full(time.shape, width, device=self.device) if count is None else count
             self._search_certain(kind, time, torch.where(wanted > 0, wanted.clamp(min=width), 0), allowed)
-        windows, found = access.next(kind, time, width, allowed)
-        few = found < (width if count is None else count)
+        windows, offered = access.next(kind, time, width, allowed)
+        few = offered < (width if count is None else count)
         if not bool(few.any()):
-            return windows, found
-        short, wanted = torch.nonzero(few).squeeze(-1), torch.full_like(found, width) if count is None else count
+            return windows, offered
+        short, wanted = torch.nonzero(few).squeeze(-1), torch.full_like(offered, width) if count is None else count
         # a step may have been longer than all searched before it
         begin = time if may_see_nothing else torch.maximum(access.until, time)
         limit = begin + MAX_SEGMENTS * access.segment
@@ -338,15 +338,15 @@ class LookAhead(StateTable):
         more, number = access.next(kind, time, width, allowed, short)
         self._reveal(kind, short[number < wanted[short]], time, wanted, limit, allowed)
         self.eclipses.sample_to(access.until)
-        windows, found = windows.put(short, more), found.index_copy(0, short, number)
-        none = [] if may_see_nothing else torch.nonzero((found == 0) & (wanted > 0)).squeeze(-1).tolist()
+        windows, offered = windows.put(short, more), offered.index_copy(0, short, number)
+        none = [] if may_see_nothing else torch.nonzero((offered == 0) & (wanted > 0)).squeeze(-1).tolist()
         if none:
             envs, seconds = list(dict.fromkeys(row // self.count for row in none))[:5], MAX_SEGMENTS * access.segment
             raise RuntimeError(
                 f"no {kind} comes into view of environments {envs} within {seconds:g} s; {access.kinds[kind].advice}, or build "
                 "the satellite with may_see_nothing=True"
             )
-        return windows, found
+        return windows, offered
 
     def _reveal(self, kind: str, rows: Tensor, time: Tensor, wanted: Tensor, last: Tensor, allowed: Tensor | None) -> None:
         """Let ``rows`` [m] see as many windows as are ``wanted`` [N], with segments that begin before ``last`` [N] s."""

@@ -35,9 +35,9 @@ Answers = dict[Any, Any]
 class Member:
     """One argument of a function that returns a dictionary."""
 
-    function: Callable[[], Mapping[str, Any]]
+    function: Callable[[], Mapping[str, object]]
     name: str
-    trial: Any = field(compare=False)  # its value in the call that told the names
+    trial: object = field(compare=False)  # its value in the call that told the names
     names: frozenset[str] = field(compare=False)  # names that the function sets
 
     def __call__(self) -> Any:
@@ -75,26 +75,26 @@ OPTIONAL = {
 """Arguments of optional models, and these models."""
 
 
-def hint(name: str, known: Iterable[str]) -> str:
+def hint(name: str, names: Iterable[str]) -> str:
     """Return what to do about a name of an argument that does not exist: a model to add, or the nearest names."""
     if name in OPTIONAL:
         return f"it belongs to {OPTIONAL[name]}; add that to {OPTIONAL[name][:3]}_type"
-    return nearest(name, known)
+    return nearest(name, names)
 
 
 GAINS = {"feedback": ("K", "P"), "steering": ("K1", "K3")}
 """Arguments that only the control laws have, by the names of the laws in :mod:`bsk_torch.craft`."""
 
 
-def unknown(title: str, name: str, known: Iterable[str]) -> str:
+def unknown(title: str, name: str, names: Iterable[str]) -> str:
     """Return the message about a name of an argument that does not exist."""
     if name == "utc_init":
         return f"{title}['utc_init'] is unknown; give it in world_args: the epoch of the world is that of all satellites"
     for law, gains in GAINS.items():
-        if name in gains and not {*gains} & {*known} and any({*others} & {*known} for others in GAINS.values()):
+        if name in gains and not {*gains} & {*names} and any({*others} & {*names} for others in GAINS.values()):
             other = next(other for other in GAINS if other != law)
             return f"{title}[{name!r}] is unknown: a gain of law={law!r}; functions of craft take law={other!r} for this fsw_type"
-    return f"{title}[{name!r}] is unknown; {hint(str(name), known)}"
+    return f"{title}[{name!r}] is unknown; {hint(str(name), names)}"
 
 
 def is_function(value: object) -> bool:
@@ -102,7 +102,7 @@ def is_function(value: object) -> bool:
     return callable(value) and not isinstance(value, Distribution)
 
 
-def _called(function: Callable[[], object], title: str) -> dict[str, Any]:
+def _called(function: Callable[[], object], title: str) -> dict[str, object]:
     answer = function()
     if not isinstance(answer, Mapping):
         raise TypeError(f"the function {title} returned {answer!r}; it must return a dictionary of arguments, {{name: value}}")
@@ -110,34 +110,36 @@ def _called(function: Callable[[], object], title: str) -> dict[str, Any]:
     return no_gradient(title, values)
 
 
-def expand(given: Mapping[str, object] | Callable[[], Mapping[str, object]] | None, title: str) -> dict[str, Any]:
+def expand(arguments: Mapping[str, object] | Callable[[], Mapping[str, object]] | None, title: str) -> dict[str, Any]:
     """Return given arguments by name; a function is called once to learn the names that it sets.
 
     Raises:
         TypeError: For anything but a dictionary or a function that returns one.
         ValueError: For a tensor that requires a gradient.
     """
-    if given is None:
+    if arguments is None:
         return {}
-    if isinstance(given, Mapping):
-        return {name: no_gradient(f"{title}[{name!r}]", as_value(value)) for name, value in given.items()}
-    if not is_function(given):
-        raise TypeError(f"{title}={given!r} must be a dictionary of arguments, or a function without arguments that returns one")
+    if isinstance(arguments, Mapping):
+        return {name: no_gradient(f"{title}[{name!r}]", as_value(value)) for name, value in arguments.items()}
+    if not is_function(arguments):
+        raise TypeError(
+            f"{title}={arguments!r} must be a dictionary of arguments, or a function without arguments that returns one"
+        )
     with seeded(first_key(1).named(title)) as rows:
         next(rows)
-        trial = _called(given, title)
+        trial = _called(arguments, title)
     names = frozenset(trial)
-    return {name: Member(given, name, value, names) for name, value in trial.items()}
+    return {name: Member(arguments, name, value, names) for name, value in trial.items()}
 
 
 class Given(dict[str, Any]):
     """Given arguments; reading another one returns its default. Wrong names raise KeyError."""
 
-    def __init__(self, given: Mapping[str, object], defaults: Mapping[str, object], title: str) -> None:
-        """Keep the ``given`` arguments alongside the ``defaults`` of all; ``title`` is what the user calls the dictionary."""
+    def __init__(self, arguments: Mapping[str, object], defaults: Mapping[str, object], title: str) -> None:
+        """Keep the ``arguments`` arguments alongside the ``defaults`` of all; ``title`` is what the user calls the dictionary."""
         super().__init__()
         self.defaults, self.title = defaults, title
-        for name, value in given.items():
+        for name, value in arguments.items():
             self[name] = value
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -7,10 +7,10 @@ from dataclasses import fields, is_dataclass
 from typing import Any
 
 from bsk_torch.rand import Distribution
-from bsk_torch.sim.component import Component
+from bsk_torch.sim.component import Component, UserArguments
 from bsk_torch.sim.names import nearest
 
-EMPTY: Mapping[str, Any] = {}
+EMPTY: Mapping[str, object] = {}
 
 
 class ArgumentTable(dict[str, Any]):
@@ -21,7 +21,7 @@ class ArgumentTable(dict[str, Any]):
         here: Values of an environment that differ from the defaults. They are shown first, and are no values of the dictionary.
     """
 
-    def __init__(self, components: Iterable[Component], overrides: Mapping[str, Any] = EMPTY, title: str = "sat_args") -> None:
+    def __init__(self, components: Iterable[Component], overrides: UserArguments = EMPTY, title: str = "sat_args") -> None:
         """Collect the arguments of components, with ``overrides`` of defaults; KeyError, with ``title``, for unknown ones."""
         self.rows, self.here = {arg.name: arg for component in components for arg in component.args}, dict[str, Any]()
         super().__init__({name: arg.default for name, arg in self.rows.items()})
@@ -30,20 +30,20 @@ class ArgumentTable(dict[str, Any]):
                 raise KeyError(f"{title}[{name!r}] is unknown; {nearest(name, self)}")
             self[name] = value
 
-    def beside(self, values: Mapping[str, Any]) -> ArgumentTable:
+    def beside(self, values: Mapping[str, object]) -> ArgumentTable:
         """Show next to the defaults the ``values`` of an environment that differ from them; return this table."""
-        known = {name: values[name] for name in self if name in values}
-        self.here = {name: value for name, value in known.items() if short(value) != short(self[name])}
+        listed = {name: values[name] for name in self if name in values}
+        self.here = {name: value for name, value in listed.items() if short(value) != short(self[name])}
         return self
 
     def cells(self) -> list[dict[str, str]]:
         """Return a row for each argument, those of :attr:`here` first; ``default`` is empty if it is the value ``here``."""
-        found = []
+        rows = []
         for arg in sorted(self.rows.values(), key=lambda arg: arg.name not in self.here):
             value, default = self.here.get(arg.name, self[arg.name]), self[arg.name] if arg.name in self.here else ""
             cells = {"argument": arg.name, "here": short(value), "default": short(default), "unit": arg.unit, "meaning": arg.doc}
-            found.append(cells)
-        return found
+            rows.append(cells)
+        return rows
 
     def __repr__(self) -> str:
         lines = self.cells()
@@ -55,14 +55,14 @@ class ArgumentTable(dict[str, Any]):
         return "\n".join("  ".join(cell.ljust(widths[name]) for name, cell in line.items()).rstrip() for line in lines)
 
 
-def short(value: Any) -> str:
+def short(value: object) -> str:
     """Return a value as tables show it: ground stations by their number, distributions without what is None."""
     if isinstance(value, tuple) and value and isinstance(value[0], dict):
         return f"{len(value)} stations"
     if isinstance(value, Distribution) and is_dataclass(value):
-        given = {field.name: getattr(value, field.name) for field in fields(value) if field.repr}
+        settings = {field.name: getattr(value, field.name) for field in fields(value) if field.repr}
         plain = ("low", "high", "mean", "std")  # of Uniform and Normal, whose first arguments are clear without names
-        parts = (f"{'' if name in plain else f'{name}='}{short(part)}" for name, part in given.items() if part is not None)
+        parts = (f"{'' if name in plain else f'{name}='}{short(part)}" for name, part in settings.items() if part is not None)
         return f"{type(value).__name__}({', '.join(parts)})"
     if isinstance(value, tuple):
         return f"({', '.join(map(short, value))})"

@@ -24,7 +24,7 @@ from bsk_torch.astro.ephemeris import coverage, parse_utc
 from bsk_torch.codegen.kept import of_package
 from bsk_torch.rand import Distribution, Key, PerEnv, RandomEpoch, seeded
 from bsk_torch.sim.arguments.sources import Answers, Member, in_order, is_function, unknown
-from bsk_torch.sim.component import Arg, Component, Values, asked
+from bsk_torch.sim.component import Arg, Component, UserArguments, Values, asked
 from bsk_torch.sim.names import nearest
 
 Overrides = Mapping[str, tuple[Tensor, Tensor]]
@@ -33,7 +33,7 @@ Overrides = Mapping[str, tuple[Tensor, Tensor]]
 ELEMENT_NAMES = ("a", "e", "i", "Omega", "omega", "f")
 
 
-def numbers(value: Any) -> Tensor:
+def numbers(value: object) -> Tensor:
     """Return numbers, sequences, arrays, tensors, or objects with attributes a, e, i, Omega, omega and f as a float64 tensor."""
     if all(hasattr(value, name) for name in ELEMENT_NAMES):
         value = [no_gradient(f"orbital element {name}", getattr(value, name)) for name in ELEMENT_NAMES]
@@ -51,7 +51,7 @@ def _index(arg: Arg, value: Any) -> float:
     raise ValueError(f"{arg.name}={value!r} must be one of {list(arg.choices)}")
 
 
-def _epoch(arg: Arg, value: Any) -> float:
+def _epoch(arg: Arg, value: object) -> float:
     try:
         return parse_utc(value if isinstance(value, datetime) else str(value))
     except ValueError as error:
@@ -99,12 +99,12 @@ def convert(arg: Arg, values: Any, rows: int) -> Any:
     if arg.kind == "utc":
         return torch.tensor([_epoch(arg, value) for value in values], dtype=torch.float64)
     try:
-        given = numbers(values)
+        numeric = numbers(values)
     except (TypeError, ValueError, RuntimeError, OverflowError) as error:
         shown = values[0] if isinstance(values, list) and len(values) == 1 else values
         why = "" if isinstance(shown, str) else f": {error}"
         raise ValueError(f"{arg.name}={shown!r} must be numeric ({arg.unit}){why}") from error
-    return _shaped(arg, given, rows)
+    return _shaped(arg, numeric, rows)
 
 
 def alike(a: Any, b: Any) -> bool:
@@ -133,12 +133,12 @@ class Arguments:
     def __init__(
         self,
         components: Iterable[Component],
-        given: Mapping[str, Any] | Sequence[Mapping[str, Any]],
+        arguments: UserArguments | Sequence[UserArguments],
         title: str,
         columns: Sequence[int] = (0,),
         as_flown: bool = False,
     ) -> None:
-        """Merge the table of ``components`` with the ``given`` values, of all satellites of an environment or of each of them.
+        """Merge the table of ``components`` with ``arguments``, of all satellites of an environment or of each of them.
 
         ``title`` is what the user calls the dictionary; draws depend on ``columns``, the numbers of the satellites within an
         environment. Bounds ``as_flown`` are those of what Basilisk takes, see :class:`~bsk_torch.sim.component.Arg`. KeyError
@@ -148,14 +148,16 @@ class Arguments:
         self.title, self.columns = title, tuple(columns)
         self.owners = tuple(columns) if title == "sat_args" else (title,)
         self.table = self._bounded(arg for component in components for arg in component.args)
-        each = [given] if isinstance(given, Mapping) else list(given)
+        each = [arguments] if isinstance(arguments, Mapping) else list(arguments)
         merged = [self._merged(values) for values in each]
-        self._given = [dict(merged[0]) for _ in columns] if isinstance(given, Mapping) else merged
+        self._given = [dict(merged[0]) for _ in columns] if isinstance(arguments, Mapping) else merged
         self._of_envs: list[dict[str, dict[int, Any]]] = [{} for _ in self._given]
         self._changed: set[str] = set()
         self._look()
 
-    def of_components(self, components: Iterable[Component], given: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> Arguments:
+    def of_components(
+        self, components: Iterable[Component], arguments: Mapping[str, object] | Sequence[Mapping[str, object]]
+    ) -> Arguments:
         """Return the arguments that other components of the same slots declare: their shapes and defaults may differ.
 
         A given value that is the very default of an argument that differs now, from a copy of all defaults, becomes the new one.
@@ -166,26 +168,26 @@ class Arguments:
         if not old and other.keys() == self.table.keys():
             return self
 
-        def wanted(values: Mapping[str, Any]) -> dict[str, Any]:
+        def wanted(values: Mapping[str, object]) -> dict[str, Any]:
             return {name: value for name, value in values.items() if name not in old or value is not old[name]}
 
-        renewed = wanted(given) if isinstance(given, Mapping) else [wanted(values) for values in given]
+        renewed = wanted(arguments) if isinstance(arguments, Mapping) else [wanted(values) for values in arguments]
         return Arguments(components, renewed, self.title, self.columns, self.as_flown)
 
     def _bounded(self, args: Iterable[Arg]) -> dict[str, Arg]:
         return {arg.name: arg.as_flown if self.as_flown else arg for arg in args}
 
-    def _merged(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        for name in given:
+    def _merged(self, arguments: UserArguments) -> dict[str, object]:
+        for name in arguments:
             if name not in self.table:
                 raise KeyError(unknown(self.title, name, self.table))
-            if isinstance(given[name], type) and issubclass(given[name], Distribution):
+            if isinstance(arguments[name], type) and issubclass(arguments[name], Distribution):
                 raise ValueError(
-                    f"{self.title}: {name}={given[name].__name__} is a class; write an object of it, with parentheses"
+                    f"{self.title}: {name}={arguments[name].__name__} is a class; write an object of it, with parentheses"
                 )
-        merged = {name: given.get(name, arg.default) for name, arg in self.table.items()}
-        replaced = {"rN", "vN"} & {name for name in given if given[name] is not None}
-        if replaced and "oe" not in given and "oe" in merged:
+        merged = {name: arguments.get(name, arg.default) for name, arg in self.table.items()}
+        replaced = {"rN", "vN"} & {name for name in arguments if arguments[name] is not None}
+        if replaced and "oe" not in arguments and "oe" in merged:
             merged["oe"] = None  # an explicit position replaces the default elements
         for name, value in merged.items():
             if isinstance(value, Member) and is_fixed(self.table[name]):
@@ -208,7 +210,7 @@ class Arguments:
             for name in self.table
         }
 
-    def _values_of(self, k: int, name: str) -> list[Any]:
+    def _values_of(self, k: int, name: str) -> list[object]:
         return [self._given[k][name], *self._of_envs[k].get(name, {}).values()]
 
     @property
@@ -223,7 +225,7 @@ class Arguments:
 
     # -- changes ------------------------------------------------------------------------------------------------------
 
-    def changed(self, changes: Iterable[tuple[int, str, Any, Sequence[int] | None]]) -> Arguments:
+    def changed(self, changes: Iterable[tuple[int, str, object, Sequence[int] | None]]) -> Arguments:
         """Return arguments with other values; these remain unchanged.
 
         A change has the index of a satellite within the type, a name, a value, and the environments that get it, None for all.
@@ -245,8 +247,8 @@ class Arguments:
                 new._given[k][name] = value
                 new._of_envs[k].pop(name, None)
             elif value is new._given[k][name]:
-                left = {env: mine for env, mine in new._of_envs[k].pop(name, {}).items() if env not in envs}
-                new._of_envs[k] |= {name: left} if left else {}
+                remaining = {env: mine for env, mine in new._of_envs[k].pop(name, {}).items() if env not in envs}
+                new._of_envs[k] |= {name: remaining} if remaining else {}
             else:
                 new._of_envs[k].setdefault(name, {}).update(dict.fromkeys(envs, value))
         new._look()
@@ -282,23 +284,25 @@ class Arguments:
                         f"{self.title}: {other}={answer!r} was {first!r} at the function's first call; it decides what is "
                         "built, so it must be the same in all episodes"
                     )
-                mine = self.value(k, other, env) if other in self.table else value
-                if isinstance(mine, Member) and mine.function is value.function:
+                other_value = self.value(k, other, env) if other in self.table else value
+                if isinstance(other_value, Member) and other_value.function is value.function:
                     answers[owner, other] = answer
 
-    def _asked_alone(self, key: Key, known: Container[str]) -> list[Answers]:
+    def _asked_alone(self, key: Key, names: Container[str]) -> list[Answers]:
         """Return the answers for each environment of a key, of all functions whose values are not known."""
         if not self.calls_user:
             return []
         answers: list[Answers] = []
         with seeded(key.named(self.title)) as rows:
             for row in rows:
-                answers.append({(owner, name): None for owner in self.owners for name in self.table if name in known})
+                answers.append({(owner, name): None for owner in self.owners for name in self.table if name in names})
                 for k in range(len(self.owners)):
                     self.ask(k, int(row.env_id), answers[-1])
         return answers
 
-    def draw(self, key: Key, known: Mapping[str, Any] | None = None, answers: Sequence[Answers] | None = None) -> dict[str, Any]:
+    def draw(
+        self, key: Key, known: Mapping[str, object] | None = None, answers: Sequence[Answers] | None = None
+    ) -> dict[str, Any]:
         """Return the values of all arguments for the n environments of ``key``: [1, ...] if all are equal, else [n * S, ...].
 
         Arguments that are ``known`` already are not drawn again. ``answers`` are those of the user's functions for each
@@ -314,19 +318,17 @@ class Arguments:
 
         Those that user functions give to some satellites or environments are left out.
         """
-        return self._draw_named([name for name in self.table if self._is_per_env(name)], key, ())
+        values = {name: [value for k in range(len(self._given)) for value in self._values_of(k, name)] for name in self.table}
+        names = [name for name, of in values.items() if any(isinstance(x, PerEnv) for x in of) and not any(map(is_function, of))]
+        return self._draw_named(names, key, ())
 
     def draw_some(self, names: Sequence[str], key: Key) -> dict[str, Any]:
         """Return the values of the arguments ``names``, as :meth:`draw` returns them; of functions, only theirs are called."""
         return self._draw_named(names, key, self._asked_alone(key, self.table.keys() - set(names)))
 
-    def _draw_named(self, names: Iterable[str], key: Key, answers: Sequence[Answers]) -> dict[str, Any]:
+    def _draw_named(self, names: Iterable[str], key: Key, answers: Sequence[Answers]) -> dict[str, object]:
         rows = key if self.columns == (0,) else key.of_satellites(torch.tensor(self.columns))
         return {name: self._drawn_or_kept(self.table[name], key, rows, answers) for name in names}
-
-    def _is_per_env(self, name: str) -> bool:
-        values = [value for k in range(len(self._given)) for value in self._values_of(k, name)]
-        return any(isinstance(value, PerEnv) for value in values) and not any(map(is_function, values))
 
     def override(self, name: str, values: Any, columns: Tensor, given: Tensor) -> Tensor:
         """Return drawn values of an argument, or None, with those of some satellites replaced, [n * S, ...].
@@ -345,7 +347,7 @@ class Arguments:
         whole[:, columns] = new
         return whole.flatten(0, 1)
 
-    def _drawn_or_kept(self, arg: Arg, key: Key, rows: Key, answers: Sequence[Answers]) -> Any:
+    def _drawn_or_kept(self, arg: Arg, key: Key, rows: Key, answers: Sequence[Answers]) -> object:
         value = self.given[arg.name]
         if not self._alike[arg.name]:
             return self._drawn_each(arg, key, answers)
@@ -356,7 +358,7 @@ class Arguments:
         kept = self._constants[arg.name]
         return kept.expand(len(rows), *kept.shape[1:]) if arg.name in self._changed and isinstance(kept, Tensor) else kept
 
-    def _drawn_each(self, arg: Arg, key: Key, answers: Sequence[Answers]) -> Any:
+    def _drawn_each(self, arg: Arg, key: Key, answers: Sequence[Answers]) -> object:
         """Return the values of an argument given for each satellite, [n * S, ...]."""
         if is_fixed(arg):
             raise ValueError(f"{self.title}: {arg.name} must be the same for all satellites of a type")
@@ -384,20 +386,20 @@ class Arguments:
 
     def _of_satellite(self, k: int, arg: Arg, key: Key, answers: Sequence[Answers]) -> Any:
         """Return the values of an argument of one satellite, [n or 1, ...]; None if it has none."""
-        own, asked = (
+        satellite_key, asked = (
             key.of_satellites(torch.tensor([self.columns[k]])),
             [answer.get((self.owners[k], arg.name)) for answer in answers],
         )
         value, of_envs = self._given[k][arg.name], self._of_envs[k].get(arg.name)
         if not of_envs:
-            return self._draw(arg, value, own, asked)
+            return self._draw(arg, value, satellite_key, asked)
         groups: dict[int, tuple[Any, list[int]]] = {}
         for row, env in enumerate(key.env_id.tolist()):
-            mine = of_envs.get(env, value)
-            groups.setdefault(id(mine), (mine, []))[1].append(row)
+            env_value = of_envs.get(env, value)
+            groups.setdefault(id(env_value), (env_value, []))[1].append(row)
         parts: list[tuple[Tensor, list[int]]] = []
-        for mine, rows in groups.values():
-            part = self._draw(arg, mine, own.take(rows), [asked[row] for row in rows] if asked else asked)
+        for env_value, rows in groups.values():
+            part = self._draw(arg, env_value, satellite_key.take(rows), [asked[row] for row in rows] if asked else asked)
             if part is None:
                 raise ValueError(f"{self.title}: {arg.name} must be given for all environments, or for none")
             parts.append((part, rows))
@@ -411,7 +413,7 @@ class Arguments:
             whole[rows] = part.expand(len(rows), *part.shape[1:])
         return whole
 
-    def _draw(self, arg: Arg, value: Any, key: Key, asked: Sequence[Any] = ()) -> Any:
+    def _draw(self, arg: Arg, value: object, key: Key, asked: Sequence[object] = ()) -> Any:
         try:
             if is_fixed(arg):
                 self._check_shared(arg, value)
@@ -430,7 +432,7 @@ class Arguments:
             raise ValueError(f"{self.title}: {error}") from error
 
     @staticmethod
-    def _check_shared(arg: Arg, value: Any) -> None:
+    def _check_shared(arg: Arg, value: object) -> None:
         if isinstance(value, Distribution) or callable(value):
             raise ValueError(f"{arg.name}={value!r} must be the same for all environments; give a constant")
         if arg.kind == "stations":
@@ -447,7 +449,7 @@ class Arguments:
         return torch.full((1, *(size or 1 for size in arg.dims)), arg.missing, dtype=torch.float64)
 
 
-def drawn_once(arg: Arg, answer: Any, key: Key, row: int) -> Any:
+def drawn_once(arg: Arg, answer: object, key: Key, row: int) -> Any:
     """Return the value of a function's answer for one row of a key; a distribution is drawn."""
     return answer.draw(key.take([row]).named(arg.name))[0] if isinstance(answer, Distribution) else answer
 
@@ -463,7 +465,7 @@ STATION_BOUNDS = {
 """Bounds of the numbers of a station, degrees for latitude and longitude, else m and rad."""
 
 
-def _check_stations(stations: Any) -> None:
+def _check_stations(stations: object) -> None:
     if isinstance(stations, str | Mapping) or not isinstance(stations, Sequence):
         raise ValueError(f"groundStationsData={stations!r} must be a list of stations, such as {{'lat': 40.0, 'long': -105.2}}")
     if not stations:
@@ -489,47 +491,47 @@ def merge(values: Values, components: Sequence[Component], what: str) -> dict[st
     other names, or no number for a parameter.
     """
     merged: dict[str, Tensor] = {}
-    own: dict[str, str] = {}  # slots of users' components by what they have returned
+    user_slots: dict[str, str] = {}  # slots of users' components by what they have returned
     for component, share in asked([part for part in components if getattr(part, what) is not None], values):
         function = getattr(component, what)
-        found, is_own = function(share), not of_package([function])
+        computed, is_own = function(share), not of_package([function])
         if is_own:
-            _check_computed(component, what, found, values, merged)
-        for name in found.keys() & (merged if is_own else own).keys():
+            _check_computed(component, what, computed, values, merged)
+        for name in computed.keys() & (merged if is_own else user_slots).keys():
             raise ValueError(
-                f"{what}(args) of the component in slot {own.get(name, component.slot)!r} returns {name!r}, which another "
+                f"{what}(args) of the component in slot {user_slots.get(name, component.slot)!r} returns {name!r}, which another "
                 "component returns, too; give the field another name"
             )
-        own.update(dict.fromkeys(found if is_own else (), component.slot))
-        merged.update(found)
+        user_slots.update(dict.fromkeys(computed if is_own else (), component.slot))
+        merged.update(computed)
     for field in (field for component in components for field in component.state) if what == "initial" else ():
         if field.name not in merged:
             merged[field.name] = torch.zeros(1, field.width, dtype=torch.float64)
     return merged
 
 
-def _check_computed(component: Component, what: str, found: Any, values: Values, others: Container[str]) -> None:
+def _check_computed(component: Component, what: str, computed: object, values: Values, others: Container[str]) -> None:
     """Check what a user's component computes when episodes start; ``others`` are values of the components before it."""
     fields = {field.name: field for field in (component.state if what == "initial" else component.params)}
     entry = "state" if what == "initial" else "params"
     title = f"{what}(args) of the component in slot {component.slot!r}"
-    if not isinstance(found, Mapping):
-        raise TypeError(f"{title} returns {found!r}; it must return a dictionary of float64 tensors by the names in {entry}=")
-    for name in found:
+    if not isinstance(computed, Mapping):
+        raise TypeError(f"{title} returns {computed!r}; it must return a dictionary of float64 tensors by the names in {entry}=")
+    for name in computed:
         if name not in fields:
             raise ValueError(f"{title} returns {name!r}, which is not in {entry}= of the component; {nearest(str(name), fields)}")
     rows = max((len(value) for value in values.values() if isinstance(value, Tensor)), default=1)
     for name, field in fields.items():
-        if name not in found:
+        if name not in computed:
             if name in others or what == "initial":
                 continue
             raise ValueError(f"{title} lacks {name!r}, which {entry}= of the component lists")
-        value, width = found[name], field.width
+        value, width = computed[name], field.width
         shapes = [(n, width) for n in (1, rows)] + [(n,) for n in (1, rows) if width == 1]
         if not isinstance(value, Tensor) or (value.shape not in shapes and not (value.ndim > 2 and value[0].numel() == width)):
-            given = f"of shape {list(value.shape)}" if isinstance(value, Tensor) else repr(value)
+            description = f"of shape {list(value.shape)}" if isinstance(value, Tensor) else repr(value)
             wanted = f"[1, {width}] or [{rows}, {width}]" if width > 1 else f"[1] or [{rows}]"
-            raise TypeError(f"{title}[{name!r}] is {given}; it must be a float64 tensor of shape {wanted}")
+            raise TypeError(f"{title}[{name!r}] is {description}; it must be a float64 tensor of shape {wanted}")
         if bool(torch.isnan(value).any()):
             raise ValueError(
                 f"{title}[{name!r}] is NaN in row {int(torch.isnan(value).view(len(value), -1).any(1).int().argmax())}"

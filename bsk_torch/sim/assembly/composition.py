@@ -33,14 +33,14 @@ HOMES: dict[type, Home] = {
 }
 
 
-def compose(given: object, base: Class, owner: str = "") -> Class:
+def compose(models: object, base: Class, owner: str = "") -> Class:
     """Return the class that a model class, or a tuple or list of them, stands for.
 
     Members of the first of several classes win. Duplicates, and classes of which others are subclasses, are left out; ``base``,
     ``DynamicsModel``, ``FSWModel`` or ``WorldModel``, comes last. A single remaining class is used directly. TypeError for an
     entry that is not a model of the kind, or classes that Python cannot order; ``owner`` names what the user gave it to.
     """
-    parts = tuple(given) if isinstance(given, tuple | list) else (given,)
+    parts = tuple(models) if isinstance(models, tuple | list) else (models,)
     for part in parts:
         _check_part(part, base, owner)
     try:
@@ -96,8 +96,8 @@ def world_of(dyn_type: type[DynamicsModel], world_type: type[WorldModel] | None 
 def world_components(dyn_type: type[DynamicsModel], world_type: type[WorldModel] | None = None) -> tuple[Component, ...]:
     """Return the components of the world of satellites in the order of a tick; TypeError as for :func:`world_of`."""
     parts = world_of(dyn_type, world_type).components_for(dyn_type.all_required_worlds())
-    own = (part for cls in reversed(dyn_type.__mro__) for part in vars(cls).get("world_components", ()))
-    return replaced((*parts, *own))
+    required = (part for cls in reversed(dyn_type.__mro__) for part in vars(cls).get("world_components", ()))
+    return replaced((*parts, *required))
 
 
 def check_required_dyn(dyn_type: type[DynamicsModel], fsw_type: type[FSWModel]) -> None:

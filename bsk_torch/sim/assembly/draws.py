@@ -26,7 +26,7 @@ ArgumentChange = tuple[int, str, Any, Sequence[int] | None]  # see bsk_torch.sim
 class TrialDraw(NamedTuple):
     """What a trial draw shows."""
 
-    values: dict[str, Any]  # arguments of one or two environments by name
+    values: dict[str, object]  # arguments of one or two environments by name
     parameters: dict[str, Tensor]  # parameters that follow from them by name
     uniform: set[str]  # names of the parameters that are the same for all rows
 
@@ -67,25 +67,25 @@ class TypeArguments:
     def draw(
         self,
         key: Key,
-        world: Mapping[str, Any] | None = None,
-        given: Overrides | None = None,
+        world: Mapping[str, object] | None = None,
+        overrides: Overrides | None = None,
         answers: Sequence[Answers] | None = None,
     ) -> dict[str, Any]:
         """Return the arguments from which episodes of the key's n environments start; raises before anything has changed.
 
         Values of satellites and world are [1, ...] or [n * count, ...] by name. Arguments of the ``world`` may have been drawn
-        already, such as by a simulation of other satellites; ``given`` ones replace those of some satellites. User functions
+        already, such as by a simulation of other satellites; ``overrides`` ones replace those of some satellites. User functions
         are called now, unless ``answers`` has what they returned for each environment.
         """
         around, count = self.world_args.draw(key, world, answers), self.count
         random = self.world_args.random.intersection(around) if count > 1 else ()
         values = {**around, **{name: around[name].repeat_interleave(count, 0) for name in random}}
         values |= self.sat_args.draw(key, None, answers)
-        for name, (columns, replaced) in (given or {}).items():
+        for name, (columns, replaced) in (overrides or {}).items():
             values[name] = self.sat_args.override(name, values.get(name), columns, replaced)
         if taken := sorted(values.keys() & self.taken):
             raise ValueError(f"the scenario draws {taken}, which are arguments of satellite or world; give them other names")
-        self._check(values, given or ())
+        self._check(values, overrides or ())
         return values
 
     def draw_some(self, names: Sequence[str], key: Key) -> dict[str, Any]:
@@ -96,7 +96,7 @@ class TypeArguments:
                 values[name] = self.sat_args.override(name, values[name], columns, replaced)
         return values
 
-    def _check(self, values: dict[str, Any], replaced: Collection[str]) -> None:
+    def _check(self, values: dict[str, object], replaced: Collection[str]) -> None:
         """Ask components what values mean together, and for the length of a tick: once where they are constant.
 
         ``replaced`` are the names of arguments that are replaced of some satellites. Marginal values are logged once for each
@@ -106,18 +106,18 @@ class TypeArguments:
         constant = {part.slot for part in self.parts if changing.isdisjoint(part.arguments)}
         checking = (part for part in self.parts if part.check or part.check_tick)
         pairs = asked([part for part in checking if part.slot not in constant & self._checked], values)
-        for part, own in pairs:
-            if part.check is not None and (found := part.check(own)) is not None:
+        for part, part_values in pairs:
+            if part.check is not None and (result := part.check(part_values)) is not None:
                 raise TypeError(
-                    f"check(args) of the component in slot {part.slot!r} returns {found!r}; it must raise ValueError for "
+                    f"check(args) of the component in slot {part.slot!r} returns {result!r}; it must raise ValueError for "
                     "arguments that do not fit together, and return None"
                 )
         wrong = []
-        for part, own in pairs:
+        for part, part_values in pairs:
             if part.check_tick is None or (part.slot == "control" and not self.controlled):
                 continue
             try:
-                words = part.check_tick(own, self.h_ns * NANO)
+                words = part.check_tick(part_values, self.h_ns * NANO)
             except ValueError as error:
                 words = str(error)
                 if not self.lenient:
@@ -136,34 +136,34 @@ class TypeArguments:
         ValueError for too few rows, and values that are not allowed.
         """
         key = dataclasses.replace(first_key(len(env_ids)), env_id=env_ids.cpu())
-        around, own = self.world_args.draw_per_env(key), self.sat_args.draw_per_env(key)
-        if not around and not own:
+        around, sat_values = self.world_args.draw_per_env(key), self.sat_args.draw_per_env(key)
+        if not around and not sat_values:
             return
         first = key.take([0])
-        given = self.randomize(first)
+        overrides = self.randomize(first)
         others = {
             name: value.repeat(len(key), *[1] * (value.ndim - 1)) if isinstance(value, Tensor) and len(value) > 1 else value
-            for name, value in self.draw(first, given=given).items()
+            for name, value in self.draw(first, overrides=overrides).items()
         }
         around = {name: value.repeat_interleave(self.count, 0) for name, value in around.items()}
-        mine = {name: value for name, value in (around | own).items() if name not in given}
-        self._check(others | mine, given)
+        per_env = {name: value for name, value in (around | sat_values).items() if name not in overrides}
+        self._check(others | per_env, overrides)
 
-    def changed(self, own: Sequence[ArgumentChange], world: Sequence[ArgumentChange]) -> TypeArguments:
+    def changed(self, satellite: Sequence[ArgumentChange], world: Sequence[ArgumentChange]) -> TypeArguments:
         """Return arguments with other values; these remain unchanged. KeyError, ValueError for wrong changes."""
-        return dataclasses.replace(self, sat_args=self.sat_args.changed(own), world_args=self.world_args.changed(world))
+        return dataclasses.replace(self, sat_args=self.sat_args.changed(satellite), world_args=self.world_args.changed(world))
 
     def trial(self, num_envs: int, envs: Sequence[int] = ()) -> TrialDraw:
         """Return a trial draw of a batch of ``num_envs`` environments; the first of ``envs`` takes part in it."""
         key = first_key(min(2, num_envs))
         if envs:
             key = dataclasses.replace(key, env_id=torch.tensor([envs[0], *envs[-1:]])[: len(key)])
-        given = self.randomize(key)
-        values = self.draw(key, given=given)
+        overrides = self.randomize(key)
+        values = self.draw(key, overrides=overrides)
         parameters = merge(values, self.parts, "prepare")
         uniform = {name for name, value in parameters.items() if len(value) == 1}
         if num_envs * self.count == 1:  # a batch of one shows only so what follows from no random argument
-            random = self.sat_args.random.union(self.world_args.random, given)
+            random = self.sat_args.random.union(self.world_args.random, overrides)
             double = {
                 name: torch.cat([value, value]) if name in random and isinstance(value, Tensor) else value
                 for name, value in values.items()

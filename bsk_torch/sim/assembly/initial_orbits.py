@@ -49,21 +49,21 @@ def check_orbits(values: Mapping[str, Any], orbit: str) -> None:
         raise ValueError(f"world_args: by {', '.join(names)} the air has more than {DENSEST_AIR:g} kg/m^3 at an initial position")
 
 
-def _check_start(values: Mapping[str, Any], r: Vec3) -> None:
+def _check_start(values: Mapping[str, object], r: Vec3) -> None:
     """Raise ValueError for an initial position, m, below the surface or too far away."""
     radius = r.norm()
     wrong = ~((radius >= LOWEST_PERIAPSIS) & (radius <= FARTHEST))
     if bool(wrong.any()):
-        given = "rN is" if values["oe"] is None else "oe is a position"
+        source = "rN is" if values["oe"] is None else "oe is a position"
         raise ValueError(
-            f"sat_args: {given} {_first(radius, wrong) / 1e3:.6g} km from the Earth's center; allowed are "
+            f"sat_args: {source} {_first(radius, wrong) / 1e3:.6g} km from the Earth's center; allowed are "
             f"{LOWEST_PERIAPSIS / 1e3:g} km, its surface, to {FARTHEST / 1e3:g} km"
         )
 
 
 def _lowest_periapsis(values: Mapping[str, Any], r: Vec3, v: Vec3) -> float:
     """Return the lowest periapsis, m, of initial positions, m, and velocities, m/s; ValueError for others."""
-    given = "rN and vN are" if values["oe"] is None else "oe is"
+    source = "rN and vN are" if values["oe"] is None else "oe is"
     mu = torch.clamp(values["mu"], max=MU_EARTH)  # observed elements are those under the smaller one
     radius, speed2 = r.norm(), v.dot(v)
     a = 1.0 / (2.0 / radius - speed2 / mu)
@@ -72,7 +72,7 @@ def _lowest_periapsis(values: Mapping[str, Any], r: Vec3, v: Vec3) -> float:
         given_mu, from_oe = float(values["mu"].max()), values["oe"] is not None
         converted = f" (sat_args['mu']={given_mu:g} has converted oe)" if from_oe and given_mu != MU_EARTH else ""
         raise ValueError(
-            f"sat_args: {given} no orbit around the Earth: {_first(radius, ~bound) / 1e3:g} km from its center at "
+            f"sat_args: {source} no orbit around the Earth: {_first(radius, ~bound) / 1e3:g} km from its center at "
             f"{_first(speed2.sqrt(), ~bound):g} m/s, with mu={_first(mu, ~bound):g} m^3/s^2; an orbit's energy is negative"
             f"{converted}"
         )
@@ -81,7 +81,7 @@ def _lowest_periapsis(values: Mapping[str, Any], r: Vec3, v: Vec3) -> float:
     if bool(wrong.any()):
         low, high = _first(periapsis, wrong), _first(2.0 * a - periapsis, wrong)
         raise ValueError(
-            f"sat_args: {given} an orbit from {low / 1e3:.6g} to {high / 1e3:.6g} km from the Earth's center; allowed are "
+            f"sat_args: {source} an orbit from {low / 1e3:.6g} to {high / 1e3:.6g} km from the Earth's center; allowed are "
             f"{LOWEST_PERIAPSIS / 1e3:g} km, its surface, to {HIGHEST_APOAPSIS / 1e3:g} km (oe: a(1 - e) and a(1 + e); rN "
             "and vN: not parallel)"
         )

@@ -23,7 +23,7 @@ from bsk_torch.rand import Key
 from bsk_torch.sim.arguments.values import Arguments, Overrides, merge
 from bsk_torch.sim.assembly.composition import check_required_dyn, provided_by, world_components, world_of
 from bsk_torch.sim.assembly.draws import ArgumentChange, TrialDraw, TypeArguments
-from bsk_torch.sim.component import Component, Field, MissingMessageError, declared
+from bsk_torch.sim.component import Component, Field, MissingMessageError, UserArguments, declared
 from bsk_torch.sim.dyn.events import with_failure_event
 from bsk_torch.sim.dyn.forces.field import prepare
 from bsk_torch.sim.dyn.models import DynamicsModel
@@ -58,7 +58,7 @@ class SimulationOptions:
     sim_rate: float = 1.0  # length of a tick, s
     orbit: str | None = None  # `"arc"`, `"integrated"`, `"free"`, or None for the default of the dynamics model
     backend: str = "compiled"  # `"compiled"` or `"eager"`
-    compat: str | None = None  # `"bsk_rl"` for the errors of recordings
+    compat: bool = False  # whether the errors of recordings are repeated
     replan: bool = True  # whether windows and eclipses follow maneuvers
 
 
@@ -95,7 +95,7 @@ class SatelliteType:
     gravity_degree: int  # degree of the Earth's field
     options: SimulationOptions  # how they are simulated
     usage: Usage  # how the environment uses them
-    trial: Mapping[str, Any]  # arguments of a trial draw, by whose shapes states are laid out
+    trial: Mapping[str, object]  # arguments of a trial draw, by whose shapes states are laid out
     tick: Tick
     runners: Runners  # what runs it
     uniform: Tensor  # values of the parameters of `tick.shared`, [C, 1]
@@ -106,7 +106,7 @@ class SatelliteType:
     @property
     def compat(self) -> bool:
         """Whether the errors of recordings are repeated."""
-        return self.options.compat == "bsk_rl"
+        return self.options.compat
 
     @functools.cached_property
     def mode_names(self) -> tuple[str, ...]:
@@ -120,20 +120,20 @@ class SatelliteType:
         usage = dataclasses.replace(self.usage, columns=self.usage.columns[:1])
         return dataclasses.replace(self, arguments=arguments, usage=usage)
 
-    def changed(self, own: Sequence[ArgumentChange], world: Sequence[ArgumentChange], num_envs: int) -> SatelliteType:
+    def changed(self, satellite: Sequence[ArgumentChange], world: Sequence[ArgumentChange], num_envs: int) -> SatelliteType:
         """Return the type with other arguments of satellites and world, which a trial draw for a batch of ``num_envs`` checks.
 
         Its tick is the same, unless parameters that all rows shared may differ now. KeyError or ValueError for wrong changes.
         """
-        for _, name, _, _ in (*own, *world):
+        for _, name, _, _ in (*satellite, *world):
             if name in self.structural:
                 raise ValueError(
                     f"{name} was the same for all environments when this one was built, and components were made for it; give a "
                     "distribution, such as rand.Choice, when an environment is built, and it can be changed"
                 )
-        arguments = self.arguments.changed(own, world)
-        trial = arguments.trial(num_envs, [env for *_, envs in (*own, *world) for env in envs or ()])
-        for _, name, _, _ in (*own, *world):
+        arguments = self.arguments.changed(satellite, world)
+        trial = arguments.trial(num_envs, [env for *_, envs in (*satellite, *world) for env in envs or ()])
+        for _, name, _, _ in (*satellite, *world):
             had = isinstance(self.trial[name], Tensor)
             if isinstance(trial.values[name], Tensor) != had:
                 was = "a value" if had else "None"
@@ -154,8 +154,8 @@ class SatelliteType:
 
 def satellite_type(
     models: tuple[type[DynamicsModel], type[FSWModel]],
-    sat_args: Mapping[str, Any] | Sequence[Mapping[str, Any]],
-    world_args: Mapping[str, Any],
+    sat_args: Mapping[str, object] | Sequence[Mapping[str, object]],
+    world_args: Mapping[str, object],
     options: SimulationOptions,
     usage: Usage,
     *,
@@ -184,24 +184,24 @@ def satellite_type(
         )
     check_required_dyn(dyn_type, fsw_type)
     world, around = world_of(dyn_type, world_type), world_components(dyn_type, world_type)
-    own = (*dyn_type.all_components(), *fsw_type.all_components())
-    lenient = options.compat == "bsk_rl"
-    arguments = Arguments(around, world_args, "world_args"), Arguments(own, sat_args, "sat_args", usage.columns, lenient)
+    onboard = (*dyn_type.all_components(), *fsw_type.all_components())
+    lenient = options.compat
+    arguments = Arguments(around, world_args, "world_args"), Arguments(onboard, sat_args, "sat_args", usage.columns, lenient)
     instruments = described_instruments(arguments[1].given, arguments[1].table)
     known_args = arguments[1].table | instrument_args(instruments, arguments[1].table)
     faults = declared_faults(arguments[1].given, known_args)
     check_faults(instruments, faults)
     looked = [Looked(arguments[0].given), Looked(changing(arguments[1].given, faults))]
-    around, own = (fitted(some, given) for some, given in zip((around, own), looked, strict=True))
-    own = with_faults(with_instruments(own, instruments), faults)
-    own = with_failure_event(own) if usage.watches else own
-    arguments = arguments[0].of_components(around, world_args), arguments[1].of_components(own, sat_args)
-    own = tuple(part for part in own if not (part.mends and lenient))
-    parts = dyn_type.schedule.ordered((*(dataclasses.replace(part, at_start=True) for part in around), *own))
+    around, onboard = (fitted(some, mapping) for some, mapping in zip((around, onboard), looked, strict=True))
+    onboard = with_faults(with_instruments(onboard, instruments), faults)
+    onboard = with_failure_event(onboard) if usage.watches else onboard
+    arguments = arguments[0].of_components(around, world_args), arguments[1].of_components(onboard, sat_args)
+    onboard = tuple(part for part in onboard if not (part.mends and lenient))
+    parts = dyn_type.schedule.ordered((*(dataclasses.replace(part, at_start=True) for part in around), *onboard))
     # a component of the user's own in the slot of another may leave the flags and resets to that one
-    known = (*declared(world, dyn_type, fsw_type), *parts)
-    modes, on_arc = mode_table(fsw_type.all_modes(), known), orbit == "arc"
-    flags = dict.fromkeys(flag for part in known for flag in part.flags)
+    every_component = (*declared(world, dyn_type, fsw_type), *parts)
+    modes, on_arc = mode_table(fsw_type.all_modes(), every_component), orbit == "arc"
+    flags = dict.fromkeys(flag for part in every_component for flag in part.flags)
     on = [[float(flag in (mode.on or ())) for mode in modes.values()] for flag in flags]
     drawing = TypeArguments(
         arguments[1], arguments[0], parts, h_ns, orbit, usage.controlled, usage.randomize, frozenset(usage.drawn), lenient=lenient
@@ -221,7 +221,7 @@ def satellite_type(
     tick = Tick(running, trial.uniform, h_ns, on_arc, *layout)
     return SatelliteType(
         arguments=drawing,
-        structural=frozenset(looked[0].seen - arguments[0].random).union(looked[1].seen - arguments[1].random),
+        structural=frozenset(looked[0].names_read - arguments[0].random).union(looked[1].names_read - arguments[1].random),
         world_type=world,
         schedule=dyn_type.schedule,
         modes=modes,
@@ -238,26 +238,26 @@ def satellite_type(
         runners=_runners(tick, trial, drawing, options, Kept(1) if ticks is None else ticks),
         uniform=tick.shared.rows(trial.parameters, 1).to(options.device).contiguous(),
         flag_table=torch.tensor(on, device=options.device, dtype=torch.float64),
-        resets=_resets(tick, modes, dict(reset for part in known for reset in part.resets), options.device),
+        resets=_resets(tick, modes, dict(reset for part in every_component for reset in part.resets), options.device),
     )
 
 
 class Looked(dict[str, Any]):
     """Values by name that remember which of them were looked at."""
 
-    def __init__(self, given: Mapping[str, Any]) -> None:
+    def __init__(self, arguments: UserArguments) -> None:
         """Keep the values."""
-        super().__init__(given)
-        self.seen: set[str] = set()
+        super().__init__(arguments)
+        self.names_read: set[str] = set()
 
     def __getitem__(self, name: str) -> Any:
-        self.seen.add(name)
+        self.names_read.add(name)
         return super().__getitem__(name)
 
-    def get(self, name: str, default: Any = None) -> Any:
+    def get(self, name: str, default: object = None) -> Any:
         """Return a value, or the default."""
         if name in self:
-            self.seen.add(name)
+            self.names_read.add(name)
         return super().get(name, default)
 
 
@@ -266,9 +266,9 @@ def whole_nanoseconds(seconds: float) -> int:
     return int(seconds * 1e9 + 0.5)
 
 
-def fitted(parts: tuple[Component, ...], given: Mapping[str, Any]) -> tuple[Component, ...]:
+def fitted(parts: tuple[Component, ...], arguments: Mapping[str, object]) -> tuple[Component, ...]:
     """Return the parts with the structure that the given arguments need."""
-    return tuple(part.fit(given) if part.fit else part for part in parts)
+    return tuple(part.fit(arguments) if part.fit else part for part in parts)
 
 
 def _running(parts: Sequence[Component], schedule: Schedule, on_arc: bool, recorded: Sequence[str]) -> tuple[Component, ...]:
@@ -298,8 +298,8 @@ def _runners(tick: Tick, trial: TrialDraw, arguments: TypeArguments, options: Si
             raise TypeError(f"{error}; {provided_by(str(error.name))}") from None
         return tick, runners
 
-    known = options.device.type == "cpu" and of_package(tick.functions)
-    _, runners = (TICKS if known else ticks).get((tick.identity, options.backend, options.device), make)
+    is_shared = options.device.type == "cpu" and of_package(tick.functions)
+    _, runners = (TICKS if is_shared else ticks).get((tick.identity, options.backend, options.device), make)
     runners.build(arguments.count)
     return runners
 

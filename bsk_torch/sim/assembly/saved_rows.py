@@ -34,9 +34,9 @@ def check_saved(satellite_type: SatelliteType, saved: SatelliteState, path: str)
             saved.refuse(f"{path}arguments.{name}", value, value != value[:1], "it must be the same in all episodes")
             values[name] = value[:1]
     on_host = {name: value.cpu() for name, value in values.items()} | saved.constants
-    for part, own in asked(arguments.parts, on_host):
+    for part, part_values in asked(arguments.parts, on_host):
         if part.check is not None:
-            part.check(own)
+            part.check(part_values)
     check_orbits(on_host, arguments.orbit)
     parameters = satellite_type.tick.own.rows(merge(on_host, arguments.parts, "prepare"), saved.rows).to(saved.device).mT
     wrong = ~torch.isclose(saved.parameters.mT, parameters, rtol=CLOSE, atol=0.0, equal_nan=True)

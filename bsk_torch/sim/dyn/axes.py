@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any, TypeVar
+from collections.abc import Callable, Iterable
+from typing import TypeVar
 
 from torch import Tensor
 
 from bsk_torch._checks import parts
-from bsk_torch.sim.component import Arg, Values
+from bsk_torch.sim.component import Arg, UserArguments, Values
 
 Part = TypeVar("Part")
 
@@ -31,15 +31,15 @@ def check_axis(name: str) -> Callable[[Values], None]:
 
 
 def described(
-    given: Mapping[str, Any], name: str, numbers: Iterable[Arg], kind: type[Part], what: str
+    arguments: UserArguments, name: str, numbers: Iterable[Arg], kind: type[Part], what: str
 ) -> tuple[Part, ...] | None:
     """Return the parts that the argument ``name`` lists, ``what`` in messages; None for the default ones.
 
     ValueError for entries of another kind, and for their ``numbers`` without them.
     """
-    if given.get(name) is not None:
-        return parts(f"sat_args: {name}", given[name], kind, what)
+    if arguments.get(name) is not None:
+        return parts(f"sat_args: {name}", arguments[name], kind, what)
     for arg in numbers:
-        if given.get(arg.name) is not None:
+        if arguments.get(arg.name) is not None:
             raise ValueError(f"sat_args: {arg.name} is given without {name}; give {name}=[dyn.{kind.__name__}(...), ...]")
     return None

@@ -10,7 +10,6 @@ from __future__ import annotations
 import functools
 import math
 import operator
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,7 @@ from bsk_torch.astro.integrate import State, rk4_step
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.rand import Distribution, Uniform, random_orbit
-from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
+from bsk_torch.sim.component import Arg, Bus, Component, Field, UserArguments, Values, vec
 from bsk_torch.sim.dyn.forces.field import called_field, full_field
 from bsk_torch.vec3 import Mat3, Vec3, times
 
@@ -192,10 +191,10 @@ def _has_parts(field: Any) -> bool:
 
 
 def _regrouped(states: EffectorStates, leaves: State) -> EffectorStates:
-    left = list(leaves)
+    remaining = list(leaves)
 
     def taken(field: Any) -> Any:
-        return tuple(left.pop(0) for _ in field) if _has_parts(field) else left.pop(0)
+        return tuple(remaining.pop(0) for _ in field) if _has_parts(field) else remaining.pop(0)
 
     return [tuple(taken(field) for field in state) for state in states]
 
@@ -220,8 +219,10 @@ def _attitude_rates(bus: Bus, L_B: Vec3, sigma_BN: Vec3, omega_BN_B: Vec3, state
             total = total - load
     omega_dot = _accelerated(bus.inertia_B, [e.inertia(bus) for e in bus.effectors if e.inertia], total)
     rates = [mrp_rate(sigma_BN, omega_BN_B), omega_dot]
-    own = [e.rates(bus, omega_BN_B, omega_dot, y) if e.rates else () for e, y in zip(bus.effectors, states, strict=True)]
-    return (*rates, *_leaves(own))
+    effector_rates = [
+        e.rates(bus, omega_BN_B, omega_dot, y) if e.rates else () for e, y in zip(bus.effectors, states, strict=True)
+    ]
+    return (*rates, *_leaves(effector_rates))
 
 
 def _accelerated(inertia: Vec3 | Mat3, free: list[Vec3 | Mat3], torque: Vec3) -> Vec3:
@@ -246,8 +247,8 @@ def _torque(bus: Bus, stage: int) -> Vec3:
     """Return the external torque, N m in B, that does not depend on the orbit: the disturbance, and that of effectors."""
     torque = bus.disturbance_torque_B if bus.has("disturbance_torque_B") else Vec3.zeros_like(bus.sigma_BN.x)
     for effector in bus.effectors:
-        own = effector.torque(bus, stage) if effector.torque else None
-        torque = torque if own is None else torque + own
+        effector_torque = effector.torque(bus, stage) if effector.torque else None
+        torque = torque if effector_torque is None else torque + effector_torque
     return torque
 
 
@@ -441,11 +442,11 @@ def hub(inertia: str, lever: bool) -> Component:
     )
 
 
-def fitted_hub(given: Mapping[str, Any]) -> Component:
+def fitted_hub(arguments: UserArguments) -> Component:
     """Return the hub for the arguments as given: of a tensor with zeros off its diagonal, in all rows, the diagonal is used."""
-    inertia, place = given_numbers(given["inertia"]), given_numbers(given["r_CB_B"])
+    inertia, place = given_numbers(arguments["inertia"]), given_numbers(arguments["r_CB_B"])
     diagonal = inertia is not None and inertia.numel() == 9 and not bool(inertia.flatten()[[1, 2, 3, 5, 6, 7]].any())
-    form = "box" if given["inertia"] is None else "diagonal" if diagonal else "tensor"
+    form = "box" if arguments["inertia"] is None else "diagonal" if diagonal else "tensor"
     return hub(form, place is None or bool(place.any()))
 
 

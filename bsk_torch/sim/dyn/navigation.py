@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from numbers import Real
 from typing import Any, NamedTuple
@@ -20,7 +20,7 @@ from torch import Tensor
 
 from bsk_torch.astro.attitude import mrp_add
 from bsk_torch.rand import Distribution, Uniform, first_key
-from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
+from bsk_torch.sim.component import Arg, Bus, Component, Field, UserArguments, Values
 from bsk_torch.sim.dyn.generators import combined_normals, combined_start, minstd_start, polar_normals
 from bsk_torch.sim.dyn.hub import given_numbers
 from bsk_torch.sim.faults.declared import may_change
@@ -44,8 +44,8 @@ class Navigated(NamedTuple):
 def navigated(bus: Bus) -> Navigated:
     """Return what guidance laws know of the motion: the true state, unless there are errors of navigation."""
     if bus.has("navigated"):
-        known: Navigated = bus.navigated
-        return known
+        estimate: Navigated = bus.navigated
+        return estimate
     return Navigated(bus.r_BN_N, bus.v_BN_N, bus.sigma_BN, bus.omega_BN_B)
 
 
@@ -67,10 +67,10 @@ def navigation_numbers(
         ValueError: For neither one number nor three.
     """
     numbers: list[float] = []
-    for name, given in (("position", position), ("velocity", velocity), ("attitude", attitude), ("rate", rate)):
-        three = [given] * 3 if isinstance(given, Real) else list(given)  # type: ignore[arg-type]
+    for name, value in (("position", position), ("velocity", velocity), ("attitude", attitude), ("rate", rate)):
+        three = [value] * 3 if isinstance(value, Real) else list(value)  # type: ignore[arg-type]
         if len(three) != 3:
-            raise ValueError(f"navigation_numbers: {name}={given!r} must be one number, or three")
+            raise ValueError(f"navigation_numbers: {name}={value!r} must be one number, or three")
         numbers += [float(number) for number in three]
     return [*numbers, *[0.0] * (ERRORS - len(numbers))]
 
@@ -102,11 +102,11 @@ def _walked(bus: Bus, form: WalkForm, normals: Sequence[Tensor]) -> Planes:
     for to, source, on in ((0, 3, form.position), (6, 9, form.attitude)):
         for k in range(3 if on else 0):
             moved[to + k] = x[to + k] + bus.h * x[source + k]
-    found = []
+    errors = []
     for error, step, bound in zip(moved, _steps(bus, form, normals), bus.nav_bounds, strict=True):
         free = error + step
-        found.append(torch.where(bound > 0.0, torch.minimum(torch.maximum(free, -bound), bound), free))
-    return tuple(found)
+        errors.append(torch.where(bound > 0.0, torch.minimum(torch.maximum(free, -bound), bound), free))
+    return tuple(errors)
 
 
 @functools.cache
@@ -166,30 +166,31 @@ START = Arg(
 """Six numbers, drawn for each episode, where ``RNGSeed`` is None."""
 
 
-def _matrix_form(given: Any) -> tuple[bool, bool]:
+def _matrix_form(matrix_argument: Any) -> tuple[bool, bool]:
     """Return whether ``PMatrix`` is a matrix, and whether numbers off its diagonal may act.
 
     What functions return is not known before they are called, and anything but a vector takes a matrix.
     """
-    P = given_numbers(given)
+    P = given_numbers(matrix_argument)
     if P is not None:
         matrix = P.ndim == 2
         return matrix, matrix and (P.shape != (ERRORS, ERRORS) or bool((P - torch.diag(P.diagonal())).any()))
-    matrix = np.ndim(given.draw(first_key(1))) == 3 if isinstance(given, Distribution) else callable(given)
+    is_drawn = isinstance(matrix_argument, Distribution)
+    matrix = np.ndim(matrix_argument.draw(first_key(1))) == 3 if is_drawn else callable(matrix_argument)
     return matrix, matrix
 
 
-def walk_form(given: Mapping[str, Any]) -> WalkForm:
+def walk_form(arguments: UserArguments) -> WalkForm:
     """Return what decides the operations of a tick, from the arguments as given."""
-    matrix, full = (False, False) if may_change(given, "PMatrix") else _matrix_form(given["PMatrix"])
+    matrix, full = (False, False) if may_change(arguments, "PMatrix") else _matrix_form(arguments["PMatrix"])
     return WalkForm(
         matrix=matrix,
         full=full,
-        position=given["crossTrans"] is True,
-        attitude=given["crossAtt"] is True,
-        seeded=given["RNGSeed"] is not None,
-        biased=given["navigationBias"] is not None,
-        scaled=given["navigationNoise"] is not None,
+        position=arguments["crossTrans"] is True,
+        attitude=arguments["crossAtt"] is True,
+        seeded=arguments["RNGSeed"] is not None,
+        biased=arguments["navigationBias"] is not None,
+        scaled=arguments["navigationNoise"] is not None,
     )
 
 
@@ -201,9 +202,9 @@ def _initial(form: WalkForm, args: Values) -> dict[str, Tensor]:
 def _prepare(form: WalkForm, args: Values) -> dict[str, Tensor]:
     P = args["PMatrix"]
     P = P.flatten(-2) if form.full else P.diagonal(dim1=-2, dim2=-1) if form.matrix else P
-    found = {"nav_P": P, "nav_bounds": args["walkBounds"]}
-    found |= {"nav_bias": args["navigationBias"]} if form.biased else {}
-    return found | ({"nav_scale": args["navigationNoise"]} if form.scaled else {})
+    parameters = {"nav_P": P, "nav_bounds": args["walkBounds"]}
+    parameters |= {"nav_bias": args["navigationBias"]} if form.biased else {}
+    return parameters | ({"nav_scale": args["navigationNoise"]} if form.scaled else {})
 
 
 def _check(form: WalkForm, args: Values) -> None:
@@ -240,7 +241,7 @@ def navigation_errors(form: WalkForm) -> Component:
         initial=functools.partial(_initial, form),
         prepare=functools.partial(_prepare, form),
         check=functools.partial(_check, form),
-        fit=lambda given: navigation_errors(walk_form(given)),
+        fit=lambda arguments: navigation_errors(walk_form(arguments)),
     )
 
 

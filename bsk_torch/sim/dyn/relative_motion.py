@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -25,7 +24,7 @@ def _check_looks(args: Values) -> None:
         )
 
 
-def _check_chief(args: Mapping[str, Any]) -> None:
+def _check_chief(args: Values) -> None:
     chief = args["chief_name"]
     if not (chief is None or isinstance(chief, str)):
         raise ValueError(f"chief_name={chief!r} must be the name of a satellite, or None")

@@ -119,7 +119,7 @@ def turned(angle: Any, tau: Any) -> tuple[Any, Any]:
     return cos_start * cos - sin_start * sin, sin_start * cos + cos_start * sin
 
 
-def put_track(bus: Bus, track: Track, planes: Sequence[Any], tau: Any) -> None:
+def put_track(bus: Bus, track: Track, planes: Sequence[object], tau: object) -> None:
     """Write to the bus the records of a track, from all their planes, and the seconds tau since the last one that has passed."""
     layout, records = Layout(track.fields), [SimpleNamespace() for _ in range(track.count)]
     for k, record in enumerate(records):
@@ -128,7 +128,7 @@ def put_track(bus: Bus, track: Track, planes: Sequence[Any], tau: Any) -> None:
     setattr(bus, f"{track.name}_tau", tau)
 
 
-def ephemeris_at(planes: Sequence[Any], tau: Any) -> Bus:
+def ephemeris_at(planes: Sequence[object], tau: object) -> Bus:
     """Return a bus with Sun and Earth alone, from the planes of the records and the seconds since the first."""
     bus = Bus(0)
     put_track(bus, EPHEMERIS_TRACK, planes, tau)

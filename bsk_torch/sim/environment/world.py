@@ -8,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -25,7 +24,7 @@ from bsk_torch.sim.environment.ephemeris import move_sun_and_earth, orient_pole,
 from bsk_torch.sim.places import STATION_KIND, FixedPlaces, Places, PlaceTables
 from bsk_torch.vec3 import Vec3
 
-DEFAULT_STATIONS: tuple[dict[str, Any], ...] = tuple(
+DEFAULT_STATIONS: tuple[dict[str, object], ...] = tuple(
     {"name": name, "lat": lat, "long": long, "elev": elev}
     for name, lat, long, elev in (
         ("Boulder", 40.009971, -105.243895, 1624.0),
@@ -40,7 +39,7 @@ DEFAULT_STATIONS: tuple[dict[str, Any], ...] = tuple(
 """Default ground stations, on a sphere as in bsk_rl: latitude and longitude in degrees, elevation in meters."""
 
 
-def on_ellipsoid(args: Mapping[str, Any]) -> bool:
+def on_ellipsoid(args: UserArguments) -> bool:
     """Return whether stations lie on the ellipsoid of WGS84: those of a user, unless there is a radius; for values as given."""
     stations = args["groundStationsData"]
     return args["groundLocationPlanetRadius"] is None and isinstance(stations, list | tuple) and stations is not DEFAULT_STATIONS
@@ -73,7 +72,7 @@ def station_arrays(args: Values) -> dict[str, Tensor]:
     }
 
 
-def station_names(stations: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+def station_names(stations: Sequence[Mapping[str, object]]) -> tuple[str, ...]:
     """Return the names of ground stations, in the order of their indices."""
     return tuple(f"GroundStation{station.get('name', k)}" for k, station in enumerate(stations))
 
@@ -158,17 +157,17 @@ def ground_stations(count: int, geodetic: bool = False) -> Component:
     )
 
 
-def _fitted_stations(given: Mapping[str, Any]) -> Component:
+def _fitted_stations(arguments: Mapping[str, object]) -> Component:
     """Return as many stations as are given, on the world's own sphere: satellites have an argument of the same name."""
-    stations = given["groundStationsData"]
+    stations = arguments["groundStationsData"]
     count = len(stations) if isinstance(stations, list | tuple) and stations else len(DEFAULT_STATIONS)
 
     def prepare(args: Values) -> dict[str, Tensor]:
-        radius = given["groundLocationPlanetRadius"]
+        radius = arguments["groundLocationPlanetRadius"]
         radius = None if radius is None else torch.as_tensor(radius, dtype=torch.float64)
         return station_arrays({**args, "groundLocationPlanetRadius": radius})
 
-    return dataclasses.replace(ground_stations(count, on_ellipsoid(given)), prepare=prepare)
+    return dataclasses.replace(ground_stations(count, on_ellipsoid(arguments)), prepare=prepare)
 
 
 GROUND_STATIONS = dataclasses.replace(ground_stations(len(DEFAULT_STATIONS)), fit=_fitted_stations)

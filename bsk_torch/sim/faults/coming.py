@@ -27,35 +27,35 @@ def drawn_again(faults: Sequence[Fault], values: Values, ticks: Tensor, h_ns: in
     candidate fits, which are the last instants in which something can happen at all. ``values`` are arguments of S satellites
     in n episodes, [n * S, ...] each, which are ``ticks`` [n * S] of ``h_ns`` nanoseconds old.
     """
-    found: dict[str, Tensor] = {}
+    redrawn: dict[str, Tensor] = {}
     for fault in faults:
-        found |= _drawn_again(fault, values, ticks.double().view(len(key), -1), h_ns, key, draw)
-    return found
+        redrawn |= _drawn_again(fault, values, ticks.double().view(len(key), -1), h_ns, key, draw)
+    return redrawn
 
 
 def _drawn_again(fault: Fault, values: Values, now: Tensor, h_ns: int, key: Key, draw: Draw) -> dict[str, Tensor]:
     at, lasts = fault.drawn("at"), fault.drawn("lasts") if fault.ends else None
     names = [at, *([lasts] if lasts else ()), *map(fault.drawn, fault.arguments)]
-    found: dict[str, Tensor] = {name: values[name].unflatten(0, now.shape).clone() for name in names}
-    comes = ticks_of(found[at], h_ns) > now
-    open_ = comes | (ticks_of(found[at] + found[lasts], h_ns) > now) if lasts else comes
+    redrawn: dict[str, Tensor] = {name: values[name].unflatten(0, now.shape).clone() for name in names}
+    comes = ticks_of(redrawn[at], h_ns) > now
+    open_ = comes | (ticks_of(redrawn[at] + redrawn[lasts], h_ns) > now) if lasts else comes
     waits = open_
     for number in range(ROUNDS):
         episodes = torch.nonzero(waits.any(1)).squeeze(1)
         if not len(episodes):
             break
         drawn = _candidates(names, episodes, 2**number, now.shape[1], key, draw)
-        begins = torch.where(comes[episodes].unsqueeze(1), drawn[at], found[at][episodes].unsqueeze(1))
+        begins = torch.where(comes[episodes].unsqueeze(1), drawn[at], redrawn[at][episodes].unsqueeze(1))
         happens = torch.where(comes[episodes].unsqueeze(1), begins, begins + drawn[lasts]) if lasts else begins
         fits = ticks_of(happens, h_ns) > now[episodes].unsqueeze(1)
         taken, first = fits.any(1) & waits[episodes], fits.long().argmax(1)
         episode, satellite = torch.arange(len(episodes)).unsqueeze(1), torch.arange(now.shape[1])
         for name in names:
             where = taken & (open_ if name == lasts else comes)[episodes]
-            old, new = found[name][episodes], drawn[name][episode, first, satellite]
-            found[name][episodes] = torch.where(where.view(*where.shape, *[1] * (new.ndim - 2)), new, old)
+            old, new = redrawn[name][episodes], drawn[name][episode, first, satellite]
+            redrawn[name][episodes] = torch.where(where.view(*where.shape, *[1] * (new.ndim - 2)), new, old)
         waits = waits.index_copy(0, episodes, waits[episodes] & ~taken)
-    return {name: value.flatten(0, 1) for name, value in found.items()}
+    return {name: value.flatten(0, 1) for name, value in redrawn.items()}
 
 
 def _candidates(names: Sequence[str], episodes: Tensor, several: int, count: int, key: Key, draw: Draw) -> dict[str, Tensor]:

@@ -48,15 +48,15 @@ class Group(NamedTuple):
         return self.fields[0].exact
 
 
-def declared_faults(given: Mapping[str, Any], table: Mapping[str, Arg]) -> tuple[Fault, ...]:
+def declared_faults(arguments: Mapping[str, object], table: Mapping[str, Arg]) -> tuple[Fault, ...]:
     """Return the faults that arguments as given, with their entries in a ``table``, declare.
 
     ValueError for entries that are not faults, equal names, and arguments that do not exist or cannot change.
     """
-    if given[SLOT] is None:
+    if arguments[SLOT] is None:
         return ()
     what = "a list of faults, such as [faults.wheel_torque(0, at=600.0)]"
-    listed = _checks.parts("sat_args: faults", given[SLOT], Fault, what, empty=True)
+    listed = _checks.parts("sat_args: faults", arguments[SLOT], Fault, what, empty=True)
     check_unique([fault.name for fault in listed], "faults")
     for fault in listed:
         for name in fault.arguments:
@@ -70,9 +70,9 @@ def declared_faults(given: Mapping[str, Any], table: Mapping[str, Arg]) -> tuple
     return listed
 
 
-def changing(given: Mapping[str, Any], faults: Iterable[Fault]) -> dict[str, Any]:
+def changing(arguments: Mapping[str, object], faults: Iterable[Fault]) -> dict[str, Any]:
     """Return given arguments in which those that faults change may be anything, so that no component relies on their values."""
-    return dict(given) | {name: CHANGING for fault in faults for name in fault.arguments}
+    return dict(arguments) | {name: CHANGING for fault in faults for name in fault.arguments}
 
 
 def with_faults(parts: Iterable[Component], faults: tuple[Fault, ...]) -> tuple[Component, ...]:
@@ -93,7 +93,7 @@ def _drawn_args(fault: Fault, table: Mapping[str, Arg]) -> list[Arg]:
         args.append(Arg(fault.drawn("lasts"), fault.lasts, "s", f"{title}: how long it lasts", low=0.0, endless=True))
     for k, name in enumerate(fault.arguments):
         arg, what = table[name], "value" if fault.factor is None else "factor"
-        own = {"name": fault.drawn(name), "default": fault.given(k), "doc": f"{title}: {what} of {name}", "missing": None}
+        settings = {"name": fault.drawn(name), "default": fault.change(k), "doc": f"{title}: {what} of {name}", "missing": None}
         if fault.index is not None:
             if not arg.shape:
                 raise ValueError(f"{title}: index={fault.index} of {name}, which is one number of a satellite; leave index out")
@@ -102,10 +102,10 @@ def _drawn_args(fault: Fault, table: Mapping[str, Arg]) -> list[Arg]:
                     f"{title}: index={fault.index} does not exist: the satellite has {arg.shape[0]} such parts, from 0 to "
                     f"{arg.shape[0] - 1}"
                 )
-            own |= {"shape": arg.shape[1:] or None, "spread": False}
+            settings |= {"shape": arg.shape[1:] or None, "spread": False}
         if fault.factor is not None:
-            own |= {"kind": "scalar", "shape": None, "spread": False, "unit": "-", "low": 0.0, "high": 1e9, "whole": False}
-        args.append(dataclasses.replace(arg, **own))
+            settings |= {"kind": "scalar", "shape": None, "spread": False, "unit": "-", "low": 0.0, "high": 1e9, "whole": False}
+        args.append(dataclasses.replace(arg, **settings))
     return args
 
 
@@ -158,7 +158,7 @@ class Plan:
     def prepare(self, values: Values) -> dict[str, Tensor]:
         """Return the ticks at which parameters change, and their values from there on; see :func:`fault_update`."""
         begins, ends = self.begins_and_ends(values)
-        found = {}
+        parameters = {}
         for g, (group, parts) in enumerate(zip(self.groups, self.parts, strict=True)):
             ending = [k for k in group.faults if self.faults[k].ends]
             ticks = torch.stack([*(begins[k] for k in group.faults), *(ends[k] for k in ending)], -1)
@@ -168,13 +168,13 @@ class Plan:
                 active = {k: (begins[k] <= event) & (event < ends[k]) for k in group.faults}
                 versions.append(self._version(group, parts, values, active))
             rows = max(len(version) for version in versions)
-            found[f"fault_ticks_{g}"] = ticks
-            found[f"fault_values_{g}"] = torch.cat([version.expand(rows, -1) for version in versions], -1)
+            parameters[f"fault_ticks_{g}"] = ticks
+            parameters[f"fault_values_{g}"] = torch.cat([version.expand(rows, -1) for version in versions], -1)
             if group.grows:
                 ticks_over = [max(self.faults[k].over * 1e9 / self.h_ns, 1.0) for k in group.faults]
                 rate = 1.0 / torch.tensor([*ticks_over, *[1.0] * len(ending)], dtype=torch.float64)
-                found[f"fault_growth_{g}"] = rate[order]
-        return found
+                parameters[f"fault_growth_{g}"] = rate[order]
+        return parameters
 
     def begins_and_ends(self, values: Values) -> tuple[list[Tensor], list[Tensor]]:
         """Return the ticks, [n or 1] for each fault, after which it acts, and after which it no longer does."""
@@ -189,10 +189,10 @@ class Plan:
 
     def _version(self, group: Group, parts: Iterable[Component], values: Values, active: Mapping[int, Tensor]) -> Tensor:
         """Return the changing planes of a group, [n or 1, P], while faults are active."""
-        found: dict[str, Tensor] = {}
+        parameters: dict[str, Tensor] = {}
         for part in parts:
-            found |= _parameters(part, _changed(self.faults, group.faults, active, values, part.slot))
-        tables = [found[field.name] for field in group.fields]
+            parameters |= _parameters(part, _changed(self.faults, group.faults, active, values, part.slot))
+        tables = [parameters[field.name] for field in group.fields]
         rows = max(map(len, tables))
         return torch.cat([table.expand(rows, -1) for table in tables], -1)[:, group.planes]
 
@@ -231,15 +231,15 @@ def planned(parts: Sequence[Component], faults: tuple[Fault, ...], values: Value
         for name in fault.arguments:
             if not isinstance(values[name], Tensor):
                 raise ValueError(f"fault {fault.name!r} changes {name}={values[name]!r}; give it a number in sat_args")
-        found = [(part, *plane) for part in others for plane in _touched(part, faults, k, values)]
-        if not found:
+        changed = [(part, *plane) for part in others for plane in _touched(part, faults, k, values)]
+        if not changed:
             where = f" in {list(fault.slots)}" if fault.slots is not None else ""
             having = [part.slot for part in parts if any(arg.name in fault.arguments for arg in part.args)]
             raise ValueError(
                 f"fault {fault.name!r} changes nothing{where}: no tick reads {', '.join(fault.arguments)} there, or its value is "
                 f"that of the satellite anyway; slots that have it: {', '.join(having)}"
             )
-        for part, field, plane in found:
+        for part, field, plane in changed:
             touched.setdefault((field.name, plane), set()).add(k)
             fields[field.name], homes[field.name] = field, part
     sets: dict[tuple[tuple[int, ...], bool], list[tuple[str, int]]] = {}
@@ -251,8 +251,8 @@ def planned(parts: Sequence[Component], faults: tuple[Fault, ...], values: Value
         layout = Layout(fields[name] for name in names)
         changing_planes = tuple(layout.slices[name].start + plane for name, plane in planes)
         events = len(together) + sum(faults[k].ends for k in together)
-        own = tuple(fields[name] for name in names)
-        groups.append(Group(together, own, changing_planes, events, any(faults[k].over > 0.0 for k in together)))
+        group_fields = tuple(fields[name] for name in names)
+        groups.append(Group(together, group_fields, changing_planes, events, any(faults[k].over > 0.0 for k in together)))
         members.append(tuple({homes[name].slot: homes[name] for name in names}.values()))
     plan = Plan(faults, tuple(groups), tuple(members), h_ns)
     return tuple(_acting(part, plan) if part.slot == SLOT else part for part in parts)
@@ -266,13 +266,13 @@ def _touched(part: Component, faults: Sequence[Fault], k: int, values: Values) -
         others = {name: values[name] * scale + shift for name in map(fault.drawn, fault.arguments)}
         probes.append({**values, **others})
     before, always = _parameters(part, values), {k: torch.ones(1, dtype=torch.bool)}
-    found = []
+    touched = []
     for probe in probes:
         after = _parameters(part, _changed(faults, (k,), always, probe, part.slot))
         for field in part.params:
             differs = ~torch.isclose(before[field.name], after[field.name], rtol=0.0, atol=0.0, equal_nan=True)
-            found += [(field, plane) for plane in torch.nonzero(differs.any(0)).flatten().tolist()]
-    return list(dict.fromkeys(found))
+            touched += [(field, plane) for plane in torch.nonzero(differs.any(0)).flatten().tolist()]
+    return list(dict.fromkeys(touched))
 
 
 def _acting(part: Component, plan: Plan) -> Component:

@@ -68,9 +68,9 @@ class Changing(Distribution):
 CHANGING = Changing()
 
 
-def may_change(given: Mapping[str, Any], *names: str) -> bool:
+def may_change(arguments: Mapping[str, object], *names: str) -> bool:
     """Return whether a fault may change one of the arguments; values are not looked at, so they do not become structural."""
-    return any(value is CHANGING for key, value in given.items() if key in names)
+    return any(value is CHANGING for key, value in arguments.items() if key in names)
 
 
 @dataclass(frozen=True)
@@ -118,9 +118,9 @@ class Fault:
             raise ValueError(f"{title} has value={self.value!r} and factor={self.factor!r}; give one of them")
         if self.index is not None and (isinstance(self.index, bool) or not isinstance(self.index, int) or self.index < 0):
             raise ValueError(f"{title}: index={self.index!r} must be the number of a part, from 0 on, or None for all parts")
-        several, given = len(self.arguments), self.factor if self.value is None else self.value
-        if several > 1 and (not isinstance(given, Sequence) or len(given) != several):
-            raise ValueError(f"{title} changes {list(self.arguments)}, so it needs {several} numbers; got {given!r}")
+        several, numbers = len(self.arguments), self.factor if self.value is None else self.value
+        if several > 1 and (not isinstance(numbers, Sequence) or len(numbers) != several):
+            raise ValueError(f"{title} changes {list(self.arguments)}, so it needs {several} numbers; got {numbers!r}")
         for field, least in (("at", 0.0), ("lasts", 0.0)):
             when = getattr(self, field)
             if when is not None and not isinstance(when, Distribution) and not is_function(when):
@@ -140,10 +140,10 @@ class Fault:
         """Slots of the components that it acts in; None for all."""
         return (self.only,) if isinstance(self.only, str) else None if self.only is None else tuple(self.only)
 
-    def given(self, number_: int) -> Any:
+    def change(self, number_: int) -> Any:
         """Return the value, or the factor, of the argument of that number."""
-        given = self.factor if self.value is None else self.value
-        return given if len(self.arguments) == 1 else given[number_]
+        numbers = self.factor if self.value is None else self.value
+        return numbers if len(self.arguments) == 1 else numbers[number_]
 
     def drawn(self, what: str) -> str:
         """Return the name of the drawn argument that holds ``at``, ``lasts`` or the change of an argument."""

@@ -10,37 +10,37 @@ from bsk_torch.sim.faults.declared import Fault
 NOTHING = 1e-12  # limit of a torque, N m, or thrust, N, that is lost: zero would mean that there is no limit
 
 
-def _named(title: str, part: int | str | None, given: dict[str, Any]) -> dict[str, Any]:
+def _named(title: str, part: int | str | None, given: dict[str, object]) -> dict[str, Any]:
     return {"name": title if part is None else f"{title}{'_' * isinstance(part, str)}{part}"} | given
 
 
-def wheel_torque(wheel: int | None = None, torque: Any = NOTHING, **given: Any) -> Fault:
+def wheel_torque(wheel: int | None = None, torque: object = NOTHING, **given: object) -> Fault:
     """Return the fault of a wheel whose motor gives at most ``torque``, N m; by default it is lost. None: all wheels."""
     return Fault("u_max", value=torque, index=wheel, **_named("wheel_torque", wheel, given))
 
 
-def wheel_power(wheel: int | None = None, power: Any = 1.0, **given: Any) -> Fault:
+def wheel_power(wheel: int | None = None, power: object = 1.0, **given: object) -> Fault:
     """Return the fault of a wheel whose mechanical power is at most ``power``, W."""
     return Fault("rwPMax", value=power, index=wheel, **_named("wheel_power", wheel, given))
 
 
-def wheel_friction(wheel: int | None = None, coulomb: Any = 2e-3, viscous: Any = 1e-5, **given: Any) -> Fault:
+def wheel_friction(wheel: int | None = None, coulomb: object = 2e-3, viscous: object = 1e-5, **given: object) -> Fault:
     """Return the fault of a wheel with Coulomb friction, N m, and viscous friction, N m s; ``over`` lets both grow."""
     names = ("rwFCoulomb", "rwCViscous")
     return Fault(names, value=(coulomb, viscous), index=wheel, **_named("wheel_friction", wheel, given))
 
 
-def wheel_unavailable(wheel: int, **given: Any) -> Fault:
+def wheel_unavailable(wheel: int, **given: object) -> Fault:
     """Return the fault of a wheel that the flight software no longer commands; the wheel itself keeps turning."""
     return Fault("rwAvailable", value=0.0, index=wheel, **_named("wheel_unavailable", wheel, given))
 
 
-def panel(share: Any = 0.0, panel: int | None = None, **given: Any) -> Fault:
+def panel(share: object = 0.0, panel: int | None = None, **given: object) -> Fault:
     """Return the fault of solar panels, or of one of several ``panels``, that give only a share of their power."""
     return Fault("panelEfficiency", factor=share, index=panel, **_named("panel", panel, given))
 
 
-def stuck_panel(normal: Sequence[float] | Any = None, panel: int | None = None, **given: Any) -> Fault:
+def stuck_panel(normal: Sequence[float] | object = None, panel: int | None = None, **given: object) -> Fault:
     """Return the fault of a panel that no longer points where the flight software expects it.
 
     Args:
@@ -63,12 +63,12 @@ def stuck_panel(normal: Sequence[float] | Any = None, panel: int | None = None, 
     return Fault(argument, value=normal, index=panel, **{"only": "panel"} | named)
 
 
-def transmitter(share: Any = 0.0, **given: Any) -> Fault:
+def transmitter(share: object = 0.0, **given: object) -> Fault:
     """Return the fault of a transmitter with a share of its data rate; its power is drawn all the same."""
     return Fault("transmitterBaudRate", factor=share, **_named("transmitter", None, given))
 
 
-def instrument(share: Any = 0.0, instrument: str | None = None, **given: Any) -> Fault:
+def instrument(share: object = 0.0, instrument: str | None = None, **given: object) -> Fault:
     """Return the fault of an instrument with a share of its data rate; its power is drawn all the same.
 
     Of several ``instruments``, ``instrument`` names one that has its own ``instrumentBaudRate``.
@@ -77,17 +77,17 @@ def instrument(share: Any = 0.0, instrument: str | None = None, **given: Any) ->
     return Fault(name, factor=share, **{"only": "instrument"} | _named("instrument", instrument, given))
 
 
-def battery(share: Any, **given: Any) -> Fault:
+def battery(share: object, **given: object) -> Fault:
     """Return the fault of a battery that holds a share of its capacity; charges are still compared with all of it."""
     return Fault("batteryStorageCapacity", factor=share, **{"only": "battery"} | _named("battery", None, given))
 
 
-def thruster(thruster: int, thrust: Any = NOTHING, **given: Any) -> Fault:
+def thruster(thruster: int, thrust: object = NOTHING, **given: object) -> Fault:
     """Return the fault of a thruster with another thrust, N, by default none; the flight software does not know of it."""
     return Fault("thrusterMaxThrust", value=thrust, index=thruster, **{"only": "thrusters"} | _named("thruster", thruster, given))
 
 
-def navigation(bias: Any = None, noise: Any = None, **given: Any) -> Fault:
+def navigation(bias: object = None, noise: object = None, **given: object) -> Fault:
     """Return the fault of a navigation with constant errors, or with more noise; for ``dyn.NavigationErrorsDynModel``.
 
     Args:

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from bsk_torch.constants import RPM
-from bsk_torch.sim.component import Allocation, Arg, Bus, Component, Field, Values
+from bsk_torch.sim.component import Allocation, Arg, Bus, Component, Field, UserArguments, Values
 from bsk_torch.sim.dyn.effectors.wheel_set import along, described_wheels, unit_axes
 from bsk_torch.sim.fsw.stability import NULL_SHARE
 from bsk_torch.vec3 import Vec3, select
@@ -40,7 +39,7 @@ def write_commands(bus: Bus, commands: Commands, where: Tensor | None = None) ->
         setattr(bus, name, new if where is None else _chosen(where, new, getattr(bus, name)))
 
 
-def _chosen(where: Tensor, new: Any, old: Any) -> Any:
+def _chosen(where: Tensor, new: Any, old: Any) -> object:
     if isinstance(new, Vec3):
         return select(where, new, old)
     if isinstance(new, tuple):
@@ -132,15 +131,15 @@ def wheel_allocation(count: int, null_motion: bool, some: bool) -> Component:
         params += [Field("null_map", 3 * count, vectors=True)] if null_motion else []
 
     def prepare(args: Values) -> dict[str, Tensor]:
-        found = {"wheel_map": wheel_map(args).flatten(-2)}
+        parameters = {"wheel_map": wheel_map(args).flatten(-2)}
         if null_motion:
-            found |= {"null_axes_B": unit_axes(args).flatten(-2), "null_gain": args["nullSpaceGain"]}
-            found |= {"null_speeds": args["nullSpaceSpeeds"] * RPM}
+            parameters |= {"null_axes_B": unit_axes(args).flatten(-2), "null_gain": args["nullSpaceGain"]}
+            parameters |= {"null_speeds": args["nullSpaceSpeeds"] * RPM}
         if some:
-            found |= {"wheel_available": args["rwAvailable"]}
+            parameters |= {"wheel_available": args["rwAvailable"]}
             everything = {name: value for name, value in args.items() if name != "rwAvailable"}
-            found |= {"null_map": wheel_map(everything).flatten(-2)} if null_motion else {}
-        return found
+            parameters |= {"null_map": wheel_map(everything).flatten(-2)} if null_motion else {}
+        return parameters
 
     return Component(
         slot="allocation",
@@ -155,12 +154,12 @@ def wheel_allocation(count: int, null_motion: bool, some: bool) -> Component:
     )
 
 
-def fitted_allocation(given: Mapping[str, Any]) -> Component:
+def fitted_allocation(arguments: UserArguments) -> Component:
     """Return the component that distributes torques among the wheels that the arguments as given describe.
 
     ValueError for none, or null motion of three.
     """
-    wheels, null_motion = described_wheels(given) if "wheels" in given else None, given["nullSpaceGain"] is not None
+    wheels, null_motion = described_wheels(arguments) if "wheels" in arguments else None, arguments["nullSpaceGain"] is not None
     if wheels is not None and not wheels:
         raise ValueError(
             "sat_args: wheels=[] has no wheels, but the flight software commands them; list at least one dyn.Wheel, or use "
@@ -168,10 +167,10 @@ def fitted_allocation(given: Mapping[str, Any]) -> Component:
         )
     if null_motion and (wheels is None or len(wheels) <= 3):
         raise ValueError(
-            f"sat_args: nullSpaceGain={given['nullSpaceGain']!r} needs more than three wheels: others have no motion without "
+            f"sat_args: nullSpaceGain={arguments['nullSpaceGain']!r} needs more than three wheels: others have no motion without "
             "torque; leave it out, or give wheels=[dyn.Wheel(...), ...]"
         )
-    some = given["rwAvailable"] is not None
+    some = arguments["rwAvailable"] is not None
     return BODY_AXIS_WHEELS if wheels is None else wheel_allocation(len(wheels), null_motion, some)
 
 

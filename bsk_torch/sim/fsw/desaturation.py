@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
+from bsk_torch.sim.component import Arg, Bus, Component, Field, UserArguments, Values, vec
 from bsk_torch.sim.dyn.effectors.thrusters import EIGHT_THRUSTERS, ThrusterPairs, arms_about_center, described_thrusters
 from bsk_torch.sim.dyn.effectors.wheels import largest_momentum
 from bsk_torch.vec3 import Vec3, only, select
@@ -101,11 +101,11 @@ def _dump(bus: Bus, rows: Iterable[Sequence[Any]], thrusts: Sequence[Any]) -> tu
     waiting = bus.dump_counter > 0.0
     fires = ~first & (second | ~waiting)
     remaining = tuple(
-        torch.where(second, f / thrust, left)
-        for f, thrust, left in zip(impulses(dH, rows), thrusts, bus.dump_remaining, strict=True)
+        torch.where(second, f / thrust, remainder)
+        for f, thrust, remainder in zip(impulses(dH, rows), thrusts, bus.dump_remaining, strict=True)
     )
-    full = tuple((fires & (left >= h) & (left >= bus.shortest_pulse)).to(left.dtype) for left in remaining)
-    spent = tuple(torch.where(fires, torch.clamp(left - h, min=0.0), left) for left in remaining)
+    full = tuple((fires & (remainder >= h) & (remainder >= bus.shortest_pulse)).to(remainder.dtype) for remainder in remaining)
+    spent = tuple(torch.where(fires, torch.clamp(remainder - h, min=0.0), remainder) for remainder in remaining)
     counter = torch.where(fires, bus.dump_wait, torch.clamp(bus.dump_counter - 1.0, min=0.0))
     return full, dH, spent, torch.where(first, bus.dump_counter, counter), bus.dump_calls + 1.0
 
@@ -214,9 +214,9 @@ def set_desaturation(count: int) -> Component:
     return replace(part, params=params, reads=reads, prepare=_prepare_set, check=_check_set, check_tick=_check_set_in_tick)
 
 
-def fitted_desaturation(given: Mapping[str, Any]) -> Component:
+def fitted_desaturation(arguments: UserArguments) -> Component:
     """Return the component for the thrusters that the arguments as given describe."""
-    listed = described_thrusters(given) if "thrusters" in given else None
+    listed = described_thrusters(arguments) if "thrusters" in arguments else None
     return DESATURATION if listed is None else set_desaturation(len(listed))
 
 

@@ -102,19 +102,19 @@ def propose_gains(
         limits.append(MOMENTUM_SHARE * H / (4.0 * largest * math.tan(slew / 4.0)))
     rate = min(limits)
     gains = gains_at(rate, P)
-    found: dict[str, float | bool] = {name: gains[name] for name in LAWS[law]}
+    proposed: dict[str, float | bool] = {name: gains[name] for name in LAWS[law]}
     if law == "steering":
-        found["omega_max"] = min(L / P, L / (largest * rate), MOMENTUM_SHARE * H / largest)
+        proposed["omega_max"] = min(L / P, L / (largest * rate), MOMENTUM_SHARE * H / largest)
     else:
-        found["compensateWheels"] = True
-    found |= _integral(args, gains, law)
+        proposed["compensateWheels"] = True
+    proposed |= _integral(args, gains, law)
     if len(wheels) > 3:
         smooth = NULL_SHARE * args["rwJs"] / h
         weak = NULL_TORQUE_SHARE * args["u_max"] / (args["rwOmegaMax"] * RPM)
-        found["nullSpaceGain"] = float(torch.minimum(smooth, weak).min())
+        proposed["nullSpaceGain"] = float(torch.minimum(smooth, weak).min())
     if thrusters:
-        found["maxCounterValue"] = _wait(thrusters, L, h)
-    return found
+        proposed["maxCounterValue"] = _wait(thrusters, L, h)
+    return proposed
 
 
 def _described(inertia: object, wheels: Sequence[Wheel]) -> Values:
@@ -164,8 +164,8 @@ def _wait(thrusters: Sequence[Thruster], L: float, h: float) -> float:
         torch.tensor([[getattr(part, name) for part in thrusters]], dtype=torch.float64) for name in ("position", "direction")
     )
     thrusts = torch.tensor([[part.thrust for part in thrusters]], dtype=torch.float64)
-    given = {"thrusterPositions_B": places, "thrusterDirections_B": directions, "thrusterMaxThrust": thrusts}
-    torques = forces_and_arms(given)[1][0]
+    values = {"thrusterPositions_B": places, "thrusterDirections_B": directions, "thrusterMaxThrust": thrusts}
+    torques = forces_and_arms(values)[1][0]
     along = torques @ (torques / torques.norm(dim=-1, keepdim=True).clamp(min=1e-30)).mT
     kick = float(along.clamp(min=0.0).sum(0).max()) * h / 6.0
     return float(max(LEAST_WAIT, math.ceil(kick / (PULSE_TORQUE_SHARE * L * h)) - 1))

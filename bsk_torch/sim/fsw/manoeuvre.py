@@ -51,7 +51,7 @@ class Burn(NamedTuple):
     """Maneuvers of N satellites as the tank allows them."""
 
     dv_N: Tensor  # change of velocity in N, [N, 3] m/s
-    left: Tensor  # what is left in the tank, [N] m/s
+    remaining: Tensor  # what is left in the tank, [N] m/s
     clipped: Tensor  # whether the request exceeded the tank, [N]
 
 

@@ -21,8 +21,8 @@ def hold(bus: Bus) -> None:
     Every command sets ``sigma_RN`` to zero, so that the reference is N itself unless a set-point follows; guidance laws, which
     run after this, replace the error. The set-point may have any length: the error is the short way round.
     """
-    zero, known = Vec3.zeros_like(bus.sigma_BN.x), navigated(bus)
-    bus.error = Error(mrp_subtract(known.sigma_BN, bus.sigma_RN), known.omega_BN_B, zero, zero)
+    zero, estimate = Vec3.zeros_like(bus.sigma_BN.x), navigated(bus)
+    bus.error = Error(mrp_subtract(estimate.sigma_BN, bus.sigma_RN), estimate.omega_BN_B, zero, zero)
 
 
 ATTITUDE_SETPOINT = Component(

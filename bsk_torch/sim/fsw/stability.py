@@ -15,7 +15,7 @@ application of the z-transform method", 1964, chapter 3).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -53,8 +53,8 @@ def gains_at(rate: float, P: float) -> dict[str, float]:
     Where errors are small, ``sigma = theta / 4``, and ``omega = -4 a sigma`` is ``theta' = -a theta``. Integrals cancel a
     constant torque in about the same time: with that of feedback, both slow roots are ``a / 2``.
     """
-    found = {"P": P, "K": 4.0 * rate * P, "Ki": 0.25 * rate / P}
-    return found | {"servo_P": P, "servo_Ki": rate * P, "K1": 4.0 * rate, "K3": 4.0 / 3.0 * rate}
+    gains = {"P": P, "K": 4.0 * rate * P, "Ki": 0.25 * rate / P}
+    return gains | {"servo_P": P, "servo_Ki": rate * P, "K1": 4.0 * rate, "K3": 4.0 / 3.0 * rate}
 
 
 GROWTH = 1.001  # factor by which a tick must multiply errors for a loop to grow without bound, and not only to keep them
@@ -87,7 +87,7 @@ def _times(p: Polynomial, q: Polynomial) -> list[Tensor | float]:
 
 def _plus(*parts: Polynomial) -> list[Tensor | float]:
     size = max(map(len, parts))
-    padded: list[list[Any]] = [[0.0] * (size - len(part)) + list(part) for part in parts]
+    padded: list[list[object]] = [[0.0] * (size - len(part)) + list(part) for part in parts]
     return [sum(column) for column in zip(*padded, strict=True)]
 
 

@@ -7,14 +7,12 @@ control using kinematic steering", Acta Astronautica 147, 2018.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from bsk_torch.astro.attitude import mrp_rate
-from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
+from bsk_torch.sim.component import Arg, Bus, Component, Field, UserArguments, Values
 from bsk_torch.sim.dyn.hub import body_inertia
 from bsk_torch.sim.fsw.allocation import Commands, commands_for, held_commands, write_commands
 from bsk_torch.sim.fsw.control import (
@@ -111,9 +109,9 @@ def check_steering(args: Values, h: float) -> str | None:
 GAINS = ("K1", "K3", "omega_max", "servo_Ki", "servo_P")
 
 
-def fitted_steering(given: Mapping[str, Any]) -> Component:
+def fitted_steering(arguments: UserArguments) -> Component:
     """Return MRP steering with the terms that the arguments as given ask for."""
-    return with_given_terms(MRP_STEERING, given)
+    return with_given_terms(MRP_STEERING, arguments)
 
 
 MRP_STEERING = Component(

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from collections.abc import Callable
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from bsk_torch.astro.geodetic import Vertical
-from bsk_torch.sim.component import Bus, Component, Field, Values, vec
+from bsk_torch.sim.component import Bus, Component, Field, UserArguments, Values, vec
 from bsk_torch.sim.dyn.models import DynamicsModel, StripImagingDynModel
 from bsk_torch.sim.fsw.guidance import guided_angle
 from bsk_torch.sim.fsw.instrument import SCANNING_CONTROLLER
@@ -59,9 +59,9 @@ def _first_strip(args: Values) -> dict[str, Tensor]:
     return first | dict(strip_middle=middle, strip_along=along, strip_angle=none, strip_half=none, strip_rate=none)
 
 
-def fitted_strip(given: Mapping[str, Any]) -> Component:
+def fitted_strip(arguments: UserArguments) -> Component:
     """Return the component of strips in the light that the arguments as given ask for."""
-    return strip_target(*target_form(given))
+    return strip_target(*target_form(arguments))
 
 
 @functools.cache

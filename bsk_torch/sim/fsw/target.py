@@ -8,8 +8,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -17,7 +16,7 @@ from torch import Tensor
 from bsk_torch.astro.frames import rotate_z, sin_elevation
 from bsk_torch.astro.geodetic import Vertical, axis_shift
 from bsk_torch.constants import R_EARTH
-from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
+from bsk_torch.sim.component import Arg, Bus, Component, Field, UserArguments, Values, vec
 from bsk_torch.sim.environment.ephemeris import sun_at, turned
 from bsk_torch.sim.instruments import differs
 from bsk_torch.vec3 import Vec3, only
@@ -108,21 +107,23 @@ VERTICAL = "imageTargetVertical"
 SUN_PARAMETERS = ("target_least_sun", "target_most_sun")  # parameters of the tick, the sines of SUN_LIMITS
 
 
-def fitted_target(given: Mapping[str, Any]) -> Component:
+def fitted_target(arguments: UserArguments) -> Component:
     """Return the component of targets in the light that the arguments as given ask for."""
-    return lit_target(*target_form(given))
+    return lit_target(*target_form(arguments))
 
 
-def target_form(given: Mapping[str, Any]) -> tuple[bool, bool, Vertical]:
+def target_form(arguments: UserArguments) -> tuple[bool, bool, Vertical]:
     """Return what decides the component of targets: a minimum, a maximum of the Sun's elevation, and the vertical."""
-    minimum, maximum = (differs(given, arg.name) for arg in SUN_LIMITS)
-    return minimum, maximum, given[VERTICAL]
+    minimum, maximum = (differs(arguments, arg.name) for arg in SUN_LIMITS)
+    return minimum, maximum, arguments[VERTICAL]
 
 
 def _sine(args: Values, limit: Arg) -> Tensor:
     """Return the sine of a limit of the Sun's elevation; beyond all sines for an instrument that has none."""
-    found = args[limit.name]
-    return torch.full((1,), -2.0 if limit is SUN_LIMITS[0] else 2.0, dtype=torch.float64) if found is None else found.sin()
+    elevation = args[limit.name]
+    return (
+        torch.full((1,), -2.0 if limit is SUN_LIMITS[0] else 2.0, dtype=torch.float64) if elevation is None else elevation.sin()
+    )
 
 
 @functools.cache

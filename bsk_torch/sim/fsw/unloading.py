@@ -29,14 +29,14 @@ def unload(bus: Bus) -> None:
     """
     B = mrp_to_dcm(bus.sigma_BN) @ bus.magnetic_field_N
     size2 = B.dot(B)
-    there = (size2 > NO_FIELD) & (bus.control_on > 0.0)
-    wanted = stored_momentum(bus).cross(B) * (bus.bar_gain / torch.where(there, size2, torch.ones_like(size2)))
+    acts = (size2 > NO_FIELD) & (bus.control_on > 0.0)
+    wanted = stored_momentum(bus).cross(B) * (bus.bar_gain / torch.where(acts, size2, torch.ones_like(size2)))
     dipoles = [row.dot(wanted) for row in bus.bar_map]
     scale = torch.ones_like(size2)
     for dipole, most in zip(dipoles, bus.bar_max_dipole, strict=True):
         scale = torch.minimum(scale, most / torch.maximum(torch.abs(dipole), most))
     none = torch.zeros_like(size2)
-    bus.bar_command = tuple(torch.where(there, dipole * scale, none) for dipole in dipoles)
+    bus.bar_command = tuple(torch.where(acts, dipole * scale, none) for dipole in dipoles)
 
 
 def _check_gain(args: Values, h: float) -> str | None:
@@ -69,6 +69,6 @@ def unloading(count: int) -> Component:
 
 
 UNLOADING = Component(
-    slot="unloading", after="control", update=unload, args=ARGS, fit=lambda given: unloading(len(described_bars(given)))
+    slot="unloading", after="control", update=unload, args=ARGS, fit=lambda arguments: unloading(len(described_bars(arguments)))
 )
 """The cross-product law, for the bars of the dynamics model."""

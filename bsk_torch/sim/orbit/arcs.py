@@ -157,11 +157,11 @@ class Arcs(StateTable):
         self.start[rows], self.ephemeris[rows], self.tail[rows] = start, ephemeris, tail
         self.flown[rows], self.planned[rows] = flown, torch.cat([planned, new], 1)
 
-    def _solved(self, rows: Tensor, *known: Tensor) -> Solution:
+    def _solved(self, rows: Tensor, *state: Tensor) -> Solution:
         """Solve the next hour of ``rows`` [n]; FloatingPointError if positions are not finite."""
-        found = self.solver.extend(*known)
-        self._check_finite(rows, found.planned, found.flown)
-        return found
+        solution = self.solver.extend(*state)
+        self._check_finite(rows, solution.planned, solution.flown)
+        return solution
 
     def _check_finite(self, rows: Tensor, planned: Tensor, flown: Tensor) -> None:
         wrong = ~torch.isfinite(planned).flatten(1).all(1) | ~torch.isfinite(flown[:, -1]).all(1)

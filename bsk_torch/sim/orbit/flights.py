@@ -12,6 +12,7 @@ from typing import Protocol
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.astro.gravity import DEGREE
 from bsk_torch.astro.multistep import lagrange
@@ -61,8 +62,8 @@ def make_flights(step: float, backend: str, device: torch.device, degree: int = 
     return TensorFlights(step, device, degree)
 
 
-class KernelFlights:
-    """Flights advanced by the kernels of the flown arc; see :class:`Flights`."""
+class KernelFlights(Flights):
+    """Flights advanced by the kernels of the flown arc."""
 
     device = torch.device("cpu")
 
@@ -70,31 +71,31 @@ class KernelFlights:
         """Take the stretch of the arcs, and the degree of the Earth's field."""
         self.degree, self.stretch = degree, torch.tensor([frame_stretch(step)], dtype=torch.float64)
 
+    @override
     def start(self, r: Tensor, v: Tensor, ephemeris: Samples) -> Tensor:
-        """See :meth:`Flights.start`."""
         return start_flight(self.degree, self.stretch, r, v, ephemeris)[0]
 
+    @override
     def advance(self, flight: Tensor, step: Tensor, counts: Tensor, ephemeris: Samples) -> None:
-        """See :meth:`Flights.advance`."""
         continue_flight(self.degree, self.stretch, flight, step, counts, ephemeris)
 
+    @override
     def fly(self, flight: Tensor, step: Tensor, count: int, ephemeris: Samples) -> Tensor:
-        """See :meth:`Flights.fly`."""
         flown = flight.new_empty(len(step), count, 3)
         continue_flight(self.degree, self.stretch, flight, step, torch.full_like(step, count), ephemeris, flown)
         return flown
 
 
-class TensorFlights:
-    """Flights advanced on tensors; see :class:`Flights`."""
+class TensorFlights(Flights):
+    """Flights advanced on tensors."""
 
     def __init__(self, step: float, device: torch.device, degree: int) -> None:
         """Take the stretch of the arcs, and the degree of the Earth's field."""
         self.degree, self.device = degree, device
         self.stretch = torch.tensor(frame_stretch(step), dtype=torch.float64, device=device)
 
+    @override
     def start(self, r: Tensor, v: Tensor, ephemeris: Samples) -> Tensor:
-        """See :meth:`Flights.start`."""
         r0, v0 = Vec3.of(r), Vec3.of(v)
         first, *others = start_schedule().tolist()
         a0 = self._acceleration(r0, torch.full_like(r0.x, first[0]), ephemeris)
@@ -107,13 +108,13 @@ class TensorFlights:
         lead = 2 * LEAD_NODES
         return _packed([position, velocity, *last[1:lead], a0, *last[lead:]])
 
+    @override
     def advance(self, flight: Tensor, step: Tensor, counts: Tensor, ephemeris: Samples) -> None:
-        """See :meth:`Flights.advance`."""
         for k in range(int(counts.max())):
             flight.copy_(torch.where(k < counts, self._after(flight, step + k + 1, ephemeris), flight))
 
+    @override
     def fly(self, flight: Tensor, step: Tensor, count: int, ephemeris: Samples) -> Tensor:
-        """See :meth:`Flights.fly`."""
         flown = flight.new_empty(len(step), count, 3)
         for k in range(count):
             flight.copy_(self._after(flight, step + k + 1, ephemeris))

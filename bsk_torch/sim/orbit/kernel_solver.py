@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.sim.orbit import flown_arc, planned_arc
 from bsk_torch.sim.orbit.equations import frame_stretch
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, LEAD_NODES, NODE_SPACING, NODES_PER_SEGMENT, PLAN_STEP, RECORDS
-from bsk_torch.sim.orbit.solution import Solution
+from bsk_torch.sim.orbit.solution import Solution, Solver
 
 MINUTE_NS, DIFFERENCE_STEP_NS = round(NODE_SPACING * 1e9), round(planned_arc.DIFFERENCE_STEP * 1e9)
 
 SAMPLES_PER_STEP = round(planned_arc.DIFFERENCE_STEP / PLAN_STEP)  # samples of the planned arc in a step of its kernel
 
 
-class KernelSolver:
-    """Solves arcs with kernels; see :class:`bsk_torch.sim.orbit.solution.Solver`.
+class KernelSolver(Solver):
+    """Solves arcs with kernels.
 
     The kernels are those of :mod:`bsk_torch.sim.orbit.flown_arc` and :mod:`bsk_torch.sim.orbit.planned_arc`. The tail holds the
     state of the flown arc's kernel, then that of the planned arc's.
@@ -31,11 +32,9 @@ class KernelSolver:
         self.degree = degree
         self.stretches = torch.tensor([frame_stretch(step), frame_stretch(PLAN_STEP)], dtype=torch.float64)
 
+    @override
     def begin(self, et: Tensor, r: Tensor, v: Tensor, ephemeris: Tensor, nodes: int) -> Solution:
-        """See :class:`bsk_torch.sim.orbit.solution.Solver`.
-
-        Hours are solved one by one, as :meth:`extend` does, so that arcs do not depend on how far they are solved at once.
-        """
+        # hours are solved one by one, as extend does, so that arcs do not depend on how far they are solved at once
         first = self._first_hour(et, r, v, ephemeris[:, :RECORDS].contiguous())
         flown, planned, tail = [first.flown], [first.planned], first.tail
         for hour in range(1, (nodes - 1) // NODES_PER_SEGMENT):
@@ -61,8 +60,8 @@ class KernelSolver:
         self._plan(tail, epoch + 1, tracks, planned[:, 1:])
         return Solution(flown, planned, torch.cat([state, tail]).mT)
 
+    @override
     def extend(self, et: Tensor, tail: Tensor, start: Tensor, ephemeris: Tensor, flown: Tensor) -> Solution:
-        """See :class:`bsk_torch.sim.orbit.solution.Solver`."""
         n, last = flown.shape[0], flown.shape[1] - 1 - LEAD_NODES
         state, planned_tail = (x.contiguous() for x in tail.mT.split([flown_arc.FLOWN_STATE, planned_arc.PLANNED_STATE]))
         node = (start / NODE_SPACING).round().long() + last
@@ -74,8 +73,8 @@ class KernelSolver:
         self._plan(planned_tail, node * MINUTE_NS // DIFFERENCE_STEP_NS, tracks, planned)
         return Solution(longer, planned, torch.cat([state, planned_tail]).mT)
 
+    @override
     def accelerations(self, nodes: Tensor, ephemeris: Samples) -> Tensor:
-        """See :class:`bsk_torch.sim.orbit.solution.Solver`."""
         n, count, _ = nodes.shape
         half = torch.full((n,), -0.5 * NODE_SPACING, dtype=torch.float64)  # out of reach of rounding
         written = torch.empty_like(nodes)
@@ -86,9 +85,9 @@ class KernelSolver:
     def _start(self, r: Tensor, v: Tensor, around: Samples, flown: Tensor) -> Tensor:
         """Fill the first positions; return the state from which the flown arc continues."""
         state, visited = start_flight(self.degree, self.stretches, r, v, around)
-        lead, found = 2 * LEAD_NODES, visited[:, -flown_arc.MULTISTEP_ORDER :]
-        flown[:, :lead], flown[:, lead] = found[:, :lead], r
-        flown[:, lead + 1 : flown_arc.MULTISTEP_ORDER + 1] = found[:, lead:]
+        lead, first_positions = 2 * LEAD_NODES, visited[:, -flown_arc.MULTISTEP_ORDER :]
+        flown[:, :lead], flown[:, lead] = first_positions[:, :lead], r
+        flown[:, lead + 1 : flown_arc.MULTISTEP_ORDER + 1] = first_positions[:, lead:]
         return state
 
     def _fly(self, state: Tensor, step: Tensor, around: Samples, flown: Tensor) -> None:

@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.astro.integrate import quadrature
 from bsk_torch.codegen.inductor import just_in_time
@@ -39,7 +40,7 @@ from bsk_torch.sim.orbit.equations import (
 )
 from bsk_torch.sim.orbit.flown_arc import acceleration
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, LEAD_NODES, NODE_SPACING, NODES_PER_SEGMENT, PLAN_STEP
-from bsk_torch.sim.orbit.solution import Solution
+from bsk_torch.sim.orbit.solution import Solution, Solver
 from bsk_torch.vec3 import Mat3, Vec3
 
 PICARD_DEGREE = 44  # degree of the interpolated accelerations; with the rounds below arcs are solved to 0.03 mm
@@ -102,8 +103,8 @@ def kernels(backend: str) -> Kernels:
     return Kernels(*(just_in_time(part, f"orbit solver ({part.__name__})") if backend == "compiled" else part for part in parts))
 
 
-class PicardSolver:
-    """Solves a segment of all satellites at once; see :class:`bsk_torch.sim.orbit.solution.Solver`.
+class PicardSolver(Solver):
+    """Solves a segment of all satellites at once.
 
     The tail holds position and velocity at the end of the flown arc, then those of the planned arc.
     """
@@ -124,8 +125,8 @@ class PicardSolver:
             for x in (frame_stretch(step), frame_stretch(PLAN_STEP), frame_growth())
         )
 
+    @override
     def begin(self, et: Tensor, r: Tensor, v: Tensor, ephemeris: Tensor, nodes: int) -> Solution:
-        """See :class:`bsk_torch.sim.orbit.solution.Solver`."""
         tail = torch.cat([r, v, r, v], -1)
         flown, planned = [self._before(et, r, v), r.unsqueeze(1)], [r.unsqueeze(1)]
         for k in range((nodes - 1) // NODES_PER_SEGMENT):
@@ -134,13 +135,13 @@ class PicardSolver:
             planned.append(new[1])
         return Solution(torch.cat(flown, 1), torch.cat(planned, 1), tail)
 
+    @override
     def extend(self, et: Tensor, tail: Tensor, start: Tensor, ephemeris: Tensor, flown: Tensor) -> Solution:
-        """See :class:`bsk_torch.sim.orbit.solution.Solver`."""
         new, planned, tail = self._hour(et + (start + (flown.shape[1] - 1 - LEAD_NODES) * NODE_SPACING), tail)
         return Solution(torch.cat([flown, new], 1), planned, tail)
 
+    @override
     def accelerations(self, nodes: Tensor, ephemeris: Samples) -> Tensor:
-        """See :class:`bsk_torch.sim.orbit.solution.Solver`."""
         n, count, _ = nodes.shape
         rows = torch.arange(n, device=self.device).repeat_interleave(count)
         time = (NODE_SPACING * torch.arange(count, dtype=torch.float64, device=self.device)).repeat(n)

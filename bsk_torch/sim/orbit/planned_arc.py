@@ -6,7 +6,6 @@ It differs from the flown arc by meters: the difference is integrated with the e
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
 
 from bsk_torch.astro.integrate import State, rk4_step
 from bsk_torch.astro.interpolate import position, velocity
@@ -45,7 +44,7 @@ def planned_kernel() -> Kernel:
     defects += [step_defect(r[k], v[k], plan_stretch, frame_growth()) for k in (1, 2)]
     pulls = [zonal_field(x, flown_stretch) for x in r]
 
-    def rates(stage: int, offset: Any, y: State) -> State:
+    def rates(stage: int, offset: object, y: State) -> State:
         k = (0, 1, 1, 2)[stage]
         return y[1] + defects[k][0], zonal_field(r[k] + y[0], plan_stretch) - pulls[k] + defects[k][1]
 
@@ -63,9 +62,9 @@ def planned_kernel() -> Kernel:
 
 def _hermite(share: float, ends: tuple[Vec3, Vec3], slopes: tuple[Vec3, Vec3]) -> Vec3:
     """Return the cubic (Hermite) through both ends of a step with these slopes, at a share of it."""
-    left = 1.0 - share
-    values = ends[0] * ((1.0 + 2.0 * share) * left * left) + ends[1] * (share * share * (3.0 - 2.0 * share))
-    return values + (slopes[0] * (share * left * left) - slopes[1] * (share * share * left)) * DIFFERENCE_STEP
+    rest = 1.0 - share
+    values = ends[0] * ((1.0 + 2.0 * share) * rest * rest) + ends[1] * (share * share * (3.0 - 2.0 * share))
+    return values + (slopes[0] * (share * rest * rest) - slopes[1] * (share * share * rest)) * DIFFERENCE_STEP
 
 
 @cache

@@ -31,8 +31,8 @@ class RestartableArcs(Arcs):
 
     restarts = True
 
+    @override
     def __init__(self, num_envs: int, spans: int, solver: Solver, kept: int = PLANNED_SEGMENTS, count: int = 1) -> None:
-        """See :class:`~bsk_torch.sim.orbit.arcs.Arcs`."""
         super().__init__(num_envs, spans, solver, kept, count)
         self.declare("epoch", low=0.0, high=FARTHEST)
         self.declare("solved", low=0.0, high=FARTHEST)

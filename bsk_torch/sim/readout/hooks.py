@@ -78,9 +78,9 @@ def check_model(cls: type, base: type) -> None:
         for name, value in vars(owner).items():
             _check_member(cls, owner, base, name, value)
     schedules = (vars(model).get("schedule") for model in (base, *_subclasses(base)))
-    known = {slot.name for schedule in schedules if isinstance(schedule, Schedule) for slot in schedule}
+    slots = {slot.name for schedule in schedules if isinstance(schedule, Schedule) for slot in schedule}
     for component in (*vars(cls).get("components", ()), *vars(cls).get("world_components", ())):
-        if anchored(component)[0] not in known:  # of another dynamics model: the environment that has both looks again
+        if anchored(component)[0] not in slots:  # of another dynamics model: the environment that has both looks again
             vars(cls).get("schedule", SCHEDULE).place(component)
 
 
@@ -130,9 +130,9 @@ def _check_method(title: str, name: str, value: object, base: type) -> None:
 
 
 def _required(function: Callable[..., object]) -> list[str]:
-    given = list(inspect.signature(function).parameters.values())[1:]
+    parameters = list(inspect.signature(function).parameters.values())[1:]
     variable = inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD
-    return [each.name for each in given if each.default is inspect.Parameter.empty and each.kind not in variable]
+    return [each.name for each in parameters if each.default is inspect.Parameter.empty and each.kind not in variable]
 
 
 def _check_table(title: str, name: str, value: object) -> None:

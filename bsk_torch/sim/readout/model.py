@@ -74,14 +74,14 @@ class Model:
 
     def aliveness(self) -> dict[str, Tensor]:
         """Return the result [N] of every aliveness checker, by name."""
-        found = self.simulator.observer.read_together(tuple(self.vitals().values()), bool)
-        together = {} if found is None else dict(zip(self.vitals(), found.unbind(1), strict=True))
+        vitals = self.simulator.observer.read_together(tuple(self.vitals().values()), bool)
+        together = {} if vitals is None else dict(zip(self.vitals(), vitals.unbind(1), strict=True))
         return {name: together[name] if name in together else self._checked(name) for name in self.checks()}
 
     def _checked(self, name: str) -> Tensor:
-        found, state = getattr(self, name)(), self.simulator.state
-        check_tensor(f"{type(self).__name__}.{name}()", found, (state.rows,), torch.bool)
-        return found
+        values, state = getattr(self, name)(), self.simulator.state
+        check_tensor(f"{type(self).__name__}.{name}()", values, (state.rows,), torch.bool)
+        return values
 
     @classmethod
     @functools.cache
@@ -94,7 +94,11 @@ class Model:
     def observables(cls) -> dict[str, Function]:
         """Return the functions of the properties that are observables, by name, without aliveness checks."""
         members = {name: getattr(cls, name) for name in dir(cls)}
-        return {name: own.function for name, own in members.items() if isinstance(own, observable) and not isinstance(own, vital)}
+        return {
+            name: member.function
+            for name, member in members.items()
+            if isinstance(member, observable) and not isinstance(member, vital)
+        }
 
     @classmethod
     @functools.cache

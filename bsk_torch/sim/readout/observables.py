@@ -206,8 +206,8 @@ class Observer:
             return None
         if self._version != self.state.version:
             self._forget_the_past()
-        found = (self._read_all(kernel) if self._table is None else self._table)[:, columns]
-        return found > 0.5 if kind is bool else found
+        columns_read = (self._read_all(kernel) if self._table is None else self._table)[:, columns]
+        return columns_read > 0.5 if kind is bool else columns_read
 
     def _read_all(self, kernel: ObserverKernel) -> Tensor:
         table = self._table = kernel(self.state, self.arcs)
@@ -259,12 +259,12 @@ class Observer:
         return tuple(same)
 
 
-def _alike(exact: Tensor, found: Tensor) -> bool:
+def _alike(exact: Tensor, traced: Tensor) -> bool:
     """Return whether a kernel's values are torch's but for rounding, which angles between parallel vectors magnify."""
-    if exact.shape != found.shape or exact.dtype != found.dtype:
+    if exact.shape != traced.shape or exact.dtype != traced.dtype:
         return False
     scale = float(exact.double().abs().nan_to_num(0.0, 0.0, 0.0).amax()) if exact.numel() else 0.0
-    return bool(torch.isclose(found.double(), exact.double(), 0.0, ROUNDING * (1.0 + scale), equal_nan=True).all())
+    return bool(torch.isclose(traced.double(), exact.double(), 0.0, ROUNDING * (1.0 + scale), equal_nan=True).all())
 
 
 def _tell(function: Function, why: str) -> None:
@@ -354,11 +354,11 @@ class ObserverProgram:
         return [self.arguments, live, [plane.index for plane in self.planes]]
 
 
-def _planes(value: Any) -> list[Any]:
+def _planes(value: object) -> list[object]:
     return [plane for part in value for plane in _planes(part)] if isinstance(value, tuple) else [value]
 
 
-def _traced(value: Any) -> Any:
+def _traced(value: object) -> object:
     if not all(isinstance(plane, Proxy) for plane in _planes(value)):
         raise UntraceableError(f"it returns {type(value).__name__}, which does not follow from the present")
     return value
@@ -402,15 +402,15 @@ class ObserverKernel:
     def column(self, table: Tensor, function: Function) -> Tensor:
         """Return an observable of a table of all, [N], [N, width] or [N, 3, 3]."""
         at, kind = self.layout[function]
-        found = table[:, at]
-        return found > 0.5 if kind is bool else found.unflatten(1, (3, 3)) if kind is Mat3 else found
+        values = table[:, at]
+        return values > 0.5 if kind is bool else values.unflatten(1, (3, 3)) if kind is Mat3 else values
 
     def columns(self, functions: tuple[Function, ...], kind: type) -> slice | Tensor | None:
         """Return the columns of several observables; None for one without a kernel, or of another kind: numbers or bool."""
         key = functions, kind
         if key not in self._columns:
             places = [self.layout.get(function, (0, type(None))) for function in functions]
-            alike = all((found is bool) == (kind is bool) and found is not type(None) for _, found in places)
+            alike = all((place_kind is bool) == (kind is bool) and place_kind is not type(None) for _, place_kind in places)
             wide = (list(range(self.width))[at if isinstance(at, slice) else slice(at, at + 1)] for at, _ in places)
             self._columns[key] = _run([column for part in wide for column in part]) if alike else None
         return self._columns[key]

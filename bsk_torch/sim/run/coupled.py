@@ -136,8 +136,8 @@ class Satellites:
         flown = sorted(column for simulator in self.simulators for column in simulator.columns)  # of a trial, one of each type
         position = {column: k for k, column in enumerate(flown)}
         self.columns = tuple(torch.tensor([position[c] for c in s.columns], device=self.device) for s in self.simulators)
-        own = {self.names[p]: (k, i) for k, columns in enumerate(self.columns) for i, p in enumerate(columns.tolist())}
-        self.places = {name: own[name] for name in self.names} if places is None else dict(places)
+        place_of = {self.names[p]: (k, i) for k, columns in enumerate(self.columns) for i, p in enumerate(columns.tolist())}
+        self.places = {name: place_of[name] for name in self.names} if places is None else dict(places)
         order = torch.cat(self.columns)
         self._order = None if torch.equal(order, torch.arange(self.size, device=self.device)) else order.argsort()
         self.dependencies = Dependencies(self.simulators)
@@ -218,17 +218,17 @@ class Part:
     """
 
     def __init__(
-        self, fleet: Satellites, envs: Tensor | None, now: Tensor, ends: Tensor, left: Tensor, expected: Sequence[Tensor]
+        self, fleet: Satellites, envs: Tensor | None, now: Tensor, ends: Tensor, remaining: Tensor, expected: Sequence[Tensor]
     ) -> None:
         """Prepare the run of the episodes ``envs`` [n], or all, which are ``now`` [N] ticks old, by at most ``ends`` [N] ticks.
 
-        ``left`` [N] are the ticks to the end of the episode, ``expected`` [N], for each type, those to an event that ends the
-        step.
+        ``remaining`` [N] are the ticks to the end of the episode, ``expected`` [N], for each type, the ticks to an event that
+        ends the step.
         """
-        self.fleet, self.envs, self.since, self.ends, self.left, self.expected = fleet, envs, now, ends, left, expected
+        self.fleet, self.envs, self.since, self.ends, self.remaining, self.expected = fleet, envs, now, ends, remaining, expected
         self.rows: list[Tensor | None] = [None] * len(fleet.simulators)
         if envs is not None:
-            self.since, self.ends, self.left, *self.expected = (ticks[envs] for ticks in (now, ends, left, *expected))
+            self.since, self.ends, self.remaining, *self.expected = (ticks[envs] for ticks in (now, ends, remaining, *expected))
             if len(envs) < fleet.num_envs:
                 self.rows = [simulator.state.rows_of(envs) for simulator in fleet.simulators]
         self.events: list[Tensor | None] = [None] * len(self.rows)
@@ -279,7 +279,7 @@ class Part:
         simulator, rows, start = self.fleet.simulators[k], self.rows[k], self.starts[k]
         of_env, apart, goal = simulator.state.of_env, simulator.ends_apart, self.ends
         if start is not None:
-            last = (self.ends >= self.left) & (self.ends > 0)
+            last = (self.ends >= self.remaining) & (self.ends > 0)
             goal = self.ends - last.long() if apart else self.ends
         if k not in self.ran:
             yield self._call(k, of_env(goal))
@@ -301,12 +301,12 @@ class Part:
         return Call(k, ticks, expected, may_rewind, self.traces.get(k), followed)
 
     def _followed(self, places: Tensor) -> dict[int, dict[str, Samples]]:
-        found = {}
+        followed_rows = {}
         for k, simulator in enumerate(self.fleet.simulators):
             rows = simulator.state.rows_of(places)
             followed = self.fleet.dependencies.samples(k, self.traces)
-            found[k] = {name: take_rows(trace, rows) for name, trace in followed.items()}
-        return found
+            followed_rows[k] = {name: take_rows(trace, rows) for name, trace in followed.items()}
+        return followed_rows
 
     def _episodes(self) -> Tensor:
         return self.fleet.all_envs if self.envs is None else self.envs
@@ -314,7 +314,7 @@ class Part:
     def _flight(self) -> Flight:
         counts = tuple(simulator.count for simulator in self.fleet.simulators)
         traces = tuple(self.traces.get(k) for k in range(len(counts)))
-        return Flight(self._episodes(), self.since, self.ends, self.left, traces, counts)
+        return Flight(self._episodes(), self.since, self.ends, self.remaining, traces, counts)
 
 
 def parts_of(fleet: Satellites, moves: Tensor, ends: Tensor) -> Iterator[Tensor | None]:

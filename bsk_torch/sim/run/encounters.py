@@ -24,7 +24,8 @@ from bsk_torch.vec3 import Vec3
 
 logger = logging.getLogger(__name__)
 
-NEVER = 2**62  # number of a tick that does not come
+NEVER = 2**62
+"""Number of a tick that does not come."""
 AT_ONCE = 1 << 18  # distances computed in one go: few enough to stay in a processor's cache
 AT_REST = 1e-300  # square of a distance, m^2, below which two satellites do not move relative to each other within a tick
 
@@ -113,13 +114,13 @@ def reached(before: Vec3, now: Vec3, limits: Limits) -> Tensor:
         nearest_square = torch.minimum(closest.dot(closest), square)
     hits = []
     for c, (pair, beyond) in enumerate(zip(limits.pair, limits.beyond, strict=True)):
-        bound, mine = limits.distance[:, c : c + 1] ** 2, square[:, pair]
+        bound, distance2 = limits.distance[:, c : c + 1] ** 2, square[:, pair]
         if beyond:
-            hits.append(mine >= bound)
+            hits.append(distance2 >= bound)
             continue
         if nearest_square is not None:
-            mine = torch.where(limits.between[:, c : c + 1], nearest_square[:, pair], mine)
-        hits.append(mine <= bound)
+            distance2 = torch.where(limits.between[:, c : c + 1], nearest_square[:, pair], distance2)
+        hits.append(distance2 <= bound)
     return torch.stack(hits, 1)
 
 
@@ -156,8 +157,8 @@ class Encounters:
         every = (*pairs.conjunctions, *pairs.ranges)
         self._distances = list(dict.fromkeys(tuple(sorted(pair)) for pair in every))
         self._pair = tuple(self._distances.index(tuple(sorted(pair))) for pair in every)
-        found = sorted((c, k, i) for k, columns in enumerate(fleet.columns) for i, c in enumerate(columns.tolist()))
-        self._places, size = [(k, i) for _, k, i in found], fleet.size
+        places = sorted((c, k, i) for k, columns in enumerate(fleet.columns) for i, c in enumerate(columns.tolist()))
+        self._places, size = [(k, i) for _, k, i in places], fleet.size
         booked = torch.zeros(len(pairs.conjunctions), size, size, dtype=torch.bool)
         for row, (later, earlier) in enumerate(pairs.conjunctions):
             other = later - 1 if compat else earlier
@@ -210,10 +211,10 @@ class Encounters:
     def _relative(self, tracks: Mapping[int, Tensor]) -> Vec3:
         """Return the relative positions of the pairs, [n, P, T] m, of positions [n, T, 3] by satellite."""
         shape = next(iter(tracks.values())).shape
-        found = torch.empty(shape[0], len(self._distances), *shape[1:], dtype=torch.float64, device=self.fleet.device)
+        relative = torch.empty(shape[0], len(self._distances), *shape[1:], dtype=torch.float64, device=self.fleet.device)
         for p, (one, other) in enumerate(self._distances):
-            torch.sub(tracks[one], tracks[other], out=found[:, p])
-        return Vec3.of(found)
+            torch.sub(tracks[one], tracks[other], out=relative[:, p])
+        return Vec3.of(relative)
 
     def _pieces(self, flight: Flight) -> Iterator[tuple[Tensor, Vec3, Vec3]]:
         tracks, count = self._tracks(flight), 1 + int(flight.ticks.max())
@@ -229,7 +230,7 @@ class Encounters:
 
     def first_tick(self, flight: Flight) -> Tensor:
         """Return the first tick of a flight at which a condition holds, [n]; see ``fleet.stop_conditions``."""
-        limits, last = self.limits(flight.envs), torch.minimum(flight.ticks, flight.left - 1)
+        limits, last = self.limits(flight.envs), torch.minimum(flight.ticks, flight.remaining - 1)
         first = first_ticks(self._pieces(flight), limits, last)
         return torch.where(self._waiting(flight.envs), first, NEVER).amin(-1)
 
@@ -239,14 +240,14 @@ class Encounters:
         records = torch.cat([(end - 1).clamp(min=0), end], 1).expand(-1, -1, 3)
         relative = self._relative({column: track.gather(1, records) for column, track in self._tracks(flight).items()})
         before, now = (Vec3(*(plane[..., k : k + 1] for plane in relative)) for k in (0, 1))
-        limits, fires = self.limits(flight.envs), flight.ticks < flight.left
+        limits, fires = self.limits(flight.envs), flight.ticks < flight.remaining
         hit = (reached(before, now, limits) & looked(flight.ticks.view(-1, 1, 1), limits)).squeeze(-1)
         hit = hit & self._waiting(flight.envs) & fires.unsqueeze(1)
         collisions = len(self.pairs.conjunctions)
-        for name, mine in ((MET, hit[:, :collisions]), (LEFT, hit[:, collisions:])):
+        for name, happened in ((MET, hit[:, :collisions]), (LEFT, hit[:, collisions:])):
             if name in self.fleet.memory:
-                known = self.fleet.memory[name]
-                self.fleet.memory[name] = known.index_copy(0, flight.envs, known[flight.envs] | mine)
+                earlier = self.fleet.memory[name]
+                self.fleet.memory[name] = earlier.index_copy(0, flight.envs, earlier[flight.envs] | happened)
 
     def conjunctions(self, k: int) -> Tensor:
         """Return with whom each satellite of type k is booked to have collided, [rows, S]."""
@@ -272,9 +273,9 @@ class Encounters:
         """Return aliveness checks that deputies put on their chiefs of type k, [rows] each by name: ``range_valid_<deputy>``."""
         checks = {}
         for row, (deputy, chief) in enumerate(self.pairs.ranges):
-            mine, number = self._places[chief]
-            simulator, enforced = self.fleet.simulators[mine], self._of(deputy, "enforce_range_on_chief") > 0.0
-            if mine != k or not bool(enforced.any()):
+            chief_type, number = self._places[chief]
+            simulator, enforced = self.fleet.simulators[chief_type], self._of(deputy, "enforce_range_on_chief") > 0.0
+            if chief_type != k or not bool(enforced.any()):
                 continue
             valid = torch.ones(self.fleet.num_envs, simulator.count, dtype=torch.bool, device=self.fleet.device)
             valid[:, number] = ~(self.fleet.memory[LEFT][:, row] & enforced)

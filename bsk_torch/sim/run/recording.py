@@ -80,24 +80,25 @@ class Recording(Recorder):
             k, number = fleet.place_of(name)
             of_type.setdefault(k, []).append((number, place))
         layouts = {k: fleet.simulators[k].tick.state for k in of_type}
-        known = dict[str, int]()  # types of satellites may have different numbers of wheels
+        widths_of = dict[str, int]()  # types of satellites may have different numbers of wheels
         for layout in layouts.values():
-            known |= {name: max(part.width, known.get(name, 0)) for name, part in layout.fields.items()}
-        own = {
-            k: {name: properties[k][name] for name in self.fields if name in properties[k] and name not in known} for k in of_type
+            widths_of |= {name: max(part.width, widths_of.get(name, 0)) for name, part in layout.fields.items()}
+        user_functions = {
+            k: {name: properties[k][name] for name in self.fields if name in properties[k] and name not in widths_of}
+            for k in of_type
         }
-        for k, functions in own.items():
+        for k, functions in user_functions.items():
             read = fleet.simulators[k].observer.read
             widths = {name: read(function)[:1].numel() for name, function in functions.items()}
-            known |= {name: max(width, known.get(name, 0)) for name, width in widths.items()}
+            widths_of |= {name: max(width, widths_of.get(name, 0)) for name, width in widths.items()}
         for name in self.fields:
-            if name not in known:
-                those, names = ", ".join(self.satellites), (*known, *(name for k in of_type for name in properties[k]))
+            if name not in widths_of:
+                those, names = ", ".join(self.satellites), (*widths_of, *(name for k in of_type for name in properties[k]))
                 raise ValueError(
                     f"fields has {name!r}, neither a field of the state nor a property of {those}; {nearest(name, names)}"
                 )
-        ends = torch.tensor([known[name] for name in self.fields]).cumsum(0).tolist()
-        self._slices = {name: slice(end - known[name], end) for name, end in zip(self.fields, ends, strict=True)}
+        ends = torch.tensor([widths_of[name] for name in self.fields]).cumsum(0).tolist()
+        self._slices = {name: slice(end - widths_of[name], end) for name, end in zip(self.fields, ends, strict=True)}
         self._columns = [fleet.names.index(name) for name in self.satellites]
         self._width, self._types = ends[-1], list[_Type]()
         for k, pairs in of_type.items():
@@ -106,7 +107,7 @@ class Recording(Recorder):
             columns = [column for name in having for column in _range(self._slices[name])[: layouts[k].fields[name].width]]
             numbers, places = zip(*pairs, strict=True)
             index = [torch.tensor(part, dtype=torch.int64, device=fleet.device) for part in (numbers, places, planes, columns)]
-            placed = tuple((function, self._slices[name]) for name, function in own[k].items())
+            placed = tuple((function, self._slices[name]) for name, function in user_functions[k].items())
             self._types.append(_Type(k, index[0], index[1].unsqueeze(-1), index[2], index[3], placed))
         self._chunks: list[_Chunk] = []
         self._data: TensorDict | None = None
@@ -157,8 +158,8 @@ class Recording(Recorder):
         for kind in self._types:
             simulator = self.fleet.simulators[kind.k]
             of_env = simulator.state.of_env
-            found = simulator.replay(self._starts[kind.k], of_env(since), of_env(number), self._needed(kind), followed[kind.k])
-            self._fill(values, kind, simulator.state.rows_of(envs), number, found)
+            replayed = simulator.replay(self._starts[kind.k], of_env(since), of_env(number), self._needed(kind), followed[kind.k])
+            self._fill(values, kind, simulator.state.rows_of(envs), number, replayed)
         self._add(envs, number, values)
 
     def _needed(self, kind: _Type) -> Tensor:
@@ -250,10 +251,10 @@ class Recording(Recorder):
     def _joined(self) -> TensorDict:
         none = self.envs[:0]
         chunks = self._chunks or [_Chunk(none, none, none.unsqueeze(1), self._blank(0, 1))]
-        there = [chunk.ticks != NO_TICK for chunk in chunks]
-        pairs = list(zip(chunks, there, strict=True))
+        is_filled = [chunk.ticks != NO_TICK for chunk in chunks]
+        pairs = list(zip(chunks, is_filled, strict=True))
         envs, episodes = (
-            torch.cat([part.unsqueeze(1).expand(here.shape)[here] for part, here in zip(parts, there, strict=True)])
+            torch.cat([part.unsqueeze(1).expand(here.shape)[here] for part, here in zip(parts, is_filled, strict=True)])
             for parts in ([chunk.envs for chunk in chunks], [chunk.episodes for chunk in chunks])
         )
         order = envs.argsort(stable=True)

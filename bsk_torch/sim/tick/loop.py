@@ -34,13 +34,13 @@ ARC_ORBIT = Component(slot="orbit", update=follow_arc, overwrites=(("r_BN_N", _O
 class Inputs(NamedTuple):
     """Planes that a tick starts from; ``records`` holds those of every track, ``tau`` the seconds since their first record."""
 
-    state: Sequence[Any]
-    shared: Sequence[Any]
-    own: Sequence[Any]
-    flags: Sequence[Any]
-    records: Sequence[Sequence[Any]]
-    tau: Sequence[Any]
-    ticks: Any
+    state: Sequence[object]
+    shared: Sequence[object]
+    own: Sequence[object]
+    flags: Sequence[object]
+    records: Sequence[Sequence[object]]
+    tau: Sequence[object]
+    ticks: object
 
 
 class Tick:
@@ -186,8 +186,8 @@ class Tick:
         time, rows = ticks * self.h_ns / 1e9, torch.arange(state.shape[1], device=state.device)  # divided, as in kernels
         records, taus = [], []
         for track, table, begin in zip(self.tracks, tables, starts, strict=True):
-            found, tau = neighbours(track, table, rows, time - begin)
-            records.append(found.flatten(1).unbind(-1))
+            nodes, tau = neighbours(track, table, rows, time - begin)
+            records.append(nodes.flatten(1).unbind(-1))
             taus.append(tau)
         pairs = (self.state, state), (self.shared, shared), (self.own, own), (self.flags, flags)
         packs = [

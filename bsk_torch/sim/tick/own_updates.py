@@ -39,9 +39,9 @@ class WatchedBus(Bus):
     """Slots of users' components by the messages that they have written and nothing has read."""
 
     def __getattribute__(self, name: str) -> Any:
-        known = object.__getattribute__(self, "__dict__")
-        if name in known.get("unread", ()):
-            del known["unread"][name]
+        attributes = object.__getattribute__(self, "__dict__")
+        if name in attributes.get("unread", ()):
+            del attributes["unread"][name]
         return object.__getattribute__(self, name)
 
     def watch(self) -> None:
@@ -58,11 +58,11 @@ def update_checked(bus: WatchedBus, component: Component) -> None:
     update, slot = component.update, component.slot
     if update is None:
         return
-    own = not of_package([update])
+    is_user_code = not of_package([update])
     messages = vars(bus)
     before = {name: value for name, value in messages.items() if name != "unread"}
     try:
-        if own and isinstance(bus.ticks, Tensor):
+        if is_user_code and isinstance(bus.ticks, Tensor):
             _compare(update, slot, bus)
         returned: object = update(bus)
     except MissingMessageError as error:
@@ -71,13 +71,13 @@ def update_checked(bus: WatchedBus, component: Component) -> None:
     except UntraceableError:
         raise
     except (TypeError, RuntimeError, AttributeError, ValueError) as error:
-        if not own or isinstance(error, UpdateError) or _raised_by_package(error):
+        if not is_user_code or isinstance(error, UpdateError) or _raised_by_package(error):
             raise
         raise UpdateError(
             f"the update of the component in slot {slot!r} fails: {type(error).__name__}: {str(error).partition(chr(10))[0]}; "
             f"{ELEMENTWISE}"
         ) from error
-    if not own:
+    if not is_user_code:
         return
     if returned is not None:
         raise UpdateError(
@@ -92,11 +92,11 @@ def update_checked(bus: WatchedBus, component: Component) -> None:
             messages["unread"][name] = slot
 
 
-def check_read(bus: WatchedBus, known: Collection[str]) -> None:
-    """Raise TypeError for a message of a user's component that nothing reads, if it is spelled almost like a ``known`` one."""
+def check_read(bus: WatchedBus, fields: Collection[str]) -> None:
+    """Raise TypeError for a message of a user's component that nothing reads, if it is spelled almost like a ``fields`` one."""
     for name, slot in vars(bus)["unread"].items():
-        others = [other for other in {*known, *vars(bus)} if other not in (name, "unread")]
-        for meant in [] if name in known else difflib.get_close_matches(name, others, n=1, cutoff=SIMILAR):
+        others = [other for other in {*fields, *vars(bus)} if other not in (name, "unread")]
+        for meant in [] if name in fields else difflib.get_close_matches(name, others, n=1, cutoff=SIMILAR):
             raise UpdateError(
                 f"the component in slot {slot!r} writes bus.{name}, which no component reads; did you mean {meant!r}?"
             )
@@ -135,7 +135,7 @@ def _check_kind(slot: str, name: str, old: object, new: object) -> None:
         raise UpdateError(f"{title} of shape {list(new.shape)}; it must be a number of each environment")
 
 
-def _mapped(value: Any, function: Callable[[Tensor], Tensor]) -> Any:
+def _mapped(value: object, function: Callable[[Tensor], Tensor]) -> Any:
     if isinstance(value, Tensor):
         return function(value) if value.ndim else value
     if isinstance(value, tuple | list):
@@ -148,7 +148,7 @@ def _mapped(value: Any, function: Callable[[Tensor], Tensor]) -> Any:
     return value
 
 
-def _planes(value: Any) -> list[Tensor]:
+def _planes(value: object) -> list[Tensor]:
     if isinstance(value, Tensor):
         return [value]
     parts = value if isinstance(value, tuple | list) else vars(value).values() if isinstance(value, SimpleNamespace | Bus) else ()
@@ -157,7 +157,9 @@ def _planes(value: Any) -> list[Tensor]:
 
 def _compare(update: Callable[[Bus], None], slot: str, bus: Bus) -> None:
     """Raise TypeError unless an update gives the first environment the same numbers alone and next to another one."""
-    alone, together = (_copied(bus, function) for function in (_first, lambda plane: _with_another(_first(plane))))
+    alone, together = Bus.__new__(Bus), Bus.__new__(Bus)
+    for copied, function in ((alone, _first), (together, lambda plane: _with_another(_first(plane)))):
+        vars(copied).update((name, _mapped(value, function)) for name, value in vars(bus).items() if name != "unread")
     before = dict(vars(together))
     versions = [(name, plane, plane._version) for name, value in before.items() for plane in _planes(value)]
     for each in (alone, together):
@@ -188,9 +190,3 @@ def _first(plane: Tensor) -> Tensor:
 def _with_another(first: Tensor) -> Tensor:
     other = first * 1.01 + 0.01 if first.is_floating_point() else ~first if first.dtype == torch.bool else first + 1
     return torch.cat([first, other])
-
-
-def _copied(bus: Bus, function: Callable[[Tensor], Tensor]) -> Bus:
-    other = Bus.__new__(Bus)
-    vars(other).update((name, _mapped(value, function)) for name, value in vars(bus).items() if name != "unread")
-    return other

@@ -99,9 +99,9 @@ class FirstTick:
         mode: Tensor,
         flags: Tensor,
         ticks: Tensor,
-        **_: Any,
+        **_: object,
     ) -> Tensor:
-        """See :meth:`bsk_torch.codegen.kernel.Kernel.__call__`."""
+        """Run the tick as :meth:`bsk_torch.codegen.kernel.Kernel.__call__` runs a kernel."""
         tables, starts = _of_rows([t.table for t in tracks], tracks), _of_rows([t.start for t in tracks], tracks)
         planes = self.tick.wake(self.tick.inputs(state, shared, own, flags[:, mode], tables, starts, ticks.double()))
         state.copy_(torch.stack([plane.expand(len(counts)).double() for plane in planes]))
@@ -132,9 +132,9 @@ class TickLoop:
         lockstep: int = 1,
         written: Tensor | None = None,
         present: Tensor | None = None,
-        **_: Any,
+        **_: object,
     ) -> Tensor:
-        """See :meth:`bsk_torch.codegen.kernel.Kernel.__call__`."""
+        """Run the tick as :meth:`bsk_torch.codegen.kernel.Kernel.__call__` runs a kernel."""
         runs = counts if present is None else torch.where(present, counts, 0)
         flags, end, now = flags[:, mode], (ticks + runs).double(), ticks.double()
         samples = *_of_rows([t.table for t in tracks], tracks), *_of_rows([t.start for t in tracks], tracks)

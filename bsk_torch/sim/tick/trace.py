@@ -25,12 +25,12 @@ def recorded(components: Sequence[Component]) -> tuple[Field, ...]:
 
     ValueError for a name that is not a field of the state.
     """
-    known = {field.name: field for component in components for field in component.state}
+    fields = {field.name: field for component in components for field in component.state}
     names = dict.fromkeys(name for component in components for name in component.records)
     for name in names:
-        if name not in known:
-            raise ValueError(f"records={name!r} is no field of the state; {nearest(name, known)}")
-    return tuple(known[name] for name in names)
+        if name not in fields:
+            raise ValueError(f"records={name!r} is no field of the state; {nearest(name, fields)}")
+    return tuple(fields[name] for name in names)
 
 
 def trace_track(name: str, fields: Sequence[Field], h: float) -> Track:
@@ -75,7 +75,7 @@ class Flight(NamedTuple):
     envs: Tensor
     since: Tensor  # ticks since reset at its start, [n]
     ticks: Tensor  # ticks that it took, [n]
-    left: Tensor  # ticks to the end of the episode, [n]: there the clock stops before any event is evaluated
+    remaining: Tensor  # ticks to the end of the episode, [n]: there the clock stops before any event is evaluated
     # trace of each type of satellites, of the rows of these episodes; None for one that records nothing
     traces: tuple[Trace | None, ...]
     counts: tuple[int, ...]  # number of satellites of each type in an episode
@@ -85,5 +85,5 @@ class Flight(NamedTuple):
         trace, count = self.traces[k], self.counts[k]
         if trace is None or name not in trace.layout.fields:
             raise ValueError(f"satellites of type {k} do not record {name!r}; list it in records of one of their components")
-        found = trace.read(name)
-        return found.view(len(self.envs), count, *found.shape[1:])
+        values = trace.read(name)
+        return values.view(len(self.envs), count, *values.shape[1:])

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -49,13 +49,9 @@ def charge_battery(bus: Bus) -> None:
     bus.charge = torch.minimum(charge, bus.battery_capacity)
 
 
-def _fitted_wheels(arguments: Mapping[str, Any]) -> Component:
+def _fitted_wheels(arguments: Mapping[str, object]) -> Component:
     wheels = described_wheels(arguments) or TRIAD
     return started(wheel_set(wheel_form(arguments, wheels), wheels))
-
-
-def _fitted_power(arguments: Mapping[str, Any]) -> Component:
-    return _with_balance(wheel_power(len(described_wheels(arguments) or TRIAD)))
 
 
 def _with_balance(component: Component) -> Component:
@@ -63,7 +59,7 @@ def _with_balance(component: Component) -> Component:
     return dataclasses.replace(
         component,
         update=balance_of_wheels,
-        fit=_fitted_power,
+        fit=lambda arguments: _with_balance(wheel_power(len(described_wheels(arguments) or TRIAD))),
         state=(Field("wheel_power", 1, "W", "power of the wheels, negative, which the battery takes in the next tick"),),
         at_start=True,
     )

@@ -291,7 +291,7 @@ def _constellation(path: Path) -> Satellites:
     return [_satellite(entry, orbits[entry.orbit]) for entry in sorted(content.satellites, key=lambda entry: entry.id)]
 
 
-def _satellite(entry: SatelliteEntry, orbit: OrbitEntry) -> dict[str, Any]:
+def _satellite(entry: SatelliteEntry, orbit: OrbitEntry) -> dict[str, object]:
     panel, sensor, control, wheels = entry.solar_panel, entry.sensor, entry.mrp_control, entry.reaction_wheels
     degrees = [orbit.inclination, orbit.right_ascension_of_the_ascending_node, orbit.argument_of_perigee, entry.true_anomaly]
     return {
@@ -359,7 +359,7 @@ def stacked(cases: Sequence[tuple[str, Satellites, Tasks]], satellites: int | No
             if len(part) > size:
                 raise ValueError(f"case {name!r} has {len(part)} {title}, more than {title}={size}")
 
-    def table(rows: Sequence[Sequence[Any]], size: int) -> Tensor:
+    def table(rows: Sequence[Sequence[object]], size: int) -> Tensor:
         return torch.tensor([[*row, *[row[0]] * (size - len(row))] for row in rows], dtype=torch.float64)
 
     crafts, jobs = [case[1] for case in cases], [case[2] for case in cases]

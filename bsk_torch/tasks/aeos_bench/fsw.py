@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from bsk_torch.astro.frames import rotate_z
 from bsk_torch.sim.component import Bus, Component, vec
@@ -41,17 +41,15 @@ _DEFAULTS = {"K": 8.0, "Ki": 0.005, "P": 24.0, "integralLimit": 0.01, "compensat
 """About the middle of the benchmark's distributions."""
 
 
-def _fitted_feedback(arguments: Mapping[str, Any]) -> Component:
-    return _of_benchmark(control.fitted_feedback(arguments))
-
-
 def _of_benchmark(law: Component) -> Component:
     """Return a control law that runs at time zero, with other defaults; gains are not checked: some of the benchmark chatter."""
     args = tuple(dataclasses.replace(arg, default=_DEFAULTS.get(arg.name, arg.default)) for arg in law.args)
-    return dataclasses.replace(law, args=args, check_tick=None, at_start=True, fit=_fitted_feedback)
+    return dataclasses.replace(
+        law, args=args, check_tick=None, at_start=True, fit=lambda arguments: _of_benchmark(control.fitted_feedback(arguments))
+    )
 
 
-def _fitted_allocation(arguments: Mapping[str, Any]) -> Component:
+def _fitted_allocation(arguments: Mapping[str, object]) -> Component:
     wheels = list(TRIAD) if arguments["wheels"] is None else arguments["wheels"]  # as those of the dynamics model
     return allocation.fitted_allocation({**arguments, "wheels": wheels})
 

@@ -60,7 +60,7 @@ __all__ = ["BenchSatellite", "CaseSatellites", "aeos_bench"]
 EPOCH = "2019 JAN 01 00:00:00.000 (UTC)"
 """Epoch of all cases."""
 
-FIXED: dict[str, Any] = dict(
+FIXED: dict[str, object] = dict(
     checkInertia=False,  # a seventh of the benchmark's inertias are those of no body
     omega_init=(0.0, 0.0, 0.0),
     mu=MU,
@@ -186,7 +186,7 @@ def aeos_bench(
     as_set: bool = False,
     haste: float = 1.0,
     obs_type: type | None = None,
-    **options: Any,
+    **options: object,
 ) -> ConstellationTasking:
     """Return AEOSBench-v1: cases of AEOS-Bench; see the module.
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-TEAM: dict[str, dict[str, Any]] = {
+TEAM: dict[str, dict[str, object]] = {
     "attention": dict(
         num_envs=16,
         rollout=36,

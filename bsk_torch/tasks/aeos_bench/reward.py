@@ -11,7 +11,7 @@ from typing_extensions import override
 from bsk_torch._checks import number, switch
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.scene.recorded import RecordedProgress
-from bsk_torch.sim.fleet import NEVER
+from bsk_torch.sim.run.encounters import NEVER
 from bsk_torch.tasks.aeos_bench.dyn import AEOSBenchTracedDynModel
 from bsk_torch.tasks.aeos_bench.scene import ASSIGNED, AWAITED, AEOSBench, Sights
 

@@ -41,7 +41,7 @@ def case_content(cases: Cases, row: int) -> dict[str, Any]:
     return {"constellation": {"orbits": orbits, "satellites": crafts}, "taskset": _tasks(cases, row)}
 
 
-def _satellite(craft: dict[str, Any], number: int, sensor: float, enabled: bool) -> dict[str, Any]:
+def _satellite(craft: dict[str, Any], number: int, sensor: float, enabled: bool) -> dict[str, object]:
     momenta = [J * TOP_SPEED * RPM for J in craft["rwJs"]]
     wheels = zip(
         craft["rwAxes_B"], momenta, craft["wheelSpeeds"], craft["rwBasePower"], craft["rwMechToElecEfficiency"], strict=True
@@ -81,7 +81,7 @@ def _satellite(craft: dict[str, Any], number: int, sensor: float, enabled: bool)
     }
 
 
-def _tasks(cases: Cases, row: int) -> list[dict[str, Any]]:
+def _tasks(cases: Cases, row: int) -> list[dict[str, object]]:
     x, y, z = (cases.places[row] / EARTH_RADIUS).unbind(-1)
     latitude, longitude = torch.rad2deg(torch.atan2(z, torch.hypot(x, y))), torch.rad2deg(torch.atan2(y, x))
     numbers = {name: values[row].tolist() for name, values in cases.tasks.items()}

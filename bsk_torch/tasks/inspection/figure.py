@@ -25,6 +25,7 @@ from bsk_torch.recording.table import Columns
 from bsk_torch.viz.episodes import Picture, TeamEpisode
 from bsk_torch.viz.figures.style import FAINT, INK, PALETTE, WIDTH, caption, dot, fit, headline, label, legend, save, tidy
 from bsk_torch.viz.figures.timeline import HOUR, NIGHT, hour_ticks
+from bsk_torch.viz.render.closeup import DARK
 
 __all__ = ["InspectionEpisode", "inspection_figure"]
 
@@ -57,9 +58,6 @@ LIT, BLANK = "#9aa3af", "#ffffff"
 
 ROUNDING = 1e-6
 """Difference, s, of times that are the same."""
-
-DARK = 0.5
-"""Visible fraction of the Sun below which the RSO is shown in the dark."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -23,7 +23,7 @@ FRAMES = ("chief_hill", "chief_body")
 
 
 def rso_imaged_regions(
-    servicer: SatelliteLike, chief: SatelliteLike, region_centers: Any = AXES, frame: str = "chief_hill"
+    servicer: SatelliteLike, chief: SatelliteLike, region_centers: object = AXES, frame: str = "chief_hill"
 ) -> Tensor:
     """Return the fraction of points in each region of the chief known by the servicer to be inspected, [N, R].
 

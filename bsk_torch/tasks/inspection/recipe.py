@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-INSPECTOR: dict[str, dict[str, Any]] = {
+INSPECTOR: dict[str, dict[str, object]] = {
     "attention": dict(
         num_envs=256,
         rollout=16,
@@ -19,7 +17,7 @@ INSPECTOR: dict[str, dict[str, Any]] = {
 }
 """For flying about a spacecraft from waypoint to waypoint. An inspection takes hours, and its end counts most."""
 
-CREW: dict[str, dict[str, Any]] = {
+CREW: dict[str, dict[str, object]] = {
     "attention": INSPECTOR["attention"] | dict(num_envs=128, minibatch=512, imitate="survey", imitation=0.3)
 }
 """For several inspectors, each step of whom takes longer: smaller batches, so that there are as many updates, and a rule to

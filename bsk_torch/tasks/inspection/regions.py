@@ -16,14 +16,12 @@ from bsk_torch.codegen.ir import Loop
 from bsk_torch.codegen.kernel import Kernel, Samples
 from bsk_torch.sim.component import Field, Track, vec
 from bsk_torch.sim.orbit.builder import KernelBuilder
+from bsk_torch.tasks.inspection.flags import TICK_NS
 from bsk_torch.vec3 import Vec3
 
 POINTS = Track("points", 1.0, (vec("r_PB_B", "m"),), count=1)
 FLAGS = Track("flags", 1.0, (Field("inspected"),), count=1)
 """What a tick of the kernel reads of a point."""
-
-TICK_NS = 1_000_000_000
-"""Length of a tick of the kernel, which counts points in seconds."""
 
 PACK = 2.0**20
 """More than there are points."""

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.comm.base import PEER
 from bsk_torch.sim.simulator import Simulator
-from bsk_torch.sim.tick.tracks import no_samples
+from bsk_torch.sim.tick.tracks import TrackSource, no_samples
 from bsk_torch.tasks.objects.dyn import RSO_TRACK
 from bsk_torch.tasks.objects.orbits import CatalogOrbits
 
@@ -16,7 +17,7 @@ AIM, NO_AIM = "rso_target", -1
 """Memory of satellites with the number of the object at which they point, and its value where they have pointed at none."""
 
 
-class AimedNodes:
+class AimedNodes(TrackSource):
     """Supplies the nodes of the objects at which the satellites of a simulation point; see ``Simulator.sources``."""
 
     def __init__(self, simulator: Simulator, orbits: CatalogOrbits) -> None:
@@ -29,8 +30,8 @@ class AimedNodes:
         self._key: tuple[Tensor, int, int] | None = None
         self._end = -1.0
 
+    @override
     def reach(self, time: Tensor) -> None:
-        """See :meth:`bsk_torch.sim.tick.tracks.TrackSource.reach`."""
         simulator, orbits = self._simulator, self._orbits
         key = simulator.mode, simulator.memory.version, orbits.version
         same = self._key is not None and key[0] is self._key[0] and key[1:] == self._key[1:]
@@ -53,6 +54,6 @@ class AimedNodes:
             self._nodes = no_samples(RSO_TRACK, simulator.state.rows, simulator.device)
         self._key, self._end = key, end
 
+    @override
     def samples(self) -> Samples:
-        """See :meth:`bsk_torch.sim.tick.tracks.TrackSource.samples`."""
         return self._nodes

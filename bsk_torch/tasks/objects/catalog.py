@@ -291,7 +291,7 @@ def _read(kind: Callable[..., Saved], values: Mapping[str, Any], name: str) -> t
     return tuple(objects)
 
 
-def _named_as_now(entry: Mapping[str, Any]) -> dict[str, Any]:
+def _named_as_now(entry: Mapping[str, Any]) -> dict[str, object]:
     """Return the entries of a target with the names of today; ValueError where old and new names disagree."""
     target = dict(entry)
     if "spacecraft_name" in target:

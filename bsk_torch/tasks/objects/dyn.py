@@ -11,8 +11,7 @@ while the image is in the store already: see :func:`expose` and :func:`check_hol
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -21,7 +20,7 @@ from bsk_torch.astro.eclipse import illumination
 from bsk_torch.astro.interpolate import BEFORE, COUNT, coefficients, position
 from bsk_torch.astro.sight import line_clearance, stretch
 from bsk_torch.constants import NANO
-from bsk_torch.sim.component import Arg, Bus, Component, Field, Track, Values, vec
+from bsk_torch.sim.component import Arg, Bus, Component, Field, Track, UserArguments, Values, vec
 from bsk_torch.sim.dyn.models import ImagingDynModel
 from bsk_torch.sim.dyn.storage import partitions
 from bsk_torch.sim.dyn.storage import store as storage
@@ -139,13 +138,13 @@ def expose(bus: Bus) -> None:
     data stay in the store.
     """
     open_ = bus.rso_open > 0.0
-    left = open_ & (bus.rso_taken <= 0.0)  # which a command has set to zero
-    bus.rso_left = torch.where(left, bus.rso_left + 1.0, bus.rso_left)
-    bus.rso_left_target = torch.where(left, bus.rso_open - 1.0, bus.rso_left_target)
+    gives_up = open_ & (bus.rso_taken <= 0.0)  # which a command has set to zero
+    bus.rso_left = torch.where(gives_up, bus.rso_left + 1.0, bus.rso_left)
+    bus.rso_left_target = torch.where(gives_up, bus.rso_open - 1.0, bus.rso_left_target)
     fires = bus.rso_fired > 0.0
     stored = fires & (bus.storage + bus.instrument_baud <= bus.storage_capacity)
     target = bus.data_partition if bus.has("data_partition") else torch.zeros_like(bus.rso_open)
-    still = torch.where(left, torch.zeros_like(bus.rso_open), bus.rso_open)
+    still = torch.where(gives_up, torch.zeros_like(bus.rso_open), bus.rso_open)
     bus.rso_open = torch.where(stored, target.to(still.dtype) + 1.0, still)
     bus.rso_stored_tick = torch.where(stored, bus.ticks, bus.rso_stored_tick)
     bus.instrument_command = torch.where(fires, torch.ones_like(bus.instrument_command), bus.instrument_command)
@@ -236,7 +235,7 @@ def _with_small_packets(transmitter: Component) -> Component:
     fit = partitions.TRANSMITTER.fit
     assert fit is not None
 
-    def fitted(arguments: Mapping[str, Any]) -> Component:
+    def fitted(arguments: UserArguments) -> Component:
         return _with_small_packets(fit(arguments))
 
     return dataclasses.replace(transmitter, args=args, fit=fitted)

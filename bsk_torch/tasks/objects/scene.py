@@ -17,7 +17,7 @@ from bsk_torch._checks import function, switch, text
 from bsk_torch.astro.eclipse import illumination
 from bsk_torch.astro.ephemeris import parse_utc
 from bsk_torch.astro.sight import line_clearance, stretch
-from bsk_torch.rand import Key, PerEnv
+from bsk_torch.rand import MONTHS, Key, PerEnv
 from bsk_torch.sats.bound import BoundSatellite, SatelliteFleet
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Memo, Scenario, Value
@@ -32,7 +32,7 @@ from bsk_torch.tasks.objects.candidates import Candidates, Moment, Views, in_ord
 from bsk_torch.tasks.objects.catalog import RandomRSOCatalog, RSOTarget, RSOTargetCatalog
 from bsk_torch.tasks.objects.dyn import RSO_TRACK, SpaceToSpaceImagingDynModel
 from bsk_torch.tasks.objects.fsw import SpaceToSpaceImagingFSWModel
-from bsk_torch.tasks.objects.orbits import CatalogOrbits, Epoch, ObjectStates
+from bsk_torch.tasks.objects.orbits import CatalogOrbits, Epoch
 from bsk_torch.tasks.objects.outlook import Outlook, elevation, image_end
 from bsk_torch.tasks.objects.records import RecordBook
 from bsk_torch.vec3 import Vec3
@@ -49,8 +49,6 @@ OWN_PENDING = "rso_own_pending"
 
 KNOWLEDGE = ("common", "own")
 """What candidates follow from: all images, or those of which an imager knows."""
-
-MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
 
 PREFIX = "rso_"
 """Beginning of the names of partitions."""
@@ -183,7 +181,7 @@ class RSOTargets(Scenario):
     # -- satellites ---------------------------------------------------------------------------------------------------
 
     @override
-    def _own_arguments(self, satellite: Satellite) -> dict[str, Any]:
+    def _own_arguments(self, satellite: Satellite) -> dict[str, object]:
         if satellite.name not in self.imager_names:
             return {}
         return {"bufferNames": [partition_name(key) for key in self.ids], "transmitterNumBuffers": self.n_targets}
@@ -437,7 +435,10 @@ class RSOTargets(Scenario):
 
     def views(self, satellite: BoundSatellite, candidates: Candidates) -> Views:
         """Return what satellites of a type see of their candidates, [n, k, ...] each."""
-        return views(*self._states_of(satellite, candidates), self._moment(satellite))
+        now = self.fleet.sim_time
+        self._positions()  # which catch up
+        states = self.orbits.states(self._envs(satellite), candidates.place, now, (now - self.fleet.h).clamp(min=0.0))
+        return views(*states, self._moment(satellite))
 
     def outlook(self, satellite: BoundSatellite, candidates: Candidates) -> Outlook:
         """Return what satellites of a type can expect of images of their candidates that they begin now, [n, k] each."""
@@ -448,12 +449,6 @@ class RSOTargets(Scenario):
         light = illumination(end.r_TN_N, Vec3.of(at.r_SN_N.unsqueeze(1)))
         clear = candidates.exists & self._clear(satellite, end.r_TN_N, end.r_BN_N)
         return Outlook(end.duration, elevation(end.r_TN_N, end.r_BN_N), light, clear.double())
-
-    def _states_of(self, satellite: BoundSatellite, candidates: Candidates) -> ObjectStates:
-        """Return the states of the candidates of each satellite of a type, now and one tick ago."""
-        now = self.fleet.sim_time
-        self._positions()  # which catch up
-        return self.orbits.states(self._envs(satellite), candidates.place, now, (now - self.fleet.h).clamp(min=0.0))
 
     @staticmethod
     def _envs(satellite: BoundSatellite) -> Tensor:

@@ -12,7 +12,7 @@ from bsk_torch._checks import number, whole
 from bsk_torch.astro.orbit import hill_frame
 from bsk_torch.obs.base import Observation, Values
 from bsk_torch.sats.bound import BoundSatellite
-from bsk_torch.sim.fleet import NEVER
+from bsk_torch.sim.run.encounters import NEVER
 from bsk_torch.sim.state import FINITE
 from bsk_torch.tasks.objects.records import AGO, CAPTURED, RecordBook
 from bsk_torch.tasks.objects.scene import RSOTargets, check_imager

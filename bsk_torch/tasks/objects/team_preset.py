@@ -94,7 +94,7 @@ from bsk_torch.tasks.objects.preset import (
 from bsk_torch.tasks.objects.radio import CatalogRadioDynModel
 from bsk_torch.tasks.objects.scene import RSOTargets
 from bsk_torch.tasks.objects.team_act import TransmitCatalog
-from bsk_torch.tasks.objects.team_obs import RSOPeers, RSOTaskStatus
+from bsk_torch.tasks.objects.team_obs import LONG, RSOPeers, RSOTaskStatus
 from bsk_torch.tasks.objects.team_reward import RSOTeamReward
 
 COMMUNICATORS = {"independent": comm.NoCommunication, "ideal": comm.FreeCommunication, "radio": CatalogCommunication}
@@ -102,9 +102,6 @@ COMMUNICATORS = {"independent": comm.NoCommunication, "ideal": comm.FreeCommunic
 
 RETASKING = ("conflict", "continuous")
 """When busy imagers decide."""
-
-LONG = 12000.0
-"""Time by which ages are divided, s."""
 
 EARTH = 6371e3
 """Radius above which altitudes are counted, m."""

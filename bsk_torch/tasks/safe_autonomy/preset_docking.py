@@ -247,7 +247,7 @@ def names_of(deputies: int) -> list[str]:
 
 
 def cw_docking(
-    *, deputies: int = 1, assurance: str | None = None, sat_args: dict[str, Any] | None = None, **options: object
+    *, deputies: int = 1, assurance: str | None = None, sat_args: dict[str, object] | None = None, **options: object
 ) -> SatelliteTasking | ConstellationTasking:
     """Return CWDocking-v1; see the module.
 

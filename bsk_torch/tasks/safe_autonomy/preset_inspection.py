@@ -250,7 +250,7 @@ DEPUTIES: dict[str | None, type[sats.Satellite]] = {None: InspectionDeputy, "asi
 
 
 def cw_inspection(
-    *, deputies: int = 1, assurance: str | None = None, sat_args: dict[str, Any] | None = None, **options: object
+    *, deputies: int = 1, assurance: str | None = None, sat_args: dict[str, object] | None = None, **options: object
 ) -> SatelliteTasking | ConstellationTasking:
     """Return CWInspection-v1; see the module.
 

@@ -7,7 +7,6 @@ from io import BytesIO
 from itertools import pairwise
 from math import isfinite
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -89,7 +88,7 @@ def _heighten(figure: Figure, added: Sequence[Artist]) -> None:
     figure.set_figheight(figure.get_figheight() + height)
 
 
-def legend(owner: Figure | Axes, handles: Sequence[Artist], width: float, columns: int = 5, **place: Any) -> None:
+def legend(owner: Figure | Axes, handles: Sequence[Artist], width: float, columns: int = 5, **place: object) -> None:
     """Write a legend below the panels of a figure that is otherwise finished, or at a ``place`` of a panel.
 
     At most so many ``columns`` stand side by side, fewer where they do not fit into the ``width``, inches. Figures narrower than

@@ -15,15 +15,13 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from bsk_torch._text import visible
 from bsk_torch.files import write_file
+from bsk_torch.rl.evaluation.results import TRAINED
 from bsk_torch.viz.episodes import Episode, episode_of
 from bsk_torch.viz.report.curves import MARKED, MEASURES, Columns, Measure, curve, deaths_chart, plain_cause, shown
 
 __all__ = ["Chosen", "RunData", "episode_of", "write_report"]
 
 TEMPLATE = "report.html.jinja"
-
-TRAINED = "trained"
-"""Name of the run's policy in the final evaluation."""
 
 PAPER_SPEED = "The paper reports 103,000 steps and 165.5 simulated days per core and hour (Apple M2 Pro)."
 """Source: section 4.2 of the BSK-RL paper."""
@@ -198,7 +196,10 @@ def table(results: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]]
     """Return the cells of the table of the final evaluation, by policy and column; columns without numbers are left out."""
     gain = results.get(TRAINED, {}).get("gain", {})
     mortal = any(result.get("deaths") for result in results.values())
-    rows = {policy: _row(result, mortal) | {f"gain of {TRAINED}": _gain(gain.get(policy))} for policy, result in results.items()}
+    rows = {
+        policy: _row(result, mortal) | {f"gain of {TRAINED}": interval(gain[policy], "+") if policy in gain else ""}
+        for policy, result in results.items()
+    }
     columns = dict.fromkeys(name for row in rows.values() for name in row)
     filled = [name for name in columns if any(row.get(name, "") for row in rows.values())]
     return {policy: {name: row.get(name, "") or "–" for name in filled} for policy, row in rows.items()}
@@ -219,10 +220,6 @@ def survival(result: Mapping[str, Any]) -> str:
         return ""
     limits = " to ".join(f"{limit:.1%}" for limit in result.get("survival_interval", ()))
     return f"{result['survival']:.1%}" + f" ({limits})" * bool(limits)
-
-
-def _gain(estimate: Mapping[str, float] | None) -> str:
-    return interval(estimate, "+") if estimate else ""
 
 
 def _number(value: object) -> bool:

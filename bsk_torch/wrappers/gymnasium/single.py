@@ -88,7 +88,7 @@ class GymEnv(GymEpisode):
         check_begun(self.core, "action_masks()")
         return as_numpy(self.core.satellite.action_mask()[0])
 
-    def _observation(self, results: Results) -> Any:
+    def _observation(self, results: Results) -> object:
         return map_leaves(results["observation"][0], as_numpy)
 
     def _info(self, results: Results) -> dict[str, Any]:

@@ -110,7 +110,7 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     # -- reset --------------------------------------------------------------------------------------------------------
 
     def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, object] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Start episodes.
 
@@ -199,14 +199,14 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     # -- output -------------------------------------------------------------------------------------------------------
 
-    def _export(self, value: Tensor) -> Any:
+    def _export(self, value: Tensor) -> object:
         return value.clone() if self.output == "torch" else as_numpy(value)
 
-    def _number(self, value: Tensor) -> Any:
+    def _number(self, value: Tensor) -> object:
         """Return numbers [N] of a column [N, 1]; Gymnasium's arrays of rewards are float64."""
         return self._export(value.squeeze(-1) if self.output == "torch" else value.squeeze(-1).double())
 
-    def _observation(self, results: TensorDictBase) -> Any:
+    def _observation(self, results: TensorDictBase) -> object:
         return map_leaves(results["observation"], self._export)
 
     def _info(self, results: TensorDictBase, rows: Tensor) -> dict[str, Any]:
@@ -223,7 +223,7 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         }
         return values | {f"_{name}": self._export(rows) for name in values}
 
-    def _measured(self, ended: Tensor) -> dict[str, Any]:
+    def _measured(self, ended: Tensor) -> dict[str, object]:
         """Return the metrics of the episodes that have ``ended`` [N] bool; nothing where none has."""
         if not bool(ended.any()):
             return {}
@@ -232,7 +232,7 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             f"_{METRICS}": self._export(ended)
         }
 
-    def _last_observation(self, observation: Any, ended: Tensor) -> Any:
+    def _last_observation(self, observation: Any, ended: Tensor) -> object:
         if self.output == "torch":
             return map_leaves(observation, torch.clone)
         rows, on_host = np.full(self.num_envs, None, dtype=object), observation.cpu()

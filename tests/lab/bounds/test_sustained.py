@@ -10,27 +10,22 @@ import torch
 
 from bsk_torch import make
 from bsk_torch.astro.frames import angle_between
-from bsk_torch.lab.bounds import (
-    SUSTAINED,
-    Envelope,
-    ImageSequences,
-    imaging_bound,
-    lateness,
-    leads,
-    record_images,
-    record_transitions,
-    sustained_envelope,
-)
+from bsk_torch.lab.bounds import SUSTAINED, Envelope, imaging_bound, record_transitions
 from bsk_torch.lab.bounds.envelope import pointing, sector_from
 from bsk_torch.lab.bounds.graph import image_graph
 from bsk_torch.lab.bounds.paths import best_paths
-from bsk_torch.lab.bounds.sustained import NODES, SPACING, _later, bins_of
 from bsk_torch.lab.bounds.windows import openings, satellite_positions
 from bsk_torch.lab.planners import planner
 from bsk_torch.rl.evaluation import evaluate
 from bsk_torch.rl.policies import pretrained
 from bsk_torch.rl.rules.baselines import BASELINES
 from tests.lab.bounds.test_bounds import HALF_ORBIT, SEED, Tiny, envelope
+from tests.support.benchmarks import benchmark
+
+image_leads = benchmark("image_leads")
+ImageSequences, NODES, SPACING = image_leads.ImageSequences, image_leads.NODES, image_leads.SPACING
+bins_of, lateness, leads, later = image_leads.bins_of, image_leads.lateness, image_leads.leads, image_leads._later
+record_images, sustained_envelope = image_leads.record_images, image_leads.sustained_envelope
 
 SLOW = (3, 6, 6, 9, 10, 10, 12, 12, 13, 13)
 """Longer times than those of the tiny tasks."""
@@ -186,7 +181,7 @@ def test_positions_between_the_recorded_ones_are_good_to_meters():
     images = record_images(env, BASELINES["hasty"](env, 0), SEED)
     later = torch.tensor([3, 3 * SPACING // 2, 2 * SPACING + 5, (NODES - 1) * SPACING])
     exact = satellite_positions(env.satellite, torch.arange(4), (images.tick[:, 0] + later) * env.simulator.h)
-    assert float((_later(images.r_P[:, 0], later) - exact).norm(dim=1).max()) < 10.0
+    assert float((later(images.r_P[:, 0], later) - exact).norm(dim=1).max()) < 10.0
 
 
 def assert_in_time(images: ImageSequences, times: Envelope, env: Any) -> None:

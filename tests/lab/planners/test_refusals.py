@@ -21,13 +21,12 @@ from bsk_torch.lab.bounds import (
     record_transitions,
     relaxed_schedule,
     scanning_bound,
-    sustained_envelope,
 )
 from bsk_torch.lab.planners import BeamSearch, CrossEntropy, Rollout, TreeSearch, planner, redraw_clouds
 from bsk_torch.lab.risk.estimate import risk
 from bsk_torch.sim import fsw
 from tests.lab.bounds.test_bounds import envelope
-from tests.lab.bounds.test_sustained import fitted, flights
+from tests.lab.bounds.test_sustained import fitted, flights, sustained_envelope
 from tests.lab.planners.conftest import scanning
 from tests.support.refusals import check_refusals, refusal
 

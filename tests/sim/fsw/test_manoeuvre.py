@@ -20,7 +20,7 @@ def test_burns_are_clipped_to_the_tank_which_is_composed_with_other_software():
         torch.tensor([[3.0, 4.0, 0.0], [3.0, 4.0, 0.0], [0.0, 0.0, 0.0]]).double(), torch.tensor([10.0, 2.5, 0.0]).double()
     )
     assert torch.allclose(done.dv_N, torch.tensor([[3.0, 4.0, 0.0], [1.5, 2.0, 0.0], [0.0, 0.0, 0.0]]).double(), atol=1e-15)
-    assert (done.left.tolist(), done.clipped.tolist()) == ([5.0, 0.0, 0.0], [False, True, False])
+    assert (done.remaining.tolist(), done.clipped.tolist()) == ([5.0, 0.0, 0.0], [False, True, False])
     names = [component.slot for component in Imager.get_fsw_type().all_components()]
     assert "manoeuvre" in names
     assert "location_pointing" in names

@@ -19,8 +19,6 @@ from scipy.spatial.transform import Rotation
 from bsk_torch.sim.names import nearest
 
 M_PI = math.pi
-D2R = math.pi / 180.0
-R2D = 180.0 / math.pi
 
 Convert = Callable[[ArrayLike], np.ndarray]
 

@@ -40,18 +40,18 @@ def load_torch_mlp_policy(policy_path: object, policy_name: str = "default_agent
     )
 
 
-def _split(env_config: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+def _split(env_config: Mapping[str, object]) -> tuple[dict[str, Any], dict[str, Any]]:
     arguments = dict(env_config)
     return arguments, {name: arguments.pop(name) for name in CALLBACKS if name in arguments}
 
 
-def satellite_tasking(env_config: Mapping[str, Any]) -> EpisodeDataWrapper:
+def satellite_tasking(env_config: Mapping[str, object]) -> EpisodeDataWrapper:
     """Return a ``SatelliteTasking`` with metrics, from RLlib's ``env_config``."""
     arguments, callbacks = _split(env_config)
     return EpisodeDataWrapper(SatelliteTasking(**arguments), **callbacks)
 
 
-def constellation_tasking(env_config: Mapping[str, Any]) -> Any:
+def constellation_tasking(env_config: Mapping[str, object]) -> Any:
     """Return a ``ConstellationTasking`` with metrics, as RLlib wants it, from its ``env_config``."""
     from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
 

@@ -39,7 +39,7 @@ class EpisodeDataLogger(metrics.EpisodeDataLogger):
         if self.metrics_logger is not None:
             self.log()
 
-    def reset(self, **kwargs: Any) -> Any:
+    def reset(self, **kwargs: object) -> Any:
         """Give the metrics of the episode that has ended to the logger, and begin the next one."""
         if self.logs_to_skip > 0:
             self.logs_to_skip -= 1

@@ -10,7 +10,7 @@ from torch import Tensor
 from bsk_torch.astro.roots import find_root
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.sim.access.light.next_eclipses import next_eclipses
-from bsk_torch.sim.access.visibility.backend import Visibility
+from bsk_torch.sim.access.visibility.interface import Visibility
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits
 from bsk_torch.sim.access.windows.padded import tabulate
 from bsk_torch.sim.orbit.arcs import Arcs
@@ -183,8 +183,8 @@ class EclipseTable(StateTable):
         searched = torch.where(early, first, torch.where(late, second, third))
         known = last <= self.known
         self.sampled, self.known = torch.where(known, self.sampled, searched), torch.where(known, self.known, searched)
-        found = known | early | late
-        return torch.where(found, start, NOT_FOUND), torch.where(found, end, NOT_FOUND)
+        within_reach = known | early | late
+        return torch.where(within_reach, start, NOT_FOUND), torch.where(within_reach, end, NOT_FOUND)
 
 
 def _crossing(depth: Tensor, row: Tensor, sample: Tensor) -> Tensor:

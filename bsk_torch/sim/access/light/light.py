@@ -65,14 +65,14 @@ def parts_where(margin: Margin, passes: Passes) -> Passes:
     f_a, f_b = (f_m.index_put((near,), f) for f in margin(number[near].repeat(2), torch.cat([a[near], b[near]])).chunk(2))
     after = f_b > 0.0
     before = torch.where(k == 0, f_a > 0.0, after.roll(1))
-    edges, found = torch.stack([a, m, m, b], -1), torch.zeros(len(k), 4, dtype=torch.bool, device=k.device)
-    found[:, 0], found[:, 3] = before & (k == 0), after & (k + 1 == count)
+    edges, is_edge = torch.stack([a, m, m, b], -1), torch.zeros(len(k), 4, dtype=torch.bool, device=k.device)
+    is_edge[:, 0], is_edge[:, 3] = before & (k == 0), after & (k + 1 == count)
     piece = _Pieces(number[near], *(x[near] for x in (a, m, b, f_a, f_m, f_b, before, after)))
-    edges[near, 1:3], found[near, 1:3] = piece.crossings(margin)
+    edges[near, 1:3], is_edge[near, 1:3] = piece.crossings(margin)
     # edges of a pass, in this order, begin and end a part in turn
-    own, opens, closes = number[torch.nonzero(found)[::2, 0]], edges[found][::2], edges[found][1::2]
+    run, opens, closes = number[torch.nonzero(is_edge)[::2, 0]], edges[is_edge][::2], edges[is_edge][1::2]
     long = closes > opens
-    return Passes(passes.row[own][long], passes.place[own][long], opens[long], closes[long])
+    return Passes(passes.row[run][long], passes.place[run][long], opens[long], closes[long])
 
 
 class _Pieces(NamedTuple):

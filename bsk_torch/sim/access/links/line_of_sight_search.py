@@ -59,7 +59,7 @@ class FlownOrbits(NamedTuple):
 
 
 def flown_positions(arcs: Arcs, rows: Tensor, time: Tensor, use_kernels: bool) -> Tensor:
-    """See :meth:`FlownOrbits.positions`."""
+    """Return positions in N, [m, 3] m, of rows [m] of arcs at times [m] s since reset; see :meth:`FlownOrbits.positions`."""
     path = Samples(arcs.flown, arcs.start - LEAD_NODES * NODE_SPACING, rows)
     if use_kernels:
         state = time.expand(4, -1).clone()
@@ -144,17 +144,17 @@ class LineOfSightSearch:
 
     def _poles(self, tick: Tensor) -> Tensor:
         """Return the Earth's axis in N, [N, 3], at ticks [N], by the ephemeris of the first satellite that is present."""
-        envs, found = torch.arange(len(tick), device=tick.device), None
+        envs, poles = torch.arange(len(tick), device=tick.device), None
         for part in reversed(self.types if self.present is not None else self.types[:1]):
             rows = envs * len(part.columns)
             if part.present is None:
-                found = pole_directions(part.arcs, rows, self._time(tick), self.h_ns)
+                poles = pole_directions(part.arcs, rows, self._time(tick), self.h_ns)
                 continue
-            there = part.present.view(len(tick), -1)
-            mine = pole_directions(part.arcs, rows + there.long().argmax(1), self._time(tick), self.h_ns)
-            found = mine if found is None else torch.where(there.any(1, keepdim=True), mine, found)
-        assert found is not None
-        return found
+            is_present = part.present.view(len(tick), -1)
+            of_type = pole_directions(part.arcs, rows + is_present.long().argmax(1), self._time(tick), self.h_ns)
+            poles = of_type if poles is None else torch.where(is_present.any(1, keepdim=True), of_type, poles)
+        assert poles is not None
+        return poles
 
     def _time(self, tick: Tensor) -> Tensor:
         return (tick * self.h_ns).double() * NANO
@@ -164,11 +164,11 @@ class LineOfSightSearch:
         time, number = self._time(tick), self.number_in_type[satellite]
         if len(self.types) == 1:
             return Vec3.of(self.types[0].positions(env * self.size + number, time))
-        found = time.new_empty(len(time), 3)
+        r_BN_N = time.new_empty(len(time), 3)
         for part in self.types:
-            mine = torch.nonzero(torch.isin(satellite, part.columns)).squeeze(-1)
-            found[mine] = part.positions(env[mine] * len(part.columns) + number[mine], time[mine])
-        return Vec3.of(found)
+            rows = torch.nonzero(torch.isin(satellite, part.columns)).squeeze(-1)
+            r_BN_N[rows] = part.positions(env[rows] * len(part.columns) + number[rows], time[rows])
+        return Vec3.of(r_BN_N)
 
     def _pole(self, env: Tensor, tick: Tensor) -> Vec3:
         """Return the Earth's axis in N at ticks [m] of episodes [m]; it moves by 1e-4 rad a year, so it is interpolated."""
@@ -184,11 +184,11 @@ class LineOfSightSearch:
         now = SatellitePositions.of(self._positions(env, satellite, at), pole).map(by_episode)
         before = SatellitePositions.of(self._positions(env, satellite, (at - 1).clamp(min=0)), pole).map(by_episode)
         rows = []
-        for mine in torch.arange(s, device=envs.device).split(max(1, self.block // (n * s))):
-            own = now.map(lambda x, mine=mine: x[..., mine].mT)  # type: ignore[misc]
-            other = before.where(mine.unsqueeze(-1) < torch.arange(s, device=envs.device), now)
-            max_range = None if self.max_range is None else self.max_range[envs][:, mine].unsqueeze(-1)
-            rows.append(visibility_margin(own, other, max_range))
+        for columns in torch.arange(s, device=envs.device).split(max(1, self.block // (n * s))):
+            one = now.map(lambda x, columns=columns: x[..., columns].mT)  # type: ignore[misc]
+            other = before.where(columns.unsqueeze(-1) < torch.arange(s, device=envs.device), now)
+            max_range = None if self.max_range is None else self.max_range[envs][:, columns].unsqueeze(-1)
+            rows.append(visibility_margin(one, other, max_range))
         return torch.cat(rows, 1)
 
     def pair_margins(self, pairs: SatellitePairs, tick: Tensor) -> Tensor:
@@ -208,8 +208,8 @@ class LineOfSightSearch:
         r_BN_N = self._positions(env.repeat(2), *(torch.cat(part) for part in zip(*looks, strict=True)))
         halves = zip(*(x.chunk(2) for x in r_BN_N), strict=True)
         pole = self._pole(env, tick)
-        own, other = (SatellitePositions.of(Vec3(*part), pole) for part in halves)
-        return visibility_margin(own, other, None if self.max_range is None else self.max_range[env, i])
+        one, other = (SatellitePositions.of(Vec3(*part), pole) for part in halves)
+        return visibility_margin(one, other, None if self.max_range is None else self.max_range[env, i])
 
     def visible_pairs(self, envs: Tensor, directed: bool = False) -> Tensor:
         """Return the pairs with a line of sight at any tick of episodes ``envs`` [n]; [n, S, S] booleans.
@@ -221,36 +221,36 @@ class LineOfSightSearch:
         if not directed:
             ends = torch.maximum(ends[0], ends[0].mT), torch.maximum(ends[1], ends[1].mT)
         others = ~torch.eye(self.size, dtype=torch.bool, device=envs.device)
-        found = ((ends[0] > 0.0) | (ends[1] > 0.0)) & others
+        is_visible = ((ends[0] > 0.0) | (ends[1] > 0.0)) & others
         speeds, length = torch.maximum(speed.unsqueeze(1), speed.unsqueeze(2)), (last - first).view(-1, 1, 1)
         possible = (length > 1) & (ends[0] + ends[1] > -speeds * length) & others
         if self.present is not None:
             both = self.present[envs].unsqueeze(1) & self.present[envs].unsqueeze(2)
-            found, possible = found & both, possible & both
-        possible &= ~found
+            is_visible, possible = is_visible & both, possible & both
+        possible &= ~is_visible
         margins = self.view_margins if directed else self.pair_margins
         for part in torch.nonzero(possible if directed else possible.triu(1)).split(self.block):
             n, i, j = part.unbind(-1)
             numbers = torch.arange(len(n), device=n.device)
             whole = TickIntervals(numbers, first[n], last[n], *(end[n, i, j] for end in ends))
-            found[n, i, j] = self._search(SatellitePairs(envs[n], i, j), speeds[n, i, j], whole, margins)
-        return found if directed else found | found.mT
+            is_visible[n, i, j] = self._search(SatellitePairs(envs[n], i, j), speeds[n, i, j], whole, margins)
+        return is_visible if directed else is_visible | is_visible.mT
 
     def _search(self, pairs: SatellitePairs, speed: Tensor, intervals: TickIntervals, margins: Margins) -> Tensor:
         """Return the pairs, [p] booleans, with a positive margin inside one of the intervals.
 
         Margins change by at most ``speed`` [p] m a tick; see the formula at the top of the module.
         """
-        found = torch.zeros_like(pairs.env, dtype=torch.bool)
+        is_visible = torch.zeros_like(pairs.env, dtype=torch.bool)
         while len(intervals.pair):
             middle = (intervals.first + intervals.last) // 2
             margin = margins(pairs.take(intervals.pair), middle)
-            found[intervals.pair[margin > 0.0]] = True
+            is_visible[intervals.pair[margin > 0.0]] = True
             halves = (intervals._replace(last=middle, margin_last=margin), intervals._replace(first=middle, margin_first=margin))
             intervals = TickIntervals(*map(torch.cat, zip(*halves, strict=True)))
             length = intervals.last - intervals.first
             total = intervals.margin_first + intervals.margin_last
-            possible = (length > 1) & (total > -speed[intervals.pair] * length) & ~found[intervals.pair]
+            possible = (length > 1) & (total > -speed[intervals.pair] * length) & ~is_visible[intervals.pair]
             index = torch.nonzero(possible).squeeze(-1)
             intervals = TickIntervals(*[part[index] for part in intervals])
-        return found
+        return is_visible

@@ -129,16 +129,16 @@ def searched_by_interval(
     ``samples`` [K, 3] are Earth-fixed positions, m, every 30 s from ``start`` s on, ``edges`` the begin of the first interval
     and the ends of all, s, ``places`` [P, 3] Earth-fixed positions, m, and ``least`` [P] the least elevations, rad.
     """
-    times, found = start + PLAN_STEP * np.arange(len(samples), dtype=np.float64), dict[int, list[Window]]()
+    times, windows_of = start + PLAN_STEP * np.arange(len(samples), dtype=np.float64), dict[int, list[Window]]()
     for begin, end in itertools.pairwise(edges):
         first, last = (round((edge - start) / PLAN_STEP) for edge in (begin, end))
         track = Interpolator(times[: last + 1], samples[: last + 1])  # the orbit has been propagated so far
         within = slice(first, last + 1)
         for place, near in enumerate(near_samples(samples[within], places, least)):
             error = elevation_error(track, places[place], float(least[place]))
-            known = found.setdefault(place, [])
+            earlier = windows_of.setdefault(place, [])
             for span in near_spans(near, times[within]):
                 for opens, closes in windows_in(error, span, (begin, end)):
-                    joined = next((k for k, window in enumerate(known) if opens == begin == window[1]), None)
-                    known.append((opens if joined is None else known.pop(joined)[0], closes))
-    return [(place, *window) for place, windows in found.items() for window in windows]
+                    joined = next((k for k, window in enumerate(earlier) if opens == begin == window[1]), None)
+                    earlier.append((opens if joined is None else earlier.pop(joined)[0], closes))
+    return [(place, *window) for place, windows in windows_of.items() for window in windows]

@@ -15,8 +15,8 @@ from torch import Tensor
 from bsk_torch.astro.geodetic import LARGEST_DEFLECTION
 from bsk_torch.astro.sight import max_central_angle
 from bsk_torch.codegen.kernel import Samples
-from bsk_torch.sim.access.visibility.backend import Visibility
 from bsk_torch.sim.access.visibility.geometry import ABOVE_LIMIT, RISE, SAMPLES_PER_CELL, SET, SHORT_PASS, SearchCells
+from bsk_torch.sim.access.visibility.interface import Visibility
 from bsk_torch.sim.access.visibility.pairs import Brackets, PlacePairs
 from bsk_torch.sim.access.windows.padded import argsort_by_group
 from bsk_torch.sim.orbit.grid import PLAN_STEP
@@ -106,13 +106,13 @@ def _products_above(middle: Tensor, places: Tensor, limit: Tensor) -> tuple[Tens
     """
     room = SCREEN_PRODUCTS if middle.device.type == "cpu" else DEVICE_SCREEN_PRODUCTS
     at_once = max(1, room // (middle.shape[1] * places.shape[1]))
-    found = []
+    crossings = []
     for first in range(0, len(middle), at_once):
         part = slice(first, first + at_once)
         near = middle[part] @ (places if len(places) == 1 else places[part]).mT > limit[part].unsqueeze(-1)
         row, cell, place = torch.nonzero(near, as_tuple=True)
-        found.append((row + first, place, cell))
-    row, place, cell = (torch.cat(parts) for parts in zip(*found, strict=True))
+        crossings.append((row + first, place, cell))
+    row, place, cell = (torch.cat(parts) for parts in zip(*crossings, strict=True))
     return row, place, cell
 
 
@@ -156,8 +156,8 @@ class PassSearch:
     def _above_limit_at(self, sample: int) -> CrossingEvents:
         """Return the pairs that are above the limit at the first or at the last sample."""
         row, place, k = self._with_code(ABOVE_LIMIT)
-        there = k == sample
-        return CrossingEvents(row[there], place[there], self.track.time(row, k)[there])
+        at_edge = k == sample
+        return CrossingEvents(row[at_edge], place[at_edge], self.track.time(row, k)[at_edge])
 
     def _crossings(self, bit: int) -> CrossingEvents:
         row, place, k = self._with_code(bit)

@@ -58,11 +58,11 @@ def find_passes(places: Places, rows: Tensor, track: GroundTrack) -> Passes:
     """
     cells = -(-(track.r_BP_P.shape[1] - 1) // CELL_SAMPLES)
     at_once = max(1, SCREENED // (cells * places.count))
-    found = []
+    found_passes = []
     for part in torch.arange(len(rows), device=rows.device).split(at_once):
         passes = _Search(places, rows[part], GroundTrack(*(table[part] for table in track))).passes()
-        found.append(passes._replace(row=passes.row + part[0]))
-    return Passes(*(torch.cat(parts) for parts in zip(*found, strict=True)))
+        found_passes.append(passes._replace(row=passes.row + part[0]))
+    return Passes(*(torch.cat(parts) for parts in zip(*found_passes, strict=True)))
 
 
 class _Search:
@@ -128,9 +128,9 @@ class _Search:
         row, place, cell = self.screened()
         runs, run = self.runs(row, place, cell)
         sample = cell.unsqueeze(-1) * CELL_SAMPLES + torch.arange(CELL_SAMPLES + 2, device=row.device)
-        known = sample.clamp(max=self.samples - 1)
+        nearest = sample.clamp(max=self.samples - 1)
         time = self.track.time(row.unsqueeze(-1), sample)
-        sight = self.sight(row, place.unsqueeze(-1), time, self.track.r_BP_P[row.unsqueeze(-1), known])
+        sight = self.sight(row, place.unsqueeze(-1), time, self.track.r_BP_P[row.unsqueeze(-1), nearest])
         first, last = (self.track.time(row, part[run]) for part in (runs.first, runs.last))
         begin = self.track.time(row, CELL_SAMPLES * cell)
         cells = SearchCells(begin, torch.minimum(begin + PLAN_STEP * CELL_SAMPLES, last), first, last)
@@ -146,16 +146,16 @@ class _Search:
         b = time[k, j]
         f = self.margin_near(clearance, runs.row[run[k]], runs.place[run[k]], b)
         root = find_root(f, b - PLAN_STEP, b, margin[k, j - 1], margin[k, j], ROOT_ITERATIONS, BISECTIONS)
-        found = [(run[k], root, _signs((codes[k, j] & RISE) > 0, time))]
+        edges = [(run[k], root, _signs((codes[k, j] & RISE) > 0, time))]
         k, j = torch.nonzero(codes & ABOVE_LIMIT, as_tuple=True)
         at_start = time[k, j] < cells.search_begin[k] + 0.5 * PLAN_STEP
-        found.append((run[k], time[k, j], _signs(at_start, time)))
+        edges.append((run[k], time[k, j], _signs(at_start, time)))
         both = torch.cat([codes & SHORT_PASS, mirrored & SHORT_PASS])
         k, j = torch.nonzero(both, as_tuple=True)
         sign = _signs(k < len(codes), time)
         k = torch.where(k < len(codes), k, k - len(codes))
-        found.append(self._short(clearance, runs, run[k], time[k, j] - PLAN_STEP, sign))
-        return Edges(*(torch.cat(columns) for columns in zip(*found, strict=True)))
+        edges.append(self._short(clearance, runs, run[k], time[k, j] - PLAN_STEP, sign))
+        return Edges(*(torch.cat(columns) for columns in zip(*edges, strict=True)))
 
     def _short(
         self, clearance: Clearance, runs: Runs, run: Tensor, middle: Tensor, sign: Tensor
@@ -184,8 +184,8 @@ class _Search:
         opens = torch.nonzero((level == wanted) & (step > 0.0)).squeeze(-1)
         closes = torch.nonzero((level == wanted - 1.0) & (step < 0.0)).squeeze(-1)
         long = torch.nonzero(time[closes] > time[opens]).squeeze(-1)
-        own = run[opens[long]]
-        return Passes(runs.row[own], runs.place[own], time[opens[long]], time[closes[long]])
+        run_of = run[opens[long]]
+        return Passes(runs.row[run_of], runs.place[run_of], time[opens[long]], time[closes[long]])
 
 
 def _signs(positive: Tensor, like: Tensor) -> Tensor:

@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.astro.eclipse import umbra_depth
 from bsk_torch.astro.interpolate import coefficients, position
@@ -16,6 +17,7 @@ from bsk_torch.astro.sight import elevation_clearance
 from bsk_torch.codegen.ir import Loop
 from bsk_torch.codegen.kernel import Kernel
 from bsk_torch.sim.access.visibility.geometry import CLASSIFIED_SAMPLES, SearchCells, event_code
+from bsk_torch.sim.access.visibility.interface import Visibility
 from bsk_torch.sim.access.visibility.pairs import (
     BISECTIONS,
     CULMINATION_ITERATIONS,
@@ -32,21 +34,21 @@ from bsk_torch.sim.orbit.grid import PLAN_STEP
 from bsk_torch.vec3 import Vec3
 
 
-class KernelVisibility:
-    """See :class:`bsk_torch.sim.access.visibility.backend.Visibility`."""
+class KernelVisibility(Visibility):
+    """Visibility by kernels, on the CPU."""
 
     kernels = True
 
+    @override
     def umbra(self, orbits: PlannedOrbits, start: Tensor, count: int) -> Tensor:
-        """See :meth:`Visibility.umbra`."""
         return _run_samples(umbra_kernel(), orbits, start, count, 1).squeeze(-1)
 
+    @override
     def ground_track(self, orbits: PlannedOrbits, start: Tensor, count: int) -> Tensor:
-        """See :meth:`Visibility.ground_track`."""
         return _run_samples(ground_track_kernel(), orbits, start, count, 3)
 
+    @override
     def events(self, pairs: PlacePairs, cells: SearchCells) -> Tensor:
-        """See :meth:`Visibility.events`."""
         written = torch.empty(len(cells.first), CLASSIFIED_SAMPLES, 1, dtype=torch.float64)
         state = torch.full((3, len(cells.first)), torch.nan, dtype=torch.float64)
         state[0] = cells.first
@@ -54,23 +56,23 @@ class KernelVisibility:
         _run_pairs(event_kernel, pairs, state, CLASSIFIED_SAMPLES, limits, written)
         return written.squeeze(-1)
 
+    @override
     def clearance(self, pairs: PlacePairs, time: Tensor) -> Tensor:
-        """See :meth:`Visibility.clearance`."""
         state = torch.stack([time, time])
         _run_pairs(clearance_kernel, pairs, state, 1)
         return state[1]
 
+    @override
     def crossings(self, pairs: PlacePairs, brackets: Brackets) -> Tensor:
-        """See :meth:`Visibility.crossings`."""
         state = torch.stack([0.5 * (brackets.a + brackets.b), *brackets])
         _run_pairs(crossing_kernel, pairs, state, BISECTIONS + ROOT_ITERATIONS)
         return state[2]
 
+    @override
     def culminations(self, pairs: PlacePairs, a: Tensor, b: Tensor) -> Tensor:
-        """See :meth:`Visibility.culminations`."""
-        left, right = ((time, self.clearance(pairs, time)) for time in sections(a, b))
-        first, last, new = narrowed(a, b, *left, *right)
-        state = torch.stack([new, first, last, *left, *right])
+        first_third, right = ((time, self.clearance(pairs, time)) for time in sections(a, b))
+        first, last, new = narrowed(a, b, *first_third, *right)
+        state = torch.stack([new, first, last, *first_third, *right])
         _run_pairs(culmination_kernel, pairs, state, CULMINATION_ITERATIONS)
         return 0.5 * (state[1] + state[2])
 

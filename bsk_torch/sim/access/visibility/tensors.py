@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from bsk_torch.astro.eclipse import umbra_depth
 from bsk_torch.astro.interpolate import positions
 from bsk_torch.astro.roots import find_maximum, find_root
 from bsk_torch.astro.sight import elevation_clearance
 from bsk_torch.sim.access.visibility.geometry import CLASSIFIED_SAMPLES, SearchCells, event_code
+from bsk_torch.sim.access.visibility.interface import Visibility
 from bsk_torch.sim.access.visibility.pairs import (
     BISECTIONS,
     CULMINATION_ITERATIONS,
@@ -25,23 +27,23 @@ from bsk_torch.sim.orbit.grid import PLAN_STEP
 from bsk_torch.vec3 import Vec3
 
 
-class TensorVisibility:
-    """See :class:`bsk_torch.sim.access.visibility.backend.Visibility`."""
+class TensorVisibility(Visibility):
+    """Visibility by tensor operations."""
 
     kernels = False
 
+    @override
     def umbra(self, orbits: PlannedOrbits, start: Tensor, count: int) -> Tensor:
-        """See :meth:`Visibility.umbra`."""
         r_BN_N, ephemeris = sample_planned(orbits, start, count)
         return umbra_depth(r_BN_N, ephemeris.r_SN_N).view(-1, count)
 
+    @override
     def ground_track(self, orbits: PlannedOrbits, start: Tensor, count: int) -> Tensor:
-        """See :meth:`Visibility.ground_track`."""
         r_BN_N, ephemeris = sample_planned(orbits, start, count)
         return fixed(ephemeris, r_BN_N).stack().view(-1, count, 3)
 
+    @override
     def events(self, pairs: PlacePairs, cells: SearchCells) -> Tensor:
-        """See :meth:`Visibility.events`."""
         times = cells.first.unsqueeze(-1) + PLAN_STEP * torch.arange(
             CLASSIFIED_SAMPLES, dtype=cells.first.dtype, device=cells.first.device
         )
@@ -52,16 +54,16 @@ class TensorVisibility:
         columns = SearchCells(*(part.unsqueeze(-1) for part in cells))
         return event_code(padded[:, :-2], padded[:, 1:-1], clearance, times, columns)
 
+    @override
     def clearance(self, pairs: PlacePairs, time: Tensor) -> Tensor:
-        """See :meth:`Visibility.clearance`."""
         nodes, tau = records_around(GROUND_TRACK, pairs.track, time)
         r_BP_P = Vec3.of(positions(nodes, tau * (1.0 / PLAN_STEP)))
         return elevation_clearance(r_BP_P, Vec3.of(pairs.r_LP_P), pairs.sin_min_elevation, pairs.shift)
 
+    @override
     def crossings(self, pairs: PlacePairs, brackets: Brackets) -> Tensor:
-        """See :meth:`Visibility.crossings`."""
         return find_root(lambda time: self.clearance(pairs, time), *brackets, ROOT_ITERATIONS, BISECTIONS)
 
+    @override
     def culminations(self, pairs: PlacePairs, a: Tensor, b: Tensor) -> Tensor:
-        """See :meth:`Visibility.culminations`."""
         return find_maximum(lambda time: self.clearance(pairs, time), a, b, CULMINATION_ITERATIONS)

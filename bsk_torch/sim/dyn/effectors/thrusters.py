@@ -15,17 +15,17 @@ from __future__ import annotations
 import functools
 import math
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from bsk_torch._checks import number, vector
 from bsk_torch.constants import NANO
-from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values
+from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, UserArguments, Values
 from bsk_torch.sim.dyn.axes import check_axis, described, unit_rows
 from bsk_torch.sim.dyn.hub import given_numbers
 from bsk_torch.sim.faults.declared import may_change
@@ -151,18 +151,18 @@ class ThrusterForm(NamedTuple):
     pushes: bool  # whether they may exert a net force
 
 
-def described_thrusters(given: Mapping[str, Any]) -> tuple[Thruster, ...] | None:
+def described_thrusters(arguments: UserArguments) -> tuple[Thruster, ...] | None:
     """Return the thrusters that arguments as given describe; None for the default pairs, whose numbers are fixed."""
-    if given["thrusters"] is None and may_change(given, *(arg.name for arg in ARGS[1:])):
+    if arguments["thrusters"] is None and may_change(arguments, *(arg.name for arg in ARGS[1:])):
         return OCTET
     what = "a list of thrusters, such as [dyn.Thruster([0, 0.5, 1], [1, 0, 0], 0.9)]"
-    return described(given, "thrusters", ARGS[1:], Thruster, what)
+    return described(arguments, "thrusters", ARGS[1:], Thruster, what)
 
 
-def thruster_form(given: Mapping[str, Any], listed: Sequence[Thruster]) -> ThrusterForm:
+def thruster_form(arguments: UserArguments, listed: Sequence[Thruster]) -> ThrusterForm:
     """Return what decides the operations: opposite thrusters of equal thrust about the center of mass never push."""
-    drawn = any(given[arg.name] is not None for arg in ARGS[1:])
-    place = given_numbers(given["r_CB_B"])
+    drawn = any(arguments[arg.name] is not None for arg in ARGS[1:])
+    place = given_numbers(arguments["r_CB_B"])
     centered = place is not None and not bool(place.any())
     return ThrusterForm(len(listed), drawn or not centered or not _opposite(listed))
 
@@ -195,10 +195,6 @@ def _fired(pulses: Sequence[Tensor], vectors: Sequence[Vec3]) -> Vec3:
     return functools.reduce(operator.add, (vector * on for on, vector in zip(pulses, vectors, strict=True)))
 
 
-def _torque_of_set(bus: Bus, stage: int) -> Vec3 | None:
-    return _fired(bus.pulse, bus.thruster_torques_B) if stage == 0 else None
-
-
 def _thrust_of_set(bus: Bus, stage: int) -> tuple[Vec3, Vec3] | None:
     """Return the force of the thrusters that fire, N in B, and its torque about B, N m, in the first stage."""
     return (_fired(bus.pulse, bus.thruster_forces_B), _fired(bus.pulse, bus.thruster_torques_B)) if stage == 0 else None
@@ -219,11 +215,15 @@ def thruster_set(form: ThrusterForm, listed: tuple[Thruster, ...]) -> Component:
 
     def prepare(args: Values) -> dict[str, Tensor]:
         forces, torques = forces_and_arms(args)
-        found = {"thruster_torques_B": torques.flatten(-2)}
-        return found | ({"thruster_forces_B": forces.flatten(-2)} if form.pushes else {})
+        parameters = {"thruster_torques_B": torques.flatten(-2)}
+        return parameters | ({"thruster_forces_B": forces.flatten(-2)} if form.pushes else {})
 
     vectors = ("thruster_torques_B", *(("thruster_forces_B",) if form.pushes else ()))
-    fires = Effector(thrust=_thrust_of_set) if form.pushes else Effector(torque=_torque_of_set)
+    fires = (
+        Effector(thrust=_thrust_of_set)
+        if form.pushes
+        else Effector(torque=lambda bus, stage: _fired(bus.pulse, bus.thruster_torques_B) if stage == 0 else None)
+    )
     return replace(
         thrusters(form.size, fires),
         args=(ARGS[0], *(of_set(arg) for arg in ARGS[1:])),
@@ -233,10 +233,10 @@ def thruster_set(form: ThrusterForm, listed: tuple[Thruster, ...]) -> Component:
     )
 
 
-def fitted_thrusters(given: Mapping[str, Any]) -> Component:
+def fitted_thrusters(arguments: UserArguments) -> Component:
     """Return the component of the thrusters that the arguments as given describe."""
-    listed = described_thrusters(given)
-    return THRUSTERS if listed is None else thruster_set(thruster_form(given, listed), listed)
+    listed = described_thrusters(arguments)
+    return THRUSTERS if listed is None else thruster_set(thruster_form(arguments, listed), listed)
 
 
 def thrusters(count: int, effector: Effector) -> Component:

@@ -7,15 +7,14 @@ field is that of the position one tick ago, constant over a tick, and turns rela
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from bsk_torch._checks import number, parts, vector
-from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values
+from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, UserArguments, Values
 from bsk_torch.sim.dyn.axes import check_axis, unit_rows
 from bsk_torch.vec3 import Mat3, Vec3
 
@@ -50,11 +49,11 @@ ARGS = (
 """Arguments of torque bars; the last two replace the numbers of ``torqueBars``."""
 
 
-def described_bars(given: Mapping[str, Any]) -> tuple[TorqueBar, ...]:
+def described_bars(arguments: UserArguments) -> tuple[TorqueBar, ...]:
     """Return the bars that arguments as given describe; ValueError for none, and for entries that are not bars."""
     example = "[dyn.TorqueBar(axis, 0.2) for axis in ([1, 0, 0], [0, 1, 0], [0, 0, 1])]"
     what = f"a list of bars for dyn.TorqueBarsDynModel, such as {example}"
-    listed = parts("sat_args: torqueBars", given["torqueBars"], TorqueBar, what)
+    listed = parts("sat_args: torqueBars", arguments["torqueBars"], TorqueBar, what)
     if len(listed) > MOST_BARS:
         raise ValueError(f"sat_args: torqueBars has {len(listed)} bars; at most {MOST_BARS} are allowed")
     return listed
@@ -95,5 +94,7 @@ def bar_set(listed: tuple[TorqueBar, ...]) -> Component:
     )
 
 
-TORQUE_BARS = Component(slot="torque_bars", after="disturbance", args=ARGS, fit=lambda given: bar_set(described_bars(given)))
+TORQUE_BARS = Component(
+    slot="torque_bars", after="disturbance", args=ARGS, fit=lambda arguments: bar_set(described_bars(arguments))
+)
 """The bars that ``torqueBars`` lists."""

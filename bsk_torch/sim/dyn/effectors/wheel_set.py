@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import operator
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -18,7 +18,7 @@ from torch import Tensor
 from bsk_torch._checks import parts
 from bsk_torch.constants import RPM
 from bsk_torch.rand import Uniform
-from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values
+from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, UserArguments, Values
 from bsk_torch.sim.dyn.axes import check_axis, unit_rows
 from bsk_torch.sim.dyn.effectors.friction import friction_torques
 from bsk_torch.sim.dyn.effectors.wheel_types import TRIAD, Wheel
@@ -78,16 +78,16 @@ class WheelForm(NamedTuple):
     stribeck: bool  # whether some of it is Stribeck friction
 
 
-def described_wheels(given: Mapping[str, Any]) -> tuple[Wheel, ...] | None:
+def described_wheels(arguments: UserArguments) -> tuple[Wheel, ...] | None:
     """Return the wheels that arguments as given describe; None for the three default ones, all of whose numbers are fixed.
 
     ValueError for entries that are not wheels.
     """
-    if given["wheels"] is None:
-        described = any(given[arg.name] is not None for arg in NUMBERS) or given.get("rwAvailable") is not None
-        return TRIAD if described or may_change(given, *EACH) else None
+    if arguments["wheels"] is None:
+        described = any(arguments[arg.name] is not None for arg in NUMBERS) or arguments.get("rwAvailable") is not None
+        return TRIAD if described or may_change(arguments, *EACH) else None
     what = "a list of wheels, such as [dyn.Wheel('BCT_RWP015', [1, 0, 0])]"
-    wheels = parts("sat_args: wheels", given["wheels"], Wheel, what, empty=True)
+    wheels = parts("sat_args: wheels", arguments["wheels"], Wheel, what, empty=True)
     if len(wheels) > MOST_WHEELS:
         raise ValueError(f"sat_args: wheels has {len(wheels)} wheels; at most {MOST_WHEELS} are allowed")
     return wheels
@@ -99,25 +99,25 @@ def wheel_defaults(wheels: Sequence[Wheel]) -> dict[str, tuple[Any, ...]]:
     return {name: tuple(numbers[name] for numbers in each) for name in (each[0] if each else ())}
 
 
-def wheel_form(given: Mapping[str, Any], wheels: Sequence[Wheel]) -> WheelForm:
+def wheel_form(arguments: UserArguments, wheels: Sequence[Wheel]) -> WheelForm:
     """Return what decides the operations of wheels, from the arguments as given: what is drawn may be anything."""
     if not wheels:
         return WheelForm((), False, False, False, False)
     defaults = wheel_defaults(wheels)
 
     def numbers(name: str) -> Tensor | None:
-        return given_numbers(defaults[name] if given[name] is None else given[name])
+        return given_numbers(defaults[name] if arguments[name] is None else arguments[name])
 
     def positive(name: str) -> bool:
         values = numbers(name)
         return values is None or bool((values > 0.0).any())
 
     axes = numbers("rwAxes_B")
-    known = axes is not None and axes.shape == (len(wheels), 3)
-    found = [_axis_number(row) for row in axes] if known and axes is not None else [None] * len(wheels)
+    is_fixed = axes is not None and axes.shape == (len(wheels), 3)
+    axis_numbers = [_axis_number(row) for row in axes] if is_fixed and axes is not None else [None] * len(wheels)
     stribeck = positive("rwBetaStatic")
     friction = stribeck or positive("rwFCoulomb") or positive("rwCViscous")
-    return WheelForm(tuple(found), positive("rwUMin"), positive("rwPMax"), friction, stribeck)
+    return WheelForm(tuple(axis_numbers), positive("rwUMin"), positive("rwPMax"), friction, stribeck)
 
 
 def _axis_number(row: Tensor) -> int | None:
@@ -265,8 +265,8 @@ def parameters_of(form: WheelForm) -> tuple[str, ...]:
 
 
 def _prepare(form: WheelForm, args: Values) -> dict[str, Tensor]:
-    found = {name: args[PARAMETERS[name][0]] * PARAMETERS[name][1] for name in parameters_of(form)}
-    return found | {"wheel_axes_B": unit_axes(args).flatten(-2)}
+    parameters = {name: args[PARAMETERS[name][0]] * PARAMETERS[name][1] for name in parameters_of(form)}
+    return parameters | {"wheel_axes_B": unit_axes(args).flatten(-2)}
 
 
 def _check(form: WheelForm, args: Values) -> None:
@@ -324,7 +324,11 @@ def wheel_set(form: WheelForm, wheels: tuple[Wheel, ...]) -> Component:
     if not count:
         return Component(slot="wheels", args=ARGS)
     defaults = wheel_defaults(wheels) | {"wheelSpeeds": Uniform(-1500.0, 1500.0, count)}
-    args = tuple(_for_each(arg, count, defaults[arg.name]) if arg.name in defaults else arg for arg in ARGS)
+
+    def of_set(arg: Arg) -> Arg:
+        one = arg.dims[1:] if arg.shape else ()
+        return dataclasses.replace(arg, kind="scalar", default=defaults[arg.name], shape=(count, *one), spread=not one)
+
     state = [Field("Omega_WB_B", count, "rad/s", "wheel speeds", many=True)]
     state += [Field(name, count, "N m", many=True) for name in ("motor_torque_B", "motor_torque_command_B")]
     if form.stribeck:
@@ -333,7 +337,7 @@ def wheel_set(form: WheelForm, wheels: tuple[Wheel, ...]) -> Component:
     return Component(
         slot="wheels",
         update=latch(form),
-        args=args,
+        args=tuple(of_set(arg) if arg.name in defaults else arg for arg in ARGS),
         state=tuple(state),
         params=(*(Field(name, count, many=True) for name in parameters_of(form)), Field("wheel_axes_B", 3 * count, vectors=True)),
         reads=MOTION,
@@ -343,8 +347,3 @@ def wheel_set(form: WheelForm, wheels: tuple[Wheel, ...]) -> Component:
         check_tick=_check_tick,
         effector=wheel_effector(form),
     )
-
-
-def _for_each(arg: Arg, count: int, default: Any) -> Arg:
-    one = arg.dims[1:] if arg.shape else ()
-    return dataclasses.replace(arg, kind="scalar", default=default, shape=(count, *one), spread=not one)

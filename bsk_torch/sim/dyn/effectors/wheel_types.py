@@ -104,9 +104,9 @@ class Wheel:
         """Return a number that is given, or follows from the type; None for one that is missing."""
         if name == "Js":
             return self._inertia()
-        given: float | None = getattr(self, name)
-        if given is not None or self.type == CUSTOM:
-            return given
+        value: float | None = getattr(self, name)
+        if value is not None or self.type == CUSTOM:
+            return value
         return float(getattr(WHEEL_TYPES[self.type], name))
 
     def _inertia(self) -> float | None:
@@ -130,7 +130,7 @@ class Wheel:
         size = math.hypot(*self.axis)
         friction = self._known("fCoulomb") if self.useRWfriction else 0.0
         least = self._known("u_min") if self.useMinTorque else 0.0
-        found = {
+        values = {
             "rwAxes_B": tuple(x / size for x in self.axis),
             "rwJs": self._known("Js"),
             "rwOmegaMax": self._known("Omega_max"),
@@ -142,7 +142,7 @@ class Wheel:
             "rwBetaStatic": self.betaStatic,
             "rwCViscous": self.cViscous,
         }
-        return {name: value for name, value in found.items() if value is not None}
+        return {name: value for name, value in values.items() if value is not None}
 
 
 def pyramid(height: float, count: int = 4) -> list[tuple[float, float, float]]:

@@ -11,14 +11,13 @@ from __future__ import annotations
 import dataclasses
 import functools
 import operator
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator
 
 import torch
 from torch import Tensor
 
 from bsk_torch.constants import RPM
-from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values, vec
+from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, UserArguments, Values, vec
 from bsk_torch.sim.dyn.effectors.wheel_set import ARGS, described_wheels, free_tensor_moments, wheel_form, wheel_set
 from bsk_torch.sim.dyn.hub import MOTION, body_inertia, body_momentum, check_turn, described_body
 from bsk_torch.sim.dyn.power.balance import power_arg
@@ -120,10 +119,10 @@ def largest_momentum(args: Values) -> float:
     return float((args["rwJs"] * fastest).max())
 
 
-def fitted_wheels(given: Mapping[str, Any]) -> Component:
+def fitted_wheels(arguments: UserArguments) -> Component:
     """Return the component of the wheels that the arguments as given describe."""
-    wheels = described_wheels(given)
-    return WHEELS if wheels is None else wheel_set(wheel_form(given, wheels), wheels)
+    wheels = described_wheels(arguments)
+    return WHEELS if wheels is None else wheel_set(wheel_form(arguments, wheels), wheels)
 
 
 WHEELS = Component(
@@ -203,9 +202,9 @@ def wheel_power(count: int) -> Component:
     )
 
 
-def fitted_power(given: Mapping[str, Any]) -> Component:
+def fitted_power(arguments: UserArguments) -> Component:
     """Return the component of the power of the wheels that the arguments as given describe."""
-    wheels = described_wheels(given) if "wheels" in given else None
+    wheels = described_wheels(arguments) if "wheels" in arguments else None
     return WHEEL_POWER if wheels is None else wheel_power(len(wheels))
 
 

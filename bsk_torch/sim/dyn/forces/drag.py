@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from bsk_torch.constants import MU_EARTH
-from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values, vec
+from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, UserArguments, Values, vec
 from bsk_torch.sim.dyn.forces.facets import AT_REST, DRAG_COEFFICIENT, FACETS_ARG, NUMBERS, described_facets, drag_of_facets
 from bsk_torch.sim.dyn.power.panels import AREA, Panel, described_panels, of_panels
 from bsk_torch.vec3 import Vec3, times
@@ -59,9 +57,9 @@ def _latch_density(bus: Bus) -> None:
     bus.density = bus.density_message
 
 
-def fitted_drag(given: Mapping[str, Any]) -> Component:
+def fitted_drag(arguments: UserArguments) -> Component:
     """Return the component of drag on the facets that the arguments as given describe, or on the default box."""
-    listed, several = described_facets(given), described_panels(given)
+    listed, several = described_facets(arguments), described_panels(arguments)
     box = DRAG if several is None else drag_with_panels(several)
     return box if listed is None else drag_of_facets(box, listed)
 

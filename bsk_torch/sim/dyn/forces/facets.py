@@ -7,15 +7,14 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from bsk_torch._checks import number, vector
-from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values
+from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, UserArguments, Values
 from bsk_torch.sim.dyn.axes import check_axis, described, unit_rows
 from bsk_torch.vec3 import Mat3, Vec3
 
@@ -106,10 +105,10 @@ ATTRIBUTES = {
 """Attributes of facets that are the defaults of arguments."""
 
 
-def described_facets(given: Mapping[str, Any]) -> tuple[Facet, ...] | None:
+def described_facets(arguments: UserArguments) -> tuple[Facet, ...] | None:
     """Return the facets that arguments as given describe; None for the default box."""
     what = "a list of facets, such as [dyn.Facet(0.06, [1, 0, 0], [0.1, 0, 0])], or dyn.box_facets([0.2, 0.1, 0.34])"
-    return described(given, "facets", NUMBERS, Facet, what)
+    return described(arguments, "facets", NUMBERS, Facet, what)
 
 
 def _of_facets(arg: Arg, listed: Sequence[Facet]) -> Arg:
@@ -186,8 +185,8 @@ def sunlight_pressure(bus: Bus, BN: Mat3, r_BN_N: Vec3) -> tuple[Vec3, Vec3]:
     for (area, diffuse, specular), normal, place in zip(shares, bus.facet_normals_B, bus.facet_positions_B, strict=True):
         cosine = torch.clamp(normal.dot(s), min=0.0)
         lit = area * cosine
-        own = s * (lit * (1.0 - specular)) + normal * (2.0 * lit * (diffuse * (1.0 / 3.0) + specular * cosine))
-        force, torque = force + own, torque + place.cross(own)
+        push = s * (lit * (1.0 - specular)) + normal * (2.0 * lit * (diffuse * (1.0 / 3.0) + specular * cosine))
+        force, torque = force + push, torque + place.cross(push)
     return force * pressure, torque * pressure
 
 
@@ -212,9 +211,9 @@ def sunlight_on_facets(listed: tuple[Facet, ...]) -> Component:
     )
 
 
-def fitted_sunlight(given: Mapping[str, Any]) -> Component:
+def fitted_sunlight(arguments: UserArguments) -> Component:
     """Return the component for the facets that the arguments as given describe; ValueError without."""
-    listed = described_facets(given)
+    listed = described_facets(arguments)
     if listed is None:
         raise ValueError(
             "sat_args: facets=None, but sunlight pushes facets (dyn.SolarPressureDynModel); list them, such as "

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -17,7 +17,7 @@ from torch import Tensor
 from bsk_torch._checks import number, vector
 from bsk_torch.astro.attitude import mrp_to_dcm
 from bsk_torch.constants import AU, SOLAR_FLUX
-from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
+from bsk_torch.sim.component import Arg, Bus, Component, Field, UserArguments, Values, vec
 from bsk_torch.sim.dyn.axes import AXIS_BOUNDS, check_axis, described, unit_rows
 from bsk_torch.sim.faults.declared import Fault
 from bsk_torch.vec3 import Vec3
@@ -111,10 +111,10 @@ EFFICIENCY = Arg("panelEfficiency", 0.2, "-", "share of sunlight turned into pow
 SUN_AXIS = Arg("nHat_B", (0.0, 0.0, -1.0), "-", "panel normal in B", "vector", *AXIS_BOUNDS)
 
 
-def described_panels(given: Mapping[str, Any]) -> tuple[Panel, ...] | None:
+def described_panels(arguments: UserArguments) -> tuple[Panel, ...] | None:
     """Return the panels that arguments as given describe; None for the default one."""
     what = "a list of panels, such as [dyn.Panel([0, 0, -1], 0.12, 0.29)]"
-    return described(given, "panels", NUMBERS, Panel, what)
+    return described(arguments, "panels", NUMBERS, Panel, what)
 
 
 def of_panels(arg: Arg, listed: Sequence[Panel]) -> Arg:
@@ -271,9 +271,9 @@ def sunlight_on_panels(kinds: tuple[Kind, ...]) -> Callable[[Bus], None]:
     return collect
 
 
-def _check_faults(given: Mapping[str, Any], listed: Sequence[Panel]) -> None:
+def _check_faults(arguments: UserArguments, listed: Sequence[Panel]) -> None:
     """Raise ValueError for faults of panels that would not do what they say."""
-    for fault in given.get("faults") or ():
+    for fault in arguments.get("faults") or ():
         if not isinstance(fault, Fault):
             continue
         if "nHat_B" in fault.arguments and fault.slots == ("panel",):
@@ -347,12 +347,12 @@ def _check(listed: Sequence[Panel], args: Values) -> None:
             raise ValueError(f"panelAngles: panel {k} must start between its stops, {low:g} and {high:g} rad")
 
 
-def fitted_panels(given: Mapping[str, Any]) -> Component:
+def fitted_panels(arguments: UserArguments) -> Component:
     """Return the component of the panels that the arguments as given describe."""
-    listed = described_panels(given)
+    listed = described_panels(arguments)
     if listed is None:
         return PANEL
-    _check_faults(given, listed)
+    _check_faults(arguments, listed)
     return panel_set(listed)
 
 

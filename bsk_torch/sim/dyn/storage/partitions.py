@@ -8,7 +8,7 @@ hang on the last digit. How many partitions there are depends on the arguments, 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from numbers import Real
 from typing import Any
 
@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.constants import NANO
-from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
+from bsk_torch.sim.component import Arg, Bus, Component, Field, UserArguments, Values
 from bsk_torch.sim.dyn.storage import store as storage
 from bsk_torch.vec3 import only
 
@@ -25,9 +25,9 @@ NUM_BUFFERS = 100  # partitions where the user names none
 Levels = tuple[Tensor, ...]  # data in every partition, bit
 
 
-def partition_names(given: Mapping[str, Any]) -> tuple[str, ...]:
+def partition_names(arguments: UserArguments) -> tuple[str, ...]:
     """Return the names of the partitions that the arguments ask for, in order; ValueError if they do not fit together."""
-    names, count = given["bufferNames"], given["transmitterNumBuffers"]
+    names, count = arguments["bufferNames"], arguments["transmitterNumBuffers"]
     if not isinstance(count, Real) or not 1.0 <= float(count) <= storage.MOST_BUFFERS or not float(count).is_integer():
         raise ValueError(
             f"sat_args: transmitterNumBuffers={count!r} must be a whole number from 1 to {storage.MOST_BUFFERS}, the same for "
@@ -40,7 +40,7 @@ def partition_names(given: Mapping[str, Any]) -> tuple[str, ...]:
         named = _checked(names)
         if count not in (NUM_BUFFERS, len(named)):
             raise ValueError(f"sat_args: transmitterNumBuffers={count} differs from the number of bufferNames={list(named)}")
-    return (*named, STORED_DATA) if _starts_with_data(given) else named
+    return (*named, STORED_DATA) if _starts_with_data(arguments) else named
 
 
 def _checked(names: Any) -> tuple[str, ...]:
@@ -53,8 +53,8 @@ def _checked(names: Any) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _starts_with_data(given: Mapping[str, Any]) -> bool:
-    level = given["storageInit"]
+def _starts_with_data(arguments: UserArguments) -> bool:
+    level = arguments["storageInit"]
     return not (isinstance(level, Real) and level == 0)
 
 
@@ -181,7 +181,7 @@ def transmitter(partitions: int) -> Component:
         update=transmit,
         args=(dataclasses.replace(rate, flown=None), *others),  # what a positive rate does to partitions is not that of Basilisk
         state=tuple(fields[name] for name in names),
-        fit=lambda given: transmitter(len(partition_names(given))),
+        fit=lambda arguments: transmitter(len(partition_names(arguments))),
     )
 
 
@@ -202,7 +202,7 @@ def partitioned_store(partitions: int, starts_with_data: bool = False) -> Compon
         args=(*storage.STORAGE.args, BUFFER_NAMES),
         state=(*storage.STORAGE.state, Field("partitions", partitions, "bit", many=True, exact=True), *task),
         initial=initial,
-        fit=lambda given: partitioned_store(len(partition_names(given)), _starts_with_data(given)),
+        fit=lambda arguments: partitioned_store(len(partition_names(arguments)), _starts_with_data(arguments)),
     )
 
 

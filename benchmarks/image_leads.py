@@ -1,4 +1,4 @@
-"""Times between images that satellites cannot beat for long: learned from flights, with a bound on how far ahead they get.
+"""Times between images that satellites cannot beat for long: fitted to flights, with a bound on how far ahead they get.
 
 A single slew may be much shorter than usual, because the satellite was on its way already; that luck does not repeat. So let f
 be a time for every angle from where a satellite points to its next target, and let a clock run behind the images of a flight at
