@@ -1,4 +1,4 @@
-"""Precession, nutation and rotation of the Earth (IAU 2006/2000A), for the axes ITRF, TEME and GCRF.
+"""Precession, nutation and rotation of the Earth (IAU 2006/2000A), for the axes ITRF, TEME and GCRF; models of the rotation.
 
 N, the simulation's axes, are those of J2000 in JPL's ephemerides, that is ICRF, to which GCRF is parallel. Epochs are ET, s past
 J2000 (TDB, which is less than 2 ms from TT), float64 of any shape; UT1 is taken as UTC.
@@ -19,16 +19,28 @@ Neglected, with sizes on the ground:
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cache
 from importlib.resources import files
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from bsk_torch.astro.ephemeris import CENTURY, DAY, utc_seconds
+from bsk_torch.astro.ephemeris import CENTURY, DAY, earth_angles, earth_orientation, utc_seconds
 from bsk_torch.vec3 import Mat3, Vec3
 
-__all__ = ["intermediate_axes", "itrf_axes", "rotation_angle", "sidereal_time_1982", "teme_axes"]
+__all__ = [
+    "EARTHS",
+    "IAU_EARTH",
+    "Earth",
+    "intermediate_axes",
+    "itrf_axes",
+    "pole_matrix",
+    "rotation_angle",
+    "sidereal_time_1982",
+    "teme_axes",
+]
 
 ARCSECOND = math.pi / 648000.0
 
@@ -144,3 +156,47 @@ def teme_axes(et: Tensor) -> Tensor:
     ITRF is reached from TEME by the mean sidereal time of 1982, ``[ITRF, TEME] = R3(GMST82)``.
     """
     return _turned(intermediate_axes(et), rotation_angle(et) - sidereal_time_1982(et))
+
+
+# -- models of the rotation -----------------------------------------------------------------------------------------------------
+
+
+class Earth(NamedTuple):
+    """A model of the Earth's rotation.
+
+    The axes E have z along the pole and x toward the node of the equator, about 90 degrees east of the x axis of N; Earth-fixed axes
+    follow by the angle W of the prime meridian, ``[PN] = R3(W) [EN]``.
+    """
+
+    pole: Callable[[Tensor], Mat3]  # [EN] at ET
+    meridian: Callable[[Tensor], Tensor]  # W, rad, at ET
+    orientation: Callable[[Tensor], Tensor]  # [PN] at ET, [..., 3, 3]
+
+
+def pole_matrix(et: Tensor) -> Mat3:
+    """Return the DCM [EN] at ET [n], s: the frame IAU_EARTH without its spin.
+
+    ``[EN] = R1(90 deg - delta) R3(90 deg + alpha)`` with right ascension alpha and declination delta of the pole; see
+    :func:`bsk_torch.astro.ephemeris.earth_angles`.
+    """
+    alpha, delta, _ = earth_angles(et)
+    ca, sa, cd, sd = torch.cos(alpha), torch.sin(alpha), torch.cos(delta), torch.sin(delta)
+    zero = torch.zeros_like(ca)
+    return Mat3(Vec3(-sa, ca, zero), Vec3(-sd * ca, -sd * sa, cd), Vec3(cd * ca, cd * sa, sd))
+
+
+def _itrf_pole(et: Tensor) -> Mat3:
+    """Return [EN] of ITRF: the intermediate axes, turned by 90 degrees so that x is where IAU_EARTH has the node, within 0.3."""
+    x, y, z = intermediate_axes(et)
+    return Mat3(y, x * -1.0, z)
+
+
+IAU_EARTH = Earth(pole_matrix, lambda et: earth_angles(et)[2], earth_orientation)
+"""The frame IAU_EARTH of the NAIF kernel pck00010.tpc, as in Basilisk: 9.6 km from ITRF at the equator in 2026, in longitude."""
+
+ITRF = Earth(_itrf_pole, lambda et: torch.remainder(rotation_angle(et) - 0.5 * math.pi, 2.0 * math.pi), itrf_axes)
+"""ITRF without polar motion, with UT1 = UTC. Between records an hour apart, the simulation turns it at the rates of IAU_EARTH, which
+is worth 0.1 m."""
+
+EARTHS = {"IAU_EARTH": IAU_EARTH, "ITRF": ITRF}
+"""Models by the values of the argument ``earthRotation``."""

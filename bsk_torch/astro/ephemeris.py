@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
+from collections.abc import Callable
 from datetime import datetime, timedelta
 from functools import cache
 from importlib.resources import files
@@ -244,12 +245,12 @@ def earth_orientation_rate(et: Tensor) -> Tensor:
     return by_spin + by_tilt + POLE_RIGHT_ASCENSION_RATE * (r_spin @ r_tilt @ _about_z(node, derivative=True))
 
 
-def earth_fixed_sun(et: Tensor) -> Tensor:
-    """Position of the Sun in the Earth-fixed frame IAU_EARTH, m, ``(*et.shape, 3)``; NaN before `coverage`.
+def earth_fixed_sun(et: Tensor, orientation: Callable[[Tensor], Tensor] = earth_orientation) -> Tensor:
+    """Position of the Sun in Earth-fixed axes, by default IAU_EARTH, m, ``(*et.shape, 3)``; NaN before `coverage`.
 
     Behind the end of `coverage` the Sun stays where it is at the end, as for look-ahead.
     """
-    return (earth_orientation(et) @ sun_position(et.clamp(max=coverage()[1])).unsqueeze(-1)).squeeze(-1)
+    return (orientation(et) @ sun_position(et.clamp(max=coverage()[1])).unsqueeze(-1)).squeeze(-1)
 
 
 def _check_second(date: datetime, second: float, scale: str) -> None:

@@ -198,7 +198,9 @@ def _oem(text: Source, lines: Sequence[_Line]) -> list[Ephemeris]:
                 text.fail(line.number, f"more than {MOST_STATES:,} states; split the file")
             words = line.text.split()
             if len(words) not in (7, 10):
-                text.fail(line.number, f"it has {len(words)} fields; a state has an epoch and 6 numbers, and may have 3 of acceleration")
+                text.fail(
+                    line.number, f"it has {len(words)} fields; a state has an epoch and 6 numbers, and may have 3 of acceleration"
+                )
             times.append(_epoch(text, line.number, words[0], meta[3]))
             states.append(_numbers(text, line, words[1:7]))
         elif meta is None:

@@ -55,7 +55,9 @@ def element_set(
     number("max_age_days", max_age_days, 0.0, unit="days")
     for field, (low, high, unit) in BOUNDS.items():
         if not low <= values[field] <= high:
-            source.fail(lines.get(field, line), f"{field}={values[field]:g} must be a number in [{low:g}, {high:g}] {unit}".rstrip())
+            source.fail(
+                lines.get(field, line), f"{field}={values[field]:g} must be a number in [{low:g}, {high:g}] {unit}".rstrip()
+            )
     if not abs(bstar) <= LARGEST_BSTAR:
         source.fail(line, f"BSTAR={bstar:g} must be a number in [-{LARGEST_BSTAR:g}, {LARGEST_BSTAR:g}]")
     made = ElementSet(

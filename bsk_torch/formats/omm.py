@@ -95,7 +95,9 @@ def _set(text: Source, message: _Message, gravity: str, max_age_days: float) -> 
 
     for field, allowed in ALLOWED.items():
         if fields.get(field) and fields[field].strip().upper() not in allowed:
-            text.fail(message.line, f"{message.place}{field}={fields[field]!r:.40} must be {' or '.join(allowed)}, which SGP4 takes")
+            text.fail(
+                message.line, f"{message.place}{field}={fields[field]!r:.40} must be {' or '.join(allowed)}, which SGP4 takes"
+            )
     if not re.fullmatch(r"\d{1,9}", value("NORAD_CAT_ID").strip(), re.A):
         text.fail(message.line, f"{message.place}NORAD_CAT_ID={value('NORAD_CAT_ID')!r:.40} must be a whole number")
     norad_id = int(value("NORAD_CAT_ID"))

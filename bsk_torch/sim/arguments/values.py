@@ -125,7 +125,9 @@ def convert(arg: Arg, values: Any, rows: int, et: Tensor | None = None) -> Any:
     no_gradient(arg.name, values)
     if arg.kind == "orbit" and isinstance(values, list) and any(map(is_orbit, values)):
         if et is None:
-            raise ValueError(f"{arg.name}={values[0]} is an orbit at an epoch, which {arg.name} of a world without utc_init lacks")
+            raise ValueError(
+                f"{arg.name}={values[0]} is an orbit at an epoch, which {arg.name} of a world without utc_init lacks"
+            )
         rows = max(rows, len(et))
         values = _elements_at(values * rows if len(values) == 1 else values, et.expand(rows))
     if arg.kind == "choice":
@@ -231,7 +233,9 @@ class Arguments:
     def _look(self) -> None:
         """Find out which arguments are random, equal for all satellites, and asked of functions; forget constants."""
         self._constants: dict[str, Any] = {}
-        drawn = [{n for n, v in values.items() if isinstance(v, Distribution) or callable(v) or is_orbit(v)} for values in self._given]
+        drawn = [
+            {n for n, v in values.items() if isinstance(v, Distribution) or callable(v) or is_orbit(v)} for values in self._given
+        ]
         self.random = frozenset(self._changed.union(*drawn))
         apart = {name for of_envs in self._of_envs for name in of_envs}
         self._asked = [
@@ -362,9 +366,7 @@ class Arguments:
         """Return the values of the arguments ``names``, as :meth:`draw` returns them; of functions, only theirs are called."""
         return self._draw_named(names, key, self._asked_alone(key, self.table.keys() - set(names)))
 
-    def _draw_named(
-        self, names: Iterable[str], key: Key, answers: Sequence[Answers], et: Tensor | None = None
-    ) -> dict[str, Any]:
+    def _draw_named(self, names: Iterable[str], key: Key, answers: Sequence[Answers], et: Tensor | None = None) -> dict[str, Any]:
         rows = key if self.columns == (0,) else key.of_satellites(torch.tensor(self.columns))
         return {name: self._drawn_or_kept(self.table[name], key, rows, answers, et) for name in names}
 
