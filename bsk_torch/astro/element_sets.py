@@ -16,8 +16,9 @@ import torch
 from sgp4.api import SGP4_ERRORS, WGS72, WGS84, Satrec
 from torch import Tensor
 
-from bsk_torch.astro.earth_rotation import teme_axes
+from bsk_torch.astro.earth_rotation import sidereal_time_1982, teme_axes
 from bsk_torch.astro.ephemeris import DAY, date_in_words, utc_seconds
+from bsk_torch.astro.matching import matched_velocity
 from bsk_torch.constants import MU_EARTH
 
 __all__ = ["ElementSet", "Ephemeris"]
@@ -92,14 +93,31 @@ class ElementSet:
         return torch.from_numpy(r * 1e3).to(et.device), torch.from_numpy(v * 1e3).to(et.device)
 
     def state_at(self, et: Tensor) -> tuple[Tensor, Tensor]:
-        """Return SGP4's positions, m, and velocities, m/s, in N at ET [n], s, each [n, 3].
+        """Return initial positions, m, and velocities, m/s, in N of orbits that start at ET [n], s, each [n, 3].
 
-        ValueError for epochs further than ``max_age_days`` from that of the set, and where SGP4 has no state.
+        Positions are SGP4's. Velocities differ from SGP4's by up to 0.5 m/s, so that the flown orbit stays near it, see
+        :mod:`bsk_torch.astro.matching`. ValueError for epochs further than ``max_age_days`` from that of the set, and where SGP4
+        has no state.
         """
         self.check_age(et)
-        r, v = self.teme_states(et)
-        NT = teme_axes(et).mT
-        return (NT @ r.unsqueeze(-1)).squeeze(-1), (NT @ v.unsqueeze(-1)).squeeze(-1)
+        if len(et) > 1 and bool((et == et[0]).all()):
+            return tuple(part.expand(len(et), 3) for part in self.state_at(et[:1]))  # type: ignore[return-value]
+        if len(et) == 1:
+            return tuple(part.to(et.device) for part in _state_at(self, float(et)))  # type: ignore[return-value]
+        return self._matched(et)
+
+    def _matched(self, et: Tensor) -> tuple[Tensor, Tensor]:
+        def positions(times: Tensor) -> Tensor:
+            return self.teme_states((et.unsqueeze(-1) + times).flatten())[0].view(len(et), len(times), 3)
+
+        (r, v), TN = self.teme_states(et), teme_axes(et)
+        v = matched_velocity(positions, v, et, TN, sidereal_time_1982(et))
+        r, v = ((TN.mT @ part.unsqueeze(-1)).squeeze(-1) for part in (r, v))
+        return r, v
+
+    def positions(self, et: Tensor) -> Tensor:
+        """Return SGP4's positions in N at ET [n], s, [n, 3] m."""
+        return (teme_axes(et).mT @ self.teme_states(et)[0].unsqueeze(-1)).squeeze(-1)
 
     def check_age(self, et: Tensor) -> None:
         """Raise ValueError if ET [n], s, is too far from the epoch of the set; log a warning if it is far."""
@@ -116,6 +134,12 @@ class ElementSet:
         if abs(worst) > OLD_DAYS and (self.name, self.epoch) not in _warned:
             _warned.add((self.name, self.epoch))
             logger.warning("%s, %.1f days from the start of the episode: SGP4 is off by kilometers a day", about, abs(worst))
+
+
+@lru_cache(4096)
+def _state_at(elements: ElementSet, et: float) -> tuple[Tensor, Tensor]:
+    """Return the state at one epoch, which episodes share that begin at the same time."""
+    return elements._matched(torch.tensor([et], dtype=torch.float64))
 
 
 @lru_cache(4096)
