@@ -60,6 +60,7 @@ class ElementSet:
         bstar: Drag term, 1/Earth radii.
         gravity: Constants of SGP4, ``"wgs72"`` or ``"wgs84"``.
         max_age_days: Days from the epoch beyond which the set is refused.
+        matched: Whether the velocity at the start is fitted, so that the flown orbit stays near SGP4's path; else it is SGP4's.
     """
 
     name: str
@@ -74,6 +75,7 @@ class ElementSet:
     bstar: float
     gravity: str = "wgs72"
     max_age_days: float = MAX_AGE_DAYS
+    matched: bool = True
 
     def __str__(self) -> str:
         return f"ElementSet({self.name!r}, {self.norad_id}, {date_in_words(self.epoch)})"
@@ -107,17 +109,16 @@ class ElementSet:
         return self._matched(et)
 
     def _matched(self, et: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the state as :meth:`state_at` does, of epochs near that of the set."""
+
         def positions(times: Tensor) -> Tensor:
             return self.teme_states((et.unsqueeze(-1) + times).flatten())[0].view(len(et), len(times), 3)
 
         (r, v), TN = self.teme_states(et), teme_axes(et)
-        v = matched_velocity(positions, v, et, TN, sidereal_time_1982(et))
+        if self.matched:
+            v = matched_velocity(positions, v, et, TN, sidereal_time_1982(et))
         r, v = ((TN.mT @ part.unsqueeze(-1)).squeeze(-1) for part in (r, v))
         return r, v
-
-    def positions(self, et: Tensor) -> Tensor:
-        """Return SGP4's positions in N at ET [n], s, [n, 3] m."""
-        return (teme_axes(et).mT @ self.teme_states(et)[0].unsqueeze(-1)).squeeze(-1)
 
     def check_age(self, et: Tensor) -> None:
         """Raise ValueError if ET [n], s, is too far from the epoch of the set; log a warning if it is far."""

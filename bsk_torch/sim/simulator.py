@@ -129,6 +129,7 @@ class Simulator:
             segment=usage.segment,
             compat=satellite_type.compat,
             blind=self.orbit == "free",
+            sampled=satellite_type.sampled,
             manoeuvres=Manoeuvres(self.has_tank and (options.replan or self.orbit == "arc"), self.has_tank and options.replan),
         )
         self.state.add("lookahead", self.lookahead)
