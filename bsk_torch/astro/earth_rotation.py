@@ -6,7 +6,7 @@ J2000 (TDB, which is less than 2 ms from TT), float64 of any shape; UT1 is taken
 Sources:
     IERS Conventions (2010), IERS Technical Note 36, chapter 5: angles of precession (equation 5.40), nutation (tables 5.3a and
     5.3b), the locator s (table 5.2d), the Earth rotation angle (equation 5.15).
-    Aoki et al. (1982): Greenwich mean sidereal time 1982, which connects TEME with the Earth (Vallado, Crawford, Hujsak and Kelso,
+    Aoki et al. (1982): Greenwich mean sidereal time 1982, which connects TEME with the Earth (Vallado, Crawford, Hujsak, Kelso,
     "Revisiting Spacetrack Report #3", AIAA 2006-6753, appendix C).
 
 Neglected, with sizes on the ground:
@@ -164,8 +164,8 @@ def teme_axes(et: Tensor) -> Tensor:
 class Earth(NamedTuple):
     """A model of the Earth's rotation.
 
-    The axes E have z along the pole and x toward the node of the equator, about 90 degrees east of the x axis of N; Earth-fixed axes
-    follow by the angle W of the prime meridian, ``[PN] = R3(W) [EN]``.
+    The axes E have z along the pole and x toward the node of the equator, about 90 degrees east of the x axis of N. Earth-fixed
+    axes follow by the angle W of the prime meridian, ``[PN] = R3(W) [EN]``.
     """
 
     pole: Callable[[Tensor], Mat3]  # [EN] at ET
@@ -195,8 +195,8 @@ IAU_EARTH = Earth(pole_matrix, lambda et: earth_angles(et)[2], earth_orientation
 """The frame IAU_EARTH of the NAIF kernel pck00010.tpc, as in Basilisk: 9.6 km from ITRF at the equator in 2026, in longitude."""
 
 ITRF = Earth(_itrf_pole, lambda et: torch.remainder(rotation_angle(et) - 0.5 * math.pi, 2.0 * math.pi), itrf_axes)
-"""ITRF without polar motion, with UT1 = UTC. Between records an hour apart, the simulation turns it at the rates of IAU_EARTH, which
-is worth 0.1 m."""
+"""ITRF without polar motion, with UT1 = UTC. Between records an hour apart, the simulation turns it at the rates of IAU_EARTH,
+which is worth 0.1 m."""
 
 EARTHS = {"IAU_EARTH": IAU_EARTH, "ITRF": ITRF}
 """Models by the values of the argument ``earthRotation``."""

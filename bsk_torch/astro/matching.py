@@ -1,8 +1,8 @@
 """Initial velocities with which a flown orbit stays near an analytic theory, which lacks periodic terms of the Earth's field.
 
-The state that SGP4 has at one time, flown in a full field, drifts along the track by kilometers in six hours: without the periodic
-terms of the tesseral harmonics, its energy is that of an orbit tens of meters higher or lower. A least-squares fit of the velocity
-to positions of the theory over hours removes the drift, and leaves the position at the start as it is.
+The state that SGP4 has at one time, flown in a full field, drifts along the track by kilometers in six hours: without the
+periodic terms of the tesseral harmonics, its energy is that of an orbit tens of meters higher or lower. A least-squares fit of
+the velocity to positions of the theory over hours removes the drift, and leaves the position at the start as it is.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ def matched_velocity(
     """Return velocities [n, 3], m/s, whose orbits from the theory's position at ET [n], s, stay nearest to the theory.
 
     The distance x from the theory's path r follows ``x'' = G(r) x + a(r) - r''`` with the gradient G of the point mass and the
-    acceleration a of the simulation, the Earth's field of degree 10 and the Sun. It is linear in the change of the velocity, so one
-    solution of normal equations minimizes the sum of ``|x|^2`` over ``span`` s.
+    acceleration a of the simulation, the Earth's field of degree 10 and the Sun. It is linear in the change of the velocity, so
+    one solution of normal equations minimizes the sum of ``|x|^2`` over ``span`` s.
 
     Args:
         positions: Returns the theory's positions, [n, K, 3] m in the axes T, at times [K], s after ET.
@@ -68,7 +68,7 @@ def matched_velocity(
 
 
 def _least(r: Tensor, forcing: Tensor) -> Tensor:
-    """Return the changes of velocity [n, 3] that minimize the distances along paths r [n, K, 3], driven by a forcing [n, K, 3]."""
+    """Return the changes of velocity [n, 3] that minimize distances along paths r [n, K, 3], driven by a forcing [n, K, 3]."""
     n, count, _ = r.shape
     radius2 = (r * r).sum(-1)[..., None, None]
     strength = MU_EARTH / (radius2 * radius2.sqrt())

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,7 +18,8 @@ from torch import Tensor
 from bsk_torch.astro.earth_rotation import itrf_axes, teme_axes
 from bsk_torch.astro.element_sets import Ephemeris
 from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE, TT_MINUS_TAI, date_in_words, et_of_tt, et_of_utc
-from bsk_torch.formats.source import Source, check_satellites, read_source
+from bsk_torch.formats.elements import check_satellites
+from bsk_torch.formats.source import Source, read_source
 from bsk_torch.sim.names import nearest
 
 __all__ = ["read_ccsds", "write_oem"]
@@ -35,8 +37,8 @@ FRAMES: dict[str, Callable[[Tensor], Tensor]] = {
     "TEME": teme_axes,
     **dict.fromkeys(("ITRF", "ITRF1997", "ITRF2000", "ITRF2005", "ITRF2008", "ITRF2014", "ITRF2020"), itrf_axes),
 }
-"""DCM from N by the name of a frame. EME2000 is taken as ICRF, as SPICE does: they differ by 0.023 arcseconds, 0.8 m in low orbit.
-Polar motion and UT1 - UTC of ITRF are left out, see :mod:`bsk_torch.astro.earth_rotation`."""
+"""DCM from N by the name of a frame. EME2000 is taken as ICRF, as SPICE does: they differ by 0.023 arcseconds, 0.8 m in low
+orbit. Polar motion and UT1 - UTC of ITRF are left out, see :mod:`bsk_torch.astro.earth_rotation`."""
 
 ROTATING = {name for name, axes in FRAMES.items() if axes is itrf_axes}
 
@@ -223,12 +225,10 @@ def _oem(text: Source, lines: Sequence[_Line]) -> list[Ephemeris]:
     return found
 
 
-def write_oem(satellites: Iterable[Ephemeris], creation: str = "2000-01-01T00:00:00") -> str:
-    """Return satellites as the text of an OEM (KVN, version 2.0): states in km and km/s along ICRF axes, epochs in UTC.
-
-    ``creation`` is the date of the file, UTC.
-    """
-    lines = ["CCSDS_OEM_VERS = 2.0", f"CREATION_DATE = {creation}", "ORIGINATOR = bsk_torch"]
+def write_oem(satellites: Iterable[Ephemeris]) -> str:
+    """Return satellites as the text of an OEM (KVN, version 2.0): states in km and km/s along ICRF axes, epochs in UTC."""
+    created = datetime.now(timezone.utc).strftime("%Y-%m-%dT%H:%M:%S")
+    lines = ["CCSDS_OEM_VERS = 2.0", f"CREATION_DATE = {created}", "ORIGINATOR = bsk_torch"]
     for satellite in satellites:
         epochs = [date_in_words(float(time)).removesuffix("Z") for time in satellite.times]
         lines += [

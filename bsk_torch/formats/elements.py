@@ -1,9 +1,9 @@
-"""Element sets from the numbers that all formats share, and their checks."""
+"""Checks that all formats of orbits share, and element sets from their numbers."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 
 import numpy as np
@@ -12,8 +12,9 @@ import torch
 from bsk_torch._checks import number
 from bsk_torch.astro.element_sets import GRAVITIES, ElementSet
 from bsk_torch.astro.ephemeris import et_of_utc
+from bsk_torch.constants import MU_EARTH, R_EARTH
 from bsk_torch.formats.source import Source
-from bsk_torch.sim.names import one_of
+from bsk_torch.sim.names import name_fault, one_of
 
 BOUNDS = {
     "inclination": (0.0, 180.0, "degrees"),
@@ -25,8 +26,26 @@ BOUNDS = {
 }
 """Allowed numbers of an element set: 18 revolutions a day lie below the surface."""
 
+LOWEST_PERIGEE = 6.458e6
+"""Least distance of the perigee from the Earth's center, m: 80 km above the equator, below which nothing stays in orbit."""
+
 LARGEST_BSTAR = 10.0
 """Largest drag term, 1/Earth radii: bodies in the last hours before their fall have 0.1."""
+
+
+def check_satellites(source: Source, names: Sequence[tuple[int, str, object]]) -> None:
+    """Raise ValueError for names that cannot be a satellite's, and names or identifiers that repeat.
+
+    ``names`` holds the line, the name and the identifier of each satellite.
+    """
+    lines: dict[tuple[str, object], int] = {}
+    for line, name, identifier in names:
+        if fault := name_fault(name):
+            source.fail(line, f"name={name!r} {fault}")
+        for what, value in (("identifier", identifier), ("name", name)):
+            if (what, value) in lines:
+                source.fail(line, f"{what} {value!r} is also in line {lines[what, value]}; each satellite needs its own")
+            lines[what, value] = line
 
 
 def epoch_of_day(year: int, day: float) -> float:
@@ -74,6 +93,10 @@ def element_set(
         gravity=gravity,
         max_age_days=max_age_days,
     )
+    axis = (MU_EARTH * (60.0 / made.mean_motion) ** 2) ** (1.0 / 3.0)
+    if axis * (1.0 - made.eccentricity) < LOWEST_PERIGEE:
+        perigee = (axis * (1.0 - made.eccentricity) - R_EARTH) / 1e3
+        source.fail(line, f"{name!r} ({norad_id}) has decayed: its perigee is {perigee:.0f} km above the equator, below 80")
     try:
         made.teme_states(torch.tensor([epoch], dtype=torch.float64))
     except ValueError as error:

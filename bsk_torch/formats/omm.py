@@ -15,8 +15,8 @@ from xml.etree import ElementTree
 
 from bsk_torch.astro.element_sets import MAX_AGE_DAYS, ElementSet
 from bsk_torch.astro.ephemeris import parse_utc
-from bsk_torch.formats.elements import element_set
-from bsk_torch.formats.source import Source, check_satellites, read_source
+from bsk_torch.formats.elements import check_satellites, element_set
+from bsk_torch.formats.source import Source, read_source
 from bsk_torch.sim.names import nearest
 from bsk_torch.untrusted import Json, parse_json
 

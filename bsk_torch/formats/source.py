@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple, NoReturn
 
-from bsk_torch.sim.names import name_fault
 from bsk_torch.untrusted import one_line, read_bytes
 
 MOST_BYTES = 2**26
@@ -53,18 +51,3 @@ def read_source(source: str | Path, most: int = MOST_BYTES) -> Source:
     if not found.text.strip():
         found.fail(None, "it is empty")
     return found
-
-
-def check_satellites(source: Source, names: Sequence[tuple[int, str, object]]) -> None:
-    """Raise ValueError for names that cannot be a satellite's, and names or identifiers that repeat.
-
-    ``names`` holds the line, the name and the identifier of each satellite.
-    """
-    lines: dict[tuple[str, object], int] = {}
-    for line, name, identifier in names:
-        if fault := name_fault(name):
-            source.fail(line, f"name={name!r} {fault}")
-        for what, value in (("identifier", identifier), ("name", name)):
-            if (what, value) in lines:
-                source.fail(line, f"{what} {value!r} is also in line {lines[what, value]}; each satellite needs its own")
-            lines[what, value] = line

@@ -13,8 +13,8 @@ from typing import NamedTuple
 from sgp4.alpha5 import from_alpha5
 
 from bsk_torch.astro.element_sets import MAX_AGE_DAYS, ElementSet
-from bsk_torch.formats.elements import element_set, epoch_of_day
-from bsk_torch.formats.source import Source, check_satellites, read_source
+from bsk_torch.formats.elements import check_satellites, element_set, epoch_of_day
+from bsk_torch.formats.source import Source, read_source
 
 __all__ = ["read_tle"]
 

@@ -3,8 +3,8 @@
     python scripts/tools/make_nutation.py
 
 The series is that of the IERS Conventions (2010), tables 5.3a and 5.3b (IERS Technical Note 36), of which Skyfield ships a copy.
-Terms with an amplitude of at least `SMALLEST` in longitude or obliquity are kept; what is left out is at most 1.5 mas between 1990
-and 2060, which `tests/astro/test_earth_rotation.py` compares with the whole series in ERFA.
+Terms with an amplitude of at least `SMALLEST` in longitude or obliquity are kept; what is left out is at most 1.5 mas between
+1990 and 2060, which `tests/astro/test_earth_rotation.py` compares with the whole series in ERFA.
 """
 
 from __future__ import annotations

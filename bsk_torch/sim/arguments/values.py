@@ -23,7 +23,7 @@ from bsk_torch._checks import no_gradient, number
 from bsk_torch.astro.ephemeris import coverage, parse_utc
 from bsk_torch.astro.orbit import rv_to_elements
 from bsk_torch.codegen.kept import of_package
-from bsk_torch.rand import Distribution, Key, PerEnv, RandomEpoch, seeded
+from bsk_torch.rand import Choice, Distribution, Key, PerEnv, RandomEpoch, seeded
 from bsk_torch.sim.arguments.sources import Answers, Member, in_order, is_function, unknown
 from bsk_torch.sim.component import Arg, Component, Values, asked
 from bsk_torch.sim.names import nearest
@@ -96,6 +96,12 @@ def _shaped(arg: Arg, values: Tensor, rows: int) -> Tensor:
 def is_orbit(value: object) -> bool:
     """Return whether a value is an orbit that is evaluated at an epoch: an element set or an ephemeris."""
     return hasattr(value, "state_at")
+
+
+def holds_orbit(value: object) -> bool:
+    """Return whether a value, or an option or row of a distribution, is an orbit at an epoch."""
+    several = value.options if isinstance(value, Choice) else value.values if isinstance(value, PerEnv) else ()
+    return is_orbit(value) or (isinstance(several, list | tuple) and any(map(is_orbit, several)))
 
 
 def _elements_at(values: Sequence[Any], et: Tensor) -> Tensor:
@@ -358,7 +364,7 @@ class Arguments:
     def draw_per_env(self, key: Key, et: Tensor | None = None) -> dict[str, Any]:
         """Return the values, [n * S, ...], of the arguments that ``rand.per_env`` gives: the same in all episodes.
 
-        Those that user functions give to some satellites or environments are left out. Orbits are evaluated at ``et``, [n or 1] s.
+        Those that user functions give to some satellites or environments are left out. Orbits are those at ``et``, [n or 1] s.
         """
         return self._draw_named([name for name in self.table if self._is_per_env(name)], key, (), et)
 

@@ -41,7 +41,10 @@ EPHEMERIS_TRACK = Track(
 
 
 def pole_rate(pole: Mat3) -> Vec3:
-    """Return the angular rate omega_EN_E, rad/s, of the axes of :func:`~bsk_torch.astro.earth_rotation.pole_matrix`: ``-delta' e_x + alpha' [EN] n_z``."""
+    """Return the angular rate omega_EN_E, rad/s, of the axes of :func:`~bsk_torch.astro.earth_rotation.pole_matrix`.
+
+    ``-delta' e_x + alpha' [EN] n_z``.
+    """
     ascension = POLE_RIGHT_ASCENSION_RATE
     return Vec3(torch.full_like(pole.z.z, -POLE_DECLINATION_RATE), pole.y.z * ascension, pole.z.z * ascension)
 
