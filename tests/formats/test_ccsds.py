@@ -44,7 +44,7 @@ def test_time_scales_and_frames_are_converted():
 def circle(times):
     """States on a circular low orbit, [K, 6]."""
     radius, rate = 7e6, 1.078e-3
-    angle, zero = rate * (times - BEGIN), np.zeros_like(times)
+    angle = rate * (times - BEGIN)
     r = radius * np.stack([np.cos(angle), np.sin(angle) * 0.6, np.sin(angle) * 0.8], -1)
     return np.concatenate([r, radius * rate * np.stack([-np.sin(angle), np.cos(angle) * 0.6, np.cos(angle) * 0.8], -1)], -1)
 
