@@ -184,10 +184,15 @@ def coverage_in_words() -> str:
     return f"{begin:%Y-%m-%d} to {end:%Y-%m-%d}"
 
 
+def utc_in_words(et: Tensor) -> list[str]:
+    """Return the UTC of ET, [n] s past J2000, to the millisecond, such as ``"2026-04-13T22:18:17.006Z"``."""
+    milliseconds = np.round(utc_seconds(et).cpu().numpy() * 1e3).astype("timedelta64[ms]")
+    return [f"{word}Z" for word in np.datetime_as_string(np.datetime64("2000-01-01T12:00:00", "ms") + milliseconds).tolist()]
+
+
 def date_in_words(et: float) -> str:
-    """Return the UTC of ET, s past J2000, to the millisecond, such as ``"2026-04-13T22:18:17.006Z"``."""
-    seconds = float(utc_seconds(torch.tensor(et, dtype=torch.float64)))
-    return (_J2000 + timedelta(milliseconds=round(seconds * 1e3))).isoformat(timespec="milliseconds") + "Z"
+    """Return the UTC of one ET, s past J2000; see :func:`utc_in_words`."""
+    return utc_in_words(torch.tensor([et], dtype=torch.float64))[0]
 
 
 def sun_position(et: Tensor) -> Tensor:

@@ -5,34 +5,45 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Iterable, Mapping
-from typing import Literal
+from collections.abc import Mapping, Sequence
 
-from bsk_torch.astro.ephemeris import date_in_words
+from torch import Tensor
 
-__all__ = ["interval_row", "write_rows"]
+from bsk_torch.astro.ephemeris import utc_in_words
+
+__all__ = ["interval_table"]
 
 Cell = str | float | int | None
 
 
-def interval_row(et: float, start: float, end: float) -> dict[str, Cell]:
-    """Return the cells of an interval from ``start`` to ``end`` s after ET: UTC to the millisecond, and seconds."""
-    return {
-        "start_utc": date_in_words(et + start),
-        "end_utc": date_in_words(et + end),
-        "start_s": round(start, 3),
-        "end_s": round(end, 3),
-    }
+def interval_table(
+    columns: Mapping[str, Sequence[Cell]],
+    et: float,
+    start: Tensor,
+    end: Tensor,
+    form: str,
+    after: Mapping[str, Sequence[Cell]] = {},
+) -> str:
+    """Return intervals as the text of a CSV file with a header, or of a JSON list of objects.
 
-
-def write_rows(rows: Iterable[Mapping[str, Cell]], form: Literal["csv", "json"]) -> str:
-    """Return rows of equal columns as the text of a CSV file with a header, or a JSON list of objects; None is an empty cell."""
-    table = list(rows)
+    Args:
+        columns: What the intervals are, n cells each.
+        et: ET of time zero, s.
+        start: Begins, [n] s; written in UTC to the millisecond, and in seconds.
+        end: Ends, likewise.
+        form: ``"csv"`` or ``"json"``.
+        after: Columns behind the times; None is an empty cell.
+    """
+    seconds = {name: [round(time, 3) for time in times.tolist()] for name, times in (("start_s", start), ("end_s", end))}
+    words = {"start_utc": utc_in_words(et + start), "end_utc": utc_in_words(et + end)}
+    table: dict[str, Sequence[Cell]] = {**columns, **words, **seconds, **after}
+    rows = zip(*table.values(), strict=True)
     if form == "json":
-        return json.dumps(table, ensure_ascii=False, allow_nan=False, indent=1) + "\n"
+        return (
+            json.dumps([dict(zip(table, row, strict=True)) for row in rows], ensure_ascii=False, allow_nan=False, indent=1) + "\n"
+        )
     text = io.StringIO()
-    if table:
-        writer = csv.DictWriter(text, fieldnames=list(table[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(table)
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(table)
+    writer.writerows(rows)
     return text.getvalue()

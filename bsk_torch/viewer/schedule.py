@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Literal
 
-from bsk_torch.formats.intervals import Cell, interval_row, write_rows
+import torch
+
+from bsk_torch.formats.intervals import interval_table
 from bsk_torch.recording.recording import EVENTS, Recording
 
 __all__ = ["schedule"]
@@ -25,14 +27,11 @@ def schedule(recording: Recording, form: Literal["csv", "json"], track: int = 0)
         raise IndexError(f"track={track} must lie from 0 to {len(recording.tracks) - 1}")
     flight = recording.tracks[track]
     scene, columns = recording.scenes[flight.scene], {name: array.tolist() for name, array in flight.arrays.items()}
-    rows: list[tuple[float, dict[str, Cell]]] = []
+    rows: list[tuple[float, float, str, str, str, str, float | None]] = []
 
-    def add(
-        satellite: int, kind: str, start: float, end: float, target: int = -1, what: str = "", reward: float | None = None
-    ) -> None:
+    def add(k: int, kind: str, start: float, end: float, target: int = -1, what: str = "", reward: float | None = None) -> None:
         name = scene.target_names[target] if 0 <= target < len(scene.target_names) else str(target) if target >= 0 else ""
-        cells: dict[str, Cell] = {"satellite": recording.satellites[satellite].name, "kind": kind}
-        rows.append((start, cells | interval_row(scene.et, start, end) | {"target": name, "what": what, "reward": reward}))
+        rows.append((start, end, recording.satellites[k].name, kind, name, what, reward))
 
     tasks = ("satellite", "time", "end", "target", "action", "reward")
     for k, start, end, target, action, reward in zip(*(columns[f"decision_{name}"] for name in tasks), strict=True):
@@ -45,4 +44,8 @@ def schedule(recording: Recording, form: Literal["csv", "json"], track: int = 0)
     for name, kind in (("passes", "pass"), ("eclipses", "eclipse")):
         for k, (start, end) in zip(columns[f"{name}_satellite"], columns[name], strict=True):
             add(k, kind, start, end)
-    return write_rows((cells for _, cells in sorted(rows, key=lambda row: row[0])), form)
+    rows.sort(key=lambda row: row[0])
+    start, end, satellite, kind, target, what, reward = map(list, zip(*rows, strict=True)) if rows else [[]] * 7
+    times = (torch.tensor(part, dtype=torch.float64) for part in (start, end))
+    after = {"target": target, "what": what, "reward": reward}
+    return interval_table({"satellite": satellite, "kind": kind}, scene.et, *times, form, after)
