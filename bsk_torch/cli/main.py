@@ -51,6 +51,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "Estimate the probability of a loss, down to 1e-6 and below, and show the ways to it.",
     ),
     "view": ("bsk_torch.viewer.commands:view", "Show an episode in the browser: a preset, a run or a recording."),
+    "windows": (
+        "bsk_torch.cli.windows:windows",
+        "List access windows of real satellites, from element sets, over places in a file.",
+    ),
     "export": ("bsk_torch.viewer.commands:export", "Write an episode of a preset, a run or a recording to a file."),
     "explain": (
         "bsk_torch.lab.commands.explain:explain_failures",

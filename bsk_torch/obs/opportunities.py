@@ -51,7 +51,7 @@ def sun_elevation(satellite: BoundAccessSatellite, opportunities: Opportunities)
     """
     simulator, places = satellite.simulator, satellite.access_windows.kinds[opportunities.type]
     time = torch.maximum(opportunities.open, simulator.sim_time.unsqueeze(-1))
-    r_SP_P = earth_fixed_sun(simulator.arcs.et.unsqueeze(-1) + time)
+    r_SP_P = earth_fixed_sun(simulator.arcs.et.unsqueeze(-1) + time, simulator.arcs.solver.earth.orientation)
     r_LP_P = places.position(simulator.state.all_rows, opportunities.place, time)
     place = Vec3.of(r_LP_P)
     vertical = vertical_of(place, places.vertical) if isinstance(places, FixedPlaces) else place

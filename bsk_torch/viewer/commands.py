@@ -20,7 +20,7 @@ from bsk_torch.cli.terminal import echo, fail, refusing, working
 from bsk_torch.files import write_file
 from bsk_torch.sim.names import nearest
 
-FILES = (".html", ".bskview", ".czml")
+FILES = (".html", ".bskview", ".czml", ".oem", ".csv", ".json")
 """What the names of exported recordings end with."""
 
 What = Annotated[str, typer.Argument(help="Preset, run folder, or recording (.bskview).", show_default=False)]
@@ -43,7 +43,9 @@ def view(
     seed: Seed = 0,
     until: Until = None,
     branch: Branches = None,
-    out: Annotated[Path | None, flag("FILE", "Write a file (.html, .bskview, .czml) instead of starting a server.")] = None,
+    out: Annotated[
+        Path | None, flag("FILE", "Write a file (.html, .bskview, .czml, .oem, .csv, .json) instead of starting a server.")
+    ] = None,
     host: Annotated[str, flag("NAME", "Address of the server; others need a token.")] = "127.0.0.1",
     port: Annotated[int, flag("N", "Port of the server, or the next free one.", min=1, max=65535)] = 8765,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
@@ -92,7 +94,9 @@ def view(
 
 def export(
     what: What,
-    out: Annotated[Path, flag("FILE", "A page (.html), recording (.bskview), CZML (.czml) or film (.mp4, .gif, .webp).")],
+    out: Annotated[
+        Path, flag("FILE", "A page (.html), recording (.bskview), CZML, OEM, schedule (.csv, .json) or film (.mp4, .gif, .webp).")
+    ],
     policy: WithPolicy = None,
     seed: Seed = 0,
     until: Until = None,
@@ -173,9 +177,11 @@ def _write(source: object, out: Path) -> None:
     recording = source if isinstance(source, recordings.Recording) else source.recording()  # type: ignore[attr-defined]
     if out.suffix == ".html":
         content: bytes | str = recording.html()
-    elif out.suffix == ".czml":
+    elif out.suffix in (".czml", ".oem"):
         with refusing():
-            content = extra("bsk_torch.viewer.czml").czml(recording)
+            content = getattr(extra(f"bsk_torch.viewer.{out.suffix[1:]}"), out.suffix[1:])(recording)
+    elif out.suffix in (".csv", ".json"):
+        content = extra("bsk_torch.viewer.schedule").schedule(recording, out.suffix[1:])
     else:
         content = recording.encode()
     write_file(out, content)

@@ -152,7 +152,7 @@ def test_rejects_wrong_satellite_classes_and_specs():
         refusal(lambda: seeing("batery_charge"), ValueError, "prop", "'batery_charge'", "'battery_charge'"),
         refusal(lambda: kind(observation_spec=(windows,)), ValueError, "'target'", "AccessSatellite", "GroundStationDynModel"),
         refusal(without_store, ValueError, "ScanningTimeReward", "storage_level", "BasicDynamicsModel"),
-        refusal(lambda: Base("Scanner-1"), ValueError, "name", "'Scanner-1'", "identifier"),
+        refusal(lambda: Base("Scanner\n1"), ValueError, "name", "'Scanner\\n1'", "shown"),
     )
     ahead = lambda prop, n=1: obs.OpportunityProperties(dict(prop=prop), n_ahead_observe=n)
     check_refusals(

@@ -27,8 +27,8 @@ def services(name="Services-v1", **options):
 def test_rejects_wrong_agents_and_maps_of_groups():
     agents = lambda groupings: agents_of(["A", "B", "C", "D", "E"], groupings)
     check_refusals(
-        refusal(lambda: agents({"my crew": ["A"]}), ValueError, "meta_agent_groupings", "'my crew'", "identifier"),
-        refusal(lambda: agents({"class": ["A"]}), ValueError, "meta_agent_groupings", "'class'", "identifier"),
+        refusal(lambda: agents({" crew": ["A"]}), ValueError, "meta_agent_groupings", "' crew'", "space"),
+        refusal(lambda: agents({3: ["A"]}), ValueError, "meta_agent_groupings", "3", "string"),
         refusal(lambda: agents({"Crew": []}), ValueError, "meta_agent_groupings", "'Crew'", "[]", "satellite"),
         refusal(lambda: agents({"Crew": "A"}), ValueError, "meta_agent_groupings", "'Crew'", "'A'", "satellite"),
         refusal(lambda: agents({"Crew": ["A", "b"]}), ValueError, "meta_agent_groupings", "'Crew'", "'b'", "'B'"),

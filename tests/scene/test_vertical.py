@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from bsk_torch import SatelliteTasking, act, data, dyn, fsw, obs, sats, scene
+from bsk_torch.astro.earth_rotation import pole_matrix
 from bsk_torch.astro.ephemeris import earth_angles, earth_orientation, parse_utc
 from bsk_torch.astro.geodetic import geodetic_to_fixed, local_vertical
 from bsk_torch.formats.stations import ground_stations
 from bsk_torch.sim.component import Bus
-from bsk_torch.sim.environment.ephemeris import pole_matrix
 from bsk_torch.sim.environment.world import see_stations, station_arrays
 from bsk_torch.sim.fsw.target import aim_at_place
 from bsk_torch.vec3 import Vec3

@@ -19,7 +19,7 @@ from bsk_torch.astro.geodetic import Vertical, axis_shift, geodetic_to_fixed
 from bsk_torch.astro.magnetic import dipole_field
 from bsk_torch.constants import R_EARTH
 from bsk_torch.rand import random_epoch
-from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
+from bsk_torch.sim.component import Arg, Bus, Component, Field, UserArguments, Values, vec
 from bsk_torch.sim.environment.ephemeris import move_sun_and_earth, orient_pole, turned
 from bsk_torch.sim.places import STATION_KIND, FixedPlaces, Places, PlaceTables
 from bsk_torch.vec3 import Vec3
@@ -177,7 +177,17 @@ EARTH_POLE = Component(slot="earth_pole", update=orient_pole)
 EPHEMERIS = Component(
     slot="ephemeris",
     update=move_sun_and_earth,
-    args=(Arg("utc_init", random_epoch(), "-", "epoch, such as '2021 FEB 05 09:12:05.830 (UTC)'", kind="utc"),),
+    args=(
+        Arg("utc_init", random_epoch(), "-", "epoch, such as '2021 FEB 05 09:12:05.830 (UTC)'", kind="utc"),
+        Arg(
+            "earthRotation",
+            "IAU_EARTH",
+            "-",
+            "Basilisk's IAU_EARTH, or ITRF, to a meter: the default for satellites from files of orbits",
+            "constant",
+            choices=("IAU_EARTH", "ITRF"),
+        ),
+    ),
 )
 
 ATMOSPHERE = Component(

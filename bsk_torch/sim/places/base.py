@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 from typing_extensions import override
 
+from bsk_torch.astro.earth_rotation import IAU_EARTH, Earth
 from bsk_torch.astro.geodetic import Vertical, axis_shift
 from bsk_torch.rand import first_key
 from bsk_torch.sim.arguments.values import Arguments
@@ -281,6 +282,7 @@ def place_kinds(
     declared: PlaceKinds,
     instruments: Sequence[Instrument] = (),
     vertical: Vertical = "radius",
+    earth: Earth = IAU_EARTH,
 ) -> dict[str, Places]:
     """Return the places that satellites can see, by kind: those of ``parts``, and those ``declared`` by the scenario.
 
@@ -288,7 +290,8 @@ def place_kinds(
     than places, ValueError for a name already in use, or places without clearances.
     """
     bringing = [part for part in parts if part.places]
-    tables = PlaceTables(scenario, arguments, world_args.draw(first_key(1)) if bringing else {}, instruments, vertical)
+    world = world_args.draw(first_key(1)) if bringing else {}
+    tables = PlaceTables(scenario, arguments, world, instruments, vertical, earth)
     kinds: dict[str, Places] = {}
     sources = [(f"the component {part.slot!r}", part.places) for part in bringing]
     for owner, source in [*sources, ("the scenario", declared)]:
