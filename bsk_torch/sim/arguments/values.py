@@ -368,7 +368,9 @@ class Arguments:
 
         Those that user functions give to some satellites or environments are left out. Orbits are those at ``et``, [n or 1] s.
         """
-        return self._draw_named([name for name in self.table if self._is_per_env(name)], key, (), et)
+        values = {name: [value for k in range(len(self._given)) for value in self._values_of(k, name)] for name in self.table}
+        names = [name for name, of in values.items() if any(isinstance(x, PerEnv) for x in of) and not any(map(is_function, of))]
+        return self._draw_named(names, key, (), et)
 
     def draw_some(self, names: Sequence[str], key: Key) -> dict[str, Any]:
         """Return the values of the arguments ``names``, as :meth:`draw` returns them; of functions, only theirs are called."""
