@@ -9,7 +9,7 @@ from bsk_torch.rand import MOST_SATELLITES
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sim.arguments.values import alike, is_fixed, nearest
 
-OWN = ("name", "sat_args_generator")
+OWN = ("name", "sat_args_generator", "sensor_types")
 """Attributes that may differ between satellites of one type."""
 
 

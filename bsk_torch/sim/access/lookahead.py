@@ -259,6 +259,12 @@ class LookAhead(StateTable):
         if self.arcs.restarts and self.access is not None:
             self._search_to(self.all_rows, self.access.until, now)
 
+    def insert(self, kind: str, rows: Tensor, place: Tensor, time: Tensor) -> None:
+        """Add the windows of places that appear at ``time`` [n] s; see :meth:`AccessWindows.insert`."""
+        assert self.access is not None
+        for part in torch.split(torch.arange(len(rows), device=self.device), CHUNK):
+            self.access.insert(kind, rows[part], place[part], time[part])
+
     # -- queries ------------------------------------------------------------------------------------------------------
 
     @outside_inference

@@ -15,17 +15,21 @@ from torch import Tensor
 from bsk_torch.astro.interpolate import BEFORE, COUNT
 from bsk_torch.sim.access.light.light import in_light
 from bsk_torch.sim.access.passes.passes import GroundTrack, Passes, PassSearch
+from bsk_torch.sim.access.passes.requested import long_enough, request_passes
 from bsk_torch.sim.access.passes.sampled_passes import find_passes
 from bsk_torch.sim.access.visibility.backend import Visibility
-from bsk_torch.sim.access.visibility.planned import PlannedOrbits
+from bsk_torch.sim.access.visibility.planned import PlannedOrbits, position_between, take_rows
 from bsk_torch.sim.access.windows.generation import GenerationIntervals, true_windows, windows_by_interval
 from bsk_torch.sim.access.windows.next_windows import next_windows
 from bsk_torch.sim.access.windows.padded import tabulate
 from bsk_torch.sim.access.windows.table import Windows, candidates, join_at, next_to_close
+from bsk_torch.sim.environment.ephemeris import fixed
 from bsk_torch.sim.hooks import check_tensor
 from bsk_torch.sim.orbit.arcs import Arcs
+from bsk_torch.sim.orbit.builder import ARC
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, PLAN_STEP
 from bsk_torch.sim.places import FixedPlaces, Places
+from bsk_torch.sim.places.requested import RequestPlaces
 from bsk_torch.sim.state import StateTable
 
 MAX_SEGMENTS = 100  # segments that a query may add before it gives up
@@ -139,7 +143,7 @@ class AccessWindows(StateTable):
         end = duration + torch.floor((longest - duration) / self.segment).clamp(min=0.0) * self.segment
         intervals = GenerationIntervals(start, torch.where(duration > 0.0, duration, self.segment), end, self.segment)
         for kind in self.kinds:
-            self._store_passes(kind, rows, self._generate(kind, rows, track, intervals))
+            self._store_windows(kind, rows, self._generate(kind, rows, track, intervals), end)
         self.until[rows], self.ready[rows] = duration, end
 
     def store(self, kind: str, rows: Tensor, found: Windows) -> None:
@@ -221,6 +225,17 @@ class AccessWindows(StateTable):
         if len(behind):
             self._search_on(behind, 10**9, self.arcs.start[behind])
 
+    def _flown_track(self, rows: Tensor, start: Tensor, count: int) -> Tensor:
+        """Return Earth-fixed positions, [n, count, 3] m, every 30 s from ``start`` [n] s on, on the flown arcs.
+
+        Planned arcs, from which they differ by meters, are kept for the last hours only.
+        """
+        time = (start.unsqueeze(-1) + PLAN_STEP * torch.arange(count, dtype=start.dtype, device=start.device)).flatten()
+        every = rows.repeat_interleave(count)
+        nodes, ephemeris = (take_rows(part, every) for part in (*self.arcs.tracks((ARC,)), self.arcs.ephemeris_samples))
+        r_BN_N, sky = position_between(nodes, ephemeris, time)
+        return fixed(sky, r_BN_N).stack().view(-1, count, 3)
+
     def _search_on(self, rows: Tensor, segments: int, time: Tensor) -> None:
         """Search at most so many segments of ``rows`` [n]; drop windows that closed before ``time`` [n] s."""
         begin, begun = self.ready[rows], self.arcs.begun
@@ -240,14 +255,42 @@ class AccessWindows(StateTable):
             past = old.close < torch.minimum(time, begin).unsqueeze(-1)  # one that closes at the beginning may be joined
             row, k = torch.nonzero(torch.isfinite(old.close) & ~past, as_tuple=True)
             kept = Passes(row, old.place[row, k], old.open[row, k], old.close[row, k])
-            self._store_passes(kind, rows, join_at(kept, new, begin))
+            self._store_windows(kind, rows, join_at(kept, new, begin), end)
         self.ready[rows] = end
+
+    def insert(self, kind: str, rows: Tensor, place: Tensor, time: Tensor) -> None:
+        """Add the windows of requests that appear at ``time`` [n] s: of ``rows`` [n], over places [n, K] without windows yet.
+
+        They are searched up to where those of all other places are. Windows in progress begin at the release of the request,
+        which is not before ``time``.
+        """
+        ahead = self.ready[rows] > time
+        rows, place, time = rows[ahead], place[ahead], time[ahead]
+        if not len(rows):
+            return
+        end, begun = self.ready[rows], self.arcs.begun
+        first = torch.floor((time - BEFORE_SEARCH) / PLAN_STEP) * PLAN_STEP
+        samples = math.ceil(float((end - first).max() + BEHIND_SEARCH) / PLAN_STEP) + 1
+        # all tracks are as long, and none reaches beyond its arc
+        start = torch.minimum(first, self.arcs.end[rows] - PLAN_STEP * (samples - 1))
+        start = torch.maximum(start, begun[rows] if isinstance(begun, Tensor) else torch.zeros_like(start))
+        track = GroundTrack(self._flown_track(rows, start, samples), start)
+        places = self.kinds[kind]
+        assert isinstance(places, RequestPlaces)
+        found = in_light(places, rows, request_passes(places, rows, track, self.visibility, place))
+        new = true_windows(track, found, GenerationIntervals(start, end, end, self.segment))
+        old = self._windows_of(kind).take(rows)
+        row, k = torch.nonzero(torch.isfinite(old.close), as_tuple=True)
+        kept = Passes(row, old.place[row, k], old.open[row, k], old.close[row, k])
+        self._store_windows(kind, rows, Passes(*(torch.cat(parts) for parts in zip(kept, new, strict=True))), end)
 
     def _generate(self, kind: str, rows: Tensor, track: GroundTrack, intervals: GenerationIntervals) -> Passes:
         """Return the windows of ``rows`` [n] over one kind of places; searches by intervals know fixed ones only."""
         places = self.kinds[kind]
         if not isinstance(places, FixedPlaces):
             return true_windows(track, find_passes(places, rows, track), intervals)
+        if isinstance(places, RequestPlaces):
+            return true_windows(track, in_light(places, rows, request_passes(places, rows, track, self.visibility)), intervals)
         if places.clearances:
             return true_windows(track, in_light(places, rows, find_passes(places, rows, track)), intervals)
         search = PassSearch(self.visibility, track, places.sites(rows))
@@ -255,6 +298,11 @@ class AccessWindows(StateTable):
         if self.compat and not places.light:
             return windows_by_interval(search, passes, intervals)
         return true_windows(track, in_light(places, rows, passes), intervals)
+
+    def _store_windows(self, kind: str, rows: Tensor, found: Passes, end: Tensor) -> None:
+        """Store windows of ``rows`` [n], which have been searched up to ``end`` [n] s."""
+        places = self.kinds[kind]
+        self._store_passes(kind, rows, long_enough(places, rows, found, end) if isinstance(places, RequestPlaces) else found)
 
     def _store_passes(self, kind: str, rows: Tensor, found: Passes) -> None:
         close, opens, place = tabulate(found.row, found.close, len(rows), found.open, found.place)
