@@ -20,8 +20,8 @@ ROUNDING = 1e-9  # part of a tick by which times may miss it
 class ImageRequest(Image):
     """Look at the request of the k-th next access window, for k from 0 to ``n_ahead_image`` - 1.
 
-    The image is taken when the look has lasted as long as the request wants, which ends the action, as the end of the window and
-    ``max_duration`` do. Choosing the same request again continues the look. ``action_mask`` excludes windows too short for the
+    The image is taken when the look has lasted as long as the request wants, and recorded one tick later, which ends the action,
+    as the end of the window and ``max_duration`` do. Choosing the same request again continues the look, another one drops it. ``action_mask`` excludes windows too short for the
     rest of a look that begins now, or when the window opens, without the turn to the target.
 
     For :class:`bsk_torch.scene.Requests` and :class:`bsk_torch.sats.RequestSatellite`.
@@ -58,7 +58,9 @@ class ImageRequest(Image):
         chosen = super().decide(index, mask, action, previous)
         place = torch.where(chosen.key == NO_TARGET, 0, self.keys(chosen.key) - self._first)  # keys() is its own inverse
         seconds = self.satellite.request_values(DURATION, place.unsqueeze(1)).squeeze(1)
-        return chosen._replace(expected=torch.minimum(chosen.expected + seconds, chosen.duration))
+        # the image of a look that is complete as the window closes is recorded in the next tick
+        duration = (chosen.duration + self.satellite.simulator.h).clamp(max=self.max_duration)
+        return chosen._replace(duration=duration, expected=torch.minimum(chosen.expected + seconds, duration))
 
     def begin(self, mask: Tensor, decision: Decision) -> None:
         """See :meth:`Image.begin`; set the limits of the request, too."""

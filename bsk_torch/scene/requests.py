@@ -433,7 +433,7 @@ class Requests(OverlaidTargets):
         """Write drawn values [n, K, ...] of rows [n] and targets [n, K]; all that follows from them is computed again."""
         table = self.fleet.scenario_state
         for name, value in values.items():
-            table[name][index.unsqueeze(1), column] = value.to(table[name].dtype)
+            table[name][index.unsqueeze(1), column] = value.clone()  # which may be a part of the table
         table.touch()
         self._forget_draws(index)
         self._forget_time()

@@ -82,20 +82,22 @@ def request_target(minimum: bool, maximum: bool) -> Component:
 def command_look(bus: Bus) -> None:
     """Record in the tick in which a look is complete: one that has been permitted in every tick for ``look_needed`` ticks.
 
-    The first permitted tick is the beginning of the look. ``image_taken`` prevents others until a new task.
+    The first permitted tick is the beginning of the look. The instrument records in the tick after the command. ``image_taken``
+    prevents others until a new task, and outside of location pointing nothing is recorded.
     """
     on = bus.location_on > 0.0
     looks = permission(bus) * (1.0 - bus.image_taken)
     ticks = torch.where(looks > 0.0, bus.look_ticks + 1.0, torch.zeros_like(bus.look_ticks))
     takes = torch.where(ticks > bus.look_needed, looks, torch.zeros_like(looks))
     bus.look_ticks = torch.where(on, ticks, bus.look_ticks)
-    bus.instrument_command = torch.where(on, takes, bus.instrument_command)
+    bus.instrument_command = torch.where(on, takes, torch.zeros_like(takes))
     bus.image_taken = torch.where(on & (takes > 0.0), torch.ones_like(takes), bus.image_taken)
 
 
 LOOK_CONTROLLER = dataclasses.replace(
     IMAGE_CONTROLLER,
     update=command_look,
+    resets=(("instrument_command", 0.0),),  # of an image of the last task that has not been recorded: it would count as another
     state=(
         *IMAGE_CONTROLLER.state,
         Field("look_ticks", 1, "-", "ticks of the current look, its first one included", exact=True),
