@@ -21,8 +21,9 @@ class ImageRequest(Image):
     """Look at the request of the k-th next access window, for k from 0 to ``n_ahead_image`` - 1.
 
     The image is taken when the look has lasted as long as the request wants, and recorded one tick later, which ends the action,
-    as the end of the window and ``max_duration`` do. Choosing the same request again continues the look, another one drops it. ``action_mask`` excludes windows too short for the
-    rest of a look that begins now, or when the window opens, without the turn to the target.
+    as the end of the window and ``max_duration`` do. Choosing the same request again continues the look, another one drops it.
+    ``action_mask`` excludes windows too short for the rest of a look that begins now, or when the window opens, without the turn
+    to the target.
 
     For :class:`bsk_torch.scene.Requests` and :class:`bsk_torch.sats.RequestSatellite`.
     """
