@@ -330,10 +330,10 @@ class Requests(OverlaidTargets):
         self._write(index, column, values)
         self.memory["requests_inserted"] = self.memory["requests_inserted"].index_copy(0, index, used + k)
         for part in self.fleet.satellites:
-            lookahead, state = part.simulator.lookahead, part.simulator.state
-            each_row = [table.repeat_interleave(state.count, 0) for table in (column, now.squeeze(1))]
+            simulator = part.simulator
+            place = column.repeat_interleave(simulator.count, 0)
             for kind in filter(is_target, part.opportunity_types):
-                lookahead.insert(kind, state.rows_of(index), *each_row)
+                simulator.lookahead.insert(kind, simulator.state.rows_of(index), place, simulator.sim_time)
         return column
 
     @outside_inference

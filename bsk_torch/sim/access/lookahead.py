@@ -259,9 +259,17 @@ class LookAhead(StateTable):
         if self.arcs.restarts and self.access is not None:
             self._search_to(self.all_rows, self.access.until, now)
 
-    def insert(self, kind: str, rows: Tensor, place: Tensor, time: Tensor) -> None:
-        """Add the windows of places that appear at ``time`` [n] s; see :meth:`AccessWindows.insert`."""
+    def insert(self, kind: str, rows: Tensor, place: Tensor, now: Tensor) -> None:
+        """Add the windows of places that appear at the current time ``now`` [N] s; see :meth:`AccessWindows.insert`.
+
+        Where maneuvers may change orbits, all that lies ahead is searched again as queries need it.
+        """
         assert self.access is not None
+        time = now[rows]
+        if self.arcs.restarts:
+            self._search_to(rows, time, now)
+            self.access.restart(rows, time)
+            return
         for part in torch.split(torch.arange(len(rows), device=self.device), CHUNK):
             self.access.insert(kind, rows[part], place[part], time[part])
 

@@ -37,7 +37,18 @@ def request_passes(
     passes = PassSearch(visibility, track, sites).passes()
     if chosen is not None:
         passes = passes._replace(place=chosen[passes.row, passes.place])
-    return in_time(places, rows, within_off_nadir(places, rows, track, passes) if limited else passes)
+    if limited:
+        passes = within_off_nadir(places, rows, track, useful(places, rows, track, passes))
+    return in_time(places, rows, passes)
+
+
+def useful(places: RequestPlaces, rows: Tensor, track: GroundTrack, passes: Passes) -> Passes:
+    """Return the passes that have room for a look between release and due time, or may have with what is beyond the track."""
+    seconds = places.value(DURATION, rows[passes.row], passes.place)
+    opens, closes = _timely(places, rows, passes)
+    in_progress = (passes.open <= track.start[passes.row]) | (passes.close >= track.end[passes.row])
+    kept = (opens < closes) & (in_progress | (closes - opens >= seconds))
+    return Passes(*(part[kept] for part in passes))
 
 
 def _lowest_elevation(sites: Sites, track: GroundTrack, most: Tensor) -> Tensor:
@@ -95,11 +106,15 @@ def _ordered(index: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
 
 def in_time(places: RequestPlaces, rows: Tensor, passes: Passes) -> Passes:
     """Return the parts of passes between release and due time of their requests."""
-    row = rows[passes.row]
-    release, due = (places.value(name, row, passes.place) for name in (RELEASE, DUE))
-    opens, closes = torch.maximum(passes.open, release), torch.minimum(passes.close, due)
+    opens, closes = _timely(places, rows, passes)
     kept = opens < closes
     return Passes(*(part[kept] for part in (passes.row, passes.place, opens, closes)))
+
+
+def _timely(places: RequestPlaces, rows: Tensor, passes: Passes) -> tuple[Tensor, Tensor]:
+    row = rows[passes.row]
+    release, due = (places.value(name, row, passes.place) for name in (RELEASE, DUE))
+    return torch.maximum(passes.open, release), torch.minimum(passes.close, due)
 
 
 def long_enough(places: RequestPlaces, rows: Tensor, windows: Passes, end: Tensor) -> Passes:

@@ -7,27 +7,27 @@ whole episode, later in segments of ten minutes. A window that is open at the en
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import torch
 from torch import Tensor
 
 from bsk_torch.astro.interpolate import BEFORE, COUNT
+from bsk_torch.codegen.kernel import Samples
 from bsk_torch.sim.access.light.light import in_light
 from bsk_torch.sim.access.passes.passes import GroundTrack, Passes, PassSearch
 from bsk_torch.sim.access.passes.requested import long_enough, request_passes
 from bsk_torch.sim.access.passes.sampled_passes import find_passes
 from bsk_torch.sim.access.visibility.backend import Visibility
-from bsk_torch.sim.access.visibility.planned import PlannedOrbits, position_between, take_rows
+from bsk_torch.sim.access.visibility.planned import PlannedOrbits, take_rows
 from bsk_torch.sim.access.windows.generation import GenerationIntervals, true_windows, windows_by_interval
 from bsk_torch.sim.access.windows.next_windows import next_windows
 from bsk_torch.sim.access.windows.padded import tabulate
 from bsk_torch.sim.access.windows.table import Windows, candidates, join_at, next_to_close
-from bsk_torch.sim.environment.ephemeris import fixed
 from bsk_torch.sim.hooks import check_tensor
 from bsk_torch.sim.orbit.arcs import Arcs
-from bsk_torch.sim.orbit.builder import ARC
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, PLAN_STEP
+from bsk_torch.sim.orbit.halved import halved
 from bsk_torch.sim.places import FixedPlaces, Places
 from bsk_torch.sim.places.requested import RequestPlaces
 from bsk_torch.sim.state import StateTable
@@ -225,17 +225,6 @@ class AccessWindows(StateTable):
         if len(behind):
             self._search_on(behind, 10**9, self.arcs.start[behind])
 
-    def _flown_track(self, rows: Tensor, start: Tensor, count: int) -> Tensor:
-        """Return Earth-fixed positions, [n, count, 3] m, every 30 s from ``start`` [n] s on, on the flown arcs.
-
-        Planned arcs, from which they differ by meters, are kept for the last hours only.
-        """
-        time = (start.unsqueeze(-1) + PLAN_STEP * torch.arange(count, dtype=start.dtype, device=start.device)).flatten()
-        every = rows.repeat_interleave(count)
-        nodes, ephemeris = (take_rows(part, every) for part in (*self.arcs.tracks((ARC,)), self.arcs.ephemeris_samples))
-        r_BN_N, sky = position_between(nodes, ephemeris, time)
-        return fixed(sky, r_BN_N).stack().view(-1, count, 3)
-
     def _search_on(self, rows: Tensor, segments: int, time: Tensor) -> None:
         """Search at most so many segments of ``rows`` [n]; drop windows that closed before ``time`` [n] s."""
         begin, begun = self.ready[rows], self.arcs.begun
@@ -243,10 +232,9 @@ class AccessWindows(StateTable):
         segments = min(segments, room)
         if segments <= 0:
             return
-        orbits = PlannedOrbits(self.arcs.planned_samples, self.arcs.ephemeris_samples).take(rows)
         start = torch.maximum(begin - BEFORE_SEARCH, begun[rows] if isinstance(begun, Tensor) else torch.zeros_like(begin))
         samples = round((segments * self.segment + BEFORE_SEARCH + BEHIND_SEARCH) / PLAN_STEP) + 1
-        track = GroundTrack(self.visibility.ground_track(orbits, start, samples), start)
+        track = GroundTrack(self._planned_track(rows, start, samples), start)
         end = begin + segments * self.segment
         intervals = GenerationIntervals(begin, begin + self.segment, end, self.segment)
         for kind in self.kinds:
@@ -264,17 +252,21 @@ class AccessWindows(StateTable):
         They are searched up to where those of all other places are. Windows in progress begin at the release of the request,
         which is not before ``time``.
         """
-        ahead = self.ready[rows] > time
-        rows, place, time = rows[ahead], place[ahead], time[ahead]
-        if not len(rows):
-            return
-        end, begun = self.ready[rows], self.arcs.begun
-        first = torch.floor((time - BEFORE_SEARCH) / PLAN_STEP) * PLAN_STEP
+        first = (torch.floor((time - BEFORE_SEARCH) / PLAN_STEP) * PLAN_STEP).clamp(min=0.0)
+        planned, ahead = first >= self.arcs.planned_from[rows], self.ready[rows] > time
+        for some, track in ((planned & ahead, self._planned_track), (~planned & ahead, self._flown_track)):
+            if bool(some.any()):
+                self._insert(kind, rows[some], place[some], first[some], track)
+
+    def _insert(
+        self, kind: str, rows: Tensor, place: Tensor, first: Tensor, ground_track: Callable[[Tensor, Tensor, int], Tensor]
+    ) -> None:
+        """Search from ``first`` [n] s on, along a ground track."""
+        end = self.ready[rows]
         samples = math.ceil(float((end - first).max() + BEHIND_SEARCH) / PLAN_STEP) + 1
         # all tracks are as long, and none reaches beyond its arc
         start = torch.minimum(first, self.arcs.end[rows] - PLAN_STEP * (samples - 1))
-        start = torch.maximum(start, begun[rows] if isinstance(begun, Tensor) else torch.zeros_like(start))
-        track = GroundTrack(self._flown_track(rows, start, samples), start)
+        track = GroundTrack(ground_track(rows, start, samples), start)
         places = self.kinds[kind]
         assert isinstance(places, RequestPlaces)
         found = in_light(places, rows, request_passes(places, rows, track, self.visibility, place))
@@ -283,6 +275,16 @@ class AccessWindows(StateTable):
         row, k = torch.nonzero(torch.isfinite(old.close), as_tuple=True)
         kept = Passes(row, old.place[row, k], old.open[row, k], old.close[row, k])
         self._store_windows(kind, rows, Passes(*(torch.cat(parts) for parts in zip(kept, new, strict=True))), end)
+
+    def _planned_track(self, rows: Tensor, start: Tensor, count: int) -> Tensor:
+        """Return Earth-fixed positions, [n, count, 3] m, every 30 s from ``start`` [n] s on, on the planned arcs."""
+        orbits = PlannedOrbits(self.arcs.planned_samples, self.arcs.ephemeris_samples).take(rows)
+        return self.visibility.ground_track(orbits, start, count)
+
+    def _flown_track(self, rows: Tensor, start: Tensor, count: int) -> Tensor:
+        """Return the same on the flown arcs, which differ by meters, and are kept whole."""
+        samples = Samples(halved(self.arcs.flown[rows]), self.arcs.start[rows] - 0.5 * PLAN_STEP)
+        return self.visibility.ground_track(PlannedOrbits(samples, take_rows(self.arcs.ephemeris_samples, rows)), start, count)
 
     def _generate(self, kind: str, rows: Tensor, track: GroundTrack, intervals: GenerationIntervals) -> Passes:
         """Return the windows of ``rows`` [n] over one kind of places; searches by intervals know fixed ones only."""
