@@ -79,6 +79,9 @@ BOUNDS: dict[str, tuple[float, float, float, str]] = {
 
 TIMES = ("release", "due")
 
+NULL, QUOTES = ("", "~", "null"), ("'", '"')
+"""Texts that stand for no value in YAML, unless they are quoted."""
+
 
 @dataclass(frozen=True)
 class RequestTable:
@@ -219,7 +222,7 @@ def _yaml_fields(events: Iterator[Any]) -> dict[str, object]:
             while not isinstance(part := next(events), yaml.SequenceEndEvent):
                 parts.append(_scalar(part))
             fields[name] = parts
-        elif (written := _scalar(value)) or value.style is not None:
+        elif (written := _scalar(value)) not in NULL or value.style in QUOTES:
             fields[name] = written
     return fields
 
