@@ -32,7 +32,7 @@ class ImageRequest(Image):
     flight_mode = LOOK_MODE
 
     def link_satellite(self, satellite: BoundSatellite) -> None:
-        """See :meth:`Image.link_satellite`; ValueError for targets that are no requests, or another satellite."""
+        """See :meth:`Image.link_satellite`; ValueError for other targets than requests, or another satellite."""
         super().link_satellite(satellite)
         if DUE not in satellite.simulator.scenario_state or not isinstance(satellite, BoundRequestSatellite):
             raise ValueError(

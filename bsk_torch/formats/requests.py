@@ -124,7 +124,7 @@ def read_requests(path: str | Path, start: datetime | None = None) -> RequestTab
     if path.suffix.lower() not in read:
         raise ValueError(f"{str(path)!r} must be a file with requests, whose name ends with one of {sorted(read)}")
     try:
-        entries = []
+        entries: list[Entry] = []
         for entry in read[path.suffix.lower()](read_bytes(path, MOST_BYTES)):
             if len(entries) == MOST_REQUESTS:
                 raise ValueError(f"it has more than {MOST_REQUESTS:,} requests")

@@ -26,8 +26,8 @@ class RequestSatellite(ImagingSatellite):
     only are simulated together. There may be no requests left: it then observes zeros, and waits.
 
     Attributes:
-        sensor_types: Names of the sensors that it carries; subclasses may set it. In an environment, ``scenario.fitting`` says
-            which requests each satellite may serve.
+        sensor_types: Names of the sensors that it carries; subclasses may set it. In an environment, those of all satellites are
+            in ``scenario.fitting``.
     """
 
     fsw_type: ClassVar[type[FSWModel]] = LookFSWModel

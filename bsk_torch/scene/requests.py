@@ -1,4 +1,4 @@
-"""Requests: targets with times, looks of a required length, sensors and limits of their own, which may change in flight."""
+"""Requests: targets with times, looks of a required length, sensors and limits, which may change in flight."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ class Requests(OverlaidTargets):
         return [*super().names(row), *(f"new-{k}" for k in range(self.spare))]
 
     def place_kinds(self, tables: PlaceTables) -> Mapping[str, Places]:
-        """See :meth:`Scenario.place_kinds`; ValueError for an instrument with a range of its own."""
+        """See :meth:`Scenario.place_kinds`; ValueError for an instrument with a separate maximum range."""
         kinds = dict(super().place_kinds(tables))
         for kind, places in kinds.items():
             if is_target(kind):
@@ -160,7 +160,8 @@ class Requests(OverlaidTargets):
         super().link(fleet)
         fleet.memory.declare("requests_inserted", 0, low=0, high=self.spare)
         self._codes = torch.tensor([self._carried[name] for name in fleet.names], device=fleet.device)
-        for part in fleet.satellites:
+        imagers: list[Any] = list(fleet.satellites)  # of users' classes, too
+        for part in imagers:
             if not hasattr(part, "target_types"):
                 continue
             if "look_needed" not in part.simulator.state.layout.fields or part.simulator.type.compat:
@@ -356,7 +357,7 @@ class Requests(OverlaidTargets):
 
     @outside_inference
     def reprioritize(self, rows: Sequence[int] | Tensor, ids: object, weight: object) -> None:
-        """Change the weights of requests of running episodes; images that are taken from now on earn the new ones.
+        """Change the weights of requests of running episodes; images from now on earn the new ones.
 
         Args:
             rows: Indices of environments, [n].
@@ -380,7 +381,7 @@ class Requests(OverlaidTargets):
         whole_numbers = index.ndim == 1 and not (index.is_floating_point() or index.dtype == torch.bool)
         if not whole_numbers or len(index.unique()) < len(index) or bool(((index < 0) | (index >= n)).any()):
             raise IndexError(f"rows={index.tolist()!s:.60} must be a list of different numbers from 0 to {n - 1}")
-        begun: Tensor = self.fleet.state.begun  # type: ignore[attr-defined]
+        begun: Tensor = self.fleet.state["begun"]
         if not bool(begun[index].all()):
             row = int(index[~begun[index]][0])
             raise ValueError(f"environment {row} has no running episode: call env.reset() before its requests are changed")

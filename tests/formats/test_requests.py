@@ -126,7 +126,7 @@ def test_wrong_entries(tmp_path):
         refusal(of(), ValueError, "no requests"),
         refusal(of("x"), ValueError, "requests[0]"),
         refusal(of(one(release="2026-04-14T08:31:00Z"), start=None), ValueError, "start="),
-        refusal(of(one(), start=datetime(2026, 1, 1)), ValueError, "start", "time zone"),  # noqa: DTZ001
+        refusal(of(one(), start=datetime(2026, 1, 1)), ValueError, "start", "time zone"),
         refusal(of('{"a": 1, "requests": []}', kind="JSON"), ValueError, "requests.JSON", "requests"),
         refusal(lambda: read_requests(tmp_path / "x.txt"), ValueError, "x.txt", ".csv", ".yaml"),
         refusal(lambda: read_requests(tmp_path / "missing.csv"), OSError, "missing.csv"),

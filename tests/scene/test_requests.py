@@ -53,7 +53,7 @@ def drift(env):
 
 
 def seen_by_hand(env, r_BP_P):
-    """Which requests each satellite at ``r_BP_P`` [N, S, 3] m can look at now, and the distance of the angles from limits, rad."""
+    """Which requests satellites at ``r_BP_P`` [N, S, 3] m can look at now, and the distance of angles from limits, rad."""
     scenario, time = env.scenario, env.fleet.sim_time.numpy()[:, None, None]
     r_B, r_L = r_BP_P.numpy()[:, :, None], scenario.r_LP_P.numpy()[:, None]
     line = r_L - r_B

@@ -185,7 +185,10 @@ def readers() -> dict[str, Reader]:
         "evaluation": Reader("x.json", json_bytes({"trained": SUMMARY}), results(dict[Word, Summary]), of_json),
         **{
             f"requests in {kind}": Reader(
-                f"x.{kind}", content, lambda folder, kind=kind: read_requests(folder / f"x.{kind}"), of_json if kind == "json" else None
+                f"x.{kind}",
+                content,
+                lambda folder, kind=kind: read_requests(folder / f"x.{kind}"),
+                of_json if kind == "json" else None,
             )
             for kind, content in REQUESTS.items()
         },

@@ -80,7 +80,7 @@ def request_target(minimum: bool, maximum: bool) -> Component:
 
 
 def command_look(bus: Bus) -> None:
-    """Record in the tick in which a look is complete: one that has been permitted in every tick for ``look_needed`` ticks.
+    """Record in the tick in which a look is complete: permission in ``look_needed`` ticks without a gap.
 
     The first permitted tick is the beginning of the look. The instrument records in the tick after the command. ``image_taken``
     prevents others until a new task, and outside of location pointing nothing is recorded.

@@ -20,7 +20,7 @@ def _weights(interval: int) -> tuple[float, ...]:
 
 
 def halved(flown: Tensor) -> Tensor:
-    """Return positions at the Q nodes of flown arcs, [n, LEAD_NODES + Q, 3] m, that are no lead, and between, [n, 2 Q - 1, 3] m.
+    """Return positions at the last Q nodes of flown arcs [n, LEAD_NODES + Q, 3] m, and between them, [n, 2 Q - 1, 3] m.
 
     Those between nodes lie on the polynomials of :mod:`bsk_torch.astro.interpolate`; the last four on that through the last ten.
     """
