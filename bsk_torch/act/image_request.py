@@ -32,13 +32,10 @@ class ImageRequest(Image):
     flight_mode = LOOK_MODE
 
     def link_satellite(self, satellite: BoundSatellite) -> None:
-        """See :meth:`Image.link_satellite`; ValueError for other targets than requests, or another satellite."""
+        """See :meth:`Image.link_satellite`; ValueError for another satellite."""
+        if not isinstance(satellite, BoundRequestSatellite):
+            raise ValueError(f"{self.name!r} needs a sats.RequestSatellite; {satellite.name} is a {type(satellite).__name__}")
         super().link_satellite(satellite)
-        if DUE not in satellite.simulator.scenario_state or not isinstance(satellite, BoundRequestSatellite):
-            raise ValueError(
-                f"{self.name!r} needs a sats.RequestSatellite and requests, such as scene.Requests(scene.UniformTargets(300)); "
-                f"{satellite.name} is a {type(satellite).__name__}"
-            )
 
     @override
     def mask(self) -> Tensor:

@@ -10,6 +10,7 @@ from torch import Tensor
 from typing_extensions import override
 
 from bsk_torch._checks import text
+from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sats.imaging import BoundImagingSatellite, ImagingSatellite
 from bsk_torch.sim.fsw import FSWModel
 from bsk_torch.sim.fsw.look import LookFSWModel
@@ -60,6 +61,15 @@ class BoundRequestSatellite(BoundImagingSatellite, RequestSatellite):
     """The satellites of one type in an environment that look at requests."""
 
     _last_due: tuple[int, Tensor] | None = None
+
+    @override
+    def _join(self, fleet: SatelliteFleet, type_index: int) -> None:
+        super()._join(fleet, type_index)
+        if DUE not in self.simulator.scenario_state:
+            raise ValueError(
+                f"{self.names[0]} is a {type(self).__name__}, which serves requests, such as "
+                "scene.Requests(scene.UniformTargets(300)); the scenario has none"
+            )
 
     def request_values(self, name: str, place: Tensor) -> Tensor:
         """Return drawn values ``name`` of requests ``place`` [N, n], [N, n]."""

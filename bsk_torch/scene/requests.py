@@ -17,7 +17,7 @@ from bsk_torch.sats.requests import MOST_SENSORS
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.draws import Numbers, as_numbers, calls_user, check_numbers, check_positions, draw_numbers
 from bsk_torch.scene.overlaid import OverlaidTargets
-from bsk_torch.scene.targets import TargetScenario
+from bsk_torch.scene.targets import ChangingTargets, TargetScenario
 from bsk_torch.sim.names import nearest
 from bsk_torch.sim.places import DrawnTargets, Places, PlaceTables, is_target
 from bsk_torch.sim.places.requested import (
@@ -106,6 +106,11 @@ class Requests(OverlaidTargets):
         super().__init__(targets)
         self.spare = whole("spare", spare, 0)
         self.listed = targets.most_targets
+        within = targets
+        while isinstance(within, OverlaidTargets):
+            within = within.targets
+        if self.spare and isinstance(within, ChangingTargets):
+            raise ValueError(f"spare={spare}: {type(within).__name__} decides which targets there are; leave it 0")
         self.most_targets = self.listed + self.spare
         if due is not None and window is not None:
             raise ValueError(f"due={due!r} and window={window!r} contradict each other; give one of them")

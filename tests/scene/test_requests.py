@@ -8,9 +8,11 @@ import math
 import numpy as np
 import pytest
 import torch
+from tensordict import TensorDict
 
-from bsk_torch import ConstellationTasking, act, data, obs, rand, sats, scene
+from bsk_torch import ConstellationTasking, SatelliteTasking, act, data, dyn, obs, rand, sats, scene
 from bsk_torch.constants import R_EARTH
+from bsk_torch.sim.fsw import LookFSWModel, MagicOrbitalManeuverFSWModel
 from bsk_torch.sim.places.requested import NO_OFF_NADIR
 from tests.support.refusals import check_refusals, refusal
 
@@ -30,11 +32,11 @@ class Viewer(sats.RequestSatellite):
     action_spec = (act.ImageRequest(4), act.Drift(duration=10.0))
 
 
-def make(targets=None, n=2, carried=(("visible",), ("visible", "infrared")), sat_args=None, limit=LIMIT, **requests):
+def make(targets=None, n=2, carried=(("visible",), ("visible", "infrared")), sat_args=None, limit=LIMIT, compat=None, **requests):
     args = {"imageTargetMinimumElevation": math.radians(20.0)} | ORBIT | (sat_args or {})
     viewers = [Viewer(f"V{k}", args, sensor_types=types) for k, types in enumerate(carried)]
     scenario = scene.Requests(targets or scene.UniformTargets(400), **requests)
-    return ConstellationTasking(viewers, scenario, data.RequestReward(), num_envs=n, time_limit=limit, seed=3)
+    return ConstellationTasking(viewers, scenario, data.RequestReward(), num_envs=n, time_limit=limit, seed=3, compat=compat)
 
 
 LIMITED = {
@@ -350,17 +352,68 @@ def test_parts_that_do_not_fit():
         observation_spec = (obs.Time(),)
         action_spec = (act.Image(3),)
 
-    class Asker(Viewer):
-        action_spec = (act.Drift(),)
+    class Asker(Imager):
+        action_spec = (act.ImageRequest(3),)
+
+    class Watcher(Imager):
+        observation_spec = (obs.OpportunityProperties({"prop": "time_to_due"}, n_ahead_observe=2),)
+
+    class Ranged(Viewer):
+        pass
 
     targets = scene.UniformTargets(30)
 
-    def built(kind, scenario, rewarder=None):
-        return lambda: ConstellationTasking([kind("V")], scenario, rewarder)
+    def built(kind, scenario, rewarder=None, **sat_args):
+        return lambda: ConstellationTasking([kind("V", sat_args)], scenario, rewarder)
 
+    requests = scene.Requests(targets)
+    ranged = {"instruments": [dyn.Instrument("far", imageTargetMaximumRange=1e6)]}
+    fires = scene.Wildfires(30)
     check_refusals(
-        refusal(built(Imager, scene.Requests(targets)), ValueError, "RequestSatellite", "Imager"),
-        refusal(built(Viewer, targets), ValueError, "scene.Requests"),
+        refusal(built(Imager, requests), ValueError, "RequestSatellite", "Imager"),
+        refusal(built(Asker, targets), ValueError, "RequestSatellite", "Asker"),
+        refusal(built(Watcher, targets), ValueError, "'target'", "RequestSatellite", "Watcher"),
+        refusal(built(Viewer, targets), ValueError, "scene.Requests", "Viewer"),
         refusal(built(Imager, targets, data.RequestReward()), ValueError, "RequestReward", "scene.Requests", "UniformTargets"),
-        refusal(built(Viewer, scene.CloudyTargets(scene.Requests(targets))), ValueError, "Requests must be the scenario itself"),
+        refusal(built(Viewer, scene.CloudyTargets(requests)), ValueError, "Requests must be the scenario itself"),
+        refusal(built(Viewer, requests, **ranged), ValueError, "target@far", "imageTargetMaximumRange"),
+        refusal(lambda: scene.Requests(fires, spare=2), ValueError, "spare=2", "Wildfires"),
+        refusal(lambda: scene.Requests(requests), ValueError, "Requests already"),
+        refusal(lambda: make(compat="bsk_rl"), ValueError, "compat"),
     )
+    assert scene.Requests(fires).most_targets == 30
+
+
+def test_single_satellites():
+    env = SatelliteTasking(Viewer("V", ORBIT), scene.Requests(scene.UniformTargets(500)), data.RequestReward(), time_limit=900.0)
+    td = env.reset()
+    assert td["action_mask"].shape == (1, 5)
+    assert env.step(td.set("action", torch.tensor([0])))["next", "reward"].isfinite().all()
+
+
+def test_insertion_after_maneuvers():
+    """Orbits that change: windows are those of requests that were there before."""
+
+    class Mover(Viewer):
+        fsw_type = (LookFSWModel, MagicOrbitalManeuverFSWModel)
+
+    def moved(**requests):
+        args = {"imageTargetMinimumElevation": math.radians(20.0), "dv_available_init": 1e3} | ORBIT
+        scenario = scene.Requests(scene.UniformTargets(200), **requests)
+        env = SatelliteTasking(Mover("M", args), scenario, data.RequestReward(), num_envs=2, time_limit=6000.0, seed=3)
+        env.reset()
+        for turn in range(4):
+            env.step(TensorDict(action=torch.full((2,), 4), batch_size=[2]))
+            if turn == 1:
+                env.simulator.thrust(torch.tensor([False, True]), torch.full((2, 3), 30.0, dtype=torch.float64))
+        return env
+
+    listed, live = moved(), moved(spare=200)
+    assert listed.simulator.arcs.restarts
+    live.scenario.cancel([0, 1], list(range(200)))
+    live.scenario.insert([0, 1], listed.scenario.r_LP_P)
+    one, two = (env.satellite.find_windows(5000.0) for env in (listed, live))
+    assert torch.equal(one.place[0], two.place[0] - 200 * two.close[0].isfinite())
+    torch.testing.assert_close(one.close, two.close)
+    assert not torch.equal(one.close[0], one.close[1])
+    torch.testing.assert_close(one.open.clamp(min=40.0), two.open)
