@@ -260,18 +260,14 @@ class LookAhead(StateTable):
             self._search_to(self.all_rows, self.access.until, now)
 
     def insert(self, kind: str, rows: Tensor, place: Tensor, now: Tensor) -> None:
-        """Add the windows of places that appear at the current time ``now`` [N] s; see :meth:`AccessWindows.insert`.
-
-        Where maneuvers may change orbits, all that lies ahead is searched again as queries need it.
-        """
+        """Add the windows of places that appear at the current time ``now`` [N] s; see :meth:`AccessWindows.insert`."""
         assert self.access is not None
-        time = now[rows]
         if self.arcs.restarts:
-            self._search_to(rows, time, now)
-            self.access.restart(rows, time)
-            return
+            reach = self.access.ready[rows] + (BEHIND_SEARCH + REACH_AROUND)
+            self.reach(torch.zeros_like(now).index_copy(0, rows, reach), now)
         for part in torch.split(torch.arange(len(rows), device=self.device), CHUNK):
-            self.access.insert(kind, rows[part], place[part], time[part])
+            some = rows[part]
+            self.access.insert(kind, some, place[part], now[some])
 
     # -- queries ------------------------------------------------------------------------------------------------------
 

@@ -10,13 +10,13 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from bsk_torch.astro.geodetic import Vertical
 from bsk_torch.sim.component import Bus, Component, Field, Values
 from bsk_torch.sim.dyn.events import DISARMED
 from bsk_torch.sim.fsw.instrument import IMAGE_CONTROLLER, IMAGE_RESET, permission
 from bsk_torch.sim.fsw.models import ImagingFSWModel
 from bsk_torch.sim.fsw.modes import Mode
-from bsk_torch.sim.fsw.target import IMAGE_TARGET, SUN_LIMITS, aim_at_place, first_place, lit_target
-from bsk_torch.sim.instruments import differs
+from bsk_torch.sim.fsw.target import aim_at_place, first_place, lit_target, target_form
 
 LOOK_MODE = "look"
 """Flight mode in which requests are looked at."""
@@ -33,9 +33,9 @@ LIMITS = (
 
 
 @functools.cache
-def aim_at_request(minimum: bool, maximum: bool) -> Callable[[Bus], None]:
-    """Return the update of requests with a minimum, a maximum, both or no limit of the Sun's elevation."""
-    aim_at_current_place = aim_at_place(minimum, maximum)
+def aim_at_request(minimum: bool, maximum: bool, vertical: Vertical) -> Callable[[Bus], None]:
+    """Return the update of requests with a minimum, a maximum, both or no limit of the Sun's elevation, and a vertical."""
+    aim_at_current_place = aim_at_place(minimum, maximum, vertical)
 
     def aim(bus: Bus) -> None:
         """Write the place L in N, m, and its access, both of one tick ago; access is that of other places within the limits.
@@ -63,16 +63,16 @@ def _first_request(args: Values) -> dict[str, Tensor]:
 
 def fitted_request(given: Mapping[str, Any]) -> Component:
     """Return the component of requests in the light that the arguments as given ask for."""
-    return request_target(*(differs(given, arg.name) for arg in SUN_LIMITS))
+    return request_target(*target_form(given))
 
 
 @functools.cache
-def request_target(minimum: bool, maximum: bool) -> Component:
-    """Return the component of requests with a minimum, a maximum, both or no limit of the Sun's elevation."""
-    place = lit_target(minimum, maximum) if minimum or maximum else IMAGE_TARGET
+def request_target(minimum: bool, maximum: bool, vertical: Vertical) -> Component:
+    """Return the component of requests with a minimum, a maximum, both or no limit of the Sun's elevation, and a vertical."""
+    place = lit_target(minimum, maximum, vertical)
     return dataclasses.replace(
         place,
-        update=aim_at_request(minimum, maximum),
+        update=aim_at_request(minimum, maximum, vertical),
         state=(*place.state, *LIMITS),
         initial=_first_request,
         fit=fitted_request,
@@ -114,7 +114,7 @@ class LookFSWModel(ImagingFSWModel):
     wants; a single tick outside starts it again. For :class:`bsk_torch.act.ImageRequest`.
     """
 
-    components: ClassVar[tuple[Component, ...]] = (request_target(False, False), LOOK_CONTROLLER)
+    components: ClassVar[tuple[Component, ...]] = (request_target(False, False, "radius"), LOOK_CONTROLLER)
     modes: ClassVar[dict[str, Mode | None]] = {
         "image": None,
         LOOK_MODE: Mode(("control_on", "location_on", "controller_on", "instrument_power"), IMAGE_RESET | {"look_ticks": 0.0}),

@@ -7,7 +7,7 @@ whole episode, later in segments of ten minutes. A window that is open at the en
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import torch
 from torch import Tensor
@@ -250,27 +250,29 @@ class AccessWindows(StateTable):
         """Add the windows of requests that appear at ``time`` [n] s: of ``rows`` [n], over places [n, K] without windows yet.
 
         They are searched up to where those of all other places are. Windows in progress begin at the release of the request,
-        which is not before ``time``.
+        which is not before ``time``. Arcs that may restart reach beyond the search as far as interpolation does.
         """
-        first = (torch.floor((time - BEFORE_SEARCH) / PLAN_STEP) * PLAN_STEP).clamp(min=0.0)
-        planned, ahead = first >= self.arcs.planned_from[rows], self.ready[rows] > time
-        for some, track in ((planned & ahead, self._planned_track), (~planned & ahead, self._flown_track)):
+        origin, end = self.arcs.start[rows], self.ready[rows]
+        first = origin + (torch.floor((time - BEFORE_SEARCH - origin) / PLAN_STEP) * PLAN_STEP).clamp(min=0.0)
+        samples = torch.ceil((end - first + BEHIND_SEARCH) / PLAN_STEP).long() + 1
+        ahead, planned = end > time, first >= self.arcs.planned_from[rows]
+        if self.arcs.restarts:  # they end at different times: tracks of equal length are searched together
+            parts = [((samples == count) & ahead, self._flown_track) for count in samples[ahead].unique().tolist()]
+        else:
+            parts = [(planned & ahead, self._planned_track), (~planned & ahead, self._flown_track)]
+        for some, ground_track in parts:
             if bool(some.any()):
-                self._insert(kind, rows[some], place[some], first[some], track)
+                count = int(samples[some].max())
+                # all tracks are as long, and none reaches beyond its arc
+                start = torch.minimum(first[some], self.arcs.end[rows[some]] - PLAN_STEP * (count - 1))
+                track = GroundTrack(ground_track(rows[some], start, count), start)
+                self._insert(kind, rows[some], place[some], track)
 
-    def _insert(
-        self, kind: str, rows: Tensor, place: Tensor, first: Tensor, ground_track: Callable[[Tensor, Tensor, int], Tensor]
-    ) -> None:
-        """Search from ``first`` [n] s on, along a ground track."""
-        end = self.ready[rows]
-        samples = math.ceil(float((end - first).max() + BEHIND_SEARCH) / PLAN_STEP) + 1
-        # all tracks are as long, and none reaches beyond its arc
-        start = torch.minimum(first, self.arcs.end[rows] - PLAN_STEP * (samples - 1))
-        track = GroundTrack(ground_track(rows, start, samples), start)
-        places = self.kinds[kind]
+    def _insert(self, kind: str, rows: Tensor, place: Tensor, track: GroundTrack) -> None:
+        places, end = self.kinds[kind], self.ready[rows]
         assert isinstance(places, RequestPlaces)
         found = in_light(places, rows, request_passes(places, rows, track, self.visibility, place))
-        new = true_windows(track, found, GenerationIntervals(start, end, end, self.segment))
+        new = true_windows(track, found, GenerationIntervals(track.start, end, end, self.segment))
         old = self._windows_of(kind).take(rows)
         row, k = torch.nonzero(torch.isfinite(old.close), as_tuple=True)
         kept = Passes(row, old.place[row, k], old.open[row, k], old.close[row, k])
