@@ -252,7 +252,7 @@ def _table(entries: Sequence[Entry], start: datetime | None) -> RequestTable:
             if name in places:
                 raise ValueError(f"id={name!r} is that of {places[name]}, too")
             places[name] = entry.place
-            for field in fields.keys() & BOUNDS.keys():
+            for field in (name for name in BOUNDS if name in fields):
                 values[field][k] = _number(field, fields[field], entry.textual, start)
             sensors.append(_sensors(fields.get("sensors")))
             release, due, duration = (values[field][k] for field in ("release", "due", "duration"))

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from datetime import datetime, timedelta, timezone
 from functools import partial
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 from typing_extensions import override
 
 from bsk_torch._checks import no_gradient, text, whole
+from bsk_torch.astro.epochs import read_epoch
+from bsk_torch.formats.requests import read_requests
 from bsk_torch.rand import Key
 from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sats.requests import MOST_SENSORS
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.draws import Numbers, as_numbers, calls_user, check_numbers, check_positions, draw_numbers
+from bsk_torch.scene.explicit import Targets
 from bsk_torch.scene.overlaid import OverlaidTargets
 from bsk_torch.scene.targets import ChangingTargets, TargetScenario
 from bsk_torch.sim.names import nearest
@@ -121,6 +127,30 @@ class Requests(OverlaidTargets):
                 check_numbers(name, value, self.listed, **_bounds_of(name))
         self.sensors = _checked_sensors(sensors, self.listed)
         self.sensor_types = _types_of(self.sensors)
+
+    @classmethod
+    def from_file(cls, path: str | Path, start: str | datetime | None = None, **options: Any) -> Requests:
+        """Return the requests in a YAML, JSON or CSV file; see :mod:`bsk_torch.formats.requests`.
+
+        Places are on WGS84, with its vertical; see :meth:`bsk_torch.scene.Targets.from_geodetic`.
+
+        Args:
+            path: The file.
+            start: Epoch of the episodes, as in ``world_args={"utc_init": start}``; needed for times of the calendar.
+            **options: Other arguments, such as ``spare``.
+
+        Raises:
+            OSError: If the file cannot be read.
+            ValueError: For other content, with the file, the line or entry, the field, its value, and what is allowed.
+        """
+        table = read_requests(path, None if start is None else _utc(start))
+        values = table.values
+        targets = Targets.from_geodetic(
+            values["latitude"], values["longitude"], values["height"], values["weight"], names=table.ids
+        )
+        times = {name: values[name] for name in ("release", "due", "duration")}
+        limits = {name: np.radians(values[name]) for name in ("min_elevation", "max_off_nadir")}
+        return cls(targets, **(times | limits | {"sensors": list(table.sensors)} | options))
 
     @property
     @override
@@ -446,6 +476,13 @@ class Requests(OverlaidTargets):
         self._keep_time()
         for part in self.fleet.satellites:
             part.memory.touch()
+
+
+def _utc(start: str | datetime) -> datetime:
+    epoch = read_epoch(start)
+    if epoch.scale != "UTC":
+        raise ValueError(f"start={start!r} is a time of {epoch.scale}; give one of UTC, as the times in files are")
+    return epoch.minute.replace(tzinfo=timezone.utc) + timedelta(seconds=epoch.second)
 
 
 PADDING = {"target_max_off_nadir": NO_OFF_NADIR}

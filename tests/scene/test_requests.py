@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from datetime import datetime, timedelta, timezone
 
 import numpy as np
 import pytest
@@ -36,7 +37,8 @@ class Viewer(sats.RequestSatellite):
 def make(targets=None, n=2, carried=(("visible",), ("visible", "infrared")), sat_args=None, limit=LIMIT, compat=None, **requests):
     args = {"imageTargetMinimumElevation": math.radians(20.0)} | ORBIT | (sat_args or {})
     viewers = [Viewer(f"V{k}", args, sensor_types=types) for k, types in enumerate(carried)]
-    scenario = scene.Requests(targets or scene.UniformTargets(400), **requests)
+    known = isinstance(targets, scene.Requests)
+    scenario = targets if known else scene.Requests(targets or scene.UniformTargets(400), **requests)
     return ConstellationTasking(viewers, scenario, data.RequestReward(), num_envs=n, time_limit=limit, seed=3, compat=compat)
 
 
@@ -55,12 +57,13 @@ def drift(env):
     return env.step(action)["next"]
 
 
-def seen_by_hand(env, r_BP_P):
+def seen_by_hand(env, r_BP_P, normal=None):
     """Which requests satellites at ``r_BP_P`` [N, S, 3] m can look at now, and the distance of angles from limits, rad."""
     scenario, time = env.scenario, env.fleet.sim_time.numpy()[:, None, None]
     r_B, r_L = r_BP_P.numpy()[:, :, None], scenario.r_LP_P.numpy()[:, None]
     line = r_L - r_B
-    up = np.arcsin(-(line * r_L).sum(-1) / np.linalg.norm(line, axis=-1) / np.linalg.norm(r_L, axis=-1))
+    vertical = r_L / np.linalg.norm(r_L, axis=-1, keepdims=True) if normal is None else normal
+    up = np.arcsin(-(line * vertical).sum(-1) / np.linalg.norm(line, axis=-1))
     down = np.arccos(-(line * r_B).sum(-1) / np.linalg.norm(line, axis=-1) / np.linalg.norm(r_B, axis=-1))
     least = np.maximum(math.radians(20.0), scenario.drawn("target_min_elevation").numpy())[:, None]
     most = scenario.drawn("target_max_off_nadir").numpy()[:, None]
@@ -69,15 +72,25 @@ def seen_by_hand(env, r_BP_P):
     return (up >= least) & (down <= most) & timely, margin
 
 
-def test_windows_are_those_of_angles_and_times():
+def geodetic(count):
+    """Places on the ellipsoid, and their normals, [count, 3]."""
+    generator = np.random.default_rng(4)
+    latitude, longitude = np.arcsin(generator.uniform(-1.0, 1.0, count)), generator.uniform(-math.pi, math.pi, count)
+    normal = np.stack([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)], -1)
+    return scene.Targets.from_geodetic(np.degrees(latitude), np.degrees(longitude)), normal
+
+
+@pytest.mark.parametrize("ellipsoid", [False, True])
+def test_windows_are_those_of_angles_and_times(ellipsoid):
     """Every 10 s, flown positions against windows; angles change by up to 0.013 rad/s, and windows are exact to 0.01 s."""
-    env = make(scene.UniformTargets(3000), **LIMITED)
+    targets, normal = geodetic(3000) if ellipsoid else (scene.UniformTargets(3000), None)
+    env = make(targets, **LIMITED)
     env.reset()
     satellite, compared, visible = env.satellites[0], 0, 0
     windows = satellite.opportunities()
     for _ in range(40):
         drift(env)
-        by_hand, margin = seen_by_hand(env, satellite.dynamics.r_BN_P.view(2, 2, 3))
+        by_hand, margin = seen_by_hand(env, satellite.dynamics.r_BN_P.view(2, 2, 3), normal)
         now = env.fleet.sim_time.repeat_interleave(2).unsqueeze(1)
         inside = (windows.open <= now) & (now <= windows.close)
         table = torch.zeros(4, 3000, dtype=torch.long).scatter_add(1, windows.place, inside.long()).view(2, 2, 3000) > 0
@@ -304,6 +317,42 @@ def test_changes_are_saved_restored_and_cleared():
     assert not env.scenario.drawn("target_exists")[:, 400:].any()
     assert env.fleet.memory["requests_inserted"].tolist() == [0, 0]
     env.scenario.insert([0], env.scenario.r_LP_P[0, :1])
+
+
+FILE = """\
+id,latitude,longitude,release,due,duration,sensors,weight,min_elevation,max_off_nadir
+etna,37.75,14.99,2026-04-14T08:10:00Z,2026-04-14T08:40:00Z,20,infrared,5,30,
+rome,41.90,12.50,,2000,10,visible|infrared,2,,30
+"""
+
+
+def test_files(tmp_path):
+    read, path = scene.Requests.from_file, tmp_path / "requests.csv"
+    path.write_text(FILE)
+    for start in ("2026 APR 14 08:00:00.000 (UTC)", datetime(2026, 4, 14, 10, tzinfo=timezone(timedelta(hours=2)))):
+        requests = read(path, start, spare=1)
+        env = make(requests, carried=[("visible", "infrared")], n=1)
+        env.reset()
+        live, normal = env.scenario, np.radians([37.75, 14.99])
+        assert live.names(0) == ["etna", "rome", "new-0"]
+        assert live.vertical == "wgs84"
+        assert live.release[0, :2].tolist() == [600.0, 0.0]
+        assert live.due[0, :2].tolist() == [2400.0, 2000.0]
+        assert live.duration[0, :2].tolist() == [20.0, 10.0]
+        assert live.priority[0].tolist() == [5.0, 2.0, 0.0]
+        assert live.drawn("target_sensors")[0].tolist() == [1.0, 3.0, 0.0]
+        torch.testing.assert_close(live.drawn("target_min_elevation")[0, :2].rad2deg(), torch.tensor([30.0, 0.0]).double())
+        torch.testing.assert_close(live.drawn("target_max_off_nadir")[0, :2].rad2deg(), torch.tensor([90.0, 30.0]).double())
+        x, y, z = live.r_LP_P[0, 0].tolist()
+        assert math.atan2(y, x) == pytest.approx(normal[1])
+        assert math.atan2(z, math.hypot(x, y)) == pytest.approx(math.atan((1.0 - 6.69437999014e-3) * math.tan(normal[0])))
+        live.cancel([0], "rome")
+    check_refusals(
+        refusal(lambda: scene.Requests.from_file(tmp_path / "requests.csv"), ValueError, "line 2", "release", "start="),
+        refusal(
+            lambda: scene.Requests.from_file(tmp_path / "requests.csv", "2026 APR 14 08:00:00 TDB"), ValueError, "TDB", "UTC"
+        ),
+    )
 
 
 def test_refusals():
