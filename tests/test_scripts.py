@@ -159,6 +159,8 @@ benchmarks/vs_basilisk.py --only 1 --turns 1 --seconds 0.1 --warm-up 1 --basilis
   basilisk: \| 1 \| 1 \|.*\| [\d.]+ to [\d.]+ \|
 examples/curriculum.py --num-envs 4 --steps 10 --time-limit 360 --rise 0.5 --figure levels.png
   compiled: (?s)step 10: \d+ episodes.*nothing was rebuilt
+examples/live_requests.py --num-envs 2 --steps 12
+  compiled: \d+ requests arrived and \d+ were withdrawn in .* of 2 episodes\nserved: [\d.]+% of the requests
 examples/offline_cql.py --episodes 2 --time-limit 900 --steps 20 --iterations 3
   compiled: (?s)random: \d+ decisions, .*learned: return .*fitted Q with traces: .* of the pairs of actions in order
 scripts/demo.sh {train} --out {tmp}/run

@@ -6,6 +6,7 @@ from bsk_torch.act.base import Action, ActionTable, Decision
 from bsk_torch.act.continuous import AttitudeSetpoint, ContinuousAction, HybridAction
 from bsk_torch.act.discrete import Broadcast, Charge, Desat, DiscreteFSWAction, Downlink, Drift, NadirPoint, Scan
 from bsk_torch.act.image import Image, image_target
+from bsk_torch.act.image_request import ImageRequest
 from bsk_torch.act.image_strip import HybridImageStrip, ImageStrip
 from bsk_torch.act.masks import allow_only, forbid
 from bsk_torch.act.thrust import ImpulsiveThrust, ImpulsiveThrustHill
@@ -27,6 +28,7 @@ __all__ = [
     "HybridAction",
     "HybridImageStrip",
     "Image",
+    "ImageRequest",
     "ImageStrip",
     "ImpulsiveThrust",
     "ImpulsiveThrustHill",

@@ -5,6 +5,7 @@ from bsk_torch.data.composed import ComposedReward
 from bsk_torch.data.images import CloudFreeImageReward, FootprintImageReward, ImageReward, StripImageReward, UniqueImageReward
 from bsk_torch.data.mixed import MixedReward
 from bsk_torch.data.operations import OperationsPenalty, TimePenalty
+from bsk_torch.data.requests import RequestReward
 from bsk_torch.data.resources import ResourceReward
 from bsk_torch.data.scanning import ScanningTimeReward
 
@@ -17,6 +18,7 @@ __all__ = [
     "MixedReward",
     "NoReward",
     "OperationsPenalty",
+    "RequestReward",
     "ResourceReward",
     "ScanningTimeReward",
     "StripImageReward",

@@ -16,6 +16,7 @@ from bsk_torch.astro.frames import sin_elevation
 from bsk_torch.astro.geodetic import vertical_of
 from bsk_torch.obs.candidates import CandidateObservation
 from bsk_torch.obs.entries import is_own, parse_entries, scaled
+from bsk_torch.obs.requests import REQUEST_PRESETS
 from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.sats.bound_access import BoundAccessSatellite
 from bsk_torch.sats.opportunities import Opportunities
@@ -81,6 +82,7 @@ PRESETS: dict[str, Preset] = {
     "target_angle": _relative_geometry(3),
     "target_angle_rate": _relative_geometry(4),
     "sun_elevation": sun_elevation,
+    **REQUEST_PRESETS,
 }
 """Properties of opportunities: the allowed values of ``prop``."""
 
@@ -173,6 +175,11 @@ class OpportunityProperties(CandidateObservation):
         for name in self._needs():
             if not (hasattr(type_of(satellite.dynamics), name) or hasattr(type_of(satellite.fsw), name)):
                 raise ValueError(f"{self.name!r} observes targets by {name!r}, which {satellite.name} does not have")
+        if any(entry.get("prop") in REQUEST_PRESETS for entry in self.entries) and not hasattr(satellite, "request_values"):
+            raise ValueError(
+                f"{self.name!r} observes properties of requests, which need a sats.RequestSatellite and scene.Requests; "
+                f"{satellite.name} is a {type(satellite).__name__}"
+            )
         if self.type != STATION_KIND:
             access.expect(self.n_ahead_observe, places.count)
 

@@ -59,7 +59,7 @@ def common_dtype(dtype: Any, satellites: Iterable[Satellite]) -> torch.dtype:
     return next(iter(named.values()), DEFAULT_DTYPE)
 
 
-SPECS = ("observation_spec", "action_spec", "dyn_type", "fsw_type", "target_types", "sees_through_clouds")
+SPECS = ("observation_spec", "action_spec", "dyn_type", "fsw_type", "target_types", "sees_through_clouds", "sensor_types")
 """Values that satellite classes define."""
 
 HOOKS = ("on_bind", "note_events", "legal_actions", "action_mask", "counts", "generation")

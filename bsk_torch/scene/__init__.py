@@ -5,6 +5,7 @@ from bsk_torch.scene.cities import CityTargets
 from bsk_torch.scene.explicit import Targets
 from bsk_torch.scene.mixed import MixedScenario
 from bsk_torch.scene.overlaid import CloudyTargets, StripTargets, UncertainTargets
+from bsk_torch.scene.requests import Requests
 from bsk_torch.scene.targets import ChangingTargets, Target, TargetScenario
 from bsk_torch.scene.uniform import UniformTargets
 from bsk_torch.scene.wildfires import Wildfires
@@ -14,6 +15,7 @@ __all__ = [
     "CityTargets",
     "CloudyTargets",
     "MixedScenario",
+    "Requests",
     "Scenario",
     "StripTargets",
     "Target",

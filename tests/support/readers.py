@@ -16,6 +16,7 @@ from tensordict import TensorDict
 from bsk_torch.cli.run_folder import Summary
 from bsk_torch.files import write_file
 from bsk_torch.formats.places import read_csv, read_geojson
+from bsk_torch.formats.requests import read_requests
 from bsk_torch.lab.bounds.envelope import FILE, Envelope
 from bsk_torch.lab.commands.results import PlayedResults, Results
 from bsk_torch.lab.offline import open_dataset
@@ -136,6 +137,13 @@ SUMMARY = {
 PLAYED = SUMMARY | {"returns": [0.1, 0.2], "seconds_per_decision": 0.1, "score": ESTIMATE}
 RESULTS = {"format": 1, "suite": "v2", "policies": {"random": {"dim_scan": PLAYED}}}
 
+REQUESTS = {
+    "json": b'{"requests": [{"id": "a", "latitude": 1.5, "longitude": 2, "due": 600, "sensors": ["visible"]}]}',
+    "csv": b"id,latitude,longitude,due,sensors\na,1.5,2,600,visible|infrared\n",
+    "yaml": b"requests:\n- id: a\n  latitude: 1.5\n  longitude: 2\n  due: 600\n  sensors: [visible]\n",
+}
+"""Requests for images in each kind of file."""
+
 
 def other_file_of_case(name: str) -> Callable[[Path], object]:
     whole = {"constellation.json": aeos_cases.constellation(2), "taskset.json": aeos_cases.tasks(3)}
@@ -182,6 +190,15 @@ def readers() -> dict[str, Reader]:
         "bench": Reader("x.json", json_bytes(RESULTS), results(PlayedResults), of_json),
         "leaderboard": Reader("x.json", json_bytes(RESULTS), results(Results), of_json),
         "evaluation": Reader("x.json", json_bytes({"trained": SUMMARY}), results(dict[Word, Summary]), of_json),
+        **{
+            f"requests in {kind}": Reader(
+                f"x.{kind}",
+                content,
+                lambda folder, kind=kind: read_requests(folder / f"x.{kind}"),
+                of_json if kind == "json" else None,
+            )
+            for kind, content in REQUESTS.items()
+        },
         "request": Reader(
             "x.json",
             b'{"track": 1, "decision": 2}',

@@ -9,7 +9,7 @@ from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sim.arguments.values import alike, is_fixed, nearest
 from bsk_torch.sim.names import name_fault
 
-OWN = ("name", "sat_args_generator")
+OWN = ("name", "sat_args_generator", "sensor_types")
 """Attributes that may differ between satellites of one type."""
 
 

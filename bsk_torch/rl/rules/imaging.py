@@ -45,10 +45,15 @@ def by_closing(see: TargetReader, observation: Observation) -> Tensor:
     return -torch.arange(see.n, dtype=torch.float32, device=observation.device).expand(*observation.shape[:1], -1)
 
 
+def look_seconds(see: TargetReader, observation: Observation) -> Tensor | float:
+    """Return the duration of looks at requests, [N, n] s; 0 where it is not observed."""
+    return see.read(observation, "look_duration") if "look_duration" in see.column else 0.0
+
+
 def by_discounted_priority(see: TargetReader, observation: Observation) -> Tensor:
-    """Rank targets by priority discounted over the time needed for the image; unreachable targets come last."""
+    """Rank targets by priority discounted over the time needed for the image, or the look; unreachable targets come last."""
     angle, opens, closes = (see.read(observation, name) for name in ("target_angle", "opportunity_open", "opportunity_close"))
-    seconds = torch.maximum(opens, SLEW * angle.clamp(min=0.0).sqrt())
+    seconds = torch.maximum(opens, SLEW * angle.clamp(min=0.0).sqrt()) + look_seconds(see, observation)
     return see.read(observation, "priority") * torch.exp(-seconds / PATIENCE) - (seconds > closes).to(opens.dtype)
 
 
@@ -64,14 +69,15 @@ def tours(see: TargetReader, observation: Observation, priority: Tensor, slew: f
     best of the others that is reached before its window closes, :data:`TOUR` times. The duration of a turn between two targets is
     estimated from the angle between their present directions, and the satellite is assumed to reach each target when it would if
     it turned there first. The same target may be counted twice. With these simplifications, all tours take n^2 operations. A turn
-    of one radian takes ``slew`` seconds.
+    of one radian takes ``slew`` seconds. Targets that are requests are left after their looks.
     """
     angle, opens, closes = (see.read(observation, name) for name in ("target_angle", "opportunity_open", "opportunity_close"))
     direction = see.read_vector(observation, "r_LB_H")
-    arrival = torch.maximum(opens, slew * angle.clamp(min=0.0).sqrt())
+    look = look_seconds(see, observation)
+    closes, arrival = closes - look, torch.maximum(opens, slew * angle.clamp(min=0.0).sqrt())
     x, y, z = (direction / direction.norm(dim=-1, keepdim=True).clamp(min=1e-9)).unbind(-1)
     cosine = sum(part.unsqueeze(2) * part.unsqueeze(1) for part in (x, y, z))
-    turned = arrival.unsqueeze(2) + slew * torch.acos(cosine.clamp(-1.0, 1.0)).sqrt()
+    turned = (arrival + look).unsqueeze(2) + slew * torch.acos(cosine.clamp(-1.0, 1.0)).sqrt()
     following = torch.maximum(turned, opens.unsqueeze(1))
     other = (direction.unsqueeze(2) != direction.unsqueeze(1)).any(-1)  # padding of vectors repeats a target
     possible = other & see.exist(observation).unsqueeze(1) & (following <= closes.unsqueeze(1))

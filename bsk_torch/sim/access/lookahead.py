@@ -264,6 +264,16 @@ class LookAhead(StateTable):
         if self.arcs.restarts and self.access is not None:
             self._search_to(self.all_rows, self.access.until, now)
 
+    def insert(self, kind: str, rows: Tensor, place: Tensor, now: Tensor) -> None:
+        """Add the windows of places that appear at the current time ``now`` [N] s; see :meth:`AccessWindows.insert`."""
+        assert self.access is not None
+        if self.arcs.restarts:
+            reach = self.access.ready[rows] + (BEHIND_SEARCH + REACH_AROUND)
+            self.reach(torch.zeros_like(now).index_copy(0, rows, reach), now)
+        for part in torch.split(torch.arange(len(rows), device=self.device), CHUNK):
+            some = rows[part]
+            self.access.insert(kind, some, place[part], now[some])
+
     # -- queries ------------------------------------------------------------------------------------------------------
 
     @outside_inference

@@ -1,6 +1,7 @@
 """Flight software: guidance, control, and the modes that actions switch between."""
 
 from bsk_torch.sim.fsw.gains import propose_gains
+from bsk_torch.sim.fsw.look import LookFSWModel
 from bsk_torch.sim.fsw.models import (
     BasicFSWModel,
     ContinuousImagingFSWModel,
@@ -28,6 +29,7 @@ __all__ = [
     "FSWModel",
     "ImagingFSWModel",
     "InertialHoldFSWModel",
+    "LookFSWModel",
     "MagicOrbitalManeuverFSWModel",
     "MagneticUnloadingFSWModel",
     "Mode",

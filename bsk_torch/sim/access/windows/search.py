@@ -13,11 +13,13 @@ import torch
 from torch import Tensor
 
 from bsk_torch.astro.interpolate import BEFORE, COUNT
+from bsk_torch.codegen.kernel import Samples
 from bsk_torch.sim.access.light.light import in_light
 from bsk_torch.sim.access.passes.passes import GroundTrack, Passes, PassSearch
+from bsk_torch.sim.access.passes.requested import long_enough, request_passes
 from bsk_torch.sim.access.passes.sampled_passes import find_passes
 from bsk_torch.sim.access.visibility.backend import Visibility
-from bsk_torch.sim.access.visibility.planned import PlannedOrbits
+from bsk_torch.sim.access.visibility.planned import PlannedOrbits, take_rows
 from bsk_torch.sim.access.windows.generation import GenerationIntervals, true_windows, windows_by_interval
 from bsk_torch.sim.access.windows.next_windows import next_windows
 from bsk_torch.sim.access.windows.padded import tabulate
@@ -25,7 +27,9 @@ from bsk_torch.sim.access.windows.table import Windows, candidates, join_at, nex
 from bsk_torch.sim.hooks import check_tensor
 from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, PLAN_STEP
+from bsk_torch.sim.orbit.halved import halved
 from bsk_torch.sim.places import FixedPlaces, Places
+from bsk_torch.sim.places.requested import RequestPlaces
 from bsk_torch.sim.state import StateTable
 
 MAX_SEGMENTS = 100  # segments that a query may add before it gives up
@@ -139,7 +143,7 @@ class AccessWindows(StateTable):
         end = duration + torch.floor((longest - duration) / self.segment).clamp(min=0.0) * self.segment
         intervals = GenerationIntervals(start, torch.where(duration > 0.0, duration, self.segment), end, self.segment)
         for kind in self.kinds:
-            self._store_passes(kind, rows, self._generate(kind, rows, track, intervals))
+            self._store_windows(kind, rows, self._generate(kind, rows, track, intervals), end)
         self.until[rows], self.ready[rows] = duration, end
 
     def store(self, kind: str, rows: Tensor, found: Windows) -> None:
@@ -228,10 +232,9 @@ class AccessWindows(StateTable):
         segments = min(segments, room)
         if segments <= 0:
             return
-        orbits = PlannedOrbits(self.arcs.planned_samples, self.arcs.ephemeris_samples).take(rows)
         start = torch.maximum(begin - BEFORE_SEARCH, begun[rows] if isinstance(begun, Tensor) else torch.zeros_like(begin))
         samples = round((segments * self.segment + BEFORE_SEARCH + BEHIND_SEARCH) / PLAN_STEP) + 1
-        track = GroundTrack(self.visibility.ground_track(orbits, start, samples), start)
+        track = GroundTrack(self._planned_track(rows, start, samples), start)
         end = begin + segments * self.segment
         intervals = GenerationIntervals(begin, begin + self.segment, end, self.segment)
         for kind in self.kinds:
@@ -240,14 +243,58 @@ class AccessWindows(StateTable):
             past = old.close < torch.minimum(time, begin).unsqueeze(-1)  # one that closes at the beginning may be joined
             row, k = torch.nonzero(torch.isfinite(old.close) & ~past, as_tuple=True)
             kept = Passes(row, old.place[row, k], old.open[row, k], old.close[row, k])
-            self._store_passes(kind, rows, join_at(kept, new, begin))
+            self._store_windows(kind, rows, join_at(kept, new, begin), end)
         self.ready[rows] = end
+
+    def insert(self, kind: str, rows: Tensor, place: Tensor, time: Tensor) -> None:
+        """Add the windows of requests that appear at ``time`` [n] s: of ``rows`` [n], over places [n, K] without windows yet.
+
+        They are searched up to where those of all other places are. Windows in progress begin at the release of the request,
+        which is not before ``time``. Arcs that may restart reach beyond the search as far as interpolation does.
+        """
+        origin, end = self.arcs.start[rows], self.ready[rows]
+        first = origin + (torch.floor((time - BEFORE_SEARCH - origin) / PLAN_STEP) * PLAN_STEP).clamp(min=0.0)
+        samples = torch.ceil((end - first + BEHIND_SEARCH) / PLAN_STEP).long() + 1
+        ahead, planned = end > time, first >= self.arcs.planned_from[rows]
+        if self.arcs.restarts:  # they end at different times: tracks of equal length are searched together
+            parts = [((samples == count) & ahead, self._flown_track) for count in samples[ahead].unique().tolist()]
+        else:
+            parts = [(planned & ahead, self._planned_track), (~planned & ahead, self._flown_track)]
+        for some, ground_track in parts:
+            if bool(some.any()):
+                count = int(samples[some].max())
+                # all tracks are as long, and none reaches beyond its arc
+                start = torch.minimum(first[some], self.arcs.end[rows[some]] - PLAN_STEP * (count - 1))
+                track = GroundTrack(ground_track(rows[some], start, count), start)
+                self._insert(kind, rows[some], place[some], track)
+
+    def _insert(self, kind: str, rows: Tensor, place: Tensor, track: GroundTrack) -> None:
+        places, end = self.kinds[kind], self.ready[rows]
+        assert isinstance(places, RequestPlaces)
+        found = in_light(places, rows, request_passes(places, rows, track, self.visibility, place))
+        new = true_windows(track, found, GenerationIntervals(track.start, end, end, self.segment))
+        old = self._windows_of(kind).take(rows)
+        row, k = torch.nonzero(torch.isfinite(old.close), as_tuple=True)
+        kept = Passes(row, old.place[row, k], old.open[row, k], old.close[row, k])
+        self._store_windows(kind, rows, Passes(*(torch.cat(parts) for parts in zip(kept, new, strict=True))), end)
+
+    def _planned_track(self, rows: Tensor, start: Tensor, count: int) -> Tensor:
+        """Return Earth-fixed positions, [n, count, 3] m, every 30 s from ``start`` [n] s on, on the planned arcs."""
+        orbits = PlannedOrbits(self.arcs.planned_samples, self.arcs.ephemeris_samples).take(rows)
+        return self.visibility.ground_track(orbits, start, count)
+
+    def _flown_track(self, rows: Tensor, start: Tensor, count: int) -> Tensor:
+        """Return the same on the flown arcs, which differ by meters, and are kept whole."""
+        samples = Samples(halved(self.arcs.flown[rows]), self.arcs.start[rows] - 0.5 * PLAN_STEP)
+        return self.visibility.ground_track(PlannedOrbits(samples, take_rows(self.arcs.ephemeris_samples, rows)), start, count)
 
     def _generate(self, kind: str, rows: Tensor, track: GroundTrack, intervals: GenerationIntervals) -> Passes:
         """Return the windows of ``rows`` [n] over one kind of places; searches by intervals know fixed ones only."""
         places = self.kinds[kind]
         if not isinstance(places, FixedPlaces):
             return true_windows(track, find_passes(places, rows, track), intervals)
+        if isinstance(places, RequestPlaces):
+            return true_windows(track, in_light(places, rows, request_passes(places, rows, track, self.visibility)), intervals)
         if places.clearances:
             return true_windows(track, in_light(places, rows, find_passes(places, rows, track)), intervals)
         search = PassSearch(self.visibility, track, places.sites(rows))
@@ -255,6 +302,11 @@ class AccessWindows(StateTable):
         if self.compat and not places.light:
             return windows_by_interval(search, passes, intervals)
         return true_windows(track, in_light(places, rows, passes), intervals)
+
+    def _store_windows(self, kind: str, rows: Tensor, found: Passes, end: Tensor) -> None:
+        """Store windows of ``rows`` [n], which have been searched up to ``end`` [n] s."""
+        places = self.kinds[kind]
+        self._store_passes(kind, rows, long_enough(places, rows, found, end) if isinstance(places, RequestPlaces) else found)
 
     def _store_passes(self, kind: str, rows: Tensor, found: Passes) -> None:
         close, opens, place = tabulate(found.row, found.close, len(rows), found.open, found.place)
