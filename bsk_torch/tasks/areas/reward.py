@@ -62,4 +62,4 @@ class AreaReward(GlobalReward):
 
     @override
     def recorded(self, env: int) -> RecordedProgress:
-        return RecordedProgress(marks={"done": self.scenario.recorded_cells(env)})
+        return RecordedProgress(track_kind="areas", marks={"done": self.scenario.recorded_cells(env)})

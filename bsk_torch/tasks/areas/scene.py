@@ -88,8 +88,7 @@ class AreaPlaces(DrawnPlaces):
 
     @override
     def position(self, rows: Tensor, place: Tensor, time: Tensor) -> Tensor:
-        index = self.tables.of_rows(INDEX, rows, place).long()
-        return self._center[index].expand(*torch.broadcast_shapes(index.shape, time.shape), 3)
+        return self._center[self.tables.of_rows(INDEX, rows, place).long()]
 
     @override
     def max_speed(self, rows: Tensor) -> Tensor:
