@@ -48,7 +48,7 @@ class Region(NamedTuple):
 def read_regions(path: Path | str, name: str = "name", weight: str = "weight") -> list[Region]:
     """Return the regions of a GeoJSON file: a FeatureCollection, a Feature, a Polygon or a MultiPolygon.
 
-    A ring whose longitude jumps by more than 180 degrees between two vertices crosses the antimeridian, and one that goes around
+    A ring whose longitude jumps by 180 to 360 degrees between two vertices crosses the antimeridian, and one that goes around
     the Earth contains the pole of its hemisphere. Heights are ignored.
 
     Args:
@@ -194,9 +194,9 @@ def _ring(title: str, ring: Any) -> np.ndarray:
 
 def _unwrapped(title: str, ring: np.ndarray) -> np.ndarray:
     """Return a ring without jumps of longitude; one that goes around the Earth is closed over the pole."""
-    at_pole = (np.abs(ring[1:, 1]) == LATITUDE) & (ring[1:, 1] == ring[:-1, 1])  # there, longitude means nothing
     step = np.diff(ring[:, 0])
-    turns = np.where(at_pole, 0.0, -np.round(step / 360.0)).cumsum() * 360.0
+    jumps = (np.abs(step) > 180.0) & (np.abs(step) < 360.0)  # edges of 360 degrees go around, as those of boxes and at poles do
+    turns = np.where(jumps, -360.0 * np.sign(step), 0.0).cumsum()
     longitude = ring[:, 0] + np.concatenate([[0.0], turns])
     open_ring = np.stack([longitude, ring[:, 1]], 1)
     around = longitude[-1] - longitude[0]
