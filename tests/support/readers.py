@@ -26,6 +26,7 @@ from bsk_torch.rl.policies.files import load_policy
 from bsk_torch.rl.policies.pretrained import pretrained_file
 from bsk_torch.rl.training.config import PPOConfig, save_config
 from bsk_torch.rl.training.log import read_log
+from bsk_torch.formats.geojson import read_regions
 from bsk_torch.tasks.aeos_bench import read_cases
 from bsk_torch.tasks.aeos_bench.annotations import TASK_ID, read_assignments
 from bsk_torch.tasks.objects import RSOTarget, RSOTargetCatalog
@@ -120,6 +121,22 @@ PATHS = {
     "episodes": [{"seed": 3, "parts": [1, 2], "steps": [1.0, 0.5], "shares": [1.0, 0.2], "time": None, "actions": [[1], [2]]}],
 }
 
+REGIONS = {
+    "type": "FeatureCollection",
+    "features": [
+        {
+            "type": "Feature",
+            "properties": {"name": "a", "weight": 2},
+            "geometry": {"type": "Polygon", "coordinates": [[[0, 0], [9, 0], [0, 9], [0, 0]], [[1, 1], [1, 2], [2, 1], [1, 1]]]},
+        },
+        {
+            "type": "Feature",
+            "properties": {},
+            "geometry": {"type": "MultiPolygon", "coordinates": [[[[170, 0], [-170, 0], [-170, 9], [170, 0]]]]},
+        },
+    ],
+}
+
 ESTIMATE = {"mean": 0.5, "half_width": 0.1}
 SUMMARY = {
     "return": ESTIMATE,
@@ -175,6 +192,7 @@ def readers() -> dict[str, Reader]:
         "bench": Reader("x.json", json_bytes(RESULTS), results(PlayedResults), of_json),
         "leaderboard": Reader("x.json", json_bytes(RESULTS), results(Results), of_json),
         "evaluation": Reader("x.json", json_bytes({"trained": SUMMARY}), results(dict[Word, Summary]), of_json),
+        "regions": Reader("x.geojson", json_bytes(REGIONS), lambda folder: read_regions(folder / "x.geojson"), of_json),
         "request": Reader(
             "x.json",
             b'{"track": 1, "decision": 2}',
