@@ -145,7 +145,7 @@ def _parts(title: str, polygons: Sequence[Any]) -> tuple[Rings, ...]:
     pieces = []
     for shape in shapes:
         west, _, east, _ = shape.bounds
-        cut = [(shape, 0)] if -LONGITUDE <= west and east <= LONGITUDE else [(shape & turn, k) for turn, k in turns]
+        cut = [(shape, 0)] if west >= -LONGITUDE and east <= LONGITUDE else [(shape & turn, k) for turn, k in turns]
         pieces += [shapely.transform(part, lambda v, k=k: v - [360.0 * k, 0.0]) for part, k in cut]
     whole = shapely.union_all(pieces)
     area = sum(shape.area for shape in shapes)
@@ -195,7 +195,7 @@ def _ring(title: str, ring: Any) -> np.ndarray:
 def _unwrapped(title: str, ring: np.ndarray) -> np.ndarray:
     """Return a ring without jumps of longitude; one that goes around the Earth is closed over the pole."""
     step = np.diff(ring[:, 0])
-    jumps = (np.abs(step) > 180.0) & (np.abs(step) < 360.0)  # edges of 360 degrees go around, as those of boxes and at poles do
+    jumps = (np.abs(step) > 180.0) & (np.abs(step) < 360.0)  # 360: an edge of a box, or at a pole
     turns = np.where(jumps, -360.0 * np.sign(step), 0.0).cumsum()
     longitude = ring[:, 0] + np.concatenate([[0.0], turns])
     open_ring = np.stack([longitude, ring[:, 1]], 1)
@@ -214,7 +214,7 @@ def _unwrapped(title: str, ring: np.ndarray) -> np.ndarray:
 
 def _shifted_into(shapely: Any, outer: Any, hole: np.ndarray) -> np.ndarray:
     """Return a hole, shifted by whole turns so that it lies within a boundary, if it does after any."""
-    shifted = [hole + [360.0 * k, 0.0] for k in (0, 1, -1)]
+    shifted = [hole + np.array([360.0 * k, 0.0]) for k in (0, 1, -1)]
     return next((ring for ring in shifted if outer.contains(shapely.Polygon(ring))), hole)
 
 

@@ -44,7 +44,7 @@ class RecordedProgress:
     """What a rewarder knows of an episode at a decision.
 
     Attributes:
-        kind: Kind of the episode of a constellation, which names its figure in :data:`bsk_torch.viz.episodes.KINDS`; empty for the
+        kind: Kind of a constellation's episode, which names its figure in :data:`bsk_torch.viz.episodes.KINDS`; empty for the
             usual one.
         track_kind: Likewise, of the episode of a single satellite.
         targets: Targets of the rewarder, where the scenario has none.

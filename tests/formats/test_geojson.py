@@ -75,13 +75,16 @@ def test_antimeridian_and_poles(read, ring, size, edges):
 
 
 def test_a_hole_at_the_antimeridian(read):
-    (region,) = read(polygon([[170, 0], [-170, 0], [-170, 10], [170, 10], [170, 0]], [[-178, 2], [-178, 4], [-176, 4], [-176, 2], [-178, 2]]))
+    (region,) = read(
+        polygon([[170, 0], [-170, 0], [-170, 10], [170, 10], [170, 0]], [[-178, 2], [-178, 4], [-176, 4], [-176, 2], [-178, 2]])
+    )
     assert area(region) == pytest.approx(196.0)
 
 
 def test_wrong_files_are_refused(read, monkeypatch):
     monkeypatch.setattr(geojson, "MOST_VERTICES", 12)
     third = [[0, 0], [1, 0], "x", [0, 0]]
+    crossing, beyond = [[0, 0], [10, 10], [10, 0], [0, 10], [0, 0]], [[200, 2], [2, 49], [3, 48], [200, 2]]
     many = polygon(SQUARE, HOLE, HOLE)
     twice = collection(feature(polygon(SQUARE), name="A"), feature(polygon(SQUARE), name="A"))
     overlap = {"type": "MultiPolygon", "coordinates": [[SQUARE], [[[5, 5], [15, 5], [15, 15], [5, 5]]]]}
@@ -96,11 +99,11 @@ def test_wrong_files_are_refused(read, monkeypatch):
         refusal(lambda: read(polygon(SQUARE[:-1])), ValueError, "ring 0 is open", [0, 0], [0, 10]),
         refusal(lambda: read(polygon(SQUARE, HOLE[:3])), ValueError, "ring 1", "3 vertices", "4"),
         refusal(lambda: read(polygon(third)), ValueError, "vertex 2", "'x'", "[longitude, latitude]"),
-        refusal(lambda: read(polygon([[0, 0], [10, 10], [10, 0], [0, 10], [0, 0]])), ValueError, "polygon 0", "Self-intersection[5 5]"),
+        refusal(lambda: read(polygon(crossing)), ValueError, "polygon 0", "Self-intersection[5 5]"),
         refusal(lambda: read(polygon(SQUARE, [[5, 5], [5, 15], [7, 15], [5, 5]])), ValueError, "polygon 0", "not valid"),
         refusal(lambda: read(polygon([[0, 0], [1, 1], [2, 2], [0, 0]])), ValueError, "polygon 0"),
         refusal(lambda: read(overlap), ValueError, "feature 0", "overlap"),
-        refusal(lambda: read(polygon([[200, 2], [2, 49], [3, 48], [200, 2]])), ValueError, "vertex 0", "longitude 200", "[-180, 180]"),
+        refusal(lambda: read(polygon(beyond)), ValueError, "vertex 0", "longitude 200", "[-180, 180]"),
         refusal(lambda: read(polygon([[10, 100], [20, 100], [20, 110], [10, 100]])), ValueError, "latitude 100", "swapped"),
         refusal(lambda: read(polygon([[100, 100], [20, 100], [20, 110], [100, 100]])), ValueError, "latitude 100", "[-90, 90]"),
         refusal(lambda: read(polygon([[0, 0], [90, 10], [180, -10], [-90, 0], [0, 0]])), ValueError, "around the Earth", "pole"),

@@ -15,6 +15,7 @@ from tensordict import TensorDict
 
 from bsk_torch.cli.run_folder import Summary
 from bsk_torch.files import write_file
+from bsk_torch.formats.geojson import read_regions
 from bsk_torch.lab.bounds.envelope import FILE, Envelope
 from bsk_torch.lab.commands.results import PlayedResults, Results
 from bsk_torch.lab.offline import open_dataset
@@ -26,7 +27,6 @@ from bsk_torch.rl.policies.files import load_policy
 from bsk_torch.rl.policies.pretrained import pretrained_file
 from bsk_torch.rl.training.config import PPOConfig, save_config
 from bsk_torch.rl.training.log import read_log
-from bsk_torch.formats.geojson import read_regions
 from bsk_torch.tasks.aeos_bench import read_cases
 from bsk_torch.tasks.aeos_bench.annotations import TASK_ID, read_assignments
 from bsk_torch.tasks.objects import RSOTarget, RSOTargetCatalog

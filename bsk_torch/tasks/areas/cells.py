@@ -127,7 +127,10 @@ def cap(name: str, latitude: float, longitude: float, radius: float, cell: float
     Raises:
         ValueError: For a wrong argument, or more than :data:`MOST_CELLS` cells.
     """
-    center = (math.radians(number("latitude", latitude, -90.0, 90.0)), math.radians(number("longitude", longitude, -180.0, 180.0)))
+    center = (
+        math.radians(number("latitude", latitude, -90.0, 90.0)),
+        math.radians(number("longitude", longitude, -180.0, 180.0)),
+    )
     angle = number("radius", radius, 1.0, 1e7, unit="m") / EQUATOR
     size = number("cell", cell, 1.0, 1e7, unit="m")
     count = max(1, round(2.0 * math.pi * (1.0 - math.cos(angle)) * (EQUATOR / size) ** 2))
@@ -177,7 +180,7 @@ def random_caps(
     top = math.sin(math.radians(number("most_latitude", most_latitude, 0.0, 90.0)))
     latitude, longitude = np.degrees(np.arcsin(top * (2.0 * numbers[:, 0] - 1.0))), 360.0 * numbers[:, 1] - 180.0
     places = zip(latitude, longitude, low + (high - low) * numbers[:, 2], strict=True)
-    return [cap(f"area-{k}", *map(float, place), cell) for k, place in enumerate(places)]
+    return [cap(f"area-{k}", float(lat), float(lon), float(size), cell) for k, (lat, lon, size) in enumerate(places)]
 
 
 def padded(areas: Sequence[Area], far: float) -> tuple[np.ndarray, np.ndarray]:

@@ -48,6 +48,8 @@ class AreaEpisode(TrackEpisode):
         """Return the timeline, and the map of track and cells."""
         done = torch.isfinite(self.recorded_at)
         places = ("cell", OPEN, self.r_CP_P[~done]), ("recorded", DONE, self.r_CP_P[done])
-        caption = "Where the satellite flew, colored by mode, and the cells of the areas: gray, or green where they were recorded."
+        caption = (
+            "Where the satellite flew, colored by mode, and the cells of the areas: gray, or green where they were recorded."
+        )
         world = Picture(partial(track_map, self, places=places), caption, "World map with ground track and areas")
         return [super().pictures()[-1], world]

@@ -16,7 +16,7 @@ from bsk_torch.tasks.areas.cells import EQUATOR, FLATTENING
 from bsk_torch.vec3 import Vec3, only
 
 FOOTPRINT = "footprint_P"
-"""Field with the place on the ground that is recorded in a tick."""
+"""Field with the place on the ground recorded in a tick."""
 
 
 def record_footprint(bus: Bus) -> None:

@@ -23,12 +23,12 @@ HORIZON = 5700.0
 
 
 class AreaProperties(CandidateProperties):
-    """Properties of the n areas whose windows close next: the times in which the place below is within half a swath of their cap.
+    """Properties of the n areas whose windows close next: times in which the swath may show a part of an area.
 
     ======================  =========================================================================================
     ``opens``, ``closes``   time until the window opens, 0 where it has, and until it closes, s; up to 5700 s
     ``weight``              weight of the area
-    ``remaining``           share of its surface that is due
+    ``remaining``           due share of its surface
     ``gain``                the part of ``remaining`` that a scan along the rest of the window would record
     ``offset``              distance of its center from the plane of the track, left of it, as a fraction of the reach
     ======================  =========================================================================================
@@ -87,7 +87,7 @@ class AreaProperties(CandidateProperties):
         return values, ahead.mask
 
     def _track(self, ahead: Opportunities) -> tuple[Vec3, Vec3]:
-        """Return unit vectors, Earth-fixed, [N, n, 1]: left of the track in the middle of each window, and ahead of the satellite.
+        """Return unit vectors, Earth-fixed, [N, n, 1]: to the left in the middle of each window, and ahead of the satellite.
 
         The plane of the track goes through the Earth's center and two places below the orbit that are a minute apart.
         """

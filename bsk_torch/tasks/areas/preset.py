@@ -17,7 +17,7 @@ Observation, 36 numbers: the twelve of NadirScan-v1, and ``areas`` (24), for eac
 
 Actions: 0 scan (60 s), 1 charge (60 s), 2 downlink (60 s), 3 desaturate the wheels (60 s).
 
-Reward: weight of the area times share of its surface for every cell that is recorded for the first time: each area pays its
+Reward: weight of the area times share of its surface for every cell recorded for the first time: each area pays its
 weight in all; -1 if the satellite dies. See :class:`~bsk_torch.tasks.areas.AreaReward` for rewards of revisits, or at the end.
 
 Termination: as in NadirScan-v1; and at the time limit of 28,500 s, which truncates.
@@ -70,10 +70,14 @@ class AreaScanner(ScanningSatellite):
 
 def area_args() -> dict[str, Any]:
     """Return the arguments of the satellite, with distributions for random ones."""
-    return scanning_args() | dict(instrumentBaudRate=RATE, imageAttErrorRequirement=0.01, storedCharge_Init=rand.Uniform(0.3 * BATTERY, BATTERY))
+    return scanning_args() | dict(
+        instrumentBaudRate=RATE, imageAttErrorRequirement=0.01, storedCharge_Init=rand.Uniform(0.3 * BATTERY, BATTERY)
+    )
 
 
-def areas(*, sat_args: dict[str, Any] | None = None, obs_type: type = torch.Tensor, n_areas: int = 100, **options: Any) -> SatelliteTasking:
+def areas(
+    *, sat_args: dict[str, Any] | None = None, obs_type: type = torch.Tensor, n_areas: int = 100, **options: Any
+) -> SatelliteTasking:
     """Return Areas-v1; see the module.
 
     Args:

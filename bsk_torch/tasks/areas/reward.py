@@ -23,7 +23,7 @@ EARNED = "area_earned"
 
 
 class AreaReward(GlobalReward):
-    """Reward for cells of :class:`~bsk_torch.tasks.areas.Areas`: weight of the area, times share of the cell, as far as it is due.
+    """Reward for cells of :class:`~bsk_torch.tasks.areas.Areas`: weight of the area times share of the cell, as far as it is due.
 
     Without ``revisit`` of the scenario, a cell pays once, so that an area pays its weight in all. With it, a cell pays again in
     proportion to the time since it was last recorded, up to that time. A cell that two satellites record in the same step

@@ -96,14 +96,14 @@ class AreaPlaces(DrawnPlaces):
 
 
 class Areas(Scenario):
-    """Areas of which satellites record one cell after the other; all of them, or some that are drawn for each episode.
+    """Areas recorded cell by cell: the same ones in all episodes, or a selection drawn for each.
 
-    A cell is recorded in a tick in which the instrument records data that fit into the store, and its axis meets the ground no
-    more than half a swath away: the swath is the track of a circle on the ground. Distances are straight. Satellites need
+    A cell is recorded in a tick in which the instrument stores data and its axis meets the ground no more than half a swath
+    away, along a straight line. So the swath is the track of a circle on the ground. Satellites need
     :class:`~bsk_torch.tasks.areas.AreaScanFSWModel`.
 
     A cell is *due* until it is recorded; with ``revisit`` seconds, it is due again after that time, and in part before.
-    Tables of cells are stored once for all environments, and an episode has only the state of its cells.
+    Tables of cells are stored once for all environments; an episode has numbers of areas, weights, and the state of its cells.
     """
 
     _link_needs_super = True
@@ -119,10 +119,9 @@ class Areas(Scenario):
         """ValueError for a wrong argument.
 
         Args:
-            areas: Areas to draw from, such as :func:`~bsk_torch.tasks.areas.read_areas` or
-                :func:`~bsk_torch.tasks.areas.random_caps` return; those with cells much smaller than the swath cost time, and
-                those with larger ones are covered by fewer passes than they would be.
-            swath: Width of the ground that is recorded, m.
+            areas: Areas, such as :func:`~bsk_torch.tasks.areas.read_areas` or :func:`~bsk_torch.tasks.areas.random_caps` return.
+                Cells much smaller than the swath cost time, and larger ones may lie between two passes that show parts of them.
+            swath: Width of the recorded ground, m.
             n_areas: Number of different areas A drawn for each episode; None for all of them, in their order.
             weights: Weight of each area of an episode: a number, a distribution, or a callable; None for the areas' own.
             revisit: Time after which a recorded cell is due again, s; None for never.
@@ -167,7 +166,7 @@ class Areas(Scenario):
         angle = 2.0 * torch.asin((0.5 * self.reach / (EQUATOR * (1.0 - FLATTENING))).clamp(max=1.0))
         device = tables.drawn[INDEX].device
         names = self.names if self._all else ()
-        return super().place_kinds(tables) | {AREA_KIND: AreaPlaces(tables, self.center.to(device), angle.to(device), names)}
+        return {**super().place_kinds(tables), AREA_KIND: AreaPlaces(tables, self.center.to(device), angle.to(device), names)}
 
     @override
     def link(self, fleet: SatelliteFleet) -> None:
@@ -205,13 +204,13 @@ class Areas(Scenario):
         return torch.maximum(new, passed.clamp(max=1.0))
 
     def covered(self) -> Tensor:
-        """Return the share of each area that has been recorded in the episode, [N, A]."""
+        """Return the share of each area recorded in the episode, [N, A]."""
         return torch.where(self.memory[RECORDED] == NEVER, 0.0, self.share[self.index]).sum(-1)
 
     # -- steps --------------------------------------------------------------------------------------------------------
 
     def hits(self) -> Hits:
-        """Return the cells that were recorded in the current step; those of areas far apart in no order."""
+        """Return the cells recorded in the current step."""
         none = torch.zeros(0, dtype=torch.int64, device=self.fleet.device)
         return Hits(*(torch.cat(column) for column in zip(Hits(none, none, none, none), *self._hits, strict=True)))
 
@@ -231,7 +230,7 @@ class Areas(Scenario):
             self._hits.clear()
 
     def _look(self, flight: Flight) -> None:
-        """Find the cells that are recorded in a flight."""
+        """Find the cells recorded in a flight."""
         for k in self._types:
             place = flight.read(k, FOOTPRINT)[:, :, 1:]
             tick = torch.arange(1, place.shape[2] + 1, device=place.device)
@@ -250,7 +249,7 @@ class Areas(Scenario):
         Args:
             envs: Environments of R tracks, [R].
             place: Recorded places, [R, K, 3] m.
-            on: Ticks in which something is recorded, [R, K]; the others are moved to the Earth's center, from where nothing is seen.
+            on: Ticks in which something is recorded, [R, K]; in others the place is the Earth's center, near no cell.
         """
         place = torch.where(on.unsqueeze(-1), place, 0.0)
         last = on.shape[1] - 1 - on.flip(1).byte().argmax(1)

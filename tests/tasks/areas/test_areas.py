@@ -59,7 +59,11 @@ def test_episodes_do_not_depend_on_the_batch():
 
 
 def test_restored_episodes_go_on_alike():
-    env = make(scenario=Areas(round_areas(), 300e3, 100, weights=rand.Uniform(), revisit=900.0), rewarder=AreaReward(at_end=True), time_limit=1500.0)
+    env = make(
+        scenario=Areas(round_areas(), 300e3, 100, weights=rand.Uniform(), revisit=900.0),
+        rewarder=AreaReward(at_end=True),
+        time_limit=1500.0,
+    )
     td, _ = scan(env, 12)
     saved, td = env.get_state(), td.clone()
     assert (env.scenario.memory[RECORDED] >= 0).any()
@@ -166,6 +170,7 @@ def test_wrong_arguments_are_refused():
     listed = random_caps(3, 1e5)
     plain = ScanningSatellite("A", scanning_args())
     imager = lambda *spec: type("Own", (AreaScanner,), {"observation_spec": spec})("A", area_args())
+    ground, seen = scene.UniformNadirScanning(), Areas(listed, 1e5)
     tasking = lambda satellite, scenario, rewarder: bsk_torch.SatelliteTasking(satellite, scenario=scenario, rewarder=rewarder)
     check_refusals(
         refusal(lambda: Areas([], 1e5), ValueError, "areas=[]", "random_caps"),
@@ -176,8 +181,8 @@ def test_wrong_arguments_are_refused():
         refusal(lambda: Areas(listed, 1e5, revisit=0.0), ValueError, "revisit=0.0", "s"),
         refusal(lambda: AreaReward(at_end=3), ValueError, "at_end=3"),
         refusal(lambda: AreaProperties(dict(prop="gains")), ValueError, "gains", "gain"),
-        refusal(lambda: tasking(plain, Areas(listed, 1e5), AreaReward()), ValueError, "AreaScanFSWModel", "ContinuousImagingFSWModel"),
-        refusal(lambda: tasking(plain, scene.UniformNadirScanning(), AreaReward()), ValueError, "Areas", "UniformNadirScanning"),
-        refusal(lambda: tasking(imager(AreaProperties()), scene.UniformNadirScanning(), data.NoReward()), ValueError, "areas", "Areas"),
+        refusal(lambda: tasking(plain, seen, AreaReward()), ValueError, "AreaScanFSWModel", "ContinuousImagingFSWModel"),
+        refusal(lambda: tasking(plain, ground, AreaReward()), ValueError, "Areas", "UniformNadirScanning"),
+        refusal(lambda: tasking(imager(AreaProperties()), ground, data.NoReward()), ValueError, "areas", "Areas"),
     )  # fmt: skip
-    assert tasking(imager(obs.Time()), Areas(listed, 1e5), AreaReward()).reset()["observation"].shape == (1, 1)
+    assert tasking(imager(obs.Time()), seen, AreaReward()).reset()["observation"].shape == (1, 1)

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from bsk_torch.formats.geojson import Region
-from bsk_torch.tasks.areas import cells
-from bsk_torch.tasks.areas import cap, random_caps, read_areas, region_cells
-from bsk_torch.tasks.areas.cells import ECCENTRICITY2, EQUATOR, geodetic_to_fixed
+from bsk_torch.tasks.areas import cap, cells, random_caps, read_areas, region_cells
+from bsk_torch.tasks.areas.cells import ECCENTRICITY2, geodetic_to_fixed
 from tests.support.refusals import check_refusals, refusal
 
 WORLD = Region("world", 1.0, ((np.array([[-180.0, -90], [180, -90], [180, 90], [-180, 90], [-180, -90]]),),))
@@ -77,7 +76,11 @@ def test_caps():
 def test_areas_of_a_file(tmp_path):
     pytest.importorskip("shapely")
     ring = [[179.0, 0.0], [-179.0, 0.0], [-179.0, 2.0], [179.0, 2.0], [179.0, 0.0]]
-    entry = {"type": "Feature", "properties": {"name": "Fiji", "weight": 3}, "geometry": {"type": "Polygon", "coordinates": [ring]}}
+    entry = {
+        "type": "Feature",
+        "properties": {"name": "Fiji", "weight": 3},
+        "geometry": {"type": "Polygon", "coordinates": [ring]},
+    }
     (tmp_path / "x.geojson").write_text(json.dumps(entry))
     (area,) = read_areas(tmp_path / "x.geojson", 111e3)
     assert (area.name, area.weight, len(area.share)) == ("Fiji", 3.0, 4)

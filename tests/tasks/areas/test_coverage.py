@@ -107,8 +107,10 @@ def test_cells_are_those_in_the_buffered_track():
 
 
 def test_a_full_store_records_nothing():
-    listed, env, tracks, _ = flown(actions=(0,), n=1, seconds=600)
-    full = areas(scenario=Areas(listed, SWATH), num_envs=1, seed=3, sat_args=dict(storageInit=5000 * 8e6, dataStorageCapacity=5000 * 8e6))
+    listed, env, *_ = flown(actions=(0,), n=1, seconds=600)
+    full = areas(
+        scenario=Areas(listed, SWATH), num_envs=1, seed=3, sat_args=dict(storageInit=5000 * 8e6, dataStorageCapacity=5000 * 8e6)
+    )
     td = full.reset()
     for _ in range(10):
         td = full.step(td.set("action", torch.zeros(1, dtype=torch.int64)))["next"]
