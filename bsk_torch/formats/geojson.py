@@ -14,6 +14,8 @@ import numpy as np
 from bsk_torch._text import visible
 from bsk_torch.untrusted import Json, read_json
 
+__all__ = ["Region", "read_regions"]
+
 MOST_BYTES = 2**26
 """Largest file, bytes."""
 
@@ -195,7 +197,7 @@ def _ring(title: str, ring: Any) -> np.ndarray:
 def _unwrapped(title: str, ring: np.ndarray) -> np.ndarray:
     """Return a ring without jumps of longitude; one that goes around the Earth is closed over the pole."""
     step = np.diff(ring[:, 0])
-    jumps = (np.abs(step) > 180.0) & (np.abs(step) < 360.0)  # 360: an edge of a box, or at a pole
+    jumps = (np.abs(step) > 180.0) & (np.abs(step) < 360.0)  # 360: of a box, or at a pole
     turns = np.where(jumps, -360.0 * np.sign(step), 0.0).cumsum()
     longitude = ring[:, 0] + np.concatenate([[0.0], turns])
     open_ring = np.stack([longitude, ring[:, 1]], 1)
