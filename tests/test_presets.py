@@ -26,7 +26,7 @@ pytestmark = pytest.mark.compiled
 
 CONSTELLATIONS = ["AEOSConstellation-v1", "Constellation-v1", "RelayConstellation-v1", "HeteroCluster-v1"]
 INSPECTIONS = {"RSOInspection-v1": 1, "MultiInspection-v1": 3}
-SCANNING = ("NadirScan-v1", "NadirScience-v1", "FaultyScan-v1")
+SCANNING = ("NadirScan-v1", "NadirScience-v1", "FaultyScan-v1", "Areas-v1")
 LINEAR = ("CWDocking-v1", "CWInspection-v1")  # see tests/safe_autonomy
 MODULE = r":mod:`(bsk_torch\.(?:presets|tasks)\.[\w.]+)`"  # that a docstring names
 OBJECTS = ("Services-v1", "ThreeSensors-v1", "Walker4-v1")  # see tests/env/test_services.py, test_sensors.py

@@ -157,6 +157,8 @@ benchmarks/vs_basilisk.py --only 1 gymnasium 64-collector --turns 1 --seconds 0.
   compiled: (?s)\| 1 \| 1 \|.*\| gymnasium \| 1 \|.*\| 64-collector \| 64 \| float64 \| [\d,]+ \| - \|
 benchmarks/vs_basilisk.py --only 1 --turns 1 --seconds 0.1 --warm-up 1 --basilisk {python}
   basilisk: \| 1 \| 1 \|.*\| [\d.]+ to [\d.]+ \|
+examples/areas.py --num-envs 2 --time-limit 900 --cell 300e3 --figure areas.png
+  compiled: (?s)4 areas of \d+ cells.*random: return.*areas: return .*area covered \d
 examples/curriculum.py --num-envs 4 --steps 10 --time-limit 360 --rise 0.5 --figure levels.png
   compiled: (?s)step 10: \d+ episodes.*nothing was rebuilt
 examples/live_requests.py --num-envs 2 --steps 12

@@ -108,7 +108,7 @@ class ComposedReward(GlobalReward):
     def recorded(self, env: int) -> RecordedProgress:
         """Return what the first part that has something to record knows."""
         told = [part.recorded(env) for part in self.rewarders]
-        return next((progress for progress in told if progress.kind or progress.marks), told[0])
+        return next((progress for progress in told if progress.kind or progress.track_kind or progress.marks), told[0])
 
     @override
     def share(self, links: Tensor) -> None:

@@ -6,6 +6,7 @@ name                       module                      task
 ``NadirScan-v1``           ``presets.nadir_scan``      record the ground below; manage battery, wheels and data buffer
 ``NadirScience-v1``        ``presets.nadir_science``   the same with a strong disturbance: BSK-RL's ``nadir_science``
 ``FaultyScan-v1``          ``presets.faulty_scan``     NadirScan-v1 while parts of the satellite fail at random times
+``Areas-v1``               ``tasks.areas``             record areas cell by cell, with a store that fills whatever lies below
 ``AEOS-v1``                ``presets.aeos``            choose which of the next 32 targets to image
 ``AEOSCity-v1``            ``presets.aeos``            the same, with cities as targets
 ``CloudyAEOS-v1``          ``presets.aeos``            the same under clouds, observed only as a forecast

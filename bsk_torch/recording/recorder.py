@@ -480,7 +480,7 @@ def _kind(env: Tasking) -> str:
     if isinstance(env, ConstellationTasking):
         return env.rewarder.recorded(0).kind or "constellation"
     images = any(isinstance(entry, Image) for entry in env.satellites[0].actions.entries)
-    return "ground_track" if images else "timeline"
+    return env.rewarder.recorded(0).track_kind or ("ground_track" if images else "timeline")
 
 
 def branched(flown: Flown, decision: int, action: int | None, parent: int) -> Branch:

@@ -44,7 +44,9 @@ class RecordedProgress:
     """What a rewarder knows of an episode at a decision.
 
     Attributes:
-        kind: Kind of the episode, which names its figure in :data:`bsk_torch.viz.episodes.KINDS`; empty for the usual one.
+        kind: Kind of a constellation's episode, which names its figure in :data:`bsk_torch.viz.episodes.KINDS`; empty for the
+            usual one.
+        track_kind: Likewise, of the episode of a single satellite.
         targets: Targets of the rewarder, where the scenario has none.
         marks: Targets by what has become of them, [T] bool on the CPU each: ``"done"`` for imaged or inspected ones, and others.
         images: Satellite, target and time of each image on board; None where data are not delivered.
@@ -52,6 +54,7 @@ class RecordedProgress:
     """
 
     kind: str = ""
+    track_kind: str = ""
     targets: RecordedTargets | None = None
     marks: Mapping[str, Tensor] = field(default_factory=dict)
     images: Sequence[tuple[int, int, float]] | None = None

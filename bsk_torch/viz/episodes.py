@@ -26,6 +26,7 @@ KINDS = {
     "ground_track": "bsk_torch.viz.figures.ground_track:ImagingEpisode",
     "constellation": "bsk_torch.viz.figures.constellation:ConstellationEpisode",
     "inspection": "bsk_torch.tasks.inspection.figure:InspectionEpisode",
+    "areas": "bsk_torch.tasks.areas.figure:AreaEpisode",
     "rso_imaging": "bsk_torch.tasks.objects.figure:RSOImagingEpisode",
 }
 """Module and class of what figures show of a recording, by its kind."""

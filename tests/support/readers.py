@@ -15,6 +15,7 @@ from tensordict import TensorDict
 
 from bsk_torch.cli.run_folder import Summary
 from bsk_torch.files import write_file
+from bsk_torch.formats.geojson import read_regions
 from bsk_torch.formats.places import read_csv, read_geojson
 from bsk_torch.formats.requests import read_requests
 from bsk_torch.lab.bounds.envelope import FILE, Envelope
@@ -126,6 +127,22 @@ PATHS = {
     "episodes": [{"seed": 3, "parts": [1, 2], "steps": [1.0, 0.5], "shares": [1.0, 0.2], "time": None, "actions": [[1], [2]]}],
 }
 
+REGIONS = {
+    "type": "FeatureCollection",
+    "features": [
+        {
+            "type": "Feature",
+            "properties": {"name": "a", "weight": 2},
+            "geometry": {"type": "Polygon", "coordinates": [[[0, 0], [9, 0], [0, 9], [0, 0]], [[1, 1], [1, 2], [2, 1], [1, 1]]]},
+        },
+        {
+            "type": "Feature",
+            "properties": {},
+            "geometry": {"type": "MultiPolygon", "coordinates": [[[[170, 0], [-170, 0], [-170, 9], [170, 0]]]]},
+        },
+    ],
+}
+
 ESTIMATE = {"mean": 0.5, "half_width": 0.1}
 SUMMARY = {
     "return": ESTIMATE,
@@ -199,6 +216,7 @@ def readers() -> dict[str, Reader]:
             )
             for kind, content in REQUESTS.items()
         },
+        "regions": Reader("x.geojson", json_bytes(REGIONS), lambda folder: read_regions(folder / "x.geojson"), of_json),
         "request": Reader(
             "x.json",
             b'{"track": 1, "decision": 2}',

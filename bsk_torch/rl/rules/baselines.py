@@ -189,6 +189,7 @@ BASELINES: Entries[Callable[[SatelliteTasking, int], TensorDictModuleBase]] = En
         **{name: f"bsk_torch.tasks.inspection.rules:{name}" for name in ("drift", "circumnavigate", "survey", "hurried_survey")},
         **{name: f"bsk_torch.tasks.safe_autonomy.rules:{name}_rule" for name in ("glide", "seek")},
         **{name: f"bsk_torch.tasks.objects.rules:{name}" for name in SERVICING},
+        "areas": "bsk_torch.tasks.areas.rules:area_rule",
         "soonest_task": "bsk_torch.tasks.aeos_bench.rules:soonest_rule",
     }
 )

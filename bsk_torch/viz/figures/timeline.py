@@ -281,11 +281,14 @@ def plain(action: str) -> str:
 # -- the map --------------------------------------------------------------------------------------------------------------------
 
 
-def track_map(episode: TrackEpisode, path: Path, title: str = "", width: float = WIDTH) -> Path:
+def track_map(
+    episode: TrackEpisode, path: Path, title: str = "", width: float = WIDTH, places: Sequence[tuple[str, str, Tensor]] = ()
+) -> Path:
     """Draw an episode to the file ``path``, .png, .svg or .pdf, with headline ``title`` unless that is empty.
 
     The ground track has the colors of the timeline's modes. It is thick for decisions that earned a reward and shaded in eclipse.
     Ground stations, start and end are marked. ``width`` is in inches, such as :data:`~bsk_torch.viz.figures.style.COLUMN`.
+    ``places`` are dots below the track: name, color, and Earth-fixed positions [K, 3] m.
     """
     text = 0.8 if title else 0.35  # height, inches
     figure = Figure(figsize=(width, 0.5 * width + text), dpi=140, layout="constrained", facecolor="white")
@@ -293,6 +296,8 @@ def track_map(episode: TrackEpisode, path: Path, title: str = "", width: float =
     tidy(panel)
     world_map(panel, width)
     panel.set_anchor("C")
+    for _, color, r_P in places:
+        panel.scatter(*ground(r_P), s=3.0, color=color, linewidths=0, zorder=1.5, rasterized=True)
     _track(panel, episode)
     panel.plot(*ground(episode.stations), "^", color=INK, markeredgecolor="white", markersize=8.0, zorder=5)
     for k, marker in ((0, "o"), (-1, "s")):
@@ -301,7 +306,7 @@ def track_map(episode: TrackEpisode, path: Path, title: str = "", width: float =
         caption(panel, "ground track by mode; thick where a reward was earned, shaded in eclipse")
         headline(figure, f"{title}: {episode.outcome}")
     fit(figure, width)
-    legend(figure, _map_legend(episode), width, 8)
+    legend(figure, [*_map_legend(episode), *(dot("o", color, color, name) for name, color, _ in places)], width, 8)
     return save(figure, path)
 
 

@@ -59,7 +59,7 @@ def transmit(bus: Bus) -> None:
     bus.idle = torch.where(on, zero, bus.idle + bus.h)
 
 
-def _stored(level: Tensor, rate: Tensor, bus: Bus) -> Tensor:
+def level_after(level: Tensor, rate: Tensor, bus: Bus) -> Tensor:
     """Return the level, bit, after one node with a ``rate``, bit/s.
 
     ``L + q`` with ``q = round(rate h)``, half away from zero, where that is within the capacity or the rate is not positive, but
@@ -74,7 +74,7 @@ def _stored(level: Tensor, rate: Tensor, bus: Bus) -> Tensor:
 
 def store(bus: Bus) -> None:
     """Add the instrument's bits, then remove the transmitter's."""
-    bus.storage = _stored(_stored(bus.storage, bus.instrument_rate, bus), bus.transmitter_rate, bus)
+    bus.storage = level_after(level_after(bus.storage, bus.instrument_rate, bus), bus.transmitter_rate, bus)
 
 
 def _packet_size(args: Values) -> dict[str, Tensor]:

@@ -1,0 +1,93 @@
+"""Areas-v1: record areas on the ground, cell by cell, with an instrument that fills the store whatever lies below.
+
+One satellite of :mod:`bsk_torch.presets.nadir_scan`, with more data and a wider swath, flies five orbits over 100 areas, which
+differ between episodes. The store is full after about 21 minutes of recording, so that only areas are worth it, and not all of
+them.
+
+Observation, 36 numbers: the twelve of NadirScan-v1, and ``areas`` (24), for each of the four areas whose windows close next, see
+:class:`~bsk_torch.tasks.areas.AreaProperties`:
+
+======================================  ==========================================================================
+``opens``, ``closes``                   time until the window opens and closes, divided by 5700 s, from 0 to 1
+``weight``                              weight of the area
+``remaining``                           share of its surface that has not been recorded
+``gain``                                the part of it that a scan along the rest of the window would record
+``offset``                              distance of its center from the track, as a fraction of the reach, from -1 to 1
+======================================  ==========================================================================
+
+Actions: 0 scan (60 s), 1 charge (60 s), 2 downlink (60 s), 3 desaturate the wheels (60 s).
+
+Reward: weight of the area times share of its surface for every cell recorded for the first time: each area pays its
+weight in all; -1 if the satellite dies. See :class:`~bsk_torch.tasks.areas.AreaReward` for rewards of revisits, or at the end.
+
+Termination: as in NadirScan-v1; and at the time limit of 28,500 s, which truncates.
+
+Eclipses are observed as in NadirScan-v1.
+
+Random at reset: as in NadirScan-v1; 100 of 1000 round areas with radii of 100 to 400 km between the latitudes of 75 degrees, and
+their weights, uniform in [0, 1). The swath is 300 km wide, a cell about 100 km.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, ClassVar
+
+import torch
+
+from bsk_torch import act, rand
+from bsk_torch.env import SatelliteTasking
+from bsk_torch.presets.nadir_scan import BATTERY, ORBIT, ScanningSatellite, scanning_args
+from bsk_torch.tasks.areas.cells import Area, random_caps
+from bsk_torch.tasks.areas.fsw import AreaScanFSWModel
+from bsk_torch.tasks.areas.obs import AreaProperties
+from bsk_torch.tasks.areas.reward import AreaReward
+from bsk_torch.tasks.areas.scene import Areas
+
+SWATH, CELL = 300e3, 100e3
+"""Width of the recorded ground, and side of a cell, m."""
+
+STEP = 60.0
+"""Duration of an action, s."""
+
+RATE = 4 * 8e6
+"""Data rate of the instrument, bit/s: it fills the store of 5 GB in 1250 s."""
+
+
+@functools.cache
+def round_areas() -> tuple[Area, ...]:
+    """Return the areas of which each episode draws some."""
+    return tuple(random_caps(1000, CELL))
+
+
+class AreaScanner(ScanningSatellite):
+    """The satellite of NadirScan-v1 with a trace of its swath."""
+
+    observation_spec = (*ScanningSatellite.observation_spec, AreaProperties(n_ahead_observe=4))
+    action_spec = (act.Scan(duration=STEP), act.Charge(duration=STEP), act.Downlink(duration=STEP), act.Desat(duration=STEP))
+    fsw_type: ClassVar[type[AreaScanFSWModel]] = AreaScanFSWModel
+
+
+def area_args() -> dict[str, Any]:
+    """Return the arguments of the satellite, with distributions for random ones."""
+    return scanning_args() | dict(
+        instrumentBaudRate=RATE, imageAttErrorRequirement=0.01, storedCharge_Init=rand.Uniform(0.3 * BATTERY, BATTERY)
+    )
+
+
+def areas(
+    *, sat_args: dict[str, Any] | None = None, obs_type: type = torch.Tensor, n_areas: int = 100, **options: Any
+) -> SatelliteTasking:
+    """Return Areas-v1; see the module.
+
+    Args:
+        sat_args: Arguments of the satellite that replace those of the preset.
+        obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations.
+        n_areas: Number of areas of an episode, up to 1000.
+        **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset.
+    """
+    satellite = AreaScanner("Scanner1", area_args() | (sat_args or {}), obs_type=obs_type, may_see_nothing=True)
+    defaults: dict[str, Any] = dict(rewarder=AreaReward(), time_limit=5 * ORBIT, failure_penalty=-1.0)
+    if "scenario" not in options:
+        defaults["scenario"] = Areas(round_areas(), SWATH, n_areas, weights=rand.Uniform())
+    return SatelliteTasking(satellite, **(defaults | options))

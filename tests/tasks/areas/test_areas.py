@@ -1,0 +1,188 @@
+"""Areas as a task: draws, states, observations, rewards, and what is refused."""
+
+import numpy as np
+import pytest
+import torch
+
+import bsk_torch
+from bsk_torch import data, obs, rand, scene
+from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
+from bsk_torch.rand import first_key
+from bsk_torch.rl.policies.shared_policy import baseline
+from bsk_torch.tasks.areas import AreaProperties, AreaReward, Areas, cap, random_caps
+from bsk_torch.tasks.areas.preset import AreaScanner, area_args, round_areas
+from bsk_torch.tasks.areas.scene import RECORDED
+from tests.support.refusals import check_refusals, refusal
+
+pytestmark = pytest.mark.compiled
+
+PROPS = ("opens", "closes", "weight", "remaining", "gain", "offset")
+
+
+def make(**options):
+    return bsk_torch.make("Areas-v1", **(dict(num_envs=3, seed=2) | options))
+
+
+def scan(env, steps, td=None):
+    """Observations and rewards of scans, after the reset or a decision."""
+    td, played = env.reset() if td is None else td, []
+    for _ in range(steps):
+        td = env.step(td.set("action", torch.zeros(env.num_envs, dtype=torch.int64)))["next"]
+        played.append(td.select("observation", "reward").clone())
+    return td, torch.stack(played, 1)
+
+
+def test_the_preset_plays():
+    env = make()
+    td, played = scan(env, 3)
+    assert torch.equal(torch.isfinite(played["observation"]), torch.ones_like(played["observation"], dtype=torch.bool))
+    assert played["observation"].shape == (3, 3, 36)
+    assert played["observation"].dtype == torch.float32
+    names = env.satellite.observation_description[12:]
+    assert names == [f"areas.areas_{k}.{name}" for k in range(4) for name in PROPS]
+    areas = played["observation"][..., 12:].unflatten(-1, (4, 6))
+    assert ((areas >= 0.0) & (areas <= 1.0))[..., :5].all()
+    assert (areas[..., 5].abs() <= 1.0).all()
+    assert (areas[..., 4] <= areas[..., 3]).all()
+    assert td["action_mask"].all()
+    assert env.scenario.memory[RECORDED].shape == (3, 100, max(len(area.share) for area in round_areas()))
+
+
+def test_episodes_do_not_depend_on_the_batch():
+    several, alone = make(num_envs=4), make(num_envs=1)
+    _, many = scan(several, 12)
+    _, one = scan(alone, 12)
+    assert all(torch.equal(many[key][:1], one[key]) for key in ("observation", "reward"))
+    assert torch.equal(several.scenario.memory[RECORDED][0], alone.scenario.memory[RECORDED][0])
+    assert (several.scenario.memory[RECORDED] >= 0).any()
+    assert not torch.equal(several.scenario.index[0], several.scenario.index[1])
+
+
+def test_restored_episodes_go_on_alike():
+    env = make(
+        scenario=Areas(round_areas(), 300e3, 100, weights=rand.Uniform(), revisit=900.0),
+        rewarder=AreaReward(at_end=True),
+        time_limit=1500.0,
+    )
+    td, _ = scan(env, 12)
+    saved, td = env.get_state(), td.clone()
+    assert (env.scenario.memory[RECORDED] >= 0).any()
+    _, first = scan(env, 13, td.clone())
+    env.restore(saved)
+    _, again = scan(env, 13, td.clone())
+    other = make(scenario=env.scenario, rewarder=AreaReward(at_end=True), time_limit=1500.0, seed=5)
+    other.reset()
+    other.restore(env, envs=[2, 0], source=[0, 2])
+    assert all(torch.equal(first[key], again[key]) for key in ("observation", "reward"))
+    assert torch.equal(other.scenario.memory[RECORDED][[2, 0]], env.scenario.memory[RECORDED][[0, 2]])
+
+
+def test_new_episodes_begin_without_recorded_cells():
+    env = make(time_limit=600.0)
+    td, _ = scan(env, 10)
+    before = env.scenario.memory[RECORDED].clone()
+    env.reset(td.empty().set("_reset", torch.tensor([[True], [False], [False]])))
+    assert (env.scenario.memory[RECORDED][0] == -1).all()
+    assert torch.equal(env.scenario.memory[RECORDED][1:], before[1:])
+
+
+def test_the_reward_at_the_end_is_the_sum():
+    at_once, late = make(time_limit=900.0), make(time_limit=900.0, rewarder=AreaReward(at_end=True))
+    _, first = scan(at_once, 15)
+    _, second = scan(late, 15)
+    total = first["reward"].sum(1)
+    assert (second["reward"][:, :-1] == 0.0).all()
+    torch.testing.assert_close(second["reward"][:, -1], total)
+    assert (total > 0.0).any()
+    worth = (at_once.scenario.weight * at_once.scenario.covered()).sum(1)
+    torch.testing.assert_close(worth.float().unsqueeze(-1), total)
+    measured = at_once.rewarder.measures()["area_covered"]
+    torch.testing.assert_close(measured, worth / at_once.scenario.weight.sum(1))
+
+
+def test_draws():
+    library = [cap(f"a{k}", 0.0, 10.0 * k, 200e3, 100e3, weight=float(k)) for k in range(6)]
+    key = first_key(500)
+    drawn = Areas(library, 1e5, 2).draw(key)
+    assert drawn["area_index"].shape == (500, 2)
+    assert (drawn["area_index"][:, 0] != drawn["area_index"][:, 1]).all()
+    counts = torch.bincount(drawn["area_index"].long().flatten(), minlength=6)
+    assert (counts.double() - 1000 / 6).abs().max() < 5.0 * (1000 / 6 * 5 / 6) ** 0.5  # five standard deviations
+    assert torch.equal(drawn["area_weight"], drawn["area_index"])
+    whole = Areas(library, 1e5).draw(key)
+    assert whole["area_index"].tolist() == [[0.0, 1.0, 2.0, 3.0, 4.0, 5.0]]
+    assert Areas(library, 1e5, weights=2.0).draw(key)["area_weight"].tolist() == [[2.0] * 6]
+
+
+def test_what_a_scan_is_expected_to_record_is_recorded():
+    """Gain and offset of windows ahead, against the flight of a satellite that scans all the time."""
+    env = make(num_envs=4, seed=1, dtype=torch.float64, n_areas=500, sat_args=dict(storageInit=0.0, dataStorageCapacity=1e13))
+    td, ahead = scan(env, 3)[0], {}
+    with env.record(("r_BN_P",), every=10) as recording:
+        for _ in range(30):
+            areas, time = td["observation"][:, 12:].unflatten(-1, (4, 6)), env.satellite.simulator.sim_time
+            place = env.satellite.find_next_opportunities(4, "area").place
+            for e, k in ((areas[..., 0] > 0.0) & (areas[..., 1] < 1.0)).nonzero().tolist():  # not open yet, and within an orbit
+                _, closes, _, _, gain, offset = areas[e, k].tolist()
+                ahead[e, int(place[e, k])] = gain, offset, 5700.0 * closes + float(time[e])
+            td, _ = scan(env, 1, td)
+    scenario, end = env.scenario, float(env.satellite.simulator.sim_time[0])
+    over = [(at, *values[:2]) for at, values in ahead.items() if values[2] < end - 30.0]
+    found = [float(scenario.covered()[at]) for at, *_ in over]
+    gains, offsets = (np.array(column) for column in list(zip(*over, strict=True))[1:])
+    # the track is no great circle: a row of cells more or less, of areas of 3 to 50 cells
+    assert len(over) > 25
+    assert np.abs(gains - found).mean() < 0.02
+    assert np.corrcoef(gains, found)[0, 1] > 0.99
+    flown = []
+    for (e, area), *_ in over:
+        r, index = recording.of(e)["r_BN_P"].numpy(), scenario.index[e, area]
+        center, reach = scenario.center[index].numpy(), float(scenario.reach[index])
+        k = int((r @ center / np.linalg.norm(r, axis=1))[1:-1].argmax()) + 1
+        left = np.cross(r[k - 1], r[k + 1])
+        flown.append(left @ center / np.linalg.norm(left) / reach)
+    assert np.abs(offsets - flown).max() < 0.02
+
+
+def test_gain_counts_what_lies_ahead():
+    env = make(num_envs=16, seed=3, dtype=torch.float64)
+    td, _ = scan(env, 6)
+    areas = td["observation"][:, 12:].unflatten(-1, (4, 6))
+    inside = areas[..., 0] == 0.0
+    assert inside.any()
+    for _ in range(2):
+        td = env.step(td.set("action", torch.ones(16, dtype=torch.int64)))["next"]  # charging records nothing
+        after = td["observation"][:, 12:].unflatten(-1, (4, 6))
+    same = (env.satellite.find_next_opportunities(4, "area").place >= 0) & (after[..., 2] == areas[..., 2]) & inside
+    assert (after[..., 4] <= areas[..., 4])[same].all()
+
+
+def test_the_rule_is_better_than_scanning_all_the_time():
+    env = make(num_envs=16, time_limit=5700.0)
+    policy = baseline("areas", env)
+    played = env.rollout(95, policy, break_when_any_done=False, auto_reset=True)
+    assert not played["next", "terminated"].any()
+    always = scan(make(num_envs=16, time_limit=5700.0), 95)[1]["reward"].sum(1).mean()
+    assert played["next", "reward"].sum(1).mean() > 1.3 * always
+
+
+def test_wrong_arguments_are_refused():
+    listed = random_caps(3, 1e5)
+    plain = ScanningSatellite("A", scanning_args())
+    imager = lambda *spec: type("Own", (AreaScanner,), {"observation_spec": spec})("A", area_args())
+    ground, seen = scene.UniformNadirScanning(), Areas(listed, 1e5)
+    tasking = lambda satellite, scenario, rewarder: bsk_torch.SatelliteTasking(satellite, scenario=scenario, rewarder=rewarder)
+    check_refusals(
+        refusal(lambda: Areas([], 1e5), ValueError, "areas=[]", "random_caps"),
+        refusal(lambda: Areas("x", 1e5), ValueError, "areas='x'"),
+        refusal(lambda: Areas(listed, 0.0), ValueError, "swath=0.0", "m"),
+        refusal(lambda: Areas(listed, 1e5, 4), ValueError, "n_areas=4", "1 to 3"),
+        refusal(lambda: Areas(listed, 1e5, weights=-1.0), ValueError, "weights", "-1"),
+        refusal(lambda: Areas(listed, 1e5, revisit=0.0), ValueError, "revisit=0.0", "s"),
+        refusal(lambda: AreaReward(at_end=3), ValueError, "at_end=3"),
+        refusal(lambda: AreaProperties(dict(prop="gains")), ValueError, "gains", "gain"),
+        refusal(lambda: tasking(plain, seen, AreaReward()), ValueError, "AreaScanFSWModel", "ContinuousImagingFSWModel"),
+        refusal(lambda: tasking(plain, ground, AreaReward()), ValueError, "Areas", "UniformNadirScanning"),
+        refusal(lambda: tasking(imager(AreaProperties()), ground, data.NoReward()), ValueError, "areas", "Areas"),
+    )  # fmt: skip
+    assert tasking(imager(obs.Time()), seen, AreaReward()).reset()["observation"].shape == (1, 1)
