@@ -168,14 +168,14 @@ def plan(theta: Vec3, rate: Vec3, share: Tensor, acceleration: Tensor, limit: Te
 
 
 def fitting_share(theta: Vec3, rate: Vec3, acceleration: Tensor, limit: Tensor) -> Tensor:
-    """Return the share b, rad, with which both parts of a slew take equally long, by bisection."""
+    """Return the share b, rad, with which both parts of a slew take equally long, but for the bisection the one across less."""
     low, high = torch.zeros_like(acceleration), torch.full_like(acceleration, 0.5 * math.pi)
     for _ in range(HALVINGS):
         share = 0.5 * (low + high)
         along, across = plan(theta, rate, share, acceleration, limit).legs
         more = across.duration > along.duration
         low, high = torch.where(more, share, low), torch.where(more, high, share)
-    return 0.5 * (low + high)
+    return high
 
 
 def _terms(theta: Vec3) -> tuple[Tensor, Tensor, Tensor]:
