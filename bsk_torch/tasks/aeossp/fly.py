@@ -1,0 +1,248 @@
+"""Flights of plans of aeossp_standard: each satellite of a case slews to its tasks and tracks them with body, wheels and battery.
+
+The benchmark's verifier takes a satellite for an axis that turns from rest to rest. Here it is a rigid body with the wheels that
+:func:`bsk_torch.craft.from_slew_limits` finds for the same limits. It tracks the task of each observation, begins the slew to
+the next one as soon as an observation ends, and arrives in motion. An observation counts as delivered if the
+pointing error, the rate error and the off-nadir angle stay within their limits at all ticks from its start to its end, and the
+battery is not empty since the one before.
+
+Satellites are rows of one batch. Their orbits are those of SGP4 that the verifier has, at the nodes of their arcs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from bsk_torch import SatelliteTasking, act, craft, data, obs, sats, scene
+from bsk_torch.astro.attitude import dcm_to_mrp
+from bsk_torch.astro.ephemeris import earth_orientation, parse_utc
+from bsk_torch.astro.orbit import hill_frame
+from bsk_torch.rand import per_env
+from bsk_torch.sim.dyn.effectors.wheel_set import wheel_defaults
+from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING
+from bsk_torch.tasks.aeossp.files import Case, Observations
+from bsk_torch.tasks.aeossp.geometry import Numbers, Tracks, _julian, on_ellipsoid, orbit, sidereal_time, tracks, turned
+from bsk_torch.tasks.aeossp.models import LOOK_MODE, FlownDynModel, FlownFSWModel, WheelPowerDynModel
+from bsk_torch.vec3 import Vec3
+
+Flags = NDArray[np.bool_]
+
+TICK = 0.25
+"""Length of a tick, s."""
+
+ANGLE, RATE = 0.01, 0.01
+"""Largest pointing error, rad, and rate error, rad/s, while observing: those of BSK-RL's imaging satellites."""
+
+GEOMETRY = math.radians(1e-3)
+"""By which off-nadir angles may exceed their limit between the times of the grid on which the verifier tests them, rad."""
+
+REASONS = ("pointing", "rate", "off_nadir", "battery")
+
+Power = Literal["case", "wheels"]
+
+
+@dataclass(frozen=True)
+class Flight:
+    """What became of the n observations of a plan, in its order.
+
+    Attributes:
+        angle: Largest pointing error of each, rad, [n].
+        rate: Largest rate error, rad/s, [n].
+        off_nadir: Largest off-nadir angle, rad, [n].
+        least: Least charge of the battery since the observation before, Wh, [n].
+        missed: Why each was not delivered: the first of :data:`REASONS` that holds, [n]; -1 for delivered ones.
+        final: Charge at the end of the horizon, Wh, [S].
+    """
+
+    angle: NDArray[np.float64]
+    rate: NDArray[np.float64]
+    off_nadir: NDArray[np.float64]
+    least: NDArray[np.float64]
+    missed: Numbers
+    final: NDArray[np.float64]
+
+    @property
+    def delivered(self) -> Flags:
+        """Which observations were delivered, [n]."""
+        return self.missed < 0
+
+
+class Flyer(sats.Satellite):
+    """A satellite of a case."""
+
+    observation_spec: ClassVar[Sequence[obs.Observation]] = (obs.Time(),)
+    action_spec: ClassVar[Sequence[act.Action]] = (act.Drift(),)
+    dyn_type = FlownDynModel
+    fsw_type = FlownFSWModel
+
+
+class WheelPowerFlyer(Flyer):
+    """The same with the power of its wheels in place of that of slews."""
+
+    dyn_type = WheelPowerDynModel
+
+
+def fly(
+    case: Case,
+    observations: Observations,
+    *,
+    factor: float | Sequence[float] = 1.0,
+    power: Power = "case",
+    tick: float = TICK,
+    satellites: Sequence[int] | None = None,
+) -> Flight:
+    """Return what becomes of the observations of a plan.
+
+    Args:
+        case: The case.
+        observations: The plan, which need not be valid; those of a satellite must not overlap.
+        factor: Factor of the slew limits, rate and acceleration, for all satellites or for each of those flown.
+        power: Loads of slews: ``"case"``, the case's slew power while the reference slews, or ``"wheels"``, the mechanical power
+            of the wheels, driven and braked alike.
+        tick: Length of a tick, s; it must divide the step of the case.
+        satellites: Numbers of the satellites that are flown (default: all); observations of others are not delivered.
+
+    Raises:
+        ValueError: For overlapping observations, and ticks that do not divide the step of the case.
+    """
+    crew = list(range(len(case.satellites))) if satellites is None else list(satellites)
+    table = _schedule(observations, crew)
+    if not len(case.satellites) or case.step_s / tick % 1.0:
+        raise ValueError(f"tick={tick:g} s must divide the step of {case.step_s} s of the case")
+    env = _environment(case, crew, np.broadcast_to(np.asarray(factor, dtype=float), len(crew)), power, tick)
+    return _flown(env, case, observations, crew, table, tick)
+
+
+def _schedule(observations: Observations, crew: Sequence[int]) -> NDArray[np.int64]:
+    """Return the numbers of the observations of each satellite in their order, [R, K]; -1 behind the last."""
+    rows = []
+    for number in crew:
+        mine = np.flatnonzero(observations.satellite == number)
+        mine = mine[np.argsort(observations.start_s[mine], kind="stable")]
+        overlaps = np.flatnonzero(observations.start_s[mine[1:]] < observations.end_s[mine[:-1]])
+        if len(overlaps):
+            k = int(overlaps[0])
+            raise ValueError(f"observations {mine[k]} and {mine[k + 1]} of satellite {number} overlap; they cannot be flown")
+        rows.append(mine)
+    table = np.full((len(crew), max(map(len, rows), default=0)), -1)
+    for row, mine in zip(table, rows, strict=True):
+        row[: len(mine)] = mine
+    return table
+
+
+def _states(case: Case, number: int, seconds: NDArray[np.float64]) -> Tensor:
+    """Return positions of a satellite, [n, 3] m in N, whose Earth-fixed components are those that SGP4 gives the verifier."""
+    fixed = turned(orbit(case, number, seconds)[0], -sidereal_time(*_julian(case, seconds)))
+    PN = earth_orientation(parse_utc(case.start) + torch.from_numpy(seconds))
+    return (PN.mT @ torch.from_numpy(fixed).unsqueeze(-1)).squeeze(-1)
+
+
+def _environment(case: Case, crew: list[int], factors: NDArray[np.float64], power: Power, tick: float) -> SatelliteTasking:
+    """Return an environment with a satellite of the case in each row, at the start of the horizon, on its orbit."""
+    arguments = [_arguments(case, number, float(factor), power, tick) for number, factor in zip(crew, factors, strict=True)]
+    args: dict[str, Any] = {
+        name: per_env(torch.tensor([row[name] for row in arguments], dtype=torch.float64))
+        if isinstance(value, float | tuple)
+        else value
+        for name, value in arguments[0].items()
+    }
+    start = np.array([-1.0, 0.0, 1.0])
+    r, v = zip(*((x[1], 0.5 * (x[2] - x[0])) for x in (_states(case, number, start) for number in crew)), strict=True)
+    r_N, v_N = torch.stack(r), torch.stack(v)
+    rate = torch.linalg.cross(r_N, v_N).norm(dim=-1) / r_N.square().sum(-1)
+    args |= {
+        "rN": per_env(r_N),
+        "vN": per_env(v_N),
+        "sigma_init": per_env(dcm_to_mrp(hill_frame(Vec3.of(r_N), Vec3.of(v_N))).stack()),
+        "omega_init": per_env(torch.stack([torch.zeros_like(rate), torch.zeros_like(rate), rate], -1)),
+    }
+    env = SatelliteTasking(
+        (Flyer if power == "case" else WheelPowerFlyer)("Satellite", args),
+        scenario=scene.Scenario(),
+        rewarder=data.NoReward(),
+        world_args={"utc_init": case.start.strftime("%Y-%m-%dT%H:%M:%S.%fZ")},
+        num_envs=len(crew),
+        time_limit=float(case.horizon_s),
+        sim_rate=tick,
+        seed=0,
+    )
+    env.reset()
+    _put_on_orbits(env, case, crew)
+    return env
+
+
+def _put_on_orbits(env: SatelliteTasking, case: Case, crew: list[int]) -> None:
+    """Write the nodes of the arcs, which are those of an integrated orbit, so that they are those of SGP4."""
+    lookahead = env.simulator.lookahead
+    while lookahead.arcs.length < case.horizon_s + 2.0 * LEAD_NODES * NODE_SPACING:
+        lookahead.grow()
+    flown = lookahead.arcs.flown
+    seconds = NODE_SPACING * (np.arange(flown.shape[1]) - float(LEAD_NODES))
+    for row, number in enumerate(crew):
+        flown[row] = _states(case, number, seconds)
+
+
+def _arguments(case: Case, number: int, factor: float, power: Power, tick: float) -> dict[str, Any]:
+    """Return the arguments of a satellite: numbers and tuples of numbers, which differ among satellites, and the wheels."""
+    satellite = case.satellites[number]
+    found = craft.from_slew_limits(
+        factor * satellite.slew_rate, factor * satellite.slew_acceleration, max(satellite.settling_s, 2.0 * tick), h=tick
+    )
+    numbers = {name: tuple(values) for name, values in wheel_defaults(found["wheels"]).items()}
+    gains = {name: float(value) for name, value in found.items() if isinstance(value, float)}
+    return {
+        "wheels": found["wheels"],
+        "inertia": found["inertia"],
+        "wheelSpeeds": found["wheelSpeeds"],
+        "inst_pHat_B": found["inst_pHat_B"],
+        **{name: numbers[name] for name in ("u_max", "rwJs")},
+        **{name: value for name, value in gains.items() if name != "maxWheelSpeed"},
+        "idlePower": satellite.idle_w,
+        "imagingPower": satellite.imaging_w,
+        "slewPower": satellite.slew_w if power == "case" else 0.0,
+        "chargePower": satellite.charge_w,
+        "batteryStorageCapacity": satellite.capacity_wh * 3600.0,
+        "storedCharge_Init": satellite.initial_wh * 3600.0,
+    } | ({} if power == "case" else {"rwBasePower": 0.0, "rwMechToElecEfficiency": -1.0, "rwElecToMechEfficiency": 1.0})
+
+
+def _flown(
+    env: SatelliteTasking, case: Case, observations: Observations, crew: list[int], table: NDArray[np.int64], tick: float
+) -> Flight:
+    """Fly the observations in ``table`` [R, K], all satellites at once, each at its own time."""
+    simulator, per_step = env.simulator, case.step_s / tick
+    places = torch.from_numpy(on_ellipsoid(case.requests))
+    found = {name: np.full(len(observations), np.nan) for name in ("angle", "rate", "off_nadir", "least")}
+    fields_ = {"angle": "look_angle", "rate": "look_rate", "off_nadir": "look_off_nadir", "least": "least_charge"}
+    for column in table.T:
+        looks = torch.from_numpy(column >= 0)
+        number = np.maximum(column, 0)
+        first, last = (torch.from_numpy(times[number]) / tick for times in (observations.start_s, observations.end_s))
+        simulator.command(looks, simulator.mode_index(LOOK_MODE))
+        simulator.write("r_LP_P", looks, places[torch.from_numpy(observations.task[number])])
+        simulator.write("look_first", looks, first)
+        simulator.write("look_last", looks, last)
+        simulator.run(torch.where(looks, last.round().long() - simulator.ticks, 0))
+        for name, field in fields_.items():
+            found[name][column[column >= 0]] = simulator.read(field).flatten().double().numpy()[column >= 0]
+    simulator.run(round(case.horizon_s / tick) - simulator.ticks)
+    found["least"] /= 3600.0
+    limit = np.radians([satellite.off_nadir for satellite in case.satellites])[observations.satellite]
+    wrong = np.stack(
+        [
+            ~(found["angle"] <= ANGLE),
+            ~(found["rate"] <= RATE),
+            ~(found["off_nadir"] <= limit + GEOMETRY),
+            ~(found["least"] > 0.0),
+        ]
+    )
+    missed = np.where(wrong.any(0), wrong.argmax(0), -1)
+    return Flight(**found, missed=missed, final=simulator.read("charge").flatten().numpy() / 3600.0)
