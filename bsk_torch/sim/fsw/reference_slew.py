@@ -69,6 +69,22 @@ def relative_motion(bus: Bus) -> Motion:
     return Motion(r - r_L, v - v_L, r * (-MU_EARTH / (radius * radius * radius)) - spin.cross(v_L), r.cross(v).unit())
 
 
+def coasted(bus: Bus, motion: Motion, dt: Tensor) -> Motion:
+    """Return the motion ``dt`` s later on a circular orbit, which is good enough for limits of rates.
+
+    With the mean motion n, ``r cos(n dt) + v / n sin(n dt)``; the place turns with the Earth.
+    """
+    r, v, _, _ = navigated(bus)
+    n = torch.sqrt(v.dot(v) / r.dot(r))
+    cos, sin = torch.cos(n * dt), torch.sin(n * dt)
+    spin = bus.EN.z * EARTH_ROTATION_RATE
+    r_L, v_L = r - motion.r, v - motion.v
+    turn = EARTH_ROTATION_RATE * dt
+    r_L, v_L = (x + bus.EN.z.cross(x) * torch.sin(turn) for x in (r_L, v_L))
+    r, v = r * cos + v * (sin / n), v * cos - r * (n * sin)
+    return Motion(r - r_L, v - v_L, motion.a, motion.normal)
+
+
 def sight(motion: Motion, dt: float) -> Sight:
     """Return the target frame ``dt`` s after the tick, by ``r + v dt + a dt^2 / 2``.
 
@@ -242,17 +258,39 @@ class Start(NamedTuple):
     rate: Vec3
     side_B: Vec3
     share: Tensor
+    limit: Tensor
+
+    def plan(self, acceleration: Tensor) -> Plan:
+        """Return the slew."""
+        return plan(self.theta, self.rate, self.share, acceleration, self.limit)
 
 
-def start_of(bus: Bus, at: Sight) -> Start:
-    """Return the start of a slew from the motion of the body; it begins a tick later, when the first command acts."""
-    known, axis_B = navigated(bus), bus.instrument_axis_B
+def start_of(bus: Bus, motion: Motion) -> Start:
+    """Return the start of a slew from the motion of the body; it begins a tick later, when the first command acts.
+
+    The rate relative to the tracking frame is limited such that the rate relative to N, about the first rotation vector, is: by
+    ``slewRate`` and the frame's rate about it, the lesser of those at the start and at the end. At least a tenth of ``slewRate``
+    is left.
+    """
+    known, axis_B, at = navigated(bus), bus.instrument_axis_B, sight(motion, 0.0)
     u_B = bus.BN @ at.axes.x.to(bus.dtype)
     theta = shortest(axis_B, u_B)
     rate = vector_rate(theta, known.omega_BN_B - bus.BN @ at.rate.to(bus.dtype))
     side_B = turned_back(-theta, bus.BN @ at.axes.y.to(bus.dtype))
     theta = theta + rate * bus.h
-    return Start(theta, rate, side_B, fitting_share(theta, rate, bus.slew_acceleration, bus.slew_rate))
+    along = theta / torch.clamp(theta.norm(), min=TINY)
+
+    def limited(help: Tensor) -> Start:
+        limit = torch.maximum(bus.slew_rate + help, 0.1 * bus.slew_rate)
+        return Start(theta, rate, side_B, fitting_share(theta, rate, bus.slew_acceleration, limit), limit)
+
+    def turning(at: Sight) -> Tensor:
+        return along.dot(tracking_axes(axis_B, side_B, at.axes.to(bus.dtype)) @ at.rate.to(bus.dtype))
+
+    now = turning(at)
+    duration = limited(now).plan(bus.slew_acceleration).duration
+    end = turning(sight(coasted(bus, motion, duration.double()), 0.0))
+    return limited(torch.minimum(now, end))
 
 
 def follow_slew(bus: Bus) -> None:
@@ -263,16 +301,16 @@ def follow_slew(bus: Bus) -> None:
         omega_RN' = (omega_RN(t + 2 h) - omega_RN(t + h)) / h
     """
     on, fresh = bus.location_on > 0.0, bus.location_fresh > 0.0
-    memory = Start(bus.slew_theta, bus.slew_theta_rate, bus.slew_side_B, bus.slew_share)
+    memory = Start(bus.slew_theta, bus.slew_theta_rate, bus.slew_side_B, bus.slew_share, bus.slew_limit)
     zero = Vec3.zeros_like(bus.sigma_BN.x)
     nothing = Error(zero, zero, zero, zero)
 
     def law() -> tuple[Start, Tensor, Tensor, Error, Error]:
         known, motion, axis_B = navigated(bus), relative_motion(bus), bus.instrument_axis_B
         now = sight(motion, 0.0)
-        start: Start = Start(*only(on & fresh, lambda: start_of(bus, now), memory))
+        start: Start = Start(*only(on & fresh, lambda: start_of(bus, motion), memory))
         clock = torch.where(fresh, torch.zeros_like(bus.slew_clock), bus.slew_clock + bus.h)
-        slew = plan(start.theta, start.rate, start.share, bus.slew_acceleration, bus.slew_rate)
+        slew = start.plan(bus.slew_acceleration)
 
         def reference(dt: float, at: Sight) -> tuple[Mat3, Vec3]:
             """Return [RN], and omega_RN in N."""
@@ -297,7 +335,7 @@ def follow_slew(bus: Bus) -> None:
 
     before = memory, bus.slew_clock, torch.zeros_like(bus.slew_left), bus.error, nothing
     start, bus.slew_clock, bus.slew_left, bus.error, bus.look_error = only(on, law, before)
-    bus.slew_theta, bus.slew_theta_rate, bus.slew_side_B, bus.slew_share = start
+    bus.slew_theta, bus.slew_theta_rate, bus.slew_side_B, bus.slew_share, bus.slew_limit = start
     bus.location_sigma_BR = bus.look_error.sigma_BR
     bus.location_fresh = torch.where(on, torch.zeros_like(bus.location_fresh), bus.location_fresh)
 
@@ -334,7 +372,7 @@ REFERENCE_SLEW = dataclasses.replace(
     update=follow_slew,
     args=(
         *LOCATION_POINTING.args,
-        Arg("slewRate", 0.01, "rad/s", "largest rate of a slew, relative to the tracking frame", low=1e-6, high=10.0),
+        Arg("slewRate", 0.01, "rad/s", "largest rate of a slew", low=1e-6, high=10.0),
         Arg("slewAcceleration", 0.001, "rad/s^2", "its largest acceleration", low=1e-8, high=10.0),
     ),
     reads=LOOP,
@@ -344,6 +382,7 @@ REFERENCE_SLEW = dataclasses.replace(
         vec("slew_theta_rate", "rad/s", "its rate"),
         vec("slew_side_B", "-", "second axis of the target frame in the tracking frame"),
         Field("slew_share", 1, "rad", "share of the acceleration across the rotation vector"),
+        Field("slew_limit", 1, "rad/s", "largest rate relative to the tracking frame"),
         Field("slew_clock", 1, "s", "time since the start of the slew"),
         Field("slew_left", 1, "s", "time until the reference is the tracking frame"),
     ),
