@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -29,8 +29,9 @@ from bsk_torch.rand import per_env
 from bsk_torch.sim.dyn.effectors.wheel_set import wheel_defaults
 from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING
 from bsk_torch.tasks.aeossp.files import Case, Observations
-from bsk_torch.tasks.aeossp.geometry import Numbers, Tracks, _julian, on_ellipsoid, orbit, sidereal_time, tracks, turned
-from bsk_torch.tasks.aeossp.models import LOOK_MODE, FlownDynModel, FlownFSWModel, WheelPowerDynModel
+from bsk_torch.tasks.aeossp.geometry import Numbers, _julian, on_ellipsoid, orbit, sidereal_time, tracks, turned
+from bsk_torch.tasks.aeossp.models import HOLD_MODE, LOOK_MODE, FlownDynModel, FlownFSWModel, WheelPowerDynModel
+from bsk_torch.tasks.aeossp.rules import find_slews
 from bsk_torch.vec3 import Vec3
 
 Flags = NDArray[np.bool_]
@@ -43,6 +44,9 @@ ANGLE, RATE = 0.01, 0.01
 
 GEOMETRY = math.radians(1e-3)
 """By which off-nadir angles may exceed their limit between the times of the grid on which the verifier tests them, rad."""
+
+EARLY = 2.0
+"""How long before its start the slew to an observation begins in longer gaps, over the verifier's time for it."""
 
 REASONS = ("pointing", "rate", "off_nadir", "battery")
 
@@ -57,6 +61,7 @@ class Flight:
         angle: Largest pointing error of each, rad, [n].
         rate: Largest rate error, rad/s, [n].
         off_nadir: Largest off-nadir angle, rad, [n].
+        fastest: Largest rate of the body since the observation before, rad/s, [n].
         least: Least charge of the battery since the observation before, Wh, [n].
         missed: Why each was not delivered: the first of :data:`REASONS` that holds, [n]; -1 for delivered ones.
         final: Charge at the end of the horizon, Wh, [S].
@@ -65,6 +70,7 @@ class Flight:
     angle: NDArray[np.float64]
     rate: NDArray[np.float64]
     off_nadir: NDArray[np.float64]
+    fastest: NDArray[np.float64]
     least: NDArray[np.float64]
     missed: Numbers
     final: NDArray[np.float64]
@@ -218,21 +224,34 @@ def _flown(
     env: SatelliteTasking, case: Case, observations: Observations, crew: list[int], table: NDArray[np.int64], tick: float
 ) -> Flight:
     """Fly the observations in ``table`` [R, K], all satellites at once, each at its own time."""
-    simulator, per_step = env.simulator, case.step_s / tick
+    simulator, total = env.simulator, len(observations)
     places = torch.from_numpy(on_ellipsoid(case.requests))
-    found = {name: np.full(len(observations), np.nan) for name in ("angle", "rate", "off_nadir", "least")}
-    fields_ = {"angle": "look_angle", "rate": "look_rate", "off_nadir": "look_off_nadir", "least": "least_charge"}
-    for column in table.T:
-        looks = torch.from_numpy(column >= 0)
-        number = np.maximum(column, 0)
-        first, last = (torch.from_numpy(times[number]) / tick for times in (observations.start_s, observations.end_s))
-        simulator.command(looks, simulator.mode_index(LOOK_MODE))
+    begin = observations.start_s - EARLY * find_slews(case, observations, tracks(case)).required
+    fields = {"angle": "look_angle", "rate": "look_rate", "off_nadir": "look_off_nadir"}
+    fields |= {"fastest": "fastest", "least": "least_charge"}
+    found = {name: np.full(total, np.nan) for name in fields}
+
+    def run_until(seconds: NDArray[np.float64], looks: Tensor) -> None:
+        ticks = torch.from_numpy(np.ceil(seconds / tick - 1e-9)).long() - simulator.ticks
+        simulator.run(torch.where(looks, ticks.clamp(min=0), 0))
+
+    look, hold = simulator.mode_index(LOOK_MODE), simulator.mode_index(HOLD_MODE)
+    for k, column in enumerate(table.T):
+        flies = column >= 0
+        looks, number = torch.from_numpy(flies), np.maximum(column, 0)
+        simulator.command(looks, hold if k else look)
+        simulator.write("sigma_RN", looks, simulator.read("sigma_BN"))
+        simulator.write("r_LP_P", looks, torch.zeros(len(crew), 3, dtype=torch.float64))
+        run_until(begin[number], looks)
+        least = simulator.read("least_charge").flatten().numpy()
+        simulator.command(looks, look)
         simulator.write("r_LP_P", looks, places[torch.from_numpy(observations.task[number])])
-        simulator.write("look_first", looks, first)
-        simulator.write("look_last", looks, last)
-        simulator.run(torch.where(looks, last.round().long() - simulator.ticks, 0))
-        for name, field in fields_.items():
-            found[name][column[column >= 0]] = simulator.read(field).flatten().double().numpy()[column >= 0]
+        for name, seconds in (("look_first", observations.start_s), ("look_last", observations.end_s)):
+            simulator.write(name, looks, torch.from_numpy(seconds[number] / tick))
+        run_until(observations.end_s[number].astype(np.float64), looks)
+        for name, field in fields.items():
+            found[name][column[flies]] = simulator.read(field).flatten().double().numpy()[flies]
+        found["least"][column[flies]] = np.minimum(found["least"][column[flies]], least[flies])
     simulator.run(round(case.horizon_s / tick) - simulator.ticks)
     found["least"] /= 3600.0
     limit = np.radians([satellite.off_nadir for satellite in case.satellites])[observations.satellite]

@@ -15,6 +15,7 @@ from bsk_torch.sim.fsw import allocation, imposed, steering
 from bsk_torch.sim.fsw.models import FSWModel
 from bsk_torch.sim.fsw.modes import Mode
 from bsk_torch.sim.fsw.reference_slew import REFERENCE_SLEW, relative_motion
+from bsk_torch.sim.fsw.setpoint import ATTITUDE_SETPOINT
 
 LOADS = ("idle", "imaging", "slew")
 
@@ -70,6 +71,7 @@ def judge_look(bus: Bus) -> None:
     for name, value in (("angle", angle), ("rate", rate), ("off_nadir", off_nadir.to(bus.dtype))):
         worst = getattr(bus, f"look_{name}")
         setattr(bus, f"look_{name}", torch.where(looks, torch.maximum(worst, value), worst))
+    bus.fastest = torch.maximum(bus.fastest, navigated(bus).omega_BN_B.norm())
     bus.least_charge = torch.minimum(bus.least_charge, bus.charge)
 
 
@@ -83,29 +85,38 @@ LOOK = Component(
         Field("look_angle", 1, "rad", "largest pointing error during the look"),
         Field("look_rate", 1, "rad/s", "largest rate error during the look"),
         Field("look_off_nadir", 1, "rad", "largest off-nadir angle during the look"),
+        Field("fastest", 1, "rad/s", "largest rate of the body since the command"),
         Field("least_charge", 1, "W s", "least charge since the command", exact=True),
     ),
-    resets=(("look_angle", 0.0), ("look_rate", 0.0), ("look_off_nadir", 0.0), ("least_charge", 1e15)),
+    resets=(("look_angle", 0.0), ("look_rate", 0.0), ("look_off_nadir", 0.0), ("fastest", 0.0), ("least_charge", 1e15)),
 )
 
 PLACE = Component(
     slot="location_target", state=(vec("r_LP_P", "m", "place to look at, Earth-fixed", exact=True),)
 )  # its motion is computed by the slew
 
-LOOK_MODE = "look"
+LOOK_MODE, HOLD_MODE = "look", "hold"
 
 
 class FlownFSWModel(FSWModel):
-    """Reference slews to places and tracking of them, by MRP steering and wheels. The mode ``"look"`` points at ``r_LP_P``."""
+    """Reference slews to places and tracking of them, by MRP steering and wheels.
+
+    The mode ``"look"`` points at ``r_LP_P``, or with zero at the Earth's center; ``"hold"`` keeps the attitude ``sigma_RN``.
+    """
 
     components: ClassVar[tuple[Component, ...]] = (
         imposed.ACTUATORS,
         Component(slot="nadir_pointing"),
         PLACE,
+        ATTITUDE_SETPOINT,
         REFERENCE_SLEW,
         LOOK,
         steering.MRP_STEERING,
         allocation.BODY_AXIS_WHEELS,
     )
     requires_dyn = (FlownDynModel,)
-    modes: ClassVar[dict[str, Mode | None]] = {"nadir_point": None, LOOK_MODE: Mode(("control_on", "location_on"))}
+    modes: ClassVar[dict[str, Mode | None]] = {
+        "nadir_point": None,
+        LOOK_MODE: Mode(("control_on", "location_on")),
+        HOLD_MODE: Mode(("control_on",)),
+    }
