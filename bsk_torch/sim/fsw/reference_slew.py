@@ -268,9 +268,9 @@ class Start(NamedTuple):
 def start_of(bus: Bus, motion: Motion) -> Start:
     """Return the start of a slew from the motion of the body; it begins a tick later, when the first command acts.
 
-    The rate relative to the tracking frame is limited such that the rate relative to N, about the first rotation vector, is: by
-    ``slewRate`` and the frame's rate about it, the lesser of those at the start and at the end. At least a tenth of ``slewRate``
-    is left.
+    The rate relative to the tracking frame is limited so that the rate relative to N is at most ``slewRate``: with the parts w_a
+    and w_c of the frame's rate along and across the first rotation vector, ``w_a + sqrt(slewRate^2 - w_c^2)``, at the start and at
+    the end, but at least a tenth of ``slewRate``.
     """
     known, axis_B, at = navigated(bus), bus.instrument_axis_B, sight(motion, 0.0)
     u_B = bus.BN @ at.axes.x.to(bus.dtype)
@@ -280,16 +280,18 @@ def start_of(bus: Bus, motion: Motion) -> Start:
     theta = theta + rate * bus.h
     along = theta / torch.clamp(theta.norm(), min=TINY)
 
-    def limited(help: Tensor) -> Start:
-        limit = torch.maximum(bus.slew_rate + help, 0.1 * bus.slew_rate)
+    def allowed(at: Sight) -> Tensor:
+        turning = tracking_axes(axis_B, side_B, at.axes.to(bus.dtype)) @ at.rate.to(bus.dtype)
+        helping = along.dot(turning)
+        rest = bus.slew_rate * bus.slew_rate - turning.dot(turning) + helping * helping
+        return torch.maximum(helping + torch.sqrt(torch.clamp(rest, min=0.0)), 0.1 * bus.slew_rate)
+
+    def limited(limit: Tensor) -> Start:
         return Start(theta, rate, side_B, fitting_share(theta, rate, bus.slew_acceleration, limit), limit)
 
-    def turning(at: Sight) -> Tensor:
-        return along.dot(tracking_axes(axis_B, side_B, at.axes.to(bus.dtype)) @ at.rate.to(bus.dtype))
-
-    now = turning(at)
+    now = allowed(at)
     duration = limited(now).plan(bus.slew_acceleration).duration
-    end = turning(sight(coasted(bus, motion, duration.double()), 0.0))
+    end = allowed(sight(coasted(bus, motion, duration.double()), 0.0))
     return limited(torch.minimum(now, end))
 
 
