@@ -41,6 +41,7 @@ class Power:
     Attributes:
         least_wh: Least charge, Wh, [S].
         least_s: When it is reached first, s from the start of the horizon, [S].
+        full_s: When it was full the last time before, zero if never, s, [S].
         final_wh: Charge at the end, Wh, [S].
         used_wh: Energy of all loads, Wh, [S].
         charged_wh: Energy of the panels, Wh, [S].
@@ -50,6 +51,7 @@ class Power:
 
     least_wh: Array
     least_s: Array
+    full_s: Array
     final_wh: Array
     used_wh: Array
     charged_wh: Array
@@ -240,9 +242,11 @@ def _power_of(case: Case, number: int, observations: Observations, slews: Slews)
     lost = np.maximum(np.maximum.accumulate(unlimited - satellite.capacity_wh), 0.0)
     charge = np.concatenate([[satellite.initial_wh], unlimited - lost])
     least = int(np.argmin(charge))
+    full = np.flatnonzero(charge[:least] >= satellite.capacity_wh)
     return (
         charge[least],
         times[least],
+        times[full[-1]] if len(full) else 0.0,
         charge[-1],
         load @ seconds / 3600.0,
         supply @ seconds / 3600.0,

@@ -53,9 +53,10 @@ def flyable(satellite: CaseSatellite, gap: Array, before: Line, after: Line) -> 
     """Return whether the benchmark accepts gaps, and a body under the same limits can fly them.
 
     Such a body leaves the first line of sight at its rate, and meets direction and rate of the second one at the end of the gap
-    but for the settling time. It moves as two double integrators, along the great circle between both lines and across it, whose rates and accelerations
-    together do not exceed the limits: for one of :data:`SPLITS`, each axis keeps its own share. The displacements which a double
-    integrator with limited rate can reach between two rates within a time are an interval, whose ends accelerate first and last.
+    but for the settling time. It moves as two double integrators, along the great circle between both lines and across it,
+    whose rates and accelerations together do not exceed the limits: for one of :data:`SPLITS`, each axis keeps its own share.
+    The displacements which a double integrator with limited rate can reach between two rates within a time are an interval,
+    whose ends accelerate first and last.
     """
     normal = np.cross(before.unit, after.unit)
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
