@@ -36,7 +36,7 @@ from bsk_torch.vec3 import Vec3
 
 Flags = NDArray[np.bool_]
 
-TICK = 0.25
+TICK = 0.1
 """Length of a tick, s."""
 
 ANGLE, RATE = 0.01, 0.01
