@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
+from collections.abc import Callable
 from datetime import datetime, timedelta
 from functools import cache
 from importlib.resources import files
@@ -138,12 +139,37 @@ def et_of_dates(dates: Tensor) -> Tensor:
     year, month, day, hour, minute, second, millisecond = dates.numpy().T
     months = (year - 1970) * 12 + month - 1
     days = months.astype("datetime64[M]").astype("datetime64[D]") - np.datetime64("2000-01-01") + (day - 1)
-    seconds = (days.astype(np.int64) * 1440 + (hour - 12) * 60 + minute) * 60.0 + (second * 1000 + millisecond) / 1000.0
-    first = np.array([(since[0] - 1970) * 12 + since[1] - 1 for since, _ in LEAP_SECONDS])
+    return torch.from_numpy(
+        et_of_utc((days.astype(np.int64) * 1440 + (hour - 12) * 60 + minute) * 60.0 + (second * 1000 + millisecond) / 1000.0)
+    )
+
+
+def et_of_utc(seconds: _Array) -> _Array:
+    """Return ET, s past J2000, of seconds of UTC past 2000-01-01 12:00 UTC, days of 86,400 s, of any shape."""
+    begin = np.array([(datetime(*start, 1) - _J2000).total_seconds() for start, _ in LEAP_SECONDS])
     steps = np.array([offset for _, offset in LEAP_SECONDS])
-    tai_minus_utc = steps[np.maximum(np.searchsorted(first, months, side="right") - 1, 0)]
-    tt = seconds + tai_minus_utc + TT_MINUS_TAI
-    return torch.from_numpy(tt + _tdb_minus_tt(tt))
+    tai_minus_utc = steps[np.maximum(np.searchsorted(begin, seconds, side="right") - 1, 0)]
+    return et_of_tt(seconds + tai_minus_utc + TT_MINUS_TAI)
+
+
+def et_of_tt(tt: _Array | float) -> _Array:
+    """Return ET, s past J2000, of seconds of terrestrial time past 2000-01-01 12:00 TT, of any shape."""
+    return np.asarray(tt + _tdb_minus_tt(tt))
+
+
+def utc_seconds(et: Tensor) -> Tensor:
+    """Return seconds of UTC past 2000-01-01 12:00 UTC at ET, float64 s of any shape: days of 86,400 s, without leap seconds.
+
+    Within an inserted leap second, the last second of the day is repeated. The inverse of ``UTC + (TAI - UTC) + 32.184 s +
+    (TDB - TT)``, of which the last term is evaluated at ET itself: it changes by 3e-10 s in between.
+    """
+    mean_anomaly = 6.239996 + 1.99096871e-7 * _checked(et)
+    tai = et - 1.657e-3 * torch.sin(mean_anomaly + 1.671e-2 * torch.sin(mean_anomaly)) - TT_MINUS_TAI
+    offsets = [offset for _, offset in LEAP_SECONDS]
+    begin = [(datetime(*start, 1) - _J2000).total_seconds() + offset for start, offset in LEAP_SECONDS]
+    since = torch.tensor(begin, dtype=torch.float64, device=et.device)
+    steps = torch.tensor(offsets, dtype=torch.float64, device=et.device)
+    return tai - steps[(torch.bucketize(tai, since, right=True) - 1).clamp(min=0)]
 
 
 def coverage() -> tuple[float, float]:
@@ -156,6 +182,12 @@ def coverage_in_words() -> str:
     """The same as dates, such as ``"1989-11-30 to 2060-03-06"``."""
     begin, end = (_J2000 + timedelta(seconds=bound) for bound in coverage())
     return f"{begin:%Y-%m-%d} to {end:%Y-%m-%d}"
+
+
+def date_in_words(et: float) -> str:
+    """Return the UTC of ET, s past J2000, to the millisecond, such as ``"2026-04-13T22:18:17.006Z"``."""
+    seconds = float(utc_seconds(torch.tensor(et, dtype=torch.float64)))
+    return (_J2000 + timedelta(milliseconds=round(seconds * 1e3))).isoformat(timespec="milliseconds") + "Z"
 
 
 def sun_position(et: Tensor) -> Tensor:
@@ -213,12 +245,12 @@ def earth_orientation_rate(et: Tensor) -> Tensor:
     return by_spin + by_tilt + POLE_RIGHT_ASCENSION_RATE * (r_spin @ r_tilt @ _about_z(node, derivative=True))
 
 
-def earth_fixed_sun(et: Tensor) -> Tensor:
-    """Position of the Sun in the Earth-fixed frame IAU_EARTH, m, ``(*et.shape, 3)``; NaN before `coverage`.
+def earth_fixed_sun(et: Tensor, orientation: Callable[[Tensor], Tensor] = earth_orientation) -> Tensor:
+    """Position of the Sun in Earth-fixed axes, by default IAU_EARTH, m, ``(*et.shape, 3)``; NaN before `coverage`.
 
     Behind the end of `coverage` the Sun stays where it is at the end, as for look-ahead.
     """
-    return (earth_orientation(et) @ sun_position(et.clamp(max=coverage()[1])).unsqueeze(-1)).squeeze(-1)
+    return (orientation(et) @ sun_position(et.clamp(max=coverage()[1])).unsqueeze(-1)).squeeze(-1)
 
 
 def _check_second(date: datetime, second: float, scale: str) -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import keyword
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from bsk_torch.sim.names import nearest, snake
+from bsk_torch.sim.names import name_fault, nearest, snake
 
 AGENTS = "agents"
 """Name of the only group."""
@@ -58,8 +57,8 @@ def agents_of(names: Sequence[str], groupings: Mapping[str, Sequence[str]] | Non
     if groupings is not None and not isinstance(groupings, Mapping):
         raise ValueError(f"meta_agent_groupings={groupings!r} must be a dictionary, such as {{'pair': ['EO0', 'EO1']}}")
     for agent, members in (groupings or {}).items():
-        if not isinstance(agent, str) or not agent.isidentifier() or keyword.iskeyword(agent):
-            raise ValueError(f"meta_agent_groupings: agent {agent!r} must be a Python identifier")
+        if not isinstance(agent, str) or (fault := name_fault(agent)):
+            raise ValueError(f"meta_agent_groupings: agent {agent!r} {fault if isinstance(agent, str) else 'must be a string'}")
         if isinstance(members, str) or not members:
             raise ValueError(f"meta_agent_groupings[{agent!r}]={members!r} must be a list of at least one satellite's name")
         for member in members:

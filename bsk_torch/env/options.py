@@ -77,7 +77,8 @@ class TaskingOptions:
         sim_dtype: float64 for parity with Basilisk; float32 for mixed precision: attitude, wheels and flight software in float32,
             orbit, time and accumulators in float64.
         orbit: ``"arc"`` (solved in advance), ``"integrated"`` (integrated in every tick, with drag), ``"free"`` (also integrated,
-            for satellites at rest, falling or escaping, without prediction of windows and eclipses), or None for the default of
+            for satellites at rest, falling or escaping, without prediction of windows and eclipses), ``"sgp4"`` (sampled from
+            SGP4, for satellites from element sets that must be where other tools put them; no maneuvers, no drag), or None for the default of
             the dynamics model.
         backend: ``"compiled"``, or ``"eager"`` for debugging.
         compat: ``"bsk_rl"`` reproduces bsk_rl's errors, listed in ``docs/migration_reference.md``, for comparisons; None for

@@ -50,7 +50,7 @@ def sun_elevation(satellite: BoundAccessSatellite, opportunities: Opportunities)
     """
     simulator, places = satellite.simulator, satellite.access_windows.kinds[opportunities.type]
     time = torch.maximum(opportunities.open, simulator.sim_time.unsqueeze(-1))
-    r_SP_P = earth_fixed_sun(simulator.arcs.et.unsqueeze(-1) + time)
+    r_SP_P = earth_fixed_sun(simulator.arcs.et.unsqueeze(-1) + time, simulator.arcs.solver.earth.orientation)
     r_LP_P = places.position(simulator.state.all_rows, opportunities.place, time)
     return torch.asin(sin_elevation(Vec3.of(r_SP_P), Vec3.of(r_LP_P)))
 

@@ -4,21 +4,27 @@ from __future__ import annotations
 
 import copy
 import difflib
-import keyword
+import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor
+from typing_extensions import Self
 
 from bsk_torch._checks import switch, text
+from bsk_torch.astro.element_sets import MAX_AGE_DAYS
+from bsk_torch.formats.orbits import read_orbits
+from bsk_torch.formats.tle import read_tle
 from bsk_torch.sim.arguments.sources import Given, expand
 from bsk_torch.sim.arguments.table import ArgumentTable
 from bsk_torch.sim.assembly.composition import compose
 from bsk_torch.sim.dyn.models import BasicDynamicsModel, DynamicsModel
 from bsk_torch.sim.fsw.models import BasicFSWModel, FSWModel
 from bsk_torch.sim.hooks import check_class
+from bsk_torch.sim.names import name_fault, one_of
 
 LARGEST_OBSERVED = 1e10
 """Types of observations hold numbers up to this: in float16 all from 65520 on are infinite."""
@@ -69,6 +75,20 @@ def check_satellite(cls: type, base: type) -> None:
             raise TypeError(f"{cls.__name__}.{name} is never used; did you mean {meant[0]!r}?")
 
 
+def _on_orbit(sat_args: Any, orbit: object) -> Any:
+    """Return arguments of a satellite with an orbit at an epoch; ValueError if they have another one."""
+    if callable(sat_args):
+        return functools.partial(_called_on_orbit, sat_args, orbit)
+    given = dict(sat_args or {})
+    if others := [name for name in ("oe", "rN", "vN") if given.get(name) is not None]:
+        raise ValueError(f"sat_args has {others}, but the orbit is that of the file; leave them out")
+    return {**given, "oe": orbit}
+
+
+def _called_on_orbit(function: Callable[[], Mapping[str, object]], orbit: object) -> Any:
+    return _on_orbit(function(), orbit)
+
+
 class Satellite:
     """Description of a satellite. Subclasses set ``observation_spec``, ``action_spec``, ``dyn_type`` and ``fsw_type``.
 
@@ -103,7 +123,7 @@ class Satellite:
         """Describe a satellite; an environment makes its own copy and simulates that.
 
         Args:
-            name: A Python identifier.
+            name: Up to 100 characters that can be shown, such as ``"GREENSAT-1 (A)"``.
             sat_args: Arguments of the models that differ from :meth:`default_sat_args`: constants, distributions of
                 :mod:`bsk_torch.rand`, or callables without arguments; or one callable that returns a dictionary of them, for
                 values that depend on one another.
@@ -113,8 +133,8 @@ class Satellite:
                 have the same.
             variable_interval: Whether the end of an action ends the step; else steps last ``max_step_duration``.
         """
-        if not text("name", name).isidentifier() or keyword.iskeyword(name):
-            raise ValueError(f"name={name!r} must be a Python identifier, such as 'Scanner1'")
+        if fault := name_fault(text("name", name)):
+            raise ValueError(f"name={name!r} {fault}")
         for spec in ("observation_spec", "action_spec"):
             entries = getattr(self, spec)
             if not isinstance(entries, Sequence) or isinstance(entries, str):
@@ -126,6 +146,46 @@ class Satellite:
         self.dtype = as_dtype(dtype)
         self._compose_models()
         self.sat_args_generator = Given(expand(sat_args, "sat_args"), type(self).default_sat_args(), "sat_args")
+
+    @classmethod
+    def from_tle(cls, source: str | Path, sat_args: Any = None, **options: Any) -> list[Self]:
+        """Return the satellites of a file of two-line element sets, or of its text; see :meth:`from_orbits`."""
+        return cls._on_orbits(read_tle, source, sat_args, **options)
+
+    @classmethod
+    def from_orbits(cls, source: str | Path, sat_args: Any = None, **options: Any) -> list[Self]:
+        """Return the satellites of a file of orbits: two-line sets, OMM (JSON, CSV, XML), OEM, OPM; or of its text.
+
+        Their orbits are evaluated at the epoch of each episode, ``world_args["utc_init"]``: element sets by SGP4, ephemerides by
+        interpolation.
+
+        Args:
+            source: Path of a file, or the text.
+            sat_args: Arguments of all satellites, as of ``__init__``, without an orbit.
+            options: ``names``, a list of those satellites of the file that are wanted; ``gravity`` and ``max_age_days`` of
+                :func:`bsk_torch.formats.tle.read_tle`; and options of ``__init__``.
+
+        Raises:
+            OSError: If the file cannot be read.
+            ValueError: For wrong content, a name that the file does not have, or an orbit in ``sat_args``.
+        """
+        return cls._on_orbits(read_orbits, source, sat_args, **options)
+
+    @classmethod
+    def _on_orbits(
+        cls,
+        reader: Callable[..., Sequence[Any]],
+        source: str | Path,
+        sat_args: Any,
+        names: Sequence[str] | None = None,
+        gravity: str = "wgs72",
+        max_age_days: float = MAX_AGE_DAYS,
+        **options: Any,
+    ) -> list[Self]:
+        orbits = {orbit.name: orbit for orbit in reader(source, gravity=gravity, max_age_days=max_age_days)}
+        for name in names or ():
+            one_of("names", name, orbits)
+        return [cls(name, _on_orbit(sat_args, orbits[name]), **options) for name in names or orbits]
 
     @classmethod
     def default_sat_args(cls, **overrides: object) -> ArgumentTable:

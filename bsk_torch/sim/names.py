@@ -56,6 +56,22 @@ def check_unique(names: Sequence[str], what: str) -> None:
             raise ValueError(f"sat_args: {names.count(name)} {what} are named {name!r}; give each another name")
 
 
+LONGEST_NAME = 100
+"""Most characters of the name of a satellite."""
+
+
+def name_fault(name: str) -> str:
+    """Return why a text cannot be the name of a satellite; an empty string for a name.
+
+    Names are as they stand in catalogs, with spaces, hyphens and brackets.
+    """
+    if not name or name != name.strip():
+        return "must not be empty, nor begin or end with a space"
+    if not name.isprintable():
+        return "has characters that cannot be shown"
+    return f"has {len(name)} characters; at most {LONGEST_NAME} are possible" if len(name) > LONGEST_NAME else ""
+
+
 def snake(name: str) -> str:
     """Return the name of a class in lower case with underscores."""
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()

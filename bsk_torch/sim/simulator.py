@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import no_gradient
+from bsk_torch.astro.earth_rotation import EARTHS
 from bsk_torch.codegen.kernel import Kernel, Samples
 from bsk_torch.constants import NANO
 from bsk_torch.rand import Key
@@ -109,10 +110,11 @@ class Simulator:
             modes=len(self.mode_names),
             overwritten=dict(pair for part in self.tick.components for pair in part.overwrites),
         )
+        earth = EARTHS[arguments.world_args.given.get("earthRotation", "IAU_EARTH")]
         self.lookahead = LookAhead(
             num_envs,
             self.count,
-            make_solver(self.h, options.backend, self.device, satellite_type.gravity_degree),
+            make_solver(self.h, options.backend, self.device, satellite_type.gravity_degree, earth),
             make_visibility(options.backend, self.device),
             place_kinds(
                 arguments.parts,
@@ -121,11 +123,13 @@ class Simulator:
                 self.state.arguments,
                 places,
                 satellite_type.instruments,
+                earth,
             ),
             horizon=horizon,
             segment=usage.segment,
             compat=satellite_type.compat,
             blind=self.orbit == "free",
+            sampled=satellite_type.sampled,
             manoeuvres=Manoeuvres(self.has_tank and (options.replan or self.orbit == "arc"), self.has_tank and options.replan),
         )
         self.state.add("lookahead", self.lookahead)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from bsk_torch.astro.earth_rotation import pole_matrix
 from bsk_torch.astro.ephemeris import earth_angles, earth_orientation, parse_utc
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.constants import MU_EARTH, R_EARTH
@@ -15,7 +16,6 @@ from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.component import Bus
 from bsk_torch.sim.dyn import events
 from bsk_torch.sim.dyn.events import DISARMED
-from bsk_torch.sim.environment.ephemeris import pole_matrix
 from bsk_torch.sim.fsw import guidance, instrument, target
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.vec3 import Vec3

@@ -8,12 +8,13 @@ import pytest
 import torch
 
 from bsk_torch import SatelliteTasking, act, data, obs, rand, sats, scene
+from bsk_torch.astro.earth_rotation import pole_matrix
 from bsk_torch.astro.ephemeris import earth_orientation, parse_utc, sun_position
 from bsk_torch.astro.frames import sin_elevation
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.component import Bus
-from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, ephemeris_records, pole_matrix, put_track
+from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, ephemeris_records, put_track
 from bsk_torch.sim.fsw import target
 from bsk_torch.vec3 import Vec3
 from tests.sim.buses import plane, write

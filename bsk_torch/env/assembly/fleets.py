@@ -25,7 +25,7 @@ from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.arguments.sources import Answers, Member, expand, is_function
 from bsk_torch.sim.arguments.table import ArgumentTable
-from bsk_torch.sim.arguments.values import convert, drawn_once
+from bsk_torch.sim.arguments.values import convert, drawn_once, is_orbit
 from bsk_torch.sim.assembly.composition import compose, world_components
 from bsk_torch.sim.assembly.satellite_type import SatelliteType, SimulationOptions, Ticks, Usage, satellite_type
 from bsk_torch.sim.component import Arg, Component, Field
@@ -89,6 +89,8 @@ class FleetBuilder:
         worlds = [world_components(self.satellites[columns[0]].dyn_type, self.world_type) for columns in self.types]
         self._world_names = [{arg.name for component in world for arg in component.args} for world in worlds]
         self.world_args = expand(options.world_args, "world_args")
+        if options.compat is None and any(is_orbit(each.sat_args_generator.get("oe")) for each in self.satellites):
+            self.world_args = {"earthRotation": "ITRF"} | self.world_args  # real orbits are above the real Earth
         self._made = made
         self._scenario_draws: dict[int, dict[str, Tensor]] = {}
         check_world(self.world_args, [*self._world_names, self.default_world_args()])

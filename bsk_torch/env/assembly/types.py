@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import keyword
 from collections.abc import Callable, Hashable, Iterable, Sequence
 
 from bsk_torch.rand import MOST_SATELLITES
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sim.arguments.values import alike, is_fixed, nearest
+from bsk_torch.sim.names import name_fault
 
 OWN = ("name", "sat_args_generator")
 """Attributes that may differ between satellites of one type."""
@@ -26,8 +26,8 @@ def check_names(satellites: Sequence[Satellite]) -> list[str]:
             )
     names = [satellite.name for satellite in satellites]
     for name in names:
-        if not name.isidentifier() or keyword.iskeyword(name):
-            raise ValueError(f"name={name!r} must be a Python identifier, such as 'Scanner1'")
+        if fault := name_fault(name):
+            raise ValueError(f"name={name!r} {fault}")
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise ValueError(f"satellites has several called {twice}; every satellite needs a unique name")
     return names

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -10,6 +10,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from typing_extensions import override
 
+from bsk_torch.astro.element_sets import ElementSet
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.sim.access.light.eclipses import SEARCH_STEP, SEARCHES, EclipseTable, search_range
@@ -20,6 +21,7 @@ from bsk_torch.sim.access.windows.table import Windows
 from bsk_torch.sim.orbit.arcs import PLANNED_SEGMENTS, REACH_AROUND, Arcs, segments_for
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, PLAN_STEP
 from bsk_torch.sim.orbit.restartable import RestartableArcs
+from bsk_torch.sim.orbit.sampled import SampledArcs
 from bsk_torch.sim.orbit.solution import Solver
 from bsk_torch.sim.places import Places
 from bsk_torch.sim.state import StateTable, outside_inference
@@ -66,12 +68,13 @@ class LookAhead(StateTable):
         compat: bool,
         manoeuvres: Manoeuvres = NONE,
         blind: bool = False,
+        sampled: Sequence[ElementSet] = (),
     ) -> None:
         """Make room for ``count`` satellites in each of ``num_envs`` episodes.
 
         Windows are generated for ``horizon`` s at reset and extended by ``segment`` s. With ``compat``, eclipses are those of
         samples, and windows those of :class:`~bsk_torch.sim.access.windows.search.AccessWindows`. ``blind`` satellites may be
-        on no orbit, so that queries raise a RuntimeError.
+        on no orbit, so that queries raise a RuntimeError. Arcs of ``sampled`` satellites are those of their element sets.
         """
         super().__init__(num_envs, count, solver.device)
         self.blind, self.compat = blind, compat
@@ -79,6 +82,8 @@ class LookAhead(StateTable):
         spans = max(segments_for(horizon + MARGIN), segments_for(segment + BEFORE_SEARCH + BEHIND_SEARCH) + 1)
         size = num_envs, spans, solver, kept, count
         self.arcs = RestartableArcs(*size) if manoeuvres.lookahead else Arcs(*size)
+        if sampled:
+            self.arcs = SampledArcs(*size, elements=sampled)
         separate = manoeuvres.flight and not manoeuvres.lookahead
         self.flight = RestartableArcs(*size) if separate else self.arcs
         self.eclipses = EclipseTable(self.arcs, visibility)

@@ -21,11 +21,13 @@ from torch import Tensor
 
 from bsk_torch._checks import no_gradient, number
 from bsk_torch.astro.ephemeris import coverage, parse_utc
+from bsk_torch.astro.orbit import rv_to_elements
 from bsk_torch.codegen.kept import of_package
 from bsk_torch.rand import Distribution, Key, PerEnv, RandomEpoch, seeded
 from bsk_torch.sim.arguments.sources import Answers, Member, in_order, is_function, unknown
 from bsk_torch.sim.component import Arg, Component, Values, asked
 from bsk_torch.sim.names import nearest
+from bsk_torch.vec3 import Vec3
 
 Overrides = Mapping[str, tuple[Tensor, Tensor]]
 """Arguments that replace those of some satellites, by name: indices of the satellites [c], and their values [n, c, ...]."""
@@ -91,9 +93,43 @@ def _shaped(arg: Arg, values: Tensor, rows: int) -> Tensor:
     return values
 
 
-def convert(arg: Arg, values: Any, rows: int) -> Any:
-    """Return given values of an argument, one for each row, as a tensor [rows, ...] of its kind; ValueError for others."""
+def is_orbit(value: object) -> bool:
+    """Return whether a value is an orbit that is evaluated at an epoch: an element set or an ephemeris."""
+    return hasattr(value, "state_at")
+
+
+def _elements_at(values: Sequence[Any], et: Tensor) -> Tensor:
+    """Return osculating elements, [rows, 6], of orbits, one for each row, at ET [rows], s; other values may stand among them.
+
+    Rows of one orbit are evaluated at once.
+    """
+    found = torch.empty(len(values), len(ELEMENT_NAMES), dtype=torch.float64)
+    groups: dict[int, list[int]] = {}
+    for row, value in enumerate(values):
+        groups.setdefault(id(value), []).append(row)
+    for rows in groups.values():
+        value = values[rows[0]]
+        if is_orbit(value):
+            r, v = value.state_at(et[rows])
+            found[rows] = torch.stack(rv_to_elements(Vec3.of(r), Vec3.of(v)), -1)
+        else:
+            found[rows] = numbers(value)
+    return found
+
+
+def convert(arg: Arg, values: Any, rows: int, et: Tensor | None = None) -> Any:
+    """Return given values of an argument, one for each row, as a tensor [rows, ...] of its kind; ValueError for others.
+
+    Orbits are evaluated at ET, [rows or 1] s: a single value for several epochs has as many rows as these.
+    """
     no_gradient(arg.name, values)
+    if arg.kind == "orbit" and isinstance(values, list) and any(map(is_orbit, values)):
+        if et is None:
+            raise ValueError(
+                f"{arg.name}={values[0]} is an orbit at an epoch, which {arg.name} of a world without utc_init lacks"
+            )
+        rows = max(rows, len(et))
+        values = _elements_at(values * rows if len(values) == 1 else values, et.expand(rows))
     if arg.kind == "choice":
         return torch.tensor([_index(arg, v) for v in values], dtype=torch.float64)
     if arg.kind == "utc":
@@ -187,6 +223,8 @@ class Arguments:
         replaced = {"rN", "vN"} & {name for name in given if given[name] is not None}
         if replaced and "oe" not in given and "oe" in merged:
             merged["oe"] = None  # an explicit position replaces the default elements
+        if is_orbit(merged.get("oe")) and merged["mu"] not in (None, self.table["mu"].default):
+            raise ValueError(f"{self.title}: mu={merged['mu']} converts elements that are numbers; oe={merged['oe']} has states")
         for name, value in merged.items():
             if isinstance(value, Member) and is_fixed(self.table[name]):
                 merged[name] = value.trial
@@ -195,7 +233,9 @@ class Arguments:
     def _look(self) -> None:
         """Find out which arguments are random, equal for all satellites, and asked of functions; forget constants."""
         self._constants: dict[str, Any] = {}
-        drawn = [{n for n, v in values.items() if isinstance(v, Distribution) or callable(v)} for values in self._given]
+        drawn = [
+            {n for n, v in values.items() if isinstance(v, Distribution) or callable(v) or is_orbit(v)} for values in self._given
+        ]
         self.random = frozenset(self._changed.union(*drawn))
         apart = {name for of_envs in self._of_envs for name in of_envs}
         self._asked = [
@@ -298,31 +338,37 @@ class Arguments:
                     self.ask(k, int(row.env_id), answers[-1])
         return answers
 
-    def draw(self, key: Key, known: Mapping[str, Any] | None = None, answers: Sequence[Answers] | None = None) -> dict[str, Any]:
+    def draw(
+        self,
+        key: Key,
+        known: Mapping[str, Any] | None = None,
+        answers: Sequence[Answers] | None = None,
+        et: Tensor | None = None,
+    ) -> dict[str, Any]:
         """Return the values of all arguments for the n environments of ``key``: [1, ...] if all are equal, else [n * S, ...].
 
         Arguments that are ``known`` already are not drawn again. ``answers`` are those of the user's functions for each
-        environment; by default, the functions are called now.
+        environment; by default, the functions are called now. Orbits are evaluated at ``et``, [n or 1] s.
         """
         known = known or {}
         answers = self._asked_alone(key, known) if answers is None else answers
-        drawn = self._draw_named([name for name in self.table if name not in known], key, answers)
+        drawn = self._draw_named([name for name in self.table if name not in known], key, answers, et)
         return {name: known[name] if name in known else drawn[name] for name in self.table}
 
-    def draw_per_env(self, key: Key) -> dict[str, Any]:
+    def draw_per_env(self, key: Key, et: Tensor | None = None) -> dict[str, Any]:
         """Return the values, [n * S, ...], of the arguments that ``rand.per_env`` gives: the same in all episodes.
 
-        Those that user functions give to some satellites or environments are left out.
+        Those that user functions give to some satellites or environments are left out. Orbits are evaluated at ``et``, [n or 1] s.
         """
-        return self._draw_named([name for name in self.table if self._is_per_env(name)], key, ())
+        return self._draw_named([name for name in self.table if self._is_per_env(name)], key, (), et)
 
     def draw_some(self, names: Sequence[str], key: Key) -> dict[str, Any]:
         """Return the values of the arguments ``names``, as :meth:`draw` returns them; of functions, only theirs are called."""
         return self._draw_named(names, key, self._asked_alone(key, self.table.keys() - set(names)))
 
-    def _draw_named(self, names: Iterable[str], key: Key, answers: Sequence[Answers]) -> dict[str, Any]:
+    def _draw_named(self, names: Iterable[str], key: Key, answers: Sequence[Answers], et: Tensor | None = None) -> dict[str, Any]:
         rows = key if self.columns == (0,) else key.of_satellites(torch.tensor(self.columns))
-        return {name: self._drawn_or_kept(self.table[name], key, rows, answers) for name in names}
+        return {name: self._drawn_or_kept(self.table[name], key, rows, answers, et) for name in names}
 
     def _is_per_env(self, name: str) -> bool:
         values = [value for k in range(len(self._given)) for value in self._values_of(k, name)]
@@ -345,32 +391,33 @@ class Arguments:
         whole[:, columns] = new
         return whole.flatten(0, 1)
 
-    def _drawn_or_kept(self, arg: Arg, key: Key, rows: Key, answers: Sequence[Answers]) -> Any:
+    def _drawn_or_kept(self, arg: Arg, key: Key, rows: Key, answers: Sequence[Answers], et: Tensor | None) -> Any:
         value = self.given[arg.name]
         if not self._alike[arg.name]:
-            return self._drawn_each(arg, key, answers)
-        if isinstance(value, Distribution):
-            return self._draw(arg, value, rows)
+            return self._drawn_each(arg, key, answers, et)
+        if isinstance(value, Distribution) or is_orbit(value):
+            each = None if et is None else et.expand(len(key)).repeat_interleave(len(self.columns))
+            return self._draw(arg, value, rows, et=each)
         if arg.name not in self._constants:
             self._constants[arg.name] = self._draw(arg, value, key)
         kept = self._constants[arg.name]
         return kept.expand(len(rows), *kept.shape[1:]) if arg.name in self._changed and isinstance(kept, Tensor) else kept
 
-    def _drawn_each(self, arg: Arg, key: Key, answers: Sequence[Answers]) -> Any:
+    def _drawn_each(self, arg: Arg, key: Key, answers: Sequence[Answers], et: Tensor | None) -> Any:
         """Return the values of an argument given for each satellite, [n * S, ...]."""
         if is_fixed(arg):
             raise ValueError(f"{self.title}: {arg.name} must be the same for all satellites of a type")
         if arg.name in self.random:
-            parts = self._each(arg, key, answers)
+            parts = self._each(arg, key, answers, et)
         elif arg.name in self._constants:
             parts = self._constants[arg.name]
         else:
-            parts = self._constants[arg.name] = self._each(arg, key, answers)
+            parts = self._constants[arg.name] = self._each(arg, key, answers, et)
         return None if parts is None else parts.expand(len(key), *parts.shape[1:]).flatten(0, 1)
 
-    def _each(self, arg: Arg, key: Key, answers: Sequence[Answers]) -> Tensor | None:
+    def _each(self, arg: Arg, key: Key, answers: Sequence[Answers], et: Tensor | None) -> Tensor | None:
         """Return the values of an argument, [n or 1, S, ...]; None if no satellite has one."""
-        parts = [self._of_satellite(k, arg, key, answers) for k in range(len(self._given))]
+        parts = [self._of_satellite(k, arg, key, answers, et) for k in range(len(self._given))]
         missing = [part is None for part in parts]
         if all(missing):
             return None
@@ -382,7 +429,7 @@ class Arguments:
         n = max(len(part) for part in parts)
         return torch.stack([part.expand(n, *part.shape[1:]) for part in parts], 1)
 
-    def _of_satellite(self, k: int, arg: Arg, key: Key, answers: Sequence[Answers]) -> Any:
+    def _of_satellite(self, k: int, arg: Arg, key: Key, answers: Sequence[Answers], et: Tensor | None) -> Any:
         """Return the values of an argument of one satellite, [n or 1, ...]; None if it has none."""
         own, asked = (
             key.of_satellites(torch.tensor([self.columns[k]])),
@@ -390,14 +437,15 @@ class Arguments:
         )
         value, of_envs = self._given[k][arg.name], self._of_envs[k].get(arg.name)
         if not of_envs:
-            return self._draw(arg, value, own, asked)
+            return self._draw(arg, value, own, asked, et)
         groups: dict[int, tuple[Any, list[int]]] = {}
         for row, env in enumerate(key.env_id.tolist()):
             mine = of_envs.get(env, value)
             groups.setdefault(id(mine), (mine, []))[1].append(row)
         parts: list[tuple[Tensor, list[int]]] = []
         for mine, rows in groups.values():
-            part = self._draw(arg, mine, own.take(rows), [asked[row] for row in rows] if asked else asked)
+            then = None if et is None else et.expand(len(key))[rows]
+            part = self._draw(arg, mine, own.take(rows), [asked[row] for row in rows] if asked else asked, then)
             if part is None:
                 raise ValueError(f"{self.title}: {arg.name} must be given for all environments, or for none")
             parts.append((part, rows))
@@ -411,7 +459,7 @@ class Arguments:
             whole[rows] = part.expand(len(rows), *part.shape[1:])
         return whole
 
-    def _draw(self, arg: Arg, value: Any, key: Key, asked: Sequence[Any] = ()) -> Any:
+    def _draw(self, arg: Arg, value: Any, key: Key, asked: Sequence[Any] = (), et: Tensor | None = None) -> Any:
         try:
             if is_fixed(arg):
                 self._check_shared(arg, value)
@@ -420,12 +468,12 @@ class Arguments:
             if isinstance(value, RandomEpoch) and arg.kind == "utc":
                 return _random_epochs(arg, value, key.named(arg.name))
             if isinstance(value, Distribution):
-                return convert(arg, value.draw(key.named(arg.name)), len(key))
+                return convert(arg, value.draw(key.named(arg.name)), len(key), et)
             if callable(value):
-                return convert(arg, [drawn_once(arg, answer, key, row) for row, answer in enumerate(asked)], len(key))
+                return convert(arg, [drawn_once(arg, answer, key, row) for row, answer in enumerate(asked)], len(key), et)
             if value is None and arg.kind != "choice":
                 return self._missing(arg)
-            return convert(arg, [value], 1)
+            return convert(arg, [value], 1, et)
         except ValueError as error:
             raise ValueError(f"{self.title}: {error}") from error
 

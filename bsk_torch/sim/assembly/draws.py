@@ -80,7 +80,7 @@ class TypeArguments:
         around, count = self.world_args.draw(key, world, answers), self.count
         random = self.world_args.random.intersection(around) if count > 1 else ()
         values = {**around, **{name: around[name].repeat_interleave(count, 0) for name in random}}
-        values |= self.sat_args.draw(key, None, answers)
+        values |= self.sat_args.draw(key, None, answers, around.get("utc_init"))
         for name, (columns, replaced) in (given or {}).items():
             values[name] = self.sat_args.override(name, values.get(name), columns, replaced)
         if taken := sorted(values.keys() & self.taken):
@@ -136,7 +136,9 @@ class TypeArguments:
         ValueError for too few rows, and values that are not allowed.
         """
         key = dataclasses.replace(first_key(len(env_ids)), env_id=env_ids.cpu())
-        around, own = self.world_args.draw_per_env(key), self.sat_args.draw_per_env(key)
+        around = self.world_args.draw_per_env(key)
+        et = self.world_args.draw_some(["utc_init"], key)["utc_init"] if "utc_init" in self.world_args.table else None
+        own = self.sat_args.draw_per_env(key, et)
         if not around and not own:
             return
         first = key.take([0])

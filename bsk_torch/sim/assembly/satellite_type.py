@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import number
+from bsk_torch.astro.element_sets import ElementSet
 from bsk_torch.codegen.kept import Kept, of_package
 from bsk_torch.rand import Key
 from bsk_torch.sim.arguments.values import Arguments, Overrides, merge
@@ -31,6 +32,7 @@ from bsk_torch.sim.faults.component import SLOT, changing, declared_faults, plan
 from bsk_torch.sim.fsw.models import Command, FSWModel, MagicOrbitalManeuverFSWModel
 from bsk_torch.sim.fsw.modes import Mode, mode_table
 from bsk_torch.sim.instruments import Instrument, check_faults, described_instruments, instrument_args, with_instruments
+from bsk_torch.sim.orbit.sampled import with_elements
 from bsk_torch.sim.schedule import Schedule
 from bsk_torch.sim.tick.loop import ARC_ORBIT, Tick
 from bsk_torch.sim.tick.runners import Runners, TickLoop, make_runners
@@ -41,7 +43,7 @@ logger = logging.getLogger(__name__)
 Ticks = Kept[tuple[Tick, Runners]]  # ticks, with what runs them, by their identity
 TICKS: Ticks = Kept(32)  # ticks of components of the package that the process has made last: there are fewer presets
 
-ORBITS = ("arc", "integrated", "free")
+ORBITS = ("arc", "integrated", "free", "sgp4")
 
 SHORTEST_TICK, LONGEST_TICK = 1e-3, 60.0
 """Bounds of the length of a tick, s. With shorter ones a step of minutes takes millions of ticks; longer ones than a minute would
@@ -56,7 +58,7 @@ class SimulationOptions:
     # type of attitude, wheels and flight software; everything is stored, and the rest computed, in float64
     dtype: torch.dtype = torch.float64
     sim_rate: float = 1.0  # length of a tick, s
-    orbit: str | None = None  # `"arc"`, `"integrated"`, `"free"`, or None for the default of the dynamics model
+    orbit: str | None = None  # `"arc"`, `"integrated"`, `"free"`, `"sgp4"`, or None for the default of the dynamics model
     backend: str = "compiled"  # `"compiled"` or `"eager"`
     compat: str | None = None  # `"bsk_rl"` for the errors of recordings
     replan: bool = True  # whether windows and eclipses follow maneuvers
@@ -91,7 +93,8 @@ class SatelliteType:
     has_tank: bool  # whether the satellites can change their velocity
     instruments: tuple[Instrument, ...]  # several instruments, of which actions choose; none if there is a single one
     h_ns: int  # length of a tick, ns
-    orbit: str  # `"arc"`, `"integrated"` or `"free"`
+    orbit: str  # `"arc"`, `"integrated"` or `"free"`; `"arc"` for those of SGP4, too
+    sampled: tuple[ElementSet, ...]  # element sets of the satellites whose arcs are those of SGP4; none if they are integrated
     gravity_degree: int  # degree of the Earth's field
     options: SimulationOptions  # how they are simulated
     usage: Usage  # how the environment uses them
@@ -118,7 +121,7 @@ class SatelliteType:
         """The first satellite without the others: the same tick for fewer rows."""
         arguments = dataclasses.replace(self.arguments, sat_args=self.arguments.sat_args.of_first())
         usage = dataclasses.replace(self.usage, columns=self.usage.columns[:1])
-        return dataclasses.replace(self, arguments=arguments, usage=usage)
+        return dataclasses.replace(self, arguments=arguments, usage=usage, sampled=self.sampled[:1])
 
     def changed(self, own: Sequence[ArgumentChange], world: Sequence[ArgumentChange], num_envs: int) -> SatelliteType:
         """Return the type with other arguments of satellites and world, which a trial draw for a batch of ``num_envs`` checks.
@@ -126,6 +129,10 @@ class SatelliteType:
         Its tick is the same, unless parameters that all rows shared may differ now. KeyError or ValueError for wrong changes.
         """
         for _, name, _, _ in (*own, *world):
+            if name == "oe" and self.sampled:
+                raise ValueError(
+                    "oe of satellites under orbit='sgp4' is their element set, from which arcs are made; build another"
+                )
             if name in self.structural:
                 raise ValueError(
                     f"{name} was the same for all environments when this one was built, and components were made for it; give a "
@@ -178,7 +185,13 @@ def satellite_type(
     orbit = dyn_type.orbit if options.orbit is None else options.orbit
     if orbit not in ORBITS:
         raise ValueError(f"orbit={orbit!r} must be one of {list(ORBITS)}, or None for the model's own")
-    if orbit == "arc" and not dyn_type.gravity_degree:
+    sampled: tuple[ElementSet, ...] = ()
+    if orbit == "sgp4":
+        if issubclass(fsw_type, MagicOrbitalManeuverFSWModel):
+            raise ValueError(f"orbit='sgp4' has no maneuvers, but {fsw_type.__name__} has a tank; leave out orbit= to integrate")
+        sat_args, sampled = with_elements(sat_args, len(usage.columns))
+        orbit = "arc"
+    elif orbit == "arc" and not dyn_type.gravity_degree:
         raise ValueError(
             f"orbit='arc' needs the Earth's oblateness, but {dyn_type.__name__} has gravity_degree = 0; pass orbit='integrated'"
         )
@@ -230,6 +243,7 @@ def satellite_type(
         instruments=instruments,
         h_ns=h_ns,
         orbit=orbit,
+        sampled=sampled,
         gravity_degree=dyn_type.gravity_degree,
         options=options,
         usage=usage,

@@ -13,12 +13,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from bsk_torch.astro.earth_rotation import IAU_EARTH, Earth
 from bsk_torch.astro.ephemeris import (
     EARTH_ROTATION_RATE,
     POLE_DECLINATION_RATE,
     POLE_RIGHT_ASCENSION_RATE,
     coverage,
-    earth_angles,
     sun_state,
 )
 from bsk_torch.astro.frames import rotate_z
@@ -40,26 +40,16 @@ EPHEMERIS_TRACK = Track(
 """Records of Sun and Earth, from which every tick interpolates."""
 
 
-def pole_matrix(et: Tensor) -> Mat3:
-    """Return the DCM [EN] at ET [n], s: the frame IAU_EARTH without its spin.
-
-    ``[EN] = R1(90 deg - delta) R3(90 deg + alpha)`` with right ascension alpha and declination delta of the pole; see
-    :func:`bsk_torch.astro.ephemeris.earth_angles`.
-    """
-    alpha, delta, _ = earth_angles(et)
-    ca, sa, cd, sd = torch.cos(alpha), torch.sin(alpha), torch.cos(delta), torch.sin(delta)
-    zero = torch.zeros_like(ca)
-    return Mat3(Vec3(-sa, ca, zero), Vec3(-sd * ca, -sd * sa, cd), Vec3(cd * ca, cd * sa, sd))
-
-
 def pole_rate(pole: Mat3) -> Vec3:
-    """Return the angular rate omega_EN_E, rad/s, of the axes of :func:`pole_matrix`: ``-delta' e_x + alpha' [EN] n_z``."""
+    """Return the angular rate omega_EN_E, rad/s, of the axes of :func:`~bsk_torch.astro.earth_rotation.pole_matrix`: ``-delta' e_x + alpha' [EN] n_z``."""
     ascension = POLE_RIGHT_ASCENSION_RATE
     return Vec3(torch.full_like(pole.z.z, -POLE_DECLINATION_RATE), pole.y.z * ascension, pole.z.z * ascension)
 
 
-def ephemeris_records(et: Tensor, hours: int, start: Tensor | float = 0.0) -> Tensor:
+def ephemeris_records(et: Tensor, hours: int, start: Tensor | float = 0.0, earth: Earth = IAU_EARTH) -> Tensor:
     """Return records [n, hours, 16] of :data:`EPHEMERIS_TRACK`, one an hour from ``start``, [n] s after ET [n], s, on.
+
+    ``earth`` is the model of the Earth's rotation.
 
     No episode reaches the end of the Sun's table, but look-ahead may: there the Sun stays where it is at the end.
     """
@@ -68,8 +58,8 @@ def ephemeris_records(et: Tensor, hours: int, start: Tensor | float = 0.0) -> Te
     times = et.unsqueeze(-1) + elapsed  # rounded once: a record does not depend on where its table starts
     parts = [
         *sun_state(times.clamp(max=coverage()[1])),
-        earth_angles(times)[2].unsqueeze(-1),
-        pole_matrix(times).stack().flatten(-2),
+        earth.meridian(times).unsqueeze(-1),
+        earth.pole(times).stack().flatten(-2),
     ]
     return torch.cat(parts, -1)
 

@@ -158,7 +158,17 @@ EARTH_POLE = Component(slot="earth_pole", update=orient_pole)
 EPHEMERIS = Component(
     slot="ephemeris",
     update=move_sun_and_earth,
-    args=(Arg("utc_init", random_epoch(), "-", "epoch, such as '2021 FEB 05 09:12:05.830 (UTC)'", kind="utc"),),
+    args=(
+        Arg("utc_init", random_epoch(), "-", "epoch, such as '2021 FEB 05 09:12:05.830 (UTC)'", kind="utc"),
+        Arg(
+            "earthRotation",
+            "IAU_EARTH",
+            "-",
+            "Basilisk's IAU_EARTH, or ITRF, to a meter: the default for satellites from files of orbits",
+            "constant",
+            choices=("IAU_EARTH", "ITRF"),
+        ),
+    ),
 )
 
 ATMOSPHERE = Component(

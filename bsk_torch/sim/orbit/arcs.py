@@ -142,7 +142,7 @@ class Arcs(StateTable):
         last.
         """
         self.start[rows], self.et[rows] = 0.0, et
-        ephemeris = ephemeris_records(et, self.ephemeris.shape[1])
+        ephemeris = ephemeris_records(et, self.ephemeris.shape[1], earth=self.solver.earth)
         flown, planned, tail = self.solver.begin(et, r, v, ephemeris, self.flown.shape[1] - LEAD_NODES)
         self.ephemeris[rows], self.flown[rows], self.tail[rows] = ephemeris, flown, tail
         self.planned[rows] = planned[:, -self.planned.shape[1] :]
@@ -151,7 +151,7 @@ class Arcs(StateTable):
     def extend(self, rows: Tensor) -> None:
         """Move the arcs of ``rows`` on by an hour, dropping one at their beginning."""
         start = self.start[rows] + ARC_SEGMENT
-        ephemeris = ephemeris_records(self.et[rows], self.ephemeris.shape[1], start)
+        ephemeris = ephemeris_records(self.et[rows], self.ephemeris.shape[1], start, self.solver.earth)
         kept, planned = self.flown[rows, NODES_PER_SEGMENT:], self.planned[rows, SAMPLES_PER_SEGMENT:]
         flown, new, tail = self._solved(rows, self.et[rows], self.tail[rows], start, ephemeris, kept)
         self.start[rows], self.ephemeris[rows], self.tail[rows] = start, ephemeris, tail
@@ -174,7 +174,7 @@ class Arcs(StateTable):
 
     def grow(self) -> None:
         """Make every arc an hour longer; nothing changes if that fails."""
-        ephemeris = ephemeris_records(self.et, self.ephemeris.shape[1] + 1, self.start)
+        ephemeris = ephemeris_records(self.et, self.ephemeris.shape[1] + 1, self.start, self.solver.earth)
         flown, new, tail = self._solved(self.all_rows, self.et, self.tail, self.start, ephemeris, self.flown)
         full = self.planned.shape[1] > self.kept * SAMPLES_PER_SEGMENT
         planned = torch.cat([self.planned[:, SAMPLES_PER_SEGMENT if full else 0 :], new], 1)

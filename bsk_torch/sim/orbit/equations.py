@@ -21,7 +21,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE, coverage, earth_angles, sun_state
+from bsk_torch.astro.earth_rotation import Earth
+from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE, coverage, sun_state
 from bsk_torch.astro.frames import rotate_z
 from bsk_torch.astro.gravity import DEGREE, J2, field, field_weights, third_body
 from bsk_torch.astro.integrate import State, rk4_step
@@ -94,10 +95,10 @@ class Surroundings(NamedTuple):
     omega_EN_E: Tensor
 
 
-def surroundings(et: Tensor, EN: Mat3) -> Surroundings:
-    """Return the surroundings at ET [n], s, whose equatorial axes are EN."""
+def surroundings(et: Tensor, EN: Mat3, earth: Earth) -> Surroundings:
+    """Return the surroundings at ET [n], s, whose equatorial axes are EN, by a model of the Earth's rotation."""
     sun = [torch.stack(EN @ Vec3.of(part)) for part in sun_state(et.clamp(max=coverage()[1]))]
-    return Surroundings(sun[0], sun[1], earth_angles(et)[2], torch.stack(list(pole_rate(EN))))
+    return Surroundings(sun[0], sun[1], earth.meridian(et), torch.stack(list(pole_rate(EN))))
 
 
 def full_field(r: Vec3, around: Surroundings, dt: Tensor, stretch: float | Tensor, degree: int = DEGREE) -> Vec3:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from bsk_torch.astro.earth_rotation import Earth
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.sim.orbit import flown_arc, planned_arc
 from bsk_torch.sim.orbit.equations import frame_stretch
@@ -26,9 +27,9 @@ class KernelSolver:
     device = torch.device("cpu")
     tail = flown_arc.FLOWN_STATE + planned_arc.PLANNED_STATE
 
-    def __init__(self, step: float, degree: int) -> None:
-        """Take the stretches of both arcs, and the degree of the Earth's field."""
-        self.degree = degree
+    def __init__(self, step: float, degree: int, earth: Earth) -> None:
+        """Take the stretches of both arcs, the degree of the Earth's field, and the model of its rotation."""
+        self.degree, self.earth = degree, earth
         self.stretches = torch.tensor([frame_stretch(step), frame_stretch(PLAN_STEP)], dtype=torch.float64)
 
     def begin(self, et: Tensor, r: Tensor, v: Tensor, ephemeris: Tensor, nodes: int) -> Solution:

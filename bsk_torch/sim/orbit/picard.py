@@ -22,12 +22,13 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from bsk_torch.astro.earth_rotation import Earth
 from bsk_torch.astro.integrate import quadrature
 from bsk_torch.codegen.inductor import just_in_time
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.sim.component import neighbours
-from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, ephemeris_at, pole_matrix
+from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, ephemeris_at
 from bsk_torch.sim.orbit.equations import (
     Surroundings,
     frame_growth,
@@ -110,9 +111,9 @@ class PicardSolver:
 
     tail = 12
 
-    def __init__(self, step: float, backend: str, device: torch.device, degree: int) -> None:
+    def __init__(self, step: float, backend: str, device: torch.device, degree: int, earth: Earth) -> None:
         """Make the matrices of the quadrature; ``degree`` is that of the Earth's field."""
-        self.degree = degree
+        self.degree, self.earth = degree, earth
         self.device, self.kernels, self.compiled = device, kernels(backend), backend == "compiled"
         self.inside = quadrature(PICARD_DEGREE, None, str(device))
         self.outside = quadrature(
@@ -151,9 +152,9 @@ class PicardSolver:
     def _before(self, et: Tensor, r: Tensor, v: Tensor) -> Tensor:
         """Nodes [n, LEAD_NODES, 3] before the epoch: the orbit with time running backwards."""
         count, rows = len(et), padded(len(et), et.device, few_sizes=self.compiled)
-        et, pole = et[rows], pole_matrix(et[rows] - ARC_SEGMENT / 2)
+        et, pole = et[rows], self.earth.pole(et[rows] - ARC_SEGMENT / 2)
         r, v = (torch.stack(list(pole @ Vec3.of(part[rows]))) for part in (r, -v))
-        path, rest = self._fly(r, v, surroundings(et - ARC_SEGMENT / 2, pole), -1.0)
+        path, rest = self._fly(r, v, surroundings(et - ARC_SEGMENT / 2, pole, self.earth), -1.0)
         acceleration = pack(zonal_field(vector(path), self.stretch)) + rest
         return self._nodes(r, v, acceleration, None, pole)[0][:count, 1 : 2 * LEAD_NODES : 2].flip(1)
 
@@ -163,9 +164,9 @@ class PicardSolver:
         return Solution(*(part[:count] for part in self._solve(et[rows], tail[rows])))
 
     def _solve(self, et: Tensor, tail: Tensor) -> Solution:
-        pole = pole_matrix(et + ARC_SEGMENT / 2)
+        pole = self.earth.pole(et + ARC_SEGMENT / 2)
         r, v, planned_r, planned_v = (torch.stack(list(pole @ Vec3.of(part))) for part in tail.split(3, -1))
-        path, rest = self._fly(r, v, surroundings(et + ARC_SEGMENT / 2, pole))
+        path, rest = self._fly(r, v, surroundings(et + ARC_SEGMENT / 2, pole, self.earth))
         acceleration = pack(zonal_field(vector(path), self.stretch)) + rest
         speed = v + ARC_SEGMENT * _integrate(self.inside.velocity, acceleration)
         extra_v, extra_a = self.kernels.defects(torch.cat([path, speed], 1), self.plan_stretch, self.growth).chunk(2, 1)

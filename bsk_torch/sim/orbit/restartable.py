@@ -77,7 +77,7 @@ class RestartableArcs(Arcs):
         The first hour is solved. A backward continuation of the new orbit stands before its beginning.
         """
         et = self.et[rows] + time
-        ephemeris = ephemeris_records(self.et[rows], self.ephemeris.shape[1], time)
+        ephemeris = ephemeris_records(self.et[rows], self.ephemeris.shape[1], time, self.solver.earth)
         flown, planned, tail = self.solver.begin(et, r, v, ephemeris[:, :RECORDS].contiguous(), NODES_PER_SEGMENT + 1)
         self._check_finite(rows, planned, flown)
         self.epoch[rows], self.start[rows], self.solved[rows] = time, time, time + ARC_SEGMENT
@@ -91,7 +91,7 @@ class RestartableArcs(Arcs):
         if len(full):
             self.flown[full, :-NODES_PER_SEGMENT] = self.flown[full, NODES_PER_SEGMENT:]
             self.start[full] += ARC_SEGMENT
-            self.ephemeris[full] = ephemeris_records(self.et[full], self.ephemeris.shape[1], self.start[full])
+            self.ephemeris[full] = ephemeris_records(self.et[full], self.ephemeris.shape[1], self.start[full], self.solver.earth)
         hours = torch.round((self.solved[rows] - self.start[rows]) / ARC_SEGMENT).long().unsqueeze(-1)
         count = torch.arange(LEAD_NODES + 1 + NODES_PER_SEGMENT, device=self.device)
         column = hours * NODES_PER_SEGMENT + count
@@ -112,7 +112,7 @@ class RestartableArcs(Arcs):
 
     def grow(self) -> None:
         """Make room for an hour more in every arc; nothing is solved."""
-        ephemeris = ephemeris_records(self.et, self.ephemeris.shape[1] + 1, self.start)
+        ephemeris = ephemeris_records(self.et, self.ephemeris.shape[1] + 1, self.start, self.solver.earth)
         flown = torch.cat([self.flown, self.flown[:, -1:].expand(-1, NODES_PER_SEGMENT, -1)], 1)
         planned = self.planned
         if planned.shape[1] <= self.kept * SAMPLES_PER_SEGMENT:  # the last sample is that of the end

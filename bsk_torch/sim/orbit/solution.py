@@ -7,6 +7,7 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor
 
+from bsk_torch.astro.earth_rotation import Earth
 from bsk_torch.codegen.kernel import Samples
 
 
@@ -26,6 +27,7 @@ class Solver(Protocol):
 
     device: torch.device
     tail: int
+    earth: Earth  # model of the Earth's rotation
 
     def begin(self, et: Tensor, r: Tensor, v: Tensor, ephemeris: Tensor, nodes: int) -> Solution:
         """Both arcs from the epoch on: positions [n, LEAD_NODES + nodes, 3], and planned ones [n, 2 nodes - 1, 3].

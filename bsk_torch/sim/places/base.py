@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 from typing_extensions import override
 
+from bsk_torch.astro.earth_rotation import IAU_EARTH, Earth
 from bsk_torch.rand import first_key
 from bsk_torch.sim.arguments.values import Arguments
 from bsk_torch.sim.component import Component
@@ -263,6 +264,7 @@ def place_kinds(
     arguments: StateTable,
     declared: PlaceKinds,
     instruments: Sequence[Instrument] = (),
+    earth: Earth = IAU_EARTH,
 ) -> dict[str, Places]:
     """Return the places that satellites can see, by kind: those of ``parts``, and those ``declared`` by the scenario.
 
@@ -270,7 +272,7 @@ def place_kinds(
     than places, ValueError for a name already in use, or places without clearances.
     """
     bringing = [part for part in parts if part.places]
-    tables = PlaceTables(scenario, arguments, world_args.draw(first_key(1)) if bringing else {}, instruments)
+    tables = PlaceTables(scenario, arguments, world_args.draw(first_key(1)) if bringing else {}, instruments, earth)
     kinds: dict[str, Places] = {}
     sources = [(f"the component {part.slot!r}", part.places) for part in bringing]
     for owner, source in [*sources, ("the scenario", declared)]:

@@ -9,8 +9,9 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor
 
+from bsk_torch.astro.earth_rotation import IAU_EARTH, Earth
 from bsk_torch.astro.eclipse import sunlight_margin
-from bsk_torch.astro.ephemeris import earth_fixed_sun, earth_orientation
+from bsk_torch.astro.ephemeris import earth_fixed_sun
 from bsk_torch.astro.frames import sin_elevation
 from bsk_torch.astro.sight import POLAR_STRETCH, elevation_clearance, line_clearance, max_central_angle, stretch
 from bsk_torch.constants import R_EARTH
@@ -31,12 +32,14 @@ class PlaceTables(NamedTuple):
         arguments: Arguments of satellites and world, [N, ...] each; likewise.
         world: Arguments of the world that are the same in all environments, such as the ground stations.
         instruments: Several instruments of the satellites; none if they have a single one.
+        earth: Model of the Earth's rotation.
     """
 
     drawn: DrawTable
     arguments: StateTable
     world: Values
     instruments: Sequence[Instrument] = ()
+    earth: Earth = IAU_EARTH
 
     def of_rows(self, name: str, rows: Tensor, place: Tensor) -> Tensor:
         """Return the draws ``name`` [num_envs, P, ...] for satellites ``rows`` [n] and places [n, ...]; [n, ..., ...]."""
@@ -51,11 +54,11 @@ class PlaceTables(NamedTuple):
 
     def orientation(self, rows: Tensor, time: Tensor) -> Tensor:
         """Return the matrix [PN] at times [n, ...] s since the reset of satellites ``rows`` [n], [n, ..., 3, 3]."""
-        return earth_orientation(self._et(rows, time))
+        return self.earth.orientation(self._et(rows, time))
 
     def sun(self, rows: Tensor, time: Tensor) -> Tensor:
         """Return the Earth-fixed position of the Sun, [n, ..., 3] m, at times [n, ...] s since the reset of ``rows`` [n]."""
-        return earth_fixed_sun(self._et(rows, time))
+        return earth_fixed_sun(self._et(rows, time), self.earth.orientation)
 
     def _et(self, rows: Tensor, time: Tensor) -> Tensor:
         return self.arguments["utc_init"][rows].view(-1, *[1] * (time.ndim - 1)) + time

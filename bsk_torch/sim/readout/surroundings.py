@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from torch import Tensor
 
-from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE, earth_orientation, sun_position, sun_state
-from bsk_torch.sim.environment.ephemeris import pole_matrix
+from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE, sun_position, sun_state
 from bsk_torch.sim.environment.world import station_names
 from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.satellite_state import SatelliteState
@@ -28,12 +27,12 @@ class World:
     @property
     def PN(self) -> Tensor:
         """DCM from N to the Earth-fixed frame, [N, 3, 3]."""
-        return earth_orientation(self.et)
+        return self._arcs.solver.earth.orientation(self.et)
 
     @property
     def omega_PN_N(self) -> Tensor:
         """Rate of the Earth-fixed frame, [N, 3] rad/s in N."""
-        pole = pole_matrix(self.et)
+        pole = self._arcs.solver.earth.pole(self.et)
         return pole.z.stack() * EARTH_ROTATION_RATE
 
     @property

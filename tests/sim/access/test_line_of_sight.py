@@ -3,6 +3,7 @@ import math
 import pytest
 import torch
 
+from bsk_torch.astro.earth_rotation import pole_matrix
 from bsk_torch.astro.orbit import periapsis_radius
 from bsk_torch.astro.sight import POLAR_STRETCH, line_clearance
 from bsk_torch.comm import los
@@ -12,7 +13,6 @@ from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.sim.access.links import line_of_sight_search
 from bsk_torch.sim.access.links.line_of_sight import SatellitePositions, speed_bound, visibility_margin
 from bsk_torch.sim.access.links.line_of_sight_search import SatellitePairs, pole_directions
-from bsk_torch.sim.environment.ephemeris import pole_matrix
 from bsk_torch.vec3 import Vec3
 from tests.comm.fleets import drawn_elements, make_fleet, recorded, states, step, with_ranges
 

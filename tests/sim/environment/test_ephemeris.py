@@ -1,9 +1,10 @@
 import pytest
 import torch
 
+from bsk_torch.astro.earth_rotation import pole_matrix
 from bsk_torch.astro.ephemeris import earth_angles, earth_orientation, parse_utc, sun_state
 from bsk_torch.sim.component import Bus, neighbours
-from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, ephemeris_at, ephemeris_records, fixed, pole_matrix
+from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, ephemeris_at, ephemeris_records, fixed
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT
 from bsk_torch.vec3 import Vec3
 

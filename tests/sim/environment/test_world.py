@@ -4,10 +4,10 @@ from types import SimpleNamespace
 import pytest
 import torch
 
+from bsk_torch.astro.earth_rotation import pole_matrix
 from bsk_torch.astro.ephemeris import earth_angles, earth_orientation, parse_utc
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.component import Bus
-from bsk_torch.sim.environment.ephemeris import pole_matrix
 from bsk_torch.sim.environment.world import DEFAULT_STATIONS, see_stations, station_arrays
 from bsk_torch.vec3 import Vec3
 

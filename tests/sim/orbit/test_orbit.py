@@ -3,11 +3,12 @@ from types import SimpleNamespace
 import pytest
 import torch
 
+from bsk_torch.astro.earth_rotation import pole_matrix
 from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE, earth_orientation, earth_orientation_rate, sun_position, sun_state
 from bsk_torch.astro.gravity import DEGREE, field, field_weights, third_body
 from bsk_torch.astro.integrate import rk4_step
 from bsk_torch.constants import MU_EARTH
-from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, ephemeris_records, pole_matrix
+from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, ephemeris_records
 from bsk_torch.sim.orbit.arcs import ARC, PLANNED_SEGMENTS, Arcs, follow_arc, segments_for
 from bsk_torch.sim.orbit.equations import frame_stretch
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, LEAD_NODES, NODE_SPACING, PLAN_STEP, SAMPLES_PER_SEGMENT
