@@ -6,7 +6,7 @@ the next one as soon as an observation ends, and arrives in motion. An observati
 pointing error, the rate error and the off-nadir angle stay within their limits at all ticks from its start to its end, and the
 battery is not empty since the one before.
 
-Satellites are rows of one batch. Their orbits are those of SGP4 that the verifier has, at the nodes of their arcs.
+Satellites are a constellation, one batch of rows. Their orbits are those of SGP4 that the verifier has, ``orbit="sgp4"``.
 """
 
 from __future__ import annotations
@@ -21,15 +21,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from bsk_torch import SatelliteTasking, act, craft, data, obs, sats, scene
+from bsk_torch import ConstellationTasking, act, craft, data, obs, sats, scene
 from bsk_torch.astro.attitude import dcm_to_mrp
-from bsk_torch.astro.ephemeris import earth_orientation, parse_utc
+from bsk_torch.astro.element_sets import ElementSet
+from bsk_torch.astro.ephemeris import parse_utc
 from bsk_torch.astro.orbit import hill_frame
-from bsk_torch.rand import per_env
+from bsk_torch.formats.tle import read_tle
 from bsk_torch.sim.dyn.effectors.wheel_set import wheel_defaults
-from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING
+from bsk_torch.sim.simulator import Simulator
 from bsk_torch.tasks.aeossp.files import Case, Observations
-from bsk_torch.tasks.aeossp.geometry import Numbers, _julian, on_ellipsoid, orbit, sidereal_time, tracks, turned
+from bsk_torch.tasks.aeossp.geometry import Numbers, on_ellipsoid, tracks
 from bsk_torch.tasks.aeossp.models import HOLD_MODE, LOOK_MODE, FlownDynModel, FlownFSWModel, WheelPowerDynModel
 from bsk_torch.tasks.aeossp.rules import find_slews
 from bsk_torch.vec3 import Vec3
@@ -123,8 +124,8 @@ def fly(
     table = _schedule(observations, crew)
     if not len(case.satellites) or case.step_s / tick % 1.0:
         raise ValueError(f"tick={tick:g} s must divide the step of {case.step_s} s of the case")
-    env = _environment(case, crew, np.broadcast_to(np.asarray(factor, dtype=float), len(crew)), power, tick)
-    return _flown(env, case, observations, crew, table, tick)
+    simulator = _simulator(case, crew, np.broadcast_to(np.asarray(factor, dtype=float), len(crew)), power, tick)
+    return _flown(simulator, case, observations, table, tick)
 
 
 def _schedule(observations: Observations, crew: Sequence[int]) -> NDArray[np.int64]:
@@ -144,73 +145,50 @@ def _schedule(observations: Observations, crew: Sequence[int]) -> NDArray[np.int
     return table
 
 
-def _states(case: Case, number: int, seconds: NDArray[np.float64]) -> Tensor:
-    """Return positions of a satellite, [n, 3] m in N, whose Earth-fixed components are those that SGP4 gives the verifier."""
-    fixed = turned(orbit(case, number, seconds)[0], -sidereal_time(*_julian(case, seconds)))
-    PN = earth_orientation(parse_utc(case.start) + torch.from_numpy(seconds))
-    return (PN.mT @ torch.from_numpy(fixed).unsqueeze(-1)).squeeze(-1)
-
-
-def _environment(case: Case, crew: list[int], factors: NDArray[np.float64], power: Power, tick: float) -> SatelliteTasking:
-    """Return an environment with a satellite of the case in each row, at the start of the horizon, on its orbit."""
+def _simulator(case: Case, crew: list[int], factors: NDArray[np.float64], power: Power, tick: float) -> Simulator:
+    """Return the simulation of some satellites of a case at the start of the horizon; they look at nadir."""
+    kind = Flyer if power == "case" else WheelPowerFlyer
     arguments = [_arguments(case, number, float(factor), power, tick) for number, factor in zip(crew, factors, strict=True)]
-    args: dict[str, Any] = {
-        name: per_env(torch.tensor([row[name] for row in arguments], dtype=torch.float64))
-        if isinstance(value, float | tuple)
-        else value
-        for name, value in arguments[0].items()
-    }
-    start = np.array([-1.0, 0.0, 1.0])
-    r, v = zip(*((x[1], 0.5 * (x[2] - x[0])) for x in (_states(case, number, start) for number in crew)), strict=True)
-    r_N, v_N = torch.stack(r), torch.stack(v)
-    rate = torch.linalg.cross(r_N, v_N).norm(dim=-1) / r_N.square().sum(-1)
-    args |= {
-        "rN": per_env(r_N),
-        "vN": per_env(v_N),
-        "sigma_init": per_env(dcm_to_mrp(hill_frame(Vec3.of(r_N), Vec3.of(v_N))).stack()),
-        "omega_init": per_env(torch.stack([torch.zeros_like(rate), torch.zeros_like(rate), rate], -1)),
-    }
-    env = SatelliteTasking(
-        (Flyer if power == "case" else WheelPowerFlyer)("Satellite", args),
+    wheels = arguments[0]["wheels"]  # each satellite has its own numbers
+    env = ConstellationTasking(
+        [kind(f"Satellite{number}", row | {"wheels": wheels}) for number, row in zip(crew, arguments, strict=True)],
         scenario=scene.Scenario(),
         rewarder=data.NoReward(),
         world_args={"utc_init": case.start.strftime("%Y-%m-%dT%H:%M:%S.%fZ")},
-        num_envs=len(crew),
+        num_envs=1,
         time_limit=float(case.horizon_s),
         sim_rate=tick,
+        orbit="sgp4",
         seed=0,
     )
     env.reset()
-    _put_on_orbits(env, case, crew)
-    return env
+    (simulator,) = env.fleet.simulators
+    return simulator
 
 
-def _put_on_orbits(env: SatelliteTasking, case: Case, crew: list[int]) -> None:
-    """Write the nodes of the arcs, which are those of an integrated orbit, so that they are those of SGP4."""
-    lookahead = env.simulator.lookahead
-    while lookahead.arcs.length < case.horizon_s + 2.0 * LEAD_NODES * NODE_SPACING:
-        lookahead.grow()
-    flown = lookahead.arcs.flown
-    seconds = NODE_SPACING * (np.arange(flown.shape[1]) - float(LEAD_NODES))
-    for row, number in enumerate(crew):
-        flown[row] = _states(case, number, seconds)
+def _at_nadir(elements: ElementSet, et: float) -> dict[str, Any]:
+    """Return the attitude and the rate, rad/s, with which B turns as the Hill frame does, at ET, s."""
+    r, v = elements.state_at(torch.tensor([et], dtype=torch.float64))
+    rate = torch.linalg.cross(r, v).norm() / r.square().sum()
+    return {
+        "sigma_init": dcm_to_mrp(hill_frame(Vec3.of(r), Vec3.of(v))).stack()[0].tolist(),
+        "omega_init": [0.0, 0.0, float(rate)],
+    }
 
 
 def _arguments(case: Case, number: int, factor: float, power: Power, tick: float) -> dict[str, Any]:
-    """Return the arguments of a satellite: numbers and tuples of numbers, which differ among satellites, and the wheels."""
+    """Return the arguments of a satellite: its orbit, the wheels of its slew limits, times a factor, and its battery."""
     satellite = case.satellites[number]
     found = craft.from_slew_limits(
         factor * satellite.slew_rate, factor * satellite.slew_acceleration, max(satellite.settling_s, 2.0 * tick), h=tick
     )
     numbers = {name: tuple(values) for name, values in wheel_defaults(found["wheels"]).items()}
-    gains = {name: float(value) for name, value in found.items() if isinstance(value, float)}
+    (elements,) = read_tle(f"{satellite.line1}\n{satellite.line2}", gravity="wgs84")
     return {
-        "wheels": found["wheels"],
-        "inertia": found["inertia"],
-        "wheelSpeeds": found["wheelSpeeds"],
-        "inst_pHat_B": found["inst_pHat_B"],
+        **{name: value for name, value in found.items() if name != "maxWheelSpeed"},
         **{name: numbers[name] for name in ("u_max", "rwJs")},
-        **{name: value for name, value in gains.items() if name != "maxWheelSpeed"},
+        "oe": elements,
+        **_at_nadir(elements, parse_utc(case.start)),
         "idlePower": satellite.idle_w,
         "imagingPower": satellite.imaging_w,
         "slewPower": satellite.slew_w if power == "case" else 0.0,
@@ -220,11 +198,9 @@ def _arguments(case: Case, number: int, factor: float, power: Power, tick: float
     } | ({} if power == "case" else {"rwBasePower": 0.0, "rwMechToElecEfficiency": -1.0, "rwElecToMechEfficiency": 1.0})
 
 
-def _flown(
-    env: SatelliteTasking, case: Case, observations: Observations, crew: list[int], table: NDArray[np.int64], tick: float
-) -> Flight:
+def _flown(simulator: Simulator, case: Case, observations: Observations, table: NDArray[np.int64], tick: float) -> Flight:
     """Fly the observations in ``table`` [R, K], all satellites at once, each at its own time."""
-    simulator, total = env.simulator, len(observations)
+    total = len(observations)
     places = torch.from_numpy(on_ellipsoid(case.requests))
     begin = observations.start_s - EARLY * find_slews(case, observations, tracks(case)).required
     fields = {"angle": "look_angle", "rate": "look_rate", "off_nadir": "look_off_nadir"}
@@ -241,7 +217,7 @@ def _flown(
         looks, number = torch.from_numpy(flies), np.maximum(column, 0)
         simulator.command(looks, hold if k else look)
         simulator.write("sigma_RN", looks, simulator.read("sigma_BN"))
-        simulator.write("r_LP_P", looks, torch.zeros(len(crew), 3, dtype=torch.float64))
+        simulator.write("r_LP_P", looks, torch.zeros(len(table), 3, dtype=torch.float64))
         run_until(begin[number], looks)
         least = simulator.read("least_charge").flatten().numpy()
         simulator.command(looks, look)
