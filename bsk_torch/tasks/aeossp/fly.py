@@ -53,6 +53,8 @@ REASONS = ("pointing", "rate", "off_nadir", "battery")
 
 Power = Literal["case", "wheels"]
 
+POWERS: tuple[Power, ...] = ("case", "wheels")
+
 
 @dataclass(frozen=True)
 class Flight:
@@ -104,6 +106,7 @@ def fly(
     factor: float | Sequence[float] = 1.0,
     power: Power = "case",
     tick: float = TICK,
+    tolerance: tuple[float, float] = (ANGLE, RATE),
     satellites: Sequence[int] | None = None,
 ) -> Flight:
     """Return what becomes of the observations of a plan.
@@ -115,6 +118,7 @@ def fly(
         power: Loads of slews: ``"case"``, the case's slew power while the reference slews, or ``"wheels"``, the mechanical power
             of the wheels, driven and braked alike.
         tick: Length of a tick, s; it must divide the step of the case.
+        tolerance: Largest pointing error, rad, and rate error, rad/s, while observing.
         satellites: Numbers of the satellites that are flown (default: all); observations of others are not delivered.
 
     Raises:
@@ -125,7 +129,7 @@ def fly(
     if not len(case.satellites) or case.step_s / tick % 1.0:
         raise ValueError(f"tick={tick:g} s must divide the step of {case.step_s} s of the case")
     simulator = _simulator(case, crew, np.broadcast_to(np.asarray(factor, dtype=float), len(crew)), power, tick)
-    return _flown(simulator, case, observations, table, tick)
+    return _flown(simulator, case, observations, table, tick, tolerance)
 
 
 def _schedule(observations: Observations, crew: Sequence[int]) -> NDArray[np.int64]:
@@ -198,7 +202,14 @@ def _arguments(case: Case, number: int, factor: float, power: Power, tick: float
     } | ({} if power == "case" else {"rwBasePower": 0.0, "rwMechToElecEfficiency": -1.0, "rwElecToMechEfficiency": 1.0})
 
 
-def _flown(simulator: Simulator, case: Case, observations: Observations, table: NDArray[np.int64], tick: float) -> Flight:
+def _flown(
+    simulator: Simulator,
+    case: Case,
+    observations: Observations,
+    table: NDArray[np.int64],
+    tick: float,
+    tolerance: tuple[float, float],
+) -> Flight:
     """Fly the observations in ``table`` [R, K], all satellites at once, each at its own time."""
     total = len(observations)
     places = torch.from_numpy(on_ellipsoid(case.requests))
@@ -233,8 +244,8 @@ def _flown(simulator: Simulator, case: Case, observations: Observations, table: 
     limit = np.radians([satellite.off_nadir for satellite in case.satellites])[observations.satellite]
     wrong = np.stack(
         [
-            ~(found["angle"] <= ANGLE),
-            ~(found["rate"] <= RATE),
+            ~(found["angle"] <= tolerance[0]),
+            ~(found["rate"] <= tolerance[1]),
             ~(found["off_nadir"] <= limit + GEOMETRY),
             ~(found["least"] > 0.0),
         ]
