@@ -156,9 +156,9 @@ def from_slew_limits(
     the largest principal moment of inertia J and the map [W] of body torques to wheels
     (:func:`bsk_torch.sim.fsw.allocation.wheel_map`), from each wheel i
 
-    - the torque ``m J a |W_i|``, since ``J a`` may point anywhere. The margin m covers what turns with the line of sight, the
-      gyroscopic torque, and the feedback of errors: 1.1 is enough for a known inertia, 1.25 with an error of 5 %;
-    - the momentum ``m J (v + w) |W_i|``: a slew is relative to the line of sight, which turns by up to w while a target is tracked.
+    - the torque ``m J a |W_i|``, since ``J a`` may point anywhere. The margin m covers the
+      acceleration of the line of sight, the gyroscopic torque, and the feedback of errors; 1.1 is the least;
+    - the momentum ``m J (v + w) |W_i|``: while a target is tracked, the line of sight turns by up to w besides.
 
     Gains are those of :func:`bsk_torch.fsw.propose_gains` for the steering law, as stiff as ticks of h s allow: the torque of a
     slew is fed forward, and feedback only corrects what is left. Turns without a reference, such as to the Sun, are limited to
@@ -190,7 +190,7 @@ def from_slew_limits(
     )
     h = number(f"{title}: h", h, 0.0, unit="s", above=True)
     number(f"{title}: settling_time", settling_time, 2.0 * h, unit="s")
-    number(f"{title}: margin", margin, 1.0, 100.0)
+    number(f"{title}: margin", margin, 1.1, 100.0)
     moments = torch.tensor(inertia, dtype=torch.float64)
     tensor = torch.diag(moments) if moments.shape == (3,) else moments.view(3, 3)
     J = float(torch.linalg.eigvalsh(tensor)[-1])

@@ -77,7 +77,6 @@ def coasted(bus: Bus, motion: Motion, dt: Tensor) -> Motion:
     r, v, _, _ = navigated(bus)
     n = torch.sqrt(v.dot(v) / r.dot(r))
     cos, sin = torch.cos(n * dt), torch.sin(n * dt)
-    spin = bus.EN.z * EARTH_ROTATION_RATE
     r_L, v_L = r - motion.r, v - motion.v
     turn = EARTH_ROTATION_RATE * dt
     r_L, v_L = (x + bus.EN.z.cross(x) * torch.sin(turn) for x in (r_L, v_L))
@@ -268,9 +267,9 @@ class Start(NamedTuple):
 def start_of(bus: Bus, motion: Motion) -> Start:
     """Return the start of a slew from the motion of the body; it begins a tick later, when the first command acts.
 
-    The rate relative to the tracking frame is limited so that the rate relative to N is at most ``slewRate``: with the parts w_a
-    and w_c of the frame's rate along and across the first rotation vector, ``w_a + sqrt(slewRate^2 - w_c^2)``, at the start and at
-    the end, but at least a tenth of ``slewRate``.
+    The rate relative to the tracking frame is limited so that the rate relative to N is at most ``slewRate``: by
+    ``w_a + sqrt(slewRate^2 - w_c^2)`` with the parts w_a and w_c of the frame's rate along and across the first rotation vector,
+    at the start and at the end, but at least by a tenth of ``slewRate``.
     """
     known, axis_B, at = navigated(bus), bus.instrument_axis_B, sight(motion, 0.0)
     u_B = bus.BN @ at.axes.x.to(bus.dtype)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -28,6 +28,7 @@ from bsk_torch.astro.ephemeris import parse_utc
 from bsk_torch.astro.orbit import hill_frame
 from bsk_torch.formats.tle import read_tle
 from bsk_torch.sim.dyn.effectors.wheel_set import wheel_defaults
+from bsk_torch.sim.names import one_of
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.tasks.aeossp.files import Case, Observations
 from bsk_torch.tasks.aeossp.geometry import Numbers, on_ellipsoid, tracks
@@ -51,9 +52,8 @@ EARLY = 2.0
 
 REASONS = ("pointing", "rate", "off_nadir", "battery")
 
-Power = Literal["case", "wheels"]
-
-POWERS: tuple[Power, ...] = ("case", "wheels")
+POWERS = ("case", "wheels")
+"""What slews draw from the battery."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def fly(
     observations: Observations,
     *,
     factor: float | Sequence[float] = 1.0,
-    power: Power = "case",
+    power: str = "case",
     tick: float = TICK,
     tolerance: tuple[float, float] = (ANGLE, RATE),
     satellites: Sequence[int] | None = None,
@@ -122,11 +122,12 @@ def fly(
         satellites: Numbers of the satellites that are flown (default: all); observations of others are not delivered.
 
     Raises:
-        ValueError: For overlapping observations, and ticks that do not divide the step of the case.
+        ValueError: For overlapping observations, another power, and ticks that do not divide the step of the case.
     """
+    one_of("power", power, POWERS)
     crew = list(range(len(case.satellites))) if satellites is None else list(satellites)
     table = _schedule(observations, crew)
-    if not len(case.satellites) or case.step_s / tick % 1.0:
+    if not math.isclose(case.step_s / tick, round(case.step_s / tick), rel_tol=1e-9):
         raise ValueError(f"tick={tick:g} s must divide the step of {case.step_s} s of the case")
     simulator = _simulator(case, crew, np.broadcast_to(np.asarray(factor, dtype=float), len(crew)), power, tick)
     return _flown(simulator, case, observations, table, tick, tolerance)
@@ -149,7 +150,7 @@ def _schedule(observations: Observations, crew: Sequence[int]) -> NDArray[np.int
     return table
 
 
-def _simulator(case: Case, crew: list[int], factors: NDArray[np.float64], power: Power, tick: float) -> Simulator:
+def _simulator(case: Case, crew: list[int], factors: NDArray[np.float64], power: str, tick: float) -> Simulator:
     """Return the simulation of some satellites of a case at the start of the horizon; they look at nadir."""
     kind = Flyer if power == "case" else WheelPowerFlyer
     arguments = [_arguments(case, number, float(factor), power, tick) for number, factor in zip(crew, factors, strict=True)]
@@ -180,7 +181,7 @@ def _at_nadir(elements: ElementSet, et: float) -> dict[str, Any]:
     }
 
 
-def _arguments(case: Case, number: int, factor: float, power: Power, tick: float) -> dict[str, Any]:
+def _arguments(case: Case, number: int, factor: float, power: str, tick: float) -> dict[str, Any]:
     """Return the arguments of a satellite: its orbit, the wheels of its slew limits, times a factor, and its battery."""
     satellite = case.satellites[number]
     found = craft.from_slew_limits(

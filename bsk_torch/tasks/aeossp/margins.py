@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from bsk_torch.tasks.aeossp.files import Case, Observations
-from bsk_torch.tasks.aeossp.fly import TICK, Flight, Power, fly
+from bsk_torch.tasks.aeossp.fly import TICK, Flight, fly
 from bsk_torch.tasks.aeossp.geometry import Array, Numbers, Tracks, angle, tracks
 from bsk_torch.tasks.aeossp.slews import required_gap
 
@@ -18,7 +18,7 @@ RESOLUTION = 0.01
 """How close a factor is to the smallest one."""
 
 
-def fitting_factor(case: Case, observations: Observations, *, power: Power = "case", tick: float = TICK) -> float:
+def fitting_factor(case: Case, observations: Observations, *, power: str = "case", tick: float = TICK) -> float:
     """Return the factor of slew limits with which all observations of a plan are delivered; infinite above :data:`MOST_FACTOR`.
 
     The same factor multiplies rate and acceleration of all satellites. It is found by bisection for each satellite that does
