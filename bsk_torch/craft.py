@@ -192,6 +192,8 @@ def from_slew_limits(
     number(f"{title}: settling_time", settling_time, 2.0 * h, unit="s")
     number(f"{title}: margin", margin, 1.1, 100.0)
     moments = torch.tensor(inertia, dtype=torch.float64)
+    if moments.shape not in ((3,), (9,)):
+        raise ValueError(f"{title}: inertia={inertia!r} must be 3 or 9 numbers, kg m^2")
     tensor = torch.diag(moments) if moments.shape == (3,) else moments.view(3, 3)
     J = float(torch.linalg.eigvalsh(tensor)[-1])
     shares = torch.linalg.pinv(unit_rows(torch.tensor(axes, dtype=torch.float64)).mT).norm(dim=-1).tolist()

@@ -73,10 +73,6 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "bsk_torch.tasks.aeos_bench.commands:import_aeosbench",
         "Fly the assigned tasks in files of AEOS-Bench, and show the measures of the benchmark.",
     ),
-    "aeossp fly": (
-        "bsk_torch.tasks.aeossp.fly_command:fly_plan",
-        "Fly a plan of aeossp_standard with rigid bodies, wheels and batteries, and show what it delivers.",
-    ),
     "args": (
         "bsk_torch.cli.show:show_arguments",
         "Show the arguments of a preset's satellites and world: value in the preset, default and meaning.",
@@ -107,11 +103,8 @@ class Commands(WithoutTypes, TyperGroup):
             self.epilog = f"{self.epilog}\n\nNot installed: {', '.join(absent)}."
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
-        """Return name, command and further arguments; some names are of two words."""
-        for words in (2, 1):
-            if (name := " ".join(args[:words])) in COMMANDS:
-                return name, loaded(name), args[words:]
-        return super().resolve_command(ctx, args)
+        """Return name, command and further arguments."""
+        return (args[0], loaded(args[0]), args[1:]) if args[0] in COMMANDS else super().resolve_command(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""

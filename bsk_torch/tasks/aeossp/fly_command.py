@@ -37,8 +37,8 @@ def fly_plan(
     limits with which all is delivered; without the latter, none up to 4 does.
 
     Examples:
-        bsk-torch aeossp fly cases/test/case_0001 solution.json
-        bsk-torch aeossp fly case_0001 solution.json --margins 1,2,5,10 --out flown.json
+        bsk-torch aeossp fly test/case_0001 solution.json --out flown.json
+        bsk-torch aeossp fly test/case_0001 solution.json --margins 1,2,5
     """
     from bsk_torch._checks import number
     from bsk_torch.files import write_file
