@@ -27,11 +27,13 @@ from bsk_torch.tasks.aeossp.slews import Fits, verifier
 PRICING, GENERATION, REPEATS = 150, 60, 4
 """Steps of the prices, most rounds of further columns, and most attempts to get rid of a task that a chain observes twice."""
 
-VARIED, SPREAD, SLACK = 80, 0.5, 1.5
-"""Rounds of chains at prices which differ by up to this part, and how much less, in weight, such a chain may be worth than the
-best one of its cluster."""
+CYCLES, VARIED = 2, 60
+"""Cycles of further columns, and rounds of chains at varied prices in each."""
 
-NODES, GAP = 2000, 1e-5
+SPREAD, SLACK = 0.5, 1.5
+"""By which part prices vary, and how much less, in weight, such a chain may be worth than the best one of its cluster."""
+
+NODES, GAP = 50, 2e-4
 """Most nodes of HiGHS's tree, and the relative gap at which it stops."""
 
 RESERVE = 0.02
@@ -83,10 +85,14 @@ def plan(
     rates = None if fits is verifier else [satellite.slew_rate for satellite in case.satellites]
     tell("finding passes")
     network = build(case, positions, find_passes(case, positions, rates), fits, margin_s)
+    if not len(network.of):
+        nothing = np.empty(0, dtype=np.int64)
+        return Plan(Observations(nothing, nothing, nothing, nothing), 0.0, 0)
     master, random = _Master(case, network), np.random.default_rng(seed)
     bound = _price(master, tell) / case.requests.weight.sum()
     while True:
-        _generate(master, random, tell)
+        for _ in range(1 if master.limits else CYCLES):
+            _generate(master, random, tell)
         tell(f"choosing among {len(master.columns)} chains")
         nodes = master.choose()
         observations = _observations(case, network, nodes)
@@ -191,7 +197,7 @@ class _Master:
             parts.append((np.full(len(nodes), clusters + tasks + k), column, limit.energy[nodes]))
         row, column_of, entry = (np.concatenate(values) for values in zip(*parts, strict=True))
         shape = clusters + tasks + len(self.limits), len(sizes)
-        worth = np.bincount(column, self.case.requests.weight[self.network.task[nodes]])
+        worth = np.bincount(column, self.case.requests.weight[self.network.task[nodes]]).astype(np.float64)
         most = np.concatenate([np.ones(clusters + tasks), [limit.most for limit in self.limits]])
         return worth, csr_matrix((entry, (row, column_of)), shape=shape), most
 
@@ -221,8 +227,9 @@ class _Master:
 def _price(master: _Master, tell: Callable[[str], object]) -> float:
     """Find prices of tasks by subgradient steps, which halve where they do not help; return the least upper bound."""
     weight, count = master.case.requests.weight, len(master.case.requests)
+    whole = float(weight.sum())
     prices, bound, scale, stalled = master.prices, np.inf, 0.02, 0
-    everything = np.ones(len(master.network.of))
+    everything: Array = np.ones(len(master.network.of))
     for step in range(PRICING):
         nodes, values = best_chains(master.network, (weight - prices)[master.network.task])
         master.add(nodes, everything, np.zeros(master.network.clusters))
@@ -236,9 +243,9 @@ def _price(master: _Master, tell: Callable[[str], object]) -> float:
             continue
         slope = np.bincount(master.network.task[nodes], minlength=count) - 1.0
         slope[(slope < 0.0) & (prices <= 0.0)] = 0.0
-        prices = np.maximum(prices + scale * bound / max(slope @ slope, 1.0) * slope, 0.0)
+        prices = np.maximum(prices + scale * bound / max(float(slope @ slope), 1.0) * slope, 0.0)
         if step % 10 == 0:
-            tell(f"pricing: at most {bound / weight.sum():.4f} of the weight")
+            tell(f"pricing: at most {bound / whole:.4f} of the weight")
     return bound
 
 
