@@ -61,7 +61,7 @@ def main():
         (args.out / "solution.json").write_text(json.dumps({"actions": plan}, indent=0) + "\n")
         return verify_solution(args.out, args.out / "solution.json")
 
-    moves = [(k % len(actions), MOVES[k % len(MOVES)]) for k in range(0, 7 * 40, 7)]
+    moves = [(k % len(actions), MOVES[k % len(MOVES)]) for k in range(0, 7 * 20, 7)]
     verdicts = [[number, seconds, verdict(moved(actions, number, seconds)).valid] for number, seconds in moves]
     report = verdict(actions)
     kept = ("per_task", "maneuver_windows", "per_satellite_resource_summary")

@@ -89,7 +89,7 @@ def plan(
         nothing = np.empty(0, dtype=np.int64)
         return Plan(Observations(nothing, nothing, nothing, nothing), 0.0, 0)
     master, random = _Master(case, network), np.random.default_rng(seed)
-    bound = _price(master, tell) / case.requests.weight.sum()
+    bound = _price(master, tell) / float(case.requests.weight.sum())
     while True:
         for _ in range(1 if master.limits else CYCLES):
             _generate(master, random, tell)
@@ -148,7 +148,7 @@ class _Master:
         """
         clusters, begins = np.unique(self.cluster[nodes], return_index=True)
         before = len(self.columns)
-        for cluster, chain in zip(clusters, np.split(nodes, begins[1:]), strict=True):
+        for cluster, chain in zip(clusters, np.split(nodes, begins)[1:], strict=True):
             tasks = np.unique(self.network.task[chain])
             known = (int(cluster), *tasks.tolist())
             if len(tasks) < len(chain) or known in self._known:
@@ -202,23 +202,25 @@ class _Master:
         return worth, csr_matrix((entry, (row, column_of)), shape=shape), most
 
     def limit(self, nodes: Numbers, power: Power) -> bool:
-        """Limit the energy on satellites whose batteries fall below the reserve in a plan; return whether there are any.
+        """Limit the energy on satellites whose batteries observations take below the reserve; return whether there are any.
 
         What an observation costs is its own energy, and that of the satellite's mean slew in this plan.
         """
         network, case = self.network, self.case
         satellite = network.passes.satellite[network.of]
         reserve = RESERVE * np.array([craft.capacity_wh for craft in case.satellites])
-        short = np.flatnonzero(power.least_wh < reserve)
-        for number in short:
+        before = len(self.limits)
+        for number in np.flatnonzero(power.least_wh < reserve):
             craft, mine = case.satellites[number], satellite == number
-            slew = craft.slew_w * power.slewing_s[number] / np.count_nonzero(mine[nodes])
+            slew = craft.slew_w * power.slewing_s[number] / max(np.count_nonzero(mine[nodes]), 1)
             length = (network.end - network.start) * case.step_s
             counts = mine & (network.start * case.step_s >= power.full_s[number])
             counts &= network.end * case.step_s <= power.least_s[number]
             energy = np.where(counts, (craft.imaging_w * length + slew) / 3600.0, 0.0)
-            self.limits.append(_Limit(energy, max(energy[nodes].sum() - (reserve[number] - power.least_wh[number]) - 0.1, 0.0)))
-        return len(short) > 0
+            used = energy[nodes].sum()
+            if used > 0.0:  # else the satellite is short of energy by itself
+                self.limits.append(_Limit(energy, max(used - (reserve[number] - power.least_wh[number]) - 0.1, 0.0)))
+        return len(self.limits) > before
 
 
 # -- prices ---------------------------------------------------------------------------------------------------------------------

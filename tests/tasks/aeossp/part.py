@@ -1,6 +1,6 @@
 """A part of a case of aeossp_standard with what the benchmark's verifier says about it, by scripts/recorders/record_aeossp.py.
 
-The case is of github.com/Mtrya/astro-reason (MIT license, copyright 2025 Mtrya); places are of GeoNames (CC BY 4.0).
+The case is of github.com/Mtrya/astro-reason (MIT license, copyright 2026 OpenMOSS-Team); places are of GeoNames (CC BY 4.0).
 """
 
 from pathlib import Path

@@ -12,7 +12,7 @@ ANGLE = 1e-5
 """Degrees: brahe moves the orbit by up to 0.5 mm, and rounds the frames otherwise."""
 
 CHARGE = 0.002
-"""Part by which energies of panels differ: the verifier's Sun is 0.08 deg off, which moves ends of the shadow by a step of 10 s."""
+"""Part by which energies of panels differ: the verifier's Sun is 0.08 deg off, which moves ends of the shadow by 10 s."""
 
 
 @pytest.fixture(scope="module")
