@@ -59,7 +59,7 @@ class Network:
     @property
     def clusters(self) -> int:
         """Number of clusters."""
-        return int(self.cluster[-1]) + 1
+        return int(self.cluster.max(initial=-1)) + 1
 
 
 def build(case: Case, positions: Tracks, passes: Passes, fits: Fits, margin_s: float) -> Network:

@@ -27,11 +27,13 @@ from bsk_torch.tasks.aeossp.slews import Fits, verifier
 PRICING, GENERATION, REPEATS = 150, 60, 4
 """Steps of the prices, most rounds of further columns, and most attempts to get rid of a task that a chain observes twice."""
 
-VARIED, SPREAD, SLACK = 80, 0.5, 1.5
-"""Rounds of chains at prices which differ by up to this part, and how much less, in weight, such a chain may be worth than the
-best one of its cluster."""
+CYCLES, VARIED = 2, 60
+"""Cycles of further columns, and rounds of chains at varied prices in each."""
 
-NODES, GAP = 2000, 1e-5
+SPREAD, SLACK = 0.5, 1.5
+"""By which part prices vary, and how much less, in weight, such a chain may be worth than the best one of its cluster."""
+
+NODES, GAP = 50, 2e-4
 """Most nodes of HiGHS's tree, and the relative gap at which it stops."""
 
 RESERVE = 0.02
@@ -83,10 +85,14 @@ def plan(
     rates = None if fits is verifier else [satellite.slew_rate for satellite in case.satellites]
     tell("finding passes")
     network = build(case, positions, find_passes(case, positions, rates), fits, margin_s)
+    if not len(network.of):
+        nothing = np.empty(0, dtype=np.int64)
+        return Plan(Observations(nothing, nothing, nothing, nothing), 0.0, 0)
     master, random = _Master(case, network), np.random.default_rng(seed)
-    bound = _price(master, tell) / case.requests.weight.sum()
+    bound = _price(master, tell) / float(case.requests.weight.sum())
     while True:
-        _generate(master, random, tell)
+        for _ in range(1 if master.limits else CYCLES):
+            _generate(master, random, tell)
         tell(f"choosing among {len(master.columns)} chains")
         nodes = master.choose()
         observations = _observations(case, network, nodes)
@@ -142,7 +148,7 @@ class _Master:
         """
         clusters, begins = np.unique(self.cluster[nodes], return_index=True)
         before = len(self.columns)
-        for cluster, chain in zip(clusters, np.split(nodes, begins[1:]), strict=True):
+        for cluster, chain in zip(clusters, np.split(nodes, begins)[1:], strict=True):
             tasks = np.unique(self.network.task[chain])
             known = (int(cluster), *tasks.tolist())
             if len(tasks) < len(chain) or known in self._known:
@@ -191,28 +197,30 @@ class _Master:
             parts.append((np.full(len(nodes), clusters + tasks + k), column, limit.energy[nodes]))
         row, column_of, entry = (np.concatenate(values) for values in zip(*parts, strict=True))
         shape = clusters + tasks + len(self.limits), len(sizes)
-        worth = np.bincount(column, self.case.requests.weight[self.network.task[nodes]])
+        worth = np.bincount(column, self.case.requests.weight[self.network.task[nodes]]).astype(np.float64)
         most = np.concatenate([np.ones(clusters + tasks), [limit.most for limit in self.limits]])
         return worth, csr_matrix((entry, (row, column_of)), shape=shape), most
 
     def limit(self, nodes: Numbers, power: Power) -> bool:
-        """Limit the energy on satellites whose batteries fall below the reserve in a plan; return whether there are any.
+        """Limit the energy on satellites whose batteries observations take below the reserve; return whether there are any.
 
         What an observation costs is its own energy, and that of the satellite's mean slew in this plan.
         """
         network, case = self.network, self.case
         satellite = network.passes.satellite[network.of]
         reserve = RESERVE * np.array([craft.capacity_wh for craft in case.satellites])
-        short = np.flatnonzero(power.least_wh < reserve)
-        for number in short:
+        before = len(self.limits)
+        for number in np.flatnonzero(power.least_wh < reserve):
             craft, mine = case.satellites[number], satellite == number
-            slew = craft.slew_w * power.slewing_s[number] / np.count_nonzero(mine[nodes])
+            slew = craft.slew_w * power.slewing_s[number] / max(np.count_nonzero(mine[nodes]), 1)
             length = (network.end - network.start) * case.step_s
             counts = mine & (network.start * case.step_s >= power.full_s[number])
             counts &= network.end * case.step_s <= power.least_s[number]
             energy = np.where(counts, (craft.imaging_w * length + slew) / 3600.0, 0.0)
-            self.limits.append(_Limit(energy, max(energy[nodes].sum() - (reserve[number] - power.least_wh[number]) - 0.1, 0.0)))
-        return len(short) > 0
+            used = energy[nodes].sum()
+            if used > 0.0:  # else the satellite is short of energy by itself
+                self.limits.append(_Limit(energy, max(used - (reserve[number] - power.least_wh[number]) - 0.1, 0.0)))
+        return len(self.limits) > before
 
 
 # -- prices ---------------------------------------------------------------------------------------------------------------------
@@ -221,8 +229,9 @@ class _Master:
 def _price(master: _Master, tell: Callable[[str], object]) -> float:
     """Find prices of tasks by subgradient steps, which halve where they do not help; return the least upper bound."""
     weight, count = master.case.requests.weight, len(master.case.requests)
+    whole = float(weight.sum())
     prices, bound, scale, stalled = master.prices, np.inf, 0.02, 0
-    everything = np.ones(len(master.network.of))
+    everything: Array = np.ones(len(master.network.of))
     for step in range(PRICING):
         nodes, values = best_chains(master.network, (weight - prices)[master.network.task])
         master.add(nodes, everything, np.zeros(master.network.clusters))
@@ -236,9 +245,9 @@ def _price(master: _Master, tell: Callable[[str], object]) -> float:
             continue
         slope = np.bincount(master.network.task[nodes], minlength=count) - 1.0
         slope[(slope < 0.0) & (prices <= 0.0)] = 0.0
-        prices = np.maximum(prices + scale * bound / max(slope @ slope, 1.0) * slope, 0.0)
+        prices = np.maximum(prices + scale * bound / max(float(slope @ slope), 1.0) * slope, 0.0)
         if step % 10 == 0:
-            tell(f"pricing: at most {bound / weight.sum():.4f} of the weight")
+            tell(f"pricing: at most {bound / whole:.4f} of the weight")
     return bound
 
 

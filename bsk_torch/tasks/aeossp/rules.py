@@ -225,7 +225,7 @@ def find_power(case: Case, observations: Observations, slews: Slews) -> Power:
     return Power(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
-def _power_of(case: Case, number: int, observations: Observations, slews: Slews) -> tuple[float, ...]:
+def _power_of(case: Case, number: int, observations: Observations, slews: Slews) -> tuple[np.float64 | float, ...]:
     """Return the fields of a satellite's :class:`Power`."""
     satellite, horizon = case.satellites[number], float(case.horizon_s)
     mine = np.flatnonzero(observations.satellite == number)
@@ -243,16 +243,9 @@ def _power_of(case: Case, number: int, observations: Observations, slews: Slews)
     charge = np.concatenate([[satellite.initial_wh], unlimited - lost])
     least = int(np.argmin(charge))
     full = np.flatnonzero(charge[:least] >= satellite.capacity_wh)
-    return (
-        charge[least],
-        times[least],
-        times[full[-1]] if len(full) else 0.0,
-        charge[-1],
-        load @ seconds / 3600.0,
-        supply @ seconds / 3600.0,
-        imaging @ seconds,
-        slewing @ seconds,
-    )
+    used, charged = ((power * seconds).sum() / 3600.0 for power in (load, supply))
+    when = times[least], times[full[-1]] if len(full) else 0.0
+    return charge[least], *when, charge[-1], used, charged, seconds[imaging].sum(), seconds[slewing].sum()
 
 
 def _active(times: Array, begin: Array, end: Array) -> NDArray[np.bool_]:
