@@ -18,6 +18,8 @@ if TYPE_CHECKING:
         read_solution,
         write_solution,
     )
+    from bsk_torch.tasks.aeossp.flight import Flight, fly
+    from bsk_torch.tasks.aeossp.margins import fitting_factor, thinned
     from bsk_torch.tasks.aeossp.planning import Plan, plan
     from bsk_torch.tasks.aeossp.rules import Power, Report, Slews, check
     from bsk_torch.tasks.aeossp.slews import Line, flyable, verifier
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Case",
     "CaseSatellite",
+    "Flight",
     "Line",
     "Observations",
     "Plan",
@@ -33,10 +36,13 @@ __all__ = [
     "Requests",
     "Slews",
     "check",
+    "fitting_factor",
+    "fly",
     "flyable",
     "plan",
     "read_case",
     "read_solution",
+    "thinned",
     "verifier",
     "write_solution",
 ]
@@ -45,6 +51,8 @@ _MODULES = {
     **dict.fromkeys(
         ("Case", "CaseSatellite", "Observations", "Requests", "read_case", "read_solution", "write_solution"), "files"
     ),
+    **dict.fromkeys(("Flight", "fly"), "flight"),
+    **dict.fromkeys(("fitting_factor", "thinned"), "margins"),
     **dict.fromkeys(("Plan", "plan"), "planning"),
     **dict.fromkeys(("Power", "Report", "Slews", "check"), "rules"),
     **dict.fromkeys(("Line", "flyable", "verifier"), "slews"),

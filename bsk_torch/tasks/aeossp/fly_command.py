@@ -1,4 +1,4 @@
-"""``bsk-torch aeossp fly``: what a plan of aeossp_standard promises, and what satellites with body and wheels deliver."""
+"""``bsk-torch fly-aeossp``: what a plan of aeossp_standard promises, and what satellites with body and wheels deliver."""
 
 from __future__ import annotations
 
@@ -12,18 +12,17 @@ import typer
 from bsk_torch.cli.declaration import JsonFile, flag
 from bsk_torch.cli.shared import check_writable
 from bsk_torch.cli.terminal import activity, refusing, working
+from bsk_torch.tasks.aeossp.commands import CaseFolder
 
 if TYPE_CHECKING:
     from bsk_torch.tasks.aeossp.files import Case, Observations
-    from bsk_torch.tasks.aeossp.fly import Flight
-
-CaseFolder = Annotated[Path, typer.Argument(metavar="CASE", help="Folder of the case.", show_default=False)]
-SolutionPath = Annotated[Path, typer.Argument(metavar="SOLUTION", help="JSON file of the plan.", show_default=False)]
+    from bsk_torch.tasks.aeossp.flight import Flight
 
 
-def fly_plan(
+
+def fly_aeossp(
     case: CaseFolder,
-    solution: SolutionPath,
+    solution: Annotated[Path, typer.Argument(metavar="FILE", help="JSON file of the solution.", show_default=False)],
     power: Annotated[str, flag("NAME", "Load of slews: 'case', as in the case, or 'wheels', that of the wheels.")] = "case",
     tick: Annotated[float, flag("S", "Length of a tick.")] = 0.1,
     margins: Annotated[str, flag("S,S,...", "Also fly the plan without observations whose gaps have less slack.")] = "",
@@ -37,14 +36,14 @@ def fly_plan(
     limits with which all is delivered; without the latter, none up to 4 does.
 
     Examples:
-        bsk-torch aeossp fly test/case_0001 solution.json --out flown.json
-        bsk-torch aeossp fly test/case_0001 solution.json --margins 1,2,5
+        bsk-torch fly-aeossp test/case_0001 solution.json
+        bsk-torch fly-aeossp case solution.json --margins 1,2,5 --out flown.json
     """
     from bsk_torch._checks import number
     from bsk_torch.files import write_file
     from bsk_torch.tables import print_table
     from bsk_torch.tasks.aeossp.files import read_case, read_solution
-    from bsk_torch.tasks.aeossp.fly import fly
+    from bsk_torch.tasks.aeossp.flight import fly
     from bsk_torch.tasks.aeossp.margins import fitting_factor, thinned
 
     check_writable(out)
@@ -72,7 +71,7 @@ def fly_plan(
 
 def cells(case: Case, observations: Observations, flight: Flight) -> dict[str, str]:
     """Return a row of the table: delivered of promised observations and weight, and reasons of missed ones."""
-    from bsk_torch.tasks.aeossp.fly import REASONS
+    from bsk_torch.tasks.aeossp.flight import REASONS
     from bsk_torch.tasks.aeossp.margins import completed_weight, delivered
 
     missed = {reason: int((flight.missed == k).sum()) for k, reason in enumerate(REASONS)}
@@ -87,7 +86,7 @@ def cells(case: Case, observations: Observations, flight: Flight) -> dict[str, s
 def described(case: Case, observations: Observations, flight: Flight) -> list[dict[str, object]]:
     """Return what became of each observation."""
     from bsk_torch.tasks.aeossp.files import iso
-    from bsk_torch.tasks.aeossp.fly import REASONS
+    from bsk_torch.tasks.aeossp.flight import REASONS
 
     return [
         {

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from bsk_torch.tasks.aeossp.files import Case, Observations
-from bsk_torch.tasks.aeossp.fly import TICK, Flight, fly
+from bsk_torch.tasks.aeossp.flight import TICK, Flight, fly
 from bsk_torch.tasks.aeossp.geometry import Array, Numbers, Tracks, angle, tracks
 from bsk_torch.tasks.aeossp.slews import required_gap
 
