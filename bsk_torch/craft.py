@@ -8,6 +8,7 @@ and add entries as in any dictionary. Where each number comes from: ``docs/how_t
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,11 +16,14 @@ import torch
 from torch import Tensor
 from typing_extensions import override
 
+from bsk_torch._checks import number
 from bsk_torch.rand import Distribution, Key, Uniform
 from bsk_torch.sim.dyn import Thruster, Wheel, pyramid
+from bsk_torch.sim.dyn.axes import unit_rows
 from bsk_torch.sim.fsw import propose_gains
+from bsk_torch.sim.fsw.stability import RATE_SHARE, attitude_rate
 
-__all__ = ["aeos_bench", "agile_imager", "cubesat", "imager", "octet"]
+__all__ = ["aeos_bench", "agile_imager", "cubesat", "from_slew_limits", "imager", "octet"]
 
 PYRAMID = pyramid(0.8)
 """Axes of the four wheels of the first three spacecraft."""
@@ -128,6 +132,89 @@ def agile_imager(h: float = 1.0, law: str = "steering") -> dict[str, Any]:
         wheelSpeeds=Uniform(-500.0, 500.0, 4),
         maxWheelSpeed=6000.0,
     )
+
+
+BODY_AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+TOP_SPEED = 6000.0  # of wheels for slew limits, rpm
+
+
+def from_slew_limits(
+    max_rate_deg_s: float,
+    max_acceleration_deg_s2: float,
+    settling_time: float = 2.0,
+    inertia: Sequence[float] = (82.0, 98.0, 121.0),
+    h: float = 0.1,
+    *,
+    tracking_rate_deg_s: float = 1.0,
+    margin: float = 1.25,
+    axes: Sequence[Sequence[float]] = BODY_AXES,
+) -> dict[str, Any]:
+    """Return the arguments of a body with wheels that flies slews within limits of rate and acceleration.
+
+    They are those of ``fsw.ReferenceSlewFSWModel``. Planners state what a satellite can do as the time of a turn by d from rest
+    to rest, ``2 sqrt(d / a)`` for small turns, else ``d / v + v / a``, and a settling time. A satellite that flies it needs, with
+    the largest principal moment of inertia J and the map [W] of body torques to wheels
+    (:func:`bsk_torch.sim.fsw.allocation.wheel_map`), from each wheel i
+
+    - the torque ``m J a |W_i|``, since ``J a`` may point anywhere. The margin m covers the
+      acceleration of the line of sight, the gyroscopic torque, and the feedback of errors; 1.1 is the least;
+    - the momentum ``m J (v + w) |W_i|``: while a target is tracked, the line of sight turns by up to w besides.
+
+    Gains are those of :func:`bsk_torch.fsw.propose_gains` for the steering law, as stiff as ticks of h s allow: the torque of a
+    slew is fed forward, and feedback only corrects what is left. Turns without a reference, such as to the Sun, are limited to
+    the rate from which the wheels can brake, at most half of what they can store.
+
+    The settling time bounds the tick: what is commanded at the end of a tick turns the body two ticks later.
+
+    Args:
+        max_rate_deg_s: Largest rate v of a slew, deg/s.
+        max_acceleration_deg_s2: Largest acceleration a, deg/s^2.
+        settling_time: Time after a slew in which errors may settle, s.
+        inertia: Inertia: 3 principal moments, or 9 numbers, kg m^2 in B.
+        h: Length of a tick, s.
+        tracking_rate_deg_s: Largest rate w of the line of sight to a tracked target, deg/s: 1 for orbits above 450 km.
+        margin: Margin m of torque and momentum.
+        axes: Spin axes of the wheels in B; they start at rest.
+
+    Raises:
+        ValueError: For numbers out of range, and a settling time of less than two ticks.
+    """
+    title = "from_slew_limits"
+    v, a, w = (
+        math.radians(number(f"{title}: {name}", value, 1e-4, 100.0, unit=unit))
+        for name, value, unit in (
+            ("max_rate_deg_s", max_rate_deg_s, "deg/s"),
+            ("max_acceleration_deg_s2", max_acceleration_deg_s2, "deg/s^2"),
+            ("tracking_rate_deg_s", tracking_rate_deg_s, "deg/s"),
+        )
+    )
+    h = number(f"{title}: h", h, 0.0, unit="s", above=True)
+    number(f"{title}: settling_time", settling_time, 2.0 * h, unit="s")
+    number(f"{title}: margin", margin, 1.1, 100.0)
+    moments = torch.tensor(inertia, dtype=torch.float64)
+    if moments.shape not in ((3,), (9,)):
+        raise ValueError(f"{title}: inertia={inertia!r} must be 3 or 9 numbers, kg m^2")
+    tensor = torch.diag(moments) if moments.shape == (3,) else moments.view(3, 3)
+    J = float(torch.linalg.eigvalsh(tensor)[-1])
+    shares = torch.linalg.pinv(unit_rows(torch.tensor(axes, dtype=torch.float64)).mT).norm(dim=-1).tolist()
+    wheels = [
+        Wheel("custom", axis, margin * J * (v + w) * share, Omega_max=TOP_SPEED, u_max=margin * J * a * share)
+        for axis, share in zip(axes, shares, strict=True)
+    ]
+    unsaturated = margin * a / attitude_rate(RATE_SHARE / h, 1.0) ** 2
+    gains = propose_gains(tensor, wheels, h, "steering", slew=min(unsaturated, math.pi))
+    decay = float(gains["K1"]) / 4.0
+    gains["omega_max"] = min(margin * a / decay, 0.5 * margin * (v + w))
+    return {
+        "inertia": tensor.flatten().tolist(),
+        "wheels": wheels,
+        "wheelSpeeds": [0.0] * len(wheels),
+        "maxWheelSpeed": TOP_SPEED,
+        "inst_pHat_B": DOWN,
+        "slewRate": v,
+        "slewAcceleration": a,
+        **gains,
+    }
 
 
 BENCH_MOMENTA = {12.0: "HR12", 25.0: "HR14", 50.0: "HR16", 75.0: "HR16", 100.0: "HR16"}

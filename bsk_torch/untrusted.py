@@ -1,4 +1,4 @@
-"""Files that others may have made: the one door for JSON, compressed bytes, archives of torch, and memory-mapped tensordicts.
+"""Files that others may have made: the one door for JSON, YAML, compressed bytes, archives of torch, and memory-mapped data.
 
 Nothing in such a file is executed. Sizes, shapes and depths are compared with bounds before anything is allocated, so that a
 small file costs little memory and time. Whatever is wrong with a file is a ValueError with the reason, to which readers add the
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import io
+import json
 import zipfile
 import zlib
 from collections.abc import Hashable, Iterator, Mapping
@@ -30,6 +31,9 @@ Schema = TypeVar("Schema")
 
 MOST_JSON = 2**24
 """Largest JSON file, bytes."""
+
+MOST_YAML, DEEPEST_YAML = 2**18, 20
+"""Most values in a YAML file, and the most levels at which they are nested."""
 
 MOST_ERRORS = 1000
 """Wrong entries from which on a message names none."""
@@ -149,6 +153,81 @@ def _place(parts: tuple[int | str, ...]) -> str:
     """Return a path such as ``satellites[1].mass``."""
     names = (f".{part}" if isinstance(part, str) and part.isidentifier() else f"[{part!r}]" for part in parts)
     return "".join(names).removeprefix(".")
+
+
+# -- YAML ---------------------------------------------------------------------------------------------------------------------
+
+
+def parse_yaml(content: bytes, schema: type[Schema]) -> Schema:
+    """Return YAML as a ``schema``, likewise.
+
+    Keys are text and occur once. Times without quotes are text, too. ValueError, with the line, for other content, and for
+    aliases, tags, and more values or levels than :data:`MOST_YAML` and :data:`DEEPEST_YAML`.
+    """
+    import yaml
+    from pydantic import ValidationError
+
+    try:
+        _check_yaml(content)
+        node = yaml.compose(content, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+        values = json.dumps(_plain(node, yaml.constructor.SafeConstructor()))
+    except yaml.MarkedYAMLError as error:
+        line = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
+        raise ValueError(one_line(f"{line}{error.problem or error}")) from None
+    except yaml.YAMLError as error:
+        raise ValueError(one_line(str(error))) from None
+    try:
+        return _root(cast(Hashable, schema)).model_validate_json(values).root
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]["loc"] if error.error_count() <= MOST_ERRORS else ()
+        raise ValueError(one_line(f"line {_line(node, first)}: {_reason(error)}")) from None
+
+
+def _check_yaml(content: bytes) -> None:
+    """Raise ValueError for YAML that is larger, when read, than it looks."""
+    import yaml
+
+    depth = values = 0
+    for event in yaml.parse(content, getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
+        values += isinstance(event, yaml.NodeEvent)
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        line = event.start_mark.line + 1
+        if values > MOST_YAML or depth > DEEPEST_YAML:
+            raise ValueError(f"line {line}: it has more than {MOST_YAML:,} values, or more than {DEEPEST_YAML} levels")
+        if isinstance(event, yaml.AliasEvent):
+            raise ValueError(f"line {line}: it has aliases of YAML")
+        if getattr(event, "tag", None) is not None:
+            raise ValueError(f"line {line}: it has the tag {event.tag!r:.80} of YAML; values are literal")
+
+
+def _plain(node: Any, constructor: Any) -> object:
+    """Return the value of a node of YAML, in dictionaries and lists."""
+    if node is None:
+        return None
+    if node.id == "sequence":
+        return [_plain(part, constructor) for part in node.value]
+    if node.id == "scalar":
+        is_text = node.tag.endswith((":str", ":timestamp", ":value", ":merge"))
+        return node.value if is_text else constructor.construct_object(node)
+    values: dict[str, object] = {}
+    for key, part in node.value:
+        if key.id != "scalar" or key.value in values:
+            raise ValueError(f"line {key.start_mark.line + 1}: the key {_short(key.value)} is no text, or occurs twice")
+        values[key.value] = _plain(part, constructor)
+    return values
+
+
+def _line(node: Any, place: tuple[int | str, ...]) -> int:
+    """Return the line of the entry at ``place``, or of the innermost part around it that exists."""
+    for part in place:
+        if node is not None and node.id == "mapping":
+            inner = next((value for key, value in node.value if key.value == part), None)
+        else:
+            inner = node.value[part] if node is not None and node.id == "sequence" and isinstance(part, int) else None
+        if inner is None:
+            break
+        node = inner
+    return node.start_mark.line + 1 if node is not None else 1
 
 
 # -- bytes --------------------------------------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ import torch
 from bsk_torch import SatelliteTasking, act, craft, data, dyn, fsw, obs, sats, scene
 from bsk_torch.constants import SOLAR_FLUX
 from bsk_torch.rand import first_key
+from tests.support.refusals import check_refusals, refusal
 
 PAGE = Path(__file__).parents[1] / "docs" / "how_to" / "spacecraft_library.md"
 
@@ -155,3 +156,30 @@ def test_an_octet_exerts_torques_only():
     assert torques.sum(0).abs().max() < 1e-15
     assert torch.linalg.matrix_rank(torques) == 3
     assert torch.equal(torques[:4], torques[4:])
+
+
+def test_wheels_of_slew_limits():
+    """Numbers by hand for 121 kg m^2, 1.8 deg/s and 0.4 deg/s^2; wheels on the faces of a regular tetrahedron share 3/4 each."""
+    args = craft.from_slew_limits(1.8, 0.4, margin=1.1)
+    torque, momentum = 1.1 * 121.0 * math.radians(0.4), 1.1 * 121.0 * math.radians(1.8 + 1.0)
+    for wheel in args["wheels"]:
+        assert wheel.u_max == pytest.approx(torque)
+        assert wheel.maxMomentum == pytest.approx(momentum)
+    assert torque == pytest.approx(1.1 * 0.845, rel=1e-3)
+    pyramid = dyn.pyramid(1.0 / math.sqrt(2.0))  # 54.7 degrees from its axis
+    four = craft.from_slew_limits(1.8, 0.4, margin=1.1, axes=pyramid)
+    assert [wheel.u_max for wheel in four["wheels"]] == pytest.approx([0.75 * torque] * 4)
+    turned = craft.from_slew_limits(1.8, 0.4, margin=1.1, inertia=[90.0, 20.0, 0.0, 20.0, 90.0, 0.0, 0.0, 0.0, 80.0])
+    assert turned["wheels"][0].u_max == pytest.approx(110.0 / 121.0 * torque)
+
+
+def test_refusals_of_slew_limits():
+    check_refusals(
+        refusal(lambda: craft.from_slew_limits(0.0, 0.4), ValueError, "max_rate_deg_s=0.0", "deg/s"),
+        refusal(lambda: craft.from_slew_limits(1.8, -1.0), ValueError, "max_acceleration_deg_s2=-1.0", "deg/s^2"),
+        refusal(lambda: craft.from_slew_limits(1.8, 0.4, 0.5, h=0.5), ValueError, "settling_time=0.5", "1"),
+        refusal(lambda: craft.from_slew_limits(1.8, 0.4, margin=1.0), ValueError, "margin=1.0", "1.1"),
+        refusal(lambda: craft.from_slew_limits(1.8, 0.4, inertia=(1.0, 2.0)), ValueError, "inertia=(1.0, 2.0)"),
+        refusal(lambda: craft.from_slew_limits(1.8, 0.4, inertia=(1.0, 1.0, 5.0)), ValueError, "inertia"),
+        refusal(lambda: craft.from_slew_limits(1.8, 0.4, axes=[(1, 0, 0), (0, 1, 0)]), ValueError, "axes"),
+    )

@@ -77,6 +77,18 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "bsk_torch.tasks.aeos_bench.commands:import_aeosbench",
         "Fly the assigned tasks in files of AEOS-Bench, and show the measures of the benchmark.",
     ),
+    "plan-aeossp": (
+        "bsk_torch.tasks.aeossp.commands:plan_aeossp",
+        "Plan the observations of a case of aeossp_standard, and write a solution that its verifier accepts.",
+    ),
+    "check-aeossp": (
+        "bsk_torch.tasks.aeossp.commands:check_aeossp",
+        "Check a solution of a case of aeossp_standard by the benchmark's rules; the exit status is 1 for an invalid one.",
+    ),
+    "fly-aeossp": (
+        "bsk_torch.tasks.aeossp.fly_command:fly_aeossp",
+        "Fly a plan of aeossp_standard with rigid bodies, wheels and batteries, and show what it delivers.",
+    ),
     "args": (
         "bsk_torch.cli.show:show_arguments",
         "Show the arguments of a preset's satellites and world: value in the preset, default and meaning.",

@@ -24,7 +24,8 @@ from bsk_torch._listed import LISTED
 
 ROOT = Path(__file__).resolve().parents[2]
 
-ROOMS = ("tasks/aeos_bench", "tasks/areas", "tasks/inspection", "tasks/objects", "tasks/safe_autonomy", "lab", "viewer", "bsk_rl")
+TASKS = ("aeos_bench", "aeossp", "areas", "inspection", "objects", "safe_autonomy")
+ROOMS = (*(f"tasks/{task}" for task in TASKS), "lab", "viewer", "bsk_rl")
 
 
 def copy_repository(target: Path) -> None:

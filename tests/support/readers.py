@@ -11,6 +11,7 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import torch
+import yaml
 from tensordict import TensorDict
 
 from bsk_torch.cli.run_folder import Summary
@@ -31,10 +32,12 @@ from bsk_torch.rl.training.config import PPOConfig, save_config
 from bsk_torch.rl.training.log import read_log
 from bsk_torch.tasks.aeos_bench import read_cases
 from bsk_torch.tasks.aeos_bench.annotations import TASK_ID, read_assignments
+from bsk_torch.tasks.aeossp import read_case, read_solution
 from bsk_torch.tasks.objects import RSOTarget, RSOTargetCatalog
 from bsk_torch.untrusted import Word, parse_json, read_json
 from tests.support.recordings import synthetic_recording
 from tests.tasks.aeos_bench import aeos_cases
+from tests.tasks.aeossp.part import FILES, PART, part
 
 Change = Callable[[Any], Any]
 """Changes nested dictionaries and lists."""
@@ -64,6 +67,10 @@ class Reader(NamedTuple):
 
 def of_json(content: bytes, change: Change) -> bytes:
     return json.dumps(change(json.loads(content))).encode()
+
+
+def of_yaml(content: bytes, change: Change) -> bytes:
+    return yaml.safe_dump(change(yaml.safe_load(content))).encode()
 
 
 def of_checksummed(content: bytes, change: Change) -> bytes:
@@ -167,6 +174,10 @@ def other_file_of_case(name: str) -> Callable[[Path], object]:
     return lambda folder: write_file(folder / name, json_bytes(whole[name]))
 
 
+def other_files_of_part(name: str) -> Callable[[Path], object]:
+    return lambda folder: [write_file(folder / other, content) for other, content in FILES.items() if other != name]
+
+
 @functools.cache
 def readers() -> dict[str, Reader]:
     """Readers by name."""
@@ -193,6 +204,10 @@ def readers() -> dict[str, Reader]:
         "catalog": Reader("x.json", catalog(), lambda folder: RSOTargetCatalog.load(folder / "x.json"), of_json),
         "constellation": Reader("constellation.json", cases[0], read_cases, of_json, other_file_of_case("taskset.json")),
         "tasks": Reader("taskset.json", cases[1], read_cases, of_json, other_file_of_case("constellation.json")),
+        **{name: Reader(name, FILES[name], read_case, of_yaml, other_files_of_part(name)) for name in FILES},
+        "solution": Reader(
+            "x.json", part("solution.json"), lambda folder: read_solution(folder / "x.json", read_case(PART)), of_json
+        ),
         "runs": Reader("00001/assignment_runs.json", b'{"0": [[0, 3], [-1, 2]], "1": [[2, 5]]}', assignments, of_json),
         "trajectory": Reader("00001.pth", buffer.getvalue(), assignments, of_checksummed),
         "cities": Reader("x.csv", CITIES, lambda folder: read_csv(folder / "x.csv")),

@@ -17,6 +17,7 @@ from bsk_torch.sim.fsw.models import (
     action,
 )
 from bsk_torch.sim.fsw.modes import Command, Mode
+from bsk_torch.sim.fsw.reference_slew import ReferenceSlewFSWModel
 from bsk_torch.sim.fsw.setpoint import AttitudeSetpointFSWModel, InertialHoldFSWModel
 from bsk_torch.sim.fsw.strip import StripImagingFSWModel
 
@@ -33,6 +34,7 @@ __all__ = [
     "MagicOrbitalManeuverFSWModel",
     "MagneticUnloadingFSWModel",
     "Mode",
+    "ReferenceSlewFSWModel",
     "SteeringFSWModel",
     "SteeringImagerFSWModel",
     "StripImagingFSWModel",

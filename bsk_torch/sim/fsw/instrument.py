@@ -14,9 +14,10 @@ def permission(bus: Bus) -> Tensor:
     """Return 1 where the instrument may record, else 0.
 
     It may where ``|sigma_BR| <= attitude tolerance`` and ``|omega_BR| <= rate tolerance``, with the errors of location pointing,
-    which is the law that is on, the target is accessible and the controller is on.
+    which is the law that is on, the target is accessible and the controller is on. In a slew along a reference, the errors are
+    those of pointing at the target.
     """
-    error = bus.error
+    error = bus.look_error if bus.has("look_error") else bus.error
     points = (error.sigma_BR.norm() <= bus.attitude_tolerance) & (error.omega_BR_B.norm() <= bus.rate_tolerance)
     return torch.where(points, bus.controller_on * bus.target_access, torch.zeros_like(bus.instrument_command))
 

@@ -1,0 +1,67 @@
+"""Cases of aeossp_standard: real satellites observe tasks with windows for twelve hours; reading, checking, planning, solutions.
+
+Attributes are imported when they are first read (PEP 562), so that the help of the commands does not wait for torch.
+"""
+
+from typing import TYPE_CHECKING
+
+from bsk_torch._rooms import resolve as _resolve
+from bsk_torch.sim.names import nearest as _nearest
+
+if TYPE_CHECKING:
+    from bsk_torch.tasks.aeossp.files import (
+        Case,
+        CaseSatellite,
+        Observations,
+        Requests,
+        read_case,
+        read_solution,
+        write_solution,
+    )
+    from bsk_torch.tasks.aeossp.flight import Flight, fly
+    from bsk_torch.tasks.aeossp.margins import fitting_factor, thinned
+    from bsk_torch.tasks.aeossp.planning import Plan, plan
+    from bsk_torch.tasks.aeossp.rules import Power, Report, Slews, check
+    from bsk_torch.tasks.aeossp.slews import Line, flyable, verifier
+
+__all__ = [
+    "Case",
+    "CaseSatellite",
+    "Flight",
+    "Line",
+    "Observations",
+    "Plan",
+    "Power",
+    "Report",
+    "Requests",
+    "Slews",
+    "check",
+    "fitting_factor",
+    "fly",
+    "flyable",
+    "plan",
+    "read_case",
+    "read_solution",
+    "thinned",
+    "verifier",
+    "write_solution",
+]
+
+_MODULES = {
+    **dict.fromkeys(
+        ("Case", "CaseSatellite", "Observations", "Requests", "read_case", "read_solution", "write_solution"), "files"
+    ),
+    **dict.fromkeys(("Flight", "fly"), "flight"),
+    **dict.fromkeys(("fitting_factor", "thinned"), "margins"),
+    **dict.fromkeys(("Plan", "plan"), "planning"),
+    **dict.fromkeys(("Power", "Report", "Slews", "check"), "rules"),
+    **dict.fromkeys(("Line", "flyable", "verifier"), "slews"),
+}
+"""Modules of the attributes."""
+
+
+def __getattr__(name: str) -> object:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; {_nearest(name, __all__)}")
+    value = globals()[name] = _resolve(f"{__name__}.{_MODULES[name]}:{name}")
+    return value
