@@ -167,10 +167,6 @@ def test_docstrings_state_what_is_observed(name, width):
         assert f"``{leaf}``" in text or f"``{observation}``" in text, entry
 
 
-def test_every_preset_is_in_the_table():
-    assert all(f"``{name}``" in bsk_torch.presets.__doc__ for name in PRESETS)
-
-
 def test_faulty_scan_without_faults_is_nadir_scan():
     """The same episodes, to rounding: wheels that may fail are computed by other operations than bsk_rl's three."""
     faulty, plain = (

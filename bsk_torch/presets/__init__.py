@@ -1,6 +1,5 @@
-"""Named, versioned environments; each module documents its decision process.
+"""Named, versioned environments; each module documents its decision process, and ``bsk-torch list`` prints names and tasks.
 
-=========================  ==========================  ========================================================================
 name                       module                      task
 =========================  ==========================  ========================================================================
 ``NadirScan-v1``           ``presets.nadir_scan``      record the ground below; manage battery, wheels and data buffer
@@ -24,6 +23,8 @@ name                       module                      task
 ``CWInspection-v1``        ``tasks.safe_autonomy``     inspect lit points of a spacecraft by thrusters; linear motion
 ``AEOSBench-v1``           ``tasks.aeos_bench``        AEOS-Bench: point satellites at tasks on the ground, second by second
 =========================  ==========================  ========================================================================
+=======
+:data:`bsk_torch._listed.LISTED` is the one table of them: name, module and function, task, rules.
 """
 
 from __future__ import annotations

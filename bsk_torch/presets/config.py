@@ -41,7 +41,7 @@ class PresetEnvConfig:
     seed: int | None = None
     device: str = "cpu"
     backend: str = "compiled"
-    options: dict[str, object] = field(default_factory=dict)
+    options: dict[str, Any] = field(default_factory=dict)
     _partial_: bool = False
     _target_: str = "bsk_torch.presets.config.make_env"
 

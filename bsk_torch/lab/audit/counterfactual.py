@@ -23,6 +23,9 @@ MARGIN = 1.0
 
 SAVED, LOST, OPEN = "saved", "lost", "open"
 
+PLAN_LENGTH = 40
+"""Number of actions of random plans."""
+
 LEAST_DEMANDING = 4
 """Index of the plan that desaturates ten times and then charges to the end."""
 
@@ -69,8 +72,8 @@ def action_number(env: SatelliteTasking, name: str) -> int:
     return names.index(name)
 
 
-def candidate_plans(env: SatelliteTasking, n_random: int = 32, length: int = 40, seed: int = 0) -> Tensor:
-    """Return candidate sequences of actions, [P, 1 + length], at least 30 long; the last action, charging, is repeated.
+def candidate_plans(env: SatelliteTasking, n_random: int = 32) -> Tensor:
+    """Return candidate sequences of actions, [P, 1 + K]; the last action, charging, is repeated.
 
     They charge at once, after some desaturation or another action, or with some desaturation in between; others are random.
     """
@@ -79,21 +82,21 @@ def candidate_plans(env: SatelliteTasking, n_random: int = 32, length: int = 40,
     runs = [[charge]] + [[desat] * k for k in (1, 2, 4, 10)]
     runs += [[other] * k for other in range(n) if other not in (charge, desat) for k in (1, 2, 4)]
     runs += [[charge] * wait + [desat] * k for wait in (3, 10, 20) for k in (2, 5, 10)]
-    runs += _random_runs(n, charge, n_random, length, seed)
+    runs += _random_runs(n, charge, n_random)
     plans = torch.full((len(runs), 1 + max(map(len, runs))), charge, dtype=torch.int64)
     for row, run in enumerate(runs):
         plans[row, : len(run)] = torch.tensor(run)
     return plans
 
 
-def _random_runs(n: int, charge: int, count: int, length: int, seed: int) -> list[list[int]]:
+def _random_runs(n: int, charge: int, count: int) -> list[list[int]]:
     """Return random sequences of runs of one to eight equal actions; charging is three times as likely as other actions."""
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(0)
     weight = torch.ones(n, dtype=torch.float32).index_fill(0, torch.tensor([charge]), 3.0)
     runs = []
     for _ in range(count):
-        kinds = torch.multinomial(weight, length, replacement=True, generator=generator)
-        runs.append(kinds.repeat_interleave(torch.randint(1, 9, (length,), generator=generator))[:length].tolist())
+        kinds = torch.multinomial(weight, PLAN_LENGTH, replacement=True, generator=generator)
+        runs.append(kinds.repeat_interleave(torch.randint(1, 9, (PLAN_LENGTH,), generator=generator))[:PLAN_LENGTH].tolist())
     return runs
 
 

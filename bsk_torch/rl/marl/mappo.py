@@ -81,7 +81,7 @@ class MAPPOConfig(PPOConfig):
     epochs: int = 2
     minibatch: int = 512
     checkpoint_every: int = 50_000
-    options: dict[str, object] = dataclasses.field(default_factory=lambda: {"as_set": True})
+    options: dict[str, Any] = dataclasses.field(default_factory=lambda: {"as_set": True})
     algorithm: str = "mappo"
 
     @override

@@ -183,7 +183,7 @@ class PPOConfig:
     collector: str = "single"
     workers: int | str = 2
     ahead: bool = False
-    options: dict[str, object] = dataclasses.field(default_factory=dict)
+    options: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("hidden", "loggers"):  # files and command lines bring lists

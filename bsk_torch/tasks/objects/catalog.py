@@ -275,7 +275,7 @@ class RSOTargetCatalog:
             raise ValueError(f"{path}: {error}") from error
 
 
-def _read(kind: Callable[..., Saved], values: Mapping[str, Any], name: str) -> tuple[Saved, ...]:
+def _read(kind: Callable[..., Saved], values: Mapping[str, object], name: str) -> tuple[Saved, ...]:
     """Return the entries of ``values[name]`` as objects of a kind; ValueError for missing or unknown keys."""
     entries, schema = values.get(name), {part.name: part for part in fields(kind)}  # type: ignore[arg-type]
     if not isinstance(entries, list | tuple) or not all(isinstance(entry, Mapping) for entry in entries):
@@ -291,7 +291,7 @@ def _read(kind: Callable[..., Saved], values: Mapping[str, Any], name: str) -> t
     return tuple(objects)
 
 
-def _named_as_now(entry: Mapping[str, Any]) -> dict[str, object]:
+def _named_as_now(entry: Mapping[str, object]) -> dict[str, object]:
     """Return the entries of a target with the names of today; ValueError where old and new names disagree."""
     target = dict(entry)
     if "spacecraft_name" in target:

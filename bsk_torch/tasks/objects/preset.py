@@ -266,7 +266,7 @@ def services(
     as_set: bool = False,
     outlook: bool = False,
     shielded: bool = False,
-    sat_args: dict[str, Any] | None = None,
+    sat_args: dict[str, object] | None = None,
     obs_type: type | None = None,
     **options: object,
 ) -> SatelliteTasking:

@@ -339,13 +339,13 @@ def walker4(
     information: str = "radio",
     retasking: str = "conflict",
     delivery_share: float = 0.1,
-    sat_args: dict[str, Any] | None = None,
+    sat_args: dict[str, object] | None = None,
     order: str = "elevation",
     as_set: bool = False,
     outlook: bool = False,
     shielded: bool = False,
     obs_type: type | None = None,
-    **options: Any,
+    **options: object,
 ) -> ConstellationTasking:
     """Return Walker4-v1; see the module. Arguments and errors are those of :func:`three_sensors`."""
     pattern = formations.walker_delta_args(2, phasing=1, altitude=700.0, inc=97.0)

@@ -101,11 +101,7 @@ class TeamRule:
         busy = torch.stack(list(wish.values())).any(0)
         choices = self._choices(action_mask)
         images = decides & ~busy
-        if self.name == "centralized":
-            slot = self._joint(choices, images, decides)
-        else:
-            rank = torch.where(choices.may, choices.angle + torch.where(choices.new, 0.0, KNOWN_RANK), torch.inf)
-            slot = torch.where(choices.may.any(2), rank.argmin(2), rank.shape[2])
+        slot = self._joint(choices, images, decides) if self.name == "centralized" else self._local(choices)
         action = torch.where(slot < choices.may.shape[2], self.images + slot, names.index("action_charge"))
         for name, mask in wish.items():
             action = torch.where(mask, names.index(name), action)
@@ -124,6 +120,12 @@ class TeamRule:
         priority = satellite.of_env(scenario.priority).gather(1, candidates.place)
         columns = candidates.place, candidates.exists & sees & lit, latest == AGO, views.angle_to_target, priority
         return Choices(*(column.view(*action_mask.shape[:2], -1) for column in columns))
+
+    def _local(self, choices: Choices) -> Tensor:
+        """Return the candidate that each imager would choose, [N, A]; their number K where there is none."""
+        rank = choices.angle + torch.where(choices.new, 0.0, KNOWN_RANK)
+        rank = torch.where(choices.may, rank, torch.inf)
+        return torch.where(choices.may.any(2), rank.argmin(2), rank.shape[2])
 
     def _joint(self, choices: Choices, images: Tensor, decides: Tensor) -> Tensor:
         """Return the candidates of the best joint choice, [N, A], for the imagers that ``images``; K for none."""
