@@ -81,8 +81,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "bsk_torch.tasks.aeossp.commands:check_solution",
         "Check a solution of a case of aeossp_standard by the benchmark's rules; the exit status is 1 for an invalid one.",
     ),
-    "fly-aeossp": (
-        "bsk_torch.tasks.aeossp.fly_command:fly_aeossp",
+    "aeossp fly": (
+        "bsk_torch.tasks.aeossp.fly_command:fly_solution",
         "Fly a plan of aeossp_standard with rigid bodies, wheels and batteries, and show what it delivers.",
     ),
     "args": (
