@@ -4,8 +4,8 @@ Usage:
     python benchmarks/aeossp.py [--folder cases] [--cases test/case_0001 ...] [--models verifier flyable]
         [--margins 0 2 5 10 20] [--seed 0] [--solutions FOLDER] [--out FILE.json]
 
-``--folder`` holds cases, such as benchmarks/aeossp_standard/dataset/cases of github.com/Mtrya/astro-reason. Plans go to the folder
-``--solutions``, if any.
+``--folder`` holds cases, such as benchmarks/aeossp_standard/dataset/cases in github.com/Mtrya/astro-reason. Plans go to
+the folder ``--solutions``, if any.
 """
 
 from __future__ import annotations

@@ -85,6 +85,8 @@ benchmarks/aeos_speed.py --sizes 2x50 --rows 4 --turns 1 --steps 1 10 --seconds 
   compiled: (?s)\| 2 \| 50 \| 2 \| 1 \| [\d,]+ \| .*\| 2 \| 50 \| 2 \| 10 \| [\d,]+ \|[ ]
 benchmarks/aeos_bench.py --cases 2 --batch 2 --time-limit 60 --satellites 2 3 --tasks 50 60
   compiled: (?s)\| nearest_task \| [\d.]+ \+- [\d.]+ \| \+0.0 .*\| soonest_task \| .*\| bound \|[ ]
+benchmarks/aeossp.py --folder {root}/tests/tasks/aeossp --cases data --models flyable --margins 5
+  compiled: \| data \| flyable \| 5 \| 0\.\d+ \| 0\.\d+ \|
 benchmarks/teams.py --episodes 2 --time-limit 300 --targets 12 --only three-local walker-centralized
   compiled: (?s)\| three-local \| [\d.]+ \+- [\d.]+ \| .*\| walker-centralized \|[ ]
 benchmarks/crews.py --episodes 2 --time-limit 300 --targets 12 --rules prompt

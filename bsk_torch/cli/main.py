@@ -77,16 +77,16 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "bsk_torch.tasks.aeos_bench.commands:import_aeosbench",
         "Fly the assigned tasks in files of AEOS-Bench, and show the measures of the benchmark.",
     ),
-    "plan-aeossp": (
-        "bsk_torch.tasks.aeossp.commands:plan_aeossp",
+    "aeossp plan": (
+        "bsk_torch.tasks.aeossp.commands:plan_case",
         "Plan the observations of a case of aeossp_standard, and write a solution that its verifier accepts.",
     ),
-    "check-aeossp": (
-        "bsk_torch.tasks.aeossp.commands:check_aeossp",
+    "aeossp check": (
+        "bsk_torch.tasks.aeossp.commands:check_solution",
         "Check a solution of a case of aeossp_standard by the benchmark's rules; the exit status is 1 for an invalid one.",
     ),
-    "fly-aeossp": (
-        "bsk_torch.tasks.aeossp.fly_command:fly_aeossp",
+    "aeossp fly": (
+        "bsk_torch.tasks.aeossp.fly_command:fly_solution",
         "Fly a plan of aeossp_standard with rigid bodies, wheels and batteries, and show what it delivers.",
     ),
     "args": (
@@ -119,8 +119,11 @@ class Commands(WithoutTypes, TyperGroup):
             self.epilog = f"{self.epilog}\n\nNot installed: {', '.join(absent)}."
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
-        """Return name, command and further arguments."""
-        return (args[0], loaded(args[0]), args[1:]) if args[0] in COMMANDS else super().resolve_command(ctx, args)
+        """Return name, command and further arguments; some names are of two words."""
+        for words in (2, 1):
+            if (name := " ".join(args[:words])) in COMMANDS:
+                return name, loaded(name), args[words:]
+        return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""

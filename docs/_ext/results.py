@@ -55,6 +55,7 @@ SCRIPTS = {
     "adversary_wide": "adversary",
     "adversary_alone": "adversary",
     "adversary_trained": "adversary",
+    "aeossp_margins": "aeossp",
 }
 """Scripts by result, where the names differ."""
 

@@ -27,6 +27,7 @@ SHORT = {
     "leaderboard": "",
     "dataset": "--seeds 0:4 --time-limit 1200",
     "args": "",
+    "aeossp": "",
 }
 """What makes a command short enough for a test; later options win over those of the page."""
 

@@ -1,4 +1,4 @@
-"""``bsk-torch plan-aeossp`` and ``check-aeossp``: plans for cases of aeossp_standard, and what its rules say about them."""
+"""``bsk-torch aeossp plan`` and ``aeossp check``: plans for cases of aeossp_standard, and what its rules say about them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SHOWN = 10
 """Violations that are printed."""
 
 
-def plan_aeossp(
+def plan_case(
     case: CaseFolder,
     out: Annotated[Path, flag("FILE", "JSON file for the solution.")],
     model: Annotated[
@@ -38,8 +38,8 @@ def plan_aeossp(
     """Plan the observations of a case of aeossp_standard, and write a solution that its verifier accepts.
 
     Examples:
-        bsk-torch plan-aeossp test/case_0001 --out solution.json
-        bsk-torch plan-aeossp case --out s.json --model flyable --margin 5
+        bsk-torch aeossp plan test/case_0001 --out solution.json
+        bsk-torch aeossp plan case --out s.json --model flyable --margin 5
     """
     from bsk_torch.tasks.aeossp.files import read_case, write_solution
     from bsk_torch.tasks.aeossp.geometry import tracks
@@ -60,14 +60,14 @@ def plan_aeossp(
     echo(f"No plan with these slews has a WCR above {result.bound:.4f}.")
 
 
-def check_aeossp(
+def check_solution(
     case: CaseFolder,
     solution: Annotated[Path, typer.Argument(metavar="FILE", help="JSON file of the solution.", show_default=False)],
 ) -> None:
     """Check a solution of a case of aeossp_standard by the benchmark's rules; the exit status is 1 for an invalid one.
 
     Examples:
-        bsk-torch check-aeossp test/case_0001 solution.json
+        bsk-torch aeossp check test/case_0001 solution.json
     """
     from bsk_torch.tasks.aeossp.files import read_case, read_solution
     from bsk_torch.tasks.aeossp.rules import check

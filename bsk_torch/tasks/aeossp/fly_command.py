@@ -1,4 +1,4 @@
-"""``bsk-torch fly-aeossp``: what a plan of aeossp_standard promises, and what satellites with body and wheels deliver."""
+"""``bsk-torch aeossp fly``: what a plan of aeossp_standard promises, and what satellites with body and wheels deliver."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 
-def fly_aeossp(
+def fly_solution(
     case: CaseFolder,
     solution: Annotated[Path, typer.Argument(metavar="FILE", help="JSON file of the solution.", show_default=False)],
     power: Annotated[str, flag("NAME", "Load of slews: 'case', as in the case, or 'wheels', that of the wheels.")] = "case",
@@ -36,8 +36,8 @@ def fly_aeossp(
     limits with which all is delivered; without the latter, none up to 4 does.
 
     Examples:
-        bsk-torch fly-aeossp test/case_0001 solution.json
-        bsk-torch fly-aeossp case solution.json --margins 1,2,5 --out flown.json
+        bsk-torch aeossp fly test/case_0001 solution.json
+        bsk-torch aeossp fly case solution.json --margins 1,2,5 --out flown.json
     """
     from bsk_torch._checks import number
     from bsk_torch.files import write_file

@@ -145,14 +145,14 @@ def test_the_command_shows_promised_and_delivered(run, tmp_path):
     case, plan = small()
     write_case(tmp_path / "case", case)
     write_solution(tmp_path / "plan.json", case, plan.take(np.arange(7)))
-    result = run("fly-aeossp", tmp_path / "case", tmp_path / "plan.json", "--margins", "5", "--out", tmp_path / "flown.json")
+    result = run("aeossp", "fly", tmp_path / "case", tmp_path / "plan.json", "--margins", "5", "--out", tmp_path / "flown.json")
     assert result.exit_code == 0, result.output
     assert "5 of 7" in result.output
     assert "slack 5 s" in result.output
     kept = json.loads((tmp_path / "flown.json").read_text())
     assert [one["missed"] for one in kept["observations"]].count(None) == 5
     assert kept["rows"][0]["pointing"] == "1"
-    result = run("fly-aeossp", tmp_path / "case", tmp_path / "plan.json", "--power", "sun")
+    result = run("aeossp", "fly", tmp_path / "case", tmp_path / "plan.json", "--power", "sun")
     assert result.exit_code != 0
     assert "power='sun' must be one of" in " ".join(result.output.split())
 

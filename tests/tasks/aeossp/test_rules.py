@@ -36,6 +36,7 @@ def test_metrics_are_those_of_the_verifier(result, report):
 
 
 def test_completed_tasks_are_those_of_the_verifier(result, report, case, observations):
+    assert len(case.requests) == len(report["per_task"])
     for k, name in enumerate(case.requests.names):
         theirs, ours = report["per_task"][name], int(result.completed[k])
         assert theirs["completed"] == (ours >= 0)
@@ -63,6 +64,7 @@ def test_batteries_are_those_of_the_verifier(result, report, case):
         "least_wh": ("minimum_battery_wh", CHARGE, 0.0),
         "final_wh": ("final_battery_wh", CHARGE, 0.0),
     }
+    assert len(case.satellites) == len(report["per_satellite_resource_summary"])
     for k, satellite in enumerate(case.satellites):
         theirs = report["per_satellite_resource_summary"][satellite.name]
         for ours, (name, relative, absolute) in names.items():
