@@ -473,3 +473,21 @@ def test_insertion_after_maneuvers():
         closes.append(one.close)
     assert len(closes[0]) > 20
     assert closes[0][0] != closes[1][0]
+
+
+def test_episodes_without_limit_do_not_depend_on_the_batch():
+    """Look-ahead grows by segments as queries need it; rows search ahead together."""
+
+    def played(n, rows):
+        env = make(n=n, limit=math.inf, duration=rand.Uniform(0.0, 200.0), spare=4)
+        td = env.reset()
+        seen = [td["agents", "observation"][rows]]
+        for k in range(30):
+            action = env.full_action_spec.zero()
+            action["agents", "action"] += (torch.arange(n).unsqueeze(1) + k) % 2 * 4  # rows advance differently
+            if k == 12:
+                env.scenario.insert([rows], env.scenario.r_LP_P[rows, :4].clone(), duration=30.0)
+            seen.append(env.step(action)["next", "agents", "observation"][rows])
+        return torch.stack(seen)
+
+    assert torch.equal(played(5, 1), played(2, 1))

@@ -267,9 +267,8 @@ class LookAhead(StateTable):
     def insert(self, kind: str, rows: Tensor, place: Tensor, now: Tensor) -> None:
         """Add the windows of places that appear at the current time ``now`` [N] s; see :meth:`AccessWindows.insert`."""
         assert self.access is not None
-        if self.arcs.restarts:
-            reach = self.access.ready[rows] + (BEHIND_SEARCH + REACH_AROUND)
-            self.reach(torch.zeros_like(now).index_copy(0, rows, reach), now)
+        reach = self.access.ready[rows] + (BEHIND_SEARCH + REACH_AROUND)
+        self.reach(torch.zeros_like(now).index_copy(0, rows, reach), now)
         for part in torch.split(torch.arange(len(rows), device=self.device), CHUNK):
             some = rows[part]
             self.access.insert(kind, some, place[part], now[some])
@@ -401,7 +400,9 @@ class LookAhead(StateTable):
         end = access.until + steps * access.segment
         while len(behind := torch.nonzero(access.ready < end).squeeze(-1)):
             self._search_further(behind, now)
+        further = torch.nonzero(steps > 0.0).squeeze(-1)
         access.until = end
+        access.drop_short(further)
         self.eclipses.sample_to(end)
         return True
 

@@ -25,12 +25,22 @@ ROOT_ITERATIONS = 8  # of regula falsi on a piece: the angle is nearly straight 
 
 
 def request_passes(
-    places: RequestPlaces, rows: Tensor, track: GroundTrack, visibility: Visibility, chosen: Tensor | None = None
+    places: RequestPlaces,
+    rows: Tensor,
+    track: GroundTrack,
+    visibility: Visibility,
+    span: tuple[Tensor, Tensor],
+    chosen: Tensor | None = None,
 ) -> Passes:
-    """Return the parts of passes in which satellites ``rows`` [n] can look at requests, or at the ``chosen`` [n, K] ones."""
+    """Return the parts of passes in which satellites ``rows`` [n] can look at requests, or at the ``chosen`` [n, K] ones.
+
+    Parts that are too short for a look may lack, but for those that go on before or behind a ``span``, [n] s each.
+    """
     sites, most = places.sites(rows), places.tables.of_envs(MAX_OFF_NADIR, rows)
     if chosen is not None:
-        sites, most = Sites(*(None if part is None else look_up(part, chosen) for part in sites)), look_up(most, chosen)
+        shift = None if sites.shift is None else look_up(sites.shift, chosen)
+        sites = Sites(look_up(sites.r_LP_P, chosen), look_up(sites.sin_min_elevation, chosen), shift)
+        most = look_up(most, chosen)
     limited = bool((most < NO_OFF_NADIR).any())
     if limited:
         sites = sites._replace(sin_min_elevation=torch.maximum(sites.sin_min_elevation, _lowest_elevation(sites, track, most)))
@@ -38,16 +48,16 @@ def request_passes(
     if chosen is not None:
         passes = passes._replace(place=chosen[passes.row, passes.place])
     if limited:
-        passes = within_off_nadir(places, rows, track, useful(places, rows, track, passes))
+        passes = within_off_nadir(places, rows, track, _useful(places, rows, span, passes))
     return in_time(places, rows, passes)
 
 
-def useful(places: RequestPlaces, rows: Tensor, track: GroundTrack, passes: Passes) -> Passes:
-    """Return the passes that have room for a look between release and due time, or may have with what is beyond the track."""
+def _useful(places: RequestPlaces, rows: Tensor, span: tuple[Tensor, Tensor], passes: Passes) -> Passes:
+    """Return the passes that have room for a look between release and due time, or go on before or behind the span."""
     seconds = places.value(DURATION, rows[passes.row], passes.place)
     opens, closes = _timely(places, rows, passes)
-    in_progress = (passes.open <= track.start[passes.row]) | (passes.close >= track.end[passes.row])
-    kept = (opens < closes) & (in_progress | (closes - opens >= seconds))
+    goes_on = (passes.open <= span[0][passes.row]) | (passes.close >= span[1][passes.row])
+    kept = (opens < closes) & (goes_on | (closes - opens >= seconds))
     return Passes(*(part[kept] for part in passes))
 
 
@@ -117,8 +127,8 @@ def _timely(places: RequestPlaces, rows: Tensor, passes: Passes) -> tuple[Tensor
     return torch.maximum(passes.open, release), torch.minimum(passes.close, due)
 
 
-def long_enough(places: RequestPlaces, rows: Tensor, windows: Passes, end: Tensor) -> Passes:
-    """Return the windows of satellites ``rows`` [n] that last as long as a look, or to the ``end`` [n] s of the search."""
+def long_enough(places: RequestPlaces, rows: Tensor, windows: Passes, until: Tensor) -> Passes:
+    """Return the windows of satellites ``rows`` [n] that last as long as a look, or beyond ``until`` [n] s."""
     seconds = places.value(DURATION, rows[windows.row], windows.place)
-    kept = (windows.close - windows.open >= seconds) | (windows.close >= end[windows.row])
+    kept = (windows.close - windows.open >= seconds) | (windows.close >= until[windows.row])
     return Passes(*(part[kept] for part in windows))

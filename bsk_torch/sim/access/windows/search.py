@@ -143,7 +143,7 @@ class AccessWindows(StateTable):
         end = duration + torch.floor((longest - duration) / self.segment).clamp(min=0.0) * self.segment
         intervals = GenerationIntervals(start, torch.where(duration > 0.0, duration, self.segment), end, self.segment)
         for kind in self.kinds:
-            self._store_windows(kind, rows, self._generate(kind, rows, track, intervals), end)
+            self._store_windows(kind, rows, self._generate(kind, rows, track, intervals, duration), duration)
         self.until[rows], self.ready[rows] = duration, end
 
     def store(self, kind: str, rows: Tensor, found: Windows) -> None:
@@ -187,6 +187,7 @@ class AccessWindows(StateTable):
         most = torch.full_like(until, torch.inf) if last is None else torch.ceil((last - until) / self.segment).clamp(min=0.0)
         wanted = torch.where(enough, until + torch.minimum(steps.clamp(min=0.0), most) * self.segment, self.ready[rows])
         self.until[rows] = torch.minimum(wanted, until + most * self.segment)
+        self.drop_short(rows[self.until[rows] > until])
         return rows[~enough & (self.until[rows] < until + most * self.segment)]
 
     def restart(self, rows: Tensor, time: Tensor) -> None:
@@ -232,69 +233,68 @@ class AccessWindows(StateTable):
         segments = min(segments, room)
         if segments <= 0:
             return
+        orbits = PlannedOrbits(self.arcs.planned_samples, self.arcs.ephemeris_samples).take(rows)
         start = torch.maximum(begin - BEFORE_SEARCH, begun[rows] if isinstance(begun, Tensor) else torch.zeros_like(begin))
         samples = round((segments * self.segment + BEFORE_SEARCH + BEHIND_SEARCH) / PLAN_STEP) + 1
-        track = GroundTrack(self._planned_track(rows, start, samples), start)
+        track = GroundTrack(self.visibility.ground_track(orbits, start, samples), start)
         end = begin + segments * self.segment
         intervals = GenerationIntervals(begin, begin + self.segment, end, self.segment)
+        until = torch.minimum(self.until[rows], end)
         for kind in self.kinds:
-            new = self._generate(kind, rows, track, intervals)
+            new = self._generate(kind, rows, track, intervals, until)
             old = self._windows_of(kind).take(rows)
             past = old.close < torch.minimum(time, begin).unsqueeze(-1)  # one that closes at the beginning may be joined
             row, k = torch.nonzero(torch.isfinite(old.close) & ~past, as_tuple=True)
             kept = Passes(row, old.place[row, k], old.open[row, k], old.close[row, k])
-            self._store_windows(kind, rows, join_at(kept, new, begin), end)
+            self._store_windows(kind, rows, join_at(kept, new, begin), until)
         self.ready[rows] = end
 
     def insert(self, kind: str, rows: Tensor, place: Tensor, time: Tensor) -> None:
         """Add the windows of requests that appear at ``time`` [n] s: of ``rows`` [n], over places [n, K] without windows yet.
 
-        They are searched up to where those of all other places are. Windows in progress begin at the release of the request,
-        which is not before ``time``. Arcs that may restart reach beyond the search as far as interpolation does.
+        They are searched on the flown arcs, up to where those of all other places are. Planned arcs, meters away, are kept for
+        the last hours only. Windows in progress begin at the release of the request, which is not before ``time``. Arcs reach
+        beyond the search as far as interpolation does.
         """
         origin, end = self.arcs.start[rows], self.ready[rows]
         first = origin + (torch.floor((time - BEFORE_SEARCH - origin) / PLAN_STEP) * PLAN_STEP).clamp(min=0.0)
         samples = torch.ceil((end - first + BEHIND_SEARCH) / PLAN_STEP).long() + 1
-        ahead, planned = end > time, first >= self.arcs.planned_from[rows]
+        ahead = end > time
         if self.arcs.restarts:  # they end at different times: tracks of equal length are searched together
-            parts = [((samples == count) & ahead, self._flown_track) for count in samples[ahead].unique().tolist()]
+            parts = [(samples == count) & ahead for count in samples[ahead].unique().tolist()]
         else:
-            parts = [(planned & ahead, self._planned_track), (~planned & ahead, self._flown_track)]
-        for some, ground_track in parts:
-            if bool(some.any()):
-                count = int(samples[some].max())
-                # all tracks are as long, and none reaches beyond its arc
-                start = torch.minimum(first[some], self.arcs.end[rows[some]] - PLAN_STEP * (count - 1))
-                track = GroundTrack(ground_track(rows[some], start, count), start)
-                self._insert(kind, rows[some], place[some], track)
+            parts = [ahead] if bool(ahead.any()) else []
+        for some in parts:
+            count = int(samples[some].max())
+            # all tracks are as long, and none reaches beyond its arc
+            start = torch.minimum(first[some], self.arcs.end[rows[some]] - PLAN_STEP * (count - 1))
+            self._insert(kind, rows[some], place[some], GroundTrack(self._flown_track(rows[some], start, count), start))
 
     def _insert(self, kind: str, rows: Tensor, place: Tensor, track: GroundTrack) -> None:
         places, end = self.kinds[kind], self.ready[rows]
         assert isinstance(places, RequestPlaces)
-        found = in_light(places, rows, request_passes(places, rows, track, self.visibility, place))
+        span = track.start, self.until[rows]
+        found = in_light(places, rows, request_passes(places, rows, track, self.visibility, span, place))
         new = true_windows(track, found, GenerationIntervals(track.start, end, end, self.segment))
-        old = self._windows_of(kind).take(rows)
-        row, k = torch.nonzero(torch.isfinite(old.close), as_tuple=True)
-        kept = Passes(row, old.place[row, k], old.open[row, k], old.close[row, k])
-        self._store_windows(kind, rows, Passes(*(torch.cat(parts) for parts in zip(kept, new, strict=True))), end)
-
-    def _planned_track(self, rows: Tensor, start: Tensor, count: int) -> Tensor:
-        """Return Earth-fixed positions, [n, count, 3] m, every 30 s from ``start`` [n] s on, on the planned arcs."""
-        orbits = PlannedOrbits(self.arcs.planned_samples, self.arcs.ephemeris_samples).take(rows)
-        return self.visibility.ground_track(orbits, start, count)
+        found = Passes(*(torch.cat(parts) for parts in zip(self._passes_of(kind, rows), new, strict=True)))
+        self._store_windows(kind, rows, found, self.until[rows])
 
     def _flown_track(self, rows: Tensor, start: Tensor, count: int) -> Tensor:
-        """Return the same on the flown arcs, which differ by meters, and are kept whole."""
+        """Return Earth-fixed positions, [n, count, 3] m, every 30 s from ``start`` [n] s on, on the flown arcs."""
         samples = Samples(halved(self.arcs.flown[rows]), self.arcs.start[rows] - 0.5 * PLAN_STEP)
         return self.visibility.ground_track(PlannedOrbits(samples, take_rows(self.arcs.ephemeris_samples, rows)), start, count)
 
-    def _generate(self, kind: str, rows: Tensor, track: GroundTrack, intervals: GenerationIntervals) -> Passes:
-        """Return the windows of ``rows`` [n] over one kind of places; searches by intervals know fixed ones only."""
+    def _generate(self, kind: str, rows: Tensor, track: GroundTrack, intervals: GenerationIntervals, until: Tensor) -> Passes:
+        """Return the windows of ``rows`` [n] over one kind of places; searches by intervals know fixed ones only.
+
+        Short windows that close before ``until`` [n] s may lack.
+        """
         places = self.kinds[kind]
         if not isinstance(places, FixedPlaces):
             return true_windows(track, find_passes(places, rows, track), intervals)
         if isinstance(places, RequestPlaces):
-            return true_windows(track, in_light(places, rows, request_passes(places, rows, track, self.visibility)), intervals)
+            found = request_passes(places, rows, track, self.visibility, (intervals.begin, until))
+            return true_windows(track, in_light(places, rows, found), intervals)
         if places.clearances:
             return true_windows(track, in_light(places, rows, find_passes(places, rows, track)), intervals)
         search = PassSearch(self.visibility, track, places.sites(rows))
@@ -303,10 +303,24 @@ class AccessWindows(StateTable):
             return windows_by_interval(search, passes, intervals)
         return true_windows(track, in_light(places, rows, passes), intervals)
 
-    def _store_windows(self, kind: str, rows: Tensor, found: Passes, end: Tensor) -> None:
-        """Store windows of ``rows`` [n], which have been searched up to ``end`` [n] s."""
+    def drop_short(self, rows: Tensor) -> None:
+        """Drop windows of ``rows`` [n] that are shorter than the looks of their requests, once queries see them whole.
+
+        Before, they are kept: how much more of them has been searched depends on other rows.
+        """
+        for kind, places in self.kinds.items():
+            if isinstance(places, RequestPlaces) and len(rows):
+                self._store_windows(kind, rows, self._passes_of(kind, rows), self.until[rows])
+
+    def _passes_of(self, kind: str, rows: Tensor) -> Passes:
+        table = self._windows_of(kind).take(rows)
+        row, k = torch.nonzero(torch.isfinite(table.close), as_tuple=True)
+        return Passes(row, table.place[row, k], table.open[row, k], table.close[row, k])
+
+    def _store_windows(self, kind: str, rows: Tensor, found: Passes, until: Tensor) -> None:
+        """Store windows of ``rows`` [n], but short ones that close before ``until`` [n] s, up to which queries see."""
         places = self.kinds[kind]
-        self._store_passes(kind, rows, long_enough(places, rows, found, end) if isinstance(places, RequestPlaces) else found)
+        self._store_passes(kind, rows, long_enough(places, rows, found, until) if isinstance(places, RequestPlaces) else found)
 
     def _store_passes(self, kind: str, rows: Tensor, found: Passes) -> None:
         close, opens, place = tabulate(found.row, found.close, len(rows), found.open, found.place)
