@@ -32,13 +32,14 @@ def fixed_to_lla(r_P: Tensor, radius: float = R_EARTH) -> tuple[Tensor, Tensor, 
     return torch.asin(r_P[..., 2] / distance), torch.atan2(r_P[..., 1], r_P[..., 0]), distance - radius
 
 
-def sin_elevation(r: Vec3, r_site: Vec3) -> Tensor:
+def sin_elevation(r: Vec3, r_site: Vec3, vertical: Vec3 | None = None) -> Tensor:
     """Return the sine of the elevation of r above the horizon of r_site, positions in m in common axes.
 
-    ``sin(el) = r_site . d / (|r_site| |d|)`` with ``d = r - r_site``; the horizon is the plane normal to r_site.
+    ``sin(el) = v . d / (|v| |d|)`` with ``d = r - r_site``; the horizon is the plane normal to the vertical v, of any length;
+    r_site if None.
     """
-    d = r - r_site
-    return r_site.dot(d) / torch.sqrt(r_site.dot(r_site) * d.dot(d))
+    d, v = r - r_site, r_site if vertical is None else vertical
+    return v.dot(d) / torch.sqrt(v.dot(v) * d.dot(d))
 
 
 def rotate_z(r: Vec3, cos: Tensor, sin: Tensor) -> Vec3:

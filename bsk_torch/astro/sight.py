@@ -17,7 +17,7 @@ TINY_LENGTH = 1e-300
 """A positive number, far below the rounding error of positions, which keeps quotients finite and ranges inclusive."""
 
 
-def elevation_clearance(r_BP_P: Vec3, r_LP_P: Vec3, sin_min_elevation: Any) -> Any:
+def elevation_clearance(r_BP_P: Vec3, r_LP_P: Vec3, sin_min_elevation: Any, shift: Any = None) -> Any:
     """Return a measure of how far a satellite B is above the minimum elevation over a place L; positive if it is visible.
 
     The measure is ``cos(theta) - cos(theta_max)``, with theta the angle at the Earth's center between B and L::
@@ -28,11 +28,17 @@ def elevation_clearance(r_BP_P: Vec3, r_LP_P: Vec3, sin_min_elevation: Any) -> A
     Space Mission Analysis and Design, section 5.2). Unlike the elevation, it is nearly a sinusoid of time, so the parabola
     through three samples gives the height of a culmination between them.
 
+    Elevations are counted from the place's radius, or from the normal of the ellipsoid if both positions are shifted along the
+    Earth's axis, so that the center of the triangle lies on that normal.
+
     Args:
         r_BP_P: Earth-fixed position of the satellite, m.
         r_LP_P: Earth-fixed position of the place, m.
         sin_min_elevation: Sine of the minimum elevation.
+        shift: :func:`bsk_torch.astro.geodetic.axis_shift` of the place, m; None for elevations from the radius.
     """
+    if shift is not None:
+        r_BP_P, r_LP_P = (Vec3(r.x, r.y, r.z + shift) for r in (r_BP_P, r_LP_P))
     radius, distance = r_LP_P.norm(), r_BP_P.norm()
     q, cos2 = radius / distance, 1.0 - sin_min_elevation * sin_min_elevation
     cos_theta_max = q * cos2 + sin_min_elevation * torch.sqrt(torch.clamp(1.0 - q * q * cos2, min=0.0))

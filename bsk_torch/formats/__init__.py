@@ -1,1 +1,1 @@
-"""Readers of files that others write: places and areas, without a simulation."""
+"""Files of other programs, read into plain dataclasses and written from them: orbits, places and schedules."""

@@ -13,6 +13,7 @@ from typing_extensions import override
 from bsk_torch._checks import text
 from bsk_torch.astro.ephemeris import earth_fixed_sun
 from bsk_torch.astro.frames import sin_elevation
+from bsk_torch.astro.geodetic import vertical_of
 from bsk_torch.obs.candidates import CandidateObservation
 from bsk_torch.obs.entries import is_own, parse_entries, scaled
 from bsk_torch.sats.bound import BoundSatellite
@@ -46,13 +47,15 @@ def priority(satellite: BoundSatellite, targets: Opportunities) -> Tensor:
 def sun_elevation(satellite: BoundAccessSatellite, opportunities: Opportunities) -> Tensor:
     """Return the elevation of the Sun over each place when its window opens, or now if it is open, [N, n] rad.
 
-    With a place at ``r_L`` and the Sun at ``r_S``, ``asin(r_L . (r_S - r_L) / (|r_L| |r_S - r_L|))``; negative at night.
+    ``asin(v . d / (|v| |d|))`` with the vertical v at a place and the line d from there to the Sun; negative at night.
     """
     simulator, places = satellite.simulator, satellite.access_windows.kinds[opportunities.type]
     time = torch.maximum(opportunities.open, simulator.sim_time.unsqueeze(-1))
     r_SP_P = earth_fixed_sun(simulator.arcs.et.unsqueeze(-1) + time)
     r_LP_P = places.position(simulator.state.all_rows, opportunities.place, time)
-    return torch.asin(sin_elevation(Vec3.of(r_SP_P), Vec3.of(r_LP_P)))
+    place = Vec3.of(r_LP_P)
+    vertical = vertical_of(place, places.vertical) if isinstance(places, FixedPlaces) else place
+    return torch.asin(sin_elevation(Vec3.of(r_SP_P), place, vertical))
 
 
 def _relative_geometry(part: slice | int) -> Preset:

@@ -98,13 +98,13 @@ def _targets(tables: PlaceTables, instrument: Instrument | None) -> Places:
 
     least, advice = sine("imageTargetMinimumElevation"), "ask for more targets, lower imageTargetMinimumElevation"
     names = ("imageTargetMinimumSunElevation", "imageTargetMaximumSunElevation")
-    light = [SunElevation(sine(name), below=name == names[1]) for name in names if limit(name) in arguments]
+    light = [SunElevation(sine(name), name == names[1], tables.vertical) for name in names if limit(name) in arguments]
     near = [WithinRange(reach)] if instrument is not None and "imageTargetMaximumRange" in instrument.own else []
     return DrawnTargets(
         tables,
         lambda rows: least(rows).unsqueeze(-1),
         light,
-        clearances=[AboveElevation(least), *near] if near else [],
+        clearances=[AboveElevation(least, tables.vertical), *near] if near else [],
         advice=f"all have been imaged, or too few lie below the orbit{' in the light wanted' if light else ''}: {advice}",
     )
 

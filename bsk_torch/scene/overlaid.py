@@ -36,7 +36,7 @@ class OverlaidTargets(TargetScenario):
                     f"targets={targets!r} has a {type(within).__name__} already, whose values {type(self).__name__} would replace"
                 )
             within = within.targets
-        self.targets, self.most_targets = targets, targets.most_targets
+        self.targets, self.most_targets, self.vertical = targets, targets.most_targets, targets.vertical
 
     @property
     @override

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -10,10 +11,13 @@ from torch import Tensor
 from typing_extensions import override
 
 from bsk_torch._checks import number, text
+from bsk_torch.astro.geodetic import Vertical
 from bsk_torch.rand import first_key
 from bsk_torch.sats.bound import SatelliteFleet
+from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.draws import check_positions
+from bsk_torch.sim.fsw.target import VERTICAL
 from bsk_torch.sim.hooks import check_class
 from bsk_torch.sim.names import nearest
 from bsk_torch.sim.orbit.arcs import FARTHEST
@@ -76,6 +80,9 @@ class TargetScenario(Scenario):
 
     most_targets: int
     """Number of columns T."""
+
+    vertical: Vertical = "radius"
+    """Direction from which elevations over targets are counted; see :class:`Targets`."""
 
     _available: Tensor | None = None
     _link_needs_super = True
@@ -140,6 +147,10 @@ class TargetScenario(Scenario):
             exists, owner = self.fleet.scenario_state.shared("target_exists")
             self._available = exists.bool() if owner is None else exists.bool()[owner]
         return self._available
+
+    @override
+    def _own_arguments(self, satellite: Satellite) -> dict[str, Any]:
+        return {VERTICAL: self.vertical} if VERTICAL in satellite.default_sat_args() and self.vertical != "radius" else {}
 
     @override
     def _bounds(self) -> dict[str, tuple[float, float]]:

@@ -29,6 +29,7 @@ from bsk_torch.sim.faults.coming import drawn_again
 from bsk_torch.sim.faults.component import SLOT, severities
 from bsk_torch.sim.fsw.manoeuvre import burn
 from bsk_torch.sim.fsw.models import IDLE
+from bsk_torch.sim.fsw.target import VERTICAL
 from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.orbit.solvers import make_solver
 from bsk_torch.sim.places.base import PlaceKinds, place_kinds
@@ -121,6 +122,7 @@ class Simulator:
                 self.state.arguments,
                 places,
                 satellite_type.instruments,
+                arguments.sat_args.given.get(VERTICAL, "radius"),
             ),
             horizon=horizon,
             segment=usage.segment,

@@ -69,9 +69,9 @@ def test_a_target_has_access_in_the_light_of_one_tick_ago(low, high):
     PN = earth_orientation(et[0] + 1200.0 - h)
     write(bus, EN=pole_matrix(et + 1200.0), location_on=plane(1.0, n), r_LP_P=Vec3.of(r_LP_P))
     bus.r_BN_N = Vec3.of(1.1 * r_LP_P @ PN)  # above each
-    given = {LOW: low, HIGH: high}
+    given = {LOW: low, HIGH: high, target.VERTICAL: "radius"}
     args = {"imageTargetMinimumElevation": plane(0.8, 1), "imageTargetMaximumRange": plane(-1.0, 1)}
-    args |= {name: plane(value, 1) for name, value in given.items() if value is not None}
+    args |= {name: plane(value, 1) for name, value in ((LOW, low), (HIGH, high)) if value is not None}
     part = target.fitted_target(given)
     write(bus, **part.prepare(args))
     part.update(bus)
@@ -205,6 +205,6 @@ def test_rejects_impossible_light():
 
 
 def test_without_limits_targets_are_those_of_before():
-    assert target.fitted_target({LOW: None, HIGH: None}) is target.IMAGE_TARGET
+    assert target.fitted_target({LOW: None, HIGH: None, target.VERTICAL: "radius"}) is target.IMAGE_TARGET
     kinds = environment().satellite.access_windows.kinds
     assert kinds["target"].light == ()

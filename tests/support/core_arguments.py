@@ -5,7 +5,7 @@ SPACECRAFT = {
     *("thrusters", "thrusterPositions_B", "thrusterDirections_B", "thrusterMaxThrust"),
     *("faults", "rwAvailable"),
     "instruments",
-    *("imageTargetMinimumSunElevation", "imageTargetMaximumSunElevation"),
+    *("imageTargetMinimumSunElevation", "imageTargetMaximumSunElevation", "imageTargetVertical"),
     *("panels", "panelNormals_B", "panelRates", "panelAngles"),
     *("facets", "facetAreas", "facetNormals_B", "facetPositions_B"),
     *("inertia", "checkInertia", "r_CB_B", "wheels", "nullSpaceGain", "nullSpaceSpeeds", "underactuated"),

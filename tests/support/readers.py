@@ -16,6 +16,7 @@ from tensordict import TensorDict
 from bsk_torch.cli.run_folder import Summary
 from bsk_torch.files import write_file
 from bsk_torch.formats.geojson import read_regions
+from bsk_torch.formats.places import read_csv, read_geojson
 from bsk_torch.lab.bounds.envelope import FILE, Envelope
 from bsk_torch.lab.commands.results import PlayedResults, Results
 from bsk_torch.lab.offline import open_dataset
@@ -115,6 +116,10 @@ CASE = SimpleNamespace(
 )
 """A case of two satellites and three tasks."""
 
+CITIES = b'name,lat,lon,alt,weight\n"Alphaville, North",48.86,2.35,30,0.5\nB,-33.87,151.21,,1\n'
+POINT = {"type": "Feature", "properties": {"name": "A", "weight": 1.5}, "geometry": {"type": "Point", "coordinates": [2.3, 48.9]}}
+POINTS = {"type": "FeatureCollection", "features": [POINT, POINT]}
+
 PATHS = {
     "kind": KIND,
     "preset": "x",
@@ -182,6 +187,8 @@ def readers() -> dict[str, Reader]:
         "tasks": Reader("taskset.json", cases[1], read_cases, of_json, other_file_of_case("constellation.json")),
         "runs": Reader("00001/assignment_runs.json", b'{"0": [[0, 3], [-1, 2]], "1": [[2, 5]]}', assignments, of_json),
         "trajectory": Reader("00001.pth", buffer.getvalue(), assignments, of_checksummed),
+        "cities": Reader("x.csv", CITIES, lambda folder: read_csv(folder / "x.csv")),
+        "points": Reader("x.json", json_bytes(POINTS), lambda folder: read_geojson(folder / "x.json"), of_json),
         "paths": Reader("x.json", json_bytes(PATHS), lambda folder: read_paths(folder / "x.json"), of_json),
         "envelope": Reader("x.json", FILE.read_bytes(), lambda folder: Envelope.load(folder / "x.json"), of_json),
         "card": Reader("dataset.json", json_bytes(CARD), lambda folder: read_dataset(folder), of_json, write_dataset_rows),

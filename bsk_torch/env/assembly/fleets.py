@@ -13,7 +13,7 @@ from bsk_torch.act.continuous import ContinuousAction
 from bsk_torch.act.discrete import Broadcast
 from bsk_torch.astro.ephemeris import coverage, coverage_in_words
 from bsk_torch.codegen.kept import Kept
-from bsk_torch.constants import NANO
+from bsk_torch.constants import NANO, R_EARTH
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.data.checked import CheckedRewarder
 from bsk_torch.env.assembly.randomizer import Randomizer
@@ -31,6 +31,7 @@ from bsk_torch.sim.assembly.satellite_type import SatelliteType, SimulationOptio
 from bsk_torch.sim.component import Arg, Component, Field
 from bsk_torch.sim.draw_table import DrawTable
 from bsk_torch.sim.fleet import EpisodeDraw, Fleet, share
+from bsk_torch.sim.fsw.target import VERTICAL
 from bsk_torch.sim.run.encounters import find_pairs
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.world import WorldModel
@@ -75,6 +76,8 @@ class FleetBuilder:
         self.satellites = [satellite.as_given() for satellite in satellites]
         for satellite in self.satellites:
             satellite.sat_args_generator.update(scenario._own_arguments(satellite))
+            if options.compat == "bsk_rl":  # there, elevations are counted from the radius
+                satellite.sat_args_generator.pop(VERTICAL, None)
         self.types = grouped(self.satellites, lambda name: (scenario.group_of(name), rewarder.group_of(name)))
         if options.failures == CONTINUOUS:
             check_watched(self.satellites)
@@ -89,6 +92,8 @@ class FleetBuilder:
         worlds = [world_components(self.satellites[columns[0]].dyn_type, self.world_type) for columns in self.types]
         self._world_names = [{arg.name for component in world for arg in component.args} for world in worlds]
         self.world_args = expand(options.world_args, "world_args")
+        if options.compat == "bsk_rl" and any("groundLocationPlanetRadius" in names for names in self._world_names):
+            self.world_args.setdefault("groundLocationPlanetRadius", R_EARTH)  # there, stations lie on a sphere
         self._made = made
         self._scenario_draws: dict[int, dict[str, Tensor]] = {}
         check_world(self.world_args, [*self._world_names, self.default_world_args()])

@@ -19,11 +19,16 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from bsk_torch.astro.ephemeris import parse_utc
+from bsk_torch.astro.frames import fixed_to_lla
+from bsk_torch.astro.geodetic import geodetic_to_fixed
+from bsk_torch.constants import R_EARTH
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.rand import Distribution, Key
 from bsk_torch.rl.evaluation.evaluate import start_episodes
 from bsk_torch.sim.dyn.hub import initial_orbit
+from bsk_torch.sim.environment.world import DEFAULT_STATIONS, on_ellipsoid
+from bsk_torch.sim.fsw.target import VERTICAL
 
 Array = NDArray[np.float64]
 
@@ -180,10 +185,10 @@ def starts_of(env: SatelliteTasking, seeds: Sequence[int]) -> list[Start]:
     simulator, n = env.simulator, len(seeds)
     satellite, world = simulator.type.arguments.sat_args, simulator.type.arguments.world_args
     settings, arguments = env.builder.satellites[0].sat_args_generator, simulator.state.arguments
-    fixed = {name: satellite.given[name] for name in settings if name not in satellite.random}
+    fixed = {name: satellite.given[name] for name in settings if name not in satellite.random and name != VERTICAL}
     drawn = {name: plain(arguments[name]) for name in satellite.table if name in satellite.random and name != "oe"}
     r, v = (plain(x.expand(n, 3)) for x in initial_orbit(simulator.state.all_arguments))
-    world_settings = cast(Mapping[str, Any], env.options.world_args or {})
+    world_settings = stations_on_sphere(cast(Mapping[str, Any], env.options.world_args or {}))
     fixed_world = {name: value for name, value in world_settings.items() if name not in world.random}
     drawn_world = {name: plain(arguments[name]) for name in world.table if name in world.random and name != "utc_init"}
     epochs = epochs_of(env, seeds)
@@ -197,6 +202,22 @@ def starts_of(env: SatelliteTasking, seeds: Sequence[int]) -> list[Start]:
         )
         for k, seed in enumerate(seeds)
     ]
+
+
+def stations_on_sphere(world_args: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return arguments of the world that put ground stations at the same points for Basilisk, which counts from a sphere.
+
+    There, elevations are counted from a station's radius, which is up to 0.19 degrees from the normal of the ellipsoid.
+    """
+    stations = world_args.get("groundStationsData", DEFAULT_STATIONS)
+    if not on_ellipsoid({"groundLocationPlanetRadius": None, "groundStationsData": stations} | dict(world_args)):
+        return world_args
+    places = torch.tensor([[s["lat"], s["long"], s.get("elev") or 0.0] for s in stations], dtype=torch.float64)
+    r_LP_P = geodetic_to_fixed(places[:, 0].deg2rad(), places[:, 1].deg2rad(), places[:, 2])
+    latitude, longitude, altitude = fixed_to_lla(r_LP_P)
+    numbers = zip(*(x.tolist() for x in (latitude.rad2deg(), longitude.rad2deg(), altitude)), strict=True)
+    points = [{**s, "lat": lat, "long": long, "elev": elev} for s, (lat, long, elev) in zip(stations, numbers, strict=True)]
+    return {**world_args, "groundStationsData": points, "groundLocationPlanetRadius": R_EARTH}
 
 
 def plain(values: Tensor) -> list[Any]:

@@ -16,6 +16,7 @@ from torch import Tensor
 from bsk_torch.astro.atmosphere import exponential_density
 from bsk_torch.astro.eclipse import illumination
 from bsk_torch.astro.frames import lla_to_fixed, rotate_z
+from bsk_torch.astro.geodetic import Vertical, axis_shift, geodetic_to_fixed
 from bsk_torch.astro.magnetic import dipole_field
 from bsk_torch.constants import R_EARTH
 from bsk_torch.rand import random_epoch
@@ -36,21 +37,36 @@ DEFAULT_STATIONS: tuple[dict[str, Any], ...] = tuple(
         ("Hawaii", 19.8968, -155.5828, 9.0),
     )
 )
-"""Default ground stations: latitude and longitude in degrees, elevation in meters."""
+"""Default ground stations, on a sphere as in bsk_rl: latitude and longitude in degrees, elevation in meters."""
+
+
+def on_ellipsoid(args: Mapping[str, Any]) -> bool:
+    """Return whether stations lie on the ellipsoid of WGS84: those of a user, unless there is a radius; for values as given."""
+    stations = args["groundStationsData"]
+    return args["groundLocationPlanetRadius"] is None and isinstance(stations, list | tuple) and stations is not DEFAULT_STATIONS
 
 
 def station_arrays(args: Values) -> dict[str, Tensor]:
-    """Return Earth-fixed positions [1, 3 S], m (all x, all y, all z), sines of minimum elevations [1, S], ranges [1, S], m."""
-    stations = args["groundStationsData"]
+    """Return Earth-fixed positions [1, 3 S], m (all x, all y, all z), sines of minimum elevations [1, S], ranges [1, S], m.
+
+    Stations :func:`on_ellipsoid` have their shift along the axis [1, S], m, too; others lie on a sphere.
+    """
+    stations, geodetic = args["groundStationsData"], on_ellipsoid(args)
 
     def numbers(key: str, default: Tensor) -> Tensor:
         # a falsy value of a station is an unset one
         return torch.tensor([s.get(key) or default.item() for s in stations], dtype=torch.float64)
 
-    radius = numbers("groundLocationPlanetRadius", args["groundLocationPlanetRadius"])
     latitude, longitude = (torch.tensor([math.radians(s[key]) for s in stations], dtype=torch.float64) for key in ("lat", "long"))
-    r_P = lla_to_fixed(latitude, longitude, numbers("elev", torch.zeros((), dtype=torch.float64)), radius)
-    return {
+    height = numbers("elev", torch.zeros((), dtype=torch.float64))
+    if geodetic:
+        r_P = geodetic_to_fixed(latitude, longitude, height)
+        shift = {"station_shifts": axis_shift(Vec3.of(r_P))[None]}
+    else:
+        radius, shift = args["groundLocationPlanetRadius"], {}
+        default = torch.tensor(R_EARTH, dtype=torch.float64) if radius is None else radius
+        r_P = lla_to_fixed(latitude, longitude, height, numbers("groundLocationPlanetRadius", default))
+    return shift | {
         "station_positions_P": r_P.mT.reshape(1, -1),
         "station_sin_elevations": numbers("gsMinimumElevation", args["gsMinimumElevation"]).sin()[None],
         "station_ranges": numbers("gsMaximumRange", args["gsMaximumRange"])[None],
@@ -69,15 +85,16 @@ def station_places(tables: PlaceTables) -> dict[str, Places]:
     advice = "add stations to world_args['groundStationsData'], lower gsMinimumElevation"
     names = station_names(tables.world["groundStationsData"])
     sines = arrays["station_sin_elevations"].to(device)
-    return {STATION_KIND: FixedPlaces(r_LP_P, lambda rows: sines, advice=advice, names=names)}
+    vertical: Vertical = "wgs84" if on_ellipsoid(tables.world) else "radius"
+    return {STATION_KIND: FixedPlaces(r_LP_P, lambda rows: sines, advice=advice, names=names, vertical=vertical)}
 
 
 def see_stations(bus: Bus) -> None:
     """Write 1 where any station has access to the spacecraft, both as they were one tick ago, else 0 (Basilisk's groundLocation).
 
-    A station at p has access to ``r = [PN] r_BN``, m in P, where ``sin(el) = p . (r - p) / (|p| |r - p|)`` is at least the sine
-    of its minimum elevation and ``|r - p|`` at most its maximum range, unless that is negative. Sines are compared as signed
-    squares, without roots.
+    A station at p has access to ``r = [PN] r_BN``, m in P, where ``sin(el) = v . (r - p) / (|v| |r - p|)`` is at least the sine
+    of its minimum elevation and ``|r - p|`` at most its maximum range, unless that is negative. The vertical v is p, or on the
+    ellipsoid p with its shift along the axis. Sines are compared as signed squares, without roots.
     """
     r = rotate_z(bus.EN @ bus.r_BN_N, *turned(bus.ephemeris[0].earth_angle, bus.ephemeris_tau - bus.h))
     n, r2 = len(bus.station_ranges), r.dot(r)
@@ -88,6 +105,9 @@ def see_stations(bus: Bus) -> None:
         along = p.dot(r)
         up = along - p2
         range2 = r2 - along - up
+        if bus.has("station_shifts"):
+            shift = bus.station_shifts[i]
+            up, p2 = up + shift * (r.z - p.z), p2 + shift * (2.0 * p.z + shift)
         sees = (up * torch.abs(up) >= least * torch.abs(least) * p2 * range2) & ((range2 <= reach * reach) | (reach < 0.0))
         access = torch.where(sees, 1.0, access)
     bus.station_access = access
@@ -116,17 +136,16 @@ def sample_magnetic_field(bus: Bus) -> None:
 
 STATION_ARGS = (
     Arg("groundStationsData", DEFAULT_STATIONS, "deg, m", "list of dictionaries lat, long, elev, name", "stations"),
-    Arg(
-        "groundLocationPlanetRadius", R_EARTH, "m", "radius of the sphere on which stations lie", low=1e-9, high=1e9, shared=True
-    ),
+    Arg("groundLocationPlanetRadius", None, "m", "radius of a sphere of stations; None: WGS84", low=1e-9, high=1e9, shared=True),
     Arg("gsMinimumElevation", math.radians(10.0), "rad", "least elevation", low=-math.pi / 2, high=math.pi / 2, shared=True),
     Arg("gsMaximumRange", -1.0, "m", "longest range; no limit where negative", shared=True, endless=True),
 )
 
 
-def ground_stations(count: int) -> Component:
-    """Return the component for ``count`` stations, a number fixed when the tick is built."""
+def ground_stations(count: int, geodetic: bool = False) -> Component:
+    """Return the component for ``count`` stations, on the ellipsoid if ``geodetic``; both are fixed when the tick is built."""
     widths = {"station_positions_P": 3 * count, "station_sin_elevations": count, "station_ranges": count}
+    widths |= {"station_shifts": count} if geodetic else {}
     return Component(
         slot="ground_stations",
         update=see_stations,
@@ -145,10 +164,11 @@ def _fitted_stations(given: Mapping[str, Any]) -> Component:
     count = len(stations) if isinstance(stations, list | tuple) and stations else len(DEFAULT_STATIONS)
 
     def prepare(args: Values) -> dict[str, Tensor]:
-        radius = torch.as_tensor(given["groundLocationPlanetRadius"], dtype=torch.float64)
+        radius = given["groundLocationPlanetRadius"]
+        radius = None if radius is None else torch.as_tensor(radius, dtype=torch.float64)
         return station_arrays({**args, "groundLocationPlanetRadius": radius})
 
-    return dataclasses.replace(ground_stations(count), prepare=prepare)
+    return dataclasses.replace(ground_stations(count, on_ellipsoid(given)), prepare=prepare)
 
 
 GROUND_STATIONS = dataclasses.replace(ground_stations(len(DEFAULT_STATIONS)), fit=_fitted_stations)

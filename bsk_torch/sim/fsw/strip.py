@@ -10,14 +10,14 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from bsk_torch.astro.geodetic import Vertical
 from bsk_torch.sim.component import Bus, Component, Field, Values, vec
 from bsk_torch.sim.dyn.models import DynamicsModel, StripImagingDynModel
 from bsk_torch.sim.fsw.guidance import guided_angle
 from bsk_torch.sim.fsw.instrument import SCANNING_CONTROLLER
 from bsk_torch.sim.fsw.models import ImagingFSWModel
 from bsk_torch.sim.fsw.modes import Mode
-from bsk_torch.sim.fsw.target import IMAGE_TARGET, SUN_LIMITS, aim_at_place, first_place, lit_target
-from bsk_torch.sim.instruments import differs
+from bsk_torch.sim.fsw.target import aim_at_place, first_place, lit_target, target_form
 from bsk_torch.sim.readout.observables import Now, observable
 from bsk_torch.vec3 import select
 
@@ -26,9 +26,9 @@ ROUNDING = 1e-12  # angle by which rounding may put a place before the start of 
 
 
 @functools.cache
-def aim_at_strip(minimum: bool, maximum: bool) -> Callable[[Bus], None]:
-    """Return the update of strips with a minimum, a maximum, both or no limit of the Sun's elevation."""
-    aim_at_current_place = aim_at_place(minimum, maximum)
+def aim_at_strip(minimum: bool, maximum: bool, vertical: Vertical) -> Callable[[Bus], None]:
+    """Return the update of strips with a minimum, a maximum, both or no limit of the Sun's elevation, and a vertical."""
+    aim_at_current_place = aim_at_place(minimum, maximum, vertical)
 
     def aim(bus: Bus) -> None:
         """Move the place L along its strip, and write it in N, m, and its access, both of one tick ago.
@@ -61,14 +61,13 @@ def _first_strip(args: Values) -> dict[str, Tensor]:
 
 def fitted_strip(given: Mapping[str, Any]) -> Component:
     """Return the component of strips in the light that the arguments as given ask for."""
-    form = tuple(differs(given, arg.name) for arg in SUN_LIMITS)
-    return strip_target(*form)
+    return strip_target(*target_form(given))
 
 
 @functools.cache
-def strip_target(minimum: bool, maximum: bool) -> Component:
-    """Return the component of strips with a minimum, a maximum, both or no limit of the Sun's elevation."""
-    place = lit_target(minimum, maximum) if minimum or maximum else IMAGE_TARGET
+def strip_target(minimum: bool, maximum: bool, vertical: Vertical) -> Component:
+    """Return the component of strips with a minimum, a maximum, both or no limit of the Sun's elevation, and a vertical."""
+    place = lit_target(minimum, maximum, vertical)
     fields = (
         vec("strip_middle", "m", "middle of the strip, Earth-fixed", exact=True),
         vec("strip_along", "m", "direction of the strip in its middle, as long as the middle, Earth-fixed", exact=True),
@@ -78,7 +77,7 @@ def strip_target(minimum: bool, maximum: bool) -> Component:
     )
     return dataclasses.replace(
         place,
-        update=aim_at_strip(minimum, maximum),
+        update=aim_at_strip(minimum, maximum, vertical),
         state=(*place.state, *fields),
         initial=_first_strip,
         fit=fitted_strip,
@@ -93,7 +92,7 @@ class StripImagingFSWModel(ImagingFSWModel):
     """
 
     requires_dyn: ClassVar[tuple[type[DynamicsModel], ...]] = (StripImagingDynModel,)
-    components: ClassVar[tuple[Component, ...]] = (strip_target(False, False), SCANNING_CONTROLLER)
+    components: ClassVar[tuple[Component, ...]] = (strip_target(False, False, "radius"), SCANNING_CONTROLLER)
     modes: ClassVar[dict[str, Mode | None]] = {
         "image": None,
         STRIP_MODE: Mode(("control_on", "location_on", "controller_on", "instrument_linked", "instrument_power")),

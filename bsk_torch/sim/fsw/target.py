@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.astro.frames import rotate_z, sin_elevation
+from bsk_torch.astro.geodetic import Vertical, axis_shift
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
 from bsk_torch.sim.environment.ephemeris import sun_at, turned
@@ -27,18 +28,18 @@ FIRST_ALTITUDE = 1000.0  # height, m, of the place on the equator that is the ta
 
 
 @functools.cache
-def aim_at_place(minimum: bool, maximum: bool) -> Callable[[Bus], None]:
-    """Return the update of targets with a minimum, a maximum, both or no limit of the Sun's elevation."""
+def aim_at_place(minimum: bool, maximum: bool, vertical: Vertical = "radius") -> Callable[[Bus], None]:
+    """Return the update of targets with a minimum, a maximum, both or no limit of the Sun's elevation, and a vertical."""
 
     def aim(bus: Bus) -> None:
         """Write the place L in N, m, and its access, 1 or 0, both of one tick ago.
 
         ``r_LN = [PN]^T r_LP`` with the Earth's orientation of one tick ago. It has access where the spacecraft is above the
-        minimum elevation, ``sin(el) = p . d / (|p| |d|)`` with ``p = r_LN`` and ``d = r_BN - r_LN``, and within the maximum
-        range, ``|d| <= reach``, unless that is negative. That sine is positive, so squares are compared, without roots. Where
-        location pointing is off, position and access are zero.
+        minimum elevation, ``sin(el) = v . d / (|v| |d|)`` with the vertical v, ``r_LN`` or the normal of the ellipsoid, and
+        ``d = r_BN - r_LN``, and within the maximum range, ``|d| <= reach``, unless that is negative. That sine is positive, so
+        squares are compared, without roots. Where location pointing is off, position and access are zero.
 
-        The elevation of the Sun S, ``sin(el_S) = p . s / (|p| |s|)`` with ``s = r_SN - r_LN`` of one tick ago, must not be below
+        The elevation of the Sun S, ``sin(el_S) = v . s / (|v| |s|)`` with ``s = r_SN - r_LN`` of one tick ago, must not be below
         a minimum, nor above a maximum.
         """
         cos, sin = turned(bus.ephemeris[0].earth_angle, bus.ephemeris_tau - bus.h)
@@ -46,11 +47,12 @@ def aim_at_place(minimum: bool, maximum: bool) -> Callable[[Bus], None]:
         def seen() -> tuple[Vec3, Tensor]:
             p = bus.EN.mT @ rotate_z(bus.r_LP_P, cos, -sin)
             line, reach = bus.r_BN_N - p, bus.target_range
-            up, range2 = p.dot(line), line.dot(line)
-            rises = (up > 0.0) & (up * up > bus.target_sin2_elevation * p.dot(p) * range2)
+            v = p + bus.EN.z * axis_shift(bus.r_LP_P) if vertical == "wgs84" else p
+            up, range2 = v.dot(line), line.dot(line)
+            rises = (up > 0.0) & (up * up > bus.target_sin2_elevation * v.dot(v) * range2)
             sees = rises & ((range2 <= reach * reach) | (reach < 0.0))
             if minimum or maximum:
-                sun = sin_elevation(sun_at(bus, bus.ephemeris_tau - bus.h)[0], p)
+                sun = sin_elevation(sun_at(bus, bus.ephemeris_tau - bus.h)[0], p, v)
                 sees = sees & (sun >= bus.target_least_sun) if minimum else sees
                 sees = sees & (sun <= bus.target_most_sun) if maximum else sees
             return p, torch.where(sees, torch.ones_like(up), torch.zeros_like(up))
@@ -101,13 +103,20 @@ SUN_LIMITS = (
 )
 """Light in which targets can be imaged; None: any."""
 
+VERTICAL = "imageTargetVertical"
+
 SUN_PARAMETERS = ("target_least_sun", "target_most_sun")  # parameters of the tick, the sines of SUN_LIMITS
 
 
 def fitted_target(given: Mapping[str, Any]) -> Component:
     """Return the component of targets in the light that the arguments as given ask for."""
-    form = tuple(differs(given, arg.name) for arg in SUN_LIMITS)
-    return lit_target(*form) if any(form) else IMAGE_TARGET
+    return lit_target(*target_form(given))
+
+
+def target_form(given: Mapping[str, Any]) -> tuple[bool, bool, Vertical]:
+    """Return what decides the component of targets: a minimum, a maximum of the Sun's elevation, and the vertical."""
+    minimum, maximum = (differs(given, arg.name) for arg in SUN_LIMITS)
+    return minimum, maximum, given[VERTICAL]
 
 
 def _sine(args: Values, limit: Arg) -> Tensor:
@@ -117,8 +126,11 @@ def _sine(args: Values, limit: Arg) -> Tensor:
 
 
 @functools.cache
-def lit_target(minimum: bool, maximum: bool) -> Component:
-    """Return the component of targets with a minimum, a maximum, or both, of the Sun's elevation."""
+def lit_target(minimum: bool, maximum: bool, vertical: Vertical) -> Component:
+    """Return the component of targets with a minimum, a maximum, both or no limit of the Sun's elevation, and a vertical."""
+    if not (minimum or maximum):
+        plain = vertical == "radius"
+        return IMAGE_TARGET if plain else dataclasses.replace(IMAGE_TARGET, update=aim_at_place(False, False, vertical))
     pairs = zip(SUN_PARAMETERS, SUN_LIMITS, (minimum, maximum), strict=True)
     limits = {parameter: arg for parameter, arg, has in pairs if has}
 
@@ -139,7 +151,7 @@ def lit_target(minimum: bool, maximum: bool) -> Component:
 
     return dataclasses.replace(
         IMAGE_TARGET,
-        update=aim_at_place(minimum, maximum),
+        update=aim_at_place(minimum, maximum, vertical),
         params=(*IMAGE_TARGET.params, *(Field(name, 1, "-", exact=True) for name in limits)),
         prepare=prepare,
         check=check,
@@ -161,6 +173,7 @@ IMAGE_TARGET = Component(
             high=1e9,
         ),
         *SUN_LIMITS,
+        Arg(VERTICAL, "radius", "-", "vertical of elevations; the scenario sets it", "constant", choices=("radius", "wgs84")),
     ),
     state=(vec("r_LP_P", "m", "place that the agent has chosen, Earth-fixed", exact=True),),
     params=(Field("target_range", 1, "m", exact=True), Field("target_sin2_elevation", 1, "-", exact=True)),

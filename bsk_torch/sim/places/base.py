@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 from typing_extensions import override
 
+from bsk_torch.astro.geodetic import Vertical, axis_shift
 from bsk_torch.rand import first_key
 from bsk_torch.sim.arguments.values import Arguments
 from bsk_torch.sim.component import Component
@@ -22,6 +23,7 @@ from bsk_torch.sim.draw_table import DrawTable
 from bsk_torch.sim.instruments import Instrument
 from bsk_torch.sim.places.clearance import Clearance, PlaceTables, SunElevation
 from bsk_torch.sim.state import StateTable, entries
+from bsk_torch.vec3 import Vec3
 
 STATION_KIND, TARGET_KIND = "ground_station", "target"
 """Names of the kinds that components and scenarios of the package declare."""
@@ -115,10 +117,12 @@ class Sites(NamedTuple):
     Attributes:
         r_LP_P: Earth-fixed positions, [n, P, 3] m; NaN for the padding of satellites that have fewer places than others.
         sin_min_elevation: Sines of the minimum elevation, [n, P].
+        shift: :func:`~bsk_torch.astro.geodetic.axis_shift`, [n, P] m; None for elevations from the radius.
     """
 
     r_LP_P: Tensor
     sin_min_elevation: Tensor
+    shift: Tensor | None = None
 
 
 class FixedPlaces(Places):
@@ -143,6 +147,7 @@ class FixedPlaces(Places):
         tables: PlaceTables | None = None,
         advice: str = Places.advice,
         names: Sequence[str] = (),
+        vertical: Vertical = "radius",
     ) -> None:
         """Describe places.
 
@@ -156,6 +161,7 @@ class FixedPlaces(Places):
             tables: Tables of the simulation; needed with ``light``, which depends on the time.
             advice: See :class:`Places`.
             names: See :class:`Places`.
+            vertical: Direction from which elevations are counted: the place's ``"radius"``, or the normal of ``"wgs84"``.
 
         Raises:
             ValueError: For ``light`` without ``tables``.
@@ -163,7 +169,7 @@ class FixedPlaces(Places):
         if light and tables is None:
             raise ValueError(f"light={light!r} needs tables=, those that place_kinds(tables) was called with")
         self._table, self._limit, self._exists, self.light = r_LP_P, sin_min_elevation, exists, tuple(light)
-        self.satellites, self.advice, self.names = satellites, advice, tuple(names)
+        self.satellites, self.advice, self.names, self.vertical = satellites, advice, tuple(names), vertical
         if tables is not None:
             self.tables = tables
 
@@ -207,12 +213,15 @@ class FixedPlaces(Places):
         sines = torch.as_tensor(given, dtype=table.dtype, device=table.device)
         sines = (sines if sines.ndim else sines.view(1, 1)).expand(-1, table.shape[1])
         if len(table) == len(sines) == 1 and not self._may_lack:
-            return Sites(table, sines)
+            return Sites(table, sines, self._shift(table))
         envs = rows // self.satellites if row is None else row[rows // self.satellites]
         r_LP_P = table[envs] if len(table) > 1 else table.repeat(len(rows), 1, 1)
         if self._may_lack:
             r_LP_P.masked_fill_(~self.exists(rows).unsqueeze(-1), torch.nan)
-        return Sites(r_LP_P, sines.expand(r_LP_P.shape[:2]))
+        return Sites(r_LP_P, sines.expand(r_LP_P.shape[:2]), self._shift(r_LP_P))
+
+    def _shift(self, r_LP_P: Tensor) -> Tensor | None:
+        return axis_shift(Vec3.of(r_LP_P)) if self.vertical == "wgs84" else None
 
 
 class DrawnTargets(FixedPlaces):
@@ -236,8 +245,16 @@ class DrawnTargets(FixedPlaces):
             clearances: All other conditions of a clear view, the elevation included, where there are others.
             advice: See :class:`Places`.
         """
-        drawn, count = tables.drawn, tables.arguments.count
-        super().__init__(lambda: drawn[TARGETS], sin_min_elevation, satellites=count, light=light, tables=tables, advice=advice)
+        drawn = tables.drawn
+        super().__init__(
+            lambda: drawn[TARGETS],
+            sin_min_elevation,
+            satellites=tables.arguments.count,
+            light=light,
+            tables=tables,
+            advice=advice,
+            vertical=tables.vertical,
+        )
         self._drawn, self.clearances = drawn, tuple(clearances)
 
     def _stored(self) -> tuple[Tensor, Tensor | None]:
@@ -263,6 +280,7 @@ def place_kinds(
     arguments: StateTable,
     declared: PlaceKinds,
     instruments: Sequence[Instrument] = (),
+    vertical: Vertical = "radius",
 ) -> dict[str, Places]:
     """Return the places that satellites can see, by kind: those of ``parts``, and those ``declared`` by the scenario.
 
@@ -270,7 +288,7 @@ def place_kinds(
     than places, ValueError for a name already in use, or places without clearances.
     """
     bringing = [part for part in parts if part.places]
-    tables = PlaceTables(scenario, arguments, world_args.draw(first_key(1)) if bringing else {}, instruments)
+    tables = PlaceTables(scenario, arguments, world_args.draw(first_key(1)) if bringing else {}, instruments, vertical)
     kinds: dict[str, Places] = {}
     sources = [(f"the component {part.slot!r}", part.places) for part in bringing]
     for owner, source in [*sources, ("the scenario", declared)]:

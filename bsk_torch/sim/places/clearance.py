@@ -12,6 +12,7 @@ from torch import Tensor
 from bsk_torch.astro.eclipse import sunlight_margin
 from bsk_torch.astro.ephemeris import earth_fixed_sun, earth_orientation
 from bsk_torch.astro.frames import sin_elevation
+from bsk_torch.astro.geodetic import LARGEST_DEFLECTION, Vertical, axis_shift, vertical_of
 from bsk_torch.astro.sight import POLAR_STRETCH, elevation_clearance, line_clearance, max_central_angle, stretch
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.component import Values
@@ -31,12 +32,14 @@ class PlaceTables(NamedTuple):
         arguments: Arguments of satellites and world, [N, ...] each; likewise.
         world: Arguments of the world that are the same in all environments, such as the ground stations.
         instruments: Several instruments of the satellites; none if they have a single one.
+        vertical: Direction from which elevations over targets are counted.
     """
 
     drawn: DrawTable
     arguments: StateTable
     world: Values
     instruments: Sequence[Instrument] = ()
+    vertical: Vertical = "radius"
 
     def of_rows(self, name: str, rows: Tensor, place: Tensor) -> Tensor:
         """Return the draws ``name`` [num_envs, P, ...] for satellites ``rows`` [n] and places [n, ...]; [n, ..., ...]."""
@@ -108,20 +111,28 @@ def limit_of(rows: Tensor, limit: Limit, like: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class AboveElevation:
-    """The satellite is above a minimum elevation over the place; ``sin_min_elevation`` is its sine."""
+    """The satellite is above a minimum elevation over the place; ``sin_min_elevation`` is its sine.
+
+    It is counted from the place's radius, or from the normal of the ellipsoid with ``vertical="wgs84"``.
+    """
 
     sin_min_elevation: Limit
+    vertical: Vertical = "radius"
 
     def margin(self, sight: Sight) -> Tensor:
         """See :func:`bsk_torch.astro.sight.elevation_clearance`."""
-        return elevation_clearance(sight.r_BP_P, sight.r_LP_P, limit_of(sight.rows, self.sin_min_elevation, sight.r_BP_P.x))
+        least = limit_of(sight.rows, self.sin_min_elevation, sight.r_BP_P.x)
+        if self.vertical == "wgs84":
+            return elevation_clearance(sight.r_BP_P, sight.r_LP_P, least, axis_shift(sight.r_LP_P))
+        return elevation_clearance(sight.r_BP_P, sight.r_LP_P, least)
 
     def reachable(self, sight: Sight, moved_B: Tensor, moved_L: Tensor) -> Tensor:
         """Compare the central angle with the largest one: a point at r that moves by d turns by at most asin(d / r)."""
         r_B, r_L = sight.r_BP_P.norm(), sight.r_LP_P.norm()
         turn = torch.asin((moved_B / r_B).clamp(max=1.0)) + torch.asin((moved_L / r_L).clamp(max=1.0))
         ratio = (r_L - moved_L).clamp(min=0.0) / (r_B + moved_B)
-        reach = turn + max_central_angle(ratio, limit_of(sight.rows, self.sin_min_elevation, sight.r_BP_P.x)) + SLACK
+        slack = SLACK + (2.0 * LARGEST_DEFLECTION if self.vertical == "wgs84" else 0.0)
+        reach = turn + max_central_angle(ratio, limit_of(sight.rows, self.sin_min_elevation, sight.r_BP_P.x)) + slack
         return sight.r_LP_P.dot(sight.r_BP_P) / (r_B * r_L) > torch.cos(reach.clamp(max=torch.pi))
 
 
@@ -189,6 +200,7 @@ class SunElevation:
 
     sine: Limit
     below: bool = False
+    vertical: Vertical = "radius"
 
     def margin(self, sight: Sight) -> Tensor:
         """Return the difference of the sines; see :func:`bsk_torch.astro.frames.sin_elevation`."""
@@ -196,7 +208,7 @@ class SunElevation:
 
     def margin_at(self, rows: Tensor, r_LP_P: Vec3, time: Tensor, tables: PlaceTables) -> Tensor:
         """Return the margin, [n, ...], at places [n, ...] m that satellites ``rows`` [n] see at times [n, ...] s."""
-        sine = sin_elevation(Vec3.of(tables.sun(rows, time)), r_LP_P)
+        sine = sin_elevation(Vec3.of(tables.sun(rows, time)), r_LP_P, vertical_of(r_LP_P, self.vertical))
         above = sine - limit_of(rows, self.sine, sine)
         return -above if self.below else above
 

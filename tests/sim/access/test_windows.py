@@ -606,7 +606,7 @@ def test_each_environment_has_places_of_its_own(recording, fly):
         seen = listed(together, row)
         assert all(place < number for place, _, _ in seen)
         if number:
-            alone = access(fly(initials[row : row + 1], 6), Sites(*(x[row : row + 1, :number] for x in places)))
+            alone = access(fly(initials[row : row + 1], 6), Sites(*(x[row : row + 1, :number] for x in places[:2])))
             assert [w[0] for w in listed(alone, 0)] == [w[0] for w in seen]
             for one, other in zip(listed(alone, 0), seen, strict=True):
                 assert one[1:] == pytest.approx(other[1:], abs=1e-6)
@@ -678,7 +678,7 @@ def test_thousands_of_targets(recording, solve_arcs):
     counts = torch.isfinite(access.windows[KIND].close).sum(1)
     assert (counts > 1500).all()
     assert elapsed < 10.0  # twenty times what has been measured; one place after another would take minutes
-    alone = table(flight, GENERATED, Sites(*(x[:, 4990:] for x in places)))
+    alone = table(flight, GENERATED, Sites(*(x[:, 4990:] for x in places[:2])))
     for row in range(5):
         mine = [(place - 4990, *times) for place, *times in listed(access, row) if place >= 4990]
         expected = listed(alone, row)

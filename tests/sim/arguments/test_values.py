@@ -111,7 +111,7 @@ def test_stations_as_bsk_rl_takes_them():
     plain = {"lat": 0.0, "long": 0.0, "gsMinimumElevation": 0, "elev": None}
     own = {"lat": 0.0, "long": 90.0, "elev": 100.0, "groundLocationPlanetRadius": 1e6}
     own |= {"gsMinimumElevation": 0.5, "gsMaximumRange": 2e6}
-    values = draw({"groundStationsData": [plain, own]}, WORLD)
+    values = draw({"groundStationsData": [plain, own], "groundLocationPlanetRadius": 6378136.6}, WORLD)
     arrays = merge(values, WORLD, "prepare")
     assert arrays["station_sin_elevations"].tolist() == [pytest.approx([math.sin(math.radians(10.0)), math.sin(0.5)])]
     assert arrays["station_ranges"].tolist() == [[-1.0, 2e6]]

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from bsk_torch.astro.geodetic import LARGEST_DEFLECTION
 from bsk_torch.astro.sight import max_central_angle
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.sim.access.visibility.backend import Visibility
@@ -91,7 +92,8 @@ def coarse_screen(track: GroundTrack, places: Sites) -> tuple[Tensor, Tensor, Te
     radius = places.r_LP_P.norm(dim=-1)
     ratio = radius.nan_to_num(nan=torch.inf).amin(-1, keepdim=True) / distance[:, around].amax(-1)
     theta_max = max_central_angle(ratio, places.sin_min_elevation.amin(-1, keepdim=True))
-    reach = torch.acos(cos_psi.clamp(max=1.0)) + theta_max + SCREEN_SLACK
+    slack = SCREEN_SLACK if places.shift is None else SCREEN_SLACK + 2.0 * LARGEST_DEFLECTION  # which turns theta_max, too
+    reach = torch.acos(cos_psi.clamp(max=1.0)) + theta_max + slack
     cos_reach = torch.cos(reach.clamp(max=torch.pi)).float()
     unit_places = places.r_LP_P.float() / radius.float().unsqueeze(-1)
     return _products_above(unit_middle.float(), unit_places, cos_reach)
@@ -133,7 +135,10 @@ class PassSearch:
         """Return the pairs of satellites ``row`` [m] and places ``place`` [m]; ground tracks begin ``early`` s sooner."""
         owner = row if len(self.places.r_LP_P) > 1 else torch.zeros_like(row)
         samples = Samples(self.track.r_BP_P, self.track.start - early, row)
-        return PlacePairs(samples, entries(self.places.r_LP_P, owner, place), self.places.sin_min_elevation[owner, place])
+        r_LP_P, sine, shift = self.places
+        return PlacePairs(
+            samples, entries(r_LP_P, owner, place), sine[owner, place], None if shift is None else shift[owner, place]
+        )
 
     def passes(self) -> Passes:
         """Return all passes, in no particular order; FloatingPointError for a ground track that no orbit has."""

@@ -51,19 +51,19 @@ class KernelVisibility:
         state = torch.full((3, len(cells.first)), torch.nan, dtype=torch.float64)
         state[0] = cells.first
         limits = cells.end, cells.search_begin, cells.search_end
-        _run_pairs(event_kernel(), pairs, state, CLASSIFIED_SAMPLES, limits, written)
+        _run_pairs(event_kernel, pairs, state, CLASSIFIED_SAMPLES, limits, written)
         return written.squeeze(-1)
 
     def clearance(self, pairs: PlacePairs, time: Tensor) -> Tensor:
         """See :meth:`Visibility.clearance`."""
         state = torch.stack([time, time])
-        _run_pairs(clearance_kernel(), pairs, state, 1)
+        _run_pairs(clearance_kernel, pairs, state, 1)
         return state[1]
 
     def crossings(self, pairs: PlacePairs, brackets: Brackets) -> Tensor:
         """See :meth:`Visibility.crossings`."""
         state = torch.stack([0.5 * (brackets.a + brackets.b), *brackets])
-        _run_pairs(crossing_kernel(), pairs, state, BISECTIONS + ROOT_ITERATIONS)
+        _run_pairs(crossing_kernel, pairs, state, BISECTIONS + ROOT_ITERATIONS)
         return state[2]
 
     def culminations(self, pairs: PlacePairs, a: Tensor, b: Tensor) -> Tensor:
@@ -71,20 +71,22 @@ class KernelVisibility:
         left, right = ((time, self.clearance(pairs, time)) for time in sections(a, b))
         first, last, new = narrowed(a, b, *left, *right)
         state = torch.stack([new, first, last, *left, *right])
-        _run_pairs(culmination_kernel(), pairs, state, CULMINATION_ITERATIONS)
+        _run_pairs(culmination_kernel, pairs, state, CULMINATION_ITERATIONS)
         return 0.5 * (state[1] + state[2])
 
 
 def _run_pairs(
-    kernel: Kernel,
+    kernel: Callable[[bool], Kernel],
     pairs: PlacePairs,
     state: Tensor,
     ticks: int,
     limits: tuple[Tensor, ...] = (),
     written: Tensor | None = None,
 ) -> None:
-    own = torch.stack([*pairs.r_LP_P.unbind(-1), pairs.sin_min_elevation, *limits])
-    kernel(state, ticks, (pairs.track,), own=own, written=written)
+    geodetic = pairs.shift is not None
+    shift = (pairs.shift,) if geodetic else ()
+    own = torch.stack([*pairs.r_LP_P.unbind(-1), pairs.sin_min_elevation, *shift, *limits])
+    kernel(geodetic)(state, ticks, (pairs.track,), own=own, written=written)
 
 
 def _run_samples(kernel: Kernel, orbits: PlannedOrbits, start: Tensor, count: int, width: int) -> Tensor:
@@ -113,14 +115,18 @@ def ground_track_kernel() -> Kernel:
     return _sample_kernel("ground track", lambda r_BN_N, ephemeris: list(fixed(ephemeris, r_BN_N)))
 
 
-def _time_and_clearance(builder: KernelBuilder, track: Track) -> tuple[Any, Any]:
-    """Return the time of the tick and the clearance then; the place's position and sine of the limit are the ``own`` planes."""
+def _time_and_clearance(builder: KernelBuilder, track: Track, geodetic: bool) -> tuple[Any, Any]:
+    """Return the time of the tick and the clearance then.
+
+    The place's position, the sine of the limit and, if ``geodetic``, the shift of the place are the ``own`` planes.
+    """
     (time,) = builder.planes("state", 1)
     *site, sin_min_elevation = builder.planes("own", 4)
+    shift = builder.planes("own", 1, first=4)[0] if geodetic else None
     planes = builder.records(1, 3 * track.count)
     nodes = [Vec3(*planes[k : k + 3]) for k in range(0, len(planes), 3)]
     r_BP_P = nodes[0] if track.count == 1 else position(coefficients(nodes), builder.tau(1) * (1.0 / PLAN_STEP))
-    return time, elevation_clearance(r_BP_P, Vec3(*site), sin_min_elevation)
+    return time, elevation_clearance(r_BP_P, Vec3(*site), sin_min_elevation, shift)
 
 
 def _pair_kernel(name: str, builder: KernelBuilder, track: Track, outputs: list[Any], written: list[Any]) -> Kernel:
@@ -129,28 +135,28 @@ def _pair_kernel(name: str, builder: KernelBuilder, track: Track, outputs: list[
 
 
 @cache
-def event_kernel() -> Kernel:
+def event_kernel(geodetic: bool) -> Kernel:
     """Return the kernel that writes event codes; its state is the time and the last two clearances."""
     builder = KernelBuilder()
-    time, clearance = _time_and_clearance(builder, FINE)
+    time, clearance = _time_and_clearance(builder, FINE, geodetic)
     before, here = builder.planes("state", 2, first=1)
-    end, search_begin, search_end = builder.planes("own", 3, first=4)
+    end, search_begin, search_end = builder.planes("own", 3, first=5 if geodetic else 4)
     written = event_code(before, here, clearance, time, SearchCells(time, end, search_begin, search_end))
     return _pair_kernel("access search", builder, FINE, [time + PLAN_STEP, here, clearance], [written])
 
 
 @cache
-def clearance_kernel() -> Kernel:
+def clearance_kernel(geodetic: bool) -> Kernel:
     """Return the kernel that computes the clearance at one time."""
     builder = KernelBuilder()
-    return _pair_kernel("access clearance", builder, GROUND_TRACK, list(_time_and_clearance(builder, GROUND_TRACK)), [])
+    return _pair_kernel("access clearance", builder, GROUND_TRACK, list(_time_and_clearance(builder, GROUND_TRACK, geodetic)), [])
 
 
 @cache
-def crossing_kernel() -> Kernel:
+def crossing_kernel(geodetic: bool) -> Kernel:
     """Return the kernel of the search for a crossing: first bisections, then regula falsi; see ``roots.find_root``."""
     builder = KernelBuilder()
-    time, clearance = _time_and_clearance(builder, GROUND_TRACK)
+    time, clearance = _time_and_clearance(builder, GROUND_TRACK, geodetic)
     a, b, clearance_a, clearance_b = builder.planes("state", 4, first=1)
     bracket = a, b, clearance_a, clearance_b, time, clearance
     number: Any = builder.program.input("ticks_now")
@@ -161,10 +167,10 @@ def crossing_kernel() -> Kernel:
 
 
 @cache
-def culmination_kernel() -> Kernel:
+def culmination_kernel(geodetic: bool) -> Kernel:
     """Return the kernel of the golden-section search for a culmination; see ``roots.find_maximum``."""
     builder = KernelBuilder()
-    time, clearance = _time_and_clearance(builder, GROUND_TRACK)
+    time, clearance = _time_and_clearance(builder, GROUND_TRACK, geodetic)
     a, b, left, clearance_left, right, clearance_right = builder.planes("state", 6, first=1)
     points = placed(left, clearance_left, right, clearance_right, time, clearance)
     a, b, new = narrowed(a, b, *points)

@@ -26,10 +26,12 @@ class PlacePairs(NamedTuple):
     track: Samples  # Earth-fixed samples of the satellite of each pair
     r_LP_P: Tensor  # Earth-fixed position of each place, [m, 3] m
     sin_min_elevation: Tensor  # sine of the minimum elevation at each place, [m]
+    shift: Tensor | None = None  # axis_shift of each place, [m] m; None for elevations from the radius
 
     def take(self, index: Tensor) -> PlacePairs:
         """Return the pairs ``index``, which may repeat."""
-        return PlacePairs(take_rows(self.track, index), self.r_LP_P[index], self.sin_min_elevation[index])
+        shift = None if self.shift is None else self.shift[index]
+        return PlacePairs(take_rows(self.track, index), self.r_LP_P[index], self.sin_min_elevation[index], shift)
 
 
 class Brackets(NamedTuple):

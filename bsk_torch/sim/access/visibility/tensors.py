@@ -47,7 +47,7 @@ class TensorVisibility:
         )
         every = pairs.take(torch.arange(len(times), device=times.device).repeat_interleave(CLASSIFIED_SAMPLES))
         r_BP_P = Vec3.of(records_around(FINE, every.track, times.flatten())[0].squeeze(1))
-        clearance = elevation_clearance(r_BP_P, Vec3.of(every.r_LP_P), every.sin_min_elevation).view(times.shape)
+        clearance = elevation_clearance(r_BP_P, Vec3.of(every.r_LP_P), every.sin_min_elevation, every.shift).view(times.shape)
         padded = torch.nn.functional.pad(clearance, (2, 0), value=torch.nan)
         columns = SearchCells(*(part.unsqueeze(-1) for part in cells))
         return event_code(padded[:, :-2], padded[:, 1:-1], clearance, times, columns)
@@ -56,7 +56,7 @@ class TensorVisibility:
         """See :meth:`Visibility.clearance`."""
         nodes, tau = records_around(GROUND_TRACK, pairs.track, time)
         r_BP_P = Vec3.of(positions(nodes, tau * (1.0 / PLAN_STEP)))
-        return elevation_clearance(r_BP_P, Vec3.of(pairs.r_LP_P), pairs.sin_min_elevation)
+        return elevation_clearance(r_BP_P, Vec3.of(pairs.r_LP_P), pairs.sin_min_elevation, pairs.shift)
 
     def crossings(self, pairs: PlacePairs, brackets: Brackets) -> Tensor:
         """See :meth:`Visibility.crossings`."""

@@ -57,7 +57,7 @@ def close_from_start(search: PassSearch, row: Tensor, place: Tensor, start: Tens
     count = ((end - start) / PLAN_STEP).round().long().unsqueeze(-1)
     number = torch.arange(1 + int(count.max()) if len(count) else 1, device=row.device)
     r_BP_P = search.track.r_BP_P[row.unsqueeze(-1), (first + number).clamp(max=search.track.r_BP_P.shape[1] - 1)]
-    _, r_LP_P, sin_min_elevation = search.pairs(row, place)
+    _, r_LP_P, sin_min_elevation, _ = search.pairs(row, place)
     highest = torch.where(number <= count, r_BP_P.norm(dim=-1), 0.0).amax(-1)
     threshold = NEAR * (highest - r_LP_P.norm(dim=-1)) / sin_min_elevation
     close = (r_BP_P - r_LP_P.unsqueeze(1)).norm(dim=-1) < threshold.unsqueeze(-1)
