@@ -11,13 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bsk_torch._text import visible
-from bsk_torch.untrusted import Json, read_json
+from bsk_torch.formats.source import read_source
+from bsk_torch.untrusted import Json, parse_json
 
 __all__ = ["Region", "read_regions"]
-
-MOST_BYTES = 2**26
-"""Largest file, bytes."""
 
 MOST_VERTICES = 10**6
 """Most vertices of all regions of a file."""
@@ -47,14 +44,14 @@ class Region(NamedTuple):
     polygons: tuple[Rings, ...]
 
 
-def read_regions(path: Path | str, name: str = "name", weight: str = "weight") -> list[Region]:
-    """Return the regions of a GeoJSON file: a FeatureCollection, a Feature, a Polygon or a MultiPolygon.
+def read_regions(source: Path | str, name: str = "name", weight: str = "weight") -> list[Region]:
+    """Return the regions of GeoJSON: a FeatureCollection, a Feature, a Polygon or a MultiPolygon.
 
     A ring whose longitude jumps by 180 to 360 degrees between two vertices crosses the antimeridian, and one that goes around
     the Earth contains the pole of its hemisphere. Heights are ignored.
 
     Args:
-        path: The file.
+        source: File, or its text.
         name: Property with the name of a feature (default without one: ``"region-0"`` and so on).
         weight: Property with its weight (1 without one).
 
@@ -63,9 +60,10 @@ def read_regions(path: Path | str, name: str = "name", weight: str = "weight") -
         ImportError: Without the extra ``areas``.
         ValueError: For any other content; the message names the file, feature, polygon, ring and vertex, and what is allowed.
     """
-    content: Any = read_json(path, Json, "is no GeoJSON", MOST_BYTES)
+    text = read_source(source)
     try:
-        regions = [_region(k, feature, name, weight) for k, feature in enumerate(_features(content))]
+        features = _features(parse_json(text.text.encode(), Json))
+        regions = [_region(k, feature, name, weight) for k, feature in enumerate(features)]
         if not regions:
             raise ValueError("it has no features; at least one is needed")
         first: dict[str, int] = {}
@@ -73,7 +71,7 @@ def read_regions(path: Path | str, name: str = "name", weight: str = "weight") -
             if first.setdefault(region.name, k) != k:
                 raise ValueError(f"features {first[region.name]} and {k} are both named {region.name!r}; names must differ")
     except ValueError as error:
-        raise ValueError(f"{str(path)!r}: {visible(str(error), keep='')}") from None
+        text.fail(None, str(error))
     return regions
 
 
@@ -207,7 +205,7 @@ def _unwrapped(title: str, ring: np.ndarray) -> np.ndarray:
     south, north = ring[:, 1].min(), ring[:, 1].max()
     if abs(around) != 360.0 or south < 0.0 < north:
         raise ValueError(
-            f"{title} goes around the Earth at latitudes from {south:g} to {north:g} degrees, which leaves open what it contains; "
+            f"{title} goes around the Earth at latitudes from {south:g} to {north:g} degrees, so it is open what it contains; "
             "one that goes around once in one hemisphere contains the pole of this one, and others must be cut"
         )
     pole = LATITUDE if north > 0.0 else -LATITUDE

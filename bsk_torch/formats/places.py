@@ -126,7 +126,7 @@ def _point(text: Source, k: int, feature: Any) -> Record:
     geometry, properties = (feature.get(name) if isinstance(feature, dict) else None for name in ("geometry", "properties"))
     kind = geometry.get("type") if isinstance(geometry, dict) else None
     if not isinstance(geometry, dict) or kind != "Point":
-        advice = "; scene.Areas reads polygons" if kind in ("Polygon", "MultiPolygon") else ""
+        advice = "; bsk_torch.tasks.areas reads polygons" if kind in ("Polygon", "MultiPolygon") else ""
         text.fail(None, f"{title} has geometry {kind!r}; it must be a 'Point'{advice}")
     place = geometry.get("coordinates")
     if not isinstance(place, list) or len(place) not in (2, 3):

@@ -16,6 +16,7 @@ UNLISTED = {
     "bsk_torch.viz.figures",
     "bsk_torch.viz.report",
     "bsk_torch.astro",
+    "bsk_torch.formats",
 }
 UNLISTED |= {
     "bsk_torch.sim",

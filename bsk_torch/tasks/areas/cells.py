@@ -11,14 +11,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 
 from bsk_torch._checks import number, text, whole
+from bsk_torch.astro.geodetic import ECCENTRICITY2, SEMI_MAJOR_AXIS, geodetic_to_fixed
 from bsk_torch.formats.geojson import Region, import_shapely, read_regions, shapes
-
-EQUATOR, FLATTENING = 6378137.0, 1.0 / 298.257223563
-"""Semi-major axis, m, and flattening of WGS84 (NGA.STND.0036)."""
-
-ECCENTRICITY2 = FLATTENING * (2.0 - FLATTENING)
 
 MOST_CELLS = 10_000
 """Most cells of an area."""
@@ -43,14 +40,10 @@ class Area(NamedTuple):
     share: np.ndarray
 
 
-def geodetic_to_fixed(latitude: np.ndarray, longitude: np.ndarray) -> np.ndarray:
-    """Return Earth-fixed positions, [..., 3] m, of geodetic latitudes and longitudes, rad, on the WGS84 ellipsoid.
-
-    ``N = a / sqrt(1 - e^2 sin^2 lat)``, ``r = (N cos lat cos lon, N cos lat sin lon, (1 - e^2) N sin lat)``.
-    """
-    normal = EQUATOR / np.sqrt(1.0 - ECCENTRICITY2 * np.sin(latitude) ** 2)
-    x, y = normal * np.cos(latitude) * np.cos(longitude), normal * np.cos(latitude) * np.sin(longitude)
-    return np.stack([x, y, (1.0 - ECCENTRICITY2) * normal * np.sin(latitude)], -1)
+def on_ellipsoid(latitude: np.ndarray, longitude: np.ndarray) -> np.ndarray:
+    """Return Earth-fixed positions, [..., 3] m, of geodetic latitudes and longitudes, rad, on the WGS84 ellipsoid."""
+    phi, lam = torch.tensor(np.asarray(latitude)), torch.tensor(np.asarray(longitude))
+    return geodetic_to_fixed(phi, lam, torch.zeros_like(phi)).numpy()
 
 
 def surface_density(latitude: np.ndarray) -> np.ndarray:
@@ -58,7 +51,7 @@ def surface_density(latitude: np.ndarray) -> np.ndarray:
 
     ``M N cos lat`` with the radii of curvature N and ``M = a (1 - e^2) / (1 - e^2 sin^2 lat)^(3/2)``.
     """
-    return EQUATOR**2 * (1.0 - ECCENTRICITY2) * np.cos(latitude) / (1.0 - ECCENTRICITY2 * np.sin(latitude) ** 2) ** 2
+    return SEMI_MAJOR_AXIS**2 * (1.0 - ECCENTRICITY2) * np.cos(latitude) / (1.0 - ECCENTRICITY2 * np.sin(latitude) ** 2) ** 2
 
 
 def region_cells(region: Region, cell: float) -> Area:
@@ -90,12 +83,12 @@ def region_cells(region: Region, cell: float) -> Area:
     centers[outside] = shapely.point_on_surface(np.array(pieces)[outside])
     longitude, latitude = np.deg2rad(shapely.get_coordinates(centers)).T
     surface = shapely.area(pieces) * surface_density(latitude)
-    return Area(region.name, region.weight, geodetic_to_fixed(latitude, longitude), surface / surface.sum())
+    return Area(region.name, region.weight, on_ellipsoid(latitude, longitude), surface / surface.sum())
 
 
 def _edges(low: float, high: float, size: float) -> np.ndarray:
     """Return the edges, degrees, of equal intervals of about ``size`` m on a great circle."""
-    count = max(1, round(math.radians(high - low) * EQUATOR / size))
+    count = max(1, round(math.radians(high - low) * SEMI_MAJOR_AXIS / size))
     return np.linspace(low, high, count + 1)
 
 
@@ -131,9 +124,9 @@ def cap(name: str, latitude: float, longitude: float, radius: float, cell: float
         math.radians(number("latitude", latitude, -90.0, 90.0)),
         math.radians(number("longitude", longitude, -180.0, 180.0)),
     )
-    angle = number("radius", radius, 1.0, 1e7, unit="m") / EQUATOR
+    angle = number("radius", radius, 1.0, 1e7, unit="m") / SEMI_MAJOR_AXIS
     size = number("cell", cell, 1.0, 1e7, unit="m")
-    count = max(1, round(2.0 * math.pi * (1.0 - math.cos(angle)) * (EQUATOR / size) ** 2))
+    count = max(1, round(2.0 * math.pi * (1.0 - math.cos(angle)) * (SEMI_MAJOR_AXIS / size) ** 2))
     if count > MOST_CELLS:
         raise ValueError(f"cell={cell:g} m divides {name!r} into {count:,} cells; up to {MOST_CELLS:,} are allowed")
     k = np.arange(count)
@@ -141,7 +134,7 @@ def cap(name: str, latitude: float, longitude: float, radius: float, cell: float
     out, turn = np.sqrt(1.0 - height**2), GOLDEN * k
     up, east, north = _local(*center)
     point = height[:, None] * up + out[:, None] * (np.cos(turn)[:, None] * east + np.sin(turn)[:, None] * north)
-    r_CP_P = geodetic_to_fixed(np.arcsin(point[:, 2].clip(-1.0, 1.0)), np.arctan2(point[:, 1], point[:, 0]))
+    r_CP_P = on_ellipsoid(np.arcsin(point[:, 2].clip(-1.0, 1.0)), np.arctan2(point[:, 1], point[:, 0]))
     return Area(text("name", name), number("weight", weight, 0.0), r_CP_P, np.full(count, 1.0 / count))
 
 

@@ -8,11 +8,11 @@ import torch
 
 from bsk_torch.astro.attitude import mrp_to_dcm
 from bsk_torch.astro.frames import rotate_z
+from bsk_torch.astro.geodetic import FLATTENING, SEMI_MAJOR_AXIS
 from bsk_torch.sim.component import Bus, Component, vec
 from bsk_torch.sim.dyn import ContinuousImagingDynModel, DynamicsModel
 from bsk_torch.sim.dyn.storage.store import level_after
 from bsk_torch.sim.fsw import ContinuousImagingFSWModel
-from bsk_torch.tasks.areas.cells import EQUATOR, FLATTENING
 from bsk_torch.vec3 import Vec3, only
 
 FOOTPRINT = "footprint_P"
@@ -36,7 +36,7 @@ def record_footprint(bus: Bus) -> None:
         r, d = (rotate_z(bus.EN @ vector, bus.cos_earth, bus.sin_earth) for vector in (bus.r_BN_N, axis_N))
         r, d = Vec3(r.x, r.y, r.z * (1.0 / flat)), Vec3(d.x, d.y, d.z * (1.0 / flat))
         along, square = r.dot(d), d.dot(d)
-        inside = along * along - square * (r.dot(r) - EQUATOR * EQUATOR)
+        inside = along * along - square * (r.dot(r) - SEMI_MAJOR_AXIS * SEMI_MAJOR_AXIS)
         distance = (-along - torch.sqrt(torch.clamp(inside, min=0.0))) * (1.0 / square)
         hits = torch.where((inside > 0.0) & (distance > 0.0), 1.0, 0.0)
         place = r + d * distance

@@ -12,6 +12,7 @@ from torch import Tensor
 from typing_extensions import override
 
 from bsk_torch._checks import number, parts, whole
+from bsk_torch.astro.geodetic import SEMI_MAJOR_AXIS, SEMI_MINOR_AXIS
 from bsk_torch.rand import Key
 from bsk_torch.sats.bound import SatelliteFleet
 from bsk_torch.scene.base import Scenario
@@ -21,7 +22,7 @@ from bsk_torch.sim.places import DrawnPlaces, Places, PlaceTables, Sight
 from bsk_torch.sim.places.clearance import SLACK
 from bsk_torch.sim.state import FINITE
 from bsk_torch.sim.tick.trace import Flight
-from bsk_torch.tasks.areas.cells import EQUATOR, FLATTENING, Area, padded
+from bsk_torch.tasks.areas.cells import Area, padded
 from bsk_torch.tasks.areas.fsw import FOOTPRINT
 
 AREA_KIND = "area"
@@ -163,7 +164,7 @@ class Areas(Scenario):
 
     @override
     def place_kinds(self, tables: PlaceTables) -> Mapping[str, Places]:
-        angle = 2.0 * torch.asin((0.5 * self.reach / (EQUATOR * (1.0 - FLATTENING))).clamp(max=1.0))
+        angle = 2.0 * torch.asin((0.5 * self.reach / SEMI_MINOR_AXIS).clamp(max=1.0))
         device = tables.drawn[INDEX].device
         names = self.names if self._all else ()
         return {**super().place_kinds(tables), AREA_KIND: AreaPlaces(tables, self.center.to(device), angle.to(device), names)}
@@ -299,7 +300,7 @@ def _circles(areas: Sequence[Area], swath: float) -> tuple[Tensor, Tensor]:
         mean = area.r_CP_P.mean(0)
         length = np.linalg.norm(mean)
         center = mean if length > 1.0 else area.r_CP_P[0]  # of one all over the Earth, from where everything is within reach
-        center = center * (EQUATOR / np.linalg.norm(center))
+        center = center * (SEMI_MAJOR_AXIS / np.linalg.norm(center))
         centers.append(center)
         reach.append(np.linalg.norm(area.r_CP_P - center, axis=1).max() + 0.5 * swath)
     return torch.from_numpy(np.array(centers)), torch.from_numpy(np.array(reach))

@@ -6,9 +6,10 @@ import math
 import numpy as np
 import pytest
 
+from bsk_torch.astro.geodetic import ECCENTRICITY2
 from bsk_torch.formats.geojson import Region
 from bsk_torch.tasks.areas import cap, cells, random_caps, read_areas, region_cells
-from bsk_torch.tasks.areas.cells import ECCENTRICITY2, geodetic_to_fixed
+from bsk_torch.tasks.areas.cells import on_ellipsoid
 from tests.support.refusals import check_refusals, refusal
 
 WORLD = Region("world", 1.0, ((np.array([[-180.0, -90], [180, -90], [180, 90], [-180, 90], [-180, -90]]),),))
@@ -25,7 +26,7 @@ def test_places_are_on_the_ellipsoid():
     erfa = pytest.importorskip("erfa")
     latitude, longitude = np.random.default_rng(0).uniform([[-math.pi / 2], [-math.pi]], [[math.pi / 2], [math.pi]], (2, 50))
     # erfa's WGS84 has the same two constants: rounding of 6.4e6 m
-    assert np.abs(geodetic_to_fixed(latitude, longitude) - erfa.gd2gc(1, longitude, latitude, np.zeros(50))).max() < 1e-8
+    assert np.abs(on_ellipsoid(latitude, longitude) - erfa.gd2gc(1, longitude, latitude, np.zeros(50))).max() < 1e-8
 
 
 def test_shares_are_those_of_the_ellipsoid():
@@ -61,7 +62,7 @@ def test_cells_lie_within_their_region():
 def test_caps():
     area = cap("a", 60.0, 170.0, 400e3, 50e3)
     x, y = degrees(area)
-    distance = np.linalg.norm(area.r_CP_P - geodetic_to_fixed(*np.deg2rad([60.0, 170.0])), axis=1)
+    distance = np.linalg.norm(area.r_CP_P - on_ellipsoid(*np.deg2rad([60.0, 170.0])), axis=1)
     assert 390e3 < distance.max() < 402e3  # the last cell is within the edge; latitudes on a sphere are up to 0.5 percent off
     assert len(x) == round(math.pi * 400**2 / 50**2)
     apart = np.linalg.norm(area.r_CP_P[:, None] - area.r_CP_P, axis=-1) + 1e9 * np.eye(len(x))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
+from bsk_torch.astro.geodetic import ECCENTRICITY2, SEMI_MAJOR_AXIS
 from bsk_torch.tasks.areas import Areas, cap
-from bsk_torch.tasks.areas.cells import ECCENTRICITY2, EQUATOR
 from bsk_torch.tasks.areas.preset import areas
 from bsk_torch.tasks.areas.scene import RECORDED
 
@@ -21,12 +21,12 @@ def on_ellipsoid(r, d):
     metric = np.array([1.0, 1.0, 1.0 / (1.0 - ECCENTRICITY2)])
     low, high = np.zeros(len(r)), -(r * d * metric).sum(1) / (d * d * metric).sum(1)  # where it is deepest
     deepest = r + d * high[:, None]
-    meets = (high > 0.0) & ((deepest**2 * metric).sum(1) < EQUATOR**2)
+    meets = (high > 0.0) & ((deepest**2 * metric).sum(1) < SEMI_MAJOR_AXIS**2)
     r, d, low, high = r[meets], d[meets], low[meets], high[meets]
     for _ in range(60):
         middle = 0.5 * (low + high)
         place = r + d * middle[:, None]
-        above = (place**2 * metric).sum(1) > EQUATOR**2
+        above = (place**2 * metric).sum(1) > SEMI_MAJOR_AXIS**2
         low, high = np.where(above, middle, low), np.where(above, high, middle)
     return r + d * low[:, None]
 
@@ -93,7 +93,7 @@ def test_cells_are_those_in_the_buffered_track():
     def flat(r):
         """Azimuthal equidistant map of places, m: at 1,300 km from its center, it stretches distances by up to 0.7 percent."""
         direction, angle = r @ plane, np.arccos((r @ up / np.linalg.norm(r, axis=-1)).clip(-1.0, 1.0))
-        return direction / np.linalg.norm(direction, axis=-1, keepdims=True) * (EQUATOR * angle)[..., None]
+        return direction / np.linalg.norm(direction, axis=-1, keepdims=True) * (SEMI_MAJOR_AXIS * angle)[..., None]
 
     swath = shapely.LineString(flat(place)).buffer(0.5 * SWATH, quad_segs=64)
     wrong = seen = 0
