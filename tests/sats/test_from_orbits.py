@@ -110,7 +110,9 @@ def test_pettingzoo_and_recordings_take_names_of_catalogs():
     from bsk_torch.wrappers.pettingzoo import parallel_env
 
     env = team(GREENSAT, num_envs=1)
-    policy = TensorDictModule(torch.zeros_like, in_keys=[env.action_keys[0]], out_keys=[env.action_keys[0]])
+    policy = TensorDictModule(
+        lambda mask: torch.zeros(mask.shape[:2], dtype=torch.int64), [("agents", "action_mask")], [("agents", "action")]
+    )
     recording = record(env, policy, until=10.0)
     assert [craft.name for craft in recording.satellites] == ["GREENSAT-1 (A)"]
     zoo = parallel_env(team(GREENSAT, num_envs=1))
