@@ -97,9 +97,11 @@ class ElementSet:
     def state_at(self, et: Tensor) -> tuple[Tensor, Tensor]:
         """Return initial positions, m, and velocities, m/s, in N of orbits that start at ET [n], s, each [n, 3].
 
-        Positions are SGP4's. Velocities differ from SGP4's by up to 0.5 m/s, so that the flown orbit stays near it, see
-        :mod:`bsk_torch.astro.matching`. ValueError for epochs further than ``max_age_days`` from that of the set, and where SGP4
-        has no state.
+        Positions are SGP4's. Velocities differ from SGP4's, by up to 0.5 m/s in low circular orbits and meters per second in
+        eccentric ones, so that the flown orbit stays near SGP4's path, see :mod:`bsk_torch.astro.matching`.
+
+        Raises:
+            ValueError: For epochs further than ``max_age_days`` from that of the set, and where SGP4 has no state.
         """
         self.check_age(et)
         if len(et) > 1 and bool((et == et[0]).all()):
@@ -116,7 +118,7 @@ class ElementSet:
 
         (r, v), TN = self.teme_states(et), teme_axes(et)
         if self.matched:
-            v = matched_velocity(positions, v, et, TN, sidereal_time_1982(et))
+            v = matched_velocity(positions, et, TN, sidereal_time_1982(et))
         r, v = ((TN.mT @ part.unsqueeze(-1)).squeeze(-1) for part in (r, v))
         return r, v
 

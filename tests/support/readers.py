@@ -16,7 +16,10 @@ from tensordict import TensorDict
 
 from bsk_torch.cli.run_folder import Summary
 from bsk_torch.files import write_file
+from bsk_torch.formats.ccsds import read_ccsds
 from bsk_torch.formats.geojson import read_regions
+from bsk_torch.formats.omm import read_omm
+from bsk_torch.formats.orbits import read_orbits
 from bsk_torch.formats.places import read_csv, read_geojson
 from bsk_torch.formats.requests import read_requests
 from bsk_torch.lab.bounds.envelope import FILE, Envelope
@@ -35,6 +38,7 @@ from bsk_torch.tasks.aeos_bench.annotations import TASK_ID, read_assignments
 from bsk_torch.tasks.aeossp import read_case, read_solution
 from bsk_torch.tasks.objects import RSOTarget, RSOTargetCatalog
 from bsk_torch.untrusted import Word, parse_json, read_json
+from tests.formats import samples as orbits
 from tests.support.recordings import synthetic_recording
 from tests.tasks.aeos_bench import aeos_cases
 from tests.tasks.aeossp.part import FILES, PART, part
@@ -238,6 +242,12 @@ def readers() -> dict[str, Reader]:
             lambda folder: parse_json((folder / "x.json").read_bytes(), dict[str, int]),
             of_json,
         ),
+        "two-line sets": Reader("x.tle", orbits.FLEET.encode(), lambda folder: read_orbits(folder / "x.tle")),
+        "elements as JSON": Reader("x.json", orbits.OMM_JSON.encode(), lambda folder: read_omm(folder / "x.json"), of_json),
+        "elements as CSV": Reader("x.csv", orbits.OMM_CSV.encode(), lambda folder: read_omm(folder / "x.csv")),
+        "elements as XML": Reader("x.xml", orbits.OMM_XML.encode(), lambda folder: read_omm(folder / "x.xml")),
+        "ephemeris": Reader("x.oem", orbits.oem(orbits.STATES).encode(), lambda folder: read_ccsds(folder / "x.oem")),
+        "parameters": Reader("x.opm", orbits.OPM.encode(), lambda folder: read_ccsds(folder / "x.opm")),
     }
 
 
