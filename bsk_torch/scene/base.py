@@ -217,7 +217,9 @@ class Scenario:
         r_P = torch.where(ground.drawn("target_exists")[env].unsqueeze(-1) > 0.5, ground.r_LP_P[env], torch.nan).cpu()
         priority = ground.priority[env].cpu() if hasattr(ground, "priority") else torch.ones(len(r_P), dtype=torch.float64)
         cloud = ground.cloud_cover[env].cpu() if hasattr(ground, "cloud_cover") else None
-        return RecordedTargets(places="ground", r=r_P, priority=priority, cloud=cloud)
+        names = ground.names(env) if hasattr(ground, "names") else ()
+        numbered = names == [f"tgt-{k}" for k in range(len(names))]
+        return RecordedTargets(places="ground", r=r_P, priority=priority, cloud=cloud, names=() if numbered else names)
 
     def sees(self, satellite: BoundSatellite, target: Tensor) -> Tensor:
         """Return whether satellites of a type can see the targets ``target`` [n] at which they look, [n] bool (default: all)."""

@@ -37,6 +37,7 @@ SIZES: dict[str, dict[str, str]] = {
     "11_planning.py": {"EPISODES": "2", "SECONDS": "600.0", "TARGETS": "2000", "LIMIT": "1.0"},
     "12_cubesat.py": {"DAY": "3_600.0"},
     "13_imaging_satellites.py": {"OBJECTS": "20", "SECONDS": "900.0", "EPISODES": "2"},
+    "14_your_constellation.py": {"HOURS": "0.1"},
 }
 """Values of constants, by tutorial and by what stands left of the equals sign."""
 

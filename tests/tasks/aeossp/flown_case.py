@@ -109,5 +109,8 @@ def write_case(folder: Path, case: Case) -> None:
             f"'{text(int(requests.due_s[k]))}', required_duration_s: {requests.duration_s[k]}, required_sensor_type: visible, "
             f"weight: {requests.weight[k]!r}}}\n"
             for k, name in enumerate(requests.names)
-        ).replace("np.float64(", "").replace("),", ",").replace(")}", "}")
+        )
+        .replace("np.float64(", "")
+        .replace("),", ",")
+        .replace(")}", "}")
     )
