@@ -51,20 +51,22 @@ def windows(
         et = parse_utc(start)
         if not isinstance(satellites[0], ElementSet):
             fail(f"--tle {str(tle)!r} is an ephemeris; windows are those of element sets")
-        degrees = (torch.tensor(column, dtype=torch.float64).deg2rad() for column in (places.latitude, places.longitude))
-        r_LP_P = geodetic_to_fixed(*degrees, torch.tensor(places.height, dtype=torch.float64))
+        columns = (places.latitude, places.longitude, places.height)
+        latitude, longitude, height = (torch.tensor(column, dtype=torch.float64) for column in columns)
+        r_LP_P = geodetic_to_fixed(latitude.deg2rad(), longitude.deg2rad(), height)
     names = [name or f"tgt-{k}" for k, name in enumerate(places.names)]
-    columns: dict[str, list[Any]] = {"satellite": [], "place": []}
+    cells: dict[str, list[Any]] = {"satellite": [], "place": []}
     parts, found = [], 0
     with working("searching") as progress, refusing():
         search = ground_windows(satellites, r_LP_P, et, hours * 3600.0, math.radians(min_elevation), backend)
         for k, (satellite, (place, opens, closes)) in enumerate(zip(satellites, search, strict=True), 1):
-            columns["satellite"] += [satellite.name] * len(place)
-            columns["place"] += [names[i] for i in place.tolist()]
+            cells["satellite"] += [satellite.name] * len(place)
+            cells["place"] += [names[i] for i in place.tolist()]
             parts.append(torch.stack([opens, closes]))
             found += len(place)
             progress(f"satellite {k} of {len(satellites)}: {found:,} windows")
-    text = interval_table(columns, et, *torch.cat(parts, -1), "csv" if out is None else out.suffix[1:])
+    opens, closes = torch.cat(parts, -1)
+    text = interval_table(cells, et, opens, closes, "csv" if out is None else out.suffix[1:])
     if out is None:
         echo(text.rstrip("\n"))
         return

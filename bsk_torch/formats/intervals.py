@@ -14,6 +14,7 @@ from bsk_torch.astro.ephemeris import utc_in_words
 __all__ = ["interval_table"]
 
 Cell = str | float | int | None
+NOTHING: Mapping[str, Sequence[Cell]] = {}
 
 
 def interval_table(
@@ -22,7 +23,7 @@ def interval_table(
     start: Tensor,
     end: Tensor,
     form: str,
-    after: Mapping[str, Sequence[Cell]] = {},
+    after: Mapping[str, Sequence[Cell]] = NOTHING,
 ) -> str:
     """Return intervals as the text of a CSV file with a header, or of a JSON list of objects.
 

@@ -66,7 +66,8 @@ def read_omm(source: str | Path, *, gravity: str = "wgs72", max_age_days: float 
     text = read_source(source)
     first = text.text.lstrip()[0]
     messages = _xml(text) if first == "<" else _json(text) if first in "[{" else _csv(text)
-    found, names = [], []
+    found: list[ElementSet] = []
+    names: list[tuple[int, str, object]] = []
     for message in messages:
         if len(found) == MOST_SETS:
             text.fail(message.line, f"more than {MOST_SETS:,} element sets; split the file")

@@ -45,7 +45,7 @@ def schedule(recording: Recording, form: Literal["csv", "json"], track: int = 0)
         for k, (start, end) in zip(columns[f"{name}_satellite"], columns[name], strict=True):
             add(k, kind, start, end)
     rows.sort(key=lambda row: row[0])
-    start, end, satellite, kind, target, what, reward = map(list, zip(*rows, strict=True)) if rows else [[]] * 7
-    times = (torch.tensor(part, dtype=torch.float64) for part in (start, end))
-    after = {"target": target, "what": what, "reward": reward}
-    return interval_table({"satellite": satellite, "kind": kind}, scene.et, *times, form, after)
+    starts, ends = (torch.tensor([row[k] for row in rows], dtype=torch.float64) for k in (0, 1))
+    before = {name: [str(row[k]) for row in rows] for name, k in (("satellite", 2), ("kind", 3))}
+    after = {name: [row[k] for row in rows] for name, k in (("target", 4), ("what", 5), ("reward", 6))}
+    return interval_table(before, scene.et, starts, ends, form, after)

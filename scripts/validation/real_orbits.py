@@ -23,6 +23,7 @@ from typing import Any
 import erfa
 import numpy as np
 import torch
+from scipy.optimize import brentq
 from skyfield.api import EarthSatellite, load, wgs84
 
 from bsk_torch import act, dyn, fsw, obs, rand, sats, scene
@@ -121,8 +122,14 @@ def windows(simulator: Any, satellites: list[EarthSatellite], timescale: Any) ->
             mine = torch.stack([table.open[k][here], table.close[k][here].clamp(max=limit)], -1).numpy()
             site = wgs84.latlon(latitude, longitude, height)
             times, events = satellite.find_events(site, begin, end, altitude_degrees=ELEVATION)
-            found = zip(times, events, strict=True)
-            crossings = [float((time.tdb - begin.tdb) * 86400.0) for time, event in found if event != 1]
+
+            def above(second: float, satellite: EarthSatellite = satellite, site: Any = site, et: float = et) -> float:
+                time = timescale.tdb_jd(2451545.0, (et + second) / 86400.0)
+                return float((satellite - site).at(time).altaz()[0].degrees - ELEVATION)
+
+            rough = [float((time.tdb - begin.tdb) * 86400.0) for time, event in zip(times, events, strict=True) if event != 1]
+            # find_events stops within half a second
+            crossings = [brentq(above, second - 2.0, second + 2.0, xtol=1e-3) for second in rough]
             up = bool((satellite - site).at(begin).altaz()[0].degrees > ELEVATION)
             edges = [*([0.0] if up else []), *crossings]
             edges += [limit] if len(edges) % 2 else []

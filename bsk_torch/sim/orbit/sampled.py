@@ -94,11 +94,12 @@ def with_elements(
     ValueError unless each satellite has one element set.
     """
     each = [sat_args] * count if isinstance(sat_args, Mapping) else sat_args
-    sets = [arguments.get("oe") for arguments in each]
-    for orbit in sets:
+    plain = []
+    for arguments in each:
+        orbit = arguments.get("oe")
         if not isinstance(orbit, ElementSet):
             raise ValueError(
                 f"orbit='sgp4' flies element sets, but sat_args has oe={orbit}; use from_tle, or leave out orbit= to integrate"
             )
-    plain = tuple(dataclasses.replace(orbit, matched=False) for orbit in sets)
-    return [{**arguments, "oe": orbit} for arguments, orbit in zip(each, plain, strict=True)], plain
+        plain.append(dataclasses.replace(orbit, matched=False))
+    return [{**arguments, "oe": orbit} for arguments, orbit in zip(each, plain, strict=True)], tuple(plain)
