@@ -42,7 +42,7 @@ def case_of(satellites: list[CaseSatellite], looks: list[tuple[int, int, int, fl
     nobody = Requests((), (), *(np.zeros(0) for _ in range(6)), (), np.zeros(0))
     case = Case("small", start, HORIZON, 5, 10, tuple(satellites), nobody)
     count = len(looks)
-    number, first, duration, across = (np.array(column) for column in zip(*looks, strict=True))
+    number, first, duration, _ = (np.array(column) for column in zip(*looks, strict=True))
     places = np.stack([place(case, int(s), a + 0.5 * d, x) for s, a, d, x in looks])
     length = np.linalg.norm(places, axis=-1)
     requests = Requests(
