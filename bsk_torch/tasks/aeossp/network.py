@@ -124,7 +124,8 @@ def _reach(satellite: CaseSatellite, step_s: int, margin_s: float) -> int:
     """Return the steps after which a satellite that turns with its orbit can look at any task, whatever was last."""
     seconds = 0.0
     for _ in range(20):  # the nadir turns by 0.07 deg/s meanwhile
-        seconds = float(required_gap(satellite, np.array(2.0 * satellite.off_nadir + 0.07 * seconds)))
+        degrees = min(2.0 * satellite.off_nadir + 0.07 * seconds, 180.0)
+        seconds = float(required_gap(satellite, np.array(degrees)))
     return int(np.ceil((seconds + EXTRA_S + margin_s) / step_s))
 
 

@@ -127,7 +127,7 @@ class _Master:
         case: The case.
         network: Its network.
         columns: Nodes of each chain.
-        prices: Best prices of the tasks that are known, [T].
+        prices: The prices of the tasks with the least bound so far, [T].
         limits: Limits of batteries.
     """
 

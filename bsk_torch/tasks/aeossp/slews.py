@@ -52,11 +52,11 @@ SPLITS = np.radians(np.arange(0.0, 91.0, 7.5))
 def flyable(satellite: CaseSatellite, gap: Array, before: Line, after: Line) -> Flags:
     """Return whether the benchmark accepts gaps, and a body under the same limits can fly them.
 
-    Such a body leaves the first line of sight at its rate, and meets direction and rate of the second one at the end of the gap
-    but for the settling time. It moves as two double integrators, along the great circle between both lines and across it,
-    whose rates and accelerations together do not exceed the limits: for one of :data:`SPLITS`, each axis keeps its own share.
-    The displacements which a double integrator with limited rate can reach between two rates within a time are an interval,
-    whose ends accelerate first and last.
+    Such a body leaves the first line of sight at its rate, and meets direction and rate of the second one at the end of the gap,
+    with no time to settle: a control law that knows the slew ahead follows it closely. It moves as two double integrators, along
+    the great circle between both lines and across it, whose rates and accelerations together do not exceed the limits: for one
+    of :data:`SPLITS`, each axis keeps its own share. The displacements which a double integrator with limited rate can reach
+    between two rates within a time are an interval, whose ends accelerate first and last.
     """
     normal = np.cross(before.unit, after.unit)
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
@@ -65,10 +65,10 @@ def flyable(satellite: CaseSatellite, gap: Array, before: Line, after: Line) -> 
     normal = np.where(length > 1e-9, normal / np.maximum(length, 1e-12), fallback)
     ends = [(np.sum(line.rate * np.cross(normal, line.unit), -1), np.sum(line.rate * normal, -1)) for line in (before, after)]
     distance = np.arctan2(length[..., 0], np.sum(before.unit * after.unit, -1))
-    moving, fits = gap - satellite.settling_s, np.zeros(gap.shape, dtype=bool)
+    fits = np.zeros(gap.shape, dtype=bool)
     for split in SPLITS:
-        fits |= _reaches(satellite, np.cos(split), moving, distance, ends[0][0], ends[1][0]) & _reaches(
-            satellite, np.sin(split), moving, np.zeros_like(distance), ends[0][1], ends[1][1]
+        fits |= _reaches(satellite, np.cos(split), gap, distance, ends[0][0], ends[1][0]) & _reaches(
+            satellite, np.sin(split), gap, np.zeros_like(distance), ends[0][1], ends[1][1]
         )
     return fits & verifier(satellite, gap, before, after)
 
