@@ -77,7 +77,7 @@ def make(num_envs: int, seed: int = 0) -> ConstellationTasking:
 
 def arrive(env: ConstellationTasking, generator: torch.Generator) -> torch.Tensor:
     """Insert an urgent request in a quarter of the environments with room for it; return its index in each, -1 for none."""
-    room = env.fleet.memory["requests_inserted"] < env.scenario.spare
+    room = env.scenario.inserted < env.scenario.spare
     lot = torch.rand(env.num_envs, generator=generator) < 0.25
     rows = torch.nonzero(room & lot).squeeze(-1)
     inserted = torch.full((env.num_envs,), -1)

@@ -264,6 +264,11 @@ class Requests(OverlaidTargets):
         """Time for which a look at each request lasts, [N, T] s."""
         return self.drawn(DURATION)
 
+    @property
+    def inserted(self) -> Tensor:
+        """Number of requests inserted into the current episodes, [N], at most ``spare``."""
+        return self.memory["requests_inserted"]
+
     # -- sensors ------------------------------------------------------------------------------------------------------
 
     @property
@@ -330,7 +335,7 @@ class Requests(OverlaidTargets):
         index = self._running(rows)
         places, n = self._positions(r_LP_P, len(index)), len(index)
         k = places.shape[1]
-        used = self.memory["requests_inserted"][index]
+        used = self.inserted[index]
         if len(index) and int(used.max()) + k > self.spare:
             row = int(used.argmax())
             raise ValueError(
@@ -345,6 +350,8 @@ class Requests(OverlaidTargets):
         first = now.expand(n, k) if release is None else torch.maximum(numbers("release", release), now)
         last, seconds = numbers("due", LATEST if due is None else due), numbers("duration", duration)
         check_times(first, last, seconds, lambda row, k: f" of request {k} for environment {int(index[row])}")
+        if isinstance(sensors, Mapping):
+            raise ValueError(f"sensors={sensors!r} are probabilities; give the sensor types of each inserted request")
         listed = _checked_sensors(sensors, k)
         for name in _types_of(listed):
             if name not in self.sensor_types:
@@ -364,7 +371,7 @@ class Requests(OverlaidTargets):
         }
         column = self.listed + used.unsqueeze(1) + torch.arange(k, device=index.device)
         self._write(index, column, values)
-        self.memory["requests_inserted"] = self.memory["requests_inserted"].index_copy(0, index, used + k)
+        self.memory["requests_inserted"] = self.inserted.index_copy(0, index, used + k)
         for part in self.fleet.satellites:
             simulator = part.simulator
             place = column.repeat_interleave(simulator.count, 0)
@@ -413,14 +420,14 @@ class Requests(OverlaidTargets):
             raise ValueError("this scenario is not that of an environment: call env.scenario.insert, cancel or reprioritize")
         index = torch.as_tensor(rows, device=self.fleet.device)
         n = self.fleet.num_envs
-        whole_numbers = index.ndim == 1 and not (index.is_floating_point() or index.dtype == torch.bool)
+        whole_numbers = index.ndim == 1 and not (len(index) and (index.is_floating_point() or index.dtype == torch.bool))
         if not whole_numbers or len(index.unique()) < len(index) or bool(((index < 0) | (index >= n)).any()):
             raise IndexError(f"rows={index.tolist()!s:.60} must be a list of different numbers from 0 to {n - 1}")
-        begun: Tensor = self.fleet.state["begun"]
+        index, begun = index.long(), self.fleet.state["begun"]
         if not bool(begun[index].all()):
             row = int(index[~begun[index]][0])
             raise ValueError(f"environment {row} has no running episode: call env.reset() before its requests are changed")
-        return index.long()
+        return index
 
     def _positions(self, r_LP_P: object, rows: int) -> Tensor:
         """Return positions, [rows, K, 3] m."""

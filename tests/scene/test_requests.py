@@ -312,10 +312,10 @@ def test_changes_are_saved_restored_and_cleared():
     for _ in range(5):
         one, two = (each.step(each.full_action_spec.zero())["next"] for each in (env, other))
         assert torch.equal(one["agents", "observation"], two["agents", "observation"])
-    assert env.fleet.memory["requests_inserted"].tolist() == [300, 300]
+    assert env.scenario.inserted.tolist() == [300, 300]
     env.reset()
     assert not env.scenario.drawn("target_exists")[:, 400:].any()
-    assert env.fleet.memory["requests_inserted"].tolist() == [0, 0]
+    assert env.scenario.inserted.tolist() == [0, 0]
     env.scenario.insert([0], env.scenario.r_LP_P[0, :1])
 
 
@@ -384,6 +384,7 @@ def test_refusals():
         refusal(lambda: live.insert([0], place, due=5.0, duration=6.0), ValueError, "duration=6 s", "5 s"),
         refusal(lambda: live.insert([0], place, weight=[1.0, 2.0]), ValueError, "weight", "[2]"),
         refusal(lambda: live.insert([0], place, weight=math.nan), ValueError, "weight", "nan"),
+        refusal(lambda: live.insert([0], place, sensors={"visible": 1.0}), ValueError, "sensors", "visible"),
         refusal(lambda: live.insert([0], place, sensors="visable"), ValueError, "'visable'", "'visible'"),
         refusal(lambda: live.cancel([0], 400), ValueError, "request 400", "'new-0'", "environment 0"),
         refusal(lambda: live.cancel([0], 402), ValueError, "ids", 402, 401),
@@ -392,7 +393,8 @@ def test_refusals():
         refusal(lambda: live.cancel([0, 1], [[1], [2, 3]]), ValueError, "ids", "equal length"),
         refusal(lambda: live.reprioritize([0], 1, "much"), ValueError, "weight", "much"),
     )
-    assert env.fleet.memory["requests_inserted"].tolist() == [0, 0]
+    assert env.scenario.inserted.tolist() == [0, 0]
+    assert live.insert([], place).shape == (0, 1)
     live.cancel([0], 1)
     check_refusals(refusal(lambda: live.cancel([0, 1], 1), ValueError, "request 1", "environment 0", "canceled"))
 

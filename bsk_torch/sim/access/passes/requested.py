@@ -34,7 +34,7 @@ def request_passes(
 ) -> Passes:
     """Return the parts of passes in which satellites ``rows`` [n] can look at requests, or at the ``chosen`` [n, K] ones.
 
-    Parts that are too short for a look may lack, but for those that go on before or behind a ``span``, [n] s each.
+    Parts that are too short for a look may lack, except those that reach beyond a ``span``, from and to [n] s.
     """
     sites, most = places.sites(rows), places.tables.of_envs(MAX_OFF_NADIR, rows)
     if chosen is not None:
@@ -53,7 +53,7 @@ def request_passes(
 
 
 def _useful(places: RequestPlaces, rows: Tensor, span: tuple[Tensor, Tensor], passes: Passes) -> Passes:
-    """Return the passes that have room for a look between release and due time, or go on before or behind the span."""
+    """Return the passes that have room for a look between release and due time, or reach beyond the span."""
     seconds = places.value(DURATION, rows[passes.row], passes.place)
     opens, closes = _timely(places, rows, passes)
     goes_on = (passes.open <= span[0][passes.row]) | (passes.close >= span[1][passes.row])
