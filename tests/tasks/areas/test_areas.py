@@ -12,6 +12,7 @@ from bsk_torch.rl.policies.shared_policy import baseline
 from bsk_torch.tasks.areas import AreaProperties, AreaReward, Areas, cap, random_caps
 from bsk_torch.tasks.areas.preset import AreaScanner, area_args, round_areas
 from bsk_torch.tasks.areas.scene import RECORDED
+from bsk_torch.viz.episodes import draw, record
 from tests.support.refusals import check_refusals, refusal
 
 pytestmark = pytest.mark.compiled
@@ -164,6 +165,34 @@ def test_the_rule_is_better_than_scanning_all_the_time():
     assert not played["next", "terminated"].any()
     always = scan(make(num_envs=16, time_limit=5700.0), 95)[1]["reward"].sum(1).mean()
     assert played["next", "reward"].sum(1).mean() > 1.3 * always
+
+
+def test_satellites_that_record_the_same_cells_are_paid_alike():
+    listed = random_caps(400, 1e5)
+    args = area_args() | dict(oe=rand.random_orbit(a=6900.0), sigma_init=[0.1, 0.2, 0.3], omega_init=[0.0] * 3)
+    same = {name: rand.per_env(value.draw(first_key(2))) for name, value in args.items() if isinstance(value, rand.Distribution)}
+    team = [AreaScanner(name, args | same, may_see_nothing=True) for name in ("A", "B")]
+    env = bsk_torch.ConstellationTasking(
+        team, scenario=Areas(listed, 4e5), rewarder=AreaReward(), num_envs=2, seed=0, time_limit=3000.0
+    )
+    td, total = env.reset(), 0.0
+    for _ in range(12):
+        td["agents", "action"] = torch.zeros(2, 2, dtype=torch.int64)
+        td = env.step(td)["next"]
+        assert torch.equal(td["agents", "reward"][:, 0], td["agents", "reward"][:, 1])
+        assert torch.equal(td["agents", "observation"][:, 0, 12:], td["agents", "observation"][:, 1, 12:])
+        total = total + td["agents", "reward"][:, 0, 0]
+    torch.testing.assert_close(total, (env.scenario.weight * env.scenario.covered()).sum(1).float())
+    assert (total > 0.0).any()
+
+
+def test_the_figure_tells_which_cells_were_recorded(tmp_path):
+    env = make(num_envs=1, time_limit=1800.0, n_areas=800)
+    episode = record(bsk_torch.rule("areas", env), env, seed=1)
+    done = torch.isfinite(episode.recorded_at)
+    assert episode.outcome.startswith(f"{int(done.sum())} of {len(done)} cells recorded")
+    assert int(done.sum()) == int((env.scenario.memory[RECORDED] >= 0).sum()) > 0
+    assert draw(episode, tmp_path / "areas.png").stat().st_size > 10_000
 
 
 def test_wrong_arguments_are_refused():
