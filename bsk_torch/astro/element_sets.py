@@ -32,7 +32,7 @@ MAX_AGE_DAYS = 30.0
 """Days from the epoch of an element set up to which it is flown, unless the set says otherwise."""
 
 OLD_DAYS = 7.0
-"""Days from the epoch of an element set from which on a warning says how old it is."""
+"""Days from the epoch of an element set from which on a warning gives its age."""
 
 FIRST_DAY = 18263.5
 """Days from 1949-12-31 00:00 UTC, from which SGP4 counts, to 2000-01-01 12:00 UTC."""
@@ -59,7 +59,7 @@ class ElementSet:
         mean_motion: rad/min, by Kozai's definition.
         bstar: Drag term, 1/Earth radii.
         gravity: Constants of SGP4, ``"wgs72"`` or ``"wgs84"``.
-        max_age_days: Days from the epoch beyond which the set is refused.
+        max_age_days: Days from the epoch beyond which states raise an error.
         matched: Whether the velocity at the start is fitted, so that the flown orbit stays near SGP4's path; else it is SGP4's.
     """
 

@@ -2,7 +2,7 @@
 
 The state that SGP4 has at one time, flown in a full field, drifts along the track by kilometers in six hours: without the
 periodic terms of the tesseral harmonics, its energy is that of an orbit tens of meters higher or lower. A least-squares fit of
-the velocity to positions of the theory over hours removes the drift, and leaves the position at the start as it is.
+the velocity to positions of the theory over hours removes the drift, and leaves the position at the start unchanged.
 """
 
 from __future__ import annotations

@@ -68,7 +68,7 @@ def element_set(
 ) -> ElementSet:
     """Return the element set of checked numbers in degrees and revolutions a day; ValueError, with the line, for others.
 
-    ``lines`` has the lines of fields that do not stand in ``line``.
+    ``lines`` has the lines of fields outside of ``line``.
     """
     one_of("gravity", gravity, GRAVITIES)
     number("max_age_days", max_age_days, 0.0, unit="days")

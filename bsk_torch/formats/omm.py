@@ -42,7 +42,7 @@ ALLOWED = {
     "MEAN_ELEMENT_THEORY": ("SGP4", "SGP/SGP4"),
     "EPHEMERIS_TYPE": ("0", "2"),
 }
-"""Fields that say how the numbers are meant, where present; SGP4 takes no others."""
+"""Fields with the meaning of the numbers, where present, and the values that SGP4 takes."""
 
 
 class _Message(NamedTuple):

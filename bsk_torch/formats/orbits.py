@@ -16,7 +16,7 @@ __all__ = ["ElementSet", "Ephemeris", "read_orbits"]
 def read_orbits(
     source: str | Path, *, gravity: str = "wgs72", max_age_days: float = MAX_AGE_DAYS
 ) -> list[ElementSet] | list[Ephemeris]:
-    """Return the satellites of two-line sets, an OMM (JSON, CSV, XML), an OEM or an OPM, which the first line tells apart.
+    """Return the satellites of two-line sets, an OMM (JSON, CSV, XML), an OEM or an OPM, recognized by the first line.
 
     Args:
         source: Path of a file, or its text.

@@ -49,7 +49,7 @@ COLUMN_TABLE = {
     "mean anomaly": Column(2, 44, 51, DECIMAL, "286.4737"),
     "mean motion": Column(2, 53, 63, DECIMAL, "14.36137850"),
 }
-"""Fields that SGP4 needs, and those that say whether it is the right theory."""
+"""Fields that SGP4 needs, and the type of the theory."""
 
 
 def read_tle(source: str | Path, *, gravity: str = "wgs72", max_age_days: float = MAX_AGE_DAYS) -> list[ElementSet]:

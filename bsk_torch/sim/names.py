@@ -63,7 +63,7 @@ LONGEST_NAME = 100
 def name_fault(name: str) -> str:
     """Return why a text cannot be the name of a satellite; an empty string for a name.
 
-    Names are as they stand in catalogs, with spaces, hyphens and brackets.
+    Names are those of catalogs, with spaces, hyphens and brackets.
     """
     if not name or name != name.strip():
         return "must not be empty, nor begin or end with a space"

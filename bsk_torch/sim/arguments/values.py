@@ -94,7 +94,7 @@ def _shaped(arg: Arg, values: Tensor, rows: int) -> Tensor:
 
 
 def is_orbit(value: object) -> bool:
-    """Return whether a value is an orbit that is evaluated at an epoch: an element set or an ephemeris."""
+    """Return whether a value is an orbit at an epoch: an element set or an ephemeris."""
     return hasattr(value, "state_at")
 
 
