@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from bsk_torch.tasks.aeossp.flight import Flight
 
 
-
 def fly_solution(
     case: CaseFolder,
     solution: Annotated[Path, typer.Argument(metavar="FILE", help="JSON file of the solution.", show_default=False)],

@@ -42,7 +42,7 @@ def case_of(satellites: list[CaseSatellite], looks: list[tuple[int, int, int, fl
     nobody = Requests((), (), *(np.zeros(0) for _ in range(6)), (), np.zeros(0))
     case = Case("small", start, HORIZON, 5, 10, tuple(satellites), nobody)
     count = len(looks)
-    number, first, duration, across = (np.array(column) for column in zip(*looks, strict=True))
+    number, first, duration, _ = (np.array(column) for column in zip(*looks, strict=True))
     places = np.stack([place(case, int(s), a + 0.5 * d, x) for s, a, d, x in looks])
     length = np.linalg.norm(places, axis=-1)
     requests = Requests(
@@ -109,5 +109,8 @@ def write_case(folder: Path, case: Case) -> None:
             f"'{text(int(requests.due_s[k]))}', required_duration_s: {requests.duration_s[k]}, required_sensor_type: visible, "
             f"weight: {requests.weight[k]!r}}}\n"
             for k, name in enumerate(requests.names)
-        ).replace("np.float64(", "").replace("),", ",").replace(")}", "}")
+        )
+        .replace("np.float64(", "")
+        .replace("),", ",")
+        .replace(")}", "}")
     )
