@@ -19,7 +19,7 @@ def flown(name: str) -> str:
             f"{row['pointing']}",
             f"{row['rate']}",
             f"{row['off_nadir'] + row['battery']}",
-            "" if row["factor"] is None else f"{row['factor']:.2f}",
+            "-" if row["factor"] is None else f"{row['factor']:.2f}",
             f"{row['cpu']:.1f}",
         ]
         for row in load(name)["rows"]
