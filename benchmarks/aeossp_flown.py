@@ -28,7 +28,7 @@ COLUMNS = {
     "WCR promised": "{WCR_promised:.4f}",
     "WCR": "{WCR:.4f}",
     **{reason: f"{{{reason}}}" for reason in REASONS},
-    "factor": "{factor:.2f}",
+    "factor": "{factor}",
     "CPU s": "{cpu:.1f}",
 }
 
@@ -59,9 +59,9 @@ def main() -> None:
         for file in options.plans:
             plan = read_solution(Path(options.folder, name, file), case)
             shared = {"case": name, "plan": Path(file).stem.removeprefix("solution_")}
-            rows.append(shared | {"slack": 0.0, "factor": fitting_factor(case, plan)} | flown(case, plan))
+            rows.append(shared | {"slack": 0.0, "factor": round(fitting_factor(case, plan), 3)} | flown(case, plan))
             for slack in options.slacks:
-                rows.append(shared | {"slack": slack, "factor": float("nan")} | flown(case, thinned(case, plan, slack)))
+                rows.append(shared | {"slack": slack, "factor": None} | flown(case, thinned(case, plan, slack)))
             harness.write(options, described, rows=rows)
     print(harness.table(COLUMNS, rows))
 

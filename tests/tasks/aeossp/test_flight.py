@@ -77,10 +77,8 @@ def test_off_nadir_angles_are_those_of_the_verifier():
     positions, found = tracks(case), flight()
     for k in range(len(plan)):
         times = np.arange(plan.start_s[k], plan.end_s[k] + 1, case.step_s) // case.step_s
-        line = (
-            turned(on_ellipsoid(case.requests)[plan.task[k]], positions.sidereal[times]) - positions.r[plan.satellite[k], times]
-        )
-        down = -positions.r[plan.satellite[k], times]
+        r = positions.r[plan.satellite[k], times]
+        line, down = turned(on_ellipsoid(case.requests)[plan.task[k]], positions.sidereal[times]) - r, -r
         cosine = (line * down).sum(-1) / np.linalg.norm(line, axis=-1) / np.linalg.norm(down, axis=-1)
         # the largest one of all ticks is at least that of the grid, and not much more
         assert 0.0 <= found.off_nadir[k] - np.arccos(cosine).max() + 1e-7 < 0.01
