@@ -118,6 +118,7 @@ if [ "$level" = nightly ]; then
     test_rllib || failed=1
     fly_random_problems || failed=1
     .venv/bin/python scripts/tools/without_room.py || failed=1
+    .venv/bin/python scripts/validation/real_orbits.py > /dev/null || failed=1
 elif [ "$level" = full ] || [ $# -gt 0 ]; then
     "${pytest[@]}" --levels default,full "$@" || failed=1
 else

@@ -36,6 +36,7 @@ from bsk_torch.formats.tle import read_tle
 from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING
 
 ORBITS = Path(__file__).with_suffix(".tle")
+CIRCULAR = 3  # orbits at the head of the file, low and circular, which have limits
 HOURS = (0.0, 1.0, 3.0, 6.0, 12.0, 24.0)
 WINDOW_HOURS, ELEVATION = 6.0, 10.0
 R_UMBRA, R_SUN, AU = 6378136.6, 695000e3, 149597870700.0
@@ -201,6 +202,22 @@ def brahe_position(lines: list[str]) -> Callable[[float], np.ndarray]:
     return position
 
 
+def check(result: dict[str, Any]) -> None:
+    """End the program with an error if the low circular orbits or what is common to all orbits are off by more than limits."""
+    distances = [row[HOURS.index(hours)] for row in result["positions"][:CIRCULAR] for hours in (0.0, 1.0, 3.0, 6.0)]
+    found = {
+        "positions of low circular orbits over six hours, m": (max(distances), 3000.0),
+        "windows of low circular orbits, s": (max(each["worst"] for each in result["windows"][:CIRCULAR]), 2.0),
+        "eclipses, s": (result["eclipses"]["worst"], 2.0),
+        "direction of the Sun, arcseconds": (result["sun_arcseconds"]["worst"], 1.0),
+        "windows on one side only": (sum(result["unmatched"].values()), 0),
+        "positions of SGP4 against brahe, m": (result["brahe"]["worst"] if result["brahe"] else 0.0, 1.0),
+    }
+    wrong = [f"{what}: {value:g} exceeds {limit:g}" for what, (value, limit) in found.items() if value > limit]
+    if wrong:
+        raise SystemExit("\n".join(wrong))
+
+
 def main() -> None:
     """Compare, and write the results."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
@@ -238,6 +255,7 @@ def main() -> None:
     }
     text = json.dumps(result, indent=1) + "\n"
     print(text) if out is None else write_file(out, text)
+    check(result)
 
 
 if __name__ == "__main__":

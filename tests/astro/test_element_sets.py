@@ -27,8 +27,9 @@ XM-3
 def test_positions_are_those_of_skyfield_to_a_meter():
     timescale = load.timescale(builtin=True)
     text = GREENSAT + DEEP
-    lines = text.splitlines()
-    for k, elements in enumerate(read_tle(text)):
+    lines, sets = text.splitlines(), read_tle(text)
+    assert len(sets) == 3
+    for k, elements in enumerate(sets):
         et = elements.epoch + DAY * torch.linspace(-1.0, 1.0, 9, dtype=torch.float64)
         other = EarthSatellite(*lines[3 * k + 1 : 3 * k + 3], None, timescale).at(timescale.tdb_jd(2451545.0, et.numpy() / DAY))
         r, v = dataclasses.replace(elements, matched=False).state_at(et)
@@ -37,7 +38,9 @@ def test_positions_are_those_of_skyfield_to_a_meter():
 
 
 def test_matching_changes_velocities_a_little_and_no_positions():
-    for elements in read_tle(GREENSAT + DEEP):
+    sets = read_tle(GREENSAT + DEEP)
+    assert len(sets) == 3
+    for elements in sets:
         et = torch.tensor([elements.epoch + 3000.0], dtype=torch.float64)
         (r, v), (r_matched, v_matched) = (dataclasses.replace(elements, matched=on).state_at(et) for on in (False, True))
         assert torch.equal(r, r_matched)

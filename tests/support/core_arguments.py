@@ -5,6 +5,7 @@ SPACECRAFT = {
     *("thrusters", "thrusterPositions_B", "thrusterDirections_B", "thrusterMaxThrust"),
     *("faults", "rwAvailable"),
     "instruments",
+    "earthRotation",
     *("imageTargetMinimumSunElevation", "imageTargetMaximumSunElevation", "imageTargetVertical"),
     *("panels", "panelNormals_B", "panelRates", "panelAngles"),
     *("facets", "facetAreas", "facetNormals_B", "facetPositions_B"),
