@@ -53,7 +53,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "view": ("bsk_torch.viewer.commands:view", "Show an episode in the browser: a preset, a run or a recording."),
     "windows": (
         "bsk_torch.cli.windows:windows",
-        "List access windows of real satellites, from element sets, over places in a file.",
+        "List when satellites are above places on the ground, by SGP4 and the WGS84 ellipsoid.",
     ),
     "export": ("bsk_torch.viewer.commands:export", "Write an episode of a preset, a run or a recording to a file."),
     "explain": (

@@ -28,8 +28,8 @@ def windows(
     """List when satellites are above places on the ground, by SGP4 and the WGS84 ellipsoid.
 
     Examples:
-        bsk-torch windows --tle fleet.tle --targets cities.csv --start 2026-04-14T00:00:00Z --hours 6 --out windows.csv
-        bsk-torch windows --tle gp.json --targets sites.geojson --start 2026-04-14T00:00:00Z --min-elevation 20
+        bsk-torch windows --tle my.tle --targets my.csv --start 2026-04-14
+        bsk-torch windows --tle gp.json --targets my.geojson --start 2026-04-14
     """
     import torch
 
