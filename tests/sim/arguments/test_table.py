@@ -70,7 +70,7 @@ def test_where_an_image_is_taken_has_the_defaults_of_bsk_rl():
 def test_worlds_have_the_defaults_of_bsk_rl(model, recorded):
     values = {arg.name: arg.default for part in model.all_components() for arg in part.args}
     assert values.pop("groundLocationPlanetRadius", None) is None  # stations lie on the ellipsoid, unless bsk_rl is asked for
-    check(values, recorded, {"groundLocationPlanetRadius"})
+    check(values, recorded, {"groundLocationPlanetRadius", "earthRotation"})
 
 
 def test_functions_are_called_in_the_order_of_bsk_rl():
