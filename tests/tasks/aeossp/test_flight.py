@@ -75,6 +75,7 @@ def test_satellites_are_where_the_verifier_has_them():
 def test_off_nadir_angles_are_those_of_the_verifier():
     case, plan = small()
     positions, found = tracks(case), flight()
+    assert len(plan) == len(found.off_nadir) > 0
     for k in range(len(plan)):
         times = np.arange(plan.start_s[k], plan.end_s[k] + 1, case.step_s) // case.step_s
         r = positions.r[plan.satellite[k], times]
