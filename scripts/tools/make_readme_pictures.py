@@ -69,6 +69,7 @@ INSPECTIONS, INSPECTION, INSPECTION_SEED = ("RSOInspection-v1", "MultiInspection
 """Presets whose thumbnail is made of paths about an RSO, and the rule and the seed of the episode that it shows."""
 
 RULES = {
+    "Areas-v1": "areas",
     "HeteroCluster-v1": "cooperative",
     "NadirScience-v1": "science",
     "Services-v1": "angle",
