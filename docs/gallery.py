@@ -18,6 +18,7 @@ PICTURES = {".png", ".webp"}
 """Endings of the files that scripts write to be shown."""
 
 ARGUMENTS: dict[str, str] = {
+    "examples/areas.py": "--figure areas.png",
     "examples/curriculum.py": "--num-envs 256 --steps 400 --figure curriculum.png",
     "examples/live_requests.py": "--num-envs 16 --steps 200",
     "examples/mappo_benchmarl.py": "--iterations 6 --num-envs 64 --episodes 64 --out {tmp} --figure episode.png",

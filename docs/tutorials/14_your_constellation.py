@@ -7,7 +7,7 @@ Your constellation in 20 lines
 Fly satellites of a TLE file over cities of a CSV file, let a trained policy plan their images, and open the flight in the viewer.
 
 The two sample files of this page hold 20 real satellites that observe the Earth, with element sets of April 2026, and the hundred
-most populous cities. Put the paths of your own files in their place.
+most populous cities. Replace their paths by the paths of your files.
 """
 
 # %%
@@ -73,5 +73,5 @@ print(lines[0], *[line for line in lines if "rewarded" in line][:5], sep="\n")
 #
 #     bsk-torch windows --tle my.tle --targets cities.csv --start 2026-04-14T00:00:00Z --hours 6 --out windows.csv
 #
-# Next: :doc:`/how_to/real_orbits` says how exact orbits and windows are and which other formats there are, and
+# Next: :doc:`/how_to/real_orbits` lists formats and the accuracy of orbits and windows, and
 # :doc:`/how_to/requests` gives places times, durations and weights.
