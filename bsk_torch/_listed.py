@@ -75,7 +75,7 @@ LISTED: dict[str, Listed] = {
         "bsk_torch.tasks.areas.preset:areas",
         ONE,
         "record 100 areas, cell by cell, with an instrument that fills the store whatever lies below",
-        ("areas",),
+        ("areas", *SCANNING),
     ),
     "AEOS-v1": Listed(
         "bsk_torch.presets.aeos:aeos", ONE, "choose which of the next 32 targets to image, of 100 to 9,999", IMAGING

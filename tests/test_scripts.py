@@ -87,6 +87,8 @@ benchmarks/aeos_bench.py --cases 2 --batch 2 --time-limit 60 --satellites 2 3 --
   compiled: (?s)\| nearest_task \| [\d.]+ \+- [\d.]+ \| \+0.0 .*\| soonest_task \| .*\| bound \|[ ]
 benchmarks/aeossp.py --folder {root}/tests/tasks/aeossp --cases data --models flyable --margins 5
   compiled: \| data \| flyable \| 5 \| 0\.\d+ \| 0\.\d+ \|
+benchmarks/aeossp_flown.py --folder {root}/tests/tasks/aeossp --cases data --plans solution.json --slacks 5
+  compiled: \\| data \\| solution \\| 5
 benchmarks/teams.py --episodes 2 --time-limit 300 --targets 12 --only three-local walker-centralized
   compiled: (?s)\| three-local \| [\d.]+ \+- [\d.]+ \| .*\| walker-centralized \|[ ]
 benchmarks/crews.py --episodes 2 --time-limit 300 --targets 12 --rules prompt
@@ -248,6 +250,7 @@ ELSEWHERE = {
     "examples/share_intent.py": "tests/test_clients.py",
     "scripts/docs.sh": "tests/docs/test_site.py",
     "scripts/test.sh": ".ci/run",
+    "scripts/validation/real_orbits.py": "scripts/test.sh",
     "scripts/validation/upstream.py": "tests/bsk_rl/test_upstream.py",
     "scripts/validation/differential.py": "tests/basilisk/test_differential.py",
     "scripts/tools/try_newest.sh": "tests/packaging/test_packages.py",
@@ -269,8 +272,12 @@ REPLAYED_ONLY = {
     "scripts/recorders/record_afrl_filters.py": "tests/tasks/safe_autonomy/test_filters.py",
     "scripts/recorders/record_afrl_inspection.py": "tests/tasks/safe_autonomy/test_inspection.py",
     "scripts/recorders/record_skyfield.py": "tests/sim/access/test_eclipses.py",
+    "scripts/recorders/record_aeossp.py": "tests/tasks/aeossp/part.py",
+    "scripts/tools/make_nutation.py": "tests/astro/test_earth_rotation.py",
+    "scripts/tools/make_samples.py": "tests/formats/test_places.py",
+    "scripts/tools/station_table.py": "tests/formats/test_places.py",
 }
-"""Scripts that no test starts, because they need Skyfield or AFRL's programs, and what replays their recordings."""
+"""Scripts that no test starts, because they need programs or files of others, and what tests their recordings and tables."""
 
 STARTED_BY_OTHERS = {
     "benchmarks/basilisk_side.py": "benchmarks/harness.py",

@@ -152,6 +152,7 @@ def model_defaults(model: type) -> dict[str, Any]:
 def world_defaults(world_type: type) -> dict[str, Any]:
     """Return all arguments of a world model by name; see :func:`sat_defaults`."""
     values = _values(world_type.all_components())  # type: ignore[attr-defined]
+    values.pop("earthRotation", None)  # bsk_rl has one model of it
     if "groundLocationPlanetRadius" in values:  # stations of bsk_rl lie on a sphere
         values["groundLocationPlanetRadius"] = R_EARTH
     args = _collected(world_type, _methods(world_type, WORLD), values)

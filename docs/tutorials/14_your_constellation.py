@@ -1,5 +1,5 @@
 """
-.. _tutorial-your-constellation:
+.. _tutorial-yours:
 
 Your constellation in 20 lines
 ==============================
@@ -11,8 +11,8 @@ most populous cities. Replace their paths by the paths of your files.
 """
 
 # %%
-# Satellites, places, policy
-# --------------------------
+# Result
+# ------
 #
 # ``from_tle`` makes one satellite of each element set, on the orbit that SGP4 gives at the epoch of the episode. ``from_csv``
 # puts the cities on the ellipsoid of WGS84. Spacecraft, observation and actions are as in ``AEOS-v1``, and the policy was trained
@@ -26,6 +26,7 @@ from bsk_torch.recording import record
 from bsk_torch.rl.marl import shared
 from bsk_torch.rl.policies import pretrained
 
+# sphinx_gallery_thumbnail_number = 1
 HOURS = 6.0
 
 torch.set_num_threads(1)
@@ -67,11 +68,22 @@ lines = schedule(flight, "csv").splitlines()
 print(lines[0], *[line for line in lines if "rewarded" in line][:5], sep="\n")
 
 # %%
+# The satellites at the end of the flight:
+from matplotlib import pyplot as plt
+
+plt.imshow(env.render(rows=0).numpy())
+plt.axis("off")
+
+# %%
+# Next steps
+# ----------
+#
 # Access windows alone need no environment:
 #
 # .. code-block:: bash
 #
-#     bsk-torch windows --tle my.tle --targets cities.csv --start 2026-04-14T00:00:00Z --hours 6 --out windows.csv
+#     bsk-torch windows --tle my.tle --targets cities.csv --start 2026-04-14 --hours 6 --out windows.csv
 #
-# Next: :doc:`/how_to/real_orbits` lists formats and the accuracy of orbits and windows, and
-# :doc:`/how_to/requests` gives places times, durations and weights.
+# - :doc:`/how_to/real_orbits` lists formats and the accuracy of orbits and windows.
+# - :doc:`/how_to/requests` gives places times, durations and weights, which may change in flight.
+# - :doc:`/how_to/areas` records regions instead of points.

@@ -1,4 +1,7 @@
-"""The Earth's rotation against ERFA and Skyfield, in meters on the ground."""
+"""The Earth's rotation against ERFA and Skyfield, in meters on the ground.
+
+The table of the nutation is that of scripts/tools/make_nutation.py.
+"""
 
 import erfa
 import numpy as np

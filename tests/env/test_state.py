@@ -269,7 +269,7 @@ def test_rejects_states_of_other_makes():
         ("scan", {"sim_rate": 2.0}, "2000000000", "1000000000"),
         ("scan", {"backend": "eager"}, "satellites, world or back end"),
         ("scan", {"sat_args": {"mass": 200.0}}, "satellites, world or back end"),
-        ("scan", {"compat": "bsk_rl"}, "actions, windows, or the type of numbers"),
+        ("scan", {"compat": "bsk_rl"}, "satellites, world or back end"),
         ("imaging", {"sim_rate": 1.0}, "satellites, world or back end"),
     ]
     env, table = begun(SETUPS["scan"](num_envs=4, seed=1)), []

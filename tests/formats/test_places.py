@@ -1,8 +1,9 @@
-"""Lists of places and ground stations in files."""
+"""Lists of places and ground stations in files, also in those that make_samples and station_table have written."""
 
 import pytest
 
 from bsk_torch import scene
+from bsk_torch.formats import SAMPLES
 from bsk_torch.formats.places import read_csv, read_geojson
 from bsk_torch.formats.stations import ground_stations, read_stations, station_names
 from tests.support.refusals import check_refusals, refusal
@@ -82,6 +83,10 @@ def test_wrong_files_are_refused_by_line_and_value():
         refusal(lambda: scene.Targets.from_geodetic(1.0, [2.0]), ValueError, "latitude", "[T]"),
         refusal(lambda: scene.Targets([[7e6, 0.0, 0.0]], vertical="north"), ValueError, "vertical='north'", "wgs84"),
     )
+
+
+def test_sample_files_are_read():
+    assert len(read_csv(SAMPLES / "cities.csv").names) == 100
 
 
 def test_ground_stations():

@@ -115,7 +115,7 @@ def fitted_target(arguments: UserArguments) -> Component:
 def target_form(arguments: UserArguments) -> tuple[bool, bool, Vertical]:
     """Return what decides the component of targets: a minimum, a maximum of the Sun's elevation, and the vertical."""
     minimum, maximum = (differs(arguments, arg.name) for arg in SUN_LIMITS)
-    return minimum, maximum, arguments[VERTICAL]
+    return minimum, maximum, "wgs84" if arguments[VERTICAL] == "wgs84" else "radius"
 
 
 def _sine(args: Values, limit: Arg) -> Tensor:

@@ -38,7 +38,7 @@ def record_footprint(bus: Bus) -> None:
         along, square = r.dot(d), d.dot(d)
         inside = along * along - square * (r.dot(r) - SEMI_MAJOR_AXIS * SEMI_MAJOR_AXIS)
         distance = (-along - torch.sqrt(torch.clamp(inside, min=0.0))) * (1.0 / square)
-        hits = torch.where((inside > 0.0) & (distance > 0.0), 1.0, 0.0)
+        hits = torch.where((inside > 0.0) & (distance > 0.0), torch.ones_like(along), torch.zeros_like(along))
         place = r + d * distance
         return Vec3(place.x, place.y, place.z * flat) * hits
 

@@ -179,9 +179,9 @@ def test_recorded_images_are_those_of_the_transitions():
 def test_positions_between_the_recorded_ones_are_good_to_meters():
     env = make("AEOS-v1", num_envs=4, time_limit=HALF_ORBIT, n_targets=1000)
     images = record_images(env, BASELINES["hasty"](env, 0), SEED)
-    later = torch.tensor([3, 3 * SPACING // 2, 2 * SPACING + 5, (NODES - 1) * SPACING])
-    exact = satellite_positions(env.satellite, torch.arange(4), (images.tick[:, 0] + later) * env.simulator.h)
-    assert float((later(images.r_P[:, 0], later) - exact).norm(dim=1).max()) < 10.0
+    ticks = torch.tensor([3, 3 * SPACING // 2, 2 * SPACING + 5, (NODES - 1) * SPACING])
+    exact = satellite_positions(env.satellite, torch.arange(4), (images.tick[:, 0] + ticks) * env.simulator.h)
+    assert float((later(images.r_P[:, 0], ticks) - exact).norm(dim=1).max()) < 10.0
 
 
 def assert_in_time(images: ImageSequences, times: Envelope, env: Any) -> None:
