@@ -192,8 +192,8 @@ class Ephemeris:
                 f"an episode starts at {when}. Give a start within, such as world_args={{'utc_init': "
                 f"'{date_in_words(self.times[0])}'}}"
             )
-        found = np.stack([self._at(time) for time in times])
-        r, v = torch.from_numpy(found).to(et.device).split(3, -1)
+        interpolated = np.stack([self._at(time) for time in times])
+        r, v = torch.from_numpy(interpolated).to(et.device).split(3, -1)
         return r, v
 
     def _at(self, time: float) -> np.ndarray:

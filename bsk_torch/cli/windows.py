@@ -56,19 +56,19 @@ def windows(
         r_LP_P = geodetic_to_fixed(latitude.deg2rad(), longitude.deg2rad(), height)
     names = [name or f"tgt-{k}" for k, name in enumerate(places.names)]
     cells: dict[str, list[Any]] = {"satellite": [], "place": []}
-    parts, found = [], 0
+    parts, count = [], 0
     with working("searching") as progress, refusing():
         search = ground_windows(satellites, r_LP_P, et, hours * 3600.0, math.radians(min_elevation), backend)
         for k, (satellite, (place, opens, closes)) in enumerate(zip(satellites, search, strict=True), 1):
             cells["satellite"] += [satellite.name] * len(place)
             cells["place"] += [names[i] for i in place.tolist()]
             parts.append(torch.stack([opens, closes]))
-            found += len(place)
-            progress(f"satellite {k} of {len(satellites)}: {found:,} windows")
+            count += len(place)
+            progress(f"satellite {k} of {len(satellites)}: {count:,} windows")
     opens, closes = torch.cat(parts, -1)
     text = interval_table(cells, et, opens, closes, "csv" if out is None else out.suffix[1:])
     if out is None:
         echo(text.rstrip("\n"))
         return
     write_file(out, text)
-    echo(f"{out}: {found:,} windows of {len(satellites)} satellites over {len(names)} places in {hours:g} h")
+    echo(f"{out}: {count:,} windows of {len(satellites)} satellites over {len(names)} places in {hours:g} h")

@@ -63,10 +63,10 @@ def _pair(text: Source, line: _Line) -> tuple[str, str]:
 
 def _epoch(text: Source, number: int, word: str, scale: str) -> float:
     """Return ET, s, of an epoch on a time scale."""
-    found = EPOCH.fullmatch(word)
-    if found is None:
+    matched = EPOCH.fullmatch(word)
+    if matched is None:
         text.fail(number, f"epoch {word!r:.40} must be like '2026-04-13T22:18:17.006' or '2026-103T22:18:17.006'")
-    year, month, day, of_year, hour, minute, second = found.groups()
+    year, month, day, of_year, hour, minute, second = matched.groups()
     try:
         date = np.datetime64(f"{year}-{month or '01'}-{day or '01'}", "D") + (int(of_year) - 1 if of_year else 0)
     except ValueError:
@@ -214,15 +214,15 @@ def _oem(text: Source, lines: Sequence[_Line]) -> list[Ephemeris]:
     close()
     if not parts:
         text.fail(None, "it holds no segment, which begins with META_START")
-    found = []
+    orbits = []
     for (name, identifier), segments in parts.items():
         epochs, values = (np.concatenate(column) for column in zip(*segments, strict=True))
         kept = np.concatenate([[True], np.diff(epochs) != 0.0])  # segments share the state at which one ends
         if (np.diff(epochs) < 0.0).any():
             text.fail(begun[name, identifier], f"segments of {name!r:.40} overlap in time")
-        found.append(Ephemeris(name, identifier, epochs[kept], values[kept]))
-    check_satellites(text, [(begun[each.name, each.object_id], each.name, each.object_id) for each in found])
-    return found
+        orbits.append(Ephemeris(name, identifier, epochs[kept], values[kept]))
+    check_satellites(text, [(begun[each.name, each.object_id], each.name, each.object_id) for each in orbits])
+    return orbits
 
 
 def write_oem(satellites: Iterable[Ephemeris]) -> str:

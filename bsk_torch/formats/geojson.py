@@ -151,8 +151,8 @@ def _parts(title: str, polygons: Sequence[Any]) -> tuple[Rings, ...]:
     area = sum(shape.area for shape in shapes)
     if len(shapes) > 1 and whole.area < (1.0 - 1e-9) * area:
         raise ValueError(f"{title}: its polygons overlap; those of a MultiPolygon must lie apart")
-    found = [part for part in shapely.get_parts(whole) if part.geom_type == "Polygon" and part.area > 0.0]
-    return tuple(tuple(shapely.get_coordinates(ring) for ring in (part.exterior, *part.interiors)) for part in found)
+    pieces_with_area = [part for part in shapely.get_parts(whole) if part.geom_type == "Polygon" and part.area > 0.0]
+    return tuple(tuple(shapely.get_coordinates(ring) for ring in (part.exterior, *part.interiors)) for part in pieces_with_area)
 
 
 def _shape(shapely: Any, title: str, rings: Any) -> Any:

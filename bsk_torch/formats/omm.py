@@ -66,28 +66,28 @@ def read_omm(source: str | Path, *, gravity: str = "wgs72", max_age_days: float 
     text = read_source(source)
     first = text.text.lstrip()[0]
     messages = _xml(text) if first == "<" else _json(text) if first in "[{" else _csv(text)
-    found: list[ElementSet] = []
+    element_sets: list[ElementSet] = []
     names: list[tuple[int, str, object]] = []
     for message in messages:
-        if len(found) == MOST_SETS:
+        if len(element_sets) == MOST_SETS:
             text.fail(message.line, f"more than {MOST_SETS:,} element sets; split the file")
         made = _set(text, message, gravity, max_age_days)
-        found.append(made)
-        names.append((message.line or len(found), made.name, made.norad_id))
-    if not found:
+        element_sets.append(made)
+        names.append((message.line or len(element_sets), made.name, made.norad_id))
+    if not element_sets:
         text.fail(None, "it holds no element set")
     check_satellites(text, names)
-    return found
+    return element_sets
 
 
 def _set(text: Source, message: _Message, gravity: str, max_age_days: float) -> ElementSet:
     fields = message.fields
 
     def value(field: str) -> str:
-        found = fields.get(field)
-        if found is None or found == "":
+        entry = fields.get(field)
+        if entry is None or entry == "":
             text.fail(message.line, f"{message.place}{field} is missing; {nearest(field, fields)}")
-        return found
+        return entry
 
     def number(field: str) -> float:
         if not re.fullmatch(r"\s*[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?\s*", value(field), re.A | re.I):
@@ -145,8 +145,8 @@ def _csv(text: Source) -> Iterator[_Message]:
 
 def parse_xml(text: Source) -> ElementTree.Element:
     """Return the root of an XML text; ValueError for a document type or entities, which could expand, and for other text."""
-    if found := re.search(r"<!(DOCTYPE|ENTITY)", text.text, re.I):
-        text.fail(text.text.count("\n", 0, found.start()) + 1, f"{found[0]!r} is not read: files of orbits have none")
+    if declaration := re.search(r"<!(DOCTYPE|ENTITY)", text.text, re.I):
+        text.fail(text.text.count("\n", 0, declaration.start()) + 1, f"{declaration[0]!r} is not read: files of orbits have none")
     try:
         return ElementTree.fromstring(text.text.lstrip().encode())
     except ElementTree.ParseError as error:

@@ -297,21 +297,21 @@ def _sensors(value: object) -> tuple[str, ...] | None:
 
 def _number(field: str, value: object, textual: bool, start: datetime | None) -> float:
     _, low, high, unit = BOUNDS[field]
-    found = math.nan
+    quantity = math.nan
     if isinstance(value, int | float) and not isinstance(value, bool):
-        found = float(value)
+        quantity = float(value)
     elif isinstance(value, str) and textual:
         try:
-            found = float(value)
+            quantity = float(value)
         except ValueError:
-            found = math.nan
-    if math.isnan(found) and field in TIMES and isinstance(value, str):
-        found = _seconds(field, value, start)
-    if not low <= found <= high:
+            quantity = math.nan
+    if math.isnan(quantity) and field in TIMES and isinstance(value, str):
+        quantity = _seconds(field, value, start)
+    if not low <= quantity <= high:
         also = ", or a time of ISO 8601 with a zone" if field in TIMES else ""
-        hint = "; are latitude and longitude swapped?" if field == "latitude" and 90.0 < abs(found) <= 180.0 else ""
+        hint = "; are latitude and longitude swapped?" if field == "latitude" and 90.0 < abs(quantity) <= 180.0 else ""
         raise ValueError(f"{field}={value!r:.80} must be a number in [{low:g}, {high:g}] {unit}".rstrip() + also + hint)
-    return found
+    return quantity
 
 
 def _seconds(field: str, value: str, start: datetime | None) -> float:

@@ -34,20 +34,20 @@ def read_source(source: str | Path, most: int = MOST_BYTES) -> Source:
     if not isinstance(source, str | Path):
         raise TypeError(f"source={source!r} must be the path of a file, or its text")
     if isinstance(source, str) and ("\n" in source or source.lstrip()[:1] in ("<", "{", "[")):
-        found = Source("the text", source)
+        document = Source("the text", source)
         size = len(source)
     else:
         title = repr(str(source))
         try:
             content = read_bytes(source, most)
-            found = Source(title, content.decode("utf-8-sig"))
+            document = Source(title, content.decode("utf-8-sig"))
         except UnicodeDecodeError as error:
             raise ValueError(f"{title} is no text: byte {error.start:,} is not UTF-8") from None
         except ValueError as error:
             raise ValueError(one_line(f"{title}: {error}")) from None
         size = len(content)
     if size > most:
-        found.fail(None, f"it has more than {most:,} bytes")
-    if not found.text.strip():
-        found.fail(None, "it is empty")
-    return found
+        document.fail(None, f"it has more than {most:,} bytes")
+    if not document.text.strip():
+        document.fail(None, "it is empty")
+    return document

@@ -66,7 +66,7 @@ def read_tle(source: str | Path, *, gravity: str = "wgs72", max_age_days: float 
         ValueError: For wrong lines; the message names file, line, field and value, and nothing is read by halves.
     """
     text = read_source(source)
-    found: list[tuple[int, ElementSet]] = []
+    element_sets: list[tuple[int, ElementSet]] = []
     name: tuple[int, str] | None = None
     first: tuple[int, str] | None = None
     for number, raw in enumerate(text.text.splitlines(), 1):
@@ -77,7 +77,7 @@ def read_tle(source: str | Path, *, gravity: str = "wgs72", max_age_days: float 
             if not line.startswith("2 "):
                 text.fail(number, f"{line[:20]!r} must be the second line of the set that begins in line {first[0]}")
             title = name[1] if name else ""
-            found.append((first[0], _set(text, title, first, (number, line), gravity, max_age_days)))
+            element_sets.append((first[0], _set(text, title, first, (number, line), gravity, max_age_days)))
             first = name = None
         elif re.match(r"1 [ A-Z0-9]{5}", line) and (len(line) > 24 or not _may_be_name(line)):
             first = number, line
@@ -91,8 +91,8 @@ def read_tle(source: str | Path, *, gravity: str = "wgs72", max_age_days: float 
         text.fail(first[0], "the set ends after its first line")
     if name is not None:
         text.fail(name[0], f"{name[1][:20]!r} has no set; two lines that begin with '1 ' and '2 ' must follow")
-    check_satellites(text, [(number, elements.name, elements.norad_id) for number, elements in found])
-    return [elements for _, elements in found]
+    check_satellites(text, [(number, elements.name, elements.norad_id) for number, elements in element_sets])
+    return [elements for _, elements in element_sets]
 
 
 def _may_be_name(line: str) -> bool:

@@ -41,6 +41,17 @@ BEFORE = 300.0
 """Seconds of another future before it begins, for interpolation."""
 
 
+def flight_over_earth(recording: Recording, track: int, form: str) -> tuple[Track, Scene]:
+    """Return a track and its scene; IndexError for one that does not exist, ValueError without the Earth that ``form`` needs."""
+    if not 0 <= track < len(recording.tracks):
+        raise IndexError(f"track={track} must lie from 0 to {len(recording.tracks) - 1}")
+    flight = recording.tracks[track]
+    scene = recording.scenes[flight.scene]
+    if not scene.PN0:
+        raise ValueError(f"{recording.preset or 'the recording'} has no Earth, which {form} needs; write .html instead")
+    return flight, scene
+
+
 def czml(recording: Recording, track: int = 0) -> str:
     """Return a track as the text of a CZML file, with the satellites of other futures from where they branch.
 
@@ -54,12 +65,7 @@ def czml(recording: Recording, track: int = 0) -> str:
         IndexError: For a track that does not exist.
         ValueError: For a flight without the Earth.
     """
-    if not 0 <= track < len(recording.tracks):
-        raise IndexError(f"track={track} must lie from 0 to {len(recording.tracks) - 1}")
-    flight = recording.tracks[track]
-    scene = recording.scenes[flight.scene]
-    if not scene.PN0:
-        raise ValueError(f"{recording.preset or 'the recording'} has no Earth, which CZML needs; write .html instead")
+    flight, scene = flight_over_earth(recording, track, "CZML")
     start = J2000 + timedelta(seconds=scene.et - SHIFT)
     packets = [_document(recording, flight, start), *_stations(scene)]
     packets += [_satellite(recording, flight, scene, start, k) for k in range(len(recording.satellites))]

@@ -7,6 +7,7 @@ import numpy as np
 from bsk_torch.astro.element_sets import Ephemeris
 from bsk_torch.formats.ccsds import write_oem
 from bsk_torch.recording.recording import Recording
+from bsk_torch.viewer.czml import flight_over_earth
 
 __all__ = ["oem"]
 
@@ -24,16 +25,11 @@ def oem(recording: Recording, track: int = 0) -> str:
         IndexError: For a track that does not exist.
         ValueError: For a flight without the Earth.
     """
-    if not 0 <= track < len(recording.tracks):
-        raise IndexError(f"track={track} must lie from 0 to {len(recording.tracks) - 1}")
-    flight = recording.tracks[track]
-    scene = recording.scenes[flight.scene]
-    if not scene.PN0:
-        raise ValueError(f"{recording.preset or 'the recording'} has no Earth, which an OEM needs; write .html instead")
-    times, found = flight.arrays["key_times"], []
+    flight, scene = flight_over_earth(recording, track, "an OEM")
+    times, orbits = flight.arrays["key_times"], []
     states = np.concatenate([flight.arrays[name].astype("f8") for name in ("r_N", "v_N")], -1)
     for k, craft in enumerate(recording.satellites):
         kept = np.isfinite(states[:, k]).all(-1) & np.concatenate([[True], np.diff(times) > 0.0])
         if kept.any():
-            found.append(Ephemeris(craft.name, craft.name, scene.et + times[kept], states[kept, k]))
-    return write_oem(found)
+            orbits.append(Ephemeris(craft.name, craft.name, scene.et + times[kept], states[kept, k]))
+    return write_oem(orbits)

@@ -162,9 +162,13 @@ def shadow_edges(et: float, r_at: Callable[[np.ndarray], np.ndarray], seconds: f
     return [float(time[k] + 10.0 * depth[k] / (depth[k] - depth[k + 1])) for k in change if min(depth[k], depth[k + 1]) > -1e8]
 
 
-def eclipses(simulator: Any, sets: list[ElementSet]) -> list[float]:
-    """Differences of the times of umbra, s, from SGP4's positions under ERFA's Sun."""
+def eclipses(simulator: Any, sets: list[ElementSet]) -> tuple[list[float], int]:
+    """Differences of the times of umbra, s, from SGP4's positions under ERFA's Sun, and how many times the table lacks.
+
+    The table spans the look-ahead. A time within its span that has none within two minutes is lacking.
+    """
     differences: list[float] = []
+    lacking = 0
     table = simulator.lookahead.eclipses
     for k, elements in enumerate(sets):
         et, plain = float(simulator.arcs.et[k]), dataclasses.replace(elements, matched=False)
@@ -176,9 +180,14 @@ def eclipses(simulator: Any, sets: list[ElementSet]) -> list[float]:
         mine = np.sort(np.concatenate([table.starts[k].numpy(), table.ends[k].numpy()]))
         for edge in theirs:
             near = mine[np.isfinite(mine)]
-            if len(near) and edge > 60.0:
-                differences.append(float(near[np.abs(near - edge).argmin()] - edge))
-    return [each for each in differences if abs(each) < 120.0]
+            if not len(near) or not 60.0 < edge < near[-1] + 120.0:
+                continue
+            difference = float(near[np.abs(near - edge).argmin()] - edge)
+            if abs(difference) < 120.0:
+                differences.append(difference)
+            else:
+                lacking += 1
+    return differences, lacking
 
 
 def skyfield_position(satellite: EarthSatellite, timescale: Any, et: float) -> np.ndarray:
@@ -210,6 +219,7 @@ def check(result: dict[str, Any]) -> None:
         "windows of low circular orbits, s": (max(each["worst"] for each in result["windows"][:CIRCULAR]), 2.0),
         "eclipses, s": (result["eclipses"]["worst"], 2.0),
         "direction of the Sun, arcseconds": (result["sun_arcseconds"]["worst"], 1.0),
+        "eclipses that the table lacks": (result["eclipses"]["lacking"], 0),
         "windows on one side only": (sum(result["unmatched"].values()), 0),
         "positions of SGP4 against brahe, m": (result["brahe"]["worst"] if result["brahe"] else 0.0, 1.0),
     }
@@ -242,6 +252,7 @@ def main() -> None:
             for hours in HOURS:
                 when = torch.tensor([parse_utc(date_in_words(plain.epoch + 3600.0 * hours))], dtype=torch.float64)
                 frames.append(float(np.linalg.norm(plain.state_at(when)[0][0].numpy() - orbit(float(when)))))
+    edges, lacking = eclipses(simulator, sets)
     result = {
         "versions": {name: version(name) for name in ("bsk_torch", "skyfield", "pyerfa", "sgp4")},
         "hours": HOURS,
@@ -249,7 +260,7 @@ def main() -> None:
         "positions": positions(simulator, skyfield),
         "windows": [statistics(found) for found in differences],
         "unmatched": {"extra": extra, "missing": missing},
-        "eclipses": statistics(eclipses(simulator, sets)),
+        "eclipses": statistics(edges) | {"lacking": lacking},
         "sun_arcseconds": statistics([3600.0 * each for each in angle]),
         "brahe": statistics(frames) if frames else None,
     }

@@ -17,6 +17,7 @@ from annotated_types import Gt, Interval, Len
 from numpy.typing import NDArray
 
 from bsk_torch.files import write_file
+from bsk_torch.formats.tle import read_tle
 from bsk_torch.sim.names import nearest
 from bsk_torch.untrusted import MOST_JSON, Word, parse_json, parse_yaml, read_bytes
 
@@ -244,14 +245,10 @@ class SatelliteEntry:
     resource_model: ResourceEntry
 
     def __post_init__(self) -> None:
-        for number, line in enumerate((self.tle_line1, self.tle_line2), 1):
-            if len(line) != 69 or not line.startswith(f"{number} ") or not line.isascii():
-                raise ValueError(f"tle_line{number}={line!r:.90} must have 69 characters, of which the first is {number}")
-            total = sum(int(c) if c.isdigit() else c == "-" for c in line[:68]) % 10
-            if line[68] != str(total):
-                raise ValueError(f"tle_line{number}={line!r} ends with the checksum {line[68]!r}, and has {total}")
-        if self.tle_line1[2:7] != self.tle_line2[2:7]:
-            raise ValueError(f"tle_line1 is of satellite {self.tle_line1[2:7]!r}, tle_line2 of {self.tle_line2[2:7]!r}")
+        try:
+            read_tle(f"{self.tle_line1}\n{self.tle_line2}")
+        except ValueError as error:
+            raise ValueError(f"tle_line1, tle_line2: {error}") from None
 
 
 @dataclass

@@ -184,13 +184,13 @@ def _at_nadir(elements: ElementSet, et: float) -> dict[str, Any]:
 def _arguments(case: Case, number: int, factor: float, power: str, tick: float) -> dict[str, Any]:
     """Return the arguments of a satellite: its orbit, the wheels of its slew limits, times a factor, and its battery."""
     satellite = case.satellites[number]
-    found = craft.from_slew_limits(
+    spacecraft = craft.from_slew_limits(
         factor * satellite.slew_rate, factor * satellite.slew_acceleration, max(satellite.settling_s, 2.0 * tick), h=tick
     )
-    numbers = {name: tuple(values) for name, values in wheel_defaults(found["wheels"]).items()}
+    numbers = {name: tuple(values) for name, values in wheel_defaults(spacecraft["wheels"]).items()}
     (elements,) = read_tle(f"{satellite.line1}\n{satellite.line2}", gravity="wgs84")
     return {
-        **{name: value for name, value in found.items() if name != "maxWheelSpeed"},
+        **{name: value for name, value in spacecraft.items() if name != "maxWheelSpeed"},
         **{name: numbers[name] for name in ("u_max", "rwJs")},
         "oe": elements,
         **_at_nadir(elements, parse_utc(case.start)),
@@ -217,7 +217,7 @@ def _flown(
     begin = observations.start_s - EARLY * find_slews(case, observations, tracks(case)).required
     fields = {"angle": "look_angle", "rate": "look_rate", "off_nadir": "look_off_nadir"}
     fields |= {"fastest": "fastest", "least": "least_charge"}
-    found = {name: np.full(total, np.nan) for name in fields}
+    measured = {name: np.full(total, np.nan) for name in fields}
 
     def run_until(seconds: NDArray[np.float64], looks: Tensor) -> None:
         ticks = torch.from_numpy(np.ceil(seconds / tick - 1e-9)).long() - simulator.ticks
@@ -238,18 +238,18 @@ def _flown(
             simulator.write(name, looks, torch.from_numpy(seconds[number] / tick))
         run_until(observations.end_s[number].astype(np.float64), looks)
         for name, field in fields.items():
-            found[name][column[flies]] = simulator.read(field).flatten().double().numpy()[flies]
-        found["least"][column[flies]] = np.minimum(found["least"][column[flies]], least[flies])
+            measured[name][column[flies]] = simulator.read(field).flatten().double().numpy()[flies]
+        measured["least"][column[flies]] = np.minimum(measured["least"][column[flies]], least[flies])
     simulator.run(round(case.horizon_s / tick) - simulator.ticks)
-    found["least"] /= 3600.0
+    measured["least"] /= 3600.0
     limit = np.radians([satellite.off_nadir for satellite in case.satellites])[observations.satellite]
     wrong = np.stack(
         [
-            ~(found["angle"] <= tolerance[0]),
-            ~(found["rate"] <= tolerance[1]),
-            ~(found["off_nadir"] <= limit + GEOMETRY),
-            ~(found["least"] > 0.0),
+            ~(measured["angle"] <= tolerance[0]),
+            ~(measured["rate"] <= tolerance[1]),
+            ~(measured["off_nadir"] <= limit + GEOMETRY),
+            ~(measured["least"] > 0.0),
         ]
     )
     missed = np.where(wrong.any(0), wrong.argmax(0), -1)
-    return Flight(**found, missed=missed, final=simulator.read("charge").flatten().numpy() / 3600.0)
+    return Flight(**measured, missed=missed, final=simulator.read("charge").flatten().numpy() / 3600.0)

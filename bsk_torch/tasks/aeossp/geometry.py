@@ -5,7 +5,7 @@ Earth turns by the mean sidereal time of 1982 about the third axis; UT1 is UTC, 
 benchmark. Angles between directions are the same in TEME and in GCRF.
 
 Sources: Vallado, *Fundamentals of Astrodynamics and Applications*, 4th ed., 2013, for the frames and the low-precision Sun of the
-Astronomical Almanac (0.01 deg); Hofmann-Wellenhof et al., *GNSS*, 2008, for geodetic places.
+Astronomical Almanac (0.01 deg).
 """
 
 from __future__ import annotations
@@ -14,16 +14,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from sgp4.api import SGP4_ERRORS, WGS84, Satrec, jday
 
+from bsk_torch.astro.geodetic import SEMI_MINOR_AXIS, geodetic_to_fixed
 from bsk_torch.tasks.aeossp.files import Case, Requests
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
-
-EARTH_A, EARTH_F = 6378137.0, 1.0 / 298.257223563
-"""Semi-major axis, m, and flattening of the ellipsoid of WGS84."""
 
 EARTH_RATE = 7.292115146706979e-5
 """Rate of the Earth's rotation, rad/s (IERS)."""
@@ -123,12 +122,8 @@ def turned(places: Array, sidereal: Array) -> Array:
 
 def on_ellipsoid(requests: Requests) -> Array:
     """Return Earth-fixed positions of tasks, m, [T, 3]."""
-    latitude, longitude = np.radians(requests.latitude), np.radians(requests.longitude)
-    squared = EARTH_F * (2.0 - EARTH_F)
-    normal = EARTH_A / np.sqrt(1.0 - squared * np.sin(latitude) ** 2)
-    across = (normal + requests.altitude) * np.cos(latitude)
-    up = (normal * (1.0 - squared) + requests.altitude) * np.sin(latitude)
-    return np.stack([across * np.cos(longitude), across * np.sin(longitude), up], -1)
+    latitude, longitude, height = map(torch.from_numpy, (requests.latitude, requests.longitude, requests.altitude))
+    return geodetic_to_fixed(latitude.deg2rad(), longitude.deg2rad(), height).numpy()
 
 
 def angle(a: Array, b: Array) -> Array:
@@ -223,7 +218,7 @@ def _near(
     r, count = positions.r[number], len(positions.sidereal)
     coarse = np.arange(0, count, SEARCH_STEPS)
     radius = np.linalg.norm(r, axis=-1)
-    swing = np.arcsin(np.minimum(radius.max() / (EARTH_A * (1.0 - EARTH_F)) * np.sin(np.radians(off_nadir)), 1.0))
+    swing = np.arcsin(np.minimum(radius.max() / (SEMI_MINOR_AXIS) * np.sin(np.radians(off_nadir)), 1.0))
     moved = 0.5 * SEARCH_STEPS * np.max(np.linalg.norm(np.diff(r, axis=0), axis=-1) / radius[1:]) * 1.2
     reach = swing - np.radians(off_nadir) + moved + 0.01  # 0.01 rad: the ellipsoid, the Earth's rotation, heights
     fixed = turned(r[coarse] / radius[coarse, None], -positions.sidereal[coarse])

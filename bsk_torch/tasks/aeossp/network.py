@@ -256,13 +256,13 @@ class _Search:
         """Return the nodes of the best chains, and their values."""
         place = np.empty(len(self.top), dtype=np.int64)
         place[self.nodes] = np.arange(len(self.nodes))
-        found: list[int] = []
+        nodes: list[int] = []
         for cluster in np.flatnonzero(self.done[-1] > 0.0):
             current = int(self.done_node[-1, cluster])
             while current >= 0:
-                found.append(current)
+                nodes.append(current)
                 current = self._before(int(place[current]), int(cluster))
-        return np.sort(np.array(found, dtype=np.int64)), self.done[-1]
+        return np.sort(np.array(nodes, dtype=np.int64)), self.done[-1]
 
     def _before(self, at: int, cluster: int) -> int:
         """Return the node before one in the best chain that ends with it, -1 for none."""

@@ -238,9 +238,9 @@ class Areas(Scenario):
             on = (place != 0.0).any(-1) & (tick <= flight.ticks.view(-1, 1, 1))
             env, number = torch.nonzero(on.any(-1)).unbind(1)
             if len(env):
-                found = self._seen_by(flight.envs[env], place[env, number], on[env, number])
+                seen_cells = self._seen_by(flight.envs[env], place[env, number], on[env, number])
                 columns = self.fleet.columns[k]
-                self._hits += [Hits(flight.envs[env[row]], columns[number[row]], area, cell) for row, area, cell in found]
+                self._hits += [Hits(flight.envs[env[row]], columns[number[row]], area, cell) for row, area, cell in seen_cells]
 
     def _seen_by(self, envs: Tensor, place: Tensor, on: Tensor) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
         """Yield rows, areas and cells of which tracks show something.

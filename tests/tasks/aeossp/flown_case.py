@@ -39,8 +39,8 @@ def satellite(number: int, orbit_number: int, limits: dict[str, float], **batter
 def case_of(satellites: list[CaseSatellite], looks: list[tuple[int, int, int, float]]) -> tuple[Case, Observations]:
     """A case, and a plan of looks: satellite, start and duration, s, and the angle across from nadir in their middle, deg."""
     start = datetime(2026, 4, 14, 4, tzinfo=timezone.utc)
-    nobody = Requests((), (), *(np.zeros(0) for _ in range(6)), (), np.zeros(0))
-    case = Case("small", start, HORIZON, 5, 10, tuple(satellites), nobody)
+    no_requests = Requests((), (), *(np.zeros(0) for _ in range(6)), (), np.zeros(0))
+    case = Case("small", start, HORIZON, 5, 10, tuple(satellites), no_requests)
     count = len(looks)
     number, first, duration, _ = (np.array(column) for column in zip(*looks, strict=True))
     places = np.stack([place(case, int(s), a + 0.5 * d, x) for s, a, d, x in looks])

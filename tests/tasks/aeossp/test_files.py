@@ -1,4 +1,4 @@
-"""Cases and solutions of aeossp_standard: what is read, and what is refused, with file, entry, value and what is allowed."""
+"""Cases and solutions of aeossp_standard: readers and refusals, with file, entry, value and what is allowed."""
 
 import json
 

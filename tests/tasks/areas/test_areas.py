@@ -1,4 +1,4 @@
-"""Areas as a task: draws, states, observations, rewards, and what is refused."""
+"""Areas as a task: draws, states, observations, rewards, refusals."""
 
 import numpy as np
 import pytest
