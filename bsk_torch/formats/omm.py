@@ -148,7 +148,7 @@ def parse_xml(text: Source) -> ElementTree.Element:
     if declaration := re.search(r"<!(DOCTYPE|ENTITY)", text.text, re.I):
         text.fail(text.text.count("\n", 0, declaration.start()) + 1, f"{declaration[0]!r} is not read: files of orbits have none")
     try:
-        return ElementTree.fromstring(text.text.lstrip().encode())
+        return ElementTree.fromstring(text.text.lstrip())  # a text, whatever encoding it declares
     except ElementTree.ParseError as error:
         text.fail(error.position[0], f"it is no XML: {error}")
 

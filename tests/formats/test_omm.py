@@ -29,6 +29,11 @@ def test_formats_are_told_apart(tmp_path):
     assert read_orbits(tmp_path / "gp.csv") == read_orbits(OMM_CSV)
 
 
+@pytest.mark.parametrize("encoding", ["UVF-8", "utf-16"])
+def test_files_are_utf_8_whatever_encoding_they_declare(encoding):
+    assert read_omm(OMM_XML.replace("UTF-8", encoding)) == read_omm(OMM_XML)
+
+
 def edited(**fields):
     return json.dumps([{**FIELDS, **fields}])
 
