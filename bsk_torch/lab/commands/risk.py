@@ -54,7 +54,7 @@ def estimate_risk(
     *,
     options: EnvironmentOptions,
 ) -> None:
-    """Estimate the probability of a loss, down to 1e-6 and below, and show the ways to it.
+    """Estimate the probability of a rare loss, with its interval, and show the ways to it.
 
     Initial states, scenarios, faults and noise are followed in small steps toward the event (subset simulation). Where draws at
     reset decide about the event, --method screen needs fewer simulated seconds. An event that never happens has an upper limit.
