@@ -1,7 +1,7 @@
 """Do learners of other libraries beat the best rule, with a discount per second?
 
 Usage:
-    python benchmarks/learners.py [--learners "TorchRL PPO" ...] [--seeds 0 1 2] [--episodes 1024] [--settings steps=100000 ...]
+    python benchmarks/learners.py [--learners TorchRL-PPO ...] [--seeds 0 1 2] [--episodes 1024] [--settings steps=100000 ...]
         [--out FILE.json]
 
 Trains the examples of :data:`LEARNERS` in NadirScan-v1, once for each seed, and compares each policy with the best of the
@@ -29,12 +29,12 @@ JUDGED = 5_600_001
 """Seed of the episodes in which policies are compared."""
 
 LEARNERS = {
-    "TorchRL PPO": ("learners_torchrl", []),
-    "TorchRL DQN": ("learners_torchrl", ["--learner=dqn"]),
-    "TorchRL discrete SAC": ("learners_torchrl", ["--learner=sac"]),
-    "Stable-Baselines3 MaskablePPO": ("ppo_sb3", []),
-    "Stable-Baselines3 DQN": ("ppo_sb3", ["--algorithm=dqn"]),
-    "single-file PPO": ("ppo_cleanrl", []),
+    "TorchRL-PPO": ("learners_torchrl", []),
+    "TorchRL-DQN": ("learners_torchrl", ["--learner=dqn"]),
+    "TorchRL-SAC": ("learners_torchrl", ["--learner=sac"]),
+    "SB3-MaskablePPO": ("ppo_sb3", []),
+    "SB3-DQN": ("ppo_sb3", ["--algorithm=dqn"]),
+    "single-file-PPO": ("ppo_cleanrl", []),
 }
 """Examples and their arguments, by learner."""
 

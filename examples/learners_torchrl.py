@@ -57,6 +57,9 @@ from bsk_torch.rl.networks import FeatureNormaliser
 LEAST = 0.05
 """Final fraction of the learning rate."""
 
+NEVER = -1e9
+"""Logit of illegal actions. Discrete SAC multiplies TorchRL's default, -inf, by a probability of 0, and learns NaN."""
+
 
 def network(
     seen: FeatureNormaliser, outputs: int, options: argparse.Namespace
@@ -74,6 +77,7 @@ def masked_actor(net: nn.Module) -> ProbabilisticActor:
         TensorDictModule(net, ["observation"], ["logits"]),
         in_keys={"logits": "logits", "mask": "action_mask"},
         distribution_class=MaskedCategorical,
+        distribution_kwargs={"neg_inf": NEVER},
         return_log_prob=True,
     )
 
@@ -234,9 +238,19 @@ def sac(env: SatelliteTasking, options: argparse.Namespace) -> TensorDictModuleB
 LEARNERS = {"ppo": ppo, "dqn": dqn, "sac": sac}
 
 SETTINGS = {
-    "ppo": dict(learning_rate=2.5e-3, gamma=0.99999, batch_size=2048),
-    "dqn": dict(learning_rate=1e-3, gamma=0.9999, batch_size=512),
-    "sac": dict(learning_rate=1e-3, gamma=0.9999, batch_size=512),
+    "ppo": dict(
+        steps=1_500_000,
+        num_envs=256,
+        learning_rate=2.5e-3,
+        gamma=0.99999,
+        batch_size=2048,
+    ),
+    "dqn": dict(
+        steps=600_000, num_envs=128, learning_rate=1e-3, gamma=0.9999, batch_size=512
+    ),
+    "sac": dict(
+        steps=300_000, num_envs=128, learning_rate=1e-3, gamma=0.9999, batch_size=512
+    ),
 }
 """Defaults that differ between learners."""
 
@@ -265,10 +279,8 @@ def arguments(line: Sequence[str] | None = None) -> argparse.Namespace:
         default="NadirScan-v1",
         help="single-satellite preset with vector observations",
     )
-    parser.add_argument(
-        "--steps", type=int, default=1_500_000, help="number of training decisions"
-    )
-    parser.add_argument("--num-envs", type=int, default=256, help="episodes at once")
+    parser.add_argument("--steps", type=int, help="number of training decisions")
+    parser.add_argument("--num-envs", type=int, help="episodes at once")
     parser.add_argument(
         "--rollout",
         type=int,
@@ -286,7 +298,7 @@ def arguments(line: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument(
         "--updates",
         type=int,
-        default=2,
+        default=4,
         help="gradient steps of DQN and SAC per step of all episodes",
     )
     parser.add_argument(

@@ -81,7 +81,7 @@ def make_model(options: argparse.Namespace, env: VecNormalize) -> BaseAlgorithm:
             learning_starts=8192,
             batch_size=512,
             train_freq=1,
-            gradient_steps=2,
+            gradient_steps=4,
             target_update_interval=200 * options.num_envs,
             exploration_initial_eps=0.5,
             exploration_final_eps=0.02,
@@ -175,7 +175,7 @@ def arguments(line: Sequence[str] | None = None) -> argparse.Namespace:
         help="single-satellite preset with vector observations",
     )
     parser.add_argument(
-        "--steps", type=int, default=2_000_000, help="number of training decisions"
+        "--steps", type=int, default=1_500_000, help="number of training decisions"
     )
     parser.add_argument("--num-envs", type=int, help="episodes at once")
     parser.add_argument(
