@@ -42,7 +42,7 @@ class DiscountPerSecond(BaseCallback):
         if not isinstance(self.model, OnPolicyAlgorithm) or self.model.gamma != 1.0:
             raise ValueError(
                 f"DiscountPerSecond needs PPO, MaskablePPO or A2C with gamma=1.0, not {type(self.model).__name__} with "
-                f"gamma={self.model.gamma}; for DQN there is DurationReplayBuffer"  # type: ignore[attr-defined]
+                f"gamma={self.model.gamma}; for DQN there is DurationReplayBuffer"
             )
 
     def _on_rollout_start(self) -> None:

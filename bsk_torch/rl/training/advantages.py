@@ -78,10 +78,17 @@ def write_advantages(
     value, following = (
         value if value_norm is None else value_norm.denormalize(value.double()).to(value.dtype) for value in values(batch, critic)
     )
-    steps = (batch["next", key] for key in ("reward", "duration"))
-    ends = (batch["next", key] for key in (done, terminated))
-    settings = {"gamma": gamma, "lmbda": lmbda, "reward_time": reward_time}
-    batch["advantage"], batch["value_target"] = estimate_advantages(*steps, value, following, *ends, **settings)
+    batch["advantage"], batch["value_target"] = estimate_advantages(
+        batch["next", "reward"],
+        batch["next", "duration"],
+        value,
+        following,
+        batch["next", done],
+        batch["next", terminated],
+        gamma=gamma,
+        lmbda=lmbda,
+        reward_time=reward_time,
+    )
 
 
 def standardize(batch: TensorDictBase, value_norm: ValueNorm, counts: Tensor | None = None) -> None:
