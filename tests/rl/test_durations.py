@@ -121,12 +121,13 @@ def test_agents_share_ends():
 
 
 def decisions():
-    """Eight decisions between three actions, of which the last one is always illegal."""
+    """Eight decisions between three actions, of which the last one is always illegal; every other one terminates."""
     torch.manual_seed(0)
     data = batch(8, 1).reshape(-1).exclude("state_value", ("next", "state_value"))
     legal = torch.tensor([True, True, False]).expand(8, 3)
     for part in (data, data["next"]):
         part["observation"], part["action_mask"] = torch.randn(8, 2), legal
+    data["next", "done"] = data["next", "terminated"] = (torch.arange(8) % 2 == 0).unsqueeze(1)
     return data.set("action", torch.randint(0, 2, (8,)))
 
 
