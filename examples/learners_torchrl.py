@@ -246,7 +246,7 @@ SETTINGS = {
         batch_size=2048,
     ),
     "dqn": dict(
-        steps=600_000, num_envs=128, learning_rate=1e-3, gamma=0.9999, batch_size=512
+        steps=300_000, num_envs=128, learning_rate=1e-3, gamma=0.9999, batch_size=512
     ),
     "sac": dict(
         steps=300_000, num_envs=128, learning_rate=1e-3, gamma=0.9999, batch_size=512

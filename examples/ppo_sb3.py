@@ -157,7 +157,7 @@ def entrant(
 
 
 SETTINGS = {
-    "ppo": dict(learning_rate=2.5e-3, gamma=0.99999, num_envs=1024, log_interval=10),
+    "ppo": dict(learning_rate=2.5e-3, gamma=0.99999, num_envs=256, log_interval=10),
     "dqn": dict(learning_rate=1e-3, gamma=0.9999, num_envs=256, log_interval=2000),
 }
 """Defaults that differ between algorithms; DQN counts episodes between two lines of the log."""
@@ -175,13 +175,13 @@ def arguments(line: Sequence[str] | None = None) -> argparse.Namespace:
         help="single-satellite preset with vector observations",
     )
     parser.add_argument(
-        "--steps", type=int, default=1_500_000, help="number of training decisions"
+        "--steps", type=int, default=2_000_000, help="number of training decisions"
     )
     parser.add_argument("--num-envs", type=int, help="episodes at once")
     parser.add_argument(
         "--rollout",
         type=int,
-        default=16,
+        default=32,
         help="decisions per episode between two updates of PPO",
     )
     parser.add_argument(
