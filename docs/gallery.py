@@ -20,6 +20,7 @@ PICTURES = {".png", ".webp"}
 ARGUMENTS: dict[str, str] = {
     "examples/areas.py": "--figure areas.png",
     "examples/curriculum.py": "--num-envs 256 --steps 400 --figure curriculum.png",
+    "examples/learners_torchrl.py": "--steps 400000 --episodes 256 --figure episode.png",
     "examples/live_requests.py": "--num-envs 16 --steps 200",
     "examples/mappo_benchmarl.py": "--iterations 6 --num-envs 64 --episodes 64 --out {tmp} --figure episode.png",
     "examples/offline_cql.py": "--episodes 32 --time-limit 5700 --steps 2000 --iterations 100",

@@ -2,7 +2,7 @@
 Single-file PPO
 ===============
 
-CleanRL-style PPO on the Gymnasium vector environment: torch only, with action masks and a time-aware discount.
+CleanRL-style PPO on the Gymnasium vector environment: torch only, with action masks and a discount per second.
 
 On the command line::
 
@@ -17,16 +17,16 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import gymnasium
 import torch
 from torch import Tensor, nn
 from torch.distributions import Categorical
 
-import bsk_torch  # noqa: F401  - registers the presets with Gymnasium
+from bsk_torch.rl.durations import estimate_advantages
 
 FRESH = 1_000_003
 """Added to the training seed for evaluation, so that evaluation episodes are unseen."""
@@ -88,7 +88,7 @@ class Agent(nn.Module):
 
 @dataclass
 class Step:
-    """A step of N environments, each [N, ...]; ``following`` is the value of what came next, 0 after a terminal state."""
+    """A step of N environments, each [N, ...]; ``following`` is the value of what came next."""
 
     observation: Tensor
     mask: Tensor
@@ -98,6 +98,7 @@ class Step:
     reward: Tensor
     seconds: Tensor
     ended: Tensor
+    terminated: Tensor
     following: Tensor
 
 
@@ -133,7 +134,7 @@ class Collector:
         )
         following = self.agent.value(
             torch.where(ended.unsqueeze(-1), last, self.observation)
-        ).masked_fill(terminated, 0.0)
+        )
         value = self.agent.value(observation)
         return Step(
             observation,
@@ -144,6 +145,7 @@ class Collector:
             reward,
             seconds,
             ended,
+            terminated,
             following,
         )
 
@@ -151,17 +153,6 @@ class Collector:
         self.running += reward
         self.returns = (self.returns + self.running[ended].tolist())[-len(ended) :]
         self.running = self.running.masked_fill(ended, 0.0)
-
-
-def advantages(steps: list[Step], gamma: float, lmbda: float) -> Tensor:
-    """Generalized advantages [T, N] with ``gamma`` per second and ``lmbda`` per decision."""
-    result, later = [], torch.zeros_like(steps[0].value)
-    for step in reversed(steps):
-        discount = (gamma ** step.seconds.double()).float()
-        surprise = discount * (step.reward + step.following) - step.value
-        later = surprise + discount * lmbda * later.masked_fill(step.ended, 0.0)
-        result.append(later)
-    return torch.stack(result[::-1])
 
 
 # -- learning ---------------------------------------------------------------------------------------------------------
@@ -175,18 +166,22 @@ def learn(
     left: float,
 ) -> None:
     """Make several passes over the steps of a rollout; ``left`` scales the entropy weight."""
-    advantage = advantages(steps, options.gamma, options.lmbda)
-    names = ("observation", "mask", "action", "log_prob", "value")
     batch = {
-        name: torch.stack([getattr(step, name) for step in steps]).flatten(0, 1)
-        for name in names
+        name: torch.stack([getattr(step, name) for step in steps])
+        for name in Step.__annotations__
     }
-    batch |= {
-        "advantage": advantage.flatten(),
-        "target": advantage.flatten() + batch["value"],
-    }
+    estimated = estimate_advantages(
+        *(batch.pop(name) for name in ("reward", "seconds")),
+        batch["value"],
+        *(batch.pop(name) for name in ("following", "ended", "terminated")),
+        gamma=options.gamma,
+        lmbda=options.lmbda,
+        time_dim=0,
+    )
+    batch |= zip(("advantage", "target"), estimated, strict=True)
+    batch = {name: value.flatten(0, 1) for name, value in batch.items()}
     for _ in range(options.epochs):
-        for rows in torch.randperm(len(advantage.flatten())).split(options.minibatch):
+        for rows in torch.randperm(len(batch["value"])).split(options.minibatch):
             loss = ppo_loss(
                 agent,
                 {name: value[rows] for name, value in batch.items()},
@@ -264,8 +259,8 @@ def draw(curve: list[tuple[int, float]], path: Path) -> None:
     style.save(figure, path)
 
 
-def arguments() -> argparse.Namespace:
-    """Parse the command line."""
+def arguments(line: Sequence[str] | None = None) -> argparse.Namespace:
+    """Parse the command line, or ``line``."""
     parser = argparse.ArgumentParser(
         description="PPO in one file, on the Gymnasium vector environment."
     )
@@ -340,7 +335,7 @@ def arguments() -> argparse.Namespace:
         type=Path,
         help="file for a figure of the learning curve; needs the extra viz",
     )
-    options = parser.parse_args()
+    options = parser.parse_args(line)
     known = [
         name
         for name, spec in gymnasium.registry.items()
@@ -354,21 +349,23 @@ def arguments() -> argparse.Namespace:
     return options
 
 
-def main() -> None:
-    """Train and evaluate."""
-    options = arguments()
-    torch.set_num_threads(1)
-    torch.manual_seed(options.seed)
-    world: dict[str, Any] = (
-        {} if options.time_limit is None else {"time_limit": options.time_limit}
+def make_env(options: argparse.Namespace, num_envs: int) -> gymnasium.vector.VectorEnv:
+    """Return episodes of the preset; its name is registered by the import of bsk_torch."""
+    limit = {} if options.time_limit is None else {"time_limit": options.time_limit}
+    return gymnasium.make_vec(
+        f"bsk_torch/{options.preset}",
+        num_envs=num_envs,
+        backend=options.backend,
+        output="torch",
+        autoreset_mode="SameStep",
+        **limit,
     )
-    world |= {
-        "backend": options.backend,
-        "output": "torch",
-        "autoreset_mode": "SameStep",
-    }
-    env_id = f"bsk_torch/{options.preset}"
-    env = gymnasium.make_vec(env_id, num_envs=options.num_envs, **world)
+
+
+def train(options: argparse.Namespace) -> tuple[Agent, list[tuple[int, float]]]:
+    """Train; return the agent, and returns while training by the number of decisions."""
+    torch.manual_seed(options.seed)
+    env = make_env(options, options.num_envs)
     agent = Agent(
         env.single_observation_space.shape[0],
         int(env.single_action_space.n),
@@ -400,7 +397,15 @@ def main() -> None:
             print(
                 f"{(update + 1) * per_update:>9} steps, {time.perf_counter() - begin:4.0f} s: return {recent:.3f}"
             )
-    fresh = gymnasium.make_vec(env_id, num_envs=options.episodes, **world)
+    return agent, curve
+
+
+def main() -> None:
+    """Train and evaluate."""
+    options = arguments()
+    torch.set_num_threads(1)
+    agent, curve = train(options)
+    fresh = make_env(options, options.episodes)
     show("random", *evaluate(fresh, None, options.seed + FRESH))
     show("trained", *evaluate(fresh, agent, options.seed + FRESH))
     if options.out is not None:

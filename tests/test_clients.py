@@ -43,6 +43,12 @@ def first_column(output):
 @needs("sb3_contrib", "'bsk_torch[sb3]'")
 def test_stable_baselines3(tmp_path):
     """Under a mask, which AEOSPower-v1's shield makes."""
+    assert first_column(run("ppo_sb3.py", tmp_path, *ONE, "--algorithm", "dqn", "--out", "dqn")) == [
+        "DQN",
+        "random",
+        "rule",
+        "cautious",
+    ]
     output = run("ppo_sb3.py", tmp_path, *ONE, "--preset", "AEOSPower-v1", "--out", "model")
     assert first_column(output) == ["MaskablePPO", *RULES]
     assert {path.name for path in (tmp_path / "model").iterdir()} == {"model.zip", "normalize.pkl"}
@@ -52,6 +58,13 @@ def test_stable_baselines3(tmp_path):
     assert policy(env.reset())["action"].shape == (2,)
     assert entrant("NadirScan-v1", partial(make, "NadirScan-v1", num_envs=2), str(tmp_path / "model")) is None
     assert entrant("MultiInspection-v1", partial(make, "MultiInspection-v1", num_envs=2), str(tmp_path / "model")) is None
+
+
+@pytest.mark.parametrize("learner", ["ppo", "dqn", "sac"])
+def test_torchrl(tmp_path, learner):
+    """Under a mask, which AEOSPower-v1's shield makes."""
+    output = run("learners_torchrl.py", tmp_path, *ONE, "--preset", "AEOSPower-v1", "--learner", learner)
+    assert first_column(output) == [learner, *RULES]
 
 
 def test_cleanrl(tmp_path):

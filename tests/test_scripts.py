@@ -96,6 +96,9 @@ benchmarks/crews.py --episodes 2 --time-limit 300 --targets 12 --rules prompt
 benchmarks/safe_autonomy.py --episodes 2 --batch 2 --time-limit 40 --filters none asif --policies glide --turns 1 --steps
     2 --backend eager
   compiled: (?s)\| CWDocking-v1 \| glide \| asif \| 0.0% \| - \| 0.0% \|.*\| CWDocking-v1 \| bsk_torch \| 2 \| [\d,]+[ ]
+benchmarks/learners.py --learners single-file-PPO --seeds 0 --episodes 2 --settings steps=64 num-envs=4 rollout=8
+    time-limit=300
+  compiled: \| single-file-PPO \| 0 \| 64 \| \d+ \| [-\d.]+ \+- [\d.]+ \| [-+][\d.]+ \+- [\d.]+ \|[ ]
 benchmarks/memory.py --batch 4 --steps 40 --warm-up 1
   compiled: \| scan \| 40 \| [\d,.]+ \|
 benchmarks/own_environments.py --only Frugal-v1 --seeds 1 --episodes 2 --frames 32 --settings num_envs=2 rollout=8
@@ -243,6 +246,7 @@ RECORDED = {
 
 ELSEWHERE = {
     **{f"examples/bsk_rl/{path.name}": "tests/examples/test_bsk_rl.py" for path in (ROOT / "examples/bsk_rl").glob("*.py")},
+    "examples/learners_torchrl.py": "tests/test_clients.py",
     "examples/mappo_benchmarl.py": "tests/test_clients.py",
     "examples/ppo_cleanrl.py": "tests/test_clients.py",
     "examples/ppo_rllib.py": "tests/test_clients.py",

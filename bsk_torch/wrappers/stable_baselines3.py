@@ -55,8 +55,8 @@ class SB3VecEnv(VecEnv):
     ``terminal_observation``. ``reset_infos`` are the infos with which new episodes begin. Named observations have one level
     of names, such as ``sat_props/storage_level_fraction``. sb3-contrib's MaskablePPO calls :meth:`action_masks`; other algorithms
     ignore masks, of which the log warns once, when an action is chosen that a mask forbids.
-    Stable-Baselines3 discounts per decision, however long it took: ``infos[k]["duration"]``, s. The batched environment is
-    :attr:`core`.
+    Stable-Baselines3 discounts per decision, however long it took: ``infos[k]["duration"]``, s;
+    :mod:`bsk_torch.rl.stable_baselines3` changes that. The batched environment is :attr:`core`.
 
     Example:
         >>> from sb3_contrib import MaskablePPO

@@ -209,6 +209,24 @@ def own_environments() -> str:
     return with_command("own_environments", head, rows)
 
 
+def learners() -> str:
+    """Return what learners of other libraries reach, by training."""
+    rows = [
+        [
+            row["learner"],
+            whole(row["seed"]),
+            whole(row["steps"]),
+            whole(row["core_seconds"]),
+            f"{row['return']['mean']:.3f} ±\u00a0{row['return']['half_width']:.3f}",
+            f"{row['gain']['mean']:+.3f} ±\u00a0{row['gain']['half_width']:.3f}",
+            f"{row['survival']:.1%}",
+        ]
+        for row in load("learners")["rows"]
+    ]
+    head = ["learner", "seed", "decisions", "core-seconds", "return", "gain over the best rule", "survival"]
+    return with_command("learners", head, rows)
+
+
 def of_runs(runs: Sequence[Mapping[str, float]], key: str, form: str) -> str:
     """Return the mean of a figure over runs, with the smallest and the largest; a dash if a run has none."""
     if not all(key in run for run in runs):
@@ -289,6 +307,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "by_condition": by_condition,
     "headroom": headroom,
     "own_environments": own_environments,
+    "learners": learners,
     "off_policy": off_policy,
     "expert_iteration": expert_iteration,
     "action_scores": action_scores,

@@ -76,43 +76,37 @@ path = learning_curve(read_log(folder / LOG), Path("curve.png"), levels, "NadirS
 # Write the training loop
 # -----------------------
 #
-# The rest of this page is a PPO loop built from TorchRL components, which you can customize. First, create the environment, and
-# compute the mean and standard deviation of its observations under random actions, which the networks use to standardize their
-# inputs.
+# The rest of this page is a PPO loop built from TorchRL components, which you can customize. First, create the environment.
 torch.manual_seed(0)
 env = bsk_torch.make("NadirScan-v1", num_envs=NUM_ENVS, seed=0, time_limit=SECONDS)
-seen = env.rollout(ROLLOUT, break_when_any_done=False)["observation"].flatten(0, 1)
-deviation, mean = torch.std_mean(seen, 0)
+n_observed = env.observation_spec["observation"].shape[-1]
 n_actions = env.action_spec.space.n
 
 # %%
-# Actor and critic have two hidden layers. ``MaskedCategorical`` sets the probability of illegal actions to zero, using the
-# environment's ``action_mask``.
+# Actor and critic have two hidden layers, and share a normalizer of observations. ``MaskedCategorical`` sets the probability of
+# illegal actions to zero, using the environment's ``action_mask``.
 from tensordict.nn import TensorDictModule
 from torch import nn
 from torchrl.modules import MLP, MaskedCategorical, ProbabilisticActor, ValueOperator
 
+from bsk_torch.rl.networks import FeatureNormaliser
 
-class Standardised(nn.Module):
-    """A network [N, F] -> [N, outputs] on standardized observations."""
+normalizer = FeatureNormaliser(n_observed)
 
-    def __init__(self, outputs):
-        super().__init__()
-        self.net = MLP(len(mean), outputs, num_cells=[64, 64], activation_class=nn.Tanh)
 
-    def forward(self, observation):
-        return self.net(((observation - mean) / (deviation + 1e-4)).clamp(-5.0, 5.0))
+def network(outputs):
+    """Return a network [N, F] -> [N, outputs] on normalized observations."""
+    net = MLP(n_observed, outputs, num_cells=[64, 64], activation_class=nn.Tanh)
+    return nn.Sequential(normalizer, net)
 
 
 actor = ProbabilisticActor(
-    TensorDictModule(
-        Standardised(n_actions), in_keys=["observation"], out_keys=["logits"]
-    ),
+    TensorDictModule(network(n_actions), in_keys=["observation"], out_keys=["logits"]),
     in_keys={"logits": "logits", "mask": "action_mask"},
     distribution_class=MaskedCategorical,
     return_log_prob=True,
 )
-critic = ValueOperator(Standardised(1), in_keys=["observation"])
+critic = ValueOperator(network(1), in_keys=["observation"])
 
 # %%
 # The collector steps all episodes together. Finished episodes restart; their last observations are under ``next``.
@@ -128,21 +122,20 @@ collector = Collector(
 )
 
 # %%
-# The advantage estimator accounts for time: ``steps_to_next_obs`` is the key of the step length, here in seconds. The discount is
-# in double precision, because it is close to one: 0.99999 per second is a factor of 0.57 over ten orbits.
+# ``DurationGAE`` is TorchRL's advantage estimator with a discount per second: 0.99999 is a factor of 0.57 over ten orbits.
 from torchrl.objectives import ClipPPOLoss
-from torchrl.objectives.value import GAE
 
-gamma = torch.tensor(0.99999, dtype=torch.float64)
-advantages = GAE(gamma=gamma, lmbda=0.95, value_network=critic, average_gae=False)
-advantages.set_keys(steps_to_next_obs=("next", "duration"))
+from bsk_torch.rl.durations import DurationGAE
+
+advantages = DurationGAE(gamma=0.99999, lmbda=0.95, value_network=critic)
 loss = ClipPPOLoss(
     actor, critic, clip_epsilon=0.2, entropy_coeff=0.01, normalize_advantage=True
 )
 optimiser = torch.optim.Adam(loss.parameters(), lr=2.5e-3, eps=1e-5)
 
 # %%
-# The loop collects data, estimates advantages, and makes eight passes over the batch. The learning rate decreases linearly.
+# The loop collects data, estimates advantages, and makes eight passes over the batch. The learning rate decreases linearly. The
+# normalizer is updated after the gradient steps, in place, so that the loss sees it (see :doc:`/how_to/durations`).
 returns, running = [], torch.zeros(NUM_ENVS)
 ended = []
 for k, batch in enumerate(collector):
@@ -163,6 +156,7 @@ for k, batch in enumerate(collector):
             ).backward()
             nn.utils.clip_grad_norm_(loss.parameters(), 0.5)
             optimiser.step()
+    normalizer.update(flat["observation"])
     for reward, done in zip(
         *(batch["next", key].squeeze(-1).unbind(1) for key in ("reward", "done")),
         strict=True,

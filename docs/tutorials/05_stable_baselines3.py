@@ -23,6 +23,7 @@ from sb3_contrib import MaskablePPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
+from bsk_torch.rl.stable_baselines3 import DiscountPerSecond
 from bsk_torch.wrappers.stable_baselines3 import SB3VecEnv
 
 # sphinx_gallery_thumbnail_path = "_static/readme/AEOSPower-v1.png"
@@ -61,7 +62,7 @@ model = MaskablePPO(
     n_steps=ROLLOUT,
     batch_size=2048,
     n_epochs=8,
-    gamma=0.999,
+    gamma=1.0,  # DiscountPerSecond discounts
     ent_coef=0.01,
     stats_window_size=NUM_ENVS,
     policy_kwargs=dict(net_arch=[64, 64]),
@@ -70,7 +71,7 @@ model = MaskablePPO(
 )
 history = Returns()
 begin = time.perf_counter()
-model.learn(STEPS, callback=history)
+model.learn(STEPS, callback=[history, DiscountPerSecond(0.99999)])
 print(f"{model.num_timesteps} decisions in {time.perf_counter() - begin:.0f} s")
 
 # %%
@@ -85,8 +86,9 @@ panel.grid(axis="y", alpha=0.3)
 # %%
 # Discounts
 # ---------
-# Stable-Baselines3 discounts per decision: a step of one minute is discounted as much as one of three minutes. The mean duration
-# of a decision is 160 s, so 0.999 per decision is about 0.999994 per second. :ref:`tutorial-torchrl` discounts per second.
+# Stable-Baselines3 discounts per decision: a step of one minute is discounted as much as one of three minutes. The callback
+# ``DiscountPerSecond`` replaces advantages and value targets by those with a discount of 0.99999 per second (see
+# :doc:`/how_to/durations`).
 #
 # Evaluate
 # --------

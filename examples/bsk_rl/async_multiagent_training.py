@@ -28,11 +28,10 @@ from torch import Tensor, nn
 from torchrl.collectors import Collector
 from torchrl.modules import MaskedCategorical, ProbabilisticActor, ValueOperator
 from torchrl.objectives import ClipPPOLoss
-from torchrl.objectives.value import MultiAgentGAE
 
 # bsk_rl: from bsk_rl import act, data, obs, sats, scene
 from bsk_torch import ConstellationTasking, act, formations
-from bsk_torch.rl.training.advantages import estimate_advantages
+from bsk_torch.rl.training.advantages import write_advantages
 
 AGENTS = "agents"
 N_SATELLITES = 4
@@ -139,12 +138,11 @@ class Team:
         """Learn from a batch [N, T] of all satellites; return what is worth a line of a log."""
         team = self._experience(batch)
         # bsk_rl: TimeDiscountedGAEPPOTorchLearner, after CondenseMultiStepActions
-        estimate_advantages(
+        write_advantages(
             team,
             self.critic,
             self.gamma,
             self.lmbda,
-            estimator=MultiAgentGAE,
             done="removed",
             terminated="satellite_terminated",
         )

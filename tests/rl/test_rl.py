@@ -12,7 +12,7 @@ from bsk_torch.rl.networks.normaliser import OWN
 from bsk_torch.rl.policies.files import load_policy
 from bsk_torch.rl.rules.baselines import ScanRule, random_policy
 from bsk_torch.rl.training import train
-from bsk_torch.rl.training.advantages import estimate_advantages
+from bsk_torch.rl.training.advantages import write_advantages
 from bsk_torch.rl.training.config import PPOConfig
 
 FLOAT32_SUMS = dict(atol=5e-5, rtol=1e-5)
@@ -62,7 +62,7 @@ def test_advantages_discount_by_elapsed_time(reward_time):
     batch, gamma, lmbda = batch_of_decisions(3, 12), 0.999, 0.9
     critic = ValueOperator(torch.nn.Linear(2, 1), in_keys=[OWN])
     reward = batch["next", "reward"].clone()
-    estimate_advantages(batch, critic, gamma, lmbda, reward_time)
+    write_advantages(batch, critic, gamma, lmbda, reward_time)
     with torch.no_grad():
         value, following = (critic.module(x[OWN]).squeeze(-1) for x in (batch, batch["next"]))
     for i in range(3):

@@ -12,7 +12,7 @@ import bsk_torch
 from bsk_torch.rand import Uniform
 from bsk_torch.rl.marl.mappo import MAPPOConfig, MAPPOTraining, team_batch
 from bsk_torch.rl.networks.normaliser import OWN
-from bsk_torch.rl.training.advantages import CUT, FINAL, estimate_advantages, final, make_value_norm, standardize
+from bsk_torch.rl.training.advantages import CUT, FINAL, final, make_value_norm, standardize, write_advantages
 from bsk_torch.rl.training.advice import hardships
 from bsk_torch.rl.training.collect import make_collector, merged, prepared
 from bsk_torch.rl.training.config import PPOConfig
@@ -71,7 +71,7 @@ def test_returns_of_episodes_that_end(ends, beyond_limit, continues):
     """By hand, with rewards at the end of steps of 1 s, gamma 0.99, lambda 0.5 and all values 10."""
     batch = three_steps(**ends)
     batch["next", FINAL] = final(batch, beyond_limit)
-    estimate_advantages(batch, always(VALUE), GAMMA, LMBDA, terminated=FINAL)
+    write_advantages(batch, always(VALUE), GAMMA, LMBDA, terminated=FINAL)
     third = 0.99 * (3.0 + (10.0 if continues else 0.0)) - 10.0  # 2.87 or -7.03
     second = 0.99 * (2.0 + 10.0) - 10.0 + 0.99 * 0.5 * third
     first = 0.99 * (1.0 + 10.0) - 10.0 + 0.99 * 0.5 * second
@@ -99,7 +99,7 @@ def test_without_rewards_there_is_nothing_to_gain():
     batch, norm = three_steps(), make_value_norm()
     batch["seen", "own"] = torch.randn(1, 3, 1)
     batch["next", "reward"] = torch.zeros(1, 3, 1)
-    estimate_advantages(batch, ValueOperator(torch.nn.Linear(1, 1), in_keys=[OWN]), GAMMA, LMBDA, value_norm=norm)
+    write_advantages(batch, ValueOperator(torch.nn.Linear(1, 1), in_keys=[OWN]), GAMMA, LMBDA, value_norm=norm)
     standardize(batch, norm)
     assert float(batch["advantage"].abs().max()) < 1e-2
 

@@ -31,7 +31,7 @@ STEPS = 2
 
 @dataclass(frozen=True)
 class Discounting:
-    """Returns of semi-Markov decision processes; see :mod:`bsk_torch.rl.training.advantages`.
+    """Returns of semi-Markov decision processes; see :mod:`bsk_torch.rl.durations`.
 
     Attributes:
         gamma: Discount per second.

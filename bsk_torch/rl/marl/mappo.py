@@ -2,7 +2,7 @@
 
 A step ends when any satellite has finished its task. Only satellites that then get a new one have decided something, and only
 these decisions are learned from, by TorchRL's ``loss_mask_key``. Every satellite is credited with what it earns itself, from its
-decision on, with a discount for elapsed time as in :mod:`~bsk_torch.rl.training.advantages`. The critic of MAPPO (Yu et al.
+decision on, with a discount for elapsed time as in :mod:`~bsk_torch.rl.durations`. The critic of MAPPO (Yu et al.
 2022, arXiv:2103.01955) observes all satellites, that of IPPO (de Witt et al. 2020, arXiv:2011.09533) one.
 
 Every group of agents, one for each type of satellites, has its own actor, critic and optimizer. In MAPPO the critics
@@ -24,7 +24,6 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor
 from torchrl.modules import MaskedCategorical, ProbabilisticActor, ValueOperator
 from torchrl.modules.value_norm import ValueNorm
-from torchrl.objectives.value import MultiAgentGAE
 from typing_extensions import override
 
 from bsk_torch.env import ConstellationTasking, SatelliteTasking
@@ -38,7 +37,7 @@ from bsk_torch.rl.policies.files import save_policy
 from bsk_torch.rl.policies.shared_policy import member_views, of_groups, shared
 from bsk_torch.rl.rules.continuous import Bounds
 from bsk_torch.rl.rules.targets import image_actions
-from bsk_torch.rl.training.advantages import FINAL, estimate_advantages, final, standardize
+from bsk_torch.rl.training.advantages import FINAL, final, standardize, write_advantages
 from bsk_torch.rl.training.config import EVALUATE_EVERY, PPOConfig
 from bsk_torch.rl.training.imitation import TAUGHT, taught
 from bsk_torch.rl.training.ppo import REPORTED, Learner, averages, existing_keys
@@ -165,15 +164,14 @@ def team_advantages(
         gamma: Discount per second.
         lmbda: Decay of the estimator, per step.
         value_norm: Running mean and deviation of value targets, in which the critic gives values.
-        reward_time: See :func:`~bsk_torch.rl.training.advantages.timed`.
+        reward_time: See :func:`~bsk_torch.rl.durations.rewards_at_start`.
     """
-    estimate_advantages(
+    write_advantages(
         team,
         critic,
         gamma,
         lmbda,
         reward_time,
-        estimator=MultiAgentGAE,
         done="removed",
         terminated="satellite_terminated",
         value_norm=value_norm,

@@ -1,11 +1,4 @@
-"""Advantages in semi-Markov decision processes, in which decisions last different times.
-
-With a discount gamma per second and a step of t seconds, the value of a state is
-
-    V = E[gamma^t (r + V')],
-
-where r is the reward of the step and V' the value of the next state: the reward is discounted over its interval, as BSK-RL's
-``TimeDiscountedGAE`` does. If rewards come at the start of their steps, as in TorchRL, it is V = E[r + gamma^t V'].
+"""Advantages of batches that the trainer collected, by :mod:`bsk_torch.rl.durations`.
 
 Where an episode ends at its time limit, V' is that of a state in which no decision is ever made, so that no reward corrects it.
 With a discount that looks far beyond the limit, the policy then maximizes what the critic imagines. Returns therefore end with
@@ -19,7 +12,8 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.modules import PopArtValueNorm, ValueOperator
 from torchrl.modules.value_norm import ValueNorm
-from torchrl.objectives.value import GAE
+
+from bsk_torch.rl.durations import estimate_advantages
 
 CHUNK = 2048
 """Decisions whose values are computed at once: attention over more would leave the processor's cache."""
@@ -58,58 +52,50 @@ def make_value_norm() -> PopArtValueNorm:
     return PopArtValueNorm(shape=1, beta=MEMORY_OF_VALUES, epsilon=LEAST_VALUE**2).double()
 
 
-def timed(reward: Tensor, seconds: Tensor, gamma: float, reward_time: str) -> Tensor:
-    """Return rewards as of the start of their steps: gamma^t r if they come at the ``"end"``, r if at the ``"start"``."""
-    return (reward.double() * gamma ** seconds.double()).to(reward.dtype) if reward_time == "end" else reward
-
-
-def estimate_advantages(
+def write_advantages(
     batch: TensorDictBase,
     critic: ValueOperator,
     gamma: float,
     lmbda: float,
     reward_time: str = "end",
     *,
-    estimator: type[GAE] = GAE,
     done: str = "done",
     terminated: str = "terminated",
     value_norm: ValueNorm | None = None,
 ) -> None:
-    """Write ``advantage`` and ``value_target`` of a batch [N, T] in semi-Markov time.
-
-    With g = gamma^t and rewards at the end of steps, A = g (r + V') - V + g lambda A', where V' and A' are zero after the end
-    of an episode; the target of the value is A + V. See Schulman et al. 2016, arXiv:1506.02438, for equal steps.
+    """Write ``advantage`` and ``value_target`` of a batch [N, T] by :func:`~bsk_torch.rl.durations.estimate_advantages`.
 
     Args:
         batch: Decisions in order of time, with ``reward`` and ``duration`` [N, T, ..., 1] of each under ``next``.
         critic: Computes values of observations, at the root and under ``next``.
         gamma: Discount per second.
         lmbda: Decay of the estimator, per decision.
-        reward_time: ``"end"`` or ``"start"``; see :func:`timed`.
-        estimator: TorchRL's estimator: ``GAE``, or ``MultiAgentGAE`` for batches [N, T, S] of satellites.
+        reward_time: ``"end"`` or ``"start"``.
         done: Key, under ``next``, of ends after which another episode begins.
         terminated: Key, under ``next``, of ends after which nothing is expected.
         value_norm: The values of ``critic`` are deviations from a mean that it knows; None for values without a unit.
     """
-    reward, seconds = batch["next", "reward"], batch["next", "duration"]
-    discount = torch.tensor(gamma, dtype=torch.float64, device=reward.device)
-    advantages = estimator(gamma=discount, lmbda=lmbda, value_network=None, device=reward.device)
-    advantages.set_keys(steps_to_next_obs=("next", "duration"), done=done, terminated=terminated)
-    estimates = batch.select("next").clone(recurse=False)
-    estimates["state_value"], estimates["next", "state_value"] = (
+    value, following = (
         value if value_norm is None else value_norm.denormalize(value.double()).to(value.dtype) for value in values(batch, critic)
     )
-    estimates["next", "reward"] = timed(reward, seconds, gamma, reward_time)
-    advantages(estimates)
-    for key in ("advantage", "value_target"):
-        batch[key] = estimates[key].to(reward.dtype)
+    batch["advantage"], batch["value_target"] = estimate_advantages(
+        batch["next", "reward"],
+        batch["next", "duration"],
+        value,
+        following,
+        batch["next", done],
+        batch["next", terminated],
+        gamma=gamma,
+        lmbda=lmbda,
+        reward_time=reward_time,
+    )
 
 
 def standardize(batch: TensorDictBase, value_norm: ValueNorm, counts: Tensor | None = None) -> None:
     """Express ``advantage`` and ``value_target`` [..., 1] of a batch in deviations, so that learning does not see their scale.
 
     Args:
-        batch: What :func:`estimate_advantages` returned.
+        batch: What :func:`write_advantages` wrote to.
         value_norm: Running mean and deviation of targets, which takes those of the batch into account first.
         counts: Decisions to learn from, [...]; None for all.
     """

@@ -1,6 +1,6 @@
 """Proximal policy optimization (Schulman et al. 2017, arXiv:1707.06347) with a discount per second.
 
-See :mod:`~bsk_torch.rl.training.advantages` for the returns of decisions that last different times.
+See :mod:`~bsk_torch.rl.durations` for the returns of decisions that last different times.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from bsk_torch.rl.networks.normaliser import CLOCK
 from bsk_torch.rl.networks.plans import INIT, MEMORY, NORMALISER, PLANS, Networks, Plan
 from bsk_torch.rl.networks.precision import reduced
 from bsk_torch.rl.policies.files import save_policy
-from bsk_torch.rl.training.advantages import FINAL, estimate_advantages, final, make_value_norm, standardize
+from bsk_torch.rl.training.advantages import FINAL, final, make_value_norm, standardize, write_advantages
 from bsk_torch.rl.training.collect import COLLECTED_CLOCK
 from bsk_torch.rl.training.config import SCHEDULES, PPOConfig
 from bsk_torch.rl.training.imitation import TAUGHT, find_teacher, imitation_loss, taught
@@ -172,7 +172,7 @@ class Learner:
         for situations in (batch, batch["next"]):
             situations[CLOCK] = self.clock(situations)
         batch["next", FINAL] = final(batch, config.beyond_limit)
-        estimate_advantages(
+        write_advantages(
             batch,
             self.critic,
             config.gamma,

@@ -29,7 +29,7 @@ PHASES: dict[str, tuple[str, ...]] = {
     LEARNING + "gradients": ("torch._tensor:backward",),
     LEARNING + "networks and loss": ("bsk_torch.rl.training.loss", "bsk_torch.rl.training.imitation"),
     LEARNING + "clipping and Adam": ("torch.optim", "torch.nn.utils.clip_grad"),
-    LEARNING + "values and advantages": ("bsk_torch.rl.training.advantages",),
+    LEARNING + "values and advantages": ("bsk_torch.rl.training.advantages", "bsk_torch.rl.durations"),
     LEARNING + "samples": ("bsk_torch.rl.training.ppo:_samples",),
     LEARNING + "the rest": ("bsk_torch.rl.training.ppo:learn", "bsk_torch.rl.marl.mappo:learn"),
     COLLECTING + "resets of episodes": ("bsk_torch.env.base:_reset",),
