@@ -117,7 +117,7 @@ class SharedPolicy(TensorDictModuleBase):
         """Write ``out_keys``; the log-probability is 0 for satellites that continue."""
         if (self.group, "action_mask") not in tensordict.keys(include_nested=True):
             return self._write_real(tensordict)
-        situations = tensordict[self.group].select("observation", "action_mask")
+        situations = tensordict[self.group].select("observation", "action_mask", *self.policy.in_keys, strict=False)
         legal = situations["action_mask"]
         decides = ~legal[..., -1]
         action = torch.full(decides.shape, legal.shape[-1] - 1, device=legal.device)
