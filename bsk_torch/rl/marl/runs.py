@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 import shlex
 import sys
 from collections.abc import Collection, Mapping
@@ -175,6 +176,9 @@ def told(run: Training) -> str:
     """
     config, folder = run.config, shlex.quote(str(run.out))
     objects = config.options.keys() - plain(config.options).keys() - {"backend", "device", *LOGS}
+    own = re.fullmatch(r"(?!__main__:|own:)[^<>]+:[^<>]+", config.preset)
+    if own and not objects:
+        return f"results: {run.out}\nnext: bsk-torch report {folder} --preset {shlex.quote(config.preset)}"
     if config.preset not in LISTED or objects:
         return f"results: {run.out}\nnext: bsk_torch.rl.policies.load_policy({str(run.out)!r})"
     resumed = f"bsk-torch train {folder} --resume, or " if run.interrupted else ""

@@ -75,7 +75,7 @@ class ObservationReader:
         Raises:
             KeyError: If there is no such name, or several.
         """
-        quantity = self.quantities[self._full(name)]
+        quantity = self.quantity(name)
         if isinstance(observation, Tensor):
             flat = observation[..., quantity.columns]
         else:
@@ -86,15 +86,17 @@ class ObservationReader:
         norm = torch.as_tensor(quantity.norm, dtype=value.dtype, device=value.device)
         return value * norm
 
-    def _full(self, name: str) -> str:
+    def quantity(self, name: str) -> Quantity:
+        """Return what a name stands for; KeyError as from a call."""
         if name in self.quantities:
-            return name
+            return self.quantities[name]
         full = [each for each in self.quantities if each.rpartition(".")[2] == name]
         if len(full) > 1:
             raise KeyError(f"{name!r} is observed several times; name one of {', '.join(full)}")
         if not full:
-            raise KeyError(f"{name!r} is not observed; {nearest(name, [*self.quantities, *(n.rpartition('.')[2] for n in self.quantities)])}")
-        return full[0]
+            short = [each.rpartition(".")[2] for each in self.quantities]
+            raise KeyError(f"{name!r} is not observed; {nearest(name, [*self.quantities, *short])}")
+        return self.quantities[full[0]]
 
 
 def reader(env: Tasking) -> ObservationReader:

@@ -17,6 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.files import write_file
 from bsk_torch.presets import make
+from bsk_torch.presets.own import enter_named
 from bsk_torch.rl.evaluation.evaluate import FRESH, SUITE_SEEDS
 from bsk_torch.rl.networks.plans import check_layers, check_network
 from bsk_torch.rl.networks.precision import FLOAT32, PRECISIONS
@@ -343,6 +344,8 @@ def override(config: Config, changes: Iterable[str]) -> Config:
         _check_literal(setting, value)
         if setting == "imitate":
             enter_teacher(value)
+        elif setting == "preset" and ":" in value:
+            enter_named(value)
     settings = {change.partition("=")[0] for change in changes}
     if "frames" in settings and "seconds" not in settings:
         changes.append("seconds=null")
