@@ -36,7 +36,7 @@ def import_object(text: str, title: str) -> Any:
     if file is not None and Path(loaded.__file__ or "").resolve() != file.resolve():
         raise ValueError(f"{title}={text!r}: another module, {loaded.__file__}, has the name {file.stem!r}; rename the file")
     if not hasattr(loaded, name):
-        names = [key for key, value in vars(loaded).items() if getattr(value, "__module__", None) == loaded.__name__]
+        names = [key for key in vars(loaded) if not key.startswith("_")]
         raise ValueError(f"{title}={text!r}: {module} has no {name!r}; {nearest(name, names)}")
     return getattr(loaded, name)
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
+import torch
 from torchrl.envs import EnvBase
 
 from bsk_torch.env import Tasking
@@ -53,7 +54,8 @@ class OwnEnvironment:
         if isinstance(self.source, Tasking):
             return self.source.remade(**options)
         rest = {} if self.takes is None else {name: value for name, value in options.items() if name not in self.takes}
-        env = self.source(**{name: value for name, value in options.items() if name not in rest})
+        with torch.random.fork_rng(devices=[]):  # an environment without a seed draws one
+            env = self.source(**{name: value for name, value in options.items() if name not in rest})
         if not isinstance(env, Tasking):
             raise TypeError(f"{self.title} returns {'nothing' if env is None else f'a {type(env).__name__}'}; {FORMS}")
         if env.num_envs != options.get("num_envs", env.num_envs):

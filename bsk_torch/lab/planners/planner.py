@@ -150,11 +150,11 @@ class Planner(TensorDictModuleBase):
         self._check_actions(slots)
         if value is not None and slots.size > 1:
             raise ValueError(f"value= judges observations of one satellite; the environment has {slots.size}")
+        self._price = None if price is None else _as_price(price, env, slots, self.horizon, value)
         policy = base_of(base, env)
         check_copyable(env, slots)
         self._outside = (env, slots)  # not a submodule: an environment is not part of its policy
         self.base, self._value = policy, value
-        self._price = None if price is None else self._priced(price)
         self._discounting = Discounting(gamma, reward_time == "end")
         self._branches: Branches | None = None
         self._stores: list[Tasking] = []  # one at most; in a list as it is not a submodule either
@@ -174,29 +174,6 @@ class Planner(TensorDictModuleBase):
             raise ValueError(f"planner {self.name!r} plans real numbers; {titles} chooses numbered actions: use 'rollout'")
         if not self.real and not any(n > 1 for n in slots.n_actions):
             raise ValueError(f"planner {self.name!r} tries numbered actions; those of {titles} are real numbers: use 'cem'")
-
-    def _priced(self, price: Callable[[Tasking], Tensor] | Mapping[str, float]) -> Price:
-        """Return the price as a function of an environment and its observations."""
-        if self._value is not None or math.isinf(self.horizon):
-            other = "value= judges it already" if self._value is not None else "horizon=inf cuts nothing"
-            raise ValueError(f"price= is for states at the horizon: {other}")
-        if callable(price):
-            return lambda model, now: price(model)
-        if not isinstance(price, Mapping) or self.slots.size > 1:
-            raise ValueError(
-                f"price={price!r:.80} must be a function of an environment; or, for one satellite, numbers by observed quantity"
-            )
-        see = reader(self.env)
-        worth = {name: number(f"price[{name!r}]", value) for name, value in price.items()}
-        for name in worth:
-            if see.quantity(name).shape:
-                raise ValueError(f"price: {name!r} has several numbers; give a function of an environment")
-
-        def of_observation(model: Tasking, now: TensorDictBase) -> Tensor:
-            parts = [value * see(now["observation"], name).double() for name, value in worth.items()]
-            return torch.stack(parts).sum(0)
-
-        return of_observation
 
     # -- deciding -----------------------------------------------------------------------------------------------------
 
@@ -363,3 +340,33 @@ class Planner(TensorDictModuleBase):
         mean = q.view(len(base), self._copies, -1).mean(1)
         best, action = mean.max(1)
         return torch.where(best > mean.gather(1, base.unsqueeze(1)).squeeze(1), action, base)
+
+
+def _as_price(
+    price: Callable[[Tasking], Tensor] | Mapping[str, float], env: Tasking, slots: AgentTable, horizon: float, value: Value | None
+) -> Price:
+    """Return a price as a function of an environment and its observations; ValueError for a wrong one."""
+    if value is not None or math.isinf(horizon):
+        other = "value= judges it already" if value is not None else "horizon=inf cuts nothing"
+        raise ValueError(f"price= is for states at the horizon: {other}")
+    if callable(price):
+        return lambda model, now: price(model)
+    if not isinstance(price, Mapping) or not price or slots.size > 1:
+        raise ValueError(
+            f"price={price!r:.80} must be a function of an environment; or, for one satellite, numbers by observed quantity"
+        )
+    see = reader(env)
+    worth = {name: number(f"price[{name!r}]", each) for name, each in price.items()}
+    for name in worth:
+        try:
+            several = see.quantity(name).shape
+        except KeyError as error:
+            raise ValueError(f"price: {error.args[0]}") from error
+        if several:
+            raise ValueError(f"price: {name!r} has several numbers; give a function of an environment")
+
+    def of_observation(model: Tasking, now: TensorDictBase) -> Tensor:
+        parts = [value * see(now["observation"], name).double() for name, value in worth.items()]
+        return torch.stack(parts).sum(0)
+
+    return of_observation

@@ -129,7 +129,8 @@ def taught(teacher: TensorDictModuleBase, situations: TensorDictBase) -> Tensor:
     lesson = torch.cat([teacher(part)[teacher.out_keys[0]] for part in inputs.split(CHUNK)])
     if not lesson.is_floating_point():
         legal = inputs["action_mask"]
-        wrong = legal.any(-1) & ~legal.gather(-1, lesson.unsqueeze(-1)).squeeze(-1)
+        known = lesson.clamp(0, legal.shape[-1] - 1)
+        wrong = legal.any(-1) & ~(legal.gather(-1, known.unsqueeze(-1)).squeeze(-1) & (known == lesson))
         if bool(wrong.any()):
             raise ValueError(f"imitate: the rule chooses the illegal action {int(lesson[wrong][0])}; let it obey the action mask")
     return lesson.view(*situations.batch_size, *lesson.shape[1:])

@@ -5,9 +5,10 @@ import torch
 
 import bsk_torch
 from bsk_torch import obs, scene
-from bsk_torch.lab.planners import Rollout, redraw_clouds
+from bsk_torch.lab.planners import Rollout
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
 from bsk_torch.rand import Key
+from bsk_torch.scene import overlaid
 from tests.lab.planners.conftest import same, scanning
 
 pytestmark = pytest.mark.compiled
@@ -78,21 +79,22 @@ def test_planning_in_drawn_futures(cloudy):
     cloudy.set_seed(4)
     now = cloudy.reset()
     before = cloudy.get_state()
-    planner = Rollout(cloudy, "hasty", horizon=120.0, budget=3, futures=2, redraw=redraw_clouds)
+    planner = Rollout(cloudy, "hasty", horizon=120.0, budget=3, futures=2)
     first, again = planner(now.clone()), planner(now.clone())
     assert torch.equal(first["action"], again["action"])
     assert same(cloudy.get_state(), before)
     assert first["simulated_seconds"].tolist() == pytest.approx([3 * 2 * 120.0] * 3)
 
 
-def test_clouds_that_are_drawn_again_agree_with_their_forecast(cloudy):
+def test_clouds_that_are_drawn_again_agree_with_their_forecast(cloudy, monkeypatch):
     cloudy.set_seed(0)
     cloudy.reset()
     n = 60
     store = cloudy.like(n)
     store.restore(cloudy, torch.arange(n), torch.zeros(n, dtype=torch.int64))
     zeros = torch.zeros(n, dtype=torch.int64)
-    redraw_clouds(store, torch.arange(n), Key(torch.arange(n), zeros, zeros), candidates=256)
+    monkeypatch.setattr(overlaid, "CANDIDATES", 256)
+    store.scenario.draw_again(torch.arange(n), Key(torch.arange(n), zeros, zeros), store.fleet.sim_time)
     forecast, sigma = cloudy.scenario.cloud_forecast[0], cloudy.scenario.cloud_forecast_sigma[0]
     cover = store.scenario.cloud_cover
     assert bool(((cover >= 0.0) & (cover <= 1.0)).all())
