@@ -306,9 +306,11 @@ def check_copyable(env: Tasking, slots: AgentTable) -> None:
 
 
 def _compare(states: list[TensorDictBase], words: str) -> None:
-    """ValueError unless both tensordicts [2] are equal, and their rows, too."""
+    """ValueError unless both tensordicts [2] are equal, and their rows, too, but for how far orbits have been solved ahead."""
     first, second = (dict(part.items(True, True)) for part in states)
     for key, value in first.items():
+        if "lookahead" in key:
+            continue
         if not (_same(value[0], value[1]) and _same(value, second[key])):
             name = key if isinstance(key, str) else ".".join(key)
             raise ValueError(

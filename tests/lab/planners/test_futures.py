@@ -162,3 +162,26 @@ def test_without_faults_futures_change_no_decision():
     one, several = Rollout(env, "rule", **options)(now.clone()), Rollout(env, "rule", futures=2, **options)(now.clone())
     assert torch.equal(one["action"], several["action"])
     assert torch.equal(2.0 * one["simulated_seconds"], several["simulated_seconds"])
+
+
+def test_arrivals_are_planned_for_without_knowing_them():
+    """Episodes with the same past, of which the targets to come differ, are planned alike; few targets lengthen the look-ahead."""
+
+    class Orders(scene.ChangingTargets, scene.UniformTargets):
+        def draw(self, key):
+            return super().draw(key) | {"arrival": 60.0 + 200.0 * key.named("arrival").uniform(self.most_targets)}
+
+        def at(self, time):
+            return self.drawn("target_priority"), self.drawn("arrival") <= time.unsqueeze(-1)
+
+        def redraw(self, rows, key, time):
+            return {"arrival": 60.0 + 200.0 * key.named("arrival").uniform(self.most_targets)}
+
+    env = bsk_torch.make("AEOS-v1", num_envs=2, env_ids=[0] * 2, scenario=Orders(300), time_limit=400.0)
+    env.reseed([5, 5])
+    env.reset()
+    env.fleet.scenario_state["arrival"][1] += 37.0
+    env.scenario.begin_episodes(torch.tensor([1]))
+    store = planted(env, [0, 1], base="hasty")
+    assert torch.equal(store.scenario.drawn("arrival")[:2], store.scenario.drawn("arrival")[2:])
+    assert not torch.equal(store.scenario.drawn("arrival")[0], store.scenario.drawn("arrival")[1])
